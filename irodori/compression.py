@@ -1,0 +1,103 @@
+"""From fitted tiles to the object's material: maps, spectra by equation (4), PCA of this image."""
+
+import numpy as np
+
+from irodori import store
+from irodori.calibration import Calibration
+from irodori.colour import xyz_from_reflectance
+from irodori.errors import InputError
+from irodori.material import Material
+from irodori.principal import compress
+from irodori.progress import LOGGER
+from irodori.spectra import refractive_index
+
+_COLUMNS = {
+    "alpha_error": ("1", "standard error of alpha"),
+    "beta_error": ("1", "standard error of beta"),
+    "mu_error": ("rad", "standard error of mu"),
+    "residual_rms": ("1", "root mean square residual in response"),
+    "status": ("1", "outcome of the fit"),
+    "evaluations": ("1", "evaluations of the objective"),
+}
+_GREEN = 1
+
+
+def assemble(tiles: list, height: int, width: int) -> dict[str, np.ndarray]:
+    """Return the maps of an object from its tiles, each (height, width, ...).
+
+    Raises
+    ------
+    InputError
+        If the tiles do not cover the texture exactly.
+    """
+    maps: dict[str, np.ndarray] = {}
+    covered = np.zeros(height, dtype=int)
+    for path in tiles:
+        with store.open_file(path) as file:
+            first, last = file.attribute("rows")
+            covered[first:last] += 1
+            for name in ("alpha", "beta", "mu", "diffuse_response", *_COLUMNS):
+                values = file.read(name)
+                if name not in maps:
+                    maps[name] = np.empty((height, width, *values.shape[1:]), dtype=values.dtype)
+                maps[name][first:last] = values.reshape(last - first, width, *values.shape[1:])
+    if not (covered == 1).all():
+        found = f"{int((covered != 1).sum())} rows missing or doubled"
+        raise InputError(tiles[0], "rows", found, f"tiles that cover {height} rows once")
+    return maps
+
+
+def typical_gloss(beta: np.ndarray, mu: np.ndarray, mu_error: np.ndarray) -> tuple[float, float]:
+    """Return the medians of β and μ over the better-determined half of the texels; (0, 1) where there are none."""
+    known = np.isfinite(beta) & np.isfinite(mu) & np.isfinite(mu_error)
+    if not known.any():
+        return 0.0, 1.0
+    relative = mu_error[known] / mu[known]
+    best = relative <= np.median(relative)
+    return float(np.median(beta[known][best])), float(np.median(mu[known][best]))
+
+
+def compress_reflectance(tiles: list, calibration_file, definition: dict, output, target_mean: float, align: int,
+                         lights: list[str], provenance: store.Provenance) -> None:  # fmt: skip
+    """Write an object's ``material.h5`` from its fitted tiles.
+
+    Parameters
+    ----------
+    tiles : list of path
+    calibration_file : path
+    definition : dict
+        Definition of the object.
+    target_mean : float
+        Bound on the mean CIEDE2000 of the compression under every light.
+    align : int
+        See `irodori.principal.compress`.
+    lights : list of str
+    """
+    height, width = definition["texels"]["height"], definition["texels"]["width"]
+    maps = assemble(tiles, height, width)
+    calibration = Calibration.load(calibration_file)
+    weights = calibration.weights(maps["diffuse_response"])
+    observed = np.isfinite(weights).all(axis=-1) & np.isfinite(maps["alpha"])
+    if not observed.any():
+        raise InputError(tiles[0], "status", "no texel with enough observations", "captures that see the object")
+    observers = {name: (matrix := xyz_from_reflectance(name), matrix.sum(axis=1)) for name in lights}
+    compressed = compress(weights[observed], calibration.basis, observers, target_mean, align)
+    coefficients = np.full((height, width, compressed.basis.shape[1]), np.nan, dtype=np.float32)
+    coefficients[observed] = compressed.coefficients
+    n, k = refractive_index(definition["refractive_index"])
+    material = Material(
+        alpha=maps["alpha"], beta=maps["beta"], mu=maps["mu"],
+        green_response=maps["diffuse_response"][..., _GREEN], coefficients=coefficients, basis=compressed.basis,
+        n=n, k=k, mirror=float(definition["mirror_weight"]),
+        typical_gloss=typical_gloss(maps["beta"], maps["mu"], maps["mu_error"]),
+        extra={name: (maps[name], units, what) for name, (units, what) in _COLUMNS.items()},
+    )  # fmt: skip
+    errors = {"delta_e": compressed.errors, "negative_fraction": compressed.negative_fraction,
+              "observed_fraction": float(observed.mean())}  # fmt: skip
+    material.save(output, provenance, errors)
+    ratio = material.alpha[observed] / material.green_response[observed]
+    LOGGER.info("%d bases of %d; observed %.1f %% of texels; negative samples %.3f %%", compressed.basis.shape[1],
+                calibration.basis.shape[1], 100 * observed.mean(), 100 * compressed.negative_fraction)  # fmt: skip
+    LOGGER.info("alpha / S_G: median %.4f, 5 to 95 %% %.4f to %.4f", *np.percentile(ratio, [50, 5, 95]))
+    for light, error in compressed.errors.items():
+        LOGGER.info("CIEDE2000 of the compression under %s: mean %.3f p99 %.3f", light, error["mean"], error["p99"])

@@ -1,0 +1,25 @@
+"""The one exception that bad input raises, worded for the person who wrote the input."""
+
+
+class InputError(ValueError):
+    """Input that the user can mend: says where it stands, what was found and what is accepted.
+
+    Parameters
+    ----------
+    file : str or path
+        The file that holds the fault.
+    field : str
+        Key, column or dataset inside the file; empty where the file as a whole is at fault.
+    found : str
+        What was found there.
+    accepted : str
+        What would have been right.
+    """
+
+    def __init__(self, file, field: str, found: str, accepted: str) -> None:
+        self.file, self.field, self.found, self.accepted = str(file), field, found, accepted
+        place = f"{self.file}: {field}" if field else self.file
+        super().__init__(f"{place}: found {found}; accepted: {accepted}.")
+
+    def __reduce__(self):
+        return type(self), (self.file, self.field, self.found, self.accepted)

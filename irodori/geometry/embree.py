@@ -1,0 +1,240 @@
+"""Embree through the C interface of the library that embreex ships.
+
+embreex binds triangle meshes only; its Embree has exact spheres too, and compiled loops can call it without
+returning to Python. The addresses of Embree's functions are passed to the kernels as integers, so that numba can
+cache the compiled code between processes.
+"""
+
+import ctypes
+from functools import lru_cache
+from importlib.metadata import files
+
+import numba
+import numpy as np
+from numba import types
+
+from irodori.geometry.shapes import PLATE, SPHERE, Placement
+from irodori.native import c_function
+
+_TRIANGLE, _SPHERE_POINT = 0, 50  # enum RTCGeometryType
+_INDEX_BUFFER, _VERTEX_BUFFER = 0, 1  # enum RTCBufferType
+_UINT3, _FLOAT3, _FLOAT4 = 0x5003, 0x9003, 0x9004  # enum RTCFormat
+_ROBUST = 1 << 2  # RTC_SCENE_FLAG_ROBUST: no ray slips between triangles that share an edge
+_HIGH_QUALITY = 2
+
+NO_HIT = -1
+# RTCRayHit as 32-bit words: origin 0-2, tnear 3, direction 4-6, time 7, tfar 8, mask 9, id 10, flags 11,
+# Ng 12-14, u 15, v 16, primID 17, geomID 18, instID 19. Twice the room, to align it by hand.
+_WORDS = 64
+_CHUNK = 512
+
+#: Threads of Embree while it builds a scene; read once, when the first scene is made.
+BUILD_THREADS = 1
+
+
+_call = c_function(types.void, types.uintp, types.uintp, types.uintp)
+
+
+@lru_cache(maxsize=1)
+def _library() -> ctypes.CDLL:
+    import embreex.rtcore_scene  # noqa: F401  loads the shared library and its TBB with the right search path
+
+    candidates = [f for f in files("embreex") or [] if f.name.startswith("libembree4")]
+    if not candidates:
+        raise ImportError("embreex is installed without libembree4; the pinned wheel ships it")
+    library = ctypes.CDLL(str(candidates[0].locate()))
+    pointer = ctypes.c_void_p
+    for name, arguments, result in (
+        ("rtcNewDevice", [ctypes.c_char_p], pointer),
+        ("rtcGetDeviceError", [pointer], ctypes.c_int),
+        ("rtcNewScene", [pointer], pointer),
+        ("rtcSetSceneFlags", [pointer, ctypes.c_int], None),
+        ("rtcSetSceneBuildQuality", [pointer, ctypes.c_int], None),
+        ("rtcNewGeometry", [pointer, ctypes.c_int], pointer),
+        ("rtcSetSharedGeometryBuffer", [pointer, ctypes.c_int, ctypes.c_uint, ctypes.c_int, pointer]
+         + [ctypes.c_size_t] * 3, None),
+        ("rtcCommitGeometry", [pointer], None),
+        ("rtcAttachGeometryByID", [pointer, pointer, ctypes.c_uint], None),
+        ("rtcReleaseGeometry", [pointer], None),
+        ("rtcCommitScene", [pointer], None),
+        ("rtcReleaseScene", [pointer], None),
+    ):
+        function = getattr(library, name)
+        function.argtypes, function.restype = arguments, result
+    return library
+
+
+@lru_cache(maxsize=1)
+def _device() -> int:
+    device = _library().rtcNewDevice(f"threads={BUILD_THREADS}".encode())
+    if not device:
+        raise RuntimeError(f"Embree gave no device, error {_library().rtcGetDeviceError(None)}")
+    return device
+
+
+def _address(name: str) -> int:
+    return ctypes.cast(getattr(_library(), name), ctypes.c_void_p).value
+
+
+@numba.njit(cache=True, inline="always")
+def new_ray(words_f, words_i):
+    """Return the byte address of a 64-byte-aligned ray inside a buffer, and its first word's index."""
+    base = words_f.ctypes.data
+    skip = (64 - base % 64) % 64
+    return base + skip, skip // 4
+
+
+@numba.njit(cache=True, inline="always")
+def trace(function, scene, address, at, f, i, ox, oy, oz, dx, dy, dz, near, far):
+    """Fill a ray and call rtcIntersect1 or rtcOccluded1; results stay in the buffer's words."""
+    f[at], f[at + 1], f[at + 2], f[at + 3] = ox, oy, oz, near
+    f[at + 4], f[at + 5], f[at + 6], f[at + 7] = dx, dy, dz, 0.0
+    f[at + 8] = far
+    i[at + 9], i[at + 10], i[at + 11] = -1, 0, 0
+    i[at + 17], i[at + 18], i[at + 19], i[at + 20] = NO_HIT, NO_HIT, NO_HIT, NO_HIT
+    _call(function, scene, address, np.uintp(0))
+
+
+@numba.njit(cache=True, parallel=True, nogil=True)
+def _intersect(function, scene, origins, directions, near, distance, shape):
+    count = origins.shape[0]
+    for chunk in numba.prange((count + _CHUNK - 1) // _CHUNK):
+        f = np.empty(_WORDS, np.float32)
+        i = f.view(np.int32)
+        address, at = new_ray(f, i)
+        for r in range(chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)):
+            o, d = origins[r], directions[r]
+            trace(function, scene, address, at, f, i, o[0], o[1], o[2], d[0], d[1], d[2], near, np.float32(np.inf))
+            shape[r] = i[at + 18]
+            distance[r] = f[at + 8]
+
+
+@numba.njit(cache=True, parallel=True, nogil=True)
+def _occluded(function, scene, origins, directions, near, far, out):
+    count = origins.shape[0]
+    for chunk in numba.prange((count + _CHUNK - 1) // _CHUNK):
+        f = np.empty(_WORDS, np.float32)
+        i = f.view(np.int32)
+        address, at = new_ray(f, i)
+        for r in range(chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)):
+            o, d = origins[r], directions[r]
+            trace(function, scene, address, at, f, i, o[0], o[1], o[2], d[0], d[1], d[2], near, far[r])
+            out[r] = f[at + 8] < 0.0
+
+
+class Tracer:
+    """What a ray meets among placed shapes; the only place that talks to Embree.
+
+    Parameters
+    ----------
+    placements : sequence of Placement
+        Shape i gets the identifier i. Spheres are exact primitives, plates are two triangles.
+
+    Attributes
+    ----------
+    scene, intersect_address, occluded_address : int
+        For compiled loops that call `trace` themselves.
+    """
+
+    def __init__(self, placements) -> None:
+        self._library = _library()
+        self._buffers = []
+        self.placements = tuple(placements)
+        self.scene = self._library.rtcNewScene(_device())
+        self._library.rtcSetSceneFlags(self.scene, _ROBUST)
+        self._library.rtcSetSceneBuildQuality(self.scene, _HIGH_QUALITY)
+        for identifier, placement in enumerate(self.placements):
+            self._attach(identifier, placement)
+        self._library.rtcCommitScene(self.scene)
+        error = self._library.rtcGetDeviceError(_device())
+        if error:
+            raise RuntimeError(f"Embree refused the scene, error {error}")
+        self.intersect_address = _address("rtcIntersect1")
+        self.occluded_address = _address("rtcOccluded1")
+
+    def _attach(self, identifier: int, placement: Placement) -> None:
+        if placement.shape.kind == SPHERE:
+            radius = placement.shape.size_mm[0] * placement.scale
+            geometry = self._library.rtcNewGeometry(_device(), _SPHERE_POINT)
+            self._share(geometry, _VERTEX_BUFFER, _FLOAT4, np.append(placement.translation_mm, radius)[None], "f4")
+        elif placement.shape.kind == PLATE:
+            geometry = self._library.rtcNewGeometry(_device(), _TRIANGLE)
+            self._share(geometry, _VERTEX_BUFFER, _FLOAT3, placement.corners(), "f4")
+            self._share(geometry, _INDEX_BUFFER, _UINT3, np.array([[0, 1, 2], [0, 2, 3]]), "u4")
+        else:
+            raise ValueError(f"unknown shape kind {placement.shape.kind}; accepted: plate, sphere")
+        self._library.rtcCommitGeometry(geometry)
+        self._library.rtcAttachGeometryByID(self.scene, geometry, identifier)
+        self._library.rtcReleaseGeometry(geometry)
+
+    def _share(self, geometry, buffer_type, buffer_format, items, dtype) -> None:
+        # Embree reads 16 bytes from every vertex, so the buffer has one item to spare.
+        array = np.zeros((len(items) + 1, items.shape[1]), dtype=dtype)
+        array[:-1] = items
+        self._buffers.append(array)
+        self._library.rtcSetSharedGeometryBuffer(
+            geometry, buffer_type, 0, buffer_format, array.ctypes.data, 0, array.strides[0], len(items)
+        )
+
+    def __del__(self) -> None:
+        if getattr(self, "scene", None):
+            self._library.rtcReleaseScene(self.scene)
+            self.scene = None
+
+    def intersect(self, origins, directions, near: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Return the nearest hit of each ray.
+
+        Parameters
+        ----------
+        origins, directions : (n, 3) float, mm and unit vectors
+        near : float, mm
+            Hits nearer than this do not count.
+
+        Returns
+        -------
+        distance : (n,) float64, mm; infinite where nothing is hit. Exact for spheres: the single-precision hit is
+            polished in double precision.
+        shape : (n,) int32, identifier of the shape, `NO_HIT` where nothing is hit
+        """
+        origins = np.ascontiguousarray(origins, dtype=np.float64)
+        directions = np.ascontiguousarray(directions, dtype=np.float64)
+        distance = np.empty(len(origins))
+        shape = np.empty(len(origins), dtype=np.int32)
+        _intersect(
+            self.intersect_address, self.scene, origins, directions, np.float32(near), distance, shape
+        )
+        distance[shape == NO_HIT] = np.inf
+        for identifier, placement in enumerate(self.placements):
+            chosen = shape == identifier
+            if chosen.any():
+                distance[chosen] = polish(placement, origins[chosen], directions[chosen], distance[chosen])
+        return distance, shape
+
+    def occluded(self, origins, directions, far=np.inf, near: float = 0.0) -> np.ndarray:
+        """Return whether anything stands between ``near`` and ``far`` (mm) on each ray, (n,) bool."""
+        origins = np.ascontiguousarray(origins, dtype=np.float64)
+        directions = np.ascontiguousarray(directions, dtype=np.float64)
+        out = np.empty(len(origins), dtype=np.bool_)
+        far = np.broadcast_to(np.asarray(far, dtype=np.float32), len(origins)).copy()
+        _occluded(self.occluded_address, self.scene, origins, directions, np.float32(near), far, out)
+        return out
+
+
+def polish(placement: Placement, origins, directions, distance) -> np.ndarray:
+    """Return hit distances recomputed in double precision on the shape's own equation, (n,) mm.
+
+    The root nearest to the traced distance is kept, so that a ray that starts inside a sphere keeps its exit.
+    """
+    local_o = (origins - placement.translation_mm) @ placement.rotation / placement.scale
+    local_d = directions @ placement.rotation / placement.scale
+    if placement.shape.kind == PLATE:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            exact = -local_o[:, 2] / local_d[:, 2]
+        return np.where(np.isfinite(exact), exact, distance)
+    a = np.sum(local_d**2, axis=1)
+    b = np.sum(local_o * local_d, axis=1)
+    # The discriminant by the distance of the ray from the centre: no cancellation for far rays.
+    perpendicular = local_o - local_d * (b / a)[:, None]
+    root = np.sqrt(np.maximum(placement.shape.size_mm[0] ** 2 - np.sum(perpendicular**2, axis=1), 0.0) / a)
+    near, far = -b / a - root, -b / a + root
+    return np.where(np.abs(near - distance) <= np.abs(far - distance), near, far)

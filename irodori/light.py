@@ -1,0 +1,65 @@
+"""Light from all directions, as it stands in an environment's file and as the renderer wants it.
+
+Equirectangular: rows are the angle from the zenith (+z), columns the azimuth from +x towards +y, both at pixel
+centres. Radiance is relative: 1 is a perfect diffuser lit at normal incidence by the rig's light.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori import store
+
+
+@dataclass(frozen=True)
+class Environment:
+    """Spectral light on a basis.
+
+    Parameters
+    ----------
+    coefficients : (height, width, k) float32
+    basis : (61, k) float
+        L(λ) = basis @ coefficients.
+    irradiance : (h, w, k) float32
+        I_d of equation (8) for normals on the same kind of grid, on the same basis.
+    """
+
+    coefficients: np.ndarray
+    basis: np.ndarray
+    irradiance: np.ndarray
+
+    def save(self, path, provenance: store.Provenance, errors: dict | None = None) -> None:
+        """Write an environment's file."""
+        with store.create(path, provenance) as out:
+            out.write("coefficients", self.coefficients, units="1", dims="row,column,basis",
+                      quantity="coefficients of the radiance")  # fmt: skip
+            out.write("basis", self.basis, units="1", dims="wavelength,basis", quantity="spectral basis of the light")
+            out.write("irradiance", self.irradiance, units="sr", dims="row,column,basis",
+                      quantity="coefficients of the irradiance map")  # fmt: skip
+            out.attribute("errors", errors or {})
+
+    @classmethod
+    def load(cls, path) -> "Environment":
+        """Read an environment's file."""
+        with store.open_file(path) as file:
+            return cls(file.read("coefficients"), file.read("basis"), file.read("irradiance"))
+
+    def upward_white(self) -> np.ndarray:
+        """Return the radiance of a perfect diffuser that faces up, (61,): the scene's white."""
+        return self.basis @ self.irradiance[0].astype(np.float64).mean(axis=0) / np.pi
+
+
+def directions(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the unit vector (height, width, 3) and the solid angle in sr (height, width) of every pixel.
+
+    Solid angles are exact: the difference of the cosines of a row's edges times its width in azimuth.
+    """
+    edges = np.linspace(0.0, np.pi, height + 1)
+    theta = 0.5 * (edges[1:] + edges[:-1])
+    azimuth = 2 * np.pi * (np.arange(width) + 0.5) / width
+    unit = np.stack(
+        [np.outer(np.sin(theta), np.cos(azimuth)), np.outer(np.sin(theta), np.sin(azimuth)),
+         np.repeat(np.cos(theta)[:, None], width, axis=1)], axis=-1,
+    )  # fmt: skip
+    solid_angle = np.repeat((np.cos(edges[:-1]) - np.cos(edges[1:]))[:, None], width, axis=1) * (2 * np.pi / width)
+    return unit, solid_angle

@@ -1,0 +1,106 @@
+"""The material of an object, as it stands in ``material.h5`` and as the renderer wants it."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy import ndimage
+
+from irodori import store
+
+_MAPS = {
+    "alpha": ("1", "diffuse weight"),
+    "beta": ("1", "gloss weight"),
+    "mu": ("rad", "roughness"),
+    "green_response": ("1", "green-band response of S"),
+}
+
+
+@dataclass(frozen=True)
+class Material:
+    """Parameters of equation (5) over a texture.
+
+    Parameters
+    ----------
+    alpha, beta, mu, green_response : (height, width) float
+        Weights, roughness in rad and S_G; NaN where the data does not determine them.
+    coefficients : (height, width, k) float32
+    basis : (61, k) float
+        S(λ) = basis @ coefficients, absolute reflectance factor.
+    n, k : (61,) float
+        Complex refractive index.
+    mirror : float, χ
+    typical_gloss : (2,) tuple
+        β and μ of the object's well-determined texels, for those whose own data is silent.
+    extra : dict
+        Further maps: name -> (values, units, quantity).
+    """
+
+    alpha: np.ndarray
+    beta: np.ndarray
+    mu: np.ndarray
+    green_response: np.ndarray
+    coefficients: np.ndarray
+    basis: np.ndarray
+    n: np.ndarray
+    k: np.ndarray
+    mirror: float
+    typical_gloss: tuple[float, float]
+    extra: dict = field(default_factory=dict)
+
+    def save(self, path, provenance: store.Provenance, errors: dict | None = None) -> None:
+        """Write ``material.h5``; ``errors`` is kept as an attribute."""
+        with store.create(path, provenance) as out:
+            maps = {name: (getattr(self, name), units, what) for name, (units, what) in _MAPS.items()}
+            store.write_maps(out, maps | self.extra, "row,column,component")
+            out.write("reflectance/coefficients", self.coefficients, units="1", dims="row,column,basis",
+                      quantity="coefficients of the reflectance factor")  # fmt: skip
+            out.write("reflectance/basis", self.basis, units="1", dims="wavelength,basis", quantity="spectral basis")
+            for name in ("n", "k"):
+                out.write(f"refractive_index/{name}", getattr(self, name), units="1", dims="wavelength",
+                          quantity="complex refractive index n + ik")  # fmt: skip
+            out.attribute("mirror", self.mirror)
+            out.attribute("typical_gloss", list(self.typical_gloss))
+            out.attribute("errors", errors or {})
+
+    @classmethod
+    def load(cls, path) -> "Material":
+        """Read ``material.h5``."""
+        with store.open_file(path) as file:
+            return cls(
+                **{name: file.read(name) for name in _MAPS},
+                coefficients=file.read("reflectance/coefficients"), basis=file.read("reflectance/basis"),
+                n=file.read("refractive_index/n"), k=file.read("refractive_index/k"),
+                mirror=file.attribute("mirror"), typical_gloss=tuple(file.attribute("typical_gloss")),
+            )  # fmt: skip
+
+    @property
+    def observed(self) -> np.ndarray:
+        """Texels with a diffuse reflectance of their own, (height, width) bool."""
+        finite = np.isfinite(self.alpha) & np.isfinite(self.coefficients).all(axis=-1)
+        return finite & np.isfinite(self.green_response) & (self.green_response > 1e-4)
+
+    def filled(self) -> tuple["Material", float]:
+        """Return a copy without gaps, and the share of texels that were filled.
+
+        A texel that no capture determined takes the colour of the nearest observed texel (the texture's sides are
+        joined), and gloss that its own data is silent about is the object's typical gloss.
+        """
+        observed = self.observed
+        if not observed.any():
+            raise ValueError("a material without a single observed texel; accepted: at least one")
+        width = observed.shape[1]
+        wrapped = np.concatenate([observed, observed, observed], axis=1)
+        row, column = ndimage.distance_transform_edt(~wrapped, return_distances=False, return_indices=True)
+        row, column = row[:, width : 2 * width], column[:, width : 2 * width] % width
+        beta, mu = self.typical_gloss
+        known = np.isfinite(self.beta) & np.isfinite(self.mu)
+        filled = replace(
+            self, alpha=self.alpha[row, column], green_response=self.green_response[row, column],
+            coefficients=self.coefficients[row, column], beta=np.where(known, self.beta, beta),
+            mu=np.where(known, self.mu, mu),
+        )  # fmt: skip
+        return filled, float(1.0 - observed.mean())
+
+    def spectra(self) -> np.ndarray:
+        """Return S(λ) of every texel, (height, width, 61)."""
+        return self.coefficients @ self.basis.T

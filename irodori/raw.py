@@ -1,0 +1,279 @@
+"""RAW ingestion: from a camera's files to linear responses.
+
+A superpixel is 2 x 2 mosaic pixels: red, the mean of the two greens, blue; nothing is interpolated. Bands are red,
+green, blue without the filter, then with it where it was used; their number comes from the shots, not from the code.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rawpy
+
+from irodori import store
+from irodori.captures import Shot, read_captures, shot_path, write_captures
+from irodori.errors import InputError
+from irodori.provenance import file_sha256
+
+BAND_NAMES = ("red", "green", "blue")
+_EXPOSURE_TOLERANCE = 0.05
+_FLAT_DEGREE = 4
+
+
+@dataclass(frozen=True)
+class Mosaic:
+    """A decoded RAW file.
+
+    Parameters
+    ----------
+    superpixels : (height, width, 3) float32
+        Digital numbers above black.
+    largest : (height, width) float32
+        Largest digital number of the superpixel as a fraction of the range from black to white.
+    full_scale : float
+        White minus black, digital numbers.
+    exposure_s : float
+        The file's own exposure time, s; 0 where it has none.
+    """
+
+    superpixels: np.ndarray
+    largest: np.ndarray
+    full_scale: float
+    exposure_s: float
+
+
+def decode(path) -> Mosaic:
+    """Decode a RAW file with LibRaw into 2 x 2 superpixels.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, truncated, unknown to LibRaw, or not a 2 x 2 red-green-blue mosaic.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "", "no such file", "a RAW file that LibRaw reads")
+    try:
+        with rawpy.imread(str(path)) as raw:
+            visible = raw.raw_image_visible.astype(np.float32)
+            colours = raw.raw_colors_visible[:2, :2].copy()
+            names = raw.color_desc.decode()
+            black = np.asarray(raw.black_level_per_channel, dtype=np.float32)
+            white, exposure_s = float(raw.white_level), float(raw.other.shutter_speed)
+            repeats = np.array_equal(raw.raw_colors_visible[2:4, 2:4], colours)
+    except (rawpy.LibRawError, AttributeError, TypeError, ValueError) as error:
+        reason = f"a file LibRaw cannot decode ({str(error) or type(error).__name__})"
+        raise InputError(path, "", reason, "a whole RAW file that LibRaw reads") from None
+    letters = [names[c] for c in colours.ravel()]
+    if not repeats or sorted(letters) != ["B", "G", "G", "R"]:
+        raise InputError(path, "mosaic", "".join(letters), "a 2 x 2 pattern of one red, two greens and one blue")
+    height, width = visible.shape[0] // 2 * 2, visible.shape[1] // 2 * 2
+    planes = [visible[r:height:2, c:width:2] - black[colours[r, c]] for r in (0, 1) for c in (0, 1)]
+    red, blue = planes[letters.index("R")], planes[letters.index("B")]
+    greens = [plane for plane, letter in zip(planes, letters, strict=True) if letter == "G"]
+    full_scale = white - float(black.max())
+    largest = np.maximum(np.maximum(planes[0], planes[1]), np.maximum(planes[2], planes[3])) / full_scale
+    superpixels = np.stack([red, 0.5 * (greens[0] + greens[1]), blue], axis=-1)
+    return Mosaic(superpixels, largest, full_scale, exposure_s)
+
+
+def check_captures(table, folder, output) -> None:
+    """Decode every RAW file of a table once, before any long work, and write the table with their hashes.
+
+    Raises
+    ------
+    InputError
+        If a file is missing, truncated, of another size than the first of its role, or its own exposure time
+        differs from the table's by more than 5 %.
+    """
+    shots = read_captures(table, folder)
+    hashes, sizes = {}, {}
+    for shot in shots:
+        path = shot_path(shot, table, folder)
+        mosaic = decode(path)
+        size = mosaic.superpixels.shape[:2]
+        if sizes.setdefault(shot.capture, size) != size:
+            raise InputError(path, "size", f"{size} superpixels", f"{sizes[shot.capture]}, as its other shots")
+        if mosaic.exposure_s > 0 and abs(mosaic.exposure_s / shot.exposure_s - 1) > _EXPOSURE_TOLERANCE:
+            found = f"exposure_s {shot.exposure_s:g} for {shot.file}"
+            raise InputError(table, "exposure_s", found, f"{mosaic.exposure_s:g} as the file itself says")
+        hashes[shot.file] = file_sha256(path)
+    write_captures(output, shots, hashes)
+
+
+def _exposure_mean(paths: Sequence[Path], exposures_s: Sequence[float], dark, saturation: float):
+    """Return dark-subtracted superpixels per second, merged over brackets and repeats, and where they are valid.
+
+    Samples are weighted by exposure time, which is inverse variance where shot noise rules; a clipped sample is
+    never used.
+    """
+    total, weight = 0.0, 0.0
+    for path, exposure_s in zip(paths, exposures_s, strict=True):
+        mosaic = decode(path)
+        good = (mosaic.largest < saturation)[..., None]
+        signal = (mosaic.superpixels - (0.0 if dark is None else dark)) / mosaic.full_scale
+        total = total + np.where(good, signal, 0.0)
+        weight = weight + good * exposure_s
+    valid = weight[..., 0] > 0
+    return np.divide(total, weight, out=np.zeros_like(total), where=weight > 0), valid
+
+
+def smooth_flat(image: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Return the polynomial surface (degree 4 in x and y) nearest to a flat-field picture.
+
+    Parameters
+    ----------
+    image : (height, width, bands) float
+    valid : (height, width) bool
+
+    Returns
+    -------
+    (height, width, bands) float32
+    """
+    height, width = image.shape[:2]
+    y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
+    powers = [(i, j) for i in range(_FLAT_DEGREE + 1) for j in range(_FLAT_DEGREE + 1 - i)]
+    terms = np.stack([x**i * y**j for i, j in powers], axis=-1)
+    # The normal equations of 15 terms on [-1, 1] are well conditioned and need one pass over the picture.
+    design = terms[valid]
+    coefficients = np.linalg.solve(design.T @ design, design.T @ image[valid])
+    return (terms @ coefficients).astype(np.float32)
+
+
+def _photon_transfer(first: Mosaic, second: Mosaic) -> tuple[float, float]:
+    """Return conversion gain (electrons per digital number) and mean signal from two equal frames."""
+    a, b = first.superpixels[..., 0], second.superpixels[..., 0]
+    good = (first.largest < 0.9) & (second.largest < 0.9)
+    mean_a, mean_b = a[good].mean(), b[good].mean()
+    difference = a[good] / mean_a - b[good] / mean_b
+    mean = 0.5 * (mean_a + mean_b)
+    return float(1.0 / (0.5 * difference.var() * mean)), float(mean)
+
+
+def ingest_reference(table, folder, saturation: float, output, provenance: store.Provenance,
+                     white_reflectance: float) -> None:  # fmt: skip
+    """Average a camera's dark frames and white references into the file that normalises its captures.
+
+    Parameters
+    ----------
+    table, folder : path
+        Capture table of the camera and the folder of its files.
+    saturation : float
+        Fraction of full scale from which a pixel counts as saturated.
+    white_reflectance : float
+        Reflectance factor of the white reference, 0..1.
+
+    Notes
+    -----
+    Datasets: ``/dark`` (H, W, 3) in digital numbers above the black level, ``/white`` (H, W, bands) response rate of
+    a perfect diffuser lit at normal incidence, in full scales per second; either is absent where the table has no
+    such shots. Attributes ``gain_e_per_dn`` and ``read_noise_dn`` by photon transfer, NaN where not measurable.
+    """
+    shots = read_captures(table, folder)
+    darks = [shot_path(s, table, folder) for s in shots if s.role == "dark"]
+    whites = [s for s in shots if s.role == "white"]
+    dark, read_noise, gain = None, np.nan, np.nan
+    with store.create(output, provenance) as out:
+        if darks:
+            frames = np.stack([decode(path).superpixels for path in darks])
+            dark = frames.mean(axis=0)
+            read_noise = float(frames[..., 0].std(axis=0, ddof=1).mean()) if len(darks) > 1 else np.nan
+            out.write("dark", dark, units="DN", dims="row,column,band", quantity="dark frame above black level")
+        if whites:
+            bands = []
+            for state in dict.fromkeys(s.filter for s in whites):
+                group = [s for s in whites if s.filter == state]
+                paths = [shot_path(s, table, folder) for s in group]
+                rate, valid = _exposure_mean(paths, [s.exposure_s for s in group], dark, saturation)
+                if valid.mean() < 0.5:
+                    found = f"a white reference saturated over {1 - valid.mean():.0%} of the picture"
+                    raise InputError(paths[0], "exposure_s", found, "a shorter exposure of the white reference")
+                cosine = np.cos(np.radians(group[0].pose.light_deg - group[0].pose.tilt_deg))
+                bands.append(smooth_flat(rate, valid) / np.float32(cosine * white_reflectance))
+                if len(paths) > 1 and not np.isfinite(gain):
+                    gain = _photon_transfer(decode(paths[0]), decode(paths[1]))[0]
+            out.write("white", np.concatenate(bands, axis=-1), units="1/s", dims="row,column,band",
+                      quantity="response rate of a perfect diffuser at normal incidence")  # fmt: skip
+        out.attribute("gain_e_per_dn", gain)
+        out.attribute("read_noise_dn", read_noise)
+        out.attribute("filters", list(dict.fromkeys(s.filter for s in whites)))
+
+
+def ingest_raw(table, folder, capture: str, reference, saturation: float, output,
+               provenance: store.Provenance) -> None:  # fmt: skip
+    """Turn the RAW files of one capture into linear responses.
+
+    Parameters
+    ----------
+    table, folder : path
+        Capture table and the folder of its files.
+    capture : str
+        Name of the capture in the table: all its filter states and brackets are merged.
+    reference : path
+        File of `ingest_reference`, made with the same camera.
+    saturation : float
+        Fraction of full scale from which a sample is clipped.
+
+    Notes
+    -----
+    Datasets: ``/response`` (H, W, bands) float32, 1 = a perfect diffuser lit at normal incidence (full scales per
+    second where there is no white reference); ``/valid`` (H, W) uint8; ``/noise_model`` (bands, 2), variance of the
+    response = c0 + c1 * response at the picture's centre, NaN where the camera's noise was not measured.
+    """
+    shots = [s for s in read_captures(table, folder) if s.capture == capture]
+    if not shots:
+        raise InputError(table, "capture", repr(capture), "a capture the table holds")
+    with store.open_file(reference) as file:
+        dark = file.read("dark") if "dark" in file else None
+        white = file.read("white") if "white" in file else None
+        gain, read_noise = file.attribute("gain_e_per_dn"), file.attribute("read_noise_dn")
+        white_filters = file.attribute("filters")
+    responses, valid, noise = [], True, []
+    for state in dict.fromkeys(s.filter for s in shots):
+        group = [s for s in shots if s.filter == state]
+        paths = [shot_path(s, table, folder) for s in group]
+        exposures = [s.exposure_s for s in group]
+        usable_dark = dark if dark is not None and capture != "environment" else _mean_dark(dark)
+        rate, good = _exposure_mean(paths, exposures, usable_dark, saturation)
+        flat = _flat_for(white, white_filters, state, capture, table)
+        if flat is not None and capture != "environment" and flat.shape != rate.shape:
+            raise InputError(paths[0], "size", f"{rate.shape[:2]} superpixels", f"{flat.shape[:2]}, as the white")
+        # An omnidirectional picture has its own geometry: the level of the white applies, its shape does not.
+        flat = flat[flat.shape[0] // 2, flat.shape[1] // 2] if flat is not None and capture == "environment" else flat
+        responses.append(rate if flat is None else rate / flat)
+        noise.append(_noise_model(flat, gain, read_noise, max(exposures), decode(paths[0]).full_scale))
+        valid = valid & good
+    with store.create(output, provenance) as out:
+        out.write("response", np.concatenate(responses, axis=-1).astype(np.float32),
+                  units="1" if white is not None else "1/s", dims="row,column,band", quantity="response")  # fmt: skip
+        out.write("valid", valid.astype(np.uint8), units="1", dims="row,column", quantity="1 where not saturated")
+        out.write("noise_model", np.concatenate(noise), units="1", dims="band,term", quantity="variance c0 + c1 rho")
+        pose = shots[0].pose
+        out.attribute("pose_deg", [pose.light_deg, pose.camera_deg, pose.tilt_deg, pose.turn_deg])
+        out.attribute("filters", list(dict.fromkeys(s.filter for s in shots)))
+
+
+def _mean_dark(dark):
+    return None if dark is None else dark.mean(axis=(0, 1))
+
+
+def _flat_for(white, white_filters: list[str], state: str, capture: str, table):
+    if white is None:
+        return None
+    if state not in white_filters:
+        raise InputError(table, "filter", f"{capture} shot with the filter {state!r}", f"filters of the white "
+                         f"reference: {', '.join(white_filters)}")  # fmt: skip
+    at = 3 * white_filters.index(state)
+    return white[..., at : at + 3]
+
+
+def _noise_model(flat, gain: float, read_noise: float, exposure_s: float, full_scale: float) -> np.ndarray:
+    """Return c0 and c1 of each of three bands at the centre of the picture, (3, 2)."""
+    if flat is None or not np.isfinite(gain) or not np.isfinite(read_noise):
+        return np.full((3, 2), np.nan)
+    level = flat if flat.ndim == 1 else flat[flat.shape[0] // 2, flat.shape[1] // 2]
+    dn_per_response = level * exposure_s * full_scale
+    # Green is the mean of two mosaic pixels.
+    samples = np.array([1.0, 2.0, 1.0])
+    return np.stack([(read_noise / dn_per_response) ** 2 / samples, 1.0 / (gain * dn_per_response) / samples], axis=-1)

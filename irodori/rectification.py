@@ -1,0 +1,174 @@
+"""From pictures to texels: every texel's response and geometry in every capture [design, §4]."""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from irodori import store
+from irodori.brdf import angles_from_directions
+from irodori.captures import Pose
+from irodori.geometry.embree import Tracer
+from irodori.geometry.frames import rig_from_camera, rig_from_object, to_camera, to_light
+from irodori.geometry.pinhole import Pinhole
+from irodori.geometry.shapes import Shape, on_table
+from irodori.progress import track
+
+_OFFSET_MM = 1e-3
+
+
+@dataclass(frozen=True)
+class RigSetup:
+    """The parts of rig and camera that place a texel in a picture.
+
+    Parameters
+    ----------
+    pinhole : Pinhole
+    camera_distance_mm : float
+        From the origin to the centre of projection.
+    table_radius_mm : float
+        Half the side of the table's top; 0 for none.
+    """
+
+    pinhole: Pinhole
+    camera_distance_mm: float
+    table_radius_mm: float
+
+    @classmethod
+    def from_definitions(cls, camera: dict, rig: dict) -> "RigSetup":
+        """Return the setup of a camera's and a rig's definition."""
+        return cls(Pinhole.from_optics(camera["optics"]), rig["camera_distance_mm"], rig["table_radius_mm"])
+
+
+def tile_rows(height: int, width: int, tile_texels: int) -> list[tuple[int, int]]:
+    """Return the first and last-plus-one texture row of each tile.
+
+    Parameters
+    ----------
+    height, width : int, texels
+    tile_texels : int
+        Upper bound on the texels of a tile; a tile has at least one row.
+    """
+    rows = max(1, min(height, tile_texels // width))
+    return [(start, min(start + rows, height)) for start in range(0, height, rows)]
+
+
+@numba.njit(cache=True, parallel=True, nogil=True)
+def _sample(response, valid, xy, out, good):
+    """Interpolate responses bilinearly; a texel is good where all four neighbours are inside and valid."""
+    height, width, bands = response.shape
+    for t in numba.prange(xy.shape[0]):
+        good[t] = False
+        x, y = xy[t, 0], xy[t, 1]
+        if not (x >= 0.0 and y >= 0.0 and x <= width - 1 and y <= height - 1):
+            continue
+        x0, y0 = min(int(x), width - 2), min(int(y), height - 2)
+        if not (valid[y0, x0] and valid[y0, x0 + 1] and valid[y0 + 1, x0] and valid[y0 + 1, x0 + 1]):
+            continue
+        fx, fy = x - x0, y - y0
+        for b in range(bands):
+            top = (1.0 - fx) * response[y0, x0, b] + fx * response[y0, x0 + 1, b]
+            bottom = (1.0 - fx) * response[y0 + 1, x0, b] + fx * response[y0 + 1, x0 + 1, b]
+            out[t, b] = (1.0 - fy) * top + fy * bottom
+        good[t] = True
+
+
+def observe(position, normal, tracer: Tracer, pose: Pose, setup: RigSetup):
+    """Return where texels appear in a capture, their geometry and whether they are seen and lit.
+
+    Parameters
+    ----------
+    position, normal : (n, 3) float
+        Texels in the rig's frame, mm and unit vectors.
+    tracer : Tracer
+        Object and table in the rig's frame.
+    pose : Pose
+    setup : RigSetup
+
+    Returns
+    -------
+    xy : (n, 2) float64, superpixels
+    geometry : (n, 4) float64, θ_i, θ_r, θ_H, φ in rad
+    visible, lit : (n,) bool, by the angle with the normal and by shadow rays
+    """
+    light = to_light(pose)
+    camera = setup.camera_distance_mm * to_camera(pose)
+    to_eye = camera - position
+    distance = np.linalg.norm(to_eye, axis=1)
+    view = to_eye / distance[:, None]
+    geometry = angles_from_directions(normal, light, view)
+    start = position + _OFFSET_MM * normal
+    visible = (geometry[:, 1] < np.pi / 2) & ~tracer.occluded(start, view, far=distance)
+    lit = (geometry[:, 0] < np.pi / 2) & ~tracer.occluded(start, np.broadcast_to(light, start.shape))
+    xy = setup.pinhole.project(position, camera, rig_from_camera(pose))
+    return xy, geometry, visible, lit
+
+
+def _window(xy: np.ndarray, height: int, width: int) -> tuple[slice, slice]:
+    """Return the rows and columns of a picture that hold all given points, at least 2 x 2."""
+    inside = xy[np.isfinite(xy).all(axis=1)]
+    if inside.size == 0:
+        return slice(0, 2), slice(0, 2)
+    x0, y0 = np.clip(np.floor(inside.min(axis=0)).astype(int), 0, [width - 2, height - 2])
+    x1, y1 = np.clip(np.ceil(inside.max(axis=0)).astype(int) + 1, [x0 + 2, y0 + 2], [width, height])
+    return slice(y0, y1), slice(x0, x1)
+
+
+def rectify_object(linear: list, definition: dict, setup: RigSetup, rows: tuple[int, int], max_angle_deg: float,
+                   output, provenance: store.Provenance) -> None:  # fmt: skip
+    """Write the observations of one tile of an object's texture.
+
+    Parameters
+    ----------
+    linear : list of path
+        Linear responses of the J captures; only the window that the tile covers is read.
+    definition : dict
+        Definition of the object: shape and texels.
+    setup : RigSetup
+    rows : (int, int)
+        First and last-plus-one texture row of the tile.
+    max_angle_deg : float, degrees
+        Observations with θ_i or θ_r beyond it are kept without weight.
+
+    Notes
+    -----
+    Datasets: ``/response`` (texel, J, bands) float32; ``/geometry`` (texel, J, 4) float32, θ_i, θ_r, θ_H, φ in rad;
+    ``/weight`` (texel, J) float32, 1 where the texel is seen, lit and unsaturated, else 0; ``/shadowed`` (texel, J)
+    uint8.
+    """
+    shape = Shape.from_definition(definition["shape"])
+    width = definition["texels"]["width"]
+    position, normal = shape.texels(width, definition["texels"]["height"])
+    position, normal = position[slice(*rows)].reshape(-1, 3), normal[slice(*rows)].reshape(-1, 3)
+    responses, geometries, weights, shadowed = [], [], [], []
+    for path in track(linear, f"rectify rows {rows[0]}-{rows[1]}"):
+        with store.open_file(path) as file:
+            pose = Pose(*file.attribute("pose_deg"))
+            rotation = rig_from_object(pose)
+            tracer = Tracer(on_table(shape, rotation, setup.table_radius_mm))
+            xy, geometry, visible, lit = observe(
+                position @ rotation.T, normal @ rotation.T, tracer, pose, setup
+            )
+            dataset, valid = file.dataset("response"), file.dataset("valid")
+            window = _window(xy[visible], *valid.shape)
+            sampled = np.zeros((len(xy), dataset.shape[2]), dtype=np.float32)
+            good = np.empty(len(xy), dtype=np.bool_)
+            corner = np.array([window[1].start, window[0].start])
+            _sample(dataset[window], valid[window], xy - corner, sampled, good)
+        limit = np.radians(max_angle_deg)
+        frontal = (geometry[:, 0] <= limit) & (geometry[:, 1] <= limit)
+        responses.append(sampled)
+        geometries.append(geometry.astype(np.float32))
+        weights.append((visible & lit & good & frontal).astype(np.float32))
+        shadowed.append((visible & ~lit & (geometry[:, 0] < np.pi / 2)).astype(np.uint8))
+    with store.create(output, provenance) as out:
+        maps = {
+            "response": (np.stack(responses, axis=1), "1", "response, 1 = perfect diffuser at normal incidence"),
+            "geometry": (np.stack(geometries, axis=1), "rad", "theta_i, theta_r, theta_h, phi"),
+            "weight": (np.stack(weights, axis=1), "1", "weight in the fit"),
+            "shadowed": (np.stack(shadowed, axis=1), "1", "1 where another surface keeps the light away"),
+        }
+        store.write_maps(out, maps, "texel,capture,component")
+        out.attribute("rows", list(rows))
+        out.attribute("width", width)
+

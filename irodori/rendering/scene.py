@@ -1,0 +1,139 @@
+"""A scene as the compiled integrator wants it: flat arrays of objects, textures and light."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from irodori.geometry.embree import Tracer
+from irodori.geometry.frames import look_at, rotation_xyz
+from irodori.geometry.shapes import Placement, Shape
+from irodori.light import Environment, directions
+from irodori.material import Material
+
+_COARSEST_ROWS = 4
+
+
+class Objects(NamedTuple):
+    """Placed objects; the first axis counts them.
+
+    ``texels`` holds, a row a texel, the coefficients of α S / S_G, then β and μ. ``grey`` is 1 where the refractive
+    index does not vary with the wavelength, so that one Fresnel reflectance serves all bands.
+    """
+
+    kind: np.ndarray  # (objects,)
+    rotation: np.ndarray  # (objects, 3, 3) world_from_object
+    translation_mm: np.ndarray  # (objects, 3)
+    scale: np.ndarray  # (objects,)
+    size_mm: np.ndarray  # (objects, 2)
+    first_texel: np.ndarray  # (objects,)
+    texture_size: np.ndarray  # (objects, 2) width, height
+    texels: np.ndarray  # (texels, k + 2) float32
+    basis: np.ndarray  # (objects, 61, k) float32
+    bases: np.ndarray  # (objects,)
+    mirror: np.ndarray  # (objects,)
+    n: np.ndarray  # (objects, 61)
+    k: np.ndarray  # (objects, 61)
+    grey: np.ndarray  # (objects,)
+
+
+class Light(NamedTuple):
+    """The environment: a ladder of ever smaller pictures, finest first, and the irradiance map."""
+
+    pixels: np.ndarray  # (all pixels, k) float32
+    first_pixel: np.ndarray  # (levels,)
+    size: np.ndarray  # (levels, 2) width, height
+    basis: np.ndarray  # (61, k) float32
+    irradiance: np.ndarray  # (h, w, k) float32
+
+
+class View(NamedTuple):
+    """A perspective camera of the scene."""
+
+    position_mm: np.ndarray  # (3,)
+    world_from_camera: np.ndarray  # (3, 3)
+    focal_px: float
+    width: int
+    height: int
+
+
+def make_placements(scene: dict, shapes: list[Shape]) -> list[Placement]:
+    """Return where the scene's objects stand."""
+    return [
+        Placement(shape, rotation_xyz(item["rotation_deg"]), np.asarray(item["position_mm"], float), item["scale"])
+        for item, shape in zip(scene["objects"], shapes, strict=True)
+    ]
+
+
+def make_objects(placements: list[Placement], materials: list[Material]) -> tuple[Objects, list[float]]:
+    """Flatten objects for the integrator.
+
+    Returns
+    -------
+    objects : Objects
+    filled : list of float
+        Share of each object's texels that had no data of their own.
+    """
+    bases = max(m.basis.shape[1] for m in materials)
+    texels, basis, first, filled = [], [], [0], []
+    for material in materials:
+        whole, share = material.filled()
+        count = whole.basis.shape[1]
+        rows = np.zeros((whole.alpha.size, bases + 2), dtype=np.float32)
+        scale = whole.alpha / whole.green_response
+        rows[:, :count] = (whole.coefficients * scale[..., None]).reshape(-1, count)
+        rows[:, bases], rows[:, bases + 1] = whole.beta.ravel(), whole.mu.ravel()
+        texels.append(rows)
+        first.append(first[-1] + len(rows))
+        basis.append(np.pad(whole.basis, ((0, 0), (0, bases - count))))
+        filled.append(share)
+    n, k = np.stack([m.n for m in materials]), np.stack([m.k for m in materials])
+    objects = Objects(
+        kind=np.array([p.shape.kind for p in placements]),
+        rotation=np.stack([p.rotation for p in placements]),
+        translation_mm=np.stack([p.translation_mm for p in placements]),
+        scale=np.array([p.scale for p in placements], dtype=np.float64),
+        size_mm=np.array([p.shape.size_mm for p in placements], dtype=np.float64),
+        first_texel=np.array(first[:-1]),
+        texture_size=np.array([m.alpha.shape[::-1] for m in materials]),
+        texels=np.concatenate(texels), basis=np.stack(basis).astype(np.float32),
+        bases=np.array([m.basis.shape[1] for m in materials]),
+        mirror=np.array([m.mirror for m in materials], dtype=np.float64), n=n, k=k,
+        grey=((np.ptp(n, axis=1) == 0) & (np.ptp(k, axis=1) == 0)).astype(np.int64),
+    )  # fmt: skip
+    return objects, filled
+
+
+def make_light(environment: Environment) -> Light:
+    """Return the ladder of an environment; each level halves the one before, weighted by solid angle."""
+    pixels, sizes = [], []
+    height, width = environment.coefficients.shape[:2]
+    solid_angle = directions(width, height)[1][..., None]
+    weighted = environment.coefficients * solid_angle
+    while True:
+        row_edges, column_edges = (np.arange(n) * full // n for n, full in
+                                   ((height, weighted.shape[0]), (width, weighted.shape[1])))  # fmt: skip
+
+        def sums(values, rows=row_edges, columns=column_edges):
+            return np.add.reduceat(np.add.reduceat(values, rows, axis=0), columns, axis=1)
+
+        pixels.append((sums(weighted) / sums(solid_angle)).astype(np.float32).reshape(width * height, -1))
+        sizes.append((width, height))
+        if height // 2 < _COARSEST_ROWS:
+            break
+        width, height = width // 2, height // 2
+    first = np.concatenate([[0], np.cumsum([len(p) for p in pixels])[:-1]])
+    return Light(np.concatenate(pixels), first, np.array(sizes), environment.basis.astype(np.float32),
+                 np.ascontiguousarray(environment.irradiance, dtype=np.float32))  # fmt: skip
+
+
+def make_view(view: dict, image: dict) -> View:
+    """Return the camera of a scene's view; the field of view is vertical."""
+    rotation = look_at(view["position_mm"], view["target_mm"], view["up"])
+    focal = 0.5 * image["height"] / np.tan(np.radians(view["field_of_view_deg"]) / 2)
+    return View(np.asarray(view["position_mm"], dtype=np.float64), np.ascontiguousarray(rotation), float(focal),
+                image["width"], image["height"])  # fmt: skip
+
+
+def make_tracer(placements: list[Placement]) -> Tracer:
+    """Return the tracer of the scene's placements."""
+    return Tracer(placements)

@@ -1,0 +1,51 @@
+"""Ground truth in the formats of the chain, for the report alone."""
+
+import numpy as np
+
+from irodori import store
+from irodori.environment import irradiance_map
+from irodori.light import Environment
+from irodori.material import Material
+from irodori.rig.classroom import room_coefficients, source_spectra
+from irodori.rig.samples import Sample
+from irodori.rig.sensor import band_weights
+from irodori.spectra import spectrum
+
+_GREEN = 1
+
+
+def true_material(definition: dict, camera: dict, rig: dict) -> Material:
+    """Return what stands on the virtual rig as a material; its spectra are one-hot on the true spectra.
+
+    α is the response of the green band to S(λ) under the rig's light, as the fit defines it [design, §3].
+    """
+    sample = Sample.from_definition(definition)
+    width, height = definition["texels"]["width"], definition["texels"]["height"]
+    index = sample.material_index(width, height)
+    weights = band_weights(camera, spectrum(rig["light"]["spectrum"]))[_GREEN]
+    green = sample.reflectance @ weights / weights.sum()
+    return Material(
+        alpha=green[index], beta=sample.beta[index], mu=sample.mu_rad[index], green_response=green[index],
+        coefficients=np.eye(len(green), dtype=np.float32)[index], basis=sample.reflectance.T, n=sample.n, k=sample.k,
+        mirror=sample.mirror, typical_gloss=(float(sample.beta[0]), float(sample.mu_rad[0])),
+    )  # fmt: skip
+
+
+def true_environment(definition: dict, rig: dict, irradiance_size: dict) -> Environment:
+    """Return the virtual room's light: one basis vector a source."""
+    width, height = definition["image"]["width"], definition["image"]["height"]
+    spectra = source_spectra(definition["virtual"], spectrum(rig["light"]["spectrum"]))[1]
+    coefficients = room_coefficients(definition["virtual"], width, height)
+    irradiance = irradiance_map(coefficients, irradiance_size["width"], irradiance_size["height"])
+    return Environment(coefficients, spectra.T, irradiance)
+
+
+def write_true_material(definition: dict, camera: dict, rig: dict, output, provenance: store.Provenance) -> None:
+    """Write the true material of an object."""
+    true_material(definition, camera, rig).save(output, provenance)
+
+
+def write_true_environment(definition: dict, rig: dict, irradiance_size: dict, output,
+                           provenance: store.Provenance) -> None:  # fmt: skip
+    """Write the true light of an environment."""
+    true_environment(definition, rig, irradiance_size).save(output, provenance)

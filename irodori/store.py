@@ -1,0 +1,197 @@
+"""The single place that opens HDF5: atomic writing, units and provenance on everything, clear refusals on reading.
+
+A file is written under a temporary name in the same folder and renamed when complete, so that a file that exists is
+whole. Root attributes: ``schema_version``, ``rule``, ``config_hash``, ``code_hash``, ``input_sha256``,
+``created_by``; every dataset has ``units``, ``dims`` and ``quantity`` [design, §6].
+"""
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from irodori import __version__
+from irodori.errors import InputError
+
+SCHEMA_VERSION = 1
+_CHUNK_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a file came from; each stage fills it from its rule's parameters.
+
+    Parameters
+    ----------
+    rule : str
+    config_hash, code_hash : str
+        Hashes of the parameters and of the code that made the file.
+    input_sha256 : str
+        Hash over the contents of the input files.
+    """
+
+    rule: str
+    config_hash: str = ""
+    code_hash: str = ""
+    input_sha256: str = ""
+
+
+class Writer:
+    """An HDF5 file being written; get one from `create`."""
+
+    def __init__(self, file: h5py.File) -> None:
+        self._file = file
+
+    def write(self, name: str, values, *, units: str, dims: str, quantity: str) -> None:
+        """Write a whole dataset.
+
+        Parameters
+        ----------
+        name : str
+            Path inside the file, snake_case.
+        values : array_like
+        units : str
+            Unit symbol, ``1`` for a pure number.
+        dims : str
+            Names of the axes, separated by commas; empty for a scalar.
+        quantity : str
+            What the numbers are.
+        """
+        values = np.asarray(values)
+        if len([d for d in dims.split(",") if d]) != values.ndim:
+            raise ValueError(f"{name}: {values.ndim} axes but dims {dims!r}")
+        options = {}
+        if values.size > 64:
+            options = {"chunks": _chunk_shape(values.shape, values.itemsize), "compression": "gzip",
+                       "compression_opts": 1, "shuffle": True}
+        dataset = self._file.create_dataset(name, data=values, **options)
+        dataset.attrs.update({"units": units, "dims": dims, "quantity": quantity})
+
+    def attribute(self, name: str, value) -> None:
+        """Write a root attribute; dictionaries and lists are stored as JSON."""
+        self._file.attrs[name] = json.dumps(value) if isinstance(value, dict | list) else value
+
+
+def _chunk_shape(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
+    """Return chunks of whole trailing axes and about 1 MB, so that rows of a picture are read in one piece."""
+    chunk = list(shape)
+    for axis in range(len(shape)):
+        row = int(np.prod(chunk[axis + 1 :], dtype=np.int64)) * itemsize
+        chunk[axis] = max(1, min(shape[axis], _CHUNK_BYTES // max(row, 1)))
+        if row < _CHUNK_BYTES:
+            break
+    return tuple(max(1, c) for c in chunk)
+
+
+@contextmanager
+def create(path, provenance: Provenance) -> Iterator[Writer]:
+    """Open a new file for writing; it takes its name only if the block ends without an exception.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written or the disk is full; nothing is left behind.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with h5py.File(temporary, "w") as file:
+            file.attrs["schema_version"] = SCHEMA_VERSION
+            for key in ("rule", "config_hash", "code_hash", "input_sha256"):
+                file.attrs[key] = getattr(provenance, key)
+            libraries = {name: version(name) for name in ("numpy", "h5py")}
+            file.attrs["created_by"] = json.dumps({"irodori": __version__, **libraries})
+            yield Writer(file)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+class Reader:
+    """An HDF5 file being read; get one from `open_file`."""
+
+    def __init__(self, path: Path, file: h5py.File) -> None:
+        self.path, self._file = path, file
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._file
+
+    def dataset(self, name: str) -> h5py.Dataset:
+        """Return a dataset for reading in pieces.
+
+        Raises
+        ------
+        InputError
+            If the file has no such dataset.
+        """
+        if name not in self._file:
+            raise InputError(self.path, name, "no such dataset", f"one of: {', '.join(sorted(self._names()))}")
+        return self._file[name]
+
+    def read(self, name: str) -> np.ndarray:
+        """Return a whole dataset."""
+        try:
+            return self.dataset(name)[()]
+        except OSError as error:
+            raise InputError(self.path, name, f"unreadable data ({error})", "a complete file") from None
+
+    def attribute(self, name: str):
+        """Return a root attribute; JSON objects and lists are decoded."""
+        if name not in self._file.attrs:
+            raise InputError(self.path, name, "no such attribute", f"one of: {', '.join(self._file.attrs)}")
+        value = self._file.attrs[name]
+        if isinstance(value, str) and value[:1] in "[{":
+            return json.loads(value)
+        return value.item() if isinstance(value, np.generic) else value
+
+    def _names(self) -> list[str]:
+        names = []
+        self._file.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
+        return names
+
+
+@contextmanager
+def open_file(path) -> Iterator[Reader]:
+    """Open a file of this project for reading.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, truncated, not HDF5, not ours, or of a newer schema version.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "", "no such file", "an HDF5 file written by an earlier stage")
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        raise InputError(path, "", f"a file HDF5 cannot open ({error})", "a complete HDF5 file") from None
+    with file:
+        found = file.attrs.get("schema_version")
+        if found is None or "rule" not in file.attrs:
+            raise InputError(path, "schema_version", "an HDF5 file of another program", "a file of this project")
+        if int(found) > SCHEMA_VERSION:
+            raise InputError(path, "schema_version", str(found), f"version {SCHEMA_VERSION} or older")
+        yield Reader(path, file)
+
+
+def write_maps(writer: Writer, maps: dict, dims: str) -> None:
+    """Write several datasets of one shape family.
+
+    Parameters
+    ----------
+    maps : dict
+        name -> (values, units, quantity).
+    dims : str
+        Axes shared by all.
+    """
+    for name, (values, units, quantity) in maps.items():
+        write_dims = ",".join(dims.split(",")[: np.ndim(values)])
+        writer.write(name, values, units=units, dims=write_dims, quantity=quantity)

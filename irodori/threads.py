@@ -1,0 +1,14 @@
+"""Giving a rule's threads to everything that computes: numba's loops, BLAS, and Embree's builder."""
+
+import numba
+from threadpoolctl import threadpool_limits
+
+from irodori.geometry import embree
+
+
+def use_threads(threads: int) -> None:
+    """Limit this process to a number of threads, at most as many as the machine has."""
+    threads = max(1, int(threads))
+    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    threadpool_limits(limits=threads)
+    embree.BUILD_THREADS = threads
