@@ -83,9 +83,7 @@ class _Checks:
             self._require(camera["poses"], "white", file, "virtual", "poses.white")
             black, bits = camera["virtual"]["sensor"]["black_level"], camera["virtual"]["sensor"]["bits"]
             if black >= 2**bits - 1:
-                raise InputError(
-                    file, "virtual.sensor.black_level", str(black), f"below {2**bits - 1} for {bits} bits"
-                )
+                raise InputError(file, "virtual.sensor.black_level", str(black), f"below {2**bits - 1} for {bits} bits")
         else:
             self._check_table(camera, file, "chart")
         for role, pose in camera.get("poses", {}).items():
@@ -130,20 +128,16 @@ class _Checks:
                 raise InputError(file, f"views.{label}.target_mm", "the eye's own position", "another point")
             (a, b, c), (d, e, f) = forward, view["up"]
             across = math.hypot(b * f - c * e, c * d - a * f, a * e - b * d)
-            if across <= 1e-9 * math.hypot(a, b, c) * math.hypot(d, e, f):
+            if across <= 1e-9 * math.hypot(a, b, c) * max(1.0, math.hypot(d, e, f)):
                 found = f"{view['up']}, along the line of sight or of no length"
-                raise InputError(
-                    file, f"views.{label}.up", found, "a direction that points up in the picture"
-                )
+                raise InputError(file, f"views.{label}.up", found, "a direction that points up in the picture")
 
     def _is_virtual(self, kind: str, name: str) -> bool:
         return self.all["rigs"][rig_of(self.all, kind, name)]["kind"] == "virtual"
 
     def _require(self, block: dict, key: str, file, kind: str, field: str = "") -> None:
         if key not in block:
-            raise InputError(
-                file, field or key, "no such key", f"this key, because the rig is of kind {kind}"
-            )
+            raise InputError(file, field or key, "no such key", f"this key, because the rig is of kind {kind}")
 
     def _check_filters(self, definition: dict, file) -> None:
         """Refuse other filter states than those of the chart, for which alone the calibration holds."""
@@ -159,8 +153,12 @@ class _Checks:
         self._require(definition, "captures", file, "files")
         table, folder = table_and_folder(definition, self.root)
         if not table.is_file():
-            raise InputError(file, "captures.table", f"no such file: {definition['captures']['table']}",
-                             "a CSV that lists the photographs")  # fmt: skip
+            raise InputError(
+                file,
+                "captures.table",
+                f"no such file: {definition['captures']['table']}",
+                "a CSV that lists the photographs",
+            )
         shots = read_captures(table, folder)
         wanted = [shot for shot in shots if shot.role == role]
         if not wanted:
@@ -170,17 +168,19 @@ class _Checks:
         without.update((shot.capture, False) for shot in wanted if shot.filter == "out")
         for capture, lacking in without.items():
             if lacking:
-                raise InputError(table, "filter", f"the capture {capture} only with the filter in",
-                                 "each capture with the filter out as well")  # fmt: skip
+                raise InputError(
+                    table,
+                    "filter",
+                    f"the capture {capture} only with the filter in",
+                    "each capture with the filter out as well",
+                )
         return wanted
 
     def _check_object_shots(self, shots: list[Shot], rig: str, table: str) -> None:
         for shot in shots:
             for axis in ("light_deg", "camera_deg", "tilt_deg", "turn_deg"):
                 # Angles of a real rig are read, not set: they need not stand on its steps.
-                self._check_angle(
-                    rig, axis, getattr(shot.pose, axis), table, f"{axis} of {shot.file}", step=False
-                )
+                self._check_angle(rig, axis, getattr(shot.pose, axis), table, f"{axis} of {shot.file}", step=False)
 
     def _check_poses(self, groups: list[dict], rig: str, file) -> None:
         for index, group in enumerate(groups):
@@ -190,9 +190,7 @@ class _Checks:
         try:
             expand_poses(groups)
         except ValueError as error:
-            raise InputError(
-                file, "poses", str(error), "each pose once, at least 0.1 degrees apart"
-            ) from None
+            raise InputError(file, "poses", str(error), "each pose once, at least 0.1 degrees apart") from None
 
     def _check_angle(self, rig: str, axis: str, angle: float, file, field: str, step: bool = True) -> None:
         limit = self.all["rigs"][rig]["limits"][axis]
@@ -219,15 +217,13 @@ def _check_named_files(value, path: tuple, root: Path, file) -> None:
     elif isinstance(value, list):
         for index, item in enumerate(value):
             _check_named_files(item, (*path, index), root, file)
-    elif isinstance(value, str) and any(key in _NAME_OR_PATH for key in path[-2:]) and _is_path(value):
-        if not (root / value).is_file():
-            raise InputError(
-                file, dotted(path), f"no such file: {value}", "the path of a file, or a published name"
-            )
+    # The last key, or that of the list which the value stands in.
+    elif any(key in _NAME_OR_PATH for key in path[-2:]) and _is_path(value) and not (root / value).is_file():
+        raise InputError(file, dotted(path), f"no such file: {value}", "the path of a file, or a published name")
 
 
-def _is_path(text: str) -> bool:
-    return text.lower().endswith(_FILE_SUFFIXES) or "/" in text or "\\" in text
+def _is_path(text) -> bool:
+    return isinstance(text, str) and (text.lower().endswith(_FILE_SUFFIXES) or "/" in text or "\\" in text)
 
 
 def _check_index_table(name: str, root: Path, file) -> None:
@@ -239,9 +235,7 @@ def _check_index_table(name: str, root: Path, file) -> None:
         found = f"no such file: {name}" if isinstance(error, FileNotFoundError) else f"{name}: {error}"
         raise InputError(file, field, found, "a CSV of wavelength_nm, n, k") from None
     if not rows or [cell.strip() for cell in rows[0]] != ["wavelength_nm", "n", "k"]:
-        raise InputError(
-            name, "line 1", ",".join(rows[0]) if rows else "nothing", "the header wavelength_nm,n,k"
-        )
+        raise InputError(name, "line 1", ",".join(rows[0]) if rows else "nothing", "the header wavelength_nm,n,k")
     last = -math.inf
     samples = []
     for line, cells in enumerate(rows[1:], start=2):
@@ -252,9 +246,7 @@ def _check_index_table(name: str, root: Path, file) -> None:
         except ValueError:
             raise InputError(name, f"line {line}", ",".join(cells), "three numbers") from None
         if not (wavelength > last and 0 < n < math.inf and 0 <= k < math.inf and wavelength < math.inf):
-            raise InputError(
-                name, f"line {line}", ",".join(cells), "increasing wavelengths, n above 0, k from 0"
-            )
+            raise InputError(name, f"line {line}", ",".join(cells), "increasing wavelengths, n above 0, k from 0")
         last = wavelength
         samples.append(wavelength)
     if not samples or samples[0] > 400 or samples[-1] < 700:

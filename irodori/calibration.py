@@ -159,8 +159,9 @@ def read_chart(response: np.ndarray, valid: np.ndarray, chart: dict, file) -> np
     return np.stack(means)
 
 
-def calibrate_camera(linear, camera: dict, light_name: str, output, table,
-                     provenance: store.Provenance, lights=("D65", "A")) -> None:  # fmt: skip
+def calibrate_camera(
+    linear, camera: dict, light_name: str, output, table, provenance: store.Provenance, lights=("D65", "A")
+) -> None:
     """Calibrate a camera from its chart and write the calibration and its leave-one-patch-out errors.
 
     Parameters
@@ -196,18 +197,33 @@ def calibrate_camera(linear, camera: dict, light_name: str, output, table,
     with store.create(output, provenance) as out:
         out.write("wavelength", WAVELENGTH_NM, units="nm", dims="wavelength", quantity="wavelength")
         out.write("basis", calibration.basis, units="1", dims="wavelength,basis", quantity="spectral basis B'")
-        out.write("weights_from_response", calibration.weights_from_response, units="1", dims="band,basis",
-                  quantity="matrix M of equation (4)")  # fmt: skip
+        out.write(
+            "weights_from_response",
+            calibration.weights_from_response,
+            units="1",
+            dims="band,basis",
+            quantity="matrix M of equation (4)",
+        )
         out.write("light", light, units="1", dims="wavelength", quantity="relative power of the light")
         out.write("chart_response", patches, units="1", dims="patch,band", quantity="responses P of the chart")
         out.write("leave_one_out/rmse", rmse, units="1", dims="patch", quantity="spectral RMSE")
         for name, values in delta_e.items():
-            out.write(f"leave_one_out/delta_e_{name.lower()}", values, units="1", dims="patch",
-                      quantity=f"CIEDE2000 under {name}")  # fmt: skip
+            out.write(
+                f"leave_one_out/delta_e_{name.lower()}",
+                values,
+                units="1",
+                dims="patch",
+                quantity=f"CIEDE2000 under {name}",
+            )
         out.attribute("condition_number", float(np.linalg.cond(patches / np.abs(patches).max(axis=0))))
     _write_errors(table, names, rmse, gfc, delta_e)
-    LOGGER.info("leave-one-patch-out, %d bands, %d bases: spectral RMSE mean %.4f max %.4f",
-                patches.shape[1], bases, rmse.mean(), rmse.max())  # fmt: skip
+    LOGGER.info(
+        "leave-one-patch-out, %d bands, %d bases: spectral RMSE mean %.4f max %.4f",
+        patches.shape[1],
+        bases,
+        rmse.mean(),
+        rmse.max(),
+    )
     for name, values in delta_e.items():
         s = summary(values)
         LOGGER.info("CIEDE2000 under %s: mean %.2f p95 %.2f max %.2f", name, s["mean"], s["p95"], s["max"])

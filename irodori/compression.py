@@ -57,8 +57,16 @@ def typical_gloss(beta: np.ndarray, mu: np.ndarray, mu_error: np.ndarray) -> tup
     return float(np.median(beta[known][best])), float(np.median(mu[known][best]))
 
 
-def compress_reflectance(tiles: list, calibration_file, definition: dict, output, target_mean: float, align: int,
-                         lights: list[str], provenance: store.Provenance) -> None:  # fmt: skip
+def compress_reflectance(
+    tiles: list,
+    calibration_file,
+    definition: dict,
+    output,
+    target_mean: float,
+    align: int,
+    lights: list[str],
+    provenance: store.Provenance,
+) -> None:
     """Write an object's ``material.h5`` from its fitted tiles.
 
     Parameters
@@ -86,18 +94,32 @@ def compress_reflectance(tiles: list, calibration_file, definition: dict, output
     coefficients[observed] = compressed.coefficients
     n, k = refractive_index(definition["refractive_index"])
     material = Material(
-        alpha=maps["alpha"], beta=maps["beta"], mu=maps["mu"],
-        green_response=maps["diffuse_response"][..., _GREEN], coefficients=coefficients, basis=compressed.basis,
-        n=n, k=k, mirror=float(definition["mirror_weight"]),
+        alpha=maps["alpha"],
+        beta=maps["beta"],
+        mu=maps["mu"],
+        green_response=maps["diffuse_response"][..., _GREEN],
+        coefficients=coefficients,
+        basis=compressed.basis,
+        n=n,
+        k=k,
+        mirror=float(definition["mirror_weight"]),
         typical_gloss=typical_gloss(maps["beta"], maps["mu"], maps["mu_error"]),
         extra={name: (maps[name], units, what) for name, (units, what) in _COLUMNS.items()},
-    )  # fmt: skip
-    errors = {"delta_e": compressed.errors, "negative_fraction": compressed.negative_fraction,
-              "observed_fraction": float(observed.mean())}  # fmt: skip
+    )
+    errors = {
+        "delta_e": compressed.errors,
+        "negative_fraction": compressed.negative_fraction,
+        "observed_fraction": float(observed.mean()),
+    }
     material.save(output, provenance, errors)
     ratio = material.alpha[observed] / material.green_response[observed]
-    LOGGER.info("%d bases of %d; observed %.1f %% of texels; negative samples %.3f %%", compressed.basis.shape[1],
-                calibration.basis.shape[1], 100 * observed.mean(), 100 * compressed.negative_fraction)  # fmt: skip
+    LOGGER.info(
+        "%d bases of %d; observed %.1f %% of texels; negative samples %.3f %%",
+        compressed.basis.shape[1],
+        calibration.basis.shape[1],
+        100 * observed.mean(),
+        100 * compressed.negative_fraction,
+    )
     LOGGER.info("alpha / S_G: median %.4f, 5 to 95 %% %.4f to %.4f", *np.percentile(ratio, [50, 5, 95]))
     for light, error in compressed.errors.items():
         LOGGER.info("CIEDE2000 of the compression under %s: mean %.3f p99 %.3f", light, error["mean"], error["p99"])

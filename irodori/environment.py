@@ -67,8 +67,15 @@ def irradiance_map(coefficients: np.ndarray, width: int, height: int) -> np.ndar
     return out.reshape(height, width, -1)
 
 
-def prepare_environment(linear, calibration_file, output, target_mean: float, align: int, irradiance_size: dict,
-                        provenance: store.Provenance) -> None:  # fmt: skip
+def prepare_environment(
+    linear,
+    calibration_file,
+    output,
+    target_mean: float,
+    align: int,
+    irradiance_size: dict,
+    provenance: store.Provenance,
+) -> None:
     """Write an environment's file from the linear responses of its omnidirectional picture.
 
     The camera was calibrated on reflectances under the rig's light E; a radiance is recovered as E(λ) times the
@@ -82,8 +89,12 @@ def prepare_environment(linear, calibration_file, output, target_mean: float, al
     with store.open_file(linear) as file:
         response, valid = file.read("response"), file.read("valid").astype(bool)
     if not valid.all():
-        raise InputError(linear, "exposure_s", f"{int((~valid).sum())} pixels saturated in every bracket",
-                         "a shorter bracket of the environment")  # fmt: skip
+        raise InputError(
+            linear,
+            "exposure_s",
+            f"{int((~valid).sum())} pixels saturated in every bracket",
+            "a shorter bracket of the environment",
+        )
     calibration = Calibration.load(calibration_file)
     height, width = valid.shape
     weights = calibration.weights(response).reshape(height * width, -1)
@@ -96,6 +107,11 @@ def prepare_environment(linear, calibration_file, output, target_mean: float, al
     irradiance = irradiance_map(coefficients, irradiance_size["width"], irradiance_size["height"])
     errors = {"delta_e": compressed.errors, "negative_fraction": compressed.negative_fraction}
     Environment(coefficients, compressed.basis, irradiance).save(output, provenance, errors)
-    LOGGER.info("%d bases of %d; CIEDE2000 of the compression mean %.3f p99 %.3f; negative samples %.2f %%",
-                compressed.basis.shape[1], basis.shape[1], compressed.errors["light"]["mean"],
-                compressed.errors["light"]["p99"], 100 * compressed.negative_fraction)  # fmt: skip
+    LOGGER.info(
+        "%d bases of %d; CIEDE2000 of the compression mean %.3f p99 %.3f; negative samples %.2f %%",
+        compressed.basis.shape[1],
+        basis.shape[1],
+        compressed.errors["light"]["mean"],
+        compressed.errors["light"]["p99"],
+        100 * compressed.negative_fraction,
+    )

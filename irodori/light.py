@@ -31,11 +31,21 @@ class Environment:
     def save(self, path, provenance: store.Provenance, errors: dict | None = None) -> None:
         """Write an environment's file."""
         with store.create(path, provenance) as out:
-            out.write("coefficients", self.coefficients, units="1", dims="row,column,basis",
-                      quantity="coefficients of the radiance")  # fmt: skip
+            out.write(
+                "coefficients",
+                self.coefficients,
+                units="1",
+                dims="row,column,basis",
+                quantity="coefficients of the radiance",
+            )
             out.write("basis", self.basis, units="1", dims="wavelength,basis", quantity="spectral basis of the light")
-            out.write("irradiance", self.irradiance, units="sr", dims="row,column,basis",
-                      quantity="coefficients of the irradiance map")  # fmt: skip
+            out.write(
+                "irradiance",
+                self.irradiance,
+                units="sr",
+                dims="row,column,basis",
+                quantity="coefficients of the irradiance map",
+            )
             out.attribute("errors", errors or {})
 
     @classmethod
@@ -58,8 +68,12 @@ def directions(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     theta = 0.5 * (edges[1:] + edges[:-1])
     azimuth = 2 * np.pi * (np.arange(width) + 0.5) / width
     unit = np.stack(
-        [np.outer(np.sin(theta), np.cos(azimuth)), np.outer(np.sin(theta), np.sin(azimuth)),
-         np.repeat(np.cos(theta)[:, None], width, axis=1)], axis=-1,
-    )  # fmt: skip
+        [
+            np.outer(np.sin(theta), np.cos(azimuth)),
+            np.outer(np.sin(theta), np.sin(azimuth)),
+            np.repeat(np.cos(theta)[:, None], width, axis=1),
+        ],
+        axis=-1,
+    )
     solid_angle = np.repeat((np.cos(edges[:-1]) - np.cos(edges[1:]))[:, None], width, axis=1) * (2 * np.pi / width)
     return unit, solid_angle

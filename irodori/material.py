@@ -52,12 +52,22 @@ class Material:
         with store.create(path, provenance) as out:
             maps = {name: (getattr(self, name), units, what) for name, (units, what) in _MAPS.items()}
             store.write_maps(out, maps | self.extra, "row,column,component")
-            out.write("reflectance/coefficients", self.coefficients, units="1", dims="row,column,basis",
-                      quantity="coefficients of the reflectance factor")  # fmt: skip
+            out.write(
+                "reflectance/coefficients",
+                self.coefficients,
+                units="1",
+                dims="row,column,basis",
+                quantity="coefficients of the reflectance factor",
+            )
             out.write("reflectance/basis", self.basis, units="1", dims="wavelength,basis", quantity="spectral basis")
             for name in ("n", "k"):
-                out.write(f"refractive_index/{name}", getattr(self, name), units="1", dims="wavelength",
-                          quantity="complex refractive index n + ik")  # fmt: skip
+                out.write(
+                    f"refractive_index/{name}",
+                    getattr(self, name),
+                    units="1",
+                    dims="wavelength",
+                    quantity="complex refractive index n + ik",
+                )
             out.attribute("mirror", self.mirror)
             out.attribute("typical_gloss", list(self.typical_gloss))
             out.attribute("errors", errors or {})
@@ -68,10 +78,13 @@ class Material:
         with store.open_file(path) as file:
             return cls(
                 **{name: file.read(name) for name in _MAPS},
-                coefficients=file.read("reflectance/coefficients"), basis=file.read("reflectance/basis"),
-                n=file.read("refractive_index/n"), k=file.read("refractive_index/k"),
-                mirror=file.attribute("mirror"), typical_gloss=tuple(file.attribute("typical_gloss")),
-            )  # fmt: skip
+                coefficients=file.read("reflectance/coefficients"),
+                basis=file.read("reflectance/basis"),
+                n=file.read("refractive_index/n"),
+                k=file.read("refractive_index/k"),
+                mirror=file.attribute("mirror"),
+                typical_gloss=tuple(file.attribute("typical_gloss")),
+            )
 
     @property
     def observed(self) -> np.ndarray:
@@ -95,10 +108,13 @@ class Material:
         beta, mu = self.typical_gloss
         known = np.isfinite(self.beta) & np.isfinite(self.mu)
         filled = replace(
-            self, alpha=self.alpha[row, column], green_response=self.green_response[row, column],
-            coefficients=self.coefficients[row, column], beta=np.where(known, self.beta, beta),
+            self,
+            alpha=self.alpha[row, column],
+            green_response=self.green_response[row, column],
+            coefficients=self.coefficients[row, column],
+            beta=np.where(known, self.beta, beta),
             mu=np.where(known, self.mu, mu),
-        )  # fmt: skip
+        )
         return filled, float(1.0 - observed.mean())
 
     def spectra(self) -> np.ndarray:

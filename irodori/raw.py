@@ -12,7 +12,7 @@ import numpy as np
 import rawpy
 
 from irodori import store
-from irodori.captures import Shot, read_captures, shot_path, write_captures
+from irodori.captures import read_captures, shot_path, write_captures
 from irodori.errors import InputError
 from irodori.provenance import file_sha256
 
@@ -151,8 +151,9 @@ def _photon_transfer(first: Mosaic, second: Mosaic) -> tuple[float, float]:
     return float(1.0 / (0.5 * difference.var() * mean)), float(mean)
 
 
-def ingest_reference(table, folder, saturation: float, output, provenance: store.Provenance,
-                     white_reflectance: float) -> None:  # fmt: skip
+def ingest_reference(
+    table, folder, saturation: float, output, provenance: store.Provenance, white_reflectance: float
+) -> None:
     """Average a camera's dark frames and white references into the file that normalises its captures.
 
     Parameters
@@ -193,15 +194,19 @@ def ingest_reference(table, folder, saturation: float, output, provenance: store
                 bands.append(smooth_flat(rate, valid) / np.float32(cosine * white_reflectance))
                 if len(paths) > 1 and not np.isfinite(gain):
                     gain = _photon_transfer(decode(paths[0]), decode(paths[1]))[0]
-            out.write("white", np.concatenate(bands, axis=-1), units="1/s", dims="row,column,band",
-                      quantity="response rate of a perfect diffuser at normal incidence")  # fmt: skip
+            out.write(
+                "white",
+                np.concatenate(bands, axis=-1),
+                units="1/s",
+                dims="row,column,band",
+                quantity="response rate of a perfect diffuser at normal incidence",
+            )
         out.attribute("gain_e_per_dn", gain)
         out.attribute("read_noise_dn", read_noise)
         out.attribute("filters", list(dict.fromkeys(s.filter for s in whites)))
 
 
-def ingest_raw(table, folder, capture: str, reference, saturation: float, output,
-               provenance: store.Provenance) -> None:  # fmt: skip
+def ingest_raw(table, folder, capture: str, reference, saturation: float, output, provenance: store.Provenance) -> None:
     """Turn the RAW files of one capture into linear responses.
 
     Parameters
@@ -245,8 +250,13 @@ def ingest_raw(table, folder, capture: str, reference, saturation: float, output
         noise.append(_noise_model(flat, gain, read_noise, max(exposures), decode(paths[0]).full_scale))
         valid = valid & good
     with store.create(output, provenance) as out:
-        out.write("response", np.concatenate(responses, axis=-1).astype(np.float32),
-                  units="1" if white is not None else "1/s", dims="row,column,band", quantity="response")  # fmt: skip
+        out.write(
+            "response",
+            np.concatenate(responses, axis=-1).astype(np.float32),
+            units="1" if white is not None else "1/s",
+            dims="row,column,band",
+            quantity="response",
+        )
         out.write("valid", valid.astype(np.uint8), units="1", dims="row,column", quantity="1 where not saturated")
         out.write("noise_model", np.concatenate(noise), units="1", dims="band,term", quantity="variance c0 + c1 rho")
         pose = shots[0].pose
@@ -262,8 +272,12 @@ def _flat_for(white, white_filters: list[str], state: str, capture: str, table):
     if white is None:
         return None
     if state not in white_filters:
-        raise InputError(table, "filter", f"{capture} shot with the filter {state!r}", f"filters of the white "
-                         f"reference: {', '.join(white_filters)}")  # fmt: skip
+        raise InputError(
+            table,
+            "filter",
+            f"{capture} shot with the filter {state!r}",
+            f"filters of the white reference: {', '.join(white_filters)}",
+        )
     at = 3 * white_filters.index(state)
     return white[..., at : at + 3]
 

@@ -40,19 +40,6 @@ class RigSetup:
         return cls(Pinhole.from_optics(camera["optics"]), rig["camera_distance_mm"], rig["table_radius_mm"])
 
 
-def tile_rows(height: int, width: int, tile_texels: int) -> list[tuple[int, int]]:
-    """Return the first and last-plus-one texture row of each tile.
-
-    Parameters
-    ----------
-    height, width : int, texels
-    tile_texels : int
-        Upper bound on the texels of a tile; a tile has at least one row.
-    """
-    rows = max(1, min(height, tile_texels // width))
-    return [(start, min(start + rows, height)) for start in range(0, height, rows)]
-
-
 @numba.njit(cache=True, parallel=True, nogil=True)
 def _sample(response, valid, xy, out, good):
     """Interpolate responses bilinearly; a texel is good where all four neighbours are inside and valid."""
@@ -114,8 +101,15 @@ def _window(xy: np.ndarray, height: int, width: int) -> tuple[slice, slice]:
     return slice(y0, y1), slice(x0, x1)
 
 
-def rectify_object(linear: list, definition: dict, setup: RigSetup, rows: tuple[int, int], max_angle_deg: float,
-                   output, provenance: store.Provenance) -> None:  # fmt: skip
+def rectify_object(
+    linear: list,
+    definition: dict,
+    setup: RigSetup,
+    rows: tuple[int, int],
+    max_angle_deg: float,
+    output,
+    provenance: store.Provenance,
+) -> None:
     """Write the observations of one tile of an object's texture.
 
     Parameters
@@ -146,9 +140,7 @@ def rectify_object(linear: list, definition: dict, setup: RigSetup, rows: tuple[
             pose = Pose(*file.attribute("pose_deg"))
             rotation = rig_from_object(pose)
             tracer = Tracer(on_table(shape, rotation, setup.table_radius_mm))
-            xy, geometry, visible, lit = observe(
-                position @ rotation.T, normal @ rotation.T, tracer, pose, setup
-            )
+            xy, geometry, visible, lit = observe(position @ rotation.T, normal @ rotation.T, tracer, pose, setup)
             dataset, valid = file.dataset("response"), file.dataset("valid")
             window = _window(xy[visible], *valid.shape)
             sampled = np.zeros((len(xy), dataset.shape[2]), dtype=np.float32)
@@ -171,4 +163,3 @@ def rectify_object(linear: list, definition: dict, setup: RigSetup, rows: tuple[
         store.write_maps(out, maps, "texel,capture,component")
         out.attribute("rows", list(rows))
         out.attribute("width", width)
-

@@ -19,6 +19,7 @@ TRAPEZOID_NM = np.full(SAMPLES, STEP_NM)
 TRAPEZOID_NM[[0, -1]] *= 0.5
 
 _TCS_NAME = re.compile(r"TCS(\d{1,2})")
+_PATCH_NAME = re.compile(r"[A-Z]\d+")
 
 
 def resample(wavelength_nm: np.ndarray, values: np.ndarray, file, field: str = "wavelength") -> np.ndarray:
@@ -56,7 +57,7 @@ def resample(wavelength_nm: np.ndarray, values: np.ndarray, file, field: str = "
         raise InputError(file, field, "a missing or non-finite value", "a finite number at every wavelength")
     flat = values.reshape(-1, wavelength_nm.size)
     out = np.stack([np.interp(WAVELENGTH_NM, wavelength_nm, row) for row in flat])
-    return out.reshape(values.shape[:-1] + (SAMPLES,))
+    return out.reshape((*values.shape[:-1], SAMPLES))
 
 
 def _number(text: str, file, field: str) -> float:
@@ -172,7 +173,7 @@ def chart_spectra(name: str) -> tuple[list[str], np.ndarray]:
 
     Returns
     -------
-    names : list of str, in the chart's own order, row by row
+    names : list of str, row by row; patches that are all named like A1 are put in order of letter, then number
     reflectance : (patches, 61) float64, 0..1
     """
     from colour.characterisation import SDS_COLOURCHECKERS
@@ -181,7 +182,11 @@ def chart_spectra(name: str) -> tuple[list[str], np.ndarray]:
         chart = SDS_COLOURCHECKERS[name]
         return list(chart), np.stack([_align(patch) for patch in chart.values()])
     if Path(name).suffix:
-        return read_wide_csv(name)
+        names, spectra = read_wide_csv(name)
+        if all(_PATCH_NAME.fullmatch(n) for n in names):
+            order = sorted(range(len(names)), key=lambda i: (names[i][0], int(names[i][1:])))
+            return [names[i] for i in order], spectra[order]
+        return names, spectra
     raise InputError("chart", name, repr(name), f"a CSV file or one of: {', '.join(SDS_COLOURCHECKERS)}")
 
 
@@ -228,3 +233,9 @@ def refractive_index(definition: dict) -> tuple[np.ndarray, np.ndarray]:
             raise InputError(definition["file"], "header", ", ".join(names), "wavelength_nm, n, k")
         return table[0], table[1]
     return np.full(SAMPLES, float(definition["n"])), np.full(SAMPLES, float(definition.get("k", 0.0)))
+
+
+def refractive_index_at(definition: dict, wavelength_nm: float = 550.0) -> tuple[float, float]:
+    """Return n and k at one wavelength, by default where a green band is centred."""
+    n, k = refractive_index(definition)
+    return float(np.interp(wavelength_nm, WAVELENGTH_NM, n)), float(np.interp(wavelength_nm, WAVELENGTH_NM, k))

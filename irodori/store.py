@@ -68,8 +68,12 @@ class Writer:
             raise ValueError(f"{name}: {values.ndim} axes but dims {dims!r}")
         options = {}
         if values.size > 64:
-            options = {"chunks": _chunk_shape(values.shape, values.itemsize), "compression": "gzip",
-                       "compression_opts": 1, "shuffle": True}
+            options = {
+                "chunks": _chunk_shape(values.shape, values.itemsize),
+                "compression": "gzip",
+                "compression_opts": 1,
+                "shuffle": True,
+            }
         dataset = self._file.create_dataset(name, data=values, **options)
         dataset.attrs.update({"units": units, "dims": dims, "quantity": quantity})
 

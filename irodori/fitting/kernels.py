@@ -53,8 +53,11 @@ def objective(alpha, beta, mu, data):
     return total
 
 
-@numba.cfunc(types.float64(types.uint32, types.CPointer(types.float64), types.uintp, types.uintp), cache=True,
-             error_model="numpy")  # fmt: skip
+@numba.cfunc(
+    types.float64(types.uint32, types.CPointer(types.float64), types.uintp, types.uintp),
+    cache=True,
+    error_model="numpy",
+)
 def nlopt_objective(count, x, gradient_address, data_address):
     """Objective in NLopt's C signature, with its gradient where the algorithm asks for one."""
     data = numba.carray(_as_floats(data_address), (HEADER + WORDS * 100_000,))
@@ -161,8 +164,27 @@ def set_scales(data, alpha, beta):
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def fit_texels(functions, callback, algorithm, response, geometry, weight, n, k, mu_grid, lower, upper, xtol_rel,
-               max_evaluations, parameters, sum_squares, diffuse, used, evaluations, result):  # fmt: skip
+def fit_texels(
+    functions,
+    callback,
+    algorithm,
+    response,
+    geometry,
+    weight,
+    n,
+    k,
+    mu_grid,
+    lower,
+    upper,
+    xtol_rel,
+    max_evaluations,
+    parameters,
+    sum_squares,
+    diffuse,
+    used,
+    evaluations,
+    result,
+):
     """Fit every texel: scan, then NLopt from the best of the scan; the better of the two is kept.
 
     ``functions`` are the addresses of nlopt_create, destroy, set_lower_bounds, set_upper_bounds, set_initial_step,
@@ -210,7 +232,7 @@ def fit_texels(functions, callback, algorithm, response, geometry, weight, n, k,
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def standard_errors(response, geometry, weight, n, k, parameters, sum_squares, used, model_noise, out):  # fmt: skip
+def standard_errors(response, geometry, weight, n, k, parameters, sum_squares, used, model_noise, out):
     """Fill ``out`` (texel, 3) with Gauss-Newton standard errors of α, β, μ; infinite where undetermined.
 
     The variance is that of the residuals, but at least that of ``model_noise`` times the root mean square response:

@@ -101,8 +101,23 @@ def algorithm_number(name: str) -> int:
     ValueError
         Listing the accepted names: bounded local algorithms that need no inner optimiser.
     """
-    accepted = [a for a in ("LN_BOBYQA", "LN_COBYLA", "LN_NELDERMEAD", "LN_SBPLX", "LN_PRAXIS", "LD_SLSQP",
-                            "LD_LBFGS", "LD_MMA", "LD_CCSAQ", "LD_TNEWTON", "LD_VAR2") if hasattr(nlopt, a)]  # fmt: skip
+    accepted = [
+        a
+        for a in (
+            "LN_BOBYQA",
+            "LN_COBYLA",
+            "LN_NELDERMEAD",
+            "LN_SBPLX",
+            "LN_PRAXIS",
+            "LD_SLSQP",
+            "LD_LBFGS",
+            "LD_MMA",
+            "LD_CCSAQ",
+            "LD_TNEWTON",
+            "LD_VAR2",
+        )
+        if hasattr(nlopt, a)
+    ]
     if name not in accepted:
         raise ValueError(f"fit.algorithm {name!r}; accepted: {', '.join(accepted)}")
     return int(getattr(nlopt, name))
@@ -111,8 +126,18 @@ def algorithm_number(name: str) -> int:
 @lru_cache(maxsize=1)
 def _functions() -> np.ndarray:
     library = ctypes.CDLL(nlopt._nlopt.__file__)
-    names = ("create", "destroy", "set_lower_bounds", "set_upper_bounds", "set_initial_step", "set_min_objective",
-             "set_xtol_rel", "set_maxeval", "optimize", "get_numevals")  # fmt: skip
+    names = (
+        "create",
+        "destroy",
+        "set_lower_bounds",
+        "set_upper_bounds",
+        "set_initial_step",
+        "set_min_objective",
+        "set_xtol_rel",
+        "set_maxeval",
+        "optimize",
+        "get_numevals",
+    )
     addresses = [ctypes.cast(getattr(library, f"nlopt_{name}"), ctypes.c_void_p).value for name in names]
     return np.array(addresses, dtype=np.uintp)
 
@@ -125,10 +150,26 @@ def _solve_compiled(response, geometry, weight, n, k, options: FitOptions):
     used, evaluations = np.zeros(texels, dtype=np.int64), np.zeros(texels, dtype=np.int32)
     result = np.zeros(texels, dtype=np.int8)
     kernels.fit_texels(
-        _functions(), np.uintp(kernels.nlopt_objective.address), np.intc(algorithm_number(options.algorithm)),
-        response, geometry, weight, n, k, options.mu_grid(), lower, upper, options.xtol_rel,
-        np.intc(options.max_evaluations), parameters, sum_squares, diffuse, used, evaluations, result,
-    )  # fmt: skip
+        _functions(),
+        np.uintp(kernels.nlopt_objective.address),
+        np.intc(algorithm_number(options.algorithm)),
+        response,
+        geometry,
+        weight,
+        n,
+        k,
+        options.mu_grid(),
+        lower,
+        upper,
+        options.xtol_rel,
+        np.intc(options.max_evaluations),
+        parameters,
+        sum_squares,
+        diffuse,
+        used,
+        evaluations,
+        result,
+    )
     return parameters, sum_squares, diffuse, used, evaluations, result
 
 
@@ -159,8 +200,11 @@ def _solve_reference(response, geometry, weight, n, k, options: FitOptions):
             residual = x[0] * scale[0] * rows[:, 0] + x[1] * scale[1] * lobe - rows[:, 3]
             if gradient.size:
                 weighted = 2.0 * rows[:, 4] * residual
-                gradient[:] = (scale[0] * weighted @ rows[:, 0], scale[1] * weighted @ lobe,
-                               x[1] * scale[1] * weighted @ (lobe * 2.0 * ratio2))  # fmt: skip
+                gradient[:] = (
+                    scale[0] * weighted @ rows[:, 0],
+                    scale[1] * weighted @ lobe,
+                    x[1] * scale[1] * weighted @ (lobe * 2.0 * ratio2),
+                )
             return float(rows[:, 4] @ residual**2)
 
         optimiser = nlopt.opt(number, 3)
@@ -189,8 +233,14 @@ def _solve_reference(response, geometry, weight, n, k, options: FitOptions):
 SOLVERS = {"nlopt": _solve_compiled, "nlopt-reference": _solve_reference}
 
 
-def fit(response: np.ndarray, geometry: np.ndarray, weight: np.ndarray, n: float = 1.5, k: float = 0.0,
-        options: FitOptions | None = None) -> FitResult:  # fmt: skip
+def fit(
+    response: np.ndarray,
+    geometry: np.ndarray,
+    weight: np.ndarray,
+    n: float = 1.5,
+    k: float = 0.0,
+    options: FitOptions | None = None,
+) -> FitResult:
     """Fit α, β, μ of equation (5) to every texel's observations [eq. 7].
 
     Parameters
@@ -219,16 +269,19 @@ def fit(response: np.ndarray, geometry: np.ndarray, weight: np.ndarray, n: float
         raise ValueError(f"fit.solver {options.solver!r}; accepted: {', '.join(SOLVERS)}")
     response, geometry, weight = (np.ascontiguousarray(a, dtype=np.float64) for a in (response, geometry, weight))
     if response.ndim != 2 or geometry.shape != (*response.shape, 4) or weight.shape != response.shape:
-        raise ValueError(f"response {response.shape}, geometry {geometry.shape}, weight {weight.shape}; accepted: "
-                         "(n, J), (n, J, 4), (n, J)")  # fmt: skip
+        raise ValueError(
+            f"response {response.shape}, geometry {geometry.shape}, weight {weight.shape}; accepted: "
+            "(n, J), (n, J, 4), (n, J)"
+        )
     # A non-finite observation says nothing; it must not turn a texel's sums into NaN.
     weight = np.where(np.isfinite(response) & np.isfinite(geometry).all(axis=-1) & np.isfinite(weight), weight, 0.0)
     parameters, squares, diffuse, used, evaluations, result = SOLVERS[options.solver](
         response, geometry, weight, float(n), float(k), options
     )
     errors = np.empty((len(response), 3))
-    kernels.standard_errors(response, geometry, weight, float(n), float(k), parameters, squares, used, _MODEL_NOISE,
-                            errors)  # fmt: skip
+    kernels.standard_errors(
+        response, geometry, weight, float(n), float(k), parameters, squares, used, _MODEL_NOISE, errors
+    )
     return _judge(parameters, squares, diffuse, used, errors, evaluations, result, weight, options)
 
 
@@ -258,8 +311,15 @@ def _judge(parameters, squares, diffuse, used, errors, evaluations, result, weig
     known = np.where(determined, 1.0, np.nan)
     gloss = np.where(glossy[:, None], parameters[:, 1:], np.array([0.0, 1.0]))
     return FitResult(
-        alpha=alpha, beta=parameters[:, 1] * known, mu=parameters[:, 2] * known,
+        alpha=alpha,
+        beta=parameters[:, 1] * known,
+        mu=parameters[:, 2] * known,
         alpha_error=np.where(glossy & np.isfinite(errors[:, 0]), errors[:, 0], np.nan),
-        beta_error=np.where(determined, errors[:, 1], np.nan), mu_error=np.where(determined, errors[:, 2], np.nan),
-        residual_rms=rms, status=status, evaluations=evaluations, nlopt_result=result, gloss=gloss,
-    )  # fmt: skip
+        beta_error=np.where(determined, errors[:, 1], np.nan),
+        mu_error=np.where(determined, errors[:, 2], np.nan),
+        residual_rms=rms,
+        status=status,
+        evaluations=evaluations,
+        nlopt_result=result,
+        gloss=gloss,
+    )

@@ -51,8 +51,11 @@ def _library() -> ctypes.CDLL:
         ("rtcSetSceneFlags", [pointer, ctypes.c_int], None),
         ("rtcSetSceneBuildQuality", [pointer, ctypes.c_int], None),
         ("rtcNewGeometry", [pointer, ctypes.c_int], pointer),
-        ("rtcSetSharedGeometryBuffer", [pointer, ctypes.c_int, ctypes.c_uint, ctypes.c_int, pointer]
-         + [ctypes.c_size_t] * 3, None),
+        (
+            "rtcSetSharedGeometryBuffer",
+            [pointer, ctypes.c_int, ctypes.c_uint, ctypes.c_int, pointer] + [ctypes.c_size_t] * 3,
+            None,
+        ),
         ("rtcCommitGeometry", [pointer], None),
         ("rtcAttachGeometryByID", [pointer, pointer, ctypes.c_uint], None),
         ("rtcReleaseGeometry", [pointer], None),
@@ -200,9 +203,7 @@ class Tracer:
         directions = np.ascontiguousarray(directions, dtype=np.float64)
         distance = np.empty(len(origins))
         shape = np.empty(len(origins), dtype=np.int32)
-        _intersect(
-            self.intersect_address, self.scene, origins, directions, np.float32(near), distance, shape
-        )
+        _intersect(self.intersect_address, self.scene, origins, directions, np.float32(near), distance, shape)
         distance[shape == NO_HIT] = np.inf
         for identifier, placement in enumerate(self.placements):
             chosen = shape == identifier

@@ -59,6 +59,6 @@ class Pinhole:
     def directions(self, mosaic_xy, world_from_camera) -> np.ndarray:
         """Return unit view directions of mosaic coordinates, (..., 2) to (..., 3)."""
         plane = (np.asarray(mosaic_xy, dtype=np.float64) - self.centre_px) / self.focal_px
-        local = np.concatenate([plane, np.ones(plane.shape[:-1] + (1,))], axis=-1)
+        local = np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
         local /= np.linalg.norm(local, axis=-1, keepdims=True)
         return local @ np.asarray(world_from_camera).T

@@ -51,14 +51,10 @@ class Shape:
         v = (np.arange(height) + 0.5) / height
         u, v = np.meshgrid(u, v)
         if self.kind == PLATE:
-            position = np.stack(
-                [(u - 0.5) * self.size_mm[0], (0.5 - v) * self.size_mm[1], np.zeros_like(u)], axis=-1
-            )
+            position = np.stack([(u - 0.5) * self.size_mm[0], (0.5 - v) * self.size_mm[1], np.zeros_like(u)], axis=-1)
             return position, np.broadcast_to(np.array([0.0, 0.0, 1.0]), position.shape).copy()
         theta, azimuth = np.pi * v, 2 * np.pi * u
-        normal = np.stack(
-            [np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1
-        )
+        normal = np.stack([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1)
         return self.size_mm[0] * normal, normal
 
 

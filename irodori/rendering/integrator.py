@@ -25,32 +25,72 @@ OFFSET = 1e-5
 
 
 @numba.njit(cache=True)
-def _shade(objects, light, tracing, buffers, index, point, normal, texel, view, counts, pixel, offset, irradiance,
-           local):  # fmt: skip
+def _shade(
+    objects, light, tracing, buffers, index, point, normal, texel, view, counts, pixel, offset, irradiance, local
+):
     """Fill the radiance that a point sends towards the viewer without its mirror term."""
     ambient_samples, gloss_samples = counts
     x, y, sample = pixel
     local[:] = 0.0
     map_irradiance(light, normal, irradiance)
     if ambient_samples > 0:
-        add_ambient(objects, light, tracing, buffers, point, normal, ambient_samples, hashed(x, y, sample, 0),
-                    hashed(x, y, sample, 1), offset, irradiance)  # fmt: skip
+        add_ambient(
+            objects,
+            light,
+            tracing,
+            buffers,
+            point,
+            normal,
+            ambient_samples,
+            hashed(x, y, sample, 0),
+            hashed(x, y, sample, 1),
+            offset,
+            irradiance,
+        )
     reflected_irradiance(objects, light, index, normal, texel, irradiance, 1.0, True, local)
     bases = objects.texels.shape[1] - 2
-    add_gloss(objects, light, tracing, buffers, index, point, normal, view, texel[bases], texel[bases + 1],
-              gloss_samples, hashed(x, y, sample, 2), hashed(x, y, sample, 3), offset, local)  # fmt: skip
+    add_gloss(
+        objects,
+        light,
+        tracing,
+        buffers,
+        index,
+        point,
+        normal,
+        view,
+        texel[bases],
+        texel[bases + 1],
+        gloss_samples,
+        hashed(x, y, sample, 2),
+        hashed(x, y, sample, 3),
+        offset,
+        local,
+    )
 
 
 @numba.njit(cache=True)
-def _follow(objects, light, tracing, buffers, origin, d, counts, max_bounces, min_throughput, pixel, offset, work,
-            out):  # fmt: skip
+def _follow(objects, light, tracing, buffers, origin, d, counts, max_bounces, min_throughput, pixel, offset, work, out):
     """Add the radiance along one ray from the eye, mirror after mirror; return the number of surfaces met."""
     intersect, scene, address, at, f, i = tracing
     throughput, irradiance, local, texel, point, normal, view = work
     throughput[:] = 1.0
     for bounce in range(max_bounces + 1):
-        trace(intersect, scene, address, at, f, i, origin[0], origin[1], origin[2], d[0], d[1], d[2], 0.0,
-              np.float32(np.inf))  # fmt: skip
+        trace(
+            intersect,
+            scene,
+            address,
+            at,
+            f,
+            i,
+            origin[0],
+            origin[1],
+            origin[2],
+            d[0],
+            d[1],
+            d[2],
+            0.0,
+            np.float32(np.inf),
+        )
         index = i[at + 18]
         if index < 0:
             coefficients = np.zeros(light.basis.shape[1])
@@ -68,8 +108,22 @@ def _follow(objects, light, tracing, buffers, origin, d, counts, max_bounces, mi
         cosine = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
         if cosine <= 0.0:
             return bounce
-        _shade(objects, light, tracing, buffers, index, point, normal, texel, view, counts,
-               (pixel[0], pixel[1], pixel[2] * 16 + bounce), offset, irradiance, local)  # fmt: skip
+        _shade(
+            objects,
+            light,
+            tracing,
+            buffers,
+            index,
+            point,
+            normal,
+            texel,
+            view,
+            counts,
+            (pixel[0], pixel[1], pixel[2] * 32 + bounce),
+            offset,
+            irradiance,
+            local,
+        )
         largest = 0.0
         for band in range(BANDS):
             out[band] += throughput[band] * local[band]
@@ -84,18 +138,45 @@ def _follow(objects, light, tracing, buffers, origin, d, counts, max_bounces, mi
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _render(objects, light, view, intersect, scene, first_row, counts, pixel_side, max_bounces, min_throughput,
-            offset, image, met):  # fmt: skip
+def _render(
+    objects,
+    light,
+    view,
+    intersect,
+    scene,
+    first_row,
+    counts,
+    pixel_side,
+    max_bounces,
+    min_throughput,
+    offset,
+    image,
+    met,
+):
     for row in numba.prange(image.shape[0]):
         f = np.empty(64, np.float32)
         i = f.view(np.int32)
         address, at = new_ray(f, i)
         tracing = (intersect, scene, address, at, f, i)
         texel_size = objects.texels.shape[1]
-        buffers = (np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(texel_size),
-                   np.empty(BANDS))  # fmt: skip
-        work = (np.empty(BANDS), np.empty(BANDS), np.empty(BANDS), np.empty(texel_size), np.empty(3), np.empty(3),
-                np.empty(3))  # fmt: skip
+        buffers = (
+            np.empty(3),
+            np.empty(3),
+            np.empty(3),
+            np.empty(3),
+            np.empty(3),
+            np.empty(texel_size),
+            np.empty(BANDS),
+        )
+        work = (
+            np.empty(BANDS),
+            np.empty(BANDS),
+            np.empty(BANDS),
+            np.empty(texel_size),
+            np.empty(3),
+            np.empty(3),
+            np.empty(3),
+        )
         origin, d, total = np.empty(3), np.empty(3), np.empty(BANDS)
         y = first_row + row
         for x in range(view.width):
@@ -108,14 +189,28 @@ def _render(objects, light, view, intersect, scene, first_row, counts, pixel_sid
                 for a in range(3):
                     d[a] = (rotation[a, 0] * px + rotation[a, 1] * py + rotation[a, 2]) * scale
                     origin[a] = view.position_mm[a]
-                met[row] += _follow(objects, light, tracing, buffers, origin, d, counts, max_bounces, min_throughput,
-                                    (x, y, s), offset, work, total)  # fmt: skip
+                met[row] += _follow(
+                    objects,
+                    light,
+                    tracing,
+                    buffers,
+                    origin,
+                    d,
+                    counts,
+                    max_bounces,
+                    min_throughput,
+                    (x, y, s),
+                    offset,
+                    work,
+                    total,
+                )
             for band in range(BANDS):
                 image[row, x, band] = total[band] / (pixel_side * pixel_side)
 
 
-def render_rows(objects: Objects, light: Light, view: View, tracer: Tracer, rows: tuple[int, int], options: dict
-                ) -> tuple[np.ndarray, int]:  # fmt: skip
+def render_rows(
+    objects: Objects, light: Light, view: View, tracer: Tracer, rows: tuple[int, int], options: dict
+) -> tuple[np.ndarray, int]:
     """Render a band of rows of a view.
 
     Parameters
@@ -139,7 +234,19 @@ def render_rows(objects: Objects, light: Light, view: View, tracer: Tracer, rows
     met = np.zeros(len(image), dtype=np.int64)
     extent = np.abs(objects.translation_mm).max() + (objects.size_mm.max(axis=1) * objects.scale).max()
     size = float(extent + np.linalg.norm(view.position_mm))
-    _render(objects, light, view, tracer.intersect_address, tracer.scene, rows[0],
-            (options["ambient_samples"], options["gloss_samples"]), options["pixel_side"], options["max_bounces"],
-            options["min_throughput"], OFFSET * size, image, met)  # fmt: skip
+    _render(
+        objects,
+        light,
+        view,
+        tracer.intersect_address,
+        tracer.scene,
+        rows[0],
+        (options["ambient_samples"], options["gloss_samples"]),
+        options["pixel_side"],
+        options["max_bounces"],
+        options["min_throughput"],
+        OFFSET * size,
+        image,
+        met,
+    )
     return image, int(met.sum())

@@ -95,11 +95,14 @@ def make_objects(placements: list[Placement], materials: list[Material]) -> tupl
         size_mm=np.array([p.shape.size_mm for p in placements], dtype=np.float64),
         first_texel=np.array(first[:-1]),
         texture_size=np.array([m.alpha.shape[::-1] for m in materials]),
-        texels=np.concatenate(texels), basis=np.stack(basis).astype(np.float32),
+        texels=np.concatenate(texels),
+        basis=np.stack(basis).astype(np.float32),
         bases=np.array([m.basis.shape[1] for m in materials]),
-        mirror=np.array([m.mirror for m in materials], dtype=np.float64), n=n, k=k,
+        mirror=np.array([m.mirror for m in materials], dtype=np.float64),
+        n=n,
+        k=k,
         grey=((np.ptp(n, axis=1) == 0) & (np.ptp(k, axis=1) == 0)).astype(np.int64),
-    )  # fmt: skip
+    )
     return objects, filled
 
 
@@ -110,8 +113,9 @@ def make_light(environment: Environment) -> Light:
     solid_angle = directions(width, height)[1][..., None]
     weighted = environment.coefficients * solid_angle
     while True:
-        row_edges, column_edges = (np.arange(n) * full // n for n, full in
-                                   ((height, weighted.shape[0]), (width, weighted.shape[1])))  # fmt: skip
+        row_edges, column_edges = (
+            np.arange(n) * full // n for n, full in ((height, weighted.shape[0]), (width, weighted.shape[1]))
+        )
 
         def sums(values, rows=row_edges, columns=column_edges):
             return np.add.reduceat(np.add.reduceat(values, rows, axis=0), columns, axis=1)
@@ -122,16 +126,26 @@ def make_light(environment: Environment) -> Light:
             break
         width, height = width // 2, height // 2
     first = np.concatenate([[0], np.cumsum([len(p) for p in pixels])[:-1]])
-    return Light(np.concatenate(pixels), first, np.array(sizes), environment.basis.astype(np.float32),
-                 np.ascontiguousarray(environment.irradiance, dtype=np.float32))  # fmt: skip
+    return Light(
+        np.concatenate(pixels),
+        first,
+        np.array(sizes),
+        environment.basis.astype(np.float32),
+        np.ascontiguousarray(environment.irradiance, dtype=np.float32),
+    )
 
 
 def make_view(view: dict, image: dict) -> View:
     """Return the camera of a scene's view; the field of view is vertical."""
     rotation = look_at(view["position_mm"], view["target_mm"], view["up"])
     focal = 0.5 * image["height"] / np.tan(np.radians(view["field_of_view_deg"]) / 2)
-    return View(np.asarray(view["position_mm"], dtype=np.float64), np.ascontiguousarray(rotation), float(focal),
-                image["width"], image["height"])  # fmt: skip
+    return View(
+        np.asarray(view["position_mm"], dtype=np.float64),
+        np.ascontiguousarray(rotation),
+        float(focal),
+        image["width"],
+        image["height"],
+    )
 
 
 def make_tracer(placements: list[Placement]) -> Tracer:

@@ -151,7 +151,7 @@ def map_irradiance(light, normal, out):
 def level_for(light, solid_angle):
     """Return the level of the light's ladder whose pixels are nearest to a solid angle, sr."""
     pixel = 4.0 * math.pi / (light.size[0, 0] * light.size[0, 1])
-    level = int(math.floor(0.5 * math.log2(max(solid_angle / pixel, 1.0)) + 0.5))
+    level = math.floor(0.5 * math.log2(max(solid_angle / pixel, 1.0)) + 0.5)
     return min(level, light.size.shape[0] - 1)
 
 
@@ -176,8 +176,22 @@ def add_ambient(objects, light, tracing, buffers, point, normal, samples, shift_
         a, b, c = radius * math.cos(angle), radius * math.sin(angle), math.sqrt(1.0 - u)
         for axis in range(3):
             d[axis] = a * tangent[axis] + b * bitangent[axis] + c * normal[axis]
-        trace(intersect, scene, address, at, f, i, point[0] + offset * normal[0], point[1] + offset * normal[1],
-              point[2] + offset * normal[2], d[0], d[1], d[2], 0.0, np.float32(np.inf))  # fmt: skip
+        trace(
+            intersect,
+            scene,
+            address,
+            at,
+            f,
+            i,
+            point[0] + offset * normal[0],
+            point[1] + offset * normal[1],
+            point[2] + offset * normal[2],
+            d[0],
+            d[1],
+            d[2],
+            0.0,
+            np.float32(np.inf),
+        )
         index = i[at + 18]
         if index < 0:
             continue
@@ -194,8 +208,9 @@ def add_ambient(objects, light, tracing, buffers, point, normal, samples, shift_
 
 
 @numba.njit(cache=True, error_model="numpy")
-def add_gloss(objects, light, tracing, buffers, index, point, normal, view, beta, mu, samples, shift_u, shift_v,
-              offset, out):  # fmt: skip
+def add_gloss(
+    objects, light, tracing, buffers, index, point, normal, view, beta, mu, samples, shift_u, shift_v, offset, out
+):
     """Add the gloss radiance β/π ∫ L F D G / cosθ_r dω [eq. 5], sampled by the facet distribution.
 
     Half vectors are drawn with density proportional to D sinφ-free in φ (a Rayleigh law), so that the weight of a
@@ -237,8 +252,22 @@ def add_gloss(objects, light, tracing, buffers, index, point, normal, view, beta
         weight = beta / math.pi * geometric * spread / samples
         ratio = phi / mu
         fresnel_grey = fresnel(cos_h, objects.n[index, 0], objects.k[index, 0])
-        trace(intersect, scene, address, at, f, i, point[0] + offset * normal[0], point[1] + offset * normal[1],
-              point[2] + offset * normal[2], d[0], d[1], d[2], 0.0, np.float32(np.inf))  # fmt: skip
+        trace(
+            intersect,
+            scene,
+            address,
+            at,
+            f,
+            i,
+            point[0] + offset * normal[0],
+            point[1] + offset * normal[1],
+            point[2] + offset * normal[2],
+            d[0],
+            d[1],
+            d[2],
+            0.0,
+            np.float32(np.inf),
+        )
         other = i[at + 18]
         if other < 0:
             level = level_for(light, spread / (samples * math.exp(-ratio * ratio)))

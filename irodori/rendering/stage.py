@@ -36,8 +36,15 @@ def display_white(environment: Environment, exposure) -> tuple[np.ndarray, float
     return environment.upward_white() / factor, factor
 
 
-def render_image(scene: dict, view_name: str, shapes: list[Shape], materials: list[Material],
-                 environment: Environment, options: dict, tile_rows: int = 60) -> tuple[np.ndarray, dict]:  # fmt: skip
+def render_image(
+    scene: dict,
+    view_name: str,
+    shapes: list[Shape],
+    materials: list[Material],
+    environment: Environment,
+    options: dict,
+    tile_rows: int = 60,
+) -> tuple[np.ndarray, dict]:
     """Render a view of a scene.
 
     Parameters
@@ -74,15 +81,28 @@ def render_image(scene: dict, view_name: str, shapes: list[Shape], materials: li
     primary = view.width * view.height * options["pixel_side"] ** 2
     rays = primary + met * (1 + options["ambient_samples"] + options["gloss_samples"])
     figures = {
-        "seconds": seconds, "pixels_per_second": view.width * view.height / seconds, "rays": rays,
-        "rays_per_second": rays / seconds, "surfaces_shaded": met,
+        "seconds": seconds,
+        "pixels_per_second": view.width * view.height / seconds,
+        "rays": rays,
+        "rays_per_second": rays / seconds,
+        "surfaces_shaded": met,
         "filled_fraction": {o["object"]: f for o, f in zip(scene["objects"], filled, strict=True)},
-    }  # fmt: skip
+    }
     return radiance, figures
 
 
-def render_view(scene: dict, view_name: str, shapes: list[dict], material_files: list, environment_file, exr, png,
-                figures_file, options: dict, tile_rows: int) -> None:  # fmt: skip
+def render_view(
+    scene: dict,
+    view_name: str,
+    shapes: list[dict],
+    material_files: list,
+    environment_file,
+    exr,
+    png,
+    figures_file,
+    options: dict,
+    tile_rows: int,
+) -> None:
     """Render a view from files into a spectral EXR, a PNG and a JSON of figures."""
     materials = [Material.load(path) for path in material_files]
     environment = Environment.load(environment_file)
@@ -101,5 +121,10 @@ def render_view(scene: dict, view_name: str, shapes: list[dict], material_files:
     temporary = Path(figures_file).with_suffix(".part")
     temporary.write_text(json.dumps(figures, indent=1), encoding="utf-8")
     os.replace(temporary, figures_file)
-    LOGGER.info("%.2f s, %.0f pixels/s, %.2f million rays/s; %.1f %% of pixels outside the display's gamut",
-                figures["seconds"], figures["pixels_per_second"], figures["rays_per_second"] / 1e6, 100 * outside)  # fmt: skip
+    LOGGER.info(
+        "%.2f s, %.0f pixels/s, %.2f million rays/s; %.1f %% of pixels outside the display's gamut",
+        figures["seconds"],
+        figures["pixels_per_second"],
+        figures["rays_per_second"] / 1e6,
+        100 * outside,
+    )

@@ -86,8 +86,14 @@ class Session:
         mosaic = self.sensor.expose(seen, exposure_s, self.rng)
         subject = pose.name if role == "object" else role
         file = f"{subject}-{state}-{len(self.shots):03d}.dng"
-        write_dng(self.folder / file, mosaic, black_level=self.sensor.black_level,
-                  white_level=self.sensor.white_level, exposure_s=exposure_s, model=self.name)  # fmt: skip
+        write_dng(
+            self.folder / file,
+            mosaic,
+            black_level=self.sensor.black_level,
+            white_level=self.sensor.white_level,
+            exposure_s=exposure_s,
+            model=self.name,
+        )
         self.shots.append(Shot(file, role, pose, state, exposure_s))
 
     def mosaic_of(self, bands: np.ndarray, state: str) -> np.ndarray:
@@ -116,10 +122,16 @@ def capture_object(definition: dict, camera: dict, rig: dict, name: str, table: 
         rotation = rig_from_object(real)
         position = rig["camera_distance_mm"] * to_camera(real)
         image = expose_object(
-            sample, Tracer(on_table(sample.shape, rotation, rig["table_radius_mm"])), rotation, pinhole, position,
-            rig_from_camera(real), to_light(real), session.band_weights,
+            sample,
+            Tracer(on_table(sample.shape, rotation, rig["table_radius_mm"])),
+            rotation,
+            pinhole,
+            position,
+            rig_from_camera(real),
+            to_light(real),
+            session.band_weights,
             math.radians(rig["virtual"]["light_angular_radius_deg"]),
-        )  # fmt: skip
+        )
         for state, exposures in definition["exposure_s"].items():
             for exposure_s in exposures:
                 session.shoot("object", pose, state, exposure_s, image[_FILTER_STATES.index(state)])
@@ -153,7 +165,7 @@ def _chart_picture(camera: dict, pinhole: Pinhole, rig: dict, pose: Pose, role: 
     size = (pinhole.height_px, pinhole.width_px)
     if role == "white":
         return np.full((*size, 1), camera["white"]["reflectance_factor"] * cosine) * np.ones(61)
-    names, patches = chart_spectra(camera["chart"]["spectra"])
+    _names, patches = chart_spectra(camera["chart"]["spectra"])
     rows, columns = camera["chart"]["rows"], camera["chart"]["columns"]
     y, x = np.indices(size)
     rotation = rig_from_object(pose)
@@ -174,7 +186,7 @@ def capture_environment(definition: dict, camera: dict, rig: dict, name: str, ta
     """Photograph a virtual room with an omnidirectional camera, in brackets, without and with the filter."""
     session = Session(camera, rig, name, Path(table).parent)
     coefficients = room_coefficients(definition["virtual"], definition["image"]["width"], definition["image"]["height"])
-    names, spectra = source_spectra(definition["virtual"], session.light)
+    _names, spectra = source_spectra(definition["virtual"], session.light)
     # Band weights are for reflectances under the rig's light; a radiance is that light times a reflectance.
     bands = coefficients @ (spectra / session.light @ session.band_weights.T)
     # A panorama is resampled from many photographs: the four mosaic pixels of a superpixel see the same directions.

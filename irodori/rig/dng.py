@@ -51,9 +51,7 @@ def write_dng(path, mosaic: np.ndarray, *, black_level: int, white_level: int, e
     path = Path(path)
     temporary = path.with_name(f".{path.name}.part")
     try:
-        tifffile.imwrite(
-            temporary, mosaic, photometric=_CFA_PHOTOMETRIC, extratags=tags, metadata=None, subfiletype=0
-        )
+        tifffile.imwrite(temporary, mosaic, photometric=_CFA_PHOTOMETRIC, extratags=tags, metadata=None, subfiletype=0)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)

@@ -76,9 +76,25 @@ def _response(out, weight, colour, diffuse, beta, mu, mirror, lamp_cosine, table
 
 @numba.njit(cache=True, parallel=True, nogil=True)
 def _expose_object(
-    functions, scene, camera, to_world, focal, centre, light, rotation, kind, size, checks, diffuse, beta, mu,
-    mirror, lamp_cosine, table, image,
-):  # fmt: skip
+    functions,
+    scene,
+    camera,
+    to_world,
+    focal,
+    centre,
+    light,
+    rotation,
+    kind,
+    size,
+    checks,
+    diffuse,
+    beta,
+    mu,
+    mirror,
+    lamp_cosine,
+    table,
+    image,
+):
     intersect, occluded = functions
     height, width = image.shape[1], image.shape[2]
     for y in numba.prange(height):
@@ -95,30 +111,78 @@ def _expose_object(
                 scale = 1.0 / math.sqrt(px * px + py * py + 1.0)
                 for a in range(3):
                     d[a] = (to_world[a, 0] * px + to_world[a, 1] * py + to_world[a, 2]) * scale
-                trace(intersect, scene, address, at, f, i, camera[0], camera[1], camera[2], d[0], d[1], d[2], 0.0,
-                      np.float32(np.inf))  # fmt: skip
+                trace(
+                    intersect,
+                    scene,
+                    address,
+                    at,
+                    f,
+                    i,
+                    camera[0],
+                    camera[1],
+                    camera[2],
+                    d[0],
+                    d[1],
+                    d[2],
+                    0.0,
+                    np.float32(np.inf),
+                )
                 if i[at + 18] != 0:
                     continue
                 for a in range(3):
                     world[a] = camera[a] + f[at + 8] * d[a]
                 ox, oy, oz, normal[0], normal[1], normal[2] = _surface(kind, size, rotation, world)
-                trace(occluded, scene, address, at, f, i, world[0] + _OFFSET_MM * normal[0],
-                      world[1] + _OFFSET_MM * normal[1], world[2] + _OFFSET_MM * normal[2],
-                      light[0], light[1], light[2], 0.0, np.float32(np.inf))  # fmt: skip
+                trace(
+                    occluded,
+                    scene,
+                    address,
+                    at,
+                    f,
+                    i,
+                    world[0] + _OFFSET_MM * normal[0],
+                    world[1] + _OFFSET_MM * normal[1],
+                    world[2] + _OFFSET_MM * normal[2],
+                    light[0],
+                    light[1],
+                    light[2],
+                    0.0,
+                    np.float32(np.inf),
+                )
                 if f[at + 8] < 0.0:
                     continue
                 u, v = uv_from_point(kind, size[0], size[1], ox, oy, oz)
                 column = min(max(int(u * checks[0]), 0), checks[0] - 1)
                 row = min(max(int(v * checks[1]), 0), checks[1] - 1)
                 m = (row * checks[0] + column) % beta.size
-                _response(out, 1.0 / (_SPOTS * _SPOTS), colour, diffuse[m], beta[m], mu[m], mirror, lamp_cosine, table,
-                          normal, light, -d)  # fmt: skip
+                _response(
+                    out,
+                    1.0 / (_SPOTS * _SPOTS),
+                    colour,
+                    diffuse[m],
+                    beta[m],
+                    mu[m],
+                    mirror,
+                    lamp_cosine,
+                    table,
+                    normal,
+                    light,
+                    -d,
+                )
             image[0, y, x] = out[0]
             image[1, y, x] = out[1]
 
 
-def expose_object(sample, tracer: Tracer, rotation, pinhole, camera_position, world_from_camera, light,
-                  band_weights, lamp_radius_rad: float) -> np.ndarray:  # fmt: skip
+def expose_object(
+    sample,
+    tracer: Tracer,
+    rotation,
+    pinhole,
+    camera_position,
+    world_from_camera,
+    light,
+    band_weights,
+    lamp_radius_rad: float,
+) -> np.ndarray:
     """Return what each mosaic pixel receives from the sample under the rig's light.
 
     Parameters
@@ -141,12 +205,23 @@ def expose_object(sample, tracer: Tracer, rotation, pinhole, camera_position, wo
     """
     image = np.empty((2, pinhole.height_px, pinhole.width_px))
     _expose_object(
-        (tracer.intersect_address, tracer.occluded_address), tracer.scene,
-        np.asarray(camera_position, dtype=np.float64), np.ascontiguousarray(world_from_camera),
-        float(pinhole.focal_px), np.asarray(pinhole.centre_px, dtype=np.float64),
-        np.asarray(light, dtype=np.float64), np.ascontiguousarray(rotation), sample.shape.kind,
-        np.asarray(sample.shape.size_mm, dtype=np.float64), np.array([sample.columns, sample.rows]),
-        np.ascontiguousarray(sample.reflectance @ band_weights.T), sample.beta, sample.mu_rad, sample.mirror,
-        math.cos(lamp_radius_rad), fresnel_by_band(sample.n, sample.k, band_weights), image,
-    )  # fmt: skip
+        (tracer.intersect_address, tracer.occluded_address),
+        tracer.scene,
+        np.asarray(camera_position, dtype=np.float64),
+        np.ascontiguousarray(world_from_camera),
+        float(pinhole.focal_px),
+        np.asarray(pinhole.centre_px, dtype=np.float64),
+        np.asarray(light, dtype=np.float64),
+        np.ascontiguousarray(rotation),
+        sample.shape.kind,
+        np.asarray(sample.shape.size_mm, dtype=np.float64),
+        np.array([sample.columns, sample.rows]),
+        np.ascontiguousarray(sample.reflectance @ band_weights.T),
+        sample.beta,
+        sample.mu_rad,
+        sample.mirror,
+        math.cos(lamp_radius_rad),
+        fresnel_by_band(sample.n, sample.k, band_weights),
+        image,
+    )
     return image

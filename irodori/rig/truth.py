@@ -25,10 +25,17 @@ def true_material(definition: dict, camera: dict, rig: dict) -> Material:
     weights = band_weights(camera, spectrum(rig["light"]["spectrum"]))[_GREEN]
     green = sample.reflectance @ weights / weights.sum()
     return Material(
-        alpha=green[index], beta=sample.beta[index], mu=sample.mu_rad[index], green_response=green[index],
-        coefficients=np.eye(len(green), dtype=np.float32)[index], basis=sample.reflectance.T, n=sample.n, k=sample.k,
-        mirror=sample.mirror, typical_gloss=(float(sample.beta[0]), float(sample.mu_rad[0])),
-    )  # fmt: skip
+        alpha=green[index],
+        beta=sample.beta[index],
+        mu=sample.mu_rad[index],
+        green_response=green[index],
+        coefficients=np.eye(len(green), dtype=np.float32)[index],
+        basis=sample.reflectance.T,
+        n=sample.n,
+        k=sample.k,
+        mirror=sample.mirror,
+        typical_gloss=(float(sample.beta[0]), float(sample.mu_rad[0])),
+    )
 
 
 def true_environment(definition: dict, rig: dict, irradiance_size: dict) -> Environment:
@@ -45,7 +52,8 @@ def write_true_material(definition: dict, camera: dict, rig: dict, output, prove
     true_material(definition, camera, rig).save(output, provenance)
 
 
-def write_true_environment(definition: dict, rig: dict, irradiance_size: dict, output,
-                           provenance: store.Provenance) -> None:  # fmt: skip
+def write_true_environment(
+    definition: dict, rig: dict, irradiance_size: dict, output, provenance: store.Provenance
+) -> None:
     """Write the true light of an environment."""
     true_environment(definition, rig, irradiance_size).save(output, provenance)

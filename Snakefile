@@ -1,0 +1,50 @@
+from pathlib import Path
+
+from snakemake.exceptions import WorkflowError
+from snakemake.utils import min_version
+
+min_version("9.0")
+
+
+configfile: "config/config.yaml"
+
+
+include: "workflow/rules/common.smk"
+
+
+wildcard_constraints:
+    object="[a-z0-9-]+",
+    camera="[a-z0-9-]+",
+    environment="[a-z0-9-]+",
+    scene="[a-z0-9-]+",
+    view="[a-z0-9-]+",
+    capture="[a-z0-9-]+",
+    tile="[0-9]+",
+
+
+report: "workflow/report/workflow.rst"
+
+
+include: "workflow/rules/capture.smk"
+include: "workflow/rules/ingest.smk"
+include: "workflow/rules/calibrate.smk"
+include: "workflow/rules/rectify.smk"
+include: "workflow/rules/fit.smk"
+include: "workflow/rules/compress.smk"
+include: "workflow/rules/environment.smk"
+include: "workflow/rules/render.smk"
+include: "workflow/rules/report.smk"
+
+
+localrules:
+    all,
+    calibrate,
+
+
+rule all:
+    default_target: True
+    input:
+        pictures,
+        calibrations,
+        "results/errors.csv",
+        "results/report.html",

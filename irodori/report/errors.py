@@ -1,0 +1,183 @@
+"""Errors against ground truth, as everyone here computes them [design, §5]: mean, 95th percentile and maximum."""
+
+import csv
+import os
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from irodori import store
+from irodori.colour import (
+    delta_e,
+    delta_e_reflectance,
+    goodness_of_fit,
+    lab_from_xyz,
+    spectral_rmse,
+    summary,
+    xyz_from_radiance,
+)
+from irodori.light import Environment
+from irodori.material import Material
+from irodori.progress import LOGGER
+from irodori.rendering.output import read_spectral_exr
+
+
+@dataclass(frozen=True)
+class ErrorRow:
+    """One line of ``errors.csv``."""
+
+    subject: str
+    quantity: str
+    light: str
+    count: int
+    mean: float
+    p95: float
+    p99: float
+    max: float
+
+
+def _row(subject: str, quantity: str, values, light: str = "") -> ErrorRow:
+    return ErrorRow(subject, quantity, light, **summary(values))
+
+
+def interior(truth: Material) -> np.ndarray:
+    """Return the texels whose neighbourhood (5 x 5) is of one true material, (height, width) bool.
+
+    At a seam between two paints a picture shows their mixture, which is no error of colour recovery.
+    """
+    index = truth.coefficients.argmax(axis=-1)
+    same = np.ones(index.shape, dtype=bool)
+    for axis in (0, 1):
+        for shift in (-2, -1, 1, 2):
+            moved = np.roll(index, shift, axis=axis)
+            if axis == 0:
+                moved[:shift] = index[:shift] if shift > 0 else moved[:shift]
+                moved[shift:] = index[shift:] if shift < 0 else moved[shift:]
+            same &= moved == index
+    return same
+
+
+def material_errors(name: str, material: Material, truth: Material, lights: list[str]) -> list[ErrorRow]:
+    """Return the errors of one object: reflectance over all observed texels and away from seams, and parameters."""
+    rows = []
+    inside = interior(truth)
+    for label, chosen in (("", material.observed), (" away from seams", material.observed & inside)):
+        estimate, exact = material.coefficients[chosen] @ material.basis.T, truth.coefficients[chosen] @ truth.basis.T
+        rows += [
+            _row(name, f"reflectance CIEDE2000{label}", delta_e_reflectance(exact, estimate, light), light)
+            for light in lights
+        ]
+        rows.append(_row(name, f"reflectance spectral RMSE{label}", spectral_rmse(exact, estimate)))
+        rows.append(_row(name, f"reflectance 1 - GFC{label}", 1.0 - goodness_of_fit(exact, estimate)))
+    known = np.isfinite(material.mu) & inside
+    rows += [
+        _row(name, "alpha absolute", np.abs(material.alpha - truth.alpha)[material.observed & inside]),
+        _row(name, "beta relative", np.abs(material.beta / truth.beta - 1)[known]),
+        _row(name, "mu relative", np.abs(material.mu / truth.mu - 1)[known]),
+        _row(name, "alpha / S_G - 1", np.abs(material.alpha / material.green_response - 1)[material.observed]),
+    ]
+    return rows
+
+
+def _scaled_lab(radiance: np.ndarray, white: np.ndarray, ceiling: np.ndarray | None = None):
+    """Return CIELAB with what is brighter than white scaled down to it, and the scale used."""
+    matrix = xyz_from_radiance(white)
+    xyz = radiance @ matrix.T
+    scale = np.maximum(xyz[..., 1:2] / 100.0, 1.0) if ceiling is None else ceiling
+    return lab_from_xyz(xyz / scale, matrix @ white), scale
+
+
+def radiance_delta_e(truth: np.ndarray, estimate: np.ndarray, white: np.ndarray) -> np.ndarray:
+    """Return CIEDE2000 between two radiance images, (..., 61) to (...).
+
+    Parameters
+    ----------
+    truth, estimate : (..., 61) float
+    white : (61,) float
+        Radiance of white. A pixel whose truth is brighter is compared after both are scaled by the same factor.
+    """
+    lab_truth, scale = _scaled_lab(truth, white)
+    return delta_e(lab_truth, _scaled_lab(estimate, white, scale)[0])
+
+
+def environment_errors(name: str, environment: Environment, truth: Environment) -> list[ErrorRow]:
+    """Return the errors of recovered light: of the picture and of its irradiance map."""
+    white = truth.upward_white()
+    step = 4
+    picture = [e.coefficients[::step, ::step] @ e.basis.T for e in (truth, environment)]
+    irradiance = [e.irradiance @ e.basis.T / np.pi for e in (truth, environment)]
+    return [
+        _row(name, "light CIEDE2000", radiance_delta_e(*picture, white)),
+        _row(name, "irradiance CIEDE2000", radiance_delta_e(*irradiance, white)),
+    ]
+
+
+def calibration_errors(name: str, path) -> list[ErrorRow]:
+    """Return the leave-one-patch-out errors that a calibration file holds."""
+    with store.open_file(path) as file:
+        rows = [_row(name, "leave-one-patch-out spectral RMSE", file.read("leave_one_out/rmse"))]
+        for light in ("D65", "A"):
+            key = f"leave_one_out/delta_e_{light.lower()}"
+            if key in file:
+                rows.append(_row(name, "leave-one-patch-out CIEDE2000", file.read(key), light))
+    return rows
+
+
+def measure_errors(inputs: dict, names: dict, lights: list[str], output) -> None:
+    """Write ``errors.csv``.
+
+    Parameters
+    ----------
+    inputs : dict
+        Lists of files: materials, true_materials, environments, true_environments, calibrations, views, true_views.
+    names : dict
+        Their names: objects, environments, cameras, views; and view_environments, the light of each view.
+    lights : list of str
+    output : path
+    """
+    rows: list[ErrorRow] = []
+    for name, path in zip(names["cameras"], inputs["calibrations"], strict=True):
+        rows += calibration_errors(name, path)
+    for name, path, truth in zip(names["objects"], inputs["materials"], inputs["true_materials"], strict=True):
+        rows += material_errors(name, Material.load(path), Material.load(truth), lights)
+    whites = {}
+    for name, path, truth in zip(
+        names["environments"], inputs["environments"], inputs["true_environments"], strict=True
+    ):
+        environment = Environment.load(path)
+        whites[name] = environment.upward_white()
+        rows += environment_errors(name, environment, Environment.load(truth))
+    for name, light, path, truth in zip(
+        names["views"], names["view_environments"], inputs["views"], inputs["true_views"], strict=True
+    ):
+        pair = read_spectral_exr(truth), read_spectral_exr(path)
+        rows.append(_row(name, "picture CIEDE2000, true materials", radiance_delta_e(*pair, whites[light]), light))
+    _write(rows, output)
+
+
+def _write(rows: list[ErrorRow], output) -> None:
+    output = Path(output)
+    temporary = output.with_name(f".{output.name}.part")
+    with temporary.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, [f.name for f in fields(ErrorRow)])
+        writer.writeheader()
+        for row in rows:
+            values = asdict(row)
+            writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in values.items()})
+            LOGGER.info(
+                "%s, %s %s: mean %.4g p95 %.4g max %.4g",
+                row.subject,
+                row.quantity,
+                row.light,
+                row.mean,
+                row.p95,
+                row.max,
+            )
+    os.replace(temporary, output)
+
+
+def read_errors(path) -> list[dict]:
+    """Return the rows of ``errors.csv`` as dictionaries of text."""
+    with open(path, newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))

@@ -1,0 +1,90 @@
+"""Figures of the report as PNG data, drawn with matplotlib."""
+
+import base64
+import io
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.colors import BoundaryNorm, ListedColormap
+
+from irodori.colour import delta_e_reflectance, xyz_from_reflectance
+from irodori.display import encode_srgb, rgb_from_xyz
+from irodori.fitting.solvers import Status
+from irodori.material import Material
+from irodori.spectra import WAVELENGTH_NM
+
+_STATUS_COLOURS = ("#4c9f70", "#e0b050", "#9b6fb0", "#d0d0d0", "#c04040")
+
+
+def data_uri(path) -> str:
+    """Return a PNG file as a data URI."""
+    return "data:image/png;base64," + base64.b64encode(Path(path).read_bytes()).decode()
+
+
+def _finish(figure) -> str:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=90, metadata={"Software": None})
+    plt.close(figure)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def _map(axes, figure, values, title: str, unit: str) -> None:
+    finite = values[np.isfinite(values)]
+    low, high = np.percentile(finite, [1, 99]) if finite.size else (0.0, 1.0)
+    picture = axes.imshow(values, vmin=low, vmax=max(high, low + 1e-9), cmap="viridis")
+    axes.set_title(f"{title} [{unit}]" if unit != "1" else title, fontsize=9)
+    axes.axis("off")
+    figure.colorbar(picture, ax=axes, shrink=0.8)
+
+
+def material_figure(material: Material, status: np.ndarray, residual: np.ndarray, truth: Material | None) -> str:
+    """Return the maps of a fitted object: colour, parameters, residual, outcome, and ΔE where the truth is known."""
+    figure, axes = plt.subplots(2, 4, figsize=(13, 5.6), layout="constrained")
+    axes = axes.ravel()
+    matrix = xyz_from_reflectance("D65")
+    spectra = np.nan_to_num(material.spectra())
+    linear = spectra @ (rgb_from_xyz(matrix.sum(axis=1)) @ matrix).T
+    axes[0].imshow(encode_srgb(linear)[0])
+    axes[0].set_title("reflectance under D65", fontsize=9)
+    axes[0].axis("off")
+    _map(axes[1], figure, material.alpha, "α", "1")
+    _map(axes[2], figure, material.beta, "β", "1")
+    _map(axes[3], figure, material.mu, "μ", "rad")
+    _map(axes[4], figure, residual, "residual", "1")
+    norm = BoundaryNorm(np.arange(len(Status) + 1) - 0.5, len(Status))
+    axes[5].imshow(status, cmap=ListedColormap(_STATUS_COLOURS), norm=norm)
+    axes[5].set_title("outcome of the fit", fontsize=9)
+    axes[5].axis("off")
+    if truth is None:
+        axes[6].axis("off")
+    else:
+        difference = np.where(material.observed, delta_e_reflectance(truth.spectra(), spectra, "D65"), np.nan)
+        _map(axes[6], figure, difference, "CIEDE2000 under D65", "1")
+    shares = [f"{(status == s.value).mean():6.1%}  {s.name.lower().replace('_', ' ')}" for s in Status]
+    axes[7].axis("off")
+    for line, (text, colour) in enumerate(zip(shares, _STATUS_COLOURS, strict=True)):
+        axes[7].text(0.0, 0.9 - 0.15 * line, "■", color=colour, fontsize=12, transform=axes[7].transAxes)
+        axes[7].text(0.08, 0.9 - 0.15 * line, text, fontsize=9, family="monospace", transform=axes[7].transAxes)
+    return _finish(figure)
+
+
+def spectra_figure(material: Material, truth: Material) -> str:
+    """Return recovered against true spectra: the median of each true material's texels."""
+    figure, axes = plt.subplots(figsize=(6.5, 3.6), layout="constrained")
+    index = truth.coefficients.argmax(axis=-1)
+    for m, exact in enumerate(truth.basis.T):
+        chosen = (index == m) & material.observed
+        if not chosen.any():
+            continue
+        (line,) = axes.plot(WAVELENGTH_NM, exact, lw=1)
+        recovered = np.median(material.coefficients[chosen] @ material.basis.T, axis=0)
+        axes.plot(WAVELENGTH_NM, recovered, "--", lw=1, color=line.get_color())
+    axes.set_xlabel("wavelength [nm]")
+    axes.set_ylabel("reflectance factor")
+    axes.set_title("true (solid) and recovered (dashed)", fontsize=9)
+    return _finish(figure)

@@ -1,0 +1,157 @@
+"""The report as one HTML page that needs nothing beside it."""
+
+import csv
+import html
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+
+from irodori import store
+from irodori.material import Material
+from irodori.report.errors import read_errors
+from irodori.report.figures import data_uri, material_figure, spectra_figure
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 1180px; margin: 2rem auto; padding: 0 1rem; color: #222 }
+h1, h2 { font-weight: 600 } table { border-collapse: collapse; margin: .5rem 0 1.5rem }
+th, td { padding: .2rem .7rem; border-bottom: 1px solid #ddd; text-align: right }
+th:first-child, td:first-child, td.text, th.text { text-align: left }
+figure { display: inline-block; margin: 0 1rem 1rem 0 } figcaption { font-size: .85rem; color: #555 }
+img { max-width: 100% }
+"""
+
+
+def table(header: list[str], rows: list[list[str]]) -> str:
+    """Return an HTML table; cells are escaped."""
+    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in header)
+    body = "".join("<tr>" + "".join(f"<td>{html.escape(str(c))}</td>" for c in row) + "</tr>" for row in rows)
+    return f"<table><tr>{head}</tr>{body}</table>"
+
+
+def figure(uri: str, caption: str, width: int | None = None) -> str:
+    """Return an HTML figure of a data URI."""
+    size = f' width="{width}"' if width else ""
+    text = html.escape(caption)
+    return f'<figure><img src="{uri}" alt="{text}"{size}><figcaption>{text}</figcaption></figure>'
+
+
+def _number(text: str) -> str:
+    value = float(text)
+    return "–" if np.isnan(value) else f"{value:.4g}"
+
+
+def _errors_section(rows: list[dict]) -> str:
+    parts = ["<h2>Errors</h2>"]
+    if not rows:
+        return parts[0] + "<p>No ground truth is known for this configuration.</p>"
+    for subject in dict.fromkeys(row["subject"] for row in rows):
+        lines = [
+            [r["quantity"], r["light"], r["count"], *(_number(r[k]) for k in ("mean", "p95", "p99", "max"))]
+            for r in rows
+            if r["subject"] == subject
+        ]
+        parts.append(f"<h3>{html.escape(subject)}</h3>")
+        parts.append(table(["quantity", "light", "count", "mean", "p95", "p99", "max"], lines))
+    return "".join(parts)
+
+
+def _views_section(views: list[str], pictures: list, figures: list, truths: dict) -> str:
+    parts = ["<h2>Pictures</h2>"]
+    for name, picture, numbers in zip(views, pictures, figures, strict=True):
+        measured = json.loads(Path(numbers).read_text(encoding="utf-8"))
+        parts.append(figure(data_uri(picture), f"{name}, from the measured materials", 560))
+        if name in truths:
+            parts.append(figure(data_uri(truths[name]), f"{name}, from the true materials", 560))
+        rows = [
+            ["seconds", f"{measured['seconds']:.2f}"],
+            ["pixels per second", f"{measured['pixels_per_second']:.0f}"],
+            ["rays per second", f"{measured['rays_per_second']:.3g}"],
+            ["pixels outside the display's gamut", f"{measured['out_of_gamut_fraction']:.2%}"],
+        ]
+        rows += [
+            [f"{name}: texels that no capture determined, filled from their neighbours", f"{share:.1%}"]
+            for name, share in measured["filled_fraction"].items()
+        ]
+        parts.append(table(["rendering", ""], rows))
+    return "".join(parts)
+
+
+def _objects_section(objects: list[str], materials: list, truths: dict) -> str:
+    parts = ["<h2>Objects</h2>"]
+    for name, path in zip(objects, materials, strict=True):
+        material = Material.load(path)
+        truth = Material.load(truths[name]) if name in truths else None
+        with store.open_file(path) as file:
+            status, residual = file.read("status"), file.read("residual_rms")
+            errors = file.attribute("errors")
+        beta, mu = material.typical_gloss
+        parts.append(f"<h3>{html.escape(name)}</h3>")
+        parts.append(figure(material_figure(material, status, residual, truth), f"{name}: maps over the texture"))
+        if truth is not None:
+            parts.append(figure(spectra_figure(material, truth), f"{name}: spectra"))
+        parts.append(
+            f"<p>{material.basis.shape[1]} bases; {errors['observed_fraction']:.1%} of texels observed; "
+            f"{errors['negative_fraction']:.3%} of spectral samples negative; typical gloss β = {beta:.3g}, "
+            f"μ = {mu:.3g} rad.</p>"
+        )
+    return "".join(parts)
+
+
+def _time_section(folder) -> str:
+    """Return time and peak memory by rule from the benchmark files of the jobs that ran."""
+    totals: dict[str, list[float]] = {}
+    for path in sorted(Path(folder).glob("*/*.tsv")):
+        with path.open(newline="", encoding="utf-8") as stream:
+            for row in csv.DictReader(stream, delimiter="\t"):
+                entry = totals.setdefault(path.parent.name, [0, 0.0, 0.0])
+                memory = float(row["max_rss"]) if row["max_rss"] not in ("-", "NA") else 0.0
+                entry[0], entry[1], entry[2] = entry[0] + 1, entry[1] + float(row["s"]), max(entry[2], memory)
+    rows = [
+        [rule, f"{n}", f"{s:.1f}", f"{m:.0f}"] for rule, (n, s, m) in sorted(totals.items(), key=lambda t: -t[1][1])
+    ]
+    heading = "<h2>Time and memory</h2><p>Of the jobs that made these results, with the start of each process.</p>"
+    return heading + table(["rule", "jobs", "seconds", "peak MB"], rows)
+
+
+def _calibration_section(cameras: list[str], tables: list) -> str:
+    parts = ["<h2>Calibration, each patch left out in turn</h2>"]
+    for name, path in zip(cameras, tables, strict=True):
+        with open(path, newline="", encoding="utf-8") as stream:
+            header, *rows = list(csv.reader(stream))
+        parts.append(f"<h3>{html.escape(name)}</h3>" + table(header, rows))
+    return "".join(parts)
+
+
+def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
+    """Write ``report.html``.
+
+    Parameters
+    ----------
+    inputs : dict
+        Files: errors; lists of materials, true_materials, calibration_errors, pictures, figures, true_pictures.
+    names : dict
+        objects, virtual_objects, cameras, views, virtual_views, in the order of the files.
+    benchmarks : path
+        Folder of the benchmark files of the run.
+    output : path
+    """
+    true_views = dict(zip(names["virtual_views"], inputs["true_pictures"], strict=True))
+    true_objects = dict(zip(names["virtual_objects"], inputs["true_materials"], strict=True))
+    body = [
+        "<h1>Irodori</h1>",
+        _views_section(names["views"], inputs["pictures"], inputs["figures"], true_views),
+        _errors_section(read_errors(inputs["errors"])),
+        _objects_section(names["objects"], inputs["materials"], true_objects),
+        _calibration_section(names["cameras"], inputs["calibration_errors"]),
+        _time_section(benchmarks),
+    ]
+    page = (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Irodori report</title><style>{_STYLE}'
+        f"</style><body>{''.join(body)}</body></html>\n"
+    )
+    output = Path(output)
+    temporary = output.with_name(f".{output.name}.part")
+    temporary.write_text(page, encoding="utf-8")
+    os.replace(temporary, output)

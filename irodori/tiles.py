@@ -1,0 +1,14 @@
+"""How a texture is cut into tiles; light enough for the Snakefile to import."""
+
+
+def tile_rows(height: int, width: int, tile_texels: int) -> list[tuple[int, int]]:
+    """Return the first and last-plus-one texture row of each tile.
+
+    Parameters
+    ----------
+    height, width : int, texels
+    tile_texels : int
+        Upper bound on the texels of a tile; a tile has at least one row.
+    """
+    rows = max(1, min(height, tile_texels // width))
+    return [(start, min(start + rows, height)) for start in range(0, height, rows)]

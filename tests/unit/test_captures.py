@@ -1,0 +1,229 @@
+"""Tables of photographs: round trip, every fault with its place, nothing but InputError for any bytes."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from irodori.captures import (
+    COLUMNS,
+    FILTERS,
+    ROLES,
+    Pose,
+    Shot,
+    expand_poses,
+    read_captures,
+    shot_path,
+    write_captures,
+)
+from irodori.errors import InputError
+
+HEADER = ",".join(COLUMNS)
+GOOD = "a.dng,object,45,20,0,0,out,0.02"
+
+_FILE = st.text(st.characters(min_codepoint=32, exclude_categories=("Cs", "Cc")), min_size=1, max_size=20)
+_TENTHS = st.integers(-3600, 3600).map(lambda tenths: tenths / 10)
+_SHOT = st.builds(
+    Shot,
+    file=_FILE.filter(lambda text: text.strip()),
+    role=st.sampled_from(ROLES),
+    pose=st.builds(Pose, _TENTHS, _TENTHS, _TENTHS, _TENTHS),
+    filter=st.sampled_from(FILTERS),
+    exposure_s=st.floats(1e-6, 3600),
+)
+
+
+def write(folder: Path, *lines: str) -> Path:
+    path = folder / "captures.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def refused(folder: Path, *lines: str) -> InputError:
+    with pytest.raises(InputError) as caught:
+        read_captures(write(folder, *lines))
+    return caught.value
+
+
+def test_pose_name_is_in_tenths_of_a_degree():
+    assert Pose(45.0, 20.0).name == "l0450-c0200-t000-r0000"
+    assert Pose(125.0, 140.0, 45.0, 359.5).name == "l1250-c1400-t450-r3595"
+    assert Pose(0.1 + 0.2, 0.0).name == Pose(0.3, 0.0).name
+
+
+def test_a_shot_of_an_object_belongs_to_its_pose_and_any_other_to_its_role():
+    pose = Pose(45.0, 0.0)
+    assert Shot("a.dng", "object", pose, "out", 0.02).capture == pose.name
+    assert Shot("a.dng", "chart", pose, "out", 0.02).capture == "chart"
+
+
+def test_expand_poses_multiplies_within_a_group_and_keeps_the_order():
+    groups = [{"light_deg": [45.0, 60.0], "camera_deg": [0.0, 10.0]},
+              {"light_deg": [35.0], "camera_deg": [5.0], "tilt_deg": [20.0], "turn_deg": [0.0, 90.0]},
+              ]  # fmt: skip
+    assert expand_poses(groups) == [
+        Pose(45.0, 0.0), Pose(45.0, 10.0), Pose(60.0, 0.0), Pose(60.0, 10.0),
+        Pose(35.0, 5.0, 20.0, 0.0), Pose(35.0, 5.0, 20.0, 90.0),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("second", [45.0, 45.01])
+def test_expand_poses_refuses_a_pose_twice(second):
+    groups = [{"light_deg": [45.0], "camera_deg": [0.0]}, {"light_deg": [second], "camera_deg": [0.0]}]
+    with pytest.raises(ValueError, match="l0450-c0000-t000-r0000 twice"):
+        expand_poses(groups)
+
+
+@settings(deadline=None)
+@given(shots=st.lists(_SHOT, min_size=1, max_size=8))
+def test_what_is_written_is_read_back(tmp_path_factory, shots):
+    if len({os.path.normpath(shot.file) for shot in shots}) < len(shots):
+        return
+    if len({(shot.capture, shot.filter, shot.exposure_s) for shot in shots}) < len(shots):
+        return
+    path = tmp_path_factory.mktemp("round") / "captures.csv"
+    write_captures(path, shots)
+    assert read_captures(path) == shots
+
+
+@settings(deadline=None, max_examples=300)
+@given(content=st.binary(max_size=300) | st.binary(max_size=200).map(lambda b: f"{HEADER}\n{GOOD}\n".encode() + b))
+def test_any_bytes_give_shots_or_an_input_error(tmp_path_factory, content):
+    path = tmp_path_factory.mktemp("fuzz") / "captures.csv"
+    path.write_bytes(content)
+    try:
+        shots = read_captures(path)
+    except InputError as error:
+        assert error.file == str(path)
+    else:
+        assert shots and all(isinstance(shot, Shot) for shot in shots)
+
+
+@settings(deadline=None, max_examples=300)
+@given(cells=st.lists(st.text(max_size=12) | st.sampled_from(["object", "chart", "in", "1e308", "-0"]),
+                      min_size=8, max_size=8))  # fmt: skip
+def test_any_cells_give_shots_or_an_input_error(tmp_path_factory, cells):
+    path = tmp_path_factory.mktemp("fuzz") / "captures.csv"
+    path.write_text(f"{HEADER}\n{','.join(cells)}\n", encoding="utf-8", errors="replace", newline="")
+    try:
+        read_captures(path, path.parent)
+    except InputError as error:
+        assert error.found and error.accepted
+
+
+@pytest.mark.parametrize("bom", [b"", b"\xef\xbb\xbf"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_what_spreadsheets_write_is_read(tmp_path, bom, end):
+    path = tmp_path / "captures.csv"
+    path.write_bytes(bom + (end.join([HEADER, GOOD, "", ",,,,,,,", ""])).encode())
+    assert read_captures(path) == [Shot("a.dng", "object", Pose(45.0, 20.0), "out", 0.02)]
+
+
+def test_optional_columns_and_another_order(tmp_path):
+    path = write(tmp_path, "exposure_s, filter ,role,file,camera_deg,light_deg,sha256",
+                 "0.02, out , chart ,a b.dng,0,45,00ff")  # fmt: skip
+    assert read_captures(path) == [Shot("a b.dng", "chart", Pose(45.0, 0.0), "out", 0.02)]
+
+
+def test_bracket_and_averaged_frames_are_accepted(tmp_path):
+    rows = ["a.dng,object,45,0,0,0,out,0.02", "b.dng,object,45,0,0,0,out,0.2",
+            "c.dng,object,45,0,0,0,in,0.02",
+            "d.dng,dark,0,0,0,0,out,0.2", "e.dng,dark,0,0,0,0,out,0.2", "f.dng,white,45,0,0,0,in,0.1",
+            "g.dng,white,45,0,0,0,in,0.1"]  # fmt: skip
+    assert len(read_captures(write(tmp_path, HEADER, *rows))) == len(rows)
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "found"),
+    [
+        ("a.dng,objekt,45,20,0,0,out,0.02", "role", "'objekt'"),
+        ("a.dng,object,45,20,0,0,off,0.02", "filter", "'off'"),
+        ("a.dng,object,high,20,0,0,out,0.02", "light_deg", "'high'"),
+        ("a.dng,object,,20,0,0,out,0.02", "light_deg", "''"),
+        ("a.dng,object,45,nan,0,0,out,0.02", "camera_deg", "'nan'"),
+        ("a.dng,object,45,20,inf,0,out,0.02", "tilt_deg", "'inf'"),
+        ("a.dng,object,45,20,0,1e9,out,0.02", "turn_deg", "1e9"),
+        ("a.dng,object,45,20,0,0,out,0", "exposure_s", "0"),
+        ("a.dng,object,45,20,0,0,out,-1", "exposure_s", "-1"),
+        ("a.dng,object,45,20,0,0,out,1/60", "exposure_s", "'1/60'"),
+        (" ,object,45,20,0,0,out,0.02", "file", "' '"),
+        ("b.dng,object,45,20,0,0,out,0.02", "exposure_s", "of line 2"),
+        ("./first.dng,object,45,20,0,0,out,0.5", "file", "again, as in line 2"),
+        ("b.dng,object,45.01,20,0,0,in,0.02", "light_deg", "less than 0.1 degrees"),
+    ],
+)
+def test_a_fault_in_a_row_names_line_and_column(tmp_path, row, column, found):
+    error = refused(tmp_path, HEADER, GOOD.replace("a.dng", "first.dng"), row)
+    assert error.field == f"line 3, {column}"
+    assert found in error.found
+
+
+def test_suggestions_for_a_role_and_a_column(tmp_path):
+    assert "did you mean 'object'?" in refused(tmp_path, HEADER, GOOD.replace("object", "objekt")).accepted
+    error = refused(tmp_path, HEADER.replace("exposure_s", "exposure"), GOOD)
+    assert error.field == "line 1, exposure" and "did you mean 'exposure_s'?" in error.accepted
+
+
+@pytest.mark.parametrize(
+    ("lines", "field", "found"),
+    [
+        ([""], "", "an empty file"),
+        ([HEADER], "", "without photographs"),
+        ([HEADER.replace("camera_deg,", ""), GOOD], "line 1, camera_deg", "no such column"),
+        ([HEADER + ",file", GOOD + ",b"], "line 1, file", "twice"),
+        ([HEADER, "a.dng,object,45"], "line 2", "3 cells"),
+        ([HEADER, GOOD + ",x"], "line 2", "9 cells"),
+        ([HEADER, '"a.dng,object'], "line 2", "unexpected end"),
+    ],
+)
+def test_a_fault_of_the_table(tmp_path, lines, field, found):
+    error = refused(tmp_path, *lines)
+    assert error.field == field
+    assert found in error.found
+
+
+def test_a_table_that_cannot_be_read(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        read_captures(tmp_path / "absent.csv")
+    with pytest.raises(InputError):
+        read_captures(tmp_path)
+    path = tmp_path / "captures.csv"
+    path.write_bytes(f"{HEADER}\n{GOOD}\n".encode("utf-16"))
+    with pytest.raises(InputError, match="not UTF-8"):
+        read_captures(path)
+
+
+def test_with_a_folder_each_file_must_hold_something(tmp_path):
+    path = write(tmp_path, HEADER, GOOD)
+    with pytest.raises(InputError, match=r"line 2, file: found no such file: .*a\.dng"):
+        read_captures(path, tmp_path)
+    (tmp_path / "a.dng").touch()
+    with pytest.raises(InputError, match=r"line 2, file: found an empty file: .*a\.dng"):
+        read_captures(path, tmp_path)
+    (tmp_path / "a.dng").write_bytes(b"raw")
+    assert len(read_captures(path, tmp_path)) == 1
+
+
+def test_shot_path_is_beside_the_table_unless_a_folder_is_given():
+    shot = Shot("a.dng", "chart", Pose(45.0, 0.0), "out", 0.02)
+    assert shot_path(shot, "x/captures.csv") == Path("x/a.dng")
+    assert shot_path(shot, "x/captures.csv", "raw") == Path("raw/a.dng")
+
+
+def test_the_digest_column(tmp_path):
+    shot = Shot("a.dng", "chart", Pose(45.0, 0.0), "out", 0.02)
+    path = tmp_path / "captures.csv"
+    write_captures(path, [shot], {"a.dng": "00ff"})
+    assert path.read_text().splitlines() == [HEADER + ",sha256", "a.dng,chart,45.0,0.0,0.0,0.0,out,0.02,00ff"]
+    assert read_captures(path) == [shot]
+
+
+def test_a_write_that_fails_leaves_the_old_table_and_nothing_else(tmp_path):
+    path = write(tmp_path, HEADER, GOOD)
+    before = path.read_bytes()
+    with pytest.raises(KeyError):
+        write_captures(path, [Shot("b.dng", "chart", Pose(45.0, 0.0), "out", 0.02)], {})
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["captures.csv"]

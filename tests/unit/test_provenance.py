@@ -1,0 +1,111 @@
+"""Hashes change with what they stand for, and with nothing else."""
+
+import hashlib
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from irodori.provenance import code_hash, config_hash, file_sha256, local_sources
+
+_JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=8,
+)
+
+SOURCES = {
+    "__init__.py": "",
+    "alone.py": "import json\nimport packaging\n",
+    "leaf.py": "VALUE = 1\n",
+    "middle.py": "from pkg import leaf\n",
+    "stage.py": "def late():\n    import pkg.middle\n",
+    "loop.py": "import pkg.knot\n",
+    "knot.py": "from pkg.loop import *\n",
+    "sub/__init__.py": "from . import inner\n",
+    "sub/inner.py": "from ..leaf import VALUE\n",
+    "sub/deep/core.py": "from .. import inner as other\nfrom . import sibling\n",
+    "sub/deep/sibling.py": "",
+    "named.py": "from pkg.sub import inner\n",
+}
+
+
+@pytest.fixture
+def root(tmp_path):
+    for name, text in SOURCES.items():
+        path = tmp_path / "pkg" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    code_hash.cache_clear()
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("module", "wanted"),
+    [
+        ("pkg.alone", {"pkg", "pkg.alone"}),
+        ("pkg.stage", {"pkg", "pkg.stage", "pkg.middle", "pkg.leaf"}),
+        ("pkg.loop", {"pkg", "pkg.loop", "pkg.knot"}),
+        ("pkg.sub", {"pkg", "pkg.sub", "pkg.sub.inner", "pkg.leaf"}),
+        ("pkg.named", {"pkg", "pkg.named", "pkg.sub", "pkg.sub.inner", "pkg.leaf"}),
+        # pkg.sub.deep has no __init__, so that it adds no source of its own.
+        ("pkg.sub.deep.core", {"pkg", "pkg.sub", "pkg.sub.inner", "pkg.leaf", "pkg.sub.deep.core",
+                               "pkg.sub.deep.sibling"}),
+    ],
+)  # fmt: skip
+def test_local_imports_are_followed(root, module, wanted):
+    assert set(local_sources(module, root)) == wanted
+
+
+def test_an_edit_changes_the_hash_of_those_who_import_it(root):
+    before = {name: code_hash(f"pkg.{name}", root) for name in ("alone", "stage", "named")}
+    (root / "pkg" / "leaf.py").write_text("VALUE = 2\n")
+    code_hash.cache_clear()
+    after = {name: code_hash(f"pkg.{name}", root) for name in before}
+    assert before["alone"] == after["alone"]
+    assert before["stage"] != after["stage"] and before["named"] != after["named"]
+
+
+def test_code_hash_is_short_hexadecimal_and_imports_nothing(root):
+    digest = code_hash("pkg.stage", root)
+    assert len(digest) == 16 and int(digest, 16) >= 0
+    assert "pkg" not in sys.modules
+
+
+def test_an_unknown_module_lists_the_known_ones(root):
+    with pytest.raises(ValueError, match=r"no module 'pkg\.lief'; modules: pkg, pkg\.alone, "):
+        code_hash("pkg.lief", root)
+
+
+def test_the_package_itself():
+    sources = local_sources("irodori.config")
+    assert {"irodori", "irodori.captures", "irodori.errors", "irodori.validation"} <= set(sources)
+
+
+@given(value=_JSON)
+def test_config_hash_is_a_function_of_the_content(value):
+    assert config_hash(value) == config_hash(value)
+    assert config_hash({"a": value}) != config_hash({"b": value})
+
+
+def test_config_hash_ignores_what_makes_no_difference():
+    assert config_hash({"a": 45, "b": (1, 2)}) == config_hash({"b": [1.0, 2.0], "a": 45.0})
+    assert config_hash({"a": 1}) != config_hash({"a": True})
+    assert config_hash({"a": 1.5}) != config_hash({"a": "1.5"})
+
+
+@pytest.mark.parametrize(("value", "error"), [(float("nan"), ValueError), ({1: 2}, TypeError), (b"x", TypeError)])
+def test_config_hash_refuses_what_json_cannot_hold(value, error):
+    with pytest.raises(error):
+        config_hash({"a": value})
+
+
+def test_file_sha256(tmp_path):
+    path = tmp_path / "raw"
+    path.write_bytes(b"\0\1" * 1000)
+    assert file_sha256(path) == hashlib.sha256(b"\0\1" * 1000).hexdigest()
+    path.write_bytes(b"")
+    assert file_sha256(path) == hashlib.sha256(b"").hexdigest()
+    with pytest.raises(OSError):
+        file_sha256(tmp_path / "absent")

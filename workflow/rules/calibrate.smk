@@ -1,0 +1,33 @@
+rule calibrate:
+    input:
+        calibrations,
+
+
+rule calibrate_camera:
+    input:
+        linear="results/cameras/{camera}/linear/chart.h5",
+    output:
+        calibration="results/cameras/{camera}/calibration.h5",
+        errors=report(
+            "results/cameras/{camera}/calibration_errors.csv",
+            caption="../report/calibration_errors.rst",
+            category="Calibration",
+            labels={"camera": "{camera}"},
+        ),
+    log:
+        "results/logs/calibrate_camera/{camera}.log",
+    benchmark:
+        "results/benchmarks/calibrate_camera/{camera}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=1000,
+    params:
+        chart=lookup(within=config, dpath="cameras/{camera}/chart"),
+        calibration=lookup(within=config, dpath="cameras/{camera}/calibration"),
+        light=of_rig("light/spectrum"),
+        lights=lookup(within=config, dpath="report/lights"),
+        code=code_hash("irodori.calibration"),
+    script:
+        "../scripts/calibrate_camera.py"

@@ -1,0 +1,147 @@
+from irodori.captures import read_captures
+from irodori.config import captures_of, is_virtual, load_definitions
+from irodori.errors import InputError
+from irodori.provenance import code_hash
+from irodori.tiles import tile_rows
+
+try:
+    config.update(load_definitions(config, Path()))
+    CAPTURES = {
+        kind: {name: captures_of(config, kind, name) for name in config[kind]}
+        for kind in ("objects", "cameras", "environments")
+    }
+except InputError as error:
+    raise WorkflowError(str(error)) from None
+
+FOLDER = {"objects": "results", "cameras": "results/cameras", "environments": "results/environments"}
+SET_OF = {"object": "objects", "camera": "cameras", "environment": "environments"}
+
+
+def capture_set(wildcards):
+    """Return kind and name of the set of captures that a job's wildcards name."""
+    return next((kind, getattr(wildcards, key)) for key, kind in SET_OF.items() if hasattr(wildcards, key))
+
+
+def captures_table(wildcards):
+    """Return the capture table of a set: the virtual rig's, or the user's own."""
+    kind, name = capture_set(wildcards)
+    if is_virtual(config, kind, name):
+        return f"{FOLDER[kind]}/{name}/captures/captures.csv"
+    return config[kind][name]["captures"]["table"]
+
+
+def captures_folder(wildcards):
+    """Return the folder of a set's RAW files."""
+    kind, name = capture_set(wildcards)
+    own = {} if is_virtual(config, kind, name) else config[kind][name]["captures"]
+    return own.get("folder") or str(Path(captures_table(wildcards)).parent)
+
+
+def raw_files(wildcards):
+    """Return a user's RAW files; those of the virtual rig stand in its capture table with their hashes."""
+    kind, name = capture_set(wildcards)
+    if is_virtual(config, kind, name):
+        return []
+    shots = read_captures(captures_table(wildcards), captures_folder(wildcards))
+    return [f"{captures_folder(wildcards)}/{shot.file}" for shot in shots]
+
+
+def checked_table(wildcards):
+    """Return the table of a set after every file of it was decoded once."""
+    kind, name = capture_set(wildcards)
+    return f"{FOLDER[kind]}/{name}/captures.csv"
+
+
+def camera_of(wildcards):
+    """Return the camera of a set of captures."""
+    kind, name = capture_set(wildcards)
+    return name if kind == "cameras" else config[kind][name]["camera"]
+
+
+def rig_of(wildcards):
+    """Return the rig of a set of captures."""
+    return config["cameras"][camera_of(wildcards)]["rig"]
+
+
+def of_camera(dpath, default=None):
+    """Return a function from wildcards to a value of the set's camera."""
+    return lambda wildcards: lookup(within=config["cameras"][camera_of(wildcards)], dpath=dpath, default=default)
+
+
+def of_rig(dpath):
+    """Return a function from wildcards to a value of the set's rig."""
+    return lambda wildcards: lookup(within=config["rigs"][rig_of(wildcards)], dpath=dpath)
+
+
+def definition_of(kind):
+    """Return a function from wildcards to the whole camera or rig definition; for the virtual rig alone."""
+    name = {"cameras": camera_of, "rigs": rig_of}[kind]
+    return lambda wildcards: config[kind][name(wildcards)]
+
+
+def camera_file(pattern):
+    """Return a function from wildcards to a file of the set's camera."""
+    return lambda wildcards: pattern.format(camera=camera_of(wildcards))
+
+
+def photographed(wildcards):
+    """Return the parts of an object's definition that a photograph depends on."""
+    parts = ("shape", "refractive_index", "mirror_weight", "poses", "exposure_s", "virtual")
+    return {key: config["objects"][wildcards.object][key] for key in parts}
+
+
+def tiles_of(wildcards):
+    """Return the texture rows of every tile of an object."""
+    texels = config["objects"][wildcards.object]["texels"]
+    return tile_rows(texels["height"], texels["width"], config["rectify"]["tile_texels"])
+
+
+def tile_numbers(wildcards):
+    """Return the names of an object's tiles."""
+    return [f"{number:03d}" for number in range(len(tiles_of(wildcards)))]
+
+
+def scene_objects(wildcards):
+    """Return the objects of a scene, in its order."""
+    return [item["object"] for item in config["scenes"][wildcards.scene]["objects"]]
+
+
+def scene_materials(pattern):
+    """Return a function from wildcards to a file of every object of the scene."""
+    return lambda wildcards: [pattern.format(object=name) for name in scene_objects(wildcards)]
+
+
+def scene_environment(wildcards):
+    """Return the file of a scene's light."""
+    return f"results/environments/{config['scenes'][wildcards.scene]['environment']}.h5"
+
+
+def scene_shapes(wildcards):
+    """Return the shapes of a scene's objects."""
+    return [config["objects"][name]["shape"] for name in scene_objects(wildcards)]
+
+
+def virtual(kind):
+    """Return the names of a kind whose ground truth is known."""
+    return [name for name in config[kind] if is_virtual(config, kind, name)]
+
+
+def views(pattern, virtual_only=False):
+    """Return a pattern filled for every view of every scene, or of those whose objects' truth is known."""
+    known = set(virtual("objects"))
+    return [
+        pattern.format(scene=scene, view=view, environment=definition["environment"])
+        for scene, definition in config["scenes"].items()
+        for view in definition["views"]
+        if not virtual_only or known.issuperset(item["object"] for item in definition["objects"])
+    ]
+
+
+def pictures(wildcards):
+    """Return the pictures to make."""
+    return views("results/{scene}/{view}.png") + views("results/{scene}/{view}.exr")
+
+
+def calibrations(wildcards):
+    """Return the calibrations to make."""
+    return [f"results/cameras/{name}/calibration.h5" for name in config["cameras"]]

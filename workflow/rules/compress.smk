@@ -1,0 +1,26 @@
+rule compress_reflectance:
+    input:
+        tiles=lambda wildcards: expand(
+            "results/{object}/brdf/tile-{tile}.h5", object=wildcards.object, tile=tile_numbers(wildcards)
+        ),
+        calibration=camera_file("results/cameras/{camera}/calibration.h5"),
+    output:
+        material="results/{object}/material.h5",
+    log:
+        "results/logs/compress_reflectance/{object}.log",
+    benchmark:
+        "results/benchmarks/compress_reflectance/{object}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=2000,
+    params:
+        texels=lookup(within=config, dpath="objects/{object}/texels"),
+        refractive_index=lookup(within=config, dpath="objects/{object}/refractive_index"),
+        mirror_weight=lookup(within=config, dpath="objects/{object}/mirror_weight"),
+        compress=lookup(within=config, dpath="compress"),
+        lights=lookup(within=config, dpath="report/lights"),
+        code=code_hash("irodori.compression"),
+    script:
+        "../scripts/compress_reflectance.py"

@@ -1,0 +1,20 @@
+rule prepare_environment:
+    input:
+        linear="results/environments/{environment}/linear/environment.h5",
+        calibration=camera_file("results/cameras/{camera}/calibration.h5"),
+    output:
+        environment="results/environments/{environment}.h5",
+    log:
+        "results/logs/prepare_environment/{environment}.log",
+    benchmark:
+        "results/benchmarks/prepare_environment/{environment}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 2
+    resources:
+        mem_mb=2500,
+    params:
+        compress=lookup(within=config, dpath="environment"),
+        code=code_hash("irodori.environment"),
+    script:
+        "../scripts/prepare_environment.py"

@@ -1,0 +1,20 @@
+rule fit_brdf:
+    input:
+        observations="results/{object}/observations/tile-{tile}.h5",
+    output:
+        brdf="results/{object}/brdf/tile-{tile}.h5",
+    log:
+        "results/logs/fit_brdf/{object}_{tile}.log",
+    benchmark:
+        "results/benchmarks/fit_brdf/{object}_{tile}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 2
+    resources:
+        mem_mb=2000,
+    params:
+        fit=lookup(within=config, dpath="fit"),
+        refractive_index=lookup(within=config, dpath="objects/{object}/refractive_index"),
+        code=code_hash("irodori.fitting.stage"),
+    script:
+        "../scripts/fit_brdf.py"

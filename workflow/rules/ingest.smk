@@ -1,0 +1,104 @@
+rule check_captures:
+    input:
+        table=captures_table,
+        raw=raw_files,
+    output:
+        table="results/{object}/captures.csv",
+    log:
+        "results/logs/check_captures/{object}.log",
+    benchmark:
+        "results/benchmarks/check_captures/{object}.tsv"
+    # A broken file is found before any long work starts.
+    priority: 100
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=1500,
+    params:
+        folder=captures_folder,
+        code=code_hash("irodori.raw"),
+    script:
+        "../scripts/check_captures.py"
+
+
+use rule check_captures as check_camera_captures with:
+    output:
+        table="results/cameras/{camera}/captures.csv",
+    log:
+        "results/logs/check_captures/cameras-{camera}.log",
+    benchmark:
+        "results/benchmarks/check_captures/cameras-{camera}.tsv"
+
+
+use rule check_captures as check_environment_captures with:
+    output:
+        table="results/environments/{environment}/captures.csv",
+    log:
+        "results/logs/check_captures/environments-{environment}.log",
+    benchmark:
+        "results/benchmarks/check_captures/environments-{environment}.tsv"
+
+
+rule ingest_reference:
+    input:
+        table="results/cameras/{camera}/captures.csv",
+    output:
+        reference="results/cameras/{camera}/reference.h5",
+    log:
+        "results/logs/ingest_reference/{camera}.log",
+    benchmark:
+        "results/benchmarks/ingest_reference/{camera}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=2500,
+    params:
+        folder=captures_folder,
+        saturation=lookup(within=config, dpath="ingest/saturation"),
+        white_reflectance=of_camera("white/reflectance_factor", default=1.0),
+        code=code_hash("irodori.raw"),
+    script:
+        "../scripts/ingest_reference.py"
+
+
+rule ingest_raw:
+    input:
+        table=checked_table,
+        reference=camera_file("results/cameras/{camera}/reference.h5"),
+    output:
+        linear="results/{object}/linear/{capture}.h5",
+    log:
+        "results/logs/ingest_raw/{object}_{capture}.log",
+    benchmark:
+        "results/benchmarks/ingest_raw/{object}_{capture}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=1500,
+    params:
+        folder=captures_folder,
+        saturation=lookup(within=config, dpath="ingest/saturation"),
+        code=code_hash("irodori.raw"),
+    script:
+        "../scripts/ingest_raw.py"
+
+
+use rule ingest_raw as ingest_chart with:
+    output:
+        linear="results/cameras/{camera}/linear/{capture}.h5",
+    log:
+        "results/logs/ingest_raw/cameras-{camera}_{capture}.log",
+    benchmark:
+        "results/benchmarks/ingest_raw/cameras-{camera}_{capture}.tsv"
+
+
+use rule ingest_raw as ingest_environment with:
+    output:
+        linear="results/environments/{environment}/linear/{capture}.h5",
+    log:
+        "results/logs/ingest_raw/environments-{environment}_{capture}.log",
+    benchmark:
+        "results/benchmarks/ingest_raw/environments-{environment}_{capture}.tsv"

@@ -1,0 +1,29 @@
+rule rectify_object:
+    input:
+        linear=lambda wildcards: expand(
+            "results/{object}/linear/{capture}.h5",
+            object=wildcards.object,
+            capture=CAPTURES["objects"][wildcards.object],
+        ),
+    output:
+        observations="results/{object}/observations/tile-{tile}.h5",
+    log:
+        "results/logs/rectify_object/{object}_{tile}.log",
+    benchmark:
+        "results/benchmarks/rectify_object/{object}_{tile}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=2000,
+    params:
+        shape=lookup(within=config, dpath="objects/{object}/shape"),
+        texels=lookup(within=config, dpath="objects/{object}/texels"),
+        rows=lambda wildcards: tiles_of(wildcards)[int(wildcards.tile)],
+        optics=of_camera("optics"),
+        camera_distance_mm=of_rig("camera_distance_mm"),
+        table_radius_mm=of_rig("table_radius_mm"),
+        max_angle_deg=lookup(within=config, dpath="rectify/max_angle_deg"),
+        code=code_hash("irodori.rectification"),
+    script:
+        "../scripts/rectify_object.py"

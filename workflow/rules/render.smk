@@ -1,0 +1,44 @@
+rule render_view:
+    input:
+        materials=scene_materials("results/{object}/material.h5"),
+        environment=scene_environment,
+    output:
+        exr="results/{scene}/{view}.exr",
+        png=report(
+            "results/{scene}/{view}.png",
+            caption="../report/view.rst",
+            category="Pictures",
+            labels={"scene": "{scene}", "view": "{view}"},
+        ),
+        figures="results/{scene}/{view}.json",
+    log:
+        "results/logs/render_view/{scene}_{view}.log",
+    benchmark:
+        "results/benchmarks/render_view/{scene}_{view}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 2
+    resources:
+        mem_mb=3000,
+    params:
+        scene=lookup(within=config, dpath="scenes/{scene}"),
+        shapes=scene_shapes,
+        render=lookup(within=config, dpath="render"),
+        code=code_hash("irodori.rendering.stage"),
+    script:
+        "../scripts/render_view.py"
+
+
+# The same view from the true materials, for the report alone.
+use rule render_view as render_truth with:
+    input:
+        materials=scene_materials("results/{object}/truth.h5"),
+        environment=scene_environment,
+    output:
+        exr="results/{scene}/truth/{view}.exr",
+        png="results/{scene}/truth/{view}.png",
+        figures="results/{scene}/truth/{view}.json",
+    log:
+        "results/logs/render_truth/{scene}_{view}.log",
+    benchmark:
+        "results/benchmarks/render_truth/{scene}_{view}.tsv"

@@ -1,0 +1,104 @@
+rule write_truth:
+    output:
+        truth="results/{object}/truth.h5",
+    log:
+        "results/logs/write_truth/{object}.log",
+    benchmark:
+        "results/benchmarks/write_truth/{object}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=1000,
+    params:
+        definition=lookup(within=config, dpath="objects/{object}"),
+        camera=definition_of("cameras"),
+        rig=definition_of("rigs"),
+        code=code_hash("irodori.rig.truth"),
+    script:
+        "../scripts/write_truth.py"
+
+
+rule write_true_environment:
+    output:
+        truth="results/environments/{environment}/truth.h5",
+    log:
+        "results/logs/write_true_environment/{environment}.log",
+    benchmark:
+        "results/benchmarks/write_true_environment/{environment}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=1500,
+    params:
+        definition=lookup(within=config, dpath="environments/{environment}"),
+        rig=definition_of("rigs"),
+        irradiance=lookup(within=config, dpath="environment/irradiance"),
+        code=code_hash("irodori.rig.truth"),
+    script:
+        "../scripts/write_true_environment.py"
+
+
+rule measure_errors:
+    input:
+        materials=expand("results/{object}/material.h5", object=virtual("objects")),
+        true_materials=expand("results/{object}/truth.h5", object=virtual("objects")),
+        environments=expand("results/environments/{environment}.h5", environment=virtual("environments")),
+        true_environments=expand("results/environments/{environment}/truth.h5", environment=virtual("environments")),
+        calibrations=expand("results/cameras/{camera}/calibration.h5", camera=config["cameras"]),
+        views=views("results/{scene}/{view}.exr", virtual_only=True),
+        true_views=views("results/{scene}/truth/{view}.exr", virtual_only=True),
+    output:
+        errors=report("results/errors.csv", caption="../report/errors.rst", category="Errors"),
+    log:
+        "results/logs/measure_errors/all.log",
+    benchmark:
+        "results/benchmarks/measure_errors/all.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=3000,
+    params:
+        objects=virtual("objects"),
+        environments=virtual("environments"),
+        cameras=list(config["cameras"]),
+        views=views("{scene}/{view}", virtual_only=True),
+        view_environments=views("{environment}", virtual_only=True),
+        lights=lookup(within=config, dpath="report/lights"),
+        code=code_hash("irodori.report.errors"),
+    script:
+        "../scripts/measure_errors.py"
+
+
+rule write_report:
+    input:
+        errors="results/errors.csv",
+        materials=expand("results/{object}/material.h5", object=config["objects"]),
+        true_materials=expand("results/{object}/truth.h5", object=virtual("objects")),
+        calibration_errors=expand("results/cameras/{camera}/calibration_errors.csv", camera=config["cameras"]),
+        pictures=views("results/{scene}/{view}.png"),
+        figures=views("results/{scene}/{view}.json"),
+        true_pictures=views("results/{scene}/truth/{view}.png", virtual_only=True),
+    output:
+        page=report("results/report.html", caption="../report/report.rst", category="Errors"),
+    log:
+        "results/logs/write_report/all.log",
+    benchmark:
+        "results/benchmarks/write_report/all.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=2000,
+    params:
+        objects=list(config["objects"]),
+        virtual_objects=virtual("objects"),
+        cameras=list(config["cameras"]),
+        views=views("{scene}/{view}"),
+        virtual_views=views("{scene}/{view}", virtual_only=True),
+        benchmarks="results/benchmarks",
+        code=code_hash("irodori.report.page"),
+    script:
+        "../scripts/write_report.py"

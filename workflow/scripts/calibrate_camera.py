@@ -1,0 +1,13 @@
+from irodori.calibration import calibrate_camera
+from irodori.rules import run_rule
+
+with run_rule(snakemake) as provenance:
+    calibrate_camera(
+        snakemake.input.linear,
+        {"chart": snakemake.params.chart, "calibration": snakemake.params.calibration},
+        snakemake.params.light,
+        snakemake.output.calibration,
+        snakemake.output.errors,
+        provenance,
+        snakemake.params.lights,
+    )

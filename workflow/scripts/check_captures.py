@@ -1,0 +1,5 @@
+from irodori.raw import check_captures
+from irodori.rules import run_rule
+
+with run_rule(snakemake):
+    check_captures(snakemake.input.table, snakemake.params.folder, snakemake.output.table)
