@@ -1,11 +1,11 @@
 """What no schema sees: that definitions agree with each other, and that the files they name are there."""
 
-import csv
 import math
 from pathlib import Path
 
 from irodori.captures import Shot, expand_poses, read_captures
 from irodori.errors import InputError
+from irodori.tables import column_table, index_table, wide_table
 from irodori.validation import dotted
 
 #: Keys whose value is either a published name or the path of a file.
@@ -116,8 +116,12 @@ class _Checks:
             shots = self._check_table(definition, file, "object")
             self._check_object_shots(shots, camera["rig"], definition["captures"]["table"])
         self._check_poses(definition.get("poses", []), camera["rig"], file)
-        if "file" in definition["refractive_index"]:
-            _check_index_table(definition["refractive_index"]["file"], self.root, file)
+        if index := definition["refractive_index"].get("file"):
+            if not (self.root / index).is_file():
+                raise InputError(
+                    file, "refractive_index.file", f"no such file: {index}", "a CSV of wavelength_nm, n, k"
+                )
+            index_table(self.root / index)
         _check_named_files(definition, (), self.root, file)
 
     def scene(self, name: str) -> None:
@@ -210,7 +214,7 @@ def _check_bounds(config: dict, file) -> None:
 
 
 def _check_named_files(value, path: tuple, root: Path, file) -> None:
-    """Refuse a spectrum that looks like a path where no file stands there."""
+    """Refuse a spectrum that looks like a path where no whole table of spectra stands there."""
     if isinstance(value, dict):
         for key, item in value.items():
             _check_named_files(item, (*path, key), root, file)
@@ -218,37 +222,11 @@ def _check_named_files(value, path: tuple, root: Path, file) -> None:
         for index, item in enumerate(value):
             _check_named_files(item, (*path, index), root, file)
     # The last key, or that of the list which the value stands in.
-    elif any(key in _NAME_OR_PATH for key in path[-2:]) and _is_path(value) and not (root / value).is_file():
-        raise InputError(file, dotted(path), f"no such file: {value}", "the path of a file, or a published name")
+    elif any(key in _NAME_OR_PATH for key in path[-2:]) and _is_path(value):
+        if not (root / value).is_file():
+            raise InputError(file, dotted(path), f"no such file: {value}", "the path of a file, or a published name")
+        (column_table if "sensitivities" in path else wide_table)(root / value)
 
 
 def _is_path(text) -> bool:
     return isinstance(text, str) and (text.lower().endswith(_FILE_SUFFIXES) or "/" in text or "\\" in text)
-
-
-def _check_index_table(name: str, root: Path, file) -> None:
-    """Refuse a table of n and k that cannot be used on the grid 400 to 700 nm."""
-    field = "refractive_index.file"
-    try:
-        rows = list(csv.reader((root / name).read_text(encoding="utf-8-sig").splitlines()))
-    except (OSError, ValueError, csv.Error) as error:
-        found = f"no such file: {name}" if isinstance(error, FileNotFoundError) else f"{name}: {error}"
-        raise InputError(file, field, found, "a CSV of wavelength_nm, n, k") from None
-    if not rows or [cell.strip() for cell in rows[0]] != ["wavelength_nm", "n", "k"]:
-        raise InputError(name, "line 1", ",".join(rows[0]) if rows else "nothing", "the header wavelength_nm,n,k")
-    last = -math.inf
-    samples = []
-    for line, cells in enumerate(rows[1:], start=2):
-        if not any(cell.strip() for cell in cells):
-            continue
-        try:
-            wavelength, n, k = map(float, cells)
-        except ValueError:
-            raise InputError(name, f"line {line}", ",".join(cells), "three numbers") from None
-        if not (wavelength > last and 0 < n < math.inf and 0 <= k < math.inf and wavelength < math.inf):
-            raise InputError(name, f"line {line}", ",".join(cells), "increasing wavelengths, n above 0, k from 0")
-        last = wavelength
-        samples.append(wavelength)
-    if not samples or samples[0] > 400 or samples[-1] < 700:
-        found = f"{samples[0]:g} to {samples[-1]:g} nm" if samples else "no wavelengths"
-        raise InputError(name, "wavelength_nm", found, "wavelengths that cover 400 to 700 nm")

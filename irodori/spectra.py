@@ -3,13 +3,13 @@
 Every spectral array of the package has the wavelength on its last axis: 61 samples, 400..700 nm, step 5 nm.
 """
 
-import csv
 import re
 from pathlib import Path
 
 import numpy as np
 
 from irodori.errors import InputError
+from irodori.tables import MAX_GAP_NM, MAX_INDEX_GAP_NM, check_wavelengths, column_table, index_table, wide_table
 
 WAVELENGTH_NM = np.arange(400.0, 701.0, 5.0)
 SAMPLES = WAVELENGTH_NM.size
@@ -22,7 +22,9 @@ _TCS_NAME = re.compile(r"TCS(\d{1,2})")
 _PATCH_NAME = re.compile(r"[A-Z]\d+")
 
 
-def resample(wavelength_nm: np.ndarray, values: np.ndarray, file, field: str = "wavelength") -> np.ndarray:
+def resample(
+    wavelength_nm: np.ndarray, values: np.ndarray, file, field: str = "wavelength", max_gap_nm: float = MAX_GAP_NM
+) -> np.ndarray:
     """Bring spectra to the grid by linear interpolation.
 
     Parameters
@@ -43,16 +45,7 @@ def resample(wavelength_nm: np.ndarray, values: np.ndarray, file, field: str = "
     """
     wavelength_nm = np.asarray(wavelength_nm, dtype=np.float64)
     values = np.asarray(values, dtype=np.float64)
-    if wavelength_nm.size < 2 or not np.all(np.diff(wavelength_nm) > 0):
-        raise InputError(file, field, "wavelengths that do not increase", "strictly increasing wavelengths in nm")
-    if wavelength_nm[0] > WAVELENGTH_NM[0] or wavelength_nm[-1] < WAVELENGTH_NM[-1]:
-        found = f"{wavelength_nm[0]:g}..{wavelength_nm[-1]:g} nm"
-        raise InputError(file, field, found, "a range that covers 400..700 nm")
-    inside = (wavelength_nm >= WAVELENGTH_NM[0] - 20) & (wavelength_nm <= WAVELENGTH_NM[-1] + 20)
-    gaps = np.diff(wavelength_nm[inside])
-    if gaps.max() > 20.0 + 1e-9:
-        before = wavelength_nm[inside][gaps.argmax()]
-        raise InputError(file, field, f"no sample for {gaps.max():g} nm after {before:g} nm", "steps up to 20 nm")
+    check_wavelengths(wavelength_nm, file, field, max_gap_nm)
     if not np.isfinite(values).all():
         raise InputError(file, field, "a missing or non-finite value", "a finite number at every wavelength")
     flat = values.reshape(-1, wavelength_nm.size)
@@ -60,69 +53,28 @@ def resample(wavelength_nm: np.ndarray, values: np.ndarray, file, field: str = "
     return out.reshape((*values.shape[:-1], SAMPLES))
 
 
-def _number(text: str, file, field: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise InputError(file, field, repr(text), "a number") from None
-
-
 def read_wide_csv(path) -> tuple[list[str], np.ndarray]:
-    """Read spectra from a wide CSV: a name, then one column a wavelength in nm.
+    """Read spectra from a wide CSV, see `irodori.tables.wide_table`.
 
     Returns
     -------
     names : list of str, one a row
     spectra : (rows, 61) float64
-
-    Raises
-    ------
-    InputError
-        Naming file, column and value; a wavelength column without a value is an error.
     """
-    rows = _csv_rows(path)
-    header = rows[0]
-    wavelength = np.array([_number(cell, path, f"header column {i + 2}") for i, cell in enumerate(header[1:])])
-    names, values = [], []
-    for number, row in enumerate(rows[1:], start=2):
-        if len(row) != len(header):
-            raise InputError(path, f"line {number}", f"{len(row)} columns", f"{len(header)} columns")
-        names.append(row[0])
-        values.append([_number(c, path, f"line {number}, {w:g} nm") for c, w in zip(row[1:], wavelength, strict=True)])
-    return names, resample(wavelength, np.array(values), path)
+    names, wavelength_nm, values = wide_table(path)
+    return names, resample(wavelength_nm, np.array(values), path)
 
 
 def read_columns_csv(path) -> tuple[list[str], np.ndarray]:
-    """Read spectra from a CSV whose first column is the wavelength in nm and whose others are quantities.
+    """Read spectra from a CSV of columns, see `irodori.tables.column_table`.
 
     Returns
     -------
     names : list of str, one a column after the first
     spectra : (columns, 61) float64
     """
-    rows = _csv_rows(path)
-    header = rows[0]
-    table = []
-    for number, row in enumerate(rows[1:], start=2):
-        if len(row) != len(header):
-            raise InputError(path, f"line {number}", f"{len(row)} columns", f"{len(header)} columns")
-        table.append([_number(c, path, f"line {number}, {h}") for c, h in zip(row, header, strict=True)])
-    values = np.array(table, dtype=np.float64).reshape(-1, len(header))
-    return header[1:], resample(values[:, 0], values[:, 1:].T, path, header[0])
-
-
-def _csv_rows(path) -> list[list[str]]:
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(path, "", "no such file", "a CSV of spectra")
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = [row for row in csv.reader(stream) if row]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(path, "", f"unreadable text ({error})", "a CSV in UTF-8") from None
-    if len(rows) < 2 or len(rows[0]) < 2:
-        raise InputError(path, "", f"{len(rows)} lines", "a header and at least one row of two columns")
-    return rows
+    names, wavelength_nm, columns = column_table(path)
+    return names, resample(wavelength_nm, np.array(columns), path)
 
 
 def _align(distribution) -> np.ndarray:
@@ -228,9 +180,8 @@ def refractive_index(definition: dict) -> tuple[np.ndarray, np.ndarray]:
     n, k : (61,) float64
     """
     if "file" in definition:
-        names, table = read_columns_csv(definition["file"])
-        if names != ["n", "k"]:
-            raise InputError(definition["file"], "header", ", ".join(names), "wavelength_nm, n, k")
+        wavelength_nm, n, k = index_table(definition["file"])
+        table = resample(wavelength_nm, np.array([n, k]), definition["file"], max_gap_nm=MAX_INDEX_GAP_NM)
         return table[0], table[1]
     return np.full(SAMPLES, float(definition["n"])), np.full(SAMPLES, float(definition.get("k", 0.0)))
 

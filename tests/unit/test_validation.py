@@ -160,7 +160,7 @@ ROOM = ("environments", "classroom")
         (SCENE, "max_bounces", True, "max_bounces", "true", "a whole number"),
         (SCENE, "views", {}, "views", "{}", "block of keys"),
         (SCENE, "objects.0.object", "Tile Plate", "objects[0].object", "'Tile Plate'", "small letters"),
-        (PLATE, "refractive_index.n", 0.9, "refractive_index.n", "0.9", "from 1 to 5"),
+        (PLATE, "refractive_index.n", 0.01, "refractive_index.n", "0.01", "from 0.05 to 10"),
         (PLATE, "virtual.materials", [], "virtual.materials", "[]", "a list of 1 to"),
         (PLATE, "exposure_s.out", [0.02, 0.02], "exposure_s.out", "0.02 twice", "each item once"),
         (PLATE, "texels.width", None, "texels.width", "nothing", "a whole number from 1"),
