@@ -32,15 +32,20 @@ def fresnel(cosine, n, k):
     c = min(max(cosine, 0.0), 1.0)
     c2 = c * c
     s2 = 1.0 - c2
-    real = n * n - k * k - s2
+    # n² - k² - sin² without the cancellation at n near 1 and grazing incidence.
+    real = (n - 1.0) * (n + 1.0) - k * k + c2
     modulus = math.sqrt(real * real + 4.0 * n * n * k * k)
-    a = math.sqrt(max(0.5 * (modulus + real), 0.0))
-    rs = (modulus + c2 - 2.0 * a * c) / (modulus + c2 + 2.0 * a * c)
+    half = 0.5 * (modulus + abs(real))
+    a = math.sqrt(half) if real >= 0.0 else n * k / math.sqrt(half)
+    total = modulus + c2 + 2.0 * a * c
+    if total <= 0.0:
+        return 1.0
+    rs = max(modulus + c2 - 2.0 * a * c, 0.0) / total
     p_sum = modulus * c2 + s2 * s2
     p_cross = 2.0 * a * c * s2
     if p_sum + p_cross <= 0.0:
         return rs
-    return 0.5 * rs * (1.0 + (p_sum - p_cross) / (p_sum + p_cross))
+    return 0.5 * rs * (1.0 + max(p_sum - p_cross, 0.0) / (p_sum + p_cross))
 
 
 @numba.njit(cache=True, inline="always")

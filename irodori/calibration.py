@@ -178,14 +178,7 @@ def calibrate_camera(
         Lights for CIEDE2000.
     """
     names, spectra = chart_spectra(camera["chart"]["spectra"])
-    if len(names) != camera["chart"]["rows"] * camera["chart"]["columns"]:
-        found = f"{len(names)} spectra for {camera['chart']['rows']} x {camera['chart']['columns']} patches"
-        raise InputError(camera["chart"]["spectra"], "chart", found, "one spectrum a patch, row by row")
-    with store.open_file(linear) as file:
-        response, valid = file.read("response"), file.read("valid")
-        pose = file.attribute("pose_deg")
-    cosine = np.cos(np.radians(pose[0] - pose[2]))
-    patches = read_chart(response, valid, camera["chart"], linear) / cosine
+    patches = _chart_responses(linear, camera["chart"], len(names))
     light, bases = spectrum(light_name), camera["calibration"]["bases"]
     try:
         calibration = calibrate(patches, spectra, bases, light)
@@ -194,39 +187,45 @@ def calibrate_camera(
         raise InputError(linear, "chart", str(error), "a chart that determines every band") from None
     rmse, gfc = spectral_rmse(spectra, recovered), goodness_of_fit(spectra, recovered)
     delta_e = {name: delta_e_reflectance(spectra, recovered, name) for name in lights}
-    with store.create(output, provenance) as out:
-        out.write("wavelength", WAVELENGTH_NM, units="nm", dims="wavelength", quantity="wavelength")
-        out.write("basis", calibration.basis, units="1", dims="wavelength,basis", quantity="spectral basis B'")
-        out.write(
-            "weights_from_response",
-            calibration.weights_from_response,
-            units="1",
-            dims="band,basis",
-            quantity="matrix M of equation (4)",
-        )
-        out.write("light", light, units="1", dims="wavelength", quantity="relative power of the light")
-        out.write("chart_response", patches, units="1", dims="patch,band", quantity="responses P of the chart")
-        out.write("leave_one_out/rmse", rmse, units="1", dims="patch", quantity="spectral RMSE")
-        for name, values in delta_e.items():
-            out.write(
-                f"leave_one_out/delta_e_{name.lower()}",
-                values,
-                units="1",
-                dims="patch",
-                quantity=f"CIEDE2000 under {name}",
-            )
-        out.attribute("condition_number", float(np.linalg.cond(patches / np.abs(patches).max(axis=0))))
+    _write_calibration(output, calibration, patches, rmse, delta_e, provenance)
     _write_errors(table, names, rmse, gfc, delta_e)
+    mean, largest = rmse.mean(), rmse.max()
     LOGGER.info(
         "leave-one-patch-out, %d bands, %d bases: spectral RMSE mean %.4f max %.4f",
         patches.shape[1],
         bases,
-        rmse.mean(),
-        rmse.max(),
+        mean,
+        largest,
     )
     for name, values in delta_e.items():
         s = summary(values)
         LOGGER.info("CIEDE2000 under %s: mean %.2f p95 %.2f max %.2f", name, s["mean"], s["p95"], s["max"])
+
+
+def _chart_responses(linear, chart: dict, count: int) -> np.ndarray:
+    """Return the chart's responses as if lit at normal incidence, (patches, bands)."""
+    if count != chart["rows"] * chart["columns"]:
+        found = f"{count} spectra for {chart['rows']} x {chart['columns']} patches"
+        raise InputError(chart["spectra"], "chart", found, "one spectrum a patch, row by row")
+    with store.open_file(linear) as file:
+        response, valid = file.read("response"), file.read("valid")
+        light_deg, _, tilt_deg, _ = file.attribute("pose_deg")
+    return read_chart(response, valid, chart, linear) / np.cos(np.radians(light_deg - tilt_deg))
+
+
+def _write_calibration(output, calibration: Calibration, patches, rmse, delta_e: dict, provenance) -> None:
+    with store.create(output, provenance) as out:
+        out.write("wavelength", WAVELENGTH_NM, units="nm", dims="wavelength", quantity="wavelength")
+        out.write("basis", calibration.basis, units="1", dims="wavelength,basis", quantity="spectral basis B'")
+        matrix = calibration.weights_from_response
+        out.write("weights_from_response", matrix, units="1", dims="band,basis", quantity="matrix M of equation (4)")
+        out.write("light", calibration.light, units="1", dims="wavelength", quantity="relative power of the light")
+        out.write("chart_response", patches, units="1", dims="patch,band", quantity="responses P of the chart")
+        out.write("leave_one_out/rmse", rmse, units="1", dims="patch", quantity="spectral RMSE")
+        for name, values in delta_e.items():
+            label = f"leave_one_out/delta_e_{name.lower()}"
+            out.write(label, values, units="1", dims="patch", quantity=f"CIEDE2000 under {name}")
+        out.attribute("condition_number", float(np.linalg.cond(patches / np.abs(patches).max(axis=0))))
 
 
 def _write_errors(path, names, rmse, gfc, delta_e: dict) -> None:

@@ -7,7 +7,7 @@ from irodori.calibration import Calibration
 from irodori.colour import xyz_from_reflectance
 from irodori.errors import InputError
 from irodori.material import Material
-from irodori.principal import compress
+from irodori.principal import Compressed, compress
 from irodori.progress import LOGGER
 from irodori.spectra import refractive_index
 
@@ -112,14 +112,14 @@ def compress_reflectance(
         "observed_fraction": float(observed.mean()),
     }
     material.save(output, provenance, errors)
+    _log(material, compressed, observed, calibration.basis.shape[1])
+
+
+def _log(material: Material, compressed: Compressed, observed: np.ndarray, rank: int) -> None:
+    share, negative = 100 * observed.mean(), 100 * compressed.negative_fraction
+    count = compressed.basis.shape[1]
+    LOGGER.info("%d bases of %d; observed %.1f %% of texels; negative samples %.3f %%", count, rank, share, negative)
     ratio = material.alpha[observed] / material.green_response[observed]
-    LOGGER.info(
-        "%d bases of %d; observed %.1f %% of texels; negative samples %.3f %%",
-        compressed.basis.shape[1],
-        calibration.basis.shape[1],
-        100 * observed.mean(),
-        100 * compressed.negative_fraction,
-    )
     LOGGER.info("alpha / S_G: median %.4f, 5 to 95 %% %.4f to %.4f", *np.percentile(ratio, [50, 5, 95]))
     for light, error in compressed.errors.items():
         LOGGER.info("CIEDE2000 of the compression under %s: mean %.3f p99 %.3f", light, error["mean"], error["p99"])

@@ -11,7 +11,8 @@ from irodori.light import Environment, directions
 from irodori.principal import compress
 from irodori.progress import LOGGER
 
-_BLOCK = 4  # pixels along each side that share one test against the horizon
+_LARGEST_BLOCK = 4  # pixels along each side that share one test against the horizon
+_BLOCK_ROWS = 128  # blocks from the zenith down, at least, where the picture has as many
 
 
 def _blocks(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
@@ -55,7 +56,8 @@ def irradiance_map(coefficients: np.ndarray, width: int, height: int) -> np.ndar
     (height, width, k) float32, radiance unit times sr
     """
     unit, solid_angle = directions(coefficients.shape[1], coefficients.shape[0])
-    rows, columns = max(1, coefficients.shape[0] // _BLOCK), max(1, coefficients.shape[1] // _BLOCK)
+    block = min(max(coefficients.shape[0] // _BLOCK_ROWS, 1), _LARGEST_BLOCK)
+    rows, columns = coefficients.shape[0] // block, max(1, coefficients.shape[1] // block)
     weighted = unit * solid_angle[..., None]
     moments = np.stack(
         [_blocks(coefficients * weighted[..., a : a + 1], rows, columns) for a in range(3)], axis=-1

@@ -111,6 +111,9 @@ def _exposure_mean(paths: Sequence[Path], exposures_s: Sequence[float], dark, sa
     total, weight = 0.0, 0.0
     for path, exposure_s in zip(paths, exposures_s, strict=True):
         mosaic = decode(path)
+        if dark is not None and dark.ndim == 3 and dark.shape != mosaic.superpixels.shape:
+            found = f"{mosaic.superpixels.shape[:2]} superpixels"
+            raise InputError(path, "size", found, f"{dark.shape[:2]}, as the dark frames")
         good = (mosaic.largest < saturation)[..., None]
         signal = (mosaic.superpixels - (0.0 if dark is None else dark)) / mosaic.full_scale
         total = total + np.where(good, signal, 0.0)
@@ -179,7 +182,7 @@ def ingest_reference(
         if darks:
             frames = np.stack([decode(path).superpixels for path in darks])
             dark = frames.mean(axis=0)
-            read_noise = float(frames[..., 0].std(axis=0, ddof=1).mean()) if len(darks) > 1 else np.nan
+            read_noise = float(np.sqrt(frames[..., 0].var(axis=0, ddof=1).mean())) if len(darks) > 1 else np.nan
             out.write("dark", dark, units="DN", dims="row,column,band", quantity="dark frame above black level")
         if whites:
             bands = []

@@ -1,5 +1,6 @@
 """From pictures to texels: every texel's response and geometry in every capture [design, §4]."""
 
+import math
 from dataclasses import dataclass
 
 import numba
@@ -41,18 +42,30 @@ class RigSetup:
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _sample(response, valid, xy, out, good):
-    """Interpolate responses bilinearly; a texel is good where all four neighbours are inside and valid."""
+def _sample(response, valid, corner, xy, out, good):
+    """Interpolate responses bilinearly; a texel is good where all four neighbours are inside and valid.
+
+    ``response`` and ``valid`` are the window of the picture that begins at ``corner`` (row, column); coordinates are
+    those of the whole picture, so that a texel gets the same bits whatever tile it belongs to.
+    """
     height, width, bands = response.shape
     for t in numba.prange(xy.shape[0]):
         good[t] = False
         x, y = xy[t, 0], xy[t, 1]
-        if not (x >= 0.0 and y >= 0.0 and x <= width - 1 and y <= height - 1):
+        if not (x >= 0.0 and y >= 0.0):
             continue
-        x0, y0 = min(int(x), width - 2), min(int(y), height - 2)
+        left, top_row = math.floor(x), math.floor(y)
+        fx, fy = x - left, y - top_row
+        x0, y0 = left - corner[1], top_row - corner[0]
+        # On the last row or column the neighbour beyond has no weight: step back onto the last pair.
+        if fx == 0.0 and x0 == width - 1:
+            x0, fx = x0 - 1, 1.0
+        if fy == 0.0 and y0 == height - 1:
+            y0, fy = y0 - 1, 1.0
+        if x0 < 0 or y0 < 0 or x0 > width - 2 or y0 > height - 2:
+            continue
         if not (valid[y0, x0] and valid[y0, x0 + 1] and valid[y0 + 1, x0] and valid[y0 + 1, x0 + 1]):
             continue
-        fx, fy = x - x0, y - y0
         for b in range(bands):
             top = (1.0 - fx) * response[y0, x0, b] + fx * response[y0, x0 + 1, b]
             bottom = (1.0 - fx) * response[y0 + 1, x0, b] + fx * response[y0 + 1, x0 + 1, b]
@@ -101,6 +114,24 @@ def _window(xy: np.ndarray, height: int, width: int) -> tuple[slice, slice]:
     return slice(y0, y1), slice(x0, x1)
 
 
+def _observe_file(path, shape: Shape, position, normal, setup: RigSetup):
+    """Return responses, geometry, which texels are seen and lit, and which lie in shadow, from one capture's file."""
+    with store.open_file(path) as file:
+        pose = Pose(*file.attribute("pose_deg"))
+        rotation = rig_from_object(pose)
+        tracer = Tracer(on_table(shape, rotation, setup.table_radius_mm))
+        xy, geometry, visible, lit = observe(position @ rotation.T, normal @ rotation.T, tracer, pose, setup)
+        dataset, valid = file.dataset("response"), file.dataset("valid")
+        window = _window(xy[visible], *valid.shape)
+        sampled = np.zeros((len(xy), dataset.shape[2]), dtype=np.float32)
+        good = np.empty(len(xy), dtype=np.bool_)
+        corner = np.array([window[0].start, window[1].start])
+        _sample(dataset[window], valid[window], corner, xy, sampled, good)
+    # What hides a texel is not its own: without this, the window of a tile would decide what is stored here.
+    sampled[~visible] = 0.0
+    return sampled, geometry, visible & lit & good, visible & ~lit & (geometry[:, 0] < np.pi / 2)
+
+
 def rectify_object(
     linear: list,
     definition: dict,
@@ -136,23 +167,13 @@ def rectify_object(
     position, normal = position[slice(*rows)].reshape(-1, 3), normal[slice(*rows)].reshape(-1, 3)
     responses, geometries, weights, shadowed = [], [], [], []
     for path in track(linear, f"rectify rows {rows[0]}-{rows[1]}"):
-        with store.open_file(path) as file:
-            pose = Pose(*file.attribute("pose_deg"))
-            rotation = rig_from_object(pose)
-            tracer = Tracer(on_table(shape, rotation, setup.table_radius_mm))
-            xy, geometry, visible, lit = observe(position @ rotation.T, normal @ rotation.T, tracer, pose, setup)
-            dataset, valid = file.dataset("response"), file.dataset("valid")
-            window = _window(xy[visible], *valid.shape)
-            sampled = np.zeros((len(xy), dataset.shape[2]), dtype=np.float32)
-            good = np.empty(len(xy), dtype=np.bool_)
-            corner = np.array([window[1].start, window[0].start])
-            _sample(dataset[window], valid[window], xy - corner, sampled, good)
+        sampled, geometry, seen, shadow = _observe_file(path, shape, position, normal, setup)
         limit = np.radians(max_angle_deg)
         frontal = (geometry[:, 0] <= limit) & (geometry[:, 1] <= limit)
         responses.append(sampled)
         geometries.append(geometry.astype(np.float32))
-        weights.append((visible & lit & good & frontal).astype(np.float32))
-        shadowed.append((visible & ~lit & (geometry[:, 0] < np.pi / 2)).astype(np.uint8))
+        weights.append((seen & frontal).astype(np.float32))
+        shadowed.append(shadow.astype(np.uint8))
     with store.create(output, provenance) as out:
         maps = {
             "response": (np.stack(responses, axis=1), "1", "response, 1 = perfect diffuser at normal incidence"),

@@ -21,6 +21,7 @@ from irodori.errors import InputError
 
 SCHEMA_VERSION = 1
 _CHUNK_BYTES = 1 << 20
+_JSON = "json:"  # marks an attribute that holds a list or a dictionary
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ class Writer:
 
     def attribute(self, name: str, value) -> None:
         """Write a root attribute; dictionaries and lists are stored as JSON."""
-        self._file.attrs[name] = json.dumps(value) if isinstance(value, dict | list) else value
+        self._file.attrs[name] = _JSON + json.dumps(value) if isinstance(value, dict | list) else value
 
 
 def _chunk_shape(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
@@ -111,7 +112,7 @@ def create(path, provenance: Provenance) -> Iterator[Writer]:
             for key in ("rule", "config_hash", "code_hash", "input_sha256"):
                 file.attrs[key] = getattr(provenance, key)
             libraries = {name: version(name) for name in ("numpy", "h5py")}
-            file.attrs["created_by"] = json.dumps({"irodori": __version__, **libraries})
+            file.attrs["created_by"] = _JSON + json.dumps({"irodori": __version__, **libraries})
             yield Writer(file)
         os.replace(temporary, path)
     finally:
@@ -135,7 +136,7 @@ class Reader:
         InputError
             If the file has no such dataset.
         """
-        if name not in self._file:
+        if not isinstance(self._file.get(name), h5py.Dataset):
             raise InputError(self.path, name, "no such dataset", f"one of: {', '.join(sorted(self._names()))}")
         return self._file[name]
 
@@ -151,8 +152,8 @@ class Reader:
         if name not in self._file.attrs:
             raise InputError(self.path, name, "no such attribute", f"one of: {', '.join(self._file.attrs)}")
         value = self._file.attrs[name]
-        if isinstance(value, str) and value[:1] in "[{":
-            return json.loads(value)
+        if isinstance(value, str) and value.startswith(_JSON):
+            return json.loads(value.removeprefix(_JSON))
         return value.item() if isinstance(value, np.generic) else value
 
     def _names(self) -> list[str]:
@@ -181,7 +182,9 @@ def open_file(path) -> Iterator[Reader]:
         found = file.attrs.get("schema_version")
         if found is None or "rule" not in file.attrs:
             raise InputError(path, "schema_version", "an HDF5 file of another program", "a file of this project")
-        if int(found) > SCHEMA_VERSION:
+        if not isinstance(found, np.integer):
+            raise InputError(path, "schema_version", repr(found), f"a number up to {SCHEMA_VERSION}")
+        if found > SCHEMA_VERSION:
             raise InputError(path, "schema_version", str(found), f"version {SCHEMA_VERSION} or older")
         yield Reader(path, file)
 

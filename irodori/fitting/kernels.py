@@ -1,11 +1,12 @@
 """Compiled loops of the fit: the scan over μ, the objective for NLopt, and the loop over texels.
 
-One texel's data is a float64 block: five header words (observations, scale of α, scale of β, and two spare), then
-five words an observation: cosθ_i, F G / cosθ_r, φ, response, weight. The unknowns that NLopt sees are
+One texel's data is a float64 block: five header words (observations, scale of α, of β, of the objective, and one
+spare), then five words an observation: cosθ_i, F G / cosθ_r, φ, response, weight. The unknowns that NLopt sees are
 (α / scale, β / scale, log μ), so that a trust region fits all three.
 """
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -17,6 +18,9 @@ from irodori.native import c_function
 
 HEADER, WORDS = 5, 5
 PARAMETERS = 3
+_CHUNK = 64  # texels that share one optimiser object
+_PRECISION = 1e6  # of the scaled objective: NLopt's L-BFGS stops at an absolute gradient of 1e-8
+_FIRST_STEP = 0.1  # of the scaled unknowns, for algorithms without gradient
 
 _P, _F, _I = types.uintp, types.float64, types.intc
 nlopt_create = c_function(_P, _I, types.uint32)
@@ -64,7 +68,7 @@ def nlopt_objective(count, x, gradient_address, data_address):
     scale_a, scale_b = data[1], data[2]
     alpha, beta, mu = x[0] * scale_a, x[1] * scale_b, math.exp(x[2])
     if gradient_address == 0:
-        return objective(alpha, beta, mu, data)
+        return data[3] * objective(alpha, beta, mu, data)
     total, ga, gb, gm = 0.0, 0.0, 0.0, 0.0
     for j in range(int(data[0])):
         at = HEADER + WORDS * j
@@ -77,8 +81,8 @@ def nlopt_objective(count, x, gradient_address, data_address):
         gb += weighted * lobe
         gm += weighted * beta * lobe * 2.0 * ratio2
     gradient = numba.carray(_as_floats(gradient_address), (3,))
-    gradient[0], gradient[1], gradient[2] = ga * scale_a, gb * scale_b, gm
-    return total
+    gradient[0], gradient[1], gradient[2] = data[3] * ga * scale_a, data[3] * gb * scale_b, data[3] * gm
+    return data[3] * total
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -152,87 +156,118 @@ def scan(data, mu_grid, lower, upper):
 
 @numba.njit(cache=True)
 def set_scales(data, alpha, beta):
-    """Store the scales of α and β in the block: their start, or a hundredth of the largest response."""
+    """Store scales in the block: of α and β, their start or a hundredth of the largest response; of the objective.
+
+    The objective is relative to the power of the responses, so that NLopt stops at the same place whatever the unit
+    of light.
+    """
     peak = 1e-300
     peak_gloss = 1e-300
+    power = 1e-300
     for j in range(int(data[0])):
         at = HEADER + WORDS * j
+        power += data[at + 4] * data[at + 3] * data[at + 3]
         peak = max(peak, abs(data[at + 3]))
         peak_gloss = max(peak_gloss, data[at + 1])
+    data[3] = _PRECISION / power
     data[1] = max(alpha, 0.01 * peak)
     data[2] = max(beta, 0.01 * peak / peak_gloss)
 
 
+class Nlopt(NamedTuple):
+    """Addresses of NLopt's C functions, and how to run them."""
+
+    create: int
+    destroy: int
+    set_lower_bounds: int
+    set_upper_bounds: int
+    set_initial_step: int
+    set_min_objective: int
+    set_xtol_rel: int
+    set_maxeval: int
+    optimize: int
+    get_numevals: int
+    objective: int  # address of `nlopt_objective`
+    algorithm: int
+    xtol_rel: float
+    max_evaluations: int
+
+
+class Output(NamedTuple):
+    """What the loop over texels fills."""
+
+    parameters: np.ndarray  # (texels, 3) α, β, μ
+    sum_squares: np.ndarray  # (texels,)
+    diffuse: np.ndarray  # (texels, 2) α and sum of squares of the model without gloss
+    used: np.ndarray  # (texels,) observations with weight
+    evaluations: np.ndarray  # (texels,)
+    result: np.ndarray  # (texels,) NLopt's return code
+
+
+@numba.njit(cache=True)
+def _new_optimiser(nlopt, data):
+    optimiser = nlopt_create(nlopt.create, nlopt.algorithm, np.uint32(PARAMETERS))
+    nlopt_set_objective(nlopt.set_min_objective, optimiser, nlopt.objective, np.uintp(data.ctypes.data))
+    nlopt_set_number(nlopt.set_xtol_rel, optimiser, nlopt.xtol_rel)
+    nlopt_set_count(nlopt.set_maxeval, optimiser, nlopt.max_evaluations)
+    return optimiser
+
+
+@numba.njit(cache=True)
+def _polish(nlopt, optimiser, data, start, lower, upper, vectors):
+    """Run NLopt from a start; return its code, its evaluations and the α, β, μ and sum of squares it found."""
+    x, low, high, step, value = vectors
+    scale = (data[1], data[2])
+    for p in range(2):
+        low[p], high[p], x[p] = lower[p] / scale[p], upper[p] / scale[p], start[p] / scale[p]
+    low[2], high[2], x[2] = math.log(lower[2]), math.log(upper[2]), math.log(start[2])
+    for p in range(PARAMETERS):
+        x[p] = min(max(x[p], low[p]), high[p])
+        step[p] = _FIRST_STEP
+    nlopt_set_pointer(nlopt.set_lower_bounds, optimiser, np.uintp(low.ctypes.data))
+    nlopt_set_pointer(nlopt.set_upper_bounds, optimiser, np.uintp(high.ctypes.data))
+    nlopt_set_pointer(nlopt.set_initial_step, optimiser, np.uintp(step.ctypes.data))
+    code = nlopt_optimize(nlopt.optimize, optimiser, np.uintp(x.ctypes.data), np.uintp(value.ctypes.data))
+    evaluations = nlopt_get_evaluations(nlopt.get_numevals, optimiser)
+    a, b, m = x[0] * scale[0], x[1] * scale[1], math.exp(x[2])
+    return code, evaluations, a, b, m, objective(a, b, m, data)
+
+
+@numba.njit(cache=True)
+def _fit_chunk(nlopt, response, geometry, weight, n, k, mu_grid, lower, upper, out, first, last):
+    data = np.zeros(HEADER + WORDS * response.shape[1])
+    vectors = (np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(1))
+    without_gloss = np.array([upper[0], lower[1]])
+    optimiser = _new_optimiser(nlopt, data)
+    for t in range(first, last):
+        out.used[t] = pack(response[t], geometry[t], weight[t], n, k, data)
+        if out.used[t] == 0:
+            continue
+        out.diffuse[t, 0], _, out.diffuse[t, 1] = linear_solution(1e-6, data, lower, without_gloss)
+        if out.used[t] <= PARAMETERS:
+            continue
+        a, b, m, squares = scan(data, mu_grid, lower, upper)
+        set_scales(data, a, b)
+        code, count, pa, pb, pm, polished = _polish(nlopt, optimiser, data, (a, b, m), lower, upper, vectors)
+        if polished <= squares:
+            a, b, m, squares = pa, pb, pm, polished
+        out.parameters[t, 0], out.parameters[t, 1], out.parameters[t, 2] = a, b, m
+        out.sum_squares[t], out.result[t] = squares, code
+        out.evaluations[t] = count + mu_grid.size
+    nlopt_destroy(nlopt.destroy, optimiser)
+
+
 @numba.njit(cache=True, parallel=True, nogil=True)
-def fit_texels(
-    functions,
-    callback,
-    algorithm,
-    response,
-    geometry,
-    weight,
-    n,
-    k,
-    mu_grid,
-    lower,
-    upper,
-    xtol_rel,
-    max_evaluations,
-    parameters,
-    sum_squares,
-    diffuse,
-    used,
-    evaluations,
-    result,
-):
-    """Fit every texel: scan, then NLopt from the best of the scan; the better of the two is kept.
-
-    ``functions`` are the addresses of nlopt_create, destroy, set_lower_bounds, set_upper_bounds, set_initial_step,
-    set_min_objective, set_xtol_rel, set_maxeval, optimize and get_numevals. ``diffuse`` gets α and the sum of
-    squares of the model without gloss.
-    """
-    texels, captures = response.shape
-    chunk = 64
-    for c in numba.prange((texels + chunk - 1) // chunk):
-        data = np.zeros(HEADER + WORDS * captures)
-        x, lo, hi, step = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-        value = np.empty(1)
-        optimiser = nlopt_create(functions[0], algorithm, np.uint32(PARAMETERS))
-        nlopt_set_objective(functions[5], optimiser, callback, np.uintp(data.ctypes.data))
-        nlopt_set_number(functions[6], optimiser, xtol_rel)
-        nlopt_set_count(functions[7], optimiser, max_evaluations)
-        for t in range(c * chunk, min(texels, (c + 1) * chunk)):
-            used[t] = pack(response[t], geometry[t], weight[t], n, k, data)
-            evaluations[t], result[t] = 0, 0
-            parameters[t, :] = np.nan
-            if used[t] == 0:
-                continue
-            diffuse[t, 0], _, diffuse[t, 1] = linear_solution(1e-6, data, lower, np.array([upper[0], lower[1]]))
-            if used[t] <= PARAMETERS:
-                continue
-            a, b, m, best = scan(data, mu_grid, lower, upper)
-            set_scales(data, a, b)
-            lo[0], lo[1], lo[2] = lower[0] / data[1], lower[1] / data[2], math.log(lower[2])
-            hi[0], hi[1], hi[2] = upper[0] / data[1], upper[1] / data[2], math.log(upper[2])
-            x[0], x[1], x[2] = a / data[1], b / data[2], math.log(m)
-            step[0], step[1], step[2] = 0.1, 0.1, 0.1
-            nlopt_set_pointer(functions[2], optimiser, np.uintp(lo.ctypes.data))
-            nlopt_set_pointer(functions[3], optimiser, np.uintp(hi.ctypes.data))
-            nlopt_set_pointer(functions[4], optimiser, np.uintp(step.ctypes.data))
-            x[:] = np.minimum(np.maximum(x, lo), hi)
-            result[t] = nlopt_optimize(functions[8], optimiser, np.uintp(x.ctypes.data), np.uintp(value.ctypes.data))
-            evaluations[t] = nlopt_get_evaluations(functions[9], optimiser) + mu_grid.size
-            parameters[t, 0], parameters[t, 1], parameters[t, 2] = a, b, m
-            sum_squares[t] = best
-            polished = objective(x[0] * data[1], x[1] * data[2], math.exp(x[2]), data)
-            if polished <= best:
-                parameters[t, 0], parameters[t, 1], parameters[t, 2] = x[0] * data[1], x[1] * data[2], math.exp(x[2])
-                sum_squares[t] = polished
-        nlopt_destroy(functions[1], optimiser)
+def fit_texels(nlopt, response, geometry, weight, n, k, mu_grid, lower, upper, out):
+    """Fit every texel: scan, then NLopt from the best of the scan; the better of the two is kept."""
+    texels = response.shape[0]
+    for c in numba.prange((texels + _CHUNK - 1) // _CHUNK):
+        first, last = c * _CHUNK, min(texels, (c + 1) * _CHUNK)
+        _fit_chunk(nlopt, response, geometry, weight, n, k, mu_grid, lower, upper, out, first, last)
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def standard_errors(response, geometry, weight, n, k, parameters, sum_squares, used, model_noise, out):
+def standard_errors(response, geometry, weight, n, k, fitted, model_noise, out):
     """Fill ``out`` (texel, 3) with Gauss-Newton standard errors of α, β, μ; infinite where undetermined.
 
     The variance is that of the residuals, but at least that of ``model_noise`` times the root mean square response:
@@ -241,20 +276,20 @@ def standard_errors(response, geometry, weight, n, k, parameters, sum_squares, u
     texels, captures = response.shape
     for t in numba.prange(texels):
         out[t, :] = np.inf
-        if used[t] <= PARAMETERS or not math.isfinite(parameters[t, 2]):
+        if fitted.used[t] <= PARAMETERS or not math.isfinite(fitted.parameters[t, 2]):
             continue
         data = np.zeros(HEADER + WORDS * captures)
         pack(response[t], geometry[t], weight[t], n, k, data)
         normal = np.zeros((3, 3))
         row = np.empty(3)
         power = 0.0
-        for j in range(used[t]):
+        for j in range(fitted.used[t]):
             at = HEADER + WORDS * j
             power += data[at + 4] * data[at + 3] * data[at + 3]
-            ratio2 = (data[at + 2] / parameters[t, 2]) ** 2
+            ratio2 = (data[at + 2] / fitted.parameters[t, 2]) ** 2
             lobe = data[at + 1] * math.exp(-ratio2)
             row[0], row[1] = data[at], lobe
-            row[2] = parameters[t, 1] * lobe * 2.0 * ratio2 / parameters[t, 2]
+            row[2] = fitted.parameters[t, 1] * lobe * 2.0 * ratio2 / fitted.parameters[t, 2]
             for p in range(3):
                 for q in range(3):
                     normal[p, q] += data[at + 4] * row[p] * row[q]
@@ -268,6 +303,8 @@ def standard_errors(response, geometry, weight, n, k, parameters, sum_squares, u
         if abs(np.linalg.det(normal)) < 1e-10:
             continue
         inverse = np.linalg.inv(normal)
-        variance = max(sum_squares[t] / (used[t] - PARAMETERS), model_noise * model_noise * power / used[t])
+        variance = max(
+            fitted.sum_squares[t] / (fitted.used[t] - PARAMETERS), model_noise * model_noise * power / fitted.used[t]
+        )
         for p in range(3):
             out[t, p] = math.sqrt(max(variance * inverse[p, p], 0.0)) / size[p]

@@ -12,6 +12,20 @@ from irodori.fitting import kernels
 
 MODEL_PARAMETERS = ("alpha", "beta", "mu")
 _MAX_RELATIVE_ERROR = {"beta": 0.3, "mu": 0.2}
+# Bounded local algorithms that reach the minimum on noisy texels; MMA and CCSAQ stop at up to three times its value.
+_ALGORITHMS = (
+    "LN_BOBYQA",
+    "LN_COBYLA",
+    "LN_NELDERMEAD",
+    "LN_SBPLX",
+    "LN_PRAXIS",
+    "LD_SLSQP",
+    "LD_LBFGS",
+    "LD_TNEWTON",
+    "LD_VAR2",
+)
+_SETTINGS = ("objective", "algorithm", "xtol_rel", "max_evaluations")
+_ROUNDING = 1e-7  # relative residual under which two models are equally perfect
 _MODEL_NOISE = 0.01  # of the root mean square response: light drift and pose error, whatever the residual says
 
 
@@ -46,7 +60,7 @@ class FitOptions:
     solver: str = "nlopt"
     algorithm: str = "LD_LBFGS"
     max_evaluations: int = 400
-    xtol_rel: float = 1e-6
+    xtol_rel: float = 1e-8
     mu_scan: int = 32
     bounds: dict | None = None
 
@@ -101,133 +115,99 @@ def algorithm_number(name: str) -> int:
     ValueError
         Listing the accepted names: bounded local algorithms that need no inner optimiser.
     """
-    accepted = [
-        a
-        for a in (
-            "LN_BOBYQA",
-            "LN_COBYLA",
-            "LN_NELDERMEAD",
-            "LN_SBPLX",
-            "LN_PRAXIS",
-            "LD_SLSQP",
-            "LD_LBFGS",
-            "LD_MMA",
-            "LD_CCSAQ",
-            "LD_TNEWTON",
-            "LD_VAR2",
-        )
-        if hasattr(nlopt, a)
-    ]
+    accepted = [name for name in _ALGORITHMS if hasattr(nlopt, name)]
     if name not in accepted:
         raise ValueError(f"fit.algorithm {name!r}; accepted: {', '.join(accepted)}")
     return int(getattr(nlopt, name))
 
 
 @lru_cache(maxsize=1)
-def _functions() -> np.ndarray:
+def _addresses() -> dict[str, int]:
     library = ctypes.CDLL(nlopt._nlopt.__file__)
-    names = (
-        "create",
-        "destroy",
-        "set_lower_bounds",
-        "set_upper_bounds",
-        "set_initial_step",
-        "set_min_objective",
-        "set_xtol_rel",
-        "set_maxeval",
-        "optimize",
-        "get_numevals",
+    names = [name for name in kernels.Nlopt._fields if name not in _SETTINGS]
+    return {name: ctypes.cast(getattr(library, f"nlopt_{name}"), ctypes.c_void_p).value for name in names}
+
+
+def _empty_output(texels: int) -> kernels.Output:
+    return kernels.Output(
+        parameters=np.full((texels, 3), np.nan),
+        sum_squares=np.full(texels, np.nan),
+        diffuse=np.full((texels, 2), np.nan),
+        used=np.zeros(texels, dtype=np.int64),
+        evaluations=np.zeros(texels, dtype=np.int32),
+        result=np.zeros(texels, dtype=np.int8),
     )
-    addresses = [ctypes.cast(getattr(library, f"nlopt_{name}"), ctypes.c_void_p).value for name in names]
-    return np.array(addresses, dtype=np.uintp)
 
 
-def _solve_compiled(response, geometry, weight, n, k, options: FitOptions):
-    texels = len(response)
+def _solve_compiled(response, geometry, weight, n, k, options: FitOptions) -> kernels.Output:
     lower, upper = options.limits()
-    parameters, sum_squares = np.full((texels, 3), np.nan), np.full(texels, np.nan)
-    diffuse = np.full((texels, 2), np.nan)
-    used, evaluations = np.zeros(texels, dtype=np.int64), np.zeros(texels, dtype=np.int32)
-    result = np.zeros(texels, dtype=np.int8)
-    kernels.fit_texels(
-        _functions(),
-        np.uintp(kernels.nlopt_objective.address),
-        np.intc(algorithm_number(options.algorithm)),
-        response,
-        geometry,
-        weight,
-        n,
-        k,
-        options.mu_grid(),
-        lower,
-        upper,
-        options.xtol_rel,
-        np.intc(options.max_evaluations),
-        parameters,
-        sum_squares,
-        diffuse,
-        used,
-        evaluations,
-        result,
+    library = kernels.Nlopt(
+        **_addresses(),
+        objective=kernels.nlopt_objective.address,
+        algorithm=algorithm_number(options.algorithm),
+        xtol_rel=float(options.xtol_rel),
+        max_evaluations=int(options.max_evaluations),
     )
-    return parameters, sum_squares, diffuse, used, evaluations, result
+    out = _empty_output(len(response))
+    kernels.fit_texels(library, response, geometry, weight, n, k, options.mu_grid(), lower, upper, out)
+    return out
 
 
-def _solve_reference(response, geometry, weight, n, k, options: FitOptions):
+def _cost(rows: np.ndarray, scale: np.ndarray, factor: float):
+    """Return the objective of one texel in NLopt's Python signature; ``rows`` as in `irodori.fitting.kernels`."""
+
+    def cost(x, gradient):
+        ratio2 = (rows[:, 2] / np.exp(x[2])) ** 2
+        lobe = rows[:, 1] * np.exp(-ratio2)
+        residual = x[0] * scale[0] * rows[:, 0] + x[1] * scale[1] * lobe - rows[:, 3]
+        if gradient.size:
+            weighted = 2.0 * factor * rows[:, 4] * residual
+            gradient[0] = scale[0] * weighted @ rows[:, 0]
+            gradient[1] = scale[1] * weighted @ lobe
+            gradient[2] = x[1] * scale[1] * weighted @ (lobe * 2.0 * ratio2)
+        return factor * float(rows[:, 4] @ residual**2)
+
+    return cost
+
+
+def _solve_reference(response, geometry, weight, n, k, options: FitOptions) -> kernels.Output:
     """Fit with NLopt from Python: the yardstick for time and the witness for the compiled loop."""
     lower, upper = options.limits()
     number, grid = algorithm_number(options.algorithm), options.mu_grid()
-    texels = len(response)
-    parameters, sum_squares = np.full((texels, 3), np.nan), np.full(texels, np.nan)
-    diffuse, used = np.full((texels, 2), np.nan), np.zeros(texels, dtype=np.int64)
-    evaluations, result = np.zeros(texels, dtype=np.int32), np.zeros(texels, dtype=np.int8)
-    for t in range(texels):
+    out = _empty_output(len(response))
+    for t in range(len(response)):
         data = np.zeros(kernels.HEADER + kernels.WORDS * response.shape[1])
-        used[t] = kernels.pack(response[t], geometry[t], weight[t], n, k, data)
-        if used[t] == 0:
+        out.used[t] = kernels.pack(response[t], geometry[t], weight[t], n, k, data)
+        if out.used[t] == 0:
             continue
-        diffuse[t, 0], _, diffuse[t, 1] = kernels.linear_solution(1e-6, data, lower, np.array([upper[0], lower[1]]))
-        if used[t] <= kernels.PARAMETERS:
+        without_gloss = np.array([upper[0], lower[1]])
+        out.diffuse[t, 0], _, out.diffuse[t, 1] = kernels.linear_solution(1e-6, data, lower, without_gloss)
+        if out.used[t] <= kernels.PARAMETERS:
             continue
         a, b, m, best = kernels.scan(data, grid, lower, upper)
         kernels.set_scales(data, a, b)
-        scale = np.array([data[1], data[2]])
-        rows = data[kernels.HEADER :].reshape(-1, kernels.WORDS)[: used[t]]
-
-        def cost(x, gradient, rows=rows, scale=scale):
-            ratio2 = (rows[:, 2] / np.exp(x[2])) ** 2
-            lobe = rows[:, 1] * np.exp(-ratio2)
-            residual = x[0] * scale[0] * rows[:, 0] + x[1] * scale[1] * lobe - rows[:, 3]
-            if gradient.size:
-                weighted = 2.0 * rows[:, 4] * residual
-                gradient[:] = (
-                    scale[0] * weighted @ rows[:, 0],
-                    scale[1] * weighted @ lobe,
-                    x[1] * scale[1] * weighted @ (lobe * 2.0 * ratio2),
-                )
-            return float(rows[:, 4] @ residual**2)
-
-        optimiser = nlopt.opt(number, 3)
-        low = np.append(lower[:2] / scale, np.log(lower[2]))
-        high = np.append(upper[:2] / scale, np.log(upper[2]))
+        scale = data[1:3].copy()
+        cost = _cost(data[kernels.HEADER :].reshape(-1, kernels.WORDS)[: out.used[t]], scale, data[3])
+        low, high = np.append(lower[:2] / scale, np.log(lower[2])), np.append(upper[:2] / scale, np.log(upper[2]))
+        optimiser = nlopt.opt(number, kernels.PARAMETERS)
         optimiser.set_lower_bounds(low)
         optimiser.set_upper_bounds(high)
-        optimiser.set_initial_step(np.full(3, 0.1))
+        optimiser.set_initial_step(np.full(kernels.PARAMETERS, 0.1))
         optimiser.set_min_objective(cost)
         optimiser.set_xtol_rel(options.xtol_rel)
         optimiser.set_maxeval(options.max_evaluations)
         x = np.clip(np.append(np.array([a, b]) / scale, np.log(m)), low, high)
-        parameters[t], sum_squares[t] = (a, b, m), best
+        out.parameters[t], out.sum_squares[t] = (a, b, m), best
         try:
             x = optimiser.optimize(x)
-            result[t] = optimiser.last_optimize_result()
+            out.result[t] = optimiser.last_optimize_result()
         except nlopt.RoundoffLimited:
-            result[t] = nlopt.ROUNDOFF_LIMITED
-        evaluations[t] = optimiser.get_numevals() + grid.size
-        polished = cost(x, np.empty(0))
+            out.result[t] = nlopt.ROUNDOFF_LIMITED
+        out.evaluations[t] = optimiser.get_numevals() + grid.size
+        polished = cost(x, np.empty(0)) / data[3]
         if polished <= best:
-            parameters[t], sum_squares[t] = (*(x[:2] * scale), np.exp(x[2])), polished
-    return parameters, sum_squares, diffuse, used, evaluations, result
+            out.parameters[t], out.sum_squares[t] = (*(x[:2] * scale), np.exp(x[2])), polished
+    return out
 
 
 SOLVERS = {"nlopt": _solve_compiled, "nlopt-reference": _solve_reference}
@@ -275,24 +255,22 @@ def fit(
         )
     # A non-finite observation says nothing; it must not turn a texel's sums into NaN.
     weight = np.where(np.isfinite(response) & np.isfinite(geometry).all(axis=-1) & np.isfinite(weight), weight, 0.0)
-    parameters, squares, diffuse, used, evaluations, result = SOLVERS[options.solver](
-        response, geometry, weight, float(n), float(k), options
-    )
+    out = SOLVERS[options.solver](response, geometry, weight, float(n), float(k), options)
     errors = np.empty((len(response), 3))
-    kernels.standard_errors(
-        response, geometry, weight, float(n), float(k), parameters, squares, used, _MODEL_NOISE, errors
-    )
-    return _judge(parameters, squares, diffuse, used, errors, evaluations, result, weight, options)
+    kernels.standard_errors(response, geometry, weight, float(n), float(k), out, _MODEL_NOISE, errors)
+    power = np.sum(weight * np.where(weight > 0, response, 0.0) ** 2, axis=1)
+    return _judge(out, errors, weight, power, options)
 
 
-def _judge(parameters, squares, diffuse, used, errors, evaluations, result, weight, options) -> FitResult:
+def _judge(out: kernels.Output, errors, weight, power, options: FitOptions) -> FitResult:
     """Decide what the data determines, and put NaN where it does not."""
+    parameters, squares, diffuse, used = out.parameters, out.sum_squares, out.diffuse, out.used
     lower, upper = options.limits()
     few = used <= kernels.PARAMETERS
     fitted = ~few & np.isfinite(squares)
     with np.errstate(divide="ignore", invalid="ignore"):
         # BIC of the full model against diffuse only: two more parameters must pay for themselves.
-        floor = np.finfo(np.float64).tiny
+        floor = np.maximum(_ROUNDING**2 * power, np.finfo(np.float64).tiny)
         gain = used * (np.log(np.maximum(diffuse[:, 1], floor)) - np.log(np.maximum(squares, floor)))
         glossy = fitted & (gain > 2.0 * np.log(np.maximum(used, 1))) & (parameters[:, 1] > 0)
         relative = errors / np.abs(parameters)
@@ -319,7 +297,7 @@ def _judge(parameters, squares, diffuse, used, errors, evaluations, result, weig
         mu_error=np.where(determined, errors[:, 2], np.nan),
         residual_rms=rms,
         status=status,
-        evaluations=evaluations,
-        nlopt_result=result,
+        evaluations=out.evaluations,
+        nlopt_result=out.result,
         gloss=gloss,
     )

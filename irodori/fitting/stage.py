@@ -1,5 +1,6 @@
 """The stage: observations of a tile in, parameters and diffuse responses out."""
 
+import math
 import time
 
 import numba
@@ -22,7 +23,7 @@ def _combine(response, cosine, gloss, weight, out):
         for b in range(bands):
             top, bottom = 0.0, 0.0
             for j in range(captures):
-                if not weight[t, j] > 0.0:
+                if not weight[t, j] > 0.0 or not math.isfinite(response[t, j, b]) or not math.isfinite(gloss[t, j]):
                     continue
                 variance = _RESPONSE_NOISE**2 + (_GLOSS_MODEL_ERROR * gloss[t, j]) ** 2
                 w = weight[t, j] * cosine[t, j] / variance

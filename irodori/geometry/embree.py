@@ -8,6 +8,7 @@ cache the compiled code between processes.
 import ctypes
 from functools import lru_cache
 from importlib.metadata import files
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -79,50 +80,90 @@ def _address(name: str) -> int:
     return ctypes.cast(getattr(_library(), name), ctypes.c_void_p).value
 
 
-@numba.njit(cache=True, inline="always")
-def new_ray(words_f, words_i):
-    """Return the byte address of a 64-byte-aligned ray inside a buffer, and its first word's index."""
-    base = words_f.ctypes.data
-    skip = (64 - base % 64) % 64
-    return base + skip, skip // 4
+class Ray(NamedTuple):
+    """A ray and its hit as Embree lays them out, for compiled loops; one a thread.
+
+    ``f`` and ``i`` are two views of the same words, which begin at index ``at``.
+    """
+
+    f: np.ndarray
+    i: np.ndarray
+    address: int
+    at: int
+
+
+@numba.njit(cache=True)
+def new_ray():
+    """Return a ray whose words are aligned to 64 bytes."""
+    f = np.empty(_WORDS, np.float32)
+    skip = (64 - f.ctypes.data % 64) % 64
+    return Ray(f, f.view(np.int32), np.uintp(f.ctypes.data + skip), skip // 4)
 
 
 @numba.njit(cache=True, inline="always")
-def trace(function, scene, address, at, f, i, ox, oy, oz, dx, dy, dz, near, far):
-    """Fill a ray and call rtcIntersect1 or rtcOccluded1; results stay in the buffer's words."""
-    f[at], f[at + 1], f[at + 2], f[at + 3] = ox, oy, oz, near
-    f[at + 4], f[at + 5], f[at + 6], f[at + 7] = dx, dy, dz, 0.0
+def trace(function, scene, ray, origin, direction, far):
+    """Call rtcIntersect1 or rtcOccluded1; `hit_shape`, `hit_distance` and `is_blocked` read the answer."""
+    f, i, at = ray.f, ray.i, ray.at
+    f[at], f[at + 1], f[at + 2], f[at + 3] = origin[0], origin[1], origin[2], 0.0
+    f[at + 4], f[at + 5], f[at + 6], f[at + 7] = direction[0], direction[1], direction[2], 0.0
     f[at + 8] = far
     i[at + 9], i[at + 10], i[at + 11] = -1, 0, 0
     i[at + 17], i[at + 18], i[at + 19], i[at + 20] = NO_HIT, NO_HIT, NO_HIT, NO_HIT
-    _call(function, scene, address, np.uintp(0))
+    _call(function, scene, ray.address, np.uintp(0))
+
+
+@numba.njit(cache=True, inline="always")
+def hit_shape(ray):
+    """Return the identifier of the shape that was hit, or `NO_HIT`."""
+    return ray.i[ray.at + 18]
+
+
+@numba.njit(cache=True, inline="always")
+def hit_distance(ray):
+    """Return the distance of the hit, mm; infinite where nothing was hit."""
+    return ray.f[ray.at + 8]
+
+
+@numba.njit(cache=True, inline="always")
+def is_blocked(ray):
+    """Return whether rtcOccluded1 found anything on the ray."""
+    return ray.f[ray.at + 8] < 0.0
+
+
+# The body of a parallel loop is one call: numba frees the arrays of a tuple too early inside the loop itself.
+
+
+@numba.njit(cache=True)
+def _intersect_some(function, scene, origins, directions, distance, shape):
+    ray = new_ray()
+    for r in range(origins.shape[0]):
+        trace(function, scene, ray, origins[r], directions[r], np.inf)
+        shape[r] = hit_shape(ray)
+        distance[r] = hit_distance(ray)
+
+
+@numba.njit(cache=True)
+def _occluded_some(function, scene, origins, directions, far, out):
+    ray = new_ray()
+    for r in range(origins.shape[0]):
+        trace(function, scene, ray, origins[r], directions[r], far[r])
+        out[r] = is_blocked(ray)
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _intersect(function, scene, origins, directions, near, distance, shape):
+def _intersect(function, scene, origins, directions, distance, shape):
     count = origins.shape[0]
     for chunk in numba.prange((count + _CHUNK - 1) // _CHUNK):
-        f = np.empty(_WORDS, np.float32)
-        i = f.view(np.int32)
-        address, at = new_ray(f, i)
-        for r in range(chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)):
-            o, d = origins[r], directions[r]
-            trace(function, scene, address, at, f, i, o[0], o[1], o[2], d[0], d[1], d[2], near, np.float32(np.inf))
-            shape[r] = i[at + 18]
-            distance[r] = f[at + 8]
+        a, b = chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)
+        _intersect_some(function, scene, origins[a:b], directions[a:b], distance[a:b], shape[a:b])
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _occluded(function, scene, origins, directions, near, far, out):
+def _occluded(function, scene, origins, directions, far, out):
     count = origins.shape[0]
     for chunk in numba.prange((count + _CHUNK - 1) // _CHUNK):
-        f = np.empty(_WORDS, np.float32)
-        i = f.view(np.int32)
-        address, at = new_ray(f, i)
-        for r in range(chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)):
-            o, d = origins[r], directions[r]
-            trace(function, scene, address, at, f, i, o[0], o[1], o[2], d[0], d[1], d[2], near, far[r])
-            out[r] = f[at + 8] < 0.0
+        a, b = chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)
+        _occluded_some(function, scene, origins[a:b], directions[a:b], far[a:b], out[a:b])
 
 
 class Tracer:
@@ -184,14 +225,12 @@ class Tracer:
             self._library.rtcReleaseScene(self.scene)
             self.scene = None
 
-    def intersect(self, origins, directions, near: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    def intersect(self, origins, directions) -> tuple[np.ndarray, np.ndarray]:
         """Return the nearest hit of each ray.
 
         Parameters
         ----------
         origins, directions : (n, 3) float, mm and unit vectors
-        near : float, mm
-            Hits nearer than this do not count.
 
         Returns
         -------
@@ -203,7 +242,7 @@ class Tracer:
         directions = np.ascontiguousarray(directions, dtype=np.float64)
         distance = np.empty(len(origins))
         shape = np.empty(len(origins), dtype=np.int32)
-        _intersect(self.intersect_address, self.scene, origins, directions, np.float32(near), distance, shape)
+        _intersect(self.intersect_address, self.scene, origins, directions, distance, shape)
         distance[shape == NO_HIT] = np.inf
         for identifier, placement in enumerate(self.placements):
             chosen = shape == identifier
@@ -211,13 +250,13 @@ class Tracer:
                 distance[chosen] = polish(placement, origins[chosen], directions[chosen], distance[chosen])
         return distance, shape
 
-    def occluded(self, origins, directions, far=np.inf, near: float = 0.0) -> np.ndarray:
-        """Return whether anything stands between ``near`` and ``far`` (mm) on each ray, (n,) bool."""
+    def occluded(self, origins, directions, far=np.inf) -> np.ndarray:
+        """Return whether anything stands on each ray up to ``far`` (mm), (n,) bool."""
         origins = np.ascontiguousarray(origins, dtype=np.float64)
         directions = np.ascontiguousarray(directions, dtype=np.float64)
         out = np.empty(len(origins), dtype=np.bool_)
         far = np.broadcast_to(np.asarray(far, dtype=np.float32), len(origins)).copy()
-        _occluded(self.occluded_address, self.scene, origins, directions, np.float32(near), far, out)
+        _occluded(self.occluded_address, self.scene, origins, directions, far, out)
         return out
 
 

@@ -1,211 +1,165 @@
 """The paper's ray tracer: irradiance map, sampled gloss, and mirror reflection traced to a limit [eq. 9]."""
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from irodori.brdf import fresnel
-from irodori.geometry.embree import Tracer, new_ray, trace
+from irodori.geometry.embree import Tracer, hit_distance, hit_shape, new_ray, trace
 from irodori.rendering.scene import Light, Objects, View
 from irodori.rendering.shading import (
     BANDS,
-    add_ambient,
+    World,
+    add_diffuse,
     add_gloss,
     add_light,
-    frame,  # noqa: F401  numba's cache needs the callee importable
+    add_spectrum,
+    fill_irradiance,
     hashed,
-    map_irradiance,
-    reflected_irradiance,
+    hide_and_reflect,
+    new_scratch,
     surface,
 )
 
 #: Rays start this fraction of the scene's size above the surface they leave.
 OFFSET = 1e-5
+_STREAMS = 32  # more than the bounces that a scene may ask for
+
+
+class Sampling(NamedTuple):
+    """How finely to render.
+
+    ``pixel_side`` rays along each side of a pixel; rays a shading point for hidden light and for gloss; mirror
+    reflections to follow; and the throughput under which a path ends.
+    """
+
+    pixel_side: int
+    ambient_samples: int
+    gloss_samples: int
+    max_bounces: int
+    min_throughput: float
+
+
+class Path(NamedTuple):
+    """Buffers of one thread for the path from the eye."""
+
+    origin: np.ndarray  # (3,)
+    direction: np.ndarray  # (3,)
+    point: np.ndarray  # (3,)
+    normal: np.ndarray  # (3,)
+    to_eye: np.ndarray  # (3,)
+    texel: np.ndarray  # (k + 2,)
+    throughput: np.ndarray  # (61,)
+    irradiance: np.ndarray  # (61,)
+    radiance: np.ndarray  # (61,)
 
 
 @numba.njit(cache=True)
-def _shade(
-    objects, light, tracing, buffers, index, point, normal, texel, view, counts, pixel, offset, irradiance, local
-):
-    """Fill the radiance that a point sends towards the viewer without its mirror term."""
-    ambient_samples, gloss_samples = counts
-    x, y, sample = pixel
-    local[:] = 0.0
-    map_irradiance(light, normal, irradiance)
-    if ambient_samples > 0:
-        add_ambient(
-            objects,
-            light,
-            tracing,
-            buffers,
-            point,
-            normal,
-            ambient_samples,
-            hashed(x, y, sample, 0),
-            hashed(x, y, sample, 1),
-            offset,
-            irradiance,
-        )
-    reflected_irradiance(objects, light, index, normal, texel, irradiance, 1.0, True, local)
-    bases = objects.texels.shape[1] - 2
-    add_gloss(
-        objects,
-        light,
-        tracing,
-        buffers,
-        index,
-        point,
-        normal,
-        view,
-        texel[bases],
-        texel[bases + 1],
-        gloss_samples,
-        hashed(x, y, sample, 2),
-        hashed(x, y, sample, 3),
-        offset,
-        local,
+def _new_path(world):
+    return Path(
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(world.objects.texels.shape[1]),
+        np.empty(BANDS),
+        np.empty(BANDS),
+        np.empty(BANDS),
     )
 
 
 @numba.njit(cache=True)
-def _follow(objects, light, tracing, buffers, origin, d, counts, max_bounces, min_throughput, pixel, offset, work, out):
-    """Add the radiance along one ray from the eye, mirror after mirror; return the number of surfaces met."""
-    intersect, scene, address, at, f, i = tracing
-    throughput, irradiance, local, texel, point, normal, view = work
-    throughput[:] = 1.0
-    for bounce in range(max_bounces + 1):
-        trace(
-            intersect,
-            scene,
-            address,
-            at,
-            f,
-            i,
-            origin[0],
-            origin[1],
-            origin[2],
-            d[0],
-            d[1],
-            d[2],
-            0.0,
-            np.float32(np.inf),
-        )
-        index = i[at + 18]
+def _shade(world, ray, scratch, path, index, sampling, pixel):
+    """Fill ``path.radiance`` with what the path's point sends towards the viewer without its mirror term."""
+    x, y, stream = pixel
+    path.radiance[:] = 0.0
+    fill_irradiance(world, path.normal, scratch.light, path.irradiance)
+    if sampling.ambient_samples > 0:
+        shift = (hashed(x, y, stream, 0), hashed(x, y, stream, 1))
+        hide_and_reflect(world, ray, scratch, path.point, path.normal, sampling.ambient_samples, shift, path.irradiance)
+    add_diffuse(world.objects, index, path.texel, path.irradiance, 1.0, path.radiance)
+    shift = (hashed(x, y, stream, 2), hashed(x, y, stream, 3))
+    gloss = (path.texel[path.texel.size - 2], path.texel[path.texel.size - 1])
+    samples = sampling.gloss_samples
+    add_gloss(world, ray, scratch, index, path.point, path.normal, path.to_eye, gloss, samples, shift, path.radiance)
+
+
+@numba.njit(cache=True)
+def _follow(world, ray, scratch, path, sampling, pixel, out):
+    """Add the radiance along one ray from the eye, mirror after mirror; return the number of surfaces shaded."""
+    objects, d = world.objects, path.direction
+    path.throughput[:] = 1.0
+    for bounce in range(sampling.max_bounces + 1):
+        trace(world.intersect, world.scene, ray, path.origin, d, np.inf)
+        index = hit_shape(ray)
         if index < 0:
-            coefficients = np.zeros(light.basis.shape[1])
-            add_light(light, 0, d[0], d[1], d[2], 1.0, coefficients)
+            scratch.light[:] = 0.0
+            path.radiance[:] = 0.0
+            add_light(world.light, 0, d[0], d[1], d[2], 1.0, scratch.light)
+            add_spectrum(world.light.basis, scratch.light, path.radiance)
             for band in range(BANDS):
-                value = 0.0
-                for b in range(coefficients.size):
-                    value += light.basis[band, b] * coefficients[b]
-                out[band] += throughput[band] * max(value, 0.0)
+                out[band] += path.throughput[band] * path.radiance[band]
             return bounce
         for axis in range(3):
-            point[axis] = origin[axis] + f[at + 8] * d[axis]
-            view[axis] = -d[axis]
-        surface(objects, index, point, normal, texel)
-        cosine = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
+            path.point[axis] = path.origin[axis] + hit_distance(ray) * d[axis]
+            path.to_eye[axis] = -d[axis]
+        surface(objects, index, path.point, path.normal, path.texel)
+        cosine = path.normal[0] * path.to_eye[0] + path.normal[1] * path.to_eye[1] + path.normal[2] * path.to_eye[2]
         if cosine <= 0.0:
             return bounce
-        _shade(
-            objects,
-            light,
-            tracing,
-            buffers,
-            index,
-            point,
-            normal,
-            texel,
-            view,
-            counts,
-            (pixel[0], pixel[1], pixel[2] * 32 + bounce),
-            offset,
-            irradiance,
-            local,
-        )
+        _shade(world, ray, scratch, path, index, sampling, (pixel[0], pixel[1], pixel[2] * _STREAMS + bounce))
         largest = 0.0
         for band in range(BANDS):
-            out[band] += throughput[band] * local[band]
-            throughput[band] *= objects.mirror[index] * fresnel(cosine, objects.n[index, band], objects.k[index, band])
-            largest = max(largest, throughput[band])
-        if largest < min_throughput:
+            out[band] += path.throughput[band] * path.radiance[band]
+            mirror = objects.mirror[index] * fresnel(cosine, objects.n[index, band], objects.k[index, band])
+            path.throughput[band] *= mirror
+            largest = max(largest, path.throughput[band])
+        if largest < sampling.min_throughput:
             return bounce + 1
         for axis in range(3):
-            d[axis] = 2.0 * cosine * normal[axis] - view[axis]
-            origin[axis] = point[axis] + offset * normal[axis]
-    return max_bounces + 1
+            d[axis] = 2.0 * cosine * path.normal[axis] - path.to_eye[axis]
+            path.origin[axis] = path.point[axis] + world.offset_mm * path.normal[axis]
+    return sampling.max_bounces + 1
+
+
+@numba.njit(cache=True, inline="always")
+def _aim(view, x, y, sample, side, path):
+    """Start a path from the eye through a sample of a pixel."""
+    px = (x + (sample % side + 0.5) / side - 0.5 * view.width) / view.focal_px
+    py = (y + (sample // side + 0.5) / side - 0.5 * view.height) / view.focal_px
+    scale = 1.0 / math.sqrt(px * px + py * py + 1.0)
+    rotation = view.world_from_camera
+    for a in range(3):
+        path.direction[a] = (rotation[a, 0] * px + rotation[a, 1] * py + rotation[a, 2]) * scale
+        path.origin[a] = view.position_mm[a]
+
+
+@numba.njit(cache=True)
+def _render_row(objects, light, addresses, offset_mm, view, sampling, y, row):
+    """Fill a row of the picture; return the number of points shaded."""
+    world = World(objects, light, addresses[0], addresses[1], offset_mm)
+    ray, scratch, path = new_ray(), new_scratch(world), _new_path(world)
+    samples = sampling.pixel_side * sampling.pixel_side
+    total = np.empty(BANDS)
+    shaded = 0
+    for x in range(view.width):
+        total[:] = 0.0
+        for s in range(samples):
+            _aim(view, x, y, s, sampling.pixel_side, path)
+            shaded += _follow(world, ray, scratch, path, sampling, (x, y, s), total)
+        for band in range(BANDS):
+            row[x, band] = total[band] / samples
+    return shaded
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _render(
-    objects,
-    light,
-    view,
-    intersect,
-    scene,
-    first_row,
-    counts,
-    pixel_side,
-    max_bounces,
-    min_throughput,
-    offset,
-    image,
-    met,
-):
+def _render(objects, light, addresses, offset_mm, view, sampling, first_row, image, shaded):
+    # A parallel loop takes tuples of arrays, but no tuples of tuples: the world is put together inside.
     for row in numba.prange(image.shape[0]):
-        f = np.empty(64, np.float32)
-        i = f.view(np.int32)
-        address, at = new_ray(f, i)
-        tracing = (intersect, scene, address, at, f, i)
-        texel_size = objects.texels.shape[1]
-        buffers = (
-            np.empty(3),
-            np.empty(3),
-            np.empty(3),
-            np.empty(3),
-            np.empty(3),
-            np.empty(texel_size),
-            np.empty(BANDS),
-        )
-        work = (
-            np.empty(BANDS),
-            np.empty(BANDS),
-            np.empty(BANDS),
-            np.empty(texel_size),
-            np.empty(3),
-            np.empty(3),
-            np.empty(3),
-        )
-        origin, d, total = np.empty(3), np.empty(3), np.empty(BANDS)
-        y = first_row + row
-        for x in range(view.width):
-            total[:] = 0.0
-            for s in range(pixel_side * pixel_side):
-                px = (x + (s % pixel_side + 0.5) / pixel_side - 0.5 * view.width) / view.focal_px
-                py = (y + (s // pixel_side + 0.5) / pixel_side - 0.5 * view.height) / view.focal_px
-                scale = 1.0 / math.sqrt(px * px + py * py + 1.0)
-                rotation = view.world_from_camera
-                for a in range(3):
-                    d[a] = (rotation[a, 0] * px + rotation[a, 1] * py + rotation[a, 2]) * scale
-                    origin[a] = view.position_mm[a]
-                met[row] += _follow(
-                    objects,
-                    light,
-                    tracing,
-                    buffers,
-                    origin,
-                    d,
-                    counts,
-                    max_bounces,
-                    min_throughput,
-                    (x, y, s),
-                    offset,
-                    work,
-                    total,
-                )
-            for band in range(BANDS):
-                image[row, x, band] = total[band] / (pixel_side * pixel_side)
+        shaded[row] = _render_row(objects, light, addresses, offset_mm, view, sampling, first_row + row, image[row])
 
 
 def render_rows(
@@ -221,32 +175,19 @@ def render_rows(
     rows : (int, int)
         First and last-plus-one row.
     options : dict
-        ``pixel_side`` (samples along each side of a pixel), ``ambient_samples``, ``gloss_samples``,
-        ``max_bounces``, ``min_throughput``.
+        The fields of `Sampling`; others are ignored.
 
     Returns
     -------
     radiance : (rows, width, 61) float32
-    met : int
-        Surfaces shaded, for the count of rays: each costs 1 + ambient_samples + gloss_samples rays.
+    shaded : int
+        Points shaded, for the count of rays: each costs 1 + ambient_samples + gloss_samples rays.
     """
     image = np.zeros((rows[1] - rows[0], view.width, BANDS), dtype=np.float32)
-    met = np.zeros(len(image), dtype=np.int64)
+    shaded = np.zeros(len(image), dtype=np.int64)
     extent = np.abs(objects.translation_mm).max() + (objects.size_mm.max(axis=1) * objects.scale).max()
     size = float(extent + np.linalg.norm(view.position_mm))
-    _render(
-        objects,
-        light,
-        view,
-        tracer.intersect_address,
-        tracer.scene,
-        rows[0],
-        (options["ambient_samples"], options["gloss_samples"]),
-        options["pixel_side"],
-        options["max_bounces"],
-        options["min_throughput"],
-        OFFSET * size,
-        image,
-        met,
-    )
-    return image, int(met.sum())
+    addresses = (tracer.intersect_address, tracer.scene)
+    sampling = Sampling(**{name: options[name] for name in Sampling._fields})
+    _render(objects, light, addresses, OFFSET * size, view, sampling, rows[0], image, shaded)
+    return image, int(shaded.sum())

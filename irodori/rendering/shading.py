@@ -1,15 +1,59 @@
 """Compiled shading: look-ups of textures and light, diffuse light, and the gloss lobe [eq. 5, 8, 9]."""
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from irodori.brdf import attenuation_over_cosine, fresnel
-from irodori.geometry.embree import trace
+from irodori.geometry.embree import NO_HIT, hit_distance, hit_shape, trace
 from irodori.geometry.shapes import SPHERE, uv_from_point
+from irodori.rendering.scene import Light, Objects
 
 BANDS = 61
+
+
+class World(NamedTuple):
+    """What rays travel in: see `irodori.rendering.scene` for objects and light, `Tracer` for the addresses."""
+
+    objects: Objects
+    light: Light
+    intersect: int
+    scene: int
+    offset_mm: float  # height above a surface at which rays leave it
+
+
+class Scratch(NamedTuple):
+    """Buffers of one thread for the secondary rays of a shading point."""
+
+    tangent: np.ndarray  # (3,)
+    bitangent: np.ndarray  # (3,)
+    origin: np.ndarray  # (3,)
+    direction: np.ndarray  # (3,)
+    point: np.ndarray  # (3,)
+    normal: np.ndarray  # (3,)
+    texel: np.ndarray  # (k + 2,)
+    light: np.ndarray  # (k of the light,)
+    radiance: np.ndarray  # (61,)
+    incoming: np.ndarray  # (61,)
+
+
+@numba.njit(cache=True)
+def new_scratch(world):
+    """Return buffers for one thread."""
+    return Scratch(
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(world.objects.texels.shape[1]),
+        np.empty(world.light.basis.shape[1]),
+        np.empty(BANDS),
+        np.empty(BANDS),
+    )
 
 
 @numba.njit(cache=True, inline="always")
@@ -108,43 +152,37 @@ def surface(objects, index, point, normal, texel):
         interpolate(objects.texels, objects.first_texel[index], width, height, u, v, 1.0, texel)
 
 
-@numba.njit(cache=True)
-def reflected_irradiance(objects, light, index, normal, texel, irradiance, scale, own, out):
-    """Add the diffuse radiance α S / S_G · I / π [eq. 9] times ``scale``.
-
-    ``irradiance`` (61,) is used where ``own`` is true; otherwise the irradiance map gives it [eq. 8].
-    """
-    bases = objects.bases[index]
-    basis = objects.basis[index]
-    coefficients = np.zeros(light.basis.shape[1])
-    if not own:
-        u, v = direction_uv(normal[0], normal[1], normal[2])
-        flat = light.irradiance.reshape(-1, light.irradiance.shape[2])
-        interpolate(flat, 0, light.irradiance.shape[1], light.irradiance.shape[0], u, v, 1.0, coefficients)
-    for band in range(BANDS):
-        reflectance = 0.0
-        for b in range(bases):
-            reflectance += basis[band, b] * texel[b]
-        incoming = irradiance[band]
-        if not own:
-            incoming = 0.0
-            for b in range(coefficients.size):
-                incoming += light.basis[band, b] * coefficients[b]
-        out[band] += scale * max(reflectance, 0.0) * max(incoming, 0.0) / math.pi
-
-
-@numba.njit(cache=True)
-def map_irradiance(light, normal, out):
-    """Fill the spectral irradiance of an unobstructed normal from the irradiance map [eq. 8]."""
-    coefficients = np.zeros(light.basis.shape[1])
-    u, v = direction_uv(normal[0], normal[1], normal[2])
-    flat = light.irradiance.reshape(-1, light.irradiance.shape[2])
-    interpolate(flat, 0, light.irradiance.shape[1], light.irradiance.shape[0], u, v, 1.0, coefficients)
+@numba.njit(cache=True, inline="always")
+def add_spectrum(basis, coefficients, out):
+    """Add the spectrum of coefficients; what recovery left below zero is dark."""
     for band in range(BANDS):
         value = 0.0
         for b in range(coefficients.size):
-            value += light.basis[band, b] * coefficients[b]
-        out[band] = max(value, 0.0)
+            value += basis[band, b] * coefficients[b]
+        out[band] += max(value, 0.0)
+
+
+@numba.njit(cache=True)
+def fill_irradiance(world, normal, coefficients, out):
+    """Fill the spectral irradiance of an unobstructed normal from the irradiance map [eq. 8]."""
+    irradiance = world.light.irradiance
+    coefficients[:] = 0.0
+    out[:] = 0.0
+    u, v = direction_uv(normal[0], normal[1], normal[2])
+    flat = irradiance.reshape(-1, irradiance.shape[2])
+    interpolate(flat, 0, irradiance.shape[1], irradiance.shape[0], u, v, 1.0, coefficients)
+    add_spectrum(world.light.basis, coefficients, out)
+
+
+@numba.njit(cache=True)
+def add_diffuse(objects, index, texel, irradiance, scale, out):
+    """Add ``scale`` times the diffuse radiance α S / S_G · I / π of a surface [eq. 9]."""
+    basis = objects.basis[index]
+    for band in range(BANDS):
+        reflectance = 0.0
+        for b in range(objects.bases[index]):
+            reflectance += basis[band, b] * texel[b]
+        out[band] += scale / math.pi * max(reflectance, 0.0) * irradiance[band]
 
 
 @numba.njit(cache=True, inline="always")
@@ -156,147 +194,124 @@ def level_for(light, solid_angle):
 
 
 @numba.njit(cache=True)
-def add_ambient(objects, light, tracing, buffers, point, normal, samples, shift_u, shift_v, offset, irradiance):
+def look_from(world, ray, point, normal, scratch):
+    """Trace ``scratch.direction`` from a surface; return the shape met, its point, normal and texel in ``scratch``.
+
+    Returns `NO_HIT` where the light is seen, and -2 for the back of a plate, which is black.
+    """
+    origin, d = scratch.origin, scratch.direction
+    for axis in range(3):
+        origin[axis] = point[axis] + world.offset_mm * normal[axis]
+    trace(world.intersect, world.scene, ray, origin, d, np.inf)
+    index = hit_shape(ray)
+    if index < 0:
+        return index
+    for axis in range(3):
+        scratch.point[axis] = origin[axis] + hit_distance(ray) * d[axis]
+    surface(world.objects, index, scratch.point, scratch.normal, scratch.texel)
+    facing = scratch.normal[0] * d[0] + scratch.normal[1] * d[1] + scratch.normal[2] * d[2]
+    return index if facing < 0.0 else -2
+
+
+@numba.njit(cache=True, inline="always")
+def _stratum(sample, samples, shift):
+    """Return a point of an even set in the unit square, moved by a shift."""
+    u, v = (sample + 0.5) / samples + shift[0], second_coordinate(sample) + shift[1]
+    return u - math.floor(u), v - math.floor(v)
+
+
+@numba.njit(cache=True)
+def hide_and_reflect(world, ray, scratch, point, normal, samples, shift, irradiance):
     """Turn the map's irradiance at a point into the real one: other objects hide light, and reflect their own.
 
     Cosine-distributed rays; the hidden share of the map's irradiance is replaced by the diffuse radiance of what
     hides it.
     """
-    intersect, scene, address, at, f, i = tracing
-    tangent, bitangent, d, hit_point, hit_normal, hit_texel, gathered = buffers
-    frame(normal, tangent, bitangent)
-    gathered[:] = 0.0
+    frame(normal, scratch.tangent, scratch.bitangent)
+    scratch.radiance[:] = 0.0
     hidden = 0
     for s in range(samples):
-        u = (s + 0.5) / samples + shift_u
-        v = second_coordinate(s) + shift_v
-        u -= math.floor(u)
-        v -= math.floor(v)
+        u, v = _stratum(s, samples, shift)
         radius, angle = math.sqrt(u), 2.0 * math.pi * v
         a, b, c = radius * math.cos(angle), radius * math.sin(angle), math.sqrt(1.0 - u)
         for axis in range(3):
-            d[axis] = a * tangent[axis] + b * bitangent[axis] + c * normal[axis]
-        trace(
-            intersect,
-            scene,
-            address,
-            at,
-            f,
-            i,
-            point[0] + offset * normal[0],
-            point[1] + offset * normal[1],
-            point[2] + offset * normal[2],
-            d[0],
-            d[1],
-            d[2],
-            0.0,
-            np.float32(np.inf),
-        )
-        index = i[at + 18]
-        if index < 0:
+            scratch.direction[axis] = a * scratch.tangent[axis] + b * scratch.bitangent[axis] + c * normal[axis]
+        index = look_from(world, ray, point, normal, scratch)
+        if index == NO_HIT:
             continue
         hidden += 1
-        for axis in range(3):
-            hit_point[axis] = point[axis] + offset * normal[axis] + f[at + 8] * d[axis]
-        surface(objects, index, hit_point, hit_normal, hit_texel)
-        if hit_normal[0] * d[0] + hit_normal[1] * d[1] + hit_normal[2] * d[2] >= 0.0:
-            continue  # the back of a plate is black
-        reflected_irradiance(objects, light, index, hit_normal, hit_texel, gathered, math.pi / samples, False, gathered)
+        if index >= 0:
+            fill_irradiance(world, scratch.normal, scratch.light, scratch.incoming)
+            add_diffuse(world.objects, index, scratch.texel, scratch.incoming, math.pi / samples, scratch.radiance)
     seen = 1.0 - hidden / samples
     for band in range(BANDS):
-        irradiance[band] = seen * irradiance[band] + gathered[band]
+        irradiance[band] = seen * irradiance[band] + scratch.radiance[band]
 
 
 @numba.njit(cache=True, error_model="numpy")
-def add_gloss(
-    objects, light, tracing, buffers, index, point, normal, view, beta, mu, samples, shift_u, shift_v, offset, out
-):
+def _sample_lobe(normal, view, mu, inside, cos_r, uv, scratch):
+    """Draw a half vector and mirror the view in it, into ``scratch.direction``.
+
+    Its φ has the density 2φ/μ² exp(-(φ/μ)²), so that D over the density of H in solid angle is π μ² sinφ / φ times
+    ``inside`` = 1 - exp(-(π/2μ)²), and the weight of a sample is bounded.
+
+    Returns
+    -------
+    cos_h : float, V·H
+    weight : float, G / cosθ_r times D dω over the density; 0 for a direction that carries no light
+    solid_angle : float, sr, one over the density of the direction
+    """
+    phi = mu * math.sqrt(-math.log(1.0 - uv[0] * inside))
+    angle, sine, cosine = 2.0 * math.pi * uv[1], math.sin(phi), math.cos(phi)
+    a, b, d = sine * math.cos(angle), sine * math.sin(angle), scratch.direction
+    cos_h = 0.0
+    for axis in range(3):
+        d[axis] = a * scratch.tangent[axis] + b * scratch.bitangent[axis] + cosine * normal[axis]
+        cos_h += d[axis] * view[axis]
+    cos_i = 0.0
+    for axis in range(3):
+        d[axis] = 2.0 * cos_h * d[axis] - view[axis]
+        cos_i += d[axis] * normal[axis]
+    geometric = attenuation_over_cosine(cos_i, cos_r, cosine, cos_h)
+    # dω_i = 4 V·H dω_H.
+    spread = math.pi * mu * mu * inside * (sine / phi if phi > 1e-9 else 1.0) * 4.0 * cos_h
+    ratio = phi / mu
+    return cos_h, geometric * spread, spread * math.exp(ratio * ratio)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def add_gloss(world, ray, scratch, index, point, normal, view, gloss, samples, shift, out):
     """Add the gloss radiance β/π ∫ L F D G / cosθ_r dω [eq. 5], sampled by the facet distribution.
 
-    Half vectors are drawn with density proportional to D sinφ-free in φ (a Rayleigh law), so that the weight of a
-    sample is bounded; the light is looked up at the level whose pixels have the sample's solid angle.
+    ``gloss`` is (β, μ). Light is looked up at the level of its ladder whose pixels have the sample's solid angle
+    (Křivánek and Colbert 2008); other objects are seen by their diffuse radiance.
     """
-    intersect, scene, address, at, f, i = tracing
-    tangent, bitangent, d, hit_point, hit_normal, hit_texel, gathered = buffers
+    beta, mu = gloss
     cos_r = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
     if not (beta > 0.0 and mu > 0.0 and cos_r > 0.0):
         return
-    frame(normal, tangent, bitangent)
+    objects, d = world.objects, scratch.direction
+    n, k = objects.n[index], objects.k[index]
+    frame(normal, scratch.tangent, scratch.bitangent)
     inside = 1.0 - math.exp(-((0.5 * math.pi / mu) ** 2))
-    coefficients = np.zeros(light.basis.shape[1])
-    radiance = np.zeros(BANDS)
-    grey = objects.grey[index] == 1
     for s in range(samples):
-        u = (s + 0.5) / samples + shift_u
-        v = second_coordinate(s) + shift_v
-        u -= math.floor(u)
-        v -= math.floor(v)
-        phi = mu * math.sqrt(-math.log(1.0 - u * inside))
-        angle, sine = 2.0 * math.pi * v, math.sin(phi)
-        a, b, c = sine * math.cos(angle), sine * math.sin(angle), math.cos(phi)
-        cos_h = 0.0
-        for axis in range(3):
-            d[axis] = a * tangent[axis] + b * bitangent[axis] + c * normal[axis]
-            cos_h += d[axis] * view[axis]
-        if cos_h <= 0.0:
+        uv = _stratum(s, samples, shift)
+        cos_h, weight, solid_angle = _sample_lobe(normal, view, mu, inside, cos_r, uv, scratch)
+        if weight <= 0.0:
             continue
-        cos_i = 0.0
-        for axis in range(3):
-            d[axis] = 2.0 * cos_h * d[axis] - view[axis]
-            cos_i += d[axis] * normal[axis]
-        geometric = attenuation_over_cosine(cos_i, cos_r, c, cos_h)
-        if geometric <= 0.0:
-            continue
-        # dω_i = 4 V·H dω_H, and D over the density of H is π μ² (1 - exp(-(π/2μ)²)) sinφ / φ.
-        spread = math.pi * mu * mu * inside * (sine / phi if phi > 1e-9 else 1.0) * 4.0 * cos_h
-        weight = beta / math.pi * geometric * spread / samples
-        ratio = phi / mu
-        fresnel_grey = fresnel(cos_h, objects.n[index, 0], objects.k[index, 0])
-        trace(
-            intersect,
-            scene,
-            address,
-            at,
-            f,
-            i,
-            point[0] + offset * normal[0],
-            point[1] + offset * normal[1],
-            point[2] + offset * normal[2],
-            d[0],
-            d[1],
-            d[2],
-            0.0,
-            np.float32(np.inf),
-        )
-        other = i[at + 18]
-        if other < 0:
-            level = level_for(light, spread / (samples * math.exp(-ratio * ratio)))
-            if grey:
-                add_light(light, level, d[0], d[1], d[2], weight * fresnel_grey, coefficients)
-                continue
-            coefficients[:] = 0.0
-            add_light(light, level, d[0], d[1], d[2], weight, coefficients)
-            for band in range(BANDS):
-                value = 0.0
-                for b_index in range(coefficients.size):
-                    value += light.basis[band, b_index] * coefficients[b_index]
-                radiance[band] += fresnel(cos_h, objects.n[index, band], objects.k[index, band]) * max(value, 0.0)
-            continue
-        for axis in range(3):
-            hit_point[axis] = point[axis] + offset * normal[axis] + f[at + 8] * d[axis]
-        surface(objects, other, hit_point, hit_normal, hit_texel)
-        if hit_normal[0] * d[0] + hit_normal[1] * d[1] + hit_normal[2] * d[2] >= 0.0:
-            continue
-        gathered[:] = 0.0
-        reflected_irradiance(objects, light, other, hit_normal, hit_texel, gathered, weight, False, gathered)
+        weight *= beta / (math.pi * samples)
+        other = look_from(world, ray, point, normal, scratch)
+        scratch.radiance[:] = 0.0
+        if other == NO_HIT:
+            scratch.light[:] = 0.0
+            level = level_for(world.light, solid_angle / samples)
+            add_light(world.light, level, d[0], d[1], d[2], 1.0, scratch.light)
+            add_spectrum(world.light.basis, scratch.light, scratch.radiance)
+        elif other >= 0:
+            fill_irradiance(world, scratch.normal, scratch.light, scratch.incoming)
+            add_diffuse(objects, other, scratch.texel, scratch.incoming, 1.0, scratch.radiance)
+        factor = weight * fresnel(cos_h, n[0], k[0])
         for band in range(BANDS):
-            factor = fresnel_grey if grey else fresnel(cos_h, objects.n[index, band], objects.k[index, band])
-            radiance[band] += factor * gathered[band]
-    for band in range(BANDS):
-        value = radiance[band]
-        if grey:
-            sum_ = 0.0
-            for b_index in range(coefficients.size):
-                sum_ += light.basis[band, b_index] * coefficients[b_index]
-            value += max(sum_, 0.0)
-        out[band] += value
+            if objects.grey[index] == 0:
+                factor = weight * fresnel(cos_h, n[band], k[band])
+            out[band] += factor * scratch.radiance[band]

@@ -1,12 +1,13 @@
 """What each mosaic pixel of the virtual camera receives: equation (5) under a collimated light, with shadows."""
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from irodori.brdf import attenuation_over_cosine, facet_distribution, fresnel
-from irodori.geometry.embree import Tracer, new_ray, trace
+from irodori.geometry.embree import Tracer, hit_distance, hit_shape, is_blocked, new_ray, trace
 from irodori.geometry.shapes import PLATE, uv_from_point
 
 # The optical low-pass filter of a mosaic sensor splits each point into four, one pixel apart: a pixel sees its corners.
@@ -41,7 +42,7 @@ def _lookup(table, cosine, band):
 
 
 @numba.njit(cache=True, inline="always")
-def _surface(kind, size, rotation, world):
+def _surface(kind, rotation, world):
     """Return the object-frame point and the world normal of a hit on the sample."""
     ox = rotation[0, 0] * world[0] + rotation[1, 0] * world[1] + rotation[2, 0] * world[2]
     oy = rotation[0, 1] * world[0] + rotation[1, 1] * world[1] + rotation[2, 1] * world[2]
@@ -53,8 +54,9 @@ def _surface(kind, size, rotation, world):
 
 
 @numba.njit(cache=True, inline="always", error_model="numpy")
-def _response(out, weight, colour, diffuse, beta, mu, mirror, lamp_cosine, table, normal, light, view):
-    """Add the responses of one sample, without and with the filter, to ``out`` [eq. 5]."""
+def _response(out, weight, colour, sample, material, setup, normal, view):
+    """Add the responses of one point, without and with the filter, to ``out`` [eq. 5]."""
+    light = setup.to_light
     ci = normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2]
     cr = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
     if ci <= 0.0 or cr <= 0.0:
@@ -63,113 +65,94 @@ def _response(out, weight, colour, diffuse, beta, mu, mirror, lamp_cosine, table
     length = math.sqrt(hx * hx + hy * hy + hz * hz)
     cos_phi = min((hx * normal[0] + hy * normal[1] + hz * normal[2]) / length, 1.0)
     cos_h = length / 2.0
-    gloss = beta * facet_distribution(math.acos(cos_phi), mu) * attenuation_over_cosine(ci, cr, cos_phi, cos_h)
+    gloss = sample.beta[material] * facet_distribution(math.acos(cos_phi), sample.mu[material])
+    gloss *= attenuation_over_cosine(ci, cr, cos_phi, cos_h)
     # The lamp is a disc: its mirror image is seen where the mirrored view falls within its angular radius.
     mirrored = 2.0 * ci * cr - (view[0] * light[0] + view[1] * light[1] + view[2] * light[2])
-    image = mirror / (1.0 - lamp_cosine * lamp_cosine) if mirrored >= lamp_cosine else 0.0
+    image = sample.mirror / (1.0 - setup.lamp_cosine**2) if mirrored >= setup.lamp_cosine else 0.0
     for state in range(2):
         band = 3 * state + colour
-        out[state] += weight * (
-            diffuse[band] * ci + gloss * _lookup(table, cos_h, band) + image * _lookup(table, ci, band)
-        )
+        rough = sample.diffuse[material, band] * ci + gloss * _lookup(sample.fresnel, cos_h, band)
+        out[state] += weight * (rough + image * _lookup(sample.fresnel, ci, band))
+
+
+class _Setup(NamedTuple):
+    """One pose of the virtual rig for the compiled loop."""
+
+    intersect: int
+    occluded: int
+    scene: int
+    camera_mm: np.ndarray  # (3,)
+    world_from_camera: np.ndarray  # (3, 3)
+    focal_px: float
+    centre_px: np.ndarray  # (2,)
+    to_light: np.ndarray  # (3,)
+    rotation: np.ndarray  # (3, 3) rig_from_object
+    lamp_cosine: float
+
+
+class _Subject(NamedTuple):
+    """The sample for the compiled loop."""
+
+    kind: int
+    size_mm: np.ndarray  # (2,)
+    checks: np.ndarray  # (2,) columns, rows
+    diffuse: np.ndarray  # (materials, 6) band responses of S(λ)
+    beta: np.ndarray  # (materials,)
+    mu: np.ndarray  # (materials,)
+    mirror: float
+    fresnel: np.ndarray  # (nodes, 6)
+
+
+@numba.njit(cache=True, inline="always")
+def _aim(setup, x, y, direction):
+    """Fill the direction in which the camera sees a point of the mosaic."""
+    px, py = (x - setup.centre_px[0]) / setup.focal_px, (y - setup.centre_px[1]) / setup.focal_px
+    scale = 1.0 / math.sqrt(px * px + py * py + 1.0)
+    axes = setup.world_from_camera
+    for a in range(3):
+        direction[a] = (axes[a, 0] * px + axes[a, 1] * py + axes[a, 2]) * scale
+
+
+@numba.njit(cache=True)
+def _see(setup, sample, ray, direction, world, normal, view, weight, colour, out):
+    """Add what one ray from the camera sees of the sample."""
+    trace(setup.intersect, setup.scene, ray, setup.camera_mm, direction, np.inf)
+    if hit_shape(ray) != 0:
+        return
+    for a in range(3):
+        world[a] = setup.camera_mm[a] + hit_distance(ray) * direction[a]
+        view[a] = -direction[a]
+    ox, oy, oz, normal[0], normal[1], normal[2] = _surface(sample.kind, setup.rotation, world)
+    for a in range(3):
+        world[a] += _OFFSET_MM * normal[a]
+    trace(setup.occluded, setup.scene, ray, world, setup.to_light, np.inf)
+    if is_blocked(ray):
+        return
+    u, v = uv_from_point(sample.kind, sample.size_mm[0], sample.size_mm[1], ox, oy, oz)
+    column = min(max(int(u * sample.checks[0]), 0), sample.checks[0] - 1)
+    row = min(max(int(v * sample.checks[1]), 0), sample.checks[1] - 1)
+    _response(out, weight, colour, sample, (row * sample.checks[0] + column) % sample.beta.size, setup, normal, view)
+
+
+@numba.njit(cache=True)
+def _expose_row(setup, sample, y, image):
+    ray = new_ray()
+    direction, world, normal, view, out = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(2)
+    spots = _SPOTS * _SPOTS
+    for x in range(image.shape[2]):
+        out[:] = 0.0
+        for s in range(spots):
+            _aim(setup, x + s % _SPOTS, y + s // _SPOTS, direction)
+            _see(setup, sample, ray, direction, world, normal, view, 1.0 / spots, y % 2 + x % 2, out)
+        image[0, y, x] = out[0]
+        image[1, y, x] = out[1]
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _expose_object(
-    functions,
-    scene,
-    camera,
-    to_world,
-    focal,
-    centre,
-    light,
-    rotation,
-    kind,
-    size,
-    checks,
-    diffuse,
-    beta,
-    mu,
-    mirror,
-    lamp_cosine,
-    table,
-    image,
-):
-    intersect, occluded = functions
-    height, width = image.shape[1], image.shape[2]
-    for y in numba.prange(height):
-        f = np.empty(64, np.float32)
-        i = f.view(np.int32)
-        address, at = new_ray(f, i)
-        d, world, normal, out = np.empty(3), np.empty(3), np.empty(3), np.empty(2)
-        for x in range(width):
-            colour = (y % 2) + (x % 2)
-            out[:] = 0.0
-            for s in range(_SPOTS * _SPOTS):
-                px = (x + s % _SPOTS - centre[0]) / focal
-                py = (y + s // _SPOTS - centre[1]) / focal
-                scale = 1.0 / math.sqrt(px * px + py * py + 1.0)
-                for a in range(3):
-                    d[a] = (to_world[a, 0] * px + to_world[a, 1] * py + to_world[a, 2]) * scale
-                trace(
-                    intersect,
-                    scene,
-                    address,
-                    at,
-                    f,
-                    i,
-                    camera[0],
-                    camera[1],
-                    camera[2],
-                    d[0],
-                    d[1],
-                    d[2],
-                    0.0,
-                    np.float32(np.inf),
-                )
-                if i[at + 18] != 0:
-                    continue
-                for a in range(3):
-                    world[a] = camera[a] + f[at + 8] * d[a]
-                ox, oy, oz, normal[0], normal[1], normal[2] = _surface(kind, size, rotation, world)
-                trace(
-                    occluded,
-                    scene,
-                    address,
-                    at,
-                    f,
-                    i,
-                    world[0] + _OFFSET_MM * normal[0],
-                    world[1] + _OFFSET_MM * normal[1],
-                    world[2] + _OFFSET_MM * normal[2],
-                    light[0],
-                    light[1],
-                    light[2],
-                    0.0,
-                    np.float32(np.inf),
-                )
-                if f[at + 8] < 0.0:
-                    continue
-                u, v = uv_from_point(kind, size[0], size[1], ox, oy, oz)
-                column = min(max(int(u * checks[0]), 0), checks[0] - 1)
-                row = min(max(int(v * checks[1]), 0), checks[1] - 1)
-                m = (row * checks[0] + column) % beta.size
-                _response(
-                    out,
-                    1.0 / (_SPOTS * _SPOTS),
-                    colour,
-                    diffuse[m],
-                    beta[m],
-                    mu[m],
-                    mirror,
-                    lamp_cosine,
-                    table,
-                    normal,
-                    light,
-                    -d,
-                )
-            image[0, y, x] = out[0]
-            image[1, y, x] = out[1]
+def _expose_object(setup, sample, image):
+    for y in numba.prange(image.shape[1]):
+        _expose_row(setup, sample, y, image)
 
 
 def expose_object(
@@ -203,25 +186,28 @@ def expose_object(
     -------
     (2, height, width) float64, responses without and with the filter
     """
-    image = np.empty((2, pinhole.height_px, pinhole.width_px))
-    _expose_object(
-        (tracer.intersect_address, tracer.occluded_address),
-        tracer.scene,
-        np.asarray(camera_position, dtype=np.float64),
-        np.ascontiguousarray(world_from_camera),
-        float(pinhole.focal_px),
-        np.asarray(pinhole.centre_px, dtype=np.float64),
-        np.asarray(light, dtype=np.float64),
-        np.ascontiguousarray(rotation),
-        sample.shape.kind,
-        np.asarray(sample.shape.size_mm, dtype=np.float64),
-        np.array([sample.columns, sample.rows]),
-        np.ascontiguousarray(sample.reflectance @ band_weights.T),
-        sample.beta,
-        sample.mu_rad,
-        sample.mirror,
-        math.cos(lamp_radius_rad),
-        fresnel_by_band(sample.n, sample.k, band_weights),
-        image,
+    setup = _Setup(
+        intersect=tracer.intersect_address,
+        occluded=tracer.occluded_address,
+        scene=tracer.scene,
+        camera_mm=np.asarray(camera_position, dtype=np.float64),
+        world_from_camera=np.ascontiguousarray(world_from_camera),
+        focal_px=float(pinhole.focal_px),
+        centre_px=np.asarray(pinhole.centre_px, dtype=np.float64),
+        to_light=np.asarray(light, dtype=np.float64),
+        rotation=np.ascontiguousarray(rotation),
+        lamp_cosine=math.cos(lamp_radius_rad),
     )
+    subject = _Subject(
+        kind=sample.shape.kind,
+        size_mm=np.asarray(sample.shape.size_mm, dtype=np.float64),
+        checks=np.array([sample.columns, sample.rows]),
+        diffuse=np.ascontiguousarray(sample.reflectance @ band_weights.T),
+        beta=sample.beta,
+        mu=sample.mu_rad,
+        mirror=sample.mirror,
+        fresnel=fresnel_by_band(sample.n, sample.k, band_weights),
+    )
+    image = np.empty((2, pinhole.height_px, pinhole.width_px))
+    _expose_object(setup, subject, image)
     return image

@@ -1,0 +1,57 @@
+"""The packages are pinned once, and everything else agrees with that."""
+
+import re
+from importlib.metadata import version
+from pathlib import Path
+
+import yaml
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def pins(path: Path) -> dict[str, str]:
+    """Return name -> version of a requirements file, every line of which must be a pin or an include."""
+    found = {}
+    for line in path.read_text().splitlines():
+        line = line.split("#")[0].strip()
+        if line and not line.startswith("-r "):
+            name, _, number = line.partition("==")
+            assert number, f"{path.name}: {line!r} is not pinned"
+            found[name] = number
+    return found
+
+
+def test_the_conda_environment_has_the_same_versions():
+    for path in (ROOT / "envs").glob("*.yaml"):
+        dependencies = yaml.safe_load(path.read_text())["dependencies"]
+        listed = next(d["pip"] for d in dependencies if isinstance(d, dict))
+        assert dict(line.split("==") for line in listed) == pins(ROOT / "requirements.txt")
+
+
+def test_the_installed_versions_are_those_pinned():
+    for name, number in (pins(ROOT / "requirements.txt") | pins(ROOT / "requirements-dev.txt")).items():
+        assert version(name) == number, name
+
+
+def test_no_file_names_a_package_index():
+    for path in [*ROOT.glob("requirements*.txt"), *(ROOT / "envs").glob("*.yaml"), ROOT / "pyproject.toml"]:
+        assert not re.search(r"index-url|find-links|https?://", path.read_text()), path.name
+
+
+def test_every_third_party_import_of_the_package_is_pinned():
+    import ast
+    import sys
+
+    modules = {"OpenImageIO": "OpenImageIO", "PIL": "pillow", "yaml": "PyYAML", "colour": "colour-science"}
+    pinned = {name.lower() for name in pins(ROOT / "requirements.txt")} | {"llvmlite"}  # numba brings llvmlite
+    for path in (ROOT / "irodori").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                names = [node.module]
+            for name in names:
+                top = name.split(".")[0]
+                if top != "irodori" and top not in sys.stdlib_module_names:
+                    assert modules.get(top, top).lower() in pinned, f"{path.name} imports {top}"

@@ -1,0 +1,243 @@
+"""Spectra and their files: exact where the mathematics is, and refusals that name the place of the fault."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from irodori.errors import InputError
+from irodori.spectra import (
+    TRAPEZOID_NM,
+    WAVELENGTH_NM,
+    camera_sensitivities,
+    chart_spectra,
+    read_columns_csv,
+    read_wide_csv,
+    refractive_index,
+    resample,
+    spectrum,
+)
+
+COEFFICIENT = st.floats(-10.0, 10.0)
+GRID = list(range(380, 721, 10))
+
+
+def wide(path, wavelengths=GRID, rows=None):
+    """Write a wide table; ``rows`` are lists of cells, by default one spectrum of 0.5."""
+    rows = [["one", *[0.5] * len(wavelengths)]] if rows is None else rows
+    lines = [["name", *wavelengths], *rows]
+    path.write_text("\n".join(",".join(map(str, line)) for line in lines) + "\n")
+    return path
+
+
+def columns(path, rows, header="wavelength_nm,r,g,b"):
+    path.write_text("\n".join([header, *[",".join(map(str, row)) for row in rows]]) + "\n")
+    return path
+
+
+def refusal(call, *arguments):
+    with pytest.raises(InputError) as caught:
+        call(*arguments)
+    return caught.value
+
+
+# Integration and interpolation
+
+
+@given(a=COEFFICIENT, b=COEFFICIENT)
+def test_the_trapezoid_integrates_a_line_exactly(a, b):
+    exact = a * 300.0 + b * (700.0 - 400.0) / 2
+    line = a + b * (WAVELENGTH_NM - 400.0) / 300.0
+    assert line @ TRAPEZOID_NM == pytest.approx(exact, rel=1e-12, abs=1e-10)
+
+
+@given(
+    a=COEFFICIENT,
+    b=COEFFICIENT,
+    steps=st.lists(st.floats(0.5, 20.0), min_size=20, max_size=60),
+    start=st.floats(360.0, 400.0),
+)
+def test_resampling_a_line_gives_the_line_at_any_spacing(a, b, steps, start):
+    wavelengths = start + np.concatenate([[0.0], np.cumsum(steps)])
+    wavelengths = np.append(wavelengths, np.arange(wavelengths[-1] + 10.0, 711.0, 10.0))
+    values = np.stack([a + b * (wavelengths - 550.0) / 100, np.ones_like(wavelengths)])
+    if wavelengths[-1] < 700.0:
+        wavelengths, values = np.append(wavelengths, 715.0), np.c_[values, [a + b * 1.65, 1.0]]
+    result = resample(wavelengths, values, "made up")
+    assert result.shape == (2, 61)
+    assert result[0] == pytest.approx(a + b * (WAVELENGTH_NM - 550.0) / 100, abs=1e-11)
+    assert result[1] == pytest.approx(np.ones(61), abs=1e-15)
+
+
+def test_a_file_on_the_grid_is_read_back_unchanged(tmp_path):
+    values = np.random.default_rng(1).random((3, 61))
+    rows = [[f"patch {i}", *[repr(float(v)) for v in row]] for i, row in enumerate(values)]
+    names, spectra = read_wide_csv(wide(tmp_path / "chart.csv", WAVELENGTH_NM, rows))
+    assert names == ["patch 0", "patch 1", "patch 2"]
+    assert np.array_equal(spectra, values)
+
+
+def test_columns_are_read_by_name_and_resampled(tmp_path):
+    file = columns(tmp_path / "camera.csv", [[w, w / 1000, 1 - w / 1000, 0.25] for w in GRID])
+    names, spectra = read_columns_csv(file)
+    assert names == ["r", "g", "b"]
+    assert spectra == pytest.approx(np.stack([WAVELENGTH_NM / 1000, 1 - WAVELENGTH_NM / 1000, np.full(61, 0.25)]))
+    assert camera_sensitivities(str(file)) == pytest.approx(spectra)
+
+
+def test_a_byte_order_mark_and_blank_lines_do_no_harm(tmp_path):
+    file = wide(tmp_path / "excel.csv")
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes().replace(b"\n", b"\r\n") + b"\r\n\r\n")
+    names, spectra = read_wide_csv(file)
+    assert names == ["one"] and spectra == pytest.approx(np.full((1, 61), 0.5))
+
+
+# Refusals
+
+
+@pytest.mark.parametrize("reader", [read_wide_csv, read_columns_csv])
+def test_a_missing_file_is_refused_by_name(tmp_path, reader):
+    error = refusal(reader, tmp_path / "absent.csv")
+    assert "absent.csv" in str(error) and "no such file" in error.found
+
+
+@pytest.mark.parametrize("cell", ["", " ", "n/a", "0,5", "nan", "inf", "-inf"])
+def test_a_wide_table_without_a_number_names_line_and_wavelength(tmp_path, cell):
+    cells = [0.5] * len(GRID)
+    cells[GRID.index(550)] = f'"{cell}"'
+    file = wide(tmp_path / "chart.csv", rows=[["one", *[0.5] * len(GRID)], ["two", *cells]])
+    error = refusal(read_wide_csv, file)
+    assert error.file == str(file)
+    assert "line 3" in error.field and "550 nm" in error.field
+
+
+@pytest.mark.parametrize("cell", ["", "green", "nan"])
+def test_a_column_table_without_a_number_names_line_and_column(tmp_path, cell):
+    rows = [[w, 0.1, 0.2, 0.3] for w in GRID]
+    rows[4][2] = cell
+    error = refusal(read_columns_csv, columns(tmp_path / "camera.csv", rows))
+    assert error.file.endswith("camera.csv")
+    assert "line 6" in error.field and re.search(r"\bg\b", error.field)
+
+
+@pytest.mark.parametrize(("first", "last"), [(410, 720), (380, 690)])
+def test_a_range_that_is_too_short_is_refused_and_not_extrapolated(tmp_path, first, last):
+    grid = [w for w in GRID if first <= w <= last]
+    error = refusal(read_wide_csv, wide(tmp_path / "short.csv", grid))
+    assert error.file.endswith("short.csv") and error.field
+    assert f"{first}..{last}" in error.found and "400..700" in error.accepted
+
+
+def test_a_gap_is_refused_where_it_stands(tmp_path):
+    grid = [w for w in GRID if not 500 < w < 540]
+    error = refusal(read_wide_csv, wide(tmp_path / "gap.csv", grid))
+    assert error.file.endswith("gap.csv") and error.field
+    assert "40 nm after 500 nm" in error.found
+
+
+@pytest.mark.parametrize("swap", [(500, 510), (500, 490)])
+def test_wavelengths_that_do_not_increase_are_refused(tmp_path, swap):
+    grid = [swap[1] if w == swap[0] else w for w in GRID]
+    error = refusal(read_wide_csv, wide(tmp_path / "mixed.csv", grid))
+    assert error.file.endswith("mixed.csv") and error.field
+    assert "increas" in error.found
+
+
+def test_a_header_that_is_no_wavelength_names_its_column(tmp_path):
+    grid = [*GRID]
+    grid[2] = "400nm"
+    error = refusal(read_wide_csv, wide(tmp_path / "units.csv", grid))
+    assert "units.csv" in str(error) and "4" in error.field and "400nm" in error.found
+
+
+@pytest.mark.parametrize("change", [-1, 1])
+def test_a_ragged_row_is_refused_with_both_counts(tmp_path, change):
+    file = wide(tmp_path / "ragged.csv", rows=[["one", *[0.5] * (len(GRID) + change)]])
+    error = refusal(read_wide_csv, file)
+    assert error.file == str(file) and "line 2" in error.field
+    assert str(len(GRID) + 1 + change) in error.found and str(len(GRID) + 1) in error.accepted
+
+
+@pytest.mark.parametrize("content", [b"", b"name\n", b"name,400,700\n", b"\xff\xfe\x00\x01\n\x9f,1\n"])
+@pytest.mark.parametrize("reader", [read_wide_csv, read_columns_csv])
+def test_a_file_that_holds_no_table_is_refused_by_name(tmp_path, content, reader):
+    file = tmp_path / "broken.csv"
+    file.write_bytes(content)
+    assert refusal(reader, file).file == str(file)
+
+
+@pytest.mark.parametrize("values", [[1.0, np.nan], [np.inf, 1.0]])
+def test_resampling_refuses_values_that_are_not_finite(values):
+    wavelengths = np.linspace(400, 700, 31)
+    error = refusal(resample, wavelengths, np.resize(values, 31), "made up")
+    assert error.file == "made up"
+
+
+def test_unknown_names_list_the_accepted_ones():
+    error = refusal(spectrum, "D66")
+    assert "D66" in error.found and "D65" in error.accepted and "TCS98" in error.accepted
+    error = refusal(chart_spectra, "Macbeth")
+    assert "Macbeth" in error.found and "BabelColor Average" in error.accepted
+    error = refusal(camera_sensitivities, "Nikon")
+    assert "Nikon" in error.found and "Nikon 5100 (NPL)" in error.accepted
+
+
+def test_a_test_colour_beyond_the_last_is_refused_with_the_range():
+    assert "TCS98" in refusal(spectrum, "TCS99").accepted
+
+
+def test_one_spectrum_is_asked_for_and_two_are_refused(tmp_path):
+    file = wide(tmp_path / "two.csv", rows=[["one", *[0.5] * len(GRID)], ["two", *[0.5] * len(GRID)]])
+    assert refusal(spectrum, str(file)).file == str(file)
+
+
+def test_a_camera_with_two_bands_is_refused(tmp_path):
+    file = columns(tmp_path / "two.csv", [[w, 1, 1] for w in GRID], header="wavelength_nm,r,g")
+    assert "2 bands" in refusal(camera_sensitivities, str(file)).found
+
+
+def test_refractive_index_is_constant_or_from_a_file_and_never_unphysical(tmp_path):
+    n, k = refractive_index({"n": 1.5})
+    assert (n == 1.5).all() and (k == 0.0).all() and n.shape == k.shape == (61,)
+    file = columns(tmp_path / "gold.csv", [[w, w / 500, w / 200] for w in GRID], header="wavelength_nm,n,k")
+    n, k = refractive_index({"file": str(file)})
+    assert n == pytest.approx(WAVELENGTH_NM / 500) and k == pytest.approx(WAVELENGTH_NM / 200)
+    negative = columns(tmp_path / "bad.csv", [[w, 1.5, -0.1] for w in GRID], header="wavelength_nm,n,k")
+    assert refusal(refractive_index, {"file": str(negative)}).file == str(negative)
+    swapped = columns(tmp_path / "swapped.csv", [[w, 1, 2] for w in GRID], header="wavelength_nm,k,n")
+    assert refusal(refractive_index, {"file": str(swapped)}).file == str(swapped)
+
+
+# Published spectra
+
+
+@pytest.mark.parametrize("name", ["D65", "A", "D50"])
+def test_cie_illuminants_are_100_at_560_nm(name):
+    assert spectrum(name)[WAVELENGTH_NM == 560.0] == pytest.approx(100.0, abs=5e-4)
+
+
+def test_illuminant_a_is_plancks_law():
+    # CIE 15: S_A(λ) = 100 (560/λ)^5 [exp(1.435e7 / (2848 × 560)) - 1] / [exp(1.435e7 / (2848 λ)) - 1]; six digits.
+    planck = (
+        100
+        * (560 / WAVELENGTH_NM) ** 5
+        * (math.exp(1.435e7 / (2848 * 560)) - 1)
+        / (np.exp(1.435e7 / (2848 * WAVELENGTH_NM)) - 1)
+    )
+    assert spectrum("A") == pytest.approx(planck, rel=5e-5)
+
+
+@pytest.mark.parametrize("name", ["TCS0", "TCS42", "TCS98"])
+def test_measured_materials_reflect_between_nothing_and_everything(name):
+    material = spectrum(name)
+    assert material.shape == (61,) and (material > 0).all() and (material < 1).all()
+
+
+def test_the_colour_checker_has_24_reflectances_and_its_greys_are_in_order():
+    names, patches = chart_spectra("BabelColor Average")
+    assert len(names) == 24 and patches.shape == (24, 61)
+    assert (patches > 0).all() and (patches < 1).all()
+    assert (np.diff(patches[18:].mean(axis=1)) < 0).all()
