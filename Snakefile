@@ -48,3 +48,8 @@ rule all:
         calibrations,
         "results/errors.csv",
         "results/report.html",
+
+
+onsuccess:
+    if config["make"]["scenes"]:
+        print("Pictures, errors and times: results/report.html")

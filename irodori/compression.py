@@ -22,8 +22,14 @@ _COLUMNS = {
 _GREEN = 1
 
 
-def assemble(tiles: list, height: int, width: int) -> dict[str, np.ndarray]:
-    """Return the maps of an object from its tiles, each (height, width, ...).
+def assemble(tiles: list, height: int, width: int) -> tuple[dict[str, np.ndarray], dict]:
+    """Return the maps of an object from its tiles, and the speed of the fit.
+
+    Returns
+    -------
+    maps : dict of (height, width, ...) arrays
+    speed : dict
+        ``fit_seconds`` without start-up and compilation, and ``texels_fitted``.
 
     Raises
     ------
@@ -32,8 +38,10 @@ def assemble(tiles: list, height: int, width: int) -> dict[str, np.ndarray]:
     """
     maps: dict[str, np.ndarray] = {}
     covered = np.zeros(height, dtype=int)
+    seconds, fitted = 0.0, 0
     for path in tiles:
         with store.open_file(path) as file:
+            seconds, fitted = seconds + file.attribute("fit_seconds"), fitted + file.attribute("texels_fitted")
             first, last = file.attribute("rows")
             covered[first:last] += 1
             for name in ("alpha", "beta", "mu", "diffuse_response", *_COLUMNS):
@@ -44,7 +52,7 @@ def assemble(tiles: list, height: int, width: int) -> dict[str, np.ndarray]:
     if not (covered == 1).all():
         found = f"{int((covered != 1).sum())} rows missing or doubled"
         raise InputError(tiles[0], "rows", found, f"tiles that cover {height} rows once")
-    return maps
+    return maps, {"fit_seconds": seconds, "texels_fitted": fitted}
 
 
 def typical_gloss(beta: np.ndarray, mu: np.ndarray, mu_error: np.ndarray) -> tuple[float, float]:
@@ -82,7 +90,7 @@ def compress_reflectance(
     lights : list of str
     """
     height, width = definition["texels"]["height"], definition["texels"]["width"]
-    maps = assemble(tiles, height, width)
+    maps, speed = assemble(tiles, height, width)
     calibration = Calibration.load(calibration_file)
     weights = calibration.weights(maps["diffuse_response"])
     observed = np.isfinite(weights).all(axis=-1) & np.isfinite(maps["alpha"])
@@ -110,6 +118,7 @@ def compress_reflectance(
         "delta_e": compressed.errors,
         "negative_fraction": compressed.negative_fraction,
         "observed_fraction": float(observed.mean()),
+        **speed,
     }
     material.save(output, provenance, errors)
     _log(material, compressed, observed, calibration.basis.shape[1])

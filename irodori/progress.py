@@ -26,7 +26,8 @@ def track(items: Iterable, label: str, total: int | None = None, every_s: float 
     """
     if total is None and hasattr(items, "__len__"):
         total = len(items)
-    if sys.stderr.isatty():
+    # Inside a rule the terminal is Snakemake's and may show several jobs at once: progress goes to the rule's log.
+    if sys.stderr.isatty() and not LOGGER.handlers:
         from tqdm import tqdm
 
         yield from tqdm(items, desc=label, total=total)

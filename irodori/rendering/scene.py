@@ -43,7 +43,8 @@ class Light(NamedTuple):
     first_pixel: np.ndarray  # (levels,)
     size: np.ndarray  # (levels, 2) width, height
     basis: np.ndarray  # (61, k) float32
-    irradiance: np.ndarray  # (h, w, k) float32
+    irradiance: np.ndarray  # (h * w, k) float32
+    irradiance_size: np.ndarray  # (2,) width, height
 
 
 class View(NamedTuple):
@@ -126,12 +127,14 @@ def make_light(environment: Environment) -> Light:
             break
         width, height = width // 2, height // 2
     first = np.concatenate([[0], np.cumsum([len(p) for p in pixels])[:-1]])
+    irradiance = np.ascontiguousarray(environment.irradiance, dtype=np.float32)
     return Light(
-        np.concatenate(pixels),
-        first,
-        np.array(sizes),
-        environment.basis.astype(np.float32),
-        np.ascontiguousarray(environment.irradiance, dtype=np.float32),
+        pixels=np.concatenate(pixels),
+        first_pixel=first,
+        size=np.array(sizes),
+        basis=environment.basis.astype(np.float32),
+        irradiance=irradiance.reshape(-1, irradiance.shape[2]),
+        irradiance_size=np.array(irradiance.shape[1::-1]),
     )
 
 

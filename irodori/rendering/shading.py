@@ -35,6 +35,7 @@ class Scratch(NamedTuple):
     normal: np.ndarray  # (3,)
     texel: np.ndarray  # (k + 2,)
     light: np.ndarray  # (k of the light,)
+    gathered: np.ndarray  # (k of the light,)
     radiance: np.ndarray  # (61,)
     incoming: np.ndarray  # (61,)
 
@@ -50,6 +51,7 @@ def new_scratch(world):
         np.empty(3),
         np.empty(3),
         np.empty(world.objects.texels.shape[1]),
+        np.empty(world.light.basis.shape[1]),
         np.empty(world.light.basis.shape[1]),
         np.empty(BANDS),
         np.empty(BANDS),
@@ -123,23 +125,27 @@ def add_light(light, level, x, y, z, scale, out):
 @numba.njit(cache=True)
 def surface(objects, index, point, normal, texel):
     """Move a hit point onto its surface; fill its normal and its interpolated texel."""
-    rotation, centre = objects.rotation[index], objects.translation_mm[index]
-    x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
+    # Fields are indexed in full: a view of an array counts its owners, and two threads would fight over the count.
+    x = point[0] - objects.translation_mm[index, 0]
+    y = point[1] - objects.translation_mm[index, 1]
+    z = point[2] - objects.translation_mm[index, 2]
     inverse = 1.0 / objects.scale[index]
-    ox = (rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z) * inverse
-    oy = (rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z) * inverse
-    oz = (rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z) * inverse
+    ox, oy, oz = 0.0, 0.0, 0.0
+    for a, value in enumerate((x, y, z)):
+        ox += objects.rotation[index, a, 0] * value * inverse
+        oy += objects.rotation[index, a, 1] * value * inverse
+        oz += objects.rotation[index, a, 2] * value * inverse
     kind = objects.kind[index]
     if kind == SPHERE:
         length = math.sqrt(x * x + y * y + z * z)
         radius = objects.size_mm[index, 0] * objects.scale[index]
         for a in range(3):
-            normal[a] = (point[a] - centre[a]) / length
-            point[a] = centre[a] + radius * normal[a]
+            normal[a] = (point[a] - objects.translation_mm[index, a]) / length
+            point[a] = objects.translation_mm[index, a] + radius * normal[a]
     else:
         offset = oz * objects.scale[index]
         for a in range(3):
-            normal[a] = rotation[a, 2]
+            normal[a] = objects.rotation[index, a, 2]
             point[a] -= offset * normal[a]
     u, v = uv_from_point(kind, objects.size_mm[index, 0], objects.size_mm[index, 1], ox, oy, oz)
     texel[:] = 0.0
@@ -165,23 +171,21 @@ def add_spectrum(basis, coefficients, out):
 @numba.njit(cache=True)
 def fill_irradiance(world, normal, coefficients, out):
     """Fill the spectral irradiance of an unobstructed normal from the irradiance map [eq. 8]."""
-    irradiance = world.light.irradiance
     coefficients[:] = 0.0
     out[:] = 0.0
     u, v = direction_uv(normal[0], normal[1], normal[2])
-    flat = irradiance.reshape(-1, irradiance.shape[2])
-    interpolate(flat, 0, irradiance.shape[1], irradiance.shape[0], u, v, 1.0, coefficients)
+    size = world.light.irradiance_size
+    interpolate(world.light.irradiance, 0, size[0], size[1], u, v, 1.0, coefficients)
     add_spectrum(world.light.basis, coefficients, out)
 
 
 @numba.njit(cache=True)
 def add_diffuse(objects, index, texel, irradiance, scale, out):
     """Add ``scale`` times the diffuse radiance α S / S_G · I / π of a surface [eq. 9]."""
-    basis = objects.basis[index]
     for band in range(BANDS):
         reflectance = 0.0
         for b in range(objects.bases[index]):
-            reflectance += basis[band, b] * texel[b]
+            reflectance += objects.basis[index, band, b] * texel[b]
         out[band] += scale / math.pi * max(reflectance, 0.0) * irradiance[band]
 
 
@@ -291,27 +295,35 @@ def add_gloss(world, ray, scratch, index, point, normal, view, gloss, samples, s
     if not (beta > 0.0 and mu > 0.0 and cos_r > 0.0):
         return
     objects, d = world.objects, scratch.direction
-    n, k = objects.n[index], objects.k[index]
     frame(normal, scratch.tangent, scratch.bitangent)
     inside = 1.0 - math.exp(-((0.5 * math.pi / mu) ** 2))
+    scratch.gathered[:] = 0.0
     for s in range(samples):
         uv = _stratum(s, samples, shift)
         cos_h, weight, solid_angle = _sample_lobe(normal, view, mu, inside, cos_r, uv, scratch)
         if weight <= 0.0:
             continue
         weight *= beta / (math.pi * samples)
+        factor = weight * fresnel(cos_h, objects.n[index, 0], objects.k[index, 0])
         other = look_from(world, ray, point, normal, scratch)
-        scratch.radiance[:] = 0.0
         if other == NO_HIT:
-            scratch.light[:] = 0.0
             level = level_for(world.light, solid_angle / samples)
+            if objects.grey[index] == 1:
+                # One reflectance for all bands: the light is summed on its basis and decoded once.
+                add_light(world.light, level, d[0], d[1], d[2], factor, scratch.gathered)
+                continue
+            scratch.light[:] = 0.0
+            scratch.radiance[:] = 0.0
             add_light(world.light, level, d[0], d[1], d[2], 1.0, scratch.light)
             add_spectrum(world.light.basis, scratch.light, scratch.radiance)
         elif other >= 0:
+            scratch.radiance[:] = 0.0
             fill_irradiance(world, scratch.normal, scratch.light, scratch.incoming)
             add_diffuse(objects, other, scratch.texel, scratch.incoming, 1.0, scratch.radiance)
-        factor = weight * fresnel(cos_h, n[0], k[0])
+        else:
+            continue
         for band in range(BANDS):
             if objects.grey[index] == 0:
-                factor = weight * fresnel(cos_h, n[band], k[band])
+                factor = weight * fresnel(cos_h, objects.n[index, band], objects.k[index, band])
             out[band] += factor * scratch.radiance[band]
+    add_spectrum(world.light.basis, scratch.gathered, out)

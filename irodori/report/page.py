@@ -91,8 +91,10 @@ def _objects_section(objects: list[str], materials: list, truths: dict) -> str:
         parts.append(figure(material_figure(material, status, residual, truth), f"{name}: maps over the texture"))
         if truth is not None:
             parts.append(figure(spectra_figure(material, truth), f"{name}: spectra"))
+        speed = errors["texels_fitted"] / max(errors["fit_seconds"], 1e-9)
         parts.append(
-            f"<p>{material.basis.shape[1]} bases; {errors['observed_fraction']:.1%} of texels observed; "
+            f"<p>{errors['texels_fitted']} texels fitted, {speed:.0f} a second; "
+            f"{errors['observed_fraction']:.1%} of texels observed; {material.basis.shape[1]} bases, "
             f"{errors['negative_fraction']:.3%} of spectral samples negative; typical gloss β = {beta:.3g}, "
             f"μ = {mu:.3g} rad.</p>"
         )
