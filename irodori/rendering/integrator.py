@@ -189,5 +189,7 @@ def render_rows(
     size = float(extent + np.linalg.norm(view.position_mm))
     addresses = (tracer.intersect_address, tracer.scene)
     sampling = Sampling(**{name: options[name] for name in Sampling._fields})
-    _render(objects, light, addresses, OFFSET * size, view, sampling, rows[0], image, shaded)
+    # Rows differ much in cost: handed out one by one, no thread waits for the half with the objects.
+    with numba.parallel_chunksize(1):
+        _render(objects, light, addresses, OFFSET * size, view, sampling, rows[0], image, shaded)
     return image, int(shaded.sum())

@@ -209,5 +209,6 @@ def expose_object(
         fresnel=fresnel_by_band(sample.n, sample.k, band_weights),
     )
     image = np.empty((2, pinhole.height_px, pinhole.width_px))
-    _expose_object(setup, subject, image)
+    with numba.parallel_chunksize(8):
+        _expose_object(setup, subject, image)
     return image
