@@ -76,11 +76,11 @@ def _shade(world, ray, scratch, path, index, sampling, pixel):
     """Fill ``path.radiance`` with what the path's point sends towards the viewer without its mirror term."""
     x, y, stream = pixel
     path.radiance[:] = 0.0
-    fill_irradiance(world, path.normal, scratch.light, path.irradiance)
+    fill_irradiance(world.light, path.normal, scratch.light, scratch.decoded, path.irradiance)
     if sampling.ambient_samples > 0:
         shift = (hashed(x, y, stream, 0), hashed(x, y, stream, 1))
         hide_and_reflect(world, ray, scratch, path.point, path.normal, sampling.ambient_samples, shift, path.irradiance)
-    add_diffuse(world.objects, index, path.texel, path.irradiance, 1.0, path.radiance)
+    add_diffuse(world.objects, index, path.texel, path.irradiance, 1.0, scratch.decoded, path.radiance)
     shift = (hashed(x, y, stream, 2), hashed(x, y, stream, 3))
     gloss = (path.texel[path.texel.size - 2], path.texel[path.texel.size - 1])
     samples = sampling.gloss_samples
@@ -99,7 +99,7 @@ def _follow(world, ray, scratch, path, sampling, pixel, out):
             scratch.light[:] = 0.0
             path.radiance[:] = 0.0
             add_light(world.light, 0, d[0], d[1], d[2], 1.0, scratch.light)
-            add_spectrum(world.light.basis, scratch.light, path.radiance)
+            add_spectrum(world.light.basis, scratch.light, scratch.decoded, path.radiance)
             for band in range(BANDS):
                 out[band] += path.throughput[band] * path.radiance[band]
             return bounce

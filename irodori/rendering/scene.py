@@ -14,7 +14,7 @@ _COARSEST_ROWS = 4
 
 
 class Objects(NamedTuple):
-    """Placed objects; the first axis counts them.
+    """Placed objects; the first axis counts them. Bases have the wavelength last, where the loops run.
 
     ``texels`` holds, a row a texel, the coefficients of α S / S_G, then β and μ. ``grey`` is 1 where the refractive
     index does not vary with the wavelength, so that one Fresnel reflectance serves all bands.
@@ -28,7 +28,7 @@ class Objects(NamedTuple):
     first_texel: np.ndarray  # (objects,)
     texture_size: np.ndarray  # (objects, 2) width, height
     texels: np.ndarray  # (texels, k + 2) float32
-    basis: np.ndarray  # (objects, 61, k) float32
+    basis: np.ndarray  # (objects, k, 61)
     bases: np.ndarray  # (objects,)
     mirror: np.ndarray  # (objects,)
     n: np.ndarray  # (objects, 61)
@@ -42,7 +42,7 @@ class Light(NamedTuple):
     pixels: np.ndarray  # (all pixels, k) float32
     first_pixel: np.ndarray  # (levels,)
     size: np.ndarray  # (levels, 2) width, height
-    basis: np.ndarray  # (61, k) float32
+    basis: np.ndarray  # (k, 61)
     irradiance: np.ndarray  # (h * w, k) float32
     irradiance_size: np.ndarray  # (2,) width, height
 
@@ -85,7 +85,7 @@ def make_objects(placements: list[Placement], materials: list[Material]) -> tupl
         rows[:, bases], rows[:, bases + 1] = whole.beta.ravel(), whole.mu.ravel()
         texels.append(rows)
         first.append(first[-1] + len(rows))
-        basis.append(np.pad(whole.basis, ((0, 0), (0, bases - count))))
+        basis.append(np.pad(whole.basis.T, ((0, bases - count), (0, 0))))
         filled.append(share)
     n, k = np.stack([m.n for m in materials]), np.stack([m.k for m in materials])
     objects = Objects(
@@ -97,7 +97,7 @@ def make_objects(placements: list[Placement], materials: list[Material]) -> tupl
         first_texel=np.array(first[:-1]),
         texture_size=np.array([m.alpha.shape[::-1] for m in materials]),
         texels=np.concatenate(texels),
-        basis=np.stack(basis).astype(np.float32),
+        basis=np.stack(basis),
         bases=np.array([m.basis.shape[1] for m in materials]),
         mirror=np.array([m.mirror for m in materials], dtype=np.float64),
         n=n,
@@ -132,7 +132,7 @@ def make_light(environment: Environment) -> Light:
         pixels=np.concatenate(pixels),
         first_pixel=first,
         size=np.array(sizes),
-        basis=environment.basis.astype(np.float32),
+        basis=np.ascontiguousarray(environment.basis.T, dtype=np.float64),
         irradiance=irradiance.reshape(-1, irradiance.shape[2]),
         irradiance_size=np.array(irradiance.shape[1::-1]),
     )

@@ -38,6 +38,7 @@ class Scratch(NamedTuple):
     gathered: np.ndarray  # (k of the light,)
     radiance: np.ndarray  # (61,)
     incoming: np.ndarray  # (61,)
+    decoded: np.ndarray  # (61,)
 
 
 @numba.njit(cache=True)
@@ -51,8 +52,9 @@ def new_scratch(world):
         np.empty(3),
         np.empty(3),
         np.empty(world.objects.texels.shape[1]),
-        np.empty(world.light.basis.shape[1]),
-        np.empty(world.light.basis.shape[1]),
+        np.empty(world.light.basis.shape[0]),
+        np.empty(world.light.basis.shape[0]),
+        np.empty(BANDS),
         np.empty(BANDS),
         np.empty(BANDS),
     )
@@ -158,35 +160,38 @@ def surface(objects, index, point, normal, texel):
         interpolate(objects.texels, objects.first_texel[index], width, height, u, v, 1.0, texel)
 
 
-@numba.njit(cache=True, inline="always")
-def add_spectrum(basis, coefficients, out):
-    """Add the spectrum of coefficients; what recovery left below zero is dark."""
+@numba.njit(cache=True)
+def add_spectrum(basis, coefficients, decoded, out):
+    """Add the spectrum of coefficients; what recovery left below zero is dark. ``decoded`` (61,) is a buffer."""
+    decoded[:] = 0.0
+    for b in range(coefficients.size):
+        value = coefficients[b]
+        for band in range(BANDS):
+            decoded[band] += basis[b, band] * value
     for band in range(BANDS):
-        value = 0.0
-        for b in range(coefficients.size):
-            value += basis[band, b] * coefficients[b]
-        out[band] += max(value, 0.0)
+        out[band] += max(decoded[band], 0.0)
 
 
 @numba.njit(cache=True)
-def fill_irradiance(world, normal, coefficients, out):
+def fill_irradiance(light, normal, coefficients, decoded, out):
     """Fill the spectral irradiance of an unobstructed normal from the irradiance map [eq. 8]."""
     coefficients[:] = 0.0
     out[:] = 0.0
     u, v = direction_uv(normal[0], normal[1], normal[2])
-    size = world.light.irradiance_size
-    interpolate(world.light.irradiance, 0, size[0], size[1], u, v, 1.0, coefficients)
-    add_spectrum(world.light.basis, coefficients, out)
+    interpolate(light.irradiance, 0, light.irradiance_size[0], light.irradiance_size[1], u, v, 1.0, coefficients)
+    add_spectrum(light.basis, coefficients, decoded, out)
 
 
 @numba.njit(cache=True)
-def add_diffuse(objects, index, texel, irradiance, scale, out):
-    """Add ``scale`` times the diffuse radiance α S / S_G · I / π of a surface [eq. 9]."""
+def add_diffuse(objects, index, texel, irradiance, scale, decoded, out):
+    """Add ``scale`` times the diffuse radiance α S / S_G · I / π of a surface [eq. 9]. ``decoded`` is a buffer."""
+    decoded[:] = 0.0
+    for b in range(objects.bases[index]):
+        value = texel[b]
+        for band in range(BANDS):
+            decoded[band] += objects.basis[index, b, band] * value
     for band in range(BANDS):
-        reflectance = 0.0
-        for b in range(objects.bases[index]):
-            reflectance += objects.basis[index, band, b] * texel[b]
-        out[band] += scale / math.pi * max(reflectance, 0.0) * irradiance[band]
+        out[band] += scale / math.pi * max(decoded[band], 0.0) * irradiance[band]
 
 
 @numba.njit(cache=True, inline="always")
@@ -203,17 +208,19 @@ def look_from(world, ray, point, normal, scratch):
 
     Returns `NO_HIT` where the light is seen, and -2 for the back of a plate, which is black.
     """
-    origin, d = scratch.origin, scratch.direction
+    origin, d, hit = scratch.origin, scratch.direction, scratch.point
     for axis in range(3):
         origin[axis] = point[axis] + world.offset_mm * normal[axis]
     trace(world.intersect, world.scene, ray, origin, d, np.inf)
     index = hit_shape(ray)
     if index < 0:
         return index
+    distance = hit_distance(ray)
     for axis in range(3):
-        scratch.point[axis] = origin[axis] + hit_distance(ray) * d[axis]
-    surface(world.objects, index, scratch.point, scratch.normal, scratch.texel)
-    facing = scratch.normal[0] * d[0] + scratch.normal[1] * d[1] + scratch.normal[2] * d[2]
+        hit[axis] = origin[axis] + distance * d[axis]
+    across = scratch.normal
+    surface(world.objects, index, hit, across, scratch.texel)
+    facing = across[0] * d[0] + across[1] * d[1] + across[2] * d[2]
     return index if facing < 0.0 else -2
 
 
@@ -231,7 +238,8 @@ def hide_and_reflect(world, ray, scratch, point, normal, samples, shift, irradia
     Cosine-distributed rays; the hidden share of the map's irradiance is replaced by the diffuse radiance of what
     hides it.
     """
-    frame(normal, scratch.tangent, scratch.bitangent)
+    tangent, bitangent, d = scratch.tangent, scratch.bitangent, scratch.direction
+    frame(normal, tangent, bitangent)
     scratch.radiance[:] = 0.0
     hidden = 0
     for s in range(samples):
@@ -239,14 +247,22 @@ def hide_and_reflect(world, ray, scratch, point, normal, samples, shift, irradia
         radius, angle = math.sqrt(u), 2.0 * math.pi * v
         a, b, c = radius * math.cos(angle), radius * math.sin(angle), math.sqrt(1.0 - u)
         for axis in range(3):
-            scratch.direction[axis] = a * scratch.tangent[axis] + b * scratch.bitangent[axis] + c * normal[axis]
+            d[axis] = a * tangent[axis] + b * bitangent[axis] + c * normal[axis]
         index = look_from(world, ray, point, normal, scratch)
         if index == NO_HIT:
             continue
         hidden += 1
         if index >= 0:
-            fill_irradiance(world, scratch.normal, scratch.light, scratch.incoming)
-            add_diffuse(world.objects, index, scratch.texel, scratch.incoming, math.pi / samples, scratch.radiance)
+            fill_irradiance(world.light, scratch.normal, scratch.light, scratch.decoded, scratch.incoming)
+            add_diffuse(
+                world.objects,
+                index,
+                scratch.texel,
+                scratch.incoming,
+                math.pi / samples,
+                scratch.decoded,
+                scratch.radiance,
+            )
     seen = 1.0 - hidden / samples
     for band in range(BANDS):
         irradiance[band] = seen * irradiance[band] + scratch.radiance[band]
@@ -267,10 +283,11 @@ def _sample_lobe(normal, view, mu, inside, cos_r, uv, scratch):
     """
     phi = mu * math.sqrt(-math.log(1.0 - uv[0] * inside))
     angle, sine, cosine = 2.0 * math.pi * uv[1], math.sin(phi), math.cos(phi)
-    a, b, d = sine * math.cos(angle), sine * math.sin(angle), scratch.direction
+    a, b = sine * math.cos(angle), sine * math.sin(angle)
+    tangent, bitangent, d = scratch.tangent, scratch.bitangent, scratch.direction
     cos_h = 0.0
     for axis in range(3):
-        d[axis] = a * scratch.tangent[axis] + b * scratch.bitangent[axis] + cosine * normal[axis]
+        d[axis] = a * tangent[axis] + b * bitangent[axis] + cosine * normal[axis]
         cos_h += d[axis] * view[axis]
     cos_i = 0.0
     for axis in range(3):
@@ -315,15 +332,15 @@ def add_gloss(world, ray, scratch, index, point, normal, view, gloss, samples, s
             scratch.light[:] = 0.0
             scratch.radiance[:] = 0.0
             add_light(world.light, level, d[0], d[1], d[2], 1.0, scratch.light)
-            add_spectrum(world.light.basis, scratch.light, scratch.radiance)
+            add_spectrum(world.light.basis, scratch.light, scratch.decoded, scratch.radiance)
         elif other >= 0:
             scratch.radiance[:] = 0.0
-            fill_irradiance(world, scratch.normal, scratch.light, scratch.incoming)
-            add_diffuse(objects, other, scratch.texel, scratch.incoming, 1.0, scratch.radiance)
+            fill_irradiance(world.light, scratch.normal, scratch.light, scratch.decoded, scratch.incoming)
+            add_diffuse(objects, other, scratch.texel, scratch.incoming, 1.0, scratch.decoded, scratch.radiance)
         else:
             continue
         for band in range(BANDS):
             if objects.grey[index] == 0:
                 factor = weight * fresnel(cos_h, objects.n[index, band], objects.k[index, band])
             out[band] += factor * scratch.radiance[band]
-    add_spectrum(world.light.basis, scratch.gathered, out)
+    add_spectrum(world.light.basis, scratch.gathered, scratch.decoded, out)
