@@ -2,7 +2,6 @@
 
 import csv
 import os
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,41 +11,11 @@ from irodori import store
 from irodori.colour import delta_e_reflectance, goodness_of_fit, spectral_rmse, summary
 from irodori.errors import InputError
 from irodori.progress import LOGGER
+from irodori.recovery import Calibration
 from irodori.spectra import WAVELENGTH_NM, chart_spectra, spectrum
 
 _TRIM = 0.1  # share of a patch's pixels left out at each end
 _MAX_CONDITION = 1e5
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """What turns responses into spectra: s = B' Mᵀ ρ [eq. 2, 4].
-
-    Parameters
-    ----------
-    basis : (61, k) float, B'
-    weights_from_response : (bands, k) float, M
-    light : (61,) float
-        E(λ) under which the responses were calibrated.
-    """
-
-    basis: np.ndarray
-    weights_from_response: np.ndarray
-    light: np.ndarray
-
-    @classmethod
-    def load(cls, path) -> "Calibration":
-        """Read a calibration file."""
-        with store.open_file(path) as file:
-            return cls(file.read("basis"), file.read("weights_from_response"), file.read("light"))
-
-    def weights(self, response: np.ndarray) -> np.ndarray:
-        """Return basis weights of responses, (..., bands) to (..., k)."""
-        return np.asarray(response) @ self.weights_from_response
-
-    def spectra(self, response: np.ndarray) -> np.ndarray:
-        """Return recovered reflectance spectra of responses, (..., bands) to (..., 61)."""
-        return self.weights(response) @ self.basis.T
 
 
 def spectral_basis(spectra: np.ndarray, bases: int) -> np.ndarray:
@@ -187,7 +156,9 @@ def calibrate_camera(
         raise InputError(linear, "chart", str(error), "a chart that determines every band") from None
     rmse, gfc = spectral_rmse(spectra, recovered), goodness_of_fit(spectra, recovered)
     delta_e = {name: delta_e_reflectance(spectra, recovered, name) for name in lights}
-    _write_calibration(output, calibration, patches, rmse, delta_e, provenance)
+    with store.open_file(linear) as file:
+        filters = file.attribute("filters")
+    _write_calibration(output, calibration, filters, patches, rmse, delta_e, provenance)
     _write_errors(table, names, rmse, gfc, delta_e)
     mean, largest = rmse.mean(), rmse.max()
     LOGGER.info(
@@ -213,7 +184,7 @@ def _chart_responses(linear, chart: dict, count: int) -> np.ndarray:
     return read_chart(response, valid, chart, linear) / np.cos(np.radians(light_deg - tilt_deg))
 
 
-def _write_calibration(output, calibration: Calibration, patches, rmse, delta_e: dict, provenance) -> None:
+def _write_calibration(output, calibration: Calibration, filters, patches, rmse, delta_e: dict, provenance) -> None:
     with store.create(output, provenance) as out:
         out.write("wavelength", WAVELENGTH_NM, units="nm", dims="wavelength", quantity="wavelength")
         out.write("basis", calibration.basis, units="1", dims="wavelength,basis", quantity="spectral basis B'")
@@ -225,6 +196,7 @@ def _write_calibration(output, calibration: Calibration, patches, rmse, delta_e:
         for name, values in delta_e.items():
             label = f"leave_one_out/delta_e_{name.lower()}"
             out.write(label, values, units="1", dims="patch", quantity=f"CIEDE2000 under {name}")
+        out.attribute("filters", filters)
         out.attribute("condition_number", float(np.linalg.cond(patches / np.abs(patches).max(axis=0))))
 
 

@@ -3,12 +3,12 @@
 import numpy as np
 
 from irodori import store
-from irodori.calibration import Calibration
 from irodori.colour import xyz_from_reflectance
 from irodori.errors import InputError
 from irodori.material import Material
 from irodori.principal import Compressed, compress
 from irodori.progress import LOGGER
+from irodori.recovery import Calibration
 from irodori.spectra import refractive_index
 
 _COLUMNS = {
@@ -17,17 +17,21 @@ _COLUMNS = {
     "mu_error": ("rad", "standard error of mu"),
     "residual_rms": ("1", "root mean square residual in response"),
     "status": ("1", "outcome of the fit"),
+    "relative_residual": ("1", "root mean square residual over root mean square response"),
     "evaluations": ("1", "evaluations of the objective"),
+    "nlopt_result": ("1", "return code of NLopt, 0 where not called"),
 }
 _GREEN = 1
 
 
-def assemble(tiles: list, height: int, width: int) -> tuple[dict[str, np.ndarray], dict]:
+def assemble(tiles: list, height: int, width: int) -> tuple[dict[str, np.ndarray], list[str], dict]:
     """Return the maps of an object from its tiles, and the speed of the fit.
 
     Returns
     -------
     maps : dict of (height, width, ...) arrays
+    filters : list of str
+        Filter states of the bands.
     speed : dict
         ``fit_seconds`` without start-up and compilation, and ``texels_fitted``.
 
@@ -38,9 +42,13 @@ def assemble(tiles: list, height: int, width: int) -> tuple[dict[str, np.ndarray
     """
     maps: dict[str, np.ndarray] = {}
     covered = np.zeros(height, dtype=int)
-    seconds, fitted = 0.0, 0
+    seconds, fitted, filters = 0.0, 0, None
     for path in tiles:
         with store.open_file(path) as file:
+            found = file.attribute("filters")
+            if filters not in (None, found):
+                raise InputError(path, "filters", ", ".join(found), f"{', '.join(filters)}, as in the other tiles")
+            filters = found
             seconds, fitted = seconds + file.attribute("fit_seconds"), fitted + file.attribute("texels_fitted")
             first, last = file.attribute("rows")
             covered[first:last] += 1
@@ -52,7 +60,7 @@ def assemble(tiles: list, height: int, width: int) -> tuple[dict[str, np.ndarray
     if not (covered == 1).all():
         found = f"{int((covered != 1).sum())} rows missing or doubled"
         raise InputError(tiles[0], "rows", found, f"tiles that cover {height} rows once")
-    return maps, {"fit_seconds": seconds, "texels_fitted": fitted}
+    return maps, filters, {"fit_seconds": seconds, "texels_fitted": fitted}
 
 
 def typical_gloss(beta: np.ndarray, mu: np.ndarray, mu_error: np.ndarray) -> tuple[float, float]:
@@ -90,8 +98,9 @@ def compress_reflectance(
     lights : list of str
     """
     height, width = definition["texels"]["height"], definition["texels"]["width"]
-    maps, speed = assemble(tiles, height, width)
+    maps, filters, speed = assemble(tiles, height, width)
     calibration = Calibration.load(calibration_file)
+    calibration.require_filters(filters, tiles[0])
     weights = calibration.weights(maps["diffuse_response"])
     observed = np.isfinite(weights).all(axis=-1) & np.isfinite(maps["alpha"])
     if not observed.any():

@@ -1,18 +1,30 @@
 """The material of an object, as it stands in ``material.h5`` and as the renderer wants it."""
 
 from dataclasses import dataclass, field, replace
+from enum import IntEnum
 
 import numpy as np
 from scipy import ndimage
 
 from irodori import store
 
+_DARKEST_GREEN = 1e-3
 _MAPS = {
     "alpha": ("1", "diffuse weight"),
     "beta": ("1", "gloss weight"),
     "mu": ("rad", "roughness"),
     "green_response": ("1", "green-band response of S"),
 }
+
+
+class Status(IntEnum):
+    """What became of a texel in the fit."""
+
+    OK = 0
+    GLOSS_UNIDENTIFIABLE = 1  # α holds; the data does not determine β and μ, which are NaN
+    AT_BOUND = 2
+    TOO_FEW_OBSERVATIONS = 3
+    NON_FINITE = 4
 
 
 @dataclass(frozen=True)
@@ -90,7 +102,13 @@ class Material:
     def observed(self) -> np.ndarray:
         """Texels with a diffuse reflectance of their own, (height, width) bool."""
         finite = np.isfinite(self.alpha) & np.isfinite(self.coefficients).all(axis=-1)
-        return finite & np.isfinite(self.green_response) & (self.green_response > 1e-4)
+        return finite & np.isfinite(self.green_response)
+
+    @property
+    def spectrum_scale(self) -> np.ndarray:
+        """The factor α / S_G that rendering puts on S(λ), (height, width); 1 where S_G is too dark to divide by."""
+        bright = self.green_response > _DARKEST_GREEN
+        return np.divide(self.alpha, self.green_response, out=np.ones_like(self.alpha), where=bright)
 
     def filled(self) -> tuple["Material", float]:
         """Return a copy without gaps, and the share of texels that were filled.

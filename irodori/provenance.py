@@ -11,16 +11,16 @@ _DIGITS = 16
 
 
 @functools.cache
-def code_hash(module: str, root: Path = _ROOT) -> str:
-    """Return the hash of a module's source and of everything local that it imports, directly or not.
+def code_hash(*modules: str, root: Path = _ROOT) -> str:
+    """Return the hash of modules' sources and of everything local that they import, directly or not.
 
     Nothing is imported: the sources are parsed. The result is remembered, for the code does not change while
     a workflow is being planned.
 
     Parameters
     ----------
-    module : str
-        Dotted name, such as ``irodori.fitting``. Local means: of the same top package.
+    *modules : str
+        Dotted names, such as ``irodori.fitting``. Local means: of the same top package.
     root : path
         Folder of the top package.
 
@@ -35,7 +35,8 @@ def code_hash(module: str, root: Path = _ROOT) -> str:
         If there is no such module.
     """
     digest = hashlib.sha256()
-    for name, file in sorted(local_sources(module, root).items()):
+    sources = {name: file for module in modules for name, file in local_sources(module, root).items()}
+    for name, file in sorted(sources.items()):
         digest.update(f"{name}\0{hashlib.sha256(file.read_bytes()).hexdigest()}\n".encode())
     return digest.hexdigest()[:_DIGITS]
 

@@ -12,13 +12,14 @@ import numpy as np
 import rawpy
 
 from irodori import store
-from irodori.captures import read_captures, shot_path, write_captures
+from irodori.captures import FILTERS, Shot, read_captures, shot_path, write_captures
 from irodori.errors import InputError
 from irodori.provenance import file_sha256
 
 BAND_NAMES = ("red", "green", "blue")
 _EXPOSURE_TOLERANCE = 0.05
 _FLAT_DEGREE = 4
+_FLAT_RESIDUAL = 0.05  # of the mean; pixel noise of a white reference is far below
 
 
 @dataclass(frozen=True)
@@ -78,23 +79,36 @@ def decode(path) -> Mosaic:
     return Mosaic(superpixels, largest, full_scale, exposure_s)
 
 
-def check_captures(table, folder, output) -> None:
-    """Decode every RAW file of a table once, before any long work, and write the table with their hashes.
+def check_captures(table, folder, output, roles, size_px=None) -> None:
+    """Decode every RAW file of a set once, before any long work, and write its table with their hashes.
+
+    Parameters
+    ----------
+    table, folder : path
+    output : path
+        Table of the set's own shots.
+    roles : sequence of str
+        The roles that the set uses; a table may serve several sets.
+    size_px : (width, height), optional
+        Size of the mosaic that the definition states; otherwise that of the first file counts.
 
     Raises
     ------
     InputError
-        If a file is missing, truncated, of another size than the first of its role, or its own exposure time
-        differs from the table's by more than 5 %.
+        If a file is missing, truncated, of another size than stated, or its own exposure time differs from the
+        table's by more than 5 %.
     """
-    shots = read_captures(table, folder)
-    hashes, sizes = {}, {}
+    shots = [shot for shot in read_captures(table, folder) if shot.role in roles]
+    hashes = {}
+    wanted = None if size_px is None else (size_px[1] // 2, size_px[0] // 2)
     for shot in shots:
         path = shot_path(shot, table, folder)
         mosaic = decode(path)
         size = mosaic.superpixels.shape[:2]
-        if sizes.setdefault(shot.capture, size) != size:
-            raise InputError(path, "size", f"{size} superpixels", f"{sizes[shot.capture]}, as its other shots")
+        wanted = wanted or size
+        if size != wanted:
+            found = f"a mosaic of {2 * size[1]} x {2 * size[0]} pixels"
+            raise InputError(path, "size", found, f"{2 * wanted[1]} x {2 * wanted[0]} pixels, as its set states")
         if mosaic.exposure_s > 0 and abs(mosaic.exposure_s / shot.exposure_s - 1) > _EXPOSURE_TOLERANCE:
             found = f"exposure_s {shot.exposure_s:g} for {shot.file}"
             raise InputError(table, "exposure_s", found, f"{mosaic.exposure_s:g} as the file itself says")
@@ -132,7 +146,12 @@ def smooth_flat(image: np.ndarray, valid: np.ndarray) -> np.ndarray:
 
     Returns
     -------
-    (height, width, bands) float32
+    (height, width, bands) float32, positive
+
+    Raises
+    ------
+    ValueError
+        If the picture is not that of an even surface that fills it.
     """
     height, width = image.shape[:2]
     y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
@@ -141,17 +160,31 @@ def smooth_flat(image: np.ndarray, valid: np.ndarray) -> np.ndarray:
     # The normal equations of 15 terms on [-1, 1] are well conditioned and need one pass over the picture.
     design = terms[valid]
     coefficients = np.linalg.solve(design.T @ design, design.T @ image[valid])
-    return (terms @ coefficients).astype(np.float32)
+    flat = terms @ coefficients
+    residual = np.sqrt(np.mean((image[valid] - flat[valid]) ** 2, axis=0)) / image[valid].mean(axis=0)
+    if not (flat > 0).all() or not (residual < _FLAT_RESIDUAL).all():
+        raise ValueError(f"a picture that varies by {np.max(residual):.0%} about a smooth surface")
+    return flat.astype(np.float32)
 
 
-def _photon_transfer(first: Mosaic, second: Mosaic) -> tuple[float, float]:
-    """Return conversion gain (electrons per digital number) and mean signal from two equal frames."""
+def _equal_pair(shots: list[Shot]) -> tuple[Shot, Shot] | None:
+    """Return the first two shots of one exposure time."""
+    for i, first in enumerate(shots):
+        for second in shots[i + 1 :]:
+            if first.exposure_s == second.exposure_s:
+                return first, second
+    return None
+
+
+def _photon_transfer(first: Mosaic, second: Mosaic) -> float:
+    """Return the conversion gain, electrons per digital number, from two equal frames; NaN if they are identical."""
     a, b = first.superpixels[..., 0], second.superpixels[..., 0]
     good = (first.largest < 0.9) & (second.largest < 0.9)
     mean_a, mean_b = a[good].mean(), b[good].mean()
     difference = a[good] / mean_a - b[good] / mean_b
     mean = 0.5 * (mean_a + mean_b)
-    return float(1.0 / (0.5 * difference.var() * mean)), float(mean)
+    variance = 0.5 * difference.var()
+    return float(1.0 / (variance * mean)) if variance > 0 else float("nan")
 
 
 def ingest_reference(
@@ -186,7 +219,7 @@ def ingest_reference(
             out.write("dark", dark, units="DN", dims="row,column,band", quantity="dark frame above black level")
         if whites:
             bands = []
-            for state in dict.fromkeys(s.filter for s in whites):
+            for state in _filter_states(whites):
                 group = [s for s in whites if s.filter == state]
                 paths = [shot_path(s, table, folder) for s in group]
                 rate, valid = _exposure_mean(paths, [s.exposure_s for s in group], dark, saturation)
@@ -194,9 +227,14 @@ def ingest_reference(
                     found = f"a white reference saturated over {1 - valid.mean():.0%} of the picture"
                     raise InputError(paths[0], "exposure_s", found, "a shorter exposure of the white reference")
                 cosine = np.cos(np.radians(group[0].pose.light_deg - group[0].pose.tilt_deg))
-                bands.append(smooth_flat(rate, valid) / np.float32(cosine * white_reflectance))
-                if len(paths) > 1 and not np.isfinite(gain):
-                    gain = _photon_transfer(decode(paths[0]), decode(paths[1]))[0]
+                try:
+                    bands.append(smooth_flat(rate, valid) / np.float32(cosine * white_reflectance))
+                except ValueError as error:
+                    accepted = "a white reference that fills the picture and is evenly lit"
+                    raise InputError(paths[0], "white", str(error), accepted) from None
+                pair = _equal_pair(group)
+                if pair and not np.isfinite(gain):
+                    gain = _photon_transfer(*(decode(shot_path(s, table, folder)) for s in pair))
             out.write(
                 "white",
                 np.concatenate(bands, axis=-1),
@@ -206,7 +244,12 @@ def ingest_reference(
             )
         out.attribute("gain_e_per_dn", gain)
         out.attribute("read_noise_dn", read_noise)
-        out.attribute("filters", list(dict.fromkeys(s.filter for s in whites)))
+        out.attribute("filters", _filter_states(whites))
+
+
+def _filter_states(shots: list[Shot]) -> list[str]:
+    """Return the filter states of shots in the order of the bands, whatever the order of the table's lines."""
+    return [state for state in FILTERS if any(shot.filter == state for shot in shots)]
 
 
 def ingest_raw(table, folder, capture: str, reference, saturation: float, output, provenance: store.Provenance) -> None:
@@ -238,7 +281,7 @@ def ingest_raw(table, folder, capture: str, reference, saturation: float, output
         gain, read_noise = file.attribute("gain_e_per_dn"), file.attribute("read_noise_dn")
         white_filters = file.attribute("filters")
     responses, valid, noise = [], True, []
-    for state in dict.fromkeys(s.filter for s in shots):
+    for state in _filter_states(shots):
         group = [s for s in shots if s.filter == state]
         paths = [shot_path(s, table, folder) for s in group]
         exposures = [s.exposure_s for s in group]
@@ -264,7 +307,7 @@ def ingest_raw(table, folder, capture: str, reference, saturation: float, output
         out.write("noise_model", np.concatenate(noise), units="1", dims="band,term", quantity="variance c0 + c1 rho")
         pose = shots[0].pose
         out.attribute("pose_deg", [pose.light_deg, pose.camera_deg, pose.tilt_deg, pose.turn_deg])
-        out.attribute("filters", list(dict.fromkeys(s.filter for s in shots)))
+        out.attribute("filters", _filter_states(shots))
 
 
 def _mean_dark(dark):

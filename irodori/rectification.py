@@ -9,6 +9,7 @@ import numpy as np
 from irodori import store
 from irodori.brdf import angles_from_directions
 from irodori.captures import Pose
+from irodori.errors import InputError
 from irodori.geometry.embree import Tracer
 from irodori.geometry.frames import rig_from_camera, rig_from_object, to_camera, to_light
 from irodori.geometry.pinhole import Pinhole
@@ -132,6 +133,24 @@ def _observe_file(path, shape: Shape, position, normal, setup: RigSetup):
     return sampled, geometry, visible & lit & good, visible & ~lit & (geometry[:, 0] < np.pi / 2)
 
 
+def _common_filters(linear: list) -> list[str]:
+    """Return the filter states that all captures share.
+
+    Raises
+    ------
+    InputError
+        If one capture has others: its bands would be mistaken for those of the rest.
+    """
+    first = None
+    for path in linear:
+        with store.open_file(path) as file:
+            filters = file.attribute("filters")
+        if first not in (None, filters):
+            raise InputError(path, "filters", ", ".join(filters), f"{', '.join(first)}, as in the other captures")
+        first = filters
+    return first
+
+
 def rectify_object(
     linear: list,
     definition: dict,
@@ -165,6 +184,7 @@ def rectify_object(
     width = definition["texels"]["width"]
     position, normal = shape.texels(width, definition["texels"]["height"])
     position, normal = position[slice(*rows)].reshape(-1, 3), normal[slice(*rows)].reshape(-1, 3)
+    filters = _common_filters(linear)
     responses, geometries, weights, shadowed = [], [], [], []
     for path in track(linear, f"rectify rows {rows[0]}-{rows[1]}"):
         sampled, geometry, seen, shadow = _observe_file(path, shape, position, normal, setup)
@@ -184,3 +204,4 @@ def rectify_object(
         store.write_maps(out, maps, "texel,capture,component")
         out.attribute("rows", list(rows))
         out.attribute("width", width)
+        out.attribute("filters", filters)

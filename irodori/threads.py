@@ -1,9 +1,9 @@
 """Giving a rule's threads to everything that computes: numba's loops, BLAS, and Embree's builder."""
 
+import os
+
 import numba
 from threadpoolctl import threadpool_limits
-
-from irodori.geometry import embree
 
 
 def use_threads(threads: int) -> None:
@@ -11,4 +11,4 @@ def use_threads(threads: int) -> None:
     threads = max(1, int(threads))
     numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
     threadpool_limits(limits=threads)
-    embree.BUILD_THREADS = threads
+    os.environ["IRODORI_BUILD_THREADS"] = str(threads)

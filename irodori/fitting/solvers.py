@@ -2,13 +2,13 @@
 
 import ctypes
 from dataclasses import dataclass
-from enum import IntEnum
 from functools import lru_cache
 
 import nlopt
 import numpy as np
 
 from irodori.fitting import kernels
+from irodori.material import Status
 
 MODEL_PARAMETERS = ("alpha", "beta", "mu")
 _MAX_RELATIVE_ERROR = {"beta": 0.3, "mu": 0.2}
@@ -27,16 +27,6 @@ _ALGORITHMS = (
 _SETTINGS = ("objective", "algorithm", "xtol_rel", "max_evaluations")
 _ROUNDING = 1e-7  # relative residual under which two models are equally perfect
 _MODEL_NOISE = 0.01  # of the root mean square response: light drift and pose error, whatever the residual says
-
-
-class Status(IntEnum):
-    """What became of a texel."""
-
-    OK = 0
-    GLOSS_UNIDENTIFIABLE = 1  # α holds; the data does not determine β and μ, which are NaN
-    AT_BOUND = 2
-    TOO_FEW_OBSERVATIONS = 3
-    NON_FINITE = 4
 
 
 @dataclass(frozen=True)
@@ -87,6 +77,8 @@ class FitResult:
     alpha_error, beta_error, mu_error : (n,) float64
         Gauss-Newton standard errors, NaN likewise.
     residual_rms : (n,) float64, in response
+    relative_residual : (n,) float64
+        Residual over the root mean square response.
     status : (n,) int8, see `Status`
     evaluations : (n,) int32, of the objective
     nlopt_result : (n,) int8, NLopt's return code, 0 where it was not called
@@ -101,6 +93,7 @@ class FitResult:
     beta_error: np.ndarray
     mu_error: np.ndarray
     residual_rms: np.ndarray
+    relative_residual: np.ndarray
     status: np.ndarray
     evaluations: np.ndarray
     nlopt_result: np.ndarray
@@ -296,6 +289,7 @@ def _judge(out: kernels.Output, errors, weight, power, options: FitOptions) -> F
         beta_error=np.where(determined, errors[:, 1], np.nan),
         mu_error=np.where(determined, errors[:, 2], np.nan),
         residual_rms=rms,
+        relative_residual=np.sqrt(np.divide(squares, power, out=np.full_like(power, np.nan), where=power > 0)),
         status=status,
         evaluations=out.evaluations,
         nlopt_result=out.result,

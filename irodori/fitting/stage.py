@@ -8,7 +8,8 @@ import numpy as np
 
 from irodori import store
 from irodori.brdf import gloss_factors
-from irodori.fitting.solvers import FitOptions, FitResult, Status, fit
+from irodori.fitting.solvers import FitOptions, FitResult, fit
+from irodori.material import Status
 from irodori.progress import LOGGER
 
 GREEN = 1  # green without the filter, the band of equation (7)
@@ -66,7 +67,7 @@ def fit_brdf(observations, output, options: FitOptions, n: float, k: float, prov
     """
     with store.open_file(observations) as file:
         response, geometry, weight = file.read("response"), file.read("geometry"), file.read("weight")
-        rows, width = file.attribute("rows"), file.attribute("width")
+        carried = {name: file.attribute(name) for name in ("rows", "width", "filters")}
     fit(response[:1, :, GREEN], geometry[:1], weight[:1], n, k, options)  # compile before the clock starts
     start = time.perf_counter()
     result = fit(response[..., GREEN], geometry, weight, n, k, options)
@@ -82,13 +83,14 @@ def fit_brdf(observations, output, options: FitOptions, n: float, k: float, prov
             "beta_error": (result.beta_error, "1", "standard error of beta"),
             "mu_error": (result.mu_error, "rad", "standard error of mu"),
             "residual_rms": (result.residual_rms, "1", "root mean square residual in response"),
+            "relative_residual": (result.relative_residual, "1", "residual over root mean square response"),
             "status": (result.status, "1", ", ".join(f"{s.value} {s.name.lower()}" for s in Status)),
             "evaluations": (result.evaluations, "1", "evaluations of the objective"),
             "nlopt_result": (result.nlopt_result, "1", "return code of NLopt, 0 where not called"),
             "diffuse_response": (diffuse, "1", "response to the diffuse reflectance alone"),
         }
         store.write_maps(out, maps, "texel,band")
-        for name, value in (("rows", rows), ("width", width)):
+        for name, value in carried.items():
             out.attribute(name, value)
         out.attribute("fit_seconds", seconds)
         out.attribute("texels_fitted", fitted)

@@ -6,6 +6,7 @@ cache the compiled code between processes.
 """
 
 import ctypes
+import os
 from functools import lru_cache
 from importlib.metadata import files
 from typing import NamedTuple
@@ -29,8 +30,7 @@ NO_HIT = -1
 _WORDS = 64
 _CHUNK = 512
 
-#: Threads of Embree while it builds a scene; read once, when the first scene is made.
-BUILD_THREADS = 1
+_BUILD_THREADS = "IRODORI_BUILD_THREADS"  # environment variable, read when the first scene is made
 
 
 _call = c_function(types.void, types.uintp, types.uintp, types.uintp)
@@ -70,7 +70,7 @@ def _library() -> ctypes.CDLL:
 
 @lru_cache(maxsize=1)
 def _device() -> int:
-    device = _library().rtcNewDevice(f"threads={BUILD_THREADS}".encode())
+    device = _library().rtcNewDevice(f"threads={os.environ.get(_BUILD_THREADS, '1')}".encode())
     if not device:
         raise RuntimeError(f"Embree gave no device, error {_library().rtcGetDeviceError(None)}")
     return device

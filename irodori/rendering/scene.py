@@ -80,8 +80,7 @@ def make_objects(placements: list[Placement], materials: list[Material]) -> tupl
         whole, share = material.filled()
         count = whole.basis.shape[1]
         rows = np.zeros((whole.alpha.size, bases + 2), dtype=np.float32)
-        scale = whole.alpha / whole.green_response
-        rows[:, :count] = (whole.coefficients * scale[..., None]).reshape(-1, count)
+        rows[:, :count] = (whole.coefficients * whole.spectrum_scale[..., None]).reshape(-1, count)
         rows[:, bases], rows[:, bases + 1] = whole.beta.ravel(), whole.mu.ravel()
         texels.append(rows)
         first.append(first[-1] + len(rows))

@@ -12,9 +12,9 @@ from irodori.display import encode_srgb, rgb_from_xyz
 from irodori.geometry.shapes import Shape
 from irodori.light import Environment
 from irodori.material import Material
+from irodori.pictures import write_png, write_spectral_exr
 from irodori.progress import LOGGER, track
 from irodori.rendering.integrator import render_rows
-from irodori.rendering.output import write_png, write_spectral_exr
 from irodori.rendering.scene import make_light, make_objects, make_placements, make_tracer, make_view
 
 

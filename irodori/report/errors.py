@@ -18,9 +18,9 @@ from irodori.colour import (
     xyz_from_radiance,
 )
 from irodori.light import Environment
-from irodori.material import Material
+from irodori.material import Material, Status
+from irodori.pictures import read_spectral_exr
 from irodori.progress import LOGGER
-from irodori.rendering.output import read_spectral_exr
 
 
 @dataclass(frozen=True)
@@ -72,10 +72,10 @@ def material_errors(name: str, material: Material, truth: Material, lights: list
         rows.append(_row(name, f"reflectance 1 - GFC{label}", 1.0 - goodness_of_fit(exact, estimate)))
     known = np.isfinite(material.mu) & inside
     rows += [
-        _row(name, "alpha absolute", np.abs(material.alpha - truth.alpha)[material.observed & inside]),
-        _row(name, "beta relative", np.abs(material.beta / truth.beta - 1)[known]),
-        _row(name, "mu relative", np.abs(material.mu / truth.mu - 1)[known]),
-        _row(name, "alpha / S_G - 1", np.abs(material.alpha / material.green_response - 1)[material.observed]),
+        _row(name, "alpha absolute away from seams", np.abs(material.alpha - truth.alpha)[material.observed & inside]),
+        _row(name, "beta relative away from seams, where known", np.abs(material.beta / truth.beta - 1)[known]),
+        _row(name, "mu relative away from seams, where known", np.abs(material.mu / truth.mu - 1)[known]),
+        _row(name, "alpha / S_G - 1", np.abs(material.spectrum_scale - 1)[material.observed]),
     ]
     return rows
 
@@ -113,11 +113,19 @@ def environment_errors(name: str, environment: Environment, truth: Environment) 
     ]
 
 
-def calibration_errors(name: str, path) -> list[ErrorRow]:
+def outcome(name: str, path) -> list[ErrorRow]:
+    """Return the relative residual of an object's fit, and the share of its texels with each outcome."""
+    with store.open_file(path) as file:
+        residual, status = file.read("relative_residual"), file.read("status")
+    rows = [_row(name, "residual over response", residual)]
+    return rows + [_row(name, f"share of texels: {s.name.lower().replace('_', ' ')}", status == s) for s in Status]
+
+
+def calibration_errors(name: str, path, lights: list[str]) -> list[ErrorRow]:
     """Return the leave-one-patch-out errors that a calibration file holds."""
     with store.open_file(path) as file:
         rows = [_row(name, "leave-one-patch-out spectral RMSE", file.read("leave_one_out/rmse"))]
-        for light in ("D65", "A"):
+        for light in lights:
             key = f"leave_one_out/delta_e_{light.lower()}"
             if key in file:
                 rows.append(_row(name, "leave-one-patch-out CIEDE2000", file.read(key), light))
@@ -138,9 +146,9 @@ def measure_errors(inputs: dict, names: dict, lights: list[str], output) -> None
     """
     rows: list[ErrorRow] = []
     for name, path in zip(names["cameras"], inputs["calibrations"], strict=True):
-        rows += calibration_errors(name, path)
+        rows += calibration_errors(name, path, lights)
     for name, path, truth in zip(names["objects"], inputs["materials"], inputs["true_materials"], strict=True):
-        rows += material_errors(name, Material.load(path), Material.load(truth), lights)
+        rows += material_errors(name, Material.load(path), Material.load(truth), lights) + outcome(name, path)
     whites = {}
     for name, path, truth in zip(
         names["environments"], inputs["environments"], inputs["true_environments"], strict=True
@@ -152,7 +160,11 @@ def measure_errors(inputs: dict, names: dict, lights: list[str], output) -> None
         names["views"], names["view_environments"], inputs["views"], inputs["true_views"], strict=True
     ):
         pair = read_spectral_exr(truth), read_spectral_exr(path)
-        rows.append(_row(name, "picture CIEDE2000, true materials", radiance_delta_e(*pair, whites[light]), light))
+        difference = radiance_delta_e(*pair, whites[light])
+        # Light, samples and random numbers are shared: a pixel that shows no object is the same to the bit.
+        objects = (pair[0] != pair[1]).any(axis=-1)
+        rows.append(_row(name, "picture CIEDE2000 to true materials", difference, light))
+        rows.append(_row(name, "picture CIEDE2000 to true materials, objects only", difference[objects], light))
     _write(rows, output)
 
 

@@ -14,8 +14,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 
 from irodori.colour import delta_e_reflectance, xyz_from_reflectance
 from irodori.display import encode_srgb, rgb_from_xyz
-from irodori.fitting.solvers import Status
-from irodori.material import Material
+from irodori.material import Material, Status
 from irodori.spectra import WAVELENGTH_NM
 
 _STATUS_COLOURS = ("#4c9f70", "#e0b050", "#9b6fb0", "#d0d0d0", "#c04040")

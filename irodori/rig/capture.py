@@ -13,6 +13,7 @@ from irodori.geometry.frames import flat_incidence_rad, rig_from_camera, rig_fro
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.shapes import on_table
 from irodori.progress import track
+from irodori.provenance import file_sha256
 from irodori.rig.classroom import room_coefficients, source_spectra
 from irodori.rig.dng import write_dng
 from irodori.rig.imaging import expose_object
@@ -54,6 +55,7 @@ class Session:
         self.faults = self.rig["virtual"]["imperfections"]
         self._drift = self._fault("light_drift", "relative_rms") * self.rng.normal()
         self.shots: list[Shot] = []
+        self.hashes: dict[str, str] = {}
 
     def _fault(self, name: str, key: str) -> float:
         return float(self.faults[name][key]) if self.faults[name]["enabled"] else 0.0
@@ -95,6 +97,7 @@ class Session:
             model=self.name,
         )
         self.shots.append(Shot(file, role, pose, state, exposure_s))
+        self.hashes[file] = file_sha256(self.folder / file)
 
     def mosaic_of(self, bands: np.ndarray, state: str) -> np.ndarray:
         """Return the mosaic of a picture of the six bands, (height, width, 6) to (height, width)."""
@@ -135,7 +138,7 @@ def capture_object(definition: dict, camera: dict, rig: dict, name: str, table: 
         for state, exposures in definition["exposure_s"].items():
             for exposure_s in exposures:
                 session.shoot("object", pose, state, exposure_s, image[_FILTER_STATES.index(state)])
-    write_captures(table, session.shots)
+    write_captures(table, session.shots, session.hashes)
 
 
 def capture_camera(camera: dict, rig: dict, name: str, table: Path) -> None:
@@ -156,7 +159,7 @@ def capture_camera(camera: dict, rig: dict, name: str, table: Path) -> None:
             for state, group in exposures.items():
                 for exposure_s in group:
                     session.shoot(role, pose, state, exposure_s, session.mosaic_of(bands, state))
-    write_captures(table, session.shots)
+    write_captures(table, session.shots, session.hashes)
 
 
 def _chart_picture(camera: dict, pinhole: Pinhole, rig: dict, pose: Pose, role: str) -> np.ndarray:
@@ -197,4 +200,4 @@ def capture_environment(definition: dict, camera: dict, rig: dict, name: str, ta
         for exposure_s in exposures:
             # An omnidirectional picture is stitched or unwrapped: its own vignetting is corrected there.
             session.shoot("environment", pose, state, exposure_s, mosaic, optics=False)
-    write_captures(table, session.shots)
+    write_captures(table, session.shots, session.hashes)

@@ -69,7 +69,9 @@ def _response(out, weight, colour, sample, material, setup, normal, view):
     gloss *= attenuation_over_cosine(ci, cr, cos_phi, cos_h)
     # The lamp is a disc: its mirror image is seen where the mirrored view falls within its angular radius.
     mirrored = 2.0 * ci * cr - (view[0] * light[0] + view[1] * light[1] + view[2] * light[2])
-    image = sample.mirror / (1.0 - setup.lamp_cosine**2) if mirrored >= setup.lamp_cosine else 0.0
+    image = 0.0
+    if setup.lamp_cosine < 1.0 and mirrored >= setup.lamp_cosine:
+        image = sample.mirror / (1.0 - setup.lamp_cosine**2)
     for state in range(2):
         band = 3 * state + colour
         rough = sample.diffuse[material, band] * ci + gloss * _lookup(sample.fresnel, cos_h, band)

@@ -3,8 +3,7 @@
 import numpy as np
 
 from irodori import store
-from irodori.environment import irradiance_map
-from irodori.light import Environment
+from irodori.light import Environment, irradiance_map
 from irodori.material import Material
 from irodori.rig.classroom import room_coefficients, source_spectra
 from irodori.rig.samples import Sample

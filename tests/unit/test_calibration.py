@@ -223,6 +223,7 @@ def write_linear(path, picture, pose=(0.0, 0.0, 0.0, 0.0)):
         out.write("response", picture.astype(np.float32), units="1", dims="row,column,band", quantity="response")
         out.write("valid", np.ones(picture.shape[:2], np.uint8), units="1", dims="row,column", quantity="valid")
         out.attribute("pose_deg", list(pose))
+        out.attribute("filters", ["out"])
     return path
 
 

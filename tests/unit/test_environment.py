@@ -174,10 +174,12 @@ def write_inputs(folder, response, valid, calibration):
     with store.create(folder / "linear.h5", store.Provenance("test")) as out:
         out.write("response", response.astype(np.float32), units="1", dims="row,column,band", quantity="response")
         out.write("valid", valid, units="1", dims="row,column", quantity="valid")
+        out.attribute("filters", ["out"])
     with store.create(folder / "calibration.h5", store.Provenance("test")) as out:
         for name in ("basis", "weights_from_response"):
             out.write(name, getattr(calibration, name), units="1", dims="a,b", quantity=name)
         out.write("light", calibration.light, units="1", dims="wavelength", quantity="light")
+        out.attribute("filters", list(calibration.filters))
 
 
 def stage(folder, target=0.0):
@@ -193,7 +195,9 @@ def test_stage_recovers_radiance_as_light_times_reflectance(tmp_path):
     sensitivity = rng.uniform(0.0, 1.0, (6, 61)) * light / 1e4
     matrix = np.linalg.inv(sensitivity @ basis).T  # weights = response @ M for reflectances in the basis
     reflectance = rng.uniform(0.0, 1.0, (40, 80, 6)) @ image(6)[1].T
-    write_inputs(tmp_path, reflectance @ sensitivity.T, np.ones((40, 80), np.uint8), Calibration(basis, matrix, light))
+    write_inputs(
+        tmp_path, reflectance @ sensitivity.T, np.ones((40, 80), np.uint8), Calibration(basis, matrix, light, ("out",))
+    )
     environment = stage(tmp_path)
     truth = reflectance * light
     assert np.abs(environment.coefficients @ environment.basis.T - truth).max() <= 1e-3 * truth.max()
@@ -204,8 +208,15 @@ def test_stage_recovers_radiance_as_light_times_reflectance(tmp_path):
 def test_stage_refuses_pixels_without_a_valid_bracket(tmp_path):
     valid = np.ones((8, 16), np.uint8)
     valid[3, 4] = 0
-    calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61))
+    calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61), ("out",))
     write_inputs(tmp_path, np.ones((8, 16, 3)), valid, calibration)
     with pytest.raises(InputError, match="1 pixels saturated"):
         stage(tmp_path)
     assert not (tmp_path / "e.h5").exists()
+
+
+def test_stage_refuses_bands_that_the_chart_did_not_have(tmp_path):
+    calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61), ("out", "in"))
+    write_inputs(tmp_path, np.ones((8, 16, 3)), np.ones((8, 16), np.uint8), calibration)
+    with pytest.raises(InputError, match="filters"):
+        stage(tmp_path)

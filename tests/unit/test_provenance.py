@@ -59,23 +59,23 @@ def test_local_imports_are_followed(root, module, wanted):
 
 
 def test_an_edit_changes_the_hash_of_those_who_import_it(root):
-    before = {name: code_hash(f"pkg.{name}", root) for name in ("alone", "stage", "named")}
+    before = {name: code_hash(f"pkg.{name}", root=root) for name in ("alone", "stage", "named")}
     (root / "pkg" / "leaf.py").write_text("VALUE = 2\n")
     code_hash.cache_clear()
-    after = {name: code_hash(f"pkg.{name}", root) for name in before}
+    after = {name: code_hash(f"pkg.{name}", root=root) for name in before}
     assert before["alone"] == after["alone"]
     assert before["stage"] != after["stage"] and before["named"] != after["named"]
 
 
 def test_code_hash_is_short_hexadecimal_and_imports_nothing(root):
-    digest = code_hash("pkg.stage", root)
+    digest = code_hash("pkg.stage", root=root)
     assert len(digest) == 16 and int(digest, 16) >= 0
     assert "pkg" not in sys.modules
 
 
 def test_an_unknown_module_lists_the_known_ones(root):
     with pytest.raises(ValueError, match=r"no module 'pkg\.lief'; modules: pkg, pkg\.alone, "):
-        code_hash("pkg.lief", root)
+        code_hash("pkg.lief", root=root)
 
 
 def test_the_package_itself():

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from irodori import raw, store
-from irodori.captures import Pose, Shot, read_captures, write_captures
+from irodori.captures import ROLES, Pose, Shot, read_captures, write_captures
 from irodori.errors import InputError
 from irodori.rig.dng import write_dng
 from irodori.rig.sensor import Sensor, band_weights, comb_transmittance
@@ -408,7 +408,7 @@ def test_check_captures_notes_the_hash_of_every_file(tmp_path):
     studio = Studio(tmp_path, seed=18)
     studio.references()
     table, output = studio.table(), tmp_path / "checked.csv"
-    raw.check_captures(table, tmp_path, output)
+    raw.check_captures(table, tmp_path, output, ROLES)
     assert read_captures(output, tmp_path) == read_captures(table, tmp_path)
     lines = output.read_text().splitlines()
     assert lines[0].split(",")[-1] == "sha256"
@@ -433,7 +433,7 @@ def test_check_captures_refuses(tmp_path, fault):
         (tmp_path / culprit).unlink()
     table, output = studio.table(), tmp_path / "checked.csv"
     with pytest.raises(InputError, match=culprit):
-        raw.check_captures(table, tmp_path, output)
+        raw.check_captures(table, tmp_path, output, ROLES)
     assert not output.exists()
 
 
@@ -447,3 +447,56 @@ def test_smooth_flat_restores_any_polynomial_of_degree_four(seed):
     valid = rng.uniform(size=truth.shape[:2]) < 0.8
     spoiled = np.where(valid[..., None], truth, 1e3)
     assert np.allclose(raw.smooth_flat(spoiled, valid), truth, rtol=1e-5)
+
+
+def test_bands_stand_in_one_order_whatever_the_order_of_the_lines(tmp_path):
+    pose = Pose(ANGLE, 0.0)
+    pictures = []
+    for number, states in enumerate([("out", "in"), ("in", "out")]):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        studio = Studio(folder, seed=23)
+        studio.references()
+        truth = np.broadcast_to(np.linspace(0.1, 0.6, 6), (SIZE[0] // 2, SIZE[1] // 2, 6))
+        for state in states:
+            studio.shoot("object", truth, state, 0.02 if state == "out" else 0.05)
+        pictures.append(studio.ingest(pose.name)[0].mean(axis=(0, 1)))
+        np.testing.assert_allclose(pictures[-1], np.linspace(0.1, 0.6, 6), rtol=0.02)
+
+
+def test_a_white_reference_that_does_not_fill_the_picture_is_refused(tmp_path):
+    studio = Studio(tmp_path, seed=24)
+    white = np.full((SIZE[0] // 2, SIZE[1] // 2, 6), 0.02)
+    rows, columns = white.shape[0] // 4, white.shape[1] // 4
+    white[rows:-rows, columns:-columns] = 0.9
+    studio.shoot("white", white)
+    with pytest.raises(InputError, match="fills the picture"):
+        raw.ingest_reference(studio.table(), tmp_path, 0.98, tmp_path / "r.h5", PROVENANCE, 1.0)
+
+
+def test_check_captures_holds_files_to_the_stated_size(tmp_path):
+    studio = Studio(tmp_path, seed=25)
+    studio.references()
+    table = studio.table()
+    raw.check_captures(table, tmp_path, tmp_path / "a.csv", ROLES, (SIZE[1], SIZE[0]))
+    with pytest.raises(InputError, match="9000 x 6000"):
+        raw.check_captures(table, tmp_path, tmp_path / "b.csv", ROLES, (9000, 6000))
+
+
+def test_check_captures_keeps_the_shots_of_its_own_set(tmp_path):
+    studio = Studio(tmp_path, seed=26)
+    studio.references()
+    studio.shoot("object", np.full((SIZE[0] // 2, SIZE[1] // 2, 6), 0.3))
+    raw.check_captures(studio.table(), tmp_path, tmp_path / "object.csv", ["object"])
+    assert [shot.role for shot in read_captures(tmp_path / "object.csv")] == ["object"]
+
+
+def test_identical_frames_tell_no_gain(tmp_path):
+    studio = Studio(tmp_path, seed=27)
+    studio.shoot("white", np.full((SIZE[0] // 2, SIZE[1] // 2, 6), 0.9))
+    twin = dataclasses.replace(studio.shots[0], file="twin.dng")
+    (tmp_path / "twin.dng").write_bytes((tmp_path / studio.shots[0].file).read_bytes())
+    studio.shots.append(twin)
+    raw.ingest_reference(studio.table(), tmp_path, 0.98, tmp_path / "r.h5", PROVENANCE, 1.0)
+    with store.open_file(tmp_path / "r.h5") as file:
+        assert np.isnan(file.attribute("gain_e_per_dn"))

@@ -76,6 +76,7 @@ def linear_file(path, pose, response=None, valid=None):
         out.write("response", response.astype(np.float32), units="1", dims="row,column,band", quantity="response")
         out.write("valid", valid, units="1", dims="row,column", quantity="valid")
         out.attribute("pose_deg", [pose.light_deg, pose.camera_deg, pose.tilt_deg, pose.turn_deg])
+        out.attribute("filters", ["out"])
     return path
 
 

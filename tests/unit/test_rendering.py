@@ -19,7 +19,7 @@ from irodori.errors import InputError
 from irodori.geometry.shapes import Shape
 from irodori.light import Environment, directions
 from irodori.material import Material
-from irodori.rendering.output import channel_names, read_spectral_exr, write_png, write_spectral_exr
+from irodori.pictures import channel_names, read_spectral_exr, write_png, write_spectral_exr
 from irodori.rendering.stage import render_image, render_view
 from irodori.spectra import WAVELENGTH_NM
 

@@ -6,6 +6,7 @@ rule calibrate:
 rule calibrate_camera:
     input:
         linear="results/cameras/{camera}/linear/chart.h5",
+        spectra=tables_of_calibration,
     output:
         calibration="results/cameras/{camera}/calibration.h5",
         errors=report(
@@ -22,7 +23,7 @@ rule calibrate_camera:
         "../../envs/irodori.yaml"
     threads: 1
     resources:
-        mem_mb=1000,
+        mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         chart=lookup(within=config, dpath="cameras/{camera}/chart"),
         calibration=lookup(within=config, dpath="cameras/{camera}/calibration"),

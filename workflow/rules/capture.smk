@@ -1,4 +1,6 @@
 rule capture_object:
+    input:
+        spectra=tables_of_capture,
     output:
         table="results/{object}/captures/captures.csv",
     log:
@@ -9,7 +11,7 @@ rule capture_object:
         "../../envs/irodori.yaml"
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
         definition=photographed,
         camera=definition_of("cameras"),
@@ -20,6 +22,8 @@ rule capture_object:
 
 
 rule capture_camera:
+    input:
+        spectra=tables_of_capture,
     output:
         table="results/cameras/{camera}/captures/captures.csv",
     log:
@@ -30,7 +34,7 @@ rule capture_camera:
         "../../envs/irodori.yaml"
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
         camera=lookup(within=config, dpath="cameras/{camera}"),
         rig=definition_of("rigs"),
@@ -40,6 +44,8 @@ rule capture_camera:
 
 
 rule capture_environment:
+    input:
+        spectra=tables_of_capture,
     output:
         table="results/environments/{environment}/captures/captures.csv",
     log:
@@ -50,7 +56,7 @@ rule capture_environment:
         "../../envs/irodori.yaml"
     threads: 1
     resources:
-        mem_mb=2000,
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         definition=lookup(within=config, dpath="environments/{environment}"),
         camera=definition_of("cameras"),

@@ -14,6 +14,7 @@ except InputError as error:
     raise WorkflowError(str(error)) from None
 
 FOLDER = {"objects": "results", "cameras": "results/cameras", "environments": "results/environments"}
+ROLES = {"objects": ["object"], "cameras": ["chart", "white", "dark"], "environments": ["environment"]}
 SET_OF = {"object": "objects", "camera": "cameras", "environment": "environments"}
 
 
@@ -43,7 +44,52 @@ def raw_files(wildcards):
     if is_virtual(config, kind, name):
         return []
     shots = read_captures(captures_table(wildcards), captures_folder(wildcards))
-    return [f"{captures_folder(wildcards)}/{shot.file}" for shot in shots]
+    return [f"{captures_folder(wildcards)}/{shot.file}" for shot in shots if shot.role in ROLES[kind]]
+
+
+def roles_of(wildcards):
+    """Return the roles whose shots belong to a set."""
+    return ROLES[capture_set(wildcards)[0]]
+
+
+def mosaic_size(wildcards):
+    """Return width and height in pixels that a set's RAW files must have, where its definition states them."""
+    kind, name = capture_set(wildcards)
+    if kind == "environments":
+        image = config[kind][name].get("image")
+        return [2 * image["width"], 2 * image["height"]] if image else None
+    optics = config["cameras"][camera_of(wildcards)].get("optics")
+    return [optics["width_px"], optics["height_px"]] if optics else None
+
+
+def named_tables(*values):
+    """Return the user's CSV files that definitions name, so that a change of one is seen."""
+    found = []
+    for value in values:
+        if isinstance(value, dict):
+            found += named_tables(*value.values())
+        elif isinstance(value, list):
+            found += named_tables(*value)
+        elif isinstance(value, str) and value.lower().endswith(".csv"):
+            found.append(value)
+    return found
+
+
+def tables_of_capture(wildcards):
+    """Return the tables of spectra that the virtual rig reads for a set."""
+    kind, name = capture_set(wildcards)
+    return named_tables(config[kind][name], definition_of("cameras")(wildcards), definition_of("rigs")(wildcards))
+
+
+def tables_of_calibration(wildcards):
+    """Return the tables of spectra that a calibration reads."""
+    camera = config["cameras"][wildcards.camera]
+    return named_tables(camera["chart"], config["rigs"][camera["rig"]]["light"])
+
+
+def tables_of_index(wildcards):
+    """Return the table of an object's refractive index, where it has one."""
+    return named_tables(config["objects"][wildcards.object]["refractive_index"])
 
 
 def checked_table(wildcards):

@@ -3,6 +3,7 @@ rule compress_reflectance:
         tiles=lambda wildcards: expand(
             "results/{object}/brdf/tile-{tile}.h5", object=wildcards.object, tile=tile_numbers(wildcards)
         ),
+        index=tables_of_index,
         calibration=camera_file("results/cameras/{camera}/calibration.h5"),
     output:
         material="results/{object}/material.h5",
@@ -14,7 +15,7 @@ rule compress_reflectance:
         "../../envs/irodori.yaml"
     threads: 1
     resources:
-        mem_mb=2000,
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         texels=lookup(within=config, dpath="objects/{object}/texels"),
         refractive_index=lookup(within=config, dpath="objects/{object}/refractive_index"),

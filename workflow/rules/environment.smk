@@ -12,7 +12,7 @@ rule prepare_environment:
         "../../envs/irodori.yaml"
     threads: 2
     resources:
-        mem_mb=2500,
+        mem_mb=lambda wildcards, attempt: 2500 * attempt,
     params:
         compress=lookup(within=config, dpath="environment"),
         code=code_hash("irodori.environment"),

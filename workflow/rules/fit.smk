@@ -1,6 +1,7 @@
 rule fit_brdf:
     input:
         observations="results/{object}/observations/tile-{tile}.h5",
+        index=tables_of_index,
     output:
         brdf="results/{object}/brdf/tile-{tile}.h5",
     log:
@@ -11,10 +12,10 @@ rule fit_brdf:
         "../../envs/irodori.yaml"
     threads: 2
     resources:
-        mem_mb=2000,
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         fit=lookup(within=config, dpath="fit"),
         refractive_index=lookup(within=config, dpath="objects/{object}/refractive_index"),
-        code=code_hash("irodori.fitting.stage"),
+        code=code_hash("irodori.fitting.stage", "irodori.spectra"),
     script:
         "../scripts/fit_brdf.py"

@@ -14,9 +14,11 @@ rule check_captures:
         "../../envs/irodori.yaml"
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
         folder=captures_folder,
+        roles=roles_of,
+        size_px=mosaic_size,
         code=code_hash("irodori.raw"),
     script:
         "../scripts/check_captures.py"
@@ -53,7 +55,7 @@ rule ingest_reference:
         "../../envs/irodori.yaml"
     threads: 1
     resources:
-        mem_mb=2500,
+        mem_mb=lambda wildcards, attempt: 2500 * attempt,
     params:
         folder=captures_folder,
         saturation=lookup(within=config, dpath="ingest/saturation"),
@@ -77,7 +79,7 @@ rule ingest_raw:
         "../../envs/irodori.yaml"
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
         folder=captures_folder,
         saturation=lookup(within=config, dpath="ingest/saturation"),

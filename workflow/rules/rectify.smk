@@ -15,7 +15,7 @@ rule rectify_object:
         "../../envs/irodori.yaml"
     threads: 1
     resources:
-        mem_mb=2000,
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         shape=lookup(within=config, dpath="objects/{object}/shape"),
         texels=lookup(within=config, dpath="objects/{object}/texels"),
@@ -24,6 +24,6 @@ rule rectify_object:
         camera_distance_mm=of_rig("camera_distance_mm"),
         table_radius_mm=of_rig("table_radius_mm"),
         max_angle_deg=lookup(within=config, dpath="rectify/max_angle_deg"),
-        code=code_hash("irodori.rectification"),
+        code=code_hash("irodori.rectification", "irodori.geometry.pinhole"),
     script:
         "../scripts/rectify_object.py"

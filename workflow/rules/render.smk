@@ -19,7 +19,7 @@ rule render_view:
         "../../envs/irodori.yaml"
     threads: 2
     resources:
-        mem_mb=3000,
+        mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
         scene=lookup(within=config, dpath="scenes/{scene}"),
         shapes=scene_shapes,

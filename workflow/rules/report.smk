@@ -9,7 +9,7 @@ rule write_truth:
         "../../envs/irodori.yaml"
     threads: 1
     resources:
-        mem_mb=1000,
+        mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         definition=lookup(within=config, dpath="objects/{object}"),
         camera=definition_of("cameras"),
@@ -30,7 +30,7 @@ rule write_true_environment:
         "../../envs/irodori.yaml"
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
         definition=lookup(within=config, dpath="environments/{environment}"),
         rig=definition_of("rigs"),
@@ -59,7 +59,7 @@ rule measure_errors:
         "../../envs/irodori.yaml"
     threads: 1
     resources:
-        mem_mb=3000,
+        mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
         objects=virtual("objects"),
         environments=virtual("environments"),
@@ -91,7 +91,7 @@ rule write_report:
         "../../envs/irodori.yaml"
     threads: 1
     resources:
-        mem_mb=2000,
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         objects=list(config["objects"]),
         virtual_objects=virtual("objects"),
