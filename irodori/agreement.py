@@ -3,15 +3,27 @@
 import math
 from pathlib import Path
 
-from irodori.captures import Shot, expand_poses, read_captures
+from irodori.agreement_captures import (
+    Reach,
+    check_incidence,
+    check_one_pose,
+    check_states,
+    of_role,
+    read_table,
+)
+from irodori.agreement_spectra import check_chart, check_spectra
+from irodori.captures import Shot
 from irodori.errors import InputError
-from irodori.tables import column_table, index_table, wide_table
-from irodori.validation import dotted
+from irodori.tables import index_table
 
-#: Keys whose value is either a published name or the path of a file.
-_NAME_OR_PATH = ("spectrum", "spectra", "sensitivities", "ambient_light", "lights")
-_FILE_SUFFIXES = (".csv", ".txt", ".ti3")
-_ANGLE_TOLERANCE_DEG = 1e-6
+#: Folders that stand in results/ beside those of objects and scenes.
+_RESERVED = ("benchmark", "benchmarks", "cameras", "environments", "logs")
+_BANDS_OF_A_STATE = 3
+#: Keys that only one kind of rig reads.
+_KEYS_OF = {
+    "virtual": ("virtual", "poses", "exposure_s", "dark_frames", "white_frames"),
+    "files": ("captures",),
+}
 
 
 def check_agreement(definitions: dict, root: Path, config_file, file) -> None:
@@ -34,7 +46,8 @@ def check_agreement(definitions: dict, root: Path, config_file, file) -> None:
         For the first fault.
     """
     _check_bounds(definitions, config_file)
-    _check_named_files(definitions["report"], ("report",), root, config_file)
+    _check_names(definitions, file)
+    check_spectra(definitions["report"], ("report",), root, config_file)
     checks = _Checks(definitions, root, file)
     order = {
         "rigs": checks.rig,
@@ -55,17 +68,13 @@ def rig_of(definitions: dict, kind: str, name: str) -> str:
     return camera["rig"]
 
 
-def table_and_folder(definition: dict, root: Path) -> tuple[Path, Path]:
-    """Return the table of a set of photographs of a real rig and the folder of its RAW files."""
-    table = root / definition["captures"]["table"]
-    return table, root / definition["captures"].get("folder", table.parent)
-
-
 class _Checks:
     """One check for each kind of definition."""
 
     def __init__(self, definitions: dict, root: Path, file) -> None:
         self.all, self.root, self.file = definitions, root, file
+        #: Table and chart photographs of each camera of a real rig.
+        self.charts: dict[str, tuple[Path, list[Shot]]] = {}
 
     def rig(self, name: str) -> None:
         file, rig = self.file("rigs", name), self.all["rigs"][name]
@@ -73,33 +82,33 @@ class _Checks:
             if limit["min"] > limit["max"]:
                 found = f"{limit['min']:g}, above max {limit['max']:g}"
                 raise InputError(file, f"limits.{axis}.min", found, "a smallest angle below the largest")
-        _check_named_files(rig, (), self.root, file)
+        check_spectra(rig, (), self.root, file)
 
     def camera(self, name: str) -> None:
         file, camera = self.file("cameras", name), self.all["cameras"][name]
+        self._check_keys("cameras", name, ("virtual", "optics", "white", "poses", "exposure_s"))
         if self._is_virtual("cameras", name):
-            for key in ("virtual", "optics", "white", "poses", "exposure_s"):
-                self._require(camera, key, file, "virtual")
-            self._require(camera["poses"], "white", file, "virtual", "poses.white")
-            black, bits = camera["virtual"]["sensor"]["black_level"], camera["virtual"]["sensor"]["bits"]
-            if black >= 2**bits - 1:
-                raise InputError(file, "virtual.sensor.black_level", str(black), f"below {2**bits - 1} for {bits} bits")
+            self._check_virtual_camera(camera, file)
+            states = set(camera["exposure_s"])
         else:
-            self._check_table(camera, file, "chart")
-        for role, pose in camera.get("poses", {}).items():
-            for axis, angle in pose.items():
-                self._check_angle(camera["rig"], axis, angle, file, f"poses.{role}.{axis}")
-        _check_named_files(camera, (), self.root, file)
+            self._check_chart_and_white(name, camera, file)
+            states = {shot.filter for shot in self.charts[name][1]}
+        bands, bases = _BANDS_OF_A_STATE * len(states), camera["calibration"]["bases"]
+        if bases > bands:
+            listed = ", ".join(sorted(states))
+            accepted = f"1 to {bands}, {_BANDS_OF_A_STATE} for each filter state of the chart ({listed})"
+            raise InputError(file, "calibration.bases", str(bases), accepted)
+        check_spectra(camera, (), self.root, file)
+        check_chart(camera["chart"], self.root, file)
 
     def environment(self, name: str) -> None:
         file, environment = self.file("environments", name), self.all["environments"][name]
+        self._check_keys("environments", name, ("virtual", "exposure_s"))
         if self._is_virtual("environments", name):
-            for key in ("virtual", "exposure_s"):
-                self._require(environment, key, file, "virtual")
-            self._check_filters(environment, file)
+            self._check_exposures(environment, file)
         else:
-            self._check_table(environment, file, "environment")
-        _check_named_files(environment, (), self.root, file)
+            self._check_photographs(environment, file, "environment")
+        check_spectra(environment, (), self.root, file)
 
     def object(self, name: str) -> None:
         file, definition = self.file("objects", name), self.all["objects"][name]
@@ -108,21 +117,19 @@ class _Checks:
             found = f"the camera {definition['camera']!r} without optics"
             accepted = f"a camera whose file gives optics ({self.file('cameras', definition['camera'])})"
             raise InputError(file, "camera", found, accepted)
+        self._check_keys("objects", name, ("virtual", "poses", "exposure_s"))
         if self._is_virtual("objects", name):
-            for key in ("virtual", "poses", "exposure_s"):
-                self._require(definition, key, file, "virtual")
-            self._check_filters(definition, file)
+            self._check_exposures(definition, file)
+            self._reach(camera).check_poses(definition["poses"], file)
         else:
-            shots = self._check_table(definition, file, "object")
-            self._check_object_shots(shots, camera["rig"], definition["captures"]["table"])
-        self._check_poses(definition.get("poses", []), camera["rig"], file)
+            table, shots = self._check_photographs(definition, file, "object")
+            self._reach(camera).check_shots(shots, table)
         if index := definition["refractive_index"].get("file"):
             if not (self.root / index).is_file():
-                raise InputError(
-                    file, "refractive_index.file", f"no such file: {index}", "a CSV of wavelength_nm, n, k"
-                )
+                found = f"no such file: {index}"
+                raise InputError(file, "refractive_index.file", found, "a CSV of wavelength_nm, n, k")
             index_table(self.root / index)
-        _check_named_files(definition, (), self.root, file)
+        check_spectra(definition, (), self.root, file)
 
     def scene(self, name: str) -> None:
         file, scene = self.file("scenes", name), self.all["scenes"][name]
@@ -136,14 +143,65 @@ class _Checks:
                 found = f"{view['up']}, along the line of sight or of no length"
                 raise InputError(file, f"views.{label}.up", found, "a direction that points up in the picture")
 
+    def _rig_of(self, kind: str, name: str) -> dict:
+        return self.all["rigs"][rig_of(self.all, kind, name)]
+
     def _is_virtual(self, kind: str, name: str) -> bool:
-        return self.all["rigs"][rig_of(self.all, kind, name)]["kind"] == "virtual"
+        return self._rig_of(kind, name)["kind"] == "virtual"
 
-    def _require(self, block: dict, key: str, file, kind: str, field: str = "") -> None:
-        if key not in block:
-            raise InputError(file, field or key, "no such key", f"this key, because the rig is of kind {kind}")
+    def _reach(self, camera: dict) -> Reach:
+        return Reach(self.all["rigs"][camera["rig"]]["limits"], self.file("rigs", camera["rig"]))
 
-    def _check_filters(self, definition: dict, file) -> None:
+    def _check_keys(self, kind: str, name: str, of_virtual: tuple[str, ...]) -> None:
+        """Refuse a definition without the keys that its rig's kind needs, or with keys that it never reads."""
+        file, definition, rig = self.file(kind, name), self.all[kind][name], self._rig_of(kind, name)["kind"]
+        for key in of_virtual if rig == "virtual" else _KEYS_OF["files"]:
+            _require(definition, key, file, rig)
+        for key in _KEYS_OF["files" if rig == "virtual" else "virtual"]:
+            if key in definition:
+                rig_file = self.file("rigs", rig_of(self.all, kind, name))
+                found = f"a key that a rig of kind {rig} does not use"
+                raise InputError(file, key, found, f"to leave it out ({rig_file} is of kind {rig})")
+
+    def _check_virtual_camera(self, camera: dict, file) -> None:
+        _require(camera["poses"], "white", file, "virtual", "poses.white")
+        black, bits = camera["virtual"]["sensor"]["black_level"], camera["virtual"]["sensor"]["bits"]
+        if black >= 2**bits - 1:
+            raise InputError(file, "virtual.sensor.black_level", str(black), f"below {2**bits - 1} for {bits} bits")
+        reach = self._reach(camera)
+        for role, pose in camera["poses"].items():
+            for axis, angle in pose.items():
+                reach.check_angle(axis, angle, file, f"poses.{role}.{axis}")
+            check_incidence(pose["light_deg"], pose["tilt_deg"], file, f"poses.{role}.light_deg")
+
+    def _check_chart_and_white(self, name: str, camera: dict, file) -> None:
+        """Check the photographs that calibrate a camera of a real rig; what it photographs is divided by its white."""
+        table, shots = read_table(camera, self.root, file)
+        chart = of_role(shots, "chart", table)
+        self.charts[name] = table, chart
+        user = self._user_of(name)
+        whites = [shot for shot in shots if shot.role == "white"]
+        if user and not whites:
+            found = f"no photograph of the role white, though {user} is photographed with this camera"
+            raise InputError(table, "role", found, "the white reference in every filter state of the chart")
+        if whites:
+            check_states(whites, table, chart, table)
+            if "white" not in camera:
+                found = f"no such key, though {table} lists photographs of the role white"
+                raise InputError(file, "white", found, "white: {reflectance_factor: ...} of the white reference")
+        for group in filter(None, (chart, whites)):
+            self._reach(camera).check_shots(group, table)
+            check_one_pose(group, table)
+
+    def _user_of(self, camera: str) -> Path | None:
+        """Return the file of an object or an environment that a camera photographs, None where there is none."""
+        for kind in ("objects", "environments"):
+            for name, definition in self.all[kind].items():
+                if definition["camera"] == camera:
+                    return self.file(kind, name)
+        return None
+
+    def _check_exposures(self, definition: dict, file) -> None:
         """Refuse other filter states than those of the chart, for which alone the calibration holds."""
         camera = definition["camera"]
         given, wanted = set(definition["exposure_s"]), set(self.all["cameras"][camera]["exposure_s"])
@@ -152,59 +210,18 @@ class _Checks:
             accepted += f", as in {self.file('cameras', camera)}"
             raise InputError(file, "exposure_s", f"the filter states {found}", accepted)
 
-    def _check_table(self, definition: dict, file, role: str) -> list[Shot]:
-        """Return the shots of a role, the table and all files that it names being there."""
-        self._require(definition, "captures", file, "files")
-        table, folder = table_and_folder(definition, self.root)
-        if not table.is_file():
-            raise InputError(
-                file,
-                "captures.table",
-                f"no such file: {definition['captures']['table']}",
-                "a CSV that lists the photographs",
-            )
-        shots = read_captures(table, folder)
-        wanted = [shot for shot in shots if shot.role == role]
-        if not wanted:
-            roles = ", ".join(sorted({shot.role for shot in shots}))
-            raise InputError(table, "role", f"only {roles}", f"one photograph or more of the role {role}")
-        without = {shot.capture: True for shot in wanted}
-        without.update((shot.capture, False) for shot in wanted if shot.filter == "out")
-        for capture, lacking in without.items():
-            if lacking:
-                raise InputError(
-                    table,
-                    "filter",
-                    f"the capture {capture} only with the filter in",
-                    "each capture with the filter out as well",
-                )
-        return wanted
+    def _check_photographs(self, definition: dict, file, role: str) -> tuple[Path, list[Shot]]:
+        """Return the table of an object or an environment of a real rig and its photographs of a role."""
+        table, shots = read_table(definition, self.root, file)
+        wanted = of_role(shots, role, table)
+        chart_table, chart = self.charts[definition["camera"]]
+        check_states(wanted, table, chart, chart_table)
+        return table, wanted
 
-    def _check_object_shots(self, shots: list[Shot], rig: str, table: str) -> None:
-        for shot in shots:
-            for axis in ("light_deg", "camera_deg", "tilt_deg", "turn_deg"):
-                # Angles of a real rig are read, not set: they need not stand on its steps.
-                self._check_angle(rig, axis, getattr(shot.pose, axis), table, f"{axis} of {shot.file}", step=False)
 
-    def _check_poses(self, groups: list[dict], rig: str, file) -> None:
-        for index, group in enumerate(groups):
-            for axis, angles in group.items():
-                for item, angle in enumerate(angles):
-                    self._check_angle(rig, axis, angle, file, f"poses[{index}].{axis}[{item}]")
-        try:
-            expand_poses(groups)
-        except ValueError as error:
-            raise InputError(file, "poses", str(error), "each pose once, at least 0.1 degrees apart") from None
-
-    def _check_angle(self, rig: str, axis: str, angle: float, file, field: str, step: bool = True) -> None:
-        limit = self.all["rigs"][rig]["limits"][axis]
-        low, high, unit = limit["min"], limit["max"], limit["step"]
-        off = abs((angle - low) - round((angle - low) / unit) * unit)
-        inside = low - _ANGLE_TOLERANCE_DEG <= angle <= high + _ANGLE_TOLERANCE_DEG
-        if not inside or (step and off > _ANGLE_TOLERANCE_DEG):
-            steps = f" in steps of {unit:g}" if step else ""
-            accepted = f"{low:g} to {high:g} degrees{steps} ({self.file('rigs', rig)}, limits.{axis})"
-            raise InputError(file, field, f"{angle:.10g}", accepted)
+def _require(block: dict, key: str, file, kind: str, field: str = "") -> None:
+    if key not in block:
+        raise InputError(file, field or key, "no such key", f"this key, because the rig is of kind {kind}")
 
 
 def _check_bounds(config: dict, file) -> None:
@@ -213,20 +230,15 @@ def _check_bounds(config: dict, file) -> None:
             raise InputError(file, f"fit.bounds.{name}", f"[{low:g}, {high:g}]", "the smaller value first")
 
 
-def _check_named_files(value, path: tuple, root: Path, file) -> None:
-    """Refuse a spectrum that looks like a path where no whole table of spectra stands there."""
-    if isinstance(value, dict):
-        for key, item in value.items():
-            _check_named_files(item, (*path, key), root, file)
-    elif isinstance(value, list):
-        for index, item in enumerate(value):
-            _check_named_files(item, (*path, index), root, file)
-    # The last key, or that of the list which the value stands in.
-    elif any(key in _NAME_OR_PATH for key in path[-2:]) and _is_path(value):
-        if not (root / value).is_file():
-            raise InputError(file, dotted(path), f"no such file: {value}", "the path of a file, or a published name")
-        (column_table if "sensitivities" in path else wide_table)(root / value)
-
-
-def _is_path(text) -> bool:
-    return isinstance(text, str) and (text.lower().endswith(_FILE_SUFFIXES) or "/" in text or "\\" in text)
+def _check_names(definitions: dict, file) -> None:
+    """Refuse objects and scenes whose folders in results/ would be those of something else."""
+    for kind in ("objects", "scenes"):
+        for name in definitions[kind]:
+            if name in _RESERVED:
+                accepted = f"another name of the file: results/{name} serves all (so do {', '.join(_RESERVED)})"
+                raise InputError(file(kind, name), "", f"the reserved name {name!r}", accepted)
+    for name in definitions["scenes"]:
+        if name in definitions["objects"]:
+            found = f"the name {name!r}, which {file('objects', name)} has as well"
+            accepted = f"another name of one of the files: both write into results/{name}"
+            raise InputError(file("scenes", name), "", found, accepted)

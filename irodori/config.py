@@ -3,12 +3,14 @@
 Light enough for the Snakefile: nothing but the standard library, PyYAML and jsonschema is imported.
 """
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import yaml
 
-from irodori.agreement import check_agreement, rig_of, table_and_folder
+from irodori.agreement import check_agreement, rig_of
+from irodori.agreement_captures import table_and_folder
 from irodori.captures import expand_poses, read_captures
 from irodori.errors import InputError
 from irodori.validation import dotted, suggest, validate
@@ -25,6 +27,8 @@ KINDS = {
 }
 
 _CONFIG_FILE = "config/config.yaml"
+#: Frames that the virtual rig takes where a camera's file gives no number; on a real rig the keys are refused.
+_VIRTUAL_FRAMES = {"dark_frames": 0, "white_frames": 2}
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
@@ -86,8 +90,9 @@ def load_definitions(config: dict, root: Path, file=_CONFIG_FILE) -> dict:
         Content of ``config.yaml``, as Snakemake merged it.
     root : path
         Working directory of the workflow; relative paths in all files start here.
-    file : path
-        Where `config` came from, for the error message.
+    file : path, or sequence of paths
+        Where `config` came from: one file, or all that were merged, in order. A fault is reported for the last that
+        gives the key at fault. Each that exists is read, to refuse keys given twice.
 
     Returns
     -------
@@ -100,15 +105,44 @@ def load_definitions(config: dict, root: Path, file=_CONFIG_FILE) -> dict:
     InputError
         For the first fault in any of the files, or between them.
     """
+    files = [file] if isinstance(file, str | Path) else list(file) or [_CONFIG_FILE]
+    contents = [read_yaml(Path(root) / path) if (Path(root) / path).is_file() else {} for path in files]
+    try:
+        return _load_definitions(config, Path(root), files[0])
+    except InputError as error:
+        if error.file != str(files[0]):
+            raise
+        source = _source(error.field, files, contents)
+        raise InputError(source, error.field, error.found, error.accepted) from None
+
+
+def _load_definitions(config: dict, root: Path, file) -> dict:
     config = validate(config, "config", file)
-    loader = _Loader(Path(root), Path(config["definitions"]), file)
+    loader = _Loader(root, Path(config["definitions"]), file)
     for index, name in enumerate(config["make"]["scenes"]):
         loader.scene(name, file, ("make", "scenes", index))
     for index, name in enumerate(config["make"]["cameras"]):
         loader.camera(name, file, ("make", "cameras", index))
     definitions = {**config, **loader.found}
-    check_agreement(definitions, Path(root), file, loader.file)
+    check_agreement(definitions, root, file, loader.file)
+    for camera in definitions["cameras"].values():
+        if definitions["rigs"][camera["rig"]]["kind"] == "virtual":
+            camera.update({key: count for key, count in _VIRTUAL_FRAMES.items() if key not in camera})
     return definitions
+
+
+def _source(field: str, files: list, contents: list[dict]):
+    """Return the last of the files that gives most of a dotted path of keys; the first where none gives any."""
+    best, most = files[0], 1
+    for file, block in zip(files, contents, strict=True):
+        depth = 0
+        for key in re.findall(r"[^.\[\]]+", field):
+            if not isinstance(block, dict) or key not in block:
+                break
+            block, depth = block[key], depth + 1
+        if depth >= most:
+            best, most = file, depth
+    return best
 
 
 class _Loader:

@@ -1,20 +1,18 @@
 """All definitions together: reading, names that lead from file to file, agreement between files."""
 
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 import yaml
+from definitions import CAMERA_FILE, PLATE_FILE, ROOM_FILE, ROOT, edit, fault, load
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from irodori.captures import COLUMNS
 from irodori.config import captures_of, is_virtual, load_definitions, read_yaml
 from irodori.errors import InputError
 
-ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
 POSE = "l0450-c0000-t000-r0000"
 
@@ -74,39 +72,6 @@ def test_nothing_heavy_is_imported():
     assert done.stdout.strip() == "set()"
 
 
-@pytest.fixture
-def root(tmp_path):
-    """Return a working directory with a copy of the repository's configuration."""
-    shutil.copytree(ROOT / "config", tmp_path / "work" / "config")
-    return tmp_path / "work"
-
-
-def edit(root: Path, file: str, path: str, value) -> None:
-    """Change one key of a file; `path` is dotted, numbers are indexes, value ... removes the key."""
-    target = root / "config" / file
-    block = content = read_yaml(target)
-    *parents, last = [int(part) if part.isdigit() else part for part in path.split(".")]
-    for part in parents:
-        block = block[part]
-    if value is ...:
-        del block[last]
-    else:
-        block[last] = value
-    target.write_text(yaml.safe_dump(content), encoding="utf-8")
-
-
-def load(root: Path, **make) -> dict:
-    config = read_yaml(root / "config" / "config.yaml")
-    config["make"].update(make)
-    return load_definitions(config, root)
-
-
-def fault(root: Path, **make) -> InputError:
-    with pytest.raises(InputError) as caught:
-        load(root, **make)
-    return caught.value
-
-
 def test_the_repository_s_own_configuration_loads():
     definitions = load(ROOT)
     assert list(definitions["scenes"]) == ["still-life"]
@@ -160,13 +125,6 @@ def test_an_unknown_name_lists_the_existing_ones(root, file, path, value, named_
     assert accepted in error.accepted
 
 
-PLATE_FILE, CAMERA_FILE, ROOM_FILE = (
-    "objects/tile-plate.yaml",
-    "cameras/d5100-comb.yaml",
-    "environments/classroom.yaml",
-)
-
-
 @pytest.mark.parametrize(
     ("file", "path", "value", "field", "found", "accepted"),
     [
@@ -185,6 +143,12 @@ PLATE_FILE, CAMERA_FILE, ROOM_FILE = (
          "no such file: paints/red.csv", "published name"),
         (PLATE_FILE, "refractive_index", {"file": "gold.csv"}, "refractive_index.file", "no such file",
          "CSV"),
+        (CAMERA_FILE, "poses.chart.light_deg", 80.0, "poses.chart.light_deg", "the light at 80 degrees",
+         "from 0 to below 80"),
+        (CAMERA_FILE, "poses.white", {"light_deg": 35.0, "camera_deg": 0.0, "tilt_deg": 40.0},
+         "poses.white.light_deg", "the light at -5 degrees", "from 0 to below 80"),
+        (CAMERA_FILE, "calibration.bases", 7, "calibration.bases", "7", "1 to 6, 3 for each filter state"),
+        (CAMERA_FILE, "chart.rows", 5, "chart.rows", "5 rows of 6 patches, 30 in all", "make 24 patches"),
         (CAMERA_FILE, "poses.white.light_deg", 130.0, "poses.white.light_deg", "130", "35 to 125"),
         (CAMERA_FILE, "poses.white", ..., "poses.white", "no such key", "kind virtual"),
         (CAMERA_FILE, "optics", ..., "optics", "no such key", "kind virtual"),
@@ -261,74 +225,80 @@ def test_a_table_of_the_refractive_index(root, content, field):
         assert (Path(error.file).name, error.field.split(",")[0]) == ("metal.csv", field)
 
 
-# ---- a real rig
+# ---- names in results/
+
+
+@pytest.mark.parametrize("name", ["cameras", "environments", "logs", "benchmarks", "benchmark"])
+def test_names_of_folders_of_the_results_are_reserved(root, name):
+    (root / "config/scenes/still-life.yaml").rename(root / f"config/scenes/{name}.yaml")
+    error = fault(root, scenes=[name])
+    assert error.file.endswith(f"scenes/{name}.yaml") and repr(name) in error.found
+    (root / f"config/scenes/{name}.yaml").rename(root / "config/scenes/still-life.yaml")
+    (root / "config" / PLATE_FILE).rename(root / f"config/objects/{name}.yaml")
+    edit(root, "scenes/still-life.yaml", "objects.0.object", name)
+    error = fault(root)
+    assert error.file.endswith(f"objects/{name}.yaml") and "another name" in error.accepted
+
+
+def test_an_object_and_a_scene_do_not_share_a_name(root):
+    (root / "config/scenes/still-life.yaml").rename(root / "config/scenes/tile-plate.yaml")
+    error = fault(root, scenes=["tile-plate"])
+    assert error.file.endswith("scenes/tile-plate.yaml")
+    assert "config/objects/tile-plate.yaml has as well" in error.found
+    assert "results/tile-plate" in error.accepted
+
+
+# ---- several files of the configuration
 
 
 @pytest.fixture
-def studio(root):
-    """Return a working directory in which the plate, its camera and the room come from files."""
-    for name, rows in {
-        "camera": ["chart,45,0,out", "white,45,0,out"],
-        "room": ["environment,0,0,out"],
-        "plate": ["object,45,20,out", "object,45,20,in", "object,45,0,out", "dark,0,0,out"],
-    }.items():
-        lines = [",".join(COLUMNS)]
-        (root / name).mkdir()
-        for number, row in enumerate(rows):
-            role, light, camera, state = row.split(",")
-            (root / name / f"{number}.dng").write_bytes(b"raw")
-            lines.append(f"{number}.dng,{role},{light},{camera},0,0,{state},0.02")
-        (root / name / "captures.csv").write_text("\n".join(lines))  # fmt: skip
-    edit(root, CAMERA_FILE, "rig", "copy-stand")
-    edit(root, CAMERA_FILE, "captures", {"table": "camera/captures.csv"})
-    edit(root, ROOM_FILE, "captures", {"table": "room/captures.csv", "folder": "room"})
-    edit(root, PLATE_FILE, "captures", {"table": "plate/captures.csv"})
-    edit(root, "scenes/still-life.yaml", "objects", [{"object": "tile-plate", "position_mm": [0, 0, 0]}])
-    return root
+def layers(root):
+    """Return a function that loads a working directory's configuration with a second file over it."""
 
+    def load_both(text: str) -> InputError:
+        (root / "config/mine.yaml").write_text(text)
+        config, own = read_yaml(root / "config/config.yaml"), yaml.safe_load(text)
+        for key, block in own.items():
+            config[key] = {**config.get(key, {}), **block} if isinstance(block, dict) else block
+        with pytest.raises(InputError) as caught:
+            load_definitions(config, root, ("config/config.yaml", Path("config/mine.yaml"), "config/none.yaml"))
+        return caught.value
 
-def test_a_scene_of_a_real_rig_loads(studio):
-    definitions = load(studio)
-    assert not is_virtual(definitions, "objects", "tile-plate")
-    captures = ["l0450-c0000-t000-r0000", "l0450-c0200-t000-r0000"]
-    assert captures_of(definitions, "objects", "tile-plate", studio) == captures
+    return load_both
 
 
 @pytest.mark.parametrize(
-    ("file", "path", "value", "field", "found"),
+    ("text", "file", "field"),
     [
-        (PLATE_FILE, "captures", ..., "captures", "no such key"),
-        (ROOM_FILE, "captures", ..., "captures", "no such key"),
-        (CAMERA_FILE, "captures", ..., "captures", "no such key"),
-        (CAMERA_FILE, "optics", ..., "camera", "without optics"),
-        (
-            PLATE_FILE,
-            "captures.table",
-            "plate/capture.csv",
-            "captures.table",
-            "no such file: plate/capture.csv",
-        ),
-        (PLATE_FILE, "captures.folder", "plates", "line 2, file", "no such file"),
-        (PLATE_FILE, "captures.table", "camera/captures.csv", "role", "only chart, white"),
+        ("make: {scenes: [stil-life]}", "config/mine.yaml", "make.scenes[0]"),
+        ("fit: {solver: x}", "config/mine.yaml", "fit.solver"),
+        ("fti: {solver: nlopt}", "config/mine.yaml", "fti"),
+        ("report: {lights: [D65, D56]}", "config/mine.yaml", "report.lights[1]"),
+        ("fit: {bounds: {beta: [2.0, 1.0], alpha: [0.0, 1.0], mu_rad: [0.01, 1.0]}}", "config/mine.yaml",
+         "fit.bounds.beta"),
+        ("make: []", "config/mine.yaml", "make"),
     ],
-)
-def test_what_a_real_rig_needs(studio, file, path, value, field, found):
-    edit(studio, file, path, value)
-    error = fault(studio)
-    assert error.field == field
-    assert found in error.found
+)  # fmt: skip
+def test_a_fault_is_reported_for_the_file_that_gives_its_key(layers, text, file, field):
+    error = layers(text)
+    assert (error.file, error.field) == (file, field)
 
 
-def test_files_of_a_real_rig_are_checked(studio):
-    table = studio / "plate" / "captures.csv"
-    good = table.read_text()
-    table.write_text(good.replace("object,45,20", "object,126,20"))
-    assert fault(studio).field == "light_deg of 0.dng"
-    table.write_text(good.replace("object,45,0,0,0,out", "object,45,0,0,0,in"))
-    assert "only with the filter in" in fault(studio).found
-    table.write_text(good)
-    (studio / "plate" / "3.dng").write_bytes(b"")
-    assert "an empty file" in fault(studio).found
+def test_a_fault_of_the_first_file_is_not_laid_on_the_second(layers, root):
+    edit(root, "config.yaml", "make.scenes", ["stil-life"])
+    assert layers("make: {cameras: []}").file == "config/config.yaml"
+    edit(root, "config.yaml", "make.scenes", ["still-life"])
+    edit(root, "config.yaml", "report.lights", ["D56"])
+    assert layers("make: {cameras: []}").file == "config/config.yaml"
+
+
+def test_a_key_given_twice_in_any_file_of_the_configuration(layers, root):
+    error = layers("make: {scenes: [still-life]}\nmake: {cameras: []}")
+    assert error.file.endswith("config/mine.yaml") and "the key 'make' twice" in error.found
+    path = root / "config/config.yaml"
+    path.write_text(path.read_text() + "\nmake: {}\n")
+    with pytest.raises(InputError, match="the key 'make' twice"):
+        load_definitions({"make": {}}, root)
 
 
 def test_questions_about_what_is_not_there():

@@ -12,6 +12,7 @@ from jsonschema import Draft202012Validator
 
 from irodori.config import KINDS, read_yaml
 from irodori.errors import InputError
+from irodori.fitting.solvers import _ALGORITHMS
 from irodori.validation import SCHEMA_FOLDER, SCHEMAS, load_schema, validate
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -106,6 +107,12 @@ def test_the_readme_names_every_key():
 def test_an_unknown_schema_lists_the_valid_ones():
     with pytest.raises(ValueError, match=r"no schema 'lens'; schemas: config, object"):
         validate({}, "lens", "x")
+
+
+def test_the_algorithms_of_the_fit_are_those_of_the_solvers():
+    assert tuple(load_schema("config")["properties"]["fit"]["properties"]["algorithm"]["enum"]) == _ALGORITHMS
+    error = refused({"make": {}, "fit": {"algorithm": "LD_LBFSG"}}, "config")
+    assert error.field == "fit.algorithm" and "did you mean 'LD_LBFGS'?" in error.accepted
 
 
 # ---- one definition at a time

@@ -1,70 +1,10 @@
 """One small run of the whole workflow, shared by the tests of this folder."""
 
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-import yaml
-
-ROOT = Path(__file__).resolve().parents[2]
-
-
-def edit(path: Path, changes: dict) -> None:
-    """Set dotted keys of a YAML file."""
-    document = yaml.safe_load(path.read_text())
-    for key, value in changes.items():
-        *parents, last = key.split(".")
-        block = document
-        for parent in parents:
-            block = block[parent]
-        block[last] = value
-    path.write_text(yaml.safe_dump(document, sort_keys=False))
-
-
-def snakemake(folder: Path, *arguments: str, snakefile: Path = ROOT / "Snakefile") -> subprocess.CompletedProcess:
-    """Run Snakemake in a working directory with the repository's Snakefile."""
-    command = [sys.executable, "-m", "snakemake", "--snakefile", str(snakefile), "--cores", "2", *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=400)
-
-
-def small_project(folder: Path) -> Path:
-    """Copy the configuration and shrink it: a plate and a sphere at 16 x 16 texels, a small room and picture."""
-    shutil.copytree(ROOT / "config", folder / "config")
-    config = folder / "config"
-    edit(config / "config.yaml", {"rectify.tile_texels": 128, "environment.irradiance": {"width": 32, "height": 16}})
-    edit(config / "environments" / "classroom.yaml", {"image": {"width": 100, "height": 50}})
-    # Texels of half a superpixel's size would see the seams between paints: four paints, four checks.
-    edit(
-        config / "objects" / "tile-plate.yaml",
-        {
-            "texels": {"width": 16, "height": 16},
-            "poses": [{"light_deg": [45.0], "camera_deg": [0.0, 20.0, 35.0, 41.0, 45.0, 49.0, 55.0, 65.0]}],
-            "virtual.pattern": {"kind": "checks", "columns": 2, "rows": 2},
-        },
-    )
-    edit(
-        config / "objects" / "leaf-sphere.yaml",
-        {
-            "texels": {"width": 16, "height": 16},
-            "poses": [
-                {"light_deg": [35.0], "camera_deg": [0.0, 10.0], "turn_deg": [0.0, 90.0, 180.0, 270.0]},
-            ],
-            "virtual.pattern": {"kind": "uniform"},
-        },
-    )
-    edit(
-        config / "scenes" / "still-life.yaml",
-        {
-            "image": {"width": 48, "height": 36},
-            "objects": [
-                {"object": "tile-plate", "position_mm": [0.0, 0.0, 0.0], "scale": 2.4},
-                {"object": "leaf-sphere", "position_mm": [0.0, 0.0, 30.1], "rotation_deg": [60.0, 0.0, 0.0]},
-            ],
-        },
-    )
-    return folder
+from project import small_project, snakemake
 
 
 @pytest.fixture(scope="session")
@@ -80,16 +20,3 @@ def finished(tmp_path_factory) -> Path:
 def again(finished, tmp_path) -> Path:
     """Return a copy of the finished working directory that a test may change."""
     return Path(shutil.copytree(finished, tmp_path / "copy", copy_function=shutil.copy2))
-
-
-def planned(run: subprocess.CompletedProcess) -> list[tuple[str, dict]]:
-    """Return rule and wildcards of every job of a dry run."""
-    assert run.returncode == 0, run.stderr[-4000:]
-    jobs: list[tuple[str, dict]] = []
-    for line in (run.stdout + run.stderr).splitlines():
-        words = line.strip().split()
-        if len(words) == 2 and words[0] in ("rule", "localrule", "checkpoint"):
-            jobs.append((words[1].rstrip(":"), {}))
-        elif words[:1] == ["wildcards:"]:
-            jobs[-1][1].update(pair.split("=", 1) for pair in line.split(":", 1)[1].strip().split(", "))
-    return jobs

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import yaml
-from conftest import edit, small_project, snakemake
+from project import edit, small_project, snakemake
 
 from irodori.captures import Pose, Shot, write_captures
 from irodori.rig.dng import write_dng

@@ -7,7 +7,7 @@ import shutil
 import h5py
 import numpy as np
 import yaml
-from conftest import ROOT, edit, planned, snakemake
+from project import ROOT, edit, planned, snakemake
 
 from irodori.pictures import read_spectral_exr
 from irodori.store import open_file

@@ -5,7 +5,9 @@ from irodori.provenance import code_hash
 from irodori.tiles import tile_rows
 
 try:
-    config.update(load_definitions(config, Path()))
+    # The repository's own file first, then those of the command line, which override it.
+    files = sorted(map(str, workflow.configfiles), key=lambda file: file != "config/config.yaml")
+    config.update(load_definitions(config, Path(), files))
     CAPTURES = {
         kind: {name: captures_of(config, kind, name) for name in config[kind]}
         for kind in ("objects", "cameras", "environments")
@@ -63,14 +65,14 @@ def mosaic_size(wildcards):
 
 
 def named_tables(*values):
-    """Return the user's CSV files that definitions name, so that a change of one is seen."""
+    """Return the user's tables that definitions name, so that a change of one is seen."""
     found = []
     for value in values:
         if isinstance(value, dict):
             found += named_tables(*value.values())
         elif isinstance(value, list):
             found += named_tables(*value)
-        elif isinstance(value, str) and value.lower().endswith(".csv"):
+        elif isinstance(value, str) and value.lower().endswith((".csv", ".txt", ".ti3")):
             found.append(value)
     return found
 

@@ -1,0 +1,36 @@
+"""Names of published spectra, so that the Snakefile can refuse a misspelled one without loading colour-science.
+
+A test compares them with colour-science, from which `irodori.spectra` takes the spectra themselves.
+"""
+
+#: CIE and ISO illuminants: ``colour.SDS_ILLUMINANTS``.
+ILLUMINANTS = (
+    *["A", "B", "C", "D50", "D55", "D60", "D65", "D75", "E"],
+    *(f"FL{number}" for number in range(1, 13)),
+    *(f"FL3.{number}" for number in range(1, 16)),
+    *(f"HP{number}" for number in range(1, 6)),
+    *["LED-B1", "LED-B2", "LED-B3", "LED-B4", "LED-B5", "LED-BH1", "LED-RGB1", "LED-V1", "LED-V2", "ID65", "ID50"],
+    "ISO 7589 Photographic Daylight",
+    "ISO 7589 Sensitometric Daylight",
+    "ISO 7589 Studio Tungsten",
+    "ISO 7589 Sensitometric Studio Tungsten",
+    "ISO 7589 Photoflood",
+    "ISO 7589 Sensitometric Photoflood",
+    "ISO 7589 Sensitometric Printer",
+)
+
+#: Test colours of CIE 224:2017.
+TEST_COLOURS = tuple(f"TCS{number}" for number in range(99))
+
+#: Colour charts and their patches (count): ``colour.characterisation.SDS_COLOURCHECKERS``.
+CHART_PATCHES = {
+    "BabelColor Average": 24,
+    "ColorChecker N Ohta": 24,
+    "ISO 17321-1": 24,
+    "PMC": 30,
+    "babel_average": 24,
+    "cc_ohta": 24,
+}
+
+#: Cameras: ``colour.MSDS_CAMERA_SENSITIVITIES``.
+CAMERAS = ("Nikon 5100 (NPL)", "Sigma SDMerill (NPL)")
