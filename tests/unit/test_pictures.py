@@ -1,0 +1,109 @@
+"""Pictures in files: every bit kept, channels named as published, broken files refused."""
+
+import json
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+from PIL import Image
+from scenes import DATA, OPTIONS, constant_light, material
+
+from irodori import store
+from irodori.errors import InputError
+from irodori.pictures import channel_names, read_spectral_exr, write_png, write_spectral_exr
+from irodori.rendering.stage import render_view
+from irodori.spectra import WAVELENGTH_NM
+
+
+def spectral_picture(path, seed=2, size=(24, 32)):
+    rng = np.random.default_rng(seed)
+    radiance = rng.gamma(1.0, 1.0, (*size, 61)).astype(np.float32)
+    write_spectral_exr(path, radiance, radiance[..., :3], {"irodori:test": "yes"})
+    return radiance
+
+
+def test_a_spectral_exr_keeps_every_bit(tmp_path):
+    radiance = spectral_picture(tmp_path / "a.exr")
+    assert np.array_equal(read_spectral_exr(tmp_path / "a.exr"), radiance)
+    assert [file.name for file in tmp_path.iterdir()] == ["a.exr"]
+
+
+def test_layers_are_named_as_the_published_layout_says(tmp_path):
+    spectral_picture(tmp_path / "a.exr")
+    source = oiio.ImageInput.open(str(tmp_path / "a.exr"))
+    names, spec = list(source.spec().channelnames), source.spec()
+    source.close()
+    expected = [f"S0.{wavelength},000000nm" for wavelength in range(400, 701, 5)]
+    assert channel_names() == expected
+    assert sorted(names) == sorted(["R", "G", "B", *expected])
+    assert spec.getattribute("spectralLayoutVersion") == "1.0" and spec.getattribute("emissiveUnits")
+    assert spec.getattribute("irodori:test") == "yes"
+
+
+@pytest.mark.parametrize("keep", [0, 4, 300, 0.25, 0.5, 0.9, 0.999])
+def test_a_truncated_exr_is_refused(tmp_path, keep):
+    path = tmp_path / "a.exr"
+    spectral_picture(path)
+    content = path.read_bytes()
+    path.write_bytes(content[: keep if isinstance(keep, int) else int(keep * len(content))])
+    with pytest.raises(InputError, match=r"a\.exr"):
+        read_spectral_exr(path)
+
+
+def test_an_exr_that_is_missing_or_lacks_a_wavelength_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"missing\.exr"):
+        read_spectral_exr(tmp_path / "missing.exr")
+    spec = oiio.ImageSpec(4, 4, 3, "float")
+    output = oiio.ImageOutput.create(str(tmp_path / "rgb.exr"))
+    assert output.open(str(tmp_path / "rgb.exr"), spec) and output.write_image(np.ones((4, 4, 3), np.float32))
+    output.close()
+    with pytest.raises(InputError, match="400 nm"):
+        read_spectral_exr(tmp_path / "rgb.exr")
+
+
+def test_another_programs_exr_of_other_wavelengths_is_refused_by_name():
+    path = DATA / "spectral" / "macbeth_chart_36_bands.exr"
+    if not path.is_file():
+        pytest.skip(f"no picture at {path}")
+    with pytest.raises(InputError, match="no layer for 4"):
+        read_spectral_exr(path)
+
+
+def test_a_png_keeps_its_pixels_and_carries_srgb(tmp_path):
+    from PIL import ImageCms
+
+    pixels = np.random.default_rng(3).integers(0, 256, (20, 30, 3), dtype=np.uint8)
+    write_png(tmp_path / "a.png", pixels)
+    with Image.open(tmp_path / "a.png") as image:
+        assert image.mode == "RGB" and np.array_equal(np.asarray(image), pixels)
+        profile = image.info["icc_profile"]
+    (tmp_path / "profile.icc").write_bytes(profile)
+    assert "sRGB" in ImageCms.getProfileDescription(ImageCms.getOpenProfile(str(tmp_path / "profile.icc")))
+
+
+def test_a_view_in_files_shows_a_white_diffuser_as_white(tmp_path):
+    light = constant_light(np.linspace(0.3, 3.0, 61))
+    provenance = store.Provenance("test")
+    light.save(tmp_path / "e.h5", provenance)
+    for name, reflectance in (("white", 1.0), ("grey", 0.2)):
+        material(reflectance).save(tmp_path / f"{name}.h5", provenance)
+    shapes = [{"kind": "plate", "width_mm": 100.0, "height_mm": 100.0}, {"kind": "sphere", "radius_mm": 20.0}]
+    scene = {
+        "image": {"width": 31, "height": 31}, "display": {"exposure": "auto"},
+        "objects": [{"object": n, "position_mm": [0, 0, z], "rotation_deg": [0, 0, 0], "scale": 1.0}
+                    for n, z in (("white", 0.0), ("grey", 40.0))],
+        "views": {"v": {"position_mm": [0, -0.01, 500.0], "target_mm": [0, 0, 0], "up": [0, 0, 1],
+                        "field_of_view_deg": 11.0}},
+    }  # fmt: skip
+    render_view(scene, "v", shapes, [tmp_path / "white.h5", tmp_path / "grey.h5"], tmp_path / "e.h5",
+                tmp_path / "v.exr", tmp_path / "v.png", tmp_path / "v.json", OPTIONS, 10)  # fmt: skip
+    radiance = read_spectral_exr(tmp_path / "v.exr")
+    assert np.allclose(radiance[2, 2], np.linspace(0.3, 3.0, 61), rtol=2e-3)
+    with Image.open(tmp_path / "v.png") as image:
+        pixels = np.asarray(image).astype(int)
+    assert (pixels[2, 2] >= 254).all()
+    # sRGB of a fifth of white, neutral: 255 (1.055 * 0.2^(1/2.4) - 0.055).
+    assert np.abs(pixels[15, 15] - 255 * (1.055 * 0.2 ** (1 / 2.4) - 0.055)).max() <= 1
+    figures = json.loads((tmp_path / "v.json").read_text())
+    assert figures["exposure"] == 1.0 and figures["filled_fraction"] == {"white": 0.0, "grey": 0.0}
+    assert WAVELENGTH_NM.size == radiance.shape[2]
