@@ -17,6 +17,7 @@ from irodori.display import encode_srgb, rgb_from_xyz
 from irodori.material import Material, Status
 from irodori.spectra import WAVELENGTH_NM
 
+_UNSEEN_GREY = 208
 _STATUS_COLOURS = ("#4c9f70", "#e0b050", "#9b6fb0", "#d0d0d0", "#c04040")
 
 
@@ -48,7 +49,9 @@ def material_figure(material: Material, status: np.ndarray, residual: np.ndarray
     matrix = xyz_from_reflectance("D65")
     spectra = np.nan_to_num(material.spectra())
     linear = spectra @ (rgb_from_xyz(matrix.sum(axis=1)) @ matrix).T
-    axes[0].imshow(encode_srgb(linear)[0])
+    picture = encode_srgb(linear)[0]
+    picture[~material.observed] = _UNSEEN_GREY
+    axes[0].imshow(picture)
     axes[0].set_title("reflectance under D65", fontsize=9)
     axes[0].axis("off")
     _map(axes[1], figure, material.alpha, "α", "1")
