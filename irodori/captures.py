@@ -21,7 +21,9 @@ FILTERS = ("out", "in")
 COLUMNS = ("file", "role", "light_deg", "camera_deg", "tilt_deg", "turn_deg", "filter", "exposure_s")
 
 _ANGLES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
-_OPTIONAL = ("tilt_deg", "turn_deg", "sha256")
+#: Columns that a table may do without; it has them where the camera's own values are to be checked.
+EXTRA_COLUMNS = ("iso", "f_number", "sha256")
+_OPTIONAL = ("tilt_deg", "turn_deg", *EXTRA_COLUMNS)
 #: Roles whose repeated frames are averaged, so that equal exposure times are no mistake.
 _AVERAGED = ("dark", "white")
 
@@ -44,13 +46,18 @@ class Pose:
 
 @dataclasses.dataclass(frozen=True)
 class Shot:
-    """One photograph: ``file`` as the table writes it, ``role`` of ROLES, ``filter`` of FILTERS."""
+    """One photograph: ``file`` as the table writes it, ``role`` of ROLES, ``filter`` of FILTERS.
+
+    ``iso`` (sensitivity, ISO 12232) and ``f_number`` (relative aperture) are 0 where the table does not state them.
+    """
 
     file: str
     role: str
     pose: Pose
     filter: str
     exposure_s: float
+    iso: float = 0.0
+    f_number: float = 0.0
 
     @property
     def capture(self) -> str:
@@ -150,7 +157,7 @@ def _read_rows(path) -> list[tuple[int, list[str]]]:
 
 
 def _check_header(header: list[str], path, line: int) -> list[str]:
-    known = (*COLUMNS, "sha256")
+    known = (*COLUMNS, *EXTRA_COLUMNS)
     for name in header:
         if name not in known:
             raise InputError(path, f"line {line}, {name}", f"the unknown column {name!r}", suggest(name, known))
@@ -185,7 +192,8 @@ class _Shots:
         for angle in _ANGLES:
             if abs(getattr(pose, angle)) > 360:
                 raise self._error(line, angle, row[angle].strip(), "an angle from -360 to 360 degrees")
-        shot = Shot(file, role, pose, state, exposure)
+        iso, f_number = (self._optional(line, column, row.get(column, "")) for column in ("iso", "f_number"))
+        shot = Shot(file, role, pose, state, exposure, iso, f_number)
         self._check_against_others(line, shot)
         self._check_file(line, shot)
         self.all.append(shot)
@@ -239,8 +247,24 @@ class _Shots:
             raise self._error(line, column, repr(text.strip()), "a finite number")
         return value
 
+    def _optional(self, line: int, column: str, text: str) -> float:
+        """Return a positive number, 0 for an empty cell."""
+        if not text.strip():
+            return 0.0
+        value = self._number(line, column, text)
+        if value <= 0:
+            raise self._error(line, column, text.strip(), "a number above 0, or an empty cell")
+        return value
+
     def _error(self, line: int, column: str, found: str, accepted: str) -> InputError:
         return InputError(self.path, f"line {line}, {column}", found, accepted)
+
+
+def shot_cells(shot: Shot, sha256: str) -> list:
+    """Return a photograph's line of a table, in the order of COLUMNS and EXTRA_COLUMNS; unknown values are empty."""
+    angles = [getattr(shot.pose, angle) for angle in _ANGLES]
+    row = [shot.file, shot.role, *angles, shot.filter, shot.exposure_s]
+    return [*row, shot.iso or "", shot.f_number or "", sha256]
 
 
 def write_captures(path, shots, sha256=None) -> None:
@@ -252,7 +276,7 @@ def write_captures(path, shots, sha256=None) -> None:
         CSV to write; its folder must exist.
     shots : iterable of Shot
     sha256 : dict, optional
-        Hexadecimal digest of each file, by ``Shot.file``; adds the column ``sha256``.
+        Hexadecimal digest of each file, by ``Shot.file``; the cells stay empty without it.
 
     Raises
     ------
@@ -264,11 +288,9 @@ def write_captures(path, shots, sha256=None) -> None:
     try:
         with open(handle, "w", encoding="utf-8", newline="") as out:
             writer = csv.writer(out, lineterminator="\n")
-            writer.writerow(COLUMNS if sha256 is None else (*COLUMNS, "sha256"))
+            writer.writerow((*COLUMNS, *EXTRA_COLUMNS))
             for shot in shots:
-                angles = [getattr(shot.pose, angle) for angle in _ANGLES]
-                row = [shot.file, shot.role, *angles, shot.filter, shot.exposure_s]
-                writer.writerow(row if sha256 is None else [*row, sha256[shot.file]])
+                writer.writerow(shot_cells(shot, "" if sha256 is None else sha256[shot.file]))
             out.flush()
             os.fsync(out.fileno())
         # mkstemp makes files that only their owner can read; a table is for everyone the umask allows.

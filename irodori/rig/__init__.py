@@ -1,4 +1,6 @@
-"""The virtual rig: a gonio-reflectance rig and camera in the computer, down to genuine DNG files.
+"""The rig: what moves the camera and the table, what takes the photographs, and the session that brings both together.
 
-Nothing after the capture imports this package; only the report reads its ground truth.
+``devices`` states what a rig and a camera must do. Real ones and simulated ones are peers behind these contracts;
+``virtual`` holds the camera that computes its photographs. Nothing after the capture imports this package; only the
+report reads the virtual rig's ground truth.
 """

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from irodori import store
-from irodori.rig.dng import write_dng
-from irodori.rig.sensor import Sensor, band_weights, comb_transmittance
+from irodori.rig.virtual.dng import write_dng
+from irodori.rig.virtual.sensor import Sensor, band_weights, comb_transmittance
 from irodori.spectra import WAVELENGTH_NM, camera_sensitivities, spectrum
 
 ROOT = Path(__file__).resolve().parents[2]

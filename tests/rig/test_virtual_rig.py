@@ -14,12 +14,12 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.frames import rig_from_camera, rig_from_object, to_camera, to_light
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.shapes import on_table
-from irodori.raw import decode
-from irodori.rig.capture import Session, capture_camera, capture_object
-from irodori.rig.classroom import room_coefficients, source_spectra, trace_room
-from irodori.rig.imaging import expose_object
-from irodori.rig.samples import Sample
-from irodori.rig.sensor import band_weights
+from irodori.mosaic import decode
+from irodori.rig.virtual.classroom import room_coefficients, source_spectra, trace_room
+from irodori.rig.virtual.imaging import expose_object
+from irodori.rig.virtual.samples import Sample
+from irodori.rig.virtual.sensor import band_weights
+from irodori.rig.virtual.session import Session, capture_camera, capture_object
 from irodori.spectra import spectrum
 
 ROOT = Path(__file__).resolve().parents[2]

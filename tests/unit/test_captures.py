@@ -212,12 +212,26 @@ def test_shot_path_is_beside_the_table_unless_a_folder_is_given():
     assert shot_path(shot, "x/captures.csv", "raw") == Path("raw/a.dng")
 
 
-def test_the_digest_column(tmp_path):
-    shot = Shot("a.dng", "chart", Pose(45.0, 0.0), "out", 0.02)
+def test_digest_sensitivity_and_aperture_come_back(tmp_path):
+    shots = [
+        Shot("a.dng", "chart", Pose(45.0, 0.0), "out", 0.02),
+        Shot("b.dng", "chart", Pose(45.0, 0.0), "in", 0.02, 100.0, 5.6),
+    ]
     path = tmp_path / "captures.csv"
-    write_captures(path, [shot], {"a.dng": "00ff"})
-    assert path.read_text().splitlines() == [HEADER + ",sha256", "a.dng,chart,45.0,0.0,0.0,0.0,out,0.02,00ff"]
-    assert read_captures(path) == [shot]
+    write_captures(path, shots, {"a.dng": "00ff", "b.dng": "11ff"})
+    assert path.read_text().splitlines() == [
+        HEADER + ",iso,f_number,sha256",
+        "a.dng,chart,45.0,0.0,0.0,0.0,out,0.02,,,00ff",
+        "b.dng,chart,45.0,0.0,0.0,0.0,in,0.02,100.0,5.6,11ff",
+    ]
+    assert read_captures(path) == shots
+
+
+@pytest.mark.parametrize("cells", ["0,", "-100,", "nan,", "auto,", ",-2"])
+def test_a_sensitivity_or_aperture_that_is_no_positive_number_is_refused(tmp_path, cells):
+    path = write(tmp_path, HEADER + ",iso,f_number", f"{GOOD},{cells}")
+    with pytest.raises(InputError, match=r"line 2, (iso|f_number)"):
+        read_captures(path)
 
 
 def test_a_write_that_fails_leaves_the_old_table_and_nothing_else(tmp_path):

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from irodori import raw, store
 from irodori.captures import ROLES, Pose, Shot, read_captures, write_captures
 from irodori.errors import InputError
-from irodori.rig.dng import write_dng
-from irodori.rig.sensor import Sensor
+from irodori.mosaic import decode
+from irodori.rig.virtual.dng import write_dng
+from irodori.rig.virtual.sensor import Sensor
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data" / "raw"
@@ -55,13 +56,13 @@ def test_dng_decodes_bit_exactly(tmp_path, height, width, black, white):
 def test_exposure_time_survives_the_file(tmp_path_factory, exposure_s):
     path = tmp_path_factory.mktemp("exposure") / "a.dng"
     dng(path, np.full((64, 64), 700, np.uint16), exposure_s=exposure_s)
-    assert raw.decode(path).exposure_s == pytest.approx(exposure_s, rel=1e-2)
+    assert decode(path).exposure_s == pytest.approx(exposure_s, rel=1e-2)
 
 
 def test_superpixels_are_red_mean_green_blue_above_black(tmp_path):
     rng = np.random.default_rng(1)
     mosaic = random_mosaic(rng)
-    decoded = raw.decode(dng(tmp_path / "a.dng", mosaic))
+    decoded = decode(dng(tmp_path / "a.dng", mosaic))
     numbers = mosaic.astype(np.float64)
     red, green_a, green_b, blue = numbers[::2, ::2], numbers[::2, 1::2], numbers[1::2, ::2], numbers[1::2, 1::2]
     expected = np.stack([red - BLACK, (green_a + green_b) / 2 - BLACK, blue - BLACK], axis=-1)
@@ -81,7 +82,7 @@ def test_mosaics_that_no_sensor_gives_are_not_written(tmp_path, mosaic):
 
 def refused(path):
     with pytest.raises(InputError) as caught:
-        raw.decode(path)
+        decode(path)
     assert str(path) in str(caught.value)
 
 

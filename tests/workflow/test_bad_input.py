@@ -6,7 +6,7 @@ import yaml
 from project import edit, small_project, snakemake
 
 from irodori.captures import Pose, Shot, write_captures
-from irodori.rig.dng import write_dng
+from irodori.rig.virtual.dng import write_dng
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ rule capture_object:
         definition=photographed,
         camera=definition_of("cameras"),
         rig=definition_of("rigs"),
-        code=code_hash("irodori.rig.capture"),
+        code=code_hash("irodori.rig.virtual.session"),
     script:
         "../scripts/capture_object.py"
 
@@ -38,7 +38,7 @@ rule capture_camera:
     params:
         camera=lookup(within=config, dpath="cameras/{camera}"),
         rig=definition_of("rigs"),
-        code=code_hash("irodori.rig.capture"),
+        code=code_hash("irodori.rig.virtual.session"),
     script:
         "../scripts/capture_camera.py"
 
@@ -61,6 +61,6 @@ rule capture_environment:
         definition=lookup(within=config, dpath="environments/{environment}"),
         camera=definition_of("cameras"),
         rig=definition_of("rigs"),
-        code=code_hash("irodori.rig.capture"),
+        code=code_hash("irodori.rig.virtual.session"),
     script:
         "../scripts/capture_environment.py"

@@ -14,7 +14,7 @@ rule write_truth:
         definition=lookup(within=config, dpath="objects/{object}"),
         camera=definition_of("cameras"),
         rig=definition_of("rigs"),
-        code=code_hash("irodori.rig.truth"),
+        code=code_hash("irodori.rig.virtual.truth"),
     script:
         "../scripts/write_truth.py"
 
@@ -35,7 +35,7 @@ rule write_true_environment:
         definition=lookup(within=config, dpath="environments/{environment}"),
         rig=definition_of("rigs"),
         irradiance=lookup(within=config, dpath="environment/irradiance"),
-        code=code_hash("irodori.rig.truth"),
+        code=code_hash("irodori.rig.virtual.truth"),
     script:
         "../scripts/write_true_environment.py"
 

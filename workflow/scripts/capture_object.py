@@ -1,6 +1,6 @@
 from pathlib import Path
 
-from irodori.rig.capture import capture_object
+from irodori.rig.virtual.session import capture_object
 from irodori.rules import run_rule
 
 with run_rule(snakemake):

@@ -1,4 +1,4 @@
-from irodori.rig.truth import write_true_environment
+from irodori.rig.virtual.truth import write_true_environment
 from irodori.rules import run_rule
 
 with run_rule(snakemake) as provenance:

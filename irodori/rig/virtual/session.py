@@ -14,11 +14,11 @@ from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.shapes import on_table
 from irodori.progress import track
 from irodori.provenance import file_sha256
-from irodori.rig.classroom import room_coefficients, source_spectra
-from irodori.rig.dng import write_dng
-from irodori.rig.imaging import expose_object
-from irodori.rig.samples import Sample
-from irodori.rig.sensor import Sensor, band_weights
+from irodori.rig.virtual.classroom import room_coefficients, source_spectra
+from irodori.rig.virtual.dng import write_dng
+from irodori.rig.virtual.imaging import expose_object
+from irodori.rig.virtual.samples import Sample
+from irodori.rig.virtual.sensor import Sensor, band_weights
 from irodori.spectra import chart_spectra, spectrum
 
 _FILTER_STATES = ("out", "in")

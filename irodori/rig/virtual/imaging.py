@@ -172,7 +172,7 @@ def expose_object(
 
     Parameters
     ----------
-    sample : irodori.rig.samples.Sample
+    sample : irodori.rig.virtual.samples.Sample
     tracer : Tracer
         Shape 0 is the sample, the others only cast shadows.
     rotation : (3, 3) float, rig_from_object
@@ -180,7 +180,7 @@ def expose_object(
     camera_position : (3,) float, mm
     world_from_camera : (3, 3) float
     light : (3,) float, unit vector to the light
-    band_weights : (6, 61) float, see `irodori.rig.sensor.band_weights`
+    band_weights : (6, 61) float, see `irodori.rig.virtual.sensor.band_weights`
     lamp_radius_rad : float
         Angular radius of the lamp, for its mirror image.
 

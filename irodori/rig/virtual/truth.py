@@ -5,9 +5,9 @@ import numpy as np
 from irodori import store
 from irodori.light import Environment, irradiance_map
 from irodori.material import Material
-from irodori.rig.classroom import room_coefficients, source_spectra
-from irodori.rig.samples import Sample
-from irodori.rig.sensor import band_weights
+from irodori.rig.virtual.classroom import room_coefficients, source_spectra
+from irodori.rig.virtual.samples import Sample
+from irodori.rig.virtual.sensor import band_weights
 from irodori.spectra import spectrum
 
 _GREEN = 1
