@@ -8,22 +8,40 @@ from irodori.agreement_captures import (
     check_incidence,
     check_one_pose,
     check_states,
+    check_states_are,
     of_role,
     read_table,
 )
 from irodori.agreement_spectra import check_chart, check_spectra
 from irodori.captures import Shot
 from irodori.errors import InputError
-from irodori.tables import index_table
+from irodori.tables import brdf_table, index_table
 
 #: Folders that stand in results/ beside those of objects and scenes.
 _RESERVED = ("benchmark", "benchmarks", "cameras", "environments", "logs")
 _BANDS_OF_A_STATE = 3
-#: Keys that only one kind of rig reads.
-_KEYS_OF = {
-    "virtual": ("virtual", "poses", "exposure_s", "dark_frames", "white_frames"),
-    "files": ("captures",),
+#: Keys that not every kind of rig reads: which of them a definition must give, and which it may.
+_TAKEN_HERE = ("poses", "exposure_s", "dark_frames", "white_frames", "linearity_exposure_s")
+_ONLY_SOME = (*_TAKEN_HERE, "virtual", "driver", "captures")
+_NEEDED = {
+    "virtual": {
+        "cameras": ("virtual", "optics", "white", "poses", "exposure_s"),
+        "environments": ("virtual", "exposure_s"),
+        "objects": ("virtual", "poses", "exposure_s"),
+    },
+    "driven": {
+        "cameras": ("driver", "captures", "white", "poses", "exposure_s"),
+        "environments": ("captures",),
+        "objects": ("captures", "poses", "exposure_s"),
+    },
+    "files": dict.fromkeys(("cameras", "environments", "objects"), ("captures",)),
 }
+
+
+def _accepted_keys(rig_kind: str, kind: str) -> tuple[str, ...]:
+    """Return which of ``_ONLY_SOME`` a definition may give."""
+    needed = _NEEDED[rig_kind][kind]
+    return needed if "exposure_s" not in needed else (*needed, *_TAKEN_HERE)
 
 
 def check_agreement(definitions: dict, root: Path, config_file, file) -> None:
@@ -86,9 +104,9 @@ class _Checks:
 
     def camera(self, name: str) -> None:
         file, camera = self.file("cameras", name), self.all["cameras"][name]
-        self._check_keys("cameras", name, ("virtual", "optics", "white", "poses", "exposure_s"))
-        if self._is_virtual("cameras", name):
-            self._check_virtual_camera(camera, file)
+        self._check_keys("cameras", name)
+        if self._is_taken_here("cameras", name):
+            self._check_session(camera, file)
             states = set(camera["exposure_s"])
         else:
             self._check_chart_and_white(name, camera, file)
@@ -103,8 +121,8 @@ class _Checks:
 
     def environment(self, name: str) -> None:
         file, environment = self.file("environments", name), self.all["environments"][name]
-        self._check_keys("environments", name, ("virtual", "exposure_s"))
-        if self._is_virtual("environments", name):
+        self._check_keys("environments", name)
+        if self._is_taken_here("environments", name):
             self._check_exposures(environment, file)
         else:
             self._check_photographs(environment, file, "environment")
@@ -117,10 +135,13 @@ class _Checks:
             found = f"the camera {definition['camera']!r} without optics"
             accepted = f"a camera whose file gives optics ({self.file('cameras', definition['camera'])})"
             raise InputError(file, "camera", found, accepted)
-        self._check_keys("objects", name, ("virtual", "poses", "exposure_s"))
-        if self._is_virtual("objects", name):
+        self._check_keys("objects", name)
+        if self._is_taken_here("objects", name):
             self._check_exposures(definition, file)
             self._reach(camera).check_poses(definition["poses"], file)
+            for material in definition.get("virtual", {}).get("materials", ()):
+                if "file" in material:
+                    brdf_table(self.root / material["file"])
         else:
             table, shots = self._check_photographs(definition, file, "object")
             self._reach(camera).check_shots(shots, table)
@@ -146,28 +167,32 @@ class _Checks:
     def _rig_of(self, kind: str, name: str) -> dict:
         return self.all["rigs"][rig_of(self.all, kind, name)]
 
-    def _is_virtual(self, kind: str, name: str) -> bool:
-        return self._rig_of(kind, name)["kind"] == "virtual"
+    def _is_taken_here(self, kind: str, name: str) -> bool:
+        """Whether the workflow itself takes the photographs, as against reading what somebody took."""
+        return "exposure_s" in _NEEDED[self._rig_of(kind, name)["kind"]][kind]
 
     def _reach(self, camera: dict) -> Reach:
         return Reach(self.all["rigs"][camera["rig"]]["limits"], self.file("rigs", camera["rig"]))
 
-    def _check_keys(self, kind: str, name: str, of_virtual: tuple[str, ...]) -> None:
+    def _check_keys(self, kind: str, name: str) -> None:
         """Refuse a definition without the keys that its rig's kind needs, or with keys that it never reads."""
         file, definition, rig = self.file(kind, name), self.all[kind][name], self._rig_of(kind, name)["kind"]
-        for key in of_virtual if rig == "virtual" else _KEYS_OF["files"]:
+        for key in _NEEDED[rig][kind]:
             _require(definition, key, file, rig)
-        for key in _KEYS_OF["files" if rig == "virtual" else "virtual"]:
-            if key in definition:
+        accepted = _accepted_keys(rig, kind)
+        for key in _ONLY_SOME:
+            if key in definition and key not in accepted:
                 rig_file = self.file("rigs", rig_of(self.all, kind, name))
                 found = f"a key that a rig of kind {rig} does not use"
                 raise InputError(file, key, found, f"to leave it out ({rig_file} is of kind {rig})")
 
-    def _check_virtual_camera(self, camera: dict, file) -> None:
-        _require(camera["poses"], "white", file, "virtual", "poses.white")
-        black, bits = camera["virtual"]["sensor"]["black_level"], camera["virtual"]["sensor"]["bits"]
-        if black >= 2**bits - 1:
-            raise InputError(file, "virtual.sensor.black_level", str(black), f"below {2**bits - 1} for {bits} bits")
+    def _check_session(self, camera: dict, file) -> None:
+        """Check the photographs that calibrate a camera, which the workflow takes itself."""
+        _require(camera["poses"], "white", file, self.all["rigs"][camera["rig"]]["kind"], "poses.white")
+        if "virtual" in camera:
+            black, bits = camera["virtual"]["sensor"]["black_level"], camera["virtual"]["sensor"]["bits"]
+            if black >= 2**bits - 1:
+                raise InputError(file, "virtual.sensor.black_level", str(black), f"below {2**bits - 1} for {bits} bits")
         reach = self._reach(camera)
         for role, pose in camera["poses"].items():
             for axis, angle in pose.items():
@@ -214,8 +239,12 @@ class _Checks:
         """Return the table of an object or an environment of a real rig and its photographs of a role."""
         table, shots = read_table(definition, self.root, file)
         wanted = of_role(shots, role, table)
-        chart_table, chart = self.charts[definition["camera"]]
-        check_states(wanted, table, chart, chart_table)
+        camera = definition["camera"]
+        if camera in self.charts:
+            check_states(wanted, table, *reversed(self.charts[camera]))
+        else:
+            accepted = set(self.all["cameras"][camera]["exposure_s"])
+            check_states_are(wanted, table, accepted, self.file("cameras", camera))
         return table, wanted
 
 

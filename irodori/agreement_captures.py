@@ -93,10 +93,14 @@ def of_role(shots: list[Shot], role: str, table: Path) -> list[Shot]:
 
 def check_states(shots: list[Shot], table: Path, chart: list[Shot], chart_table: Path) -> None:
     """Refuse a capture in other filter states than the chart's, for which alone the calibration holds."""
-    wanted = {shot.filter for shot in chart}
+    check_states_are(shots, table, {shot.filter for shot in chart}, chart_table)
+
+
+def check_states_are(shots: list[Shot], table: Path, wanted: set[str], chart_file: Path) -> None:
+    """Refuse a capture in other filter states than those of the chart, which `chart_file` tells."""
     for capture, states in _states_of_captures(shots).items():
         if states != wanted:
-            accepted = f"the filter states {_listed(wanted)}, as the chart has in {chart_table}"
+            accepted = f"the filter states {_listed(wanted)}, as the chart has in {chart_file}"
             raise InputError(
                 table, f"filter of the capture {capture}", f"the filter states {_listed(states)}", accepted
             )

@@ -15,7 +15,7 @@ from irodori.captures import expand_poses, read_captures
 from irodori.errors import InputError
 from irodori.validation import dotted, suggest, validate
 
-__all__ = ["KINDS", "captures_of", "is_virtual", "load_definitions", "read_yaml", "validate"]
+__all__ = ["KINDS", "captures_of", "is_taken_here", "is_virtual", "load_definitions", "read_yaml", "validate"]
 
 #: Kind of definition (the folder and the key of the result): its schema.
 KINDS = {
@@ -27,8 +27,8 @@ KINDS = {
 }
 
 _CONFIG_FILE = "config/config.yaml"
-#: Frames that the virtual rig takes where a camera's file gives no number; on a real rig the keys are refused.
-_VIRTUAL_FRAMES = {"dark_frames": 0, "white_frames": 2}
+#: What a session takes where a camera's file does not say; where others take the photographs the keys are refused.
+_SESSION_DEFAULTS = {"dark_frames": 0, "white_frames": 2, "linearity_exposure_s": []}
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
@@ -126,8 +126,8 @@ def _load_definitions(config: dict, root: Path, file) -> dict:
     definitions = {**config, **loader.found}
     check_agreement(definitions, root, file, loader.file)
     for camera in definitions["cameras"].values():
-        if definitions["rigs"][camera["rig"]]["kind"] == "virtual":
-            camera.update({key: count for key, count in _VIRTUAL_FRAMES.items() if key not in camera})
+        if "exposure_s" in camera:
+            camera.update({key: value for key, value in _SESSION_DEFAULTS.items() if key not in camera})
     return definitions
 
 
@@ -213,7 +213,7 @@ def captures_of(definitions: dict, kind: str, name: str, root=".") -> list[str]:
     definition = _definition(definitions, kind, name)
     if kind != "objects":
         return ["chart" if kind == "cameras" else "environment"]
-    if is_virtual(definitions, kind, name):
+    if is_taken_here(definitions, kind, name):
         return sorted(pose.name for pose in expand_poses(definition["poses"]))
     table, _ = table_and_folder(definition, Path(root))
     return sorted({shot.capture for shot in read_captures(table) if shot.role == "object"})
@@ -229,6 +229,17 @@ def is_virtual(definitions: dict, kind: str, name: str) -> bool:
     """
     _definition(definitions, kind, name)
     return definitions["rigs"][rig_of(definitions, kind, name)]["kind"] == "virtual"
+
+
+def is_taken_here(definitions: dict, kind: str, name: str) -> bool:
+    """Whether the workflow itself takes the photographs, on the virtual rig or on one that it drives.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind or name.
+    """
+    return "exposure_s" in _definition(definitions, kind, name)
 
 
 def _definition(definitions: dict, kind: str, name: str) -> dict:

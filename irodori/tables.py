@@ -100,6 +100,30 @@ def index_table(path) -> tuple[list[float], list[float], list[float]]:
     return wavelength, columns[0], columns[1]
 
 
+def brdf_table(path) -> tuple[list[float], list[list[float]], list[list[float]]]:
+    """Read a CSV of measured reflection: four angles in rad, then the BRDF in 1/sr at each wavelength in nm.
+
+    Returns
+    -------
+    wavelength_nm : list of float
+    angles : list of rows, θ_i, φ_i, θ_r, φ_r in rad
+    brdf : list of rows, 1/sr
+    """
+    rows = _rows(path)
+    header = [cell.strip() for cell in rows[0][1]]
+    wanted = ["theta_i_rad", "phi_i_rad", "theta_r_rad", "phi_r_rad"]
+    if header[: len(wanted)] != wanted:
+        accepted = f"{', '.join(wanted)}, then one column a wavelength in nm"
+        raise InputError(path, "line 1", ", ".join(header[: len(wanted)]), accepted)
+    wavelength = [_number(cell, path, f"header column {i + 5}") for i, cell in enumerate(header[4:])]
+    check_wavelengths(wavelength, path)
+    table = []
+    for line, row in rows[1:]:
+        _check_length(row, header, path, line)
+        table.append([_number(c, path, f"line {line}, {h}") for c, h in zip(row, header, strict=True)])
+    return wavelength, [row[:4] for row in table], [row[4:] for row in table]
+
+
 def _rows(path) -> list[tuple[int, list[str]]]:
     """Return the rows that hold something, with their line numbers."""
     path = Path(path)

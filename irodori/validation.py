@@ -142,7 +142,9 @@ def _branch(schema: dict, instance) -> int | None:
         )
     kinds = [variant.get("properties", {}).get("kind", {}).get("const") for variant in variants]
     if any(kinds):
-        return kinds.index(instance.get("kind")) if instance.get("kind") in kinds else None
+        defaults = [variant["properties"]["kind"].get("default") for variant in variants]
+        kind = instance.get("kind", next(filter(None, defaults), None))
+        return kinds.index(kind) if kind in kinds else None
     shared = [len(instance.keys() & variant.get("properties", {}).keys()) for variant in variants]
     return shared.index(max(shared))
 

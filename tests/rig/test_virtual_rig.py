@@ -8,22 +8,24 @@ import pytest
 
 from irodori.brdf import angles_from_directions, reflect
 from irodori.calibration import patch_centres
-from irodori.captures import Pose, read_captures
+from irodori.captures import Pose, Shot
 from irodori.config import load_definitions, read_yaml
-from irodori.geometry.embree import Tracer
 from irodori.geometry.frames import rig_from_camera, rig_from_object, to_camera, to_light
 from irodori.geometry.pinhole import Pinhole
-from irodori.geometry.shapes import on_table
 from irodori.mosaic import decode
+from irodori.rig.plan import camera_shots, object_shots
+from irodori.rig.virtual.bench import Bench
+from irodori.rig.virtual.camera import VirtualCamera
 from irodori.rig.virtual.classroom import room_coefficients, source_spectra, trace_room
-from irodori.rig.virtual.imaging import expose_object
+from irodori.rig.virtual.faults import Faults
 from irodori.rig.virtual.samples import Sample
 from irodori.rig.virtual.sensor import band_weights
-from irodori.rig.virtual.session import Session, capture_camera, capture_object
+from irodori.rig.virtual.subjects import object_mosaic
 from irodori.spectra import spectrum
 
 ROOT = Path(__file__).resolve().parents[2]
-NO_FAULTS = ("light_drift", "vignetting", "stray_light", "pose_error")
+NO_FAULTS = ("light_drift", "vignetting", "stray_light", "pose_error", "filter_plate", "hot_pixels")
+STRAIGHT = np.eye(2, 3)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +46,7 @@ def uniform(definitions, name: str, beta: float = 4.0, mu_rad: float = 0.15, mir
     definition = copy.deepcopy(definitions["objects"][name])
     definition["virtual"] = {
         "pattern": {"kind": "uniform"},
-        "materials": [{"spectrum": "TCS16", "beta": beta, "mu_rad": mu_rad}],
+        "materials": [{"kind": "paper", "spectrum": "TCS16", "beta": beta, "mu_rad": mu_rad}],
     }
     definition["mirror_weight"] = mirror
     return definition
@@ -54,15 +56,23 @@ def photograph(definition: dict, camera: dict, rig: dict, pose: Pose):
     """Return the two mosaics of a pose before the optics, with the sample and band weights."""
     sample = Sample.from_definition(definition)
     weights = band_weights(camera, spectrum(rig["light"]["spectrum"]))
-    rotation = rig_from_object(pose)
-    tracer = Tracer(on_table(sample.shape, rotation, rig["table_radius_mm"]))
-    pinhole = Pinhole.from_optics(camera["optics"])
-    position = rig["camera_distance_mm"] * to_camera(pose)
-    lamp = np.radians(rig["virtual"]["light_angular_radius_deg"])
-    image = expose_object(
-        sample, tracer, rotation, pinhole, position, rig_from_camera(pose), to_light(pose), weights, lamp
-    )
+    image = np.stack([object_mosaic(sample, camera, rig, pose, STRAIGHT, weights[b : b + 3]) for b in (0, 3)])
     return image, sample, weights
+
+
+def standing(shot: Shot) -> Bench:
+    """Return a bench on which everything stands as a photograph wants it."""
+    angles = {name: getattr(shot.pose, name) for name in ("light_deg", "camera_deg", "tilt_deg", "turn_deg")}
+    return Bench(by_hand_deg=angles, filter=shot.filter, subject=shot.role)
+
+
+def shoot(camera: dict, rig: dict, session: str, shots: list[Shot], folder: Path, subject=None) -> None:
+    """Take all photographs of a session into a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    virtual = VirtualCamera(camera, rig, Bench(), session, shots, subject)
+    for shot in shots:
+        virtual.bench = standing(shot)
+        virtual.capture(shot, folder / shot.file)
 
 
 @pytest.mark.parametrize("pose", [Pose(45.0, 0.0), Pose(45.0, 41.0), Pose(65.0, 60.0), Pose(45.0, 3.0, 20.0)])
@@ -106,52 +116,125 @@ def test_the_lamps_mirror_image_saturates_where_the_sphere_reflects_it(definitio
 
 def test_the_chart_stands_where_the_camera_file_says(perfect, tmp_path):
     camera, rig = perfect
-    capture_camera(camera, rig, "d5100-comb", tmp_path / "captures.csv")
-    shots = read_captures(tmp_path / "captures.csv", tmp_path)
+    shots = camera_shots(camera, ".dng")
     roles = [shot.role for shot in shots]
-    assert roles.count("dark") == 4 and roles.count("white") == 4 and roles.count("chart") == 2
-    chart = next(shot for shot in shots if shot.role == "chart" and shot.filter == "out")
-    picture = decode(tmp_path / chart.file).superpixels[..., 1]
+    assert roles.count("dark") == 8 and roles.count("white") == 10 and roles.count("chart") == 2
+    chart = [shot for shot in shots if shot.role == "chart" and shot.filter == "out"]
+    shoot(camera, rig, "d5100-comb", chart, tmp_path)
+    picture = decode(tmp_path / chart[0].file).superpixels[..., 1]
     for x, y in patch_centres(camera["chart"]):
         patch = picture[round(y) - 12 : round(y) + 13, round(x) - 12 : round(x) + 13]
         assert patch.std() < 0.1 * patch.mean() + 30, "a patch is even over 25 superpixels"
 
 
-def test_faults_can_be_switched_off_one_by_one(definitions, tmp_path):
-    camera = definitions["cameras"]["d5100-comb"]
+def faults_of(rig: dict, session: str, count: int) -> tuple[Faults, list[Shot]]:
+    """Return the imperfections of a session of `count` photographs, filter in, each in a pose of its own."""
+    shots = [Shot(f"{i}.dng", "object", Pose(45.0, 0.1 * i), "in", 0.02) for i in range(count)]
+    return Faults(rig["virtual"]["imperfections"], rig["virtual"]["seed"], session, shots), shots
+
+
+def test_faults_can_be_switched_off_one_by_one(definitions):
     for name in NO_FAULTS:
         rig = copy.deepcopy(definitions["rigs"]["virtual"])
         for other in NO_FAULTS:
             rig["virtual"]["imperfections"][other]["enabled"] = other == name
-        session = Session(camera, rig, name, tmp_path / name)
-        even = np.ones((600, 800))
-        light = [session._next_light() for _ in range(200)]
-        pose = session.real_pose(Pose(45.0, 10.0))
-        seen = session._through_optics(even)
-        assert (np.std(light) > 0) == (name == "light_drift")
-        assert (pose != Pose(45.0, 10.0)) == (name == "pose_error")
+        faults, shots = faults_of(rig, name, 200)
+        seen = faults.through_optics(np.ones((600, 800)))
+        assert (np.std([faults.light(shot) for shot in shots]) > 0) == (name == "light_drift")
+        assert (faults.real_pose(shots[3], Pose(45.0, 10.0)) != Pose(45.0, 10.0)) == (name == "pose_error")
         assert (np.ptp(seen) > 0.05) == (name == "vignetting")
         assert (seen.max() > 1.0) == (name == "stray_light")
+        assert (faults.ideal_from_seen(shots[0], 800, 600) != np.eye(2, 3)).any() == (name == "filter_plate")
+        assert (faults.hot_rate_e_per_s(600, 800) > 0).any() == (name == "hot_pixels")
 
 
-def test_the_light_drifts_by_its_rms_and_slowly(definitions, tmp_path):
-    session = Session(definitions["cameras"]["d5100-comb"], definitions["rigs"]["virtual"], "drift", tmp_path)
-    light = np.array([session._next_light() for _ in range(60_000)])
+def test_the_light_drifts_by_its_rms_and_slowly(definitions):
+    faults, shots = faults_of(definitions["rigs"]["virtual"], "drift", 60_000)
+    light = np.array([faults.light(shot) for shot in shots])
     assert light.std() == pytest.approx(0.01, rel=0.15)
     step = np.diff(light).std()
     assert step == pytest.approx(0.01 * np.sqrt(2 * (1 - np.exp(-1 / 60))), rel=0.02)
 
 
-def test_a_session_is_reproducible_and_sessions_differ(definitions, perfect, tmp_path):
+def test_the_pose_is_off_by_its_rms_and_only_after_a_move(definitions):
+    faults, shots = faults_of(definitions["rigs"]["virtual"], "pose", 4000)
+    off = np.array([faults.real_pose(shot, shot.pose).camera_deg - shot.pose.camera_deg for shot in shots])
+    assert off.std() == pytest.approx(0.05, rel=0.05)
+    pair = [Shot(f"{s}.dng", "object", Pose(45.0, 0.0), s, 0.02) for s in ("out", "in")]
+    still = Faults(definitions["rigs"]["virtual"]["virtual"]["imperfections"], 1, "pair", pair)
+    assert still.real_pose(pair[0], pair[0].pose) == still.real_pose(pair[1], pair[1].pose)
+
+
+def test_the_plate_moves_the_picture_as_its_file_says(definitions, perfect):
+    camera, rig = copy.deepcopy(perfect)
+    plate = rig["virtual"]["imperfections"]["filter_plate"]
+    plate.update(enabled=True, shift_px=[3.0, -2.0], repeat_rms_px=0.0, magnification=1.01, rotation_deg=0.5)
+    faults, shots = faults_of(rig, "plate", 1)
+    seen = faults.ideal_from_seen(shots[0], 800, 600)
+    centre, point = np.array([400.0, 300.0]), np.array([100.0, 50.0])
+    angle = np.radians(0.5)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    moved = centre + 2.0 * np.array([3.0, -2.0]) + 1.01 * turn @ (point - centre)
+    np.testing.assert_allclose(seen @ [*moved, 1.0], point, atol=1e-9)
+    definition = uniform(definitions, "tile-plate")
+    sample = Sample.from_definition(definition)
+    weights = band_weights(camera, spectrum("A"))[3:]
+    straight, through = (object_mosaic(sample, camera, rig, Pose(45.0, 0.0), m, weights) for m in (STRAIGHT, seen))
+
+    def edge(picture, axis):
+        """Return the centre and half the width of the bright square along an axis, mosaic pixels."""
+        inside = (picture > 0.5 * np.median(picture[picture > 0])).any(axis=1 - axis)
+        where = np.nonzero(inside)[0]
+        return 0.5 * (where[0] + where[-1]), 0.5 * (where[-1] - where[0])
+
+    # A square 400 px wide turned by half a degree reaches 1.7 px further on either side.
+    for axis, shift in ((1, 6.0), (0, -4.0)):
+        (before, half), (after, wider) = edge(straight, axis), edge(through, axis)
+        assert after - before == pytest.approx(shift, abs=1.1)
+        assert wider == pytest.approx(half * 1.01 + half * np.sin(angle), abs=1.6)
+
+
+def test_hot_pixels_belong_to_the_camera_and_not_to_a_session(definitions, tmp_path):
+    camera, rig = definitions["cameras"]["d5100-comb"], copy.deepcopy(definitions["rigs"]["virtual"])
+    rig["virtual"]["imperfections"]["hot_pixels"]["fraction"] = 0.001
+    dark = [shot for shot in camera_shots(camera, ".dng") if shot.role == "dark"][-1:]
+    for session in ("one", "two"):
+        shoot(camera, rig, session, dark, tmp_path / session)
+    pictures = [decode(tmp_path / session / dark[0].file).superpixels for session in ("one", "two")]
+    hot = [np.argwhere(picture > 200) for picture in pictures]
+    assert 200 < len(hot[0]) < 480, "about half of 480 hot pixels stand 200 DN above the rest at 50 ms"
+    shared = {tuple(place) for place in hot[0]} & {tuple(place) for place in hot[1]}
+    assert len(shared) > 0.8 * len(hot[0])
+
+
+def test_a_session_is_reproducible_sessions_differ_and_a_broken_off_one_continues_the_same(
+    definitions, perfect, tmp_path
+):
+    camera = perfect[0]
+    rig = definitions["rigs"]["virtual"]
+    definition = uniform(definitions, "tile-plate")
+    definition["poses"] = [{"light_deg": [45.0], "camera_deg": [20.0, 30.0]}]
+    shots = object_shots(definition, camera, ".dng")
+    for folder, name in (("a", "one"), ("b", "one"), ("c", "two")):
+        shoot(camera, rig, name, shots, tmp_path / folder, definition)
+    contents = [[(tmp_path / folder / shot.file).read_bytes() for shot in shots] for folder in "abc"]
+    assert contents[0] == contents[1]
+    assert all(first != second for first, second in zip(contents[0], contents[2], strict=True))
+    late = VirtualCamera(camera, rig, standing(shots[-1]), "one", shots, definition)
+    late.capture(shots[-1], tmp_path / "late.dng")
+    assert (tmp_path / "late.dng").read_bytes() == contents[0][-1]
+
+
+def test_the_camera_photographs_what_stands_there_and_not_what_it_is_asked_for(definitions, perfect, tmp_path):
     camera, rig = perfect
     definition = uniform(definitions, "tile-plate")
-    definition["poses"] = [{"light_deg": [45.0], "camera_deg": [20.0]}]
-    for folder, name in (("a", "one"), ("b", "one"), ("c", "two")):
-        capture_object(definition, camera, rig, name, tmp_path / folder / "captures.csv")
-    files = [sorted((tmp_path / folder).glob("*.dng")) for folder in "abc"]
-    pictures = [decode(group[0]).superpixels for group in files]
-    np.testing.assert_array_equal(pictures[0], pictures[1])
-    assert (pictures[0] != pictures[2]).any()
+    shots = object_shots(definition, camera, ".dng")
+    virtual = VirtualCamera(camera, rig, standing(shots[0]), "bench", shots, definition)
+    virtual.capture(shots[0], tmp_path / "out.dng")
+    virtual.bench.filter = "in"
+    virtual.capture(shots[0], tmp_path / "forgotten.dng")
+    out, forgotten = (decode(tmp_path / f"{name}.dng").superpixels for name in ("out", "forgotten"))
+    assert forgotten.mean() < 0.5 * out.mean(), "the comb filter takes most of the light"
 
 
 def test_the_room_has_windows_lamps_and_floor_where_they_should_be(definitions):

@@ -18,7 +18,17 @@ def _rational(value: float) -> tuple[int, int]:
     return fraction.numerator, fraction.denominator
 
 
-def write_dng(path, mosaic: np.ndarray, *, black_level: int, white_level: int, exposure_s: float, model: str) -> None:
+def write_dng(
+    path,
+    mosaic: np.ndarray,
+    *,
+    black_level: int,
+    white_level: int,
+    exposure_s: float,
+    model: str,
+    iso: float = 0.0,
+    f_number: float = 0.0,
+) -> None:
     """Write an RGGB mosaic as an uncompressed 16-bit DNG, atomically.
 
     Parameters
@@ -29,6 +39,8 @@ def write_dng(path, mosaic: np.ndarray, *, black_level: int, white_level: int, e
     exposure_s : float, s
     model : str
         Camera model for the file's tags.
+    iso, f_number : float
+        Sensitivity and relative aperture for the file's tags; 0 writes none.
     """
     if mosaic.dtype != np.uint16 or mosaic.ndim != 2 or mosaic.shape[0] % 2 or mosaic.shape[1] % 2:
         raise ValueError(f"mosaic of {mosaic.dtype} {mosaic.shape}; accepted: uint16 with even sides")
@@ -48,6 +60,10 @@ def write_dng(path, mosaic: np.ndarray, *, black_level: int, white_level: int, e
         (50728, "2I", 3, (1, 1) * 3, True),  # AsShotNeutral
         (50778, "H", 1, _ILLUMINANT_A, True),  # CalibrationIlluminant1
     ]
+    if f_number:
+        tags.append((33437, "2I", 1, _rational(f_number), True))  # FNumber
+    if iso:
+        tags.append((34855, "H", 1, round(iso), True))  # ISOSpeedRatings
     path = Path(path)
     temporary = path.with_name(f".{path.name}.part")
     try:

@@ -1,14 +1,17 @@
-"""What each mosaic pixel of the virtual camera receives: equation (5) under a collimated light, with shadows."""
+"""What each mosaic pixel of the virtual camera receives from a sample under a collimated light, with shadows."""
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numba
 import numpy as np
 
-from irodori.brdf import attenuation_over_cosine, facet_distribution, fresnel
+from irodori.brdf import fresnel
 from irodori.geometry.embree import Tracer, hit_distance, hit_shape, is_blocked, new_ray, trace
+from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.shapes import PLATE, uv_from_point
+from irodori.rig.virtual.reflection import MEASURED, gloss_lobe, measured_lobe
 
 # The optical low-pass filter of a mosaic sensor splits each point into four, one pixel apart: a pixel sees its corners.
 _SPOTS = 2
@@ -53,29 +56,28 @@ def _surface(kind, rotation, world):
     return ox, oy, oz, world[0] * inverse, world[1] * inverse, world[2] * inverse
 
 
-@numba.njit(cache=True, inline="always", error_model="numpy")
-def _response(out, weight, colour, sample, material, setup, normal, view):
-    """Add the responses of one point, without and with the filter, to ``out`` [eq. 5]."""
+@numba.njit(cache=True, error_model="numpy")
+def _response(colour, sample, material, setup, normal, view):
+    """Return the response of one point in one of the state's three bands."""
     light = setup.to_light
     ci = normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2]
     cr = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
     if ci <= 0.0 or cr <= 0.0:
-        return
+        return 0.0
     hx, hy, hz = light[0] + view[0], light[1] + view[1], light[2] + view[2]
     length = math.sqrt(hx * hx + hy * hy + hz * hz)
     cos_phi = min((hx * normal[0] + hy * normal[1] + hz * normal[2]) / length, 1.0)
     cos_h = length / 2.0
-    gloss = sample.beta[material] * facet_distribution(math.acos(cos_phi), sample.mu[material])
-    gloss *= attenuation_over_cosine(ci, cr, cos_phi, cos_h)
+    if sample.model[material] == MEASURED:
+        rough = ci * measured_lobe(sample.measured[sample.table[material]], cos_phi, cos_h, colour)
+    else:
+        lobe = sample.beta[material] * gloss_lobe(sample.model[material], sample.mu[material], ci, cr, cos_phi, cos_h)
+        rough = sample.diffuse[material, colour] * ci + lobe * _lookup(sample.fresnel, cos_h, colour)
     # The lamp is a disc: its mirror image is seen where the mirrored view falls within its angular radius.
     mirrored = 2.0 * ci * cr - (view[0] * light[0] + view[1] * light[1] + view[2] * light[2])
-    image = 0.0
     if setup.lamp_cosine < 1.0 and mirrored >= setup.lamp_cosine:
-        image = sample.mirror / (1.0 - setup.lamp_cosine**2)
-    for state in range(2):
-        band = 3 * state + colour
-        rough = sample.diffuse[material, band] * ci + gloss * _lookup(sample.fresnel, cos_h, band)
-        out[state] += weight * (rough + image * _lookup(sample.fresnel, ci, band))
+        rough += sample.mirror / (1.0 - setup.lamp_cosine**2) * _lookup(sample.fresnel, ci, colour)
+    return rough
 
 
 class _Setup(NamedTuple):
@@ -88,6 +90,7 @@ class _Setup(NamedTuple):
     world_from_camera: np.ndarray  # (3, 3)
     focal_px: float
     centre_px: np.ndarray  # (2,)
+    ideal_from_seen: np.ndarray  # (2, 3) in mosaic coordinates
     to_light: np.ndarray  # (3,)
     rotation: np.ndarray  # (3, 3) rig_from_object
     lamp_cosine: float
@@ -99,16 +102,21 @@ class _Subject(NamedTuple):
     kind: int
     size_mm: np.ndarray  # (2,)
     checks: np.ndarray  # (2,) columns, rows
-    diffuse: np.ndarray  # (materials, 6) band responses of S(λ)
+    diffuse: np.ndarray  # (materials, 3) band responses of S(λ)
+    model: np.ndarray  # (materials,) PAPER, GGX or MEASURED
     beta: np.ndarray  # (materials,)
     mu: np.ndarray  # (materials,)
+    table: np.ndarray  # (materials,) index into `measured`
+    measured: np.ndarray  # (tables, half nodes, difference nodes, 3) π times the BRDF
     mirror: float
-    fresnel: np.ndarray  # (nodes, 6)
+    fresnel: np.ndarray  # (nodes, 3)
 
 
 @numba.njit(cache=True, inline="always")
 def _aim(setup, x, y, direction):
     """Fill the direction in which the camera sees a point of the mosaic."""
+    m = setup.ideal_from_seen
+    x, y = m[0, 0] * x + m[0, 1] * y + m[0, 2], m[1, 0] * x + m[1, 1] * y + m[1, 2]
     px, py = (x - setup.centre_px[0]) / setup.focal_px, (y - setup.centre_px[1]) / setup.focal_px
     scale = 1.0 / math.sqrt(px * px + py * py + 1.0)
     axes = setup.world_from_camera
@@ -117,11 +125,11 @@ def _aim(setup, x, y, direction):
 
 
 @numba.njit(cache=True)
-def _see(setup, sample, ray, direction, world, normal, view, weight, colour, out):
-    """Add what one ray from the camera sees of the sample."""
+def _see(setup, sample, ray, direction, world, normal, view, colour):
+    """Return what one ray from the camera sees of the sample."""
     trace(setup.intersect, setup.scene, ray, setup.camera_mm, direction, np.inf)
     if hit_shape(ray) != 0:
-        return
+        return 0.0
     for a in range(3):
         world[a] = setup.camera_mm[a] + hit_distance(ray) * direction[a]
         view[a] = -direction[a]
@@ -130,44 +138,60 @@ def _see(setup, sample, ray, direction, world, normal, view, weight, colour, out
         world[a] += _OFFSET_MM * normal[a]
     trace(setup.occluded, setup.scene, ray, world, setup.to_light, np.inf)
     if is_blocked(ray):
-        return
+        return 0.0
     u, v = uv_from_point(sample.kind, sample.size_mm[0], sample.size_mm[1], ox, oy, oz)
     column = min(max(int(u * sample.checks[0]), 0), sample.checks[0] - 1)
     row = min(max(int(v * sample.checks[1]), 0), sample.checks[1] - 1)
-    _response(out, weight, colour, sample, (row * sample.checks[0] + column) % sample.beta.size, setup, normal, view)
+    return _response(colour, sample, (row * sample.checks[0] + column) % sample.beta.size, setup, normal, view)
 
 
 @numba.njit(cache=True)
 def _expose_row(setup, sample, y, image):
     ray = new_ray()
-    direction, world, normal, view, out = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(2)
+    direction, world, normal, view = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     spots = _SPOTS * _SPOTS
-    for x in range(image.shape[2]):
-        out[:] = 0.0
+    for x in range(image.shape[1]):
+        total = 0.0
         for s in range(spots):
             _aim(setup, x + s % _SPOTS, y + s // _SPOTS, direction)
-            _see(setup, sample, ray, direction, world, normal, view, 1.0 / spots, y % 2 + x % 2, out)
-        image[0, y, x] = out[0]
-        image[1, y, x] = out[1]
+            total += _see(setup, sample, ray, direction, world, normal, view, y % 2 + x % 2)
+        image[y, x] = total / spots
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
 def _expose_object(setup, sample, image):
-    for y in numba.prange(image.shape[1]):
+    for y in numba.prange(image.shape[0]):
         _expose_row(setup, sample, y, image)
 
 
-def expose_object(
-    sample,
-    tracer: Tracer,
-    rotation,
-    pinhole,
-    camera_position,
-    world_from_camera,
-    light,
-    band_weights,
-    lamp_radius_rad: float,
-) -> np.ndarray:
+@dataclass(frozen=True)
+class View:
+    """From where, through what and under which light the sample is seen.
+
+    Parameters
+    ----------
+    pinhole : Pinhole
+    rotation : (3, 3) float, rig_from_object
+    position_mm : (3,) float
+        Centre of projection in the rig's frame.
+    world_from_camera : (3, 3) float
+    to_light : (3,) float, unit vector
+    lamp_radius_rad : float
+        Angular radius of the lamp, for its mirror image.
+    ideal_from_seen : (2, 3) float
+        Affine map of mosaic coordinates: where a picture without the filter's plate shows what is seen.
+    """
+
+    pinhole: Pinhole
+    rotation: np.ndarray
+    position_mm: np.ndarray
+    world_from_camera: np.ndarray
+    to_light: np.ndarray
+    lamp_radius_rad: float
+    ideal_from_seen: np.ndarray
+
+
+def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) -> np.ndarray:
     """Return what each mosaic pixel receives from the sample under the rig's light.
 
     Parameters
@@ -175,42 +199,41 @@ def expose_object(
     sample : irodori.rig.virtual.samples.Sample
     tracer : Tracer
         Shape 0 is the sample, the others only cast shadows.
-    rotation : (3, 3) float, rig_from_object
-    pinhole : Pinhole
-    camera_position : (3,) float, mm
-    world_from_camera : (3, 3) float
-    light : (3,) float, unit vector to the light
-    band_weights : (6, 61) float, see `irodori.rig.virtual.sensor.band_weights`
-    lamp_radius_rad : float
-        Angular radius of the lamp, for its mirror image.
+    view : View
+    band_weights : (3, 61) float
+        Those of the photograph's filter state, see `irodori.rig.virtual.sensor.band_weights`.
 
     Returns
     -------
-    (2, height, width) float64, responses without and with the filter
+    (height, width) float64, responses
     """
     setup = _Setup(
         intersect=tracer.intersect_address,
         occluded=tracer.occluded_address,
         scene=tracer.scene,
-        camera_mm=np.asarray(camera_position, dtype=np.float64),
-        world_from_camera=np.ascontiguousarray(world_from_camera),
-        focal_px=float(pinhole.focal_px),
-        centre_px=np.asarray(pinhole.centre_px, dtype=np.float64),
-        to_light=np.asarray(light, dtype=np.float64),
-        rotation=np.ascontiguousarray(rotation),
-        lamp_cosine=math.cos(lamp_radius_rad),
+        camera_mm=np.asarray(view.position_mm, dtype=np.float64),
+        world_from_camera=np.ascontiguousarray(view.world_from_camera),
+        focal_px=float(view.pinhole.focal_px),
+        centre_px=np.asarray(view.pinhole.centre_px, dtype=np.float64),
+        ideal_from_seen=np.ascontiguousarray(view.ideal_from_seen, dtype=np.float64),
+        to_light=np.asarray(view.to_light, dtype=np.float64),
+        rotation=np.ascontiguousarray(view.rotation),
+        lamp_cosine=math.cos(view.lamp_radius_rad),
     )
     subject = _Subject(
         kind=sample.shape.kind,
         size_mm=np.asarray(sample.shape.size_mm, dtype=np.float64),
         checks=np.array([sample.columns, sample.rows]),
         diffuse=np.ascontiguousarray(sample.reflectance @ band_weights.T),
+        model=sample.model,
         beta=sample.beta,
         mu=sample.mu_rad,
+        table=sample.table,
+        measured=np.ascontiguousarray(sample.measured @ band_weights.T),
         mirror=sample.mirror,
         fresnel=fresnel_by_band(sample.n, sample.k, band_weights),
     )
-    image = np.empty((2, pinhole.height_px, pinhole.width_px))
+    image = np.empty((view.pinhole.height_px, view.pinhole.width_px))
     with numba.parallel_chunksize(8):
         _expose_object(setup, subject, image)
     return image

@@ -1,11 +1,12 @@
-"""What really stands on the virtual rig: measured spectra and known parameters of equation (5)."""
+"""What really stands on the virtual rig: measured spectra, and how each material reflects."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from irodori.geometry.shapes import Shape
-from irodori.spectra import refractive_index, spectrum
+from irodori.rig.virtual.reflection import MODELS, read_measured
+from irodori.spectra import SAMPLES, refractive_index, spectrum
 
 
 @dataclass(frozen=True)
@@ -17,9 +18,13 @@ class Sample:
     shape : Shape
     columns, rows : int
         Checks over the texture; a uniform sample has one.
-    reflectance : (m, 61) float, S(λ) of each material
+    reflectance : (m, 61) float, S(λ) of each material; 0 for a measured one, whose table holds all
+    model : (m,) int, see `irodori.rig.virtual.reflection`
     beta : (m,) float
     mu_rad : (m,) float
+    table : (m,) int
+        Index of a measured material's table.
+    measured : (tables, half nodes, difference nodes, 61) float, π times the BRDF; one table of zeros where none is
     mirror : float, χ
     n, k : (61,) float
     """
@@ -28,8 +33,11 @@ class Sample:
     columns: int
     rows: int
     reflectance: np.ndarray
+    model: np.ndarray
     beta: np.ndarray
     mu_rad: np.ndarray
+    table: np.ndarray
+    measured: np.ndarray
     mirror: float
     n: np.ndarray
     k: np.ndarray
@@ -41,13 +49,20 @@ class Sample:
         pattern, materials = virtual["pattern"], virtual["materials"]
         n, k = refractive_index(definition["refractive_index"])
         checks = pattern["kind"] == "checks"
+        files = sorted({m["file"] for m in materials if m["kind"] == "measured"})
+        tables = [read_measured(file) for file in files]
         return cls(
             shape=Shape.from_definition(definition["shape"]),
             columns=pattern["columns"] if checks else 1,
             rows=pattern["rows"] if checks else 1,
-            reflectance=np.stack([spectrum(m["spectrum"]) for m in materials]),
-            beta=np.array([m["beta"] for m in materials], dtype=np.float64),
-            mu_rad=np.array([m["mu_rad"] for m in materials], dtype=np.float64),
+            reflectance=np.stack(
+                [spectrum(m["spectrum"]) if "spectrum" in m else np.zeros(SAMPLES) for m in materials]
+            ),
+            model=np.array([MODELS[m["kind"]] for m in materials]),
+            beta=np.array([m.get("beta", 0.0) for m in materials], dtype=np.float64),
+            mu_rad=np.array([m.get("mu_rad", 1.0) for m in materials], dtype=np.float64),
+            table=np.array([files.index(m["file"]) if "file" in m else 0 for m in materials]),
+            measured=np.stack(tables) if tables else np.zeros((1, 2, 2, SAMPLES)),
             mirror=float(definition["mirror_weight"]),
             n=n,
             k=k,

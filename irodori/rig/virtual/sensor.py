@@ -47,7 +47,9 @@ class Sensor:
         """Conversion gain, electrons per digital number."""
         return self.full_well_e / (self.white_level - self.black_level)
 
-    def expose(self, response: np.ndarray, exposure_s: float, rng: np.random.Generator) -> np.ndarray:
+    def expose(
+        self, response: np.ndarray, exposure_s: float, rng: np.random.Generator, hot_rate_e_per_s=0.0
+    ) -> np.ndarray:
         """Return the mosaic that an exposure leaves.
 
         Parameters
@@ -57,13 +59,15 @@ class Sensor:
         exposure_s : float, s
         rng : numpy Generator
             Source of shot and read noise.
+        hot_rate_e_per_s : float or (height, width) float
+            Dark current of each pixel beyond the sensor's own, electrons/s.
 
         Returns
         -------
         (height, width) uint16
         """
         per_response = self.full_well_e / self.response_at_full_well * (exposure_s / self.base_exposure_s)
-        mean = np.maximum(response, 0.0) * per_response + self.dark_current_e_per_s * exposure_s
+        mean = np.maximum(response, 0.0) * per_response + (self.dark_current_e_per_s + hot_rate_e_per_s) * exposure_s
         # Above 100 wells the count saturates whatever the noise; the bound keeps the generator in its range.
         electrons = rng.poisson(np.minimum(mean, 100.0 * self.full_well_e)).astype(np.float64)
         electrons += rng.normal(scale=self.read_noise_e, size=mean.shape)

@@ -1,0 +1,76 @@
+"""Which photographs a definition asks for.
+
+File names follow from what a photograph is and not from when it was taken, so that a session that was broken off
+knows what is missing.
+"""
+
+from collections.abc import Iterable, Mapping
+
+from irodori.captures import Pose, Shot, expand_poses
+
+#: Where everything stands when nothing needs a place: the cap is on the lens, or the camera is in another room.
+_NOWHERE = Pose(0.0, 0.0)
+
+
+def _settings(camera: dict) -> dict[str, float]:
+    """Return the sensitivity and the aperture that the camera is set to, 0 where its definition does not say."""
+    block = camera.get("driver") or camera.get("virtual") or {}
+    return {"iso": float(block.get("iso", 0.0)), "f_number": float(block.get("f_number", 0.0))}
+
+
+def _file(subject: str, state: str, exposure_s: float, suffix: str, frame: int | None = None) -> str:
+    repeat = "" if frame is None else f"-{frame:02d}"
+    return f"{subject}-{state}-{round(exposure_s * 1e6)}us{repeat}{suffix}"
+
+
+def _bracket(role: str, pose: Pose, exposure_s: Mapping[str, Iterable[float]], settings: dict, suffix: str):
+    subject = pose.name if role == "object" else role
+    for state, exposures in exposure_s.items():
+        for exposure in exposures:
+            yield Shot(_file(subject, state, exposure, suffix), role, pose, state, exposure, **settings)
+
+
+def object_shots(definition: dict, camera: dict, suffix: str) -> list[Shot]:
+    """Return the photographs of an object: every pose, filter state and exposure time.
+
+    Parameters
+    ----------
+    definition, camera : dict
+        Validated definitions.
+    suffix : str
+        End of the files' names, with the dot.
+    """
+    settings = _settings(camera)
+    return [
+        shot
+        for pose in expand_poses(definition["poses"])
+        for shot in _bracket("object", pose, definition["exposure_s"], settings, suffix)
+    ]
+
+
+def environment_shots(definition: dict, camera: dict, suffix: str) -> list[Shot]:
+    """Return the photographs of an environment; parameters as of `object_shots`."""
+    return list(_bracket("environment", _NOWHERE, definition["exposure_s"], _settings(camera), suffix))
+
+
+def camera_shots(camera: dict, suffix: str) -> list[Shot]:
+    """Return the photographs that calibrate a camera: dark frames, white references, the chart.
+
+    Dark frames are taken at every exposure time of the others, the white reference ``white_frames`` times at each
+    exposure time, with the filter out also at those of ``linearity_exposure_s``.
+    """
+    settings, exposure_s = _settings(camera), camera["exposure_s"]
+    white = {state: list(exposures) for state, exposures in exposure_s.items()}
+    white["out"] += [e for e in camera["linearity_exposure_s"] if e not in white["out"]]
+    pose = {role: Pose(**angles) for role, angles in camera["poses"].items()}
+    shots = []
+    for exposure in sorted({e for group in exposure_s.values() for e in group}):
+        for frame in range(camera["dark_frames"]):
+            file = _file("dark", "out", exposure, suffix, frame)
+            shots.append(Shot(file, "dark", _NOWHERE, "out", exposure, **settings))
+    for state, exposures in white.items():
+        for exposure in exposures:
+            for frame in range(camera["white_frames"]):
+                file = _file("white", state, exposure, suffix, frame)
+                shots.append(Shot(file, "white", pose["white"], state, exposure, **settings))
+    return shots + list(_bracket("chart", pose["chart"], exposure_s, settings, suffix))

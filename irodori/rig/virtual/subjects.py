@@ -1,0 +1,112 @@
+"""What stands before the virtual camera: the responses that each mosaic pixel would have without optics and noise.
+
+Every function returns (height, width) float64 for one filter state, 1 = a perfect diffuser lit at normal incidence in
+the brightest band.
+"""
+
+import math
+
+import numpy as np
+
+from irodori.captures import Pose
+from irodori.geometry.embree import Tracer
+from irodori.geometry.frames import flat_incidence_rad, rig_from_camera, rig_from_object, to_camera, to_light
+from irodori.geometry.pinhole import Pinhole
+from irodori.geometry.shapes import on_table
+from irodori.rig.virtual.classroom import room_coefficients, source_spectra
+from irodori.rig.virtual.imaging import View, expose_object
+from irodori.rig.virtual.samples import Sample
+from irodori.spectra import chart_spectra
+
+_PATCH_FILL = 0.42  # half of a patch's side, as a fraction of the pitch between patches
+_BORDER_REFLECTANCE = 0.03
+
+
+def in_mosaic(bands: np.ndarray) -> np.ndarray:
+    """Return the RGGB mosaic of a picture of three bands, (height, width, 3) to (height, width)."""
+    y, x = np.indices(bands.shape[:2], sparse=True)
+    return np.take_along_axis(bands, (y % 2 + x % 2)[..., None], axis=2)[..., 0]
+
+
+def object_mosaic(sample: Sample, camera: dict, rig: dict, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
+    """Return the picture of an object on the table.
+
+    Parameters
+    ----------
+    sample : Sample
+    camera, rig : dict
+        Definitions.
+    pose : Pose
+        Where everything really stands.
+    ideal_from_seen : (2, 3) float
+        What the filter's plate does, see `irodori.rig.virtual.faults`.
+    band_weights : (3, 61) float
+        Those of the filter state.
+    """
+    rotation = rig_from_object(pose)
+    view = View(
+        pinhole=Pinhole.from_optics(camera["optics"]),
+        rotation=rotation,
+        position_mm=rig["camera_distance_mm"] * to_camera(pose),
+        world_from_camera=rig_from_camera(pose),
+        to_light=to_light(pose),
+        lamp_radius_rad=math.radians(rig["virtual"]["light_angular_radius_deg"]),
+        ideal_from_seen=ideal_from_seen,
+    )
+    tracer = Tracer(on_table(sample.shape, rotation, rig["table_radius_mm"]))
+    return expose_object(sample, tracer, view, band_weights)
+
+
+def white_mosaic(camera: dict, pose: Pose, band_weights) -> np.ndarray:
+    """Return the picture of the white reference, which fills it."""
+    optics = camera["optics"]
+    level = camera["white"]["reflectance_factor"] * math.cos(flat_incidence_rad(pose)) * band_weights.sum(axis=1)
+    return in_mosaic(np.broadcast_to(level, (optics["height_px"], optics["width_px"], 3)))
+
+
+def chart_mosaic(camera: dict, rig: dict, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
+    """Return the picture of the colour chart; parameters as of `object_mosaic`."""
+    pinhole = Pinhole.from_optics(camera["optics"])
+    _names, patches = chart_spectra(camera["chart"]["spectra"])
+    spectra = np.concatenate([patches, np.full((1, patches.shape[1]), _BORDER_REFLECTANCE)])
+    bands = spectra @ band_weights.T * math.cos(flat_incidence_rad(pose))
+    # The optical low-pass filter: a pixel sees its four corners.
+    y, x = np.indices((pinhole.height_px + 1, pinhole.width_px + 1), sparse=True)
+    corner = np.stack(np.broadcast_arrays(x, y, 1.0), axis=-1) @ np.asarray(ideal_from_seen).T
+    seen = bands[_patch_at(corner, camera, rig, pose, pinhole, len(patches))]
+    return in_mosaic(0.25 * (seen[:-1, :-1] + seen[1:, :-1] + seen[:-1, 1:] + seen[1:, 1:]))
+
+
+def _patch_at(mosaic_xy, camera: dict, rig: dict, pose: Pose, pinhole: Pinhole, border: int) -> np.ndarray:
+    """Return the patch that each point of the picture shows, `border` between them."""
+    rows, columns = camera["chart"]["rows"], camera["chart"]["columns"]
+    rotation = rig_from_object(pose)
+    view = pinhole.directions(mosaic_xy, rig_from_camera(pose)) @ rotation
+    eye = rig["camera_distance_mm"] * to_camera(pose) @ rotation
+    point = eye - view * (eye[2] / view[..., 2:])
+    pitch = camera["virtual"]["chart_width_mm"] / columns
+    across, along = point[..., 0] / pitch + columns / 2, rows / 2 - point[..., 1] / pitch
+    column, row = np.floor(across).astype(int), np.floor(along).astype(int)
+    patch = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    patch &= (np.abs(across - column - 0.5) < _PATCH_FILL) & (np.abs(along - row - 0.5) < _PATCH_FILL)
+    return np.where(patch, row * columns + column, border)
+
+
+def room_mosaic(definition: dict, light: np.ndarray, band_weights) -> np.ndarray:
+    """Return the omnidirectional picture of a virtual room.
+
+    Parameters
+    ----------
+    definition : dict
+        Of the environment.
+    light : (61,) float
+        E(λ) of the rig.
+    band_weights : (3, 61) float
+    """
+    image = definition["image"]
+    coefficients = room_coefficients(definition["virtual"], image["width"], image["height"])
+    _names, spectra = source_spectra(definition["virtual"], light)
+    # Band weights are for reflectances under the rig's light; a radiance is that light times a reflectance.
+    bands = coefficients @ (spectra / light @ band_weights.T)
+    # A panorama is resampled from many photographs: the four mosaic pixels of a superpixel see the same directions.
+    return in_mosaic(bands.repeat(2, axis=0).repeat(2, axis=1))
