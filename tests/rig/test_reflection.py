@@ -16,13 +16,14 @@ ANGLES = st.floats(0.0, 1.5)
 WIDTHS = st.floats(0.005, 1.2)
 
 
-def lobe(model: int, mu: float, theta_i: float, theta_r: float, azimuth: float) -> float:
-    """Return the lobe over cosθ_i cosθ_r's own cosθ_i: a BRDF up to a constant."""
+def lobe(model: int, mu: float, theta_i: float, theta_r, azimuth):
+    """Return the gloss lobe over cosθ_i, a BRDF up to a constant; θ_r and azimuth broadcast."""
+    theta_r, azimuth = np.broadcast_arrays(theta_r, azimuth)
     light = np.array([np.sin(theta_i), 0.0, np.cos(theta_i)])
-    view = np.array([np.sin(theta_r) * np.cos(azimuth), np.sin(theta_r) * np.sin(azimuth), np.cos(theta_r)])
-    angles = angles_from_directions(np.array([0.0, 0.0, 1.0]), light, view)
-    ci, cr, ch, cp = (float(np.cos(a)) for a in angles)
-    return gloss_lobe(model, mu, ci, cr, cp, ch) / ci
+    view = np.stack([np.sin(theta_r) * np.cos(azimuth), np.sin(theta_r) * np.sin(azimuth), np.cos(theta_r)], axis=-1)
+    ci, cr, ch, cp = np.moveaxis(np.cos(angles_from_directions(np.array([0.0, 0.0, 1.0]), light, view)), -1, 0)
+    seen = [gloss_lobe(model, mu, *cosines) for cosines in zip(ci.flat, cr.flat, cp.flat, ch.flat, strict=True)]
+    return np.reshape(seen, theta_r.shape)[()] / np.cos(theta_i)
 
 
 @settings(deadline=None)
@@ -51,7 +52,7 @@ def test_ggx_facets_fill_the_surface_and_reflect_no_more_than_they_get(mu):
     # Dense about the mirror direction, where the lobe of grazing light is narrow.
     azimuth = np.pi - np.pi * np.linspace(1, 0, 61) ** 2
     for theta_i in (0.0, 0.6, 1.2):
-        values = np.array([[lobe(GGX, mu, theta_i, t, a) for a in azimuth] for t in theta])
+        values = lobe(GGX, mu, theta_i, theta[:, None], azimuth[None])
         weight = (np.sin(theta) * np.cos(theta))[:, None]
         albedo = 2 * np.trapezoid(np.trapezoid(values * weight, azimuth, axis=1), theta) / (4 * mu**2 * np.pi)
         assert 0.3 < albedo <= 1.0 + 2e-3
