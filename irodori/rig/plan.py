@@ -13,9 +13,11 @@ _NOWHERE = Pose(0.0, 0.0)
 
 
 def _settings(camera: dict) -> dict[str, float]:
-    """Return the sensitivity and the aperture that the camera is set to, 0 where its definition does not say."""
+    """Return the sensitivity and the aperture that the camera is set to, 0 where nobody knows them."""
     block = camera.get("driver") or camera.get("virtual") or {}
-    return {"iso": float(block.get("iso", 0.0)), "f_number": float(block.get("f_number", 0.0))}
+    known = {key: block.get(key) for key in ("iso", "f_number")}
+    # A lens with a ring has an aperture that the camera cannot tell.
+    return {key: float(value) if isinstance(value, int | float) else 0.0 for key, value in known.items()}
 
 
 def _file(subject: str, state: str, exposure_s: float, suffix: str, frame: int | None = None) -> str:

@@ -32,7 +32,7 @@ def studio(root):
             (root / name / f"{number}.dng").write_bytes(b"raw")
             lines.append(f"{number}.dng,{role},{light},{camera},0,0,{state},0.02")
         (root / name / "captures.csv").write_text("\n".join(lines))
-    for key in ("virtual", "poses", "exposure_s", "dark_frames", "white_frames"):
+    for key in ("virtual", "poses", "exposure_s", "dark_frames", "white_frames", "linearity_exposure_s"):
         edit(root, CAMERA_FILE, key, ...)
     for key in ("virtual", "poses", "exposure_s"):
         edit(root, PLATE_FILE, key, ...)

@@ -149,7 +149,7 @@ ROOM = ("environments", "classroom")
         (PLATE, "exposure_s.out", ..., "exposure_s.out", "no such key", "a list of 1 to 16"),
         (PLATE, "virtual.materials.3.beta", ..., "virtual.materials[3].beta", "no such key", "gloss"),
         (RIG, "virtual", ..., "virtual", "no such key", "block of keys"),
-        (RIG, "kind", ..., "kind", "no such key", "virtual, files"),
+        (RIG, "kind", ..., "kind", "no such key", "virtual, driven, files"),
         # Variants.
         (PLATE, "shape.kind", "spher", "shape.kind", "'spher'", "did you mean 'sphere'?"),
         (PLATE, "shape", "plate", "shape", "'plate'", "of kind plate"),
