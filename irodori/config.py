@@ -15,7 +15,16 @@ from irodori.captures import expand_poses, read_captures
 from irodori.errors import InputError
 from irodori.validation import dotted, suggest, validate
 
-__all__ = ["KINDS", "captures_of", "is_taken_here", "is_virtual", "load_definitions", "read_yaml", "validate"]
+__all__ = [
+    "KINDS",
+    "captures_of",
+    "is_taken_here",
+    "is_virtual",
+    "load_definitions",
+    "load_one",
+    "read_yaml",
+    "validate",
+]
 
 #: Kind of definition (the folder and the key of the result): its schema.
 KINDS = {
@@ -116,13 +125,43 @@ def load_definitions(config: dict, root: Path, file=_CONFIG_FILE) -> dict:
         raise InputError(source, error.field, error.found, error.accepted) from None
 
 
-def _load_definitions(config: dict, root: Path, file) -> dict:
+def load_one(kind: str, name: str, root: Path = Path(), file=_CONFIG_FILE) -> dict:
+    """Load one definition and what it needs, for the person at the bench; nothing else is asked for.
+
+    Parameters
+    ----------
+    kind : {"objects", "cameras", "environments", "rigs"}
+    name : str
+    root : path
+        Where relative paths start.
+    file : path
+        The configuration, which says where definitions stand.
+
+    Returns
+    -------
+    dict
+        As `load_definitions` returns it.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind.
+    InputError
+        For the first fault.
+    """
+    wanted = {"scenes": [], "cameras": []}
+    return _load_definitions({**read_yaml(Path(root) / file), "make": wanted}, Path(root), file, (kind, name))
+
+
+def _load_definitions(config: dict, root: Path, file, also: tuple[str, str] | None = None) -> dict:
     config = validate(config, "config", file)
     loader = _Loader(root, Path(config["definitions"]), file)
     for index, name in enumerate(config["make"]["scenes"]):
         loader.scene(name, file, ("make", "scenes", index))
     for index, name in enumerate(config["make"]["cameras"]):
         loader.camera(name, file, ("make", "cameras", index))
+    if also is not None:
+        loader.load(*also)
     definitions = {**config, **loader.found}
     check_agreement(definitions, root, file, loader.file)
     for camera in definitions["cameras"].values():
@@ -154,6 +193,20 @@ class _Loader:
 
     def file(self, kind: str, name: str) -> Path:
         return self.folder / kind / f"{name}.yaml"
+
+    def load(self, kind: str, name: str) -> None:
+        """Load one definition of a kind and what it needs.
+
+        Raises
+        ------
+        ValueError
+            If there is no such kind.
+        """
+        loaders = {"objects": self._object, "cameras": self.camera, "environments": self._environment}
+        loaders["rigs"] = lambda name, by, path: list(self._load("rigs", name, by, path))
+        if kind not in loaders:
+            raise ValueError(f"no definitions of {kind!r}; {suggest(kind, loaders, 'kinds')}")
+        loaders[kind](name, self.config_file, (kind,))
 
     def scene(self, name: str, by, path: tuple) -> None:
         for scene, file in self._load("scenes", name, by, path):
