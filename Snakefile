@@ -39,6 +39,7 @@ include: "workflow/rules/report.smk"
 localrules:
     all,
     calibrate,
+    capture,
 
 
 rule all:

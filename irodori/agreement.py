@@ -18,7 +18,7 @@ from irodori.errors import InputError
 from irodori.tables import brdf_table, index_table
 
 #: Folders that stand in results/ beside those of objects and scenes.
-_RESERVED = ("benchmark", "benchmarks", "cameras", "environments", "logs")
+_RESERVED = ("benchmark", "benchmarks", "cameras", "environments", "logs", "rig")
 _BANDS_OF_A_STATE = 3
 #: Keys that not every kind of rig reads: which of them a definition must give, and which it may.
 _TAKEN_HERE = ("poses", "exposure_s", "dark_frames", "white_frames", "linearity_exposure_s")

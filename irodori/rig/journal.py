@@ -29,8 +29,10 @@ class Journal:
     Parameters
     ----------
     table : path
-        ``captures.csv``; its folder holds the RAW files. An existing table is continued: a line that a crash tore is
-        removed, lines whose file is gone or has changed are dropped, so that the photograph is taken again.
+        ``captures.csv``. An existing table is continued: a line that a crash tore is removed, lines whose file is gone
+        or has changed are dropped, so that the photograph is taken again.
+    folder : path, optional
+        Folder of the RAW files; that of the table where None.
 
     Raises
     ------
@@ -38,10 +40,11 @@ class Journal:
         If the table exists and is no capture table.
     """
 
-    def __init__(self, table) -> None:
+    def __init__(self, table, folder=None) -> None:
         self.table = Path(table)
-        self.folder = self.table.parent
-        self.folder.mkdir(parents=True, exist_ok=True)
+        self.folder = self.table.parent if folder is None else Path(folder)
+        for needed in (self.table.parent, self.folder):
+            needed.mkdir(parents=True, exist_ok=True)
         self.shots: dict[str, Shot] = {}
         self.sha256: dict[str, str] = {}
         if self.table.exists():
@@ -71,7 +74,7 @@ class Journal:
 
     def _rewrite(self) -> None:
         write_captures(self.table, self.shots.values(), self.sha256)
-        _sync_folder(self.folder)
+        _sync_folder(self.table.parent)
 
     def retire(self, planned: Sequence[Shot]) -> list[Shot]:
         """Take out the photographs that a plan does not ask for; they go to ``captures-retired.csv``, the files stay.
@@ -84,7 +87,7 @@ class Journal:
         wanted = {shot.file: shot for shot in planned}
         retired = [shot for shot in self.shots.values() if wanted.get(shot.file) != shot]
         if retired:
-            path = self.folder / RETIRED
+            path = self.table.with_name(RETIRED)
             kept = {shot.file: shot for shot in read_captures(path)} if path.exists() else {}
             kept.update({shot.file: shot for shot in retired})
             write_captures(path, kept.values())

@@ -6,7 +6,7 @@ breaks the session off, the next one finds whole files and whole lines, and take
 
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,14 +17,13 @@ from irodori.progress import LOGGER, track
 from irodori.provenance import file_sha256
 from irodori.rig.devices import Camera, Rig
 from irodori.rig.journal import Journal
-from irodori.rig.operator import Operator, Step
+from irodori.rig.operator import HandSettings, Operator
+from irodori.rig.placing import hand_settings, motor_targets
 
 _TRIES = 3
 #: Cameras round the exposure times that they write into their files.
 _EXPOSURE_TOLERANCE = 0.05
 _TEMPORARY = ".part-"
-#: Roles that are photographed on the rig's table; the cap on the lens and another room need no pose.
-_ON_RIG = ("object", "white", "chart")
 
 
 @dataclass
@@ -67,10 +66,9 @@ class Session:
         rig: Rig | None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.camera, self.operator, self.journal, self.rig = camera, operator, journal, rig
+        self.camera, self.journal, self.rig = camera, journal, rig
         self.tally = Tally()
-        self._clock = clock
-        self._by_hand: dict[str, object] = {}
+        self._hand, self._clock = HandSettings(operator), clock
 
     def run(self, planned: Sequence[Shot], label: str) -> Tally:
         """Take what is missing of a plan, in its order.
@@ -100,11 +98,7 @@ class Session:
     def _check_reach(self, planned: Sequence[Shot]) -> None:
         """Refuse a plan that leaves the rig's limits before its first photograph is taken."""
         for shot in planned:
-            if shot.role in _ON_RIG:
-                self.rig.check(self._motors(shot))
-
-    def _motors(self, shot: Shot) -> dict[str, float]:
-        return {name: getattr(shot.pose, name) for name in self.rig.axes}
+            self.rig.check(motor_targets(shot, self.rig.axes))
 
     def _clear_temporary(self) -> None:
         for path in self.journal.folder.glob(f"{_TEMPORARY}*"):
@@ -119,19 +113,13 @@ class Session:
         self.journal.append(shot, file_sha256(path))
         self.tally.adopted += 1
 
-    def _set_by_hand(self, shot: Shot) -> None:
-        wanted = by_hand(shot, self.rig.axes if self.rig is not None else {})
-        step = Step.between(self._by_hand, wanted)
-        if step:
-            self.operator.ask(step)
-            self._by_hand.update(wanted)
-            self.tally.operator_steps += 1
-
     def _take(self, shot: Shot) -> None:
-        if self.rig is not None and shot.role in _ON_RIG:
-            # Motors first: a hand that sets the filter would otherwise wait, and the person stands clear.
-            self.rig.move(self._motors(shot))
-        self._set_by_hand(shot)
+        motorised = self.rig.axes if self.rig is not None else {}
+        # Motors first: nobody has a hand at the lens while the arm swings.
+        if targets := motor_targets(shot, motorised):
+            self.rig.move(targets)
+        if self._hand.set(hand_settings(shot, motorised)):
+            self.tally.operator_steps += 1
         path = self.journal.folder / shot.file
         temporary = path.with_name(_TEMPORARY + path.name)
         for attempt in range(_TRIES):
@@ -149,17 +137,6 @@ class Session:
         os.replace(temporary, path)
         self.journal.append(shot, file_sha256(path))
         self.tally.taken += 1
-
-
-def by_hand(shot: Shot, motorised: Mapping[str, object]) -> dict[str, object]:
-    """Return what a person must have set for a photograph: subject, filter, and the angles that no motor drives."""
-    wanted: dict[str, object] = {"subject": shot.role}
-    if shot.role != "dark":
-        wanted["filter"] = shot.filter
-    if shot.role in _ON_RIG:
-        angles = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
-        wanted.update({name: getattr(shot.pose, name) for name in angles if name not in motorised})
-    return wanted
 
 
 def verify(path: Path, shot: Shot) -> None:

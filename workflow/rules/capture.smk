@@ -1,8 +1,10 @@
+# What a session leaves is its RAW files and a table that grows with every photograph; Snakemake deletes the outputs of a
+# job before it runs, so neither is an output. The record is: it exists once the session is complete.
 rule capture_object:
     input:
         spectra=tables_of_capture,
     output:
-        table="results/{object}/captures/captures.csv",
+        session="results/{object}/captures/session.json",
     log:
         "results/logs/capture_object/{object}.log",
     benchmark:
@@ -12,11 +14,15 @@ rule capture_object:
     threads: 1
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
+        rig=rigs_taken,
     params:
         definition=photographed,
         camera=definition_of("cameras"),
         rig=definition_of("rigs"),
-        code=code_hash("irodori.rig.virtual.session"),
+        rig_name=rig_of,
+        table=captures_table,
+        folder=captures_folder,
+        code=code_hash("irodori.rig.stage"),
     script:
         "../scripts/capture_object.py"
 
@@ -25,7 +31,7 @@ rule capture_camera:
     input:
         spectra=tables_of_capture,
     output:
-        table="results/cameras/{camera}/captures/captures.csv",
+        session="results/cameras/{camera}/captures/session.json",
     log:
         "results/logs/capture_camera/{camera}.log",
     benchmark:
@@ -35,10 +41,14 @@ rule capture_camera:
     threads: 1
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
+        rig=rigs_taken,
     params:
         camera=lookup(within=config, dpath="cameras/{camera}"),
         rig=definition_of("rigs"),
-        code=code_hash("irodori.rig.virtual.session"),
+        rig_name=rig_of,
+        table=captures_table,
+        folder=captures_folder,
+        code=code_hash("irodori.rig.stage"),
     script:
         "../scripts/capture_camera.py"
 
@@ -47,7 +57,7 @@ rule capture_environment:
     input:
         spectra=tables_of_capture,
     output:
-        table="results/environments/{environment}/captures/captures.csv",
+        session="results/environments/{environment}/captures/session.json",
     log:
         "results/logs/capture_environment/{environment}.log",
     benchmark:
@@ -61,6 +71,12 @@ rule capture_environment:
         definition=lookup(within=config, dpath="environments/{environment}"),
         camera=definition_of("cameras"),
         rig=definition_of("rigs"),
-        code=code_hash("irodori.rig.virtual.session"),
+        table=captures_table,
+        code=code_hash("irodori.rig.stage"),
     script:
         "../scripts/capture_environment.py"
+
+
+rule capture:
+    input:
+        sessions,

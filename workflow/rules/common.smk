@@ -1,5 +1,5 @@
 from irodori.captures import read_captures
-from irodori.config import captures_of, is_virtual, load_definitions
+from irodori.config import captures_of, is_taken_here, is_virtual, load_definitions
 from irodori.errors import InputError
 from irodori.provenance import code_hash
 from irodori.tiles import tile_rows
@@ -33,6 +33,14 @@ def captures_table(wildcards):
     return config[kind][name]["captures"]["table"]
 
 
+def captures_made(wildcards):
+    """Return the file that says that a set's photographs are there: a session's record, or the user's own table."""
+    kind, name = capture_set(wildcards)
+    if is_taken_here(config, kind, name):
+        return f"{FOLDER[kind]}/{name}/captures/session.json"
+    return captures_table(wildcards)
+
+
 def captures_folder(wildcards):
     """Return the folder of a set's RAW files."""
     kind, name = capture_set(wildcards)
@@ -41,12 +49,17 @@ def captures_folder(wildcards):
 
 
 def raw_files(wildcards):
-    """Return a user's RAW files; those of the virtual rig stand in its capture table with their hashes."""
+    """Return a user's RAW files; those of a session stand in its capture table with their hashes."""
     kind, name = capture_set(wildcards)
-    if is_virtual(config, kind, name):
+    if is_taken_here(config, kind, name):
         return []
     shots = read_captures(captures_table(wildcards), captures_folder(wildcards))
     return [f"{captures_folder(wildcards)}/{shot.file}" for shot in shots if shot.role in ROLES[kind]]
+
+
+def rigs_taken(wildcards):
+    """Return 1 where a session moves a real rig, of which there is one at a time, 0 on a virtual one."""
+    return int(config["rigs"][rig_of(wildcards)]["kind"] == "driven")
 
 
 def roles_of(wildcards):
@@ -135,7 +148,8 @@ def camera_file(pattern):
 def photographed(wildcards):
     """Return the parts of an object's definition that a photograph depends on."""
     parts = ("shape", "refractive_index", "mirror_weight", "poses", "exposure_s", "virtual")
-    return {key: config["objects"][wildcards.object][key] for key in parts}
+    definition = config["objects"][wildcards.object]
+    return {key: definition[key] for key in parts if key in definition}
 
 
 def tiles_of(wildcards):
@@ -188,6 +202,16 @@ def views(pattern, virtual_only=False):
 def pictures(wildcards):
     """Return the pictures to make."""
     return views("results/{scene}/{view}.png") + views("results/{scene}/{view}.exr")
+
+
+def sessions(wildcards):
+    """Return the records of the sessions to hold."""
+    return [
+        f"{FOLDER[kind]}/{name}/captures/session.json"
+        for kind in FOLDER
+        for name in config[kind]
+        if is_taken_here(config, kind, name)
+    ]
 
 
 def calibrations(wildcards):

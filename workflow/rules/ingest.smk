@@ -1,6 +1,6 @@
 rule check_captures:
     input:
-        table=captures_table,
+        made=captures_made,
         raw=raw_files,
     output:
         table="results/{object}/captures.csv",
@@ -16,6 +16,7 @@ rule check_captures:
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
+        table=captures_table,
         folder=captures_folder,
         roles=roles_of,
         size_px=mosaic_size,

@@ -1,9 +1,16 @@
-from pathlib import Path
-
-from irodori.rig.virtual.session import capture_camera
+from irodori.rig.stage import Target, capture_camera
 from irodori.rules import run_rule
 
-with run_rule(snakemake):
+with run_rule(snakemake) as provenance:
     capture_camera(
-        snakemake.params.camera, snakemake.params.rig, snakemake.wildcards.camera, Path(snakemake.output.table)
+        Target(
+            snakemake.wildcards.camera,
+            snakemake.params.camera,
+            snakemake.params.rig,
+            snakemake.params.rig_name,
+            snakemake.params.table,
+            snakemake.params.folder,
+        ),
+        snakemake.output.session,
+        provenance,
     )

@@ -1,13 +1,15 @@
-from pathlib import Path
-
-from irodori.rig.virtual.session import capture_environment
+from irodori.rig.stage import Target, capture_environment
 from irodori.rules import run_rule
 
-with run_rule(snakemake):
+with run_rule(snakemake) as provenance:
     capture_environment(
         snakemake.params.definition,
-        snakemake.params.camera,
-        snakemake.params.rig,
-        snakemake.wildcards.environment,
-        Path(snakemake.output.table),
+        Target(
+            snakemake.wildcards.environment,
+            snakemake.params.camera,
+            snakemake.params.rig,
+            table=snakemake.params.table,
+        ),
+        snakemake.output.session,
+        provenance,
     )

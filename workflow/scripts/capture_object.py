@@ -1,13 +1,17 @@
-from pathlib import Path
-
-from irodori.rig.virtual.session import capture_object
+from irodori.rig.stage import Target, capture_object
 from irodori.rules import run_rule
 
-with run_rule(snakemake):
+with run_rule(snakemake) as provenance:
     capture_object(
         snakemake.params.definition,
-        snakemake.params.camera,
-        snakemake.params.rig,
-        snakemake.wildcards.object,
-        Path(snakemake.output.table),
+        Target(
+            snakemake.wildcards.object,
+            snakemake.params.camera,
+            snakemake.params.rig,
+            snakemake.params.rig_name,
+            snakemake.params.table,
+            snakemake.params.folder,
+        ),
+        snakemake.output.session,
+        provenance,
     )

@@ -3,7 +3,7 @@ from irodori.rules import run_rule
 
 with run_rule(snakemake):
     check_captures(
-        snakemake.input.table,
+        snakemake.params.table,
         snakemake.params.folder,
         snakemake.output.table,
         snakemake.params.roles,

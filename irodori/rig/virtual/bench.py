@@ -27,6 +27,13 @@ class Bench:
     filter: str = "out"
     subject: str = "object"
 
+    def set(self, settings: Mapping[str, float | str]) -> None:
+        """Set what a hand sets: ``subject``, ``filter``, or the angle of an axis without motor, degrees."""
+        angles = dict(settings)
+        self.subject = angles.pop("subject", self.subject)
+        self.filter = angles.pop("filter", self.filter)
+        self.by_hand_deg.update(angles)
+
     def pose(self) -> Pose:
         """Return where light, camera and table stand; what nobody has moved stands at 0."""
         angles = {"light_deg": 0.0, "camera_deg": 0.0, **self.by_hand_deg, **self.motors_deg()}

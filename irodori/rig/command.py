@@ -1,0 +1,200 @@
+"""Commands for the person at the bench.
+
+    python -m irodori.rig status RIG
+    python -m irodori.rig move RIG camera_deg=30 turn_deg=90
+    python -m irodori.rig plan OBJECT --best 12
+    python -m irodori.rig capture OBJECT
+"""
+
+import argparse
+import logging
+import sys
+from collections.abc import Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from irodori.captures import Pose, Shot
+from irodori.config import load_one
+from irodori.errors import InputError
+from irodori.progress import LOGGER
+from irodori.provenance import code_hash, config_hash
+from irodori.rig.connect import open_rig
+from irodori.rig.devices import DeviceError, LimitError, Rig
+from irodori.rig.gphoto import GphotoCamera
+from irodori.rig.order import estimate_s
+from irodori.rig.plan import camera_shots, object_shots
+from irodori.rig.planner import plan_best
+from irodori.rig.session import verify
+from irodori.rig.stage import Target, capture_camera, capture_object
+from irodori.store import Provenance
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; return 0, 1 after a fault that was said in one sentence, 130 after Ctrl-C."""
+    options = _parser().parse_args(arguments)
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    try:
+        options.run(options)
+    except (DeviceError, InputError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("stopped; the rig stands still, and what was taken stays", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m irodori.rig", description="The rig, for the person at the bench.")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    def command(name: str, run, text: str) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=text, description=text)
+        sub.set_defaults(run=run)
+        return sub
+
+    for name, run, text in (
+        ("status", _status, "Say where the axes of a rig stand and what its controller says."),
+        ("home", _home, "Find the reference position of every axis."),
+    ):
+        command(name, run, text).add_argument("rig", help="name of a file in config/rigs")
+    for name, run, text in (
+        ("move", _move, "Move axes to angles, such as camera_deg=30 turn_deg=90."),
+        ("jog", _jog, "Move axes by a little, such as camera_deg=-0.5."),
+    ):
+        sub = command(name, run, text)
+        sub.add_argument("rig", help="name of a file in config/rigs")
+        sub.add_argument("angles", nargs="+", metavar="AXIS=DEGREES", type=_angle)
+    sub = command("shoot", _shoot, "Take one photograph with a real camera.")
+    sub.add_argument("camera", help="name of a file in config/cameras")
+    sub.add_argument("file", type=Path, help="where to store the RAW file")
+    sub.add_argument("--exposure", type=float, required=True, metavar="S", help="exposure time in seconds")
+    sub = command("plan", _plan, "Print the photographs of an object or a camera in their order, and what they take.")
+    _add_subject(sub)
+    sub.add_argument("--best", type=int, metavar="K", help="choose the K poses that tell most about an object instead")
+    _add_subject(command("capture", _capture, "Hold a session, or continue one: take the photographs that are missing."))
+    return parser
+
+
+def _add_subject(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("name", help="name of a file in config/objects, or in config/cameras with --camera")
+    sub.add_argument("--camera", action="store_true", help="the chart, white and dark frames that calibrate a camera")
+
+
+def _angle(text: str) -> tuple[str, float]:
+    name, _, angle = text.partition("=")
+    try:
+        return name, float(angle)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}; accepted: an axis and degrees, such as camera_deg=30") from None
+
+
+@contextmanager
+def _rig(name: str):
+    """Open a rig by name."""
+    definition = load_one("rigs", name)["rigs"][name]
+    if "motion" not in definition:
+        raise InputError(f"config/rigs/{name}.yaml", "motion", "no such key", "a rig with motors")
+    with open_rig(definition) as rig:
+        yield rig
+
+
+def _print_status(rig: Rig) -> None:
+    status = rig.status()
+    print(f"state {status.state}, {'homed' if status.homed else 'not homed'}{', ' * bool(status.message)}{status.message}")
+    for name, angle in status.position_deg.items():
+        axis = rig.axes[name]
+        print(f"{name} {angle:.3f} ({axis.min_deg:g} to {axis.max_deg:g}, {axis.speed_deg_per_s:g} degrees/s)")
+
+
+def _status(options) -> None:
+    with _rig(options.rig) as rig:
+        _print_status(rig)
+
+
+def _home(options) -> None:
+    with _rig(options.rig) as rig:
+        rig.home()
+        _print_status(rig)
+
+
+def _move(options) -> None:
+    with _rig(options.rig) as rig:
+        _ready(rig)
+        rig.move(dict(options.angles))
+        _print_status(rig)
+
+
+def _jog(options) -> None:
+    with _rig(options.rig) as rig:
+        _ready(rig)
+        position = rig.position()
+        unknown = [name for name, _ in options.angles if name not in position]
+        if unknown:
+            raise LimitError(f"{unknown[0]}: not a motorised axis; accepted: {', '.join(position)}")
+        rig.move({name: position[name] + by for name, by in options.angles})
+        _print_status(rig)
+
+
+def _ready(rig: Rig) -> None:
+    """Home a simulated rig, which has just been switched on; a real one is homed by the person beside it."""
+    if rig.simulator is not None and not rig.status().homed:
+        rig.home()
+
+
+def _shoot(options) -> None:
+    camera = load_one("cameras", options.camera)["cameras"][options.camera]
+    if "driver" not in camera:
+        raise InputError(f"config/cameras/{options.camera}.yaml", "driver", "no such key", "a camera that is driven")
+    shot = Shot(options.file.name, "object", Pose(0.0, 0.0), "out", options.exposure)
+    with GphotoCamera(camera["driver"]) as device:
+        device.capture(shot, options.file)
+        print(", ".join(f"{key} {value}" for key, value in device.status().items()))
+    verify(options.file, shot)
+    print(options.file)
+
+
+def _target(options) -> tuple[Target, dict | None]:
+    """Return what a session of the named object or camera photographs, and the object's definition."""
+    kind = "cameras" if options.camera else "objects"
+    loaded = load_one(kind, options.name)
+    definition = loaded[kind][options.name]
+    camera_name = options.name if options.camera else definition["camera"]
+    camera = loaded["cameras"][camera_name]
+    rig = loaded["rigs"][camera["rig"]]
+    if "exposure_s" not in definition:
+        found = f"a rig of kind {rig['kind']}, whose photographs somebody else takes"
+        raise InputError(f"config/{kind}/{options.name}.yaml", "rig", found, "a rig of kind driven or virtual")
+    captures = definition.get("captures")
+    folder = Path("results", *(["cameras"] if options.camera else []), options.name, "captures")
+    table = captures["table"] if captures else folder / "captures.csv"
+    target = Target(options.name, camera, rig, camera["rig"], table, (captures or {}).get("folder"))
+    return target, None if options.camera else definition
+
+
+def _plan(options) -> None:
+    target, definition = _target(options)
+    if options.best is not None:
+        if definition is None:
+            raise InputError("--best", "", "a camera", "an object: a camera's own photographs need no choice of poses")
+        _print_best(options.best, target, definition)
+        return
+    shots = camera_shots(target.camera, target.suffix) if definition is None else None
+    shots = shots if shots is not None else object_shots(definition, target.camera, target.suffix)
+    planned = target.ordered(shots)
+    for shot in planned:
+        angles = " ".join(f"{name.removesuffix('_deg')} {value:g}" for name, value in vars(shot.pose).items())
+        print(f"{shot.role} {angles} filter {shot.filter} {shot.exposure_s:g} s  {shot.file}")
+    print(estimate_s(planned, target.axes()))
+
+
+def _capture(options) -> None:
+    target, definition = _target(options)
+    described = {"definition": definition, "camera": target.camera, "rig": target.rig}
+    made = Provenance("bench", config_hash(described), code_hash("irodori.rig.stage"))
+    record = Path(target.table).with_name("session.json")
+    if definition is None:
+        capture_camera(target, record, made)
+    else:
+        capture_object(definition, target, record, made)
+    LOGGER.info("%s", record)

@@ -1,0 +1,190 @@
+"""The captures of a workflow: an object, a camera's own photographs, an environment, on whatever rig they name."""
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+
+from irodori.captures import Shot
+from irodori.progress import LOGGER
+from irodori.provenance import file_sha256
+from irodori.rig.connect import open_rig, true_position_deg
+from irodori.rig.devices import Axis, Camera, Rig
+from irodori.rig.drives import drives_of
+from irodori.rig.gphoto import RAW_SUFFIXES, GphotoCamera
+from irodori.rig.journal import Journal
+from irodori.rig.operator import AutoOperator, Operator, Step, make_operator
+from irodori.rig.order import estimate_s, order_shots
+from irodori.rig.plan import camera_shots, environment_shots, object_shots
+from irodori.rig.session import Session
+from irodori.rig.virtual.bench import Bench
+from irodori.rig.virtual.camera import VirtualCamera
+from irodori.store import Provenance
+
+#: What a hand step costs against travel when photographs are ordered; the virtual rig's hands are quick.
+_STEP_S = {"prompt": 30.0, "file": 30.0, "auto": 0.0}
+#: Says from which definition a virtual session's photographs come; others would pass for them.
+_MADE_FROM = ".made-from"
+
+
+@dataclass(frozen=True)
+class Target:
+    """What a session photographs, with what, and where the photographs go.
+
+    Parameters
+    ----------
+    name : str
+        Of the object, the camera or the environment.
+    camera, rig : dict
+        Validated definitions.
+    rig_name : str
+        Names the folder of the operator's confirmation files.
+    table : path
+        ``captures.csv``.
+    folder : path, optional
+        Folder of the RAW files; that of the table where None.
+    """
+
+    name: str
+    camera: dict
+    rig: dict
+    rig_name: str = ""
+    table: str | Path = "captures.csv"
+    folder: str | Path | None = None
+
+    @property
+    def is_virtual(self) -> bool:
+        """Whether the photographs are computed."""
+        return self.rig["kind"] == "virtual"
+
+    @property
+    def suffix(self) -> str:
+        """End of the names of the RAW files, with the dot."""
+        if self.is_virtual:
+            return VirtualCamera.suffix
+        model = self.camera["driver"]["model"]
+        return next((known[0] for maker, known in RAW_SUFFIXES.items() if model.startswith(maker)), ".raw")
+
+    def axes(self) -> dict[str, Axis]:
+        """Return the motorised axes; those of the pose that are not here are set by hand."""
+        return {name: drive.axis for name, drive in drives_of(self.rig).items()} if "motion" in self.rig else {}
+
+    def ordered(self, shots: Sequence[Shot]) -> list[Shot]:
+        """Return photographs in the order in which they are taken."""
+        return order_shots(shots, self.axes(), manual_cost_s=_STEP_S[self.rig["operator"]])
+
+
+class _VirtualHands(Operator):
+    """Asks whoever is to be asked, then sets the virtual bench as a person would have set a real one."""
+
+    def __init__(self, inner: Operator, bench: Bench) -> None:
+        self.inner, self.bench = inner, bench
+
+    def ask(self, step: Step) -> None:
+        self.inner.ask(step)
+        self.bench.set(step.new)
+
+
+@contextmanager
+def _equipment(
+    target: Target, planned: Sequence[Shot], subject: dict | None, on_rig: bool
+) -> Iterator[tuple[Rig | None, Camera, Operator]]:
+    """Open the rig, the camera and the operator of a session."""
+    rig = target.rig
+    moved = open_rig(rig) if on_rig and "motion" in rig else nullcontext()
+    with moved as opened:
+        folder = Path("results/rig") / target.rig_name
+        if not target.is_virtual:
+            with GphotoCamera(target.camera["driver"]) as camera:
+                LOGGER.info("camera: %s", ", ".join(f"{key} {value}" for key, value in camera.status().items()))
+                yield opened, camera, make_operator(rig["operator"], folder, rig.get("operator_deadline_s"))
+            return
+        bench = Bench(motors_deg=lambda: true_position_deg(opened) if opened is not None else {})
+        operator = make_operator(rig["operator"], folder, rig.get("operator_deadline_s"), set_bench=bench.set)
+        if not isinstance(operator, AutoOperator):
+            operator = _VirtualHands(operator, bench)
+        yield opened, VirtualCamera(target.camera, rig, bench, target.name, planned, subject), operator
+
+
+def photograph(
+    shots: Sequence[Shot], target: Target, subject: dict | None, record, provenance: Provenance, on_rig: bool = True
+) -> None:
+    """Hold a session, or continue one, and write its record.
+
+    Parameters
+    ----------
+    shots : sequence of Shot
+        In any order.
+    target : Target
+    subject : dict or None
+        Definition of the object or the environment, for a virtual camera.
+    record : path
+        JSON to write when the session is complete: what was done, the hash of the table.
+    provenance : Provenance
+        Of a virtual session: photographs of another definition or of other code are taken again. Those of a real
+        rig are kept as long as the plan asks for them.
+    on_rig : bool
+        Whether it stands on the rig at all.
+
+    Raises
+    ------
+    DeviceError, InputError
+        What was taken before stays and is not taken again.
+    """
+    planned = target.ordered(shots)
+    if target.is_virtual:
+        _start_over_if_changed(Path(target.table), provenance)
+    journal = Journal(target.table, target.folder)
+    missing = journal.missing(planned)
+    LOGGER.info("%s: %d of %d photographs to take; %s", target.name, len(missing), len(planned), estimate_s(missing, target.axes()))
+    with _equipment(target, planned, subject, on_rig) as (rig, camera, operator):
+        if rig is not None and not rig.status().homed:
+            rig.home()
+        session = Session(camera, operator, journal, rig)
+        tally = session.run(planned, target.name)
+        status = camera.status()
+    content = {
+        "photographs": len(planned),
+        "table_sha256": file_sha256(target.table),
+        "session": vars(tally),
+        "camera": status,
+    }
+    _write_record(Path(record), content)
+
+
+def _start_over_if_changed(table: Path, provenance: Provenance) -> None:
+    """Remove a virtual session's photographs where their definition or the code that made them has changed."""
+    mark = table.with_name(_MADE_FROM)
+    wanted = f"{provenance.config_hash} {provenance.code_hash} {provenance.input_sha256}\n"
+    table.parent.mkdir(parents=True, exist_ok=True)
+    if mark.is_file() and mark.read_text(encoding="utf-8") == wanted:
+        return
+    for path in (table, *table.parent.glob(f"*{VirtualCamera.suffix}")):
+        path.unlink(missing_ok=True)
+    mark.write_text(wanted, encoding="utf-8")
+
+
+def _write_record(path: Path, content: Mapping) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.part")
+    temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    os.replace(temporary, path)
+
+
+def capture_object(definition: dict, target: Target, record, provenance: Provenance) -> None:
+    """Photograph an object in all its poses, without and with the comb filter; see `photograph`."""
+    shots = object_shots(definition, target.camera, target.suffix)
+    photograph(shots, target, definition, record, provenance)
+
+
+def capture_camera(target: Target, record, provenance: Provenance) -> None:
+    """Photograph dark frames, the white reference and the chart that calibrate a camera; see `photograph`."""
+    photograph(camera_shots(target.camera, target.suffix), target, None, record, provenance)
+
+
+def capture_environment(definition: dict, target: Target, record, provenance: Provenance) -> None:
+    """Photograph a virtual room with an omnidirectional camera; see `photograph`."""
+    shots = environment_shots(definition, target.camera, target.suffix)
+    photograph(shots, target, definition, record, provenance, on_rig=False)
