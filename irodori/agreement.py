@@ -12,6 +12,7 @@ from irodori.agreement_captures import (
     of_role,
     read_table,
 )
+from irodori.agreement_motion import check_motion
 from irodori.agreement_spectra import check_chart, check_spectra
 from irodori.captures import Shot
 from irodori.errors import InputError
@@ -100,6 +101,7 @@ class _Checks:
             if limit["min"] > limit["max"]:
                 found = f"{limit['min']:g}, above max {limit['max']:g}"
                 raise InputError(file, f"limits.{axis}.min", found, "a smallest angle below the largest")
+        check_motion(rig, file)
         check_spectra(rig, (), self.root, file)
 
     def camera(self, name: str) -> None:

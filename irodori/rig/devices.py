@@ -28,6 +28,10 @@ class LinkError(DeviceError):
     """The line to a device is lost, garbled, or in use by another process."""
 
 
+class GarbledError(LinkError):
+    """A line arrived that the device does not send: the line is up, but bytes were lost or changed on it."""
+
+
 class DeadlineError(DeviceError):
     """A device did not answer, or did not arrive, in the time that the request may take."""
 
@@ -38,6 +42,10 @@ class AlarmError(DeviceError):
 
 class CommandError(DeviceError):
     """A controller refused a command; it stands where it stood."""
+
+
+class SettingError(DeviceError):
+    """A controller's own settings contradict the rig's file; nothing has moved."""
 
 
 @dataclass(frozen=True)
@@ -130,6 +138,8 @@ class Rig(ABC):
 
     #: Motorised axes by name; the others of a pose are set by hand.
     axes: Mapping[str, Axis]
+    #: Handle on the simulated controller, None for a real one; see `irodori.rig.connect`.
+    simulator = None
 
     @abstractmethod
     def home(self) -> None:
@@ -144,12 +154,24 @@ class Rig(ABC):
         Raises
         ------
         LimitError, CommandError, AlarmError, LinkError, DeadlineError
-            After the last three, and after KeyboardInterrupt, a stop was sent.
+            After the last three, and after KeyboardInterrupt, a stop was sent. What was sent over a lost line does not
+            arrive: there the axes end the move that they were in, whose target was checked, and stand.
         """
+
+    def jog(self, name: str, by_deg: float) -> None:
+        """Move one axis by an angle from where it stands, degrees; see `move`."""
+        self.check({name: self.axes[name].min_deg} if name in self.axes else {name: by_deg})
+        self.move({name: self.position()[name] + by_deg})
 
     @abstractmethod
     def status(self) -> RigStatus:
-        """Return what the rig says of itself now."""
+        """Return what the rig says of itself now.
+
+        Raises
+        ------
+        LinkError, DeadlineError
+            An alarm is a state, not an error.
+        """
 
     @abstractmethod
     def stop(self) -> None:
@@ -178,7 +200,7 @@ class Rig(ABC):
             self.axes[name].check(target)
 
     def travel_s(self, from_deg: Mapping[str, float], to_deg: Mapping[str, float]) -> float:
-        """Return the time of a move whose axes run together, s."""
+        """Return the time of a move whose axes run side by side, s; in a straight line it takes somewhat longer."""
         return max((self.axes[name].travel_s(from_deg[name], to_deg[name]) for name in to_deg), default=0.0)
 
     def __enter__(self) -> "Rig":

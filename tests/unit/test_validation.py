@@ -77,7 +77,7 @@ def test_every_level_is_closed_and_every_key_described(name):
 
 
 UNITS = {"_mm": "in mm", "_m": "in m", "_um": "in micrometres", "_nm": "in nm", "_rad": "in rad",
-         "_s": "in seconds",
+         "_s": "in seconds", "_deg_per_s": "in degrees a second",
          "_px": "pixels", "_e": "in electrons", "_e_per_s": "in electrons a second"}  # fmt: skip
 
 

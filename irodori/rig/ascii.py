@@ -1,0 +1,269 @@
+"""A rig on a controller with its own command set, which the rig's file describes."""
+
+import contextlib
+import time
+from collections.abc import Iterator, Mapping
+
+from irodori.rig.ascii_description import Description
+from irodori.rig.deadline import Deadline
+from irodori.rig.devices import (
+    AlarmError,
+    Axis,
+    CommandError,
+    DeadlineError,
+    DeviceError,
+    GarbledError,
+    Link,
+    Rig,
+    RigStatus,
+)
+from irodori.rig.drives import Drive
+
+_POLL_S = 0.03
+#: A moment after a command was accepted the controller may still say that it is idle.
+_START_S = 0.3
+_MARGIN = 0.25
+#: Homing: way that it may take, as a multiple of the reach, at the speed of the axis.
+_HOMING_REACH = 3.0
+_STOP_TRIES = 3
+
+
+class AsciiRig(Rig):
+    """A rig whose commands and replies are a description.
+
+    One question is on its way at a time. The controller is taken to lose its position with its power: where the rig has
+    limit switches, it must be homed once each time that it is opened, and a position that changes between two commands
+    counts as lost.
+
+    Parameters
+    ----------
+    link : Link
+        Closed by `close`; where this constructor raises, it is the caller's to close.
+    drives : dict
+        Angle of a pose: drive.
+    description : Description
+    timeout_s : float
+        Time that an answer may take, s.
+    homing : bool
+        Whether the axes have limit switches.
+
+    Raises
+    ------
+    DeadlineError, LinkError, CommandError
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        drives: Mapping[str, Drive],
+        description: Description,
+        *,
+        timeout_s: float = 3.0,
+        homing: bool = True,
+    ) -> None:
+        self.axes: Mapping[str, Axis] = {name: drive.axis for name, drive in drives.items()}
+        self._link, self.drives, self._words = link, dict(drives), description
+        self._timeout_s, self._homing, self._homed = timeout_s, homing, not homing
+        self._brake_s = max((d.speed / d.acceleration for d in drives.values()), default=0.0)
+        self._in_step = True
+        if self._states() != "idle":
+            self._halt()
+        self._last = self._places()
+
+    def home(self) -> None:
+        """Home every axis; see `Rig.home`."""
+        if not self._homing:
+            raise CommandError("this rig has no limit switches (motion.homing is false): it cannot be homed")
+        with self._stopping_on_failure():
+            self._homed = False
+            self._resume()
+            for drive in self.drives.values():
+                self._order("home", axis=drive.channel)
+                if not self._words.per_axis("home"):
+                    break
+            ways = [(high - low) / drive.speed for drive in self.drives.values() for low, high in [drive.reach]]
+            deadline = Deadline(_HOMING_REACH * max(ways) + 2 * self._brake_s + self._timeout_s)
+            began = Deadline(_START_S)
+            while (state := self._states()) == "run" or not began.passed:
+                self._refuse(state, deadline)
+                time.sleep(_POLL_S)
+            self._refuse(state, deadline)
+            self._last, self._homed = self._places(), True
+
+    def move(self, targets_deg: Mapping[str, float]) -> None:
+        """Move axes, each at its own speed, and wait until they stand there; see `Rig.move`."""
+        self.check(targets_deg)
+        if not targets_deg:
+            return
+        with self._stopping_on_failure():
+            places = self._ready()
+            targets = {**places, **{name: self.drives[name].to_units(angle) for name, angle in targets_deg.items()}}
+            start = {name: self.drives[name].to_deg(places[name]) for name in places}
+            deadline = Deadline(self.travel_s(start, targets_deg) * (1 + _MARGIN) + self._timeout_s)
+            for name in targets_deg:
+                self._order("move", axis=self.drives[name].channel, target=targets[name])
+            self._await_arrival(places, targets, deadline)
+            self._last = targets
+
+    def status(self) -> RigStatus:
+        """Return what the controller says of itself; see `Rig.status`."""
+        self._resume()
+        state, places = self._states(), self._places()
+        if state == "alarm":
+            self._homed = False
+        named = {name: self.drives[name].to_deg(place) for name, place in places.items()}
+        return RigStatus(state, named, self._homed)
+
+    def stop(self) -> None:
+        """Stop all axes; never raises for a line that is lost."""
+        try:
+            self._halt()
+        except DeviceError:
+            self._in_step = False
+
+    def close(self) -> None:
+        """Let go of the line."""
+        self._link.close()
+
+    # ---- steps of the above
+
+    @contextlib.contextmanager
+    def _stopping_on_failure(self) -> Iterator[None]:
+        try:
+            yield
+        except BaseException as error:
+            if isinstance(error, AlarmError):
+                self._homed = False
+            self.stop()
+            raise
+
+    def _halt(self) -> None:
+        """Stop the axes and wait until they stand."""
+        for left in reversed(range(_STOP_TRIES)):
+            self._link.write(self._words.line("stop"))
+            try:
+                self._settle()
+                still = Deadline(self._brake_s * (1 + _MARGIN) + self._timeout_s / _STOP_TRIES)
+                while self._states() == "run":
+                    if still.passed:
+                        raise DeadlineError("the rig does not stop")
+                    time.sleep(_POLL_S / 3)
+                break
+            except (DeadlineError, GarbledError, CommandError):
+                if not left:
+                    raise
+        self._last, self._in_step = self._places(), True
+
+    def _settle(self) -> None:
+        """Read on until nothing comes."""
+        deadline = Deadline(self._timeout_s / _STOP_TRIES)
+        with contextlib.suppress(DeadlineError):
+            while not deadline.passed:
+                with contextlib.suppress(GarbledError):
+                    self._link.read_line(2 * _POLL_S)
+
+    def _resume(self) -> None:
+        """Stop the rig before anything else where the last stop was not answered."""
+        if not self._in_step:
+            self._halt()
+
+    def _ready(self) -> dict[str, float]:
+        self._resume()
+        state, places = self._states(), self._places()
+        if state == "alarm":
+            raise AlarmError("the controller is in alarm: find the cause, then home it")
+        if state != "idle":
+            raise CommandError("the controller is not idle: another program or its buttons move it")
+        for name, drive in self.drives.items():
+            if abs(places[name] - self._last[name]) > self._tolerance(drive):
+                now, before = drive.to_deg(places[name]), drive.to_deg(self._last[name])
+                raise AlarmError(
+                    f"{name} is at {now:.6g} degrees and was left at {before:.6g}: "
+                    "its controller has started anew or was moved by hand; home it first"
+                )
+        if not self._homed:
+            how = "home it first" if self._homing else "put it where it was switched on and start anew"
+            raise AlarmError(f"the rig does not know where it stands: {how}")
+        return places
+
+    def _refuse(self, state: str, deadline: Deadline) -> None:
+        if state == "alarm":
+            raise AlarmError(
+                "the controller stopped by itself and says that it is in alarm: find the cause, then home it"
+            )
+        if deadline.passed:
+            raise DeadlineError(f"no arrival within {deadline.seconds:.3g} s")
+
+    def _await_arrival(self, start: Mapping[str, float], targets: Mapping[str, float], deadline: Deadline) -> None:
+        began = Deadline(_START_S)
+        while True:
+            state, places = self._states(), self._places()
+            off = ""
+            for name, drive in self.drives.items():
+                slack, at = self._tolerance(drive), drive.to_deg(places[name])
+                ends = start[name], targets[name]
+                if not min(ends) - slack <= places[name] <= max(ends) + slack:
+                    raise AlarmError(f"{name} is at {at:.6g} degrees, off its way: do not trust its position, home it")
+                if abs(places[name] - targets[name]) > slack:
+                    off = f"{name} at {at:.6g} instead of {drive.to_deg(targets[name]):.6g} degrees"
+            if state == "idle" and not off:
+                return
+            if state != "idle":
+                began = Deadline(_START_S)
+            elif began.passed:
+                raise AlarmError(f"the rig came to rest elsewhere: {off}; do not trust its position, home it")
+            self._refuse(state, deadline)
+            time.sleep(_POLL_S)
+
+    def _tolerance(self, drive: Drive) -> float:
+        """Return how far from a target an axis may come to rest: half of its smallest step."""
+        return 0.5 * drive.axis.step_deg * abs(drive.units_per_deg)
+
+    def _order(self, command: str, **values) -> None:
+        """Send a command and wait until it is accepted."""
+        self._words.match("accepted", self._ask(command, **values))
+
+    def _ask(self, command: str, **values) -> str:
+        """Send a command and return its reply.
+
+        Raises
+        ------
+        CommandError
+            If it is refused.
+        """
+        # A reply that came too late for the question before is no reply to this one.
+        self._link.discard_input()
+        self._link.write(self._words.line(command, **values))
+        deadline = Deadline(self._timeout_s)
+        while not (line := self._link.read_line(deadline.remaining_s).strip()):
+            if deadline.passed:
+                raise DeadlineError(f"the controller sent nothing but empty lines for {deadline.seconds:.2g} s")
+        refused = self._words.replies.get("refused")
+        if refused and (found := refused.fullmatch(line)):
+            said = found.groupdict().get("message") or line
+            raise CommandError(f"the controller refused {self._words.commands[command]!r}: {said}")
+        return line
+
+    def _states(self) -> str:
+        """Return ``alarm`` where an axis is, else ``run`` where one is, else ``idle``."""
+        found = set()
+        for drive in self.drives.values():
+            line = self._ask("status", axis=drive.channel)
+            found.add(self._words.state(self._words.match("status", line)["state"]))
+            if not self._words.per_axis("status"):
+                break
+        return next(state for state in ("alarm", "run", "idle") if state in found)
+
+    def _places(self) -> dict[str, float]:
+        """Return where the axes stand, controller units."""
+        places = {}
+        for name, drive in self.drives.items():
+            line = self._ask("position", axis=drive.channel)
+            found = self._words.match("position", line)
+            if found.groupdict().get("axis", drive.channel) != drive.channel:
+                raise GarbledError(f"the controller sent {line!r} when asked for its axis {drive.channel}")
+            try:
+                places[name] = float(found["position"])
+            except ValueError:
+                raise GarbledError(f"the controller sent {line!r}, in which the position is not a number") from None
+        return places

@@ -1,0 +1,27 @@
+"""The time that a wait may take."""
+
+import time
+
+
+class Deadline:
+    """A moment, counted from now on a clock that is never set.
+
+    Parameters
+    ----------
+    seconds : float
+        Time from now, s.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+        self._end = time.monotonic() + seconds
+
+    @property
+    def remaining_s(self) -> float:
+        """Time left, s; 0 where the moment has passed."""
+        return max(0.0, self._end - time.monotonic())
+
+    @property
+    def passed(self) -> bool:
+        """Whether no time is left."""
+        return self.remaining_s == 0.0

@@ -1,0 +1,160 @@
+"""The part of Grbl 1.1's G-code that moves axes, as its parser takes and refuses it. For the simulator."""
+
+import re
+from dataclasses import dataclass, field
+
+_MM_PER_INCH = 25.4
+_WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))", re.ASCII)
+_GROUPS = {
+    **dict.fromkeys((0, 1), "motion"),
+    **dict.fromkeys((4, 53), "once"),
+    80: "motion",
+    17: "plane",
+    **dict.fromkeys((20, 21), "units"),
+    **dict.fromkeys((90, 91), "distance"),
+    94: "feed mode",
+    **dict.fromkeys(range(54, 60), "coordinates"),
+}
+_M_CODES = (0, 1, 2, 3, 4, 5, 7, 8, 9, 30)
+#: Words of a jog: everything else is prohibited there.
+_JOG_G = (20, 21, 53, 90, 91)
+
+
+class GcodeError(Exception):
+    """A refused line; `code` is that of ``error:N``."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+@dataclass
+class Modes:
+    """What outlasts a line."""
+
+    motion: int = 0
+    units: int = 21
+    distance: int = 90
+    coordinates: int = 54
+    feed: float = 0.0
+
+    def report(self) -> str:
+        """Return the text of ``$G``."""
+        return (
+            f"[GC:G{self.motion} G{self.coordinates} G17 G{self.units} G{self.distance} G94 M5 M9 T0 F{self.feed:g} S0]"
+        )
+
+
+@dataclass
+class Move:
+    """What a line does.
+
+    Parameters
+    ----------
+    targets : dict
+        Letter: machine coordinate, or distance where `relative`, units.
+    feed : float or None
+        Units/min; None is as fast as can be.
+    relative : bool
+        Whether `targets` are distances.
+    dwell_s : float or None
+        Time to wait when all moves before are done, s.
+    """
+
+    targets: dict[str, float] = field(default_factory=dict)
+    feed: float | None = None
+    relative: bool = False
+    dwell_s: float | None = None
+
+
+def parse_block(line: str, modes: Modes, letters: str, jog: bool = False) -> Move:
+    """Return what a line does, and change the modes.
+
+    Parameters
+    ----------
+    line : str
+        Capitals, without spaces and comments; of a jog what follows ``$J=``.
+    modes : Modes
+        Changed by a line that is accepted; never by a jog.
+    letters : str
+        Axes of the machine.
+    jog : bool
+        Whether the line is a jog.
+
+    Raises
+    ------
+    GcodeError
+    """
+    groups: dict[str, int] = {}
+    words: dict[str, float] = {}
+    for letter, value in _words(line):
+        if letter == "G":
+            _take_g(value, groups, jog)
+        elif letter == "M":
+            if jog or value not in _M_CODES:
+                raise GcodeError(16 if jog else 20)
+        elif letter not in letters + "FSPN":
+            raise GcodeError(20)
+        elif letter in words:
+            raise GcodeError(25)
+        elif value < 0 and letter in "FSPN":
+            raise GcodeError(4)
+        else:
+            words[letter] = value
+    new = Modes(
+        groups.get("motion", modes.motion),
+        groups.get("units", modes.units),
+        groups.get("distance", modes.distance),
+        groups.get("coordinates", modes.coordinates),
+        modes.feed,
+    )
+    move = _move(words, groups, new, letters, jog)
+    if not jog:
+        vars(modes).update(vars(new))
+    return move
+
+
+def _words(line: str):
+    place = 0
+    while place < len(line):
+        if not "A" <= line[place] <= "Z":
+            raise GcodeError(1)
+        found = _WORD.match(line, place)
+        if not found:
+            raise GcodeError(2)
+        place = found.end()
+        yield found[1], float(found[2])
+
+
+def _take_g(value: float, groups: dict[str, int], jog: bool) -> None:
+    if value not in _GROUPS or (jog and value not in _JOG_G):
+        raise GcodeError(16 if jog and value in _GROUPS else 20)
+    if _GROUPS[value] in groups:
+        raise GcodeError(21)
+    groups[_GROUPS[value]] = int(value)
+
+
+def _move(words: dict[str, float], groups: dict[str, int], new: Modes, letters: str, jog: bool) -> Move:
+    scale = _MM_PER_INCH if new.units == 20 else 1.0
+    axes = {letter: words[letter] * scale for letter in letters if letter in words}
+    feed = words["F"] * scale if "F" in words else None
+    if jog:
+        if not feed:
+            raise GcodeError(22)
+        if not axes:
+            raise GcodeError(26)
+        return Move(axes, feed, new.distance == 91 and groups.get("once") != 53)
+    if feed is not None:
+        new.feed = feed
+    if groups.get("once") == 4:
+        if "P" not in words:
+            raise GcodeError(28)
+        return Move(dwell_s=words["P"])
+    if axes and new.motion == 80:
+        raise GcodeError(31)
+    if not axes and groups.get("motion") == 1 and "F" not in words and not new.feed:
+        raise GcodeError(22)
+    if axes and new.motion == 1 and not new.feed:
+        raise GcodeError(22)
+    relative = new.distance == 91 and groups.get("once") != 53
+    return Move(axes, new.feed if new.motion == 1 else None, relative)

@@ -1,0 +1,111 @@
+"""Axes that move in straight lines with a trapezoidal profile of speed, stepped in simulated time."""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+_STEP_S = 1e-3
+
+
+@dataclass
+class Block:
+    """A straight move that waits or runs.
+
+    Parameters
+    ----------
+    target : list of float
+        Where it ends, units.
+    speed, acceleration : float
+        Along the line, units/s and units/s^2.
+    """
+
+    target: list[float]
+    speed: float
+    acceleration: float
+
+
+class Stage:
+    """Axes and the moves that they were given.
+
+    Parameters
+    ----------
+    position : sequence of float
+        Where the axes stand, units.
+    """
+
+    def __init__(self, position) -> None:
+        self.position = list(position)
+        self.speed = 0.0
+        self.holding = False
+        self.blocks: deque[Block] = deque()
+        self.low, self.high = list(position), list(position)
+        self._start = list(position)
+        self._length = self._done = 0.0
+        self._path = self._travelled = 0.0
+
+    @property
+    def moving(self) -> bool:
+        """Whether an axis has speed, or is about to."""
+        return bool(self.blocks) and not (self.holding and self.speed == 0.0)
+
+    @property
+    def end(self) -> list[float]:
+        """Where the axes will stand when all moves are done, units."""
+        return list(self.blocks[-1].target if self.blocks else self.position)
+
+    @property
+    def progress(self) -> float:
+        """Part of the path since the axes last stood idle, 0..1; 0 where there is none."""
+        return self._travelled / self._path if self._path else 0.0
+
+    def push(self, block: Block) -> None:
+        """Queue a move."""
+        if not self.blocks:
+            self._path = self._travelled = 0.0
+        self._path += math.dist(self.end, block.target)
+        self.blocks.append(block)
+        if len(self.blocks) == 1:
+            self._begin()
+
+    def clear(self) -> None:
+        """Stop dead and forget all moves."""
+        self.blocks.clear()
+        self.speed, self.holding = 0.0, False
+        self._path = self._travelled = 0.0
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass, s."""
+        while seconds > 0.0 and self.moving:
+            self._step(min(seconds, _STEP_S))
+            seconds -= _STEP_S
+
+    def shift(self, axis: int, position: float) -> None:
+        """Put an axis elsewhere than its moves took it, as a mechanical stop does."""
+        self.position[axis] = position
+
+    def _begin(self) -> None:
+        self._start, self._done = list(self.position), 0.0
+        self._length = math.dist(self.position, self.blocks[0].target)
+
+    def _step(self, seconds: float) -> None:
+        block = self.blocks[0]
+        left = self._length - self._done
+        brake = math.sqrt(2.0 * block.acceleration * left)
+        limit = 0.0 if self.holding else min(block.speed, brake)
+        change = block.acceleration * seconds
+        self.speed = min(limit, self.speed + change) if self.speed < limit else max(limit, self.speed - change)
+        self.speed = min(self.speed, brake)
+        way = min(self.speed * seconds, left)
+        self._done += way
+        self._travelled += way
+        if left - way <= 1e-9 and not (self.holding and self.speed == 0.0 and left > 1e-9):
+            self.position = list(block.target)
+            self.blocks.popleft()
+            self.speed = 0.0
+            if self.blocks:
+                self._begin()
+        else:
+            part = self._done / self._length
+            self.position = [a + (b - a) * part for a, b in zip(self._start, block.target, strict=True)]
+        self.low = [min(pair) for pair in zip(self.low, self.position, strict=True)]
+        self.high = [max(pair) for pair in zip(self.high, self.position, strict=True)]

@@ -1,0 +1,102 @@
+"""Rigs of the tests of motion: definitions for each protocol, simulated, fast, and with short answers."""
+
+import copy
+import time
+
+from irodori.config import read_yaml
+from irodori.rig.connect import start_simulator
+from irodori.rig.devices import DeviceError
+from irodori.rig.peer.client import Simulator
+from irodori.validation import validate
+
+TIMEOUT_S = 0.4
+
+_LIMITS = {
+    "light_deg": {"min": 35.0, "max": 125.0, "step": 0.5},
+    "camera_deg": {"min": 0.0, "max": 140.0, "step": 0.1},
+    "tilt_deg": {"min": 0.0, "max": 45.0, "step": 0.5},
+    "turn_deg": {"min": 0.0, "max": 359.5, "step": 0.5},
+}
+# The camera's switch is at -1 degree and the table's at 360.5; Grbl counts downward from the switch.
+_AXES = {
+    "camera_deg": {"channel": "X", "units_per_deg": -1.0, "zero_deg": -1.0,
+                   "speed_deg_per_s": 20.0, "acceleration_deg_per_s2": 100.0},
+    "turn_deg": {"channel": "Y", "units_per_deg": 0.5, "zero_deg": 361.5,
+                 "speed_deg_per_s": 60.0, "acceleration_deg_per_s2": 120.0},
+}  # fmt: skip
+_ASCII = {
+    "line_end": "cr",
+    "home": "HM {axis}",
+    "move": "MA {axis} {target:.3f}",
+    "stop": "ST",
+    "position": "PO {axis}",
+    "status": "SS",
+    "replies": {
+        "accepted": "OK",
+        "position": r"PO (?P<axis>\w+)=(?P<position>-?\d+\.\d{3})",
+        "status": r"SS=(?P<state>\w+)",
+        "refused": r"NG (?P<message>.*)",
+    },
+    "idle": ["READY"],
+    "busy": ["BUSY"],
+    "alarm": ["FAULT"],
+    "simulated_replies": {
+        "accepted": "OK",
+        "position": "PO {axis}={position:.3f}",
+        "status": "SS={state}",
+        "refused": "NG {message}",
+    },
+}
+
+
+def definition(protocol: str, flow: str = "send-response", time_scale: float = 50.0, seed: int = 1) -> dict:
+    """Return the validated definition of a rig with a simulated controller."""
+    motion = {
+        "protocol": protocol,
+        "port": "simulator",
+        "flow": flow,
+        "timeout_s": TIMEOUT_S,
+        "axes": copy.deepcopy(_AXES),
+        "simulator": {"time_scale": time_scale, "seed": seed},
+    }
+    if protocol == "ascii":
+        motion["ascii"] = copy.deepcopy(_ASCII)
+        for name in ("camera_deg", "turn_deg"):
+            motion["axes"][name]["channel"] = name[:4].upper()
+    rig = {
+        "kind": "virtual",
+        "limits": _LIMITS,
+        "motion": motion,
+        "camera_distance_mm": 900.0,
+        "light": {"spectrum": "A"},
+        "virtual": {"seed": 1},
+    }
+    return validate(rig, "rig", "rig.yaml")
+
+
+def at_port(rig: dict, port: str) -> dict:
+    """Return a definition for a controller that runs already."""
+    changed = copy.deepcopy(rig)
+    changed["motion"]["port"] = port
+    return changed
+
+
+def wait_until_still(simulator: Simulator, seconds: float = 20.0) -> dict:
+    """Return the simulator's snapshot once nothing moves, and fail where that takes too long."""
+    end = time.monotonic() + seconds
+    while (seen := simulator.snapshot())["moving"]:
+        assert time.monotonic() < end, "the axes never came to rest"
+        time.sleep(0.005)
+    return seen
+
+
+def failure(action) -> DeviceError | None:
+    """Return the device's error that an action raises, None where it raises none."""
+    try:
+        action()
+    except DeviceError as error:
+        return error
+    return None
+
+
+__all__ = ["TIMEOUT_S", "at_port", "definition", "failure", "read_yaml", "start_simulator", "wait_until_still"]

@@ -1,0 +1,191 @@
+"""What every rig does, whatever drives it: one suite over all drivers, each with its simulated controller."""
+
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+from motion_rigs import at_port, definition, start_simulator
+
+from irodori.rig.connect import open_rig, true_position_deg
+from irodori.rig.devices import AlarmError, Axis, LimitError, LinkError, Rig, RigStatus
+
+PEERS = {
+    "grbl-send-response": ("grbl", "send-response"),
+    "grbl-character-counting": ("grbl", "character-counting"),
+    "ascii": ("ascii", "send-response"),
+}
+STATES = {"idle", "run", "hold", "home", "jog", "door", "check", "sleep", "alarm"}
+
+
+@pytest.fixture(scope="module", params=PEERS)
+def peer(request):
+    """Return (definition at the simulator's port, simulator)."""
+    rig = definition(*PEERS[request.param])
+    with start_simulator(rig) as simulator:
+        yield at_port(rig, simulator.port), simulator
+
+
+@pytest.fixture
+def opened(peer):
+    """Return a homed rig, its simulator in order."""
+    rig, simulator = peer
+    simulator.clear()
+    simulator.power()
+    with open_rig(rig) as opened:
+        opened.simulator = simulator
+        opened.home()
+        yield opened
+
+
+def test_it_has_the_axes_of_its_file(opened):
+    assert isinstance(opened, Rig)
+    assert opened.axes["camera_deg"] == Axis("camera_deg", 0.0, 140.0, 0.1, 20.0, 100.0)
+    assert set(opened.axes) == {"camera_deg", "turn_deg"}
+
+
+def test_it_moves_where_it_is_told_and_says_so(opened):
+    for targets in ({"camera_deg": 30.0}, {"camera_deg": 12.3, "turn_deg": 180.5}, {"turn_deg": 0.0}, {}):
+        before = opened.position()
+        opened.move(targets)
+        for seen in (opened.position(), true_position_deg(opened)):
+            assert seen == pytest.approx({**before, **targets}, abs=0.005)
+        assert opened.status().state == "idle"
+
+
+def test_the_ends_of_the_reach_are_reached(opened):
+    for targets in ({"camera_deg": 140.0, "turn_deg": 359.5}, {"camera_deg": 0.0, "turn_deg": 0.0}):
+        opened.move(targets)
+        assert true_position_deg(opened) == pytest.approx(targets, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    "targets",
+    [
+        {"camera_deg": -0.1},
+        {"camera_deg": 140.1},
+        {"camera_deg": 10.0, "turn_deg": 400.0},
+        {"camera_deg": float("nan")},
+        {"camera_deg": float("inf")},
+        {"light_deg": 45.0},
+        {"camera": 10.0},
+    ],
+)
+def test_a_target_out_of_reach_is_refused_before_anything_moves(opened, targets):
+    before = true_position_deg(opened)
+    with pytest.raises(LimitError, match="accepted: "):
+        opened.move(targets)
+    assert true_position_deg(opened) == before
+    assert opened.status().homed
+
+
+def test_a_jog_goes_on_from_where_the_axis_stands(opened):
+    opened.move({"camera_deg": 20.0})
+    opened.jog("camera_deg", 2.5)
+    opened.jog("camera_deg", -0.5)
+    assert true_position_deg(opened)["camera_deg"] == pytest.approx(22.0, abs=0.005)
+
+
+@pytest.mark.parametrize(("name", "by_deg"), [("camera_deg", 130.0), ("camera_deg", -21.0), ("light_deg", 1.0)])
+def test_a_jog_beyond_the_limits_is_refused_before_anything_moves(opened, name, by_deg):
+    opened.move({"camera_deg": 20.0})
+    before = true_position_deg(opened)
+    with pytest.raises(LimitError):
+        opened.jog(name, by_deg)
+    assert true_position_deg(opened) == before
+
+
+def test_its_status_is_one_of_the_states(opened):
+    status = opened.status()
+    assert isinstance(status, RigStatus)
+    assert status.state in STATES and status.homed
+    assert set(status.position_deg) == set(opened.axes)
+
+
+def test_a_rig_that_was_not_homed_refuses_to_move(peer):
+    rig, simulator = peer
+    simulator.power()
+    with open_rig(rig) as opened:
+        assert not opened.status().homed
+        before = simulator.true_position()
+        with pytest.raises(AlarmError, match="home"):
+            opened.move({"camera_deg": 10.0})
+        with pytest.raises(AlarmError, match="home"):
+            opened.jog("camera_deg", 1.0)
+        assert simulator.true_position() == before
+        opened.home()
+        opened.move({"camera_deg": 10.0})
+
+
+def test_homing_puts_the_count_right_again(opened):
+    opened.move({"camera_deg": 50.0})
+    opened.simulator.power()
+    with pytest.raises(AlarmError, match="home"):
+        opened.move({"camera_deg": 60.0})
+    assert not opened.status().homed
+    opened.home()
+    opened.move({"camera_deg": 60.0})
+    assert true_position_deg(opened)["camera_deg"] == pytest.approx(60.0, abs=0.005)
+
+
+def test_stop_and_close_may_be_repeated_and_never_raise(peer):
+    rig, simulator = peer
+    with open_rig(rig) as opened:
+        opened.stop()
+        opened.stop()
+        opened.close()
+        opened.close()
+        opened.stop()
+        with pytest.raises(LinkError):
+            opened.status()
+    with open_rig(rig) as opened:
+        opened.status()
+
+
+def test_a_port_in_use_is_refused_by_name_in_this_process_and_in_another(peer):
+    rig, simulator = peer
+    with open_rig(rig):
+        with pytest.raises(LinkError, match=f"{simulator.port}: in use"), open_rig(rig):
+            pass
+        code = (
+            "import sys\nfrom irodori.rig.serial_link import SerialLink\nfrom irodori.rig.devices import LinkError\n"
+            "try:\n    SerialLink(sys.argv[1])\nexcept LinkError as error:\n    print(error)\n"
+        )
+        run = subprocess.run(
+            [sys.executable, "-c", code, simulator.port], capture_output=True, text=True, timeout=60, check=True
+        )
+        assert f"{simulator.port}: in use" in run.stdout
+    with open_rig(rig):
+        pass
+
+
+def test_the_time_of_a_move_is_that_of_its_slowest_axis(opened):
+    start, target = {"camera_deg": 0.0, "turn_deg": 0.0}, {"camera_deg": 140.0, "turn_deg": 30.0}
+    assert opened.travel_s(start, target) == pytest.approx(140.0 / 20.0 + 0.2, abs=0.01)
+    assert opened.travel_s(start, start) == 0.0
+
+
+def test_a_simulator_ends_with_the_process_that_started_it(tmp_path):
+    code = (
+        "import time, sys\nsys.path.insert(0, 'tests/rig')\nfrom motion_rigs import *\n"
+        "with start_simulator(definition('grbl')) as s:\n    print(s.process.pid, flush=True)\n    time.sleep(60)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
+        pid = int(parent.stdout.readline())
+        os.kill(pid, 0)
+        parent.kill()
+        parent.wait()
+        end = time.monotonic() + 10.0
+        while _alive(pid):
+            assert time.monotonic() < end, "the simulator outlives its parent"
+            time.sleep(0.02)
+
+
+def _alive(pid: int) -> bool:
+    """Return whether a process runs; one that nobody has waited for yet does not."""
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
