@@ -151,11 +151,12 @@ class GphotoLine:
         if self._camera is not None:
             return
         gp = self.gp
-        models, ports = gp.CameraAbilitiesList(), gp.PortInfoList()
+        models = gp.CameraAbilitiesList()
         models.load()
-        ports.load()
         abilities = models.get_abilities(self._index_in(models))
         port = self.port or self._find_port()
+        ports = gp.PortInfoList()
+        ports.load()
         self._camera = gp.Camera()
         try:
             self._camera.set_abilities(abilities)

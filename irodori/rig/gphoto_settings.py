@@ -74,7 +74,9 @@ def offer(setting: str, wanted: float | str, choices: Iterable[str]) -> str:
     if setting in NUMERIC:
         near = _nearest_number(float(wanted), choices)
     else:
-        near = next(iter(difflib.get_close_matches(str(wanted), choices, n=1, cutoff=0.3)), None)
+        folded = {choice.casefold(): choice for choice in choices}
+        close = difflib.get_close_matches(str(wanted).casefold(), folded, n=1, cutoff=0.3)
+        near = folded[close[0]] if close else None
     listed = f"on offer: {', '.join(choices) or 'nothing'}"
     return f"nearest {near}; {listed}" if near is not None else listed
 
