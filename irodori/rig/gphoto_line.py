@@ -160,7 +160,10 @@ class GphotoLine:
         self._camera = gp.Camera()
         try:
             self._camera.set_abilities(abilities)
-            self._camera.set_port_info(ports.get_info(ports.lookup_path(port)))
+            try:
+                self._camera.set_port_info(ports.get_info(ports.lookup_path(port)))
+            except gp.GPhoto2Error as error:
+                raise _AbsentError(f"{self.model}: no camera at {port}; gphoto2 says {error}") from error
             self.ask(end, "init")
             self.names = frozenset(_leaves(self.ask(end, "get_config")))
         except BaseException:
@@ -196,9 +199,9 @@ class GphotoLine:
                 f"run `gio mount -s gphoto2` or close that program (gphoto2 says {error})"
             ) from error
         absent = (self.gp.GP_ERROR_MODEL_NOT_FOUND, self.gp.GP_ERROR_IO_USB_FIND)
-        if error.code == self.gp.GP_ERROR_UNKNOWN_PORT or (error.code in absent and not self._was_open):
+        if error.code in absent and not self._was_open:
             place = self.port or "the cable"
-            raise LinkError(f"{self.model}: no such camera at {place}; gphoto2 says {error}") from error
+            raise LinkError(f"{self.model}: no camera at {place}; gphoto2 says {error}") from error
         if not self.is_loss(error):
             raise CommandError(f"{self.model}: gphoto2 says {error}") from error
 

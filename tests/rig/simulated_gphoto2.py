@@ -270,12 +270,14 @@ def make_module(bench: Bench) -> types.ModuleType:
             self._model = abilities.model
 
         def set_port_info(self, info):
+            if info not in [port for _, port in bench.seen]:
+                raise fault("GP_ERROR_BAD_PARAMETERS")
             self._port = info
 
         def init(self):
             bench.call("init")
             if (self._model, self._port) not in bench.seen:
-                raise fault("GP_ERROR_IO_USB_FIND")
+                raise fault("GP_ERROR_MODEL_NOT_FOUND")
             if bench.held:
                 raise fault("GP_ERROR_IO_USB_CLAIM")
             self.is_open = True

@@ -300,14 +300,17 @@ def test_a_camera_unplugged_in_mid_exposure_and_back_at_another_port_finishes(be
     assert (tmp_path / "a.cr2").read_bytes() == RAW and len(bench.releases) == 2
 
 
-def test_a_camera_unplugged_for_good_is_reported_and_leaves_nothing(bench, tmp_path):
+@pytest.mark.parametrize(
+    ("port", "said"), [(None, "not found, is it switched on"), ("usb:001,004", "no camera at usb")]
+)
+def test_a_camera_unplugged_for_good_is_reported_and_leaves_nothing(bench, tmp_path, port, said):
     def unplug():
         bench.seen = []
         raise fault("GP_ERROR_IO")
 
-    with opened(bench) as camera:
+    with opened(bench, port=port) as camera:
         bench.script["wait_for_event"] = [None, unplug]
-        with pytest.raises(LinkError, match=r"not found, is it switched on .*\(tried 4 times\)"):
+        with pytest.raises(LinkError, match=rf"{said}.*\(tried 4 times\)"):
             camera.capture(shot(0.02), tmp_path / "a.cr2")
     assert list(tmp_path.iterdir()) == [] and bench.held == 0
 
@@ -350,8 +353,9 @@ def test_a_camera_that_fails_while_it_is_opened_is_let_go(bench, call):
         ([], {}, "not found.*sees no camera"),
         ([("Canon EOS 5D", "usb:001,002")], {}, "not found.*Canon EOS 5D at usb:001,002"),
         ([(MODEL, "usb:001,004"), (MODEL, "usb:001,005")], {}, "usb:001,004, usb:001,005; name one as driver.port"),
-        ([(MODEL, "usb:001,004")], {"port": "usb:001,005"}, "no such camera at usb:001,005"),
-        ([(MODEL, "usb:001,004")], {"port": "serial:/dev/ttyS9"}, "no such camera at serial:/dev/ttyS9"),
+        ([(MODEL, "usb:001,004")], {"port": "usb:001,005"}, "no camera at usb:001,005"),
+        ([("Canon EOS 5D", "usb:001,005")], {"port": "usb:001,005"}, r"no camera at usb:001,005; .*\[-105\]"),
+        ([(MODEL, "usb:001,004")], {"port": "serial:/dev/ttyS9"}, "no camera at serial:/dev/ttyS9"),
         ([(MODEL, "usb:001,004")], {"model": "Canon EOS 40D"}, r"no camera 'Canon EOS 40D'; .*Canon EOS 40D \(PTP"),
     ],
 )  # fmt: skip
