@@ -155,21 +155,28 @@ class GphotoLine:
         models.load()
         abilities = models.get_abilities(self._index_in(models))
         port = self.port or self._find_port()
-        ports = gp.PortInfoList()
-        ports.load()
         self._camera = gp.Camera()
         try:
             self._camera.set_abilities(abilities)
-            try:
-                self._camera.set_port_info(ports.get_info(ports.lookup_path(port)))
-            except gp.GPhoto2Error as error:
-                raise _AbsentError(f"{self.model}: no camera at {port}; gphoto2 says {error}") from error
-            self.ask(end, "init")
+            self._init_at(port, end)
             self.names = frozenset(_leaves(self.ask(end, "get_config")))
         except BaseException:
             self.let_go()
             raise
         self._was_open = True
+
+    def _init_at(self, port: str, end: float) -> None:
+        gp, ports = self.gp, self.gp.PortInfoList()
+        # What libgphoto2 says of a port where nothing stands, or something else.
+        absent = (gp.GP_ERROR_UNKNOWN_PORT, gp.GP_ERROR_BAD_PARAMETERS, gp.GP_ERROR_MODEL_NOT_FOUND)
+        try:
+            ports.load()
+            self._camera.set_port_info(ports.get_info(ports.lookup_path(port)))
+            self.ask(end, "init")
+        except gp.GPhoto2Error as error:
+            if error.code not in (*absent, gp.GP_ERROR_IO_USB_FIND):
+                raise
+            raise _AbsentError(f"{self.model}: no such camera at {port}; gphoto2 says {error}") from error
 
     def _index_in(self, models) -> int:
         try:
@@ -198,10 +205,6 @@ class GphotoLine:
                 f"{self.model}: another program holds the camera, on a desktop most often the file manager's gvfs; "
                 f"run `gio mount -s gphoto2` or close that program (gphoto2 says {error})"
             ) from error
-        absent = (self.gp.GP_ERROR_MODEL_NOT_FOUND, self.gp.GP_ERROR_IO_USB_FIND)
-        if error.code in absent and not self._was_open:
-            place = self.port or "the cable"
-            raise LinkError(f"{self.model}: no camera at {place}; gphoto2 says {error}") from error
         if not self.is_loss(error):
             raise CommandError(f"{self.model}: gphoto2 says {error}") from error
 

@@ -270,12 +270,12 @@ def make_module(bench: Bench) -> types.ModuleType:
             self._model = abilities.model
 
         def set_port_info(self, info):
-            if info not in [port for _, port in bench.seen]:
-                raise fault("GP_ERROR_BAD_PARAMETERS")
             self._port = info
 
         def init(self):
             bench.call("init")
+            if self._port not in [port for _, port in bench.seen]:
+                raise fault("GP_ERROR_BAD_PARAMETERS")
             if (self._model, self._port) not in bench.seen:
                 raise fault("GP_ERROR_MODEL_NOT_FOUND")
             if bench.held:

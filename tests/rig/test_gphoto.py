@@ -301,7 +301,7 @@ def test_a_camera_unplugged_in_mid_exposure_and_back_at_another_port_finishes(be
 
 
 @pytest.mark.parametrize(
-    ("port", "said"), [(None, "not found, is it switched on"), ("usb:001,004", "no camera at usb")]
+    ("port", "said"), [(None, "not found, is it switched on"), ("usb:001,004", "no such camera at usb")]
 )
 def test_a_camera_unplugged_for_good_is_reported_and_leaves_nothing(bench, tmp_path, port, said):
     def unplug():
@@ -353,9 +353,9 @@ def test_a_camera_that_fails_while_it_is_opened_is_let_go(bench, call):
         ([], {}, "not found.*sees no camera"),
         ([("Canon EOS 5D", "usb:001,002")], {}, "not found.*Canon EOS 5D at usb:001,002"),
         ([(MODEL, "usb:001,004"), (MODEL, "usb:001,005")], {}, "usb:001,004, usb:001,005; name one as driver.port"),
-        ([(MODEL, "usb:001,004")], {"port": "usb:001,005"}, "no camera at usb:001,005"),
-        ([("Canon EOS 5D", "usb:001,005")], {"port": "usb:001,005"}, r"no camera at usb:001,005; .*\[-105\]"),
-        ([(MODEL, "usb:001,004")], {"port": "serial:/dev/ttyS9"}, "no camera at serial:/dev/ttyS9"),
+        ([(MODEL, "usb:001,004")], {"port": "usb:001,005"}, "no such camera at usb:001,005"),
+        ([("Canon EOS 5D", "usb:001,005")], {"port": "usb:001,005"}, r"no such camera at usb:001,005; .*\[-105\]"),
+        ([(MODEL, "usb:001,004")], {"port": "serial:/dev/ttyS9"}, "no such camera at serial:/dev/ttyS9"),
         ([(MODEL, "usb:001,004")], {"model": "Canon EOS 40D"}, r"no camera 'Canon EOS 40D'; .*Canon EOS 40D \(PTP"),
     ],
 )  # fmt: skip
