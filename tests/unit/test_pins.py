@@ -44,7 +44,8 @@ def test_every_third_party_import_of_the_package_is_pinned():
 
     modules = {"OpenImageIO": "OpenImageIO", "PIL": "pillow", "yaml": "PyYAML", "colour": "colour-science",
                "serial": "pyserial"}  # fmt: skip
-    pinned = {name.lower() for name in pins(ROOT / "requirements.txt")} | {"llvmlite"}  # numba brings llvmlite
+    files = ("requirements.txt", "requirements-rig.txt")
+    pinned = {name.lower() for file in files for name in pins(ROOT / file)} | {"llvmlite"}  # numba brings llvmlite
     for path in (ROOT / "irodori").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             names = []
