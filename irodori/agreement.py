@@ -102,6 +102,8 @@ class _Checks:
                 found = f"{limit['min']:g}, above max {limit['max']:g}"
                 raise InputError(file, f"limits.{axis}.min", found, "a smallest angle below the largest")
         check_motion(rig, file)
+        if rig["operator"] == "auto" and rig["kind"] != "virtual":
+            raise InputError(file, "operator", "auto, for which a virtual rig alone has hands", "prompt or file")
         check_spectra(rig, (), self.root, file)
 
     def camera(self, name: str) -> None:

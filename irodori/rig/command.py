@@ -1,5 +1,7 @@
 """Commands for the person at the bench.
 
+::
+
     python -m irodori.rig status RIG
     python -m irodori.rig move RIG camera_deg=30 turn_deg=90
     python -m irodori.rig plan OBJECT --best 12
@@ -72,7 +74,7 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("plan", _plan, "Print the photographs of an object or a camera in their order, and what they take.")
     _add_subject(sub)
     sub.add_argument("--best", type=int, metavar="K", help="choose the K poses that tell most about an object instead")
-    _add_subject(command("capture", _capture, "Hold a session, or continue one: take the photographs that are missing."))
+    _add_subject(command("capture", _capture, "Hold a session, or continue one: take what is missing."))
     return parser
 
 
@@ -101,7 +103,8 @@ def _rig(name: str):
 
 def _print_status(rig: Rig) -> None:
     status = rig.status()
-    print(f"state {status.state}, {'homed' if status.homed else 'not homed'}{', ' * bool(status.message)}{status.message}")
+    words = [f"state {status.state}", "homed" if status.homed else "not homed", status.message]
+    print(", ".join(filter(None, words)))
     for name, angle in status.position_deg.items():
         axis = rig.axes[name]
         print(f"{name} {angle:.3f} ({axis.min_deg:g} to {axis.max_deg:g}, {axis.speed_deg_per_s:g} degrees/s)")

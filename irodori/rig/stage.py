@@ -138,7 +138,8 @@ def photograph(
         _start_over_if_changed(Path(target.table), provenance)
     journal = Journal(target.table, target.folder)
     missing = journal.missing(planned)
-    LOGGER.info("%s: %d of %d photographs to take; %s", target.name, len(missing), len(planned), estimate_s(missing, target.axes()))
+    needs = estimate_s(missing, target.axes())
+    LOGGER.info("%s: %d of %d photographs to take; %s", target.name, len(missing), len(planned), needs)
     with _equipment(target, planned, subject, on_rig) as (rig, camera, operator):
         if rig is not None and not rig.status().homed:
             rig.home()
