@@ -130,18 +130,23 @@ class Subject:
     def unobstructed(self, poses: list[Pose]) -> np.ndarray:
         """Return whether neither object nor table stands between a texel and the light or the camera, (poses, t)."""
         out = np.empty((len(poses), len(self.position)), dtype=bool)
-        tracers: dict[tuple, tuple] = {}
+        groups: dict[tuple, list[int]] = {}
         for index, pose in enumerate(poses):
-            key = (pose.tilt_deg, pose.turn_deg)
-            if key not in tracers:
-                rotation = rig_from_object(pose)
-                start = (self.position + _OFFSET_MM * self.normal) @ rotation.T
-                tracers[key] = Tracer(on_table(self.shape, rotation, self.table_radius_mm)), start
-            tracer, start = tracers[key]
-            view = self.camera_distance_mm * to_camera(pose) - start
-            distance = np.linalg.norm(view, axis=1)
-            hidden = tracer.occluded(start, view / distance[:, None], far=distance)
-            out[index] = ~hidden & ~tracer.occluded(start, np.broadcast_to(to_light(pose), start.shape))
+            groups.setdefault((pose.tilt_deg, pose.turn_deg), []).append(index)
+        for group in groups.values():
+            rotation = rig_from_object(poses[group[0]])
+            tracer = Tracer(on_table(self.shape, rotation, self.table_radius_mm))
+            start = (self.position + _OFFSET_MM * self.normal) @ rotation.T
+            light = np.array([to_light(poses[index]) for index in group])[:, None]
+            view = self.camera_distance_mm * np.array([to_camera(poses[index]) for index in group])[:, None] - start
+            distance = np.linalg.norm(view, axis=-1)
+            start, light = np.broadcast_to(start, view.shape), np.broadcast_to(light, view.shape)
+            # One call for all rays: waking the threads for a handful of rays costs more than the rays.
+            hidden = tracer.occluded(
+                start.reshape(-1, 3), (view / distance[..., None]).reshape(-1, 3), far=distance.reshape(-1)
+            )
+            hidden |= tracer.occluded(start.reshape(-1, 3), light.reshape(-1, 3))
+            out[group] = ~hidden.reshape(distance.shape)
         return out
 
 
@@ -217,7 +222,7 @@ def observe(subject: Subject, poses: list[Pose], materials: Materials, noise: No
     return out
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True)
 def _rough(alpha, beta, mu, cosine, gloss, phi):
     """Return the gloss and the sum of the rough terms of equation (5)."""
     ratio = phi / mu

@@ -11,7 +11,7 @@ from irodori.captures import Pose
 from irodori.geometry.frames import to_camera, to_light
 from irodori.geometry.shapes import PLATE, Shape
 from irodori.rig.information import PARAMETERS, Materials, Noise, Observations, Subject, observe, standard_errors
-from irodori.rig.selection import Selection
+from irodori.rig.selection import choose
 from irodori.spectra import refractive_index_at
 
 AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
@@ -20,9 +20,11 @@ COARSE_DEG = {"light_deg": 5.0, "camera_deg": 2.0, "tilt_deg": 15.0, "turn_deg":
 #: A sphere shows all its normals at once: neighbouring poses differ little, and there are turns to try.
 SPHERE_COARSE_DEG = {"light_deg": 15.0, "camera_deg": 10.0, "tilt_deg": 15.0, "turn_deg": 45.0}
 _SPHERE_TEXELS = 64
-_FLAT_MATERIALS, _SPHERE_MATERIALS = 64, 16
+_FLAT_MATERIALS, _SPHERE_MATERIALS = 40, 16
 _PRIOR_RELATIVE_ERROR = 1.0  # of each parameter before any photograph: known to a factor of e
 _TOLERANCE_DEG = 1e-6
+#: Relative standard errors from which on the fit states β and μ as not known.
+KNOWN_RELATIVE_ERROR = {"beta": 0.3, "mu": 0.2}
 
 
 @dataclass(frozen=True)
@@ -80,10 +82,11 @@ class Plan:
     poses : list of Pose
         In the order of their manual steps: by light angle and tilt, then turn, then camera angle.
     expected : dict
-        Parameter -> (median, 95th percentile) of the standard error over the cases of the range that are seen in
-        enough poses: ``alpha`` absolute, ``beta`` and ``mu`` relative. Infinite where a case is not determined.
-    seen_fraction : float
-        Cases (materials on texels) with more observations than parameters; the underside of a sphere has none.
+        Parameter -> (median, 95th percentile) of the standard error over the determined cases of the range: ``alpha``
+        absolute, ``beta`` and ``mu`` relative.
+    determined_fraction : float
+        Cases (materials on texels) whose β and μ a fit would state as known, see KNOWN_RELATIVE_ERROR; of a sphere's
+        texels few are seen in enough poses, and its underside in none.
     candidates : int
         Poses that were open to choice.
     manual_settings : int
@@ -92,7 +95,7 @@ class Plan:
 
     poses: list[Pose]
     expected: dict[str, tuple[float, float]]
-    seen_fraction: float
+    determined_fraction: float
     candidates: int
     manual_settings: int
 
@@ -108,11 +111,14 @@ class Plan:
         for name, (median, p95) in self.expected.items():
             kind = "absolute" if name == "alpha" else "relative"
             out.append(f"expected standard error of {name}, {kind}: median {median:.2g}, 95th percentile {p95:.2g}")
-        return [*out, f"{self.seen_fraction:.0%} of cases seen in more than three poses"]
+        return [*out, f"{self.determined_fraction:.0%} of materials and texels determined"]
 
 
 def subject_of(definition: dict, rig: dict) -> Subject:
-    """Return the texels that stand for an object: the centre of a plate; points all around a sphere.
+    """Return the texels that stand for an object: centre and corners of a plate; points all around a sphere.
+
+    A plate has one normal, but the camera is near: its corners are seen up to some degrees apart, and what is good for
+    the centre alone may lie beyond the largest angle for them.
 
     Parameters
     ----------
@@ -123,8 +129,9 @@ def subject_of(definition: dict, rig: dict) -> Subject:
     """
     shape = Shape.from_definition(definition["shape"])
     if shape.kind == PLATE:
-        normal = np.array([[0.0, 0.0, 1.0]])
-        position = np.zeros((1, 3))
+        signs = np.array([[0, 0, 0], [-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
+        position = signs * [shape.size_mm[0] / 2, shape.size_mm[1] / 2, 0.0]
+        normal = np.tile([0.0, 0.0, 1.0], (len(position), 1))
     else:
         index = np.arange(_SPHERE_TEXELS) + 0.5
         z, azimuth = 1.0 - 2.0 * index / _SPHERE_TEXELS, np.pi * (1.0 + math.sqrt(5.0)) * index
@@ -176,6 +183,16 @@ def candidate_poses(limits: Mapping[str, Mapping], coarse_deg: Mapping[str, floa
         (a, b) for a in light for b in camera if float(to_light(Pose(a, b)) @ to_camera(Pose(a, b))) <= away
     ]
     return [Pose(float(a), float(b), float(c), float(d)) for a, b in free for c in tilt for d in turn]
+
+
+def open_poses(
+    shape: Shape, limits: Mapping[str, Mapping], clearance_deg: float = 5.0, coarse_deg: Mapping | None = None
+) -> list[Pose]:
+    """Return the candidates for a shape: `candidate_poses` on its default grid; a plate's table does not turn."""
+    if shape.kind != PLATE:
+        return candidate_poses(limits, coarse_deg or SPHERE_COARSE_DEG, clearance_deg)
+    still = {**limits["turn_deg"], "max": limits["turn_deg"]["min"]}
+    return candidate_poses({**limits, "turn_deg": still}, coarse_deg or COARSE_DEG, clearance_deg)
 
 
 def default_noise(rig: dict, sensor: dict | None = None, exposures_s=()) -> Noise:
@@ -249,23 +266,22 @@ def plan_best(
     if max_manual < 1:
         raise ValueError(f"{max_manual} manual settings; accepted: 1 or more")
     subject = subject_of(definition, rig)
-    flat = len(subject.normal) == 1
-    limits = {**rig["limits"], **({"turn_deg": _still(rig["limits"]["turn_deg"])} if flat else {})}
-    poses = candidate_poses(limits, coarse_deg or (COARSE_DEG if flat else SPHERE_COARSE_DEG), clearance_deg)
+    flat = subject.shape.kind == PLATE
+    poses = open_poses(subject.shape, rig["limits"], clearance_deg, coarse_deg)
     expected_range = materials or MaterialRange.from_definition(definition)
     sample = expected_range.spread(_FLAT_MATERIALS if flat else _SPHERE_MATERIALS)
     seen = observe(subject, poses, sample, noise or default_noise(rig), max_angle_deg)
     useful = np.flatnonzero(np.isfinite(seen.variance).any(axis=1))
     setting = np.unique([_hand(pose) for pose in poses], axis=0, return_inverse=True)[1].reshape(-1)
-    prior = np.eye(PARAMETERS) / _PRIOR_RELATIVE_ERROR**2
-    selection = Selection(seen.scaled()[useful], prior, setting[useful], max_manual, criterion)
-    order = sorted(useful[selection.choose(count)], key=lambda i: (*_hand(poses[i]), poses[i].turn_deg, i))
+    prior = _PRIOR_RELATIVE_ERROR**-2
+    chosen = useful[choose(seen.of(useful), prior, setting[useful], count, max_manual, criterion)]
+    order = sorted(chosen, key=lambda i: (*_hand(poses[i]), poses[i].turn_deg, i))
     expected, fraction = expected_errors(seen.of(order), sample)
     return Plan([poses[i] for i in order], expected, fraction, len(useful), len(set(setting[order])))
 
 
 def expected_errors(seen: Observations, materials: Materials) -> tuple[dict[str, tuple[float, float]], float]:
-    """Return median and 95th percentile of the standard errors of a fit, and the share of cases seen often enough.
+    """Return median and 95th percentile of the standard errors of a fit, and the share of cases that are determined.
 
     Parameters
     ----------
@@ -277,25 +293,19 @@ def expected_errors(seen: Observations, materials: Materials) -> tuple[dict[str,
     Returns
     -------
     expected : dict
-        As in `Plan`; infinite where no case is seen often enough.
-    seen_fraction : float
+        As in `Plan`; NaN where no case is determined.
+    determined_fraction : float
     """
     errors = standard_errors(seen)
-    errors[:, 0] *= np.tile(materials.alpha, len(errors) // len(materials.alpha))
-    often = np.isfinite(seen.variance).sum(axis=0) > PARAMETERS
-    if not often.any():
-        return dict.fromkeys(("alpha", "beta", "mu"), (math.inf, math.inf)), 0.0
-    # A percentile that is one of the values: between a finite and an infinite one there is no mean.
-    quantiles = np.percentile(errors[often], [50, 95], axis=0, method="inverted_cdf")
+    known = (errors[:, 1] < KNOWN_RELATIVE_ERROR["beta"]) & (errors[:, 2] < KNOWN_RELATIVE_ERROR["mu"])
     names = ("alpha", "beta", "mu")
-    return {name: tuple(map(float, quantiles[:, i])) for i, name in enumerate(names)}, float(often.mean())
+    if not known.any():
+        return dict.fromkeys(names, (math.nan, math.nan)), 0.0
+    errors[:, 0] *= np.tile(materials.alpha, len(errors) // len(materials.alpha))
+    quantiles = np.percentile(errors[known], [50, 95], axis=0)
+    return {name: tuple(map(float, quantiles[:, i])) for i, name in enumerate(names)}, float(known.mean())
 
 
 def _hand(pose: Pose) -> tuple[float, float]:
     """Return what a person sets for a pose: light angle and tilt, degrees."""
     return pose.light_deg, pose.tilt_deg
-
-
-def _still(limit: Mapping[str, float]) -> dict[str, float]:
-    """Return the limit of an axis that stays at its smallest angle: a flat sample gains nothing by turning."""
-    return {**limit, "max": limit["min"]}
