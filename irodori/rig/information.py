@@ -257,9 +257,7 @@ def _fill_pose(cosine, gloss, phi, seen, parameters, spread, jacobian, variance,
 @numba.njit(cache=True, parallel=True, nogil=True)
 def _fill(cosine, gloss, phi, seen, parameters, spread, jacobian, variance, response):
     for p in numba.prange(seen.shape[0]):
-        _fill_pose(
-            cosine[p], gloss[p], phi[p], seen[p], parameters, spread, jacobian[p], variance[p], response[p]
-        )
+        _fill_pose(cosine[p], gloss[p], phi[p], seen[p], parameters, spread, jacobian[p], variance[p], response[p])
 
 
 def information(observations: Observations) -> np.ndarray:

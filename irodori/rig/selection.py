@@ -26,6 +26,10 @@ _MAX_PASSES = 20
 _SINGULAR = 1e-10  # determinant over the product of the diagonal
 
 
+class TooFewPoses(ValueError):
+    """The rig has fewer poses than a design wants."""
+
+
 @numba.njit(cache=True)
 def _adjugate(a):
     """Return determinant and adjugate of a symmetric matrix; six numbers 00, 01, 02, 11, 12, 22."""
@@ -197,8 +201,8 @@ class Selection:
         if len(used) >= self.max_manual:
             allowed &= np.isin(self.setting, used)
         if not allowed.any():
-            raise ValueError(
-                f"more than {len(chosen)} poses in {self.max_manual} manual settings; accepted: no more than the rig has"
+            raise TooFewPoses(
+                f"more than {len(chosen)} poses in {self.max_manual} manual settings; accepted: as many as the rig has"
             )
         out = np.empty(len(self.variance))
         state = self._state(chosen)
@@ -248,7 +252,9 @@ def choose(seen: Observations, prior: float, setting, count: int, max_manual: in
     Raises
     ------
     ValueError
-        For an unknown criterion, or if there are fewer candidates than `count` within `max_manual` settings.
+        For an unknown criterion.
+    TooFewPoses
+        If there are fewer candidates than `count` within `max_manual` settings.
     """
     selection = Selection(seen, prior, setting, max_manual, criterion)
     if not selection.of_fit:
