@@ -154,6 +154,10 @@ class _Checks:
                 found = f"no such file: {index}"
                 raise InputError(file, "refractive_index.file", found, "a CSV of wavelength_nm, n, k")
             index_table(self.root / index)
+        for key in ("alpha", "beta", "mu_rad"):
+            low, high = definition["plan"][key]
+            if low > high:
+                raise InputError(file, f"plan.{key}", f"[{low:g}, {high:g}]", "the smaller value first")
         check_spectra(definition, (), self.root, file)
 
     def scene(self, name: str) -> None:

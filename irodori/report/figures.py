@@ -90,3 +90,33 @@ def spectra_figure(material: Material, truth: Material) -> str:
     axes.set_ylabel("reflectance factor")
     axes.set_title("true (solid) and recovered (dashed)", fontsize=9)
     return _finish(figure)
+
+
+def planning_figure(rows) -> str:
+    """Return the error of each parameter against the number of poses, a line a design.
+
+    Parameters
+    ----------
+    rows : list of irodori.report.planning.PlanRow
+        Of one object. Solid lines are medians, dashed ones 95th percentiles.
+    """
+    labels = {"alpha": "|Δα|", "beta": "|Δβ| / β", "mu": "|Δμ| / μ"}
+    figure, axes = plt.subplots(1, 4, figsize=(13, 3.6), layout="constrained")
+    designs = list(dict.fromkeys(row.design for row in rows))
+    for number, design in enumerate(designs):
+        colour = f"C{number}"
+        for ax, parameter in zip(axes, labels, strict=False):
+            own = [row for row in rows if row.design == design and row.parameter == parameter]
+            count = [row.poses for row in own]
+            ax.plot(count, [row.median for row in own], "o-", ms=3, color=colour, label=design)
+            ax.plot(count, [row.p95 for row in own], "--", lw=1, color=colour)
+        # β and μ are stated together: the last of `own` is μ.
+        axes[3].plot(count, [row.identified_fraction for row in own], "o-", ms=3, color=colour, label=design)
+    for ax, label in zip(axes, labels.values(), strict=False):
+        ax.set_yscale("log")
+        ax.set_title(f"{label}: median (solid), 95th percentile (dashed)", fontsize=8)
+    axes[3].set_title("fits that state β and μ", fontsize=8)
+    axes[3].legend(fontsize=7)
+    for ax in axes:
+        ax.set_xlabel("poses")
+    return _finish(figure)

@@ -11,7 +11,8 @@ import numpy as np
 from irodori import store
 from irodori.material import Material
 from irodori.report.errors import read_errors
-from irodori.report.figures import data_uri, material_figure, spectra_figure
+from irodori.report.figures import data_uri, material_figure, planning_figure, spectra_figure
+from irodori.report.planning import PlanRow, read_plan
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1180px; margin: 2rem auto; padding: 0 1rem; color: #222 }
@@ -37,7 +38,7 @@ def figure(uri: str, caption: str, width: int | None = None) -> str:
     return f'<figure><img src="{uri}" alt="{text}"{size}><figcaption>{text}</figcaption></figure>'
 
 
-def _number(text: str) -> str:
+def _number(text: str | float) -> str:
     value = float(text)
     return "–" if np.isnan(value) else f"{value:.4g}"
 
@@ -126,13 +127,35 @@ def _calibration_section(cameras: list[str], tables: list) -> str:
     return "".join(parts)
 
 
+def _planning_section(rows: list[PlanRow]) -> str:
+    if not rows:
+        return ""
+    parts = [
+        "<h2>Poses</h2><p>Simulated photographs of random materials, fitted: poses that the planner chose, and others "
+        "of the same number. Errors are those of the fits that state the parameter; their share stands beside them.</p>"
+    ]
+    header = ["poses", "design", "parameter", "median", "p95", "fits that state it", "expected standard error"]
+    for name in dict.fromkeys(row.object for row in rows):
+        own = [row for row in rows if row.object == name]
+        lines = [
+            [r.poses, r.design, r.parameter, *(_number(v) for v in (r.median, r.p95)), f"{r.identified_fraction:.1%}",
+             _number(r.expected_standard_error)]
+            for r in own
+        ]  # fmt: skip
+        parts.append(f"<h3>{html.escape(name)}</h3>")
+        parts.append(figure(planning_figure(own), f"{name}: fit error against the number of poses"))
+        parts.append(f"<details><summary>as a table</summary>{table(header, lines)}</details>")
+    return "".join(parts)
+
+
 def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
     """Write ``report.html``.
 
     Parameters
     ----------
     inputs : dict
-        Files: errors; lists of materials, true_materials, calibration_errors, pictures, figures, true_pictures.
+        Files: errors, planning; lists of materials, true_materials, calibration_errors, pictures, figures,
+        true_pictures.
     names : dict
         objects, virtual_objects, cameras, views, virtual_views, in the order of the files.
     benchmarks : path
@@ -146,6 +169,7 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
         _views_section(names["views"], inputs["pictures"], inputs["figures"], true_views),
         _errors_section(read_errors(inputs["errors"])),
         _objects_section(names["objects"], inputs["materials"], true_objects),
+        _planning_section(read_plan(inputs["planning"])),
         _calibration_section(names["cameras"], inputs["calibration_errors"]),
         _time_section(benchmarks),
     ]

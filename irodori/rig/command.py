@@ -23,7 +23,6 @@ from irodori.provenance import code_hash, config_hash
 from irodori.rig.connect import open_rig
 from irodori.rig.devices import DeviceError, LimitError, Rig
 from irodori.rig.gphoto import GphotoCamera
-from irodori.rig.order import estimate_s
 from irodori.rig.plan import camera_shots, object_shots
 from irodori.rig.planner import plan_best
 from irodori.rig.session import verify
@@ -180,7 +179,11 @@ def _plan(options) -> None:
     if options.best is not None:
         if definition is None:
             raise InputError("--best", "", "a camera", "an object: a camera's own photographs need no choice of poses")
-        _print_best(options.best, target, definition)
+        try:
+            best = plan_best(definition, target.rig, options.best)
+        except ValueError as error:
+            raise InputError("--best", "", str(options.best), str(error)) from None
+        print("\n".join(best.lines()))
         return
     shots = camera_shots(target.camera, target.suffix) if definition is None else None
     shots = shots if shots is not None else object_shots(definition, target.camera, target.suffix)
@@ -188,7 +191,7 @@ def _plan(options) -> None:
     for shot in planned:
         angles = " ".join(f"{name.removesuffix('_deg')} {value:g}" for name, value in vars(shot.pose).items())
         print(f"{shot.role} {angles} filter {shot.filter} {shot.exposure_s:g} s  {shot.file}")
-    print(estimate_s(planned, target.axes()))
+    print(target.estimate(planned))
 
 
 def _capture(options) -> None:

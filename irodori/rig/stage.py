@@ -16,7 +16,7 @@ from irodori.rig.drives import drives_of
 from irodori.rig.gphoto import RAW_SUFFIXES, GphotoCamera
 from irodori.rig.journal import Journal
 from irodori.rig.operator import AutoOperator, Operator, Step, make_operator
-from irodori.rig.order import estimate_s, order_shots
+from irodori.rig.order import Estimate, estimate_s, order_shots
 from irodori.rig.plan import camera_shots, environment_shots, object_shots
 from irodori.rig.session import Session
 from irodori.rig.virtual.bench import Bench
@@ -25,6 +25,8 @@ from irodori.store import Provenance
 
 #: What a hand step costs against travel when photographs are ordered; the virtual rig's hands are quick.
 _STEP_S = {"prompt": 30.0, "file": 30.0, "auto": 0.0}
+#: Time of a photograph beyond its exposure: mirror, read-out, the file over the cable, the check.
+_READ_OUT_S = 4.0
 #: Says from which definition a virtual session's photographs come; others would pass for them.
 _MADE_FROM = ".made-from"
 
@@ -73,7 +75,12 @@ class Target:
 
     def ordered(self, shots: Sequence[Shot]) -> list[Shot]:
         """Return photographs in the order in which they are taken."""
-        return order_shots(shots, self.axes(), manual_cost_s=_STEP_S[self.rig["operator"]])
+        return order_shots(shots, self.axes(), {}, _STEP_S[self.rig["operator"]])
+
+    def estimate(self, shots: Sequence[Shot]) -> Estimate:
+        """Return the time that photographs take in their order; nothing is known of where things stand."""
+        overhead_s = 0.0 if self.is_virtual else _READ_OUT_S
+        return estimate_s(shots, self.axes(), {}, _STEP_S[self.rig["operator"]], overhead_s)
 
 
 class _VirtualHands(Operator):
@@ -138,7 +145,7 @@ def photograph(
         _start_over_if_changed(Path(target.table), provenance)
     journal = Journal(target.table, target.folder)
     missing = journal.missing(planned)
-    needs = estimate_s(missing, target.axes())
+    needs = target.estimate(missing)
     LOGGER.info("%s: %d of %d photographs to take; %s", target.name, len(missing), len(planned), needs)
     with _equipment(target, planned, subject, on_rig) as (rig, camera, operator):
         if rig is not None and not rig.status().homed:

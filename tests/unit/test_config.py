@@ -143,6 +143,7 @@ def test_an_unknown_name_lists_the_existing_ones(root, file, path, value, named_
          "no such file: paints/red.csv", "published name"),
         (PLATE_FILE, "refractive_index", {"file": "gold.csv"}, "refractive_index.file", "no such file",
          "CSV"),
+        (PLATE_FILE, "plan", {"mu_rad": [0.3, 0.1]}, "plan.mu_rad", "[0.3, 0.1]", "smaller value first"),
         (CAMERA_FILE, "poses.chart.light_deg", 80.0, "poses.chart.light_deg", "the light at 80 degrees",
          "from 0 to below 80"),
         (CAMERA_FILE, "poses.white", {"light_deg": 35.0, "camera_deg": 0.0, "tilt_deg": 40.0},

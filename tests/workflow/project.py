@@ -32,7 +32,14 @@ def small_project(folder: Path) -> Path:
     """Copy the configuration and shrink it: a plate and a sphere at 16 x 16 texels, a small room and picture."""
     shutil.copytree(ROOT / "config", folder / "config")
     config = folder / "config"
-    edit(config / "config.yaml", {"rectify.tile_texels": 128, "environment.irradiance": {"width": 32, "height": 16}})
+    edit(
+        config / "config.yaml",
+        {
+            "rectify.tile_texels": 128,
+            "environment.irradiance": {"width": 32, "height": 16},
+            "report.planning": {"poses": [6, 12], "materials": 400},
+        },
+    )
     edit(config / "environments" / "classroom.yaml", {"image": {"width": 100, "height": 50}})
     # Texels of half a superpixel's size would see the seams between paints: four paints, four checks.
     edit(

@@ -12,7 +12,15 @@ from project import ROOT, edit, planned, snakemake
 from irodori.pictures import read_spectral_exr
 from irodori.store import open_file
 
-STAGES_AFTER_FIT = {"fit_brdf", "compress_reflectance", "render_view", "measure_errors", "write_report", "all"}
+STAGES_AFTER_FIT = {
+    "fit_brdf",
+    "compress_reflectance",
+    "render_view",
+    "measure_errors",
+    "measure_plan",
+    "write_report",
+    "all",
+}
 
 
 def errors(folder) -> dict[tuple[str, str, str], dict]:

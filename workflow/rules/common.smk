@@ -152,6 +152,29 @@ def photographed(wildcards):
     return {key: definition[key] for key in parts if key in definition}
 
 
+def plates(wildcards):
+    """Return what the simulation of poses needs to know of every plate."""
+    found = {}
+    for name, definition in config["objects"].items():
+        if definition["shape"]["kind"] != "plate":
+            continue
+        camera = config["cameras"][definition["camera"]]
+        exposures = definition.get("exposure_s", {"out": []})
+        found[name] = {
+            "definition": {key: definition[key] for key in ("shape", "refractive_index", "plan")},
+            "rig": config["rigs"][camera["rig"]],
+            "sensor": camera.get("virtual", {}).get("sensor"),
+            "exposures_s": exposures["out"],
+            "shots_per_pose": max(sum(map(len, exposures.values())), 1),
+        }
+    return found
+
+
+def tables_of_plates(wildcards):
+    """Return the tables of refractive indices of the plates."""
+    return named_tables(*(planned["definition"] for planned in plates(wildcards).values()))
+
+
 def tiles_of(wildcards):
     """Return the texture rows of every tile of an object."""
     texels = config["objects"][wildcards.object]["texels"]

@@ -72,9 +72,34 @@ rule measure_errors:
         "../scripts/measure_errors.py"
 
 
+rule measure_plan:
+    input:
+        tables=tables_of_plates,
+    output:
+        planning=report("results/planning.csv", caption="../report/planning.rst", category="Poses"),
+    log:
+        "results/logs/measure_plan/all.log",
+    benchmark:
+        "results/benchmarks/measure_plan/all.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 1000 * attempt,
+    params:
+        objects=plates,
+        fit=lookup(within=config, dpath="fit"),
+        max_angle_deg=lookup(within=config, dpath="rectify/max_angle_deg"),
+        planning=lookup(within=config, dpath="report/planning"),
+        code=code_hash("irodori.report.planning"),
+    script:
+        "../scripts/measure_plan.py"
+
+
 rule write_report:
     input:
         errors="results/errors.csv",
+        planning="results/planning.csv",
         materials=expand("results/{object}/material.h5", object=config["objects"]),
         true_materials=expand("results/{object}/truth.h5", object=virtual("objects")),
         calibration_errors=expand("results/cameras/{camera}/calibration_errors.csv", camera=config["cameras"]),

@@ -1,0 +1,317 @@
+"""The poses that tell most about α, β and μ of an object's expected materials, within what the rig can do."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from irodori.captures import Pose
+from irodori.geometry.frames import to_camera, to_light
+from irodori.geometry.shapes import PLATE, Shape
+from irodori.rig.information import PARAMETERS, Materials, Noise, Observations, Subject, observe, standard_errors
+from irodori.rig.selection import TooFewPoses, choose
+from irodori.spectra import refractive_index_at
+
+AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
+#: Largest distance between candidates along each axis, degrees; the rig's own step where that is larger.
+COARSE_DEG = {"light_deg": 5.0, "camera_deg": 2.0, "tilt_deg": 15.0, "turn_deg": 45.0}
+#: A sphere shows all its normals at once: neighbouring poses differ little, and there are turns to try.
+SPHERE_COARSE_DEG = {"light_deg": 15.0, "camera_deg": 10.0, "tilt_deg": 15.0, "turn_deg": 45.0}
+_SPHERE_TEXELS = 64
+_FLAT_MATERIALS, _SPHERE_MATERIALS = 40, 16
+_PRIOR_RELATIVE_ERROR = 1.0  # of each parameter before any photograph: known to a factor of e
+_TOLERANCE_DEG = 1e-6
+#: Relative standard errors from which on the fit states β and μ as not known.
+KNOWN_RELATIVE_ERROR = {"beta": 0.3, "mu": 0.2}
+
+
+@dataclass(frozen=True)
+class MaterialRange:
+    """The materials that an object may show.
+
+    Parameters
+    ----------
+    alpha, beta, mu_rad : (2,) tuple of float
+        Smallest and largest value; α evenly spread in between, β and μ (rad) evenly in their logarithm.
+    n, k : float
+        Complex refractive index in the green band.
+    """
+
+    alpha: tuple[float, float] = (0.02, 0.9)
+    beta: tuple[float, float] = (0.5, 8.0)
+    mu_rad: tuple[float, float] = (0.05, 0.3)
+    n: float = 1.5
+    k: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("alpha", "beta", "mu_rad"):
+            low, high = getattr(self, name)
+            if not 0.0 < low <= high:
+                raise ValueError(f"plan.{name} [{low:g}, {high:g}]; accepted: two numbers above 0, the smaller first")
+
+    @classmethod
+    def from_definition(cls, definition: dict) -> "MaterialRange":
+        """Return the range of an object's validated definition: its ``plan`` and ``refractive_index`` blocks."""
+        n, k = refractive_index_at(definition["refractive_index"])
+        return cls(**{key: tuple(definition["plan"][key]) for key in ("alpha", "beta", "mu_rad")}, n=n, k=k)
+
+    def at(self, unit: np.ndarray) -> Materials:
+        """Return the materials at points of the unit cube, (m, 3)."""
+        (a0, a1), (b0, b1), (m0, m1) = self.alpha, self.beta, self.mu_rad
+        return Materials(
+            alpha=a0 + unit[:, 0] * (a1 - a0),
+            beta=b0 * (b1 / b0) ** unit[:, 1],
+            mu=m0 * (m1 / m0) ** unit[:, 2],
+            n=self.n,
+            k=self.k,
+        )
+
+    def spread(self, count: int) -> Materials:
+        """Return materials that fill the range evenly: a Halton sequence, the same every time."""
+        return self.at(qmc.Halton(3, scramble=False).random(count + 1)[1:])
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Chosen poses and what a fit of their photographs is expected to reach.
+
+    Parameters
+    ----------
+    poses : list of Pose
+        In the order of their manual steps: by light angle and tilt, then turn, then camera angle.
+    expected : dict
+        Parameter -> (median, 95th percentile) of the standard error over the determined cases of the range: ``alpha``
+        absolute, ``beta`` and ``mu`` relative.
+    determined_fraction : float
+        Cases (materials on texels) whose β and μ a fit would state as known, see KNOWN_RELATIVE_ERROR; of a sphere's
+        texels few are seen in enough poses, and its underside in none.
+    candidates : int
+        Poses that were open to choice.
+    manual_settings : int
+        Different light angles and tilts, which a person sets.
+    """
+
+    poses: list[Pose]
+    expected: dict[str, tuple[float, float]]
+    determined_fraction: float
+    candidates: int
+    manual_settings: int
+
+    def lines(self) -> list[str]:
+        """Return the plan in words, one line for each group of a manual setting and one for each expected error."""
+        groups: dict[tuple, list[str]] = {}
+        for pose in self.poses:
+            groups.setdefault((pose.light_deg, pose.tilt_deg, pose.turn_deg), []).append(f"{pose.camera_deg:g}")
+        out = [
+            f"light {light:g}, tilt {tilt:g}, turn {turn:g}: camera {', '.join(cameras)} degrees"
+            for (light, tilt, turn), cameras in groups.items()
+        ]
+        for name, (median, p95) in self.expected.items():
+            kind = "absolute" if name == "alpha" else "relative"
+            out.append(f"expected standard error of {name}, {kind}: median {median:.2g}, 95th percentile {p95:.2g}")
+        return [*out, f"{self.determined_fraction:.0%} of materials and texels determined"]
+
+
+def subject_of(definition: dict, rig: dict) -> Subject:
+    """Return the texels that stand for an object: centre and corners of a plate; points all around a sphere.
+
+    A plate has one normal, but the camera is near: its corners are seen up to some degrees apart, and what is good for
+    the centre alone may lie beyond the largest angle for them.
+
+    Parameters
+    ----------
+    definition : dict
+        Validated definition of the object.
+    rig : dict
+        Validated definition of the rig.
+    """
+    shape = Shape.from_definition(definition["shape"])
+    if shape.kind == PLATE:
+        signs = np.array([[0, 0, 0], [-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
+        position = signs * [shape.size_mm[0] / 2, shape.size_mm[1] / 2, 0.0]
+        normal = np.tile([0.0, 0.0, 1.0], (len(position), 1))
+    else:
+        index = np.arange(_SPHERE_TEXELS) + 0.5
+        z, azimuth = 1.0 - 2.0 * index / _SPHERE_TEXELS, np.pi * (1.0 + math.sqrt(5.0)) * index
+        radius = np.sqrt(1.0 - z**2)
+        normal = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=-1)
+        position = shape.size_mm[0] * normal
+    return Subject(shape, position, normal, rig["camera_distance_mm"], rig["table_radius_mm"])
+
+
+def axis_angles(limit: Mapping[str, float], coarse_deg: float) -> np.ndarray:
+    """Return angles of an axis from its smallest on, on its steps, about `coarse_deg` apart, degrees.
+
+    Parameters
+    ----------
+    limit : dict
+        ``min``, ``max``, ``step`` of the rig's definition, degrees.
+    coarse_deg : float
+        Largest distance between two angles; one step where that is larger.
+    """
+    step = limit["step"] * max(1, math.floor(coarse_deg / limit["step"] + _TOLERANCE_DEG))
+    count = math.floor((limit["max"] - limit["min"]) / step + _TOLERANCE_DEG) + 1
+    # Sums of steps such as 0.1 leave digits that no one set.
+    return np.round(limit["min"] + step * np.arange(count), 9)
+
+
+def candidate_poses(limits: Mapping[str, Mapping], coarse_deg: Mapping[str, float], clearance_deg: float) -> list[Pose]:
+    """Return the poses of a rig on a coarse grid of its steps where the camera does not stand in the light's way.
+
+    Parameters
+    ----------
+    limits : dict
+        ``limits`` of the rig's definition.
+    coarse_deg : dict
+        Distance of the candidates along each axis of AXES, degrees.
+    clearance_deg : float
+        Smallest angle between the directions to the light and to the camera, degrees. A rig's definition does not say
+        how large its camera is.
+
+    Raises
+    ------
+    ValueError
+        If `coarse_deg` lacks an axis or has one more, listing the axes.
+    """
+    if set(coarse_deg) != set(AXES):
+        raise ValueError(f"coarse_deg for {', '.join(coarse_deg) or 'nothing'}; accepted: {', '.join(AXES)}")
+    light, camera, tilt, turn = (axis_angles(limits[axis], coarse_deg[axis]) for axis in AXES)
+    away = math.cos(math.radians(clearance_deg)) + 1e-12
+    free = [(a, b) for a in light for b in camera if float(to_light(Pose(a, b)) @ to_camera(Pose(a, b))) <= away]
+    return [Pose(float(a), float(b), float(c), float(d)) for a, b in free for c in tilt for d in turn]
+
+
+def open_poses(
+    shape: Shape, limits: Mapping[str, Mapping], clearance_deg: float = 5.0, coarse_deg: Mapping | None = None
+) -> list[Pose]:
+    """Return the candidates for a shape: `candidate_poses` on its default grid; a plate's table does not turn."""
+    if shape.kind != PLATE:
+        return candidate_poses(limits, coarse_deg or SPHERE_COARSE_DEG, clearance_deg)
+    still = {**limits["turn_deg"], "max": limits["turn_deg"]["min"]}
+    return candidate_poses({**limits, "turn_deg": still}, coarse_deg or COARSE_DEG, clearance_deg)
+
+
+def default_noise(rig: dict, sensor: dict | None = None, exposures_s=()) -> Noise:
+    """Return the noise of a rig and of its camera where their definitions state it, else that of `Noise`.
+
+    Parameters
+    ----------
+    rig : dict
+        Validated definition; ``virtual.imperfections`` gives light drift and pose error.
+    sensor : dict, optional
+        ``virtual.sensor`` of the camera's definition.
+    exposures_s : sequence of float
+        Bracket of the unfiltered photographs, s.
+    """
+    faults = rig.get("virtual", {}).get("imperfections", {})
+    own = {}
+    for field, fault, key in (("relative", "light_drift", "relative_rms"), ("pose_rms_deg", "pose_error", "rms_deg")):
+        if fault in faults:
+            own[field] = faults[fault][key] if faults[fault]["enabled"] else 0.0
+    return Noise(**own) if sensor is None else Noise.of_sensor(sensor, exposures_s, **own)
+
+
+def plan_best(
+    definition: dict,
+    rig: dict,
+    count: int | None = None,
+    materials: MaterialRange | None = None,
+    noise: Noise | None = None,
+    max_manual: int | None = None,
+    max_angle_deg: float = 80.0,
+    clearance_deg: float = 5.0,
+    criterion: str = "fit-variance",
+    coarse_deg: Mapping[str, float] | None = None,
+) -> Plan:
+    """Choose the poses that carry the most Fisher information about α, β, μ over a range of materials.
+
+    Parameters
+    ----------
+    definition : dict
+        Validated definition of the object: ``shape``, ``refractive_index``, ``plan``.
+    rig : dict
+        Validated definition of the rig: ``limits``, distances, imperfections.
+    count : int, optional
+        How many poses, at least 4: three parameters and one observation more. ``plan.count`` where absent.
+    materials : MaterialRange, optional
+        The object's own where absent.
+    noise : Noise, optional
+        `default_noise` of the rig where absent.
+    max_manual : int, optional
+        How many different settings of light angle and tilt a person is willing to make; ``plan.max_manual`` where
+        absent.
+    max_angle_deg : float
+        ``rectify.max_angle_deg``: beyond it an observation tells nothing, degrees.
+    clearance_deg : float
+        See `candidate_poses`, degrees.
+    criterion : str
+        See `irodori.rig.selection`. The default gave the smallest errors of simulated fits from six poses on: with
+        equal weights, a noisy observation that Fisher information takes for harmless spoils a fit.
+    coarse_deg : dict, optional
+        See `candidate_poses`; finer grids cost time in proportion.
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    ValueError
+        For a count under 4 or an unknown criterion.
+    TooFewPoses
+        Where the rig has fewer poses than wanted.
+    """
+    count = definition["plan"]["count"] if count is None else count
+    max_manual = definition["plan"]["max_manual"] if max_manual is None else max_manual
+    if count <= PARAMETERS:
+        raise ValueError(f"{count} poses; accepted: {PARAMETERS + 1} or more, for {PARAMETERS} parameters")
+    if max_manual < 1:
+        raise ValueError(f"{max_manual} manual settings; accepted: 1 or more")
+    subject = subject_of(definition, rig)
+    flat = subject.shape.kind == PLATE
+    poses = open_poses(subject.shape, rig["limits"], clearance_deg, coarse_deg)
+    expected_range = materials or MaterialRange.from_definition(definition)
+    sample = expected_range.spread(_FLAT_MATERIALS if flat else _SPHERE_MATERIALS)
+    seen = observe(subject, poses, sample, noise or default_noise(rig), max_angle_deg)
+    useful = np.flatnonzero(np.isfinite(seen.variance).any(axis=1))
+    if len(useful) < count:
+        raise TooFewPoses(f"{count} poses; accepted: at most the {len(useful)} in which this rig sees the object")
+    setting = np.unique([_hand(pose) for pose in poses], axis=0, return_inverse=True)[1].reshape(-1)
+    prior = _PRIOR_RELATIVE_ERROR**-2
+    chosen = useful[choose(seen.of(useful), prior, setting[useful], count, max_manual, criterion)]
+    order = sorted(chosen, key=lambda i: (*_hand(poses[i]), poses[i].turn_deg, i))
+    expected, fraction = expected_errors(seen.of(order), sample)
+    return Plan([poses[i] for i in order], expected, fraction, len(useful), len(set(setting[order])))
+
+
+def expected_errors(seen: Observations, materials: Materials) -> tuple[dict[str, tuple[float, float]], float]:
+    """Return median and 95th percentile of the standard errors of a fit, and the share of cases that are determined.
+
+    Parameters
+    ----------
+    seen : Observations
+        Of the poses of a design.
+    materials : Materials
+        Those of the observations.
+
+    Returns
+    -------
+    expected : dict
+        As in `Plan`; NaN where no case is determined.
+    determined_fraction : float
+    """
+    errors = standard_errors(seen)
+    known = (errors[:, 1] < KNOWN_RELATIVE_ERROR["beta"]) & (errors[:, 2] < KNOWN_RELATIVE_ERROR["mu"])
+    names = ("alpha", "beta", "mu")
+    if not known.any():
+        return dict.fromkeys(names, (math.nan, math.nan)), 0.0
+    errors[:, 0] *= np.tile(materials.alpha, len(errors) // len(materials.alpha))
+    quantiles = np.percentile(errors[known], [50, 95], axis=0)
+    return {name: tuple(map(float, quantiles[:, i])) for i, name in enumerate(names)}, float(known.mean())
+
+
+def _hand(pose: Pose) -> tuple[float, float]:
+    """Return what a person sets for a pose: light angle and tilt, degrees."""
+    return pose.light_deg, pose.tilt_deg
