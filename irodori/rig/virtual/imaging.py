@@ -7,33 +7,13 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from irodori.brdf import fresnel
 from irodori.geometry.embree import Tracer, hit_distance, hit_shape, is_blocked, new_ray, trace
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.shapes import PLATE, uv_from_point
 from irodori.rig.virtual.reflection import MEASURED, gloss_lobe, measured_lobe
 
-# The optical low-pass filter of a mosaic sensor splits each point into four, one pixel apart: a pixel sees its corners.
-_SPOTS = 2
-_FRESNEL_NODES = 512
+_CORNERS = ((0, 0), (0, 1), (1, 0), (1, 1))
 _OFFSET_MM = 1e-3
-
-
-def fresnel_by_band(n: np.ndarray, k: np.ndarray, band_weights: np.ndarray) -> np.ndarray:
-    """Return Fresnel reflectance seen by each band, tabulated over the cosine of the angle of incidence.
-
-    Parameters
-    ----------
-    n, k : (61,) float
-    band_weights : (bands, 61) float
-
-    Returns
-    -------
-    (nodes, bands) float64, weighted response of a surface with reflectance F(n(λ), k(λ), θ)
-    """
-    cosines = np.linspace(0.0, 1.0, _FRESNEL_NODES)
-    table = np.array([[fresnel(c, n[i], k[i]) for i in range(n.size)] for c in cosines])
-    return table @ band_weights.T
 
 
 @numba.njit(cache=True, inline="always")
@@ -57,27 +37,30 @@ def _surface(kind, rotation, world):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _response(colour, sample, material, setup, normal, view):
-    """Return the response of one point in one of the state's three bands."""
+def _response(out, sample, material, setup, normal, view):
+    """Fill the responses of one point in the state's three bands."""
     light = setup.to_light
     ci = normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2]
     cr = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
     if ci <= 0.0 or cr <= 0.0:
-        return 0.0
+        return
     hx, hy, hz = light[0] + view[0], light[1] + view[1], light[2] + view[2]
     length = math.sqrt(hx * hx + hy * hy + hz * hz)
     cos_phi = min((hx * normal[0] + hy * normal[1] + hz * normal[2]) / length, 1.0)
     cos_h = length / 2.0
-    if sample.model[material] == MEASURED:
-        rough = ci * measured_lobe(sample.measured[sample.table[material]], cos_phi, cos_h, colour)
-    else:
+    lobe, image = 0.0, 0.0
+    if sample.model[material] != MEASURED:
         lobe = sample.beta[material] * gloss_lobe(sample.model[material], sample.mu[material], ci, cr, cos_phi, cos_h)
-        rough = sample.diffuse[material, colour] * ci + lobe * _lookup(sample.fresnel, cos_h, colour)
     # The lamp is a disc: its mirror image is seen where the mirrored view falls within its angular radius.
     mirrored = 2.0 * ci * cr - (view[0] * light[0] + view[1] * light[1] + view[2] * light[2])
     if setup.lamp_cosine < 1.0 and mirrored >= setup.lamp_cosine:
-        rough += sample.mirror / (1.0 - setup.lamp_cosine**2) * _lookup(sample.fresnel, ci, colour)
-    return rough
+        image = sample.mirror / (1.0 - setup.lamp_cosine**2)
+    for band in range(out.size):
+        if sample.model[material] == MEASURED:
+            rough = ci * measured_lobe(sample.measured[sample.table[material]], cos_phi, cos_h, band)
+        else:
+            rough = sample.diffuse[material, band] * ci + lobe * _lookup(sample.fresnel, cos_h, band)
+        out[band] = rough + image * _lookup(sample.fresnel, ci, band)
 
 
 class _Setup(NamedTuple):
@@ -125,11 +108,12 @@ def _aim(setup, x, y, direction):
 
 
 @numba.njit(cache=True)
-def _see(setup, sample, ray, direction, world, normal, view, colour):
-    """Return what one ray from the camera sees of the sample."""
+def _see(setup, sample, ray, direction, world, normal, view, out):
+    """Fill what one ray from the camera sees of the sample in three bands; 0 where it sees none or a shadow."""
+    out[:] = 0.0
     trace(setup.intersect, setup.scene, ray, setup.camera_mm, direction, np.inf)
     if hit_shape(ray) != 0:
-        return 0.0
+        return
     for a in range(3):
         world[a] = setup.camera_mm[a] + hit_distance(ray) * direction[a]
         view[a] = -direction[a]
@@ -138,30 +122,26 @@ def _see(setup, sample, ray, direction, world, normal, view, colour):
         world[a] += _OFFSET_MM * normal[a]
     trace(setup.occluded, setup.scene, ray, world, setup.to_light, np.inf)
     if is_blocked(ray):
-        return 0.0
+        return
     u, v = uv_from_point(sample.kind, sample.size_mm[0], sample.size_mm[1], ox, oy, oz)
     column = min(max(int(u * sample.checks[0]), 0), sample.checks[0] - 1)
     row = min(max(int(v * sample.checks[1]), 0), sample.checks[1] - 1)
-    return _response(colour, sample, (row * sample.checks[0] + column) % sample.beta.size, setup, normal, view)
+    _response(out, sample, (row * sample.checks[0] + column) % sample.beta.size, setup, normal, view)
 
 
 @numba.njit(cache=True)
-def _expose_row(setup, sample, y, image):
+def _see_row(setup, sample, y, corners):
     ray = new_ray()
     direction, world, normal, view = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    spots = _SPOTS * _SPOTS
-    for x in range(image.shape[1]):
-        total = 0.0
-        for s in range(spots):
-            _aim(setup, x + s % _SPOTS, y + s // _SPOTS, direction)
-            total += _see(setup, sample, ray, direction, world, normal, view, y % 2 + x % 2)
-        image[y, x] = total / spots
+    for x in range(corners.shape[1]):
+        _aim(setup, x, y, direction)
+        _see(setup, sample, ray, direction, world, normal, view, corners[y, x])
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _expose_object(setup, sample, image):
-    for y in numba.prange(image.shape[0]):
-        _expose_row(setup, sample, y, image)
+def _see_corners(setup, sample, corners):
+    for y in numba.prange(corners.shape[0]):
+        _see_row(setup, sample, y, corners)
 
 
 @dataclass(frozen=True)
@@ -231,9 +211,30 @@ def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) 
         table=sample.table,
         measured=np.ascontiguousarray(sample.measured @ band_weights.T),
         mirror=sample.mirror,
-        fresnel=fresnel_by_band(sample.n, sample.k, band_weights),
+        fresnel=sample.fresnel @ band_weights.T,
     )
-    image = np.empty((view.pinhole.height_px, view.pinhole.width_px))
+    # The optical low-pass filter of a mosaic sensor splits a point into four, one pixel apart: a pixel sees its corners.
+    corners = np.empty((view.pinhole.height_px + 1, view.pinhole.width_px + 1, 3))
     with numba.parallel_chunksize(8):
-        _expose_object(setup, subject, image)
+        _see_corners(setup, subject, corners)
+    return mosaic_of_corners(corners)
+
+
+def mosaic_of_corners(corners: np.ndarray) -> np.ndarray:
+    """Return the RGGB mosaic of a picture of three bands known at the corners of the mosaic's pixels.
+
+    Parameters
+    ----------
+    corners : (height + 1, width + 1, 3) float
+
+    Returns
+    -------
+    (height, width) float64
+    """
+    image = np.empty((corners.shape[0] - 1, corners.shape[1] - 1))
+    for row in (0, 1):
+        for column in (0, 1):
+            band = corners[..., row + column]
+            cells = [band[row + i : image.shape[0] + i : 2, column + j : image.shape[1] + j : 2] for i, j in _CORNERS]
+            image[row::2, column::2] = 0.25 * (cells[0] + cells[1] + cells[2] + cells[3])
     return image

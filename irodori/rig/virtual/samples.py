@@ -1,12 +1,16 @@
 """What really stands on the virtual rig: measured spectra, and how each material reflects."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from irodori.brdf import fresnel
 from irodori.geometry.shapes import Shape
 from irodori.rig.virtual.reflection import MODELS, read_measured
 from irodori.spectra import SAMPLES, refractive_index, spectrum
+
+_FRESNEL_NODES = 512
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,12 @@ class Sample:
             n=n,
             k=k,
         )
+
+    @cached_property
+    def fresnel(self) -> np.ndarray:
+        """Fresnel reflectance over the cosine of the angle of incidence, equally spaced from 0 to 1, (nodes, 61)."""
+        cosines = np.linspace(0.0, 1.0, _FRESNEL_NODES)
+        return np.array([[fresnel(c, n, k) for n, k in zip(self.n, self.k, strict=True)] for c in cosines])
 
     def material_index(self, width: int, height: int) -> np.ndarray:
         """Return the material of each texel centre, (height, width) int."""

@@ -14,7 +14,7 @@ from irodori.geometry.frames import flat_incidence_rad, rig_from_camera, rig_fro
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.shapes import on_table
 from irodori.rig.virtual.classroom import room_coefficients, source_spectra
-from irodori.rig.virtual.imaging import View, expose_object
+from irodori.rig.virtual.imaging import View, expose_object, mosaic_of_corners
 from irodori.rig.virtual.samples import Sample
 from irodori.spectra import chart_spectra
 
@@ -73,8 +73,7 @@ def chart_mosaic(camera: dict, rig: dict, pose: Pose, ideal_from_seen, band_weig
     # The optical low-pass filter: a pixel sees its four corners.
     y, x = np.indices((pinhole.height_px + 1, pinhole.width_px + 1), sparse=True)
     corner = np.stack(np.broadcast_arrays(x, y, 1.0), axis=-1) @ np.asarray(ideal_from_seen).T
-    seen = bands[_patch_at(corner, camera, rig, pose, pinhole, len(patches))]
-    return in_mosaic(0.25 * (seen[:-1, :-1] + seen[1:, :-1] + seen[:-1, 1:] + seen[1:, 1:]))
+    return mosaic_of_corners(bands[_patch_at(corner, camera, rig, pose, pinhole, len(patches))])
 
 
 def _patch_at(mosaic_xy, camera: dict, rig: dict, pose: Pose, pinhole: Pinhole, border: int) -> np.ndarray:
