@@ -10,6 +10,7 @@ from scipy import stats
 from irodori import store
 from irodori.colour import delta_e_reflectance, goodness_of_fit, spectral_rmse, summary
 from irodori.errors import InputError
+from irodori.geometry.pinhole import samples_from_superpixels
 from irodori.progress import LOGGER
 from irodori.recovery import Calibration
 from irodori.spectra import WAVELENGTH_NM, chart_spectra, spectrum
@@ -104,22 +105,33 @@ def patch_centres(chart: dict) -> np.ndarray:
     return mapped[:, :2] / mapped[:, 2:]
 
 
-def read_chart(response: np.ndarray, valid: np.ndarray, chart: dict, file) -> np.ndarray:
+def read_chart(response: np.ndarray, valid: np.ndarray, chart: dict, file, sample_px: int = 2) -> np.ndarray:
     """Return the trimmed mean response of every patch, (patches, bands).
+
+    Parameters
+    ----------
+    response : (height, width, bands) float
+    valid : (height, width) bool
+        What is not valid, clipped or hot, does not count.
+    chart : dict
+        Definition of the chart, in superpixels.
+    file : path, for error messages
+    sample_px : int
+        Mosaic pixels along the side of a sample of the picture: 2 for superpixels, 1 at full resolution.
 
     Raises
     ------
     InputError
-        If a patch lies outside the picture or most of it is saturated.
+        If a patch lies outside the picture or most of it is not valid.
     """
     height, width = valid.shape
-    half = chart["patch_px"] / 2
+    half = chart["patch_px"] / sample_px
     means = []
-    for number, (x, y) in enumerate(patch_centres(chart)):
+    for number, (x, y) in enumerate(samples_from_superpixels(patch_centres(chart), sample_px)):
         x0, x1, y0, y1 = round(x - half), round(x + half), round(y - half), round(y + half)
         if x0 < 0 or y0 < 0 or x1 > width or y1 > height:
             found = f"patch {number} at ({x:.0f}, {y:.0f})"
-            raise InputError(file, "chart.centres_px", found, f"patches inside {width} x {height} superpixels")
+            raise InputError(file, "chart.centres_px", found, f"patches inside {width} x {height} samples")
         good = valid[y0:y1, x0:x1].astype(bool)
         if good.mean() < 0.5:
             found = f"patch {number} saturated over {1 - good.mean():.0%}"
@@ -181,7 +193,8 @@ def _chart_responses(linear, chart: dict, count: int) -> np.ndarray:
     with store.open_file(linear) as file:
         response, valid = file.read("response"), file.read("valid")
         light_deg, _, tilt_deg, _ = file.attribute("pose_deg")
-    return read_chart(response, valid, chart, linear) / np.cos(np.radians(light_deg - tilt_deg))
+        sample_px = file.attribute("sample_px")
+    return read_chart(response, valid, chart, linear, sample_px) / np.cos(np.radians(light_deg - tilt_deg))
 
 
 def _write_calibration(output, calibration: Calibration, filters, patches, rmse, delta_e: dict, provenance) -> None:

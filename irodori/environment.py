@@ -1,5 +1,7 @@
 """From an omnidirectional picture to compressed light and its irradiance map: equations (4) and (8)."""
 
+import numpy as np
+
 from irodori import store
 from irodori.colour import xyz_from_radiance
 from irodori.errors import InputError
@@ -7,6 +9,30 @@ from irodori.light import Environment, irradiance_map
 from irodori.principal import compress
 from irodori.progress import LOGGER
 from irodori.recovery import Calibration
+
+
+def fill_masked(response: np.ndarray, masked: np.ndarray) -> np.ndarray:
+    """Return a panorama whose single masked pixels take the mean of their neighbours along the row.
+
+    Parameters
+    ----------
+    response : (height, width, bands) float
+        Longitude by latitude: the row closes on itself.
+    masked : (height, width) bool
+
+    Raises
+    ------
+    ValueError
+        If a masked pixel has a masked neighbour in its row.
+    """
+    left, right = np.roll(masked, 1, axis=1), np.roll(masked, -1, axis=1)
+    if (masked & (left | right)).any():
+        raise ValueError(f"{int((masked & (left | right)).sum())} masked pixels beside each other in a row")
+    filled = response.copy()
+    rows, columns = np.nonzero(masked)
+    width = response.shape[1]
+    filled[rows, columns] = 0.5 * (response[rows, columns - 1] + response[rows, (columns + 1) % width])
+    return filled
 
 
 def prepare_environment(
@@ -26,18 +52,26 @@ def prepare_environment(
     Raises
     ------
     InputError
-        If a pixel is saturated in every bracket.
+        If a pixel is saturated in every bracket, or masked pixels stand beside each other.
+
+    Notes
+    -----
+    A single masked pixel, hot in the camera, is filled from its neighbours along the row; the log says how many.
     """
     with store.open_file(linear) as file:
         response, valid = file.read("response"), file.read("valid").astype(bool)
+        clipped = file.read("clipped").astype(bool)
         filters = file.attribute("filters")
+    if clipped.any():
+        found = f"{int(clipped.sum())} pixels saturated in every bracket"
+        raise InputError(linear, "exposure_s", found, "a shorter bracket of the environment")
     if not valid.all():
-        raise InputError(
-            linear,
-            "exposure_s",
-            f"{int((~valid).sum())} pixels saturated in every bracket",
-            "a shorter bracket of the environment",
-        )
+        try:
+            response = fill_masked(response, ~valid)
+        except ValueError as error:
+            accepted = "masked pixels that stand alone, or a stitched panorama"
+            raise InputError(linear, "valid", str(error), accepted) from None
+        LOGGER.info("%d masked pixels filled from their neighbours along the row", int((~valid).sum()))
     calibration = Calibration.load(calibration_file)
     calibration.require_filters(filters, linear)
     height, width = valid.shape

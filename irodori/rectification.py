@@ -12,7 +12,7 @@ from irodori.captures import Pose
 from irodori.errors import InputError
 from irodori.geometry.embree import Tracer
 from irodori.geometry.frames import rig_from_camera, rig_from_object, to_camera, to_light
-from irodori.geometry.pinhole import Pinhole
+from irodori.geometry.pinhole import Pinhole, samples_from_superpixels
 from irodori.geometry.shapes import Shape, on_table
 from irodori.progress import track
 
@@ -43,15 +43,15 @@ class RigSetup:
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _sample(response, valid, corner, xy, out, good):
+def _sample(response, valid, clipped, corner, xy, out, good, clips):
     """Interpolate responses bilinearly; a texel is good where all four neighbours are inside and valid.
 
-    ``response`` and ``valid`` are the window of the picture that begins at ``corner`` (row, column); coordinates are
+    It clips where one of the four does. ``response``, ``valid`` and ``clipped`` are the window of the picture that begins at ``corner`` (row, column); coordinates are
     those of the whole picture, so that a texel gets the same bits whatever tile it belongs to.
     """
     height, width, bands = response.shape
     for t in numba.prange(xy.shape[0]):
-        good[t] = False
+        good[t], clips[t] = False, 0
         x, y = xy[t, 0], xy[t, 1]
         if not (x >= 0.0 and y >= 0.0):
             continue
@@ -65,6 +65,7 @@ def _sample(response, valid, corner, xy, out, good):
             y0, fy = y0 - 1, 1.0
         if x0 < 0 or y0 < 0 or x0 > width - 2 or y0 > height - 2:
             continue
+        clips[t] = clipped[y0, x0] | clipped[y0, x0 + 1] | clipped[y0 + 1, x0] | clipped[y0 + 1, x0 + 1]
         if not (valid[y0, x0] and valid[y0, x0 + 1] and valid[y0 + 1, x0] and valid[y0 + 1, x0 + 1]):
             continue
         for b in range(bands):
@@ -116,21 +117,22 @@ def _window(xy: np.ndarray, height: int, width: int) -> tuple[slice, slice]:
 
 
 def _observe_file(path, shape: Shape, position, normal, setup: RigSetup):
-    """Return responses, geometry, which texels are seen and lit, and which lie in shadow, from one capture's file."""
+    """Return responses, geometry, which texels are seen and lit, lie in shadow, and clip, from one capture's file."""
     with store.open_file(path) as file:
         pose = Pose(*file.attribute("pose_deg"))
         rotation = rig_from_object(pose)
         tracer = Tracer(on_table(shape, rotation, setup.table_radius_mm))
         xy, geometry, visible, lit = observe(position @ rotation.T, normal @ rotation.T, tracer, pose, setup)
-        dataset, valid = file.dataset("response"), file.dataset("valid")
+        dataset, valid, clipped = (file.dataset(name) for name in ("response", "valid", "clipped"))
+        xy = samples_from_superpixels(xy, file.attribute("sample_px"))
         window = _window(xy[visible], *valid.shape)
         sampled = np.zeros((len(xy), dataset.shape[2]), dtype=np.float32)
-        good = np.empty(len(xy), dtype=np.bool_)
+        good, clips = np.empty(len(xy), dtype=np.bool_), np.empty(len(xy), dtype=np.uint8)
         corner = np.array([window[0].start, window[1].start])
-        _sample(dataset[window], valid[window], corner, xy, sampled, good)
+        _sample(dataset[window], valid[window], clipped[window], corner, xy, sampled, good, clips)
     # What hides a texel is not its own: without this, the window of a tile would decide what is stored here.
-    sampled[~visible] = 0.0
-    return sampled, geometry, visible & lit & good, visible & ~lit & (geometry[:, 0] < np.pi / 2)
+    sampled[~visible], clips[~visible] = 0.0, 0
+    return sampled, geometry, visible & lit & good, visible & ~lit & (geometry[:, 0] < np.pi / 2), clips
 
 
 def _common_filters(linear: list) -> list[str]:
@@ -177,29 +179,32 @@ def rectify_object(
     Notes
     -----
     Datasets: ``/response`` (texel, J, bands) float32; ``/geometry`` (texel, J, 4) float32, θ_i, θ_r, θ_H, φ in rad;
-    ``/weight`` (texel, J) float32, 1 where the texel is seen, lit and unsaturated, else 0; ``/shadowed`` (texel, J)
-    uint8.
+    ``/weight`` (texel, J) float32, 1 where the texel is seen, lit and validly measured, else 0; ``/shadowed`` (texel,
+    J) uint8; ``/clipped`` (texel, J) uint8, 1 where the texel is seen and a sample under it clips in every exposure, so
+    that a highlight can be told from a hot pixel or the picture's edge.
     """
     shape = Shape.from_definition(definition["shape"])
     width = definition["texels"]["width"]
     position, normal = shape.texels(width, definition["texels"]["height"])
     position, normal = position[slice(*rows)].reshape(-1, 3), normal[slice(*rows)].reshape(-1, 3)
     filters = _common_filters(linear)
-    responses, geometries, weights, shadowed = [], [], [], []
+    responses, geometries, weights, shadowed, clipped = [], [], [], [], []
     for path in track(linear, f"rectify rows {rows[0]}-{rows[1]}"):
-        sampled, geometry, seen, shadow = _observe_file(path, shape, position, normal, setup)
+        sampled, geometry, seen, shadow, clips = _observe_file(path, shape, position, normal, setup)
         limit = np.radians(max_angle_deg)
         frontal = (geometry[:, 0] <= limit) & (geometry[:, 1] <= limit)
         responses.append(sampled)
         geometries.append(geometry.astype(np.float32))
         weights.append((seen & frontal).astype(np.float32))
         shadowed.append(shadow.astype(np.uint8))
+        clipped.append(clips)
     with store.create(output, provenance) as out:
         maps = {
             "response": (np.stack(responses, axis=1), "1", "response, 1 = perfect diffuser at normal incidence"),
             "geometry": (np.stack(geometries, axis=1), "rad", "theta_i, theta_r, theta_h, phi"),
             "weight": (np.stack(weights, axis=1), "1", "weight in the fit"),
             "shadowed": (np.stack(shadowed, axis=1), "1", "1 where another surface keeps the light away"),
+            "clipped": (np.stack(clipped, axis=1), "1", "1 where the picture clips in every exposure"),
         }
         store.write_maps(out, maps, "texel,capture,component")
         out.attribute("rows", list(rows))

@@ -9,6 +9,23 @@ from dataclasses import dataclass
 import numpy as np
 
 
+def samples_from_superpixels(xy, sample_px: int):
+    """Turn superpixel coordinates into those of a picture's samples.
+
+    Parameters
+    ----------
+    xy : (..., 2) float
+        Superpixels; the centre of a superpixel has integer coordinates.
+    sample_px : int
+        Mosaic pixels along the side of a sample: 2 for superpixels, 1 at full resolution.
+
+    Returns
+    -------
+    (..., 2) float64, samples; the centre of a sample has integer coordinates
+    """
+    return (np.asarray(xy, dtype=np.float64) + 0.5) * (2.0 / sample_px) - 0.5
+
+
 @dataclass(frozen=True)
 class Pinhole:
     """A camera without distortion.

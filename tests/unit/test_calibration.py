@@ -9,10 +9,11 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from irodori import calibration, raw, store
+from irodori import calibration, store
 from irodori.calibration import calibrate, leave_one_out, patch_centres, read_chart, spectral_basis
 from irodori.colour import spectral_rmse
 from irodori.errors import InputError
+from irodori.mosaic import decode
 from irodori.spectra import chart_spectra, spectrum
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -223,6 +224,7 @@ def write_linear(path, picture, pose=(0.0, 0.0, 0.0, 0.0)):
         out.write("response", picture.astype(np.float32), units="1", dims="row,column,band", quantity="response")
         out.write("valid", np.ones(picture.shape[:2], np.uint8), units="1", dims="row,column", quantity="valid")
         out.attribute("pose_deg", list(pose))
+        out.attribute("sample_px", 2)
         out.attribute("filters", ["out"])
     return path
 
@@ -284,7 +286,7 @@ def real_chart():
         pytest.skip(f"no real photograph at {photograph}")
     definition = yaml.safe_load((ROOT / "config/cameras/powershot-s40.yaml").read_text())
     definition["chart"]["spectra"] = str(ROOT / definition["chart"]["spectra"])
-    return raw.decode(photograph), definition
+    return decode(photograph), definition
 
 
 def test_real_photograph_recovers_its_chart(real_chart):

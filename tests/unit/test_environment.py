@@ -170,10 +170,12 @@ def test_negative_samples_are_counted():
 # --- the stage ---------------------------------------------------------------------------------------------------
 
 
-def write_inputs(folder, response, valid, calibration):
+def write_inputs(folder, response, valid, calibration, clipped=None):
     with store.create(folder / "linear.h5", store.Provenance("test")) as out:
         out.write("response", response.astype(np.float32), units="1", dims="row,column,band", quantity="response")
         out.write("valid", valid, units="1", dims="row,column", quantity="valid")
+        clipped = 1 - valid if clipped is None else clipped
+        out.write("clipped", clipped, units="1", dims="row,column", quantity="clipped")
         out.attribute("filters", ["out"])
     with store.create(folder / "calibration.h5", store.Provenance("test")) as out:
         for name in ("basis", "weights_from_response"):

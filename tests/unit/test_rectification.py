@@ -65,16 +65,19 @@ def pixel_of(position, pose):
     return np.stack([x / 2 - 0.5, y / 2 - 0.5], axis=1)
 
 
-def linear_file(path, pose, response=None, valid=None):
+def linear_file(path, pose, response=None, valid=None, clipped=None, sample_px=2):
     """A capture whose responses are known functions of the place in the picture: linear, so interpolation is exact."""
     height, width = OPTICS["height_px"] // 2, OPTICS["width_px"] // 2
     y, x = np.mgrid[:height, :width].astype(np.float64)
     if response is None:
         response = np.stack([x / 512, y / 512, (3 * x - 2 * y) / 512], axis=-1)
     valid = np.ones((height, width), np.uint8) if valid is None else valid
+    clipped = np.zeros(valid.shape, np.uint8) if clipped is None else clipped
     with store.create(path, PROVENANCE) as out:
         out.write("response", response.astype(np.float32), units="1", dims="row,column,band", quantity="response")
         out.write("valid", valid, units="1", dims="row,column", quantity="valid")
+        out.write("clipped", clipped, units="1", dims="row,column", quantity="clipped")
+        out.attribute("sample_px", sample_px)
         out.attribute("pose_deg", [pose.light_deg, pose.camera_deg, pose.tilt_deg, pose.turn_deg])
         out.attribute("filters", ["out"])
     return path
@@ -85,7 +88,7 @@ def rectify(tmp_path, definition, poses, rows=None, max_angle_deg=85.0, table=0.
     rows = rows or (0, definition["texels"]["height"])
     rectify_object(files, definition, setup_of(table), rows, max_angle_deg, tmp_path / name, PROVENANCE)
     with store.open_file(tmp_path / name) as file:
-        return {name: file.read(name) for name in ("response", "geometry", "weight", "shadowed")}
+        return {name: file.read(name) for name in ("response", "geometry", "weight", "shadowed", "clipped")}
 
 
 PLATE_POSES = [

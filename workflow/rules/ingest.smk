@@ -54,12 +54,12 @@ rule ingest_reference:
         "results/benchmarks/ingest_reference/{camera}.tsv"
     conda:
         "../../envs/irodori.yaml"
-    threads: 1
+    threads: 2
     resources:
         mem_mb=lambda wildcards, attempt: 2500 * attempt,
     params:
         folder=captures_folder,
-        saturation=lookup(within=config, dpath="ingest/saturation"),
+        options=lookup(within=config, dpath="ingest"),
         white_reflectance=of_camera("white/reflectance_factor", default=1.0),
         code=code_hash("irodori.raw"),
     script:
@@ -78,12 +78,12 @@ rule ingest_raw:
         "results/benchmarks/ingest_raw/{object}_{capture}.tsv"
     conda:
         "../../envs/irodori.yaml"
-    threads: 1
+    threads: 2
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
         folder=captures_folder,
-        saturation=lookup(within=config, dpath="ingest/saturation"),
+        options=lookup(within=config, dpath="ingest"),
         code=code_hash("irodori.raw"),
     script:
         "../scripts/ingest_raw.py"

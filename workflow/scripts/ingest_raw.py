@@ -1,4 +1,4 @@
-from irodori.raw import ingest_raw
+from irodori.raw import IngestOptions, ingest_raw
 from irodori.rules import run_rule
 
 with run_rule(snakemake) as provenance:
@@ -7,7 +7,7 @@ with run_rule(snakemake) as provenance:
         snakemake.params.folder,
         snakemake.wildcards.capture,
         snakemake.input.reference,
-        snakemake.params.saturation,
         snakemake.output.linear,
         provenance,
+        IngestOptions(**snakemake.params.options),
     )

@@ -1,0 +1,12 @@
+"""RAW ingestion: from a camera's files to linear responses.
+
+A superpixel is 2 x 2 mosaic pixels: red, the mean of the two greens, blue; nothing is interpolated. Bands are red,
+green, blue without the filter, then with it where it was used; their number comes from the shots, not from the code.
+"""
+
+from irodori.raw.check import check_captures
+from irodori.raw.options import IngestOptions
+from irodori.raw.reference import Reference, ingest_reference
+from irodori.raw.stage import ingest_raw
+
+__all__ = ["IngestOptions", "Reference", "check_captures", "ingest_raw", "ingest_reference"]

@@ -1,0 +1,42 @@
+"""The first look at a set of RAW files, before any long work."""
+
+from irodori.captures import read_captures, shot_path, write_captures
+from irodori.errors import InputError
+from irodori.mosaic import decode
+from irodori.progress import track
+from irodori.provenance import file_sha256
+from irodori.raw.settings import settle, settle_set
+
+
+def check_captures(table, folder, output, roles, size_px=None) -> None:
+    """Decode every RAW file of a set once and write its table with the files' hashes, ISO and f-number.
+
+    Parameters
+    ----------
+    table, folder : path
+    output : path
+        Table of the set's own shots; ISO and f-number are those of the files where `table` does not state them.
+    roles : sequence of str
+        The roles that the set uses; a table may serve several sets.
+    size_px : (width, height), optional
+        Size of the mosaic that the definition states; otherwise that of the first file counts.
+
+    Raises
+    ------
+    InputError
+        If a file is missing, truncated, of another size than stated, or its own exposure time, ISO or f-number differ
+        from the table's by more than 5 %; if ISO or f-number are known for a part of the set only.
+    """
+    shots = [shot for shot in read_captures(table, folder) if shot.role in roles]
+    settled, hashes = [], {}
+    wanted = None if size_px is None else tuple(side // 2 * 2 for side in size_px)
+    for shot in track(shots, "check"):
+        path = shot_path(shot, table, folder)
+        mosaic = decode(path)
+        wanted = wanted or mosaic.size
+        if mosaic.size != wanted:
+            found = f"a mosaic of {mosaic.size[0]} x {mosaic.size[1]} pixels"
+            raise InputError(path, "size", found, f"{wanted[0]} x {wanted[1]} pixels, as its set states")
+        settled.append(settle(shot, mosaic, table))
+        hashes[shot.file] = file_sha256(path)
+    write_captures(output, settle_set(settled, table), hashes)

@@ -1,0 +1,181 @@
+"""From files to linear responses: scale, noise, masks, order of bands, refusals."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from raw_studio import ANGLE, BALANCE, BLACK, PROVENANCE, SENSOR, SIZE, SUPERPIXELS, WHITE, Studio, dng, scene
+
+from irodori import raw, store
+from irodori.captures import Pose, Shot, write_captures
+from irodori.errors import InputError
+from irodori.raw.flat import smooth_flat
+
+
+def test_responses_are_the_truth_within_their_noise(tmp_path):
+    studio = Studio(tmp_path, seed=11)
+    studio.references(frames=4)
+    truth = scene(studio.rng)
+    pose = Pose(ANGLE, 0.0)
+    for state, exposure_s in (("out", 0.02), ("in", 0.05)):
+        studio.shoot("object", truth, state, exposure_s)
+    response, valid, noise, pose_deg = studio.ingest(pose.name)
+    assert response.shape == truth.shape and (valid == 1).all() and pose_deg == [ANGLE, 0.0, 0.0, 0.0]
+    error = response - truth
+    # Without the flat field the corners would be a third too dark; with it no band leans anywhere.
+    height, width = truth.shape[:2]
+    corners = [error[y, x] for y in (slice(0, 20), slice(height - 20, None)) for x in
+               (slice(0, 20), slice(width - 20, None))]  # fmt: skip
+    for region in (*corners, error[height // 2 - 10 :][:20]):
+        assert np.abs(region.mean(axis=(0, 1))).max() <= 0.004
+    # At the centre, where the noise model holds, it predicts the scatter.
+    middle = (slice(height // 2 - 20, height // 2 + 20), slice(width // 2 - 20, width // 2 + 20))
+    predicted = np.sqrt(noise[:, 0] + noise[:, 1] * truth[middle])
+    assert np.allclose((error[middle] / predicted).std(axis=(0, 1)), 1.0, atol=0.1)
+
+
+def test_reference_measures_gain_and_read_noise(tmp_path):
+    superpixels = (200, 260, 6)
+    studio = Studio(tmp_path, seed=12)
+    for _ in range(6):
+        studio.shoot("dark", np.zeros(superpixels))
+    for _ in range(2):
+        studio.shoot("white", np.full(superpixels, 0.9))
+    raw.ingest_reference(studio.table(), tmp_path, tmp_path / "r.h5", PROVENANCE, 0.95, SUPERPIXELS)
+    with store.open_file(tmp_path / "r.h5") as file:
+        assert file.attribute("gain_e_per_dn") == pytest.approx(SENSOR.electrons_per_dn, rel=0.03)
+        noise = np.hypot(SENSOR.read_noise_e / SENSOR.electrons_per_dn, np.sqrt(1 / 12))
+        assert file.attribute("read_noise_dn") == pytest.approx(noise, rel=0.03)
+    dark = raw.Reference.load(tmp_path / "r.h5").dark
+    assert abs(dark.signal_dn(0.02)).mean() < 3 * noise / np.sqrt(6)
+
+
+def test_saturated_samples_are_invalid_and_only_they(tmp_path):
+    studio = Studio(tmp_path, seed=13)
+    studio.references()
+    truth = np.full((SIZE[0] // 2, SIZE[1] // 2, 6), 0.4)
+    truth[20:30, 40:60, 1] = 3.0  # far above the full well, in one band
+    for state, exposure_s in (("out", 0.02), ("in", 0.05)):
+        studio.shoot("object", truth, state, exposure_s)
+    valid = studio.ingest(Pose(ANGLE, 0.0).name)[1]
+    expected = np.ones_like(valid)
+    expected[20:30, 40:60] = 0
+    assert np.array_equal(valid, expected)
+
+
+def test_brackets_merge_to_one_linear_scale(tmp_path):
+    studio = Studio(tmp_path, seed=14)
+    studio.references(frames=4)
+    steps = np.geomspace(0.02, 12.0, 6)
+    truth = np.repeat(steps, 20)[None, :, None] * np.ones((SIZE[0] // 2, 1, 6))
+    for state, base in (("out", 0.02), ("in", 0.05)):
+        for factor in (1.0, 0.1):
+            studio.shoot("object", truth, state, base * factor)
+    response, valid, _, _ = studio.ingest(Pose(ANGLE, 0.0).name)
+    assert (valid == 1).all()
+    ratio = response / truth
+    for column in range(0, 120, 20):
+        assert np.allclose(ratio[:, column : column + 20].mean(axis=(0, 1)), 1.0, atol=0.005)
+
+
+def test_a_picture_without_white_reference_is_in_full_scales_per_second(tmp_path):
+    mosaic = np.full((64, 64), BLACK + 5000, np.uint16)
+    dng(tmp_path / "a.dng", mosaic, exposure_s=0.25)
+    write_captures(tmp_path / "captures.csv", [Shot("a.dng", "chart", Pose(0.0, 0.0), "out", 0.25)])
+    table = tmp_path / "captures.csv"
+    raw.ingest_reference(table, tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+    raw.ingest_raw(table, tmp_path, "chart", tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE, SUPERPIXELS)
+    with store.open_file(tmp_path / "l.h5") as file:
+        assert file.read("response").shape == (32, 32, 3)
+        assert np.allclose(file.read("response"), 5000 / (WHITE - BLACK) / 0.25, rtol=1e-6)
+        assert np.isnan(file.read("noise_model")).all()
+
+
+def test_an_environment_of_another_size_keeps_the_scale(tmp_path):
+    studio = Studio(tmp_path, seed=15)
+    studio.references(frames=4)
+    height, width = 50, 100
+    mosaic = np.full((2 * height, 2 * width), 0.0)
+    for state, base in (("out", 0.02), ("in", 0.05)):
+        balance = BALANCE[("out", "in").index(state)]
+        y, x = np.indices(mosaic.shape)
+        seen = 0.8 * balance[y % 2 + x % 2]
+        file = f"e-{state}.dng"
+        dng(tmp_path / file, SENSOR.expose(seen, base, studio.rng), exposure_s=base)
+        studio.shots.append(Shot(file, "environment", Pose(0.0, 0.0), state, base))
+    response = studio.ingest("environment")[0]
+    assert response.shape == (height, width, 6)
+    assert np.allclose(response.mean(axis=(0, 1)), 0.8, rtol=0.01)
+
+
+def test_ingest_refuses_what_it_cannot_normalise(tmp_path):
+    studio = Studio(tmp_path, seed=16)
+    studio.references()
+    with pytest.raises(InputError, match="no-such-capture"):
+        studio.ingest("no-such-capture")
+    studio.shots = [s for s in studio.shots if s.filter == "out"]
+    studio.shoot("chart", scene(studio.rng), "in", 0.05)
+    with pytest.raises(InputError, match="filter"):
+        studio.ingest("chart")
+    studio.shots = studio.shots[:-1]
+    studio.shoot("chart", np.full((50, 50, 6), 0.3))
+    with pytest.raises(InputError, match="size"):
+        studio.ingest("chart")
+
+
+def test_an_overexposed_white_reference_is_refused(tmp_path):
+    studio = Studio(tmp_path, seed=17)
+    studio.shoot("white", np.full((SIZE[0] // 2, SIZE[1] // 2, 6), 4.0))
+    with pytest.raises(InputError, match="saturated"):
+        raw.ingest_reference(studio.table(), tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+    assert not (tmp_path / "r.h5").exists()
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=15)
+def test_smooth_flat_restores_any_polynomial_of_degree_four(seed):
+    rng = np.random.default_rng(seed)
+    y, x = np.meshgrid(np.linspace(-1, 1, 30), np.linspace(-1, 1, 44), indexing="ij")
+    terms = [x**i * y**j for i in range(5) for j in range(5 - i)]
+    truth = np.stack([1.0 + np.tensordot(rng.uniform(-0.1, 0.1, 15), terms, 1) for _ in range(3)], axis=-1)
+    valid = rng.uniform(size=truth.shape[:2]) < 0.8
+    spoiled = np.where(valid[..., None], truth, 1e3)
+    assert np.allclose(smooth_flat(spoiled, valid), truth, rtol=1e-5)
+
+
+def test_bands_stand_in_one_order_whatever_the_order_of_the_lines(tmp_path):
+    pose = Pose(ANGLE, 0.0)
+    pictures = []
+    for number, states in enumerate([("out", "in"), ("in", "out")]):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        studio = Studio(folder, seed=23)
+        studio.references()
+        truth = np.broadcast_to(np.linspace(0.1, 0.6, 6), (SIZE[0] // 2, SIZE[1] // 2, 6))
+        for state in states:
+            studio.shoot("object", truth, state, 0.02 if state == "out" else 0.05)
+        pictures.append(studio.ingest(pose.name)[0].mean(axis=(0, 1)))
+        np.testing.assert_allclose(pictures[-1], np.linspace(0.1, 0.6, 6), rtol=0.02)
+
+
+def test_a_white_reference_that_does_not_fill_the_picture_is_refused(tmp_path):
+    studio = Studio(tmp_path, seed=24)
+    white = np.full((SIZE[0] // 2, SIZE[1] // 2, 6), 0.02)
+    rows, columns = white.shape[0] // 4, white.shape[1] // 4
+    white[rows:-rows, columns:-columns] = 0.9
+    studio.shoot("white", white)
+    with pytest.raises(InputError, match="fills the picture"):
+        raw.ingest_reference(studio.table(), tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+
+
+def test_identical_frames_tell_no_gain(tmp_path):
+    studio = Studio(tmp_path, seed=27)
+    studio.shoot("white", np.full((SIZE[0] // 2, SIZE[1] // 2, 6), 0.9))
+    twin = dataclasses.replace(studio.shots[0], file="twin.dng")
+    (tmp_path / "twin.dng").write_bytes((tmp_path / studio.shots[0].file).read_bytes())
+    studio.shots.append(twin)
+    raw.ingest_reference(studio.table(), tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+    with store.open_file(tmp_path / "r.h5") as file:
+        assert np.isnan(file.attribute("gain_e_per_dn"))

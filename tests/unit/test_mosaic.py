@@ -1,0 +1,184 @@
+"""Decoding RAW files: bit-exact numbers in the sensor's own frame, levels, settings, refusals."""
+
+import numpy as np
+import pytest
+import rawpy
+from dng_files import write_any_dng
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from raw_studio import BLACK, DATA, WHITE, dng, random_mosaic
+
+from irodori.errors import InputError
+from irodori.mosaic import decode
+
+
+@pytest.mark.parametrize(
+    ("height", "width", "black", "white"), [(64, 96, 600, 16383), (66, 38, 0, 4095), (200, 200, 1023, 65535)]
+)
+def test_dng_decodes_bit_exactly(tmp_path, height, width, black, white):
+    mosaic = random_mosaic(np.random.default_rng(height), height, width, white)
+    with rawpy.imread(str(dng(tmp_path / "a.dng", mosaic, black, white))) as file:
+        assert np.array_equal(file.raw_image_visible, mosaic)
+        assert file.white_level == white
+        assert list(file.black_level_per_channel) == [black] * 4
+        colours = file.color_desc.decode()
+        pattern = [[colours[c] for c in row] for row in file.raw_colors_visible[:2, :2]]
+        assert pattern == [["R", "G"], ["G", "B"]]
+
+
+@given(exposure_s=st.floats(1e-4, 30.0))
+@settings(deadline=None, max_examples=20)
+def test_exposure_time_survives_the_file(tmp_path_factory, exposure_s):
+    path = tmp_path_factory.mktemp("exposure") / "a.dng"
+    dng(path, np.full((64, 64), 700, np.uint16), exposure_s=exposure_s)
+    assert decode(path).exposure_s == pytest.approx(exposure_s, rel=1e-2)
+
+
+def test_superpixels_are_red_mean_green_blue_above_black(tmp_path):
+    rng = np.random.default_rng(1)
+    mosaic = random_mosaic(rng)
+    decoded = decode(dng(tmp_path / "a.dng", mosaic))
+    numbers = mosaic.astype(np.float64)
+    red, green_a, green_b, blue = numbers[::2, ::2], numbers[::2, 1::2], numbers[1::2, ::2], numbers[1::2, 1::2]
+    expected = np.stack([red - BLACK, (green_a + green_b) / 2 - BLACK, blue - BLACK], axis=-1)
+    assert decoded.superpixels.dtype == np.float32
+    assert np.array_equal(decoded.superpixels, expected)
+    assert decoded.full_scale == WHITE - BLACK
+    largest = np.max([red, green_a, green_b, blue], axis=0)
+    assert np.array_equal(decoded.values, mosaic) and decoded.size == (96, 64)
+    assert np.allclose(decoded.largest, (largest - BLACK) / (WHITE - BLACK), rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("mosaic", [np.zeros((65, 64), np.uint16), np.zeros((64, 63), np.uint16), np.zeros((64, 64))])
+def test_mosaics_that_no_sensor_gives_are_not_written(tmp_path, mosaic):
+    with pytest.raises(ValueError, match="accepted"):
+        dng(tmp_path / "a.dng", mosaic)
+    assert list(tmp_path.iterdir()) == []
+
+
+def refused(path):
+    with pytest.raises(InputError) as caught:
+        decode(path)
+    assert str(path) in str(caught.value)
+
+
+# What to keep of a file's n bytes.
+CUTS = {
+    "nothing": lambda n: 0, "one byte": lambda n: 1, "header": lambda n: 8, "tags": lambda n: 512,
+    "quarter": lambda n: n // 4, "half": lambda n: n // 2, "three quarters": lambda n: 3 * n // 4,
+    "all but 1000 bytes": lambda n: n - 1000, "all but two bytes": lambda n: n - 2,
+    "all but one byte": lambda n: n - 1,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("cut", CUTS)
+@pytest.mark.parametrize("size", [(64, 96), (600, 800)], ids=["small", "large"])
+def test_a_truncated_dng_is_refused(tmp_path, size, cut):
+    path = dng(tmp_path / "cut.dng", random_mosaic(np.random.default_rng(2), *size))
+    content = path.read_bytes()
+    path.write_bytes(content[: CUTS[cut](len(content))])
+    refused(path)
+
+
+@pytest.mark.parametrize("cut", ["header", "half", "all but 1000 bytes"])
+def test_a_truncated_camera_file_is_refused(tmp_path, cut):
+    source = DATA / "powershot_s40_chart.crw"
+    if not source.is_file():
+        pytest.skip(f"no real photograph at {source}")
+    content = source.read_bytes()
+    path = tmp_path / "cut.crw"
+    path.write_bytes(content[: CUTS[cut](len(content))])
+    refused(path)
+
+
+def test_what_is_no_raw_file_is_refused(tmp_path):
+    text = tmp_path / "text.dng"
+    text.write_text("This is not a photograph.\n" * 500)
+    noise = tmp_path / "noise.dng"
+    noise.write_bytes(np.random.default_rng(3).bytes(50_000))
+    for path in (text, noise, tmp_path / "missing.dng", tmp_path):
+        refused(path)
+
+
+@given(content=st.binary(max_size=300), tiff=st.booleans())
+@settings(deadline=None, max_examples=60)
+def test_no_bytes_raise_anything_else(tmp_path_factory, content, tiff):
+    path = tmp_path_factory.mktemp("bytes") / "a.dng"
+    path.write_bytes(b"II*\0\x08\0\0\0" + content if tiff else content)
+    refused(path)
+
+
+PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_any_phase_of_the_mosaic_gives_the_same_bands(tmp_path, pattern):
+    colours = {"R": 1000, "G": 2000, "B": 3000}
+    mosaic = np.tile(np.array([colours[letter] for letter in pattern], np.uint16).reshape(2, 2), (32, 48))
+    decoded = decode(write_any_dng(tmp_path / "a.dng", mosaic, pattern=pattern))
+    assert decoded.pattern == pattern
+    assert np.array_equal(decoded.superpixels, np.broadcast_to([400.0, 1400.0, 2400.0], (32, 48, 3)))
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_a_black_level_for_each_place_is_subtracted_at_its_place(tmp_path, pattern):
+    black = np.array([[600, 610], [620, 640]])
+    mosaic = np.tile((black + 100).astype(np.uint16), (32, 48))
+    decoded = decode(write_any_dng(tmp_path / "a.dng", mosaic, pattern=pattern, black=black))
+    assert np.array_equal(decoded.black, black)
+    assert np.array_equal(decoded.superpixels, np.full((32, 48, 3), 100.0))
+    assert decoded.full_scale == 16383 - 640
+
+
+def test_a_black_level_that_the_pattern_cannot_hold_is_refused(tmp_path):
+    black = np.arange(600, 608).reshape(4, 2)
+    path = write_any_dng(tmp_path / "a.dng", np.full((64, 96), 700, np.uint16), black=black)
+    with pytest.raises(InputError, match="4 x 2"):
+        decode(path)
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_data_stay_in_the_sensors_frame_whatever_the_orientation_tag(tmp_path, orientation):
+    mosaic = random_mosaic(np.random.default_rng(orientation))
+    decoded = decode(write_any_dng(tmp_path / "a.dng", mosaic, orientation=orientation))
+    assert np.array_equal(decoded.values, mosaic)
+    assert decoded.orientation == {1: 0, 3: 3, 6: 6, 8: 5}[orientation]
+
+
+@given(iso=st.integers(25, 25600), tenths=st.integers(10, 320))
+@settings(deadline=None, max_examples=15)
+def test_iso_and_aperture_come_from_the_file(tmp_path_factory, iso, tenths):
+    path = tmp_path_factory.mktemp("settings") / "a.dng"
+    decoded = decode(write_any_dng(path, np.full((64, 64), 700, np.uint16), iso=iso, f_number=tenths / 10))
+    assert decoded.iso == pytest.approx(iso) and decoded.f_number == pytest.approx(tenths / 10, rel=1e-3)
+
+
+def test_what_the_file_does_not_state_is_zero(tmp_path):
+    decoded = decode(write_any_dng(tmp_path / "a.dng", np.full((64, 64), 700, np.uint16)))
+    assert decoded.iso == 0.0 and decoded.f_number == 0.0
+
+
+def real(name):
+    path = DATA / name
+    if not path.is_file():
+        pytest.skip(f"no real photograph at {path}")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "pattern", "black", "white"),
+    [
+        ("powershot_s40_chart.crw", (2312, 1720), "RGGB", 32, 1023),
+        ("powershot_s40_chart_zoom.crw", (2312, 1720), "RGGB", 32, 1023),
+        ("powershot_s40_glossy_box.crw", (2312, 1720), "RGGB", 32, 1023),
+        ("dc120_chart.kdc", (848, 976), "GRBG", 0, 255),
+    ],
+)
+def test_real_cameras_files_decode(name, size, pattern, black, white):
+    decoded = decode(real(name))
+    assert decoded.size == size and decoded.pattern == pattern
+    assert (decoded.black == black).all() and (decoded.white == white).all() and decoded.values.max() <= white
+    assert 1e-4 < decoded.exposure_s < 1 and 25 < decoded.iso < 400 and 2 < decoded.f_number < 8
+    # Neighbours of one colour agree: the mosaic is read in its own order.
+    green = decoded.superpixels[..., 1]
+    assert np.corrcoef(green[:, :-1].ravel(), green[:, 1:].ravel())[0, 1] > 0.95
