@@ -121,7 +121,7 @@ def test_no_order_is_worse_than_the_given_one(given_shots, axes, start, cost):
         assert after.travel_s <= before.travel_s + 1e-5
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=40)
 @given(st.lists(shots, min_size=1, max_size=6), st.sampled_from([ONE, TWO, ALL]), starts, costs)
 def test_a_small_plan_is_within_a_tenth_of_the_best_of_all_orders(given_shots, axes, start, cost):
     found = estimate_s(order_shots(given_shots, axes, start, cost), axes, start, HAND_S)
