@@ -5,23 +5,22 @@ somebody. So the photographs that want the same settings by hand are taken toget
 neighbouring combinations differ in as few settings as can be. What remains free, the order of these blocks and the
 way through each, is chosen for the least travel of the motors.
 
-Where steps by hand cost nothing (the virtual rig), only travel counts, and the photographs of one capture stay together: the
-light drifts least between its two filter states.
+Where steps by hand cost nothing (the virtual rig), only travel counts, and the photographs of one capture stay
+together: the light drifts least between its two filter states.
 """
 
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from irodori.captures import ROLES, Shot
+from irodori.captures import Shot
 from irodori.rig.devices import Axis
 from irodori.rig.operator import Step
 from irodori.rig.paths import shortest_blocks
 from irodori.rig.placing import hand_settings, motor_targets
 
 #: What is photographed first: what calibrates an object comes before it.
-_PHASES = ("dark", "white", "chart", "object", "environment")
-assert set(_PHASES) == set(ROLES)
+PHASES = ("dark", "white", "chart", "object", "environment")
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,7 @@ def order_shots(
         raise ValueError(f"manual_cost_s {manual_cost_s:g}: 0 or more")
     brackets: dict[tuple, list[Shot]] = {}
     for shot in shots:
-        brackets.setdefault((_PHASES.index(shot.role), shot.pose, shot.filter), []).append(shot)
+        brackets.setdefault((PHASES.index(shot.role), shot.pose, shot.filter), []).append(shot)
     for bracket in brackets.values():
         bracket.sort(key=lambda shot: shot.exposure_s)
     given = sorted(brackets, key=lambda key: key[0])  # in the given order, as far as the phases allow

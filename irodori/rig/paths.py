@@ -1,12 +1,14 @@
 """Short ways: through places that motors reach, and through blocks of places between which a person sets something.
 
 Few points are solved exactly (dynamic programming over subsets, Held and Karp 1962), one axis is swept from end to
-end, many points take the best of several boustrophedon orders and of a nearest-neighbour order bettered by 2-opt.
+end, many points take the best of several boustrophedon orders and of a nearest-neighbour order bettered by 2-opt and
+Or-opt (moving up to three neighbours elsewhere).
 Costs are tuples that compare from the left: settings changed by hand, travel in s, then what keeps the session calm.
 """
 
+import functools
 import itertools
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 
 from irodori.rig.devices import Axis
 
@@ -15,7 +17,9 @@ Place = tuple
 #: A block is its phase, its settings by hand, and its places.
 Block = tuple[int, dict, list[Place]]
 
-_EXACT_POINTS, _SEARCH_POINTS, _FRONTIER = 6, 200, 12
+#: More points than these are not moved singly, and not searched at all but swept: it would take longer than it saves.
+_MOVED_POINTS, _SEARCH_POINTS = 120, 400
+_EXACT_POINTS, _FRONTIER = 6, 12
 _EXACT_WORK = 200_000
 
 
@@ -36,9 +40,10 @@ def shortest_blocks(
         Settings that stand; what is not there is unknown.
     """
     travel = _Travel(axes)
+    ways = functools.cache(lambda places: _ways(list(places), axes, travel))  # most blocks have the same places
     frontier = [((0, 0.0, 0.0), dict(hand), start, [])]
     for _, group in itertools.groupby(sorted(blocks, key=lambda block: block[0]), key=lambda block: block[0]):
-        phase = [(block, _ways(block[2], axes, travel)) for block in group]
+        phase = [(block, ways(tuple(block[2]))) for block in group]
         ends: dict[Hashable, tuple] = {}
         for cost, stands, place, done in frontier:
             for more, order in _phase(phase, stands, place, travel):
@@ -82,7 +87,7 @@ def _ways(places: list[Place], axes: Sequence[Axis], travel: _Travel) -> list[tu
     else:
         ways = [snake for order in itertools.permutations(varying) for snake in _snakes(places, order)]
         if len(places) <= _SEARCH_POINTS:
-            ways.append(_bettered(places, lambda a, b: travel(a, b), lambda a: 0.0))
+            ways.append(_bettered(places, travel, lambda a: 0.0))
         ways = sorted(ways, key=travel.along)[:_EXACT_POINTS]
     ways += [way[::-1] for way in ways if len(way) > 1]
     return [(way, travel.along(way)) for way in ways]
@@ -99,9 +104,12 @@ def _exact_ways(places: list[Place], travel: _Travel) -> Iterator[list[Place]]:
     return (list(way) for _, way in best.values())
 
 
-def _snakes(points: Iterable[tuple], order: Sequence[int]) -> Iterator[list[tuple]]:
-    """Yield boustrophedon orders of points, ``order[0]`` the slowest coordinate, from each corner."""
-    for flips in itertools.product((False, True), repeat=len(order)):
+def _snakes(points: Collection[tuple], order: Sequence[int]) -> Iterator[list[tuple]]:
+    """Yield boustrophedon orders of points, ``order[0]`` the slowest coordinate, from the corners."""
+    corners = itertools.product((False, True), repeat=len(order))
+    if len(points) > _MOVED_POINTS:
+        corners = ((flip,) * len(order) for flip in (False, True))
+    for flips in corners:
         yield _snake(list(points), list(zip(order, flips, strict=True)))[0]
 
 
@@ -118,7 +126,7 @@ def _snake(points: list[tuple], order: list[tuple[int, bool]]) -> tuple[list[tup
 
 
 def _bettered(points: Sequence, distance: Callable, entry: Callable) -> list:
-    """Return an open way through points: from the nearest to the nearest, then 2-opt until nothing gets better.
+    """Return an open way through points: nearest neighbours first, then bettered until nothing helps.
 
     Parameters
     ----------
@@ -130,18 +138,46 @@ def _bettered(points: Sequence, distance: Callable, entry: Callable) -> list:
     way = [left.pop(min(range(len(left)), key=lambda i: entry(left[i])))]
     while left:
         way.append(left.pop(min(range(len(left)), key=lambda i: distance(way[-1], left[i]))))
-    better = True
-    while better:
-        better = False
-        for i, j in itertools.combinations(range(len(way)), 2):
-            before = distance(way[i - 1], way[i]) if i else entry(way[i])
-            after = distance(way[i - 1], way[j]) if i else entry(way[j])
-            if j + 1 < len(way):
-                before, after = before + distance(way[j], way[j + 1]), after + distance(way[i], way[j + 1])
-            if after < before - 1e-9:
-                way[i : j + 1] = way[i : j + 1][::-1]
-                better = True
+    few = len(way) <= _MOVED_POINTS
+    while _reversed_better(way, distance, entry) or (few and _moved_better(way, distance, entry)):
+        pass
     return way
+
+
+def _reversed_better(way: list, distance: Callable, entry: Callable) -> bool:
+    """Reverse parts of a way wherever that shortens it (2-opt), in place; return whether one did."""
+    found = False
+    for i, j in itertools.combinations(range(len(way)), 2):
+        before = distance(way[i - 1], way[i]) if i else entry(way[i])
+        after = distance(way[i - 1], way[j]) if i else entry(way[j])
+        if j + 1 < len(way):
+            before, after = before + distance(way[j], way[j + 1]), after + distance(way[i], way[j + 1])
+        if after < before - 1e-9:
+            way[i : j + 1] = way[i : j + 1][::-1]
+            found = True
+    return found
+
+
+def _moved_better(way: list, distance: Callable, entry: Callable) -> bool:
+    """Move up to three neighbours elsewhere where that shortens a way (Or-opt), in place; return whether one did."""
+
+    def gap(a, b) -> float:
+        """Return the step between two neighbours; None is the outside."""
+        return 0.0 if b is None else entry(b) if a is None else distance(a, b)
+
+    for size, i in itertools.product((1, 2, 3), range(len(way))):
+        part, rest = way[i : i + size], way[:i] + way[i + size :]
+        if len(part) < size or not rest:
+            continue
+        edge = [None, *rest, None]
+        gain = gap(edge[i], part[0]) + gap(part[-1], edge[i + 1]) - gap(edge[i], edge[i + 1])
+        for at, turned in itertools.product(range(len(rest) + 1), (False, True)):
+            first, last = (part[-1], part[0]) if turned else (part[0], part[-1])
+            loss = gap(edge[at], first) + gap(last, edge[at + 1]) - gap(edge[at], edge[at + 1])
+            if loss < gain - 1e-9:
+                way[:] = rest[:at] + (part[::-1] if turned else part) + rest[at:]
+                return True
+    return False
 
 
 # ---- the order of the blocks of one phase
@@ -149,6 +185,11 @@ def _bettered(points: Sequence, distance: Callable, entry: Callable) -> list:
 
 def _phase(phase: list[tuple], hand: dict, place: Place, travel: _Travel) -> Iterator[tuple]:
     """Yield (cost, list of (block, way)) of good orders of a phase, for different ends."""
+    if len(phase) == 1 and 1 < len(phase[0][0][2]) <= _SEARCH_POINTS:
+        # One block is entered from where the motors stand, and from nowhere else.
+        block, ways = phase[0]
+        way = _bettered(block[2], travel, lambda a: travel(place, a))
+        phase = [(block, [*ways, (way, travel.along(way))])]
     ways = max(len(ways) for _, ways in phase)
     if len(phase) ** 2 * 2 ** len(phase) * ways**2 <= _EXACT_WORK:
         yield from _exact_order(phase, hand, place, travel)
@@ -165,14 +206,14 @@ def _phase(phase: list[tuple], hand: dict, place: Place, travel: _Travel) -> Ite
 
 def _exact_order(phase: list[tuple], hand: dict, place: Place, travel: _Travel) -> Iterator[tuple]:
     """Yield the best order for each last block and way: dynamic programming over the subsets done."""
-    count = len(phase)
+    count, ways = len(phase), max(len(ways) for _, ways in phase)
     best: dict[tuple, tuple] = {}
-    for i, (block, ways) in enumerate(phase):
-        for k, (way, length) in enumerate(ways):
+    for i, (block, ways_of_block) in enumerate(phase):
+        for k, (way, length) in enumerate(ways_of_block):
             cost = _sum(_hand_cost(hand, block[1]), (0, travel(place, way[0]) + length, 0.0))
             best[1 << i, i, k] = (cost, None)
     for mask in range(1, 1 << count):
-        for i, k in [(i, k) for i in range(count) for k in range(len(phase[i][1])) if (mask, i, k) in best]:
+        for i, k in [key[1:] for key in itertools.product([mask], range(count), range(ways)) if key in best]:
             cost, stands, end = best[mask, i, k][0], phase[i][0][1], phase[i][1][k][0][-1]
             for j in (j for j in range(count) if not mask >> j & 1):
                 by_hand = _hand_cost(stands, phase[j][0][1])

@@ -3,19 +3,16 @@
 import importlib
 import importlib.util
 import logging
-import math
 import sys
+from dataclasses import replace
 
 import pytest
 import simulated_gphoto2
-from hypothesis import given
-from hypothesis import strategies as st
-from simulated_gphoto2 import MODEL, SHUTTER, Bench, CameraStorageInformation, fault, make_module
+from simulated_gphoto2 import MODEL, Bench, CameraStorageInformation, fault, make_module
 from test_camera_contract import DRIVER, RAW, shot
 
 from irodori.rig.devices import CommandError, DeadlineError, DeviceError, LinkError
 from irodori.rig.gphoto import GphotoCamera
-from irodori.rig.gphoto_settings import NUMERIC, TOLERANCE, WIDGETS, find_choice, means, parse_number
 
 ARRIVES_S = 1.5
 FILE = (ARRIVES_S, "capt{}.cr2", RAW)
@@ -36,40 +33,6 @@ def busy(times: int) -> list:
     return [fault("GP_ERROR_CAMERA_BUSY") for _ in range(times)]
 
 
-# ---- numbers in a camera's words
-
-
-@pytest.mark.parametrize(
-    ("text", "number"),
-    [
-        ("1/50", 0.02), ("0.0200s", 0.02), ("10/25", 0.4), ("30", 30.0), ("1.3", 1.3), ("0.02 s", 0.02),
-        ("f/8", 8.0), ("f/1.8", 1.8), ("F8", 8.0), ("5.6", 5.6), ("100", 100.0), ("ISO 100", 100.0),
-        ("Auto", None), ("bulb", None), ("Lo 1", None), ("1/0", None), ("", None), ("implicit auto", None),
-    ],
-)  # fmt: skip
-def test_a_choice_is_read_as_the_number_that_it_means(text, number):
-    assert parse_number(text) == number
-
-
-@given(st.sampled_from(SHUTTER), st.floats(-0.9 * TOLERANCE, 0.9 * TOLERANCE))
-def test_an_exposure_within_the_tolerance_finds_its_own_choice(text, off):
-    assert find_choice("exposure_s", parse_number(text) * (1.0 + off), ["bulb", *SHUTTER]) == text
-
-
-@given(st.floats(1e-4, 100.0), st.lists(st.sampled_from(SHUTTER)))
-def test_no_choice_is_taken_for_a_number_that_it_is_not(wanted, choices):
-    found = find_choice("exposure_s", wanted, choices)
-    close = [c for c in choices if math.isclose(parse_number(c), wanted, rel_tol=TOLERANCE)]
-    assert (found is None) == (not close)
-    assert found is None or (found in close and means("exposure_s", found, wanted))
-
-
-def test_words_are_compared_whole():
-    choices = ["RAW + Large Fine JPEG", "mRAW", "RAW"]
-    assert find_choice("image_format", "raw", choices) == "RAW"
-    assert find_choice("image_format", "NEF (Raw)", choices) is None
-
-
 # ---- settings
 
 
@@ -85,8 +48,6 @@ def test_the_shutter_falls_with_everything_set(bench, tmp_path):
 
 
 def test_a_shot_s_own_iso_and_aperture_go_first(bench, tmp_path):
-    from dataclasses import replace
-
     with opened(bench) as camera:
         camera.capture(replace(shot(0.02), iso=800.0, f_number=11.0), tmp_path / "a.cr2")
         camera.capture(shot(0.02), tmp_path / "b.cr2")
@@ -426,7 +387,3 @@ def test_the_stand_in_has_the_names_of_the_real_module():
     for words, (code, text) in simulated_gphoto2.CODES.items():
         assert real.GPhoto2Error(code).string == text, words
         assert str(real.GPhoto2Error(code)) == str(fault(words))
-
-
-def test_every_numeric_setting_has_widgets():
-    assert set(NUMERIC) <= set(WIDGETS)
