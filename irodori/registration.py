@@ -122,9 +122,7 @@ def _level(fixed, moving, scale, shape, count, offsets, diagonal) -> _Level:
     reach = math.sqrt((shape[0] ** 2 + shape[1] ** 2) / 12.0)
     geometry = np.array([scale, (shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0, reach])
     columns = 2 * max(1, fixed.shape[1] // (2 * width))
-    return _Level(
-        scale, moving, places, counts, offsets, gradient, curvature, weight, columns, geometry, diagonal
-    )
+    return _Level(scale, moving, places, counts, offsets, gradient, curvature, weight, columns, geometry, diagonal)
 
 
 _LOCAL = 0.1
@@ -150,7 +148,9 @@ def _colour_map(level: _Level, moving, weight):
         out[:, i, i] = (cells[:, 1, i, i] + pull * common[i, i]) / (cells[:, 0, i, i] + pull + 1e-30)
         return out
     pull = (pull + 1e-30) * np.eye(3)
-    return np.ascontiguousarray(np.linalg.solve(cells[:, 0] + pull, (cells[:, 1] + common @ pull).swapaxes(1, 2)).swapaxes(1, 2))
+    return np.ascontiguousarray(
+        np.linalg.solve(cells[:, 0] + pull, (cells[:, 1] + common @ pull).swapaxes(1, 2)).swapaxes(1, 2)
+    )
 
 
 def _evaluate(level: _Level, turn: complex, shift: complex, weight, shifts=None) -> _Fit | None:
@@ -261,7 +261,17 @@ def _pyramid(image, valid, finest: int, coarsest: int) -> dict[int, np.ndarray]:
     return levels
 
 
-def register(fixed, moving, fixed_valid, moving_valid, start: Registration | None = None, *, offsets=None, _finest=None, _places=_PLACES) -> Registration:
+def register(
+    fixed,
+    moving,
+    fixed_valid,
+    moving_valid,
+    start: Registration | None = None,
+    *,
+    offsets=None,
+    _finest=None,
+    _places=_PLACES,
+) -> Registration:
     shape = fixed.shape[:2]
     diagonal = offsets is None
     offsets = np.zeros((3, 2)) if offsets is None else offsets

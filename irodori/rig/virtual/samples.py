@@ -1,5 +1,6 @@
 """What really stands on the virtual rig: measured spectra, and how each material reflects."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -7,7 +8,7 @@ import numpy as np
 
 from irodori.brdf import fresnel
 from irodori.geometry.shapes import Shape
-from irodori.rig.virtual.reflection import MODELS, read_measured
+from irodori.rig.virtual.reflection import MODELS, measured_lobe, read_measured
 from irodori.spectra import SAMPLES, refractive_index, spectrum
 
 _FRESNEL_NODES = 512
@@ -22,7 +23,8 @@ class Sample:
     shape : Shape
     columns, rows : int
         Checks over the texture; a uniform sample has one.
-    reflectance : (m, 61) float, S(λ) of each material; 0 for a measured one, whose table holds all
+    reflectance : (m, 61) float
+        S(λ) of each material; of a measured one its reflectance factor lit at 45 degrees and seen from above.
     model : (m,) int, see `irodori.rig.virtual.reflection`
     beta : (m,) float
     mu_rad : (m,) float
@@ -83,3 +85,9 @@ class Sample:
         column = np.floor((np.arange(width) + 0.5) / width * self.columns).astype(int)
         row = np.floor((np.arange(height) + 0.5) / height * self.rows).astype(int)
         return (row[:, None] * self.columns + column[None, :]) % len(self.beta)
+
+
+def _reflectance_factor(table: np.ndarray) -> np.ndarray:
+    """Return the reflectance factor of a measured material in the geometry 45:0, (61,)."""
+    half = math.cos(math.radians(22.5))
+    return np.array([measured_lobe(table, half, half, band) for band in range(SAMPLES)])

@@ -6,6 +6,7 @@ from irodori import store
 from irodori.light import Environment, irradiance_map
 from irodori.material import Material
 from irodori.rig.virtual.classroom import room_coefficients, source_spectra
+from irodori.rig.virtual.reflection import PAPER
 from irodori.rig.virtual.samples import Sample
 from irodori.rig.virtual.sensor import band_weights
 from irodori.spectra import spectrum
@@ -16,17 +17,19 @@ _GREEN = 1
 def true_material(definition: dict, camera: dict, rig: dict) -> Material:
     """Return what stands on the virtual rig as a material; its spectra are one-hot on the true spectra.
 
-    α is the response of the green band to S(λ) under the rig's light, as the fit defines it [design, §3].
+    α is the response of the green band to S(λ) under the rig's light, as the fit defines it [design, §3]. β and μ are
+    those of equation (5), NaN for a material that follows another model.
     """
     sample = Sample.from_definition(definition)
     width, height = definition["texels"]["width"], definition["texels"]["height"]
     index = sample.material_index(width, height)
     weights = band_weights(camera, spectrum(rig["light"]["spectrum"]))[_GREEN]
     green = sample.reflectance @ weights / weights.sum()
+    beta, mu = (np.where(sample.model == PAPER, values, np.nan) for values in (sample.beta, sample.mu_rad))
     return Material(
         alpha=green[index],
-        beta=sample.beta[index],
-        mu=sample.mu_rad[index],
+        beta=beta[index],
+        mu=mu[index],
         green_response=green[index],
         coefficients=np.eye(len(green), dtype=np.float32)[index],
         basis=sample.reflectance.T,
