@@ -22,7 +22,7 @@ from irodori.rig.planner import Planner, axis_angles, default_noise
 from irodori.rig.selection import TooFewPoses
 
 _SEED = 20100401
-_SESSIONS = 100
+_SESSIONS = 200
 _RANDOM_DRAWS = 8
 _RELATIVE = {"alpha": False, "beta": True, "mu": True}
 

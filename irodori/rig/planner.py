@@ -254,6 +254,10 @@ class Planner:
         self.max_manual = definition["plan"]["max_manual"]
         flat = self.subject.shape.kind == PLATE
         poses = open_poses(self.subject.shape, rig["limits"], clearance_deg, coarse_deg)
+        if not poses:
+            raise TooFewPoses(
+                f"a rig whose camera never stands {clearance_deg:g} degrees from the light; accepted: some poses"
+            )
         self.range = materials or MaterialRange.from_definition(definition)
         self.sample = self.range.spread(_FLAT_MATERIALS if flat else _SPHERE_MATERIALS)
         self.noise = noise or default_noise(rig)
