@@ -17,22 +17,13 @@ from irodori.brdf import reflect
 from irodori.captures import Pose
 from irodori.fitting import FitOptions, fit
 from irodori.progress import LOGGER
-from irodori.rig.information import Materials, Noise, Subject, observe
-from irodori.rig.planner import (
-    MaterialRange,
-    axis_angles,
-    default_noise,
-    expected_errors,
-    open_poses,
-    plan_best,
-    subject_of,
-)
+from irodori.rig.information import Materials
+from irodori.rig.planner import Planner, axis_angles, default_noise
 from irodori.rig.selection import TooFewPoses
 
 _SEED = 20100401
-_SESSIONS = 100
+_SESSIONS = 200
 _RANDOM_DRAWS = 8
-_EXPECTED_FOR = 40  # materials that the expectation is a median over
 _RELATIVE = {"alpha": False, "beta": True, "mu": True}
 
 
@@ -42,21 +33,15 @@ class Sitting:
 
     Parameters
     ----------
-    subject : Subject
-    materials : MaterialRange
-    noise : Noise
-    max_angle_deg : float
-        ``rectify.max_angle_deg``, degrees.
+    planner : Planner
+        What stands on the rig, its materials, the noise, the largest angle.
     correlation_shots : float
         Photographs after which the light's drift has forgotten itself to 1/e.
     shots_per_pose : int
         Photographs of a pose, both filter states and brackets together.
     """
 
-    subject: Subject
-    materials: MaterialRange
-    noise: Noise
-    max_angle_deg: float = 80.0
+    planner: Planner
     correlation_shots: float = 60.0
     shots_per_pose: int = 2
 
@@ -68,7 +53,7 @@ class Sitting:
         for j in range(poses):
             out[:, j] = state
             state = memory * state + math.sqrt(1.0 - memory**2) * rng.normal(size=sessions)
-        return 1.0 + self.noise.relative * out
+        return 1.0 + self.planner.noise.relative * out
 
     def photograph(self, poses: list[Pose], materials: Materials, sessions: int, rng: np.random.Generator):
         """Return responses, geometry and weights of texels, as rectification would hand them to the fit.
@@ -90,24 +75,24 @@ class Sitting:
         """
         count = len(materials.alpha)
         session = np.arange(count) % sessions
-        texel = rng.integers(len(self.subject.position), size=count)
-        off = rng.normal(scale=self.noise.pose_rms_deg, size=(sessions, len(poses), 2))
+        texel = rng.integers(len(self.planner.subject.position), size=count)
+        off = rng.normal(scale=self.planner.noise.pose_rms_deg, size=(sessions, len(poses), 2))
         real = [
             replace(pose, light_deg=pose.light_deg + a, camera_deg=pose.camera_deg + b)
             for row in off
             for pose, (a, b) in zip(poses, row, strict=True)
         ]
-        true_geometry = self.subject.geometry(real).reshape(sessions, len(poses), -1, 4)[session, :, texel]
+        true_geometry = self.planner.subject.geometry(real).reshape(sessions, len(poses), -1, 4)[session, :, texel]
         alpha, beta, mu = (np.asarray(v)[:, None] for v in (materials.alpha, materials.beta, materials.mu))
         light = self.light(sessions, len(poses), rng)[session]
         mean = light * reflect(alpha, 1.0, beta, mu, true_geometry, materials.n, materials.k)
-        electrons = rng.poisson(mean / self.noise.shot_variance)
-        response = electrons * self.noise.shot_variance
-        response = response + rng.normal(scale=math.sqrt(self.noise.read_variance), size=response.shape)
-        geometry = self.subject.geometry(poses)
-        frontal = (geometry[..., :2] <= np.radians(self.max_angle_deg) + 1e-9).all(axis=-1)
-        frontal &= self.subject.unobstructed(poses)
-        weight = frontal[:, texel].T & (response < self.noise.saturation_response)
+        electrons = rng.poisson(mean / self.planner.noise.shot_variance)
+        response = electrons * self.planner.noise.shot_variance
+        response = response + rng.normal(scale=math.sqrt(self.planner.noise.read_variance), size=response.shape)
+        geometry = self.planner.subject.geometry(poses)
+        frontal = (geometry[..., :2] <= np.radians(self.planner.max_angle_deg) + 1e-9).all(axis=-1)
+        frontal &= self.planner.subject.unobstructed(poses)
+        weight = frontal[:, texel].T & (response < self.planner.noise.saturation_response)
         return response, geometry[:, texel].swapaxes(0, 1), weight.astype(np.float64)
 
 
@@ -120,8 +105,8 @@ class PlanRow:
     object : str
     poses : int
     design : str
-        ``planned``; ``planned by information``, the criterion ``determinant``; ``even grid`` of as many light angles as
-        a plan may have; ``even, one light``; ``random``, poses of random settings, pooled over some draws.
+        ``planned``; ``planned-determinant``, the criterion ``determinant``; ``even-grid`` of as many light angles as
+        a plan may have; ``even-one-light``; ``random``, poses of random settings, pooled over some draws.
     parameter : str
         ``alpha``, whose error is absolute; ``beta``, ``mu``, whose errors are relative.
     median, p95 : float
@@ -198,7 +183,7 @@ def random_poses(candidates: list[Pose], count: int, max_manual: int, rng: np.ra
 
 def fit_errors(sitting: Sitting, poses: list[Pose], count: int, options: FitOptions, rng) -> dict[str, np.ndarray]:
     """Return the error of each parameter over random materials, (count,) each; NaN where the fit does not state it."""
-    materials = sitting.materials.at(rng.random((count, 3)))
+    materials = sitting.planner.range.at(rng.random((count, 3)))
     response, geometry, weight = sitting.photograph(poses, materials, min(_SESSIONS, count), rng)
     result = fit(response, geometry, weight, materials.n, materials.k, options)
     out = {}
@@ -212,11 +197,7 @@ def measure_design(name: str, design: str, drawn: list, sitting: Sitting, count:
     """Return the rows of one design; several draws of it share the materials and are pooled."""
     share = max(count // len(drawn), 1)
     errors = [fit_errors(sitting, poses, share, options, rng) for poses in drawn]
-    sample = sitting.materials.spread(_EXPECTED_FOR)
-    expected = [
-        expected_errors(observe(sitting.subject, poses, sample, sitting.noise, sitting.max_angle_deg), sample)[0]
-        for poses in drawn
-    ]
+    expected = [sitting.planner.expected(poses) for poses in drawn]
     rows = []
     for parameter in _RELATIVE:
         pooled = np.concatenate([e[parameter] for e in errors])
@@ -255,28 +236,25 @@ def measure_object(name: str, planned: dict, options: FitOptions, max_angle_deg:
         ``poses``, numbers to compare; ``materials``, how many.
     """
     definition, rig = planned["definition"], planned["rig"]
-    noise = default_noise(rig, planned["sensor"], planned["exposures_s"])
-    subject, manual = subject_of(definition, rig), definition["plan"]["max_manual"]
-    drift = rig.get("virtual", {}).get("imperfections", {}).get("light_drift", {})
-    sitting = Sitting(
-        subject,
-        MaterialRange.from_definition(definition),
-        noise,
-        max_angle_deg,
-        drift.get("correlation_shots", Sitting.correlation_shots),
-        planned["shots_per_pose"],
+    planner = Planner(
+        definition,
+        rig,
+        noise=default_noise(rig, planned["sensor"], planned["exposures_s"]),
+        max_angle_deg=max_angle_deg,
     )
-    candidates = _frontal(subject, open_poses(subject.shape, rig["limits"]), max_angle_deg)
+    drift = rig.get("virtual", {}).get("imperfections", {}).get("light_drift", {})
+    memory = drift.get("correlation_shots", Sitting.correlation_shots)
+    sitting = Sitting(planner, memory, planned["shots_per_pose"])
     rng = np.random.default_rng(_SEED)
-    plan = {"noise": noise, "max_angle_deg": max_angle_deg}
+    limits, manual = rig["limits"], planner.max_manual
+    designs = {
+        "planned": lambda count: [planner.best(count).poses],
+        "planned-determinant": lambda count: [planner.best(count, criterion="determinant").poses],
+        "even-grid": lambda count: [even_poses(limits, count, manual, max_angle_deg)],
+        "even-one-light": lambda count: [even_poses(limits, count, 1, max_angle_deg)],
+        "random": lambda count: [random_poses(planner.poses, count, manual, rng) for _ in range(_RANDOM_DRAWS)],
+    }
     for count in settings["poses"]:
-        designs = {
-            "planned": lambda k: [plan_best(definition, rig, k, **plan).poses],
-            "planned by information": lambda k: [plan_best(definition, rig, k, criterion="determinant", **plan).poses],
-            "even grid": lambda k: [even_poses(rig["limits"], k, manual, max_angle_deg)],
-            "even, one light": lambda k: [even_poses(rig["limits"], k, 1, max_angle_deg)],
-            "random": lambda k: [random_poses(candidates, k, manual, rng) for _ in range(_RANDOM_DRAWS)],
-        }
         for design, draw in designs.items():
             try:
                 drawn = draw(count)
@@ -284,12 +262,6 @@ def measure_object(name: str, planned: dict, options: FitOptions, max_angle_deg:
                 LOGGER.warning("%s, %d poses, %s: left out, %s", name, count, design, error)
                 continue
             yield from measure_design(name, design, drawn, sitting, settings["materials"], options, rng)
-
-
-def _frontal(subject: Subject, poses: list[Pose], max_angle_deg: float) -> list[Pose]:
-    """Return the poses in which a plate's centre is lit and seen within the largest angle."""
-    angles = subject.geometry(poses)[:, 0, :2]
-    return [pose for pose, good in zip(poses, (angles <= np.radians(max_angle_deg)).all(axis=1), strict=True) if good]
 
 
 def measure_plan(objects: dict[str, dict], fit_options: dict, max_angle_deg: float, settings: dict, output) -> None:

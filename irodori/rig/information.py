@@ -120,7 +120,8 @@ class Subject:
 
     def geometry(self, poses: list[Pose]) -> np.ndarray:
         """Return θ_i, θ_r, θ_H, φ of every texel in every pose, (poses, t, 4) rad."""
-        rotation = np.array([rig_from_object(pose) for pose in poses])
+        turned = {(pose.tilt_deg, pose.turn_deg): rig_from_object(pose) for pose in poses}
+        rotation = np.array([turned[pose.tilt_deg, pose.turn_deg] for pose in poses])
         normal = np.einsum("pij,tj->pti", rotation, self.normal)
         light = np.array([to_light(pose) for pose in poses])[:, None]
         view = self.camera_distance_mm * np.array([to_camera(pose) for pose in poses])[:, None]

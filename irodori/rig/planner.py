@@ -23,6 +23,7 @@ _SPHERE_TEXELS = 64
 _FLAT_MATERIALS, _SPHERE_MATERIALS = 40, 16
 _PRIOR_RELATIVE_ERROR = 1.0  # of each parameter before any photograph: known to a factor of e
 _TOLERANCE_DEG = 1e-6
+DEFAULT_CRITERION = "fit-variance"
 #: Relative standard errors from which on the fit states β and μ as not known.
 KNOWN_RELATIVE_ERROR = {"beta": 0.3, "mu": 0.2}
 
@@ -213,19 +214,8 @@ def default_noise(rig: dict, sensor: dict | None = None, exposures_s=()) -> Nois
     return Noise(**own) if sensor is None else Noise.of_sensor(sensor, exposures_s, **own)
 
 
-def plan_best(
-    definition: dict,
-    rig: dict,
-    count: int | None = None,
-    materials: MaterialRange | None = None,
-    noise: Noise | None = None,
-    max_manual: int | None = None,
-    max_angle_deg: float = 80.0,
-    clearance_deg: float = 5.0,
-    criterion: str = "fit-variance",
-    coarse_deg: Mapping[str, float] | None = None,
-) -> Plan:
-    """Choose the poses that carry the most Fisher information about α, β, μ over a range of materials.
+class Planner:
+    """An object on a rig, its candidates looked at once, for plans of any number of poses.
 
     Parameters
     ----------
@@ -233,24 +223,97 @@ def plan_best(
         Validated definition of the object: ``shape``, ``refractive_index``, ``plan``.
     rig : dict
         Validated definition of the rig: ``limits``, distances, imperfections.
-    count : int, optional
-        How many poses, at least 4: three parameters and one observation more. ``plan.count`` where absent.
     materials : MaterialRange, optional
         The object's own where absent.
     noise : Noise, optional
         `default_noise` of the rig where absent.
-    max_manual : int, optional
-        How many different settings of light angle and tilt a person is willing to make; ``plan.max_manual`` where
-        absent.
     max_angle_deg : float
         ``rectify.max_angle_deg``: beyond it an observation tells nothing, degrees.
     clearance_deg : float
         See `candidate_poses`, degrees.
-    criterion : str
-        See `irodori.rig.selection`. The default gave the smallest errors of simulated fits from six poses on: with
-        equal weights, a noisy observation that Fisher information takes for harmless spoils a fit.
     coarse_deg : dict, optional
         See `candidate_poses`; finer grids cost time in proportion.
+
+    Attributes
+    ----------
+    poses : list of Pose
+        Candidates in which something of the object is lit and seen.
+    """
+
+    def __init__(
+        self,
+        definition: dict,
+        rig: dict,
+        materials: MaterialRange | None = None,
+        noise: Noise | None = None,
+        max_angle_deg: float = 80.0,
+        clearance_deg: float = 5.0,
+        coarse_deg: Mapping[str, float] | None = None,
+    ) -> None:
+        self.subject = subject_of(definition, rig)
+        self.max_manual = definition["plan"]["max_manual"]
+        flat = self.subject.shape.kind == PLATE
+        poses = open_poses(self.subject.shape, rig["limits"], clearance_deg, coarse_deg)
+        if not poses:
+            raise TooFewPoses(
+                f"a rig whose camera never stands {clearance_deg:g} degrees from the light; accepted: some poses"
+            )
+        self.range = materials or MaterialRange.from_definition(definition)
+        self.sample = self.range.spread(_FLAT_MATERIALS if flat else _SPHERE_MATERIALS)
+        self.noise = noise or default_noise(rig)
+        self.max_angle_deg = max_angle_deg
+        seen = observe(self.subject, poses, self.sample, self.noise, max_angle_deg)
+        useful = np.flatnonzero(np.isfinite(seen.variance).any(axis=1))
+        self.poses, self.seen = [poses[i] for i in useful], seen.of(useful)
+
+    def best(self, count: int, max_manual: int | None = None, criterion: str = DEFAULT_CRITERION) -> Plan:
+        """Choose poses; parameters, result and errors as in `plan_best`."""
+        max_manual = self.max_manual if max_manual is None else max_manual
+        if count <= PARAMETERS:
+            raise ValueError(f"{count} poses; accepted: {PARAMETERS + 1} or more, for {PARAMETERS} parameters")
+        if max_manual < 1:
+            raise ValueError(f"{max_manual} manual settings; accepted: 1 or more")
+        if len(self.poses) < count:
+            raise TooFewPoses(
+                f"{count} poses; accepted: at most the {len(self.poses)} in which the rig sees the object"
+            )
+        setting = np.unique([_hand(p) for p in self.poses], axis=0, return_inverse=True)[1].reshape(-1)
+        chosen = choose(self.seen, _PRIOR_RELATIVE_ERROR**-2, setting, count, max_manual, criterion)
+        order = sorted(chosen, key=lambda i: (*_hand(self.poses[i]), self.poses[i].turn_deg, i))
+        expected, fraction = expected_errors(self.seen.of(order), self.sample)
+        return Plan([self.poses[i] for i in order], expected, fraction, len(self.poses), len(set(setting[order])))
+
+    def expected(self, poses: list[Pose]) -> dict[str, tuple[float, float]]:
+        """Return what a fit of any poses is expected to reach, as in `Plan`."""
+        return expected_errors(observe(self.subject, poses, self.sample, self.noise, self.max_angle_deg), self.sample)[
+            0
+        ]
+
+
+def plan_best(
+    definition: dict,
+    rig: dict,
+    count: int | None = None,
+    max_manual: int | None = None,
+    criterion: str = DEFAULT_CRITERION,
+    **others,
+) -> Plan:
+    """Choose the poses that tell most about α, β, μ over a range of materials.
+
+    Parameters
+    ----------
+    definition, rig : dict
+        Validated definitions of the object and the rig.
+    count : int, optional
+        How many poses, at least 4: three parameters and one observation more. ``plan.count`` where absent.
+    max_manual : int, optional
+        How many different settings of light angle and tilt a person is willing to make; ``plan.max_manual`` where
+        absent.
+    criterion : str
+        See `irodori.rig.selection`. The default gave the smallest errors of simulated fits: with equal weights, a noisy
+        observation that Fisher information takes for harmless spoils a fit, and a saturated one leaves too few.
+    **others
+        Further parameters of `Planner`: ``materials``, ``noise``, ``max_angle_deg``, ``clearance_deg``, ``coarse_deg``.
 
     Returns
     -------
@@ -259,31 +322,12 @@ def plan_best(
     Raises
     ------
     ValueError
-        For a count under 4 or an unknown criterion.
+        For a count under 4, less than one manual setting or an unknown criterion.
     TooFewPoses
         Where the rig has fewer poses than wanted.
     """
-    count = definition["plan"]["count"] if count is None else count
-    max_manual = definition["plan"]["max_manual"] if max_manual is None else max_manual
-    if count <= PARAMETERS:
-        raise ValueError(f"{count} poses; accepted: {PARAMETERS + 1} or more, for {PARAMETERS} parameters")
-    if max_manual < 1:
-        raise ValueError(f"{max_manual} manual settings; accepted: 1 or more")
-    subject = subject_of(definition, rig)
-    flat = subject.shape.kind == PLATE
-    poses = open_poses(subject.shape, rig["limits"], clearance_deg, coarse_deg)
-    expected_range = materials or MaterialRange.from_definition(definition)
-    sample = expected_range.spread(_FLAT_MATERIALS if flat else _SPHERE_MATERIALS)
-    seen = observe(subject, poses, sample, noise or default_noise(rig), max_angle_deg)
-    useful = np.flatnonzero(np.isfinite(seen.variance).any(axis=1))
-    if len(useful) < count:
-        raise TooFewPoses(f"{count} poses; accepted: at most the {len(useful)} in which this rig sees the object")
-    setting = np.unique([_hand(pose) for pose in poses], axis=0, return_inverse=True)[1].reshape(-1)
-    prior = _PRIOR_RELATIVE_ERROR**-2
-    chosen = useful[choose(seen.of(useful), prior, setting[useful], count, max_manual, criterion)]
-    order = sorted(chosen, key=lambda i: (*_hand(poses[i]), poses[i].turn_deg, i))
-    expected, fraction = expected_errors(seen.of(order), sample)
-    return Plan([poses[i] for i in order], expected, fraction, len(useful), len(set(setting[order])))
+    planner = Planner(definition, rig, **others)
+    return planner.best(definition["plan"]["count"] if count is None else count, max_manual, criterion)
 
 
 def expected_errors(seen: Observations, materials: Materials) -> tuple[dict[str, tuple[float, float]], float]:

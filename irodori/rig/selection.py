@@ -23,6 +23,7 @@ from irodori.rig.information import PARAMETERS, Observations
 CRITERIA = ("determinant", "variance", "fit-determinant", "fit-variance")
 _MIN_GAIN = 1e-9
 _MAX_PASSES = 20
+_SETTINGS_TRIED = 4
 _SINGULAR = 1e-10  # determinant over the product of the diagonal
 
 
@@ -193,8 +194,8 @@ class Selection:
             return _judge_fit(self.jacobian[0], nothing, state, self.prior, self.by_determinant)
         return _judge_fisher(self.jacobian[0], nothing, state, self.by_determinant)
 
-    def _best_addition(self, chosen: list[int]) -> tuple[int, float]:
-        """Return the candidate whose addition is best, the first of equals, and the criterion with it."""
+    def _additions(self, chosen: list[int]) -> np.ndarray:
+        """Return the criterion with each candidate added, (candidates,); minus infinity where that is not allowed."""
         allowed = np.ones(len(self.variance), dtype=np.bool_)
         allowed[chosen] = False
         used = np.unique(self.setting[chosen]) if chosen else np.empty(0, dtype=int)
@@ -207,31 +208,39 @@ class Selection:
         out = np.empty(len(self.variance))
         state = self._state(chosen)
         _judge_all(self.jacobian, self.variance, state, self.prior, allowed, self.of_fit, self.by_determinant, out)
-        best = int(np.argmax(out))
-        return best, float(out[best])
+        return out
 
     def _fill(self, chosen: list[int], count: int) -> tuple[list[int], float]:
-        chosen, value = list(chosen), -math.inf
+        """Return a design of `count` with the best additions, the first of equals, and its criterion."""
+        chosen = list(chosen)
         while len(chosen) < count:
-            best, value = self._best_addition(chosen)
-            chosen.append(best)
-        return chosen, value
+            chosen.append(int(np.argmax(self._additions(chosen))))
+        return chosen, self.value(chosen)
 
     def greedy(self, count: int) -> list[int]:
         """Return a design of `count` candidates, each the best addition to those before it."""
         return self._fill([], count)[0]
 
     def improve(self, chosen: list[int]) -> list[int]:
-        """Return a design of the same size that no exchange of one candidate, or of all of one setting, improves."""
+        """Return a design of the same size that no exchange tried improves.
+
+        Exchanged are each candidate for any other, and all candidates of one setting for those of the settings whose
+        best candidate would add most.
+        """
         best, value = list(chosen), self.value(chosen)
         for _ in range(_MAX_PASSES):
             before = value
             for leave in [{index} for index in best] + self._by_setting(best):
                 if not leave <= set(best):
                     continue
-                trial, gained = self._fill([index for index in best if index not in leave], len(best))
-                if gained > value + _MIN_GAIN:
-                    best, value = trial, gained
+                kept = [index for index in best if index not in leave]
+                for start in self._starts(kept) if len(leave) > 1 else [kept]:
+                    try:
+                        trial, gained = self._fill(start, len(best))
+                    except TooFewPoses:  # this setting has fewer candidates than the one that left
+                        continue
+                    if gained > value + _MIN_GAIN:
+                        best, value = trial, gained
             if value <= before + _MIN_GAIN:
                 break
         return best
@@ -241,6 +250,16 @@ class Selection:
         for index in chosen:
             groups.setdefault(int(self.setting[index]), set()).add(index)
         return list(groups.values())
+
+    def _starts(self, kept: list[int]) -> list[list[int]]:
+        """Return designs with one candidate more: the best of each of the most promising settings."""
+        additions = self._additions(kept)
+        starts: dict[int, list[int]] = {}
+        for index in np.argsort(-additions, kind="stable"):
+            if additions[index] == -np.inf or len(starts) == _SETTINGS_TRIED:
+                break
+            starts.setdefault(int(self.setting[index]), [*kept, int(index)])
+        return list(starts.values())
 
 
 def choose(seen: Observations, prior: float, setting, count: int, max_manual: int, criterion: str) -> list[int]:

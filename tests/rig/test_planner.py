@@ -1,0 +1,241 @@
+"""The planner: the best choice among few, and poses that a rig can take."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plans import PLATE_OBJECT, POSES, RIG, SPHERE_OBJECT, texel
+
+from irodori.captures import Pose
+from irodori.fitting import solvers
+from irodori.geometry.frames import to_camera, to_light
+from irodori.rig.information import Materials, Noise, information, observe, standard_errors
+from irodori.rig.planner import (
+    KNOWN_RELATIVE_ERROR,
+    MaterialRange,
+    Planner,
+    axis_angles,
+    candidate_poses,
+    default_noise,
+    plan_best,
+    subject_of,
+)
+from irodori.rig.selection import CRITERIA, Selection, TooFewPoses, choose
+
+PRIOR = 1.0
+
+
+def random_poses(count: int, seed: int) -> list[Pose]:
+    rng = np.random.default_rng(seed)
+    lights = rng.choice([35.0, 45.0, 60.0, 75.0], size=count)
+    cameras = rng.choice(np.arange(0.0, 78.0), size=count, replace=False)
+    return [Pose(float(a), float(b)) for a, b in zip(lights, cameras, strict=True)]
+
+
+def some_observations(seed: int, count: int = 10):
+    return observe(texel(), random_poses(count, seed), MaterialRange().spread(6), Noise())
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+@pytest.mark.parametrize("seed", range(6))
+def test_the_choice_is_the_best_of_all_choices(criterion, seed):
+    seen = some_observations(seed)
+    setting = np.zeros(10, dtype=int)
+    selection = Selection(seen, PRIOR, setting, 1, criterion)
+    best = max(selection.value(list(design)) for design in itertools.combinations(range(10), 4))
+    chosen = choose(seen, PRIOR, setting, 4, 1, criterion)
+    assert selection.value(chosen) == pytest.approx(best, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_choice_within_two_settings_is_the_best_of_all_such(seed):
+    poses = random_poses(10, seed)
+    seen = observe(texel(), poses, MaterialRange().spread(6), Noise())
+    setting = np.unique([pose.light_deg for pose in poses], return_inverse=True)[1]
+    selection = Selection(seen, PRIOR, setting, 2, "determinant")
+    designs = [list(d) for d in itertools.combinations(range(10), 4) if len(set(setting[list(d)])) <= 2]
+    chosen = choose(seen, PRIOR, setting, 4, 2, "determinant")
+    assert len(set(setting[chosen])) <= 2
+    assert selection.value(chosen) == pytest.approx(max(map(selection.value, designs)), abs=1e-9)
+
+
+def test_the_criteria_are_what_they_are_called():
+    seen = observe(texel(), POSES, MaterialRange().spread(8), Noise())
+    chosen = [0, 3, 5, 9, 12, 16]
+    fisher = information(seen.of(chosen)) + PRIOR * np.eye(3)
+    part = seen.of(chosen)
+    normal = np.einsum("pci,pcj->cij", part.jacobian, part.jacobian)
+    middle = np.einsum("pc,pci,pcj->cij", part.variance, part.jacobian, part.jacobian)
+    of_fit = normal @ np.linalg.inv(middle) @ normal + PRIOR * np.eye(3)
+    expected = {
+        "determinant": np.linalg.slogdet(fisher)[1].mean(),
+        "variance": -np.trace(np.linalg.inv(fisher), axis1=1, axis2=2).mean(),
+        "fit-determinant": np.linalg.slogdet(of_fit)[1].mean(),
+        "fit-variance": -np.trace(np.linalg.inv(of_fit), axis1=1, axis2=2).mean(),
+    }
+    assert set(expected) == set(CRITERIA)
+    for criterion, value in expected.items():
+        selection = Selection(seen, PRIOR, np.zeros(len(POSES), dtype=int), 1, criterion)
+        assert selection.value(chosen) == pytest.approx(value, rel=1e-8)
+
+
+def test_the_precision_of_the_fit_is_that_of_its_expected_errors():
+    seen = observe(texel(), POSES, MaterialRange().spread(8), Noise())
+    selection = Selection(seen, 1e-9, np.zeros(len(POSES), dtype=int), 1, "fit-variance")
+    total = (standard_errors(seen) ** 2).sum(axis=1).mean()
+    assert -selection.value(list(range(len(POSES)))) == pytest.approx(total, rel=1e-6)
+
+
+def test_materials_without_gloss_do_not_stop_the_choice():
+    none = Materials(np.array([0.4, 0.4]), np.array([0.0, 3.0]), np.array([0.1, 0.1]))
+    seen = observe(texel(), POSES, none, Noise())
+    for criterion in CRITERIA:
+        chosen = choose(seen, PRIOR, np.zeros(len(POSES), dtype=int), 5, 1, criterion)
+        assert len(set(chosen)) == 5
+        assert math.isfinite(Selection(seen, PRIOR, np.zeros(len(POSES)), 1, criterion).value(chosen))
+
+
+limit = st.builds(
+    lambda low, parts, step: {"min": low, "max": low + parts * step * 0.999, "step": step},
+    st.floats(0.0, 40.0).map(lambda v: round(v, 1)),
+    st.integers(0, 12),
+    st.sampled_from([0.1, 0.5, 2.0, 4.5]),
+)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    light=limit, camera=limit, tilt=limit, count=st.integers(4, 9), manual=st.integers(1, 3), clearance=st.floats(0, 30)
+)
+def test_a_plan_holds_only_poses_that_the_rig_can_take(light, camera, tilt, count, manual, clearance):
+    limits = {
+        "light_deg": light,
+        "camera_deg": camera,
+        "tilt_deg": tilt,
+        "turn_deg": {"min": 0.0, "max": 0.0, "step": 1.0},
+    }
+    rig = RIG | {"limits": limits}
+    coarse = {"light_deg": 10.0, "camera_deg": 5.0, "tilt_deg": 15.0, "turn_deg": 45.0}
+    materials = MaterialRange(mu_rad=(0.1, 0.3))
+    try:
+        plan = plan_best(
+            PLATE_OBJECT, rig, count, manual, clearance_deg=clearance, coarse_deg=coarse, materials=materials
+        )
+    except TooFewPoses:
+        poses = candidate_poses(limits, coarse, clearance)
+        if poses:
+            told = observe(subject_of(PLATE_OBJECT, rig), poses, materials.spread(40), Noise())
+            useful = [
+                (p.light_deg, p.tilt_deg) for p, v in zip(poses, told.variance, strict=True) if np.isfinite(v).any()
+            ]
+            sizes = sorted(useful.count(setting) for setting in set(useful))
+            # Greedy settings may be smaller ones; with every setting too small no choice is left at all.
+            assert len(sizes) == 0 or sizes[0] * manual < count or len(useful) < count
+        return
+    assert len(plan.poses) == count == len({pose.name for pose in plan.poses})
+    assert len({(pose.light_deg, pose.tilt_deg) for pose in plan.poses}) == plan.manual_settings <= manual
+    for pose in plan.poses:
+        for axis, span in limits.items():
+            angle = getattr(pose, axis)
+            steps = (angle - span["min"]) / span["step"]
+            assert span["min"] - 1e-6 <= angle <= span["max"] + 1e-6 and abs(steps - round(steps)) < 1e-5
+        between = math.degrees(math.acos(min(1.0, to_light(pose) @ to_camera(pose))))
+        assert between >= clearance - 1e-4
+        # A corner of the plate is seen at up to 4 degrees less than its centre.
+        assert pose.light_deg - pose.tilt_deg <= 80 + 1e-6 and pose.camera_deg + pose.tilt_deg <= 84
+
+
+def test_a_camera_in_the_lights_way_is_no_candidate():
+    limits = {
+        "light_deg": {"min": 0.0, "max": 10.0, "step": 1.0},
+        "camera_deg": {"min": -10.0, "max": 10.0, "step": 1.0},
+        "tilt_deg": {"min": 0.0, "max": 0.0, "step": 1.0},
+        "turn_deg": {"min": 0.0, "max": 0.0, "step": 1.0},
+    }
+    coarse = {"light_deg": 1.0, "camera_deg": 1.0, "tilt_deg": 1.0, "turn_deg": 1.0}
+    poses = candidate_poses(limits, coarse, clearance_deg=5.0)
+    # The camera stands on the other side, at minus its angle: they coincide where the angles sum to nothing.
+    assert {(p.light_deg, p.camera_deg) for p in poses} == {
+        (a, c) for a in range(11) for c in range(-10, 11) if abs(a + c) >= 5
+    }
+
+
+def test_angles_of_an_axis_stay_on_its_steps_and_reach_no_further_than_asked():
+    np.testing.assert_array_equal(axis_angles({"min": 35.0, "max": 41.0, "step": 0.5}, 2.0), [35, 37, 39, 41])
+    np.testing.assert_array_equal(axis_angles({"min": 0.0, "max": 0.3, "step": 0.1}, 0.1), [0, 0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(axis_angles({"min": 0.0, "max": 20.0, "step": 7.5}, 2.0), [0, 7.5, 15])
+    np.testing.assert_array_equal(axis_angles({"min": 5.0, "max": 5.0, "step": 1.0}, 2.0), [5])
+
+
+def test_more_poses_and_more_manual_settings_promise_no_worse_design():
+    planner = Planner(PLATE_OBJECT, RIG)
+    errors = {k: planner.best(k).expected for k in (6, 12, 24)}
+    for name in ("alpha", "beta", "mu"):
+        assert errors[24][name][0] < errors[12][name][0] < errors[6][name][0]
+    one, three = (planner.best(8, max_manual=m) for m in (1, 3))
+    assert one.manual_settings == 1 and three.manual_settings <= 3
+    assert sum(v[0] ** 2 for v in three.expected.values()) <= sum(v[0] ** 2 for v in one.expected.values())
+
+
+def test_a_plan_for_a_sphere_turns_the_table_and_determines_more_than_one_side_does():
+    planner = Planner(SPHERE_OBJECT, RIG, materials=MaterialRange(mu_rad=(0.1, 0.3)))
+    plan = planner.best(16)
+    assert len({pose.turn_deg for pose in plan.poses}) > 2
+    one_side = [Pose(light, camera) for light in (35.0, 50.0, 80.0) for camera in (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)][
+        :16
+    ]
+    seen = observe(planner.subject, one_side, planner.sample, planner.noise)
+    known = (standard_errors(seen)[:, 1:] < [0.3, 0.2]).all(axis=1).mean()
+    assert plan.determined_fraction > 1.5 * known > 0.0
+
+
+def test_the_materials_of_a_range_fill_it():
+    chosen = MaterialRange(alpha=(0.1, 0.5), beta=(1.0, 4.0), mu_rad=(0.1, 0.2), n=1.4).spread(200)
+    assert chosen.n == 1.4
+    for values, low, high in ((chosen.alpha, 0.1, 0.5), (chosen.beta, 1, 4), (chosen.mu, 0.1, 0.2)):
+        assert low <= values.min() < low * 1.1 and high * 0.9 < values.max() <= high
+    assert np.median(chosen.beta) == pytest.approx(2.0, rel=0.03)
+
+
+@pytest.mark.parametrize("span", [(0.0, 1.0), (2.0, 1.0), (-1.0, 1.0)])
+def test_a_range_the_wrong_way_round_or_with_nothing_in_it_is_refused(span):
+    with pytest.raises(ValueError, match=r"plan\.beta .*accepted: two numbers above 0"):
+        MaterialRange(beta=span)
+
+
+def test_unknown_choices_and_impossible_counts_are_refused():
+    planner = Planner(PLATE_OBJECT, RIG)
+    with pytest.raises(ValueError, match="criterion 'trace'; accepted: determinant, variance"):
+        planner.best(6, criterion="trace")
+    with pytest.raises(ValueError, match="3 poses; accepted: 4 or more"):
+        planner.best(3)
+    with pytest.raises(ValueError, match="0 manual settings; accepted: 1 or more"):
+        planner.best(6, max_manual=0)
+    with pytest.raises(TooFewPoses, match="accepted: at most"):
+        planner.best(100_000)
+    with pytest.raises(ValueError, match="accepted: light_deg, camera_deg, tilt_deg, turn_deg"):
+        Planner(PLATE_OBJECT, RIG, coarse_deg={"light_deg": 5.0})
+
+
+def test_what_counts_as_known_is_what_the_fit_states():
+    assert KNOWN_RELATIVE_ERROR == solvers._MAX_RELATIVE_ERROR
+
+
+def test_the_noise_of_a_virtual_rig_has_its_imperfections_and_their_switches():
+    faults = {
+        "light_drift": {"enabled": False, "relative_rms": 0.02},
+        "pose_error": {"enabled": True, "rms_deg": 0.2},
+    }
+    noise = default_noise(RIG | {"virtual": {"imperfections": faults}})
+    assert (noise.relative, noise.pose_rms_deg) == (0.0, 0.2)
+    assert default_noise(RIG) == Noise()
+
+
+def test_a_plan_in_words_names_every_pose_and_expectation():
+    plan = plan_best(PLATE_OBJECT, RIG, 6)
+    text = "\n".join(plan.lines())
+    assert all(f"{pose.camera_deg:g}" in text for pose in plan.poses)
+    assert text.count("expected standard error") == 3 and text.count("light ") == plan.manual_settings
