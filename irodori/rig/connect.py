@@ -6,7 +6,7 @@ from contextlib import ExitStack, contextmanager
 from irodori.rig import ascii_simulator
 from irodori.rig.ascii import AsciiRig
 from irodori.rig.ascii_description import Description
-from irodori.rig.devices import Link, Rig
+from irodori.rig.devices import Link, Rig, SettingError
 from irodori.rig.drives import Drive, drives_of
 from irodori.rig.grbl import simulator as grbl_simulator
 from irodori.rig.grbl.checks import ACCELERATION, RATE, STEPS, TRAVEL, number
@@ -37,7 +37,9 @@ def open_rig(rig: Mapping) -> Iterator[Rig]:
     ------
     DeviceError
     """
-    motion = rig["motion"]
+    motion = rig.get("motion")
+    if motion is None:
+        raise SettingError("the rig's file has no block motion: nothing of this rig is driven")
     with ExitStack() as stack:
         simulator = stack.enter_context(start_simulator(rig)) if motion["port"] == SIMULATOR else None
         link = SerialLink(
@@ -72,8 +74,10 @@ def grbl_settings(drives: Mapping[str, Drive], homing: bool) -> dict[int, float]
     The pull-off ends where machine position and reach begin, so that the axis stands within its limits after homing.
     """
     pull_off = min([1.0, *(-drive.reach[1] for drive in drives.values() if drive.reach[1] < 0.0)])
-    settings: dict[int, float] = {20: int(homing), 22: int(homing), 27: round(pull_off, 3)}
-    settings |= dict.fromkeys(range(TRAVEL, TRAVEL + 3), 10.0)
+    settings: dict[int, float] = {20: int(homing), 22: int(homing), 26: 25, 27: round(pull_off, 3)}
+    # Axes of the controller that are not the rig's are homed with the others, and must not hold them up.
+    others = {TRAVEL: 10.0, ACCELERATION: max(drive.acceleration for drive in drives.values())}
+    settings |= {first + index: value for first, value in others.items() for index in range(3)}
     for drive in drives.values():
         finest = min(drive.axis.step_deg, 0.1) * abs(drive.units_per_deg)
         settings[number(STEPS, drive)] = max(100.0, round(10.0 / finest, 3))
