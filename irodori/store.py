@@ -158,6 +158,10 @@ class Reader:
         except OSError as error:
             raise InputError(self.path, name, f"unreadable data ({error})", "a complete file") from None
 
+    def has_attribute(self, name: str) -> bool:
+        """Whether the file has a root attribute."""
+        return name in self._file.attrs
+
     def attribute(self, name: str):
         """Return a root attribute; JSON objects and lists are decoded."""
         if name not in self._file.attrs:

@@ -152,6 +152,23 @@ def photographed(wildcards):
     return {key: definition[key] for key in parts if key in definition}
 
 
+def imperfect_object(wildcards):
+    """Return the object on which the faults of the virtual rig are measured, a plate if there is one; None without."""
+    known = virtual("objects")
+    if not known:
+        return None
+    name = next((n for n in known if config["objects"][n]["shape"]["kind"] == "plate"), known[0])
+    definition = config["objects"][name]
+    camera = config["cameras"][definition["camera"]]
+    return {"name": name, "definition": definition, "camera": camera, "rig": config["rigs"][camera["rig"]]}
+
+
+def tables_of_imperfections(wildcards):
+    """Return the tables of spectra that the measurement of the faults reads."""
+    subject = imperfect_object(wildcards) or {}
+    return named_tables(*(subject[key] for key in ("definition", "camera", "rig") if key in subject))
+
+
 def plates(wildcards):
     """Return what the simulation of poses needs to know of every plate."""
     found = {}
@@ -211,9 +228,14 @@ def virtual(kind):
     return [name for name in config[kind] if is_virtual(config, kind, name)]
 
 
+def follows_the_model(name):
+    """Whether a virtual object's true materials are those of equation (5), which alone is rendered."""
+    return all(material["kind"] == "paper" for material in config["objects"][name]["virtual"]["materials"])
+
+
 def views(pattern, virtual_only=False):
     """Return a pattern filled for every view of every scene, or of those whose objects' truth is known."""
-    known = set(virtual("objects"))
+    known = {name for name in virtual("objects") if follows_the_model(name)}
     return [
         pattern.format(scene=scene, view=view, environment=definition["environment"])
         for scene, definition in config["scenes"].items()

@@ -96,10 +96,42 @@ rule measure_plan:
         "../scripts/measure_plan.py"
 
 
+rule measure_imperfections:
+    input:
+        tables=tables_of_imperfections,
+    output:
+        costs=report(
+            "results/imperfections.csv",
+            caption="../report/imperfections.rst",
+            category="Errors",
+        ),
+    log:
+        "results/logs/measure_imperfections/all.log",
+    benchmark:
+        "results/benchmarks/measure_imperfections/all.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
+    params:
+        subject=imperfect_object,
+        ingest=lookup(within=config, dpath="ingest"),
+        rectify=lookup(within=config, dpath="rectify"),
+        fit=lookup(within=config, dpath="fit"),
+        compress=lookup(within=config, dpath="compress"),
+        lights=lookup(within=config, dpath="report/lights"),
+        code=code_hash("irodori.report.imperfections"),
+    script:
+        "../scripts/measure_imperfections.py"
+
+
 rule write_report:
     input:
         errors="results/errors.csv",
         planning="results/planning.csv",
+        imperfections="results/imperfections.csv",
+        references=expand("results/cameras/{camera}/reference.h5", camera=config["cameras"]),
         materials=expand("results/{object}/material.h5", object=config["objects"]),
         true_materials=expand("results/{object}/truth.h5", object=virtual("objects")),
         calibration_errors=expand("results/cameras/{camera}/calibration_errors.csv", camera=config["cameras"]),
