@@ -72,7 +72,7 @@ def grbl_settings(drives: Mapping[str, Drive], homing: bool) -> dict[int, float]
     The pull-off ends where machine position and reach begin, so that the axis stands within its limits after homing.
     """
     pull_off = min([1.0, *(-drive.reach[1] for drive in drives.values() if drive.reach[1] < 0.0)])
-    settings: dict[int, float] = {20: int(homing), 22: int(homing), 27: round(pull_off, 3)}
+    settings: dict[int, float] = {20: int(homing), 22: int(homing), 26: 25, 27: round(pull_off, 3)}
     settings |= dict.fromkeys(range(TRAVEL, TRAVEL + 3), 10.0)
     for drive in drives.values():
         finest = min(drive.axis.step_deg, 0.1) * abs(drive.units_per_deg)

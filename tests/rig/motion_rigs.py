@@ -9,7 +9,7 @@ from irodori.rig.devices import DeviceError
 from irodori.rig.peer.client import Simulator
 from irodori.validation import validate
 
-TIMEOUT_S = 0.4
+TIMEOUT_S = 0.25
 
 _LIMITS = {
     "light_deg": {"min": 35.0, "max": 125.0, "step": 0.5},
@@ -17,12 +17,12 @@ _LIMITS = {
     "tilt_deg": {"min": 0.0, "max": 45.0, "step": 0.5},
     "turn_deg": {"min": 0.0, "max": 359.5, "step": 0.5},
 }
-# The camera's switch is at -1 degree and the table's at 360.5; Grbl counts downward from the switch.
+# Fast axes, so that deadlines are short in real time. The camera's switch is at -1 degree and the table's at 360.5; Grbl counts downward from the switch.
 _AXES = {
     "camera_deg": {"channel": "X", "units_per_deg": -1.0, "zero_deg": -1.0,
-                   "speed_deg_per_s": 20.0, "acceleration_deg_per_s2": 100.0},
+                   "speed_deg_per_s": 400.0, "acceleration_deg_per_s2": 8000.0},
     "turn_deg": {"channel": "Y", "units_per_deg": 0.5, "zero_deg": 361.5,
-                 "speed_deg_per_s": 60.0, "acceleration_deg_per_s2": 120.0},
+                 "speed_deg_per_s": 800.0, "acceleration_deg_per_s2": 16000.0},
 }  # fmt: skip
 _ASCII = {
     "line_end": "cr",
@@ -49,7 +49,7 @@ _ASCII = {
 }
 
 
-def definition(protocol: str, flow: str = "send-response", time_scale: float = 50.0, seed: int = 1) -> dict:
+def definition(protocol: str, flow: str = "send-response", time_scale: float = 5.0, seed: int = 1) -> dict:
     """Return the validated definition of a rig with a simulated controller."""
     motion = {
         "protocol": protocol,

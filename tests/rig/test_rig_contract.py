@@ -41,7 +41,7 @@ def opened(peer):
 
 def test_it_has_the_axes_of_its_file(opened):
     assert isinstance(opened, Rig)
-    assert opened.axes["camera_deg"] == Axis("camera_deg", 0.0, 140.0, 0.1, 20.0, 100.0)
+    assert opened.axes["camera_deg"] == Axis("camera_deg", 0.0, 140.0, 0.1, 400.0, 8000.0)
     assert set(opened.axes) == {"camera_deg", "turn_deg"}
 
 
@@ -130,7 +130,7 @@ def test_homing_puts_the_count_right_again(opened):
 
 
 def test_stop_and_close_may_be_repeated_and_never_raise(peer):
-    rig, simulator = peer
+    rig, _ = peer
     with open_rig(rig) as opened:
         opened.stop()
         opened.stop()
@@ -162,7 +162,7 @@ def test_a_port_in_use_is_refused_by_name_in_this_process_and_in_another(peer):
 
 def test_the_time_of_a_move_is_that_of_its_slowest_axis(opened):
     start, target = {"camera_deg": 0.0, "turn_deg": 0.0}, {"camera_deg": 140.0, "turn_deg": 30.0}
-    assert opened.travel_s(start, target) == pytest.approx(140.0 / 20.0 + 0.2, abs=0.01)
+    assert opened.travel_s(start, target) == pytest.approx(140.0 / 400.0 + 0.05, abs=0.001)
     assert opened.travel_s(start, start) == 0.0
 
 

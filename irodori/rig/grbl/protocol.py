@@ -7,7 +7,7 @@ Source: gnea/grbl, doc/markdown/interface.md.
 import re
 from dataclasses import dataclass
 
-from irodori.rig.devices import LinkError
+from irodori.rig.devices import GarbledError
 
 STATUS, HOLD, RESUME, SOFT_RESET, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x85"
 #: Bytes that the controller's serial buffer holds, and the longest line with its end.
@@ -138,7 +138,7 @@ def parse_line(line: str) -> Message:
 
     Raises
     ------
-    LinkError
+    GarbledError
         If Grbl 1.1 sends no such line.
     """
     if line == "ok":
@@ -158,10 +158,10 @@ def parse_line(line: str) -> Message:
     raise garbled(line)
 
 
-def garbled(line: str) -> LinkError:
+def garbled(line: str) -> GarbledError:
     """Return the error for a line that Grbl does not send."""
     shown = line if len(line) <= 60 else line[:57] + "..."
-    return LinkError(f"the controller sent {shown!r}, which Grbl 1.1 does not send: the line is garbled")
+    return GarbledError(f"the controller sent {shown!r}, which Grbl 1.1 does not send: the line is garbled")
 
 
 def _report(line: str) -> Report:

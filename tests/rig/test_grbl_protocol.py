@@ -1,0 +1,279 @@
+"""The lines of Grbl 1.1: what they say, and that no line whatever does more than raise a device's error."""
+
+import re
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from irodori.rig.devices import DeadlineError, DeviceError, GarbledError, Link, LinkError
+from irodori.rig.drives import along, straight_s
+from irodori.rig.grbl.codes import ALARMS, ERRORS, alarm_text, error_text
+from irodori.rig.grbl.conversation import Conversation
+from irodori.rig.grbl.gcode import GcodeError, Modes, parse_block
+from irodori.rig.grbl.protocol import (
+    STATES,
+    Alarm,
+    Banner,
+    Error,
+    Feedback,
+    Ok,
+    Report,
+    Setting,
+    Startup,
+    jog_line,
+    motion_line,
+    parse_line,
+)
+
+# ---- examples of the interface's documentation
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("ok", Ok()),
+        ("error:9", Error(9)),
+        ("ALARM:1", Alarm(1)),
+        ("$100=250.000", Setting(100, 250.0)),
+        ("$10=255", Setting(10, 255.0)),
+        ("$0=10 (step pulse, usec)", Setting(0, 10.0)),
+        ("[MSG:'$H'|'$X' to unlock]", Feedback("MSG", "'$H'|'$X' to unlock")),
+        ("[GC:G0 G54 G17 G21 G90 G94 M5 M9 T0 F0.0 S0]", Feedback("GC", "G0 G54 G17 G21 G90 G94 M5 M9 T0 F0.0 S0")),
+        ("[G54:4.000,0.000,0.000]", Feedback("G54", "4.000,0.000,0.000")),
+        ("[VER:1.1h.20190825:]", Feedback("VER", "1.1h.20190825:")),
+        ("[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]",
+         Feedback("HLP", "$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x")),
+        ("Grbl 1.1h ['$' for help]", Banner("1.1h")),
+        ("Grbl 1.1f ['$' for help]", Banner("1.1f")),
+        ("$N0=G54", Startup("$N0=G54")),
+        (">G54G20:ok", Startup(">G54G20:ok")),
+        ("<Idle|MPos:0.000,0.000,0.000|FS:0.0,0>", Report("Idle", machine=(0.0, 0.0, 0.0), feed=0.0)),
+        ("<Run|MPos:23.036,1.620,0.000|FS:500,0>", Report("Run", machine=(23.036, 1.62, 0.0), feed=500.0)),
+        ("<Hold:1|MPos:-5.000,0.000,0.000|Bf:15,128|F:500>",
+         Report("Hold", 1, (-5.0, 0.0, 0.0), free_blocks=15, free_bytes=128, feed=500.0)),
+        ("<Door:0|WPos:-2.500,0.000,11.000|FS:0,0|WCO:1.500,0.000,-11.000>",
+         Report("Door", 0, work=(-2.5, 0.0, 11.0), offset=(1.5, 0.0, -11.0), feed=0.0)),
+        ("<Alarm|MPos:0.000,0.000,0.000|FS:0,0|Pn:XYZPDHRS|Ov:100,50,200|A:SFM>",
+         Report("Alarm", machine=(0.0, 0.0, 0.0), feed=0.0, pins="XYZPDHRS", overrides_percent=(100, 50, 200))),
+        ("<Jog|MPos:-1.0000,-2.0000,-3.0000|Ln:99999|FS:0,0>",
+         Report("Jog", machine=(-1.0, -2.0, -3.0), feed=0.0)),
+    ],
+)  # fmt: skip
+def test_published_lines_are_understood(line, message):
+    assert parse_line(line) == message
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "",
+        "k",
+        "OK",
+        "ok?",
+        "error:",
+        "error:x",
+        "ALARM:",
+        "ALARM:1234",
+        "$=1",
+        "$100=",
+        "$100=2,5",
+        "<>",
+        "<Idle>",
+        "<Idle|MPos:0.000,0.000>x",
+        "Idle|MPos:0.000,0.000,0.000>",
+        "<Idle|MPos:0.000,0.000,0.000",
+        "<idle|MPos:0.000,0.000,0.000>",
+        "<Hold:2|MPos:0.000,0.000,0.000>",
+        "<Idle:0|MPos:0.000,0.000,0.000>",
+        "<Run|MPos:1.00,0.000,0.000>",
+        "<Run|MPos:nan,0.000,0.000>",
+        "<Run|MPos:1.000,,0.000>",
+        "<Run|MPos:1.000|MPos:2.000>",
+        "<Run|FS:0,0>",
+        "<Run|MPos:1.000|FS:0>",
+        "<Run|MPos:1.000|Bf:x,2>",
+        "<Run|MPos:1.000|junk>",
+        "Grbl",
+        "[MSG:no end",
+    ],
+)
+def test_lines_that_grbl_does_not_send_are_garbled(line):
+    with pytest.raises(GarbledError):
+        parse_line(line)
+
+
+def test_a_work_position_and_its_offset_give_the_machine_position():
+    report = parse_line("<Idle|WPos:1.000,2.000,3.000|FS:0,0>")
+    assert report.position() is None
+    assert report.position((0.5, -2.0, 10.0)) == (1.5, 0.0, 13.0)
+    with_offset = parse_line("<Idle|WPos:1.000,2.000,3.000|WCO:1.000,1.000,1.000>")
+    assert with_offset.position() == (2.0, 3.0, 4.0)
+
+
+@pytest.mark.parametrize(("state", "moving"), [("Run", True), ("Jog", True), ("Home", True), ("Hold:0", False),
+                                               ("Hold:1", True), ("Door:0", False), ("Door:2", True), ("Idle", False),
+                                               ("Alarm", False), ("Check", False), ("Sleep", False)])  # fmt: skip
+def test_what_may_be_in_motion(state, moving):
+    assert parse_line(f"<{state}|MPos:0.000,0.000,0.000>").moving is moving
+
+
+def test_every_published_code_has_its_meaning_in_the_message():
+    assert set(ERRORS) == {*range(1, 18), *range(20, 39)} and set(ALARMS) == set(range(1, 10))
+    assert error_text(9) == "error:9 (G-code is locked out during an alarm or a jog)"
+    assert alarm_text(1).startswith("ALARM:1 (a limit switch was hit")
+    assert "does not publish" in error_text(99) and "does not publish" in alarm_text(42)
+
+
+# ---- no line does harm
+
+_PIECES = st.sampled_from(["<", ">", "|", "Idle", "Run", "Hold:0", "MPos:", "WPos:", "WCO:", "0.000", "-1.500", ",",
+                           "FS:", "0,0", "Bf:", "Pn:", "Ov:", "ok", "error:", "ALARM:", "9", "99999999999", "$", "=", "[MSG:",
+                           "]", "Grbl 1.1h ['$' for help]", "\x00", "٣", "nan", "inf", "1e9", "-", "."])  # fmt: skip
+
+
+@settings(deadline=None, max_examples=500)
+@given(st.one_of(st.text(max_size=80), st.lists(_PIECES, max_size=14).map("".join)))
+def test_any_line_is_a_message_or_garbled(line):
+    try:
+        message = parse_line(line)
+    except GarbledError as error:
+        assert len(str(error)) < 500
+    else:
+        if isinstance(message, Report):
+            assert message.state in STATES and (message.machine or message.work)
+
+
+class FuzzLink(Link):
+    """Lines that were made up; then silence."""
+
+    def __init__(self, lines):
+        self.lines, self.sent = list(lines), []
+
+    def write(self, data):
+        self.sent.append(data)
+
+    def read_line(self, timeout_s):
+        if not self.lines:
+            raise DeadlineError("silence")
+        return self.lines.pop(0)
+
+    def discard_input(self):
+        self.lines.clear()
+
+    def close(self):
+        pass
+
+
+_LINES = st.lists(
+    st.one_of(
+        st.lists(_PIECES, max_size=10).map("".join),
+        st.sampled_from(["ok", "", "error:9", "ALARM:1", "<Idle|MPos:0.000,0.000,0.000|FS:0,0>", "[MSG:x]"]),
+    ),
+    max_size=12,
+)
+
+
+@settings(deadline=None, max_examples=300)
+@given(_LINES, st.sampled_from(["send-response", "character-counting"]))
+def test_any_answers_end_a_question_with_an_answer_or_an_error(lines, flow):
+    for question in (
+        lambda talk: talk.ask_report(),
+        lambda talk: talk.command("$$"),
+        lambda talk: talk.stream(["G0X1"] * 60),
+        lambda talk: talk.soft_reset(),
+    ):
+        talk = Conversation(FuzzLink(lines), 0.5, flow)
+        try:
+            question(talk)
+        except DeviceError as error:
+            assert str(error)
+
+
+def test_a_flow_control_that_does_not_exist_lists_those_that_do():
+    with pytest.raises(ValueError, match="accepted: send-response, character-counting"):
+        Conversation(FuzzLink([]), 1.0, "xon-xoff")
+
+
+@given(st.lists(st.integers(1, 60), min_size=1, max_size=40))
+def test_counted_characters_never_exceed_the_buffer_and_keep_it_full(lengths):
+    lines = ["X" * length for length in lengths]
+    inside: list[int] = []
+
+    class Counting(FuzzLink):
+        def write(self, data):
+            inside.append(len(data))
+            assert sum(inside) <= 128
+            self.sent.append(data)
+
+        def read_line(self, timeout_s):
+            # Waiting means that the next line does not fit, or that there is none.
+            left = lines[len(self.sent) :]
+            assert not left or sum(inside) + len(left[0]) + 1 > 128
+            inside.pop(0)
+            return "ok"
+
+    link = Counting([])
+    Conversation(link, 1.0, "character-counting").stream(lines)
+    assert b"".join(link.sent) == "".join(f"{line}\n" for line in lines).encode()
+
+
+def test_send_response_waits_for_each_answer():
+    waiting = []
+
+    class OneAtATime(FuzzLink):
+        def write(self, data):
+            assert not waiting
+            waiting.append(data)
+
+        def read_line(self, timeout_s):
+            waiting.pop()
+            return "ok"
+
+    Conversation(OneAtATime([]), 1.0, "send-response").stream(["G0X1", "G0X2", "G0X3"])
+
+
+# ---- what is sent
+
+
+@given(st.dictionaries(st.sampled_from("XYZ"), st.floats(-9999.0, 9999.0), min_size=1), st.floats(0.01, 1e5))
+def test_a_motion_line_says_to_a_grbl_parser_what_it_means(targets, feed):
+    for line, expected in ((motion_line(targets, feed), feed), (motion_line(targets, None), None)):
+        assert len(line) < 80 and re.fullmatch(r"[A-Z0-9.-]+", line)
+        move = parse_block(line, Modes(units=20, distance=91, coordinates=55), "XYZ")
+        assert move.targets == pytest.approx(targets, abs=5.1e-4) and not move.relative
+        assert move.feed == (None if expected is None else pytest.approx(expected, abs=5.1e-4))
+    jog = parse_block(jog_line(targets, feed)[3:], Modes(units=20, distance=91), "XYZ", jog=True)
+    assert jog.targets == pytest.approx(targets, abs=5.1e-4) and not jog.relative
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.text("GXYZFSNP0123456789.-M$=J()%", max_size=40), st.booleans())
+def test_the_simulator_s_parser_refuses_with_a_published_code(line, jog):
+    try:
+        parse_block(line, Modes(), "XYZ", jog)
+    except GcodeError as error:
+        assert error.code in ERRORS
+
+
+@given(st.lists(st.floats(-500, 500), min_size=2, max_size=2), st.floats(0.1, 100), st.floats(0.1, 100))
+def test_axes_of_a_straight_move_keep_to_their_own_speeds(move, first, second):
+    speed, acceleration = along(move, [first, second], [10.0, 20.0])
+    length = (move[0] ** 2 + move[1] ** 2) ** 0.5
+    if length == 0.0:
+        assert straight_s(move, [first, second], [10.0, 20.0]) == 0.0
+        return
+    shares = [abs(distance) / length for distance in move]
+    for share, limit, most in zip(shares, (first, second), (10.0, 20.0), strict=True):
+        assert share * speed <= limit * (1 + 1e-9) and share * acceleration <= most * (1 + 1e-9)
+
+
+def test_times_of_straight_moves():
+    # 100 units at 10 units/s and 5 units/s²: a ramp of 2 s at either end, half of it lost each.
+    assert straight_s([100.0], [10.0], [5.0]) == pytest.approx(12.0)
+    # Too short to reach the speed: a triangle of twice sqrt(d / a).
+    assert straight_s([5.0], [10.0], [5.0]) == pytest.approx(2.0)
+
+
+def test_a_garbled_line_is_a_matter_of_the_line():
+    assert issubclass(GarbledError, LinkError)

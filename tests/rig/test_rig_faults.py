@@ -1,0 +1,184 @@
+"""Every fault of a line and of a controller, in every command: an error of the right family, in time, the rig left still."""
+
+import collections
+import random
+import time
+
+import pytest
+from motion_rigs import TIMEOUT_S, at_port, definition, failure, start_simulator, wait_until_still
+
+from irodori.rig.connect import open_rig
+from irodori.rig.devices import AlarmError, CommandError, DeadlineError, LimitError, LinkError
+from irodori.rig.drives import drives_of
+from irodori.rig.grbl.checks import homing_s
+
+PEERS = {
+    "grbl": ("grbl", "send-response"),
+    "grbl-counting": ("grbl", "character-counting"),
+    "ascii": ("ascii", "send-response"),
+}
+#: Fault: families of the error that it may end in; a command may also succeed.
+FAULTS = {
+    # A digit less can make another position, on which no command must rely: off its way, or not where it was left.
+    "drop-output 1": (LinkError, DeadlineError, AlarmError),
+    "drop-output 7": (LinkError, DeadlineError, AlarmError, CommandError),
+    "drop-output 60": (LinkError, DeadlineError, AlarmError, CommandError),
+    "drop-input 1": (LinkError, DeadlineError, AlarmError, CommandError),
+    "drop-input 5": (LinkError, DeadlineError, AlarmError, CommandError),
+    "garble": (LinkError, DeadlineError),
+    "stall 0.1": (),
+    "stall 0.4": (LinkError, DeadlineError),
+    "stall": (DeadlineError,),
+    "hangup 0.1": (LinkError,),
+    "reset": (AlarmError, DeadlineError),
+    "alarm 1": (AlarmError, DeadlineError),
+    "alarm 3": (AlarmError,),
+}
+COMMANDS = {
+    "home": lambda rig: rig.home(),
+    "move": lambda rig: rig.move({"camera_deg": 90.0, "turn_deg": 200.0}),
+    "jog": lambda rig: rig.jog("camera_deg", 60.0),
+    "status": lambda rig: rig.status(),
+    "stop": lambda rig: rig.stop(),
+    "settings": lambda rig: rig.settings(),
+}
+#: Silences that a command and the stop after it may wait for, one after the other.
+SILENCES = 6
+#: For the two cores that the tests share with other programs, s.
+SLACK_S = 0.5
+
+
+def budget_s(rig, name: str) -> float:
+    """Return the time that a command may take until it has failed and the rig was stopped, s."""
+    motion = rig.travel_s({"camera_deg": 0.0, "turn_deg": 0.0}, {"camera_deg": 140.0, "turn_deg": 359.5})
+    if name == "home":
+        motion = 3.0 * motion if not hasattr(rig, "settings") else homing_s(rig._settings, rig.drives)
+    return 1.25 * motion + SILENCES * TIMEOUT_S + SLACK_S
+
+
+def reach_of(rig: dict) -> dict[str, tuple[float, float]]:
+    """Return what each channel may touch with its position, units: its reach, and the switch that ends it."""
+    return {drive.channel: (drive.reach[0] - 0.02, 0.02) for drive in drives_of(rig).values()}
+
+
+def check_inside(rig: dict, seen: dict, switch: bool) -> None:
+    """Fail where a channel was beyond its limits; homing alone may go up to the switch behind them."""
+    for name, (low, high) in reach_of(rig).items():
+        end = high if switch else drives_by_channel(rig)[name].reach[1] + 0.02
+        assert low <= seen["low"][name] and seen["high"][name] <= end, (name, seen)
+
+
+def drives_by_channel(rig: dict) -> dict:
+    return {drive.channel: drive for drive in drives_of(rig).values()}
+
+
+@pytest.fixture(scope="module", params=["grbl", "ascii"])
+def peer(request):
+    rig = definition(*PEERS[request.param])
+    with start_simulator(rig) as simulator:
+        yield at_port(rig, simulator.port), simulator
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_in_a_command_ends_in_time_and_leaves_the_rig_still(peer, fault, command, record_property):
+    rig, simulator = peer
+    if command == "settings" and rig["motion"]["protocol"] != "grbl":
+        pytest.skip("only Grbl has settings to read")
+    simulator.clear()
+    simulator.power()
+    with open_rig(rig) as opened:
+        opened.home()
+        opened.move({"camera_deg": 20.0, "turn_deg": 60.0})
+        simulator.forget()
+        moving = command in ("home", "move", "jog")
+        simulator.fault(f"move 0.5 {fault}" if moving else f"now {fault}")
+        budget, began = budget_s(opened, command), time.monotonic()
+        error = failure(lambda: COMMANDS[command](opened))
+        elapsed = time.monotonic() - began
+        assert elapsed <= budget, error
+        assert error is None or isinstance(error, FAULTS[fault]), repr(error)
+        record_property("outcome", f"{fault} | {command} | {type(error).__name__ if error else 'ok'}")
+        record_property("of_budget", round(elapsed / budget, 3))
+        # A lost line carries no stop; everything else has stopped the rig by the time that the error is there.
+        seen = wait_until_still(simulator) if fault.startswith("hangup") else simulator.snapshot()
+        assert not seen["moving"]
+        assert seen["state"].lower() not in ("run", "jog", "home")
+        check_inside(rig, seen, switch=command == "home")
+        time.sleep(0.02)
+        assert simulator.true_position() == seen["position"]
+    simulator.clear()
+    again(rig, simulator)
+
+
+def again(rig: dict, simulator) -> None:
+    """Open the rig anew, home it and move it."""
+    end = time.monotonic() + 5.0
+    while error := failure(lambda: use(rig)):
+        assert isinstance(error, LinkError) and time.monotonic() < end, error
+    here = {name: drive.to_deg(simulator.true_position()[drive.channel]) for name, drive in drives_of(rig).items()}
+    assert here["camera_deg"] == pytest.approx(45.0, abs=0.005)
+
+
+def use(rig: dict) -> None:
+    with open_rig(rig) as opened:
+        opened.home()
+        opened.move({"camera_deg": 45.0})
+
+
+# ---- random commands with random faults at random times
+
+RUNS, BATCHES = 204, 12
+
+
+@pytest.mark.parametrize("batch", range(BATCHES))
+def test_random_commands_with_random_faults(batch, record_property):
+    rng = random.Random(20100401 + batch)
+    rig = definition(*list(PEERS.values())[batch % len(PEERS)], seed=batch)
+    outcomes: collections.Counter = collections.Counter()
+    worst = 0.0
+    with start_simulator(rig) as simulator:
+        there = at_port(rig, simulator.port)
+        for _ in range(RUNS // BATCHES):
+            worst = max(worst, random_run(rng, there, simulator, outcomes))
+    record_property("runs", RUNS // BATCHES)
+    record_property("worst_of_budget", round(worst, 3))
+    for outcome, count in sorted(outcomes.items()):
+        record_property(f"outcome: {outcome}", count)
+
+
+def random_run(rng: random.Random, rig: dict, simulator, outcomes: collections.Counter) -> float:
+    """Do one run on a rig that may be in any order; return the worst part of a budget that a command took."""
+    fault = rng.choice(list(FAULTS))
+    when = rng.choice(["now", f"line {rng.randint(1, 6)}", f"move {rng.random():.3f}"])
+    worst, homed = 0.0, False
+    with open_rig(rig) as opened:
+        opened.home()
+        homed = True
+        simulator.forget()
+        simulator.fault(f"{when} {fault}")
+        for _ in range(3):
+            name = rng.choice(list(COMMANDS)[:5])
+            act = COMMANDS[name]
+            if name == "move":
+                targets = {"camera_deg": round(rng.uniform(-10, 150), 1), "turn_deg": rng.randint(0, 719) / 2}
+                act = lambda rig, targets=targets: rig.move(targets)  # noqa: E731
+            if name == "jog":
+                by_deg = round(rng.uniform(-60, 60), 1)
+                act = lambda rig, by_deg=by_deg: rig.jog("camera_deg", by_deg)  # noqa: E731
+            if name == "home":
+                homed = False
+            budget, began = budget_s(opened, name), time.monotonic()
+            error = failure(lambda act=act: act(opened))
+            worst = max(worst, (time.monotonic() - began) / budget)
+            assert error is None or isinstance(error, (*FAULTS[fault], LimitError, AlarmError)), (when, fault, error)
+            outcomes[f"{fault} | {name} | {type(error).__name__ if error else 'ok'}"] += 1
+            seen = wait_until_still(simulator) if fault.startswith("hangup") else simulator.snapshot()
+            assert not seen["moving"] and seen["state"].lower() not in ("run", "jog", "home"), (when, fault, name)
+            check_inside(rig, seen, switch=not homed)
+            if error and not isinstance(error, LimitError):
+                break
+    assert worst <= 1.0
+    simulator.clear()
+    again(rig, simulator)
+    return worst
