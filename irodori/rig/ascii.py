@@ -66,9 +66,7 @@ class AsciiRig(Rig):
         self._timeout_s, self._homing, self._homed = timeout_s, homing, not homing
         self._brake_s = max((d.speed / d.acceleration for d in drives.values()), default=0.0)
         self._in_step = True
-        if self._states() != "idle":
-            self._halt()
-        self._last = self._places()
+        self._last = self._wake()
 
     def home(self) -> None:
         """Home every axis; see `Rig.home`."""
@@ -83,8 +81,9 @@ class AsciiRig(Rig):
                     break
             ways = [(high - low) / drive.speed for drive in self.drives.values() for low, high in [drive.reach]]
             deadline = Deadline(_HOMING_REACH * max(ways) + 2 * self._brake_s + self._timeout_s)
-            began = Deadline(_START_S)
-            while (state := self._states()) == "run" or not began.passed:
+            began, seen = Deadline(_START_S), False
+            while (state := self._states()) == "run" or not (seen or began.passed):
+                seen = seen or state == "run"
                 self._refuse(state, deadline)
                 time.sleep(_POLL_S)
             self._refuse(state, deadline)
@@ -136,6 +135,21 @@ class AsciiRig(Rig):
                 self._homed = False
             self.stop()
             raise
+
+    def _wake(self) -> dict[str, float]:
+        """Bring a controller in whatever state to rest, and return where its axes stand, controller units."""
+        # Replies to whoever spoke to it last may still be on their way.
+        self._settle()
+        knocking = Deadline(self._timeout_s)
+        while True:
+            try:
+                if self._states() == "run":
+                    self._halt()
+                return self._places()
+            except (DeadlineError, GarbledError):
+                if knocking.passed:
+                    raise
+                self._settle()
 
     def _halt(self) -> None:
         """Stop the axes and wait until they stand."""

@@ -73,7 +73,9 @@ def grbl_settings(drives: Mapping[str, Drive], homing: bool) -> dict[int, float]
     """
     pull_off = min([1.0, *(-drive.reach[1] for drive in drives.values() if drive.reach[1] < 0.0)])
     settings: dict[int, float] = {20: int(homing), 22: int(homing), 26: 25, 27: round(pull_off, 3)}
-    settings |= dict.fromkeys(range(TRAVEL, TRAVEL + 3), 10.0)
+    # Axes of the controller that are not the rig's are homed with the others, and must not hold them up.
+    others = {TRAVEL: 10.0, ACCELERATION: max(drive.acceleration for drive in drives.values())}
+    settings |= {first + index: value for first, value in others.items() for index in range(3)}
     for drive in drives.values():
         finest = min(drive.axis.step_deg, 0.1) * abs(drive.units_per_deg)
         settings[number(STEPS, drive)] = max(100.0, round(10.0 / finest, 3))

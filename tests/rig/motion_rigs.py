@@ -17,7 +17,8 @@ _LIMITS = {
     "tilt_deg": {"min": 0.0, "max": 45.0, "step": 0.5},
     "turn_deg": {"min": 0.0, "max": 359.5, "step": 0.5},
 }
-# Fast axes, so that deadlines are short in real time. The camera's switch is at -1 degree and the table's at 360.5; Grbl counts downward from the switch.
+# Fast axes, so that deadlines are short in real time.
+# The camera's switch is at -1 degree and the table's at 360.5; Grbl counts downward from the switch.
 _AXES = {
     "camera_deg": {"channel": "X", "units_per_deg": -1.0, "zero_deg": -1.0,
                    "speed_deg_per_s": 400.0, "acceleration_deg_per_s2": 8000.0},
@@ -49,7 +50,7 @@ _ASCII = {
 }
 
 
-def definition(protocol: str, flow: str = "send-response", time_scale: float = 5.0, seed: int = 1) -> dict:
+def definition(protocol: str, flow: str = "send-response", time_scale: float = 10.0, seed: int = 1) -> dict:
     """Return the validated definition of a rig with a simulated controller."""
     motion = {
         "protocol": protocol,

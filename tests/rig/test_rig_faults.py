@@ -1,8 +1,9 @@
-"""Every fault of a line and of a controller, in every command: an error of the right family, in time, the rig left still."""
+"""Every fault of a line and of a controller, in every command: an error of the right family, in time, the rig still."""
 
 import collections
 import random
 import time
+from pathlib import Path
 
 import pytest
 from motion_rigs import TIMEOUT_S, at_port, definition, failure, start_simulator, wait_until_still
@@ -46,6 +47,7 @@ COMMANDS = {
 SILENCES = 6
 #: For the two cores that the tests share with other programs, s.
 SLACK_S = 0.5
+ROUNDING = 0.02
 
 
 def budget_s(rig, name: str) -> float:
@@ -56,20 +58,13 @@ def budget_s(rig, name: str) -> float:
     return 1.25 * motion + SILENCES * TIMEOUT_S + SLACK_S
 
 
-def reach_of(rig: dict) -> dict[str, tuple[float, float]]:
-    """Return what each channel may touch with its position, units: its reach, and the switch that ends it."""
-    return {drive.channel: (drive.reach[0] - 0.02, 0.02) for drive in drives_of(rig).values()}
-
-
-def check_inside(rig: dict, seen: dict, switch: bool) -> None:
-    """Fail where a channel was beyond its limits; homing alone may go up to the switch behind them."""
-    for name, (low, high) in reach_of(rig).items():
-        end = high if switch else drives_by_channel(rig)[name].reach[1] + 0.02
-        assert low <= seen["low"][name] and seen["high"][name] <= end, (name, seen)
-
-
-def drives_by_channel(rig: dict) -> dict:
-    return {drive.channel: drive for drive in drives_of(rig).values()}
+def check_inside(rig: dict, seen: dict, homing: bool) -> None:
+    """Fail where an axis was beyond its limits; homing alone may go up to the switch, at 0, behind them."""
+    for drive in drives_of(rig).values():
+        name, (low, high) = drive.channel, drive.reach
+        # The described controller stands at the switch after homing, Grbl has pulled off to the end of the reach.
+        end = 0.0 if homing or rig["motion"]["protocol"] == "ascii" else high
+        assert low - ROUNDING <= seen["low"][name] and seen["high"][name] <= end + ROUNDING, seen
 
 
 @pytest.fixture(scope="module", params=["grbl", "ascii"])
@@ -79,7 +74,7 @@ def peer(request):
         yield at_port(rig, simulator.port), simulator
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", [pytest.param(c, marks=[] if c == "move" else pytest.mark.heavy) for c in COMMANDS])
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_in_a_command_ends_in_time_and_leaves_the_rig_still(peer, fault, command, record_property):
     rig, simulator = peer
@@ -104,7 +99,7 @@ def test_a_fault_in_a_command_ends_in_time_and_leaves_the_rig_still(peer, fault,
         seen = wait_until_still(simulator) if fault.startswith("hangup") else simulator.snapshot()
         assert not seen["moving"]
         assert seen["state"].lower() not in ("run", "jog", "home")
-        check_inside(rig, seen, switch=command == "home")
+        check_inside(rig, seen, homing=command == "home")
         time.sleep(0.02)
         assert simulator.true_position() == seen["position"]
     simulator.clear()
@@ -131,6 +126,7 @@ def use(rig: dict) -> None:
 RUNS, BATCHES = 204, 12
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("batch", range(BATCHES))
 def test_random_commands_with_random_faults(batch, record_property):
     rng = random.Random(20100401 + batch)
@@ -141,6 +137,7 @@ def test_random_commands_with_random_faults(batch, record_property):
         there = at_port(rig, simulator.port)
         for _ in range(RUNS // BATCHES):
             worst = max(worst, random_run(rng, there, simulator, outcomes))
+        again(there, simulator)
     record_property("runs", RUNS // BATCHES)
     record_property("worst_of_budget", round(worst, 3))
     for outcome, count in sorted(outcomes.items()):
@@ -148,10 +145,14 @@ def test_random_commands_with_random_faults(batch, record_property):
 
 
 def random_run(rng: random.Random, rig: dict, simulator, outcomes: collections.Counter) -> float:
-    """Do one run on a rig that may be in any order; return the worst part of a budget that a command took."""
+    """Open and home the rig that the run before has left, and go on; return the worst part of a budget taken."""
     fault = rng.choice(list(FAULTS))
     when = rng.choice(["now", f"line {rng.randint(1, 6)}", f"move {rng.random():.3f}"])
     worst, homed = 0.0, False
+    end = time.monotonic() + 5.0
+    while not Path(simulator.port).exists():  # a line that hung up comes back a moment later
+        assert time.monotonic() < end
+        time.sleep(0.01)
     with open_rig(rig) as opened:
         opened.home()
         homed = True
@@ -175,10 +176,9 @@ def random_run(rng: random.Random, rig: dict, simulator, outcomes: collections.C
             outcomes[f"{fault} | {name} | {type(error).__name__ if error else 'ok'}"] += 1
             seen = wait_until_still(simulator) if fault.startswith("hangup") else simulator.snapshot()
             assert not seen["moving"] and seen["state"].lower() not in ("run", "jog", "home"), (when, fault, name)
-            check_inside(rig, seen, switch=not homed)
+            check_inside(rig, seen, homing=not homed)
             if error and not isinstance(error, LimitError):
                 break
     assert worst <= 1.0
     simulator.clear()
-    again(rig, simulator)
     return worst

@@ -1,6 +1,7 @@
 """The handle on a simulator that this process has started: its port, its faults, and where its axes truly stand."""
 
 import json
+import math
 import os
 import select
 import subprocess
@@ -50,6 +51,12 @@ class Simulator:
     def power(self) -> None:
         """Switch the controller off and on; the axes stay where they stand."""
         self._ask("power")
+
+    def pace(self, time_scale: float) -> None:
+        """Change how many simulated seconds pass in a real one, above 0."""
+        if not 0.0 < time_scale < math.inf:
+            raise ValueError(f"time_scale {time_scale:g}: accepted: a number above 0")
+        self._ask(f"pace {time_scale!r}")
 
     def forget(self) -> None:
         """Start the extremes of `snapshot` anew."""

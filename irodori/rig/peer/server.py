@@ -5,7 +5,7 @@ Commands on standard input, each answered by one line of JSON on standard output
 * ``fault TEXT``: see `irodori.rig.peer.faults`; ``clear``: forget faults that have not happened, end a stall.
 * ``state``: state, whether anything moves, true position and its extremes in controller units, by channel;
   ``forget``: start the extremes anew.
-* ``power``: switch the controller off and on; ``quit``: end.
+* ``power``: switch the controller off and on; ``pace X``: X simulated seconds in a real one; ``quit``: end.
 """
 
 import argparse
@@ -232,6 +232,9 @@ class Server:
             self._lost_out = self._lost_in = self._garble = 0
             self._stalled_until, self._back_at = 0.0, min(self._back_at, time.monotonic())
             return {}
+        if word == "pace":
+            self.scale = float(rest)
+            return {}
         if word == "power":
             self.machine.power_up()
             return {}
@@ -241,7 +244,7 @@ class Server:
             return {}
         if word == "state":
             return self._state()
-        return {"error": f"no command {word!r}; commands: fault, clear, state, forget, power, quit"}
+        return {"error": f"no command {word!r}; commands: fault, clear, state, forget, pace, power, quit"}
 
     def _state(self) -> dict:
         stages, names = self.machine.stages, self.machine.channels
