@@ -1,5 +1,6 @@
 """The motion of a rig: what no schema sees of its channels, templates and regular expressions."""
 
+import itertools
 import re
 
 from irodori.errors import InputError
@@ -46,14 +47,14 @@ def check_motion(rig: dict, file) -> None:
     elif "ascii" not in motion:
         raise InputError(file, "motion.ascii", "no such key", "this key, because the protocol is ascii")
     else:
-        _check_ascii(motion["ascii"], len(motion["axes"]), file)
+        _check_ascii(motion["ascii"], [axis["channel"] for axis in motion["axes"].values()], file)
 
 
-def _check_ascii(block: dict, axes: int, file) -> None:
+def _check_ascii(block: dict, channels: list[str], file) -> None:
     for command, (needed, allowed) in COMMANDS.items():
         field = f"motion.ascii.{command}"
         # With several axes, a move and a position mean nothing without one.
-        must = {*needed, *(("axis",) if axes > 1 and command in ("move", "position") else ())}
+        must = {*needed, *(("axis",) if len(channels) > 1 and command in ("move", "position") else ())}
         _check_template(block[command], must, {*needed, *allowed}, file, field)
     patterns = {}
     for reply, text in block["replies"].items():
@@ -67,8 +68,8 @@ def _check_ascii(block: dict, axes: int, file) -> None:
                 accepted = f"a regular expression with the group (?P<{group}>...)"
                 raise InputError(file, field, repr(text), accepted)
     _check_words(block, file)
-    for reply, text in block["simulated_replies"].items():
-        _check_simulated(block, reply, text, patterns, file)
+    for reply in block["simulated_replies"]:
+        _check_simulated(block, reply, patterns, channels, file)
 
 
 def _check_template(text: str, needed: set[str], allowed: set[str], file, field: str) -> str:
@@ -98,16 +99,16 @@ def _check_words(block: dict, file) -> None:
             seen[word] = state
 
 
-def _check_simulated(block: dict, reply: str, text: str, patterns: dict, file) -> None:
-    field = f"motion.ascii.simulated_replies.{reply}"
+def _check_simulated(block: dict, reply: str, patterns: dict, channels: list[str], file) -> None:
+    field, text = f"motion.ascii.simulated_replies.{reply}", block["simulated_replies"][reply]
     if reply not in patterns:
         raise InputError(file, field, "a reply without a regular expression", f"motion.ascii.replies.{reply} beside it")
     needed = set(REPLIES[reply])
     allowed = {"position": {"axis", "position"}, "status": {"axis", "state"}, "refused": {"message"}}.get(reply, set())
-    filled = _check_template(text, needed, allowed, file, field)
+    _check_template(text, needed, allowed, file, field)
     states = [*block["idle"], *block["busy"], *block["alarm"]] if reply == "status" else [SAMPLES["state"]]
-    for state in states:
-        filled = text.format(**{**{name: SAMPLES[name] for name in allowed}, "state": state})
+    for state, channel in itertools.product(states, channels):
+        filled = text.format(**{**SAMPLES, "state": state, "axis": channel})
         found = patterns[reply].fullmatch(filled)
         if not found or (reply == "status" and found["state"] != state):
             accepted = f"what motion.ascii.replies.{reply} matches whole: {patterns[reply].pattern}"

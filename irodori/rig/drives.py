@@ -83,10 +83,14 @@ def along(move: list[float], speeds: list[float], accelerations: list[float]) ->
         Infinite for a move of no length.
     """
     length = math.hypot(*move)
-    parts = [(abs(d) / length, v, a) for d, v, a in zip(move, speeds, accelerations, strict=True) if d]
-    if not parts:
+    if not length:
         return math.inf, math.inf
-    return min(v / part for part, v, _ in parts), min(a / part for part, _, a in parts)
+    parts = [(abs(d) / length, v, a) for d, v, a in zip(move, speeds, accelerations, strict=True)]
+    # A share so small that it underflows holds nothing up.
+    return (
+        min((v / part for part, v, _ in parts if part), default=math.inf),
+        min((a / part for part, _, a in parts if part), default=math.inf),
+    )
 
 
 def straight_s(move: list[float], speeds: list[float], accelerations: list[float]) -> float:

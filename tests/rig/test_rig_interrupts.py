@@ -1,4 +1,4 @@
-"""What stops a rig in mid-move from outside the driver: Ctrl-C, an exception from anywhere, the death of the program."""
+"""What stops a rig in mid-move from outside the driver: Ctrl-C, an exception, the death of the program."""
 
 import os
 import signal
@@ -71,7 +71,7 @@ def test_an_exception_from_a_signal_handler_stops_the_rig(peer):
 
 @pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_signal_in_mid_move(peer, kill):
-    """SIGINT stops the rig. A program that is killed cannot: the rig ends the move, whose target was checked, and stands.
+    """SIGINT stops the rig. A program that is killed cannot: the rig ends its move, whose target was checked.
 
     SIGTERM ends a Python program without its cleaning up, unless it asks for that.
     """

@@ -1,0 +1,183 @@
+"""The Grbl driver against a controller that is set up in some way of its own."""
+
+import pytest
+from motion_rigs import TIMEOUT_S, at_port, definition, start_simulator
+
+from irodori.rig.connect import grbl_settings, open_rig, true_position_deg
+from irodori.rig.devices import AlarmError, CommandError, DeadlineError, LimitError, LinkError, SettingError
+from irodori.rig.drives import drives_of
+from irodori.rig.grbl.checks import check_settings
+from irodori.rig.grbl.driver import GrblRig
+from irodori.rig.grbl.machine import DEFAULTS
+from irodori.rig.grbl.simulator import simulate
+from irodori.rig.peer.client import run_simulator
+from irodori.rig.serial_link import SerialLink
+
+RIG = definition("grbl")
+DRIVES = drives_of(RIG)
+FITTING = {**DEFAULTS, **grbl_settings(DRIVES, homing=True)}
+
+
+def test_settings_that_fit_are_accepted():
+    check_settings(FITTING, "V", DRIVES, homing=True)
+
+
+@pytest.mark.parametrize(
+    ("number", "value", "words"),
+    [
+        (130, 140.0, r"camera_deg: limits 0 to 140 are X -141 to -1, but .* from -140 to 0 \(\$130\)"),
+        (131, 100.0, "turn_deg: limits"),
+        (110, 12000.0, r"camera_deg: speed_deg_per_s 400 is above .* 200 \(\$110=12000\)"),
+        (121, 4000.0, r"turn_deg: acceleration_deg_per_s2 16000 is above .* 8000 \(\$121=4000\)"),
+        (100, 5.0, "camera_deg: one step of the motor is 0.2 degrees"),
+        (101, 0.0, "turn_deg: steps, rate or acceleration of Y are 0"),
+        (10, 2, r"set \$10=1"),
+        (13, 1, r"set \$13=0"),
+        (20, 0, r"set \$20=1"),
+        (22, 0, r"motion.homing is true, but .* set \$22=1"),
+        (27, ..., r"lack \$27 \(homing switch pull-off"),
+        (130, ..., r"lack \$130 \(X maximum travel"),
+    ],
+)
+def test_settings_that_contradict_the_rig_s_file_are_refused(number, value, words):
+    settings = {key: given for key, given in {**FITTING, number: value}.items() if given is not ...}
+    with pytest.raises(SettingError, match=words):
+        check_settings(settings, "V", DRIVES, homing=True)
+
+
+def test_a_controller_that_contradicts_the_rig_s_file_is_refused_before_anything_moves():
+    with simulate({**grbl_settings(DRIVES, True), 130: 100.0}) as simulator:
+        before = simulator.true_position()
+        with pytest.raises(SettingError, match=r"\$130"), open_rig(at_port(RIG, simulator.port)):
+            pass
+        assert simulator.true_position() == before
+        SerialLink(simulator.port).close()  # the port is free again
+
+
+def test_axes_slower_than_their_controller_move_at_their_own_speed():
+    settings = grbl_settings(DRIVES, True)
+    fast = {key: value * 4 if key in (110, 111) else value for key, value in settings.items()}
+    with simulate(fast, time_scale=10.0) as simulator, open_rig(at_port(RIG, simulator.port)) as rig:
+        rig.home()
+        rig.move({"camera_deg": 0.0, "turn_deg": 0.0})
+        sent = []
+        write = rig._talk.link.write
+        rig._talk.link.write = lambda data: (sent.append(data), write(data))
+        rig.move({"camera_deg": 100.0})
+        assert b"G21G90G94G53G1X-101.000F24000.000\n" in sent
+        rig.move({"camera_deg": 0.0, "turn_deg": 359.5})
+        # Y goes 179.75 units at 400 units/s, X keeps step with it: along the line 205.7 units in the same time.
+        feed = (
+            float(sent[-1].split(b"F")[1])
+            if b"F" in sent[-1]
+            else float(next(s for s in sent if b"Y" in s).split(b"F")[1])
+        )
+        assert feed == pytest.approx((179.75**2 + 100.0**2) ** 0.5 / (179.75 / 400.0) * 60.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("flow", ["send-response", "character-counting"])
+def test_a_long_path_runs_through_all_its_places(flow):
+    rig = definition("grbl", flow)
+    with start_simulator(rig) as simulator, open_rig(at_port(rig, simulator.port)) as opened:
+        opened.simulator = simulator
+        opened.home()
+        simulator.forget()
+        opened.path([{"camera_deg": float(n % 2 * 60 + n)} for n in range(60)])
+        assert true_position_deg(opened)["camera_deg"] == pytest.approx(119.0, abs=0.005)
+        assert simulator.snapshot()["low"]["X"] == pytest.approx(-120.0, abs=0.01)
+        with pytest.raises(LimitError):
+            opened.path([{"camera_deg": 3.0}, {"camera_deg": 141.0}])
+        assert true_position_deg(opened)["camera_deg"] == pytest.approx(119.0, abs=0.005)
+
+
+def test_a_rig_without_switches_counts_from_where_it_was_switched_on():
+    rig = definition("grbl")
+    rig["motion"]["homing"] = False
+    for axis in rig["motion"]["axes"].values():
+        axis["zero_deg"] = 0.0
+    with start_simulator(rig) as simulator, open_rig(at_port(rig, simulator.port)) as opened:
+        opened.simulator = simulator
+        assert opened.status().homed
+        with pytest.raises(CommandError, match="no limit switches"):
+            opened.home()
+        opened.move({"camera_deg": 30.0, "turn_deg": 90.0})
+        assert true_position_deg(opened) == pytest.approx({"camera_deg": 30.0, "turn_deg": 90.0}, abs=0.005)
+        simulator.power()
+        with pytest.raises(AlarmError, match="started anew"):
+            opened.move({"camera_deg": 31.0})
+        with pytest.raises(AlarmError, match="does not know where it stands"):
+            opened.move({"camera_deg": 31.0})
+
+
+def test_the_operator_s_word_unlocks():
+    with start_simulator(RIG) as simulator, open_rig(at_port(RIG, simulator.port)) as rig:
+        assert rig.status().state == "alarm"
+        rig.unlock()
+        assert rig.status().homed and rig.status().state == "idle"
+
+
+def test_switches_that_do_not_repeat_shift_the_true_position_and_not_the_reported_one():
+    rig = definition("grbl")
+    rig["motion"]["simulator"]["homing_rms_units"] = 0.05
+    errors = []
+    with open_rig(rig) as opened:
+        for _ in range(5):
+            opened.home()
+            opened.move({"camera_deg": 10.0})
+            assert opened.position()["camera_deg"] == pytest.approx(10.0, abs=0.005)
+            errors.append(true_position_deg(opened)["camera_deg"] - 10.0)
+    assert 0.005 < max(map(abs, errors)) < 0.3 and len(set(errors)) == 5
+
+
+def test_only_a_simulated_rig_knows_where_it_truly_stands():
+    with start_simulator(RIG) as simulator, open_rig(at_port(RIG, simulator.port)) as rig:
+        assert rig.simulator is None
+        with pytest.raises(ValueError, match="only a simulated rig"):
+            true_position_deg(rig)
+
+
+def test_something_else_on_the_port_is_not_taken_for_grbl():
+    with start_simulator(definition("ascii")) as simulator:
+        there = at_port(RIG, simulator.port)
+        with pytest.raises((DeadlineError, LinkError)), open_rig(there):
+            pass
+
+
+def test_ports_that_cannot_be_opened_are_named(tmp_path):
+    for port, words in ((tmp_path / "ttyUSB7", "no such port"), (tmp_path, "")):
+        with pytest.raises(LinkError, match=f"{port}: .*{words}"):
+            SerialLink(str(port))
+
+
+def test_a_line_without_an_end_and_bytes_that_are_no_text():
+    with run_simulator("irodori.rig.grbl.simulator", []) as simulator:
+        link = SerialLink(simulator.port)
+        link.discard_input()
+        link.write(b"$G\n")
+        simulator.fault("garble")
+        link.write(b"$$\n")
+        lines = [link.read_line(1.0) for _ in range(20)]
+        assert all(line.isascii() for line in lines)
+        link.discard_input()
+        with pytest.raises(DeadlineError, match=simulator.port):
+            link.read_line(0.05)
+        simulator.fault("hangup")
+        with pytest.raises(LinkError, match=f"{simulator.port}: the line is lost"):
+            link.read_line(2.0)
+        with pytest.raises(LinkError):
+            link.write(b"?")
+        with pytest.raises(LinkError):
+            link.discard_input()
+        link.close()
+        link.close()
+        with pytest.raises(LinkError):
+            link.read_line(0.1)
+
+
+def test_the_driver_s_constructor_leaves_the_line_to_its_owner():
+    with simulate({**grbl_settings(DRIVES, True), 22: 0, 20: 0}) as simulator:
+        link = SerialLink(simulator.port)
+        with pytest.raises(SettingError):
+            GrblRig(link, DRIVES, timeout_s=TIMEOUT_S)
+        link.write(b"?")
+        link.close()
