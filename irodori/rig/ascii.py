@@ -235,7 +235,12 @@ class AsciiRig(Rig):
 
     def _order(self, command: str, **values) -> None:
         """Send a command and wait until it is accepted."""
-        self._words.match("accepted", self._ask(command, **values))
+        try:
+            self._words.match("accepted", self._ask(command, **values))
+        except CommandError as refusal:
+            if self._states() == "alarm":
+                raise AlarmError(f"{refusal}; it is in alarm: find the cause, then home it") from None
+            raise
 
     def _ask(self, command: str, **values) -> str:
         """Send a command and return its reply.

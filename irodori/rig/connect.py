@@ -6,7 +6,7 @@ from contextlib import ExitStack, contextmanager
 from irodori.rig import ascii_simulator
 from irodori.rig.ascii import AsciiRig
 from irodori.rig.ascii_description import Description
-from irodori.rig.devices import Link, Rig
+from irodori.rig.devices import Link, Rig, SettingError
 from irodori.rig.drives import Drive, drives_of
 from irodori.rig.grbl import simulator as grbl_simulator
 from irodori.rig.grbl.checks import ACCELERATION, RATE, STEPS, TRAVEL, number
@@ -37,7 +37,9 @@ def open_rig(rig: Mapping) -> Iterator[Rig]:
     ------
     DeviceError
     """
-    motion = rig["motion"]
+    motion = rig.get("motion")
+    if motion is None:
+        raise SettingError("the rig's file has no block motion: nothing of this rig is driven")
     with ExitStack() as stack:
         simulator = stack.enter_context(start_simulator(rig)) if motion["port"] == SIMULATOR else None
         link = SerialLink(

@@ -3,7 +3,6 @@
 import copy
 import time
 
-from irodori.config import read_yaml
 from irodori.rig.connect import start_simulator
 from irodori.rig.devices import DeviceError
 from irodori.rig.peer.client import Simulator
@@ -100,4 +99,4 @@ def failure(action) -> DeviceError | None:
     return None
 
 
-__all__ = ["TIMEOUT_S", "at_port", "definition", "failure", "read_yaml", "start_simulator", "wait_until_still"]
+__all__ = ["TIMEOUT_S", "at_port", "definition", "failure", "start_simulator", "wait_until_still"]

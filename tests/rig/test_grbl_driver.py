@@ -181,3 +181,11 @@ def test_the_driver_s_constructor_leaves_the_line_to_its_owner():
             GrblRig(link, DRIVES, timeout_s=TIMEOUT_S)
         link.write(b"?")
         link.close()
+
+
+def test_a_rig_without_motion_has_nothing_to_open():
+    with (
+        pytest.raises(SettingError, match="no block motion"),
+        open_rig({k: v for k, v in RIG.items() if k != "motion"}),
+    ):
+        pass

@@ -184,7 +184,8 @@ def test_character_counting_loses_nothing():
     [
         ("", "ok"), ("   ", "ok"), ("g0 x-5 ; there", "ok"), ("X", "error:2"), ("5", "error:1"), ("G5", "error:20"),
         ("G0G1X-3F50", "error:21"), ("G0X-1X-2", "error:25"), ("T", "error:2"), ("Q1", "error:20"), ("F-1", "error:4"),
-        ("$Q", "error:3"), ("$J", "error:3"), ("$J=X-3", "error:22"), ("$J=F50", "error:26"), ("$J=G0X-3F50", "error:16"),
+        ("$Q", "error:3"), ("$J", "error:3"), ("$J=X-3", "error:22"), ("$J=F50", "error:26"),
+        ("$J=G0X-3F50", "error:16"),
         ("$130=x", "error:2"), ("$999=1", "error:3"), ("$130=-5", "error:4"), ("$0=1", "error:6"), ("$130=90.5", "ok"),
         ("G0" + "X" * 90, "error:11"), ("G4P0", None), ("M3S100", "ok"), ("M99", "error:20"), ("G4", "error:28"),
     ],
