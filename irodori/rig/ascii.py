@@ -33,7 +33,7 @@ class AsciiRig(Rig):
 
     One question is on its way at a time. The controller is taken to lose its position with its power: where the rig has
     limit switches, it must be homed once each time that it is opened, and a position that changes between two commands
-    counts as lost.
+    counts as lost. Homing is done twice, for the same reason.
 
     Parameters
     ----------
@@ -66,6 +66,9 @@ class AsciiRig(Rig):
         self._timeout_s, self._homing, self._homed = timeout_s, homing, not homing
         self._brake_s = max((d.speed / d.acceleration for d in drives.values()), default=0.0)
         self._in_step = True
+        # Where the axes were left, and where a move that is under way takes them, controller units.
+        self._last: dict[str, float] = {}
+        self._goal: dict[str, float] = {}
         self._last = self._wake()
 
     def home(self) -> None:
@@ -75,19 +78,24 @@ class AsciiRig(Rig):
         with self._stopping_on_failure():
             self._homed = False
             self._resume()
-            for drive in self.drives.values():
-                self._order("home", axis=drive.channel)
-                if not self._words.per_axis("home"):
-                    break
-            ways = [(high - low) / drive.speed for drive in self.drives.values() for low, high in [drive.reach]]
-            deadline = Deadline(_HOMING_REACH * max(ways) + 2 * self._brake_s + self._timeout_s)
-            began, seen = Deadline(_START_S), False
-            while (state := self._states()) == "run" or not (seen or began.passed):
-                seen = seen or state == "run"
-                self._refuse(state, deadline)
-                time.sleep(_POLL_S)
-            self._refuse(state, deadline)
+            # Twice: a controller whose power drops out on the way counts from 0 wherever that was, and looks homed.
+            for _ in range(2):
+                self._home_once()
             self._last, self._homed = self._places(), True
+
+    def _home_once(self) -> None:
+        for drive in self.drives.values():
+            self._order("home", axis=drive.channel)
+            if not self._words.per_axis("home"):
+                break
+        ways = [(high - low) / drive.speed for drive in self.drives.values() for low, high in [drive.reach]]
+        deadline = Deadline(_HOMING_REACH * max(ways) + 2 * self._brake_s + self._timeout_s)
+        began, seen = Deadline(_START_S), False
+        while (state := self._states()) == "run" or not (seen or began.passed):
+            seen = seen or state == "run"
+            self._refuse(state, deadline)
+            time.sleep(_POLL_S)
+        self._refuse(state, deadline)
 
     def move(self, targets_deg: Mapping[str, float]) -> None:
         """Move axes, each at its own speed, and wait until they stand there; see `Rig.move`."""
@@ -99,16 +107,17 @@ class AsciiRig(Rig):
             targets = {**places, **{name: self.drives[name].to_units(angle) for name, angle in targets_deg.items()}}
             start = {name: self.drives[name].to_deg(places[name]) for name in places}
             deadline = Deadline(self.travel_s(start, targets_deg) * (1 + _MARGIN) + self._timeout_s)
+            self._goal = targets
             for name in targets_deg:
                 self._order("move", axis=self.drives[name].channel, target=targets[name])
             self._await_arrival(places, targets, deadline)
-            self._last = targets
+            self._last, self._goal = targets, {}
 
     def status(self) -> RigStatus:
         """Return what the controller says of itself; see `Rig.status`."""
         self._resume()
         state, places = self._states(), self._places()
-        if state == "alarm":
+        if state == "alarm" or (state == "idle" and self._strayed(places)):
             self._homed = False
         named = {name: self.drives[name].to_deg(place) for name, place in places.items()}
         return RigStatus(state, named, self._homed)
@@ -166,7 +175,13 @@ class AsciiRig(Rig):
             except (DeadlineError, GarbledError, CommandError):
                 if not left:
                     raise
-        self._last, self._in_step = self._places(), True
+        places, self._in_step = self._places(), True
+        for name, drive in self.drives.items():
+            left = self._last.get(name, places[name])
+            ends, slack = (left, self._goal.get(name, left)), self._tolerance(drive)
+            if not min(ends) - slack <= places[name] <= max(ends) + slack:
+                self._homed = False
+        self._last, self._goal = places, {}
 
     def _settle(self) -> None:
         """Read on until nothing comes."""
@@ -188,17 +203,23 @@ class AsciiRig(Rig):
             raise AlarmError("the controller is in alarm: find the cause, then home it")
         if state != "idle":
             raise CommandError("the controller is not idle: another program or its buttons move it")
-        for name, drive in self.drives.items():
-            if abs(places[name] - self._last[name]) > self._tolerance(drive):
-                now, before = drive.to_deg(places[name]), drive.to_deg(self._last[name])
-                raise AlarmError(
-                    f"{name} is at {now:.6g} degrees and was left at {before:.6g}: "
-                    "its controller has started anew or was moved by hand; home it first"
-                )
+        if name := self._strayed(places):
+            now, before = (self.drives[name].to_deg(at[name]) for at in (places, self._last))
+            raise AlarmError(
+                f"{name} is at {now:.6g} degrees and was left at {before:.6g}: "
+                "its controller has started anew or was moved by hand; home it first"
+            )
         if not self._homed:
             how = "home it first" if self._homing else "put it where it was switched on and start anew"
             raise AlarmError(f"the rig does not know where it stands: {how}")
         return places
+
+    def _strayed(self, places: Mapping[str, float]) -> str:
+        """Return an axis that is not where it was left, empty where there is none."""
+        for name, drive in self.drives.items():
+            if abs(places[name] - self._last[name]) > self._tolerance(drive):
+                return name
+        return ""
 
     def _refuse(self, state: str, deadline: Deadline) -> None:
         if state == "alarm":

@@ -129,8 +129,8 @@ def test_every_published_code_has_its_meaning_in_the_message():
 
 _PIECES = st.sampled_from(
     ["<", ">", "|", "Idle", "Run", "Hold:0", "MPos:", "WPos:", "WCO:", "0.000", "-1.500", ",", "FS:", "0,0", "Bf:",
-     "Pn:", "Ov:", "ok", "error:", "ALARM:", "9", "99999999999", "$", "=", "[MSG:", "]", "\x00", "٣", "nan", "inf", "1e9", "-",
-     ".", " ", "Grbl 1.1h ['$' for help]"]
+     "Pn:", "Ov:", "ok", "error:", "ALARM:", "9", "99999999999", "$", "=", "[MSG:", "]", "\x00", "٣", "nan", "inf",
+     "1e9", "-", ".", " ", "Grbl 1.1h ['$' for help]"]
 )  # fmt: skip
 
 

@@ -232,7 +232,7 @@ def test_no_bytes_whatever_upset_it_or_take_it_out_of_its_travel(keys, seconds):
     desk.press(b"\x18", 1.0)
     assert desk.report()["state"] in ("Idle", "Alarm")
     for low, high in zip(desk.machine.stage.low, desk.machine.stage.high, strict=True):
-        assert -100.0 <= low + 1e-6 and high <= 1e-6
+        assert low >= -100.0 - 1e-6 and high <= 1e-6
 
 
 # ---- mechanics and faults

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from motion_rigs import TIMEOUT_S, at_port, definition, failure, start_simulator, wait_until_still
 
-from irodori.rig.connect import open_rig
+from irodori.rig.connect import open_rig, true_position_deg
 from irodori.rig.devices import AlarmError, CommandError, DeadlineError, LimitError, LinkError
 from irodori.rig.drives import drives_of
 from irodori.rig.grbl.checks import homing_s
@@ -54,7 +54,7 @@ def budget_s(rig, name: str) -> float:
     """Return the time that a command may take until it has failed and the rig was stopped, s."""
     motion = rig.travel_s({"camera_deg": 0.0, "turn_deg": 0.0}, {"camera_deg": 140.0, "turn_deg": 359.5})
     if name == "home":
-        motion = 3.0 * motion if not hasattr(rig, "settings") else homing_s(rig._settings, rig.drives)
+        motion = 6.0 * motion if not hasattr(rig, "settings") else homing_s(rig._settings, rig.drives)
     return 1.25 * motion + SILENCES * TIMEOUT_S + SLACK_S
 
 
@@ -102,8 +102,19 @@ def test_a_fault_in_a_command_ends_in_time_and_leaves_the_rig_still(peer, fault,
         check_inside(rig, seen, homing=command == "home")
         time.sleep(0.02)
         assert simulator.true_position() == seen["position"]
-    simulator.clear()
+        simulator.clear()
+        check_truth(opened, simulator)
     again(rig, simulator)
+
+
+def check_truth(opened, simulator) -> None:
+    """Fail where a rig says that it knows where it stands, and stands elsewhere."""
+    opened.simulator = simulator
+    seen = []
+    error = failure(lambda: seen.append(opened.status()))
+    assert seen or isinstance(error, (LinkError, DeadlineError, CommandError))
+    if seen and seen[0].homed:
+        assert true_position_deg(opened) == pytest.approx(seen[0].position_deg, abs=0.02)
 
 
 def again(rig: dict, simulator) -> None:
@@ -179,6 +190,7 @@ def random_run(rng: random.Random, rig: dict, simulator, outcomes: collections.C
             check_inside(rig, seen, homing=not homed)
             if error and not isinstance(error, LimitError):
                 break
-    assert worst <= 1.0
-    simulator.clear()
+        assert worst <= 1.0
+        simulator.clear()
+        check_truth(opened, simulator)
     return worst
