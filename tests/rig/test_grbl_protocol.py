@@ -1,5 +1,6 @@
 """The lines of Grbl 1.1: what they say, and that no line whatever does more than raise a device's error."""
 
+import math
 import re
 
 import pytest
@@ -261,7 +262,7 @@ def test_the_simulator_s_parser_refuses_with_a_published_code(line, jog):
 @given(st.lists(st.floats(-500, 500), min_size=2, max_size=2), st.floats(0.1, 100), st.floats(0.1, 100))
 def test_axes_of_a_straight_move_keep_to_their_own_speeds(move, first, second):
     speed, acceleration = along(move, [first, second], [10.0, 20.0])
-    length = (move[0] ** 2 + move[1] ** 2) ** 0.5
+    length = math.hypot(*move)
     if length == 0.0:
         assert straight_s(move, [first, second], [10.0, 20.0]) == 0.0
         return
