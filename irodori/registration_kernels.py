@@ -38,6 +38,14 @@ def _spline(t, w, d, e):
             previous = here
 
 
+def spline_power() -> tuple[float, float, float]:
+    """Return the sums of the squared weights of the spline and of its two derivatives, at a pixel."""
+    kernels = np.zeros((3, TAPS))
+    _spline(0.0, *kernels)
+    value, first, second = (kernels**2).sum(axis=1)
+    return float(value), float(first), float(second)
+
+
 @numba.njit(cache=True)
 def _halve_row(out, source, y):
     for x in range(out.shape[1]):
@@ -131,13 +139,13 @@ def gradient_energy(level):
 
 
 @numba.njit(cache=True)
-def _choose(energy, places, counts, cell, index, columns, height, width, quota):
+def _choose(energy, places, counts, cell, columns, height, width, quota, gate):
     """Fill the places of the ``quota`` largest energies of one cell."""
-    y0, x0 = (index // columns) * height, (index % columns) * width
+    y0, x0 = (cell // columns) * height, (cell % columns) * width
     values = energy[y0 : y0 + height, x0 : x0 + width].copy().ravel()
-    limit = np.float32(0.0)
+    limit = np.float32(gate)
     if values.size > quota:
-        limit = np.partition(values, values.size - quota)[values.size - quota]
+        limit = max(limit, np.partition(values, values.size - quota)[values.size - quota])
     n = 0
     for y in range(y0, min(y0 + height, energy.shape[0])):
         for x in range(x0, min(x0 + width, energy.shape[1])):
@@ -148,8 +156,8 @@ def _choose(energy, places, counts, cell, index, columns, height, width, quota):
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def choose(energy, height, width, quota):
-    """Return the places with the largest gradients of each cell.
+def choose(energy, height, width, quota, gate):
+    """Return the places of each cell with the largest gradients, all of at least the energy ``gate``.
 
     Returns
     -------
@@ -162,7 +170,7 @@ def choose(energy, height, width, quota):
     places = np.zeros((rows * columns, quota, 2), dtype=np.int32)
     counts = np.zeros(rows * columns, dtype=np.int64)
     for cell in numba.prange(rows * columns):
-        _choose(energy, places, counts, cell, cell, columns, height, width, quota)
+        _choose(energy, places, counts, cell, columns, height, width, quota, gate)
     return places, counts
 
 
@@ -177,7 +185,8 @@ def _least_weight(level, x, y):
 
 @numba.njit(cache=True)
 def _template_cell(level, places, count, offsets, gradient, curvature, weight):
-    wx, dx, ex, wy, dy, ey = (np.empty(TAPS), np.empty(TAPS), np.empty(TAPS), np.empty(TAPS), np.empty(TAPS), np.empty(TAPS))  # fmt: skip  # noqa: E501
+    wx, dx, ex = np.empty(TAPS), np.empty(TAPS), np.empty(TAPS)
+    wy, dy, ey = np.empty(TAPS), np.empty(TAPS), np.empty(TAPS)
     for n in range(count):
         weight[n] = 1.0
         for c in range(3):
@@ -227,11 +236,14 @@ def template(level, places, counts, offsets):
 
 
 @numba.njit(cache=True)
-def _sample_cell(level, places, count, offsets, affine, shift, gradient, weight):
-    wx, dx, ex, wy, dy, ey = (np.empty(TAPS), np.empty(TAPS), np.empty(TAPS), np.empty(TAPS), np.empty(TAPS), np.empty(TAPS))  # fmt: skip  # noqa: E501
+def _sample_cell(level, places, count, offsets, affine, fixed_weight, gradient, weight):
+    wx, dx, ex = np.empty(TAPS), np.empty(TAPS), np.empty(TAPS)
+    wy, dy, ey = np.empty(TAPS), np.empty(TAPS), np.empty(TAPS)
     for n in range(count):
-        weight[n] = 1.0
-        px, py = places[n, 0] - shift[0], places[n, 1] - shift[1]
+        weight[n] = fixed_weight[n]
+        if fixed_weight[n] <= 0.0:
+            continue
+        px, py = places[n, 0], places[n, 1]
         for c in range(3):
             if c == 0 or offsets[c, 0] != offsets[c - 1, 0] or offsets[c, 1] != offsets[c - 1, 1]:
                 fx = affine[0, 0] * px + affine[0, 1] * py + affine[0, 2] + offsets[c, 0]
@@ -259,26 +271,28 @@ def _sample_cell(level, places, count, offsets, affine, shift, gradient, weight)
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def sample(level, places, counts, offsets, affine, shifts):
+def sample(level, places, counts, offsets, affine, fixed_weight):
     """Return gradients of the moving picture, along the fixed picture's axes, at the images of chosen places.
 
     Parameters
     ----------
     affine : (2, 3) float64
         Moving from fixed coordinates of this level.
-    shifts : (cells, 2) float64
-        Taken from the places of each cell before the map.
+    fixed_weight : (cells, quota) float32
+        Weights of the places in the fixed picture.
 
     Returns
     -------
     gradient : (cells, quota, 3, 2) float32
-    weight : (cells, quota) float32
+    weight : (cells, quota) float32, the smaller of the two pictures'
     """
     cells, quota = places.shape[:2]
     gradient = np.zeros((cells, quota, 3, 2), dtype=np.float32)
     weight = np.zeros((cells, quota), dtype=np.float32)
     for cell in numba.prange(cells):
-        _sample_cell(level, places[cell], counts[cell], offsets, affine, shifts[cell], gradient[cell], weight[cell])
+        _sample_cell(
+            level, places[cell], counts[cell], offsets, affine, fixed_weight[cell], gradient[cell], weight[cell]
+        )
     return gradient, weight
 
 
@@ -293,14 +307,12 @@ def _moments_cell(fixed, moving, weight, count, out):
                 for j in range(3):
                     out[0, i, j] += w * fixed[n, i, a] * fixed[n, j, a]
                     out[1, i, j] += w * moving[n, i, a] * fixed[n, j, a]
-                out[2, i, i] += w * moving[n, i, a] ** 2
-        out[2, 0, 1] += w
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
 def moments(fixed, moving, weight, counts):
-    """Return weighted sums (cells, 3, 3, 3): fixed·fixedᵀ; moving·fixedᵀ; moving² on the diagonal and Σw at 0, 1."""
-    out = np.zeros((counts.size, 3, 3, 3))
+    """Return weighted sums (cells, 2, 3, 3): fixed·fixedᵀ and moving·fixedᵀ."""
+    out = np.zeros((counts.size, 2, 3, 3))
     for cell in numba.prange(counts.size):
         _moments_cell(fixed[cell], moving[cell], weight[cell], counts[cell], out[cell])
     return out
