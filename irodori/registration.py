@@ -24,31 +24,23 @@ at the new places from the other, and noise does not pull towards half or whole 
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from scipy import fft
 
-from irodori import registration_kernels as kernels
+from irodori.registration_fit import Fit, Level, affine_of_level, align, information_of, make_level, search
+from irodori.registration_kernels import spline_power
+from irodori.registration_pyramid import Pyramid
 from irodori.resampling import resample_affine
 
 _COARSEST_PX = 160  # longest side at which the search runs
 _SHORTEST_PX = 24  # no level gets a shorter side than this
-_REACH_PX = 12.0  # of the search, superpixels
 _FINEST_PIXELS = 800_000  # the finest level has no more, unless the error asks for it
 _PLACES = (60_000, 12_000)  # compared at the finest level, at the others
-_CANDIDATES = 3
-_PRIOR = (8.0, math.radians(0.5), 0.01)  # shift in superpixels, rotation in rad, scale
-_SLOPE = 0.1  # spread of a residual as a share of its gradient
-_PULL = 0.1  # of the picture's colour map on a cell's, as a share of a cell's mean gradient energy
-_STEP_PX = 1e-3  # at which the iteration ends
-_GATE = 12.0  # gradient energy of a place over the 5 % quantile; noise alone passes it with 2 in a thousand
 _GOOD_PX = 0.02  # a predicted error with which no finer level is tried
 _UNDETERMINED_PX = 1.0
 _NOISE_RATIO = 1.5  # information, in its weakest direction, over that which noise alone seems to hold
 _CLUSTERS = 6  # along each side
 _FLOOR_PX = 0.05  # blocks that know better than this count alike in the residual
-_LEAST_PLACES = 16
 _LEAST_COHERENCE = 0.1
 
 
@@ -108,7 +100,7 @@ class Registration:
     def affine(self, centre_px=None) -> np.ndarray:
         """Return the (2, 3) matrix moving_from_fixed, about another centre if one is given."""
         centre = complex(*(self.centre_px if centre_px is None else centre_px))
-        return _affine(*self.complex_parts(), centre, 1.0)
+        return affine_of_level(*self.complex_parts(), centre, 1.0)
 
     def moving_from_fixed(self, xy) -> np.ndarray:
         """Return where places of the fixed picture lie in the moving one, (..., 2) to (..., 2), superpixels."""
@@ -119,182 +111,6 @@ class Registration:
         """Return scale and rotation as one complex number, and the shift as another."""
         turn = complex(math.cos(self.rotation_rad), math.sin(self.rotation_rad))
         return self.scale * turn, complex(self.dx_px, self.dy_px)
-
-
-def _affine(turn: complex, shift: complex, centre: complex, scale: float) -> np.ndarray:
-    """Return the (2, 3) map in the pixels of a level, each ``scale`` superpixels wide."""
-    half = 0.5 + 0.5j
-    offset = (centre + shift + half + turn * (scale * half - half - centre)) / scale - half
-    return np.array([[turn.real, -turn.imag, offset.real], [turn.imag, turn.real, offset.imag]])
-
-
-class _Level(NamedTuple):
-    """A level of the two pyramids with the places of the fixed picture that are compared there."""
-
-    scale: float  # superpixels in one of its pixels
-    moving: np.ndarray  # (h, w, 4)
-    places: np.ndarray  # (cells, quota, 2)
-    counts: np.ndarray  # (cells,)
-    columns: int  # of cells
-    offsets: np.ndarray  # (3, 2) places of the bands, pixels of the level
-    mixed: bool  # whether the colour map mixes bands
-    local: bool  # whether it varies from cell to cell
-    gradient: np.ndarray  # (cells, quota, 3, 2)
-    curvature: np.ndarray  # (cells, quota, 3, 3)
-    weight: np.ndarray  # (cells, quota)
-    geometry: np.ndarray  # (4,) see `kernels.scores`
-
-
-class _Fit(NamedTuple):
-    """A similarity p -> c + turn (p - c) + shift, places as complex numbers, with the sums at it."""
-
-    turn: complex
-    shift: complex
-    sums: np.ndarray  # (cells, 25)
-    weight: np.ndarray  # (cells, quota)
-    coherence: float  # of predicted and found gradients, -1..1
-    places: int  # that lie in both pictures
-
-
-def _level(fixed, moving, scale: float, shape, count: int, offsets_px, local: bool) -> _Level:
-    cell = int(min(32, max(8, min(fixed.shape[:2]) // 6)))
-    energy = kernels.gradient_energy(fixed)
-    some = energy[1:-1, 1:-1][:: max(1, energy.shape[0] // 256)]
-    some = some[some > 0.0]
-    gate = _GATE * float(np.quantile(some, 0.05)) if some.size else 0.0
-    columns = 2 * max(1, fixed.shape[1] // (2 * (cell // 2)))
-    cells = columns * max(1, fixed.shape[0] // cell)
-    quota = int(min(cell * (cell // 2), max(8, count // cells)))
-    places, counts = kernels.choose(energy, cell, cell // 2, quota, gate)
-    # A band that samples left of the centre shows a place of the scene further right in its own array.
-    offsets = np.zeros((3, 2)) if offsets_px is None else -np.asarray(offsets_px, dtype=np.float64) / scale
-    gradient, curvature, weight = kernels.template(fixed, places, counts, offsets)
-    reach = math.sqrt((shape[0] ** 2 + shape[1] ** 2) / 12.0)
-    geometry = np.array([scale, (shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0, reach])
-    mixed = offsets_px is not None
-    return _Level(scale, moving, places, counts, columns, offsets, mixed, local, gradient, curvature, weight, geometry)
-
-
-def _colour_maps(level: _Level, moving, weight) -> np.ndarray:
-    """Return the map from fixed to moving gradients of each cell, (cells, 3, 3)."""
-    cells = kernels.moments(level.gradient, moving, weight, level.counts)
-    if not level.mixed:
-        cells *= np.eye(3)
-    common = cells.sum(axis=0)
-    power = float(np.trace(common[0])) + 1e-30
-    whole = np.linalg.solve(common[0] + 1e-6 * power * np.eye(3), common[1].T).T
-    if not level.local:
-        return np.ascontiguousarray(np.broadcast_to(whole, (level.counts.size, 3, 3)))
-    pull = _PULL * power / level.counts.size * np.eye(3)
-    maps = np.linalg.solve(cells[:, 0] + pull, (cells[:, 1] + whole @ pull).swapaxes(1, 2))
-    return np.ascontiguousarray(maps.swapaxes(1, 2))
-
-
-def _evaluate(level: _Level, turn: complex, shift: complex, weight) -> _Fit | None:
-    """Return the sums at a similarity, with the places weighted as given in the colour map; None without overlap."""
-    affine = _affine(turn, shift, complex(level.geometry[1], level.geometry[2]), level.scale)
-    moving, valid = kernels.sample(level.moving, level.places, level.counts, level.offsets, affine, level.weight)
-    used = np.flatnonzero(valid > 0.0)
-    if used.size < _LEAST_PLACES:
-        return None
-    if weight is None:
-        energy = (level.gradient**2).sum(axis=(2, 3))
-        typical = max(float(np.median(energy.ravel()[used])), 1e-30)
-        weight = (1.0 / (1.0 + energy / typical)).astype(np.float32)
-    colour = _colour_maps(level, moving, weight * valid)
-    residual = kernels.residuals(level.gradient, moving, colour, level.counts)
-    some = used[:: max(1, used.size // 8192)]
-    left, found = residual.reshape(-1, 3, 2)[some], moving.reshape(-1, 3, 2)[some]
-    # The floor keeps noiseless pictures from dividing by nothing.
-    sigma = 1.4826 * np.median(np.abs(left), axis=(0, 2))
-    sigma = np.maximum(sigma, 1e-3 * math.sqrt(np.square(found, dtype=np.float64).mean()) + 1e-12)
-    sums, weight = kernels.scores(
-        level.places, residual, level.gradient, level.curvature, colour, valid, level.counts, sigma, _SLOPE,
-        level.geometry,
-    )  # fmt: skip
-    predicted, found = (found - left) / sigma[:, None], found / sigma[:, None]
-    energy = (predicted**2 + found**2).sum(axis=(1, 2))
-    coherence = 2.0 * (predicted * found).sum(axis=(1, 2)) / np.maximum(energy, 1e-30)
-    return _Fit(turn, shift, sums, weight, float(coherence.mean()), used.size)
-
-
-def _information(sums: np.ndarray) -> np.ndarray:
-    """Return the (4, 4) information of all cells on shift, and on scale and rotation times the picture's radius."""
-    upper = sums[:, 4:20].sum(axis=0).reshape(4, 4)
-    return np.triu(upper) + np.triu(upper, 1).T
-
-
-def _align(level: _Level, turn: complex, shift: complex, iterations: int, free=(0, 1, 2, 3)) -> _Fit | None:
-    """Return the Gauss-Newton solution at one level, over some of: shift x, y, scale, rotation."""
-    reach, weight, fit = level.geometry[3], None, None
-    precision = np.array([_PRIOR[0], _PRIOR[0], _PRIOR[2] * reach, _PRIOR[1] * reach]) ** -2.0
-    chosen = np.ix_(free, free)
-    for _ in range(iterations):
-        fit = _evaluate(level, turn, shift, weight)
-        if fit is None:
-            return None
-        # A step of the fixed frame is minus a step of the map, to first order.
-        state = np.array([shift.real, shift.imag, (turn.real - 1.0) * reach, turn.imag * reach])
-        pull = fit.sums[:, :4].sum(axis=0) + precision * state
-        step = np.zeros(4)
-        step[list(free)] = np.linalg.solve((_information(fit.sums) + np.diag(precision))[chosen], pull[list(free)])
-        length = math.hypot(*step)
-        step *= min(1.0, 2.0 * level.scale / max(length, 1e-30))
-        turn /= 1.0 + complex(step[2], step[3]) / reach
-        shift -= turn * complex(step[0], step[1])
-        weight = fit.weight
-        if length < _STEP_PX:
-            break
-    return _evaluate(level, turn, shift, weight)
-
-
-def _search(fixed, moving, scale: float) -> list[complex]:
-    """Return the likeliest shifts in superpixels, from the gradient magnitudes of one level."""
-    parts = []
-    for picture in (fixed, moving):
-        energy = kernels.gradient_energy(picture)
-        mask = np.zeros(energy.shape)
-        mask[1:-1, 1:-1] = picture[1:-1, 1:-1, 3] > 0.5
-        parts += [energy**0.25 * mask, mask]
-    reach = math.ceil(_REACH_PX / scale) + 1
-    shape = [fft.next_fast_len(n + reach, real=True) for n in fixed.shape[:2]]
-    f, inside_f, m, inside_m = (fft.rfft2(part, shape) for part in parts)
-    ff, mm = fft.rfft2(parts[0] ** 2, shape), fft.rfft2(parts[2] ** 2, shape)
-
-    def correlate(a, b):
-        return fft.irfft2(np.conj(a) * b, shape)
-
-    overlap = np.maximum(np.round(correlate(inside_f, inside_m)), 1.0)
-    sum_f, sum_m = correlate(f, inside_m), correlate(inside_f, m)
-    power_f = correlate(ff, inside_m) - sum_f**2 / overlap
-    power_m = correlate(inside_f, mm) - sum_m**2 / overlap
-    tiny = max(1e-9 * max(power_f.max(), power_m.max()), 1e-30)
-    score = correlate(f, m) - sum_f * sum_m / overlap
-    score /= np.sqrt(np.maximum(power_f, tiny) * np.maximum(power_m, tiny))
-    span = np.arange(-reach, reach + 1)
-    window = score[np.ix_(span % shape[0], span % shape[1])]
-    found = []
-    for _ in range(_CANDIDATES):
-        y, x = np.unravel_index(np.argmax(window), window.shape)
-        found.append(scale * complex(span[x], span[y]))
-        window[max(0, y - 1) : y + 2, max(0, x - 1) : x + 2] = -np.inf
-    return found
-
-
-class _Pyramid:
-    """Levels of a picture, made when asked for."""
-
-    def __init__(self, image, valid) -> None:
-        self._image, self._valid = np.ascontiguousarray(image, dtype=np.float32), np.ascontiguousarray(valid)
-        self._levels: dict[int, np.ndarray] = {}
-
-    def __getitem__(self, n: int) -> np.ndarray:
-        if n not in self._levels:
-            if n > 1:
-                self._levels[n] = kernels.halve(self[n - 1])
-            else:
-                self._levels[n] = (kernels.pack if n == 0 else kernels.pack_halve)(self._image, self._valid)
-        return self._levels[n]
 
 
 def register(
@@ -335,37 +151,37 @@ def register(
     coarsest = math.ceil(math.log2(max(max(shape) / _COARSEST_PX, 1.0)))
     coarsest = min(coarsest, max(0, int(math.log2(min(shape) / _SHORTEST_PX))) if min(shape) > _SHORTEST_PX else 0)
     finest = min(coarsest, math.ceil(math.log(max(shape[0] * shape[1] / _FINEST_PIXELS, 1.0), 4.0)))
-    f, m = _Pyramid(fixed, fixed_valid), _Pyramid(moving, moving_valid)
+    f, m = Pyramid(fixed, fixed_valid), Pyramid(moving, moving_valid)
 
-    def level_of(n: int, local: bool) -> _Level:
-        return _level(f[n], m[n], float(2**n), shape, _PLACES[0 if n <= finest else 1], band_offsets_px, local)
+    def level_of(n: int, local: bool) -> Level:
+        return make_level(f[n], m[n], float(2**n), shape, _PLACES[0 if n <= finest else 1], band_offsets_px, local)
 
-    fit, best = _first(level_of(coarsest, False), _search(f[coarsest], m[coarsest], float(2**coarsest)), start), nothing
+    fit, best = _first(level_of(coarsest, False), search(f[coarsest], m[coarsest], float(2**coarsest)), start), nothing
     for n in range(coarsest, -1, -1):
         if fit is None or (n < finest and best.sigma_px <= _GOOD_PX):
             break
         level = level_of(n, True)
-        fit = _align(level, fit.turn, fit.shift, 8 if n <= finest else 3)
+        fit = align(level, fit.turn, fit.shift, 8 if n <= finest else 3)
         if fit is not None and n <= finest and _has_content(fit):
             found = _report(level, fit)
             best = found if found.sigma_px <= best.sigma_px else best
     return best
 
 
-def _has_content(fit: _Fit) -> bool:
+def _has_content(fit: Fit) -> bool:
     return fit.coherence > _LEAST_COHERENCE + 4.0 / math.sqrt(fit.places)
 
 
-def _first(level: _Level, shifts: list[complex], start: Registration | None) -> _Fit | None:
+def _first(level: Level, shifts: list[complex], start: Registration | None) -> Fit | None:
     """Return the most coherent fit at the coarsest level from all starting points."""
     fits = []
     for turn, shift in [(1.0 + 0.0j, d) for d in shifts] + ([] if start is None else [start.complex_parts()]):
-        fit = _align(level, turn, shift, 3, (0, 1))
-        fits.append(fit and _align(level, fit.turn, fit.shift, 5))
+        fit = align(level, turn, shift, 3, (0, 1))
+        fits.append(fit and align(level, fit.turn, fit.shift, 5))
     return max((fit for fit in fits if fit is not None), key=lambda fit: fit.coherence, default=None)
 
 
-def _report(level: _Level, fit: _Fit) -> Registration:
+def _report(level: Level, fit: Fit) -> Registration:
     return Registration(
         dx_px=fit.shift.real,
         dy_px=fit.shift.imag,
@@ -377,13 +193,13 @@ def _report(level: _Level, fit: _Fit) -> Registration:
     )
 
 
-def _noise_information(level: _Level, fit: _Fit) -> np.ndarray:
+def _noise_information(level: Level, fit: Fit) -> np.ndarray:
     """Return the information that gradients of noise alone would seem to hold with these weights, (4, 4).
 
     White noise of equal size in both pictures: half of a residual's variance is the fixed picture's, and the ratio of
     its curvature's variance to its gradient's is the kernel's.
     """
-    value, first, second = kernels.spline_power()
+    value, first, second = spline_power()
     share = 0.5 * 3.0 * (second / first + first / value) / level.scale**2
     scale, cx, cy, reach = level.geometry
     u, v = (((level.places + 0.5) * scale - 0.5 - (cx, cy)) / reach).transpose(2, 0, 1)
@@ -392,9 +208,9 @@ def _noise_information(level: _Level, fit: _Fit) -> np.ndarray:
     return share * np.array([[n, 0, nu, -nv], [0, n, nv, nu], [nu, nv, nr, 0], [-nv, nu, 0, nr]])
 
 
-def _sigma_px(level: _Level, fit: _Fit) -> float:
+def _sigma_px(level: Level, fit: Fit) -> float:
     """Return the predicted rms error over the picture: the larger of model and scatter between parts of the picture."""
-    information, noise = _information(fit.sums), _noise_information(level, fit)
+    information, noise = information_of(fit.sums), _noise_information(level, fit)
     root = np.linalg.cholesky(noise + 1e-12 * np.trace(noise) * np.eye(4))
     white = np.linalg.solve(root, np.linalg.solve(root, information).T)
     if np.linalg.eigvalsh(white)[0] < _NOISE_RATIO:
@@ -414,7 +230,7 @@ def _sigma_px(level: _Level, fit: _Fit) -> float:
     return math.sqrt(max(np.trace(covariance), np.trace(spread)))
 
 
-def _residual_px(level: _Level, fit: _Fit) -> float:
+def _residual_px(level: Level, fit: Fit) -> float:
     """Return the rms displacement that cells still find.
 
     What two cells find that lie one cell apart is multiplied: a deformation is alike in both, noise is not, so its
