@@ -7,7 +7,7 @@ import numpy as np
 from scipy import fft
 
 from irodori import registration_kernels as kernels
-from irodori.registration_pyramid import choose, gradient_energy
+from irodori.registration_pyramid import choose, gradient_energy, noise_of
 
 _REACH_PX = 12.0  # of the search, superpixels
 _CANDIDATES = 3
@@ -41,6 +41,7 @@ class Level(NamedTuple):
     curvature: np.ndarray  # (cells, quota, 3, 3)
     weight: np.ndarray  # (cells, quota)
     geometry: np.ndarray  # (4,) see `kernels.scores`
+    noise: np.ndarray  # (3,) variance that noise gives a gradient of the fixed picture
 
 
 class Fit(NamedTuple):
@@ -52,9 +53,11 @@ class Fit(NamedTuple):
     weight: np.ndarray  # (cells, quota)
     coherence: float  # of predicted and found gradients, -1..1
     places: int  # that lie in both pictures
+    noise_share: float  # of the variance of residuals that is the fixed picture's noise, at most 1/2, over the bands
 
 
 def make_level(fixed, moving, scale: float, shape, count: int, offsets_px, local: bool) -> Level:
+    """Choose the places of one level and take the fixed picture's derivatives there; ``shape`` is that of level 0."""
     cell = int(min(32, max(8, min(fixed.shape[:2]) // 6)))
     energy = gradient_energy(fixed)
     some = energy[1:-1, 1:-1][:: max(1, energy.shape[0] // 256)]
@@ -70,7 +73,11 @@ def make_level(fixed, moving, scale: float, shape, count: int, offsets_px, local
     reach = math.sqrt((shape[0] ** 2 + shape[1] ** 2) / 12.0)
     geometry = np.array([scale, (shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0, reach])
     mixed = offsets_px is not None
-    return Level(scale, moving, places, counts, columns, offsets, mixed, local, gradient, curvature, weight, geometry)
+    value, first, _ = kernels.spline_power()
+    noise = noise_of(fixed) ** 2 * value * first
+    return Level(
+        scale, moving, places, counts, columns, offsets, mixed, local, gradient, curvature, weight, geometry, noise
+    )
 
 
 def _colour_maps(level: Level, moving, weight) -> np.ndarray:
@@ -110,10 +117,11 @@ def evaluate(level: Level, turn: complex, shift: complex, weight) -> Fit | None:
         level.places, residual, level.gradient, level.curvature, colour, valid, level.counts, sigma, _SLOPE,
         level.geometry,
     )  # fmt: skip
+    share = float(np.minimum(0.5, (colour**2).mean(axis=0) @ level.noise / sigma**2).sum())
     predicted, found = (found - left) / sigma[:, None], found / sigma[:, None]
     energy = (predicted**2 + found**2).sum(axis=(1, 2))
     coherence = 2.0 * (predicted * found).sum(axis=(1, 2)) / np.maximum(energy, 1e-30)
-    return Fit(turn, shift, sums, weight, float(coherence.mean()), used.size)
+    return Fit(turn, shift, sums, weight, float(coherence.mean()), used.size, share)
 
 
 def information_of(sums: np.ndarray) -> np.ndarray:
