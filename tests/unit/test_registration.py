@@ -137,49 +137,59 @@ def test_highlights_dust_and_hot_pixels_do_not_pull(leaves):
     assert found.residual_px <= 0.1
 
 
+def worst_px(found, truth, places) -> float:
+    """Largest error at places of the picture."""
+    matrix = truth.affine(((WIDTH - 1) / 2, (HEIGHT - 1) / 2))
+    return float(np.hypot(*(found.moving_from_fixed(places) - places @ matrix[:, :2].T - matrix[:, 2]).T).max())
+
+
+def circle(x, y, radius) -> np.ndarray:
+    angle = np.linspace(0.0, 2 * math.pi, 40)
+    return np.stack([x + radius * np.cos(angle), y + radius * np.sin(angle)], axis=-1)
+
+
 def test_a_small_object_in_the_dark_is_aligned_where_it_is():
     rng = np.random.default_rng(7)
     scene = leaves_scene(WIDTH, HEIGHT, rng, size_px=(3, 12), inside=(70.0, 80.0, 22.0))
     truth = similarity(-6.3, 4.4, 0.35, 0.994)
     found = register(*shoot(scene, truth, rng))
-    places = np.array([[70.0, 80.0], [55.0, 70.0], [85.0, 95.0]])
-    exact = Registration(*truth.affine((99.5, 74.5))[:, 2], 0.0, 1.0, 0.0, 0.0)
-    matrix = truth.affine((99.5, 74.5))
-    assert exact.sigma_px == 0.0
-    moved = found.moving_from_fixed(places) - (places @ matrix[:, :2].T + matrix[:, 2])
-    assert np.hypot(*moved.T).max() <= TARGET_PX
-    assert found.sigma_px < 0.5
+    assert worst_px(found, truth, circle(70.0, 80.0, 22.0)) <= TARGET_PX
+    assert rms_px(found, truth) <= 3.0 * found.sigma_px <= 0.3
 
 
-def disc_scene(stripes: bool) -> Scene:
-    """A disc, with two bands across it if asked for."""
+def disc_scene(stripe_angle_rad: float | None) -> Scene:
+    """A disc, with two stripes across it if an angle is given."""
     rng = np.random.default_rng(8)
     spectra = np.repeat(random_reflectances(3, rng)[:, None], 2, axis=1) @ white_weights().T
     leaves = np.zeros((3, 9))
     leaves[0, :4] = 100.0, 75.0, 50.0, 50.0
-    leaves[1, :5] = 100.0, 60.0, 45.0, 6.0, 0.1
-    leaves[2, :5] = 105.0, 95.0, 30.0, 5.0, 0.1
-    leaves[1:, 8] = 1.0
-    count = 3 if stripes else 1
+    leaves[1, :4] = 100.0, 60.0, 45.0, 6.0
+    leaves[2, :4] = 105.0, 95.0, 30.0, 5.0
+    leaves[1:, 4], leaves[1:, 8] = stripe_angle_rad or 0.0, 1.0
+    count = 1 if stripe_angle_rad is None else 3
     return Scene(leaves[:count], spectra[:count], np.zeros(6))
 
 
-def test_a_sphere_of_a_silhouette_and_two_bands_is_enough():
+@pytest.mark.parametrize("angle_rad", [0.1, 0.5])
+def test_a_sphere_of_a_silhouette_and_two_bands_is_enough(angle_rad):
     truth = similarity(2.7, -5.2, -0.4, 1.007)
-    found = register(*shoot(disc_scene(True), truth, np.random.default_rng(9)))
-    assert rms_px(found, truth) <= max(TARGET_PX, 3.0 * found.sigma_px) and found.sigma_px <= 0.1
+    found = register(*shoot(disc_scene(angle_rad), truth, np.random.default_rng(9)))
+    places = np.concatenate([circle(100.0, 75.0, radius) for radius in (10, 30, 50)])
+    # Where stripes run almost along the rows, aliasing biases the rotation; the object's own edge shows it most.
+    assert worst_px(found, truth, places) <= (2.0 * TARGET_PX if angle_rad < 0.2 else TARGET_PX)
+    assert found.sigma_px <= TARGET_PX
 
 
 def test_a_silhouette_alone_leaves_the_rotation_unknown():
     truth = similarity(2.7, -5.2, 0.0, 1.007)
-    found = register(*shoot(disc_scene(False), truth, np.random.default_rng(10)))
+    found = register(*shoot(disc_scene(None), truth, np.random.default_rng(10)))
     assert found.sigma_px == math.inf
     assert abs(found.rotation_rad) <= math.radians(0.5)
 
 
 @pytest.mark.parametrize("level", [0.0, 0.05, 0.7])
 def test_a_picture_without_content_gives_no_answer(level):
-    for seed in range(3):
+    for seed in range(2):
         found = register(*noise(np.random.default_rng(seed), level=level))
         assert found.sigma_px == math.inf and math.isnan(found.residual_px)
         assert (found.dx_px, found.dy_px, found.rotation_rad, found.scale) == (0.0, 0.0, 0.0, 1.0)
@@ -203,7 +213,7 @@ def test_one_straight_edge_does_not_determine_the_shift_along_it(angle_rad):
     leaf[0, :2] = 100.0 - 300.0 * math.sin(angle_rad), 75.0 + 300.0 * math.cos(angle_rad)
     spectra = random_reflectances(1, np.random.default_rng(11))[:, None].repeat(2, axis=1)
     scene = Scene(leaf, spectra @ white_weights().T, np.full(6, 0.05))
-    for seed in range(3):
+    for seed in range(2):
         found = register(*shoot(scene, similarity(1.3, 2.4), np.random.default_rng(seed)))
         assert found.sigma_px == math.inf
 
@@ -216,14 +226,17 @@ def test_different_scenes_have_nothing_in_common(leaves):
 
 
 def test_a_deformation_that_is_no_similarity_shows_in_the_residual(leaves):
-    truth = similarity(3.0, 1.0)
-    residuals = [
-        register(*shoot(leaves, truth, np.random.default_rng(12), barrel_px=barrel)).residual_px
-        for barrel in (0.0, 0.5, 1.0)
-    ]
-    # A cubic radial displacement minus its best scale: r³ - k r, rms over this picture 0.12 of the corner's.
-    assert residuals[0] <= 0.03
-    assert residuals[1] == pytest.approx(0.06, rel=0.5) and residuals[2] == pytest.approx(0.12, rel=0.5)
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    u = np.stack([x - (WIDTH - 1) / 2, y - (HEIGHT - 1) / 2], axis=-1)
+    radius = np.hypot(*u.reshape(-1, 2).T).max()
+    barrel = u * (u**2).sum(axis=-1, keepdims=True) / radius**3
+    barrel -= u * (barrel * u).sum() / (u**2).sum()  # less its best scale
+    expected = math.sqrt((barrel**2).sum(axis=-1).mean())
+    for corner_px in (0.5, 1.0, 2.0):
+        pictures = shoot(leaves, similarity(3.0, 1.0), np.random.default_rng(12), barrel_px=corner_px)
+        # Corners move most, and leave the picture or tell least.
+        assert 0.5 <= register(*pictures).residual_px / (corner_px * expected) <= 1.1
+    assert register(*shoot(leaves, similarity(3.0, 1.0), np.random.default_rng(12))).residual_px <= 0.02
 
 
 def test_a_start_beyond_the_search_is_followed(leaves):
