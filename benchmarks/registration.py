@@ -1,0 +1,70 @@
+"""Speed against error of the registration of a 10.1-megapixel camera's superpixels.
+
+``python -m benchmarks.registration [output.csv]`` writes the columns of ``speed_error.csv``; the reference is
+Gauss-Newton over all pixels of the finest level.
+"""
+
+import csv
+import os
+import resource
+import statistics
+import sys
+import time
+
+import numpy as np
+
+from benchmarks.plate_pictures import errors_px, leaves_scene, photograph, random_truth, render
+from irodori import registration
+from irodori.registration import Registration, bayer_offsets_px, register, resample
+
+WIDTH, HEIGHT, RUNS = 1944, 1296, 5
+# name -> finest level's pixels, places compared there and elsewhere, whether the bands' places are given
+VARIANTS = {
+    "all-pixels": (10**9, (10**9, 10**9), False),
+    "finest": (10**9, (60_000, 12_000), False),
+    "reduced-400k": (800_000, (400_000, 12_000), False),
+    "reduced-20k": (800_000, (20_000, 12_000), False),
+    "reduced": (800_000, (60_000, 12_000), False),
+    "reduced-bands": (800_000, (60_000, 12_000), True),
+}
+COLUMNS = "stage variant work unit seconds throughput error_metric error peak_mb reference ratio".split()
+
+
+def _pair(seed: int):
+    rng = np.random.default_rng(seed)
+    scene, truth = leaves_scene(WIDTH, HEIGHT, rng, size_px=(6, 120), cover=2.5), random_truth(rng)
+    fixed, fixed_valid = photograph(render(scene, WIDTH, HEIGHT, 0, Registration.identity()), 0, rng)
+    moving, moving_valid = photograph(render(scene, WIDTH, HEIGHT, 1, truth), 1, rng)
+    return (fixed, moving, fixed_valid, moving_valid), truth
+
+
+def measure(output) -> None:
+    """Time all variants on two scenes, resampling included, and write them with their largest error."""
+    pairs, rows, reference = [_pair(seed) for seed in range(2)], [], None
+    for name, (finest, places, bands) in VARIANTS.items():
+        registration._FINEST_PIXELS, registration._PLACES = finest, places
+        offsets, seconds, worst = bayer_offsets_px("RGGB") if bands else None, [], 0.0
+        for run in range(RUNS + 1):
+            for pictures, truth in pairs:
+                start = time.perf_counter()
+                found = register(*pictures, band_offsets_px=offsets)
+                resample(pictures[1], pictures[3], found)
+                if run:  # the first one compiles
+                    seconds.append(time.perf_counter() - start)
+                worst = max(worst, float(errors_px(found, truth, WIDTH, HEIGHT).max()))
+        median = statistics.median(seconds)
+        reference = reference or median
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+        values = ("ingest", f"register-{name}", WIDTH * HEIGHT, "superpixel", f"{median:.3f}",
+                  f"{WIDTH * HEIGHT / median:.3g}", "largest error at corners and centre, superpixels", f"{worst:.4f}",
+                  f"{peak:.0f}", "register-all-pixels", f"{reference / median:.2f}")  # fmt: skip
+        rows.append(dict(zip(COLUMNS, values, strict=True)))
+        print(*values, "load", f"{os.getloadavg()[0]:.1f}", flush=True)
+    with open(output, "w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    measure(sys.argv[1] if len(sys.argv) > 1 else "registration_speed_error.csv")
