@@ -16,8 +16,9 @@ from irodori.raw.settings import iso_ratio, relative_exposure_s, settle
 
 _PEDESTAL = 512  # digital numbers that stand for black in a demosaiced picture
 _CLIPPED = 65_535
-#: How far, in mosaic pixels, an algorithm spreads one pixel's value; measured with single outliers on noise.
-REACH_PX = {"linear": 1, "vng": 3, "ppg": 4, "ahd": 6, "dcb": 8, "dht": 8}
+#: How far, in mosaic pixels, an algorithm carries a pixel's value (measured with single outliers on noise). DCB and DHT
+#: choose directions over more than that; hot pixels are replaced before, so that no outlier steers the choice.
+REACH_PX = {"linear": 1, "vng": 2, "ppg": 4, "ahd": 5, "dcb": 5, "dht": 5}
 _MERGED_SHARE = 0.5  # of the samples that an exposure must give to count in the noise model
 
 
@@ -107,7 +108,10 @@ def _demosaiced(reference, shot: Shot, mosaic: Mosaic, path, options: IngestOpti
         else:
             offset += reference.dark.signal_dn(_dark_seconds(reference, shot)).mean()
     whole = np.rint(offset).astype(np.int32)
-    bands = demosaic(path, options.demosaic, whole, _PEDESTAL)
+    hot_px = None
+    if reference.dark is not None and _is_sensor(reference, shot, mosaic):
+        hot_px = reference.dark.hot_px
+    bands = demosaic(path, options.demosaic, whole, _PEDESTAL, hot_px)
     # LibRaw counts in whole numbers: what rounding the offset left is subtracted as the mean of each colour.
     rest = np.zeros(3)
     for row, column, band in mosaic.places():
