@@ -14,7 +14,7 @@ from irodori.raw.noise import Noise, equal_pairs, fit_transfer, transfer_points
 from irodori.raw.reference import Reference
 
 NO_HOT = np.zeros((0, 2), np.int32)
-HEIGHT, WIDTH = 480, 640
+HEIGHT, WIDTH = 400, 560
 FALL = np.linspace(1.0, 0.55, WIDTH) * np.linspace(1.0, 0.8, HEIGHT)[:, None]  # vignetting gives many levels
 
 
