@@ -152,12 +152,21 @@ def merge_frames(reference, frames: list[Frame], options: IngestOptions, white, 
     if white is not None and not on_sensor:
         white = white[:, 0]  # at the centre both coordinates are 0
     shape = tuple(2 * side // options.sample_px // 2 for side in first.values.shape)
-    out = np.empty((*shape, 3), dtype=np.float32) if out is None else out
+    out = empty_response(*shape, 1) if out is None else out
     clipped = np.zeros(shape, dtype=np.bool_)
     bracket = _bracket(reference, frames)
     shares = merge(_planes(reference, frames, options, on_sensor), bracket, white, options.sample_px, out, clipped)
     hot = _hot(reference, first.values.shape, options) if on_sensor else np.zeros(shape, dtype=np.bool_)
     return Developed(out, clipped, hot, _noise_model(bracket, white, shares, options))
+
+
+def empty_response(height: int, width: int, states: int) -> np.ndarray:
+    """Return room for the responses of some filter states, (height, width, 3 states) float32.
+
+    The bands of one state are never contiguous in it: the loops are compiled for strided pictures alone.
+    """
+    bands = 3 * states
+    return np.empty((height, width, max(bands, 4)), dtype=np.float32)[..., :bands]
 
 
 def develop(reference, shots: list[Shot], table, folder, options: IngestOptions, white) -> Developed:
@@ -178,10 +187,12 @@ def _bracket(reference, frames: list[Frame]) -> Bracket:
 def _planes(reference, frames: list[Frame], options: IngestOptions, on_sensor: bool) -> Planes:
     if options.sample_px == 1:
         stack = frames[0].bands[None] if len(frames) == 1 else np.stack([f.bands for f in frames])
-        samples = tuple(stack[..., band] for band in range(3))
-        black = np.array([f.black for f in frames]).T.copy()
-        clip = np.full_like(black, _CLIPPED)
-        return Planes(samples, np.arange(3), black, clip, (ABSENT,) * 3, (ABSENT,) * 3, (0.0, 0.0))
+        # Green stands twice, like its two places in a mosaic, so that the loops are compiled for four places only.
+        bands = np.array([0, 1, 1, 2])
+        black = np.ascontiguousarray(np.array([f.black for f in frames]).T[bands])
+        absent = (ABSENT,) * 4
+        samples = tuple(stack[..., band] for band in bands)
+        return Planes(samples, bands, black, np.full_like(black, _CLIPPED), absent, absent, (0.0, 0.0))
     places = frames[0].mosaic.places()
     stack = frames[0].mosaic.values[None] if len(frames) == 1 else np.stack([f.mosaic.values for f in frames])
     samples = tuple(stack[:, row::2, column::2] for row, column, _ in places)
@@ -218,16 +229,16 @@ def _hot(reference, shape, options: IngestOptions) -> np.ndarray:
 def _noise_model(bracket: Bracket, white, shares: np.ndarray, options: IngestOptions) -> np.ndarray:
     """Return c0 and c1 of each band at the centre of the picture for the exposures merged there, (3, 2).
 
-    An exposure counts where it gave at least half of the samples; the shortest always does.
+    An exposure counts where it gave at least half of a band's samples; the shortest always does.
     """
     if white is None or not np.isfinite(bracket.electrons_per_dn).all() or not np.isfinite(bracket.read_dn2).all():
         return np.full((3, 2), np.nan)
     merged = shares >= _MERGED_SHARE
-    merged[0] = True
+    merged[:, 0] = True
     level = white if white.ndim == 1 else white[:, 0]
-    dn_per_response = level[:, None] * bracket.exposure_dn[merged]
-    read = np.sum(dn_per_response**2 / bracket.read_dn2[merged], axis=1)
-    shot = np.sum(dn_per_response * bracket.electrons_per_dn[merged], axis=1)
+    dn_per_response = merged * level[:, None] * bracket.exposure_dn
+    read = np.sum(dn_per_response**2 / bracket.read_dn2, axis=1)
+    shot = np.sum(dn_per_response * bracket.electrons_per_dn, axis=1)
     # Green is the mean of two mosaic pixels in a superpixel.
     samples = np.array([1.0, 2.0, 1.0]) if options.sample_px == 2 else np.ones(3)
     return np.stack([1.0 / read / samples, 1.0 / shot / samples], axis=-1)

@@ -4,8 +4,8 @@ Brackets are merged by inverse variance. What decides about a sample must not de
 leans:
 
 * weights come from a signal that a block of 8 x 8 samples of one colour shares;
-* whether a longer exposure is near clipping is predicted from the block's mean in the shorter ones, and its weight fades
-  out between 60 % and 85 % of the range. Where the block varies by more than its noise, by texture or a highlight, the
+* whether a longer exposure is near clipping is predicted from the block's mean in the shorter ones, and its weight
+  fades out between 60 % and 85 % of the range. Where the block varies by more than its noise, by texture or a highlight, the
   weighted mean of the pixel's own exposures takes the place of the prediction: the fade is slow against its noise;
 * in addition, no sample at or above the clip level is ever used.
 
@@ -251,13 +251,14 @@ def _block_row(first, last, samples, offset, rate, steps, levels, exposures, sur
         if exposure.size > 1:
             _merge_place(
                 first, last, samples[p], offset[p], rate[p], steps, black[p], clip[p], exposures, scale,
-                total[bands[p]], excess, counts,
+                total[bands[p]], excess, counts[bands[p]],
             )  # fmt: skip
             continue
         at = (np.float32(steps[0]), np.float32(steps[1] * dark_s[0]))
+        floor, top = np.float32(black[p, 0]), np.float32(clip[p, 0])
         for y in range(first, last):
             _single_row(
-                samples[p][0, y], _row(offset[p], y), _row(rate[p], y), at, np.float32(black[p, 0]), np.float32(clip[p, 0]),
+                samples[p][0, y], _row(offset[p], y), _row(rate[p], y), at, floor, top,
                 np.float32(scale / exposure[0]), total[bands[p], y - first], excess[y - first],
             )  # fmt: skip
     for y in range(first, last):
@@ -295,8 +296,8 @@ def merge(planes: Planes, bracket: Bracket, white, sample_px: int, out: np.ndarr
 
     Returns
     -------
-    (K,) float64
-        Share of the samples that each exposure contributed to.
+    (3, K) float64
+        Share of each band's samples that each exposure contributed to.
     """
     if white is None:
         surface = np.zeros((0, 0, 0))
@@ -306,15 +307,16 @@ def merge(planes: Planes, bracket: Bracket, white, sample_px: int, out: np.ndarr
     else:
         surface = flat_field.grid(white)
     height, width = out.shape[:2]
-    counts = np.zeros((-(-height // _BLOCK), bracket.exposure_dn.size))
+    counts = np.zeros((-(-height // _BLOCK), 3, bracket.exposure_dn.size))
     _merge(
         planes.samples, planes.offset, planes.rate, planes.steps, (planes.bands, planes.black, planes.clip),
         (bracket.exposure_dn, bracket.dark_s, bracket.electrons_per_dn, bracket.read_dn2),
         surface, (*_axis(height, sample_px), *_axis(width, sample_px)), out, clipped, counts,
     )  # fmt: skip
     if bracket.exposure_dn.size == 1:
-        return np.ones(1)
-    return counts.sum(axis=0) / (height * width * len(planes.samples))
+        return np.ones((3, 1))
+    places = np.bincount(planes.bands, minlength=3)[:, None]
+    return counts.sum(axis=0) / (height * width * places)
 
 
 def _axis(size: int, sample_px: int) -> tuple[float, float]:

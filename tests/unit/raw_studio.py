@@ -56,10 +56,11 @@ class Studio:
         self.light, self.curve, self.spoil = 1.0, lambda well: well, lambda mosaic, exposure_s: mosaic
 
     def shoot(self, role, truth, state="out", exposure_s=0.02, light_deg=ANGLE):
+        """Photograph the true responses of six bands, given on superpixels, or on the mosaic of SIZE."""
         index = ("out", "in").index(state)
         bands = truth[..., 3 * index : 3 * index + 3] * BALANCE[index]
-        if role != "environment":
-            bands = bands.repeat(2, axis=0).repeat(2, axis=1) if bands.shape[0] < 2 * SIZE[0] else bands
+        if bands.shape[:2] != SIZE:
+            bands = bands.repeat(2, axis=0).repeat(2, axis=1)
         y, x = np.indices(bands.shape[:2])
         mosaic = np.take_along_axis(bands, (y % 2 + x % 2)[..., None], axis=2)[..., 0] * vignetting(*bands.shape[:2])
         self.expose(role, self.light * mosaic, state, exposure_s, light_deg)

@@ -134,7 +134,9 @@ def test_hot_pixels_do_not_lean_the_white_reference(tmp_path):
         places = hot_places(studio.rng, 400)
         if hot:
             studio.spoil = lambda mosaic, t, at=tuple(places.T): np.where(
-                np.isin(np.arange(mosaic.size).reshape(mosaic.shape), np.ravel_multi_index(at, SIZE)), WHITE - 1500, mosaic
+                np.isin(np.arange(mosaic.size).reshape(mosaic.shape), np.ravel_multi_index(at, SIZE)),
+                WHITE - 1500,
+                mosaic,
             ).astype(np.uint16)
         studio.references(darks=4)
         means.append(raw.Reference.load(studio.reference()).flat("out").mean(axis=(0, 1)))

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from raw_studio import SENSOR
 
+from irodori.raw.develop import empty_response
 from irodori.raw.flat import evaluate_flat
 from irodori.raw.merge import ABSENT, Bracket, Planes, merge
 
@@ -31,7 +32,7 @@ def merged(frames, exposures, dark=True, noise=(GAIN, READ_DN2), saturation=0.98
     planes = Planes(samples, np.array([0, 1, 1, 2]), black, clip, (ABSENT,) * 4, (ABSENT,) * 4, (0.0, 0.0))
     bracket = Bracket(exposures * FULL, exposures, np.full(count, noise[0]), np.full(count, noise[1]))
     height, width = (side // 2 for side in frames.shape[1:])
-    out, clipped = np.empty((height, width, 3), np.float32), np.zeros((height, width), np.bool_)
+    out, clipped = empty_response(height, width, 1), np.zeros((height, width), np.bool_)
     shares = merge(planes, bracket, white, 2, out, clipped)
     return out, clipped, shares
 
@@ -62,7 +63,7 @@ def test_the_response_is_linear_to_a_thousandth_over_four_decades(exposures):
 @pytest.mark.parametrize("exposures", BRACKETS, ids=["1:10", "1:100", "1:4:16"])
 def test_no_lean_where_the_long_exposure_nears_clipping(exposures):
     rng = np.random.default_rng(32)
-    # From half the range of the longest exposure to beyond it, finely: selection by noise would show as a dip or a bump.
+    # From half the range of the longest exposure to beyond it: selection by noise would show as a dip or a bump.
     for fraction in np.arange(0.5, 1.1, 0.05):
         level = fraction * SENSOR.response_at_full_well
         out, clipped, _ = merged(photograph(np.full((256, 256), level), exposures, rng), exposures)
@@ -73,7 +74,9 @@ def test_no_lean_where_the_long_exposure_nears_clipping(exposures):
 @pytest.mark.parametrize("exposures", BRACKETS, ids=["1:10", "1:100", "1:4:16"])
 def test_texture_near_clipping_is_measured_pixel_by_pixel(exposures):
     rng = np.random.default_rng(33)
-    level = np.exp(rng.uniform(np.log(0.02), np.log(8.0), (512, 512))).repeat(2, axis=0).repeat(2, axis=1)  # an even superpixel each
+    level = (
+        np.exp(rng.uniform(np.log(0.02), np.log(8.0), (512, 512))).repeat(2, axis=0).repeat(2, axis=1)
+    )  # an even superpixel each
     out, clipped, _ = merged(photograph(level, exposures, rng), exposures)
     ratio = (out @ GREY) / true_rate(level[::2, ::2])
     assert not clipped.any()
