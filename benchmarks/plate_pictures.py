@@ -177,7 +177,7 @@ def render(scene: Scene, width_px: int, height_px: int, state: int, truth: Regis
     inverse = np.zeros((3, 3))
     inverse[:2, :2] = back
     inverse[:2, 2] = centre
-    inverse[2, :2] = centre + (truth.dx_px, truth.dy_px)
+    inverse[2, :2] = np.add(centre, (truth.dx_px, truth.dy_px))
     radius = np.hypot(*centre)
     out = np.empty((2 * height_px, 2 * width_px))
     _mosaic(

@@ -1,4 +1,4 @@
-"""Compiled loops of `irodori.registration`: pyramid, gradients at fractional places, sums, resampling.
+"""Compiled loops of `irodori.registration_fit`: gradients at fractional places and sums over them.
 
 Pictures of the pyramid are (height, width, 4) float32: three bands and the share of valid pixels. Derivatives are
 those of the picture convolved with a quintic B-spline, taken at any place: the spline's weights sum to one and its
@@ -24,7 +24,7 @@ def _spline(t, w, d, e):
         if degree == TAPS - 2:
             # Second differences of the cubic are the second derivative of the quintic.
             for j in range(TAPS):
-                low2 = w[j - 2] if 2 <= j else 0.0
+                low2 = w[j - 2] if j >= 2 else 0.0
                 low1 = w[j - 1] if 1 <= j <= degree else 0.0
                 low0 = w[j] if j < degree else 0.0
                 e[j] = low2 - 2.0 * low1 + low0
@@ -38,132 +38,12 @@ def _spline(t, w, d, e):
             previous = here
 
 
-@numba.njit(cache=True)
-def _halve_row(out, source, y):
-    for x in range(out.shape[1]):
-        total, r, g, b = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
-        for s in range(4):
-            p = source[2 * y + s // 2, 2 * x + s % 2]
-            total += p[3]
-            r += p[3] * p[0]
-            g += p[3] * p[1]
-            b += p[3] * p[2]
-        share = np.float32(1.0) / total if total > 0.0 else np.float32(0.0)
-        out[y, x, 0], out[y, x, 1], out[y, x, 2] = r * share, g * share, b * share
-        out[y, x, 3] = np.float32(0.25) * total
-
-
-@numba.njit(cache=True, parallel=True, nogil=True)
-def halve(source):
-    """Return the mean of the valid pixels of each 2 x 2, (h, w, 4) to (h // 2, w // 2, 4)."""
-    out = np.empty((source.shape[0] // 2, source.shape[1] // 2, 4), dtype=np.float32)
-    for y in numba.prange(out.shape[0]):
-        _halve_row(out, source, y)
-    return out
-
-
-@numba.njit(cache=True, inline="always")
-def _put(out, y, x, image, valid):
-    r, g, b = image[y, x, 0], image[y, x, 1], image[y, x, 2]
-    good = valid[y, x] != 0 and math.isfinite(r) and math.isfinite(g) and math.isfinite(b)
-    one, zero = np.float32(1.0), np.float32(0.0)
-    if good:
-        out[0], out[1], out[2], out[3] = r, g, b, one
-    else:
-        out[0], out[1], out[2], out[3] = zero, zero, zero, zero
-
-
-@numba.njit(cache=True)
-def _pack_row(out, image, valid, y):
-    for x in range(out.shape[1]):
-        _put(out[y, x], y, x, image, valid)
-
-
-@numba.njit(cache=True, parallel=True, nogil=True)
-def pack(image, valid):
-    """Return level 0, (h, w, 4): invalid and non-finite pixels are zero and have no weight."""
-    out = np.empty((image.shape[0], image.shape[1], 4), dtype=np.float32)
-    for y in numba.prange(out.shape[0]):
-        _pack_row(out, image, valid, y)
-    return out
-
-
-@numba.njit(cache=True)
-def _pack_halve_row(out, image, valid, y):
-    cell = np.empty((2, 2, 4), dtype=np.float32)
-    small = np.empty((1, 1, 4), dtype=np.float32)
-    for x in range(out.shape[1]):
-        for s in range(4):
-            _put(cell[s // 2, s % 2], 2 * y + s // 2, 2 * x + s % 2, image, valid)
-        _halve_row(small, cell, 0)
-        out[y, x] = small[0, 0]
-
-
-@numba.njit(cache=True, parallel=True, nogil=True)
-def pack_halve(image, valid):
-    """Return level 1 without building level 0."""
-    out = np.empty((image.shape[0] // 2, image.shape[1] // 2, 4), dtype=np.float32)
-    for y in numba.prange(out.shape[0]):
-        _pack_halve_row(out, image, valid, y)
-    return out
-
-
-@numba.njit(cache=True, inline="always")
-def _energy(level, y, x):
-    """Return the squared central differences of all bands, 0 beside an invalid pixel."""
-    left, right, up, down = level[y, x - 1], level[y, x + 1], level[y - 1, x], level[y + 1, x]
-    total = np.float32(0.0)
-    for c in range(3):
-        gx, gy = right[c] - left[c], down[c] - up[c]
-        total += gx * gx + gy * gy
-    weight = min(min(left[3], right[3]), min(up[3], down[3]))
-    return total * weight * weight
-
-
-@numba.njit(cache=True, parallel=True, nogil=True)
-def gradient_energy(level):
-    """Return squared gradients summed over the bands, (h, w) float32; the border is 0."""
-    out = np.zeros(level.shape[:2], dtype=np.float32)
-    for y in numba.prange(1, level.shape[0] - 1):
-        for x in range(1, level.shape[1] - 1):
-            out[y, x] = _energy(level, y, x)
-    return out
-
-
-@numba.njit(cache=True)
-def _choose(energy, places, counts, cell, index, columns, height, width, quota):
-    """Fill the places of the ``quota`` largest energies of one cell."""
-    y0, x0 = (index // columns) * height, (index % columns) * width
-    values = energy[y0 : y0 + height, x0 : x0 + width].copy().ravel()
-    limit = np.float32(0.0)
-    if values.size > quota:
-        limit = np.partition(values, values.size - quota)[values.size - quota]
-    n = 0
-    for y in range(y0, min(y0 + height, energy.shape[0])):
-        for x in range(x0, min(x0 + width, energy.shape[1])):
-            if energy[y, x] > 0.0 and energy[y, x] >= limit and n < quota:
-                places[cell, n, 0], places[cell, n, 1] = x, y
-                n += 1
-    counts[cell] = n
-
-
-@numba.njit(cache=True, parallel=True, nogil=True)
-def choose(energy, height, width, quota):
-    """Return the places with the largest gradients of each cell.
-
-    Returns
-    -------
-    places : (cells, quota, 2) int32, x then y
-    counts : (cells,) int64
-        Cells run along the rows; two neighbours in a row are consecutive and their number in a row is even.
-    """
-    columns = 2 * max(1, energy.shape[1] // (2 * width))
-    rows = max(1, energy.shape[0] // height)
-    places = np.zeros((rows * columns, quota, 2), dtype=np.int32)
-    counts = np.zeros(rows * columns, dtype=np.int64)
-    for cell in numba.prange(rows * columns):
-        _choose(energy, places, counts, cell, cell, columns, height, width, quota)
-    return places, counts
+def spline_power() -> tuple[float, float, float]:
+    """Return the sums of the squared weights of the spline and of its two derivatives, at a pixel."""
+    kernels = np.zeros((3, TAPS))
+    _spline(0.0, *kernels)
+    value, first, second = (kernels**2).sum(axis=1)
+    return float(value), float(first), float(second)
 
 
 @numba.njit(cache=True, inline="always")
@@ -177,7 +57,8 @@ def _least_weight(level, x, y):
 
 @numba.njit(cache=True)
 def _template_cell(level, places, count, offsets, gradient, curvature, weight):
-    wx, dx, ex, wy, dy, ey = (np.empty(TAPS), np.empty(TAPS), np.empty(TAPS), np.empty(TAPS), np.empty(TAPS), np.empty(TAPS))  # fmt: skip  # noqa: E501
+    wx, dx, ex = np.empty(TAPS), np.empty(TAPS), np.empty(TAPS)
+    wy, dy, ey = np.empty(TAPS), np.empty(TAPS), np.empty(TAPS)
     for n in range(count):
         weight[n] = 1.0
         for c in range(3):
@@ -227,11 +108,14 @@ def template(level, places, counts, offsets):
 
 
 @numba.njit(cache=True)
-def _sample_cell(level, places, count, offsets, affine, shift, gradient, weight):
-    wx, dx, ex, wy, dy, ey = (np.empty(TAPS), np.empty(TAPS), np.empty(TAPS), np.empty(TAPS), np.empty(TAPS), np.empty(TAPS))  # fmt: skip  # noqa: E501
+def _sample_cell(level, places, count, offsets, affine, fixed_weight, gradient, weight):
+    wx, dx, ex = np.empty(TAPS), np.empty(TAPS), np.empty(TAPS)
+    wy, dy, ey = np.empty(TAPS), np.empty(TAPS), np.empty(TAPS)
     for n in range(count):
-        weight[n] = 1.0
-        px, py = places[n, 0] - shift[0], places[n, 1] - shift[1]
+        weight[n] = fixed_weight[n]
+        if fixed_weight[n] <= 0.0:
+            continue
+        px, py = places[n, 0], places[n, 1]
         for c in range(3):
             if c == 0 or offsets[c, 0] != offsets[c - 1, 0] or offsets[c, 1] != offsets[c - 1, 1]:
                 fx = affine[0, 0] * px + affine[0, 1] * py + affine[0, 2] + offsets[c, 0]
@@ -259,26 +143,28 @@ def _sample_cell(level, places, count, offsets, affine, shift, gradient, weight)
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def sample(level, places, counts, offsets, affine, shifts):
+def sample(level, places, counts, offsets, affine, fixed_weight):
     """Return gradients of the moving picture, along the fixed picture's axes, at the images of chosen places.
 
     Parameters
     ----------
     affine : (2, 3) float64
         Moving from fixed coordinates of this level.
-    shifts : (cells, 2) float64
-        Taken from the places of each cell before the map.
+    fixed_weight : (cells, quota) float32
+        Weights of the places in the fixed picture.
 
     Returns
     -------
     gradient : (cells, quota, 3, 2) float32
-    weight : (cells, quota) float32
+    weight : (cells, quota) float32, the smaller of the two pictures'
     """
     cells, quota = places.shape[:2]
     gradient = np.zeros((cells, quota, 3, 2), dtype=np.float32)
     weight = np.zeros((cells, quota), dtype=np.float32)
     for cell in numba.prange(cells):
-        _sample_cell(level, places[cell], counts[cell], offsets, affine, shifts[cell], gradient[cell], weight[cell])
+        _sample_cell(
+            level, places[cell], counts[cell], offsets, affine, fixed_weight[cell], gradient[cell], weight[cell]
+        )
     return gradient, weight
 
 
@@ -293,14 +179,12 @@ def _moments_cell(fixed, moving, weight, count, out):
                 for j in range(3):
                     out[0, i, j] += w * fixed[n, i, a] * fixed[n, j, a]
                     out[1, i, j] += w * moving[n, i, a] * fixed[n, j, a]
-                out[2, i, i] += w * moving[n, i, a] ** 2
-        out[2, 0, 1] += w
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
 def moments(fixed, moving, weight, counts):
-    """Return weighted sums (cells, 3, 3, 3): fixed·fixedᵀ; moving·fixedᵀ; moving² on the diagonal and Σw at 0, 1."""
-    out = np.zeros((counts.size, 3, 3, 3))
+    """Return weighted sums (cells, 2, 3, 3): fixed·fixedᵀ and moving·fixedᵀ."""
+    out = np.zeros((counts.size, 2, 3, 3))
     for cell in numba.prange(counts.size):
         _moments_cell(fixed[cell], moving[cell], weight[cell], counts[cell], out[cell])
     return out

@@ -1,0 +1,187 @@
+"""The fit of a similarity at one level of a pyramid; the method stands in `irodori.registration`."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy import fft
+
+from irodori import registration_kernels as kernels
+from irodori.registration_pyramid import choose, gradient_energy, noise_of
+
+_REACH_PX = 12.0  # of the search, superpixels
+_CANDIDATES = 3
+_PRIOR = (8.0, math.radians(0.5), 0.01)  # shift in superpixels, rotation in rad, scale
+_SLOPE = 0.1  # spread of a residual as a share of its gradient
+_PULL = 0.1  # of the picture's colour map on a cell's, as a share of a cell's mean gradient energy
+_STEP_PX = 1e-3  # at which the iteration ends
+_GATE = 12.0  # gradient energy of a place over the 5 % quantile; noise alone passes it with 2 in a thousand
+_LEAST_PLACES = 16
+
+
+def affine_of_level(turn: complex, shift: complex, centre: complex, scale: float) -> np.ndarray:
+    """Return the (2, 3) map in the pixels of a level, each ``scale`` superpixels wide."""
+    half = 0.5 + 0.5j
+    offset = (centre + shift + half + turn * (scale * half - half - centre)) / scale - half
+    return np.array([[turn.real, -turn.imag, offset.real], [turn.imag, turn.real, offset.imag]])
+
+
+class Level(NamedTuple):
+    """A level of the two pyramids with the places of the fixed picture that are compared there."""
+
+    scale: float  # superpixels in one of its pixels
+    moving: np.ndarray  # (h, w, 4)
+    places: np.ndarray  # (cells, quota, 2)
+    counts: np.ndarray  # (cells,)
+    columns: int  # of cells
+    offsets: np.ndarray  # (3, 2) places of the bands, pixels of the level
+    mixed: bool  # whether the colour map mixes bands
+    local: bool  # whether it varies from cell to cell
+    gradient: np.ndarray  # (cells, quota, 3, 2)
+    curvature: np.ndarray  # (cells, quota, 3, 3)
+    weight: np.ndarray  # (cells, quota)
+    geometry: np.ndarray  # (4,) see `kernels.scores`
+    noise: np.ndarray  # (3,) variance that noise gives a gradient of the fixed picture
+
+
+class Fit(NamedTuple):
+    """A similarity p -> c + turn (p - c) + shift, places as complex numbers, with the sums at it."""
+
+    turn: complex
+    shift: complex
+    sums: np.ndarray  # (cells, 25)
+    weight: np.ndarray  # (cells, quota)
+    coherence: float  # of predicted and found gradients, -1..1
+    places: int  # that lie in both pictures
+    noise_share: float  # of the variance of residuals that is the fixed picture's noise, at most 1/2, over the bands
+
+
+def make_level(fixed, moving, scale: float, shape, count: int, offsets_px, local: bool) -> Level:
+    """Choose the places of one level and take the fixed picture's derivatives there; ``shape`` is that of level 0."""
+    cell = int(min(32, max(8, min(fixed.shape[:2]) // 6)))
+    energy = gradient_energy(fixed)
+    some = energy[1:-1, 1:-1][:: max(1, energy.shape[0] // 256)]
+    some = some[some > 0.0]
+    gate = _GATE * float(np.quantile(some, 0.05)) if some.size else 0.0
+    columns = 2 * max(1, fixed.shape[1] // (2 * (cell // 2)))
+    cells = columns * max(1, fixed.shape[0] // cell)
+    quota = int(min(cell * (cell // 2), max(8, count // cells)))
+    places, counts = choose(energy, cell, cell // 2, quota, gate)
+    # A band that samples left of the centre shows a place of the scene further right in its own array.
+    offsets = np.zeros((3, 2)) if offsets_px is None else -np.asarray(offsets_px, dtype=np.float64) / scale
+    gradient, curvature, weight = kernels.template(fixed, places, counts, offsets)
+    reach = math.sqrt((shape[0] ** 2 + shape[1] ** 2) / 12.0)
+    geometry = np.array([scale, (shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0, reach])
+    mixed = offsets_px is not None
+    value, first, _ = kernels.spline_power()
+    noise = noise_of(fixed) ** 2 * value * first
+    return Level(
+        scale, moving, places, counts, columns, offsets, mixed, local, gradient, curvature, weight, geometry, noise
+    )
+
+
+def _colour_maps(level: Level, moving, weight) -> np.ndarray:
+    """Return the map from fixed to moving gradients of each cell, (cells, 3, 3)."""
+    cells = kernels.moments(level.gradient, moving, weight, level.counts)
+    if not level.mixed:
+        cells *= np.eye(3)
+    common = cells.sum(axis=0)
+    power = float(np.trace(common[0])) + 1e-30
+    whole = np.linalg.solve(common[0] + 1e-6 * power * np.eye(3), common[1].T).T
+    if not level.local:
+        return np.ascontiguousarray(np.broadcast_to(whole, (level.counts.size, 3, 3)))
+    pull = _PULL * power / level.counts.size * np.eye(3)
+    maps = np.linalg.solve(cells[:, 0] + pull, (cells[:, 1] + whole @ pull).swapaxes(1, 2))
+    return np.ascontiguousarray(maps.swapaxes(1, 2))
+
+
+def evaluate(level: Level, turn: complex, shift: complex, weight) -> Fit | None:
+    """Return the sums at a similarity, with the places weighted as given in the colour map; None without overlap."""
+    affine = affine_of_level(turn, shift, complex(level.geometry[1], level.geometry[2]), level.scale)
+    moving, valid = kernels.sample(level.moving, level.places, level.counts, level.offsets, affine, level.weight)
+    used = np.flatnonzero(valid > 0.0)
+    if used.size < _LEAST_PLACES:
+        return None
+    if weight is None:
+        energy = (level.gradient**2).sum(axis=(2, 3))
+        typical = max(float(np.median(energy.ravel()[used])), 1e-30)
+        weight = (1.0 / (1.0 + energy / typical)).astype(np.float32)
+    colour = _colour_maps(level, moving, weight * valid)
+    residual = kernels.residuals(level.gradient, moving, colour, level.counts)
+    some = used[:: max(1, used.size // 8192)]
+    left, found = residual.reshape(-1, 3, 2)[some], moving.reshape(-1, 3, 2)[some]
+    # The floor keeps noiseless pictures from dividing by nothing.
+    sigma = 1.4826 * np.median(np.abs(left), axis=(0, 2))
+    sigma = np.maximum(sigma, 1e-3 * math.sqrt(np.square(found, dtype=np.float64).mean()) + 1e-12)
+    sums, weight = kernels.scores(
+        level.places, residual, level.gradient, level.curvature, colour, valid, level.counts, sigma, _SLOPE,
+        level.geometry,
+    )  # fmt: skip
+    share = float(np.minimum(0.5, (colour**2).mean(axis=0) @ level.noise / sigma**2).sum())
+    predicted, found = (found - left) / sigma[:, None], found / sigma[:, None]
+    energy = (predicted**2 + found**2).sum(axis=(1, 2))
+    coherence = 2.0 * (predicted * found).sum(axis=(1, 2)) / np.maximum(energy, 1e-30)
+    return Fit(turn, shift, sums, weight, float(coherence.mean()), used.size, share)
+
+
+def information_of(sums: np.ndarray) -> np.ndarray:
+    """Return the (4, 4) information of all cells on shift, and on scale and rotation times the picture's radius."""
+    upper = sums[:, 4:20].sum(axis=0).reshape(4, 4)
+    return np.triu(upper) + np.triu(upper, 1).T
+
+
+def align(level: Level, turn: complex, shift: complex, iterations: int, free=(0, 1, 2, 3)) -> Fit | None:
+    """Return the Gauss-Newton solution at one level, over some of: shift x, y, scale, rotation."""
+    reach, weight, fit = level.geometry[3], None, None
+    precision = np.array([_PRIOR[0], _PRIOR[0], _PRIOR[2] * reach, _PRIOR[1] * reach]) ** -2.0
+    chosen = np.ix_(free, free)
+    for _ in range(iterations):
+        fit = evaluate(level, turn, shift, weight)
+        if fit is None:
+            return None
+        # A step of the fixed frame is minus a step of the map, to first order.
+        state = np.array([shift.real, shift.imag, (turn.real - 1.0) * reach, turn.imag * reach])
+        pull = fit.sums[:, :4].sum(axis=0) + precision * state
+        step = np.zeros(4)
+        step[list(free)] = np.linalg.solve((information_of(fit.sums) + np.diag(precision))[chosen], pull[list(free)])
+        length = math.hypot(*step)
+        step *= min(1.0, 2.0 * level.scale / max(length, 1e-30))
+        turn /= 1.0 + complex(step[2], step[3]) / reach
+        shift -= turn * complex(step[0], step[1])
+        weight = fit.weight
+        if length < _STEP_PX:
+            break
+    return evaluate(level, turn, shift, weight)
+
+
+def search(fixed, moving, scale: float) -> list[complex]:
+    """Return the likeliest shifts in superpixels, from the gradient magnitudes of one level."""
+    parts = []
+    for picture in (fixed, moving):
+        energy = gradient_energy(picture)
+        mask = np.zeros(energy.shape)
+        mask[1:-1, 1:-1] = picture[1:-1, 1:-1, 3] > 0.5
+        parts += [energy**0.25 * mask, mask]
+    reach = math.ceil(_REACH_PX / scale) + 1
+    shape = [fft.next_fast_len(n + reach, real=True) for n in fixed.shape[:2]]
+    f, inside_f, m, inside_m = (fft.rfft2(part, shape) for part in parts)
+    ff, mm = fft.rfft2(parts[0] ** 2, shape), fft.rfft2(parts[2] ** 2, shape)
+
+    def correlate(a, b):
+        return fft.irfft2(np.conj(a) * b, shape)
+
+    overlap = np.maximum(np.round(correlate(inside_f, inside_m)), 1.0)
+    sum_f, sum_m = correlate(f, inside_m), correlate(inside_f, m)
+    power_f = correlate(ff, inside_m) - sum_f**2 / overlap
+    power_m = correlate(inside_f, mm) - sum_m**2 / overlap
+    tiny = max(1e-9 * max(power_f.max(), power_m.max()), 1e-30)
+    score = correlate(f, m) - sum_f * sum_m / overlap
+    score /= np.sqrt(np.maximum(power_f, tiny) * np.maximum(power_m, tiny))
+    span = np.arange(-reach, reach + 1)
+    window = score[np.ix_(span % shape[0], span % shape[1])]
+    found = []
+    for _ in range(_CANDIDATES):
+        y, x = np.unravel_index(np.argmax(window), window.shape)
+        found.append(scale * complex(span[x], span[y]))
+        window[max(0, y - 1) : y + 2, max(0, x - 1) : x + 2] = -np.inf
+    return found

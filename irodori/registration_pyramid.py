@@ -1,0 +1,175 @@
+"""Pyramids of pictures with invalid pixels, and the places in them that show gradients.
+
+A level is (height, width, 4) float32: three bands and the share of valid pixels. Each halving takes the mean of the
+valid pixels of 2 x 2.
+"""
+
+import math
+
+import numba
+import numpy as np
+
+_LEAST_NOISE = 1e-9
+
+
+@numba.njit(cache=True)
+def _halve_row(out, source, y):
+    for x in range(out.shape[1]):
+        total, r, g, b = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
+        for s in range(4):
+            p = source[2 * y + s // 2, 2 * x + s % 2]
+            total += p[3]
+            r += p[3] * p[0]
+            g += p[3] * p[1]
+            b += p[3] * p[2]
+        share = np.float32(1.0) / total if total > 0.0 else np.float32(0.0)
+        out[y, x, 0], out[y, x, 1], out[y, x, 2] = r * share, g * share, b * share
+        out[y, x, 3] = np.float32(0.25) * total
+
+
+@numba.njit(cache=True, parallel=True, nogil=True)
+def halve(source):
+    """Return the mean of the valid pixels of each 2 x 2, (h, w, 4) to (h // 2, w // 2, 4)."""
+    out = np.empty((source.shape[0] // 2, source.shape[1] // 2, 4), dtype=np.float32)
+    for y in numba.prange(out.shape[0]):
+        _halve_row(out, source, y)
+    return out
+
+
+@numba.njit(cache=True, inline="always")
+def _put(out, y, x, image, valid):
+    r, g, b = image[y, x, 0], image[y, x, 1], image[y, x, 2]
+    good = valid[y, x] != 0 and math.isfinite(r) and math.isfinite(g) and math.isfinite(b)
+    one, zero = np.float32(1.0), np.float32(0.0)
+    if good:
+        out[0], out[1], out[2], out[3] = r, g, b, one
+    else:
+        out[0], out[1], out[2], out[3] = zero, zero, zero, zero
+
+
+@numba.njit(cache=True)
+def _pack_row(out, image, valid, y):
+    for x in range(out.shape[1]):
+        _put(out[y, x], y, x, image, valid)
+
+
+@numba.njit(cache=True, parallel=True, nogil=True)
+def pack(image, valid):
+    """Return level 0, (h, w, 4): invalid and non-finite pixels are zero and have no weight."""
+    out = np.empty((image.shape[0], image.shape[1], 4), dtype=np.float32)
+    for y in numba.prange(out.shape[0]):
+        _pack_row(out, image, valid, y)
+    return out
+
+
+@numba.njit(cache=True)
+def _pack_halve_row(out, image, valid, y):
+    cell = np.empty((2, 2, 4), dtype=np.float32)
+    small = np.empty((1, 1, 4), dtype=np.float32)
+    for x in range(out.shape[1]):
+        for s in range(4):
+            _put(cell[s // 2, s % 2], 2 * y + s // 2, 2 * x + s % 2, image, valid)
+        _halve_row(small, cell, 0)
+        out[y, x] = small[0, 0]
+
+
+@numba.njit(cache=True, parallel=True, nogil=True)
+def pack_halve(image, valid):
+    """Return level 1 without building level 0."""
+    out = np.empty((image.shape[0] // 2, image.shape[1] // 2, 4), dtype=np.float32)
+    for y in numba.prange(out.shape[0]):
+        _pack_halve_row(out, image, valid, y)
+    return out
+
+
+@numba.njit(cache=True, inline="always")
+def _energy(level, noise, y, x):
+    """Return the squared central differences of all bands over their noise, 0 beside an invalid pixel."""
+    left, right, up, down = level[y, x - 1], level[y, x + 1], level[y - 1, x], level[y + 1, x]
+    total = np.float32(0.0)
+    for c in range(3):
+        gx, gy = right[c] - left[c], down[c] - up[c]
+        total += (gx * gx + gy * gy) * noise[c]
+    weight = min(min(left[3], right[3]), min(up[3], down[3]))
+    return total * weight * weight
+
+
+@numba.njit(cache=True, parallel=True, nogil=True)
+def _all_energies(level, inverse):
+    out = np.zeros(level.shape[:2], dtype=np.float32)
+    for y in numba.prange(1, level.shape[0] - 1):
+        for x in range(1, level.shape[1] - 1):
+            out[y, x] = _energy(level, inverse, y, x)
+    return out
+
+
+def noise_of(level) -> np.ndarray:
+    """Return the standard deviation of a pixel's noise in each band, (3,) float64, or the little texture above it.
+
+    From the lower quartile of the differences between pixels two apart, which edges do not reach.
+    """
+    rows = level[:: max(1, level.shape[0] // 256)]
+    good = (rows[:, 2:, 3] > 0.5) & (rows[:, :-2, 3] > 0.5)
+    differences = np.abs(rows[:, 2:, :3] - rows[:, :-2, :3])[good]
+    if len(differences) == 0:
+        return np.full(3, _LEAST_NOISE)
+    floor = 1e-3 * np.sqrt(np.square(differences, dtype=np.float64).mean())
+    # 0.3186: lower quartile of |x| of a standard normal variable; the difference of two has twice the variance.
+    return np.maximum(np.quantile(differences, 0.25, axis=0) / (0.3186 * math.sqrt(2.0)), max(floor, _LEAST_NOISE))
+
+
+def gradient_energy(level) -> np.ndarray:
+    """Return squared gradients in units of the bands' noise, summed over the bands, (h, w) float32; border 0."""
+    return _all_energies(level, (noise_of(level) ** -2.0).astype(np.float32))
+
+
+@numba.njit(cache=True)
+def _choose(energy, places, counts, cell, columns, height, width, quota, gate):
+    """Fill the places of the ``quota`` largest energies of one cell."""
+    y0, x0 = (cell // columns) * height, (cell % columns) * width
+    values = energy[y0 : y0 + height, x0 : x0 + width].copy().ravel()
+    limit = np.float32(gate)
+    if values.size > quota:
+        limit = max(limit, np.partition(values, values.size - quota)[values.size - quota])
+    n = 0
+    for y in range(y0, min(y0 + height, energy.shape[0])):
+        for x in range(x0, min(x0 + width, energy.shape[1])):
+            if energy[y, x] > 0.0 and energy[y, x] >= limit and n < quota:
+                places[cell, n, 0], places[cell, n, 1] = x, y
+                n += 1
+    counts[cell] = n
+
+
+@numba.njit(cache=True, parallel=True, nogil=True)
+def choose(energy, height, width, quota, gate):
+    """Return the places of each cell with the largest gradients, all of at least the energy ``gate``.
+
+    Returns
+    -------
+    places : (cells, quota, 2) int32, x then y
+    counts : (cells,) int64
+        Cells run along the rows; two neighbours in a row are consecutive and their number in a row is even.
+    """
+    columns = 2 * max(1, energy.shape[1] // (2 * width))
+    rows = max(1, energy.shape[0] // height)
+    places = np.zeros((rows * columns, quota, 2), dtype=np.int32)
+    counts = np.zeros(rows * columns, dtype=np.int64)
+    for cell in numba.prange(rows * columns):
+        _choose(energy, places, counts, cell, columns, height, width, quota, gate)
+    return places, counts
+
+
+class Pyramid:
+    """Levels of a picture, made when asked for."""
+
+    def __init__(self, image, valid) -> None:
+        self._image, self._valid = np.ascontiguousarray(image, dtype=np.float32), np.ascontiguousarray(valid)
+        self._levels: dict[int, np.ndarray] = {}
+
+    def __getitem__(self, n: int) -> np.ndarray:
+        if n not in self._levels:
+            if n > 1:
+                self._levels[n] = halve(self[n - 1])
+            else:
+                self._levels[n] = (pack if n == 0 else pack_halve)(self._image, self._valid)
+        return self._levels[n]

@@ -1,0 +1,245 @@
+"""The plate's shift, turn and magnification are found from pictures whose colours differ, or said to be unknown."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.plate_pictures import (
+    Scene,
+    errors_px,
+    leaves_scene,
+    photograph,
+    random_reflectances,
+    random_truth,
+    render,
+    white_weights,
+)
+from irodori.registration import Registration, bayer_offsets_px, register, resample
+
+STILL = Registration.identity()
+WIDTH, HEIGHT = 200, 150
+TARGET_PX = 0.05
+
+
+def similarity(dx=0.0, dy=0.0, rotation_deg=0.0, scale=1.0) -> Registration:
+    return Registration(dx, dy, math.radians(rotation_deg), scale, 0.0, 0.0)
+
+
+def shoot(scene, truth, rng, width=WIDTH, height=HEIGHT, light=1.0, barrel_px=0.0):
+    """Return both pictures and their masks."""
+    fixed, fixed_valid = photograph(render(scene, width, height, 0, STILL), 0, rng)
+    moving, moving_valid = photograph(render(scene, width, height, 1, truth, barrel_px), 1, rng, light)
+    return [fixed, moving, fixed_valid, moving_valid]
+
+
+def rms_px(found, truth, width=WIDTH, height=HEIGHT) -> float:
+    return float(np.sqrt((errors_px(found, truth, width, height) ** 2).mean()))
+
+
+def noise(rng, width=WIDTH, height=HEIGHT, level=0.0):
+    return [
+        *(photograph(np.full((2 * height, 2 * width), level), state, rng)[0] for state in range(2)),
+        *(np.ones((height, width), dtype=bool) for _ in range(2)),
+    ]
+
+
+@pytest.fixture(scope="module")
+def leaves():
+    return leaves_scene(WIDTH, HEIGHT, np.random.default_rng(1))
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    dx=st.floats(-8, 8),
+    dy=st.floats(-8, 8),
+    rotation_deg=st.floats(-0.5, 0.5),
+    scale=st.floats(0.99, 1.01),
+)
+def test_any_plate_before_any_scene_is_found_within_a_twentieth_of_a_superpixel(seed, dx, dy, rotation_deg, scale):
+    rng = np.random.default_rng(seed)
+    truth = similarity(dx, dy, rotation_deg, scale)
+    found = register(*shoot(leaves_scene(WIDTH, HEIGHT, rng), truth, rng))
+    assert rms_px(found, truth) <= TARGET_PX
+    assert found.sigma_px <= TARGET_PX
+
+
+@pytest.mark.parametrize("corner", [(8, 8, 0.5, 1.01), (-8, 8, -0.5, 0.99), (8, -8, 0.5, 0.99), (-8, -8, 0.5, 1.01)])
+def test_the_corners_of_the_plates_range_are_found(leaves, corner):
+    truth = similarity(*corner)
+    assert rms_px(register(*shoot(leaves, truth, np.random.default_rng(2))), truth) <= TARGET_PX
+
+
+def test_predicted_errors_are_those_that_occur():
+    ratios = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        truth = random_truth(rng)
+        found = register(*shoot(leaves_scene(WIDTH, HEIGHT, rng), truth, rng))
+        ratios.append(rms_px(found, truth) / found.sigma_px)
+    # Eight errors of four components each: their mean square is known within a factor of about 1.5.
+    assert 0.5 <= math.sqrt(np.mean(np.square(ratios))) <= 2.0
+
+
+def test_known_places_of_the_bands_may_be_given():
+    rng = np.random.default_rng(5)
+    truth = random_truth(rng)
+    pictures = shoot(leaves_scene(WIDTH, HEIGHT, rng, size_px=(20, 60), texture=0.0), truth, rng)
+    assert rms_px(register(*pictures, band_offsets_px=bayer_offsets_px("RGGB")), truth) <= TARGET_PX
+
+
+def test_places_of_the_bands_follow_the_mosaic():
+    assert np.allclose(bayer_offsets_px("RGGB"), [[-0.25, -0.25], [0, 0], [0.25, 0.25]])
+    assert np.allclose(bayer_offsets_px("GBRG"), [[-0.25, 0.25], [0, 0], [0.25, -0.25]])
+    with pytest.raises(ValueError, match="RGGB"):
+        bayer_offsets_px("RGB")
+
+
+@pytest.mark.parametrize("size", [(64, 48), (48, 64), (150, 200)])
+def test_tiny_and_portrait_pictures_are_registered(size):
+    width, height = size
+    rng = np.random.default_rng(3)
+    truth = similarity(3.3, -2.6, 0.3, 1.006)
+    scene = leaves_scene(width, height, rng, size_px=(3, 15))
+    found = register(*shoot(scene, truth, rng, width, height), band_offsets_px=bayer_offsets_px("RGGB"))
+    assert rms_px(found, truth, width, height) <= max(TARGET_PX, 3.0 * found.sigma_px)
+    assert found.sigma_px <= 0.1
+
+
+def test_a_brighter_second_picture_changes_nothing(leaves):
+    truth = similarity(-4.2, 1.7, -0.2, 0.995)
+    for light in (0.9, 1.1):
+        assert rms_px(register(*shoot(leaves, truth, np.random.default_rng(4), light=light)), truth) <= TARGET_PX
+
+
+def test_highlights_dust_and_hot_pixels_do_not_pull(leaves):
+    truth = similarity(5.4, -3.1, 0.4, 1.004)
+    rng = np.random.default_rng(6)
+    y, x = np.indices((2 * HEIGHT, 2 * WIDTH))
+    pictures, masks = [], []
+    for state, transform in enumerate((STILL, truth)):
+        mosaic = render(leaves, WIDTH, HEIGHT, state, transform)
+        # The mirror image of the lamp saturates; dust on the sensor stays where it is.
+        mosaic[np.hypot(x - 170 - 9 * state, y - 120) < 24] = 50.0
+        for _ in range(6):
+            at = (61, 47) if _ == 0 else (40 + 55 * _, 220 - 30 * _)
+            mosaic[np.hypot(x - at[0], y - at[1]) < 7] *= 0.4
+        mosaic[31, 41] = mosaic[200, 333] = 1.2
+        picture, valid = photograph(mosaic, state, rng)
+        picture[~valid] = np.nan
+        pictures.append(picture)
+        masks.append(valid)
+    found = register(*pictures, *masks)
+    assert rms_px(found, truth) <= TARGET_PX
+    assert found.residual_px <= 0.1
+
+
+def test_a_small_object_in_the_dark_is_aligned_where_it_is():
+    rng = np.random.default_rng(7)
+    scene = leaves_scene(WIDTH, HEIGHT, rng, size_px=(3, 12), inside=(70.0, 80.0, 22.0))
+    truth = similarity(-6.3, 4.4, 0.35, 0.994)
+    found = register(*shoot(scene, truth, rng))
+    places = np.array([[70.0, 80.0], [55.0, 70.0], [85.0, 95.0]])
+    exact = Registration(*truth.affine((99.5, 74.5))[:, 2], 0.0, 1.0, 0.0, 0.0)
+    matrix = truth.affine((99.5, 74.5))
+    assert exact.sigma_px == 0.0
+    moved = found.moving_from_fixed(places) - (places @ matrix[:, :2].T + matrix[:, 2])
+    assert np.hypot(*moved.T).max() <= TARGET_PX
+    assert found.sigma_px < 0.5
+
+
+def disc_scene(stripes: bool) -> Scene:
+    """A disc, with two bands across it if asked for."""
+    rng = np.random.default_rng(8)
+    spectra = np.repeat(random_reflectances(3, rng)[:, None], 2, axis=1) @ white_weights().T
+    leaves = np.zeros((3, 9))
+    leaves[0, :4] = 100.0, 75.0, 50.0, 50.0
+    leaves[1, :5] = 100.0, 60.0, 45.0, 6.0, 0.1
+    leaves[2, :5] = 105.0, 95.0, 30.0, 5.0, 0.1
+    leaves[1:, 8] = 1.0
+    count = 3 if stripes else 1
+    return Scene(leaves[:count], spectra[:count], np.zeros(6))
+
+
+def test_a_sphere_of_a_silhouette_and_two_bands_is_enough():
+    truth = similarity(2.7, -5.2, -0.4, 1.007)
+    found = register(*shoot(disc_scene(True), truth, np.random.default_rng(9)))
+    assert rms_px(found, truth) <= max(TARGET_PX, 3.0 * found.sigma_px) and found.sigma_px <= 0.1
+
+
+def test_a_silhouette_alone_leaves_the_rotation_unknown():
+    truth = similarity(2.7, -5.2, 0.0, 1.007)
+    found = register(*shoot(disc_scene(False), truth, np.random.default_rng(10)))
+    assert found.sigma_px == math.inf
+    assert abs(found.rotation_rad) <= math.radians(0.5)
+
+
+@pytest.mark.parametrize("level", [0.0, 0.05, 0.7])
+def test_a_picture_without_content_gives_no_answer(level):
+    for seed in range(3):
+        found = register(*noise(np.random.default_rng(seed), level=level))
+        assert found.sigma_px == math.inf and math.isnan(found.residual_px)
+        assert (found.dx_px, found.dy_px, found.rotation_rad, found.scale) == (0.0, 0.0, 0.0, 1.0)
+
+
+def test_constant_and_invalid_pictures_give_no_answer(leaves):
+    flat = np.full((HEIGHT, WIDTH, 3), 0.4, dtype=np.float32)
+    good = np.ones((HEIGHT, WIDTH), dtype=np.uint8)
+    assert register(flat, flat, good, good).sigma_px == math.inf
+    assert register(0 * flat, 0 * flat, good, good).sigma_px == math.inf
+    fixed, moving, _, _ = shoot(leaves, STILL, np.random.default_rng(0))
+    assert register(fixed, moving, 0 * good, good).sigma_px == math.inf
+    assert register(fixed, np.full_like(moving, np.nan), good, good).sigma_px == math.inf
+    small = slice(0, 8)
+    assert register(fixed[small], moving[small], good[small], good[small]).sigma_px == math.inf
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 0.3, 0.8])
+def test_one_straight_edge_does_not_determine_the_shift_along_it(angle_rad):
+    leaf = np.array([[100.0, 75.0 + 300.0, 900.0, 300.0, angle_rad, 0.0, 0.0, 0.0, 1.0]])
+    leaf[0, :2] = 100.0 - 300.0 * math.sin(angle_rad), 75.0 + 300.0 * math.cos(angle_rad)
+    spectra = random_reflectances(1, np.random.default_rng(11))[:, None].repeat(2, axis=1)
+    scene = Scene(leaf, spectra @ white_weights().T, np.full(6, 0.05))
+    for seed in range(3):
+        found = register(*shoot(scene, similarity(1.3, 2.4), np.random.default_rng(seed)))
+        assert found.sigma_px == math.inf
+
+
+def test_different_scenes_have_nothing_in_common(leaves):
+    other = leaves_scene(WIDTH, HEIGHT, np.random.default_rng(77))
+    one, two = shoot(leaves, STILL, np.random.default_rng(0)), shoot(other, STILL, np.random.default_rng(1))
+    found = register(one[0], two[1], one[2], two[3])
+    assert found.sigma_px > 0.2 or found.residual_px > 0.2
+
+
+def test_a_deformation_that_is_no_similarity_shows_in_the_residual(leaves):
+    truth = similarity(3.0, 1.0)
+    residuals = [
+        register(*shoot(leaves, truth, np.random.default_rng(12), barrel_px=barrel)).residual_px
+        for barrel in (0.0, 0.5, 1.0)
+    ]
+    # A cubic radial displacement minus its best scale: r³ - k r, rms over this picture 0.12 of the corner's.
+    assert residuals[0] <= 0.03
+    assert residuals[1] == pytest.approx(0.06, rel=0.5) and residuals[2] == pytest.approx(0.12, rel=0.5)
+
+
+def test_a_start_beyond_the_search_is_followed(leaves):
+    truth = similarity(18.0, -14.0, 0.2, 1.002)
+    pictures = shoot(leaves, truth, np.random.default_rng(13))
+    assert rms_px(register(*pictures, start=similarity(17.0, -13.2)), truth) <= TARGET_PX
+    near = similarity(2.0, 1.0)
+    wrong = register(*shoot(leaves, near, np.random.default_rng(14)), start=similarity(-8.0, 8.0))
+    assert rms_px(wrong, near) <= TARGET_PX
+
+
+def test_pictures_and_masks_must_fit_together():
+    picture, mask = np.zeros((40, 50, 3), dtype=np.float32), np.ones((40, 50), dtype=bool)
+    with pytest.raises(ValueError, match="accepted"):
+        register(picture, picture[:-1], mask, mask)
+    with pytest.raises(ValueError, match="accepted"):
+        register(picture, picture, mask, mask[:-1])
+    with pytest.raises(ValueError, match="accepted"):
+        resample(picture[..., :2], mask, STILL)
