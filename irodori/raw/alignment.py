@@ -12,7 +12,7 @@ from irodori.progress import LOGGER
 from irodori.raw.develop import Developed, develop
 from irodori.raw.options import IngestOptions
 from irodori.raw.settings import filter_states
-from irodori.registration import Registration, register, resample
+from irodori.registration import Registration, bayer_offsets_px, register, resample
 
 #: Predicted standard error of a registration, superpixels, above which the picture has too little content for it.
 MAX_SIGMA_PX = 0.1
@@ -61,7 +61,10 @@ def _align(fixed: Developed, moving: Developed, start: Alignment | None, sample_
     """Register two filter states by the module `irodori.registration`."""
     pictures = [_superpixels(state.response, state.valid, sample_px) for state in (fixed, moving)]
     (image_a, valid_a), (image_b, valid_b) = pictures
-    found = register(image_a, image_b, valid_a, valid_b, None if start is None else _registration(start))
+    # The colours of a superpixel lie apart; what LibRaw interpolated lies on one place.
+    offsets = bayer_offsets_px(fixed.pattern) if sample_px == 2 else None
+    guess = None if start is None else _registration(start)
+    found = register(image_a, image_b, valid_a, valid_b, guess, band_offsets_px=offsets)
     transform = (found.dx_px, found.dy_px, found.rotation_rad, found.scale)
     return Alignment(tuple(map(float, transform)), float(found.residual_px), float(found.sigma_px), "capture")
 

@@ -46,12 +46,15 @@ class Developed:
         Where a hot pixel takes part.
     noise : (3, 2) float64
         Variance of the response c0 + c1 x response at the centre, NaN where not known.
+    pattern : str
+        Colours of the mosaic's first 2 x 2 pixels.
     """
 
     response: np.ndarray
     clipped: np.ndarray
     hot: np.ndarray
     noise: np.ndarray
+    pattern: str
 
     @property
     def valid(self) -> np.ndarray:
@@ -157,7 +160,7 @@ def merge_frames(reference, frames: list[Frame], options: IngestOptions, white, 
     bracket = _bracket(reference, frames)
     shares = merge(_planes(reference, frames, options, on_sensor), bracket, white, options.sample_px, out, clipped)
     hot = _hot(reference, first.values.shape, options) if on_sensor else np.zeros(shape, dtype=np.bool_)
-    return Developed(out, clipped, hot, _noise_model(bracket, white, shares, options))
+    return Developed(out, clipped, hot, _noise_model(bracket, white, shares, options), first.pattern)
 
 
 def empty_response(height: int, width: int, states: int) -> np.ndarray:

@@ -5,8 +5,9 @@ leans:
 
 * weights come from a signal that a block of 8 x 8 samples of one colour shares;
 * whether a longer exposure is near clipping is predicted from the block's mean in the shorter ones, and its weight
-  fades out between 60 % and 85 % of the range. Where the block varies by more than its noise, by texture or a highlight, the
-  weighted mean of the pixel's own exposures takes the place of the prediction: the fade is slow against its noise;
+  fades out between 60 % and 85 % of the range. Where the block varies by more than its noise, by texture or a
+  highlight, the weighted mean of the pixel's own exposures takes the place of the prediction: the fade is slow against
+  its noise;
 * in addition, no sample at or above the clip level is ever used.
 
 With one exposure nothing predicts, and the clip level alone decides.
@@ -158,8 +159,8 @@ def _dark_row(offset, rate, step, slope, dark):
 
 @numba.njit(cache=True, nogil=True)
 def _add_exposure(k, samples, dark, black, clip, exposure, weights, predicted, top, bottom):
-    """Add exposure k of a row to the sums of weighted rates and of weights; return how many samples it gave."""
-    used = 0
+    """Add exposure k of a row to the sums of weighted rates and of weights; return the sum of its fades."""
+    used = 0.0
     seconds, room = exposure[k], clip - black
     for block in range(weights.shape[0]):
         weight, expected = weights[block, k], predicted[block, k]
@@ -174,7 +175,7 @@ def _add_exposure(k, samples, dark, black, clip, exposure, weights, predicted, t
                     level = (top[x] + weight * rate) / (bottom[x] + weight) * seconds
                 fade = 1.0 - min(max((level / room - _FADE_FROM) / (_FADE_TO - _FADE_FROM), 0.0), 1.0)
             if fade > 0.0:
-                used += 1
+                used += fade
                 top[x] += weight * fade * rate
                 bottom[x] += weight * fade
     return used
@@ -297,7 +298,7 @@ def merge(planes: Planes, bracket: Bracket, white, sample_px: int, out: np.ndarr
     Returns
     -------
     (3, K) float64
-        Share of each band's samples that each exposure contributed to.
+        Share of each band's samples that each exposure gave, those near clipping in part.
     """
     if white is None:
         surface = np.zeros((0, 0, 0))

@@ -53,7 +53,7 @@ class Studio:
 
     def __init__(self, folder: Path, seed: int, sensor: Sensor = SENSOR) -> None:
         self.folder, self.rng, self.sensor, self.shots = folder, np.random.default_rng(seed), sensor, []
-        self.light, self.curve, self.spoil = 1.0, lambda well: well, lambda mosaic, exposure_s: mosaic
+        self.count, self.light, self.curve, self.spoil = 0, 1.0, lambda well: well, lambda mosaic, exposure_s: mosaic
 
     def shoot(self, role, truth, state="out", exposure_s=0.02, light_deg=ANGLE):
         """Photograph the true responses of six bands, given on superpixels, or on the mosaic of SIZE."""
@@ -67,7 +67,8 @@ class Studio:
 
     def expose(self, role, mosaic, state="out", exposure_s=0.02, light_deg=ANGLE):
         """Photograph what falls on each mosaic pixel."""
-        file = f"{len(self.shots):03d}.dng"
+        self.count += 1
+        file = f"{self.count:03d}.dng"
         well = self.sensor.response_at_full_well * self.sensor.base_exposure_s / exposure_s
         seen = self.curve(mosaic / well) * well
         numbers = self.spoil(self.sensor.expose(seen, exposure_s, self.rng), exposure_s)

@@ -243,7 +243,7 @@ def test_a_capture_that_the_table_contradicts_is_refused(tmp_path):
 
 def test_the_noise_model_follows_the_exposures_that_were_merged(tmp_path):
     """Brackets of a grey field: the stored model predicts the scatter of one exposure, of two, and of one clipped."""
-    for number, (level, exposures) in enumerate([(0.2, (0.02,)), (0.2, (0.01, 0.02)), (2.5, (0.004, 0.02))]):
+    for number, (level, exposures) in enumerate([(0.2, (0.02,)), (0.2, (0.01, 0.02)), (4.0, (0.004, 0.02))]):
         folder = tmp_path / str(number)
         folder.mkdir()
         studio = Studio(folder, seed=28)
