@@ -104,7 +104,9 @@ def decode(path) -> Mosaic:
     return _read(path, lambda raw, mosaic: mosaic)
 
 
-def demosaic(path, algorithm: str, offset: np.ndarray | None = None, pedestal: int = 0) -> np.ndarray:
+def demosaic(
+    path, algorithm: str, offset: np.ndarray | None = None, pedestal: int = 0, masked_px: np.ndarray | None = None
+) -> np.ndarray:
     """Interpolate a RAW file to full resolution by LibRaw, linearly in the sense of the light.
 
     Black is not subtracted and nothing is clipped below it, there is no white balance, colour conversion, tone curve,
@@ -119,6 +121,9 @@ def demosaic(path, algorithm: str, offset: np.ndarray | None = None, pedestal: i
         Digital numbers subtracted from the mosaic first: black level and dark frame.
     pedestal : int
         Digital number that stands for `offset`, so that noise below it survives.
+    masked_px : (n, 2) int, optional
+        Row and column of pixels not to be trusted. They take the median of their neighbours of the same colour, only so
+        that they do not spread; the caller masks what they reach.
 
     Returns
     -------
@@ -139,6 +144,8 @@ def demosaic(path, algorithm: str, offset: np.ndarray | None = None, pedestal: i
         if offset is not None:
             shifted = mosaic.values.astype(np.int32) - offset + pedestal
             raw.raw_image_visible[:height, :width] = np.clip(shifted, 0, 65535)
+        if masked_px is not None and len(masked_px):
+            _replace_masked(raw.raw_image_visible[:height, :width], masked_px)
         picture = raw.postprocess(
             demosaic_algorithm=ALGORITHMS[algorithm],
             user_black=0,
@@ -156,6 +163,19 @@ def demosaic(path, algorithm: str, offset: np.ndarray | None = None, pedestal: i
         return picture[:height, :width]
 
     return _read(path, interpolate)
+
+
+def _replace_masked(values: np.ndarray, masked_px: np.ndarray) -> None:
+    """Set pixels to the median of the eight nearest of the same colour, mirrored at the picture's edge."""
+    height, width = values.shape
+    steps = [(dy, dx) for dy in (-2, 0, 2) for dx in (-2, 0, 2) if (dy, dx) != (0, 0)]
+    rows, columns = masked_px[:, 0], masked_px[:, 1]
+    near = []
+    for dy, dx in steps:
+        r, c = rows + dy, columns + dx
+        r, c = np.where((r < 0) | (r >= height), rows - dy, r), np.where((c < 0) | (c >= width), columns - dx, c)
+        near.append(values[r, c])
+    values[rows, columns] = np.median(near, axis=0)
 
 
 def _read(path, use):

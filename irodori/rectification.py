@@ -46,8 +46,9 @@ class RigSetup:
 def _sample(response, valid, clipped, corner, xy, out, good, clips):
     """Interpolate responses bilinearly; a texel is good where all four neighbours are inside and valid.
 
-    It clips where one of the four does. ``response``, ``valid`` and ``clipped`` are the window of the picture that begins at ``corner`` (row, column); coordinates are
-    those of the whole picture, so that a texel gets the same bits whatever tile it belongs to.
+    It clips where one of the four does. ``response``, ``valid`` and ``clipped`` are the window of the picture that
+    begins at ``corner`` (row, column); coordinates are those of the whole picture, so that a texel gets the same bits
+    whatever tile it belongs to.
     """
     height, width, bands = response.shape
     for t in numba.prange(xy.shape[0]):

@@ -12,10 +12,11 @@ from irodori.progress import LOGGER
 from irodori.raw.develop import Developed, develop
 from irodori.raw.options import IngestOptions
 from irodori.raw.settings import filter_states
-from irodori.registration import Registration, register, resample
+from irodori.registration import Registration, bayer_offsets_px, register, resample
 
 #: Predicted standard error of a registration, superpixels, above which the picture has too little content for it.
 MAX_SIGMA_PX = 0.1
+_SIGMAS = 2.0
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,10 @@ def _align(fixed: Developed, moving: Developed, start: Alignment | None, sample_
     """Register two filter states by the module `irodori.registration`."""
     pictures = [_superpixels(state.response, state.valid, sample_px) for state in (fixed, moving)]
     (image_a, valid_a), (image_b, valid_b) = pictures
-    found = register(image_a, image_b, valid_a, valid_b, None if start is None else _registration(start))
+    # The colours of a superpixel lie apart; what LibRaw interpolated lies on one place.
+    offsets = bayer_offsets_px(fixed.pattern) if sample_px == 2 else None
+    guess = None if start is None else _registration(start)
+    found = register(image_a, image_b, valid_a, valid_b, guess, band_offsets_px=offsets)
     transform = (found.dx_px, found.dy_px, found.rotation_rad, found.scale)
     return Alignment(tuple(map(float, transform)), float(found.residual_px), float(found.sigma_px), "capture")
 
@@ -102,16 +106,17 @@ def align_states(
         If local blocks still find a residual above the limit: something moved between the shots.
     """
     found = _align(fixed, moving, nominal, options.sample_px)
+    # What moved between the shots also makes the fit uncertain: a residual far beyond that is no lack of content.
+    if found.residual_px > max(options.max_registration_px, _SIGMAS * found.sigma_px):
+        text = f"shots of the capture {capture} that differ by {found.residual_px:.2f} superpixels after registration"
+        accepted = f"at most {options.max_registration_px:g} superpixels (ingest.max_registration_px); nothing may move"
+        raise InputError(file, "capture", text, accepted)
     if not found.sigma_px <= MAX_SIGMA_PX:
         if nominal is None:
             LOGGER.warning("%s: too little content to register its filter states; they stay as they are", capture)
             return replace(UNMOVED, sigma_px=found.sigma_px)
         LOGGER.info("%s: too little content to register (%.2g px); the chart's transform", capture, found.sigma_px)
         return replace(nominal, sigma_px=found.sigma_px, source="chart")
-    if found.residual_px > options.max_registration_px:
-        text = f"shots of the capture {capture} that differ by {found.residual_px:.2f} superpixels after registration"
-        accepted = f"at most {options.max_registration_px:g} superpixels (ingest.max_registration_px); nothing may move"
-        raise InputError(file, "capture", text, accepted)
     return found
 
 

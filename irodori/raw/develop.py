@@ -16,8 +16,9 @@ from irodori.raw.settings import iso_ratio, relative_exposure_s, settle
 
 _PEDESTAL = 512  # digital numbers that stand for black in a demosaiced picture
 _CLIPPED = 65_535
-#: How far, in mosaic pixels, an algorithm spreads one pixel's value; measured with single outliers on noise.
-REACH_PX = {"linear": 1, "vng": 3, "ppg": 4, "ahd": 6, "dcb": 8, "dht": 8}
+#: How far, in mosaic pixels, an algorithm carries a pixel's value (measured with single outliers on noise). DCB and DHT
+#: choose directions over more than that; hot pixels are replaced before, so that no outlier steers the choice.
+REACH_PX = {"linear": 1, "vng": 2, "ppg": 4, "ahd": 5, "dcb": 5, "dht": 5}
 _MERGED_SHARE = 0.5  # of the samples that an exposure must give to count in the noise model
 
 
@@ -45,12 +46,15 @@ class Developed:
         Where a hot pixel takes part.
     noise : (3, 2) float64
         Variance of the response c0 + c1 x response at the centre, NaN where not known.
+    pattern : str
+        Colours of the mosaic's first 2 x 2 pixels.
     """
 
     response: np.ndarray
     clipped: np.ndarray
     hot: np.ndarray
     noise: np.ndarray
+    pattern: str
 
     @property
     def valid(self) -> np.ndarray:
@@ -107,7 +111,10 @@ def _demosaiced(reference, shot: Shot, mosaic: Mosaic, path, options: IngestOpti
         else:
             offset += reference.dark.signal_dn(_dark_seconds(reference, shot)).mean()
     whole = np.rint(offset).astype(np.int32)
-    bands = demosaic(path, options.demosaic, whole, _PEDESTAL)
+    hot_px = None
+    if reference.dark is not None and _is_sensor(reference, shot, mosaic):
+        hot_px = reference.dark.hot_px
+    bands = demosaic(path, options.demosaic, whole, _PEDESTAL, hot_px)
     # LibRaw counts in whole numbers: what rounding the offset left is subtracted as the mean of each colour.
     rest = np.zeros(3)
     for row, column, band in mosaic.places():
@@ -148,12 +155,21 @@ def merge_frames(reference, frames: list[Frame], options: IngestOptions, white, 
     if white is not None and not on_sensor:
         white = white[:, 0]  # at the centre both coordinates are 0
     shape = tuple(2 * side // options.sample_px // 2 for side in first.values.shape)
-    out = np.empty((*shape, 3), dtype=np.float32) if out is None else out
+    out = empty_response(*shape, 1) if out is None else out
     clipped = np.zeros(shape, dtype=np.bool_)
     bracket = _bracket(reference, frames)
     shares = merge(_planes(reference, frames, options, on_sensor), bracket, white, options.sample_px, out, clipped)
     hot = _hot(reference, first.values.shape, options) if on_sensor else np.zeros(shape, dtype=np.bool_)
-    return Developed(out, clipped, hot, _noise_model(bracket, white, shares, options))
+    return Developed(out, clipped, hot, _noise_model(bracket, white, shares, options), first.pattern)
+
+
+def empty_response(height: int, width: int, states: int) -> np.ndarray:
+    """Return room for the responses of some filter states, (height, width, 3 states) float32.
+
+    The bands of one state are never contiguous in it: the loops are compiled for strided pictures alone.
+    """
+    bands = 3 * states
+    return np.empty((height, width, max(bands, 4)), dtype=np.float32)[..., :bands]
 
 
 def develop(reference, shots: list[Shot], table, folder, options: IngestOptions, white) -> Developed:
@@ -174,10 +190,12 @@ def _bracket(reference, frames: list[Frame]) -> Bracket:
 def _planes(reference, frames: list[Frame], options: IngestOptions, on_sensor: bool) -> Planes:
     if options.sample_px == 1:
         stack = frames[0].bands[None] if len(frames) == 1 else np.stack([f.bands for f in frames])
-        samples = tuple(stack[..., band] for band in range(3))
-        black = np.array([f.black for f in frames]).T.copy()
-        clip = np.full_like(black, _CLIPPED)
-        return Planes(samples, np.arange(3), black, clip, (ABSENT,) * 3, (ABSENT,) * 3, (0.0, 0.0))
+        # Green stands twice, like its two places in a mosaic, so that the loops are compiled for four places only.
+        bands = np.array([0, 1, 1, 2])
+        black = np.ascontiguousarray(np.array([f.black for f in frames]).T[bands])
+        absent = (ABSENT,) * 4
+        samples = tuple(stack[..., band] for band in bands)
+        return Planes(samples, bands, black, np.full_like(black, _CLIPPED), absent, absent, (0.0, 0.0))
     places = frames[0].mosaic.places()
     stack = frames[0].mosaic.values[None] if len(frames) == 1 else np.stack([f.mosaic.values for f in frames])
     samples = tuple(stack[:, row::2, column::2] for row, column, _ in places)
@@ -214,16 +232,16 @@ def _hot(reference, shape, options: IngestOptions) -> np.ndarray:
 def _noise_model(bracket: Bracket, white, shares: np.ndarray, options: IngestOptions) -> np.ndarray:
     """Return c0 and c1 of each band at the centre of the picture for the exposures merged there, (3, 2).
 
-    An exposure counts where it gave at least half of the samples; the shortest always does.
+    An exposure counts where it gave at least half of a band's samples; the shortest always does.
     """
     if white is None or not np.isfinite(bracket.electrons_per_dn).all() or not np.isfinite(bracket.read_dn2).all():
         return np.full((3, 2), np.nan)
     merged = shares >= _MERGED_SHARE
-    merged[0] = True
+    merged[:, 0] = True
     level = white if white.ndim == 1 else white[:, 0]
-    dn_per_response = level[:, None] * bracket.exposure_dn[merged]
-    read = np.sum(dn_per_response**2 / bracket.read_dn2[merged], axis=1)
-    shot = np.sum(dn_per_response * bracket.electrons_per_dn[merged], axis=1)
+    dn_per_response = merged * level[:, None] * bracket.exposure_dn
+    read = np.sum(dn_per_response**2 / bracket.read_dn2, axis=1)
+    shot = np.sum(dn_per_response * bracket.electrons_per_dn, axis=1)
     # Green is the mean of two mosaic pixels in a superpixel.
     samples = np.array([1.0, 2.0, 1.0]) if options.sample_px == 2 else np.ones(3)
     return np.stack([1.0 / read / samples, 1.0 / shot / samples], axis=-1)

@@ -4,8 +4,10 @@ Brackets are merged by inverse variance. What decides about a sample must not de
 leans:
 
 * weights come from a signal that a block of 8 x 8 samples of one colour shares;
-* whether a longer exposure is near clipping is predicted from the shorter ones (their mean over the block where the
-  pixel agrees with it, else the pixel itself), and its weight fades out between 60 % and 85 % of the range;
+* whether a longer exposure is near clipping is predicted from the block's mean in the shorter ones, and its weight
+  fades out between 60 % and 85 % of the range. Where the block varies by more than its noise, by texture or a
+  highlight, the weighted mean of the pixel's own exposures takes the place of the prediction: the fade is slow against
+  its noise;
 * in addition, no sample at or above the clip level is ever used.
 
 With one exposure nothing predicts, and the clip level alone decides.
@@ -22,7 +24,7 @@ _BLOCK = 8  # samples along the side of a block
 _FADE_FROM, _FADE_TO = 0.6, 0.85  # of the range from black to clip level
 #: Stands for a dark frame that is not there; strided like a view of one, so that the loops are compiled once.
 ABSENT = np.zeros((4, 4), dtype=np.int16)[::2, ::2]
-_AGREES = 16.0  # squared distance of a pixel from its block, in variances
+_TEXTURE = 2.0  # variance of a block over that of its noise; noise alone scatters it by 18 %
 
 
 @dataclass(frozen=True)
@@ -90,32 +92,39 @@ def _single_row(samples, offset, rate, steps, black, clip, scale, total, excess)
 
 
 @numba.njit(cache=True, nogil=True)
-def _block_mean(values, first, last, left, right):
-    total = 0.0
+def _block_moments(values, first, last, left, right):
+    """Return mean and variance of a block."""
+    origin, total, square = float(values[first, left]), 0.0, 0.0
     for y in range(first, last):
         for x in range(left, right):
-            total += values[y, x]
-    return total / ((last - first) * (right - left))
+            step = values[y, x] - origin
+            total += step
+            square += step * step
+    count = (last - first) * (right - left)
+    mean = total / count
+    return origin + mean, square / count - mean * mean
 
 
 @numba.njit(cache=True, nogil=True)
-def _weigh_block(means, exposure, gain, read, room, weights, predicted):
+def _weigh_block(means, variances, exposure, gain, read, room, weights, predicted):
     """Set each exposure's inverse variance of the rate from the block's common signal, and the level predicted for it.
 
-    ``means`` are levels above black and dark, DN; clipped samples counted with their clipped value.
+    ``means`` are levels above black and dark, DN; clipped samples counted with their clipped value. There is no
+    prediction, NaN, where the next shorter exposure varies by more than its noise: by texture.
     """
-    count = exposure.size
     signal, seconds = means[0], exposure[0]
-    for k in range(1, count):
+    for k in range(1, exposure.size):
         if means[k] < _FADE_TO * room[k]:
             signal += means[k]
             seconds += exposure[k]
     common = max(signal / seconds, 0.0)
-    top, bottom = 0.0, 0.0
-    for k in range(count):
+    top, bottom, even = 0.0, 0.0, False
+    for k in range(exposure.size):
         known = gain[k] > 0.0 and read[k] > 0.0
-        weights[k] = exposure[k] ** 2 / (read[k] + common * exposure[k] / gain[k]) if known else exposure[k]
-        predicted[k] = top / bottom * exposure[k] if k > 0 else 0.0
+        variance = read[k] + common * exposure[k] / gain[k]
+        weights[k] = exposure[k] ** 2 / variance if known else exposure[k]
+        predicted[k] = top / bottom * exposure[k] if k > 0 and even else np.nan
+        even = known and variances[k] < _TEXTURE * variance
         if k == 0 or means[k] < _FADE_TO * room[k]:
             top += weights[k] * means[k] / exposure[k]
             bottom += weights[k]
@@ -125,15 +134,15 @@ def _weigh_block(means, exposure, gain, read, room, weights, predicted):
 def _weigh_row(first, last, samples, offset, rate, steps, black, clip, exposures, weights, predicted):
     """Fill weights and predictions of a row of blocks, (blocks, K)."""
     exposure, dark_s, gain, read = exposures
-    means, room = np.empty(exposure.size), clip - black
+    means, variances, room = np.empty(exposure.size), np.empty(exposure.size), clip - black
     for block in range(weights.shape[0]):
         left, right = block * _BLOCK, min((block + 1) * _BLOCK, samples.shape[2])
-        fixed = steps[0] * _block_mean(offset, first, last, left, right) if steps[0] != 0.0 else 0.0
-        slope = steps[1] * _block_mean(rate, first, last, left, right) if steps[1] != 0.0 else 0.0
+        fixed = steps[0] * _block_moments(offset, first, last, left, right)[0] if steps[0] != 0.0 else 0.0
+        slope = steps[1] * _block_moments(rate, first, last, left, right)[0] if steps[1] != 0.0 else 0.0
         for k in range(exposure.size):
-            level = _block_mean(samples[k], first, last, left, right)
+            level, variances[k] = _block_moments(samples[k], first, last, left, right)
             means[k] = level - black[k] - fixed - slope * dark_s[k]
-        _weigh_block(means, exposure, gain, read, room, weights[block], predicted[block])
+        _weigh_block(means, variances, exposure, gain, read, room, weights[block], predicted[block])
 
 
 @numba.njit(cache=True, nogil=True)
@@ -149,9 +158,9 @@ def _dark_row(offset, rate, step, slope, dark):
 
 
 @numba.njit(cache=True, nogil=True)
-def _add_exposure(k, samples, dark, black, clip, exposure, known, weights, predicted, top, bottom):
-    """Add exposure k of a row to the sums of weighted rates and of weights; return how many samples it gave."""
-    used = 0
+def _add_exposure(k, samples, dark, black, clip, exposure, weights, predicted, top, bottom):
+    """Add exposure k of a row to the sums of weighted rates and of weights; return the sum of its fades."""
+    used = 0.0
     seconds, room = exposure[k], clip - black
     for block in range(weights.shape[0]):
         weight, expected = weights[block, k], predicted[block, k]
@@ -159,16 +168,15 @@ def _add_exposure(k, samples, dark, black, clip, exposure, known, weights, predi
             value = float(samples[x])
             if value >= clip:
                 continue
-            fade = 1.0
+            rate, fade = (value - black - dark[x]) / seconds, 1.0
             if bottom[x] > 0.0:
-                level, own = expected, top[x] / bottom[x] * seconds
-                distance = (own - level) / seconds
-                if not known or distance * distance * bottom[x] > _AGREES:
-                    level = own
+                level = expected
+                if level != level:
+                    level = (top[x] + weight * rate) / (bottom[x] + weight) * seconds
                 fade = 1.0 - min(max((level / room - _FADE_FROM) / (_FADE_TO - _FADE_FROM), 0.0), 1.0)
             if fade > 0.0:
-                used += 1
-                top[x] += weight * fade * (value - black - dark[x]) / seconds
+                used += fade
+                top[x] += weight * fade * rate
                 bottom[x] += weight * fade
     return used
 
@@ -176,7 +184,7 @@ def _add_exposure(k, samples, dark, black, clip, exposure, known, weights, predi
 @numba.njit(cache=True, nogil=True)
 def _merge_place(first, last, samples, offset, rate, steps, black, clip, exposures, scale, total, excess, counts):
     """Merge one place's samples in the rows of one row of blocks and add them, scaled, to the band's total."""
-    exposure, dark_s, gain, _ = exposures
+    exposure, dark_s, _, _ = exposures
     count, _, width = samples.shape
     blocks = (width + _BLOCK - 1) // _BLOCK
     weights, predicted = np.empty((blocks, count)), np.empty((blocks, count))
@@ -188,7 +196,7 @@ def _merge_place(first, last, samples, offset, rate, steps, black, clip, exposur
         for k in range(count):
             _dark_row(_row(offset, y), _row(rate, y), steps[0], steps[1] * dark_s[k], dark)
             counts[k] += _add_exposure(
-                k, samples[k, y], dark, black[k], clip[k], exposure, gain[0] > 0.0, weights, predicted, top, bottom
+                k, samples[k, y], dark, black[k], clip[k], exposure, weights, predicted, top, bottom
             )
         for x in range(width):
             if bottom[x] > 0.0:
@@ -244,13 +252,14 @@ def _block_row(first, last, samples, offset, rate, steps, levels, exposures, sur
         if exposure.size > 1:
             _merge_place(
                 first, last, samples[p], offset[p], rate[p], steps, black[p], clip[p], exposures, scale,
-                total[bands[p]], excess, counts,
+                total[bands[p]], excess, counts[bands[p]],
             )  # fmt: skip
             continue
         at = (np.float32(steps[0]), np.float32(steps[1] * dark_s[0]))
+        floor, top = np.float32(black[p, 0]), np.float32(clip[p, 0])
         for y in range(first, last):
             _single_row(
-                samples[p][0, y], _row(offset[p], y), _row(rate[p], y), at, np.float32(black[p, 0]), np.float32(clip[p, 0]),
+                samples[p][0, y], _row(offset[p], y), _row(rate[p], y), at, floor, top,
                 np.float32(scale / exposure[0]), total[bands[p], y - first], excess[y - first],
             )  # fmt: skip
     for y in range(first, last):
@@ -288,8 +297,8 @@ def merge(planes: Planes, bracket: Bracket, white, sample_px: int, out: np.ndarr
 
     Returns
     -------
-    (K,) float64
-        Share of the samples that each exposure contributed to.
+    (3, K) float64
+        Share of each band's samples that each exposure gave, those near clipping in part.
     """
     if white is None:
         surface = np.zeros((0, 0, 0))
@@ -299,15 +308,16 @@ def merge(planes: Planes, bracket: Bracket, white, sample_px: int, out: np.ndarr
     else:
         surface = flat_field.grid(white)
     height, width = out.shape[:2]
-    counts = np.zeros((-(-height // _BLOCK), bracket.exposure_dn.size))
+    counts = np.zeros((-(-height // _BLOCK), 3, bracket.exposure_dn.size))
     _merge(
         planes.samples, planes.offset, planes.rate, planes.steps, (planes.bands, planes.black, planes.clip),
         (bracket.exposure_dn, bracket.dark_s, bracket.electrons_per_dn, bracket.read_dn2),
         surface, (*_axis(height, sample_px), *_axis(width, sample_px)), out, clipped, counts,
     )  # fmt: skip
     if bracket.exposure_dn.size == 1:
-        return np.ones(1)
-    return counts.sum(axis=0) / (height * width * len(planes.samples))
+        return np.ones((3, 1))
+    places = np.bincount(planes.bands, minlength=3)[:, None]
+    return counts.sum(axis=0) / (height * width * places)
 
 
 def _axis(size: int, sample_px: int) -> tuple[float, float]:

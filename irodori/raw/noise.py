@@ -108,7 +108,7 @@ def transfer_points(first: Mosaic, second: Mosaic, hot_px: np.ndarray) -> np.nda
     """
     sound = np.ones(first.values.shape, dtype=np.bool_)
     sound[hot_px[:, 0], hot_px[:, 1]] = False
-    ratio = _level_ratio(first, second)
+    ratio, lit = _level_ratio(first, second)
     points = []
     for row, column, band in first.places():
         at = (slice(row, None, 2), slice(column, None, 2))
@@ -118,6 +118,9 @@ def transfer_points(first: Mosaic, second: Mosaic, hot_px: np.ndarray) -> np.nda
         # a - ratio b holds black x (1 - ratio), a constant that a variance does not see.
         level = out[:, 1] - black
         keep = (out[:, 0] > _TILE) & (level < _MAX_LEVEL * (float(first.white[row, column]) - black))
+        if not lit and keep.any():
+            # Without light the level is one, and a tile's own mean would carry the noise that is to be judged by it.
+            level = np.full_like(level, level[keep].mean())
         count = int(keep.sum())
         points.append(
             np.stack([np.full(count, band), out[keep, 0], level[keep], np.full(count, ratio), out[keep, 2]], axis=1)
@@ -125,15 +128,19 @@ def transfer_points(first: Mosaic, second: Mosaic, hot_px: np.ndarray) -> np.nda
     return np.concatenate(points)
 
 
-def _level_ratio(first: Mosaic, second: Mosaic) -> float:
-    """Return by how much the light of the first frame exceeded that of the second; 1 where there is hardly any."""
+def _level_ratio(first: Mosaic, second: Mosaic) -> tuple[float, bool]:
+    """Return by how much the light of the first frame exceeded that of the second, and whether there is any.
+
+    Below a hundredth of the range there is none, and the ratio is 1.
+    """
     top = total_a = total_b = 0.0
     for row, column, _ in first.places():
         a, b = (float(m.values[row::2, column::2].mean()) - float(m.black[row, column]) for m in (first, second))
         scale = float(first.white[row, column] - first.black[row, column])
         if max(a, b) < _MAX_LEVEL * scale:  # a clipped plane knows no drift
             total_a, total_b, top = total_a + a, total_b + b, max(top, a / scale)
-    return total_a / total_b if top > 0.01 and total_b > 0 else 1.0
+    lit = top > 0.01 and total_b > 0
+    return (total_a / total_b if lit else 1.0), lit
 
 
 def fit_transfer(points: np.ndarray) -> tuple[float, float, float, float]:
@@ -167,7 +174,9 @@ def fit_transfer(points: np.ndarray) -> tuple[float, float, float, float]:
             return nothing
         solution = np.linalg.solve(normal, part.T @ (weight * variance))
         model = np.maximum(part @ solution, 0.1 * ROUNDING_DN2)
-    error = np.sqrt(np.diag(np.linalg.inv(normal)))
+    # Single electrons of many digital numbers scatter more than a normal distribution would.
+    scatter = np.sum(weight * (variance - model) ** 2) / max(len(variance) - len(columns), 1)
+    error = np.sqrt(np.diag(np.linalg.inv(normal)) * max(scatter, 1.0))
     read2 = max(float(solution[0]), 0.0)
     read = np.sqrt(read2)
     read_error = float(error[0] / (2.0 * read)) if read > 0 else np.nan

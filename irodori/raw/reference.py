@@ -106,10 +106,10 @@ def ingest_reference(
     -----
     Datasets, absent where the table has no such shots: ``/dark_offset`` and ``/dark_rate`` (H, W) int16 over the
     mosaic, in the steps that the attributes give, DN and DN/s above the black level; ``/hot_px`` (n, 2) row and column
-    of hot mosaic pixels; ``/white`` (filters, 3, 15) coefficients of x^i y^j over the picture [`irodori.raw.flat`], full
-    scales per second of relative exposure; ``/gain`` (3, 2) electrons per DN of red, green and blue and their standard
-    errors; ``/linearity`` (n, 2) relative exposure and deviation; ``/registration`` (4). Attributes of the noise are
-    NaN where it is not measurable.
+    of hot mosaic pixels; ``/white`` (filters, 3, 15) coefficients of x^i y^j over the picture [`irodori.raw.flat`],
+    full scales per second of relative exposure; ``/gain`` (3, 2) electrons per DN of red, green and blue and their
+    standard errors; ``/linearity`` (n, 2) relative exposure and deviation; ``/registration`` (4). Attributes of the
+    noise are NaN where it is not measurable.
     """
     shots = read_captures(table, folder)
     shots = [s for s in shots if s.role in ("dark", "white", "chart")]
@@ -136,8 +136,8 @@ def ingest_reference(
         _write_dark(out, dark)
         if white:
             coefficients = np.stack(list(white.values()))
-            out.write("white", coefficients, units="1/s", dims="filter,band,term",
-                      quantity="coefficients of the response rate of a perfect diffuser at normal incidence")  # fmt: skip
+            quantity = "coefficients of the response rate of a perfect diffuser at normal incidence"
+            out.write("white", coefficients, units="1/s", dims="filter,band,term", quantity=quantity)
         _write_noise(out, noise)
         if linearity is not None:
             series = np.stack([linearity.exposure_s, linearity.deviation], axis=1)

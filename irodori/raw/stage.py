@@ -7,7 +7,7 @@ from irodori.captures import Shot, read_captures
 from irodori.errors import InputError
 from irodori.progress import LOGGER
 from irodori.raw.alignment import Alignment, align_states, move
-from irodori.raw.develop import Developed, load_frames, merge_frames
+from irodori.raw.develop import Developed, empty_response, load_frames, merge_frames
 from irodori.raw.options import IngestOptions
 from irodori.raw.reference import Reference
 from irodori.raw.settings import filter_states, known_settings, settle_set
@@ -57,7 +57,7 @@ def ingest_raw(
     _check_settings(camera, settled, table)
     frames = [type(f)(shot, f.mosaic, f.bands, f.black) for f, shot in zip(frames, settled, strict=True)]
     height, width = (side // options.sample_px for side in frames[0].mosaic.values.shape)
-    response = np.empty((height, width, _BANDS * len(states)), dtype=np.float32)
+    response = empty_response(height, width, len(states))
     developed = []
     for number, state in enumerate(states):
         group = [f for f in frames if f.shot.filter == state]
@@ -100,12 +100,13 @@ def _write(output, provenance, response, developed: list[Developed], alignment: 
         100 * (1.0 - (valid | clipped).mean()),
     )  # fmt: skip
     with store.create(output, provenance) as out:
-        unit = "1" if white else "1/s"
-        out.write("response", response, units=unit, dims="row,column,band", quantity="response", compression="fast")
-        out.write("valid", valid.view(np.uint8), units="1", dims="row,column", quantity="1 where every band is measured",
-                  compression="fast")  # fmt: skip
-        out.write("clipped", clipped.view(np.uint8), units="1", dims="row,column",
-                  quantity="1 where a band clips in every exposure", compression="fast")  # fmt: skip
+        unit, dims = "1" if white else "1/s", "row,column"
+        out.write("response", response, units=unit, dims=f"{dims},band", quantity="response", compression="fast")
+        for name, mask, quantity in (
+            ("valid", valid, "1 where every band is measured"),
+            ("clipped", clipped, "1 where a band clips in every exposure"),
+        ):
+            out.write(name, mask.view(np.uint8), units="1", dims=dims, quantity=quantity, compression="fast")
         noise = np.concatenate([state.noise for state in developed])
         out.write("noise_model", noise, units="1", dims="band,term", quantity="variance c0 + c1 rho")
         if alignment is not None:

@@ -53,20 +53,22 @@ class Studio:
 
     def __init__(self, folder: Path, seed: int, sensor: Sensor = SENSOR) -> None:
         self.folder, self.rng, self.sensor, self.shots = folder, np.random.default_rng(seed), sensor, []
-        self.light, self.curve, self.spoil = 1.0, lambda well: well, lambda mosaic, exposure_s: mosaic
+        self.count, self.light, self.curve, self.spoil = 0, 1.0, lambda well: well, lambda mosaic, exposure_s: mosaic
 
     def shoot(self, role, truth, state="out", exposure_s=0.02, light_deg=ANGLE):
+        """Photograph the true responses of six bands, given on superpixels, or on the mosaic of SIZE."""
         index = ("out", "in").index(state)
         bands = truth[..., 3 * index : 3 * index + 3] * BALANCE[index]
-        if role != "environment":
-            bands = bands.repeat(2, axis=0).repeat(2, axis=1) if bands.shape[0] < 2 * SIZE[0] else bands
+        if bands.shape[:2] != SIZE:
+            bands = bands.repeat(2, axis=0).repeat(2, axis=1)
         y, x = np.indices(bands.shape[:2])
         mosaic = np.take_along_axis(bands, (y % 2 + x % 2)[..., None], axis=2)[..., 0] * vignetting(*bands.shape[:2])
         self.expose(role, self.light * mosaic, state, exposure_s, light_deg)
 
     def expose(self, role, mosaic, state="out", exposure_s=0.02, light_deg=ANGLE):
         """Photograph what falls on each mosaic pixel."""
-        file = f"{len(self.shots):03d}.dng"
+        self.count += 1
+        file = f"{self.count:03d}.dng"
         well = self.sensor.response_at_full_well * self.sensor.base_exposure_s / exposure_s
         seen = self.curve(mosaic / well) * well
         numbers = self.spoil(self.sensor.expose(seen, exposure_s, self.rng), exposure_s)

@@ -309,3 +309,21 @@ def test_stage_matches_the_patches_of_a_real_photograph_with_their_spectra(real_
     )
     mean = {row[0]: row[1] for row in read_table(tmp_path / "c.csv")}["mean"]
     assert float(mean) <= 0.06
+
+
+def test_a_chart_at_full_resolution_is_read_at_the_same_places():
+    rng = np.random.default_rng(12)
+    picture, definition, _ = whole_chart("BabelColor Average", rng, light_deg=0.0)
+    valid = np.ones(picture.shape[:2], bool)
+    coarse = read_chart(picture, valid, definition["chart"], "a.h5")
+    picture, valid = picture.repeat(2, axis=0).repeat(2, axis=1), valid.repeat(2, axis=0).repeat(2, axis=1)
+    assert np.allclose(read_chart(picture, valid, definition["chart"], "a.h5", sample_px=1), coarse)
+
+
+def test_hot_pixels_in_a_patch_do_not_count():
+    rng = np.random.default_rng(13)
+    picture, definition, _ = whole_chart("BabelColor Average", rng, light_deg=0.0)
+    expected = read_chart(picture, np.ones(picture.shape[:2], bool), definition["chart"], "a.h5")
+    hot = rng.uniform(size=picture.shape[:2]) < 0.1
+    picture[hot] = 50.0
+    assert np.allclose(read_chart(picture, ~hot, definition["chart"], "a.h5"), expected)

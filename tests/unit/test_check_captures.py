@@ -61,3 +61,45 @@ def test_check_captures_keeps_the_shots_of_its_own_set(tmp_path):
     studio.shoot("object", np.full((SIZE[0] // 2, SIZE[1] // 2, 6), 0.3))
     raw.check_captures(studio.table(), tmp_path, tmp_path / "object.csv", ["object"])
     assert [shot.role for shot in read_captures(tmp_path / "object.csv")] == ["object"]
+
+
+def own(path, **settings):
+    """A file of one setting."""
+    return write_any_dng(path, np.full((64, 96), 700, np.uint16), **settings)
+
+
+def set_of(tmp_path, files, table=()):
+    """A set whose files have settings, and its table others."""
+    shots = []
+    for number, settings in enumerate(files):
+        own(tmp_path / f"{number}.dng", **settings)
+        stated = dict(table[number]) if number < len(table) else {}
+        shots.append(Shot(f"{number}.dng", "white", Pose(45.0, 0.0), "out", 0.02, **stated))
+    write_captures(tmp_path / "captures.csv", shots)
+    raw.check_captures(tmp_path / "captures.csv", tmp_path, tmp_path / "checked.csv", ROLES)
+    return [(s.iso, s.f_number) for s in read_captures(tmp_path / "checked.csv")]
+
+
+def test_the_files_own_settings_fill_a_silent_table(tmp_path):
+    found = set_of(tmp_path, [{"iso": 100, "f_number": 8.0}, {"iso": 400, "f_number": 5.6}])
+    assert np.allclose(found, [(100, 8.0), (400, 5.6)], rtol=1e-3)
+
+
+def test_the_table_counts_where_the_file_rounds(tmp_path):
+    found = set_of(tmp_path, [{"iso": 635, "f_number": 5.66}], [{"iso": 640.0, "f_number": 5.6}])
+    assert found == [(640.0, 5.6)]
+
+
+@pytest.mark.parametrize(
+    ("column", "own_value", "stated"), [("iso", 100, 126.0), ("iso", 400, 320.0), ("f_number", 8.0, 9.0)]
+)
+def test_a_third_of_a_stop_is_a_difference(tmp_path, column, own_value, stated):
+    with pytest.raises(InputError, match=rf"captures\.csv: {column}.*0\.dng"):
+        set_of(tmp_path, [{column: own_value}], [{column: stated}])
+
+
+def test_settings_known_in_part_must_agree(tmp_path):
+    agreed = set_of(tmp_path, [{"iso": 200, "f_number": 8.0}, {"iso": 200}, {}])
+    assert np.allclose(agreed, [(200, 8.0)] * 3, rtol=1e-3)
+    with pytest.raises(InputError, match=r"iso.*2\.dng"):
+        set_of(tmp_path, [{"iso": 200}, {"iso": 400}, {}])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from irodori import store
 from irodori.calibration import Calibration
 from irodori.colour import xyz_from_radiance
-from irodori.environment import irradiance_map, prepare_environment
+from irodori.environment import fill_masked, irradiance_map, prepare_environment
 from irodori.errors import InputError
 from irodori.light import Environment, directions
 from irodori.principal import compress, principal_basis
@@ -221,4 +221,33 @@ def test_stage_refuses_bands_that_the_chart_did_not_have(tmp_path):
     calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61), ("out", "in"))
     write_inputs(tmp_path, np.ones((8, 16, 3)), np.ones((8, 16), np.uint8), calibration)
     with pytest.raises(InputError, match="filters"):
+        stage(tmp_path)
+
+
+def test_a_single_masked_pixel_takes_the_mean_of_its_neighbours_along_the_row(tmp_path, caplog):
+    rng = np.random.default_rng(9)
+    response = rng.uniform(0.2, 0.8, (8, 16, 3)).astype(np.float32)
+    masked = np.zeros((8, 16), bool)
+    masked[3, 4] = masked[5, 0] = masked[6, 15] = True  # two of them across the seam
+    spoiled = np.where(masked[..., None], 0.0, response)
+    filled = fill_masked(spoiled, masked)
+    assert np.array_equal(filled[~masked], response[~masked])
+    for row, column in ((3, 4), (5, 0), (6, 15)):
+        assert np.allclose(filled[row, column], (response[row, column - 1] + response[row, (column + 1) % 16]) / 2)
+    calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61), ("out",))
+    valid = (~masked).astype(np.uint8)
+    write_inputs(tmp_path, spoiled, valid, calibration, np.zeros_like(valid))
+    with caplog.at_level("INFO", logger="irodori"):
+        found = stage(tmp_path)
+    assert "3 masked pixels filled" in caplog.text
+    write_inputs(tmp_path, filled, np.ones_like(valid), calibration)
+    assert np.allclose(found.coefficients, stage(tmp_path).coefficients)
+
+
+def test_masked_pixels_beside_each_other_are_refused(tmp_path):
+    valid = np.ones((8, 16), np.uint8)
+    valid[3, [0, 15]] = 0  # neighbours across the seam
+    calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61), ("out",))
+    write_inputs(tmp_path, np.ones((8, 16, 3)), valid, calibration, np.zeros_like(valid))
+    with pytest.raises(InputError, match="2 masked pixels beside each other"):
         stage(tmp_path)

@@ -4,13 +4,16 @@ import dataclasses
 
 import numpy as np
 import pytest
+import yaml
+from dng_files import write_any_dng
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from raw_studio import ANGLE, BALANCE, BLACK, PROVENANCE, SENSOR, SIZE, SUPERPIXELS, WHITE, Studio, dng, scene
+from raw_studio import ANGLE, BALANCE, BLACK, PROVENANCE, ROOT, SENSOR, SIZE, SUPERPIXELS, WHITE, Studio, dng, scene
 
 from irodori import raw, store
-from irodori.captures import Pose, Shot, write_captures
+from irodori.captures import Pose, Shot, read_captures, write_captures
 from irodori.errors import InputError
+from irodori.mosaic import ALGORITHMS
 from irodori.raw.flat import smooth_flat
 
 
@@ -179,3 +182,88 @@ def test_identical_frames_tell_no_gain(tmp_path):
     raw.ingest_reference(studio.table(), tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
     with store.open_file(tmp_path / "r.h5") as file:
         assert np.isnan(file.attribute("gain_e_per_dn"))
+
+
+def own_dng(folder, shots):
+    """Write files of given ISO and aperture that saw the same light, and their table."""
+    table = []
+    for number, (role, exposure_s, iso, f_number, stated) in enumerate(shots):
+        gain = exposure_s / 0.02 * (iso or 100) / 100 * (4.0 / (f_number or 4.0)) ** 2
+        light = 0.0 if role == "dark" else 3000.0 * (0.3 if role == "object" else 1.0)
+        values = np.full((64, 96), BLACK + light * gain).round().astype(np.uint16)
+        write_any_dng(folder / f"{number}.dng", values, exposure_s=exposure_s, iso=iso, f_number=f_number)
+        table.append(Shot(f"{number}.dng", role, Pose(0.0, 0.0), "out", exposure_s, *stated))
+    write_captures(folder / "captures.csv", table)
+    return folder / "captures.csv"
+
+
+def run(folder, shots):
+    table = own_dng(folder, shots)
+    raw.ingest_reference(table, folder, folder / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+    capture = Pose(0.0, 0.0).name
+    raw.ingest_raw(table, folder, capture, folder / "r.h5", folder / "l.h5", PROVENANCE, SUPERPIXELS)
+    with store.open_file(folder / "l.h5") as file:
+        return file.read("response")
+
+
+@pytest.mark.parametrize(
+    ("exposure_s", "iso", "f_number"), [(0.02, 100, 4.0), (0.04, 100, 4.0), (0.02, 400, 4.0), (0.08, 200, 8.0)]
+)
+def test_exposure_iso_and_aperture_do_not_change_the_response(tmp_path, exposure_s, iso, f_number):
+    response = run(tmp_path, [("white", 0.02, 100, 4.0, ()), ("object", exposure_s, iso, f_number, ())])
+    assert np.allclose(response, 0.3, rtol=2e-3)
+
+
+def test_the_tables_settings_count_where_the_file_is_silent(tmp_path):
+    response = run(tmp_path, [("white", 0.02, 0, 0.0, (100.0, 4.0)), ("object", 0.04, 0, 0.0, (200.0, 4.0))])
+    # The files show twice the exposure in time; the table says that ISO doubled too, so the object is half as bright.
+    assert np.allclose(response, 0.15, rtol=2e-3)
+
+
+@pytest.mark.parametrize("known", ["white", "object"])
+def test_white_and_captures_are_normalised_alike_or_not_at_all(tmp_path, known):
+    shots = [(role, 0.02, 100 if role == known else 0, 4.0, ()) for role in ("white", "object")]
+    with pytest.raises(InputError, match=r"iso"):
+        own = own_dng(tmp_path, shots)
+        whites = [s for s in read_captures(own) if s.role == "white"]
+        objects = [s for s in read_captures(own) if s.role == "object"]
+        write_captures(tmp_path / "white.csv", whites)
+        write_captures(tmp_path / "object.csv", objects)
+        raw.ingest_reference(tmp_path / "white.csv", tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+        raw.ingest_raw(
+            tmp_path / "object.csv", tmp_path, Pose(0.0, 0.0).name, tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE,
+            SUPERPIXELS,
+        )  # fmt: skip
+
+
+def test_a_capture_that_the_table_contradicts_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"iso.*1\.dng"):
+        run(tmp_path, [("white", 0.02, 100, 4.0, ()), ("object", 0.02, 100, 4.0, (200.0,))])
+
+
+def test_the_noise_model_follows_the_exposures_that_were_merged(tmp_path):
+    """Brackets of a grey field: the stored model predicts the scatter of one exposure, of two, and of one clipped."""
+    for number, (level, exposures) in enumerate([(0.2, (0.02,)), (0.2, (0.01, 0.02)), (4.0, (0.004, 0.02))]):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        studio = Studio(folder, seed=28)
+        studio.references(frames=4, darks=12)
+        truth = np.full((SIZE[0] // 2, SIZE[1] // 2, 6), level)
+        for state in ("out", "in"):
+            for exposure_s in exposures:
+                studio.shoot("object", truth, state, exposure_s)
+        response, valid, noise, _ = studio.ingest(Pose(ANGLE, 0.0).name)
+        middle = (slice(25, 55), slice(40, 80))
+        assert valid[middle].all()
+        for band in (0, 1, 2):
+            # Differences of neighbours: the white's vignetting falls out.
+            scatter = np.diff(response[middle][..., band], axis=1).std() / np.sqrt(2)
+            assert scatter == pytest.approx(np.sqrt(noise[band, 0] + noise[band, 1] * level), rel=0.1), (number, band)
+
+
+def test_options_default_to_the_shipped_configuration():
+    shipped = yaml.safe_load((ROOT / "config/config.yaml").read_text())["ingest"]
+    assert raw.IngestOptions(**shipped) == raw.IngestOptions()
+    schema = yaml.safe_load((ROOT / "workflow/schemas/config.schema.yaml").read_text())["properties"]["ingest"]
+    accepted = schema["properties"]["demosaic"]["enum"]
+    assert [raw.IngestOptions(demosaic=name).demosaic for name in accepted] == ["superpixel", *ALGORITHMS]

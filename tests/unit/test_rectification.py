@@ -240,3 +240,37 @@ def test_tiles_are_bit_identical_to_the_whole(tmp_path, definition):
     whole, parts = tiled(tmp_path, definition)
     for name, values in whole.items():
         assert np.array_equal(parts[name], values), name
+
+
+def test_what_clips_is_told_from_what_is_masked_otherwise(tmp_path):
+    height, width = OPTICS["height_px"] // 2, OPTICS["width_px"] // 2
+    valid, clipped = np.ones((height, width), np.uint8), np.zeros((height, width), np.uint8)
+    valid[140:160, 190:200] = 0
+    clipped[140:160, 190:200] = 1
+    valid[120:125, 180:185] = 0  # hot
+    pose = Pose(45.0, 0.0)
+    definition = PLATE | {"texels": {"width": 120, "height": 90}}
+    found = rectify(tmp_path, definition, [pose], valid=valid, clipped=clipped)
+    x, y = pixel_of(texels_in_rig(definition, pose)[0], pose).T
+    touched = (x > 189.001) & (x < 199.999) & (y > 139.001) & (y < 159.999)
+    clear = (x < 188.999) | (x > 200.001) | (y < 138.999) | (y > 160.001)
+    assert touched.sum() > 20
+    assert (found["clipped"][touched, 0] == 1).all() and (found["clipped"][clear, 0] == 0).all()
+    hot = (x > 179.001) & (x < 184.999) & (y > 119.001) & (y < 124.999)
+    assert hot.any() and (found["weight"][hot] == 0).all()
+
+
+@pytest.mark.parametrize("definition", [PLATE, SPHERE], ids=["plate", "sphere"])
+def test_full_resolution_gives_the_same_texels_as_superpixels(tmp_path, definition):
+    """One scene that is linear over the sensor, sampled at superpixels and at mosaic pixels."""
+    found = []
+    for sample_px in (2, 1):
+        height, width = OPTICS["height_px"] // sample_px, OPTICS["width_px"] // sample_px
+        y, x = (np.mgrid[:height, :width] + 0.5) * sample_px  # of each sample's centre, mosaic pixels
+        response = np.stack([x / 1024, y / 1024, (3 * x - 2 * y) / 1024], axis=-1)
+        valid = np.ones((height, width), np.uint8)
+        found.append(rectify(tmp_path, definition, PLATE_POSES, response=response, valid=valid, sample_px=sample_px))
+    assert np.array_equal(found[0]["geometry"], found[1]["geometry"])
+    both = (found[0]["weight"] > 0) & (found[1]["weight"] > 0)
+    assert both.mean() > 0.99 * (found[0]["weight"] > 0).mean()
+    assert np.abs(found[0]["response"] - found[1]["response"])[both].max() < 1e-5

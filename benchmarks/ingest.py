@@ -1,0 +1,210 @@
+"""Ingestion of a 10.1-megapixel pose, two shots, against LibRaw's own decode and the HDF5 write of the same arrays.
+
+``python -m benchmarks.ingest [--runs 7] [--output speed_error.csv]``, at the top of the repository. It makes its own
+DNG files in a temporary folder. Peak memory is that of a process that ingests once; its baseline is the same process
+after its imports. Times exclude compilation, which is reported apart.
+"""
+
+import argparse
+import csv
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numba
+import numpy as np
+import rawpy
+import yaml
+
+from irodori import store
+from irodori.captures import Pose, Shot, write_captures
+from irodori.raw import IngestOptions, ingest_raw, ingest_reference
+from irodori.rig.virtual.dng import write_dng
+from irodori.rig.virtual.sensor import Sensor
+from irodori.threads import use_threads
+
+ROOT = Path(__file__).resolve().parents[1]
+WIDTH, HEIGHT = 3888, 2592
+EXPOSURE_S = {"out": 0.02, "in": 0.05}
+BALANCE = {"out": (0.7, 1.0, 0.5), "in": (0.30, 0.45, 0.2)}
+POSE = Pose(45.0, 20.0)
+PROVENANCE = store.Provenance("benchmark")
+COLUMNS = ("stage", "variant", "work", "unit", "seconds", "throughput", "error_metric", "error", "peak_mb", "reference",
+           "ratio")  # fmt: skip
+
+
+def true_response() -> np.ndarray:
+    """Return what the object reflects at each mosaic pixel, (HEIGHT, WIDTH): waves and patches, 0.1..0.7."""
+    y, x = np.ogrid[:HEIGHT, :WIDTH]
+    waves = 0.4 + 0.15 * np.sin(x / 37.0 + 0.3 * np.sin(y / 90.0)) * np.cos(y / 53.0)
+    return waves + 0.15 * np.sign(np.sin(x / 210.0) * np.sin(y / 170.0))
+
+
+def photograph(folder: Path) -> None:
+    """Write dark frames, white references and the two shots of one pose, with their tables."""
+    camera = yaml.safe_load((ROOT / "config/cameras/d5100-comb.yaml").read_text())
+    sensor = Sensor(**camera["virtual"]["sensor"])
+    rng = np.random.default_rng(0)
+    y, x = np.indices((HEIGHT, WIDTH), sparse=True)
+    fall = 1.0 - 0.2 * ((x / WIDTH - 0.5) ** 2 + (y / HEIGHT - 0.5) ** 2)
+    shots = {"camera": [], "object": []}
+
+    def shoot(kind: str, role: str, light, state: str, exposure_s: float) -> None:
+        file = f"{role}-{state}-{exposure_s}-{len(shots[kind])}.dng"
+        balance = np.array(BALANCE[state])[y % 2 + x % 2]
+        mosaic = sensor.expose(light * balance * fall, exposure_s, rng)
+        write_dng(folder / file, mosaic, black_level=sensor.black_level, white_level=sensor.white_level,
+                  exposure_s=exposure_s, model="benchmark")  # fmt: skip
+        shots[kind].append(Shot(file, role, POSE, state, exposure_s))
+
+    for exposure_s in (0.02, 0.5):
+        for _ in range(2):
+            shoot("camera", "dark", np.zeros((1, 1)), "out", exposure_s)
+    cosine = np.cos(np.radians(POSE.light_deg))
+    for state, exposure_s in EXPOSURE_S.items():
+        for _ in range(2):
+            shoot("camera", "white", np.full((1, 1), cosine), state, exposure_s)
+        shoot("object", "object", true_response(), state, exposure_s)
+    for kind, group in shots.items():
+        write_captures(folder / f"{kind}.csv", group)
+
+
+def libraw(folder: Path, arrays: dict, threads: int) -> None:
+    """Decode the two shots by LibRaw alone and write the same arrays in the same way."""
+
+    def decode(path: Path) -> np.ndarray:
+        with rawpy.imread(str(path)) as raw:
+            return raw.raw_image_visible.copy()
+
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(decode, sorted(folder.glob("object-*.dng"))))
+    with store.create(folder / "same.h5", PROVENANCE) as out:
+        for name, values in arrays.items():
+            dims = ",".join("abc"[: values.ndim])
+            out.write(name, values, units="1", dims=dims, quantity=name, compression="fast")
+
+
+def ingest(folder: Path, options: IngestOptions) -> None:
+    """Ingest the pose."""
+    ingest_raw(
+        folder / "object.csv", folder, POSE.name, folder / "reference.h5", folder / "linear.h5", PROVENANCE, options
+    )
+
+
+def response_error(folder: Path) -> float:
+    """Return the rms error of the responses relative to their truth, superpixels, all bands."""
+    truth = true_response()
+    red, blue = truth[::2, ::2], truth[1::2, 1::2]
+    green = 0.5 * (truth[::2, 1::2] + truth[1::2, ::2])
+    truth = np.stack([red, green, blue] * 2, axis=-1)
+    with store.open_file(folder / "linear.h5") as file:
+        response, valid = file.read("response"), file.read("valid").astype(bool)
+    return float(np.sqrt(np.mean(((response - truth) / truth)[valid] ** 2)))
+
+
+def timed(function, runs: int) -> float:
+    """Return the median time of some runs after a first one, s."""
+    function()
+    seconds = []
+    for _ in range(runs):
+        start = time.perf_counter()
+        function()
+        seconds.append(time.perf_counter() - start)
+    return statistics.median(seconds)
+
+
+def peak_mb(folder: Path, variant: str, threads: int) -> float:
+    """Return the peak resident memory of a process of its own that does the work once, MB."""
+    command = [sys.executable, "-m", "benchmarks.ingest", "--child", variant, "--folder", str(folder),
+               "--threads", str(threads)]  # fmt: skip
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    return float(done.stdout.split()[-1])
+
+
+VARIANTS = {
+    "superpixel": IngestOptions(register=False),
+    "superpixel-registered": IngestOptions(register=True),
+}
+
+
+def child(folder: Path, variant: str, threads: int) -> None:
+    """Do the work once and print the peak resident memory, MB."""
+    if variant == "libraw":
+        libraw(folder, read_arrays(folder), threads)
+    elif variant != "imports":
+        ingest(folder, VARIANTS[variant])
+    # The kernel's ru_maxrss would count the parent's memory at the time of the fork.
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    print(float(status["VmHWM"].split()[0]) / 1024)
+
+
+def read_arrays(folder: Path) -> dict:
+    """Return the arrays of the linear file."""
+    with store.open_file(folder / "linear.h5") as file:
+        return {name: file.read(name) for name in ("response", "valid", "clipped")}
+
+
+def measure(folder: Path, runs: int, threads: int) -> list[dict]:
+    """Return one row a variant, the reference first."""
+    photograph(folder)
+    ingest_reference(
+        folder / "camera.csv", folder, folder / "reference.h5", PROVENANCE, 1.0, IngestOptions(register=False)
+    )
+    start = time.perf_counter()
+    ingest(folder, VARIANTS["superpixel"])
+    print(f"first run, compilation included: {time.perf_counter() - start:.2f} s", file=sys.stderr)
+    arrays = read_arrays(folder)
+    reference = timed(lambda: libraw(folder, arrays, threads), runs)
+    rows = [row("libraw", reference, reference, float("nan"), peak_mb(folder, "libraw", threads))]
+    for variant, options in VARIANTS.items():
+        seconds = timed(lambda options=options: ingest(folder, options), runs)
+        rows.append(row(variant, seconds, reference, response_error(folder), peak_mb(folder, variant, threads)))
+    print(f"a process after its imports: {peak_mb(folder, 'imports', threads):.0f} MB", file=sys.stderr)
+    return rows
+
+
+def row(variant: str, seconds: float, reference: float, error: float, peak: float) -> dict:
+    """Return a line of the table of speed against error."""
+    megapixels = 2 * WIDTH * HEIGHT / 1e6
+    speed, metric = megapixels / seconds, "relative rms of the response"
+    values = ("ingest", variant, f"{megapixels:.2f}", "megapixels", f"{seconds:.4f}", f"{speed:.1f}", metric,
+              f"{error:.5f}", f"{peak:.0f}", "libraw", f"{seconds / reference:.3f}")  # fmt: skip
+    return dict(zip(COLUMNS, values, strict=True))
+
+
+def main() -> None:
+    """Measure and print; write a CSV if asked."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=7, help="timed runs of each variant, at least 5")
+    parser.add_argument("--threads", type=int, default=min(2, numba.config.NUMBA_NUM_THREADS))
+    parser.add_argument("--output", type=Path, help="CSV to write")
+    parser.add_argument("--child", choices=["libraw", "imports", *VARIANTS], help=argparse.SUPPRESS)
+    parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    use_threads(arguments.threads)
+    if arguments.child:
+        child(arguments.folder, arguments.child, arguments.threads)
+        return
+    if arguments.runs < 5:
+        parser.error("--runs: at least 5")
+    with tempfile.TemporaryDirectory() as folder:
+        rows = measure(Path(folder), arguments.runs, arguments.threads)
+    print(f"{arguments.threads} threads, load {os.getloadavg()[0]:.1f}")
+    shown = ("variant", "seconds", "throughput", "error", "peak_mb", "ratio")
+    print("  ".join(f"{name:>22}" for name in shown))
+    for line in rows:
+        print("  ".join(f"{line[name]:>22}" for name in shown))
+    if arguments.output:
+        with arguments.output.open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,117 @@
+"""Linearity from an exposure series: a curved camera is found, a drifting lamp is not mistaken for one."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from raw_studio import SIZE, SUPERPIXELS, Studio
+
+from irodori import raw, store
+from irodori.errors import InputError
+from irodori.raw.linearity import exposure_series, linear_fit, measure_linearity
+
+WHITE = np.full((SIZE[0] // 2, SIZE[1] // 2, 6), 0.9)
+EXPOSURES = (0.002, 0.006, 0.02, 0.035)
+
+
+def compressed(strength):
+    """A sensor whose response falls short by a share of the level: by `strength` at full well."""
+    return lambda well: well * (1.0 - strength * np.minimum(well, 1.0))
+
+
+def series(folder, seed, *, strength=0.0, drift=0.0, repeats=3, exposures=EXPOSURES, role="white"):
+    studio = Studio(folder, seed)
+    studio.curve = compressed(strength)
+    lamp = np.random.default_rng([seed, 1])
+    offset = drift * lamp.normal()
+    memory = np.exp(-1 / 60)
+    for _ in range(repeats):
+        for exposure_s in exposures:
+            offset = memory * offset + np.sqrt(1 - memory**2) * lamp.normal(scale=drift)
+            studio.light = 1.0 + offset
+            studio.shoot(role, WHITE, exposure_s=exposure_s)
+    return studio
+
+
+def measured(studio, limit=0.02):
+    return measure_linearity(studio.shots, studio.table(), studio.folder, None, limit)
+
+
+def test_a_linear_camera_in_steady_light_is_linear(tmp_path):
+    found = measured(series(tmp_path, 61))
+    assert found.exposure_s == EXPOSURES
+    assert found.largest < 2e-3 and found.repeatability < 2e-3
+
+
+@pytest.mark.parametrize("seed", range(62, 68))
+def test_drift_of_the_light_is_not_mistaken_for_a_curve(tmp_path, seed):
+    found = measured(series(tmp_path, seed, drift=0.01))
+    assert found.largest < 4 * found.repeatability + 1e-3
+    assert found.largest < 0.02
+
+
+def test_a_curved_camera_is_refused_with_what_was_found(tmp_path):
+    studio = series(tmp_path, 68, strength=0.08, drift=0.01)
+    with pytest.raises(InputError, match=r"deviates by .*max_nonlinearity"):
+        measured(studio)
+    found = measured(studio, limit=0.5)
+    # Truth: rate of each exposure falls by its level; the brightest colour rules.
+    wells = 0.9 * np.array(EXPOSURES) / 0.02 / studio.sensor.response_at_full_well
+    rate = 1.0 - 0.08 * wells * 0.9  # vignetting takes a tenth on average
+    assert found.deviation == pytest.approx(rate / rate.mean() - 1, abs=0.012)
+    assert found.deviation[0] > found.deviation[-1] + 0.03
+
+
+def test_without_repeats_the_doubt_is_said(tmp_path):
+    studio = series(tmp_path, 69, strength=0.2, repeats=1)
+    assert np.isnan(measured(studio, limit=0.5).repeatability)
+    with pytest.raises(InputError, match="drift of the light counts too"):
+        measured(studio)
+
+
+def test_the_chart_serves_where_the_white_reference_has_no_series(tmp_path):
+    studio = series(tmp_path, 70, role="chart", repeats=1)
+    studio.shoot("white", WHITE)
+    assert {s.role for s in exposure_series(studio.shots)} == {"chart"}
+    assert measured(studio).largest < 3e-3
+
+
+def test_one_exposure_tells_nothing(tmp_path):
+    studio = series(tmp_path, 71, exposures=(0.02,))
+    assert measured(studio) is None
+
+
+def test_clipped_exposures_are_left_out_and_not_taken_for_a_curve(tmp_path):
+    found = measured(series(tmp_path, 72, exposures=(0.002, 0.01, 0.02, 0.4)))
+    assert found is None or found.largest < 3e-3
+
+
+def test_the_reference_stores_the_series(tmp_path):
+    studio = series(tmp_path, 73, drift=0.01)
+    with store.open_file(studio.reference(SUPERPIXELS)) as file:
+        values = file.read("linearity")
+        assert tuple(values[:, 0]) == EXPOSURES
+        assert file.attribute("max_nonlinearity") == pytest.approx(np.abs(values[:, 1]).max())
+        assert 0 < file.attribute("linearity_repeatability") < 0.02
+    studio.curve = compressed(0.2)
+    for exposure_s in EXPOSURES:
+        studio.shoot("white", WHITE, exposure_s=exposure_s)
+    studio.shots = studio.shots[-4:] * 1
+    with pytest.raises(InputError, match="max_nonlinearity"):
+        raw.ingest_reference(studio.table(), tmp_path, tmp_path / "b.h5", store.Provenance("t"), 0.95, SUPERPIXELS)
+
+
+@given(
+    deviation=st.lists(st.floats(-0.1, 0.1), min_size=2, max_size=6),
+    slope=st.floats(-0.05, 0.05),
+    repeats=st.integers(3, 6),
+)
+@settings(deadline=None, max_examples=40)
+def test_a_steady_drift_falls_out_of_interleaved_exposures(deviation, slope, repeats):
+    count = len(deviation)
+    exposure = np.tile(np.geomspace(0.001, 1.0, count), repeats)
+    rate = 3.0 * (1.0 + np.tile(deviation, repeats)) * 1.0
+    rate = rate + 3.0 * slope * np.linspace(-0.5, 0.5, len(rate))
+    _, found, error = linear_fit(exposure, rate)
+    truth = (1.0 + np.array(deviation)) / (1.0 + np.mean(deviation)) - 1.0
+    assert np.allclose(found, truth, atol=1e-9) and error < 1e-9

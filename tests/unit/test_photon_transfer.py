@@ -1,0 +1,117 @@
+"""Photon transfer: gain and read noise against the sensor's truth, whatever the light does between two frames."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from raw_studio import SENSOR, SUPERPIXELS, Studio
+
+from irodori.captures import Pose, Shot
+from irodori.mosaic import Mosaic
+from irodori.raw.noise import Noise, equal_pairs, fit_transfer, transfer_points
+from irodori.raw.reference import Reference
+
+NO_HOT = np.zeros((0, 2), np.int32)
+HEIGHT, WIDTH = 400, 560
+FALL = np.linspace(1.0, 0.55, WIDTH) * np.linspace(1.0, 0.8, HEIGHT)[:, None]  # vignetting gives many levels
+
+
+def mosaic(sensor, values) -> Mosaic:
+    black, white = (np.full((2, 2), float(v), np.float32) for v in (sensor.black_level, sensor.white_level))
+    return Mosaic(values, "RGGB", black, white, float(sensor.white_level - sensor.black_level), 0.02, 0.0, 0.0, 0)
+
+
+def pair(sensor, level, rng, drift=0.0, gain_spread=0.0):
+    """Two frames at a fraction of the full well, the second by another light; pixels may differ in gain."""
+    light = level * sensor.response_at_full_well * FALL * rng.normal(1.0, gain_spread, FALL.shape)
+    balance = np.tile([[0.6, 1.0], [1.0, 0.4]], (HEIGHT // 2, WIDTH // 2))
+    return [mosaic(sensor, sensor.expose(light * balance * k, sensor.base_exposure_s, rng)) for k in (1.0, 1.0 + drift)]
+
+
+def measure(sensor, seed, drift=0.0, gain_spread=0.0):
+    rng = np.random.default_rng(seed)
+    pairs = [pair(sensor, level, rng, drift, gain_spread) for level in (0.0, 0.25, 0.75)]
+    return fit_transfer(np.concatenate([transfer_points(*p, NO_HOT) for p in pairs]))
+
+
+# Electrons per DN and read noise from a sensitive setting, whose read noise spans many numbers, to a coarse one, whose
+# read noise is near the rounding.
+CAMERAS = [(0.2, 3.0), (1.0, 2.0), (2.53, 6.0), (2.53, 25.0), (8.0, 6.0), (20.0, 15.0)]
+
+
+@pytest.mark.parametrize(("gain", "read"), CAMERAS)
+@pytest.mark.parametrize("drift", [0.0, 0.03], ids=["steady", "drifting"])
+def test_gain_is_within_two_percent_of_the_truth(gain, read, drift):
+    sensor = dataclasses.replace(SENSOR, full_well_e=gain * (SENSOR.white_level - 600), read_noise_e=read)
+    found, error, read_dn, read_error = measure(sensor, 41, drift)
+    assert found == pytest.approx(gain, rel=0.02)
+    assert abs(found - gain) < 5 * error and error < 0.01 * gain
+    expected = np.hypot(read / gain, np.sqrt(1 / 12))
+    assert read_dn == pytest.approx(expected, rel=0.03)
+    assert Noise(found, error, read_dn, read_error).read_noise_e == pytest.approx(read, rel=0.06)
+
+
+@given(gain=st.floats(0.3, 10.0), read_dn=st.floats(0.6, 10.0), seed=st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=8)
+def test_standard_errors_hold_for_any_sensor(gain, read_dn, seed):
+    sensor = dataclasses.replace(SENSOR, full_well_e=gain * (SENSOR.white_level - 600), read_noise_e=gain * read_dn)
+    found, error, read, read_error = measure(sensor, seed, drift=0.02)
+    assert abs(found - gain) < 6 * error
+    assert abs(read - np.hypot(read_dn, np.sqrt(1 / 12))) < 6 * read_error
+
+
+def test_differences_between_pixels_are_no_noise():
+    found, _, _, _ = measure(SENSOR, 42, drift=0.03, gain_spread=0.02)
+    assert found == pytest.approx(SENSOR.electrons_per_dn, rel=0.02)
+
+
+def test_hot_pixels_and_clipped_tiles_do_not_enter():
+    rng = np.random.default_rng(43)
+    first, second = pair(SENSOR, 0.75, rng)
+    hot = np.stack([rng.integers(0, HEIGHT, 500), rng.integers(0, WIDTH, 500)], axis=1)
+    first.values[hot[:, 0], hot[:, 1]] = rng.integers(600, 16000, 500)
+    first.values[:64] = second.values[:64] = SENSOR.white_level
+    points = transfer_points(first, second, hot)
+    assert points[:, 2].max() < 0.9 * (SENSOR.white_level - 600)
+    found, _, _, _ = fit_transfer(points)
+    assert found == pytest.approx(SENSOR.electrons_per_dn, rel=0.03)
+
+
+def test_darkness_alone_tells_read_noise_and_no_gain():
+    rng = np.random.default_rng(44)
+    gain, _, read, _ = fit_transfer(transfer_points(*pair(SENSOR, 0.0, rng), NO_HOT))
+    assert np.isnan(gain)
+    assert read == pytest.approx(np.hypot(SENSOR.read_noise_e / SENSOR.electrons_per_dn, np.sqrt(1 / 12)), rel=0.02)
+
+
+def test_a_pair_is_two_shots_that_differ_in_nothing():
+    shots = [
+        Shot(f"{n}.dng", role, Pose(light, 0.0), "out", t, iso)
+        for n, (role, light, t, iso) in enumerate(
+            [("white", 45, 0.02, 100), ("white", 45, 0.02, 200), ("white", 45, 0.02, 100), ("white", 50, 0.02, 100),
+             ("dark", 45, 0.02, 100), ("white", 45, 0.04, 100), ("white", 45, 0.02, 100), ("dark", 45, 0.02, 100)]
+        )
+    ]  # fmt: skip
+    assert [(a.file, b.file) for a, b in equal_pairs(shots)] == [("0.dng", "2.dng"), ("4.dng", "7.dng")]
+
+
+def test_noise_grows_with_amplification_and_rounding_does_not():
+    noise = Noise(gain_e_per_dn=4.0, read_noise_dn=2.0, iso=100.0)
+    gain, read = noise.at(4.0)
+    assert gain == 1.0 and read == pytest.approx((4.0 - 1 / 12) * 16 + 1 / 12)
+
+
+def test_the_reference_keeps_the_gain_of_every_colour_with_its_error(tmp_path):
+    studio = Studio(tmp_path, seed=45)
+    superpixels = (300, 400, 6)
+    for _ in range(2):
+        studio.shoot("dark", np.zeros(superpixels))
+    for n in range(4):
+        studio.light = 1.0 + 0.02 * n
+        studio.shoot("white", np.full(superpixels, 0.9), "out" if n < 2 else "in", 0.02 if n < 2 else 0.05)
+    noise = Reference.load(studio.reference(SUPERPIXELS)).noise
+    assert noise.gain_e_per_dn == pytest.approx(SENSOR.electrons_per_dn, rel=0.02)
+    for gain, error in zip(noise.gain_by_colour, noise.gain_error_by_colour, strict=True):
+        assert abs(gain - SENSOR.electrons_per_dn) < 5 * error and error < 0.05 * gain
