@@ -135,7 +135,7 @@ class Session:
                 fault = InputError(path, error.field, error.found, error.accepted)
                 if attempt == _TRIES:
                     raise fault from None
-                LOGGER.warning("%s; once more", fault)
+                LOGGER.warning("%s Once more.", fault)
                 self.tally.retries += 1
 
 
@@ -163,7 +163,7 @@ def take_stock(journal: Journal, planned: Sequence[Shot]) -> Tally:
         try:
             verify(path, shot)
         except InputError as error:
-            LOGGER.warning("%s; it is taken again", error)
+            LOGGER.warning("%s It is taken again.", error)
             continue
         with storing(path):
             _sync(path)
