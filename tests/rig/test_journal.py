@@ -2,12 +2,13 @@
 
 import csv
 import errno
-import multiprocessing
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
-from sessions import QuickCamera, assert_whole, contents, hold, shots
+from sessions import ROOT, QuickCamera, assert_whole, contents, hold, shots
 
 from irodori.captures import Pose, Shot, read_captures
 from irodori.errors import InputError
@@ -269,26 +270,27 @@ def test_a_file_in_the_place_of_a_folder_is_named(tmp_path):
             begin(tmp_path / "raw/captures.csv")
 
 
-def _hold_claim(folder, ready, end):
-    with claimed(folder / "captures.csv", folder, "object jar"):
-        ready.set()
-        end.wait(30)
+HOLDING = """
+import sys
+from pathlib import Path
+from irodori.rig.journal import claimed
+folder = Path(sys.argv[1])
+with claimed(folder / "captures.csv", folder, "object jar"):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
 
 
 def test_one_session_at_a_time_writes_a_folder(tmp_path):
-    context = multiprocessing.get_context("forkserver")
-    ready, end = context.Event(), context.Event()
-    other = context.Process(target=_hold_claim, args=(tmp_path, ready, end))
-    other.start()
-    assert ready.wait(60)
-    with (
-        pytest.raises(DeviceError, match="another session is at work"),
-        claimed(tmp_path / "captures.csv", tmp_path, "object jar"),
-    ):
-        pass
-    other.kill()
-    other.join()
-    with claimed(tmp_path / "captures.csv", tmp_path, "object jar"):
+    mine = (tmp_path / "captures.csv", tmp_path, "object jar")
+    command = [sys.executable, "-c", HOLDING, str(tmp_path)]
+    with subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout.readline() == "held\n"
+        with pytest.raises(DeviceError, match="another session is at work"), claimed(*mine):
+            pass
+        other.kill()
+        other.wait()
+    with claimed(*mine):
         pass
 
 
