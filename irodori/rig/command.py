@@ -218,7 +218,8 @@ def _capture(options) -> None:
     target, definition = _target(options)
     described = {"definition": definition, "camera": target.camera, "rig": target.rig}
     made = Provenance("bench", config_hash(described), code_hash("irodori.rig.stage"))
-    record = Path(target.table).with_name("session.json")
+    # Not the workflow's record: it would take photographs for whole that another definition asked for.
+    record = Path(target.table).with_suffix(".json")
     if definition is None:
         capture_camera(target, record, made)
     else:
