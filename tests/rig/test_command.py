@@ -188,12 +188,11 @@ def test_plan_of_a_camera_begins_with_the_cap_on(capsys):
 
 def test_plan_best_chooses_so_many_poses(capsys):
     out, _ = run(capsys, "plan", "tile-plate", "--best", "6")
-    groups = yaml.safe_load("\n".join(line for line in out if line.lstrip().startswith("-")))
-    text = "\n".join(out)
-    assert "light_deg" in text and "camera_deg" in text
-    if groups:
-        chosen = sum(len(group["light_deg"]) * len(group["camera_deg"]) for group in groups)
-        assert chosen == 6
+    poses = [line for line in out if line.startswith("light ")]
+    angles = [angle for line in poses for angle in re.findall(r"[\d.]+", line.split("camera ")[1])]
+    assert len(angles) == 6
+    assert all(re.match(r"light [\d.]+, tilt [\d.]+, turn [\d.]+: camera ", line) for line in poses)
+    assert any("standard error of mu" in line for line in out)
 
 
 # ---- capture and shoot
