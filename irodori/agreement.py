@@ -1,6 +1,7 @@
 """What no schema sees: that definitions agree with each other, and that the files they name are there."""
 
 import math
+import os
 from pathlib import Path
 
 from irodori.agreement_captures import (
@@ -11,6 +12,7 @@ from irodori.agreement_captures import (
     check_states_are,
     of_role,
     read_table,
+    table_and_folder,
 )
 from irodori.agreement_motion import check_motion
 from irodori.agreement_spectra import check_chart, check_spectra
@@ -78,6 +80,7 @@ def check_agreement(definitions: dict, root: Path, config_file, file) -> None:
     for kind, check in order.items():
         for name in definitions[kind]:
             check(name)
+    checks.folders()
 
 
 def rig_of(definitions: dict, kind: str, name: str) -> str:
@@ -171,6 +174,22 @@ class _Checks:
             if across <= 1e-9 * math.hypot(a, b, c) * max(1.0, math.hypot(d, e, f)):
                 found = f"{view['up']}, along the line of sight or of no length"
                 raise InputError(file, f"views.{label}.up", found, "a direction that points up in the picture")
+
+    def folders(self) -> None:
+        """Refuse a table or a folder into which two sessions would write: their photographs bear the same names."""
+        taken: dict[tuple[str, Path], Path] = {}
+        for kind in ("cameras", "objects"):
+            for name, definition in self.all[kind].items():
+                if not self._is_taken_here(kind, name) or "captures" not in definition:
+                    continue
+                places = zip(("table", "folder"), table_and_folder(definition, self.root), strict=True)
+                for key, path in places:
+                    first = taken.setdefault((key, Path(os.path.normpath(path))), self.file(kind, name))
+                    if first != self.file(kind, name):
+                        field = f"captures.{key}" if key in definition["captures"] else "captures.table"
+                        found = f"{path.relative_to(self.root) if path.is_relative_to(self.root) else path}"
+                        accepted = f"a {key} of its own: {first} has this one"
+                        raise InputError(self.file(kind, name), field, found, accepted)
 
     def _rig_of(self, kind: str, name: str) -> dict:
         return self.all["rigs"][rig_of(self.all, kind, name)]

@@ -1,7 +1,11 @@
-"""The one exception that bad input raises, worded for the person who wrote the input."""
+"""What bad input raises, worded for the person who wrote the input."""
 
 
-class InputError(ValueError):
+class PlainError(Exception):
+    """A fault that its message tells whole, in one sentence for the person at the machine: a traceback adds nothing."""
+
+
+class InputError(PlainError, ValueError):
     """Input that the user can mend: says where it stands, what was found and what is accepted.
 
     Parameters

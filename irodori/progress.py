@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
-from irodori.errors import InputError
+from irodori.errors import PlainError
 
 LOGGER = logging.getLogger("irodori")
 
@@ -43,12 +43,12 @@ def track(items: Iterable, label: str, total: int | None = None, every_s: float 
 
 @contextmanager
 def rule_log(path) -> Iterator[None]:
-    """Send the log and any traceback of a rule's script to its log file; show bad input as one sentence.
+    """Send the log and any traceback of a rule's script to its log file; say a plain fault in one sentence.
 
     Raises
     ------
     SystemExit
-        After an `InputError`, whose sentence goes to the log and to stderr.
+        After a `PlainError`, whose sentence goes to the log and to stderr.
     """
     with open(str(path), "w", encoding="utf-8") as stream:
         handler = logging.StreamHandler(stream)
@@ -57,7 +57,7 @@ def rule_log(path) -> Iterator[None]:
         LOGGER.setLevel(logging.INFO)
         try:
             yield
-        except InputError as error:
+        except PlainError as error:
             LOGGER.error("%s", error)
             print(error, file=sys.stderr)
             raise SystemExit(1) from None

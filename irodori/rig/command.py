@@ -17,12 +17,13 @@ from pathlib import Path
 
 from irodori.captures import Pose, Shot
 from irodori.config import load_one
-from irodori.errors import InputError
+from irodori.errors import InputError, PlainError
 from irodori.progress import LOGGER
 from irodori.provenance import code_hash, config_hash
 from irodori.rig.connect import open_rig
-from irodori.rig.devices import DeviceError, LimitError, Rig
+from irodori.rig.devices import LimitError, Rig
 from irodori.rig.gphoto import GphotoCamera
+from irodori.rig.journal import storing
 from irodori.rig.plan import camera_shots, object_shots
 from irodori.rig.planner import plan_best
 from irodori.rig.session import verify
@@ -33,15 +34,21 @@ from irodori.store import Provenance
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return 0, 1 after a fault that was said in one sentence, 130 after Ctrl-C."""
     options = _parser().parse_args(arguments)
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    handler = logging.StreamHandler(sys.stderr)
+    # An operator speaks to the person by itself; its words go to the log for those who read a log.
+    handler.addFilter(lambda record: record.module != "operator")
+    logging.getLogger().addHandler(handler)
+    LOGGER.setLevel(logging.INFO)
     try:
         options.run(options)
-    except (DeviceError, InputError) as error:
+    except PlainError as error:
         print(error, file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("stopped; the rig stands still, and what was taken stays", file=sys.stderr)
         return 130
+    finally:
+        logging.getLogger().removeHandler(handler)
     return 0
 
 
@@ -66,6 +73,8 @@ def _parser() -> argparse.ArgumentParser:
         sub = command(name, run, text)
         sub.add_argument("rig", help="name of a file in config/rigs")
         sub.add_argument("angles", nargs="+", metavar="AXIS=DEGREES", type=_angle)
+        text = "find the reference position first, where the rig does not know where it stands"
+        sub.add_argument("--home", action="store_true", help=text)
     sub = command("shoot", _shoot, "Take one photograph with a real camera.")
     sub.add_argument("camera", help="name of a file in config/cameras")
     sub.add_argument("file", type=Path, help="where to store the RAW file")
@@ -122,25 +131,35 @@ def _home(options) -> None:
 
 def _move(options) -> None:
     with _rig(options.rig) as rig:
-        _ready(rig)
-        rig.move(dict(options.angles))
+        targets = _by_axis(rig, options.angles)
+        rig.check(targets)
+        _ready(rig, options.home)
+        rig.move(targets)
         _print_status(rig)
 
 
 def _jog(options) -> None:
     with _rig(options.rig) as rig:
-        _ready(rig)
+        steps = _by_axis(rig, options.angles)
+        _ready(rig, options.home)
         position = rig.position()
-        unknown = [name for name, _ in options.angles if name not in position]
-        if unknown:
-            raise LimitError(f"{unknown[0]}: not a motorised axis; accepted: {', '.join(position)}")
-        rig.move({name: position[name] + by for name, by in options.angles})
+        rig.move({name: position[name] + by for name, by in steps.items()})
         _print_status(rig)
 
 
-def _ready(rig: Rig) -> None:
-    """Home a simulated rig, which has just been switched on; a real one is homed by the person beside it."""
-    if rig.simulator is not None and not rig.status().homed:
+def _by_axis(rig: Rig, angles: Sequence[tuple[str, float]]) -> dict[str, float]:
+    """Return angles by axis, each axis once and one of the rig's."""
+    for name, _ in angles:
+        if name not in rig.axes:
+            raise LimitError(f"{name}: not a motorised axis of this rig; accepted: {', '.join(rig.axes)}")
+        if sum(name == other for other, _ in angles) > 1:
+            raise LimitError(f"{name}: given twice; accepted: each axis once")
+    return dict(angles)
+
+
+def _ready(rig: Rig, home: bool) -> None:
+    """Home a rig that was not, where asked to; a simulated one, which has just been switched on, always."""
+    if (home or rig.simulator is not None) and not rig.status().homed:
         rig.home()
 
 
@@ -150,7 +169,8 @@ def _shoot(options) -> None:
         raise InputError(f"config/cameras/{options.camera}.yaml", "driver", "no such key", "a camera that is driven")
     shot = Shot(options.file.name, "object", Pose(0.0, 0.0), "out", options.exposure)
     with GphotoCamera(camera["driver"]) as device:
-        device.capture(shot, options.file)
+        with storing(options.file):
+            device.capture(shot, options.file)
         print(", ".join(f"{key} {value}" for key, value in device.status().items()))
     verify(options.file, shot)
     print(options.file)
@@ -198,7 +218,8 @@ def _capture(options) -> None:
     target, definition = _target(options)
     described = {"definition": definition, "camera": target.camera, "rig": target.rig}
     made = Provenance("bench", config_hash(described), code_hash("irodori.rig.stage"))
-    record = Path(target.table).with_name("session.json")
+    # Not the workflow's record: it would take photographs for whole that another definition asked for.
+    record = Path(target.table).with_suffix(".json")
     if definition is None:
         capture_camera(target, record, made)
     else:

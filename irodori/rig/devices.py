@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from irodori.captures import Shot
+from irodori.errors import PlainError
 
 ANGLE_TOLERANCE_DEG = 1e-6
 
 
-class DeviceError(Exception):
+class DeviceError(PlainError):
     """A device at fault; the message is one sentence for the person at the bench."""
 
 

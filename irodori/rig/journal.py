@@ -1,18 +1,87 @@
 """The table of a session as it grows: one line a photograph, on the disk before the next is taken."""
 
+import contextlib
 import csv
+import fcntl
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from irodori.captures import COLUMNS, EXTRA_COLUMNS, Shot, read_captures, shot_cells, write_captures
+from irodori.captures import COLUMNS, EXTRA_COLUMNS, Shot, read_captures, shot_cells
 from irodori.errors import InputError
+from irodori.progress import LOGGER, track
 from irodori.provenance import file_sha256
+from irodori.rig.devices import DeviceError
 
 _HEADER = ",".join((*COLUMNS, *EXTRA_COLUMNS)) + "\n"
 #: Photographs that a changed plan no longer asks for; their files stay.
 RETIRED = "captures-retired.csv"
+
+
+class StorageError(DeviceError):
+    """A disk that is full, or a folder that takes no files."""
+
+
+@contextlib.contextmanager
+def storing(path) -> Iterator[None]:
+    """Say in one sentence what the disk refused.
+
+    Raises
+    ------
+    StorageError
+    """
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error) or type(error).__name__
+        raise StorageError(f"{path}: cannot be stored: {reason}; what was taken before stays") from None
+
+
+@contextlib.contextmanager
+def claimed(table, folder, owner: str) -> Iterator[None]:
+    """Keep a table and a folder to one session at a time, and to the photographs of one thing for good.
+
+    File names follow from pose and exposure: in one folder, the photographs of two objects would pass for each other.
+
+    Parameters
+    ----------
+    table, folder : path
+    owner : str
+        What is photographed, such as ``object jar``.
+
+    Raises
+    ------
+    DeviceError
+        If another session is at work there.
+    InputError
+        If the folder or the table belongs to something else.
+    StorageError
+    """
+    table, folder = Path(table), Path(folder)
+    marks = [folder / ".session"]
+    if table.parent.absolute() != folder.absolute():
+        marks.append(table.with_name(f".{table.name}.session"))
+    with contextlib.ExitStack() as stack:
+        for mark in marks:
+            with storing(mark):
+                mark.parent.mkdir(parents=True, exist_ok=True)
+                file = stack.enter_context(open(mark, "a+", encoding="utf-8"))
+                try:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    raise DeviceError(f"{mark.parent}: another session is at work there; let it end first") from None
+                file.seek(0)
+                known = file.read().strip()
+                if not known:
+                    file.write(f"{owner}\n")
+                    file.flush()
+            if known not in ("", owner):
+                found = f"the photographs of the {known}"
+                accepted = f"a folder and a table for the {owner} alone, or {mark} removed where it was renamed"
+                raise InputError(mark.parent, "", found, accepted)
+        yield
 
 
 def _sync_folder(folder: Path) -> None:
@@ -23,6 +92,32 @@ def _sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
+def _lines(rows: Iterable[Sequence]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
+
+
+def _cells(shot: Shot, sha256: str) -> list[str]:
+    return [str(cell) for cell in shot_cells(shot, sha256)]
+
+
+def _temporary(path: Path) -> Path:
+    return path.with_name(f".{path.name}.part")
+
+
+def _write_table(path: Path, rows: Iterable[Sequence]) -> None:
+    """Write a table; it appears under its name only when it is on the disk."""
+    temporary = _temporary(path)
+    with storing(path):
+        with open(temporary, "w", encoding="utf-8", newline="") as out:
+            out.write(_HEADER + _lines(rows))
+            out.flush()
+            os.fsync(out.fileno())
+        os.replace(temporary, path)
+        _sync_folder(path.parent)
+
+
 class Journal:
     """A capture table to which lines are appended.
 
@@ -30,7 +125,7 @@ class Journal:
     ----------
     table : path
         ``captures.csv``. An existing table is continued: a line that a crash tore is removed, lines whose file is gone
-        or has changed are dropped, so that the photograph is taken again.
+        or has changed are dropped, so that the photograph is taken again. A changed file is set aside, not removed.
     folder : path, optional
         Folder of the RAW files; that of the table where None.
 
@@ -38,46 +133,80 @@ class Journal:
     ------
     InputError
         If the table exists and is no capture table.
+    StorageError
     """
 
     def __init__(self, table, folder=None) -> None:
         self.table = Path(table)
         self.folder = self.table.parent if folder is None else Path(folder)
-        for needed in (self.table.parent, self.folder):
-            needed.mkdir(parents=True, exist_ok=True)
+        self.retired = self.table.with_name(RETIRED)
         self.shots: dict[str, Shot] = {}
         self.sha256: dict[str, str] = {}
-        if self.table.exists():
-            self._continue()
-        else:
-            self._rewrite()
+        with storing(self.table):
+            for needed in (self.table.parent, self.folder):
+                needed.mkdir(parents=True, exist_ok=True)
+            for table_file in (self.table, self.retired):
+                _temporary(table_file).unlink(missing_ok=True)
+            content = self.table.read_bytes() if self.table.exists() else b""
+        self._continue(content)
 
-    def _continue(self) -> None:
-        content = self.table.read_bytes()
+    def _continue(self, content: bytes) -> None:
         whole = content[: content.rfind(b"\n") + 1]
+        first = (whole or content).decode("utf-8-sig", errors="replace").splitlines()[:1]
+        if first and not (first[0] == _HEADER.strip() or (not whole and _HEADER.startswith(first[0]))):
+            raise InputError(self.table, "line 1", "another header", f"the table of a session: {_HEADER.strip()}")
         if not whole:
             self._rewrite()
             return
-        if whole.decode("utf-8-sig", errors="replace").splitlines()[0] != _HEADER.strip():
-            raise InputError(self.table, "line 1", "another header", f"the table of a session: {_HEADER.strip()}")
         if whole != content:
-            os.truncate(self.table, len(whole))
-        if whole.count(b"\n") == 1:
+            with storing(self.table):
+                os.truncate(self.table, len(whole))
+        listed = list(csv.DictReader(io.StringIO(whole.decode("utf-8-sig", errors="replace"))))
+        if not listed:
             return
-        digests = {row["file"]: row["sha256"] for row in csv.DictReader(io.StringIO(whole.decode("utf-8-sig")))}
-        for shot in read_captures(self.table):
-            path = self.folder / shot.file
-            if path.is_file() and file_sha256(path) == digests[shot.file]:
+        digests = {row["file"]: row["sha256"] for row in listed}
+        for shot in track(read_captures(self.table), f"{self.table}: looking at the files"):
+            if self._is_whole(shot, digests[shot.file]):
                 self.shots[shot.file], self.sha256[shot.file] = shot, digests[shot.file]
         if len(self.shots) < len(digests):
             self._rewrite()
 
+    def _is_whole(self, shot: Shot, digest: str) -> bool:
+        path = self.folder / shot.file
+        if not path.is_file():
+            LOGGER.warning("%s is gone; it is taken again", path)
+            return False
+        if not digest:
+            return False  # a line that somebody wrote: the file is looked at as one without a line
+        found = file_sha256(path)
+        if found != digest:
+            # Left under its name, it would be taken for a photograph whose line a crash has cost.
+            aside = self._set_aside(shot.file, "changed", found)
+            LOGGER.warning("%s has changed on the disk; it is kept as %s and taken again", path, aside)
+        return found == digest
+
+    def _set_aside(self, file: str, why: str, sha256: str) -> str:
+        aside = _aside(file, why, sha256)
+        with storing(self.folder / aside):
+            os.replace(self.folder / file, self.folder / aside)
+            _sync_folder(self.folder)
+        return aside
+
     def _rewrite(self) -> None:
-        write_captures(self.table, self.shots.values(), self.sha256)
-        _sync_folder(self.table.parent)
+        _write_table(self.table, (_cells(shot, self.sha256[file]) for file, shot in self.shots.items()))
+
+    def _retired_rows(self) -> dict[str, list[str]]:
+        """Return the lines of ``captures-retired.csv`` by file; a log, in which plans of several days may differ."""
+        if not self.retired.exists():
+            return {}
+        with open(self.retired, encoding="utf-8", newline="") as file:
+            return {row[0]: row for row in list(csv.reader(file))[1:] if row}
 
     def retire(self, planned: Sequence[Shot]) -> list[Shot]:
         """Take out the photographs that a plan does not ask for; they go to ``captures-retired.csv``, the files stay.
+
+        A file whose name the plan wants for another photograph (another sensitivity, another pose of the chart) is
+        renamed, and listed under its new name.
 
         Returns
         -------
@@ -86,25 +215,53 @@ class Journal:
         """
         wanted = {shot.file: shot for shot in planned}
         retired = [shot for shot in self.shots.values() if wanted.get(shot.file) != shot]
-        if retired:
-            path = self.table.with_name(RETIRED)
-            kept = {shot.file: shot for shot in read_captures(path)} if path.exists() else {}
-            kept.update({shot.file: shot for shot in retired})
-            write_captures(path, kept.values())
-            for shot in retired:
-                del self.shots[shot.file], self.sha256[shot.file]
-            self._rewrite()
+        if not retired:
+            return []
+        rows, renamed = self._retired_rows(), []
+        for shot in retired:
+            digest = self.sha256[shot.file]
+            name = _aside(shot.file, "retired", digest) if shot.file in wanted else shot.file
+            rows[name] = _cells(replace(shot, file=name), digest)
+            if name != shot.file:
+                renamed.append((shot.file, digest))
+        # Listed first: a crash before the rename finds them in the table, one after it misses only the file there.
+        _write_table(self.retired, rows.values())
+        for file, digest in renamed:
+            self._set_aside(file, "retired", digest)
+        for shot in retired:
+            del self.shots[shot.file], self.sha256[shot.file]
+        self._rewrite()
         return retired
+
+    def stray(self, shot: Shot) -> Path | None:
+        """Return the file that has a photograph's name but no line, None where there is none or it is another's.
+
+        A retired photograph comes back where the plan asks for exactly it; another one of that name is set aside.
+        """
+        path = self.folder / shot.file
+        if not path.is_file():
+            return None
+        rows = self._retired_rows()
+        if shot.file in rows:
+            digest = file_sha256(path)
+            if rows[shot.file] != _cells(shot, digest):
+                name = _aside(shot.file, "retired", digest)
+                rows[name] = [name, *rows[shot.file][1:]]
+                _write_table(self.retired, rows.values())
+                self._set_aside(shot.file, "retired", digest)
+                return None
+        return path
 
     def append(self, shot: Shot, sha256: str) -> None:
         """Note a photograph whose file stands under its name; the line is on the disk when this returns."""
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerow(shot_cells(shot, sha256))
-        _sync_folder(self.folder)
-        with open(self.table, "ab") as out:
-            out.write(text.getvalue().encode())
-            out.flush()
-            os.fsync(out.fileno())
+        with storing(self.table):
+            _sync_folder(self.folder)
+            # Not "a": a table that somebody removed would begin again without its header.
+            with open(self.table, "r+b") as out:
+                out.seek(0, os.SEEK_END)
+                out.write(_lines([_cells(shot, sha256)]).encode())
+                out.flush()
+                os.fsync(out.fileno())
         self.shots[shot.file], self.sha256[shot.file] = shot, sha256
 
     def missing(self, planned: Sequence[Shot]) -> list[Shot]:
@@ -112,6 +269,26 @@ class Journal:
         return [shot for shot in planned if shot.file not in self.shots]
 
     def finish(self, planned: Sequence[Shot]) -> None:
-        """Put the table into the order of the plan, as if nothing had ever broken it off."""
-        self.shots = {shot.file: shot for shot in planned}
-        self._rewrite()
+        """Put the table into the order of the plan, as if nothing had ever broken it off.
+
+        Raises
+        ------
+        ValueError
+            If a photograph is missing.
+        """
+        if missing := self.missing(planned):
+            raise ValueError(f"{len(missing)} photographs are missing, the first {missing[0].file}")
+        if list(self.shots) != [shot.file for shot in planned]:
+            self.shots = {shot.file: shot for shot in planned}
+            self._rewrite()
+        rows = self._retired_rows()
+        if left := [row for file, row in rows.items() if file not in self.shots]:
+            if len(left) < len(rows):
+                _write_table(self.retired, left)
+        else:
+            self.retired.unlink(missing_ok=True)
+
+
+def _aside(file: str, why: str, sha256: str) -> str:
+    path = Path(file)
+    return f"{path.stem}-{why}-{sha256[:8]}{path.suffix}"

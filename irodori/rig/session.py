@@ -16,7 +16,7 @@ from irodori.mosaic import decode
 from irodori.progress import LOGGER, track
 from irodori.provenance import file_sha256
 from irodori.rig.devices import Camera, Rig
-from irodori.rig.journal import Journal
+from irodori.rig.journal import Journal, storing
 from irodori.rig.operator import HandSettings, Operator
 from irodori.rig.placing import hand_settings, motor_targets
 
@@ -24,6 +24,8 @@ _TRIES = 3
 #: Cameras round the exposure times that they write into their files.
 _EXPOSURE_TOLERANCE = 0.05
 _TEMPORARY = ".part-"
+#: What a session that was killed leaves: its own temporary file, and that of the camera or of the DNG writer.
+_LEFT_OVER = (f"{_TEMPORARY}*", f".{_TEMPORARY}*.part")
 
 
 @dataclass
@@ -54,6 +56,8 @@ class Session:
     journal : Journal
     rig : Rig, optional
         None where nothing stands on the rig, as for an environment.
+    tally : Tally, optional
+        Of `take_stock`, to be continued.
     clock : callable
         Seconds, monotonic.
     """
@@ -64,54 +68,39 @@ class Session:
         operator: Operator,
         journal: Journal,
         rig: Rig | None,
+        tally: Tally | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.camera, self.journal, self.rig = camera, journal, rig
-        self.tally = Tally()
+        self.tally = tally or Tally()
         self._hand, self._clock = HandSettings(operator), clock
 
     def run(self, planned: Sequence[Shot], label: str) -> Tally:
-        """Take what is missing of a plan, in its order.
+        """Take what is missing of a plan, in its order; a rig that does not know where it stands is homed first.
 
         Raises
         ------
         DeviceError
-            If rig or camera is at fault; what was taken before stands in the table.
+            If rig, camera or disk is at fault; what was taken before stands in the table.
         InputError
             If a photograph is broken or shot otherwise than asked for, `_TRIES` times in a row.
         """
         begun = self._clock()
         if self.rig is not None:
             self._check_reach(planned)
-        self.tally.retired = len(self.journal.retire(planned))
-        self.tally.kept = len(planned) - len(self.journal.missing(planned))
-        self._clear_temporary()
-        for shot in self.journal.missing(planned):
-            self._adopt(shot)
+            if not self.rig.status().homed:
+                LOGGER.info("%s: homing the rig", label)
+                self.rig.home()
         for shot in track(self.journal.missing(planned), f"capture {label}"):
             self._take(shot)
         self.journal.finish(planned)
         self.tally.seconds = self._clock() - begun
-        LOGGER.info("%s: %s", label, ", ".join(f"{key} {value:g}" for key, value in vars(self.tally).items()))
         return self.tally
 
     def _check_reach(self, planned: Sequence[Shot]) -> None:
-        """Refuse a plan that leaves the rig's limits before its first photograph is taken."""
+        """Refuse a plan that leaves the rig's limits before anything moves."""
         for shot in planned:
             self.rig.check(motor_targets(shot, self.rig.axes))
-
-    def _clear_temporary(self) -> None:
-        for path in self.journal.folder.glob(f"{_TEMPORARY}*"):
-            path.unlink()
-
-    def _adopt(self, shot: Shot) -> None:
-        """Note a photograph that has its name but no line: only a verified one has, the line was lost in a crash."""
-        path = self.journal.folder / shot.file
-        if not path.is_file():
-            return
-        verify(path, shot)
-        self.journal.append(shot, file_sha256(path))
-        self.tally.adopted += 1
 
     def _take(self, shot: Shot) -> None:
         motorised = self.rig.axes if self.rig is not None else {}
@@ -122,21 +111,66 @@ class Session:
             self.tally.operator_steps += 1
         path = self.journal.folder / shot.file
         temporary = path.with_name(_TEMPORARY + path.name)
-        for attempt in range(_TRIES):
-            try:
-                self.camera.capture(shot, temporary)
-                verify(temporary, shot)
-                break
-            except InputError as error:
-                temporary.unlink(missing_ok=True)
-                if attempt == _TRIES - 1:
-                    raise
-                LOGGER.warning("%s; once more", error)
-                self.tally.retries += 1
-        _sync(temporary)
-        os.replace(temporary, path)
-        self.journal.append(shot, file_sha256(path))
+        try:
+            self._photograph(shot, path, temporary)
+            with storing(path):
+                _sync(temporary)
+                digest = file_sha256(temporary)
+                os.replace(temporary, path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        self.journal.append(shot, digest)
         self.tally.taken += 1
+
+    def _photograph(self, shot: Shot, path: Path, temporary: Path) -> None:
+        """Have a photograph stand verified under a temporary name; faults name the file that it was to be."""
+        for attempt in range(1, _TRIES + 1):
+            try:
+                with storing(path):
+                    self.camera.capture(shot, temporary)
+                verify(temporary, shot)
+                return
+            except InputError as error:
+                fault = InputError(path, error.field, error.found, error.accepted)
+                if attempt == _TRIES:
+                    raise fault from None
+                LOGGER.warning("%s Once more.", fault)
+                self.tally.retries += 1
+
+
+def take_stock(journal: Journal, planned: Sequence[Shot]) -> Tally:
+    """Find out what of a plan is there: nothing that a session left is lost, and nothing of another plan is kept.
+
+    Leftovers of a session that was killed are removed. A photograph that has its name but no line is noted once it is
+    verified (the line was lost in a crash); a broken one is taken again.
+
+    Raises
+    ------
+    StorageError
+    """
+    tally = Tally(retired=len(journal.retire(planned)))
+    missing = journal.missing(planned)
+    tally.kept = len(planned) - len(missing)
+    with storing(journal.folder):
+        for pattern in _LEFT_OVER:
+            for path in journal.folder.glob(pattern):
+                path.unlink()
+    for shot in missing:
+        path = journal.stray(shot)
+        if path is None:
+            continue
+        try:
+            verify(path, shot)
+        except InputError as error:
+            LOGGER.warning("%s It is taken again.", error)
+            continue
+        with storing(path):
+            _sync(path)
+            digest = file_sha256(path)
+        journal.append(shot, digest)
+        tally.adopted += 1
+    return tally
 
 
 def verify(path: Path, shot: Shot) -> None:

@@ -2,6 +2,8 @@
 
 import json
 import os
+import signal
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
@@ -14,11 +16,11 @@ from irodori.rig.connect import open_rig, true_position_deg
 from irodori.rig.devices import Axis, Camera, Rig
 from irodori.rig.drives import drives_of
 from irodori.rig.gphoto import RAW_SUFFIXES, GphotoCamera
-from irodori.rig.journal import Journal
+from irodori.rig.journal import RETIRED, Journal, claimed, storing
 from irodori.rig.operator import AutoOperator, Operator, Step, make_operator
 from irodori.rig.order import Estimate, estimate_s, order_shots
 from irodori.rig.plan import camera_shots, environment_shots, object_shots
-from irodori.rig.session import Session
+from irodori.rig.session import Session, take_stock
 from irodori.rig.virtual.bench import Bench
 from irodori.rig.virtual.camera import VirtualCamera
 from irodori.store import Provenance
@@ -116,9 +118,17 @@ def _equipment(
 
 
 def photograph(
-    shots: Sequence[Shot], target: Target, subject: dict | None, record, provenance: Provenance, on_rig: bool = True
+    shots: Sequence[Shot],
+    target: Target,
+    subject: dict | None,
+    record,
+    provenance: Provenance,
+    owner: str,
+    on_rig: bool = True,
 ) -> None:
     """Hold a session, or continue one, and write its record.
+
+    Nothing is opened, and nothing moves, where no photograph is missing.
 
     Parameters
     ----------
@@ -132,6 +142,8 @@ def photograph(
     provenance : Provenance
         Of a virtual session: photographs of another definition or of other code are taken again. Those of a real
         rig are kept as long as the plan asks for them.
+    owner : str
+        What the folder's photographs belong to, such as ``object jar``.
     on_rig : bool
         Whether it stands on the rig at all.
 
@@ -140,59 +152,84 @@ def photograph(
     DeviceError, InputError
         What was taken before stays and is not taken again.
     """
-    planned = target.ordered(shots)
-    if target.is_virtual:
-        _start_over_if_changed(Path(target.table), provenance)
-    journal = Journal(target.table, target.folder)
-    missing = journal.missing(planned)
-    needs = target.estimate(missing)
-    LOGGER.info("%s: %d of %d photographs to take; %s", target.name, len(missing), len(planned), needs)
-    with _equipment(target, planned, subject, on_rig) as (rig, camera, operator):
-        if rig is not None and not rig.status().homed:
-            rig.home()
-        session = Session(camera, operator, journal, rig)
-        tally = session.run(planned, target.name)
-        status = camera.status()
-    content = {
-        "photographs": len(planned),
-        "table_sha256": file_sha256(target.table),
-        "session": vars(tally),
-        "camera": status,
-    }
-    _write_record(Path(record), content)
+    table = Path(target.table)
+    folder = table.parent if target.folder is None else Path(target.folder)
+    planned, status = target.ordered(shots), {}
+    with claimed(table, folder, owner), _ending_in_order():
+        if target.is_virtual:
+            _start_over_if_changed(table, provenance)
+        journal = Journal(table, folder)
+        tally = take_stock(journal, planned)
+        missing = journal.missing(planned)
+        needs = target.estimate(missing)
+        LOGGER.info("%s: %d of %d photographs to take; %s", target.name, len(missing), len(planned), needs)
+        if missing:
+            with _equipment(target, planned, subject, on_rig) as (rig, camera, operator):
+                Session(camera, operator, journal, rig, tally).run(planned, target.name)
+                status = camera.status()
+        journal.finish(planned)
+        LOGGER.info("%s: %s", target.name, ", ".join(f"{key} {value:g}" for key, value in vars(tally).items()))
+        content = {
+            "photographs": len(planned),
+            "table_sha256": file_sha256(table),
+            "session": vars(tally),
+            "camera": status,
+        }
+        _write_record(Path(record), content)
+
+
+@contextmanager
+def _ending_in_order() -> Iterator[None]:
+    """End as Ctrl-C does, the rig stopped, where a batch system ends the process or a terminal is closed."""
+
+    def end(number: int, frame) -> None:
+        raise SystemExit(128 + number)
+
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is signal.SIG_DFL:
+                before[number] = signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _start_over_if_changed(table: Path, provenance: Provenance) -> None:
     """Remove a virtual session's photographs where their definition or the code that made them has changed."""
     mark = table.with_name(_MADE_FROM)
     wanted = f"{provenance.config_hash} {provenance.code_hash} {provenance.input_sha256}\n"
-    table.parent.mkdir(parents=True, exist_ok=True)
     if mark.is_file() and mark.read_text(encoding="utf-8") == wanted:
         return
-    for path in (table, *table.parent.glob(f"*{VirtualCamera.suffix}")):
-        path.unlink(missing_ok=True)
-    mark.write_text(wanted, encoding="utf-8")
+    with storing(table.parent):
+        for path in (table, table.with_name(RETIRED), *table.parent.glob(f"*{VirtualCamera.suffix}")):
+            path.unlink(missing_ok=True)
+        mark.write_text(wanted, encoding="utf-8")
 
 
 def _write_record(path: Path, content: Mapping) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    os.replace(temporary, path)
+    with storing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        os.replace(temporary, path)
 
 
 def capture_object(definition: dict, target: Target, record, provenance: Provenance) -> None:
     """Photograph an object in all its poses, without and with the comb filter; see `photograph`."""
     shots = object_shots(definition, target.camera, target.suffix)
-    photograph(shots, target, definition, record, provenance)
+    photograph(shots, target, definition, record, provenance, f"object {target.name}")
 
 
 def capture_camera(target: Target, record, provenance: Provenance) -> None:
     """Photograph dark frames, the white reference and the chart that calibrate a camera; see `photograph`."""
-    photograph(camera_shots(target.camera, target.suffix), target, None, record, provenance)
+    shots = camera_shots(target.camera, target.suffix)
+    photograph(shots, target, None, record, provenance, f"camera {target.name}")
 
 
 def capture_environment(definition: dict, target: Target, record, provenance: Provenance) -> None:
     """Photograph a virtual room with an omnidirectional camera; see `photograph`."""
     shots = environment_shots(definition, target.camera, target.suffix)
-    photograph(shots, target, definition, record, provenance, on_rig=False)
+    photograph(shots, target, definition, record, provenance, f"environment {target.name}", on_rig=False)

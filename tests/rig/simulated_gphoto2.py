@@ -80,7 +80,7 @@ class Bench:
     choices: dict = field(default_factory=dict)
     readonly: set = field(default_factory=set)
     script: dict = field(default_factory=dict)
-    #: Set after each shutter release: list of (seconds after it, file name, content).
+    #: Set after each shutter release: list of (seconds after it, file name, content or what makes it).
     delivers: list = field(default_factory=list)
     lag_reads: int = 0
     stubborn: dict = field(default_factory=dict)
@@ -141,6 +141,7 @@ class Bench:
         number = len(self.releases)
         # The files are numbered by the camera; {} in a scripted name is the number of the release.
         for delay, name, content in self.delivers:
+            content = content() if callable(content) else content
             self.coming.append((self.clock.time_s + delay, name.format(f"{number:04d}"), content))
         self.coming.sort()
 

@@ -91,8 +91,10 @@ def named_tables(*values):
 
 
 def tables_of_capture(wildcards):
-    """Return the tables of spectra that the virtual rig reads for a set."""
+    """Return the tables of spectra that the virtual rig reads for a set; a real one reads none."""
     kind, name = capture_set(wildcards)
+    if not is_virtual(config, kind, name):
+        return []
     return named_tables(config[kind][name], definition_of("cameras")(wildcards), definition_of("rigs")(wildcards))
 
 
@@ -135,7 +137,7 @@ def of_rig(dpath):
 
 
 def definition_of(kind):
-    """Return a function from wildcards to the whole camera or rig definition; for the virtual rig alone."""
+    """Return a function from wildcards to the whole definition of the camera or the rig."""
     name = {"cameras": camera_of, "rigs": rig_of}[kind]
     return lambda wildcards: config[kind][name(wildcards)]
 

@@ -109,6 +109,7 @@ class GrblRig(Rig):
                         "the command was garbled on its way, or $23 or $27 is not what the controller does"
                     )
             self._homed = True
+            self._talk.message = ""  # what it said while it was locked
 
     def move(self, targets_deg: Mapping[str, float]) -> None:
         """Move axes in a straight line and wait until they stand there; see `Rig.move`."""

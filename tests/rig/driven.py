@@ -1,0 +1,71 @@
+"""A driven rig without hardware: a simulated Grbl board, a person played by the test, a simulated EOS 40D.
+
+The camera's files are those of the virtual camera, so that they decode; what they show does not follow the rig.
+"""
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+
+import yaml
+from sessions import ROOT, definitions
+from simulated_gphoto2 import Bench
+
+from irodori.captures import Pose, Shot
+from irodori.rig.virtual import bench as virtual
+from irodori.rig.virtual.camera import VirtualCamera
+
+CAMERA, OBJECT = "eos-40d-comb", "jar"
+POSES = [{"light_deg": [45.0, 60.0], "camera_deg": [0.0, 20.0]}]
+
+
+class Studio:
+    """The camera of a driven rig; its pictures follow from its settings alone, and so are the same every time."""
+
+    def __init__(self, pause: Callable[[], None] = lambda: None) -> None:
+        self.pause = pause
+        self.bench = Bench(delivers=[(0.5, "capt{}.cr2", self.picture)])
+        self._made: dict[tuple, bytes] = {}
+
+    def picture(self) -> bytes:
+        """Return the RAW file of a photograph of the white reference with the settings that stand."""
+        self.pause()
+        values = self.bench.values
+        key = tuple(values[name] for name in ("shutterspeed", "iso", "aperture"))
+        if key not in self._made:
+            seconds, iso, aperture = (float(Fraction(text)) for text in key)
+            shot = Shot("standin.dng", "white", Pose(45.0, 0.0), "out", seconds, iso, aperture)
+            _, camera, rig = definitions()
+            standing = virtual.Bench(by_hand_deg={"light_deg": 45.0}, subject="white")
+            with tempfile.TemporaryDirectory() as folder:
+                VirtualCamera(camera, rig, standing, "standin", [shot]).capture(shot, Path(folder) / "a.dng")
+                self._made[key] = (Path(folder) / "a.dng").read_bytes()
+        return self._made[key]
+
+
+def edit(path: Path, **changes) -> None:
+    """Set keys of a YAML file; ``a__b`` is b in a."""
+    content = yaml.safe_load(path.read_text())
+    for dotted, value in changes.items():
+        *parents, last = dotted.split("__")
+        block = content
+        for parent in parents:
+            block = block[parent]
+        block[last] = value
+    path.write_text(yaml.safe_dump(content, sort_keys=False))
+
+
+def project(folder: Path, operator: str = "file", port: str = "simulator") -> Path:
+    """Return a working directory with the repository's driven rig, its board simulated, and an object on it."""
+    shutil.copytree(ROOT / "config", folder / "config")
+    config = folder / "config"
+    edit(config / "rigs/gonio-grbl.yaml", operator=operator, operator_deadline_s=60.0, motion__port=port)
+    edit(config / "rigs/gonio-grbl.yaml", motion__simulator={"time_scale": 200.0}, motion__timeout_s=2.0)
+    edit(config / f"cameras/{CAMERA}.yaml", dark_frames=1, white_frames=1, linearity_exposure_s=[0.01])
+    jar = yaml.safe_load((config / "objects/tile-plate.yaml").read_text())
+    del jar["virtual"]
+    jar |= {"camera": CAMERA, "poses": POSES, "captures": {"table": "photos/jar.csv", "folder": "photos/jar"}}
+    (config / f"objects/{OBJECT}.yaml").write_text(yaml.safe_dump(jar))
+    return folder

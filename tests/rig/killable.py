@@ -1,0 +1,96 @@
+"""Sessions in processes of their own, to be killed: ``python killable.py`` imports everything once and forks.
+
+Each line on standard input is a JSON list: folder, whether a simulated rig moves, seconds by which every step of the
+disk is stretched. The answer is the process to kill, then how it ended.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+from sessions import MADE, ROOT, definitions, target
+
+from irodori.rig.stage import capture_object
+
+
+class Killable:
+    """The forking process, from the side of the test."""
+
+    def __init__(self, motion: bool, slow_s: float) -> None:
+        self.motion, self.slow_s = motion, slow_s
+        path = os.pathsep.join([str(ROOT), str(ROOT / "tests/rig")])
+        self._process = subprocess.Popen(
+            [sys.executable, "-W", "error", __file__], env={**os.environ, "PYTHONPATH": path},
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+
+    def __enter__(self) -> "Killable":
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._process.stdin.close()
+        self._process.stdout.close()
+        self._process.wait(60)
+
+    def run(self, folder: Path, kill_after_s: float | None = None) -> float:
+        """Hold a session; SIGKILL it after a time where one is given. Return how long it ran, s."""
+        self._process.stdin.write(json.dumps([str(folder), self.motion, self.slow_s]) + "\n")
+        self._process.stdin.flush()
+        pid = int(self._process.stdout.readline())
+        begun = time.monotonic()
+        timer = threading.Timer(kill_after_s or 0.0, os.kill, (pid, 9))
+        if kill_after_s is not None:
+            timer.start()
+        status = int(self._process.stdout.readline())
+        took = time.monotonic() - begun
+        timer.cancel()
+        assert status in ((0,) if kill_after_s is None else (0, -9)), status
+        # The process is not waited for until the timer can no longer hit another one of its number.
+        if kill_after_s is not None:
+            timer.join()
+        self._process.stdin.write("\n")
+        self._process.stdin.flush()
+        return took
+
+
+def stretched(action, seconds: float):
+    """Return an action of the disk with a pause on either side of it, so that kills fall there too."""
+
+    def act(*arguments):
+        time.sleep(seconds)
+        result = action(*arguments)
+        time.sleep(seconds)
+        return result
+
+    return act
+
+
+def main() -> None:
+    """Fork for each line."""
+    definitions()  # read once
+    for line in sys.stdin:
+        folder, motion, slow_s = json.loads(line)
+        pid = os.fork()
+        if pid == 0:
+            for name in ("fsync", "replace"):
+                setattr(os, name, stretched(getattr(os, name), slow_s))
+            definition, aim = target(Path(folder), motion)
+            try:
+                capture_object(definition, aim, Path(folder) / "session.json", MADE)
+            except BaseException as error:
+                print(repr(error), file=sys.stderr, flush=True)
+                os._exit(1)
+            os._exit(0)
+        print(pid, flush=True)
+        ended = os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
+        print(ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status, flush=True)
+        sys.stdin.readline()
+        os.waitpid(pid, 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,278 @@
+"""``python -m irodori.rig``: what each command says and returns, on the simulated rig."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+from driven import CAMERA, Studio, project
+from sessions import ROOT, assert_whole
+from simulated_gphoto2 import make_module
+
+from irodori.captures import read_captures
+from irodori.config import load_one
+from irodori.rig import command, stage
+from irodori.rig.command import main
+from irodori.rig.connect import open_rig, start_simulator, true_position_deg
+from irodori.rig.devices import DeviceError
+
+
+@pytest.fixture(autouse=True)
+def bench(tmp_path, monkeypatch):
+    """Return a working directory with a small virtual rig, a real one at a simulated board, and few poses."""
+    folder = project(tmp_path / "bench")
+    optics = {"width_px": 120, "height_px": 80, "pixel_pitch_um": 66.0, "principal_point_px": [60.0, 40.0]}
+    change(folder / "config/cameras/d5100-comb.yaml", lambda camera: camera["optics"].update(optics))
+    poses = [{"light_deg": [45.0], "camera_deg": [0.0, 20.0], "tilt_deg": [0.0, 10.0]}]
+    change(folder / "config/objects/tile-plate.yaml", lambda plate: plate.update(poses=poses))
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def change(path: Path, action) -> None:
+    content = yaml.safe_load(path.read_text())
+    action(content)
+    path.write_text(yaml.safe_dump(content))
+
+
+def run(capsys, *arguments: str, code: int = 0) -> tuple[list[str], list[str]]:
+    """Run a command in this process; return the lines of its output and of its messages."""
+    assert main(list(arguments)) == code
+    said = capsys.readouterr()
+    return said.out.splitlines(), said.err.splitlines()
+
+
+@pytest.fixture
+def board(bench):
+    """Return the simulated board of the rig ``gonio-grbl``, which runs on between two commands as a real one does."""
+    definition = load_one("rigs", "gonio-grbl")["rigs"]["gonio-grbl"]
+    with start_simulator(definition) as simulator:
+        change(
+            bench / "config/rigs/gonio-grbl.yaml", lambda rig: rig["motion"].update(port=simulator.port, timeout_s=0.6)
+        )
+        yield simulator
+
+
+# ---- rig
+
+
+def test_status_says_state_angles_and_limits(capsys, board):
+    out, err = run(capsys, "status", "gonio-grbl")
+    assert out[0].startswith("state alarm, not homed, ") and "unlock" in out[0]
+    assert re.fullmatch(r"camera_deg -?\d+\.\d{3} \(0 to 140, 10 degrees/s\)", out[1])
+    assert re.fullmatch(r"turn_deg -?\d+\.\d{3} \(0 to 359.5, 20 degrees/s\)", out[2])
+    assert not err
+
+
+def test_home_finds_the_reference_position_and_the_board_remembers_it(capsys, board):
+    assert run(capsys, "home", "gonio-grbl")[0][0] == "state idle, homed"
+    assert run(capsys, "status", "gonio-grbl")[0][0] == "state idle, homed"
+
+
+def test_move_and_jog_go_where_they_are_told(capsys, board):
+    run(capsys, "home", "gonio-grbl")
+    out, _ = run(capsys, "move", "gonio-grbl", "camera_deg=30", "turn_deg=90.5")
+    assert out[1].startswith("camera_deg 30.000") and out[2].startswith("turn_deg 90.500")
+    out, _ = run(capsys, "jog", "gonio-grbl", "camera_deg=-0.5", "turn_deg=1")
+    assert out[1].startswith("camera_deg 29.500") and out[2].startswith("turn_deg 91.500")
+
+
+def test_a_real_rig_is_not_homed_unless_asked_to(capsys, board):
+    before = board.true_position()
+    _, err = run(capsys, "move", "gonio-grbl", "camera_deg=30", code=1)
+    assert len(err) == 1 and "home it first" in err[0]
+    assert board.true_position() == before
+    out, _ = run(capsys, "move", "gonio-grbl", "camera_deg=30", "--home")
+    assert out[1].startswith("camera_deg 30.000")
+
+
+def test_the_virtual_rig_homes_itself_for_it_has_just_been_switched_on(capsys):
+    out, _ = run(capsys, "move", "virtual", "camera_deg=30")
+    assert out[0] == "state idle, homed" and out[1].startswith("camera_deg 30.000")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["move", "camera_deg=140.5"], "camera_deg 140.5: out of reach; accepted: 0 to 140"),
+        (["move", "turn_deg=10", "camera_deg=-1"], "camera_deg -1: out of reach"),
+        (["move", "camera_deg=nan", "--home"], "camera_deg nan: out of reach"),
+        (["move", "camera_deg=150", "--home"], "camera_deg 150: out of reach"),
+        (["jog", "camera_deg=200"], "out of reach"),
+        (["move", "light_deg=45"], "light_deg: not a motorised axis of this rig; accepted: camera_deg, turn_deg"),
+        (["jog", "light_deg=1", "--home"], "light_deg: not a motorised axis of this rig"),
+        (["jog", "camera_deg=1", "camera_deg=2"], "camera_deg: given twice"),
+    ],
+)
+def test_a_target_out_of_reach_is_refused_before_anything_moves(capsys, board, arguments, said):
+    name, *rest = arguments
+    if "--home" not in rest:
+        run(capsys, "home", "gonio-grbl")
+    board.forget()
+    before = board.true_position()
+    _, err = run(capsys, name, "gonio-grbl", *rest, code=1)
+    assert len(err) == 1 and said in err[0]
+    seen = board.snapshot()
+    assert seen["low"] == seen["high"] == before
+
+
+@pytest.mark.parametrize("word", ["camera_deg", "camera_deg=", "camera_deg=left", "=3"])
+def test_what_is_no_angle_is_refused_with_an_example(capsys, board, word):
+    try:
+        assert main(["move", "gonio-grbl", word]) == 1
+    except SystemExit as refused:
+        assert refused.code == 2
+    assert "camera_deg" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["status", "virtaul"], "did you mean 'virtual'"),
+        (["status", "copy-stand"], "copy-stand.yaml: motion: found no such key; accepted: a rig with motors"),
+        (["plan", "tile-palte"], "did you mean 'tile-plate'"),
+        (["capture", "--camera", "powershot-s40"], "of kind files, whose photographs somebody else takes"),
+        (["shoot", "d5100-comb", "a.dng", "--exposure", "0.02"], "d5100-comb.yaml: driver: found no such key"),
+        (["plan", "tile-plate", "--best", "2"], "--best: found 2; accepted: "),
+        (["plan", "d5100-comb", "--camera", "--best", "6"], "--best: found a camera"),
+    ],
+)
+def test_a_mistake_is_one_sentence(capsys, bench, arguments, said):
+    change(bench / "config/cameras/powershot-s40.yaml", lambda camera: camera.update(captures={"table": "a.csv"}))
+    for name in ("a.csv", "a.cr2"):
+        (bench / name).write_text("file,role,light_deg,camera_deg,filter,exposure_s\na.cr2,chart,45,0,out,0.02\n")
+    change(
+        bench / "config/cameras/powershot-s40.yaml", lambda camera: camera["chart"].update(spectra="BabelColor Average")
+    )
+    out, err = run(capsys, *arguments, code=1)
+    assert not out and len(err) == 1 and said in err[0]
+
+
+def test_a_port_that_is_not_there_is_named(capsys, bench):
+    change(bench / "config/rigs/gonio-grbl.yaml", lambda rig: rig["motion"].update(port="/dev/ttyNOBODY"))
+    _, err = run(capsys, "status", "gonio-grbl", code=1)
+    assert err == ["/dev/ttyNOBODY: no such port"]
+
+
+def test_without_a_folder_of_definitions_it_says_which_file_it_looked_for(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    _, err = run(capsys, "status", "virtual", code=1)
+    assert err == ["config/config.yaml: found no such file; accepted: a YAML file."]
+
+
+# ---- plan
+
+
+def test_plan_prints_the_order_and_what_it_takes(capsys):
+    out, _ = run(capsys, "plan", "tile-plate")
+    *lines, estimate = out
+    assert len(lines) == 8
+    found = load_one("objects", "tile-plate")
+    aim = stage.Target("tile-plate", found["cameras"]["d5100-comb"], found["rigs"]["virtual"])
+    planned = aim.ordered(stage.object_shots(found["objects"]["tile-plate"], aim.camera, ".dng"))
+    assert [line.split()[-1] for line in lines] == [shot.file for shot in planned]
+    assert re.match(r"object light 45 camera \d+ tilt \d+ turn 0 filter (in|out) 0\.0\d s  l0450-", lines[0])
+    assert estimate == str(aim.estimate(planned)) and estimate.startswith("8 shots, about ")
+
+
+def test_plan_of_a_camera_begins_with_the_cap_on(capsys):
+    out, _ = run(capsys, "plan", "--camera", CAMERA)
+    assert out[0].startswith("dark") and out[-2].startswith("chart") and out[-2].endswith(".cr2")
+    assert "hand step" in out[-1]
+
+
+def test_plan_best_chooses_so_many_poses(capsys):
+    out, _ = run(capsys, "plan", "tile-plate", "--best", "6")
+    poses = [line for line in out if line.startswith("light ")]
+    angles = [angle for line in poses for angle in re.findall(r"[\d.]+", line.split("camera ")[1])]
+    assert len(angles) == 6
+    assert all(re.match(r"light [\d.]+, tilt [\d.]+, turn [\d.]+: camera ", line) for line in poses)
+    assert any("standard error of mu" in line for line in out)
+
+
+# ---- capture and shoot
+
+
+def test_capture_resumes_with_what_is_missing(capsys, monkeypatch):
+    whole, taken = stage.VirtualCamera.capture, []
+
+    def failing(self, shot, path):
+        if len(taken) == 3:
+            raise DeviceError("the shutter is stuck")
+        taken.append(shot.file)
+        whole(self, shot, path)
+
+    monkeypatch.setattr(stage.VirtualCamera, "capture", failing)
+    _, err = run(capsys, "capture", "tile-plate", code=1)
+    assert err[-1] == "the shutter is stuck"
+    assert any("8 of 8 photographs to take" in line for line in err)
+    monkeypatch.setattr(stage.VirtualCamera, "capture", whole)
+    _, err = run(capsys, "capture", "tile-plate")
+    assert any("5 of 8 photographs to take" in line for line in err)
+    assert any("taken 5, kept 3" in line for line in err)
+    folder = Path("results/tile-plate/captures")
+    assert_whole(folder, read_captures(folder / "captures.csv"))
+
+
+def test_capture_says_that_another_session_is_at_work(capsys):
+    folder = Path("results/tile-plate/captures")
+    with stage.claimed(folder / "captures.csv", folder, "object tile-plate"):
+        _, err = run(capsys, "capture", "tile-plate", code=1)
+    assert "another session is at work there" in err[-1]
+
+
+def test_shoot_takes_one_photograph_and_verifies_it(capsys, monkeypatch):
+    studio = Studio()
+    monkeypatch.setitem(sys.modules, "gphoto2", make_module(studio.bench))
+    out, _ = run(capsys, "shoot", CAMERA, "one.cr2", "--exposure", "0.02")
+    assert "battery 75%" in out[0] and out[-1] == "one.cr2"
+    assert Path("one.cr2").stat().st_size > 1000
+    _, err = run(capsys, "shoot", CAMERA, "one.cr2", "--exposure", "0.021", code=1)
+    assert "not on offer" in err[-1]
+    _, err = run(capsys, "shoot", CAMERA, "nowhere/one.cr2", "--exposure", "0.02", code=1)
+    assert len(err) == 1 and "nowhere/one.cr2: cannot be stored: No such file or directory" in err[0]
+
+
+def test_ctrl_c_returns_130_and_says_that_the_rig_stands_still(capsys, monkeypatch):
+    stood = []
+
+    def interrupted(rig):
+        try:
+            rig.home()
+            raise KeyboardInterrupt
+        finally:
+            stood.append(true_position_deg(rig))
+
+    monkeypatch.setattr(command, "_print_status", interrupted)
+    _, err = run(capsys, "status", "virtual", code=130)
+    assert err == ["stopped; the rig stands still, and what was taken stays"]
+    assert stood
+
+
+def test_ctrl_c_at_the_terminal_stops_a_move(bench, board):
+    """The whole command in a process of its own, a real interrupt, the arm in mid-move."""
+    definition = load_one("rigs", "gonio-grbl")["rigs"]["gonio-grbl"]
+    with open_rig(definition) as rig:
+        rig.home()
+        rig.move({"turn_deg": 0.0})
+        board.forget()
+    move = [sys.executable, "-m", "irodori.rig", "move", "gonio-grbl"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    # At 200 times its speed the table turns by 359.5 degrees in 90 ms: a stall of the line makes time to interrupt it.
+    board.fault("move 0.3 stall 1.0")
+    with subprocess.Popen([*move, "turn_deg=359.5"], env=environment, stderr=subprocess.PIPE, text=True) as running:
+        end = time.monotonic() + 60.0
+        while board.snapshot()["low"] == board.snapshot()["high"] and time.monotonic() < end:
+            time.sleep(0.01)
+        running.send_signal(signal.SIGINT)
+        _, said = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert said.splitlines() == ["stopped; the rig stands still, and what was taken stays"]
+    before = board.snapshot()
+    time.sleep(0.2)
+    assert board.snapshot() == before and not before["moving"]
