@@ -213,7 +213,7 @@ def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) 
         mirror=sample.mirror,
         fresnel=sample.fresnel @ band_weights.T,
     )
-    # The optical low-pass filter of a mosaic sensor splits a point into four, one pixel apart: a pixel sees its corners.
+    # The optical low-pass filter of a mosaic sensor splits a point in four, one pixel apart: a pixel sees its corners.
     corners = np.empty((view.pinhole.height_px + 1, view.pinhole.width_px + 1, 3))
     with numba.parallel_chunksize(8):
         _see_corners(setup, subject, corners)
