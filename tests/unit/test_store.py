@@ -219,3 +219,24 @@ def test_a_missing_attribute_is_refused_by_file_and_name(tmp_path):
 def test_membership_tells_what_is_there(tmp_path):
     with store.open_file(write_sample(tmp_path / "out.h5")) as file:
         assert "alpha" in file and "beta" not in file
+
+
+@pytest.mark.parametrize("compression", ["small", "fast"])
+def test_either_packing_returns_the_same_bits(tmp_path, compression):
+    values = np.random.default_rng(0).normal(size=(300, 200, 3)).astype(np.float32)
+    values[:100] = 0.0
+    with store.create(tmp_path / "a.h5", store.Provenance("test")) as out:
+        out.write("x", values, units="1", dims="a,b,c", quantity="x", compression=compression)
+    assert (tmp_path / "a.h5").stat().st_size < 0.9 * values.nbytes
+    with store.open_file(tmp_path / "a.h5") as file:
+        assert np.array_equal(file.read("x"), values)
+        assert np.array_equal(file.dataset("x")[150:160, 20:30], values[150:160, 20:30])
+
+
+def test_an_unknown_packing_is_refused(tmp_path):
+    with (
+        pytest.raises(ValueError, match="accepted: small, fast"),
+        store.create(tmp_path / "a.h5", store.Provenance("test")) as out,
+    ):
+        out.write("x", np.zeros(100), units="1", dims="a", quantity="x", compression="zip")
+    assert not (tmp_path / "a.h5").exists()
