@@ -28,7 +28,8 @@ VARIANTS = {
     "reduced-bands": (800_000, (60_000, 12_000, 4_000), True),
 }
 COLUMNS = [
-    "stage", "variant", "work", "unit", "seconds", "throughput", "error_metric", "error", "peak_mb", "reference", "ratio",
+    "stage", "variant", "work", "unit", "seconds", "throughput",
+    "error_metric", "error", "peak_mb", "reference", "ratio",
 ]  # fmt: skip
 
 

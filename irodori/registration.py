@@ -160,10 +160,8 @@ def register(
     def level_of(n: int, places: int, local: bool) -> Level:
         return make_level(f[n], m[n], float(2**n), shape, places, band_offsets_px, local)
 
-    fit, best = (
-        _first(level_of(coarsest, _PLACES[2], False), search(f[coarsest], m[coarsest], float(2**coarsest)), start),
-        nothing,
-    )
+    shifts, best = search(f[coarsest], m[coarsest], float(2**coarsest)), nothing
+    fit = _first(level_of(coarsest, _PLACES[2], False), shifts, start)
     for n in range(coarsest, -1, -1):
         if fit is None or (n < finest and best.sigma_px <= _GOOD_PX):
             break
