@@ -38,7 +38,7 @@ from irodori.resampling import resample_affine
 _COARSEST_PX = 160  # longest side at which the search runs
 _SHORTEST_PX = 24  # no level gets a shorter side than this
 _FINEST_PIXELS = 800_000  # the finest level has no more, unless the error asks for it
-_PLACES = (60_000, 12_000)  # compared at the finest level, at the others
+_PLACES = (60_000, 12_000, 4_000)  # compared at the finest level, at the others, in the search
 _GOOD_PX = 0.02  # a predicted error with which no finer level is tried
 _UNDETERMINED_PX = 1.0
 _NOISE_RATIO = 1.5  # information, in its weakest direction, over that which noise alone seems to hold
@@ -157,14 +157,15 @@ def register(
     finest = min(coarsest, math.ceil(math.log(max(shape[0] * shape[1] / _FINEST_PIXELS, 1.0), 4.0)))
     f, m = Pyramid(fixed, fixed_valid), Pyramid(moving, moving_valid)
 
-    def level_of(n: int, local: bool) -> Level:
-        return make_level(f[n], m[n], float(2**n), shape, _PLACES[0 if n <= finest else 1], band_offsets_px, local)
+    def level_of(n: int, places: int, local: bool) -> Level:
+        return make_level(f[n], m[n], float(2**n), shape, places, band_offsets_px, local)
 
-    fit, best = _first(level_of(coarsest, False), search(f[coarsest], m[coarsest], float(2**coarsest)), start), nothing
+    shifts, best = search(f[coarsest], m[coarsest], float(2**coarsest)), nothing
+    fit = _first(level_of(coarsest, _PLACES[2], False), shifts, start)
     for n in range(coarsest, -1, -1):
         if fit is None or (n < finest and best.sigma_px <= _GOOD_PX):
             break
-        level = level_of(n, True)
+        level = level_of(n, _PLACES[0 if n <= finest else 1], True)
         fit = align(level, fit.turn, fit.shift, 8 if n <= finest else 3)
         if fit is not None and n <= finest and _has_content(fit):
             found = _report(level, fit)

@@ -60,7 +60,7 @@ def make_level(fixed, moving, scale: float, shape, count: int, offsets_px, local
     """Choose the places of one level and take the fixed picture's derivatives there; ``shape`` is that of level 0."""
     cell = int(min(32, max(8, min(fixed.shape[:2]) // 6)))
     energy = gradient_energy(fixed)
-    some = energy[1:-1, 1:-1][:: max(1, energy.shape[0] // 256)]
+    some = energy[1:-1, 1:-1][:: max(1, energy.shape[0] // 64)]
     some = some[some > 0.0]
     gate = _GATE * float(np.quantile(some, 0.05)) if some.size else 0.0
     columns = 2 * max(1, fixed.shape[1] // (2 * (cell // 2)))

@@ -108,7 +108,7 @@ def noise_of(level) -> np.ndarray:
 
     From the lower quartile of the differences between pixels two apart, which edges do not reach.
     """
-    rows = level[:: max(1, level.shape[0] // 256)]
+    rows = level[:: max(1, level.shape[0] // 64)]
     good = (rows[:, 2:, 3] > 0.5) & (rows[:, :-2, 3] > 0.5)
     differences = np.abs(rows[:, 2:, :3] - rows[:, :-2, :3])[good]
     if len(differences) == 0:
