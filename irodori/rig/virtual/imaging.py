@@ -12,7 +12,7 @@ from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.shapes import PLATE, uv_from_point
 from irodori.rig.virtual.reflection import MEASURED, gloss_lobe, measured_lobe
 
-_CORNERS = ((0, 0), (0, 1), (1, 0), (1, 1))
+_BLOCK_ROWS = 16
 _OFFSET_MM = 1e-3
 
 
@@ -130,18 +130,50 @@ def _see(setup, sample, ray, direction, world, normal, view, out):
 
 
 @numba.njit(cache=True)
-def _see_row(setup, sample, y, corners):
+def _expose_block(setup, sample, block, image):
+    """Fill a block of rows: look at points half a pixel apart, then let each pixel gather its own."""
+    first = block * _BLOCK_ROWS
+    rows = min(_BLOCK_ROWS, image.shape[0] - first)
+    points = np.empty((2 * rows + 3, 2 * image.shape[1] + 3, 3))
     ray = new_ray()
     direction, world, normal, view = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    for x in range(corners.shape[1]):
-        _aim(setup, x, y, direction)
-        _see(setup, sample, ray, direction, world, normal, view, corners[y, x])
+    for i in range(points.shape[0]):
+        for j in range(points.shape[1]):
+            _aim(setup, 0.5 * (j - 1), first + 0.5 * (i - 1), direction)
+            _see(setup, sample, ray, direction, world, normal, view, points[i, j])
+    gather_rows(points, first, image)
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _see_corners(setup, sample, corners):
-    for y in numba.prange(corners.shape[0]):
-        _see_row(setup, sample, y, corners)
+def _expose(setup, sample, image):
+    for block in numba.prange((image.shape[0] + _BLOCK_ROWS - 1) // _BLOCK_ROWS):
+        _expose_block(setup, sample, block, image)
+
+
+@numba.njit(cache=True)
+def gather_rows(points, first, image):
+    """Fill rows of an RGGB mosaic from what is seen at points half a pixel apart.
+
+    A pixel gathers light over its whole area, and the optical low-pass filter before the sensor splits every point in
+    four, one pixel apart: along each axis the weights are 1, 2, 2, 2, 1 over two pixels.
+
+    Parameters
+    ----------
+    points : (2 rows + 3, 2 width + 3, 3) float
+        Responses in red, green and blue; the first point is half a pixel outside the first pixel of the first row.
+    first : int
+        First row to fill, even.
+    image : (height, width) float64
+    """
+    for y in range((points.shape[0] - 3) // 2):
+        for x in range(image.shape[1]):
+            band, total = y % 2 + x % 2, 0.0
+            for i in range(5):
+                line = 0.0
+                for j in range(5):
+                    line += (2.0 if 0 < j < 4 else 1.0) * points[2 * y + i, 2 * x + j, band]
+                total += (2.0 if 0 < i < 4 else 1.0) * line
+            image[first + y, x] = total / 64.0
 
 
 @dataclass(frozen=True)
@@ -213,28 +245,6 @@ def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) 
         mirror=sample.mirror,
         fresnel=sample.fresnel @ band_weights.T,
     )
-    # The optical low-pass filter of a mosaic sensor splits a point in four, one pixel apart: a pixel sees its corners.
-    corners = np.empty((view.pinhole.height_px + 1, view.pinhole.width_px + 1, 3))
-    with numba.parallel_chunksize(8):
-        _see_corners(setup, subject, corners)
-    return mosaic_of_corners(corners)
-
-
-def mosaic_of_corners(corners: np.ndarray) -> np.ndarray:
-    """Return the RGGB mosaic of a picture of three bands known at the corners of the mosaic's pixels.
-
-    Parameters
-    ----------
-    corners : (height + 1, width + 1, 3) float
-
-    Returns
-    -------
-    (height, width) float64
-    """
-    image = np.empty((corners.shape[0] - 1, corners.shape[1] - 1))
-    for row in (0, 1):
-        for column in (0, 1):
-            band = corners[..., row + column]
-            cells = [band[row + i : image.shape[0] + i : 2, column + j : image.shape[1] + j : 2] for i, j in _CORNERS]
-            image[row::2, column::2] = 0.25 * (cells[0] + cells[1] + cells[2] + cells[3])
+    image = np.empty((view.pinhole.height_px, view.pinhole.width_px))
+    _expose(setup, subject, image)
     return image

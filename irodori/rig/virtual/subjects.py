@@ -14,12 +14,13 @@ from irodori.geometry.frames import flat_incidence_rad, rig_from_camera, rig_fro
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.shapes import on_table
 from irodori.rig.virtual.classroom import room_coefficients, source_spectra
-from irodori.rig.virtual.imaging import View, expose_object, mosaic_of_corners
+from irodori.rig.virtual.imaging import View, expose_object, gather_rows
 from irodori.rig.virtual.samples import Sample
 from irodori.spectra import chart_spectra
 
 _PATCH_FILL = 0.42  # half of a patch's side, as a fraction of the pitch between patches
 _BORDER_REFLECTANCE = 0.03
+_BLOCK_ROWS = 64
 
 
 def in_mosaic(bands: np.ndarray) -> np.ndarray:
@@ -70,10 +71,14 @@ def chart_mosaic(camera: dict, rig: dict, pose: Pose, ideal_from_seen, band_weig
     _names, patches = chart_spectra(camera["chart"]["spectra"])
     spectra = np.concatenate([patches, np.full((1, patches.shape[1]), _BORDER_REFLECTANCE)])
     bands = spectra @ band_weights.T * math.cos(flat_incidence_rad(pose))
-    # The optical low-pass filter: a pixel sees its four corners.
-    y, x = np.indices((pinhole.height_px + 1, pinhole.width_px + 1), sparse=True)
-    corner = np.stack(np.broadcast_arrays(x, y, 1.0), axis=-1) @ np.asarray(ideal_from_seen).T
-    return mosaic_of_corners(bands[_patch_at(corner, camera, rig, pose, pinhole, len(patches))])
+    image = np.empty((pinhole.height_px, pinhole.width_px))
+    for first in range(0, pinhole.height_px, _BLOCK_ROWS):
+        rows = min(_BLOCK_ROWS, pinhole.height_px - first)
+        y = first + 0.5 * (np.arange(2 * rows + 3) - 1.0)
+        x = 0.5 * (np.arange(2 * pinhole.width_px + 3) - 1.0)
+        point = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1) @ np.asarray(ideal_from_seen).T
+        gather_rows(bands[_patch_at(point, camera, rig, pose, pinhole, len(patches))], first, image)
+    return image
 
 
 def _patch_at(mosaic_xy, camera: dict, rig: dict, pose: Pose, pinhole: Pinhole, border: int) -> np.ndarray:
