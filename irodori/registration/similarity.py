@@ -14,7 +14,7 @@ at the new places from the other, and noise does not pull towards half or whole 
   blue samples of a mosaic lie half a mosaic pixel apart, so a map that mixed bands without knowing their places
   would shift the result by some hundredths of a superpixel.
 * Only the places with the largest gradients of each cell are compared; derivatives are those of a quintic B-spline
-  (`irodori.registration_kernels`).
+  (`irodori.registration.kernels`).
 * Residuals are weighted by their spread in each band, which grows with the gradient; outliers (metamers, highlights,
   dust) by Huber's weight squared.
 * The first shift comes from the masked normalised correlation of gradient magnitudes at a coarse level of a pyramid
@@ -30,10 +30,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irodori.registration_fit import Fit, Level, affine_of_level, align, information_of, make_level, search
-from irodori.registration_kernels import spline_power
-from irodori.registration_pyramid import Pyramid
-from irodori.resampling import resample_affine
+from irodori.registration.fit import Fit, Level, affine_of_level, align, information_of, make_level, search
+from irodori.registration.kernels import spline_power
+from irodori.registration.pyramid import Pyramid
+from irodori.registration.resampling import resample_affine
 
 _COARSEST_PX = 160  # longest side at which the search runs
 _SHORTEST_PX = 24  # no level gets a shorter side than this
@@ -276,7 +276,7 @@ def resample(image, valid, registration: Registration) -> tuple[np.ndarray, np.n
     -----
     Keys' cubic with a = -1/2 (IEEE Trans. Acoustics, Speech, Signal Processing 29(6), 1981), the one of its family
     exact for parabolas. Half-way between two pixels its gain is 0.997 at 0.1, 0.949 at 0.2, 0.780 at 0.3, 0.449 at
-    0.4 and 0 at 0.5 cycles per superpixel (`irodori.resampling.frequency_response`); a step overshoots by at most 7 %
+    0.4 and 0 at 0.5 cycles per superpixel (`irodori.registration.resampling.frequency_response`); a step overshoots by at most 7 %
     of its height. A sample with an invalid pixel among its 16 is bilinear of 4, and invalid where one of these is.
     """
     image, valid = np.ascontiguousarray(image, dtype=np.float32), np.ascontiguousarray(valid)
