@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import fft
 
-from irodori import registration_kernels as kernels
+from irodori.registration import kernels as kernels
 from irodori.registration.pyramid import choose, gradient_energy, noise_of
 
 _REACH_PX = 12.0  # of the search, superpixels

@@ -28,7 +28,7 @@ def ideal_from_seen(plate: Registration, width_px: int, height_px: int) -> np.nd
     turn = plate.scale * np.exp(1j * plate.rotation_rad)
     matrix = np.linalg.inv([[turn.real, -turn.imag], [turn.imag, turn.real]])
     centre = np.array([width_px / 2, height_px / 2])
-    return np.column_stack([matrix, centre - matrix @ (centre + [2.0 * plate.dx_px, 2.0 * plate.dy_px])])
+    return np.column_stack([matrix, centre - matrix @ (centre + np.array([2.0 * plate.dx_px, 2.0 * plate.dy_px]))])
 
 
 def see(definitions, pose: Pose, plate: Registration, state: int) -> np.ndarray:
