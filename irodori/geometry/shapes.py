@@ -45,6 +45,11 @@ class Shape:
         """Height of the table's top under the shape when its centre (sphere) or face (plate) is at the origin."""
         return -self.size_mm[0] if self.kind == SPHERE else -PLATE_THICKNESS_MM
 
+    @property
+    def reach_mm(self) -> float:
+        """Largest distance of a point of the shape from its centre, mm."""
+        return self.size_mm[0] if self.kind == SPHERE else math.hypot(*self.size_mm) / 2.0
+
     def texels(self, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
         """Return positions (height, width, 3) in mm and unit normals (height, width, 3) of the texel centres."""
         u = (np.arange(width) + 0.5) / width

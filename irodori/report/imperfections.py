@@ -1,11 +1,12 @@
 """What each imperfection of the virtual rig costs: the chain in small, with one fault at a time.
 
 An object is photographed, ingested, calibrated, rectified, fitted and compressed by the stages themselves, in a folder
-of its own and at half the camera's resolution, once for every set of faults.
+of its own, at half the camera's resolution and in some of its poses, once for every set of faults.
 """
 
 import copy
 import csv
+import math
 import os
 import tempfile
 from collections.abc import Iterator
@@ -15,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from irodori.calibration import calibrate_camera
-from irodori.captures import Shot, write_captures
+from irodori.captures import Shot, expand_poses, write_captures
 from irodori.colour import delta_e_reflectance, summary
 from irodori.compression import compress_reflectance
 from irodori.fitting import FitOptions, fit_brdf
@@ -32,6 +33,7 @@ from irodori.spectra import refractive_index_at
 from irodori.store import Provenance
 
 _MAX_TEXELS = 64
+_MAX_POSES = 9
 _MADE = Provenance("measure_imperfections")
 #: Keys of an imperfection that count in pixels and shrink with the picture.
 _LENGTHS = ("shift_px", "repeat_rms_px")
@@ -77,7 +79,7 @@ class Chain:
     settings: dict
 
     def halved(self) -> "Chain":
-        """Return the same at half the camera's resolution, with no more than 64 texels a side."""
+        """Return the same at half the camera's resolution, with no more than 64 texels a side and some 9 poses."""
         camera, rig, definition = (copy.deepcopy(block) for block in (self.camera, self.rig, self.definition))
         optics, chart = camera["optics"], camera["chart"]
         # Superpixels are whole: sides stay even.
@@ -89,6 +91,9 @@ class Chain:
         plate = rig["virtual"]["imperfections"]["filter_plate"]
         plate.update({key: (np.asarray(plate[key]) / 2.0).tolist() for key in _LENGTHS})
         definition["texels"] = {side: min(size, _MAX_TEXELS) for side, size in definition["texels"].items()}
+        poses = expand_poses(definition["poses"])
+        thinned = poses[:: math.ceil(len(poses) / _MAX_POSES)]
+        definition["poses"] = [{name: [angle] for name, angle in vars(pose).items()} for pose in thinned]
         return Chain(self.name, definition, camera, rig, self.settings)
 
     def variants(self) -> Iterator[tuple[str, "Chain"]]:

@@ -36,14 +36,11 @@ def _surface(kind, rotation, world):
     return ox, oy, oz, world[0] * inverse, world[1] * inverse, world[2] * inverse
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _response(out, sample, material, setup, normal, view):
-    """Fill the responses of one point in the state's three bands."""
+@numba.njit(cache=True, inline="always", error_model="numpy")
+def _response(out, sample, material, setup, normal, view, ci):
+    """Fill the responses of one point, lit at the cosine `ci` and seen from its front, in the state's three bands."""
     light = setup.to_light
-    ci = normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2]
     cr = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
-    if ci <= 0.0 or cr <= 0.0:
-        return
     hx, hy, hz = light[0] + view[0], light[1] + view[1], light[2] + view[2]
     length = math.sqrt(hx * hx + hy * hy + hz * hz)
     cos_phi = min((hx * normal[0] + hy * normal[1] + hz * normal[2]) / length, 1.0)
@@ -77,6 +74,7 @@ class _Setup(NamedTuple):
     to_light: np.ndarray  # (3,)
     rotation: np.ndarray  # (3, 3) rig_from_object
     lamp_cosine: float
+    reach_mm: float  # of the sample from the origin
 
 
 class _Subject(NamedTuple):
@@ -107,40 +105,66 @@ def _aim(setup, x, y, direction):
         direction[a] = (axes[a, 0] * px + axes[a, 1] * py + axes[a, 2]) * scale
 
 
-@numba.njit(cache=True)
-def _see(setup, sample, ray, direction, world, normal, view, out):
-    """Fill what one ray from the camera sees of the sample in three bands; 0 where it sees none or a shadow."""
-    out[:] = 0.0
+@numba.njit(cache=True, inline="always")
+def _may_hit(setup, direction):
+    """Whether a ray from the camera meets the sphere about the sample; most of a picture does not."""
+    eye = setup.camera_mm
+    along = eye[0] * direction[0] + eye[1] * direction[1] + eye[2] * direction[2]
+    return eye[0] ** 2 + eye[1] ** 2 + eye[2] ** 2 - along**2 <= setup.reach_mm**2
+
+
+@numba.njit(cache=True, inline="always")
+def _is_seen(setup, sample, ray, direction, world, normal, view):
+    """Whether a ray from the camera sees the front of the sample; fills its point, its normal and the way back."""
     trace(setup.intersect, setup.scene, ray, setup.camera_mm, direction, np.inf)
-    if hit_shape(ray) != 0:
-        return
+    seen = hit_shape(ray) == 0
+    if seen:
+        for a in range(3):
+            world[a] = setup.camera_mm[a] + hit_distance(ray) * direction[a]
+            view[a] = -direction[a]
+        _u, _v, _w, normal[0], normal[1], normal[2] = _surface(sample.kind, setup.rotation, world)
+        seen = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2] > 0.0
+    return seen
+
+
+@numba.njit(cache=True, inline="always")
+def _is_lit(setup, ray, origin, world, normal):
+    """Whether nothing stands between a point and the light."""
     for a in range(3):
-        world[a] = setup.camera_mm[a] + hit_distance(ray) * direction[a]
-        view[a] = -direction[a]
-    ox, oy, oz, normal[0], normal[1], normal[2] = _surface(sample.kind, setup.rotation, world)
-    for a in range(3):
-        world[a] += _OFFSET_MM * normal[a]
-    trace(setup.occluded, setup.scene, ray, world, setup.to_light, np.inf)
-    if is_blocked(ray):
-        return
-    u, v = uv_from_point(sample.kind, sample.size_mm[0], sample.size_mm[1], ox, oy, oz)
+        origin[a] = world[a] + _OFFSET_MM * normal[a]
+    trace(setup.occluded, setup.scene, ray, origin, setup.to_light, np.inf)
+    return not is_blocked(ray)
+
+
+@numba.njit(cache=True, inline="always")
+def _material_at(setup, sample, world):
+    """Return the material of a point of the surface."""
+    x, y, z, _nx, _ny, _nz = _surface(sample.kind, setup.rotation, world)
+    u, v = uv_from_point(sample.kind, sample.size_mm[0], sample.size_mm[1], x, y, z)
     column = min(max(int(u * sample.checks[0]), 0), sample.checks[0] - 1)
     row = min(max(int(v * sample.checks[1]), 0), sample.checks[1] - 1)
-    _response(out, sample, (row * sample.checks[0] + column) % sample.beta.size, setup, normal, view)
+    return (row * sample.checks[0] + column) % sample.beta.size
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _expose_block(setup, sample, block, image):
     """Fill a block of rows: look at points half a pixel apart, then let each pixel gather its own."""
     first = block * _BLOCK_ROWS
     rows = min(_BLOCK_ROWS, image.shape[0] - first)
     points = np.empty((2 * rows + 3, 2 * image.shape[1] + 3, 3))
     ray = new_ray()
-    direction, world, normal, view = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    direction, origin = np.empty(3), np.empty(3)
+    world, normal, view = np.empty(3), np.empty(3), np.empty(3)
     for i in range(points.shape[0]):
         for j in range(points.shape[1]):
             _aim(setup, 0.5 * (j - 1), first + 0.5 * (i - 1), direction)
-            _see(setup, sample, ray, direction, world, normal, view, points[i, j])
+            out = points[i, j]
+            out[:] = 0.0
+            if _may_hit(setup, direction) and _is_seen(setup, sample, ray, direction, world, normal, view):
+                light = setup.to_light
+                ci = normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2]
+                if ci > 0.0 and _is_lit(setup, ray, origin, world, normal):
+                    _response(out, sample, _material_at(setup, sample, world), setup, normal, view, ci)
     gather_rows(points, first, image)
 
 
@@ -231,6 +255,7 @@ def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) 
         to_light=np.asarray(view.to_light, dtype=np.float64),
         rotation=np.ascontiguousarray(view.rotation),
         lamp_cosine=math.cos(view.lamp_radius_rad),
+        reach_mm=1.001 * sample.shape.reach_mm,
     )
     subject = _Subject(
         kind=sample.shape.kind,
