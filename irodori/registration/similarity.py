@@ -276,7 +276,7 @@ def resample(image, valid, registration: Registration) -> tuple[np.ndarray, np.n
     -----
     Keys' cubic with a = -1/2 (IEEE Trans. Acoustics, Speech, Signal Processing 29(6), 1981), the one of its family
     exact for parabolas. Half-way between two pixels its gain is 0.997 at 0.1, 0.949 at 0.2, 0.780 at 0.3, 0.449 at
-    0.4 and 0 at 0.5 cycles per superpixel (`frequency_response` of `irodori.registration.resampling`); a step overshoots by at most
+    0.4 and 0 at 0.5 cycles per superpixel (`irodori.registration.resampling`); a step overshoots by at most
     7 % of its height. A sample with an invalid pixel among its 16 is bilinear of 4, and invalid where one of these is.
     """
     image, valid = np.ascontiguousarray(image, dtype=np.float32), np.ascontiguousarray(valid)
