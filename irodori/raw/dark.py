@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from irodori.captures import Shot, shot_path
 from irodori.errors import InputError
@@ -91,8 +91,8 @@ def hot_pixels(level_dn: np.ndarray, variance_dn2: np.ndarray | None, freedom: i
     hot = level_dn > median + _HOT_SIGMAS * sigma
     if variance_dn2 is not None:
         sample = variance_dn2.ravel()[:: max(1, variance_dn2.size // _SAMPLES)]
-        typical = max(float(np.median(sample)) / (stats.chi2.median(freedom) / freedom), 1 / 12)
-        hot |= variance_dn2 > typical * stats.chi2.isf(_HOT_CHANCE, freedom) / freedom
+        typical = max(float(np.median(sample)) / (2.0 * special.gammaincinv(freedom / 2.0, 0.5) / freedom), 1 / 12)
+        hot |= variance_dn2 > typical * special.chdtri(freedom, _HOT_CHANCE) / freedom
     return hot
 
 

@@ -78,7 +78,8 @@ rule ingest_raw:
         "results/benchmarks/ingest_raw/{object}_{capture}.tsv"
     conda:
         "../../envs/irodori.yaml"
-    threads: 2
+    # Captures are many: one core each does more of them than both on one.
+    threads: 1
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:

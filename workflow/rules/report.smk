@@ -81,6 +81,8 @@ rule measure_plan:
         "results/logs/measure_plan/all.log",
     benchmark:
         "results/benchmarks/measure_plan/all.tsv"
+    # No stage waits for it, and the loops it shares with them are compiled by then.
+    priority: -10
     conda:
         "../../envs/irodori.yaml"
     threads: 1
@@ -109,6 +111,8 @@ rule measure_imperfections:
         "results/logs/measure_imperfections/all.log",
     benchmark:
         "results/benchmarks/measure_imperfections/all.tsv"
+    # No stage waits for it, and the loops it shares with them are compiled by then.
+    priority: -10
     conda:
         "../../envs/irodori.yaml"
     threads: 1
