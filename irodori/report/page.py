@@ -172,9 +172,9 @@ def _imperfections_section(rows: list[CostRow]) -> str:
     ]  # fmt: skip
     header = ["faults of the rig", "light", "mean", "p95", "max", "cost of the mean", "β", "μ", "gloss known"]
     return (
-        "<h2>What the rig's imperfections cost</h2><p>The chain in small, at half the camera's resolution and in some of "
-        "the poses: CIEDE2000 of the recovered reflectance away from seams, and medians of the relative errors of β and μ.</p>"
-        + table(header, lines)
+        "<h2>What the rig's imperfections cost</h2><p>The chain in small, at half the camera's resolution and in some "
+        "of the poses: CIEDE2000 of the recovered reflectance away from seams, and medians of the relative errors of "
+        "β and μ.</p>" + table(header, lines)
     )
 
 

@@ -54,7 +54,7 @@ rule ingest_reference:
         "results/benchmarks/ingest_reference/{camera}.tsv"
     conda:
         "../../envs/irodori.yaml"
-    threads: 2
+    threads: 1
     resources:
         mem_mb=lambda wildcards, attempt: 2500 * attempt,
     params:
