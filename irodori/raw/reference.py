@@ -111,21 +111,12 @@ def ingest_reference(
     standard errors; ``/linearity`` (n, 2) relative exposure and deviation; ``/registration`` (4). Attributes of the
     noise are NaN where it is not measurable.
     """
-    shots = read_captures(table, folder)
-    shots = [s for s in shots if s.role in ("dark", "white", "chart")]
-    decoded = {}
-    settled = []
-    for shot in track(shots, "reference"):
-        mosaic = decode(shot_path(shot, table, folder))
-        decoded[shot.file] = mosaic.size
-        settled.append(settle(shot, mosaic, table))
-    shots = settle_set(settled, table)
+    shots, size = _settled_shots(table, folder)
     whites = [s for s in shots if s.role == "white"]
     dark = measure_dark(shots, table, folder)
     hot_px = np.zeros((0, 2), np.int32) if dark is None else dark.hot_px
     noise = measure_noise(shots, table, folder, hot_px)
     linearity = measure_linearity(shots, table, folder, dark, options.max_nonlinearity)
-    size = next((decoded[s.file] for s in shots if s.role in ("dark", "white")), (0, 0))
     partial = Reference(dark, {}, noise, size, known_settings(shots), None)
     white = {
         state: _white(partial, [s for s in whites if s.filter == state], table, folder, white_reflectance, options)
@@ -149,6 +140,17 @@ def ingest_reference(
         out.attribute("filters", filter_states(whites))
         out.attribute("size_px", list(size))
         out.attribute("known", partial.known)
+
+
+def _settled_shots(table, folder) -> tuple[list[Shot], tuple[int, int]]:
+    """Return a camera's shots with what their files know, and the size of its dark frames or white references, px."""
+    settled, size = [], (0, 0)
+    for shot in track([s for s in read_captures(table, folder) if s.role in ("dark", "white", "chart")], "reference"):
+        mosaic = decode(shot_path(shot, table, folder))
+        settled.append(settle(shot, mosaic, table))
+        if size == (0, 0) and shot.role in ("dark", "white"):
+            size = mosaic.size
+    return settle_set(settled, table), size
 
 
 def _write_dark(out: store.Writer, dark: Dark | None) -> None:

@@ -14,8 +14,9 @@ from irodori.mosaic import decode
 from irodori.rig.devices import Camera
 from irodori.rig.journal import Journal
 from irodori.rig.operator import AutoOperator
+from irodori.rig.plan import object_shots
 from irodori.rig.session import Session, take_stock
-from irodori.rig.stage import Target
+from irodori.rig.stage import Target, capture_object
 from irodori.rig.virtual.dng import write_dng
 from irodori.store import Provenance
 
@@ -107,3 +108,10 @@ def assert_whole(folder: Path, planned: list[Shot]) -> None:
         assert abs(decode(folder / shot.file).exposure_s / shot.exposure_s - 1) < 1e-3
     left = [name for name in contents(folder) if "part" in name]
     assert not left, left
+
+
+def capture(folder: Path, motion: bool = False, **changes) -> list[Shot]:
+    """Photograph the plate into a folder, or go on with it, and return the plan in its order."""
+    definition, aim = target(folder, motion, **changes)
+    capture_object(definition, aim, folder / "session.json", MADE)
+    return aim.ordered(object_shots(definition, aim.camera, ".dng"))

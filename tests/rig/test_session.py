@@ -1,8 +1,7 @@
-"""A session: killed, stopped, with a camera or a rig at fault, with a person in it; nothing is lost or doubled."""
+"""A session: stopped, with a camera or a rig at fault, with a person in it; nothing is lost or doubled."""
 
 import json
 import os
-import random
 import re
 import signal
 import subprocess
@@ -13,12 +12,12 @@ from pathlib import Path
 
 import pytest
 import yaml
-from killable import Killable
 from sessions import (
     MADE,
     ROOT,
     QuickCamera,
     assert_whole,
+    capture,
     contents,
     definitions,
     hold,
@@ -38,13 +37,6 @@ from irodori.rig.session import Session, take_stock
 from irodori.rig.stage import Target, capture_camera, capture_environment, capture_object, photograph
 
 # ---- what a session leaves
-
-
-def capture(folder: Path, motion: bool = False, **changes) -> list[Shot]:
-    """Photograph the plate into a folder, or go on with it, and return the plan in its order."""
-    definition, aim = target(folder, motion, **changes)
-    capture_object(definition, aim, folder / "session.json", MADE)
-    return aim.ordered(object_shots(definition, aim.camera, ".dng"))
 
 
 def test_a_session_photographs_all_and_a_second_one_nothing(tmp_path, monkeypatch):
@@ -368,59 +360,6 @@ def test_an_interrupted_session_leaves_the_rig_stopped_and_the_table_whole(tmp_p
     assert not [name for name in contents(tmp_path) if "part" in name]
     taken = (tmp_path / "captures.csv").read_text().splitlines()[1:]
     assert len(taken) == len(list(tmp_path.glob("*.dng"))) == 2
-
-
-# ---- killed at any moment
-
-
-def kill_and_continue(tmp_path: Path, sessions: Killable, kills: int, seed: int) -> set[int]:
-    """Kill sessions at random moments, let each end, compare it; return how many photographs stood at each kill."""
-    for name in ("compiling", "whole", "again"):
-        (tmp_path / name).mkdir()
-        whole_s = sessions.run(tmp_path / name)
-    expected = contents(tmp_path / "whole")
-    definition, aim = target(tmp_path / "whole", sessions.motion)
-    planned = aim.ordered(object_shots(definition, aim.camera, ".dng"))
-    assert_whole(tmp_path / "whole", planned)
-    assert contents(tmp_path / "again") == expected
-    rng, stood = random.Random(seed), set()
-    for number in range(kills):
-        folder = tmp_path / f"{number}"
-        folder.mkdir()
-        # One moment in each part of the run, so that they spread over the whole of it.
-        sessions.run(folder, whole_s * (number + rng.random()) / kills)
-        stood.add(len(list(folder.glob("*.dng"))))
-        capture(folder, sessions.motion)
-        assert contents(folder) == expected, f"kill {number}"
-        assert_whole(folder, planned)
-    return stood
-
-
-def test_a_session_killed_at_twenty_random_moments_loses_nothing_and_doubles_nothing(tmp_path):
-    with Killable(motion=False, slow_s=0.01) as sessions:
-        stood = kill_and_continue(tmp_path, sessions, kills=20, seed=1)
-    assert len(stood) > 4, "the kills fell between different photographs"
-
-
-@pytest.mark.heavy
-def test_a_session_of_a_moving_rig_killed_at_twenty_random_moments_loses_nothing_and_doubles_nothing(tmp_path):
-    with Killable(motion=True, slow_s=0.01) as sessions:
-        stood = kill_and_continue(tmp_path, sessions, kills=20, seed=2)
-    assert len(stood) > 4, "the kills fell between different photographs"
-
-
-def test_one_session_killed_again_and_again_ends_the_same(tmp_path):
-    """Each continuation is killed in its turn, before it has gone far."""
-    rng = random.Random(3)
-    with Killable(motion=False, slow_s=0.01) as sessions:
-        for name in ("compiling", "whole", "killed"):
-            (tmp_path / name).mkdir()
-        sessions.run(tmp_path / "compiling")
-        whole_s = sessions.run(tmp_path / "whole")
-        for _ in range(8):
-            sessions.run(tmp_path / "killed", rng.uniform(0.1, 0.4) * whole_s)
-        sessions.run(tmp_path / "killed")
-    assert contents(tmp_path / "killed") == contents(tmp_path / "whole")
 
 
 def test_a_session_outside_the_main_thread_leaves_signals_alone(tmp_path):

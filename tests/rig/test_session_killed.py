@@ -1,0 +1,60 @@
+"""A session killed at any moment, and continued: nothing is lost or doubled, and every byte is that of a quiet one."""
+
+import random
+from pathlib import Path
+
+import pytest
+from killable import Killable
+from sessions import assert_whole, capture, contents, target
+
+from irodori.rig.plan import object_shots
+
+
+def kill_and_continue(tmp_path: Path, sessions: Killable, kills: int, seed: int) -> set[int]:
+    """Kill sessions at random moments, let each end, compare it; return how many photographs stood at each kill."""
+    for name in ("compiling", "whole", "again"):
+        (tmp_path / name).mkdir()
+        whole_s = sessions.run(tmp_path / name)
+    expected = contents(tmp_path / "whole")
+    definition, aim = target(tmp_path / "whole", sessions.motion)
+    planned = aim.ordered(object_shots(definition, aim.camera, ".dng"))
+    assert_whole(tmp_path / "whole", planned)
+    assert contents(tmp_path / "again") == expected
+    rng, stood = random.Random(seed), set()
+    for number in range(kills):
+        folder = tmp_path / f"{number}"
+        folder.mkdir()
+        # One moment in each part of the run, so that they spread over the whole of it.
+        sessions.run(folder, whole_s * (number + rng.random()) / kills)
+        stood.add(len(list(folder.glob("*.dng"))))
+        capture(folder, sessions.motion)
+        assert contents(folder) == expected, f"kill {number}"
+        assert_whole(folder, planned)
+    return stood
+
+
+def test_a_session_killed_at_twenty_random_moments_loses_nothing_and_doubles_nothing(tmp_path):
+    with Killable(motion=False, slow_s=0.01) as sessions:
+        stood = kill_and_continue(tmp_path, sessions, kills=20, seed=1)
+    assert len(stood) > 4, "the kills fell between different photographs"
+
+
+@pytest.mark.heavy
+def test_a_session_of_a_moving_rig_killed_at_twenty_random_moments_loses_nothing_and_doubles_nothing(tmp_path):
+    with Killable(motion=True, slow_s=0.01) as sessions:
+        stood = kill_and_continue(tmp_path, sessions, kills=20, seed=2)
+    assert len(stood) > 4, "the kills fell between different photographs"
+
+
+def test_one_session_killed_again_and_again_ends_the_same(tmp_path):
+    """Each continuation is killed in its turn, before it has gone far."""
+    rng = random.Random(3)
+    with Killable(motion=False, slow_s=0.01) as sessions:
+        for name in ("compiling", "whole", "killed"):
+            (tmp_path / name).mkdir()
+        sessions.run(tmp_path / "compiling")
+        whole_s = sessions.run(tmp_path / "whole")
+        for _ in range(8):
+            sessions.run(tmp_path / "killed", rng.uniform(0.1, 0.4) * whole_s)
+        sessions.run(tmp_path / "killed")
+    assert contents(tmp_path / "killed") == contents(tmp_path / "whole")
