@@ -234,7 +234,11 @@ def _noise_model(bracket: Bracket, white, shares: np.ndarray, options: IngestOpt
 
     An exposure counts where it gave at least half of a band's samples; the shortest always does.
     """
-    if white is None or not np.isfinite(bracket.electrons_per_dn).all() or not np.isfinite(bracket.read_dn2).all():
+    unknown = (
+        white is None or not np.isfinite(bracket.electrons_per_dn).all() or not np.isfinite(bracket.read_dn2).all()
+    )
+    # Interpolation averages neighbours by a rule of its own: its noise is not that of a sample.
+    if unknown or options.sample_px == 1:
         return np.full((3, 2), np.nan)
     merged = shares >= _MERGED_SHARE
     merged[:, 0] = True
@@ -243,5 +247,5 @@ def _noise_model(bracket: Bracket, white, shares: np.ndarray, options: IngestOpt
     read = np.sum(dn_per_response**2 / bracket.read_dn2, axis=1)
     shot = np.sum(dn_per_response * bracket.electrons_per_dn, axis=1)
     # Green is the mean of two mosaic pixels in a superpixel.
-    samples = np.array([1.0, 2.0, 1.0]) if options.sample_px == 2 else np.ones(3)
+    samples = np.array([1.0, 2.0, 1.0])
     return np.stack([1.0 / read / samples, 1.0 / shot / samples], axis=-1)

@@ -9,7 +9,7 @@ from irodori.errors import InputError
 from irodori.mosaic import Mosaic, decode
 from irodori.progress import LOGGER, track
 from irodori.raw.dark import Dark
-from irodori.raw.settings import relative_exposure_s
+from irodori.raw.settings import iso_ratio, relative_exposure_s
 
 _MAX_LEVEL = 0.9  # of the range to saturation, in the longest exposure that counts
 _MIN_LEVEL = 0.005  # of the range: below, black level and stray light rule
@@ -83,7 +83,11 @@ def _plane_rates(series: list[Shot], table, folder, dark: Dark | None) -> np.nda
     for at in track(ordered, "linearity"):
         shot = series[at]
         mosaic = decode(shot_path(shot, table, folder))
-        signal = mosaic.values if dark is None else mosaic.values - dark.signal_dn(shot.exposure_s)
+        signal = (
+            mosaic.values
+            if dark is None
+            else mosaic.values - dark.signal_dn(shot.exposure_s * iso_ratio(shot, dark.iso))
+        )
         for row, column, band in mosaic.places():
             place = (slice(row, None, 2), slice(column, None, 2))
             if (row, column) not in good:

@@ -188,8 +188,8 @@ def _target(options) -> tuple[Target, dict | None]:
         found = f"a rig of kind {rig['kind']}, whose photographs somebody else takes"
         raise InputError(f"config/{kind}/{options.name}.yaml", "rig", found, "a rig of kind driven or virtual")
     captures = definition.get("captures")
-    folder = Path("results", *(["cameras"] if options.camera else []), options.name, "captures")
-    table = captures["table"] if captures else folder / "captures.csv"
+    # What is computed at the bench, for practice, stands apart from what the workflow has computed.
+    table = captures["table"] if captures else Path("results/rig/bench", options.name, "captures.csv")
     target = Target(options.name, camera, rig, camera["rig"], table, (captures or {}).get("folder"))
     return target, None if options.camera else definition
 
@@ -220,6 +220,10 @@ def _capture(options) -> None:
     made = Provenance("bench", config_hash(described), code_hash("irodori.rig.stage"))
     # Not the workflow's record: it would take photographs for whole that another definition asked for.
     record = Path(target.table).with_suffix(".json")
+    if not target.is_virtual:
+        # The workflow looks at the photographs again: its own record says nothing of what is taken now.
+        folder = Path("results", *(["cameras"] if options.camera else []), options.name, "captures")
+        (folder / "session.json").unlink(missing_ok=True)
     if definition is None:
         capture_camera(target, record, made)
     else:

@@ -132,7 +132,8 @@ class Journal:
     Raises
     ------
     InputError
-        If the table exists and is no capture table.
+        If the table exists and is no capture table, or if not one of its photographs is there (a disk that is not
+        mounted, a folder that was moved).
     StorageError
     """
 
@@ -165,6 +166,9 @@ class Journal:
         if not listed:
             return
         digests = {row["file"]: row["sha256"] for row in listed}
+        if len(digests) > 1 and not any((self.folder / file).exists() for file in digests):
+            found = f"none of the {len(digests)} photographs of {self.table}"
+            raise InputError(self.folder, "", found, "the folder of its RAW files; to begin anew, remove the table")
         for shot in track(read_captures(self.table), f"{self.table}: looking at the files"):
             if self._is_whole(shot, digests[shot.file]):
                 self.shots[shot.file], self.sha256[shot.file] = shot, digests[shot.file]
@@ -181,11 +185,12 @@ class Journal:
         found = file_sha256(path)
         if found != digest:
             # Left under its name, it would be taken for a photograph whose line a crash has cost.
-            aside = self._set_aside(shot.file, "changed", found)
+            aside = self.set_aside(shot.file, "changed", found)
             LOGGER.warning("%s has changed on the disk; it is kept as %s and taken again", path, aside)
         return found == digest
 
-    def _set_aside(self, file: str, why: str, sha256: str) -> str:
+    def set_aside(self, file: str, why: str, sha256: str) -> str:
+        """Rename a file so that it passes for no photograph of a plan, and return its new name."""
         aside = _aside(file, why, sha256)
         with storing(self.folder / aside):
             os.replace(self.folder / file, self.folder / aside)
@@ -227,7 +232,7 @@ class Journal:
         # Listed first: a crash before the rename finds them in the table, one after it misses only the file there.
         _write_table(self.retired, rows.values())
         for file, digest in renamed:
-            self._set_aside(file, "retired", digest)
+            self.set_aside(file, "retired", digest)
         for shot in retired:
             del self.shots[shot.file], self.sha256[shot.file]
         self._rewrite()
@@ -248,7 +253,7 @@ class Journal:
                 name = _aside(shot.file, "retired", digest)
                 rows[name] = [name, *rows[shot.file][1:]]
                 _write_table(self.retired, rows.values())
-                self._set_aside(shot.file, "retired", digest)
+                self.set_aside(shot.file, "retired", digest)
                 return None
         return path
 

@@ -58,7 +58,7 @@ def environment_shots(definition: dict, camera: dict, suffix: str) -> list[Shot]
 def camera_shots(camera: dict, suffix: str) -> list[Shot]:
     """Return the photographs that calibrate a camera: dark frames, white references, the chart.
 
-    Dark frames are taken at every exposure time of the others, the white reference ``white_frames`` times at each
+    Dark frames are taken at every exposure time of ``exposure_s``, the white reference ``white_frames`` times at each
     exposure time, with the filter out also at those of ``linearity_exposure_s``.
     """
     settings, exposure_s = _settings(camera), camera["exposure_s"]

@@ -21,8 +21,8 @@ from irodori.rig.operator import HandSettings, Operator
 from irodori.rig.placing import hand_settings, motor_targets
 
 _TRIES = 3
-#: Cameras round the exposure times that they write into their files.
-_EXPOSURE_TOLERANCE = 0.05
+#: Cameras round what they write into their files.
+_TOLERANCE = 0.05
 _TEMPORARY = ".part-"
 #: What a session that was killed leaves: its own temporary file, and that of the camera or of the DNG writer.
 _LEFT_OVER = (f"{_TEMPORARY}*", f".{_TEMPORARY}*.part")
@@ -143,7 +143,7 @@ def take_stock(journal: Journal, planned: Sequence[Shot]) -> Tally:
     """Find out what of a plan is there: nothing that a session left is lost, and nothing of another plan is kept.
 
     Leftovers of a session that was killed are removed. A photograph that has its name but no line is noted once it is
-    verified (the line was lost in a crash); a broken one is taken again.
+    verified (the line was lost in a crash); a broken one is set aside and taken again.
 
     Raises
     ------
@@ -163,7 +163,8 @@ def take_stock(journal: Journal, planned: Sequence[Shot]) -> Tally:
         try:
             verify(path, shot)
         except InputError as error:
-            LOGGER.warning("%s It is taken again.", error)
+            aside = journal.set_aside(shot.file, "broken", file_sha256(path))
+            LOGGER.warning("%s It is kept as %s and taken again.", error, aside)
             continue
         with storing(path):
             _sync(path)
@@ -174,15 +175,17 @@ def take_stock(journal: Journal, planned: Sequence[Shot]) -> Tally:
 
 
 def verify(path: Path, shot: Shot) -> None:
-    """Decode a photograph and compare its own exposure time with what was asked for.
+    """Decode a photograph and compare its own exposure time, sensitivity and aperture with what was asked for.
 
     Raises
     ------
     InputError
     """
-    exposure_s = decode(path).exposure_s
-    if exposure_s > 0 and abs(exposure_s / shot.exposure_s - 1) > _EXPOSURE_TOLERANCE:
-        raise InputError(path, "exposure time", f"{exposure_s:g} s", f"{shot.exposure_s:g} s, as the camera was told")
+    mosaic = decode(path)
+    for name, what, unit in (("exposure_s", "exposure time", " s"), ("iso", "ISO", ""), ("f_number", "f-number", "")):
+        found, told = getattr(mosaic, name), getattr(shot, name)
+        if found and told and abs(found / told - 1) > _TOLERANCE:
+            raise InputError(path, what, f"{found:g}{unit}", f"{told:g}{unit}, as the camera was told")
 
 
 def _sync(path: Path) -> None:

@@ -215,12 +215,12 @@ def test_capture_resumes_with_what_is_missing(capsys, monkeypatch):
     _, err = run(capsys, "capture", "tile-plate")
     assert any("5 of 8 photographs to take" in line for line in err)
     assert any("taken 5, kept 3" in line for line in err)
-    folder = Path("results/tile-plate/captures")
+    folder = Path("results/rig/bench/tile-plate")
     assert_whole(folder, read_captures(folder / "captures.csv"))
 
 
 def test_capture_says_that_another_session_is_at_work(capsys):
-    folder = Path("results/tile-plate/captures")
+    folder = Path("results/rig/bench/tile-plate")
     with stage.claimed(folder / "captures.csv", folder, "object tile-plate"):
         _, err = run(capsys, "capture", "tile-plate", code=1)
     assert "another session is at work there" in err[-1]

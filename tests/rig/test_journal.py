@@ -145,11 +145,23 @@ def test_a_broken_file_without_a_line_is_taken_again(done, damage):
     before = contents(done)
     table, path = done / "captures.csv", done / PLAN[3].file
     table.write_text("".join(table.read_text().splitlines(keepends=True)[:4]))
-    path.write_bytes(damage(path.read_bytes()))
+    broken = damage(path.read_bytes())
+    path.write_bytes(broken)
     camera = QuickCamera()
     tally = hold(done, PLAN, camera)
     assert camera.taken == [PLAN[3].file] and (tally.adopted, tally.taken) == (0, 1)
-    assert contents(done) == before
+    after = contents(done)
+    # A file is never written over: what could not be vouched for is kept beside the new one.
+    aside = [name for name in after if "-broken-" in name]
+    assert [after.pop(name) for name in aside] == [broken] and after == before
+
+
+def test_a_folder_without_one_photograph_of_the_table_is_refused_and_the_table_kept(done, tmp_path):
+    table = done / "captures.csv"
+    before = table.read_bytes()
+    with pytest.raises(InputError, match=f"none of the {len(PLAN)} photographs"):
+        Journal(table, tmp_path / "not-mounted")
+    assert table.read_bytes() == before
 
 
 def test_a_file_without_a_line_and_of_another_exposure_is_taken_again(tmp_path):

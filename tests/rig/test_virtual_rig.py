@@ -21,6 +21,7 @@ from irodori.rig.virtual.faults import Faults
 from irodori.rig.virtual.samples import Sample
 from irodori.rig.virtual.sensor import band_weights
 from irodori.rig.virtual.subjects import object_mosaic
+from irodori.rig.virtual.truth import true_material
 from irodori.spectra import spectrum
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -249,3 +250,31 @@ def test_the_room_has_windows_lamps_and_floor_where_they_should_be(definitions):
     coefficients = room_coefficients(room, 100, 50)
     # Each pixel's sources are shares of one: shading alone makes them less.
     assert (coefficients.sum(axis=-1) <= 1 + 1e-6).all() and (coefficients >= 0).all()
+
+
+def test_stray_light_keeps_the_colour_of_the_picture(definitions):
+    rig = copy.deepcopy(definitions["rigs"]["virtual"])
+    for name in NO_FAULTS:
+        rig["virtual"]["imperfections"][name]["enabled"] = name == "stray_light"
+    picture = np.zeros((60, 80))
+    picture[0::2, 0::2], picture[1::2, 1::2] = 1.0, 0.1  # red ten times as bright as blue, no green
+    added = faults_of(rig, "stray", 1)[0].through_optics(picture) - picture
+    fraction = rig["virtual"]["imperfections"]["stray_light"]["fraction"]
+    np.testing.assert_allclose(added[0::2, 0::2], fraction * 1.0)
+    np.testing.assert_allclose(added[1::2, 1::2], fraction * 0.1)
+    np.testing.assert_allclose(added[0::2, 1::2], 0.0)
+
+
+def test_a_measured_material_has_the_reflectance_of_its_table(definitions, tmp_path):
+    nm = list(range(400, 701, 20))
+    head = ",".join(["theta_i_rad", "phi_i_rad", "theta_r_rad", "phi_r_rad", *map(str, nm)])
+    rows = [f"{t},0,{u},{p}" + ",0.2" * len(nm) for t in (0.0, 0.4, 0.8) for u in (0.1, 0.7) for p in (0.0, 3.0)]
+    (tmp_path / "even.csv").write_text("\n".join([head, *rows]) + "\n")
+    definition = copy.deepcopy(definitions["objects"]["tile-plate"])
+    definition["virtual"] = {
+        "pattern": {"kind": "uniform"},
+        "materials": [{"kind": "measured", "file": str(tmp_path / "even.csv")}],
+    }
+    truth = true_material(definition, definitions["cameras"]["d5100-comb"], definitions["rigs"]["virtual"])
+    np.testing.assert_allclose(truth.basis[:, 0], np.pi * 0.2)
+    assert np.isnan(truth.beta).all() and np.isnan(truth.mu).all()

@@ -94,7 +94,12 @@ class Faults:
         loss, stray = self._value("vignetting", "corner_loss"), self._value("stray_light", "fraction")
         y, x = np.ogrid[:height, :width]
         radius2 = ((x + 0.5 - width / 2) ** 2 + (y + 0.5 - height / 2) ** 2) / ((width**2 + height**2) / 4)
-        return response * (1.0 - loss * radius2) + stray * response.mean()
+        seen = response * (1.0 - loss * radius2)
+        # Each place of the mosaic has its own colour: stray light keeps the spectrum of the picture's mean.
+        for row in (0, 1):
+            for column in (0, 1):
+                seen[row::2, column::2] += stray * response[row::2, column::2].mean()
+        return seen
 
     def ideal_from_seen(self, shot: Shot, width_px: int, height_px: int) -> np.ndarray:
         """Return where a picture without the filter's plate shows what is seen through it.

@@ -62,7 +62,10 @@ class Sample:
             columns=pattern["columns"] if checks else 1,
             rows=pattern["rows"] if checks else 1,
             reflectance=np.stack(
-                [spectrum(m["spectrum"]) if "spectrum" in m else np.zeros(SAMPLES) for m in materials]
+                [
+                    spectrum(m["spectrum"]) if "spectrum" in m else _reflectance_factor(tables[files.index(m["file"])])
+                    for m in materials
+                ]
             ),
             model=np.array([MODELS[m["kind"]] for m in materials]),
             beta=np.array([m.get("beta", 0.0) for m in materials], dtype=np.float64),
