@@ -15,7 +15,6 @@ from irodori.raw.options import IngestOptions
 from irodori.raw.settings import iso_ratio, relative_exposure_s, settle
 
 _PEDESTAL = 512  # digital numbers that stand for black in a demosaiced picture
-_CLIPPED = 65_535
 #: How far, in mosaic pixels, an algorithm carries a pixel's value (measured with single outliers on noise). DCB and DHT
 #: choose directions over more than that; hot pixels are replaced before, so that no outlier steers the choice.
 REACH_PX = {"linear": 1, "vng": 2, "ppg": 4, "ahd": 5, "dcb": 5, "dht": 5}
@@ -24,12 +23,16 @@ _MERGED_SHARE = 0.5  # of the samples that an exposure must give to count in the
 
 @dataclass(frozen=True)
 class Frame:
-    """One decoded photograph: its shot with ISO and aperture settled, its mosaic, its demosaiced bands if asked for."""
+    """One decoded photograph: its shot with ISO and aperture settled, its mosaic, its demosaiced bands if asked for.
+
+    ``black`` and ``clip`` are the digital numbers of no light and of the clip level in the demosaiced bands.
+    """
 
     shot: Shot
     mosaic: Mosaic
     bands: np.ndarray | None
-    black: tuple[float, ...]
+    black: tuple[float, ...] = ()
+    clip: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ def load_frames(reference, shots: list[Shot], table, folder, options: IngestOpti
         shot = settle(shot, mosaic, table)
         _check_size(reference, shot, mosaic, path)
         if options.sample_px == 2:
-            return Frame(shot, mosaic, None, ())
+            return Frame(shot, mosaic, None)
         return _demosaiced(reference, shot, mosaic, path, options)
 
     with ThreadPoolExecutor(max(1, min(len(shots), numba.get_num_threads()))) as pool:
@@ -102,7 +105,7 @@ def _dark_seconds(reference, shot: Shot) -> float:
 
 
 def _demosaiced(reference, shot: Shot, mosaic: Mosaic, path, options: IngestOptions) -> Frame:
-    """Return a frame interpolated to full resolution; what clipping reaches is marked by the largest number."""
+    """Return a frame interpolated to full resolution; what clipping reaches stands at the clip level."""
     height, width = mosaic.values.shape
     offset = np.tile(mosaic.black.astype(np.float32), (height // 2, width // 2))
     if reference.dark is not None:
@@ -115,15 +118,17 @@ def _demosaiced(reference, shot: Shot, mosaic: Mosaic, path, options: IngestOpti
     if reference.dark is not None and _is_sensor(reference, shot, mosaic):
         hot_px = reference.dark.hot_px
     bands = demosaic(path, options.demosaic, whole, _PEDESTAL, hot_px)
-    # LibRaw counts in whole numbers: what rounding the offset left is subtracted as the mean of each colour.
-    rest = np.zeros(3)
+    clip = mosaic.black + options.saturation * (mosaic.white - mosaic.black)
+    rest, level = np.zeros(3), np.full(3, np.inf)
     for row, column, band in mosaic.places():
         share = 0.5 if band == 1 else 1.0
-        rest[band] += share * float(np.mean(offset[row::2, column::2] - whole[row::2, column::2], dtype=np.float64))
-    clip = mosaic.black + options.saturation * (mosaic.white - mosaic.black)
+        mean = float(np.mean(offset[row::2, column::2], dtype=np.float64))
+        # LibRaw counts in whole numbers: what rounding the offset left is subtracted as the mean of each colour.
+        rest[band] += share * (mean - float(np.mean(whole[row::2, column::2], dtype=np.float64)))
+        level[band] = min(level[band], np.ceil(_PEDESTAL + clip[row, column] - mean))
     clipped = mosaic.values >= np.tile(clip, (height // 2, width // 2))
-    bands[_reached(clipped, options)] = _CLIPPED
-    return Frame(shot, mosaic, bands, tuple(_PEDESTAL + rest))
+    bands[_reached(clipped, options)] = level.astype(np.uint16)
+    return Frame(shot, mosaic, bands, tuple(_PEDESTAL + rest), tuple(level))
 
 
 def _reached(mask: np.ndarray, options: IngestOptions) -> np.ndarray:
@@ -192,10 +197,12 @@ def _planes(reference, frames: list[Frame], options: IngestOptions, on_sensor: b
         stack = frames[0].bands[None] if len(frames) == 1 else np.stack([f.bands for f in frames])
         # Green stands twice, like its two places in a mosaic, so that the loops are compiled for four places only.
         bands = np.array([0, 1, 1, 2])
-        black = np.ascontiguousarray(np.array([f.black for f in frames]).T[bands])
+        black, clip = (
+            np.ascontiguousarray(np.array([getattr(f, n) for f in frames]).T[bands]) for n in ("black", "clip")
+        )
         absent = (ABSENT,) * 4
         samples = tuple(stack[..., band] for band in bands)
-        return Planes(samples, bands, black, np.full_like(black, _CLIPPED), absent, absent, (0.0, 0.0))
+        return Planes(samples, bands, black, clip, absent, absent, (0.0, 0.0))
     places = frames[0].mosaic.places()
     stack = frames[0].mosaic.values[None] if len(frames) == 1 else np.stack([f.mosaic.values for f in frames])
     samples = tuple(stack[:, row::2, column::2] for row, column, _ in places)

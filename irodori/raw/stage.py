@@ -1,5 +1,7 @@
 """The stage: the RAW files of one capture in, linear responses out."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from irodori import store
@@ -55,7 +57,7 @@ def ingest_raw(
     frames = load_frames(camera, shots, table, folder, options)
     settled = settle_set([f.shot for f in frames], table)
     _check_settings(camera, settled, table)
-    frames = [type(f)(shot, f.mosaic, f.bands, f.black) for f, shot in zip(frames, settled, strict=True)]
+    frames = [replace(f, shot=shot) for f, shot in zip(frames, settled, strict=True)]
     height, width = (side // options.sample_px for side in frames[0].mosaic.values.shape)
     response = empty_response(height, width, len(states))
     developed = []

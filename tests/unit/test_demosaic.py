@@ -145,3 +145,18 @@ def test_an_eight_bit_camera_file_is_ingested(tmp_path):
     raw.ingest_raw(table, DATA, "chart", tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE, options)
     with store.open_file(tmp_path / "l.h5") as file:
         assert file.read("response").shape == (488, 424, 3) and file.read("valid").mean() > 0.99
+
+
+@pytest.mark.parametrize("share", [0.93, 0.975, 0.985, 1.0])
+def test_a_bracket_whose_long_exposure_nears_clipping_does_not_lean(tmp_path, share):
+    studio = Studio(tmp_path, seed=85)
+    studio.references(frames=4, darks=8)
+    # At the picture's centre the longer exposure fills this share of the range.
+    truth = np.full((*SIZE, 6), share * SENSOR.response_at_full_well)
+    for state in ("out", "in"):
+        for exposure_s in (0.005, 0.02):
+            studio.shoot("object", truth, state, exposure_s)
+    response, valid, _, _ = studio.ingest(POSE, full("linear"))
+    centre = (slice(SIZE[0] // 2 - 20, SIZE[0] // 2 + 20), slice(SIZE[1] // 2 - 20, SIZE[1] // 2 + 20))
+    assert valid[centre].all()
+    np.testing.assert_allclose(response[centre].mean(axis=(0, 1)) / truth[centre].mean(axis=(0, 1)), 1.0, atol=2e-3)
