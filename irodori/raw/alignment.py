@@ -16,7 +16,6 @@ from irodori.registration import Registration, bayer_offsets_px, register, resam
 
 #: Predicted standard error of a registration, superpixels, above which the picture has too little content for it.
 MAX_SIGMA_PX = 0.1
-_SIGMAS = 2.0
 
 
 @dataclass(frozen=True)
@@ -106,8 +105,9 @@ def align_states(
         If local blocks still find a residual above the limit: something moved between the shots.
     """
     found = _align(fixed, moving, nominal, options.sample_px)
-    # What moved between the shots also makes the fit uncertain: a residual far beyond that is no lack of content.
-    if found.residual_px > max(options.max_registration_px, _SIGMAS * found.sigma_px):
+    # Judged before the content is: what moved between the shots makes the fit uncertain too, and would pass for a lack
+    # of content. Noise does not enter the residual.
+    if found.residual_px > options.max_registration_px:
         text = f"shots of the capture {capture} that differ by {found.residual_px:.2f} superpixels after registration"
         accepted = f"at most {options.max_registration_px:g} superpixels (ingest.max_registration_px); nothing may move"
         raise InputError(file, "capture", text, accepted)

@@ -18,6 +18,7 @@ STAGES_AFTER_FIT = {
     "render_view",
     "measure_errors",
     "measure_plan",
+    "measure_imperfections",
     "write_report",
     "all",
 }
