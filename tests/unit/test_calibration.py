@@ -14,6 +14,7 @@ from irodori.calibration import calibrate, leave_one_out, patch_centres, read_ch
 from irodori.colour import spectral_rmse
 from irodori.errors import InputError
 from irodori.mosaic import decode
+from irodori.recovery import Calibration
 from irodori.spectra import chart_spectra, spectrum
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -250,7 +251,7 @@ def test_stage_writes_the_calibration_and_honest_errors(tmp_path):
     calibration.calibrate_camera(
         linear, definition, "D65", tmp_path / "c.h5", tmp_path / "c.csv", store.Provenance("test")
     )
-    loaded = calibration.Calibration.load(tmp_path / "c.h5")
+    loaded = Calibration.load(tmp_path / "c.h5")
     # The light's angle is not the paint's colour: at normal incidence the same matrix must hold.
     direct = calibrate(picture[5::10, 5::10].reshape(24, 3) / np.cos(np.radians(40)), spectra, 3, spectrum("D65"))
     assert np.allclose(loaded.weights_from_response, direct.weights_from_response, rtol=1e-4)

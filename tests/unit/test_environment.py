@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from irodori import store
-from irodori.calibration import Calibration
 from irodori.colour import xyz_from_radiance
 from irodori.environment import fill_masked, irradiance_map, prepare_environment
 from irodori.errors import InputError
 from irodori.light import Environment, directions
 from irodori.principal import compress, principal_basis
+from irodori.recovery import Calibration
 from irodori.spectra import spectrum
 
 OBSERVERS = {"light": (xyz_from_radiance(spectrum("A")), xyz_from_radiance(spectrum("A")) @ spectrum("A"))}
