@@ -14,8 +14,7 @@ import time
 import numpy as np
 
 from benchmarks.plate_pictures import errors_px, leaves_scene, photograph, random_truth, render
-from irodori import registration
-from irodori.registration import Registration, bayer_offsets_px, register, resample
+from irodori.registration import Registration, bayer_offsets_px, register, resample, similarity
 
 WIDTH, HEIGHT, RUNS = 1944, 1296, 5
 # name -> finest level's pixels, places compared there, elsewhere and in the search, whether the bands' places are given
@@ -45,7 +44,7 @@ def measure(output) -> None:
     """Time all variants on two scenes, resampling included, and write them with their largest error."""
     pairs, rows, reference = [_pair(seed) for seed in range(2)], [], None
     for name, (finest, places, bands) in VARIANTS.items():
-        registration._FINEST_PIXELS, registration._PLACES = finest, places
+        similarity._FINEST_PIXELS, similarity._PLACES = finest, places
         offsets, seconds, worst = bayer_offsets_px("RGGB") if bands else None, [], 0.0
         for run in range(RUNS + 1):
             for pictures, truth in pairs:

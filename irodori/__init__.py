@@ -25,3 +25,5 @@ def _keep_kernels_with_their_source() -> None:
 
 
 _keep_kernels_with_their_source()
+# Threads of a loop that wait for one another give the core to other jobs instead of spinning on it.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")

@@ -41,6 +41,8 @@ _FINEST_PIXELS = 800_000  # the finest level has no more, unless the error asks 
 _PLACES = (60_000, 12_000, 4_000)  # compared at the finest level, at the others, in the search
 _GOOD_PX = 0.02  # a predicted error with which no finer level is tried
 _UNDETERMINED_PX = 1.0
+_NEAR_PX = 1.0  # a fit that goes further than this from its start is not believed without a search
+_SURE_COHERENCE = 0.25  # nor is one of less
 _NOISE_RATIO = 1.5  # information, in its weakest direction, over that which noise alone seems to hold
 _CLUSTERS = 6  # along each side
 _FLOOR_PX = 0.05  # blocks that know better than this count alike in the residual
@@ -129,7 +131,8 @@ def register(
     fixed_valid, moving_valid : (H, W) bool or uint8
         0 where a sample is saturated or hot. Non-finite samples count as invalid.
     start : Registration, optional
-        A guess, tried beside the shifts that the search proposes (which reaches 12 superpixels).
+        A guess. The search (which reaches 12 superpixels) is left out where the fit stays within a superpixel of it
+        and the gradients agree; otherwise the guess is tried beside the shifts that the search proposes.
     band_offsets_px : (3, 2) float, optional
         Where the bands lie in a superpixel, see `bayer_offsets_px`; the colour map then mixes bands.
 
@@ -152,38 +155,76 @@ def register(
     nothing = Registration(0.0, 0.0, 0.0, 1.0, math.nan, math.inf, ((shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0))
     if min(shape) < _SHORTEST_PX // 2:
         return nothing
-    coarsest = math.ceil(math.log2(max(max(shape) / _COARSEST_PX, 1.0)))
-    coarsest = min(coarsest, max(0, int(math.log2(min(shape) / _SHORTEST_PX))) if min(shape) > _SHORTEST_PX else 0)
-    finest = min(coarsest, math.ceil(math.log(max(shape[0] * shape[1] / _FINEST_PIXELS, 1.0), 4.0)))
-    f, m = Pyramid(fixed, fixed_valid), Pyramid(moving, moving_valid)
+    pair = _Pair(Pyramid(fixed, fixed_valid), Pyramid(moving, moving_valid), shape, band_offsets_px)
+    if start is not None:
+        found, coherence = pair.descend(pair.finest, *start.complex_parts(), nothing)
+        if coherence >= _SURE_COHERENCE and pair.distance_px(found, start) <= _NEAR_PX:
+            return found
+    fit = pair.first(start)
+    return nothing if fit is None else pair.descend(pair.coarsest, fit.turn, fit.shift, nothing)[0]
 
-    def level_of(n: int, places: int, local: bool) -> Level:
-        return make_level(f[n], m[n], float(2**n), shape, places, band_offsets_px, local)
 
-    shifts, best = search(f[coarsest], m[coarsest], float(2**coarsest)), nothing
-    fit = _first(level_of(coarsest, _PLACES[2], False), shifts, start)
-    for n in range(coarsest, -1, -1):
-        if fit is None or (n < finest and best.sigma_px <= _GOOD_PX):
-            break
-        level = level_of(n, _PLACES[0 if n <= finest else 1], True)
-        fit = align(level, fit.turn, fit.shift, 8 if n <= finest else 3)
-        if fit is not None and n <= finest and _has_content(fit):
-            found = _report(level, fit)
-            best = found if found.sigma_px <= best.sigma_px else best
-    return best
+@dataclass(frozen=True)
+class _Pair:
+    """Two pyramids that are registered, and the levels at which that happens."""
+
+    fixed: Pyramid
+    moving: Pyramid
+    shape: tuple[int, int]
+    band_offsets_px: np.ndarray | None
+
+    @property
+    def coarsest(self) -> int:
+        """The level of the search."""
+        level, shortest = math.ceil(math.log2(max(max(self.shape) / _COARSEST_PX, 1.0))), min(self.shape)
+        return min(level, max(0, int(math.log2(shortest / _SHORTEST_PX))) if shortest > _SHORTEST_PX else 0)
+
+    @property
+    def finest(self) -> int:
+        """The finest level that is tried unless the error asks for a finer one."""
+        pixels = self.shape[0] * self.shape[1]
+        return min(self.coarsest, math.ceil(math.log(max(pixels / _FINEST_PIXELS, 1.0), 4.0)))
+
+    def level(self, n: int, places: int, local: bool) -> Level:
+        scale = float(2**n)
+        return make_level(self.fixed[n], self.moving[n], scale, self.shape, places, self.band_offsets_px, local)
+
+    def first(self, start: Registration | None) -> Fit | None:
+        """Return the most coherent fit at the coarsest level from all starting points."""
+        n, fits = self.coarsest, []
+        shifts, level = search(self.fixed[n], self.moving[n], float(2**n)), self.level(n, _PLACES[2], False)
+        for turn, shift in [(1.0 + 0.0j, d) for d in shifts] + ([] if start is None else [start.complex_parts()]):
+            fit = align(level, turn, shift, 3, (0, 1))
+            fits.append(fit and align(level, fit.turn, fit.shift, 5))
+        return max((fit for fit in fits if fit is not None), key=lambda fit: fit.coherence, default=None)
+
+    def descend(self, top: int, turn: complex, shift: complex, nothing: Registration) -> tuple[Registration, float]:
+        """Return the best registration from level ``top`` down, and the coherence of its fit."""
+        best, coherence = nothing, 0.0
+        for n in range(top, -1, -1):
+            if n < self.finest and best.sigma_px <= _GOOD_PX:
+                break
+            level = self.level(n, _PLACES[0 if n <= self.finest else 1], True)
+            fit = align(level, turn, shift, 8 if n <= self.finest else 3)
+            if fit is None:
+                break
+            turn, shift = fit.turn, fit.shift
+            if n <= self.finest and _has_content(fit):
+                found = _report(level, fit)
+                if found.sigma_px <= best.sigma_px:
+                    best, coherence = found, fit.coherence
+        return best, coherence
+
+    def distance_px(self, one: Registration, other: Registration) -> float:
+        """Return the largest distance between two maps of this picture's corners, superpixels."""
+        x, y = (self.shape[1] - 1) / 2.0, (self.shape[0] - 1) / 2.0
+        corners = np.array([[-x, -y], [x, -y], [-x, y], [x, y], [0.0, 0.0]])
+        maps = [corners @ map_.affine((0.0, 0.0))[:, :2].T + (map_.dx_px, map_.dy_px) for map_ in (one, other)]
+        return float(np.hypot(*(maps[0] - maps[1]).T).max())
 
 
 def _has_content(fit: Fit) -> bool:
     return fit.coherence > _LEAST_COHERENCE + 4.0 / math.sqrt(fit.places)
-
-
-def _first(level: Level, shifts: list[complex], start: Registration | None) -> Fit | None:
-    """Return the most coherent fit at the coarsest level from all starting points."""
-    fits = []
-    for turn, shift in [(1.0 + 0.0j, d) for d in shifts] + ([] if start is None else [start.complex_parts()]):
-        fit = align(level, turn, shift, 3, (0, 1))
-        fits.append(fit and align(level, fit.turn, fit.shift, 5))
-    return max((fit for fit in fits if fit is not None), key=lambda fit: fit.coherence, default=None)
 
 
 def _report(level: Level, fit: Fit) -> Registration:
