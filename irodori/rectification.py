@@ -17,6 +17,8 @@ from irodori.geometry.shapes import Shape, on_table
 from irodori.progress import track
 
 _OFFSET_MM = 1e-3
+#: Of a sample's noise power, what bilinear interpolation leaves on average over the places between samples.
+_INTERPOLATED = 4.0 / 9.0
 
 
 @dataclass(frozen=True)
@@ -136,6 +138,15 @@ def _observe_file(path, shape: Shape, position, normal, setup: RigSetup):
     return sampled, geometry, visible & lit & good, visible & ~lit & (geometry[:, 0] < np.pi / 2), clips
 
 
+def _noise_models(linear: list) -> np.ndarray:
+    """Return c0 and c1 of the variance c0 + c1 ρ of an interpolated response, (J, bands, 2); NaN where not known."""
+    models = []
+    for path in linear:
+        with store.open_file(path) as file:
+            models.append(_INTERPOLATED * file.read("noise_model"))
+    return np.stack(models)
+
+
 def _common_filters(linear: list) -> list[str]:
     """Return the filter states that all captures share.
 
@@ -182,7 +193,8 @@ def rectify_object(
     Datasets: ``/response`` (texel, J, bands) float32; ``/geometry`` (texel, J, 4) float32, θ_i, θ_r, θ_H, φ in rad;
     ``/weight`` (texel, J) float32, 1 where the texel is seen, lit and validly measured, else 0; ``/shadowed`` (texel,
     J) uint8; ``/clipped`` (texel, J) uint8, 1 where the texel is seen and a sample under it clips in every exposure, so
-    that a highlight can be told from a hot pixel or the picture's edge.
+    that a highlight can be told from a hot pixel or the picture's edge; ``/noise_model`` (J, bands, 2), variance of a
+    response = c0 + c1 * response, NaN where the camera's noise was not measured.
     """
     shape = Shape.from_definition(definition["shape"])
     width = definition["texels"]["width"]
@@ -208,6 +220,8 @@ def rectify_object(
             "clipped": (np.stack(clipped, axis=1), "1", "1 where the picture clips in every exposure"),
         }
         store.write_maps(out, maps, "texel,capture,component")
+        noise = _noise_models(linear)
+        out.write("noise_model", noise, units="1", dims="capture,band,term", quantity="variance c0 + c1 rho")
         out.attribute("rows", list(rows))
         out.attribute("width", width)
         out.attribute("filters", filters)

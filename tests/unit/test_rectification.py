@@ -77,6 +77,8 @@ def linear_file(path, pose, response=None, valid=None, clipped=None, sample_px=2
         out.write("response", response.astype(np.float32), units="1", dims="row,column,band", quantity="response")
         out.write("valid", valid, units="1", dims="row,column", quantity="valid")
         out.write("clipped", clipped, units="1", dims="row,column", quantity="clipped")
+        noise = np.arange(2.0 * response.shape[-1]).reshape(-1, 2) * pose.light_deg
+        out.write("noise_model", noise, units="1", dims="band,term", quantity="noise")
         out.attribute("sample_px", sample_px)
         out.attribute("pose_deg", [pose.light_deg, pose.camera_deg, pose.tilt_deg, pose.turn_deg])
         out.attribute("filters", ["out"])
@@ -240,6 +242,18 @@ def test_tiles_are_bit_identical_to_the_whole(tmp_path, definition):
     whole, parts = tiled(tmp_path, definition)
     for name, values in whole.items():
         assert np.array_equal(parts[name], values), name
+
+
+def test_noise_of_an_interpolated_response_is_carried_along_by_capture_and_band(tmp_path):
+    poses = [Pose(45.0, 0.0), Pose(60.0, 30.0)]
+    rectify(tmp_path, PLATE, poses)
+    with store.open_file(tmp_path / "obs.h5") as file:
+        noise = file.read("noise_model")
+    # Bilinear weights squared, averaged over all places between four samples.
+    left = np.mean([x * x + (1 - x) ** 2 for x in (np.arange(1000) + 0.5) / 1000]) ** 2
+    assert noise.shape == (2, 3, 2)
+    for j, pose in enumerate(poses):
+        assert noise[j] == pytest.approx(np.arange(6.0).reshape(3, 2) * pose.light_deg * left, rel=1e-5)
 
 
 def test_what_clips_is_told_from_what_is_masked_otherwise(tmp_path):
