@@ -56,7 +56,7 @@ def check_spectra(value, path: tuple, root: Path, file) -> None:
     elif isinstance(value, list):
         for index, item in enumerate(value):
             check_spectra(item, (*path, index), root, file)
-    elif kind := _kind(path):
+    elif isinstance(value, str) and (kind := _kind(path)):
         _check_one(kind, value, root, file, dotted(path))
 
 
@@ -76,7 +76,8 @@ def _kind(path: tuple) -> str | None:
         return "light"
     if keys[-1] == "spectrum":
         return "reflectance" if {"materials", "surfaces"} & set(keys) else "light"
-    return {"spectra": "chart", "sensitivities": "sensitivities"}.get(keys[-1])
+    kinds = {"spectra": "chart", "sensitivities": "sensitivities", "reflectance_factor": "reflectance"}
+    return kinds.get(keys[-1])
 
 
 def _check_one(kind: str, value: str, root: Path, file, field: str) -> None:

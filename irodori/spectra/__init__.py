@@ -16,6 +16,7 @@ from irodori.spectra.published import (
     spectrum,
 )
 from irodori.spectra.resampling import resample
+from irodori.spectra.white import white_reflectance
 
 __all__ = [
     "SAMPLES",
@@ -32,4 +33,5 @@ __all__ = [
     "refractive_index_at",
     "resample",
     "spectrum",
+    "white_reflectance",
 ]
