@@ -17,7 +17,7 @@ from irodori.spectra import SAMPLES
 
 #: Directions of H K Hᵀ below this fraction of the largest carry no signal, which matters without noise only.
 _RANK_TOLERANCE = 1e-12
-#: Colours that are compared for each filter: their mean then scatters by about 2 %, alike for all filters.
+#: Colours that are compared for each filter: their mean then scatters by about 1 %, alike for all filters.
 _COLOURS = 5000
 NO_FILTER = "(one shot, no filter)"
 
