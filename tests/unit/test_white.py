@@ -7,9 +7,13 @@ import pytest
 from definitions import CAMERA_FILE, edit, fault, load
 from hypothesis import given
 from hypothesis import strategies as st
+from raw_studio import CAMERA, PROVENANCE, SUPERPIXELS, Studio
 
+from irodori import raw, store
+from irodori.captures import Pose
 from irodori.errors import InputError
-from irodori.spectra import TRAPEZOID_NM, WAVELENGTH_NM, camera_sensitivities, spectrum, white_reflectance
+from irodori.rig.virtual.subjects import white_mosaic
+from irodori.spectra import TRAPEZOID_NM, camera_sensitivities, spectrum, white_reflectance
 
 GRID = range(380, 731, 10)
 WEIGHTS = camera_sensitivities("Nikon 5100 (NPL)") * spectrum("A") * TRAPEZOID_NM
@@ -77,5 +81,25 @@ def test_a_configuration_with_another_white_is_refused(root, value, accepted):
     assert accepted in error.accepted
 
 
-def test_the_grid_of_the_ramp_is_the_grid_of_the_package():
-    assert WAVELENGTH_NM[0] == 400.0 and WAVELENGTH_NM[-1] == 700.0
+def test_the_reference_of_a_camera_takes_the_mean_of_the_tiles_spectrum_and_states_its_spread(tmp_path):
+    studio = Studio(tmp_path, 1)
+    studio.references()
+    table, file = studio.table(), tile(tmp_path, np.linspace(0.80, 0.98, 36))
+    factor, uncertainty = white_reflectance(file)
+    white = []
+    for name, definition in (("file", file), ("number", float(factor))):
+        raw.ingest_reference(table, tmp_path, tmp_path / f"{name}.h5", PROVENANCE, definition, SUPERPIXELS)
+        with store.open_file(tmp_path / f"{name}.h5") as stored:
+            white.append(stored.read("white"))
+            assert stored.attribute("white_factor") == pytest.approx(factor)
+            stated = stored.attribute("white_factor_uncertainty")
+            assert stated == pytest.approx(uncertainty if name == "file" else 0.0)
+    assert np.array_equal(*white)
+
+
+def test_the_virtual_rig_photographs_the_tiles_spectrum(tmp_path):
+    file = tile(tmp_path, np.linspace(0.80, 0.98, 36))
+    pose = Pose(40.0, 0.0)
+    mosaic = white_mosaic(CAMERA | {"white": {"reflectance_factor": file}}, pose, WEIGHTS)
+    expected = WEIGHTS @ spectrum(file) * np.cos(np.radians(40.0))
+    assert sorted(set(mosaic.ravel())) == pytest.approx(sorted(expected))
