@@ -4,18 +4,27 @@ import difflib
 from pathlib import Path
 
 from irodori.errors import InputError
-from irodori.names import CAMERAS, CHART_PATCHES, ILLUMINANTS, TEST_COLOURS
-from irodori.tables import column_table, wide_table
+from irodori.names import (
+    BLACKBODY_K,
+    CAMERAS,
+    CHART_PATCHES,
+    DAYLIGHT_K,
+    ILLUMINANTS,
+    TEST_COLOURS,
+    synthetic_light,
+)
+from irodori.spectral_files import SUFFIXES, check_power, check_reflectance, spectral_table
 from irodori.validation import dotted
 
-_FILE_SUFFIXES = (".csv", ".txt", ".ti3")
-#: Reflectance factors of a table; a little noise under 0 and fluorescence over 1 are real, percent are not.
-_REFLECTANCE = (-0.01, 1.2)
 _BANDS = (("r", "red"), ("g", "green"), ("b", "blue"))
 
 #: Kind of spectrum: the names that are published, and the same in words.
 _PUBLISHED = {
-    "light": (ILLUMINANTS, f"the illuminants {', '.join(ILLUMINANTS)}"),
+    "light": (
+        ILLUMINANTS,
+        f"the illuminants {', '.join(ILLUMINANTS)}, D{DAYLIGHT_K[0]} to D{DAYLIGHT_K[1]} for daylight and "
+        f"P{BLACKBODY_K[0]} to P{BLACKBODY_K[1]} for a blackbody of that many kelvin",
+    ),
     "reflectance": (TEST_COLOURS, f"the test colours {TEST_COLOURS[0]} to {TEST_COLOURS[-1]}"),
     "chart": (tuple(CHART_PATCHES), f"the charts {', '.join(CHART_PATCHES)}"),
     "sensitivities": (CAMERAS, f"the cameras {', '.join(CAMERAS)}"),
@@ -47,14 +56,14 @@ def check_spectra(value, path: tuple, root: Path, file) -> None:
     elif isinstance(value, list):
         for index, item in enumerate(value):
             check_spectra(item, (*path, index), root, file)
-    elif kind := _kind(path):
+    elif isinstance(value, str) and (kind := _kind(path)):
         _check_one(kind, value, root, file, dotted(path))
 
 
 def check_chart(chart: dict, root: Path, file) -> None:
     """Refuse a chart whose rows and columns do not hold as many patches as its spectra."""
     name, patches = chart["spectra"], chart["rows"] * chart["columns"]
-    count = CHART_PATCHES[name] if name in CHART_PATCHES else len(wide_table(root / name)[0])
+    count = CHART_PATCHES[name] if name in CHART_PATCHES else len(spectral_table(root / name).names)
     if patches != count:
         found = f"{chart['rows']} rows of {chart['columns']} patches, {patches} in all"
         raise InputError(file, "chart.rows", found, f"rows and columns that make {count} patches, as in {name}")
@@ -67,51 +76,41 @@ def _kind(path: tuple) -> str | None:
         return "light"
     if keys[-1] == "spectrum":
         return "reflectance" if {"materials", "surfaces"} & set(keys) else "light"
-    return {"spectra": "chart", "sensitivities": "sensitivities"}.get(keys[-1])
+    kinds = {"spectra": "chart", "sensitivities": "sensitivities", "reflectance_factor": "reflectance"}
+    return kinds.get(keys[-1])
 
 
 def _check_one(kind: str, value: str, root: Path, file, field: str) -> None:
     names, words = _PUBLISHED[kind]
-    if value in names:
+    if value in names or (kind == "light" and synthetic_light(value)):
         return
     table = root / value
     if not table.is_file():
         if _looks_like_a_path(value):
             accepted = f"the path of a file, or a published name ({words})"
             raise InputError(file, field, f"no such file: {value}", accepted)
-        raise InputError(file, field, repr(value), f"{_nearest(value, names)}{words}, or the path of a CSV")
+        raise InputError(file, field, repr(value), f"{_nearest(value, names)}{words}, or the path of a file")
     if not table.suffix:
-        raise InputError(file, field, f"a file without a suffix: {value}", "a file whose name ends in .csv")
+        accepted = f"a file whose name ends in {', '.join(SUFFIXES)}"
+        raise InputError(file, field, f"a file without a suffix: {value}", accepted)
     _check_table(kind, table)
 
 
-def _check_table(kind: str, table: Path) -> None:
+def _check_table(kind: str, path: Path) -> None:
+    table = spectral_table(path)
     if kind == "sensitivities":
-        names = [name.lower() for name in column_table(table)[0]]
+        names = [name.lower() for name in table.names]
         if len(names) != len(_BANDS) or any(n not in band for n, band in zip(names, _BANDS, strict=True)):
             found = ", ".join(["wavelength_nm", *names])
-            raise InputError(table, "line 1", found, "the columns wavelength_nm, r, g, b in this order")
+            raise InputError(path, "line 1", found, "the columns wavelength_nm, r, g, b in this order")
         return
-    names, wavelength_nm, rows = wide_table(table)
-    if kind != "chart" and len(names) != 1:
-        raise InputError(table, "", f"{len(names)} spectra", "one spectrum")
-    if kind != "light":
-        _check_reflectance(table, names, wavelength_nm, rows)
-
-
-def _check_reflectance(table: Path, names: list[str], wavelength_nm: list[float], rows: list[list[float]]) -> None:
-    low, high = _REFLECTANCE
-    percent = max(max(row) for row in rows) > 2.0
-    for name, row in zip(names, rows, strict=True):
-        for at, value in zip(wavelength_nm, row, strict=True):
-            if not low <= value <= high:
-                found = f"{value:g}" + (", as if the table were in percent" if percent else "")
-                accepted = f"reflectance factors from {low:g} to {high:g}, where 1 is a perfect diffuser, not percent"
-                raise InputError(table, f"{name}, {at:g} nm", found, accepted)
+    if kind != "chart" and len(table.names) != 1:
+        raise InputError(path, "", f"{len(table.names)} spectra", "one spectrum")
+    (check_power if kind == "light" else check_reflectance)(table, path)
 
 
 def _looks_like_a_path(text: str) -> bool:
-    return text.lower().endswith(_FILE_SUFFIXES) or "/" in text or "\\" in text
+    return text.lower().endswith(SUFFIXES) or "/" in text or "\\" in text
 
 
 def _nearest(word: str, names: tuple[str, ...]) -> str:

@@ -9,7 +9,7 @@ from functools import lru_cache
 import colour
 import numpy as np
 
-from irodori.spectra import SAMPLES, WAVELENGTH_NM, spectrum
+from irodori.spectra import SAMPLES, WAVELENGTH_NM, light
 
 _OBSERVER = "CIE 1931 2 Degree Standard Observer"
 _FINE_NM = np.arange(360.0, 831.0, 1.0)
@@ -62,10 +62,10 @@ def xyz_from_reflectance(light_name: str) -> np.ndarray:
     observer = colour.MSDS_CMFS[_OBSERVER]
     functions = np.stack([np.interp(_FINE_NM, observer.wavelengths, c) for c in observer.values.T])
     if light_name in colour.SDS_ILLUMINANTS:
-        light = colour.SDS_ILLUMINANTS[light_name]
-        power = np.interp(_FINE_NM, light.wavelengths, light.values)
+        table = colour.SDS_ILLUMINANTS[light_name]
+        power = np.interp(_FINE_NM, table.wavelengths, table.values)
     else:
-        power = np.interp(_FINE_NM, WAVELENGTH_NM, spectrum(light_name))
+        power = np.interp(_FINE_NM, WAVELENGTH_NM, light(light_name))
     hat = np.stack([np.interp(_FINE_NM, WAVELENGTH_NM, row) for row in np.eye(SAMPLES)])
     weights = (functions * power) @ hat.T
     return weights * (100.0 / (functions[1] @ power))

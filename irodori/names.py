@@ -3,6 +3,8 @@
 A test compares them with colour-science, from which `irodori.spectra` takes the spectra themselves.
 """
 
+import re
+
 #: CIE and ISO illuminants: ``colour.SDS_ILLUMINANTS``.
 ILLUMINANTS = (
     *["A", "B", "C", "D50", "D55", "D60", "D65", "D75", "E"],
@@ -18,6 +20,21 @@ ILLUMINANTS = (
     "ISO 7589 Sensitometric Photoflood",
     "ISO 7589 Sensitometric Printer",
 )
+
+#: Correlated colour temperatures of CIE daylight ``D<n>`` (CIE 15) and temperatures of blackbodies ``P<n>``, K.
+DAYLIGHT_K = (4000, 25000)
+BLACKBODY_K = (1000, 20000)
+_SYNTHETIC = re.compile(r"([DP])(\d{4,5})")
+
+
+def synthetic_light(name: str) -> tuple[str, int] | None:
+    """Return ``D`` or ``P`` and the temperature in K of a light such as ``D5500`` or ``P2856``; None for others."""
+    match = _SYNTHETIC.fullmatch(name)
+    if match is None:
+        return None
+    low, high = DAYLIGHT_K if match[1] == "D" else BLACKBODY_K
+    return (match[1], int(match[2])) if low <= int(match[2]) <= high else None
+
 
 #: Test colours of CIE 224:2017.
 TEST_COLOURS = tuple(f"TCS{number}" for number in range(99))

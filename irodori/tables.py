@@ -1,7 +1,13 @@
-"""CSV tables of spectra, read and checked without numpy, so that the Snakefile can refuse a bad one at once."""
+"""CSV tables of spectra, read and checked without numpy, so that the Snakefile can refuse a bad one at once.
+
+Cells are separated by commas, semicolons or tabs, whichever the header has. Where they are not separated by commas a
+number may be written with a decimal comma, if the whole file does so. UTF-8, with or without a byte-order mark, any
+line ends.
+"""
 
 import csv
 import math
+import re
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,6 +17,9 @@ FIRST_NM, LAST_NM = 400.0, 700.0
 MAX_GAP_NM = 20.0
 #: Measured refractive indices of metals stand up to 50 nm apart and vary slowly.
 MAX_INDEX_GAP_NM = 60.0
+
+_COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+_POINT_NUMBER = re.compile(r"[+-]?(\d+\.\d*|\.\d+)([eE][+-]?\d+)?")
 
 
 def check_wavelengths(wavelength_nm, file, field: str = "wavelength", max_gap_nm: float = MAX_GAP_NM) -> None:
@@ -27,8 +36,12 @@ def check_wavelengths(wavelength_nm, file, field: str = "wavelength", max_gap_nm
     InputError
     """
     pairs = list(pairwise(wavelength_nm))
-    if not pairs or not all(a < b for a, b in pairs):
-        raise InputError(file, field, "wavelengths that do not increase", "strictly increasing wavelengths in nm")
+    if not pairs:
+        raise InputError(file, field, f"{len(wavelength_nm)} wavelengths", "a range that covers 400..700 nm")
+    for before, after in pairs:
+        if not before < after:
+            found = f"wavelengths that do not increase ({after:g} nm after {before:g} nm)"
+            raise InputError(file, field, found, "strictly increasing wavelengths in nm, each once")
     if wavelength_nm[0] > FIRST_NM or wavelength_nm[-1] < LAST_NM:
         found = f"{wavelength_nm[0]:g}..{wavelength_nm[-1]:g} nm"
         raise InputError(file, field, found, "a range that covers 400..700 nm")
@@ -52,15 +65,15 @@ def wide_table(path) -> tuple[list[str], list[float], list[list[float]]]:
     InputError
         Naming file, line, wavelength and value; a wavelength without a value is an error.
     """
-    rows = _rows(path)
+    rows = csv_rows(path)
     header = rows[0][1]
-    wavelength = [_number(cell, path, f"header column {i + 2}") for i, cell in enumerate(header[1:])]
+    wavelength = [number(cell, path, f"header column {i + 2}") for i, cell in enumerate(header[1:])]
     check_wavelengths(wavelength, path)
     names, values = [], []
     for line, row in rows[1:]:
-        _check_length(row, header, path, line)
+        check_length(row, header, path, line)
         names.append(row[0])
-        values.append([_number(c, path, f"line {line}, {w:g} nm") for c, w in zip(row[1:], wavelength, strict=True)])
+        values.append([number(c, path, f"line {line}, {w:g} nm") for c, w in zip(row[1:], wavelength, strict=True)])
     return names, wavelength, values
 
 
@@ -73,12 +86,12 @@ def column_table(path, max_gap_nm: float = MAX_GAP_NM) -> tuple[list[str], list[
     wavelength_nm : list of float
     values : list of columns
     """
-    rows = _rows(path)
+    rows = csv_rows(path)
     header = [cell.strip() for cell in rows[0][1]]
     table = []
     for line, row in rows[1:]:
-        _check_length(row, header, path, line)
-        table.append([_number(c, path, f"line {line}, {h}") for c, h in zip(row, header, strict=True)])
+        check_length(row, header, path, line)
+        table.append([number(c, path, f"line {line}, {h}") for c, h in zip(row, header, strict=True)])
     columns = [list(column) for column in zip(*table, strict=True)]
     check_wavelengths(columns[0], path, header[0], max_gap_nm)
     return header[1:], columns[0], columns[1:]
@@ -109,43 +122,91 @@ def brdf_table(path) -> tuple[list[float], list[list[float]], list[list[float]]]
     angles : list of rows, θ_i, φ_i, θ_r, φ_r in rad
     brdf : list of rows, 1/sr
     """
-    rows = _rows(path)
+    rows = csv_rows(path)
     header = [cell.strip() for cell in rows[0][1]]
     wanted = ["theta_i_rad", "phi_i_rad", "theta_r_rad", "phi_r_rad"]
     if header[: len(wanted)] != wanted:
         accepted = f"{', '.join(wanted)}, then one column a wavelength in nm"
         raise InputError(path, "line 1", ", ".join(header[: len(wanted)]), accepted)
-    wavelength = [_number(cell, path, f"header column {i + 5}") for i, cell in enumerate(header[4:])]
+    wavelength = [number(cell, path, f"header column {i + 5}") for i, cell in enumerate(header[4:])]
     check_wavelengths(wavelength, path)
     table = []
     for line, row in rows[1:]:
-        _check_length(row, header, path, line)
-        table.append([_number(c, path, f"line {line}, {h}") for c, h in zip(row, header, strict=True)])
+        check_length(row, header, path, line)
+        table.append([number(c, path, f"line {line}, {h}") for c, h in zip(row, header, strict=True)])
     return wavelength, [row[:4] for row in table], [row[4:] for row in table]
 
 
-def _rows(path) -> list[tuple[int, list[str]]]:
-    """Return the rows that hold something, with their line numbers."""
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(path, "", "no such file", "a CSV of spectra")
+def csv_rows(path) -> list[tuple[int, list[str]]]:
+    """Return the rows of a CSV that hold something, with their line numbers; numbers written with a decimal point.
+
+    Raises
+    ------
+    InputError
+        For a file that is absent, no text or no table, and for decimal points beside decimal commas.
+    """
+    text = read_text(path, "a CSV of spectra")
+    header = next((line for line in text.splitlines() if line.strip()), "")
+    separator = next((mark for mark in (";", "\t") if mark in header), ",")
     try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            reader = csv.reader(stream)
-            rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except (UnicodeDecodeError, csv.Error) as error:
+        reader = csv.reader(text.splitlines(keepends=True), delimiter=separator)
+        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    except csv.Error as error:
         raise InputError(path, "", f"unreadable text ({error})", "a CSV in UTF-8") from None
     if len(rows) < 2 or len(rows[0][1]) < 2:
         raise InputError(path, "", f"{len(rows)} lines", "a header and at least one row of two columns")
-    return rows
+    return rows if separator == "," else with_decimal_points(rows, path)
 
 
-def _check_length(row: list[str], header: list[str], path, line: int) -> None:
+def with_decimal_points(rows: list[tuple[int, list[str]]], path) -> list[tuple[int, list[str]]]:
+    """Return rows whose decimal commas, where the file writes them, are points.
+
+    Raises
+    ------
+    InputError
+        If one number of the file has a comma and another one a point: either may then be a thousands separator.
+    """
+    if not any(_COMMA_NUMBER.fullmatch(cell.strip()) for _, row in rows for cell in row):
+        return rows
+    out = []
+    for line, row in rows:
+        if point := next((cell for cell in row if _POINT_NUMBER.fullmatch(cell.strip())), None):
+            accepted = "decimal points or decimal commas throughout the file"
+            raise InputError(path, f"line {line}", f"{point.strip()!r} beside numbers with a decimal comma", accepted)
+        cells = [cell.replace(",", ".") if _COMMA_NUMBER.fullmatch(cell.strip()) else cell for cell in row]
+        out.append((line, cells))
+    return out
+
+
+def read_text(path, wanted: str) -> str:
+    """Return the text of a file in UTF-8, without its byte-order mark.
+
+    Raises
+    ------
+    InputError
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "", "no such file", wanted)
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(path, "", f"unreadable text ({error})", f"{wanted} in UTF-8") from None
+
+
+def check_length(row: list, header: list, path, line: int) -> None:
+    """Refuse a row that has not as many cells as the header."""
     if len(row) != len(header):
         raise InputError(path, f"line {line}", f"{len(row)} columns", f"{len(header)} columns")
 
 
-def _number(text: str, path, field: str) -> float:
+def number(text: str, path, field: str) -> float:
+    """Return the finite number that a cell holds.
+
+    Raises
+    ------
+    InputError
+    """
     try:
         value = float(text)
     except ValueError:

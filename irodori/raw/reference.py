@@ -17,6 +17,7 @@ from irodori.raw.linearity import measure_linearity
 from irodori.raw.noise import Noise, measure_noise
 from irodori.raw.options import IngestOptions
 from irodori.raw.settings import filter_states, known_settings, settle, settle_set
+from irodori.spectra import white_reflectance
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ def _load_dark(file: store.Reader) -> Dark | None:
 
 
 def ingest_reference(
-    table, folder, output, provenance: store.Provenance, white_reflectance: float, options: IngestOptions
+    table, folder, output, provenance: store.Provenance, white_factor: float | str, options: IngestOptions
 ) -> None:
     """Turn a camera's dark frames, white references and chart into the file that normalises its captures.
 
@@ -92,8 +93,9 @@ def ingest_reference(
     ----------
     table, folder : path
         Capture table of the camera and the folder of its files.
-    white_reflectance : float
-        Reflectance factor of the white reference, 0..1.
+    white_factor : float or str
+        Reflectance factor of the white reference, or its measured spectrum, whose mean is taken: the bands'
+        sensitivities are not known here. How far it varies is the attribute ``white_factor_uncertainty``.
     options : IngestOptions
 
     Raises
@@ -117,9 +119,10 @@ def ingest_reference(
     hot_px = np.zeros((0, 2), np.int32) if dark is None else dark.hot_px
     noise = measure_noise(shots, table, folder, hot_px)
     linearity = measure_linearity(shots, table, folder, dark, options.max_nonlinearity)
+    factor, factor_uncertainty = white_reflectance(white_factor)
     partial = Reference(dark, {}, noise, size, known_settings(shots), None)
     white = {
-        state: _white(partial, [s for s in whites if s.filter == state], table, folder, white_reflectance, options)
+        state: _white(partial, [s for s in whites if s.filter == state], table, folder, float(factor), options)
         for state in filter_states(whites)
     }
     alignment = nominal_alignment(partial, white, [s for s in shots if s.role == "chart"], table, folder, options)
@@ -138,6 +141,8 @@ def ingest_reference(
         if alignment is not None:
             alignment.write(out)
         out.attribute("filters", filter_states(whites))
+        out.attribute("white_factor", float(factor))
+        out.attribute("white_factor_uncertainty", factor_uncertainty)
         out.attribute("size_px", list(size))
         out.attribute("known", partial.known)
 

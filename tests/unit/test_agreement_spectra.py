@@ -22,7 +22,7 @@ POSE = "l0450-c0000-t000-r0000"
         ("rigs/virtual.yaml", "light.spectrum", "d65", "light.spectrum", "did you mean 'D65'"),
         ("rigs/virtual.yaml", "light.spectrum", "TCS4", "light.spectrum", "the illuminants A, B, C"),
         ("config.yaml", "report.lights", ["D65", "LEDB3"], "report.lights[1]", "did you mean 'LED-B3'"),
-        (ROOM_FILE, "virtual.ambient_light", "daylight", "virtual.ambient_light", "or the path of a CSV"),
+        (ROOM_FILE, "virtual.ambient_light", "daylight", "virtual.ambient_light", "or the path of a file"),
         (ROOM_FILE, "virtual.window.spectrum", "D 65", "virtual.window.spectrum", "'D65'"),
         (ROOM_FILE, "virtual.lamps.spectrum", "FL13", "virtual.lamps.spectrum", "'FL3.13'"),
         (ROOM_FILE, "virtual.surfaces.walls.spectrum", "D65", "virtual.surfaces.walls.spectrum", "TCS0 to TCS98"),

@@ -2,12 +2,14 @@
 
 import math
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from irodori.colour import delta_e_reflectance
 from irodori.errors import InputError
 from irodori.spectra import (
     TRAPEZOID_NM,
@@ -20,6 +22,7 @@ from irodori.spectra import (
     resample,
     spectrum,
 )
+from irodori.tables import wide_table
 
 COEFFICIENT = st.floats(-10.0, 10.0)
 GRID = list(range(380, 721, 10))
@@ -70,6 +73,75 @@ def test_resampling_a_line_gives_the_line_at_any_spacing(a, b, steps, start):
     assert result.shape == (2, 61)
     assert result[0] == pytest.approx(a + b * (WAVELENGTH_NM - 550.0) / 100, abs=1e-11)
     assert result[1] == pytest.approx(np.ones(61), abs=1e-15)
+
+
+@given(
+    coefficients=st.lists(COEFFICIENT, min_size=1, max_size=5),
+    step=st.sampled_from([1.0, 2.0, 10.0 / 3.0, 4.0, 7.0, 10.0, 16.0, 20.0]),
+    start=st.floats(360.0, 400.0),
+)
+@settings(deadline=None)
+def test_sprague_gives_a_polynomial_of_degree_four_exactly_within_and_a_line_everywhere(coefficients, step, start):
+    wavelengths = start + step * np.arange(np.ceil((700.0 - start) / step) + 1)
+    polynomial = np.polynomial.Polynomial(coefficients, domain=[300.0, 800.0])
+    result = resample(wavelengths, polynomial(wavelengths), "made up", method="sprague")
+    within = (wavelengths[2] <= WAVELENGTH_NM) & (wavelengths[-3] >= WAVELENGTH_NM)
+    assert result[within] == pytest.approx(polynomial(WAVELENGTH_NM)[within], abs=1e-9)
+    line = polynomial.cutdeg(1)
+    result = resample(wavelengths, line(wavelengths), "made up", method="sprague")
+    assert result == pytest.approx(line(WAVELENGTH_NM), abs=1e-9)
+
+
+@given(
+    a=COEFFICIENT, b=COEFFICIENT, step=st.floats(0.3, 5.0), start=st.floats(380.0, 400.0), end=st.floats(700.0, 720.0)
+)
+def test_averaging_a_line_gives_the_line_at_the_ends_too(a, b, step, start, end):
+    wavelengths = np.append(np.arange(start, end - 0.1, step), end)
+    result = resample(wavelengths, a + b * (wavelengths - 550.0) / 100, "made up", method="average")
+    assert result == pytest.approx(a + b * (WAVELENGTH_NM - 550.0) / 100, abs=1e-9)
+
+
+@given(seed=st.integers(0, 2**32 - 1), step=st.sampled_from([5.0, 8.0, 10.0, 20.0]))
+def test_the_chosen_method_makes_no_negative_value_and_keeps_measured_ones(seed, step):
+    wavelengths = np.arange(380.0, 721.0, step)
+    values = np.random.default_rng(seed).random((3, wavelengths.size)) ** 8
+    result = resample(wavelengths, values, "made up", method="auto")
+    assert (result >= 0.0).all()
+    shared, ours, theirs = np.intersect1d(WAVELENGTH_NM, wavelengths, return_indices=True)
+    assert shared.size > 3
+    assert result[:, ours] == pytest.approx(values[:, theirs], abs=1e-12)
+
+
+def test_uneven_steps_are_interpolated_linearly_and_refused_by_sprague():
+    wavelengths = np.delete(np.arange(390.0, 711.0, 10.0), 7)
+    values = np.sin(wavelengths / 30.0)
+    assert np.array_equal(
+        resample(wavelengths, values, "made up", method="auto"), resample(wavelengths, values, "made up")
+    )
+    assert "uniform" in refusal(lambda: resample(wavelengths, values, "made up", method="sprague")).accepted
+
+
+def test_an_unknown_method_is_refused_with_the_accepted_ones():
+    with pytest.raises(ValueError, match="auto, average, linear, sprague"):
+        resample(WAVELENGTH_NM, np.ones(61), "made up", method="cubic")
+
+
+@pytest.mark.parametrize("thinned_nm", [10.0, 20.0])
+def test_sprague_is_nearer_than_linear_on_measured_reflectances(thinned_nm):
+    file = Path("../shared/data/reflectance/munsell_matt_1269.csv")
+    if not file.is_file():
+        pytest.skip(f"{file} is not here")
+    _names, wavelengths, values = wide_table(file)
+    wavelengths, values = np.array(wavelengths), np.array(values)
+    thin = wavelengths % thinned_nm == 0
+    truth = resample(wavelengths, values, file)
+    errors = {
+        method: delta_e_reflectance(truth, resample(wavelengths[thin], values[:, thin], file, method=method)).mean()
+        for method in ("sprague", "linear")
+    }
+    # The figures of `irodori.spectra.resampling`.
+    assert errors["sprague"] == pytest.approx({10.0: 0.0353, 20.0: 0.1096}[thinned_nm], abs=2e-3)
+    assert errors["linear"] == pytest.approx({10.0: 0.0619, 20.0: 0.2602}[thinned_nm], abs=2e-3)
 
 
 def test_a_file_on_the_grid_is_read_back_unchanged(tmp_path):

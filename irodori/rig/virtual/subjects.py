@@ -16,7 +16,7 @@ from irodori.geometry.shapes import on_table
 from irodori.rig.virtual.classroom import room_coefficients, source_spectra
 from irodori.rig.virtual.imaging import View, expose_object, gather_rows
 from irodori.rig.virtual.samples import Sample
-from irodori.spectra import chart_spectra
+from irodori.spectra import chart_spectra, white_reflectance
 
 _PATCH_FILL = 0.42  # half of a patch's side, as a fraction of the pitch between patches
 _BORDER_REFLECTANCE = 0.03
@@ -61,7 +61,8 @@ def object_mosaic(sample: Sample, camera: dict, rig: dict, pose: Pose, ideal_fro
 def white_mosaic(camera: dict, pose: Pose, band_weights) -> np.ndarray:
     """Return the picture of the white reference, which fills it."""
     optics = camera["optics"]
-    level = camera["white"]["reflectance_factor"] * math.cos(flat_incidence_rad(pose)) * band_weights.sum(axis=1)
+    reflectance, _ = white_reflectance(camera["white"]["reflectance_factor"], band_weights)
+    level = reflectance * math.cos(flat_incidence_rad(pose)) * band_weights.sum(axis=1)
     return in_mosaic(np.broadcast_to(level, (optics["height_px"], optics["width_px"], 3)))
 
 

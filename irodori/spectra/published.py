@@ -1,0 +1,228 @@
+"""Spectra by name: published ones of colour-science, or files of measured ones."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from irodori.errors import InputError
+from irodori.names import BLACKBODY_K, DAYLIGHT_K, synthetic_light
+from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
+from irodori.spectra.resampling import is_finer_than_grid, resample
+from irodori.spectral_files import SpectralTable, check_power, check_reflectance, spectral_table
+from irodori.tables import MAX_INDEX_GAP_NM, column_table, index_table, wide_table
+
+_TCS_NAME = re.compile(r"TCS(\d{1,2})")
+_PATCH_NAME = re.compile(r"[A-Z]\d+")
+
+
+def read_spectra(path) -> tuple[list[str], np.ndarray]:
+    """Read reflectances, transmittances or sensitivities from a file of any kind of `irodori.spectral_files`.
+
+    Returns
+    -------
+    names : list of str, one a spectrum
+    spectra : (spectra, 61) float64, brought to the grid by Sprague's interpolation or linearly, see `resample`
+    """
+    table = spectral_table(path)
+    return table.names, _on_grid(table, path)
+
+
+def read_wide_csv(path) -> tuple[list[str], np.ndarray]:
+    """Read spectra from a wide CSV, see `irodori.tables.wide_table`.
+
+    Returns
+    -------
+    names : list of str, one a row
+    spectra : (rows, 61) float64
+    """
+    names, wavelength_nm, values = wide_table(path)
+    return names, resample(wavelength_nm, np.array(values), path, method="auto")
+
+
+def read_columns_csv(path) -> tuple[list[str], np.ndarray]:
+    """Read spectra from a CSV of columns, see `irodori.tables.column_table`.
+
+    Returns
+    -------
+    names : list of str, one a column after the first
+    spectra : (columns, 61) float64
+    """
+    names, wavelength_nm, columns = column_table(path)
+    return names, resample(wavelength_nm, np.array(columns), path, method="auto")
+
+
+def _on_grid(table: SpectralTable, path, is_light: bool = False) -> np.ndarray:
+    wavelength_nm = np.array(table.wavelength_nm)
+    # A lamp's narrow lines would be missed or counted twice by values picked at the grid's wavelengths.
+    method = "average" if (is_light or table.is_power) and is_finer_than_grid(wavelength_nm) else "auto"
+    return resample(wavelength_nm, np.array(table.values), path, method=method)
+
+
+def _one_spectrum(path) -> SpectralTable:
+    table = spectral_table(path)
+    if len(table.names) != 1:
+        raise InputError(path, "", f"{len(table.names)} spectra", "one spectrum")
+    return table
+
+
+def _align(distribution) -> np.ndarray:
+    return np.asarray(np.interp(WAVELENGTH_NM, distribution.wavelengths, distribution.values))
+
+
+def _test_colour_samples() -> np.ndarray:
+    from colour import SpectralShape
+    from colour.quality.cfi2017 import load_TCS_CIE2017
+
+    samples = load_TCS_CIE2017(SpectralShape(380, 780, 5))
+    return np.stack([np.interp(WAVELENGTH_NM, samples.wavelengths, column) for column in samples.values.T])
+
+
+def _synthetic(kind: str, temperature_k: float) -> np.ndarray:
+    """Return CIE daylight or a blackbody on the grid, 100 at 560 nm."""
+    import colour
+
+    shape = colour.SpectralShape(360, 780, 5)
+    if kind == "D":
+        daylight = colour.sd_CIE_illuminant_D_series(colour.temperature.CCT_to_xy_CIE_D(temperature_k))
+        power = _align(daylight)
+    else:
+        power = _align(colour.sd_blackbody(temperature_k, shape))
+    return 100.0 * power / power[WAVELENGTH_NM == 560.0]
+
+
+def spectrum(name: str) -> np.ndarray:
+    """Return a spectrum by name: a light, ``TCS<n>`` or a file of one spectrum.
+
+    Parameters
+    ----------
+    name : str
+        A CIE illuminant of colour-science (``D65``, ``A``, ``FL11``, ``LED-B3``); ``D<n>``, daylight of the CIE of a
+        correlated colour temperature of 4000 to 25000 K (``D5500``; CIE 15:2018, 4.1.2; note that ``D65`` is 6504 K);
+        ``P<n>``, Planck's radiator of 1000 to 20000 K (``P2856``; c₂ = 1.4388e-2 m K); ``TCS0``..``TCS98`` (the
+        measured materials of CIE 224:2017, reflectance 0..1); or the path of a file, see `irodori.spectral_files`.
+
+    Returns
+    -------
+    (61,) float64, relative power (lights by name: 100 at 560 nm) or reflectance factor 0..1
+    """
+    import colour
+
+    if match := _TCS_NAME.fullmatch(name):
+        samples = _test_colour_samples()
+        if int(match[1]) < len(samples):
+            return samples[int(match[1])]
+        raise InputError("spectrum", name, name, f"TCS0 to TCS{len(samples) - 1}")
+    if name in colour.SDS_ILLUMINANTS:
+        return _align(colour.SDS_ILLUMINANTS[name])
+    if made := synthetic_light(name):
+        return _synthetic(*made)
+    if Path(name).suffix:
+        return _on_grid(_one_spectrum(name), name)[0]
+    known = ", ".join(sorted(colour.SDS_ILLUMINANTS))
+    accepted = (
+        f"TCS0 to TCS98, a file of one spectrum, D{DAYLIGHT_K[0]} to D{DAYLIGHT_K[1]} (daylight), P{BLACKBODY_K[0]} to "
+        f"P{BLACKBODY_K[1]} (blackbody), or an illuminant of: {known}"
+    )
+    raise InputError("spectrum", name, repr(name), accepted)
+
+
+def light(name: str) -> np.ndarray:
+    """Return the spectrum of a light; as `spectrum`, but a file is checked and brought to the grid as power is.
+
+    A file finer than the grid is averaged over ±5 nm, so that narrow lines keep their power, see `resample`.
+
+    Returns
+    -------
+    (61,) float64, relative power
+
+    Raises
+    ------
+    InputError
+        If it is dark, or negative by more than a hundredth of its peak.
+    """
+    if not Path(name).is_file():
+        return spectrum(name)
+    table = _one_spectrum(name)
+    check_power(table, name)
+    return _on_grid(table, name, is_light=True)[0]
+
+
+def chart_spectra(name: str) -> tuple[list[str], np.ndarray]:
+    """Return the patches of a colour chart: a chart of colour-science, or a file, see `irodori.spectral_files`.
+
+    Returns
+    -------
+    names : list of str, row by row; patches that are all named like A1 are put in order of letter, then number
+    reflectance : (patches, 61) float64, 0..1
+
+    Raises
+    ------
+    InputError
+        For an unknown name, a file that cannot be read, and values outside -0.01..1.2.
+    """
+    from colour.characterisation import SDS_COLOURCHECKERS
+
+    if name in SDS_COLOURCHECKERS:
+        chart = SDS_COLOURCHECKERS[name]
+        return list(chart), np.stack([_align(patch) for patch in chart.values()])
+    if Path(name).suffix:
+        table = spectral_table(name)
+        check_reflectance(table, name)
+        names, spectra = table.names, _on_grid(table, name)
+        if all(_PATCH_NAME.fullmatch(n) for n in names):
+            order = sorted(range(len(names)), key=lambda i: (names[i][0], int(names[i][1:])))
+            return [names[i] for i in order], spectra[order]
+        return names, spectra
+    raise InputError("chart", name, repr(name), f"a file of spectra or one of: {', '.join(SDS_COLOURCHECKERS)}")
+
+
+def camera_sensitivities(name: str) -> np.ndarray:
+    """Return spectral sensitivities R_b(λ) of an RGB camera, relative.
+
+    Parameters
+    ----------
+    name : str
+        A camera of colour-science, or a file of three spectra, red, green and blue, such as a CSV with columns
+        wavelength_nm, r, g, b.
+
+    Returns
+    -------
+    (3, 61) float64
+    """
+    import colour
+
+    if name in colour.MSDS_CAMERA_SENSITIVITIES:
+        sensitivities = colour.MSDS_CAMERA_SENSITIVITIES[name]
+        return np.stack([np.interp(WAVELENGTH_NM, sensitivities.wavelengths, c) for c in sensitivities.values.T])
+    if Path(name).suffix:
+        names, spectra = read_spectra(name)
+        if len(names) != 3:
+            raise InputError(name, "", f"{len(names)} bands", "three bands: r, g, b")
+        return spectra
+    raise InputError("camera", name, repr(name), f"a file or one of: {', '.join(colour.MSDS_CAMERA_SENSITIVITIES)}")
+
+
+def refractive_index(definition: dict) -> tuple[np.ndarray, np.ndarray]:
+    """Return complex refractive index n + ik on the grid.
+
+    Parameters
+    ----------
+    definition : dict
+        ``{n: float, k: float}``, or ``{file: path}`` of a CSV with columns wavelength_nm, n, k.
+
+    Returns
+    -------
+    n, k : (61,) float64
+    """
+    if "file" in definition:
+        wavelength_nm, n, k = index_table(definition["file"])
+        table = resample(wavelength_nm, np.array([n, k]), definition["file"], max_gap_nm=MAX_INDEX_GAP_NM)
+        return table[0], table[1]
+    return np.full(SAMPLES, float(definition["n"])), np.full(SAMPLES, float(definition.get("k", 0.0)))
+
+
+def refractive_index_at(definition: dict, wavelength_nm: float = 550.0) -> tuple[float, float]:
+    """Return n and k at one wavelength, by default where a green band is centred."""
+    n, k = refractive_index(definition)
+    return float(np.interp(wavelength_nm, WAVELENGTH_NM, n)), float(np.interp(wavelength_nm, WAVELENGTH_NM, k))

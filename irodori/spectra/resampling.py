@@ -1,0 +1,156 @@
+"""Bringing measured spectra to the grid.
+
+Measured cost of the choice, mean / maximum CIEDE2000 under D65 (and mean spectral RMSE) of sets thinned to 10 and 20 nm
+against the same sets on the grid:
+
+| set, step | 10 nm, Sprague | 10 nm, linear | 20 nm, Sprague | 20 nm, linear |
+|---|---|---|---|---|
+| Munsell, 5 nm | 0.035 / 0.37 (0.0007) | 0.062 / 0.36 (0.0013) | 0.110 / 1.05 (0.0027) | 0.260 / 0.95 (0.0046) |
+| Vrhel, 2 nm | 0.030 / 0.28 (0.0006) | 0.056 / 0.30 (0.0012) | 0.082 / 0.83 (0.0022) | 0.224 / 0.80 (0.0034) |
+| ColorChecker, 4 nm | 0.076 / 0.36 (0.0010) | 0.092 / 0.28 (0.0013) | 0.130 / 0.62 (0.0018) | 0.279 / 0.54 (0.0034) |
+
+Reflectances measured more finely than the grid are interpolated: averaging them over 5 nm costs 0.044 on the
+ColorChecker where interpolation costs 0.016 (against its full resolution). Lights are averaged: with lamp lines of 2 nm
+width, sampled every nanometre, picking the values at the grid costs 2.5 in the mean and averaging 0.08.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+
+from irodori.errors import InputError
+from irodori.progress import LOGGER
+from irodori.spectra.grid import SAMPLES, STEP_NM, WAVELENGTH_NM
+from irodori.tables import MAX_GAP_NM, check_wavelengths
+
+METHODS = ("auto", "average", "linear", "sprague")
+#: Largest difference of steps that still counts as uniform, nm: wavelengths are written with a few decimals.
+_UNIFORM_NM = 1e-3
+#: Sprague's fifth-order polynomial takes three neighbours on either side.
+_MIN_SPRAGUE = 6
+
+
+def resample(
+    wavelength_nm: np.ndarray,
+    values: np.ndarray,
+    file,
+    field: str = "wavelength",
+    max_gap_nm: float = MAX_GAP_NM,
+    method: str = "linear",
+) -> np.ndarray:
+    """Bring spectra to the grid; nothing is extrapolated, what lies beyond 400..700 nm is left out.
+
+    Parameters
+    ----------
+    wavelength_nm : (n,) float, strictly increasing, nm
+    values : (..., n) float
+    file, field : where the spectra came from, for the error message
+    max_gap_nm : float, nm
+    method : str
+        ``linear``; ``sprague``, the fifth-order interpolation that CIE 167:2005 recommends for uniform steps, exact for
+        polynomials of degree 4 from two steps within the data and for lines up to its ends; ``average``, over a
+        triangle of ±5 nm, which keeps the power of a light's lines (towards an end of the data it narrows); ``auto``,
+        for reflectances: Sprague for uniform steps and linear otherwise, and linear too for a spectrum without a
+        negative value that Sprague would give one.
+
+    Returns
+    -------
+    (..., 61) float64
+
+    Raises
+    ------
+    InputError
+        If the wavelengths do not increase, do not cover 400..700 nm, leave a gap over `max_gap_nm`, are not uniform
+        where Sprague is asked for, or a value is not finite.
+    ValueError
+        For an unknown method.
+    """
+    if method not in METHODS:
+        raise ValueError(f"the resampling method {method!r}; accepted: {', '.join(METHODS)}")
+    wavelength_nm = np.asarray(wavelength_nm, dtype=np.float64)
+    values = np.asarray(values, dtype=np.float64)
+    if not np.isfinite(wavelength_nm).all():
+        raise InputError(file, field, "a wavelength that is not finite", "strictly increasing wavelengths in nm")
+    check_wavelengths(wavelength_nm, file, field, max_gap_nm)
+    if not np.isfinite(values).all():
+        raise InputError(file, field, "a missing or non-finite value", "a finite number at every wavelength")
+    flat = values.reshape(-1, wavelength_nm.size)
+    if method == "average":
+        out = flat @ _average_matrix(tuple(wavelength_nm)).T
+    elif method == "linear" or (method == "auto" and not is_uniform(wavelength_nm)):
+        out = _linear(wavelength_nm, flat)
+    elif not is_uniform(wavelength_nm):
+        raise InputError(file, field, "steps that are not uniform", "uniform steps for Sprague's interpolation")
+    else:
+        out = flat @ _sprague_matrix(tuple(wavelength_nm)).T
+        if method == "auto":
+            out = _without_overshoot(out, wavelength_nm, flat, file)
+    return out.reshape((*values.shape[:-1], SAMPLES))
+
+
+def is_uniform(wavelength_nm: np.ndarray) -> bool:
+    """Return whether wavelengths stand at equal steps and are enough for Sprague's interpolation."""
+    steps = np.diff(wavelength_nm)
+    return wavelength_nm.size >= _MIN_SPRAGUE and float(np.ptp(steps)) <= _UNIFORM_NM
+
+
+def is_finer_than_grid(wavelength_nm: np.ndarray) -> bool:
+    """Return whether the mean step within 400..700 nm is under the grid's."""
+    inside = (wavelength_nm >= WAVELENGTH_NM[0]) & (wavelength_nm <= WAVELENGTH_NM[-1])
+    return int(inside.sum()) > SAMPLES
+
+
+def _linear(wavelength_nm: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    return np.stack([np.interp(WAVELENGTH_NM, wavelength_nm, row) for row in rows])
+
+
+def _without_overshoot(out: np.ndarray, wavelength_nm: np.ndarray, rows: np.ndarray, file) -> np.ndarray:
+    """Return rows interpolated linearly where Sprague alone made them negative."""
+    overshot = (out.min(axis=1) < 0.0) & (rows.min(axis=1) >= 0.0)
+    if overshot.any():
+        LOGGER.info("%s: %d spectra interpolated linearly, Sprague's would be negative", file, overshot.sum())
+        out[overshot] = _linear(wavelength_nm, rows[overshot])
+    return out
+
+
+@lru_cache(maxsize=16)
+def _sprague_matrix(wavelength_nm: tuple[float, ...]) -> np.ndarray:
+    """Return Sprague's interpolation as a matrix, (61, n): it is linear in the values."""
+    from colour import SpragueInterpolator
+
+    # Rounded wavelengths are replaced by the uniform ones that they stand for, as the interpolator takes them to be.
+    nodes = np.linspace(wavelength_nm[0], wavelength_nm[-1], len(wavelength_nm))
+    at = np.clip(WAVELENGTH_NM, nodes[0], nodes[-1])
+    matrix = np.stack([SpragueInterpolator(nodes, unit)(at) for unit in np.eye(nodes.size)], axis=1)
+    # The samples that the grid shares with the source are the source's, without rounding.
+    near = np.abs(nodes[:, None] - WAVELENGTH_NM) < 1e-9
+    shared = near.any(axis=0)
+    matrix[shared] = near.T[shared]
+    return matrix
+
+
+@lru_cache(maxsize=16)
+def _average_matrix(wavelength_nm: tuple[float, ...]) -> np.ndarray:
+    """Return the mean of the piecewise linear source under a triangle about each sample as a matrix, (61, n)."""
+    source = np.array(wavelength_nm)
+    matrix = np.zeros((SAMPLES, source.size))
+    for row, centre in zip(matrix, WAVELENGTH_NM, strict=True):
+        half = min(STEP_NM, centre - source[0], source[-1] - centre)
+        inside = source[(source > centre - half) & (source < centre + half)]
+        knots = np.unique(np.concatenate([[centre - half, centre, centre + half], inside]))
+        widths = np.diff(knots)
+        # Triangle times line is a parabola between knots, for which Simpson's rule is exact.
+        points = np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1])])
+        weights = np.zeros(points.size)
+        weights[: knots.size - 1] += widths / 6.0
+        weights[1 : knots.size] += widths / 6.0
+        weights[knots.size :] += widths * 4.0 / 6.0
+        weights *= np.maximum(0.0, 1.0 - np.abs(points - centre) / half) if half > 0.0 else 1.0
+        if half <= 0.0:
+            points, weights = np.array([centre]), np.ones(1)
+        left = np.clip(np.searchsorted(source, points, side="right") - 1, 0, source.size - 2)
+        part = (points - source[left]) / (source[left + 1] - source[left])
+        np.add.at(row, left, weights * (1.0 - part))
+        np.add.at(row, left + 1, weights * part)
+        row /= row.sum()
+    return matrix

@@ -1,0 +1,99 @@
+"""The verdict of heritage-imaging guidelines: every tolerance met by the metric that it is written for."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from irodori.calibration.verdict import TOLERANCES, colour_differences, differences_of_lab, judge, levels_reached
+from irodori.spectra import chart_spectra
+
+GREYS = np.linspace(0.05, 0.9, 30)[:, None] * np.ones(61)
+LAB = st.tuples(st.floats(0.0, 100.0), st.floats(-80.0, 80.0), st.floats(-80.0, 80.0))
+
+
+def lightness(greys):
+    y = greys[:, 0]
+    return np.where(y > (6 / 29) ** 3, 116.0 * np.cbrt(y) - 16.0, 116.0 * y * (29 / 6) ** 2 / 3)
+
+
+def test_a_difference_in_lightness_is_weighed_as_each_metric_weighs_it():
+    other = 1.1 * GREYS
+    step, mean = lightness(other) - lightness(GREYS), 0.5 * (lightness(other) + lightness(GREYS))
+    differences = colour_differences(GREYS, other)
+    weight = 1.0 + 0.015 * (mean - 50.0) ** 2 / np.sqrt(20.0 + (mean - 50.0) ** 2)
+    assert differences["CIE 1976"] == pytest.approx(step, abs=1e-6)
+    assert differences["CIEDE2000 S_L=1"] == pytest.approx(step, abs=1e-6)
+    assert differences["CIEDE2000"] == pytest.approx(step / weight, abs=1e-6)
+
+
+@given(first=LAB, second=LAB)
+def test_without_the_weight_of_lightness_ciede2000_is_as_large_or_larger(first, second):
+    differences = differences_of_lab(np.array([first]), np.array([second]))
+    assert differences["CIEDE2000 S_L=1"][0] >= differences["CIEDE2000"][0] - 1e-9
+
+
+@given(first=LAB, chroma=st.tuples(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0)))
+def test_colours_of_one_lightness_differ_alike_with_and_without_the_weight(first, chroma):
+    second = (first[0], first[1] + chroma[0], first[2] + chroma[1])
+    differences = differences_of_lab(np.array([first]), np.array([second]))
+    assert differences["CIEDE2000 S_L=1"] == pytest.approx(differences["CIEDE2000"], abs=1e-9)
+
+
+def test_a_perfect_calibration_reaches_the_highest_level_of_every_guideline():
+    _, patches = chart_spectra("BabelColor Average")
+    verdicts = judge(patches, patches)
+    assert len(verdicts) == len(TOLERANCES) and all(v.passes and v.measured < 1e-9 for v in verdicts)
+    reached = levels_reached(verdicts)
+    assert reached == {
+        "FADGI 2016": "4 star",
+        "FADGI 2023": "4 star",
+        "Metamorfoze 1.0": "full",
+        "Metamorfoze 2.0": "full",
+    }
+
+
+def test_a_calibration_without_any_colour_reaches_none():
+    _, patches = chart_spectra("BabelColor Average")
+    grey = np.broadcast_to(patches.mean(axis=1, keepdims=True), patches.shape)
+    assert set(levels_reached(judge(patches, grey)).values()) == {"none"}
+
+
+def test_levels_fall_one_by_one_as_the_error_grows():
+    _, patches = chart_spectra("BabelColor Average")
+    order = ["4 star", "3 star", "2 star", "1 star", "none"]
+    seen = []
+    for error in np.linspace(0.0, 2.0, 80):
+        reached = levels_reached(judge(patches, patches * (1.0 + error * np.linspace(1.0, 0.0, 61))))["FADGI 2016"]
+        seen.append(order.index(reached))
+    assert seen == sorted(seen) and set(seen) == set(range(5))
+
+
+def test_one_bad_patch_fails_a_maximum_and_no_mean():
+    _, patches = chart_spectra("BabelColor Average")
+    estimate = patches.copy()
+    estimate[0] = patches[12]
+    rows = {(v.tolerance.guideline, v.tolerance.level, v.tolerance.statistic): v for v in judge(patches, estimate)}
+    assert rows["Metamorfoze 1.0", "full", "mean"].passes and not rows["Metamorfoze 1.0", "full", "max"].passes
+    assert rows["FADGI 2023", "4 star", "p90"].passes
+
+
+def test_measured_values_are_those_of_the_tolerances_metric_and_statistic():
+    _, patches = chart_spectra("BabelColor Average")
+    estimate = patches * np.linspace(0.9, 1.05, 61)
+    differences = colour_differences(patches, estimate)
+    statistics = {"mean": np.mean, "max": np.max, "p90": lambda values: np.percentile(values, 90)}
+    for verdict in judge(patches, estimate):
+        line = verdict.tolerance
+        assert verdict.measured == pytest.approx(statistics[line.statistic](differences[line.metric]))
+        expected = verdict.measured < line.limit if line.strict else verdict.measured <= line.limit
+        assert verdict.passes == expected
+        assert (line.metric == "CIE 1976") == (line.guideline == "Metamorfoze 1.0")
+
+
+@pytest.mark.parametrize(
+    ("truth", "estimate"), [(GREYS, GREYS[:3]), (GREYS[:0], GREYS[:0]), (GREYS[0], GREYS[0]), (GREYS, GREYS * np.nan)]
+)
+def test_what_cannot_be_judged_is_refused(truth, estimate):
+    with pytest.raises(ValueError, match="accepted"):
+        judge(truth, estimate)
