@@ -2,6 +2,7 @@ from irodori.captures import read_captures
 from irodori.config import captures_of, is_taken_here, is_virtual, load_definitions
 from irodori.errors import InputError
 from irodori.provenance import code_hash
+from irodori.spectral_files import SUFFIXES
 from irodori.tiles import tile_rows
 
 try:
@@ -85,7 +86,7 @@ def named_tables(*values):
             found += named_tables(*value.values())
         elif isinstance(value, list):
             found += named_tables(*value)
-        elif isinstance(value, str) and value.lower().endswith((".csv", ".txt", ".ti3")):
+        elif isinstance(value, str) and value.lower().endswith(SUFFIXES):
             found.append(value)
     return found
 
@@ -102,6 +103,11 @@ def tables_of_calibration(wildcards):
     """Return the tables of spectra that a calibration reads."""
     camera = config["cameras"][wildcards.camera]
     return named_tables(camera["chart"], config["rigs"][camera["rig"]]["light"])
+
+
+def tables_of_white(wildcards):
+    """Return the table of the white reference's spectrum, where it has one."""
+    return named_tables(config["cameras"][wildcards.camera].get("white"))
 
 
 def tables_of_index(wildcards):

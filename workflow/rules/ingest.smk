@@ -46,6 +46,7 @@ use rule check_captures as check_environment_captures with:
 rule ingest_reference:
     input:
         table="results/cameras/{camera}/captures.csv",
+        white=tables_of_white,
     output:
         reference="results/cameras/{camera}/reference.h5",
     log:

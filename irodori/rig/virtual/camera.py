@@ -14,7 +14,7 @@ from irodori.rig.virtual.faults import Faults
 from irodori.rig.virtual.samples import Sample
 from irodori.rig.virtual.sensor import Sensor, band_weights
 from irodori.rig.virtual.subjects import chart_mosaic, object_mosaic, room_mosaic, white_mosaic
-from irodori.spectra import spectrum
+from irodori.spectra import light
 
 
 class VirtualCamera(Camera):
@@ -41,7 +41,7 @@ class VirtualCamera(Camera):
     ) -> None:
         self.camera, self.rig, self.bench, self.subject = camera, rig, bench, subject
         self.sensor = Sensor(**camera["virtual"]["sensor"])
-        self.light = spectrum(rig["light"]["spectrum"])
+        self.light = light(rig["light"]["spectrum"])
         self.band_weights = band_weights(camera, self.light)
         self.faults = Faults(rig["virtual"]["imperfections"], rig["virtual"]["seed"], session, shots)
 

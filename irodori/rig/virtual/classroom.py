@@ -7,7 +7,7 @@ Radiance is relative: 1 is a perfect diffuser lit at normal incidence by the rig
 import numpy as np
 
 from irodori.colour import colour_matching_weights
-from irodori.spectra import spectrum
+from irodori.spectra import light, spectrum
 
 
 def equal_luminance(power: np.ndarray, rig_light: np.ndarray) -> np.ndarray:
@@ -24,7 +24,7 @@ def source_spectra(room: dict, rig_light: np.ndarray) -> tuple[list[str], np.nda
     names : list of str
     radiance : (sources, 61) float64; a surface is lit by the ambient light, a lamp has its own spectrum
     """
-    ambient = equal_luminance(spectrum(room["ambient_light"]), rig_light)
+    ambient = equal_luminance(light(room["ambient_light"]), rig_light)
     names, spectra = [], []
     for name in ("ceiling", "floor", "walls", "board"):
         surface = room["surfaces"][name]
@@ -32,7 +32,7 @@ def source_spectra(room: dict, rig_light: np.ndarray) -> tuple[list[str], np.nda
         spectra.append(surface["irradiance"] * spectrum(surface["spectrum"]) * ambient)
     for name in ("window", "lamps"):
         names.append(name)
-        spectra.append(room[name]["radiance"] * equal_luminance(spectrum(room[name]["spectrum"]), rig_light))
+        spectra.append(room[name]["radiance"] * equal_luminance(light(room[name]["spectrum"]), rig_light))
     return names, np.stack(spectra)
 
 

@@ -9,7 +9,7 @@ from irodori.rig.virtual.classroom import room_coefficients, source_spectra
 from irodori.rig.virtual.reflection import PAPER
 from irodori.rig.virtual.samples import Sample
 from irodori.rig.virtual.sensor import band_weights
-from irodori.spectra import spectrum
+from irodori.spectra import light
 
 _GREEN = 1
 
@@ -23,7 +23,7 @@ def true_material(definition: dict, camera: dict, rig: dict) -> Material:
     sample = Sample.from_definition(definition)
     width, height = definition["texels"]["width"], definition["texels"]["height"]
     index = sample.material_index(width, height)
-    weights = band_weights(camera, spectrum(rig["light"]["spectrum"]))[_GREEN]
+    weights = band_weights(camera, light(rig["light"]["spectrum"]))[_GREEN]
     green = sample.reflectance @ weights / weights.sum()
     beta, mu = (np.where(sample.model == PAPER, values, np.nan) for values in (sample.beta, sample.mu_rad))
     return Material(
@@ -43,7 +43,7 @@ def true_material(definition: dict, camera: dict, rig: dict) -> Material:
 def true_environment(definition: dict, rig: dict, irradiance_size: dict) -> Environment:
     """Return the virtual room's light: one basis vector a source."""
     width, height = definition["image"]["width"], definition["image"]["height"]
-    spectra = source_spectra(definition["virtual"], spectrum(rig["light"]["spectrum"]))[1]
+    spectra = source_spectra(definition["virtual"], light(rig["light"]["spectrum"]))[1]
     coefficients = room_coefficients(definition["virtual"], width, height)
     irradiance = irradiance_map(coefficients, irradiance_size["width"], irradiance_size["height"])
     return Environment(coefficients, spectra.T, irradiance)
