@@ -6,6 +6,7 @@ import numba
 import numpy as np
 
 _BLOCK = 1024  # pixels that a thread takes at a time
+_SERIAL = 4 * _BLOCK  # pixels that are not worth waking threads for
 _LEAST_SHARE = 1e-7  # of an anchor in a pixel's map; less would not show in float32
 
 
@@ -82,9 +83,16 @@ def _local_block(first, last, response, variance, scale, anchors, width, levels,
             out[n, k] = y[k]
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
 def local_weights(response, variance, scale, anchors, width, levels, spread, maps, out):
     """Fill out (n, k) for responses (n, bands); variance is (n,) or empty."""
+    if len(response) <= _SERIAL:
+        _local_block(0, len(response), response, variance, scale, anchors, width, levels, spread, maps, out)
+    else:
+        _local_parallel(response, variance, scale, anchors, width, levels, spread, maps, out)
+
+
+@numba.njit(cache=True, parallel=True, nogil=True)
+def _local_parallel(response, variance, scale, anchors, width, levels, spread, maps, out):
     blocks = (response.shape[0] + _BLOCK - 1) // _BLOCK
     for block in numba.prange(blocks):
         _local_block(
@@ -126,9 +134,16 @@ def _polynomial_block(first, last, response, scale, coefficients, out):
             out[n, k] = y[k]
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
 def polynomial_weights(response, scale, coefficients, out):
     """Fill out (n, k) for responses (n, bands)."""
+    if len(response) <= _SERIAL:
+        _polynomial_block(0, len(response), response, scale, coefficients, out)
+    else:
+        _polynomial_parallel(response, scale, coefficients, out)
+
+
+@numba.njit(cache=True, parallel=True, nogil=True)
+def _polynomial_parallel(response, scale, coefficients, out):
     blocks = (response.shape[0] + _BLOCK - 1) // _BLOCK
     for block in numba.prange(blocks):
         _polynomial_block(
