@@ -20,7 +20,7 @@ _FLOOR = 1e-12  # of a moment matrix's trace, added to its diagonal against roun
 _SMOOTH_SHARE = 0.02  # standard deviation of the smooth prior that joins that of the patches, of their level
 _WIDTH = 0.1  # of the neighbourhood in the directions of the scaled responses (chord)
 _BACKGROUND = 0.002  # share of closeness that every member keeps, however far
-_ANCHORS = 32  # at most
+_ANCHORS = 48  # at most
 _LEVELS = 7  # of relative noise variance, one a factor 10
 _SPREAD = 20.0  # how much of the relative noise variance adds to the squared width
 _POLYNOMIAL_RIDGE = 1e-5  # of the mean moment, on what is not linear; noise and uncertainty do the rest
@@ -205,7 +205,7 @@ def _exponents(bands: int, degree: int) -> list[tuple[int, ...]]:
 
 
 def _anchors(direction: np.ndarray) -> np.ndarray:
-    """Return at most 32 directions that lie far from each other, beginning with the first."""
+    """Return at most 48 directions that lie far from each other, beginning with the first."""
     if len(direction) <= _ANCHORS:
         return direction
     chosen = [0]

@@ -18,7 +18,7 @@ _LENGTHS_NM = (10.0, 15.0, 20.0, 30.0, 40.0)
 _AMPLITUDES = 10.0 ** np.arange(-2.0, 5.0)
 #: Variance of patch means tried, where it is not known or on top of what is, in mean squares of the responses.
 _EXTRA_NOISE = 10.0 ** np.arange(-10.0, -1.0)
-_MIXTURES = 300  # at most; pairs are left out evenly
+_MIXTURES = 600  # at most; pairs are left out evenly
 _LEAST_REFLECTANCE = 1e-3  # of a paint that is mixed: absorption grows without bound below
 _SPREAD, _SPREAD_NM = 0.03, 60.0  # of a reflectance about those of the population, of its level; correlation length
 
