@@ -147,15 +147,16 @@ def bare_product(response: np.ndarray):
     return lambda: response @ matrix
 
 
-def timed(function, runs: int) -> float:
-    """Return the median time of some runs after a first one, s."""
-    function()
-    seconds = []
-    for _ in range(runs):
-        start = time.perf_counter()
-        function()
-        seconds.append(time.perf_counter() - start)
-    return statistics.median(seconds)
+def timed(work: dict, runs: int) -> dict[str, float]:
+    """Return the median time of each function, s; they take turns, so that a busy machine is busy for all."""
+    seconds = {name: [] for name in work}
+    for run in range(runs + 1):
+        for name, function in work.items():
+            start = time.perf_counter()
+            function()
+            if run:  # the first warms up
+                seconds[name].append(time.perf_counter() - start)
+    return {name: statistics.median(values) for name, values in seconds.items()}
 
 
 def peak_mb(variant: str, threads: int) -> float:
@@ -180,19 +181,25 @@ def child(variant: str) -> None:
 def measure(runs: int, threads: int) -> list[dict]:
     """Return one row a variant, the reference first."""
     response, trial = picture(), Trial.of(CAMERAS[0], "classic", "munsell")
-    reference = timed(bare_product(response), runs)
-    rows = [row("blas", reference, reference, float("nan"), peak_mb("blas", threads))]
+    work = {"blas": bare_product(response)}
     for variant in ESTIMATORS:
         solved = calibration(variant)
         start = time.perf_counter()
         solved.weights(response[: PIXELS // 64])
         print(f"{variant}, first run, compilation included: {time.perf_counter() - start:.2f} s", file=sys.stderr)
-        seconds = timed(lambda solved=solved: solved.weights(response), runs)
-        error = errors(trial, 0.003, variant, BASES)[0]
-        rows.append(row(variant, seconds, reference, error, peak_mb(variant, threads)))
+        work[variant] = lambda solved=solved: solved.weights(response)
+    seconds = timed(work, runs)
+    rows = []
+    for variant, median in seconds.items():
+        error = float("nan") if variant == "blas" else errors(trial, 0.003, variant, BASES)[0]
+        rows.append(row(variant, median, seconds["blas"], error, peak_mb(variant, threads)))
     training = trial.responses(0.003, 0)[0]
-    seconds = timed(lambda: cross_validate(Training(*(training.response, training.spectra, training.light),
-                                                    training.noise), timed=True), 5)  # fmt: skip
+
+    def judge() -> None:
+        chart = Training(training.response, training.spectra, training.light, training.noise)
+        cross_validate(chart, timed=True)
+
+    seconds = timed({"all": judge}, 5)["all"]
     print(f"cross-validation of everything: {seconds:.2f} s", file=sys.stderr)
     print(f"a process after its imports and its picture: {peak_mb('imports', threads):.0f} MB", file=sys.stderr)
     return rows
