@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from irodori.calibration.linear import calibrate, spectral_basis
 from irodori.calibration.numerics import Limits, check_responses
@@ -160,7 +161,8 @@ def fit(name: str, training: Training, bases: int, max_condition: float = Limits
     basis = spectral_basis(training.spectra, bases)
     if name == "pinv":
         return calibrate(response, training.spectra, bases, training.light, max_condition)
-    mapping = fit_mapping(name, training).on_basis(basis)
+    with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
+        mapping = fit_mapping(name, training).on_basis(basis)
     matrix = mapping.matrix if isinstance(mapping, LinearMapping) else None
     light = np.asarray(training.light, dtype=np.float64)
     return Calibration(basis, matrix, light, estimator=name, mapping=mapping, training=response)

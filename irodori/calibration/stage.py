@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from irodori import store
 from irodori.calibration.chart import read_chart
@@ -78,8 +77,7 @@ def calibrate_camera(
         check_responses(patches, limits.condition, training.noise.patch, filters)
         rows, recovered = _judge(training, settings, lights, timed=selection is not None)
         name, bases = choose(rows, settings["estimator"], settings["bases"])
-        with threadpool_limits(1):
-            calibration = fit(name, training, bases, limits.condition)
+        calibration = fit(name, training, bases, limits.condition)
         relative_error = _relative_error(training, recovered[name, bases])
         calibration = replace(calibration, filters=filters, relative_error=relative_error)
         amplification = noise_amplification(calibration)

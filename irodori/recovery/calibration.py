@@ -152,7 +152,9 @@ class Calibration:
         """Return recovered reflectance spectra of responses, (..., bands) to (..., 61)."""
         return self.weights(response, response_variance) @ self.basis.T
 
-    def standard_deviation(self, response: np.ndarray, response_variance: np.ndarray) -> np.ndarray:
+    def standard_deviation(
+        self, response: np.ndarray, response_variance: np.ndarray, stated: bool = False
+    ) -> np.ndarray:
         """Return the standard deviation of the recovered reflectance, root mean square over wavelengths.
 
         The noise of the bands, taken as independent, goes through the estimator's derivative; the estimator's own
@@ -161,6 +163,8 @@ class Calibration:
         Parameters
         ----------
         response, response_variance : (..., bands) float
+        stated : bool
+            Whether the variance is given to `weights` too.
 
         Returns
         -------
@@ -172,7 +176,7 @@ class Calibration:
         squared = np.empty(len(flat))
         for first in range(0, len(flat), _TILE):
             part = slice(first, first + _TILE)
-            gain = self.mapping.gain(flat[part], variance[part])
+            gain = self.mapping.gain(flat[part], variance[part] if stated else None)
             squared[part] = (gain * variance[part]).sum(axis=1) / len(self.basis)
         if self.relative_error > 0.0:
             squared += self.relative_error**2 * ((flat / self.band_scale()) ** 2).sum(axis=1)
