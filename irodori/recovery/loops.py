@@ -7,10 +7,11 @@ import numpy as np
 
 _BLOCK = 1024  # pixels that a thread takes at a time
 _SERIAL = 4 * _BLOCK  # pixels that are not worth waking threads for
+_FAST = {"contract", "reassoc", "nsz", "arcp"}  # infinities and NaN keep their meaning
 _LEAST_SHARE = 1e-7  # of an anchor in a pixel's map; less would not show in float32
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
 def _direction(response, scale, x, c):
     """Fill x with the scaled response and c with its direction; return its length."""
     length = 0.0
@@ -33,20 +34,27 @@ def _level(relative_variance, levels):
     return min(max(position, 0.0), float(last))
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
-def _add_map(x, weight, matrix, y):
-    for b in range(x.size):
-        part = weight * x[b]
-        for k in range(y.size):
-            y[k] += part * matrix[b, k]
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def _add_map(weight, matrix, total):
+    for i in range(total.size):
+        total[i] += weight * matrix[i]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def _dot(a, b):
+    total = 0.0
+    for i in range(a.size):
+        total += a[i] * b[i]
+    return total
 
 
 @numba.njit(cache=True, nogil=True)
 def _local_block(first, last, response, variance, scale, anchors, width, levels, spread, maps, out):
     """Blend the maps of the anchors, see `LocalMapping`."""
     bands, count, bases = scale.size, anchors.shape[0], out.shape[1]
-    x, c, y = np.empty(bands), np.empty(bands), np.empty(bases)
-    share = np.empty(count)
+    x, c = np.empty(bands), np.empty(bands)
+    share, blend = np.empty(count), np.empty(bands * bases)
+    flat = maps.reshape(maps.shape[0], count, bands * bases)
     for n in range(first, last):
         length = _direction(response[n], scale, x, c)
         if not math.isfinite(length):
@@ -62,25 +70,25 @@ def _local_block(first, last, response, variance, scale, anchors, width, levels,
             squared_width += spread * math.exp(levels[0] + position * (levels[1] - levels[0]))
         largest = -np.inf
         for a in range(count):
-            cosine = 0.0
-            for b in range(bands):
-                cosine += anchors[a, b] * c[b]
-            share[a] = cosine
-            largest = max(largest, cosine)
+            share[a] = _dot(anchors[a], c)
+            largest = max(largest, share[a])
         total = 0.0
         for a in range(count):
             exponent = (share[a] - largest) / squared_width
-            share[a] = math.exp(exponent) if exponent > -20.0 else 0.0
+            share[a] = math.exp(exponent) if exponent > -16.5 else 0.0
             total += share[a]
-        y[:] = 0.0
+        blend[:] = 0.0
         for a in range(count):
             weight = share[a] / total
             if weight > _LEAST_SHARE:
-                _add_map(x, weight * (1.0 - fraction), maps[lower, a], y)
+                _add_map(weight * (1.0 - fraction), flat[lower, a], blend)
                 if fraction > 0.0:
-                    _add_map(x, weight * fraction, maps[lower + 1, a], y)
+                    _add_map(weight * fraction, flat[lower + 1, a], blend)
         for k in range(bases):
-            out[n, k] = y[k]
+            value = 0.0
+            for b in range(bands):
+                value += x[b] * blend[b * bases + k]
+            out[n, k] = value
 
 
 def local_weights(response, variance, scale, anchors, width, levels, spread, maps, out):
@@ -101,41 +109,33 @@ def _local_parallel(response, variance, scale, anchors, width, levels, spread, m
         )  # fmt: skip
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
-def _add_row(value, row, y):
-    for k in range(y.size):
-        y[k] += value * row[k]
-
-
 @numba.njit(cache=True, nogil=True)
 def _polynomial_block(first, last, response, scale, coefficients, out):
-    """Sum homogeneous monomials of degree one to three, see `PolynomialMapping`."""
+    """Sum homogeneous monomials of degree one to three; coefficients are (k, monomials)."""
     bands = scale.size
-    x, c, y = np.empty(bands), np.empty(bands), np.empty(out.shape[1])
+    x, c, terms = np.empty(bands), np.empty(bands), np.empty(coefficients.shape[1])
     for n in range(first, last):
         if not math.isfinite(_direction(response[n], scale, x, c)):
             out[n] = np.nan
             continue
-        y[:] = 0.0
-        for i in range(bands):
-            _add_row(x[i], coefficients[i], y)
+        terms[:bands] = x
         row = bands
         for i in range(bands):
             for j in range(i, bands):
-                _add_row(x[i] * c[j], coefficients[row], y)
+                terms[row] = x[i] * c[j]
                 row += 1
         for i in range(bands):
             for j in range(i, bands):
                 product = x[i] * c[j]
                 for k in range(j, bands):
-                    _add_row(product * c[k], coefficients[row], y)
+                    terms[row] = product * c[k]
                     row += 1
         for k in range(out.shape[1]):
-            out[n, k] = y[k]
+            out[n, k] = _dot(coefficients[k], terms)
 
 
 def polynomial_weights(response, scale, coefficients, out):
-    """Fill out (n, k) for responses (n, bands)."""
+    """Fill out (n, k) for responses (n, bands); coefficients are (k, monomials), each row in one piece."""
     if len(response) <= _SERIAL:
         _polynomial_block(0, len(response), response, scale, coefficients, out)
     else:

@@ -122,7 +122,7 @@ class LocalMapping(_Differences):
         relative = np.empty(0) if variance is None else np.mean(np.asarray(variance) / self.scale**2, axis=1)
         local_weights(
             np.ascontiguousarray(response), relative.astype(np.float64), self.scale, self.anchors, self.width,
-            self.levels, self.spread, self.maps, out,
+            self.levels, self.spread, np.ascontiguousarray(self.maps), out,
         )  # fmt: skip
 
     def on_basis(self, basis):
@@ -157,7 +157,8 @@ class PolynomialMapping(_Differences):
 
     def weights(self, response, variance, out) -> None:
         """See `Mapping`; the variance has no say."""
-        polynomial_weights(np.ascontiguousarray(response), self.scale, self.coefficients, out)
+        coefficients = np.ascontiguousarray(self.coefficients.T)
+        polynomial_weights(np.ascontiguousarray(response), self.scale, coefficients, out)
 
     def on_basis(self, basis):
         """See `Mapping`."""
