@@ -2,9 +2,8 @@
 
 import numpy as np
 
+from irodori.calibration.numerics import Limits, check_responses
 from irodori.recovery import Calibration
-
-_MAX_CONDITION = 1e5
 
 
 def spectral_basis(spectra: np.ndarray, bases: int) -> np.ndarray:
@@ -25,7 +24,13 @@ def spectral_basis(spectra: np.ndarray, bases: int) -> np.ndarray:
     return (rows * np.where(rows.sum(axis=1, keepdims=True) < 0, -1.0, 1.0)).T
 
 
-def calibrate(response: np.ndarray, spectra: np.ndarray, bases: int, light: np.ndarray) -> Calibration:
+def calibrate(
+    response: np.ndarray,
+    spectra: np.ndarray,
+    bases: int,
+    light: np.ndarray,
+    max_condition: float = Limits.condition,
+) -> Calibration:
     """Solve equations (3) and (4).
 
     Parameters
@@ -34,29 +39,22 @@ def calibrate(response: np.ndarray, spectra: np.ndarray, bases: int, light: np.n
     spectra : (m, 61) float, Λ
     bases : int
     light : (61,) float
+    max_condition : float
+        Of P, every band divided by its largest patch.
 
     Raises
     ------
     ValueError
-        If P has fewer patches than bands, a band without signal, or a condition number above 1e5.
+        If P determines no calibration, see `irodori.calibration.numerics.check_responses`.
     """
     response = np.asarray(response, dtype=np.float64)
-    patches, bands = response.shape
-    if patches < bands:
-        raise ValueError(f"{patches} patches for {bands} bands; accepted: at least as many patches as bands")
-    if not np.isfinite(response).all():
-        raise ValueError("a response that is not finite; accepted: finite responses")
+    check_responses(response, max_condition)
     peak = np.abs(response).max(axis=0)
-    if not (peak > 0).all():
-        raise ValueError(f"band {int(np.argmin(peak))} without any signal; accepted: bands that see the chart")
-    condition = np.linalg.cond(response / peak)
-    if condition > _MAX_CONDITION:
-        raise ValueError(f"responses of condition number {condition:.3g} (bands or patches alike); accepted: 1e5")
     basis = spectral_basis(spectra, bases)
     weights = np.linalg.pinv(basis) @ spectra.T
     # Bands are scaled to a common size first, so that the pseudo-inverse cuts none of them off for its unit.
     weights_from_response = (np.linalg.pinv(response / peak) @ weights.T) / peak[:, None]
-    return Calibration(basis, weights_from_response, np.asarray(light, dtype=np.float64))
+    return Calibration(basis, weights_from_response, np.asarray(light, dtype=np.float64), training=response)
 
 
 def leave_one_out(response: np.ndarray, spectra: np.ndarray, bases: int, light: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ rule calibrate_camera:
             category="Calibration",
             labels={"camera": "{camera}"},
         ),
+        selection="results/cameras/{camera}/calibration_selection.csv",
     log:
         "results/logs/calibrate_camera/{camera}.log",
     benchmark:

@@ -10,4 +10,5 @@ with run_rule(snakemake) as provenance:
         snakemake.output.errors,
         provenance,
         snakemake.params.lights,
+        snakemake.output.selection,
     )

@@ -1,0 +1,251 @@
+"""Estimators of reflectance: speed against error, and the errors on measured spectra, next to the linear bound.
+
+``python -m benchmarks.calibrate [--runs 7] [--output speed_error.csv]`` applies each estimator to a picture of 2
+megapixels of six bands; the reference is a bare BLAS product of the same size in the same run. ``--table`` prints the
+errors of every estimator instead, for all sets, cameras and noises. Both read the measured spectra of
+``../shared/data``. Times exclude compilation, which is reported apart.
+"""
+
+import argparse
+import csv
+import os
+import statistics
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numba
+import numpy as np
+
+from irodori.calibration import ESTIMATORS, Noise, Training, cross_validate, fit
+from irodori.colour import delta_e_reflectance, spectral_rmse
+from irodori.spectra import TRAPEZOID_NM, camera_sensitivities, read_wide_csv, resample, spectrum
+from irodori.tables import wide_table
+from irodori.threads import use_threads
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT.parent / "shared" / "data"
+LIGHT, FILTER = "A", "MIDOPT_NF550"
+PIXELS = 1 << 21
+BASES = 6
+NOISES = (0.0, 0.001, 0.003, 0.01)
+SEEDS = (0, 1, 2)
+COLUMNS = ("stage", "variant", "work", "unit", "seconds", "throughput", "error_metric", "error", "peak_mb", "reference",
+           "ratio")  # fmt: skip
+SETS = {
+    "classic": "colorchecker_classic_24.csv",
+    "sg": "colorchecker_digital_sg_140.csv",
+    "munsell": "munsell_matt_1269.csv",
+    "vrhel": "vrhel_170.csv",
+}
+CAMERAS = ("canon_eos_40d", "nikon_d5100", "sony_ilce-7rm2")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A camera trained on one set and tested on another.
+
+    Parameters
+    ----------
+    system : (bands, 61) float
+        Responses per unit reflectance; a perfect diffuser gives 1 in every band.
+    train, test : (n, 61) float
+    full_scale : (bands,) float
+        Largest response of the test set, to which the exposure is set: noise is a fraction of it.
+    """
+
+    system: np.ndarray
+    train: np.ndarray
+    test: np.ndarray
+    full_scale: np.ndarray
+
+    @classmethod
+    def of(cls, camera: str, train: str, test: str, bands: int = 6) -> "Trial":
+        """Return the trial of a camera and two sets by their names; 3 bands are those without the filter."""
+        names, wavelength_nm, values = wide_table(DATA / "filters/filters.csv")
+        plate = resample(wavelength_nm, np.array(values[names.index(FILTER)]), FILTER)
+        sensitivity = camera_sensitivities(str(DATA / f"cameras/{camera}.csv"))
+        system = np.concatenate([sensitivity, sensitivity * plate])[:bands] * spectrum(LIGHT) * TRAPEZOID_NM
+        system /= system.sum(axis=1, keepdims=True)
+        first, second = (read_wide_csv(DATA / "reflectance" / SETS[name])[1] for name in (train, test))
+        return cls(system, first, second, (second @ system.T).max(axis=0))
+
+    def responses(self, noise: float, seed: int) -> tuple[Training, np.ndarray, np.ndarray]:
+        """Return the training, the test set's responses, and a pixel's variance (bands,)."""
+        rng = np.random.default_rng(seed)
+        sigma = noise * self.full_scale
+        chart = self.train @ self.system.T + 0.1 * sigma * rng.standard_normal((len(self.train), len(sigma)))
+        seen = self.test @ self.system.T + sigma * rng.standard_normal((len(self.test), len(sigma)))
+        return Training(chart, self.train, spectrum(LIGHT), Noise(0.01 * sigma**2, sigma**2)), seen, sigma**2
+
+    def bound(self, noise: float) -> np.ndarray:
+        """Return Wiener's matrix trained on the test set itself, camera and noise known exactly, (bands, 61)."""
+        moment = self.test.T @ self.test / len(self.test)
+        spread = self.system @ moment @ self.system.T + np.diag((noise * self.full_scale) ** 2 + 1e-12)
+        return np.linalg.solve(spread, self.system @ moment)
+
+
+def errors(trial: Trial, noise: float, estimator: str, bases: int = 8, stated: bool = False) -> np.ndarray:
+    """Return mean and p95 of CIEDE2000 under D65 and mean spectral RMSE, averaged over the seeds, (3,).
+
+    Parameters
+    ----------
+    estimator : str
+        A name of the registry, or ``bound``.
+    stated : bool
+        Whether the estimator is told the variance of the pixels it recovers.
+    """
+    found = []
+    for seed in SEEDS if noise else SEEDS[:1]:
+        training, seen, variance = trial.responses(noise, seed)
+        if estimator == "bound":
+            recovered = seen @ trial.bound(noise)
+        else:
+            recovered = fit(estimator, training, bases).spectra(seen, variance if stated else None)
+        delta_e = delta_e_reflectance(trial.test, recovered, "D65")
+        found.append((delta_e.mean(), np.percentile(delta_e, 95), spectral_rmse(trial.test, recovered).mean()))
+    return np.mean(found, axis=0)
+
+
+def print_table() -> None:
+    """Print mean / p95 of CIEDE2000 under D65 and mean spectral RMSE of everything."""
+    trials = [(CAMERAS[0], train, test) for train in ("classic", "sg") for test in ("munsell", "vrhel")]
+    trials += [(camera, "classic", test) for camera in CAMERAS[1:] for test in ("munsell", "vrhel")]
+    variants = [("bound", 0, False), ("pinv", 6, False)]
+    variants += [(name, 8, False) for name in ESTIMATORS if name != "pinv"] + [("local", 8, True)]
+    print("noise  " + "".join(f"{noise:>22.1%}" for noise in NOISES))
+    for names in trials:
+        print(", ".join(names))
+        three = Trial.of(*names, bands=3)
+        _print_row("pinv, 3 bands", [errors(three, noise, "pinv", 3) for noise in NOISES])
+        trial = Trial.of(*names)
+        for name, bases, stated in variants:
+            label = name + (" + variance" if stated else "")
+            _print_row(label, [errors(trial, noise, name, bases, stated) for noise in NOISES])
+
+
+def _print_row(label: str, values) -> None:
+    print(f"  {label:18}" + "".join(f"{m:8.3f} /{p:6.2f} {r:.4f}" for m, p, r in values), flush=True)
+
+
+def picture() -> np.ndarray:
+    """Return responses of the Munsell spectra in turn at 0.3 % noise, (PIXELS, 6) float32."""
+    _, seen, _ = Trial.of(CAMERAS[0], "classic", "munsell").responses(0.003, 0)
+    return np.resize(seen.astype(np.float32), (PIXELS, seen.shape[1]))
+
+
+def calibration(variant: str):
+    """Return a calibration on the 24 patches at 0.3 % noise."""
+    return fit(variant, Trial.of(CAMERAS[0], "classic", "munsell").responses(0.003, 0)[0], BASES)
+
+
+def bare_product(response: np.ndarray):
+    """Return a function that multiplies a picture with a matrix by BLAS and nothing else."""
+    matrix = np.asarray(calibration("pinv").weights_from_response, dtype=np.float32)
+    return lambda: response @ matrix
+
+
+def timed(work: dict, runs: int) -> dict[str, float]:
+    """Return the median time of each function, s; they take turns, so that a busy machine is busy for all."""
+    seconds = {name: [] for name in work}
+    for run in range(runs + 1):
+        for name, function in work.items():
+            start = time.perf_counter()
+            function()
+            if run:  # the first warms up
+                seconds[name].append(time.perf_counter() - start)
+    return {name: statistics.median(values) for name, values in seconds.items()}
+
+
+def peak_mb(variant: str, threads: int) -> float:
+    """Return the peak resident memory of a process of its own that does the work once, MB."""
+    command = [sys.executable, "-m", "benchmarks.calibrate", "--child", variant, "--threads", str(threads)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    return float(done.stdout.split()[-1])
+
+
+def child(variant: str) -> None:
+    """Do the work once and print the peak resident memory, MB."""
+    response = picture()
+    if variant == "blas":
+        bare_product(response)()
+    elif variant != "imports":
+        calibration(variant).weights(response)
+    # The kernel's ru_maxrss would count the parent's memory at the time of the fork.
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    print(float(status["VmHWM"].split()[0]) / 1024)
+
+
+def measure(runs: int, threads: int) -> list[dict]:
+    """Return one row a variant, the reference first."""
+    response, trial = picture(), Trial.of(CAMERAS[0], "classic", "munsell")
+    work = {"blas": bare_product(response)}
+    for variant in ESTIMATORS:
+        solved = calibration(variant)
+        start = time.perf_counter()
+        solved.weights(response[: PIXELS // 64])
+        print(f"{variant}, first run, compilation included: {time.perf_counter() - start:.2f} s", file=sys.stderr)
+        work[variant] = lambda solved=solved: solved.weights(response)
+    seconds = timed(work, runs)
+    rows = []
+    for variant, median in seconds.items():
+        error = float("nan") if variant == "blas" else errors(trial, 0.003, variant, BASES)[0]
+        rows.append(row(variant, median, seconds["blas"], error, peak_mb(variant, threads)))
+    training = trial.responses(0.003, 0)[0]
+
+    def judge() -> None:
+        chart = Training(training.response, training.spectra, training.light, training.noise)
+        cross_validate(chart, timed=True)
+
+    seconds = timed({"all": judge}, 5)["all"]
+    print(f"cross-validation of everything: {seconds:.2f} s", file=sys.stderr)
+    print(f"a process after its imports and its picture: {peak_mb('imports', threads):.0f} MB", file=sys.stderr)
+    return rows
+
+
+def row(variant: str, seconds: float, reference: float, error: float, peak: float) -> dict:
+    """Return a line of the table of speed against error."""
+    work = PIXELS * 6 / 1e6
+    metric = "mean CIEDE2000 under D65, Munsell, 0.3 % noise"
+    values = ("calibrate", variant, f"{work:.2f}", "megapixel-bands", f"{seconds:.4f}", f"{work / seconds:.1f}", metric,
+              f"{error:.5f}", f"{peak:.0f}", "blas", f"{seconds / reference:.3f}")  # fmt: skip
+    return dict(zip(COLUMNS, values, strict=True))
+
+
+def main() -> None:
+    """Measure and print; write a CSV if asked."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=7, help="timed runs of each variant, at least 5")
+    parser.add_argument("--threads", type=int, default=min(2, numba.config.NUMBA_NUM_THREADS))
+    parser.add_argument("--output", type=Path, help="CSV to write")
+    parser.add_argument("--table", action="store_true", help="errors of every estimator, set, camera and noise")
+    parser.add_argument("--child", choices=["blas", "imports", *ESTIMATORS], help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    use_threads(arguments.threads)
+    if not DATA.is_dir():
+        parser.error(f"no measured spectra at {DATA}")
+    if arguments.child:
+        child(arguments.child)
+        return
+    if arguments.table:
+        print_table()
+        return
+    if arguments.runs < 5:
+        parser.error("--runs: at least 5")
+    rows = measure(arguments.runs, arguments.threads)
+    print(f"{arguments.threads} threads, load {os.getloadavg()[0]:.1f}")
+    shown = ("variant", "seconds", "throughput", "error", "peak_mb", "ratio")
+    print("  ".join(f"{name:>12}" for name in shown))
+    for line in rows:
+        print("  ".join(f"{line[name]:>12}" for name in shown))
+    if arguments.output:
+        with arguments.output.open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()

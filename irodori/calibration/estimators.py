@@ -1,0 +1,224 @@
+"""Estimators of reflectance from responses, behind one interface and one registry.
+
+``ESTIMATORS[name](training)`` gives a mapping from responses to spectra (61); `fit` brings it to a basis. All are
+closed forms, deterministic and positively homogeneous of degree 1.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from irodori.calibration.linear import calibrate, spectral_basis
+from irodori.calibration.numerics import Limits, check_responses
+from irodori.calibration.training import Training, smooth_covariance
+from irodori.recovery import Calibration, LinearMapping, LocalMapping, Mapping, PolynomialMapping
+from irodori.recovery.mappings import polynomial_count
+
+_RIDGES = 10.0 ** np.arange(-12.0, 0.5, 0.5)  # of the mean square of a scaled band
+_FLOOR = 1e-12  # of a moment matrix's trace, added to its diagonal against rounding
+_SMOOTH_SHARE = 0.02  # standard deviation of the smooth prior that joins that of the patches, of their level
+_WIDTH = 0.1  # of the neighbourhood in the directions of the scaled responses (chord)
+_BACKGROUND = 0.002  # share of closeness that every member keeps, however far
+_ANCHORS = 48  # at most
+_LEVELS = 7  # of relative noise variance, one a factor 10
+_SPREAD = 20.0  # how much of the relative noise variance adds to the squared width
+_POLYNOMIAL_RIDGE = 1e-5  # of the mean moment, on what is not linear; noise and uncertainty do the rest
+
+
+def pinv(training: Training) -> LinearMapping:
+    """Return the pseudo-inverse P⁺ Λ [eq. 4]; on the basis B' it is M."""
+    return LinearMapping(np.linalg.pinv(training.scaled) @ training.spectra / training.scale[:, None])
+
+
+def ridge(training: Training) -> LinearMapping:
+    """Return Tikhonov's solution (Pᵀ P + t I)⁻¹ Pᵀ Λ on scaled bands.
+
+    t minimises, over a fixed grid, the leave-one-out error in closed form (residual over one minus leverage) plus what
+    a pixel's noise adds.
+    """
+    left, values, right = np.linalg.svd(training.scaled, full_matrices=False)
+    turned = left.T @ training.spectra
+    noise = np.zeros(len(training.scale)) if training.noise.pixel is None else training.pixel_variance
+    mean_square = np.mean(values**2)
+    best = (np.inf, None)
+    for relative in _RIDGES:
+        t = relative * mean_square
+        shrink = values**2 / (values**2 + t)
+        leverage = np.minimum((left**2 * shrink).sum(axis=1), 1.0 - 1e-9)
+        residual = (training.spectra - (left * shrink) @ turned) / (1.0 - leverage)[:, None]
+        matrix = (right.T * (values / (values**2 + t))) @ turned
+        error = np.mean((residual**2).sum(axis=1)) + noise @ (matrix**2).sum(axis=1)
+        if error < best[0]:
+            best = (error, matrix)
+    return LinearMapping(best[1] / training.scale[:, None])
+
+
+def wiener(training: Training) -> LinearMapping:
+    """Return Wiener's estimator K Hᵀ (H K Hᵀ + C)⁻¹.
+
+    K is the patches' second moment plus a smooth prior, H the mean of the response model, and C the noise of a pixel
+    with the uncertainty of the response model for spectra of covariance K.
+    """
+    model, spectra = training.model, training.spectra
+    prior = spectra.T @ spectra / len(spectra)
+    prior += _SMOOTH_SHARE**2 * np.mean(spectra.mean(axis=1) ** 2) * smooth_covariance(50.0)
+    unsure = np.einsum("bij,ij->b", model.covariance, prior)
+    cross = model.mean @ prior
+    moment = cross @ model.mean.T + np.diag(unsure + training.pixel_variance)
+    return LinearMapping(np.linalg.solve(_floored(moment), cross) / training.scale[:, None])
+
+
+def local(training: Training) -> LocalMapping:
+    """Return a Wiener estimator around each of some patches, of the population weighted by closeness in direction.
+
+    The population is the patches and their mixtures. Each anchor has matrices for some relative noise variances and one
+    for that of a pixel at the chart's mean level, which serves where no variance is given.
+    """
+    population, bands = training.population, len(training.scale)
+    squares = (population.response**2).sum(axis=1)
+    direction = population.response / np.sqrt(squares)[:, None]
+    anchors = _anchors(training.scaled / np.linalg.norm(training.scaled, axis=1, keepdims=True))
+    chord = np.maximum(2.0 - 2.0 * anchors @ direction.T, 0.0)
+    mean = training.pixel_variance.mean()
+    shape = training.pixel_variance / mean if mean > 0 else np.ones(bands)
+    usual = mean / np.mean(squares[: len(training.spectra)])
+    levels = np.log(10.0) * np.arange(-_LEVELS + 1.0, 1.0)
+    maps = []
+    stated = levels if training.pixel_levels else levels[:0]
+    for relative in (usual, *np.exp(stated)):
+        # Without a stated level every width is the same, or the blend would not be that of the usual noise.
+        squared_width = _WIDTH**2 + (_SPREAD * relative if maps else 0.0)
+        share = population.weight * (_BACKGROUND + np.exp(-0.5 * chord / squared_width))
+        share /= share.sum(axis=1, keepdims=True)
+        moment = np.tensordot(share, population.response_response, 1)
+        moment += (share @ squares)[:, None, None] * np.diag(relative * shape)
+        maps.append(np.linalg.solve(_floored(moment), np.tensordot(share, population.response_spectra, 1)))
+    return LocalMapping(training.scale, anchors, _WIDTH, levels, _SPREAD, np.array(maps))
+
+
+def kernel(training: Training) -> PolynomialMapping:
+    """Return ridge regression in homogeneous polynomials of degree three, over the population.
+
+    It is the primal form of kernel ridge with the kernel |ρ| |ρ'| (cosine + cosine² + cosine³), up to weights of its
+    terms. The noise of a pixel and the spread of the population go through the derivatives of the monomials into the
+    moments, so that they regularise each monomial by what it amplifies.
+    """
+    population, bands = training.population, len(training.scale)
+    features, slopes = monomials(population.response)
+    weight = population.weight
+    spread = population.excess + np.diag(training.pixel_variance)
+    # Each member's covariance is split once, and the sum over members becomes one matrix product.
+    half = np.linalg.cholesky(spread + _FLOOR * np.trace(spread, axis1=1, axis2=2)[:, None, None] * np.eye(bands))
+    turned = np.sqrt(weight)[:, None, None] * (slopes @ half)
+    turned = turned.transpose(1, 0, 2).reshape(features.shape[1], -1)
+    moment = (features * weight[:, None]).T @ features + turned @ turned.T
+    cross = (features * weight[:, None]).T @ population.spectra
+    cloud = population.response_spectra - population.response[:, :, None] * population.spectra[:, None, :]
+    cross += np.tensordot(weight[:, None, None] * slopes, cloud, ((0, 2), (0, 1)))
+    penalty = np.full(features.shape[1], _POLYNOMIAL_RIDGE)
+    penalty[:bands] = _FLOOR
+    moment[np.diag_indices_from(moment)] += penalty * np.trace(moment[:bands, :bands]) / bands
+    return PolynomialMapping(training.scale, np.linalg.solve(moment, cross))
+
+
+ESTIMATORS: dict[str, Callable[[Training], Mapping]] = {
+    "pinv": pinv,
+    "ridge": ridge,
+    "wiener": wiener,
+    "local": local,
+    "kernel": kernel,
+}
+
+
+def fit_mapping(name: str, training: Training) -> Mapping:
+    """Return the mapping from responses to spectra that an estimator finds.
+
+    Raises
+    ------
+    ValueError
+        If there is no such estimator; the message lists those there are.
+    """
+    if name not in ESTIMATORS:
+        raise ValueError(f"unknown estimator {name!r}; accepted: {', '.join(ESTIMATORS)}")
+    return ESTIMATORS[name](training)
+
+
+def fit(name: str, training: Training, bases: int, max_condition: float = Limits.condition) -> Calibration:
+    """Return a calibration by an estimator on a number of bases; ``pinv`` is the printed formula.
+
+    Raises
+    ------
+    ValueError
+        For an unknown estimator, an impossible number of bases, or responses that determine no calibration.
+    """
+    response = np.asarray(training.response, dtype=np.float64)
+    training = replace(training, response=response)
+    if name not in ESTIMATORS:
+        raise ValueError(f"unknown estimator {name!r}; accepted: {', '.join(ESTIMATORS)}")
+    check_responses(response, max_condition, training.noise.patch)
+    basis = spectral_basis(training.spectra, bases)
+    if name == "pinv":
+        return calibrate(response, training.spectra, bases, training.light, max_condition)
+    with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
+        mapping = fit_mapping(name, training).on_basis(basis)
+    matrix = mapping.matrix if isinstance(mapping, LinearMapping) else None
+    light = np.asarray(training.light, dtype=np.float64)
+    return Calibration(basis, matrix, light, estimator=name, mapping=mapping, training=response)
+
+
+def monomials(response: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the monomials of `PolynomialMapping` and their derivatives.
+
+    Parameters
+    ----------
+    response : (n, bands) float64, scaled, none of length zero
+
+    Returns
+    -------
+    values : (n, f) float64
+    slopes : (n, f, bands) float64
+    """
+    bands = response.shape[1]
+    length = np.linalg.norm(response, axis=1, keepdims=True)
+    c, unit = response / length, np.eye(bands)
+    values, slopes = [response], [np.broadcast_to(unit, (len(response), bands, bands))]
+    for degree in (2, 3):
+        index = np.array(_exponents(bands, degree)).T
+        factors = [c[:, i] for i in index]
+        product = np.prod(factors, axis=0)
+        # The product of n direction cosines times the length: d = Σ (product without one factor) e - (n - 1) product c.
+        slope = -(degree - 1) * product[:, :, None] * c[:, None, :]
+        for which in range(degree):
+            others = np.prod([f for k, f in enumerate(factors) if k != which], axis=0)
+            slope = slope + others[:, :, None] * unit[index[which]][None]
+        values.append(product * length)
+        slopes.append(slope)
+    values, slopes = np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
+    assert values.shape[1] == polynomial_count(bands)
+    return values, slopes
+
+
+def _exponents(bands: int, degree: int) -> list[tuple[int, ...]]:
+    if degree == 2:
+        return [(i, j) for i in range(bands) for j in range(i, bands)]
+    return [(i, j, k) for i in range(bands) for j in range(i, bands) for k in range(j, bands)]
+
+
+def _anchors(direction: np.ndarray) -> np.ndarray:
+    """Return at most 48 directions that lie far from each other, beginning with the first."""
+    if len(direction) <= _ANCHORS:
+        return direction
+    chosen = [0]
+    distance = np.linalg.norm(direction - direction[0], axis=1)
+    while len(chosen) < _ANCHORS:
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(direction - direction[chosen[-1]], axis=1))
+    return direction[chosen]
+
+
+def _floored(moment: np.ndarray) -> np.ndarray:
+    """Return symmetric matrices (..., n, n) with a part of their trace on the diagonal."""
+    trace = np.trace(moment, axis1=-2, axis2=-1)[..., None, None]
+    return moment + _FLOOR * trace * np.eye(moment.shape[-1])

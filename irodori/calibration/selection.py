@@ -1,0 +1,201 @@
+"""Cross-validation of every estimator and number of bases, and the choice among them."""
+
+import time
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from irodori.calibration.estimators import ESTIMATORS, fit_mapping
+from irodori.calibration.linear import spectral_basis
+from irodori.calibration.training import Training
+from irodori.colour import delta_e_reflectance, spectral_rmse
+from irodori.recovery import Mapping
+
+BASES = (3, 4, 5, 6, 7, 8)
+_SINGLE_FOLDS = 32  # patches, up to which each is left out alone
+_FOLDS = 12  # of larger charts, every 12th patch together
+_RMSE_WEIGHT = 50.0  # CIEDE2000 that a spectral RMSE of one counts for in the score: 0.02 is as bad as 1
+_TIMED_PIXELS = 1024
+
+
+@dataclass(frozen=True)
+class SelectionRow:
+    """Errors of one estimator and number of bases on patches that it has not seen.
+
+    Parameters
+    ----------
+    estimator : str
+    bases : int
+    score : float
+        Mean CIEDE2000 over the lights plus 50 times the mean spectral RMSE, with the noise of a pixel where known.
+    delta_e_mean, delta_e_p95, delta_e_max : dict of str to float
+        By light.
+    rmse_mean, rmse_max : float
+    multiply_adds : int
+        A pixel's, see `irodori.recovery.Mapping`.
+    ns_per_pixel : float
+        Measured; NaN where not. The choice does not look at it.
+    """
+
+    estimator: str
+    bases: int
+    score: float
+    delta_e_mean: dict[str, float]
+    delta_e_p95: dict[str, float]
+    delta_e_max: dict[str, float]
+    rmse_mean: float
+    rmse_max: float
+    multiply_adds: int
+    ns_per_pixel: float = float("nan")
+
+
+def folds(patches: int, charts=None) -> list[np.ndarray]:
+    """Return what is left out in turn, bool arrays (patches,).
+
+    Parameters
+    ----------
+    patches : int
+    charts : (patches,) int, optional
+        Number of the chart that each patch belongs to; with several, whole charts are left out. Of one chart up to
+        32 patches are left out one by one, of a larger one in 12 groups of every 12th.
+    """
+    if charts is not None and np.unique(charts).size > 1:
+        return [np.asarray(charts) == chart for chart in np.unique(charts)]
+    group = np.arange(patches) if patches <= _SINGLE_FOLDS else np.arange(patches) % _FOLDS
+    return [group == number for number in range(group.max() + 1)]
+
+
+def cross_validate(
+    training: Training, lights=("D65", "A"), charts=None, bases=BASES, timed: bool = False, estimators=tuple(ESTIMATORS)
+) -> tuple[list[SelectionRow], dict[tuple[str, int], np.ndarray]]:
+    """Return the table of every estimator and number of bases, and the spectra each recovers of unseen patches.
+
+    Where the noise of a pixel is known, every patch left out is recovered from its response and from two more a band,
+    √bands standard deviations above and below, whose second moments are those of the noise; the score and its errors
+    are means over these.
+
+    Parameters
+    ----------
+    training : Training
+    lights : sequence of str
+    charts : see `folds`
+    bases : sequence of int
+        Numbers of bases; those beyond the smallest fold's patches are left out.
+    timed : bool
+        Whether evaluation is timed.
+    estimators : sequence of str
+        Those to judge.
+
+    Returns
+    -------
+    rows : list of SelectionRow, by estimator, then bases
+    recovered : dict of (estimator, bases) to (m, 61) float64, without noise
+    """
+    with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
+        return _cross_validate(training, lights, charts, bases, timed, estimators)
+
+
+def _cross_validate(training, lights, charts, bases, timed, estimators):
+    sets = folds(len(training.spectra), charts)
+    smallest = min(int((~left_out).sum()) for left_out in sets)
+    bases = [count for count in bases if count <= smallest]
+    offsets = _noise_offsets(training)
+    combinations = [(name, count) for name in estimators for count in bases]
+    recovered = {key: np.empty((len(offsets), *training.spectra.shape)) for key in combinations}
+    for left_out in sets:
+        seen = training.without(left_out)
+        largest = spectral_basis(seen.spectra, max(bases))
+        queries = (training.response[left_out] + offsets[:, None]).reshape(-1, training.response.shape[1])
+        for name in estimators:
+            coefficients = _apply(fit_mapping(name, seen).on_basis(largest), queries, largest.shape[1])
+            for count in bases:
+                # The bases are nested and orthonormal: the first of many weights are those of few.
+                spectra = coefficients[:, :count] @ largest[:, :count].T
+                recovered[name, count][:, left_out] = spectra.reshape(len(offsets), -1, spectra.shape[1])
+    rows = [_row(training, key, recovered[key], lights) for key in combinations]
+    whole = {name: fit_mapping(name, training) for name in estimators}
+    full = spectral_basis(training.spectra, max(bases))
+    done = []
+    for row in rows:
+        mapping = whole[row.estimator].on_basis(full[:, : row.bases])
+        seconds = _evaluation_ns(mapping, training.response, row.bases) if timed else float("nan")
+        done.append(SelectionRow(**{**vars(row), "multiply_adds": mapping.multiply_adds(), "ns_per_pixel": seconds}))
+    return done, {key: values[0] for key, values in recovered.items()}
+
+
+def choose(rows: list[SelectionRow], estimator: str, bases: int | str) -> tuple[str, int]:
+    """Return the estimator and number of bases of the smallest score among those that the configuration allows.
+
+    Parameters
+    ----------
+    rows : list of SelectionRow
+    estimator : str
+        A name, or ``auto``.
+    bases : int or str
+        A number, or ``auto``.
+
+    Raises
+    ------
+    ValueError
+        For an unknown estimator, or where the table has no row that fits.
+    """
+    if estimator != "auto" and estimator not in ESTIMATORS:
+        raise ValueError(f"unknown estimator {estimator!r}; accepted: auto, {', '.join(ESTIMATORS)}")
+    if "auto" not in (estimator, bases):
+        return estimator, int(bases)
+    fitting = [r for r in rows if estimator in ("auto", r.estimator) and bases in ("auto", r.bases)]
+    if not fitting:
+        accepted = ", ".join(str(n) for n in sorted({r.bases for r in rows}))
+        raise ValueError(f"{bases} bases with estimator {estimator}; accepted: {accepted}")
+    # Rounded, so that equal errors go to the simpler estimator and the fewer bases whatever the last bits are.
+    best = min(fitting, key=lambda r: (round(r.score, 6), r.multiply_adds))
+    return best.estimator, best.bases
+
+
+def _noise_offsets(training: Training) -> np.ndarray:
+    """Return what is added to a response, (1 or 1 + 2 bands, bands), the first row zero."""
+    bands = training.response.shape[1]
+    if training.noise.pixel is None or not np.any(training.noise.pixel):
+        return np.zeros((1, bands))
+    step = np.diag(np.sqrt(training.noise.pixel)) * sqrt(bands)
+    return np.concatenate([np.zeros((1, bands)), step, -step])
+
+
+def _apply(mapping: Mapping, response: np.ndarray, bases: int) -> np.ndarray:
+    out = np.empty((len(response), bases))
+    mapping.weights(response, None, out)
+    return out
+
+
+def _row(training: Training, key: tuple[str, int], recovered: np.ndarray, lights) -> SelectionRow:
+    # The response without noise stands for the noise only where there is none.
+    judged = recovered[1:] if len(recovered) > 1 else recovered
+    truth = np.broadcast_to(training.spectra, judged.shape)
+    rmse = spectral_rmse(truth, judged)
+    delta_e = {light: delta_e_reflectance(truth, judged, light) for light in lights}
+    colour = float(np.mean([values.mean() for values in delta_e.values()]))
+    return SelectionRow(
+        *key,
+        score=colour + _RMSE_WEIGHT * float(rmse.mean()),
+        delta_e_mean={light: float(values.mean()) for light, values in delta_e.items()},
+        delta_e_p95={light: float(np.percentile(values, 95)) for light, values in delta_e.items()},
+        delta_e_max={light: float(values.max()) for light, values in delta_e.items()},
+        rmse_mean=float(rmse.mean()),
+        rmse_max=float(rmse.max()),
+        multiply_adds=0,
+    )
+
+
+def _evaluation_ns(mapping: Mapping, response: np.ndarray, bases: int) -> float:
+    """Return the shortest of three evaluations, ns a pixel, compilation apart."""
+    pixels = np.resize(response.astype(np.float32), (_TIMED_PIXELS, response.shape[1]))
+    out = np.empty((_TIMED_PIXELS, bases), dtype=np.float32)
+    mapping.weights(pixels, None, out)
+    best = float("inf")
+    for _ in range(3):
+        start = time.perf_counter()
+        mapping.weights(pixels, None, out)
+        best = min(best, time.perf_counter() - start)
+    return 1e9 * best / _TIMED_PIXELS

@@ -1,0 +1,235 @@
+"""What every estimator is trained on: the chart, its noise, and what both tell about camera and reflectances.
+
+A chart shows two dozen reflectances; a picture shows others. Two things carry over. The *response model*, responses per
+unit reflectance at each wavelength, is the light times a smooth sensitivity: its posterior under that prior gives the
+response of any reflectance, with its uncertainty. The *population* is the patches and what they would give mixed as
+paints (Kubelka and Munk 1931), seen through that model.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from irodori.spectra import WAVELENGTH_NM
+
+#: Correlation lengths of a sensitivity behind its filter, nm, and prior variances tried, in that of the data.
+_LENGTHS_NM = (10.0, 15.0, 20.0, 30.0, 40.0)
+_AMPLITUDES = 10.0 ** np.arange(-2.0, 5.0)
+#: Variance of patch means tried, where it is not known or on top of what is, in mean squares of the responses.
+_EXTRA_NOISE = 10.0 ** np.arange(-10.0, -1.0)
+_MIXTURES = 600  # at most; pairs are left out evenly
+_LEAST_REFLECTANCE = 1e-3  # of a paint that is mixed: absorption grows without bound below
+_SPREAD, _SPREAD_NM = 0.03, 60.0  # of a reflectance about those of the population, of its level; correlation length
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Variances of what is measured, per band, in squared units of the response.
+
+    Parameters
+    ----------
+    patch : (bands,) float, optional
+        Of the means over the patches; None where not known: the marginal likelihood of the response model finds it.
+    pixel : (bands,) float, optional
+        Of a pixel that will be recovered; None where not known: that of the patches stands for it.
+    """
+
+    patch: np.ndarray | None = None
+    pixel: np.ndarray | None = None
+
+
+def smooth_covariance(length_nm: float) -> np.ndarray:
+    """Return the squared-exponential covariance of unit variance over the grid, (61, 61)."""
+    distance = (WAVELENGTH_NM[:, None] - WAVELENGTH_NM) / length_nm
+    return np.exp(-0.5 * distance**2)
+
+
+@dataclass(frozen=True)
+class ResponseModel:
+    """Responses per unit reflectance and wavelength, with their uncertainty.
+
+    Parameters
+    ----------
+    mean : (bands, 61) float64
+    covariance : (bands, 61, 61) float64
+    noise : (bands,) float64
+        Variance of patch means, what was given and what the data showed beyond it.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    noise: np.ndarray
+
+
+def fit_response_model(response: np.ndarray, spectra: np.ndarray, light: np.ndarray, patch_variance) -> ResponseModel:
+    """Return the posterior of the response model under a prior of smooth sensitivities times the light.
+
+    Correlation length, amplitude and noise beyond what is stated maximise the marginal likelihood over a fixed grid,
+    band by band; everything is one eigendecomposition a length (Rasmussen and Williams 2006, section 5.4).
+
+    Parameters
+    ----------
+    response : (m, bands) float64
+    spectra : (m, 61) float64
+    light : (61,) float64
+    patch_variance : (bands,) float64, zeros where not known
+    """
+    shape = np.asarray(light) / np.mean(light)
+    total = np.mean(response**2, axis=0)
+    best = np.full(response.shape[1], -np.inf)
+    chosen: list = [None] * response.shape[1]
+    for length in _LENGTHS_NM:
+        prior = shape[:, None] * smooth_covariance(length) * shape
+        gram = spectra @ prior @ spectra.T
+        values, vectors = np.linalg.eigh(gram)
+        values, scale = np.maximum(values, 0.0), np.trace(gram) / len(gram)
+        rotated = (vectors.T @ response) ** 2
+        for band in range(response.shape[1]):
+            amplitude = _AMPLITUDES[:, None, None] * total[band] / scale
+            noise = np.maximum(patch_variance[band], 0.0) + _EXTRA_NOISE[None, :, None] * total[band]
+            variance = amplitude * values + noise
+            likelihood = -0.5 * (rotated[:, band] / variance + np.log(variance)).sum(axis=2)
+            i, j = np.unravel_index(np.argmax(likelihood), likelihood.shape)
+            if likelihood[i, j] > best[band]:
+                best[band] = likelihood[i, j]
+                chosen[band] = (amplitude[i, 0, 0] * prior, noise[0, j, 0])
+    mean, covariance = [], []
+    for band, (prior, noise) in enumerate(chosen):
+        cross = spectra @ prior
+        gain = np.linalg.solve(cross @ spectra.T + noise * np.eye(len(spectra)), cross).T
+        mean.append(gain @ response[:, band])
+        covariance.append(prior - gain @ cross)
+    return ResponseModel(np.array(mean), np.array(covariance), np.array([noise for _, noise in chosen]))
+
+
+def mix_paints(spectra: np.ndarray, limit: int = _MIXTURES) -> np.ndarray:
+    """Return reflectances of equal mixtures of two patches each, by the Kubelka-Munk ratio of opaque layers.
+
+    Parameters
+    ----------
+    spectra : (m, 61) float
+        Values outside 0.001..1 are brought there, in the mixtures only.
+    limit : int
+        Most mixtures; of more pairs every n-th is taken.
+
+    Returns
+    -------
+    (n, 61) float64, 0..1
+    """
+    first, second = np.triu_indices(len(spectra), 1)
+    step = max(1, -(-first.size // limit))
+    first, second = first[::step], second[::step]
+    paint = np.clip(spectra, _LEAST_REFLECTANCE, 1.0)
+    ratio = (1.0 - paint) ** 2 / (2.0 * paint)
+    mixed = 0.5 * (ratio[first] + ratio[second])
+    return 1.0 + mixed - np.sqrt(mixed * (mixed + 2.0))
+
+
+@dataclass(frozen=True)
+class Population:
+    """Reflectances that a picture may show, as first and second moments of what the camera answers.
+
+    Each member stands for a small cloud of smooth spectra about it, and the response model for those it may be.
+
+    Parameters
+    ----------
+    spectra : (n, 61) float64
+    weight : (n,) float64
+        Sum one; half on the patches, half on their mixtures, each over its level.
+    response : (n, bands) float64
+        Expected, scaled.
+    response_response : (n, bands, bands) float64
+        Expected ρ ρᵀ without the noise of a pixel.
+    response_spectra : (n, bands, 61) float64
+        Expected ρ sᵀ.
+    excess : (n, bands, bands) float64
+        Covariance of ρ.
+    """
+
+    spectra: np.ndarray
+    weight: np.ndarray
+    response: np.ndarray
+    response_response: np.ndarray
+    response_spectra: np.ndarray
+    excess: np.ndarray
+
+
+@dataclass(frozen=True)
+class Training:
+    """A chart as the estimators see it.
+
+    Parameters
+    ----------
+    response : (m, bands) float, P
+    spectra : (m, 61) float, Λ
+    light : (61,) float
+    noise : Noise
+    pixel_levels : bool
+        Whether ``local`` prepares for pixels of stated variance; what only serves cross-validation need not.
+    """
+
+    response: np.ndarray
+    spectra: np.ndarray
+    light: np.ndarray
+    noise: Noise = Noise()
+    pixel_levels: bool = True
+
+    def without(self, left_out: np.ndarray) -> "Training":
+        """Return the same without some patches, (m,) bool, and without levels of a pixel's noise."""
+        return Training(self.response[~left_out], self.spectra[~left_out], self.light, self.noise, pixel_levels=False)
+
+    @cached_property
+    def scale(self) -> np.ndarray:
+        """Largest response in every band, (bands,)."""
+        return np.abs(self.response).max(axis=0)
+
+    @cached_property
+    def scaled(self) -> np.ndarray:
+        """Responses in units of the scale, (m, bands)."""
+        return self.response / self.scale
+
+    @cached_property
+    def model(self) -> ResponseModel:
+        """Response model of the scaled responses."""
+        known = np.zeros(len(self.scale)) if self.noise.patch is None else self.noise.patch / self.scale**2
+        return fit_response_model(self.scaled, self.spectra, self.light, known)
+
+    @cached_property
+    def pixel_variance(self) -> np.ndarray:
+        """Variance of a pixel's scaled response, (bands,)."""
+        if self.noise.pixel is None:
+            return self.model.noise
+        return self.noise.pixel / self.scale**2
+
+    def member_weights(self, spectra: np.ndarray, mixtures: int) -> np.ndarray:
+        """Return weights of patches followed by mixtures: half each, over the level, since ΔE grows as light falls."""
+        patches = len(spectra) - mixtures
+        weight = np.concatenate([np.full(patches, 1.0 / patches), np.full(mixtures, 1.0 / max(mixtures, 1))])
+        weight = weight / np.maximum(spectra.mean(axis=1), _LEAST_REFLECTANCE)
+        return weight / weight.sum()
+
+    @cached_property
+    def population(self) -> Population:
+        """Patches and their mixtures."""
+        mixtures = mix_paints(self.spectra)
+        spectra = np.concatenate([self.spectra, mixtures])
+        return self.members(spectra, self.member_weights(spectra, len(mixtures)))
+
+    def members(self, spectra: np.ndarray, weight: np.ndarray) -> Population:
+        """Return the population of given spectra (n, 61) and weights (n,)."""
+        model = self.model
+        response, bands = spectra @ model.mean.T, len(model.mean)
+        cloud = _SPREAD**2 * smooth_covariance(_SPREAD_NM)
+        level = spectra.mean(axis=1)[:, None, None] ** 2
+        seen = model.mean @ cloud
+        unsure = np.stack([np.einsum("ni,ni->n", spectra @ c, spectra) for c in model.covariance], axis=1)
+        excess = level * (seen @ model.mean.T) + unsure[:, :, None] * np.eye(bands)
+        return Population(
+            spectra=spectra,
+            weight=weight,
+            response=response,
+            response_response=response[:, :, None] * response[:, None, :] + excess,
+            response_spectra=response[:, :, None] * spectra[:, None, :] + level * seen,
+            excess=excess,
+        )

@@ -1,0 +1,342 @@
+"""Estimators: exposure, units, types and hard charts, for each; their noise, distance and files."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from charts import LIGHT, patches, system, training
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from irodori import store
+from irodori.calibration import ESTIMATORS, Noise, Training, calibrate, fit, noise_amplification
+from irodori.calibration.estimators import monomials
+from irodori.calibration.numerics import check_amplification, check_responses
+from irodori.calibration.training import fit_response_model, mix_paints
+from irodori.colour import spectral_rmse
+from irodori.recovery import Calibration, LinearMapping, LocalMapping, PolynomialMapping
+
+NAMES = list(ESTIMATORS)
+PROBES = mix_paints(patches(), limit=60)[:50]
+
+
+@pytest.fixture(scope="module")
+def solved() -> dict[str, Calibration]:
+    """Every estimator on the chart at 0.3 % noise, six bases."""
+    return {name: fit(name, training(0.003), 6) for name in NAMES}
+
+
+@pytest.mark.parametrize("name", NAMES)
+@given(exponent=st.floats(-6, 6))
+@settings(deadline=None, max_examples=25)
+def test_twice_the_light_gives_twice_the_reflectance(solved, name, exponent):
+    gain, response = 10.0**exponent, PROBES @ system().T
+    plain = solved[name].weights(response)
+    assert np.allclose(solved[name].weights(gain * response), gain * plain, rtol=1e-9, atol=1e-12 * gain)
+    variance = np.full(6, 1e-4)
+    stated = solved[name].weights(response, variance)
+    assert np.allclose(solved[name].weights(gain * response, gain**2 * variance), gain * stated, rtol=1e-7,
+                       atol=1e-10 * gain)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("gain", [1e-6, 1e6, "mixed"])
+def test_units_of_the_responses_do_not_matter(solved, name, gain):
+    gain = 10.0 ** np.array([-6.0, 6.0, 0.0, 3.0, -3.0, 1.0]) if gain == "mixed" else np.full(6, gain)
+    chart = training(0.003)
+    noise = Noise(chart.noise.patch * gain**2, chart.noise.pixel * gain**2)
+    scaled = fit(name, Training(chart.response * gain, chart.spectra, LIGHT, noise), 6)
+    response = PROBES @ system().T
+    assert np.abs(scaled.spectra(response * gain) - solved[name].spectra(response)).max() <= 1e-6
+    assert np.allclose(scaled.distance(response * gain), solved[name].distance(response), atol=1e-6)
+    assert noise_amplification(scaled) == pytest.approx(noise_amplification(solved[name]), rel=1e-4)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_float32_in_is_float32_out_and_the_same(solved, name):
+    response = (PROBES @ system().T).astype(np.float32)
+    single = solved[name].weights(response.reshape(2, 25, 6))
+    assert single.dtype == np.float32 and single.shape == (2, 25, 6)
+    assert np.abs(single.reshape(50, 6) - solved[name].weights(response.astype(np.float64))).max() <= 3e-5
+    chart = training(0.003)
+    rounded = fit(name, replace(chart, response=chart.response.astype(np.float32)), 6)
+    assert np.abs(rounded.spectra(response) - solved[name].spectra(response)).max() <= 1e-4
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_large_pictures_are_recovered_as_small_ones(solved, name):
+    response = np.resize(PROBES @ system().T, (70_050, 6))
+    whole = solved[name].weights(response)
+    assert np.allclose(whole[-50:], solved[name].weights(response[-50:]), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_pixels_without_light_are_black_and_missing_ones_stay_missing(solved, name):
+    response = np.zeros((3, 6))
+    response[1, 2] = np.nan
+    weights = solved[name].weights(response)
+    assert (weights[[0, 2]] == 0.0).all() and np.isnan(weights[1]).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("bases", [3, 8])
+def test_unseen_mixtures_are_recovered_on_an_orthonormal_basis(name, bases):
+    found = fit(name, training(), bases)
+    assert np.abs(found.basis.T @ found.basis - np.eye(bases)).max() <= 1e-12
+    best = spectral_rmse(PROBES, PROBES @ found.basis @ found.basis.T).mean()
+    # What six bands do not see adds to what the basis cannot hold; a wrong order of bands gives over 0.1.
+    assert best <= spectral_rmse(PROBES, found.spectra(PROBES @ system().T)).mean() <= best + 0.02
+
+
+def test_without_noise_wiener_and_local_explain_the_response():
+    response = PROBES @ system().T
+    for name in ("wiener", "local"):
+        again = fit(name, training(), 20).spectra(response) @ system().T
+        assert np.abs(again - response).max() <= 0.003
+
+
+@pytest.mark.parametrize("name", ["ridge", "wiener", "local", "kernel"])
+def test_knowing_the_noise_beats_the_pseudo_inverse(name):
+    noise, rng = 0.01, np.random.default_rng(1)
+    response = np.repeat(PROBES @ system().T, 20, axis=0)
+    response += noise * rng.standard_normal(response.shape)
+    truth = np.repeat(PROBES, 20, axis=0)
+    found = {n: spectral_rmse(truth, fit(n, training(noise), 6).spectra(response)).mean() for n in ("pinv", name)}
+    assert found[name] <= 0.7 * found["pinv"]
+
+
+def test_a_stated_variance_shrinks_dark_pixels_towards_the_prior():
+    noise, rng = 0.01, np.random.default_rng(2)
+    truth = np.repeat(0.1 * PROBES, 20, axis=0)
+    response = truth @ system().T + noise * rng.standard_normal((len(truth), 6))
+    local = fit("local", training(noise), 6)
+    plain, stated = (spectral_rmse(truth, local.spectra(response, v)).mean() for v in (None, np.full(6, noise**2)))
+    assert stated <= 0.8 * plain
+
+
+def test_an_unknown_estimator_is_refused_with_the_list():
+    with pytest.raises(ValueError, match="'pin'; accepted: pinv, ridge, wiener, local, kernel"):
+        fit("pin", training(), 6)
+
+
+# ---- hard charts
+
+
+def faulty(fault: str) -> Training:
+    """Return a chart with one thing wrong."""
+    chart = training()
+    response, spectra = chart.response.copy(), chart.spectra
+    if fault == "few patches":
+        response, spectra = response[:5], spectra[:5]
+    elif fault == "few different patches":
+        response, spectra = np.tile(response[:5], (4, 1)), np.tile(spectra[:5], (4, 1))
+    elif fault == "dead band":
+        response[:, 4] = 0.0
+    elif fault == "bands alike":
+        response[:, 4] = 1e-3 * response[:, 1]
+    elif fault == "rank of three":
+        response[:, 3:] = response[:, :3] @ np.array([[0.9, 0.1, 0.0], [0.2, 0.7, 0.1], [0.0, 0.3, 0.7]])
+    elif fault == "grey chart":
+        response = np.linspace(0.1, 0.9, 24)[:, None] * np.ones(6)
+    elif fault == "saturated":
+        response[:, 1] = np.minimum(response[:, 1], 0.4)
+    elif fault == "negative":
+        response[7, 2] = -0.1
+    else:
+        response[7, 2] = float(fault)
+    return Training(response, spectra, LIGHT)
+
+
+FAULTS = {
+    "few patches": "5 patches for 6 bands; accepted: at least as many",
+    "few different patches": "5 different patches among 20 for 6 bands; accepted",
+    "dead band": "band 4 without any signal; accepted: bands that see the chart",
+    "bands alike": "band 1 and band 4 are the most alike.*accepted: up to 1e.05.*a filter that changes",
+    "rank of three": "condition number .* are the most alike.*accepted",
+    "grey chart": "condition number .*accepted.*more saturated colours",
+    "saturated": "same largest value in band 1: saturated; accepted: a chart exposed below saturation",
+    "negative": "patch 7 at -.* in band 2; accepted: responses that are not negative",
+    "nan": "patch 7 not finite in band 2; accepted: finite responses",
+    "inf": "patch 7 not finite in band 2; accepted: finite responses",
+}
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("fault", FAULTS)
+def test_charts_that_determine_nothing_are_refused_with_the_reason(name, fault):
+    chart = faulty(fault)
+    with pytest.raises(ValueError, match=FAULTS[fault]):
+        fit(name, chart, min(6, len(chart.spectra)))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_patches_that_occur_twice_do_no_harm(name):
+    chart = training()
+    twice = Training(np.tile(chart.response, (2, 1)), np.tile(chart.spectra, (2, 1)), LIGHT)
+    response = PROBES @ system().T
+    found = {n: spectral_rmse(PROBES, fit(name, c, 6).spectra(response)).mean() for n, c in
+             (("once", chart), ("twice", twice))}  # fmt: skip
+    assert found["twice"] <= 1.1 * found["once"] + 1e-4
+
+
+def test_bands_are_named_by_their_filters():
+    chart = faulty("dead band")
+    with pytest.raises(ValueError, match=r"band 4 \(green, filter in\) without any signal"):
+        check_responses(chart.response, filters=("out", "in"))
+
+
+def test_noise_below_zero_is_not_a_fault_where_the_noise_is_known():
+    chart = training()
+    response = chart.response.copy()
+    response[23] = -0.02
+    check_responses(response, patch_variance=np.full(6, 0.01**2))
+    with pytest.raises(ValueError, match="not negative"):
+        check_responses(response, patch_variance=np.full(6, 0.001**2))
+
+
+def test_too_much_amplification_is_refused_with_the_band():
+    solved = fit("pinv", training(0.003), 6)
+    amplification = noise_amplification(solved)
+    check_amplification(amplification, amplification, solved)
+    with pytest.raises(ValueError, match=r"pinv with 6 bases amplifies the noise of band \d .*accepted: up to 0.1"):
+        check_amplification(amplification, 0.1, solved)
+
+
+# ---- the parts
+
+
+def test_the_response_model_is_that_of_the_camera_within_its_uncertainty():
+    model = fit_response_model(patches() @ system().T, patches(), LIGHT, np.zeros(6))
+    error = model.mean - system()
+    # Spectra beyond the chart: what the model says of their responses holds within its own standard deviation.
+    probes = np.concatenate([PROBES, np.exp(-0.5 * ((np.arange(61) - np.arange(5, 60, 5)[:, None]) / 8.0) ** 2)])
+    spread = np.sqrt(np.einsum("ni,bij,nj->nb", probes, model.covariance, probes))
+    standard = (probes @ error.T) / (spread + 1e-9)
+    assert np.sqrt(np.mean(standard**2)) <= 2.0
+    assert np.abs(PROBES @ error.T).max() <= 0.005
+
+
+def test_noise_that_is_not_stated_is_found():
+    noise = 0.005
+    found = [training(noise, seed, known=False, patch_share=1.0).model.noise for seed in range(20)]
+    unit = np.abs(training().response).max(axis=0)
+    assert noise / 2 <= np.sqrt(np.median(found, axis=0) * unit**2).min()
+    assert np.sqrt(np.median(found, axis=0) * unit**2).max() <= 2 * noise
+
+
+def test_paints_mix_to_between_their_parts():
+    pair = np.stack([np.full(61, 0.2), np.full(61, 0.8)])
+    mixed = mix_paints(pair)
+    # Kubelka and Munk: K/S of 0.2 is 1.6, of 0.8 is 0.025.
+    ratio = (1.6 + 0.025) / 2
+    assert np.allclose(mixed, 1 + ratio - np.sqrt(ratio**2 + 2 * ratio))
+    assert np.allclose(mix_paints(pair[[0, 0]]), 0.2)
+    assert len(mix_paints(np.tile(patches(), (5, 1)))) <= 600
+
+
+def test_anchors_of_one_matrix_are_that_matrix():
+    rng = np.random.default_rng(3)
+    matrix, anchors = rng.normal(size=(6, 4)), rng.normal(size=(7, 6))
+    anchors /= np.linalg.norm(anchors, axis=1, keepdims=True)
+    scale = rng.uniform(0.5, 2.0, 6)
+    maps = np.broadcast_to(matrix, (3, 7, 6, 4)).copy()
+    mapping = LocalMapping(scale, anchors, 0.2, np.array([-9.0, -2.0]), 5.0, maps)
+    response = rng.normal(size=(50, 6))
+    for variance in (None, rng.uniform(0, 1, (50, 6))):
+        out = np.empty((50, 4))
+        mapping.weights(response, variance, out)
+        # Shares under 1e-7 are left out.
+        assert np.allclose(out, (response / scale) @ matrix, atol=1e-5)
+
+
+def test_monomials_and_their_slopes_are_those_of_the_compiled_loop():
+    rng = np.random.default_rng(4)
+    response = rng.uniform(-0.2, 1.0, (40, 6))
+    values, slopes = monomials(response)
+    assert values.shape == (40, 83)
+    mapping, out = PolynomialMapping(np.ones(6), np.eye(83)), np.empty((40, 83))
+    mapping.weights(response, None, out)
+    assert np.allclose(out, values, atol=1e-12)
+    for band in range(6):
+        step = 1e-6 * np.eye(6)[band]
+        difference = (monomials(response + step)[0] - monomials(response - step)[0]) / 2e-6
+        assert np.abs(slopes[:, :, band] - difference).max() <= 1e-6
+    # Euler: a function of degree one is its slopes times its argument.
+    assert np.allclose(np.einsum("nfb,nb->nf", slopes, response), values, atol=1e-12)
+
+
+# ---- uncertainty and distance
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_standard_deviation_is_that_of_repeated_photographs(solved, name):
+    rng, response = np.random.default_rng(5), PROBES @ system().T
+    variance = (0.002 * rng.uniform(0.5, 1.5, 6)) ** 2
+    runs = response + np.sqrt(variance) * rng.standard_normal((2000, *response.shape))
+    found = solved[name].spectra(runs).std(axis=0)
+    truth = np.sqrt(np.mean(found**2, axis=1))
+    predicted = solved[name].standard_deviation(response, np.broadcast_to(variance, response.shape))
+    assert predicted.shape == (50,)
+    assert np.median(np.abs(predicted / truth - 1.0)) <= 0.05
+    assert np.abs(predicted / truth - 1.0).max() <= 0.25
+    wider = replace(solved[name], relative_error=0.05).standard_deviation(response, variance)
+    unit = np.abs(solved[name].training).max(axis=0)
+    assert np.allclose(wider**2 - predicted**2, 0.05**2 * ((response / unit) ** 2).sum(axis=1))
+
+
+def test_distance_is_one_for_the_loneliest_patch_and_blind_to_exposure(solved):
+    calibration = solved["local"]
+    chart = calibration.training
+    assert np.abs(calibration.distance(chart)).max() <= 1e-7
+    left_out = [np.degrees(np.arccos(np.clip(_cosines(chart)[i][np.arange(24) != i].max(), -1, 1))) for i in range(24)]
+    lone = int(np.argmax(left_out))
+    others = replace(calibration, training=np.delete(chart, lone, axis=0))
+    unit = np.abs(chart).max(axis=0)
+    if np.array_equal(np.abs(others.training).max(axis=0), unit):
+        scale = max(left_out) / max(_lone(others.training / unit))
+        assert others.distance(chart[lone]) == pytest.approx(scale, rel=1e-6)
+    probe = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert calibration.distance(probe) > 1.0
+    assert calibration.distance(1e5 * probe) == pytest.approx(calibration.distance(probe))
+    assert np.isnan(calibration.distance(np.zeros(6)))
+
+
+def _cosines(chart: np.ndarray) -> np.ndarray:
+    unit = chart / np.abs(chart).max(axis=0)
+    unit = unit / np.linalg.norm(unit, axis=1, keepdims=True)
+    return unit @ unit.T
+
+
+def _lone(scaled: np.ndarray) -> list[float]:
+    unit = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
+    cosines = unit @ unit.T
+    np.fill_diagonal(cosines, -1.0)
+    return [float(np.degrees(np.arccos(np.clip(row.max(), -1, 1)))) for row in cosines]
+
+
+# ---- files
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_calibration_survives_its_file(solved, name, tmp_path):
+    calibration = replace(solved[name], filters=("out", "in"), relative_error=0.02)
+    with store.create(tmp_path / "c.h5", store.Provenance("test")) as out:
+        calibration.write(out)
+    loaded = Calibration.load(tmp_path / "c.h5")
+    assert (loaded.estimator, loaded.filters, loaded.relative_error) == (name, ("out", "in"), 0.02)
+    response = PROBES @ system().T
+    variance = np.full(6, 1e-5)
+    assert np.array_equal(loaded.weights(response, variance), calibration.weights(response, variance))
+    assert np.array_equal(loaded.standard_deviation(response, variance),
+                          calibration.standard_deviation(response, variance))  # fmt: skip
+    assert np.array_equal(loaded.distance(response), calibration.distance(response))
+    assert (loaded.weights_from_response is None) == (name in ("local", "kernel"))
+
+
+def test_pinv_of_the_registry_is_the_printed_formula():
+    chart = training(0.003)
+    printed = calibrate(chart.response, chart.spectra, 6, LIGHT)
+    assert np.array_equal(fit("pinv", chart, 6).weights_from_response, printed.weights_from_response)
+    mapping = ESTIMATORS["pinv"](chart).on_basis(printed.basis)
+    assert isinstance(mapping, LinearMapping)
+    assert np.allclose(mapping.matrix, printed.weights_from_response, rtol=1e-8, atol=1e-9)
