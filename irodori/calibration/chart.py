@@ -28,15 +28,21 @@ class Located:
         x then y, superpixels, in the order of the spectra.
     side_px : float
         Side of the squares to be averaged, superpixels.
+    rows, columns : int
+    patch_side_px : float
+        Side of the whole patches, superpixels; NaN where the configuration's corners were taken as they are.
     found : dict
-        What was measured on the way, empty where the configuration's corners were taken as they are: ``edges`` (count),
-        ``residual_px`` (median distance of the edges from the grid, superpixels), ``moved_px`` (largest distance from the
-        configuration's centres, superpixels; with ``edges``), ``turn_deg``, ``rmse`` and ``next_rmse`` (with ``chart``, see
-        `irodori.calibration.detection.FoundChart`).
+        What was measured on the way, empty where the configuration's corners were taken as they are. ``edges``: count;
+        ``residual_px``: median distance of the edges from the grid, superpixels; with ``edges`` ``moved_px``: largest
+        distance from the configuration's centres, superpixels; with ``chart`` ``turn_deg``, ``rmse`` and ``next_rmse``,
+        see `irodori.calibration.detection.FoundChart`.
     """
 
     centres_px: np.ndarray
     side_px: float
+    rows: int
+    columns: int
+    patch_side_px: float
     found: dict
 
 
@@ -84,8 +90,9 @@ def locate_patches(response: np.ndarray, valid: np.ndarray, chart: dict, file, s
     find = chart.get("find", "nothing")
     if find not in FINDS:
         raise ValueError(f"unknown chart.find {find!r}; accepted: {', '.join(FINDS)}")
+    layout = chart["rows"], chart["columns"]
     if find == "nothing":
-        return Located(patch_centres(chart), float(chart["patch_px"]), {})
+        return Located(patch_centres(chart), float(chart["patch_px"]), *layout, np.nan, {})
     to_superpixels = sample_px / 2.0
     if find == "edges":
         centres, side, found = _by_edges(response, valid, chart, file, sample_px)
@@ -95,8 +102,11 @@ def locate_patches(response: np.ndarray, valid: np.ndarray, chart: dict, file, s
     centres = superpixels_from_samples(centres, sample_px)
     if find == "edges":
         found["moved_px"] = float(np.linalg.norm(centres - patch_centres(chart), axis=1).max())
-    side_px = float(chart.get("patch_px") or _DEFAULT_SHARE * side * to_superpixels)
-    return Located(centres, side_px, found)
+    patch_side_px = side * to_superpixels
+    side_px = float(chart.get("patch_px") or _DEFAULT_SHARE * patch_side_px)
+    if side_px > patch_side_px:
+        raise InputError(file, "chart.patch_px", f"{side_px:g}", f"at most {patch_side_px:.0f}, the patches' own side")
+    return Located(centres, side_px, *layout, patch_side_px, found)
 
 
 def _by_edges(response, valid, chart: dict, file, sample_px: int) -> tuple[np.ndarray, float, dict]:
@@ -139,6 +149,7 @@ def read_located(response, valid, located: Located, file, sample_px: int = 2, sh
     read = read_squares(
         response, valid, samples_from_superpixels(centres_px, sample_px), located.side_px * 2.0 / sample_px, file
     )
+    read["log_slope"] = read["log_slope"] * (2.0 / sample_px)
     return ChartReading(centres_px=centres_px, side_px=located.side_px, **read)
 
 

@@ -17,14 +17,16 @@ from irodori.errors import InputError
 
 ROWS, COLUMNS = 4, 6
 _WORKING_WIDTH_PX = 1440  # the library's own, to which its thresholds are set
-#: Widths the picture is stretched to, for patches that tilt or a sensor's pixels make oblong: the library seeks squares.
+_SMOOTHINGS = 2  # of the library's five, which take most of its time and find no more
+#: Widths the picture is stretched to: the library seeks squares, and a tilt or a sensor's pixels make patches oblong.
 _STRETCHES = (1.0, 1.6, 1.0 / 1.6)
 _MIN_PITCH_PX = 10.0
 _MIN_EDGES = 48  # of 96
 _MAX_RESIDUAL = 0.02  # of the pitch, besides half a sample
 _HALF = (0.33, 0.49)  # half a patch's side over the pitch: what charts of this layout have
 _READ = 0.6  # of a patch's side: the square that proof is taken from
-_MAX_UNEVENNESS = 0.15  # of a patch, above which something lies on it
+_MAX_GRADIENT, _MAX_UNEVENNESS = 0.35, 0.15  # of a patch, above which something lies on it
+_MAX_PATCH_RMSE = 0.25
 _MAX_RMSE = 0.09  # leave-one-patch-out; a right grid gives 0.03 to 0.06 with three bands, a wrong one over 0.15
 _MAX_RATIO = 0.6  # of the errors of the right reading and of the next best
 _MIN_RANK_CORRELATION = 0.8
@@ -81,7 +83,7 @@ def find_chart(response: np.ndarray, valid: np.ndarray, spectra: np.ndarray, fil
     Raises
     ------
     InputError
-        If no chart is found, or several, or what is found is cut, covered, mirrored, not even, or does not answer as the
+        If no chart is found, or several, or what is found is cut, covered, mirrored, uneven, or does not answer as the
         measured spectra do.
     """
     if len(spectra) != ROWS * COLUMNS or response.shape[-1] < 3:
@@ -102,6 +104,8 @@ def _squares(picture: np.ndarray, stretch: float) -> np.ndarray:
     """Return the corners of the squares that the library sees, (n, 4, 2) float64, samples."""
     from colour_checker_detection import segmenter_default
 
+    if np.ptp(picture[..., :3].max(axis=-1)) == 0:
+        return np.zeros((0, 4, 2))  # the library would divide by the range
     image = picture[..., :3].astype(np.float32)
     if stretch != 1.0:
         image = ndimage.zoom(image, (1.0, stretch, 1.0), order=1)
@@ -109,7 +113,8 @@ def _squares(picture: np.ndarray, stretch: float) -> np.ndarray:
     # The library turns upright pictures clockwise without saying so.
     upright = height > width
     seen = segmenter_default(np.ascontiguousarray(np.rot90(image, -1) if upright else image), additional_data=True,
-                             working_width=_WORKING_WIDTH_PX)  # fmt: skip
+                             working_width=_WORKING_WIDTH_PX,
+        bilateral_filter_iterations=_SMOOTHINGS)  # fmt: skip
     scale = max(height, width) / _WORKING_WIDTH_PX
     x, y = np.moveaxis((np.asarray(seen.swatches, dtype=np.float64).reshape(-1, 4, 2) + 0.5) * scale - 0.5, -1, 0)
     if upright:
@@ -186,7 +191,8 @@ def _oriented(grid: FittedGrid, response, valid, spectra, file) -> FoundChart:
         raise _NoChartError(error.found) from None
     number = np.arange(ROWS * COLUMNS).reshape(ROWS, COLUMNS)
     readings = {"upright": number, "turned": number[::-1, ::-1], "mirrored": number[:, ::-1], "flipped": number[::-1]}
-    errors = {name: _rmse(read["mean"][order.ravel()], spectra) for name, order in readings.items()}
+    patch_rmse = {name: _rmse(read["mean"][order.ravel()], spectra) for name, order in readings.items()}
+    errors = {name: float(values.mean()) for name, values in patch_rmse.items()}
     best, second = sorted(errors, key=errors.get)[:2]
     order = readings[best].ravel()
     rank = stats.spearmanr(_brightness(read["mean"][order]), spectra.mean(axis=1)).statistic
@@ -195,14 +201,21 @@ def _oriented(grid: FittedGrid, response, valid, spectra, file) -> FoundChart:
         raise _NoChartError(f"patches that do not answer as the measured spectra do ({described})")
     if best in ("mirrored", "flipped"):
         raise _NoChartError("a mirrored picture of the chart")
-    worst = int(np.nanargmax(read["unevenness"][order])) if np.isfinite(read["unevenness"]).any() else 0
-    if read["unevenness"][order][worst] > _MAX_UNEVENNESS:
-        uneven = read["unevenness"][order][worst]
-        raise _NoChartError(f"patch {worst} uneven by {uneven:.0%}, as if something covered it")
+    _refuse_covered(read["gradient"][order], read["unevenness"][order], patch_rmse[best])
     centres = centres[order]
     ahead = centres[COLUMNS - 1] - centres[0]
     turn_deg = float(np.degrees(np.arctan2(ahead[1], ahead[0])))
     return FoundChart(centres, float(side), turn_deg, grid.edges, grid.residual_px, errors[best], errors[second])
+
+
+def _refuse_covered(gradient: np.ndarray, unevenness: np.ndarray, patch_rmse: np.ndarray) -> None:
+    """Refuse a chart on one patch of which something lies; patches too small to tell (NaN) pass."""
+    for number in range(len(gradient)):
+        change = max(gradient[number] / _MAX_GRADIENT, unevenness[number] / _MAX_UNEVENNESS)
+        if change > 1.0:
+            raise _NoChartError(f"patch {number} uneven by {gradient[number]:.0%}, as if something covered it")
+        if patch_rmse[number] > _MAX_PATCH_RMSE:
+            raise _NoChartError(f"patch {number} off its spectrum by {patch_rmse[number]:.2f}, as if covered")
 
 
 def _brightness(mean: np.ndarray) -> np.ndarray:
@@ -210,10 +223,10 @@ def _brightness(mean: np.ndarray) -> np.ndarray:
     return (mean / np.maximum(mean.max(axis=0), np.finfo(float).tiny)).mean(axis=1)
 
 
-def _rmse(response: np.ndarray, spectra: np.ndarray) -> float:
-    """Return the spectral RMSE of spectra predicted linearly from responses, each patch left out, in closed form."""
+def _rmse(response: np.ndarray, spectra: np.ndarray) -> np.ndarray:
+    """Return each patch's spectral RMSE, predicted linearly from its response by all the others, in closed form."""
     response = response / np.maximum(np.abs(response).max(axis=0), np.finfo(float).tiny)
     left = np.linalg.svd(response, full_matrices=False)[0]
     leverage = (left**2).sum(axis=1)
     residual = (spectra - left @ (left.T @ spectra)) / np.maximum(1.0 - leverage, 1e-6)[:, None]
-    return float(np.sqrt((residual**2).mean(axis=1)).mean())
+    return np.sqrt((residual**2).mean(axis=1))

@@ -16,7 +16,8 @@ _EDGE = (0.25, 0.6)  # of the pitch: where an edge may lie from the centre
 _GAP = (0.38, 0.65)  # of the pitch: where the gap's darkest place may lie
 _MIN_CONTRAST = 0.12  # of the patch's level, below which an edge is not told from the gap
 _MAX_SCATTER = 0.1  # of the contrast, within the patch
-_ROUNDS = 4
+_ROUNDS = 10
+_SETTLED_PX = 2e-3
 _BRIGHT = 99.0  # percentile of a band that becomes 1
 _DISTORTION = 0.03  # radial distortion at the half-diagonal that lenses may well have
 
@@ -148,10 +149,12 @@ def fit_to_edges(picture: np.ndarray, image_from_grid: np.ndarray, rows: int, co
     fitted = FittedGrid(np.asarray(image_from_grid, dtype=np.float64), 0.0, size, np.full(2, 0.44), 0, np.inf)
     for _ in range(_ROUNDS):
         sides = [_edges_along(picture, fitted, points, axis) for axis in (0, 1)]
-        count = sum(int(np.isfinite(found).sum()) for found in sides)
-        if count < 4 * len(points) // 3:
-            raise ValueError(f"{count} of {4 * len(points)} patch edges")
-        fitted = _fit(fitted, points, sides, count)
+        counts = [int(np.isfinite(found).sum()) for found in sides]
+        if min(counts) < max(6, len(points) // 2):
+            raise ValueError(f"{sum(counts)} of {4 * len(points)} patch edges")
+        before, fitted = fitted, _fit(fitted, points, sides, sum(counts))
+        if np.abs(fitted.image(points) - before.image(points)).max() < _SETTLED_PX:
+            break
     return fitted
 
 
@@ -168,7 +171,7 @@ def _edges_along(picture, fitted: FittedGrid, points, axis: int) -> np.ndarray:
 
 
 def _edge(profile: np.ndarray, along: np.ndarray) -> float:
-    """Return where a profile (samples, bands) leaves the patch towards positive places, or NaN where that is unclear."""
+    """Return where a profile (samples, bands) leaves the patch towards positive places, NaN where that is unclear."""
     level = np.median(profile[np.abs(along) < 0.2], axis=0)
     gap = (along > _GAP[0]) & (along < _GAP[1])
     if not np.isfinite(profile[gap | (np.abs(along) < _GAP[0])]).all():

@@ -124,7 +124,7 @@ def _settle(places: np.ndarray, centres: np.ndarray) -> Lattice | None:
         if min(np.ptp(places, axis=0)) < 2:
             return None
         image_from_grid = homography(places, centres)
-        pitch = np.median(np.linalg.norm(project(image_from_grid, places + [1, 0]) - centres, axis=1))
+        pitch = np.median(np.linalg.norm(project(image_from_grid, places + np.array([1, 0])) - centres, axis=1))
         good = np.linalg.norm(project(image_from_grid, places) - centres, axis=1) < _MAX_RESIDUAL * pitch
         if good.all():
             break

@@ -1,6 +1,6 @@
 """Statistics of a chart's patches that dirt, hot pixels and uneven light do not rule."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -12,7 +12,9 @@ TRIM = 0.1  # share of a patch's pixels left out at each end
 _KEPT_VARIANCE = 1.0 - 2.0 * stats.norm.ppf(1 - TRIM) * stats.norm.pdf(stats.norm.ppf(1 - TRIM)) / (1.0 - 2.0 * TRIM)
 #: Variance of the trimmed mean of n normal values, times n: the winsorised variance over (1 - 2 trim)².
 _MEAN_VARIANCE = (_KEPT_VARIANCE * (1 - 2 * TRIM) + 2 * TRIM * stats.norm.ppf(1 - TRIM) ** 2) / (1 - 2 * TRIM) ** 2
-_BLOCKS = 4  # a side: blocks whose medians tell unevenness
+_BLOCKS = 4  # a side: blocks that tell slope and unevenness
+_BLOCK_TRIM = 0.25  # share of a block's pixels left out at each end: medians of whole numbers are too coarse
+_BLOCK_VARIANCE = 1.2  # variance of that trimmed mean of n normal values, times n
 _MIN_BLOCK_PX = 2
 _DARK = 0.02  # of the chart's largest mean: differences of dark patches are judged against no less
 _MAX_GRADIENT = 0.15
@@ -46,6 +48,9 @@ class ChartReading:
         is less), the largest of the bands; NaN where the patch has no blocks of 2 pixels.
     unevenness : (patches,) float64
         Largest deviation of a block from the slope beyond three standard errors, on the same scale; NaN likewise.
+    log_slope : (patches, 2, bands) float64
+        Slope of the response along x and y over its mean, per superpixel; NaN likewise, or where the mean is not
+        positive.
     """
 
     centres_px: np.ndarray
@@ -57,6 +62,7 @@ class ChartReading:
     invalid_share: np.ndarray
     gradient: np.ndarray
     unevenness: np.ndarray
+    log_slope: np.ndarray
 
     @property
     def uneven(self) -> np.ndarray:
@@ -64,15 +70,17 @@ class ChartReading:
         return (self.gradient > _MAX_GRADIENT) | (self.unevenness > _MAX_UNEVENNESS)
 
     def divided(self, field: np.ndarray) -> "ChartReading":
-        """Return the reading under even light; `field` (patches, bands) or (patches, 1) is the light's share, 1 = even."""
-        parts = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        parts["mean"] = self.mean / field
-        parts["pixel_variance"], parts["mean_variance"] = self.pixel_variance / field**2, self.mean_variance / field**2
-        return ChartReading(**parts)
+        """Return the reading under even light; `field`, (patches, bands), is the light relative to even light."""
+        return replace(
+            self,
+            mean=self.mean / field,
+            pixel_variance=self.pixel_variance / field**2,
+            mean_variance=self.mean_variance / field**2,
+        )
 
 
 def read_squares(response, valid, centres, side: float, file) -> dict:
-    """Return the statistics of squares as keywords of `ChartReading`.
+    """Return the statistics of squares as keywords of `ChartReading`, slopes per sample.
 
     Parameters
     ----------
@@ -101,7 +109,7 @@ def read_squares(response, valid, centres, side: float, file) -> dict:
             raise InputError(file, "exposure_s", found, "a chart exposed below saturation")
         rows.append(_statistics(response[y0:y1, x0:x1], good))
     columns = [np.stack(column) for column in zip(*rows, strict=True)]
-    names = ("mean", "pixel_variance", "mean_variance", "count", "invalid_share", "change", "deviation")
+    names = ("mean", "pixel_variance", "mean_variance", "count", "invalid_share", "change", "deviation", "log_slope")
     read = dict(zip(names, columns, strict=True))
     scale = np.maximum(read["mean"], _DARK * read["mean"].max(axis=0))
     scale = np.where(scale > 0, scale, np.inf)
@@ -114,41 +122,41 @@ def _statistics(square: np.ndarray, good: np.ndarray) -> tuple:
     """Return mean, variances, count, share invalid, change along the slope and deviation from it of one patch."""
     values = square[good]
     mean = stats.trim_mean(values, TRIM, axis=0)
-    slope, deviation, of_blocks = _slope(square, good, mean)
+    slope, deviation, mean_variance, blocks = _slope(square, good)
     y, x = np.nonzero(good)
     centred = np.stack([x - (good.shape[1] - 1) / 2.0, y - (good.shape[0] - 1) / 2.0], axis=1)
     residual = np.sort(values - centred @ np.nan_to_num(slope), axis=0)
     cut = int(TRIM * len(residual))
     kept = residual[cut : len(residual) - cut]
-    pixel = kept.var(axis=0, ddof=1 if len(kept) > 1 else 0) / (_KEPT_VARIANCE if cut else 1.0)
-    # As many values of a variance as blocks have bands: a block is taken for more only where it says much more.
-    error = np.sqrt(pixel / max(1.0, len(values) / max(1, of_blocks[1])) * np.pi / 2.0)
+    pixel = kept.var(axis=0) / (_KEPT_VARIANCE if cut else 1.0)
+    error = np.sqrt(_BLOCK_VARIANCE * pixel * blocks / len(values))
     beyond = np.maximum(deviation - 3.0 * error, 0.0)
-    independent = _MEAN_VARIANCE * pixel / len(values)
+    mean_variance = np.maximum(mean_variance, _MEAN_VARIANCE * pixel / len(values))
     change = np.hypot(slope[0] * good.shape[1], slope[1] * good.shape[0])
-    return mean, pixel, np.fmax(independent, of_blocks[0]), len(values), 1.0 - good.mean(), change, beyond
+    log_slope = slope / np.where(mean > 0, mean, np.nan)
+    return mean, pixel, mean_variance, len(values), 1.0 - good.mean(), change, beyond, log_slope
 
 
-def _slope(square: np.ndarray, good: np.ndarray, mean: np.ndarray) -> tuple:
-    """Return slope per sample (2, bands), largest block deviation (bands), variance that blocks give the mean, blocks."""
+def _slope(square: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Return slope per sample (2, bands), largest deviation of a block, variance that blocks give the mean, blocks."""
     bands = square.shape[-1]
-    blocks = min(_BLOCKS, min(good.shape) // _MIN_BLOCK_PX)
-    nothing = np.full((2, bands), np.nan), np.full(bands, np.nan), (np.zeros(bands), 1)
-    if blocks < 2:
-        return nothing
-    medians, places = [], []
-    for ys in np.array_split(np.arange(good.shape[0]), blocks):
-        for xs in np.array_split(np.arange(good.shape[1]), blocks):
-            inside = good[ys[0] : ys[-1] + 1, xs[0] : xs[-1] + 1]
-            if inside.mean() >= _LEAST_VALID:
-                medians.append(np.median(square[ys[0] : ys[-1] + 1, xs[0] : xs[-1] + 1][inside], axis=0))
+    side = min(_BLOCKS, min(good.shape) // _MIN_BLOCK_PX)
+    nothing = np.full((2, bands), np.nan), np.full(bands, np.nan), np.zeros(bands), 1
+    levels, places = [], []
+    for ys in np.array_split(np.arange(good.shape[0]), max(1, side)):
+        for xs in np.array_split(np.arange(good.shape[1]), max(1, side)):
+            block = np.s_[ys[0] : ys[-1] + 1, xs[0] : xs[-1] + 1]
+            if good[block].mean() >= _LEAST_VALID:
+                ordered = np.sort(square[block][good[block]], axis=0)
+                cut = int(_BLOCK_TRIM * len(ordered))
+                levels.append(ordered[cut : len(ordered) - cut].mean(axis=0))
                 places.append([1.0, xs.mean() - (good.shape[1] - 1) / 2.0, ys.mean() - (good.shape[0] - 1) / 2.0])
-    if len(medians) < 4:
+    if len(levels) < 4:
         return nothing
-    places, medians = np.array(places), np.array(medians)
-    plane, _, rank, _ = np.linalg.lstsq(places, medians)
+    places, levels = np.array(places), np.array(levels)
+    plane, _, rank, _ = np.linalg.lstsq(places, levels)
     if rank < 3:
         return nothing
-    residual = medians - places @ plane
-    spread = (residual**2).sum(axis=0) / max(1, len(medians) - 3) / len(medians)
-    return plane[1:], np.abs(residual).max(axis=0), (spread, blocks**2)
+    residual = levels - places @ plane
+    variance = (residual**2).sum(axis=0) / (len(levels) - 3) / len(levels)
+    return plane[1:], np.abs(residual).max(axis=0), variance, side**2
