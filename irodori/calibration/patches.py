@@ -18,7 +18,9 @@ _BLOCK_VARIANCE = 1.2  # variance of that trimmed mean of n normal values, times
 _MIN_BLOCK_PX = 2
 _DARK = 0.02  # of the chart's largest mean: differences of dark patches are judged against no less
 _MAX_GRADIENT = 0.15
-_MAX_UNEVENNESS = 0.05
+_MAX_UNEVENNESS = 0.03
+_QUARTILES = 2.0 * stats.norm.ppf(0.75)  # distance of the quartiles, standard deviations
+_ERRORS = 4.0  # standard errors that noise may explain
 _LEAST_VALID = 0.5  # share of a patch
 
 
@@ -44,10 +46,10 @@ class ChartReading:
     invalid_share : (patches,) float64
         Share of the pixels that are clipped or hot.
     gradient : (patches,) float64
-        Change of the response from side to side over its mean (over 2 % of the chart's brightest patch where the mean
-        is less), the largest of the bands; NaN where the patch has no blocks of 2 pixels.
+        Change of the response from side to side beyond four standard errors, over the mean (over 2 % of the chart's
+        brightest patch where the mean is less), the largest of the bands; NaN where there are no blocks of 2 pixels.
     unevenness : (patches,) float64
-        Largest deviation of a block from the slope beyond three standard errors, on the same scale; NaN likewise.
+        Largest deviation of a block from the slope beyond four standard errors, on the same scale; NaN likewise.
     log_slope : (patches, 2, bands) float64
         Slope of the response along x and y over its mean, per superpixel; NaN likewise, or where the mean is not
         positive.
@@ -96,10 +98,11 @@ def read_squares(response, valid, centres, side: float, file) -> dict:
         If a square lies outside the picture or most of it is not valid.
     """
     height, width = valid.shape
-    half = side / 2.0
+    side = max(1, round(side))
     rows = []
     for number, (x, y) in enumerate(centres):
-        x0, x1, y0, y1 = round(x - half), round(x + half), round(y - half), round(y + half)
+        x0, y0 = round(x - side / 2.0), round(y - side / 2.0)
+        x1, y1 = x0 + side, y0 + side
         if x0 < 0 or y0 < 0 or x1 > width or y1 > height:
             found = f"patch {number} at ({x:.0f}, {y:.0f})"
             raise InputError(file, "chart.centres_px", found, f"patches inside {width} x {height} samples")
@@ -129,10 +132,14 @@ def _statistics(square: np.ndarray, good: np.ndarray) -> tuple:
     cut = int(TRIM * len(residual))
     kept = residual[cut : len(residual) - cut]
     pixel = kept.var(axis=0) / (_KEPT_VARIANCE if cut else 1.0)
-    error = np.sqrt(_BLOCK_VARIANCE * pixel * blocks / len(values))
-    beyond = np.maximum(deviation - 3.0 * error, 0.0)
+    # Dirt on a sixth of the patch must not hide itself by the noise it makes: the middle half tells what noise is.
+    quiet = (residual[(3 * len(residual)) // 4] - residual[len(residual) // 4]) / _QUARTILES
+    error = np.sqrt(_BLOCK_VARIANCE * blocks / len(values)) * quiet
+    beyond = np.maximum(deviation - _ERRORS * error, 0.0)
     mean_variance = np.maximum(mean_variance, _MEAN_VARIANCE * pixel / len(values))
     change = np.hypot(slope[0] * good.shape[1], slope[1] * good.shape[0])
+    # The slope of n even-spaced values has the variance 12 / n of a value's, a side long.
+    change = np.maximum(change - _ERRORS * np.sqrt(12.0 / len(values)) * quiet, 0.0)
     log_slope = slope / np.where(mean > 0, mean, np.nan)
     return mean, pixel, mean_variance, len(values), 1.0 - good.mean(), change, beyond, log_slope
 

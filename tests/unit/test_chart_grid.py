@@ -93,7 +93,7 @@ def test_places_are_the_same_at_full_resolution(barrel):
     assert coarse.side_px == pytest.approx(fine.side_px, rel=0.01)
     one = read_located(half, everywhere(half), coarse, "x.h5")
     other = read_located(picture[:512], valid[:512], coarse, "x.h5", sample_px=1)
-    assert np.allclose(one.mean, other.mean, rtol=2e-3)
+    assert np.allclose(one.mean, other.mean, atol=5e-4)
 
 
 @pytest.mark.parametrize("shift_px", [(48, 0), (30, 30), (300, 0)])
@@ -135,7 +135,7 @@ def test_corners_alone_are_taken_as_they_are(barrel):
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=5)
+@settings(deadline=None, max_examples=3)
 def test_the_fit_does_not_depend_on_where_it_starts(barrel, seed):
     picture, expected = barrel
     start = expected + 6.0 * np.random.default_rng(seed).normal(size=(24, 2)).clip(-1.5, 1.5)
