@@ -20,6 +20,7 @@ _DEGREES = (0, 1, 2)
 _MAX_STANDARD_ERROR = 0.01
 _MIN_SLOPES = 12  # patches
 _ROUNDS = 12
+_CLEAR = 2.0  # standard errors by which a richer model must predict better
 _HUBER = 1.5  # standard deviations
 _STRIP = (0.4, 0.6)  # of the gap's width and of the patch's side: the part of a gap that is read
 _MIN_GAP_PX = 4.0
@@ -60,8 +61,8 @@ class Illumination:
 def illumination(response: np.ndarray, valid: np.ndarray, located: Located, file, sample_px: int = 2) -> Illumination:
     """Return the light on a chart from the slopes within its patches.
 
-    Degree 0, 1 or 2, common to the bands or one for each: what best predicts a left-out patch's slopes, the simpler
-    within one standard error of the best.
+    The degree, 0, 1 or 2, is what best predicts the slopes of a patch left out, the least within two standard errors of
+    the best; then bands have a field each where that predicts better by two standard errors.
 
     Parameters
     ----------
@@ -160,23 +161,28 @@ def _solve(xy, slopes, weights, degree: int, per_band: bool) -> tuple[np.ndarray
 
 
 def _choose(xy, slopes, weights) -> tuple[int, bool]:
-    """Return the degree, and whether a band has its own polynomial, by leave-one-patch-out prediction of slopes."""
-    models = [(0, False)] + [(degree, per_band) for degree in _DEGREES[1:] for per_band in (False, True)]
-    errors = []
-    for degree, per_band in models:
-        missed = np.empty(len(xy))
-        for patch in range(len(xy)):
-            others = np.arange(len(xy)) != patch
-            solved = _solve(xy[others], slopes[others], weights[others], degree, per_band)[0]
-            predicted = _slope_terms(xy[patch : patch + 1], degree)[0] @ solved.T
-            missed[patch] = np.abs((slopes[patch] - predicted) * weights[patch]).mean()
-        errors.append(missed)
-    best = int(np.argmin([error.mean() for error in errors]))
-    for model, error in zip(models, errors, strict=True):
-        excess = error - errors[best]
-        if excess.mean() <= excess.std(ddof=1) / np.sqrt(len(excess)):
-            return model
-    return models[best]
+    """Return the degree, by one field common to the bands, and then whether each band has a field of its own."""
+    errors = [_left_out(xy, slopes, weights, degree, False) for degree in _DEGREES]
+    best = errors[int(np.argmin([error.mean() for error in errors]))]
+    degree = next(d for d, error in zip(_DEGREES, errors, strict=True) if not _clearly_less(best, error))
+    own = _left_out(xy, slopes, weights, degree, True)
+    return degree, degree > 0 and _clearly_less(own, errors[degree])
+
+
+def _clearly_less(error: np.ndarray, than: np.ndarray) -> bool:
+    excess = than - error
+    return bool(excess.mean() > _CLEAR * excess.std(ddof=1) / np.sqrt(len(excess)))
+
+
+def _left_out(xy, slopes, weights, degree: int, per_band: bool) -> np.ndarray:
+    """Return by how much the slopes of each patch are missed by a field from all the others, (patches,)."""
+    missed = np.empty(len(xy))
+    for patch in range(len(xy)):
+        others = np.arange(len(xy)) != patch
+        solved = _solve(xy[others], slopes[others], weights[others], degree, per_band)[0]
+        predicted = _slope_terms(xy[patch : patch + 1], degree)[0] @ solved.T
+        missed[patch] = np.abs((slopes[patch] - predicted) * weights[patch]).mean()
+    return missed
 
 
 def _field(xy_all, xy, slopes, weights, degree: int, per_band: bool) -> tuple[np.ndarray, float]:

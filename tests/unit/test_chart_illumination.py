@@ -39,14 +39,13 @@ def off(found, field) -> float:
     lean=st.floats(-0.5, 0.5),
     noise=st.floats(0.0, 0.01),
 )
-@settings(deadline=None, max_examples=12)
+@settings(deadline=None, max_examples=10)
 def test_known_light_is_recovered_to_a_percent_or_not_corrected(seed, fall, lean, noise):
     field = light_field(WIDTH, HEIGHT, fall, lean)
     found = told(noisy(EVEN * field, np.random.default_rng(seed), noise, 0.7))
     assert found.correctable or found.standard_error > 0.01
     if found.correctable:
         assert off(found, field) < 0.01
-        assert not found.per_band
 
 
 @pytest.mark.parametrize(("fall", "lean"), [(0.4, 0.0), (0.0, 0.4), (0.3, -0.3)])
