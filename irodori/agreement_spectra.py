@@ -16,6 +16,8 @@ from irodori.names import (
 from irodori.spectral_files import SUFFIXES, check_power, check_reflectance, spectral_table
 from irodori.validation import dotted
 
+#: Rows and columns of the chart that can be found by itself.
+FOUND_LAYOUT = (4, 6)
 _BANDS = (("r", "red"), ("g", "green"), ("b", "blue"))
 
 #: Kind of spectrum: the names that are published, and the same in words.
@@ -67,6 +69,28 @@ def check_chart(chart: dict, root: Path, file) -> None:
     if patches != count:
         found = f"{chart['rows']} rows of {chart['columns']} patches, {patches} in all"
         raise InputError(file, "chart.rows", found, f"rows and columns that make {count} patches, as in {name}")
+    _check_places(chart, file)
+
+
+def _check_places(chart: dict, file) -> None:
+    """Refuse a chart whose patches are placed twice, or nowhere."""
+    find, given = chart["find"], "centres_px" in chart
+    if find == "chart":
+        if given:
+            accepted = "either centres_px, or find: chart, which needs none"
+            raise InputError(file, "chart.centres_px", "corners of a chart that is to be found", accepted)
+        if (chart["rows"], chart["columns"]) != FOUND_LAYOUT:
+            found = f"chart, for {chart['rows']} x {chart['columns']} patches"
+            accepted = "4 x 6 patches, a ColorChecker Classic; for other layouts centres_px with nothing or edges"
+            raise InputError(file, "chart.find", found, accepted)
+        return
+    if not given:
+        found = f"no corners where chart.find is {find}"
+        raise InputError(file, "chart.centres_px", found, "the centres of the four corner patches, or find: chart")
+    if find == "nothing" and "patch_px" not in chart:
+        raise InputError(
+            file, "chart.patch_px", "no side of the patches", "a side in superpixels, or find: edges or chart"
+        )
 
 
 def _kind(path: tuple) -> str | None:

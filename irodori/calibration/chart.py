@@ -1,12 +1,49 @@
 """Reading a colour chart: where its patches lie, and what the camera answered there."""
 
+from dataclasses import dataclass
+
 import numpy as np
-from scipy import stats
 
+from irodori.calibration.detection import COLUMNS, ROWS, find_chart
+from irodori.calibration.grid import even_picture, fit_to_edges, homography, nodes, pitch_px, project
+from irodori.calibration.patches import ChartReading, read_squares
 from irodori.errors import InputError
-from irodori.geometry.pinhole import samples_from_superpixels
+from irodori.geometry.pinhole import samples_from_superpixels, superpixels_from_samples
+from irodori.spectra import chart_spectra
 
-_TRIM = 0.1  # share of a patch's pixels left out at each end
+FINDS = ("nothing", "edges", "chart")
+_CORNERS = ("first", "row_end", "column_end", "last")
+_DEFAULT_SHARE = 0.5  # of a patch's side that is averaged where the configuration does not say
+_MAX_MOVE = 0.2  # of the pitch: from the corners of the configuration to the edges
+_MAX_RESIDUAL = 0.02  # of the pitch, besides half a sample
+
+
+@dataclass(frozen=True)
+class Located:
+    """Where the patches of a chart lie in a photograph.
+
+    Parameters
+    ----------
+    centres_px : (patches, 2) float64
+        x then y, superpixels, in the order of the spectra.
+    side_px : float
+        Side of the squares to be averaged, superpixels.
+    rows, columns : int
+    patch_side_px : float
+        Side of the whole patches, superpixels; NaN where the configuration's corners were taken as they are.
+    found : dict
+        What was measured on the way, empty where the configuration's corners were taken as they are. ``edges``: count;
+        ``residual_px``: median distance of the edges from the grid, superpixels; with ``edges`` ``moved_px``: largest
+        distance from the configuration's centres, superpixels; with ``chart`` ``turn_deg``, ``rmse`` and ``next_rmse``,
+        see `irodori.calibration.detection.FoundChart`.
+    """
+
+    centres_px: np.ndarray
+    side_px: float
+    rows: int
+    columns: int
+    patch_side_px: float
+    found: dict
 
 
 def patch_centres(chart: dict) -> np.ndarray:
@@ -21,21 +58,115 @@ def patch_centres(chart: dict) -> np.ndarray:
     -------
     (rows * columns, 2) float64, x then y, row by row
     """
+    return project(_from_corners(chart), nodes(chart["rows"], chart["columns"]))
+
+
+def _from_corners(chart: dict) -> np.ndarray:
     rows, columns = chart["rows"], chart["columns"]
     grid = np.array([[0, 0], [columns - 1, 0], [0, rows - 1], [columns - 1, rows - 1]], dtype=np.float64)
-    image = np.array([chart["centres_px"][k] for k in ("first", "row_end", "column_end", "last")])
-    equations, right = [], []
-    for (u, v), (x, y) in zip(grid, image, strict=True):
-        equations += [[u, v, 1, 0, 0, 0, -x * u, -x * v], [0, 0, 0, u, v, 1, -y * u, -y * v]]
-        right += [x, y]
-    h = np.append(np.linalg.solve(np.array(equations), np.array(right)), 1.0).reshape(3, 3)
-    row, column = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
-    mapped = np.stack([column.ravel(), row.ravel(), np.ones(rows * columns)], axis=1) @ h.T
-    return mapped[:, :2] / mapped[:, 2:]
+    return homography(grid, np.array([chart["centres_px"][k] for k in _CORNERS], dtype=np.float64))
+
+
+def locate_patches(response: np.ndarray, valid: np.ndarray, chart: dict, file, sample_px: int = 2) -> Located:
+    """Return where the patches lie: as configured, fitted to their edges, or found.
+
+    Parameters
+    ----------
+    response : (height, width, bands) float
+    valid : (height, width) bool
+    chart : dict
+        Definition of the chart; ``find`` is ``nothing`` (the default), ``edges`` or ``chart``.
+    file : path, for error messages
+    sample_px : int
+        Mosaic pixels along the side of a sample of the picture: 2 for superpixels, 1 at full resolution.
+
+    Raises
+    ------
+    ValueError
+        For an unknown ``find``.
+    InputError
+        If the edges do not bear the corners out, or no chart is found, or several.
+    """
+    find = chart.get("find", "nothing")
+    if find not in FINDS:
+        raise ValueError(f"unknown chart.find {find!r}; accepted: {', '.join(FINDS)}")
+    layout = chart["rows"], chart["columns"]
+    if find == "nothing":
+        return Located(patch_centres(chart), float(chart["patch_px"]), *layout, np.nan, {})
+    to_superpixels = sample_px / 2.0
+    if find == "edges":
+        centres, side, found = _by_edges(response, valid, chart, file, sample_px)
+    else:
+        centres, side, found = _by_itself(response, valid, chart, file)
+    found["residual_px"] *= to_superpixels
+    centres = superpixels_from_samples(centres, sample_px)
+    if find == "edges":
+        found["moved_px"] = float(np.linalg.norm(centres - patch_centres(chart), axis=1).max())
+    patch_side_px = side * to_superpixels
+    side_px = float(chart.get("patch_px") or _DEFAULT_SHARE * patch_side_px)
+    if side_px > patch_side_px:
+        raise InputError(file, "chart.patch_px", f"{side_px:g}", f"at most {patch_side_px:.0f}, the patches' own side")
+    return Located(centres, side_px, *layout, patch_side_px, found)
+
+
+def _by_edges(response, valid, chart: dict, file, sample_px: int) -> tuple[np.ndarray, float, dict]:
+    rows, columns = chart["rows"], chart["columns"]
+    start = samples_from_superpixels(patch_centres(chart), sample_px)
+    pitch = pitch_px(start, rows, columns)
+    try:
+        grid = fit_to_edges(even_picture(response, valid), homography(nodes(rows, columns), start), rows, columns)
+    except ValueError as error:
+        raise InputError(
+            file, "chart.centres_px", str(error), "corners about which patches end in darker gaps"
+        ) from None
+    centres = grid.image(nodes(rows, columns))
+    moved = float(np.linalg.norm(centres - start, axis=1).max())
+    if moved > _MAX_MOVE * pitch or grid.residual_px > 0.5 + _MAX_RESIDUAL * pitch:
+        found = f"edges {grid.residual_px:.1f} samples off a grid that lies up to {moved:.0f} samples from the corners"
+        raise InputError(file, "chart.centres_px", found, f"corners good to {_MAX_MOVE * pitch:.0f} samples")
+    side = 2.0 * float(grid.half.min()) * pitch_px(centres, rows, columns)
+    return centres, side, {"edges": grid.edges, "residual_px": grid.residual_px}
+
+
+def _by_itself(response, valid, chart: dict, file) -> tuple[np.ndarray, float, dict]:
+    if (chart["rows"], chart["columns"]) != (ROWS, COLUMNS):
+        found = f"chart for {chart['rows']} x {chart['columns']} patches"
+        raise InputError(file, "chart.find", found, f"{ROWS} x {COLUMNS} patches; for other layouts chart.centres_px")
+    seen = find_chart(response, valid, chart_spectra(chart["spectra"])[1], file)
+    found = {name: getattr(seen, name) for name in ("edges", "residual_px", "turn_deg", "rmse", "next_rmse")}
+    return seen.centres, seen.side, found
+
+
+def read_located(response, valid, located: Located, file, sample_px: int = 2, shift_px=(0.0, 0.0)) -> ChartReading:
+    """Read patches where they were located, all of them moved by `shift_px` (x, y), superpixels.
+
+    Raises
+    ------
+    InputError
+        If a patch lies outside the picture or most of it is not valid.
+    """
+    centres_px = located.centres_px + np.asarray(shift_px, dtype=np.float64)
+    read = read_squares(
+        response, valid, samples_from_superpixels(centres_px, sample_px), located.side_px * 2.0 / sample_px, file
+    )
+    read["log_slope"] = read["log_slope"] * (2.0 / sample_px)
+    return ChartReading(centres_px=centres_px, side_px=located.side_px, **read)
+
+
+def read_patches(response: np.ndarray, valid: np.ndarray, chart: dict, file, sample_px: int = 2) -> ChartReading:
+    """Locate the patches of a chart and return their statistics; see `locate_patches` and `ChartReading`.
+
+    Raises
+    ------
+    InputError
+        As `locate_patches` and `read_located`.
+    """
+    located = locate_patches(response, valid, chart, file, sample_px)
+    return read_located(response, valid, located, file, sample_px)
 
 
 def read_chart(response: np.ndarray, valid: np.ndarray, chart: dict, file, sample_px: int = 2) -> np.ndarray:
-    """Return the trimmed mean response of every patch, (patches, bands).
+    """Return the trimmed mean response of every patch, (patches, bands); see `read_patches`.
 
     Parameters
     ----------
@@ -51,19 +182,6 @@ def read_chart(response: np.ndarray, valid: np.ndarray, chart: dict, file, sampl
     Raises
     ------
     InputError
-        If a patch lies outside the picture or most of it is not valid.
+        If a patch lies outside the picture or most of it is not valid, or the chart is not found.
     """
-    height, width = valid.shape
-    half = chart["patch_px"] / sample_px
-    means = []
-    for number, (x, y) in enumerate(samples_from_superpixels(patch_centres(chart), sample_px)):
-        x0, x1, y0, y1 = round(x - half), round(x + half), round(y - half), round(y + half)
-        if x0 < 0 or y0 < 0 or x1 > width or y1 > height:
-            found = f"patch {number} at ({x:.0f}, {y:.0f})"
-            raise InputError(file, "chart.centres_px", found, f"patches inside {width} x {height} samples")
-        good = valid[y0:y1, x0:x1].astype(bool)
-        if good.mean() < 0.5:
-            found = f"patch {number} saturated over {1 - good.mean():.0%}"
-            raise InputError(file, "exposure_s", found, "a chart exposed below saturation")
-        means.append(stats.trim_mean(response[y0:y1, x0:x1][good], _TRIM, axis=0))
-    return np.stack(means)
+    return read_patches(response, valid, chart, file, sample_px).mean

@@ -26,6 +26,11 @@ def samples_from_superpixels(xy, sample_px: int):
     return (np.asarray(xy, dtype=np.float64) + 0.5) * (2.0 / sample_px) - 0.5
 
 
+def superpixels_from_samples(xy, sample_px: int):
+    """Turn coordinates of a picture's samples into superpixels, the inverse of `samples_from_superpixels`."""
+    return (np.asarray(xy, dtype=np.float64) + 0.5) * (sample_px / 2.0) - 0.5
+
+
 @dataclass(frozen=True)
 class Pinhole:
     """A camera without distortion.

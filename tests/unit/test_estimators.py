@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from charts import LIGHT, patches, system, training
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_up_camera import LIGHT, patches, system, training
 
 from irodori import store
 from irodori.calibration import ESTIMATORS, Noise, Training, calibrate, fit, noise_amplification

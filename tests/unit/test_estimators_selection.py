@@ -6,7 +6,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
-from charts import patches, system, training
+from made_up_camera import patches, system, training
 
 from irodori import store
 from irodori.calibration import ESTIMATORS, calibrate_camera, choose, cross_validate, fit, leave_one_out

@@ -1,0 +1,232 @@
+"""A ColorChecker Classic found in a photograph: squares by `colour-checker-detection`, grid, orientation, proof.
+
+The library's segmentation gives squares; the lattice, its fit to the patches' edges and the orientation are worked out
+here, and what is found is proved by the measured spectra before it counts.
+"""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage, stats
+
+from irodori.calibration.grid import FittedGrid, even_picture, fit_to_edges, nodes, pitch_px, project
+from irodori.calibration.lattice import Lattice, lattices
+from irodori.calibration.patches import read_squares
+from irodori.errors import InputError
+
+ROWS, COLUMNS = 4, 6
+_WORKING_WIDTH_PX = 1440  # the library's own, to which its thresholds are set
+_SMOOTHINGS = 2  # of the library's five, which take most of its time and find no more
+#: Widths the picture is stretched to: the library seeks squares, and a tilt or a sensor's pixels make patches oblong.
+_STRETCHES = (1.0, 1.6, 1.0 / 1.6)
+_MIN_PITCH_PX = 10.0
+_MIN_EDGES = 48  # of 96
+_MAX_RESIDUAL = 0.02  # of the pitch, besides half a sample
+_HALF = (0.33, 0.49)  # half a patch's side over the pitch: what charts of this layout have
+_READ = 0.6  # of a patch's side: the square that proof is taken from
+_MAX_GRADIENT, _MAX_UNEVENNESS = 0.35, 0.15  # of a patch, above which something lies on it
+_MAX_PATCH_RMSE = 0.25
+_MAX_RMSE = 0.09  # leave-one-patch-out; a right grid gives 0.03 to 0.06 with three bands, a wrong one over 0.15
+_MAX_RATIO = 0.6  # of the errors of the right reading and of the next best
+_MIN_RANK_CORRELATION = 0.8
+_ADVICE = "a whole, evenly lit ColorChecker Classic of 4 x 6 patches, or its corners as chart.centres_px"
+
+
+@dataclass(frozen=True)
+class FoundChart:
+    """A chart found in a photograph.
+
+    Parameters
+    ----------
+    centres : (24, 2) float64
+        x then y of the patches in the order of the spectra, samples.
+    side : float
+        Smallest side of a patch, samples.
+    turn_deg : float
+        Direction of the chart's rows in the picture, from x towards y (down), -180..180.
+    edges : int
+        Edges of patches that were seen, of 96.
+    residual_px : float
+        Median distance of the edges from the grid's, samples.
+    rmse : float
+        Spectral RMSE, leave-one-patch-out, of the right reading.
+    next_rmse : float
+        The same of the next best of the four readings, turned and mirrored.
+    """
+
+    centres: np.ndarray
+    side: float
+    turn_deg: float
+    edges: int
+    residual_px: float
+    rmse: float
+    next_rmse: float
+
+
+class _NoChartError(ValueError):
+    """What is wrong with a candidate, in words."""
+
+
+def find_chart(response: np.ndarray, valid: np.ndarray, spectra: np.ndarray, file) -> FoundChart:
+    """Find the one ColorChecker Classic of a photograph.
+
+    Parameters
+    ----------
+    response : (height, width, bands) float, three bands or more
+    valid : (height, width) bool
+        What is clipped or hot is not valid.
+    spectra : (24, 61) float
+        Measured reflectance factors, row by row from the dark skin.
+    file : path, for error messages
+
+    Raises
+    ------
+    InputError
+        If no chart is found, or several, or what is found is cut, covered, mirrored, uneven, or does not answer as the
+        measured spectra do.
+    """
+    if len(spectra) != ROWS * COLUMNS or response.shape[-1] < 3:
+        found = f"{len(spectra)} spectra and {response.shape[-1]} bands"
+        raise InputError(file, "chart.find", found, f"the {ROWS * COLUMNS} spectra of a ColorChecker and three bands")
+    picture = even_picture(response, valid)
+    most = 0
+    for stretch in _STRETCHES:
+        squares = _squares(picture, stretch)
+        most = max(most, len(squares))
+        candidates = lattices(squares)
+        if candidates:
+            return _the_one(candidates, picture, response, valid, spectra, file)
+    raise InputError(file, "chart.find", f"no chart (at most {most} separate squares)", _ADVICE)
+
+
+def _squares(picture: np.ndarray, stretch: float) -> np.ndarray:
+    """Return the corners of the squares that the library sees, (n, 4, 2) float64, samples."""
+    from colour_checker_detection import segmenter_default
+
+    if np.ptp(picture[..., :3].max(axis=-1)) == 0:
+        return np.zeros((0, 4, 2))  # the library would divide by the range
+    image = picture[..., :3].astype(np.float32)
+    if stretch != 1.0:
+        image = ndimage.zoom(image, (1.0, stretch, 1.0), order=1)
+    height, width = image.shape[:2]
+    # The library turns upright pictures clockwise without saying so.
+    upright = height > width
+    seen = segmenter_default(np.ascontiguousarray(np.rot90(image, -1) if upright else image), additional_data=True,
+                             working_width=_WORKING_WIDTH_PX,
+        bilateral_filter_iterations=_SMOOTHINGS)  # fmt: skip
+    scale = max(height, width) / _WORKING_WIDTH_PX
+    x, y = np.moveaxis((np.asarray(seen.swatches, dtype=np.float64).reshape(-1, 4, 2) + 0.5) * scale - 0.5, -1, 0)
+    if upright:
+        x, y = y, height - 1.0 - x
+    return np.stack([x * (picture.shape[1] - 1.0) / (width - 1.0), y], axis=-1)
+
+
+def _the_one(candidates: list[Lattice], picture, response, valid, spectra, file) -> FoundChart:
+    """Return the one candidate that is a chart."""
+    found, reasons = [], []
+    for lattice in candidates:
+        try:
+            found.append(_prove(lattice, picture, response, valid, spectra, file))
+        except _NoChartError as error:
+            x, y = lattice.centres.mean(axis=0)
+            reasons.append(f"{lattice.rows} x {lattice.columns} squares about ({x:.0f}, {y:.0f}): {error}")
+    if len(found) > 1:
+        places = " and ".join("({:.0f}, {:.0f})".format(*chart.centres.mean(axis=0)) for chart in found)
+        raise InputError(file, "chart.find", f"{len(found)} charts about {places}", "one chart, or its corners")
+    if not found:
+        raise InputError(file, "chart.find", "; ".join(reasons), _ADVICE)
+    return found[0]
+
+
+def _prove(lattice: Lattice, picture, response, valid, spectra, file) -> FoundChart:
+    """Return the chart that a lattice belongs to; at most one row and one column of it had no square."""
+    if not COLUMNS - 1 <= lattice.columns <= COLUMNS or not ROWS - 1 <= lattice.rows <= ROWS:
+        raise _NoChartError(f"not the {ROWS} x {COLUMNS} of a whole chart")
+    proved, reasons = [], []
+    for right, down in itertools.product(range(COLUMNS - lattice.columns + 1), range(ROWS - lattice.rows + 1)):
+        try:
+            grid = _fitted(lattice.image_from_grid @ _moved(right, down), picture)
+            proved.append(_oriented(grid, response, valid, spectra, file))
+        except _NoChartError as error:
+            reasons.append(str(error))
+    if not proved:
+        raise _NoChartError("; ".join(dict.fromkeys(reasons)))
+    return min(proved, key=lambda chart: chart.rmse)
+
+
+def _moved(right: int, down: int) -> np.ndarray:
+    """Return the map from a grid to one whose origin lies that many places further."""
+    return np.array([[1.0, 0.0, -right], [0.0, 1.0, -down], [0.0, 0.0, 1.0]])
+
+
+def _fitted(image_from_grid: np.ndarray, picture: np.ndarray) -> FittedGrid:
+    height, width = picture.shape[:2]
+    corners = project(image_from_grid, [[-0.4, -0.4], [COLUMNS - 0.6, -0.4], [-0.4, ROWS - 0.6],
+                                        [COLUMNS - 0.6, ROWS - 0.6]])  # fmt: skip
+    if not ((corners > -0.5) & (corners < [width - 0.5, height - 0.5])).all():
+        raise _NoChartError("the chart is cut by the picture's edge")
+    pitch = pitch_px(project(image_from_grid, nodes(ROWS, COLUMNS)), ROWS, COLUMNS)
+    if pitch < _MIN_PITCH_PX:
+        raise _NoChartError(f"patches every {pitch:.1f} samples, too small below {_MIN_PITCH_PX:g}")
+    try:
+        grid = fit_to_edges(picture, image_from_grid, ROWS, COLUMNS)
+    except ValueError as error:
+        raise _NoChartError(str(error)) from None
+    limit = 0.5 + _MAX_RESIDUAL * pitch
+    if grid.edges < _MIN_EDGES or grid.residual_px > limit:
+        raise _NoChartError(f"{grid.edges} of 96 patch edges, {grid.residual_px:.1f} samples off a perspective grid")
+    if not ((grid.half > _HALF[0]) & (grid.half < _HALF[1])).all():
+        raise _NoChartError("patches of {:.2f} x {:.2f} of their pitch".format(*2 * grid.half))
+    return grid
+
+
+def _oriented(grid: FittedGrid, response, valid, spectra, file) -> FoundChart:
+    """Return the chart in the one reading, of two turned by half and two mirrored, that the spectra agree with."""
+    centres = grid.image(nodes(ROWS, COLUMNS))
+    side = 2.0 * grid.half.min() * pitch_px(centres, ROWS, COLUMNS)
+    try:
+        read = read_squares(response, valid, centres, max(2.0, _READ * side), file)
+    except InputError as error:
+        raise _NoChartError(error.found) from None
+    number = np.arange(ROWS * COLUMNS).reshape(ROWS, COLUMNS)
+    readings = {"upright": number, "turned": number[::-1, ::-1], "mirrored": number[:, ::-1], "flipped": number[::-1]}
+    patch_rmse = {name: _rmse(read["mean"][order.ravel()], spectra) for name, order in readings.items()}
+    errors = {name: float(values.mean()) for name, values in patch_rmse.items()}
+    best, second = sorted(errors, key=errors.get)[:2]
+    order = readings[best].ravel()
+    rank = stats.spearmanr(_brightness(read["mean"][order]), spectra.mean(axis=1)).statistic
+    described = f"spectral RMSE {errors[best]:.3f}, next best reading {errors[second]:.3f}, rank correlation {rank:.2f}"
+    if errors[best] > _MAX_RMSE or errors[best] > _MAX_RATIO * errors[second] or not rank > _MIN_RANK_CORRELATION:
+        raise _NoChartError(f"patches that do not answer as the measured spectra do ({described})")
+    if best in ("mirrored", "flipped"):
+        raise _NoChartError("a mirrored picture of the chart")
+    _refuse_covered(read["gradient"][order], read["unevenness"][order], patch_rmse[best])
+    centres = centres[order]
+    ahead = centres[COLUMNS - 1] - centres[0]
+    turn_deg = float(np.degrees(np.arctan2(ahead[1], ahead[0])))
+    return FoundChart(centres, float(side), turn_deg, grid.edges, grid.residual_px, errors[best], errors[second])
+
+
+def _refuse_covered(gradient: np.ndarray, unevenness: np.ndarray, patch_rmse: np.ndarray) -> None:
+    """Refuse a chart on one patch of which something lies; patches too small to tell (NaN) pass."""
+    for number in range(len(gradient)):
+        change = max(gradient[number] / _MAX_GRADIENT, unevenness[number] / _MAX_UNEVENNESS)
+        if change > 1.0:
+            raise _NoChartError(f"patch {number} uneven by {gradient[number]:.0%}, as if something covered it")
+        if patch_rmse[number] > _MAX_PATCH_RMSE:
+            raise _NoChartError(f"patch {number} off its spectrum by {patch_rmse[number]:.2f}, as if covered")
+
+
+def _brightness(mean: np.ndarray) -> np.ndarray:
+    """Return the mean of the bands, each scaled to its largest patch."""
+    return (mean / np.maximum(mean.max(axis=0), np.finfo(float).tiny)).mean(axis=1)
+
+
+def _rmse(response: np.ndarray, spectra: np.ndarray) -> np.ndarray:
+    """Return each patch's spectral RMSE, predicted linearly from its response by all the others, in closed form."""
+    response = response / np.maximum(np.abs(response).max(axis=0), np.finfo(float).tiny)
+    left = np.linalg.svd(response, full_matrices=False)[0]
+    leverage = (left**2).sum(axis=1)
+    residual = (spectra - left @ (left.T @ spectra)) / np.maximum(1.0 - leverage, 1e-6)[:, None]
+    return np.sqrt((residual**2).mean(axis=1))

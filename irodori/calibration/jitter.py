@@ -1,0 +1,85 @@
+"""How much the errors of a calibration hang on where exactly its patches were read."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori.calibration.chart import Located, read_located
+from irodori.calibration.patches import ChartReading
+
+#: Superpixels by which all patches are moved at once; 6 mosaic pixels.
+STEP_PX = 3.0
+#: Largest change of the mean CIEDE2000, leave-one-patch-out, that a report accepts.
+LIMIT = 0.05
+SHIFTS = tuple((dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dx, dy) != (0, 0))
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """Errors of a calibration with its patches in place and moved.
+
+    Parameters
+    ----------
+    step_px : float
+        Superpixels.
+    in_place : float
+        Error with the patches where they are.
+    moved : (8,) float64
+        Error with all patches moved by `step_px` times SHIFTS.
+    limit : float
+        Largest change that is accepted.
+    """
+
+    step_px: float
+    in_place: float
+    moved: np.ndarray
+    limit: float = LIMIT
+
+    @property
+    def worst(self) -> float:
+        """Largest change of the error, absolute."""
+        return float(np.abs(self.moved - self.in_place).max())
+
+    @property
+    def passed(self) -> bool:
+        """Whether the largest change is within the limit."""
+        return self.worst <= self.limit
+
+
+def jitter(
+    response: np.ndarray,
+    valid: np.ndarray,
+    located: Located,
+    error: Callable[[ChartReading], float],
+    file,
+    sample_px: int = 2,
+    step_px: float = STEP_PX,
+) -> Jitter:
+    """Read a chart with all its patches moved in eight directions and compare what becomes of an error.
+
+    Parameters
+    ----------
+    response : (height, width, bands) float
+    valid : (height, width) bool
+    located : Located
+        Where the patches lie.
+    error : callable
+        From a reading to one number, such as the mean CIEDE2000 of leave-one-patch-out.
+    file : path, for error messages
+    sample_px : int
+        Mosaic pixels along the side of a sample of the picture.
+    step_px : float
+        Superpixels; both coordinates move by it on the diagonals.
+
+    Raises
+    ------
+    InputError
+        If a moved patch lies outside the picture or most of it is not valid.
+    """
+
+    def at(dx: float, dy: float) -> float:
+        shift_px = dx * step_px, dy * step_px
+        return float(error(read_located(response, valid, located, file, sample_px, shift_px)))
+
+    return Jitter(step_px, at(0.0, 0.0), np.array([at(*shift) for shift in SHIFTS]))

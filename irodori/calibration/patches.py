@@ -1,0 +1,169 @@
+"""Statistics of a chart's patches that dirt, hot pixels and uneven light do not rule."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from irodori.errors import InputError
+
+TRIM = 0.1  # share of a patch's pixels left out at each end
+#: Variance of the middle 80 % of a normal distribution, relative to the whole: 1 - 2 z φ(z) / 0.8, z = 1.2816.
+_KEPT_VARIANCE = 1.0 - 2.0 * stats.norm.ppf(1 - TRIM) * stats.norm.pdf(stats.norm.ppf(1 - TRIM)) / (1.0 - 2.0 * TRIM)
+#: Variance of the trimmed mean of n normal values, times n: the winsorised variance over (1 - 2 trim)².
+_MEAN_VARIANCE = (_KEPT_VARIANCE * (1 - 2 * TRIM) + 2 * TRIM * stats.norm.ppf(1 - TRIM) ** 2) / (1 - 2 * TRIM) ** 2
+_BLOCKS = 4  # a side: blocks that tell slope and unevenness
+_BLOCK_TRIM = 0.25  # share of a block's pixels left out at each end: medians of whole numbers are too coarse
+_BLOCK_VARIANCE = 1.2  # variance of that trimmed mean of n normal values, times n
+_MIN_BLOCK_PX = 2
+_DARK = 0.02  # of the chart's largest mean: differences of dark patches are judged against no less
+_MAX_GRADIENT = 0.15
+_MAX_UNEVENNESS = 0.03
+_QUARTILES = 2.0 * stats.norm.ppf(0.75)  # distance of the quartiles, standard deviations
+_ERRORS = 4.0  # standard errors that noise may explain
+_LEAST_VALID = 0.5  # share of a patch
+
+
+@dataclass(frozen=True)
+class ChartReading:
+    """What a camera answered on the patches of a chart, patch by patch, row by row.
+
+    Parameters
+    ----------
+    centres_px : (patches, 2) float64
+        x then y, superpixels.
+    side_px : float
+        Side of the squares that were averaged, superpixels.
+    mean : (patches, bands) float64
+        Trimmed mean response.
+    pixel_variance : (patches, bands) float64
+        Variance of one pixel about the patch's slope, from its middle 80 %, as for a normal distribution.
+    mean_variance : (patches, bands) float64
+        Variance of `mean`: that of independent pixels, or that which 4 x 4 blocks show about the slope, whichever is
+        larger; so dirt, texture and interpolated neighbours count.
+    count : (patches,) int
+        Valid pixels.
+    invalid_share : (patches,) float64
+        Share of the pixels that are clipped or hot.
+    gradient : (patches,) float64
+        Change of the response from side to side beyond four standard errors, over the mean (over 2 % of the chart's
+        brightest patch where the mean is less), the largest of the bands; NaN where there are no blocks of 2 pixels.
+    unevenness : (patches,) float64
+        Largest deviation of a block from the slope beyond four standard errors, on the same scale; NaN likewise.
+    log_slope : (patches, 2, bands) float64
+        Slope of the response along x and y over its mean, per superpixel; NaN likewise, or where the mean is not
+        positive.
+    """
+
+    centres_px: np.ndarray
+    side_px: float
+    mean: np.ndarray
+    pixel_variance: np.ndarray
+    mean_variance: np.ndarray
+    count: np.ndarray
+    invalid_share: np.ndarray
+    gradient: np.ndarray
+    unevenness: np.ndarray
+    log_slope: np.ndarray
+
+    @property
+    def uneven(self) -> np.ndarray:
+        """Patches with dirt, an edge, a shadow or light that falls off by over 15 %, (patches,) bool."""
+        return (self.gradient > _MAX_GRADIENT) | (self.unevenness > _MAX_UNEVENNESS)
+
+    def divided(self, field: np.ndarray) -> "ChartReading":
+        """Return the reading under even light; `field`, (patches, bands), is the light relative to even light."""
+        return replace(
+            self,
+            mean=self.mean / field,
+            pixel_variance=self.pixel_variance / field**2,
+            mean_variance=self.mean_variance / field**2,
+        )
+
+
+def read_squares(response, valid, centres, side: float, file) -> dict:
+    """Return the statistics of squares as keywords of `ChartReading`, slopes per sample.
+
+    Parameters
+    ----------
+    response : (height, width, bands) float
+    valid : (height, width) bool
+    centres : (patches, 2) float, samples
+    side : float, samples
+    file : path, for error messages
+
+    Raises
+    ------
+    InputError
+        If a square lies outside the picture or most of it is not valid.
+    """
+    height, width = valid.shape
+    side = max(1, round(side))
+    rows = []
+    for number, (x, y) in enumerate(centres):
+        x0, y0 = round(x - side / 2.0), round(y - side / 2.0)
+        x1, y1 = x0 + side, y0 + side
+        if x0 < 0 or y0 < 0 or x1 > width or y1 > height:
+            found = f"patch {number} at ({x:.0f}, {y:.0f})"
+            raise InputError(file, "chart.centres_px", found, f"patches inside {width} x {height} samples")
+        good = valid[y0:y1, x0:x1].astype(bool)
+        if good.mean() < _LEAST_VALID:
+            found = f"patch {number} saturated over {1 - good.mean():.0%}"
+            raise InputError(file, "exposure_s", found, "a chart exposed below saturation")
+        rows.append(_statistics(response[y0:y1, x0:x1], good))
+    columns = [np.stack(column) for column in zip(*rows, strict=True)]
+    names = ("mean", "pixel_variance", "mean_variance", "count", "invalid_share", "change", "deviation", "log_slope")
+    read = dict(zip(names, columns, strict=True))
+    scale = np.maximum(read["mean"], _DARK * read["mean"].max(axis=0))
+    scale = np.where(scale > 0, scale, np.inf)
+    read["gradient"] = (read.pop("change") / scale).max(axis=1)
+    read["unevenness"] = (read.pop("deviation") / scale).max(axis=1)
+    return read
+
+
+def _statistics(square: np.ndarray, good: np.ndarray) -> tuple:
+    """Return mean, variances, count, share invalid, change along the slope and deviation from it of one patch."""
+    values = square[good]
+    mean = stats.trim_mean(values, TRIM, axis=0)
+    slope, deviation, mean_variance, blocks = _slope(square, good)
+    y, x = np.nonzero(good)
+    centred = np.stack([x - (good.shape[1] - 1) / 2.0, y - (good.shape[0] - 1) / 2.0], axis=1)
+    residual = np.sort(values - centred @ np.nan_to_num(slope), axis=0)
+    cut = int(TRIM * len(residual))
+    kept = residual[cut : len(residual) - cut]
+    pixel = kept.var(axis=0) / (_KEPT_VARIANCE if cut else 1.0)
+    # Dirt on a sixth of the patch must not hide itself by the noise it makes: the middle half tells what noise is.
+    quiet = (residual[(3 * len(residual)) // 4] - residual[len(residual) // 4]) / _QUARTILES
+    error = np.sqrt(_BLOCK_VARIANCE * blocks / len(values)) * quiet
+    beyond = np.maximum(deviation - _ERRORS * error, 0.0)
+    mean_variance = np.maximum(mean_variance, _MEAN_VARIANCE * pixel / len(values))
+    change = np.hypot(slope[0] * good.shape[1], slope[1] * good.shape[0])
+    # The slope of n even-spaced values has the variance 12 / n of a value's, a side long.
+    change = np.maximum(change - _ERRORS * np.sqrt(12.0 / len(values)) * quiet, 0.0)
+    log_slope = slope / np.where(mean > 0, mean, np.nan)
+    return mean, pixel, mean_variance, len(values), 1.0 - good.mean(), change, beyond, log_slope
+
+
+def _slope(square: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Return slope per sample (2, bands), largest deviation of a block, variance that blocks give the mean, blocks."""
+    bands = square.shape[-1]
+    side = min(_BLOCKS, min(good.shape) // _MIN_BLOCK_PX)
+    nothing = np.full((2, bands), np.nan), np.full(bands, np.nan), np.zeros(bands), 1
+    levels, places = [], []
+    for ys in np.array_split(np.arange(good.shape[0]), max(1, side)):
+        for xs in np.array_split(np.arange(good.shape[1]), max(1, side)):
+            block = np.s_[ys[0] : ys[-1] + 1, xs[0] : xs[-1] + 1]
+            if good[block].mean() >= _LEAST_VALID:
+                ordered = np.sort(square[block][good[block]], axis=0)
+                cut = int(_BLOCK_TRIM * len(ordered))
+                levels.append(ordered[cut : len(ordered) - cut].mean(axis=0))
+                places.append([1.0, xs.mean() - (good.shape[1] - 1) / 2.0, ys.mean() - (good.shape[0] - 1) / 2.0])
+    if len(levels) < 4:
+        return nothing
+    places, levels = np.array(places), np.array(levels)
+    plane, _, rank, _ = np.linalg.lstsq(places, levels)
+    if rank < 3:
+        return nothing
+    residual = levels - places @ plane
+    variance = (residual**2).sum(axis=0) / (len(levels) - 3) / len(levels)
+    return plane[1:], np.abs(residual).max(axis=0), variance, side**2

@@ -1,0 +1,209 @@
+"""What is read on patches: means, variances, what is flagged, and what moving the patches changes."""
+
+import numpy as np
+import pytest
+from definitions import CAMERA_FILE, edit, fault, load
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from irodori.calibration.chart import Located, read_chart, read_patches
+from irodori.calibration.jitter import SHIFTS, jitter
+from irodori.errors import InputError
+
+SIDE, PITCH = 40, 60
+CORNERS = {"first": [40, 40], "row_end": [160, 40], "column_end": [40, 100], "last": [160, 100]}
+CHART = {"rows": 2, "columns": 3, "patch_px": SIDE, "centres_px": CORNERS}
+LEVELS = np.array([[0.8, 0.5, 0.3], [0.05, 0.2, 0.6], [0.9, 0.9, 0.9], [0.03, 0.04, 0.05], [0.4, 0.1, 0.2], [0.3] * 3])
+
+
+def picture(sigma: float = 0.0, rng=None) -> np.ndarray:
+    out = np.full((140, 200, 3), 0.01)
+    for number, level in enumerate(LEVELS):
+        y, x = 40 + PITCH * (number // 3), 40 + PITCH * (number % 3)
+        out[y - 25 : y + 25, x - 25 : x + 25] = level
+    return out + (sigma * rng.normal(size=out.shape) if sigma else 0.0)
+
+
+def read(image, valid=None):
+    return read_patches(image, np.ones(image.shape[:2], bool) if valid is None else valid, CHART, "x.h5")
+
+
+def patch(number: int) -> tuple[slice, slice]:
+    """The pixels that are averaged in a patch."""
+    y, x = 40 + PITCH * (number // 3), 40 + PITCH * (number % 3)
+    return slice(y - SIDE // 2, y + SIDE // 2), slice(x - SIDE // 2, x + SIDE // 2)
+
+
+def test_means_are_those_of_read_chart_and_a_clean_chart_is_not_flagged():
+    reading = read(picture())
+    assert np.allclose(reading.mean, LEVELS, rtol=1e-12)
+    assert np.array_equal(read_chart(picture(), np.ones((140, 200), bool), CHART, "x.h5"), reading.mean)
+    assert (reading.count == SIDE**2).all() and (reading.invalid_share == 0).all() and not reading.uneven.any()
+    assert np.abs(reading.pixel_variance).max() < 1e-20 and np.abs(reading.gradient).max() < 1e-9
+
+
+@given(seed=st.integers(0, 2**32 - 1), sigma=st.floats(1e-4, 0.05))
+@settings(deadline=None, max_examples=6)
+def test_variances_are_those_of_the_noise_and_of_repeated_means(seed, sigma):
+    rng = np.random.default_rng(seed)
+    readings = [read(picture(sigma, rng)) for _ in range(20)]
+    # 6 patches, 3 bands, 20 repeats of 1600 pixels: the mean variance is known to well under a percent.
+    assert np.mean([r.pixel_variance for r in readings]) == pytest.approx(sigma**2, rel=0.03)
+    repeated = np.var([r.mean for r in readings], axis=0, ddof=1).mean()
+    predicted = np.mean([r.mean_variance for r in readings])
+    # 342 degrees of freedom; the larger of two estimates is above the truth, by up to a third.
+    low, high = stats.chi2.ppf([1e-5, 1 - 1e-5], 342) / 342
+    assert low < repeated / predicted * 1.15 and repeated / predicted < high
+    assert sum(r.uneven.sum() for r in readings) <= 2
+
+
+def test_light_that_falls_off_is_slope_and_not_noise():
+    rng = np.random.default_rng(1)
+    y, x = np.mgrid[0:140, 0:200]
+    light = 1.0 + 0.002 * (x - 100) - 0.001 * (y - 70)
+    reading = read(picture(0.002, rng) * light[..., None])
+    assert np.allclose(np.sqrt(reading.pixel_variance), 0.002, rtol=0.3)
+    at = light[reading.centres_px[:, 1].round().astype(int), reading.centres_px[:, 0].round().astype(int)]
+    bright = LEVELS > 0.2
+    for axis, slope in enumerate((0.002, -0.001)):
+        measured = reading.log_slope[:, axis]
+        assert np.allclose(measured[bright], (slope / at)[:, None].repeat(3, 1)[bright], atol=1e-4)
+    assert np.allclose(reading.gradient[2], np.hypot(0.002, 0.001) * SIDE / at[2], rtol=0.05)
+    assert not reading.uneven.any()
+
+
+@pytest.mark.parametrize(
+    ("number", "what"), [(0, "corner"), (2, "hair"), (4, "shadow"), (5, "edge"), (1, "speck"), (3, "hot")]
+)
+def test_dirt_and_edges_are_flagged_on_their_patch_and_specks_are_not(number, what):
+    rng = np.random.default_rng(2)
+    image, valid = picture(0.002, rng), np.ones((140, 200), bool)
+    ys, xs = patch(number)
+    square = image[ys, xs]
+    clean = read(image).mean
+    if what == "corner":
+        square[:10, :10] *= 0.5
+    elif what == "hair":
+        square[18:24] *= 0.7
+    elif what == "shadow":
+        square *= np.linspace(1.0, 0.75, SIDE)[:, None, None]
+    elif what == "edge":
+        square[:, :6] = 0.01
+    elif what == "speck":
+        square[3, 7] = 30.0
+    else:
+        hot = rng.uniform(size=square.shape[:2]) < 0.2
+        square[hot], valid[ys, xs] = 50.0, ~hot
+    reading = read(image, valid)
+    flagged = what in ("corner", "hair", "shadow", "edge")
+    assert np.flatnonzero(reading.uneven).tolist() == ([number] if flagged else [])
+    others = np.arange(6) != number
+    assert np.array_equal(reading.mean[others], clean[others])
+    if not flagged:
+        assert np.allclose(reading.mean[number], clean[number], atol=3e-4)
+    if what == "hot":
+        assert reading.invalid_share[number] == pytest.approx(0.2, abs=0.04)
+        assert reading.count[number] == round((1 - reading.invalid_share[number]) * SIDE**2)
+    if what in ("corner", "hair"):
+        assert reading.mean_variance[number].max() > 5 * reading.mean_variance[others].max()
+
+
+@pytest.mark.parametrize("side", [1, 2, 3, 5])
+def test_tiny_patches_have_means_and_no_slopes(side):
+    image = picture(0.001, np.random.default_rng(3))
+    reading = read_patches(image, np.ones((140, 200), bool), CHART | {"patch_px": side}, "x.h5")
+    assert np.allclose(reading.mean, LEVELS, atol=0.01) and np.isfinite(reading.mean_variance).all()
+    if side < 4:
+        assert np.isnan(reading.gradient).all() and not reading.uneven.any()
+
+
+def test_dividing_by_the_light_divides_means_and_variances():
+    reading = read(picture(0.01, np.random.default_rng(4)))
+    field = np.random.default_rng(5).uniform(0.5, 1.5, LEVELS.shape)
+    even = reading.divided(field)
+    assert np.allclose(even.mean * field, reading.mean)
+    assert np.allclose(even.mean_variance * field**2, reading.mean_variance)
+    assert np.allclose(even.pixel_variance * field**2, reading.pixel_variance)
+
+
+# ---- jitter
+
+
+def located(image) -> Located:
+    reading = read(image)
+    return Located(reading.centres_px, SIDE, 2, 3, np.nan, {})
+
+
+def test_jitter_moves_all_patches_to_eight_sides():
+    image, seen = picture(), []
+
+    def error(reading):
+        seen.append(reading.centres_px - located(image).centres_px)
+        return reading.mean.mean()
+
+    found = jitter(image, np.ones((140, 200), bool), located(image), error, "x.h5")
+    assert found.worst <= 1e-12 and found.passed, "patches of 50 hold squares of 40 moved by 3"
+    assert all(np.allclose(moved, moved[0]) for moved in seen)
+    assert {tuple(np.round(moved[0]).astype(int)) for moved in seen} == {(0, 0)} | {
+        (3 * dx, 3 * dy) for dx, dy in SHIFTS
+    }
+
+
+def test_jitter_tells_patches_read_over_their_edge_and_dirt_at_it():
+    image = picture()
+    valid = np.ones((140, 200), bool)
+    far = jitter(image, valid, located(image), lambda r: r.mean.sum(), "x.h5", step_px=12.0)
+    assert not far.passed and far.worst > 0.05
+    image[18:22] = 5.0  # a bright line just above the squares of the first row
+    found = jitter(image, valid, located(image), lambda r: np.sqrt(r.mean_variance).max(), "x.h5")
+    up = [dy < 0 for _, dy in SHIFTS]
+    assert np.array_equal(found.moved > 2 * max(found.in_place, 1e-6), up)
+
+
+def test_jitter_at_full_resolution_moves_by_superpixels():
+    image = picture(0.01, np.random.default_rng(6))
+    fine = image.repeat(2, axis=0).repeat(2, axis=1)
+    place = located(image)
+    coarse = jitter(image, np.ones((140, 200), bool), place, lambda r: r.mean.sum(), "x.h5")
+    other = jitter(fine, np.ones((280, 400), bool), place, lambda r: r.mean.sum(), "x.h5", sample_px=1)
+    assert np.allclose(coarse.moved, other.moved, rtol=1e-3)
+
+
+def test_jitter_off_the_picture_is_refused():
+    image = picture()
+    with pytest.raises(InputError, match="patch 0"):
+        jitter(image, np.ones((140, 200), bool), located(image), lambda r: 0.0, "x.h5", step_px=30.0)
+
+
+# ---- configuration
+
+
+def test_a_chart_that_is_found_needs_neither_corners_nor_a_size(root):
+    edit(root, CAMERA_FILE, "chart.find", "chart")
+    edit(root, CAMERA_FILE, "chart.centres_px", ...)
+    edit(root, CAMERA_FILE, "chart.patch_px", ...)
+    chart = load(root)["cameras"]["d5100-comb"]["chart"]
+    assert chart["find"] == "chart" and "patch_px" not in chart
+
+
+def test_corners_are_taken_as_they_are_where_nothing_is_said(root):
+    assert load(root)["cameras"]["d5100-comb"]["chart"]["find"] == "nothing"
+
+
+@pytest.mark.parametrize(
+    ("changes", "field", "accepted"),
+    [
+        ({"find": "chart"}, "chart.centres_px", "either centres_px, or find: chart"),
+        ({"centres_px": ...}, "chart.centres_px", "or find: chart"),
+        ({"centres_px": ..., "find": "edges"}, "chart.centres_px", "or find: chart"),
+        ({"patch_px": ...}, "chart.patch_px", "a side in superpixels"),
+        ({"find": "corners"}, "chart.find", "nothing"),
+        ({"find": "chart", "centres_px": ..., "rows": 6, "columns": 4}, "chart.find", "4 x 6"),
+    ],
+)
+def test_patches_are_placed_exactly_once(root, changes, field, accepted):
+    for key, value in changes.items():
+        edit(root, CAMERA_FILE, f"chart.{key}", value)
+    error = fault(root)
+    assert error.field == field and accepted in error.accepted
