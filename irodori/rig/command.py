@@ -24,6 +24,7 @@ from irodori.rig.connect import open_rig
 from irodori.rig.devices import LimitError, Rig
 from irodori.rig.gphoto import GphotoCamera
 from irodori.rig.journal import storing
+from irodori.rig.operator import PromptOperator
 from irodori.rig.plan import camera_shots, object_shots
 from irodori.rig.planner import plan_best
 from irodori.rig.session import verify
@@ -106,6 +107,7 @@ def _rig(name: str):
     if "motion" not in definition:
         raise InputError(f"config/rigs/{name}.yaml", "motion", "no such key", "a rig with motors")
     with open_rig(definition) as rig:
+        rig.on_hold = PromptOperator(definition.get("operator_deadline_s")).confirm
         yield rig
 
 

@@ -74,6 +74,9 @@ class Session:
         self.camera, self.journal, self.rig = camera, journal, rig
         self.tally = tally or Tally()
         self._hand, self._clock = HandSettings(operator), clock
+        if rig is not None:
+            # A feed hold is a person's, and so is its end.
+            rig.on_hold = operator.confirm
 
     def run(self, planned: Sequence[Shot], label: str) -> Tally:
         """Take what is missing of a plan, in its order; a rig that does not know where it stands is homed first.

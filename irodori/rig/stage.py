@@ -95,6 +95,9 @@ class _VirtualHands(Operator):
         self.inner.ask(step)
         self.bench.set(step.new)
 
+    def confirm(self, request: str) -> None:
+        self.inner.confirm(request)
+
 
 @contextmanager
 def _equipment(
