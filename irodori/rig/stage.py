@@ -2,8 +2,6 @@
 
 import json
 import os
-import signal
-import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
@@ -15,6 +13,7 @@ from irodori.provenance import file_sha256
 from irodori.rig.connect import open_rig, true_position_deg
 from irodori.rig.devices import Axis, Camera, Rig
 from irodori.rig.drives import drives_of
+from irodori.rig.ending import ending_in_order
 from irodori.rig.gphoto import RAW_SUFFIXES, GphotoCamera
 from irodori.rig.journal import RETIRED, Journal, claimed, storing
 from irodori.rig.operator import AutoOperator, Operator, Step, make_operator
@@ -158,7 +157,7 @@ def photograph(
     table = Path(target.table)
     folder = table.parent if target.folder is None else Path(target.folder)
     planned, status = target.ordered(shots), {}
-    with claimed(table, folder, owner), _ending_in_order():
+    with claimed(table, folder, owner), ending_in_order():
         if target.is_virtual:
             _start_over_if_changed(table, provenance)
         journal = Journal(table, folder)
@@ -179,25 +178,6 @@ def photograph(
             "camera": status,
         }
         _write_record(Path(record), content)
-
-
-@contextmanager
-def _ending_in_order() -> Iterator[None]:
-    """End as Ctrl-C does, the rig stopped, where a batch system ends the process or a terminal is closed."""
-
-    def end(number: int, frame) -> None:
-        raise SystemExit(128 + number)
-
-    before = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(number) is signal.SIG_DFL:
-                before[number] = signal.signal(number, end)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _start_over_if_changed(table: Path, provenance: Provenance) -> None:
