@@ -70,6 +70,11 @@ class Target:
         model = self.camera["driver"]["model"]
         return next((known[0] for maker, known in RAW_SUFFIXES.items() if model.startswith(maker)), ".raw")
 
+    @property
+    def settle_s(self) -> float:
+        """Time from the arrival of the motors to the shutter, s."""
+        return self.rig["motion"]["settle_s"] if "motion" in self.rig else 0.0
+
     def axes(self) -> dict[str, Axis]:
         """Return the motorised axes; those of the pose that are not here are set by hand."""
         return {name: drive.axis for name, drive in drives_of(self.rig).items()} if "motion" in self.rig else {}
@@ -81,7 +86,7 @@ class Target:
     def estimate(self, shots: Sequence[Shot]) -> Estimate:
         """Return the time that photographs take in their order; nothing is known of where things stand."""
         overhead_s = 0.0 if self.is_virtual else _READ_OUT_S
-        return estimate_s(shots, self.axes(), {}, _STEP_S[self.rig["operator"]], overhead_s)
+        return estimate_s(shots, self.axes(), {}, _STEP_S[self.rig["operator"]], overhead_s, self.settle_s)
 
 
 class _VirtualHands(Operator):
@@ -167,7 +172,7 @@ def photograph(
         LOGGER.info("%s: %d of %d photographs to take; %s", target.name, len(missing), len(planned), needs)
         if missing:
             with _equipment(target, planned, subject, on_rig) as (rig, camera, operator):
-                Session(camera, operator, journal, rig, tally).run(planned, target.name)
+                Session(camera, operator, journal, rig, tally, settle_s=target.settle_s).run(planned, target.name)
                 status = camera.status()
         journal.finish(planned)
         LOGGER.info("%s: %s", target.name, ", ".join(f"{key} {value:g}" for key, value in vars(tally).items()))
