@@ -12,6 +12,7 @@ from irodori.rig.devices import (
     DeadlineError,
     DeviceError,
     GarbledError,
+    HeldError,
     Link,
     LinkError,
     RigStatus,
@@ -162,10 +163,14 @@ class GrblRig(ControlledRig):
         ------
         CommandError
             If it is not at rest.
+        HeldError
+            If it is held: Grbl then reads no line.
         DeadlineError, LinkError
         """
         self._get_in_step()
         try:
+            if self._talk.ask_report().state == "Hold":
+                raise HeldError("the rig is held, and answers no question: clear the cause, then let it go on")
             return self._read_settings()
         except (LinkError, DeadlineError):
             self._in_step = False
