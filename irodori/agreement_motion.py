@@ -4,7 +4,7 @@ import itertools
 import re
 
 from irodori.errors import InputError
-from irodori.rig.ascii_description import COMMANDS, REPLIES, SAMPLES, placeholders
+from irodori.rig.ascii_description import COMMANDS, OPTIONAL, REPLIES, SAMPLES, STATES, placeholders
 
 _GRBL_LETTERS = "XYZABC"
 
@@ -51,7 +51,9 @@ def check_motion(rig: dict, file) -> None:
 
 
 def _check_ascii(block: dict, channels: list[str], file) -> None:
-    for command, (needed, allowed) in COMMANDS.items():
+    for command, (needed, allowed) in {**COMMANDS, **OPTIONAL}.items():
+        if command not in block:
+            continue
         field = f"motion.ascii.{command}"
         # With several axes, a move and a position mean nothing without one.
         must = {*needed, *(("axis",) if len(channels) > 1 and command in ("move", "position") else ())}
@@ -91,12 +93,15 @@ def _check_template(text: str, needed: set[str], allowed: set[str], file, field:
 
 def _check_words(block: dict, file) -> None:
     seen: dict[str, str] = {}
-    for state in ("idle", "busy", "alarm"):
+    for state in STATES:
         for index, word in enumerate(block[state]):
             if word in seen:
                 found = f"{word!r}, a word of {seen[word]} as well"
                 raise InputError(file, f"motion.ascii.{state}[{index}]", found, "each word for one state")
             seen[word] = state
+    if "resume" in block and not block["hold"]:
+        accepted = "the controller's words for a feed hold, because there is motion.ascii.resume"
+        raise InputError(file, "motion.ascii.hold", "no words", accepted)
 
 
 def _check_simulated(block: dict, reply: str, patterns: dict, channels: list[str], file) -> None:
@@ -106,7 +111,7 @@ def _check_simulated(block: dict, reply: str, patterns: dict, channels: list[str
     needed = set(REPLIES[reply])
     allowed = {"position": {"axis", "position"}, "status": {"axis", "state"}, "refused": {"message"}}.get(reply, set())
     _check_template(text, needed, allowed, file, field)
-    states = [*block["idle"], *block["busy"], *block["alarm"]] if reply == "status" else [SAMPLES["state"]]
+    states = [word for state in STATES for word in block[state]] if reply == "status" else [SAMPLES["state"]]
     for state, channel in itertools.product(states, channels):
         filled = text.format(**{**SAMPLES, "state": state, "axis": channel})
         found = patterns[reply].fullmatch(filled)

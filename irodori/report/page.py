@@ -14,6 +14,7 @@ from irodori.report.errors import read_errors
 from irodori.report.figures import data_uri, material_figure, planning_figure, spectra_figure
 from irodori.report.imperfections import CostRow, read_costs
 from irodori.report.planning import PlanRow, read_plan
+from irodori.report.registration import read_registration, summarise
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1180px; margin: 2rem auto; padding: 0 1rem; color: #222 }
@@ -187,6 +188,20 @@ def _cameras_section(cameras: list[str], references: list) -> str:
     return "<h2>Cameras</h2>" + table(["camera", "quantity", "measured"], rows)
 
 
+def _registration_section(objects: list[str], tables: list) -> str:
+    lines = []
+    for name, path in zip(objects, tables, strict=True):
+        found = summarise(read_registration(path))
+        residuals = [_number(found.median_px), _number(found.max_px), found.worst or "–"]
+        lines.append([name, found.by_capture, found.by_chart, found.by_none, *residuals])
+    header = ["object", "captures by their own transform", "by the chart's", "as they are", "median residual",
+              "largest residual", "its capture"]  # fmt: skip
+    return (
+        "<h2>Registration of the filter states</h2><p>Residuals in superpixels, of the captures with a transform of "
+        "their own; one with too little content takes the chart's.</p>" + table(header, lines)
+    )
+
+
 def _figure_text(value) -> str:
     return ", ".join(f"{v:.4g}" for v in (value if isinstance(value, list) else [value]))
 
@@ -197,8 +212,8 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
     Parameters
     ----------
     inputs : dict
-        Files: errors, planning, imperfections; lists of references, materials, true_materials, calibration_errors,
-        pictures, figures, true_pictures.
+        Files: errors, planning, imperfections; lists of references, registrations, materials, true_materials,
+        calibration_errors, pictures, figures, true_pictures.
     names : dict
         objects, virtual_objects, cameras, views, virtual_views, in the order of the files.
     benchmarks : path
@@ -214,6 +229,7 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
         _objects_section(names["objects"], inputs["materials"], true_objects),
         _imperfections_section(read_costs(inputs["imperfections"])),
         _planning_section(read_plan(inputs["planning"])),
+        _registration_section(names["objects"], inputs["registrations"]),
         _cameras_section(names["cameras"], inputs["references"]),
         _calibration_section(names["cameras"], inputs["calibration_errors"]),
         _time_section(benchmarks),

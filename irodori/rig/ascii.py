@@ -2,33 +2,29 @@
 
 import contextlib
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 from irodori.rig.ascii_description import Description
+from irodori.rig.controlled import MARGIN, POLL_S, START_S, ControlledRig
 from irodori.rig.deadline import Deadline
 from irodori.rig.devices import (
     AlarmError,
-    Axis,
     CommandError,
     DeadlineError,
     DeviceError,
     GarbledError,
+    HeldError,
     Link,
-    Rig,
     RigStatus,
 )
 from irodori.rig.drives import Drive
 
-_POLL_S = 0.03
-#: A moment after a command was accepted the controller may still say that it is idle.
-_START_S = 0.3
-_MARGIN = 0.25
 #: Homing: way that it may take, as a multiple of the reach, at the speed of the axis.
 _HOMING_REACH = 3.0
 _STOP_TRIES = 3
 
 
-class AsciiRig(Rig):
+class AsciiRig(ControlledRig):
     """A rig whose commands and replies are a description.
 
     One question is on its way at a time. The controller is taken to lose its position with its power: where the rig has
@@ -61,41 +57,13 @@ class AsciiRig(Rig):
         timeout_s: float = 3.0,
         homing: bool = True,
     ) -> None:
-        self.axes: Mapping[str, Axis] = {name: drive.axis for name, drive in drives.items()}
-        self._link, self.drives, self._words = link, dict(drives), description
-        self._timeout_s, self._homing, self._homed = timeout_s, homing, not homing
-        self._brake_s = max((d.speed / d.acceleration for d in drives.values()), default=0.0)
-        self._in_step = True
+        super().__init__(drives, timeout_s, homing)
+        self._link, self._words = link, description
+        self._in_step, self._homed = True, not homing
         # Where the axes were left, and where a move that is under way takes them, controller units.
         self._last: dict[str, float] = {}
         self._goal: dict[str, float] = {}
         self._last = self._wake()
-
-    def home(self) -> None:
-        """Home every axis; see `Rig.home`."""
-        if not self._homing:
-            raise CommandError("this rig has no limit switches (motion.homing is false): it cannot be homed")
-        with self._stopping_on_failure():
-            self._homed = False
-            self._resume()
-            # Twice: a controller whose power drops out on the way counts from 0 wherever that was, and looks homed.
-            for _ in range(2):
-                self._home_once()
-            self._last, self._homed = self._places(), True
-
-    def _home_once(self) -> None:
-        for drive in self.drives.values():
-            self._order("home", axis=drive.channel)
-            if not self._words.per_axis("home"):
-                break
-        ways = [(high - low) / drive.speed for drive in self.drives.values() for low, high in [drive.reach]]
-        deadline = Deadline(_HOMING_REACH * max(ways) + 2 * self._brake_s + self._timeout_s)
-        began, seen = Deadline(_START_S), False
-        while (state := self._states()) == "run" or not (seen or began.passed):
-            seen = seen or state == "run"
-            self._refuse(state, deadline)
-            time.sleep(_POLL_S)
-        self._refuse(state, deadline)
 
     def move(self, targets_deg: Mapping[str, float]) -> None:
         """Move axes, each at its own speed, and wait until they stand there; see `Rig.move`."""
@@ -106,44 +74,27 @@ class AsciiRig(Rig):
             places = self._ready()
             targets = {**places, **{name: self.drives[name].to_units(angle) for name, angle in targets_deg.items()}}
             start = {name: self.drives[name].to_deg(places[name]) for name in places}
-            deadline = Deadline(self.travel_s(start, targets_deg) * (1 + _MARGIN) + self._timeout_s)
+            deadline = Deadline(self.travel_s(start, targets_deg) * (1 + MARGIN) + self._timeout_s)
             self._goal = targets
             for name in targets_deg:
                 self._order("move", axis=self.drives[name].channel, target=targets[name])
-            self._await_arrival(places, targets, deadline)
+            self._await_arrival([places, targets], deadline)
             self._last, self._goal = targets, {}
 
     def status(self) -> RigStatus:
         """Return what the controller says of itself; see `Rig.status`."""
-        self._resume()
+        self._get_in_step()
         state, places = self._states(), self._places()
         if state == "alarm" or (state == "idle" and self._strayed(places)):
             self._homed = False
         named = {name: self.drives[name].to_deg(place) for name, place in places.items()}
         return RigStatus(state, named, self._homed)
 
-    def stop(self) -> None:
-        """Stop all axes; never raises for a line that is lost."""
-        try:
-            self._halt()
-        except DeviceError:
-            self._in_step = False
-
     def close(self) -> None:
         """Let go of the line."""
         self._link.close()
 
     # ---- steps of the above
-
-    @contextlib.contextmanager
-    def _stopping_on_failure(self) -> Iterator[None]:
-        try:
-            yield
-        except BaseException as error:
-            if isinstance(error, AlarmError):
-                self._homed = False
-            self.stop()
-            raise
 
     def _wake(self) -> dict[str, float]:
         """Bring a controller in whatever state to rest, and return where its axes stand, controller units."""
@@ -152,7 +103,7 @@ class AsciiRig(Rig):
         knocking = Deadline(self._timeout_s)
         while True:
             try:
-                if self._states() == "run":
+                if self._states() in ("run", "hold"):
                     self._halt()
                 return self._places()
             except (DeadlineError, GarbledError):
@@ -166,11 +117,11 @@ class AsciiRig(Rig):
             self._link.write(self._words.line("stop"))
             try:
                 self._settle()
-                still = Deadline(self._brake_s * (1 + _MARGIN) + self._timeout_s / _STOP_TRIES)
+                still = Deadline(self._brake_s * (1 + MARGIN) + self._timeout_s / _STOP_TRIES)
                 while self._states() == "run":
                     if still.passed:
                         raise DeadlineError("the rig does not stop")
-                    time.sleep(_POLL_S / 3)
+                    time.sleep(POLL_S / 3)
                 break
             except (DeadlineError, GarbledError, CommandError):
                 if not left:
@@ -189,30 +140,60 @@ class AsciiRig(Rig):
         with contextlib.suppress(DeadlineError):
             while not deadline.passed:
                 with contextlib.suppress(GarbledError):
-                    self._link.read_line(2 * _POLL_S)
+                    self._link.read_line(2 * POLL_S)
 
-    def _resume(self) -> None:
-        """Stop the rig before anything else where the last stop was not answered."""
+    def _get_in_step(self) -> None:
         if not self._in_step:
             self._halt()
 
-    def _ready(self) -> dict[str, float]:
-        self._resume()
+    def _find_switches(self) -> None:
+        self._get_in_step()
+        # Twice: a controller whose power drops out on the way counts from 0 wherever that was, and looks homed.
+        for _ in range(2):
+            self._home_once()
+        self._last = self._places()
+
+    def _home_once(self) -> None:
+        for drive in self.drives.values():
+            self._order("home", axis=drive.channel)
+            if not self._words.per_axis("home"):
+                break
+        ways = [(high - low) / drive.speed for drive in self.drives.values() for low, high in [drive.reach]]
+        deadline = Deadline(_HOMING_REACH * max(ways) + 2 * self._brake_s + self._timeout_s)
+        began, seen = Deadline(START_S), False
+        while (state := self._look()[0]) == "run" or not (seen or began.passed):
+            seen = seen or state == "run"
+            if state == "hold":
+                raise HeldError("the rig was held while it was homed: clear the cause, then home it again")
+            if deadline.passed:
+                raise DeadlineError(f"the switches were not found within {deadline.seconds:.3g} s")
+            time.sleep(POLL_S)
+
+    def _send_resume(self) -> None:
+        self._order("resume")
+
+    def _check_resume(self) -> None:
+        if "resume" not in self._words.commands:
+            raise CommandError(
+                "the rig's file has no motion.ascii.resume: a feed hold of this controller is ended by its own buttons"
+            )
+
+    def _astray(self, what: str) -> DeviceError:
+        return AlarmError(f"{what}: do not trust its position, home it")
+
+    def _look(self) -> tuple[str, dict[str, float]]:
         state, places = self._states(), self._places()
         if state == "alarm":
-            raise AlarmError("the controller is in alarm: find the cause, then home it")
-        if state != "idle":
-            raise CommandError("the controller is not idle: another program or its buttons move it")
+            raise AlarmError("the controller is in alarm: it stopped by itself; find the cause, then home it")
+        return state, places
+
+    def _check_places(self, places: Mapping[str, float]) -> None:
         if name := self._strayed(places):
             now, before = (self.drives[name].to_deg(at[name]) for at in (places, self._last))
             raise AlarmError(
                 f"{name} is at {now:.6g} degrees and was left at {before:.6g}: "
                 "its controller has started anew or was moved by hand; home it first"
             )
-        if not self._homed:
-            how = "home it first" if self._homing else "put it where it was switched on and start anew"
-            raise AlarmError(f"the rig does not know where it stands: {how}")
-        return places
 
     def _strayed(self, places: Mapping[str, float]) -> str:
         """Return an axis that is not where it was left, empty where there is none."""
@@ -220,35 +201,6 @@ class AsciiRig(Rig):
             if abs(places[name] - self._last[name]) > self._tolerance(drive):
                 return name
         return ""
-
-    def _refuse(self, state: str, deadline: Deadline) -> None:
-        if state == "alarm":
-            raise AlarmError(
-                "the controller stopped by itself and says that it is in alarm: find the cause, then home it"
-            )
-        if deadline.passed:
-            raise DeadlineError(f"no arrival within {deadline.seconds:.3g} s")
-
-    def _await_arrival(self, start: Mapping[str, float], targets: Mapping[str, float], deadline: Deadline) -> None:
-        began = Deadline(_START_S)
-        while True:
-            state, places = self._states(), self._places()
-            off = ""
-            for name, drive in self.drives.items():
-                slack, at = self._tolerance(drive), drive.to_deg(places[name])
-                ends = start[name], targets[name]
-                if not min(ends) - slack <= places[name] <= max(ends) + slack:
-                    raise AlarmError(f"{name} is at {at:.6g} degrees, off its way: do not trust its position, home it")
-                if abs(places[name] - targets[name]) > slack:
-                    off = f"{name} at {at:.6g} instead of {drive.to_deg(targets[name]):.6g} degrees"
-            if state == "idle" and not off:
-                return
-            if state != "idle":
-                began = Deadline(_START_S)
-            elif began.passed:
-                raise AlarmError(f"the rig came to rest elsewhere: {off}; do not trust its position, home it")
-            self._refuse(state, deadline)
-            time.sleep(_POLL_S)
 
     def _tolerance(self, drive: Drive) -> float:
         """Return how far from a target an axis may come to rest: half of its smallest step."""
@@ -285,14 +237,14 @@ class AsciiRig(Rig):
         return line
 
     def _states(self) -> str:
-        """Return ``alarm`` where an axis is, else ``run`` where one is, else ``idle``."""
+        """Return ``alarm`` where an axis is, else ``run`` where one is, else ``hold``, else ``idle``."""
         found = set()
         for drive in self.drives.values():
             line = self._ask("status", axis=drive.channel)
             found.add(self._words.state(self._words.match("status", line)["state"]))
             if not self._words.per_axis("status"):
                 break
-        return next(state for state in ("alarm", "run", "idle") if state in found)
+        return next(state for state in ("alarm", "run", "hold", "idle") if state in found)
 
     def _places(self) -> dict[str, float]:
         """Return where the axes stand, controller units."""

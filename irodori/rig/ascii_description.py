@@ -1,5 +1,6 @@
 """A controller's own command set, as the rig's file describes it: templates to send, patterns to expect."""
 
+import itertools
 import re
 import string
 from collections.abc import Mapping
@@ -16,8 +17,12 @@ COMMANDS = {
     "position": ((), ("axis",)),
     "status": ((), ("axis",)),
 }
+#: Commands that a controller may lack.
+OPTIONAL = {"resume": ((), ())}
 #: Reply: groups that its pattern must have.
 REPLIES = {"accepted": (), "position": ("position",), "status": ("state",), "refused": ()}
+#: Keys that list the words of a state.
+STATES = ("idle", "busy", "hold", "alarm")
 #: What stands for a placeholder where a template is tried.
 SAMPLES = {"axis": "A", "target": 12.5, "position": 12.5, "state": "X", "message": "why"}
 _NUMBER = r"[-+]?\d{1,9}(?:\.\d{0,9})?"
@@ -58,18 +63,19 @@ class Description:
     ----------
     line_end : bytes
     commands : dict
-        Name of a command: template.
+        Name of a command: template. Those of `OPTIONAL` may be absent.
     replies : dict
         Name of a reply: pattern of a whole line. ``refused`` may be absent.
-    busy, idle, alarm : tuple of str
+    idle, busy, hold, alarm : tuple of str
         Words of the state, as the pattern of the status finds them.
     """
 
     line_end: bytes
     commands: Mapping[str, str]
     replies: Mapping[str, re.Pattern]
-    busy: tuple[str, ...]
     idle: tuple[str, ...]
+    busy: tuple[str, ...]
+    hold: tuple[str, ...]
     alarm: tuple[str, ...]
 
     @classmethod
@@ -77,9 +83,9 @@ class Description:
         """Return the description that a validated block gives."""
         return cls(
             LINE_ENDS[block["line_end"]],
-            {name: block[name] for name in COMMANDS},
+            {name: block[name] for name in (*COMMANDS, *OPTIONAL) if name in block},
             {name: re.compile(text, re.ASCII) for name, text in block["replies"].items()},
-            *(tuple(block[word]) for word in ("busy", "idle", "alarm")),
+            *(tuple(block[state]) for state in STATES),
         )
 
     def line(self, command: str, **values) -> bytes:
@@ -106,15 +112,16 @@ class Description:
         return found
 
     def state(self, word: str) -> str:
-        """Return ``run``, ``idle`` or ``alarm`` for a word of the controller.
+        """Return ``idle``, ``run``, ``hold`` or ``alarm`` for a word of the controller.
 
         Raises
         ------
         GarbledError
             If it is none of those in the rig's file.
         """
-        for state, words in (("idle", self.idle), ("run", self.busy), ("alarm", self.alarm)):
-            if word in words:
+        words = {"idle": self.idle, "run": self.busy, "hold": self.hold, "alarm": self.alarm}
+        for state, own in words.items():
+            if word in own:
                 return state
-        known = ", ".join((*self.idle, *self.busy, *self.alarm))
+        known = ", ".join(itertools.chain(*words.values()))
         raise GarbledError(f"the controller says {word[:60]!r}; words of its state in the rig's file: {known}")

@@ -11,7 +11,7 @@ import random
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 
-from irodori.rig.ascii_description import COMMANDS, Description, template_pattern
+from irodori.rig.ascii_description import COMMANDS, OPTIONAL, Description, template_pattern
 from irodori.rig.drives import Drive, drives_of
 from irodori.rig.peer.client import Simulator, run_simulator
 from irodori.rig.peer.motion import Block, Stage
@@ -59,7 +59,14 @@ class AsciiMachine(Machine):
         for stage in self.stages:
             stage.clear()
         self._origin = {name: stage.position[0] for name, stage in self._named()}
-        self._line, self._alarm, self._homing = b"", False, set()
+        self._line, self._alarm, self._held, self._homing = b"", False, False, set()
+
+    def press_hold(self) -> None:
+        """Bring the axes to rest on their ramp; they go on after ``resume``."""
+        if not self._alarm:
+            self._held = True
+            for stage in self.stages:
+                stage.holding = bool(stage.blocks)
 
     def raise_alarm(self, code: int) -> None:
         """Stop dead; where the description has words for an alarm, stay in it until homed."""
@@ -67,12 +74,12 @@ class AsciiMachine(Machine):
             if stage.speed:
                 self._origin[name] += self._rng.uniform(-0.3, 0.3)
             stage.clear()
-        self._alarm, self._homing = bool(self._words.alarm), set()
+        self._alarm, self._held, self._homing = bool(self._words.alarm), False, set()
 
     @property
     def state(self) -> str:
-        """Return ``alarm``, ``run`` or ``idle``."""
-        return "alarm" if self._alarm else "run" if self.moving else "idle"
+        """Return ``alarm``, ``run``, ``hold`` or ``idle``."""
+        return "alarm" if self._alarm else "run" if self.moving else "hold" if self._held else "idle"
 
     def receive(self, byte: int) -> None:
         """Take a byte; a line is done when its end has come."""
@@ -87,7 +94,7 @@ class AsciiMachine(Machine):
         """Let simulated time pass, s."""
         for name, stage in self._named():
             stage.advance(seconds)
-            if stage.holding and not stage.moving:
+            if stage.holding and not stage.moving and not self._held:
                 stage.clear()
             if name in self._homing and not stage.blocks:
                 self._homing.discard(name)
@@ -97,7 +104,9 @@ class AsciiMachine(Machine):
         return zip(self.channels, self.stages, strict=True)
 
     def _obey(self, line: str) -> None:
-        for command in COMMANDS:
+        for command in (*COMMANDS, *OPTIONAL):
+            if command not in self._patterns:
+                continue
             found = self._patterns[command].fullmatch(line)
             if found and found.groupdict().get("axis", self.channels[0]) in self.channels:
                 self._do(command, found.groupdict())
@@ -109,17 +118,25 @@ class AsciiMachine(Machine):
         if command == "stop":
             for stage in self.stages:
                 stage.holding = bool(stage.blocks)
-            self._homing = set()
+            self._homing, self._held = set(), False
+        elif command == "resume":
+            if not self._held or self.moving:
+                self._say("refused", message="not held")
+                return
+            self._held = False
+            for stage in self.stages:
+                stage.holding = False
         elif command == "home":
-            self._alarm = False
+            self._alarm = self._held = False
             for name in names:
                 self._push(name, self._rng.gauss(0.0, self._homing_rms) if self._homing_rms else 0.0)
                 self._homing.add(name)
         elif command == "move":
             low, high = self._drives[names[0]].reach
             target = float(given["target"])
-            if self._alarm or not low - 1e-6 <= target <= high + 1e-6:
-                self._say("refused", message="in alarm" if self._alarm else "out of range")
+            if self._alarm or self._held or not low - 1e-6 <= target <= high + 1e-6:
+                why = "in alarm" if self._alarm else "held" if self._held else "out of range"
+                self._say("refused", message=why)
                 return
             self._push(names[0], target + self._origin[names[0]])
         elif command == "position":
@@ -135,7 +152,11 @@ class AsciiMachine(Machine):
         stages = dict(self._named())
         if self._alarm:
             return self._words.alarm[0]
-        return (self._words.busy if any(stages[name].moving for name in names) else self._words.idle)[0]
+        if any(stages[name].moving for name in names):
+            return self._words.busy[0]
+        if self._held:  # a controller without a word for it says that it is busy
+            return (self._words.hold or self._words.busy)[0]
+        return self._words.idle[0]
 
     def _push(self, name: str, end: float) -> None:
         stage, drive = dict(self._named())[name], self._drives[name]

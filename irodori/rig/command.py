@@ -22,8 +22,10 @@ from irodori.progress import LOGGER
 from irodori.provenance import code_hash, config_hash
 from irodori.rig.connect import open_rig
 from irodori.rig.devices import LimitError, Rig
+from irodori.rig.ending import ending_in_order
 from irodori.rig.gphoto import GphotoCamera
 from irodori.rig.journal import storing
+from irodori.rig.operator import PromptOperator
 from irodori.rig.plan import camera_shots, object_shots
 from irodori.rig.planner import plan_best
 from irodori.rig.session import verify
@@ -105,7 +107,8 @@ def _rig(name: str):
     definition = load_one("rigs", name)["rigs"][name]
     if "motion" not in definition:
         raise InputError(f"config/rigs/{name}.yaml", "motion", "no such key", "a rig with motors")
-    with open_rig(definition) as rig:
+    with ending_in_order(), open_rig(definition) as rig:
+        rig.on_hold = PromptOperator(definition.get("operator_deadline_s")).confirm
         yield rig
 
 

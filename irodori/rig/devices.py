@@ -7,7 +7,7 @@ Angles are in degrees, times in seconds. Axes bear the names of a pose's angles 
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,6 +43,10 @@ class AlarmError(DeviceError):
 
 class CommandError(DeviceError):
     """A controller refused a command; it stands where it stood."""
+
+
+class HeldError(DeviceError):
+    """A rig in feed hold, and nobody who could say that it may go on; it stands, and forgets its move."""
 
 
 class SettingError(DeviceError):
@@ -141,6 +145,9 @@ class Rig(ABC):
     axes: Mapping[str, Axis]
     #: Handle on the simulated controller, None for a real one; see `irodori.rig.connect`.
     simulator = None
+    #: Asked, with a sentence, when a move meets a feed hold: returns once the rig may go on, raises where it may not.
+    #: Where it is None, a hold ends the move with `HeldError`.
+    on_hold: Callable[[str], None] | None = None
 
     @abstractmethod
     def home(self) -> None:
@@ -151,12 +158,28 @@ class Rig(ABC):
         """Move axes and wait until they stand there.
 
         Every target is checked before anything moves; the wait ends at a deadline derived from distance and speed.
+        A feed hold (somebody presses it at the bench) asks `on_hold`; then the rig goes on, and the deadline starts
+        anew.
 
         Raises
         ------
-        LimitError, CommandError, AlarmError, LinkError, DeadlineError
-            After the last three, and after KeyboardInterrupt, a stop was sent. What was sent over a lost line does not
+        LimitError, CommandError, HeldError, AlarmError, LinkError, DeadlineError
+            After the last four, and after KeyboardInterrupt, a stop was sent. What was sent over a lost line does not
             arrive: there the axes end the move that they were in, whose target was checked, and stand.
+        """
+
+    @abstractmethod
+    def resume(self) -> None:
+        """End a feed hold (the state ``hold``), and wait until the rig is idle; `move` does so by itself.
+
+        The wait ends at a deadline, the time of the whole reach. Opening a rig ends a hold too, but gives up the move.
+
+        Raises
+        ------
+        CommandError
+            In every other state, an alarm aside, and where the controller has no command for it.
+        HeldError, AlarmError, LinkError, DeadlineError
+            A stop was sent.
         """
 
     def jog(self, name: str, by_deg: float) -> None:

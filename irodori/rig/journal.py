@@ -126,6 +126,7 @@ class Journal:
     table : path
         ``captures.csv``. An existing table is continued: a line that a crash tore is removed, lines whose file is gone
         or has changed are dropped, so that the photograph is taken again. A changed file is set aside, not removed.
+        A line without a hash, which a person wrote, waits for `retire`.
     folder : path, optional
         Folder of the RAW files; that of the table where None.
 
@@ -143,6 +144,7 @@ class Journal:
         self.retired = self.table.with_name(RETIRED)
         self.shots: dict[str, Shot] = {}
         self.sha256: dict[str, str] = {}
+        self._unhashed: dict[str, Shot] = {}
         with storing(self.table):
             for needed in (self.table.parent, self.folder):
                 needed.mkdir(parents=True, exist_ok=True)
@@ -170,18 +172,17 @@ class Journal:
             found = f"none of the {len(digests)} photographs of {self.table}"
             raise InputError(self.folder, "", found, "the folder of its RAW files; to begin anew, remove the table")
         for shot in track(read_captures(self.table), f"{self.table}: looking at the files"):
-            if self._is_whole(shot, digests[shot.file]):
+            if not (self.folder / shot.file).is_file():
+                LOGGER.warning("%s is gone; it is taken again where it is asked for", self.folder / shot.file)
+            elif not digests[shot.file]:
+                self._unhashed[shot.file] = shot
+            elif self._is_unchanged(shot, digests[shot.file]):
                 self.shots[shot.file], self.sha256[shot.file] = shot, digests[shot.file]
-        if len(self.shots) < len(digests):
+        if len(self.shots) + len(self._unhashed) < len(digests):
             self._rewrite()
 
-    def _is_whole(self, shot: Shot, digest: str) -> bool:
+    def _is_unchanged(self, shot: Shot, digest: str) -> bool:
         path = self.folder / shot.file
-        if not path.is_file():
-            LOGGER.warning("%s is gone; it is taken again", path)
-            return False
-        if not digest:
-            return False  # a line that somebody wrote: the file is looked at as one without a line
         found = file_sha256(path)
         if found != digest:
             # Left under its name, it would be taken for a photograph whose line a crash has cost.
@@ -198,7 +199,8 @@ class Journal:
         return aside
 
     def _rewrite(self) -> None:
-        _write_table(self.table, (_cells(shot, self.sha256[file]) for file, shot in self.shots.items()))
+        lines = {**self.shots, **self._unhashed}
+        _write_table(self.table, (_cells(shot, self.sha256.get(file, "")) for file, shot in lines.items()))
 
     def _retired_rows(self) -> dict[str, list[str]]:
         """Return the lines of ``captures-retired.csv`` by file; a log, in which plans of several days may differ."""
@@ -211,7 +213,8 @@ class Journal:
         """Take out the photographs that a plan does not ask for; they go to ``captures-retired.csv``, the files stay.
 
         A file whose name the plan wants for another photograph (another sensitivity, another pose of the chart) is
-        renamed, and listed under its new name.
+        renamed, and listed under its new name. A line without a hash that agrees with the plan is taken out as well,
+        and its file left to `stray`: what the line says of it is nobody's measurement.
 
         Returns
         -------
@@ -220,23 +223,31 @@ class Journal:
         """
         wanted = {shot.file: shot for shot in planned}
         retired = [shot for shot in self.shots.values() if wanted.get(shot.file) != shot]
-        if not retired:
+        retired += [shot for shot in self._unhashed.values() if not _agrees(shot, wanted.get(shot.file))]
+        if not retired and not self._unhashed:
             return []
         rows, renamed = self._retired_rows(), []
         for shot in retired:
-            digest = self.sha256[shot.file]
+            digest = self.sha256.get(shot.file) or self._hash(shot.file)
             name = _aside(shot.file, "retired", digest) if shot.file in wanted else shot.file
             rows[name] = _cells(replace(shot, file=name), digest)
             if name != shot.file:
                 renamed.append((shot.file, digest))
         # Listed first: a crash before the rename finds them in the table, one after it misses only the file there.
-        _write_table(self.retired, rows.values())
+        if retired:
+            _write_table(self.retired, rows.values())
         for file, digest in renamed:
             self.set_aside(file, "retired", digest)
         for shot in retired:
-            del self.shots[shot.file], self.sha256[shot.file]
+            self.shots.pop(shot.file, None)
+            self.sha256.pop(shot.file, None)
+        self._unhashed.clear()
         self._rewrite()
         return retired
+
+    def _hash(self, file: str) -> str:
+        with storing(self.folder / file):
+            return file_sha256(self.folder / file)
 
     def stray(self, shot: Shot) -> Path | None:
         """Return the file that has a photograph's name but no line, None where there is none or it is another's.
@@ -292,6 +303,14 @@ class Journal:
                 _write_table(self.retired, left)
         else:
             self.retired.unlink(missing_ok=True)
+
+
+def _agrees(line: Shot, wanted: Shot | None) -> bool:
+    """Return whether a person's line is of a photograph that a plan wants; what the line leaves open says nothing."""
+    if wanted is None:
+        return False
+    settings = {name: getattr(line, name) or getattr(wanted, name) for name in ("iso", "f_number")}
+    return replace(line, **settings) == wanted
 
 
 def _aside(file: str, why: str, sha256: str) -> str:

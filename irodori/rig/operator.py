@@ -116,9 +116,18 @@ class Step:
 class Operator(ABC):
     """Who sets what no motor drives."""
 
-    @abstractmethod
     def ask(self, step: Step) -> None:
-        """Have a step done; return when it is.
+        """Have a step done; return when it is. Raises as `confirm` does."""
+        self.confirm(str(step))
+
+    @abstractmethod
+    def confirm(self, request: str) -> None:
+        """Have a person do something and say so; return when that was said.
+
+        Parameters
+        ----------
+        request : str
+            What is to be done, a sentence that begins with a verb, without its full stop.
 
         Raises
         ------
@@ -169,7 +178,7 @@ class PromptOperator(Operator):
     def __init__(self, deadline_s: float | None = None) -> None:
         self.deadline_s = deadline_s
 
-    def ask(self, step: Step) -> None:
+    def confirm(self, request: str) -> None:
         """Ask, and wait for Enter. What was typed before the question does not count."""
         import termios
 
@@ -180,19 +189,19 @@ class PromptOperator(Operator):
             termios.tcflush(source, termios.TCIFLUSH)
         except (AttributeError, OSError, ValueError, termios.error):
             raise DeviceError(
-                f"nobody can be asked to {str(step)[:1].lower()}{str(step)[1:]}: the input is no terminal; "
+                f"nobody can be asked to {request[:1].lower()}{request[1:]}: the input is no terminal; "
                 "start it on a terminal, or give the rig operator: file"
             ) from None
-        LOGGER.info("asked on the terminal: %s", step)
+        LOGGER.info("asked on the terminal: %s", request)
         limit = None if self.deadline_s is None else time.monotonic() + self.deadline_s
         while True:
-            print(f"{step}. Enter when done, q to stop: ", end="", file=sys.stderr, flush=True)
+            print(f"{request}. Enter when done, q to stop: ", end="", file=sys.stderr, flush=True)
             answer = _read_answer(source, limit)
             if answer is None:
                 print(file=sys.stderr)
-                raise DeadlineError(f"nobody answered in {self.deadline_s:g} s: {step}")
+                raise DeadlineError(f"nobody answered in {self.deadline_s:g} s: {request}")
             if answer == b"" or answer.decode(errors="replace").strip().lower() in _NO:
-                raise OperatorAbort(f"stopped by the person at the bench, before: {step}")
+                raise OperatorAbort(f"stopped by the person at the bench, before: {request}")
             if answer.decode(errors="replace").strip().lower() in _YES:
                 return
 
@@ -220,7 +229,7 @@ class FileOperator(Operator):
         self.poll_s, self.progress_s = poll_s, progress_s
         self._asked = 0
 
-    def ask(self, step: Step) -> None:
+    def confirm(self, request: str) -> None:
         """Name a file and wait until it is there."""
         self.folder.mkdir(parents=True, exist_ok=True)
         self._asked += 1
@@ -228,21 +237,21 @@ class FileOperator(Operator):
         path = self.folder.absolute() / f"confirm-{self._asked}-{secrets.token_hex(2)}"
         path.unlink(missing_ok=True)
         command = f"touch {shlex.quote(str(path))}"
-        _say(f"{step}. When done: {command}")
+        _say(f"{request}. When done: {command}")
         begun = said = time.monotonic()
         try:
             # Listing the folder sees a new file over NFS earlier than asking for its name.
             while path.name not in os.listdir(self.folder):
                 now = time.monotonic()
                 if self.deadline_s is not None and now - begun >= self.deadline_s:
-                    raise DeadlineError(f"{path} did not appear in {self.deadline_s:g} s: {step}")
+                    raise DeadlineError(f"{path} did not appear in {self.deadline_s:g} s: {request}")
                 if now - said >= self.progress_s:
                     said = now
-                    _say(f"waiting for {(now - begun) / 60.0:.0f} min: {step}. When done: {command}")
+                    _say(f"waiting for {(now - begun) / 60.0:.0f} min: {request}. When done: {command}")
                 time.sleep(self.poll_s)
         finally:
             path.unlink(missing_ok=True)
-        LOGGER.info("confirmed: %s", step)
+        LOGGER.info("confirmed: %s", request)
 
 
 class AutoOperator(Operator):
@@ -254,6 +263,10 @@ class AutoOperator(Operator):
     def ask(self, step: Step) -> None:
         """Set the bench."""
         self._set_bench(step.new)
+
+    def confirm(self, request: str) -> None:
+        """Refuse: what only a person can do has no function."""
+        raise DeviceError(f"nobody can be asked to {request[:1].lower()}{request[1:]}: the rig has operator: auto")
 
 
 def make_operator(

@@ -31,8 +31,9 @@ class Estimate:
     ----------
     shots, steps, settings : int
         Photographs; steps by hand; settings changed in them.
-    hand_s, travel_s, exposure_s, overhead_s : float
-        Time of the steps by hand, of the motors, of the exposures, and of all else (reading out, storing), s.
+    hand_s, travel_s, settle_s, exposure_s, overhead_s : float
+        Time of the steps by hand, of the motors, of the rig's settling after them, of the exposures, and of all else
+        (reading out, storing), s.
     """
 
     shots: int
@@ -40,18 +41,20 @@ class Estimate:
     settings: int
     hand_s: float
     travel_s: float
+    settle_s: float
     exposure_s: float
     overhead_s: float
 
     @property
     def total_s(self) -> float:
         """Time of the session, s."""
-        return self.hand_s + self.travel_s + self.exposure_s + self.overhead_s
+        return self.hand_s + self.travel_s + self.settle_s + self.exposure_s + self.overhead_s
 
     def __str__(self) -> str:
         parts = (
             f"{_count(self.steps, 'hand step')} {_duration(self.hand_s)}",
             f"travel {_duration(self.travel_s)}",
+            f"settling {_duration(self.settle_s)}",
             f"exposure {_duration(self.exposure_s)}",
             f"overhead {_duration(self.overhead_s)}",
         )
@@ -116,6 +119,7 @@ def estimate_s(
     start: Mapping[str, float | str],
     manual_cost_s: float,
     overhead_s: float = 0.0,
+    settle_s: float = 0.0,
 ) -> Estimate:
     """Return the time that the shots take in their order.
 
@@ -125,16 +129,20 @@ def estimate_s(
         As for `order_shots`. A motor whose angle is unknown is taken to stand where it is first sent.
     overhead_s : float
         Time for each photograph beyond its exposure, s.
+    settle_s : float
+        Time from each arrival of the motors to the shutter, s, in which a step by hand may be done.
     """
     hand = {name: value for name, value in start.items() if name not in axes}
     motors = {name: float(start[name]) for name in axes if name in start}
     steps = settings = 0
-    travel = 0.0
+    travel = settling = 0.0
     for shot in shots:
         step = Step.between(hand, hand_settings(shot, axes))
         steps, settings = steps + bool(step), settings + len(step.changes)
         hand |= step.new
         targets = motor_targets(shot, axes)
+        if any(motors.get(name) != angle for name, angle in targets.items()):
+            settling += max(0.0, settle_s - (manual_cost_s if step else 0.0))
         travel += max((axes[n].travel_s(motors.get(n, a), a) for n, a in targets.items()), default=0.0)
         motors |= targets
     return Estimate(
@@ -143,6 +151,7 @@ def estimate_s(
         settings=settings,
         hand_s=steps * manual_cost_s,
         travel_s=travel,
+        settle_s=settling,
         exposure_s=sum(shot.exposure_s for shot in shots),
         overhead_s=len(shots) * overhead_s,
     )

@@ -4,6 +4,7 @@ A photograph is stored under a temporary name, decoded, given its own name and t
 breaks the session off, the next one finds whole files and whole lines, and takes what is missing.
 """
 
+import math
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -60,6 +61,8 @@ class Session:
         Of `take_stock`, to be continued.
     clock : callable
         Seconds, monotonic.
+    settle_s : float
+        Time from the arrival of the motors to the shutter, s; a step by hand in between counts.
     """
 
     def __init__(
@@ -70,10 +73,16 @@ class Session:
         rig: Rig | None,
         tally: Tally | None = None,
         clock: Callable[[], float] = time.monotonic,
+        settle_s: float = 0.0,
     ) -> None:
         self.camera, self.journal, self.rig = camera, journal, rig
         self.tally = tally or Tally()
         self._hand, self._clock = HandSettings(operator), clock
+        self._settle_s, self._settled_at = settle_s, -math.inf
+        self._stands: dict[str, float] = {}
+        if rig is not None:
+            # A feed hold is a person's, and so is its end.
+            rig.on_hold = operator.confirm
 
     def run(self, planned: Sequence[Shot], label: str) -> Tally:
         """Take what is missing of a plan, in its order; a rig that does not know where it stands is homed first.
@@ -107,8 +116,11 @@ class Session:
         # Motors first: nobody has a hand at the lens while the arm swings.
         if targets := motor_targets(shot, motorised):
             self.rig.move(targets)
+            if targets != self._stands:
+                self._stands, self._settled_at = targets, self._clock() + self._settle_s
         if self._hand.set(hand_settings(shot, motorised)):
             self.tally.operator_steps += 1
+        time.sleep(max(0.0, self._settled_at - self._clock()))
         path = self.journal.folder / shot.file
         temporary = path.with_name(_TEMPORARY + path.name)
         try:

@@ -2,8 +2,6 @@
 
 import json
 import os
-import signal
-import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
@@ -15,6 +13,7 @@ from irodori.provenance import file_sha256
 from irodori.rig.connect import open_rig, true_position_deg
 from irodori.rig.devices import Axis, Camera, Rig
 from irodori.rig.drives import drives_of
+from irodori.rig.ending import ending_in_order
 from irodori.rig.gphoto import RAW_SUFFIXES, GphotoCamera
 from irodori.rig.journal import RETIRED, Journal, claimed, storing
 from irodori.rig.operator import AutoOperator, Operator, Step, make_operator
@@ -71,6 +70,11 @@ class Target:
         model = self.camera["driver"]["model"]
         return next((known[0] for maker, known in RAW_SUFFIXES.items() if model.startswith(maker)), ".raw")
 
+    @property
+    def settle_s(self) -> float:
+        """Time from the arrival of the motors to the shutter, s."""
+        return self.rig["motion"]["settle_s"] if "motion" in self.rig else 0.0
+
     def axes(self) -> dict[str, Axis]:
         """Return the motorised axes; those of the pose that are not here are set by hand."""
         return {name: drive.axis for name, drive in drives_of(self.rig).items()} if "motion" in self.rig else {}
@@ -82,7 +86,7 @@ class Target:
     def estimate(self, shots: Sequence[Shot]) -> Estimate:
         """Return the time that photographs take in their order; nothing is known of where things stand."""
         overhead_s = 0.0 if self.is_virtual else _READ_OUT_S
-        return estimate_s(shots, self.axes(), {}, _STEP_S[self.rig["operator"]], overhead_s)
+        return estimate_s(shots, self.axes(), {}, _STEP_S[self.rig["operator"]], overhead_s, self.settle_s)
 
 
 class _VirtualHands(Operator):
@@ -94,6 +98,9 @@ class _VirtualHands(Operator):
     def ask(self, step: Step) -> None:
         self.inner.ask(step)
         self.bench.set(step.new)
+
+    def confirm(self, request: str) -> None:
+        self.inner.confirm(request)
 
 
 @contextmanager
@@ -155,7 +162,7 @@ def photograph(
     table = Path(target.table)
     folder = table.parent if target.folder is None else Path(target.folder)
     planned, status = target.ordered(shots), {}
-    with claimed(table, folder, owner), _ending_in_order():
+    with claimed(table, folder, owner), ending_in_order():
         if target.is_virtual:
             _start_over_if_changed(table, provenance)
         journal = Journal(table, folder)
@@ -165,7 +172,7 @@ def photograph(
         LOGGER.info("%s: %d of %d photographs to take; %s", target.name, len(missing), len(planned), needs)
         if missing:
             with _equipment(target, planned, subject, on_rig) as (rig, camera, operator):
-                Session(camera, operator, journal, rig, tally).run(planned, target.name)
+                Session(camera, operator, journal, rig, tally, settle_s=target.settle_s).run(planned, target.name)
                 status = camera.status()
         journal.finish(planned)
         LOGGER.info("%s: %s", target.name, ", ".join(f"{key} {value:g}" for key, value in vars(tally).items()))
@@ -176,25 +183,6 @@ def photograph(
             "camera": status,
         }
         _write_record(Path(record), content)
-
-
-@contextmanager
-def _ending_in_order() -> Iterator[None]:
-    """End as Ctrl-C does, the rig stopped, where a batch system ends the process or a terminal is closed."""
-
-    def end(number: int, frame) -> None:
-        raise SystemExit(128 + number)
-
-    before = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(number) is signal.SIG_DFL:
-                before[number] = signal.signal(number, end)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _start_over_if_changed(table: Path, provenance: Provenance) -> None:

@@ -29,6 +29,7 @@ _ASCII = {
     "home": "HM {axis}",
     "move": "MA {axis} {target:.3f}",
     "stop": "ST",
+    "resume": "GO",
     "position": "PO {axis}",
     "status": "SS",
     "replies": {
@@ -39,6 +40,7 @@ _ASCII = {
     },
     "idle": ["READY"],
     "busy": ["BUSY"],
+    "hold": ["HELD"],
     "alarm": ["FAULT"],
     "simulated_replies": {
         "accepted": "OK",

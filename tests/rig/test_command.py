@@ -254,25 +254,41 @@ def test_ctrl_c_returns_130_and_says_that_the_rig_stands_still(capsys, monkeypat
     assert stood
 
 
-def test_ctrl_c_at_the_terminal_stops_a_move(bench, board):
-    """The whole command in a process of its own, a real interrupt, the arm in mid-move."""
+MOVE, JOG, HOME = ["move", "turn_deg=359.5"], ["jog", "turn_deg=359.5"], ["home"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "number", "code", "message"),
+    [
+        (MOVE, signal.SIGINT, 130, ["stopped; the rig stands still, and what was taken stays"]),
+        (MOVE, signal.SIGTERM, 143, []),
+        (JOG, signal.SIGHUP, 129, []),
+        (HOME, signal.SIGTERM, 143, []),
+    ],
+)
+def test_what_ends_a_command_from_outside_stops_the_rig_in_mid_move(bench, board, arguments, number, code, message):
+    """The whole command in a process of its own, a real signal, the table in mid-move."""
     definition = load_one("rigs", "gonio-grbl")["rigs"]["gonio-grbl"]
     with open_rig(definition) as rig:
         rig.home()
         rig.move({"turn_deg": 0.0})
-        board.forget()
-    move = [sys.executable, "-m", "irodori.rig", "move", "gonio-grbl"]
+    # At the pace of the board the table turns by 359.5 degrees in 18 s.
+    board.pace(1.0)
+    board.forget()
+    name, *rest = arguments
+    command = [sys.executable, "-m", "irodori.rig", name, "gonio-grbl", *rest]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    # At 200 times its speed the table turns by 359.5 degrees in 90 ms: a stall of the line makes time to interrupt it.
-    board.fault("move 0.3 stall 1.0")
-    with subprocess.Popen([*move, "turn_deg=359.5"], env=environment, stderr=subprocess.PIPE, text=True) as running:
+    with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as running:
         end = time.monotonic() + 60.0
-        while board.snapshot()["low"] == board.snapshot()["high"] and time.monotonic() < end:
+        while (seen := board.snapshot())["high"]["Y"] - seen["low"]["Y"] < 5.0:
+            assert time.monotonic() < end and running.poll() is None, running.communicate()
             time.sleep(0.01)
-        running.send_signal(signal.SIGINT)
+        running.send_signal(number)
         _, said = running.communicate(timeout=60)
-    assert running.returncode == 130
-    assert said.splitlines() == ["stopped; the rig stands still, and what was taken stays"]
+    assert running.returncode == code
+    assert said.splitlines() == message
     before = board.snapshot()
+    assert not before["moving"] and before["high"]["Y"] - before["low"]["Y"] < 300.0
+    assert before["state"].lower() == ("alarm" if name == "home" else "idle")
     time.sleep(0.2)
-    assert board.snapshot() == before and not before["moving"]
+    assert board.snapshot() == before

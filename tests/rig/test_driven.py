@@ -29,10 +29,10 @@ class Person(Operator):
     def __init__(self):
         self.asked, self.stops_at = [], None
 
-    def ask(self, step):
-        self.asked.append(str(step))
+    def confirm(self, request):
+        self.asked.append(request)
         if len(self.asked) == self.stops_at:
-            raise operator.OperatorAbort(f"stopped by the person at the bench, before: {step}")
+            raise operator.OperatorAbort(f"stopped by the person at the bench, before: {request}")
 
 
 @pytest.fixture

@@ -270,4 +270,4 @@ def test_faults_are_read_and_nonsense_lists_what_is_accepted():
     for text in ("", "explode", "move", "move x reset", "drop-output", "garble 3", "line -1 reset", "stall nan"):
         with pytest.raises(ValueError, match=r"faults: |takes|not a number"):
             parse_fault(text)
-    assert set(KINDS) == {"drop-output", "drop-input", "garble", "stall", "hangup", "reset", "alarm"}
+    assert set(KINDS) == {"drop-output", "drop-input", "garble", "stall", "hangup", "reset", "alarm", "hold"}

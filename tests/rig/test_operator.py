@@ -52,6 +52,9 @@ class Asked(Operator):
         if self.faults and (fault := self.faults.pop(0)):
             raise fault
 
+    def confirm(self, request):
+        raise AssertionError(f"asked for what is no step: {request}")
+
 
 # ---- the sentence
 

@@ -238,13 +238,22 @@ def test_a_cost_below_zero_is_refused():
 
 def test_the_estimate_adds_up():
     full = plan([45.0, 65.0], [0.0, 30.0], states=("out",), exposures=(0.5, 2.0))
-    found = estimate_s(full, ONE, {"camera_deg": 0.0}, 60.0, overhead_s=3.0)
+    found = estimate_s(full, ONE, {"camera_deg": 0.0}, 60.0, overhead_s=3.0, settle_s=62.0)
     assert (found.shots, found.steps, found.settings) == (8, 2, 6)
     assert found.hand_s == 120.0 and found.overhead_s == 24.0 and found.exposure_s == 10.0
     there = CAMERA.travel_s(0.0, 30.0)
     assert found.travel_s == pytest.approx(3 * there)
-    assert found.total_s == pytest.approx(120.0 + 24.0 + 10.0 + 3 * there)
-    assert str(found) == "8 shots, about 3 min: 2 hand steps 2 min, travel 10 s, exposure 10 s, overhead 24 s"
+    # Three moves: to 30 degrees, back to 0 while the light is set (60 of the 62 seconds), to 30 degrees.
+    assert found.settle_s == pytest.approx(62.0 + 2.0 + 62.0)
+    assert found.total_s == pytest.approx(120.0 + 24.0 + 10.0 + 126.0 + 3 * there)
+    parts = "2 hand steps 2 min, travel 10 s, settling 2 min, exposure 10 s, overhead 24 s"
+    assert str(found) == f"8 shots, about 5 min: {parts}"
+
+
+def test_a_rig_settles_after_each_move_and_not_between_the_exposures_of_one_place():
+    full = plan([45.0], [0.0, 30.0], states=("out",), exposures=(0.5, 2.0))
+    assert estimate_s(full, ONE, {"camera_deg": 0.0}, 0.0, settle_s=0.5).settle_s == 0.5
+    assert estimate_s(full, ONE, {}, 0.0, settle_s=0.5).settle_s == 1.0, "nobody knows where it stands: it may move"
 
 
 def test_axes_that_move_together_take_the_time_of_the_slowest():

@@ -1,6 +1,7 @@
 """What every rig does, whatever drives it: one suite over all drivers, each with its simulated controller."""
 
 import os
+import re
 import subprocess
 import sys
 import time
@@ -9,7 +10,7 @@ import pytest
 from motion_rigs import at_port, definition, start_simulator
 
 from irodori.rig.connect import open_rig, true_position_deg
-from irodori.rig.devices import AlarmError, Axis, LimitError, LinkError, Rig, RigStatus
+from irodori.rig.devices import AlarmError, Axis, CommandError, HeldError, LimitError, LinkError, Rig, RigStatus
 
 PEERS = {
     "grbl-send-response": ("grbl", "send-response"),
@@ -129,6 +130,137 @@ def test_homing_puts_the_count_right_again(opened):
     assert true_position_deg(opened)["camera_deg"] == pytest.approx(60.0, abs=0.005)
 
 
+def until_held(rig: Rig) -> None:
+    """Wait until the rig says that it is held."""
+    end = time.monotonic() + 5.0
+    while rig.status().state != "hold":
+        assert time.monotonic() < end, rig.status()
+
+
+# ---- a feed hold that somebody presses at the bench
+
+
+def test_a_resume_ends_a_hold_and_leaves_the_rig_as_it_was(opened):
+    opened.move({"camera_deg": 20.0})
+    before = true_position_deg(opened)
+    opened.simulator.fault("hold")
+    until_held(opened)
+    opened.resume()
+    assert opened.status().state == "idle" and opened.status().homed
+    assert true_position_deg(opened) == before
+    opened.move({"camera_deg": 30.0})
+    assert true_position_deg(opened)["camera_deg"] == pytest.approx(30.0, abs=0.005)
+
+
+def test_a_resume_without_a_hold_is_refused(opened):
+    opened.move({"camera_deg": 20.0})
+    with pytest.raises(CommandError, match=r"not held but says idle"):
+        opened.resume()
+    opened.move({"camera_deg": 30.0})
+
+
+@pytest.mark.parametrize("part", [0.1, 0.5, 0.9])
+def test_a_move_that_is_held_asks_and_goes_on_with_a_new_deadline(opened, part):
+    opened.move({"camera_deg": 0.0, "turn_deg": 0.0})
+    asked = []
+
+    def clear(request):
+        seen = opened.simulator.snapshot()
+        asked.append((request, true_position_deg(opened)["camera_deg"], seen["moving"]))
+        time.sleep(1.0)  # well beyond the deadline of the move
+
+    opened.on_hold = clear
+    opened.simulator.fault(f"move {part} hold")
+    opened.move({"camera_deg": 140.0, "turn_deg": 30.0})
+    ((request, held_deg, moving),) = asked
+    assert request.startswith("Clear the cause")
+    assert float(re.search(r"camera_deg ([\d.]+)", request)[1]) == pytest.approx(held_deg, abs=0.06)
+    assert not moving and 0.5 < held_deg < 139.5
+    assert true_position_deg(opened) == pytest.approx({"camera_deg": 140.0, "turn_deg": 30.0}, abs=0.005)
+    assert opened.status().state == "idle" and opened.status().homed
+
+
+def test_a_move_may_be_held_twice(opened):
+    opened.move({"camera_deg": 0.0})
+    asked = []
+
+    def clear(request):
+        asked.append(request)
+        if len(asked) == 1:
+            opened.simulator.fault("move 0.7 hold")
+
+    opened.on_hold = clear
+    opened.simulator.fault("move 0.2 hold")
+    opened.move({"camera_deg": 140.0})
+    assert len(asked) == 2
+    assert true_position_deg(opened)["camera_deg"] == pytest.approx(140.0, abs=0.005)
+
+
+def test_a_rig_that_is_held_before_a_move_asks_first(opened):
+    opened.move({"camera_deg": 20.0})
+    opened.simulator.fault("hold")
+    until_held(opened)
+    asked = []
+    opened.on_hold = asked.append
+    opened.move({"camera_deg": 30.0})
+    assert len(asked) == 1 and "camera_deg 20" in asked[0]
+    assert true_position_deg(opened)["camera_deg"] == pytest.approx(30.0, abs=0.005)
+
+
+def test_a_hold_that_the_person_ends_at_the_controller_needs_no_second_command(opened):
+    opened.move({"camera_deg": 0.0})
+    opened.on_hold = lambda request: opened._send_resume()
+    opened.simulator.fault("move 0.5 hold")
+    opened.move({"camera_deg": 140.0})
+    assert true_position_deg(opened)["camera_deg"] == pytest.approx(140.0, abs=0.005)
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_a_held_move_that_nobody_lets_go_on_is_given_up_where_it_stands(opened, asked):
+    class Stopped(Exception):
+        pass
+
+    def refuse(request):
+        raise Stopped("no")
+
+    opened.move({"camera_deg": 0.0})
+    opened.on_hold = refuse if asked else None
+    opened.simulator.fault("move 0.5 hold")
+    with pytest.raises(Stopped if asked else HeldError, match="no" if asked else "held at camera_deg .* start again"):
+        opened.move({"camera_deg": 140.0})
+    stands = true_position_deg(opened)["camera_deg"]
+    status = opened.status()
+    assert status.state == "idle" and status.homed and 10.0 < stands < 139.0
+    assert status.position_deg["camera_deg"] == pytest.approx(stands, abs=0.005)
+    opened.move({"camera_deg": 5.0})
+    assert true_position_deg(opened)["camera_deg"] == pytest.approx(5.0, abs=0.005)
+
+
+def test_opening_a_held_rig_gives_up_its_move(peer, opened):
+    """Why there is no command to resume from another process: the board forgets the move when its port is opened."""
+    rig, simulator = peer
+    opened.move({"camera_deg": 0.0})
+
+    def cut(request):
+        opened.close()
+        raise LinkError("cut off")
+
+    opened.on_hold = cut
+    simulator.fault("move 0.5 hold")
+    with pytest.raises(LinkError):
+        opened.move({"camera_deg": 140.0})
+    assert simulator.snapshot()["state"].lower() == "hold"
+    held = simulator.true_position()
+    with open_rig(rig) as again:
+        assert again.status().state == "idle"
+        with pytest.raises(CommandError, match="not held"):
+            again.resume()
+    assert simulator.true_position() == held
+
+
+# ---- the line
+
+
 def test_stop_and_close_may_be_repeated_and_never_raise(peer):
     rig, _ = peer
     with open_rig(rig) as opened:
@@ -189,3 +321,17 @@ def _alive(pid: int) -> bool:
             return file.read().rpartition(")")[2].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
         return False
+
+
+def test_a_described_controller_without_a_resume_says_whose_the_hold_is():
+    rig = definition("ascii")
+    del rig["motion"]["ascii"]["resume"]
+    with start_simulator(rig) as simulator, open_rig(at_port(rig, simulator.port)) as opened:
+        opened.home()
+        with pytest.raises(CommandError, match=r"no motion\.ascii\.resume"):
+            opened.resume()
+        opened.on_hold = lambda request: pytest.fail("nobody is asked for what cannot be done")
+        simulator.fault("move 0.5 hold")
+        with pytest.raises(CommandError, match=r"no motion\.ascii\.resume"):
+            opened.move({"camera_deg": 140.0})
+        assert opened.status().state == "idle"

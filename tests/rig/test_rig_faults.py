@@ -9,7 +9,7 @@ import pytest
 from motion_rigs import TIMEOUT_S, at_port, definition, failure, start_simulator, wait_until_still
 
 from irodori.rig.connect import open_rig, true_position_deg
-from irodori.rig.devices import AlarmError, CommandError, DeadlineError, LimitError, LinkError
+from irodori.rig.devices import AlarmError, CommandError, DeadlineError, HeldError, LimitError, LinkError
 from irodori.rig.drives import drives_of
 from irodori.rig.grbl.checks import homing_s
 
@@ -34,6 +34,8 @@ FAULTS = {
     "reset": (AlarmError, DeadlineError),
     "alarm 1": (AlarmError, DeadlineError),
     "alarm 3": (AlarmError,),
+    # A jog that Grbl holds is cancelled, and stands elsewhere; a refusal is that of a move that finds it held.
+    "hold": (HeldError, LinkError, CommandError),
 }
 COMMANDS = {
     "home": lambda rig: rig.home(),

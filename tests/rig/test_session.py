@@ -191,6 +191,9 @@ def test_the_motors_stand_before_the_hand_is_asked_for(tmp_path, rig):
         def ask(self, step):
             events.append(("hand", round(stands_still(rig, 0.05)["camera_deg"]), step.new))
 
+        def confirm(self, request):
+            raise AssertionError(request)
+
     class Eye(QuickCamera):
         def capture(self, shot, path):
             events.append(("photograph", round(true_position_deg(rig)["camera_deg"]), shot.filter))

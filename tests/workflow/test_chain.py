@@ -10,6 +10,7 @@ import yaml
 from project import ROOT, edit, planned, snakemake
 
 from irodori.pictures import read_spectral_exr
+from irodori.report.registration import read_registration, summarise
 from irodori.store import open_file
 
 STAGES_AFTER_FIT = {
@@ -36,6 +37,10 @@ def test_one_command_leaves_pictures_report_and_errors(finished):
     assert (finished / "results/still-life/front.png").read_bytes().startswith(b"\x89PNG")
     page = (finished / "results/report.html").read_text()
     assert page.count("data:image/png;base64") >= 6 and "CIEDE2000" in page
+    for name in ("tile-plate", "leaf-sphere"):
+        found = summarise(read_registration(finished / f"results/{name}/registration.csv"))
+        assert found.by_capture + found.by_chart > 0 and found.by_none == 0
+        assert f"<td>{name}</td><td>{found.by_capture}</td><td>{found.by_chart}</td>" in page
 
 
 def test_recovered_materials_are_near_the_truth(finished):

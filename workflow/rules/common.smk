@@ -200,6 +200,13 @@ def tables_of_plates(wildcards):
     return named_tables(*(planned["definition"] for planned in plates(wildcards).values()))
 
 
+def linear_files(wildcards):
+    """Return the linear files of all captures of an object."""
+    return expand(
+        "results/{object}/linear/{capture}.h5", object=wildcards.object, capture=CAPTURES["objects"][wildcards.object]
+    )
+
+
 def tiles_of(wildcards):
     """Return the texture rows of every tile of an object."""
     texels = config["objects"][wildcards.object]["texels"]

@@ -1,10 +1,6 @@
 rule rectify_object:
     input:
-        linear=lambda wildcards: expand(
-            "results/{object}/linear/{capture}.h5",
-            object=wildcards.object,
-            capture=CAPTURES["objects"][wildcards.object],
-        ),
+        linear=linear_files,
     output:
         observations="results/{object}/observations/tile-{tile}.h5",
     log:

@@ -130,12 +130,35 @@ rule measure_imperfections:
         "../scripts/measure_imperfections.py"
 
 
+rule measure_registration:
+    input:
+        linear=linear_files,
+    output:
+        registration="results/{object}/registration.csv",
+    log:
+        "results/logs/measure_registration/{object}.log",
+    benchmark:
+        "results/benchmarks/measure_registration/{object}.tsv"
+    # No stage waits for it.
+    priority: -10
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 500 * attempt,
+    params:
+        code=code_hash("irodori.report.registration"),
+    script:
+        "../scripts/measure_registration.py"
+
+
 rule write_report:
     input:
         errors="results/errors.csv",
         planning="results/planning.csv",
         imperfections="results/imperfections.csv",
         references=expand("results/cameras/{camera}/reference.h5", camera=config["cameras"]),
+        registrations=expand("results/{object}/registration.csv", object=config["objects"]),
         materials=expand("results/{object}/material.h5", object=config["objects"]),
         true_materials=expand("results/{object}/truth.h5", object=virtual("objects")),
         calibration_errors=expand("results/cameras/{camera}/calibration_errors.csv", camera=config["cameras"]),

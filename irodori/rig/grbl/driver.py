@@ -4,38 +4,43 @@ import contextlib
 import time
 from collections.abc import Iterator, Mapping, Sequence
 
+from irodori.rig.controlled import MARGIN, POLL_S, ControlledRig
 from irodori.rig.deadline import Deadline
 from irodori.rig.devices import (
     AlarmError,
-    Axis,
     CommandError,
     DeadlineError,
     DeviceError,
     GarbledError,
+    HeldError,
     Link,
     LinkError,
-    Rig,
     RigStatus,
 )
 from irodori.rig.drives import Drive, along, straight_s
 from irodori.rig.grbl.checks import RATE, STEPS, check_settings, home_position, homing_s, number
 from irodori.rig.grbl.codes import alarm_text
 from irodori.rig.grbl.conversation import RESTARTED, Conversation
-from irodori.rig.grbl.protocol import HOLD, JOG_CANCEL, LETTERS, Feedback, Report, Setting, jog_line, motion_line
+from irodori.rig.grbl.protocol import (
+    HOLD,
+    JOG_CANCEL,
+    LETTERS,
+    RESUME,
+    Feedback,
+    Report,
+    Setting,
+    jog_line,
+    motion_line,
+)
 
-_POLL_S = 0.03
 #: How often the controller is asked while it may still be starting, s.
 _KNOCK_S = 0.3
-#: A moment after ``ok`` the controller may still be idle where it stood, s.
-_START_S = 0.3
-#: Part of its computed time that a move may take longer.
-_MARGIN = 0.25
 #: Positions are sent and reported with three decimals.
 _ROUNDING = 1.5e-3
 _HOW_TO_CLEAR = "find the cause, then home it"
 
 
-class GrblRig(Rig):
+class GrblRig(ControlledRig):
     """A rig on a Grbl controller.
 
     The controller is woken and reset (motion in progress is brought to rest first), and its settings are compared
@@ -68,11 +73,8 @@ class GrblRig(Rig):
         flow: str = "send-response",
         homing: bool = True,
     ) -> None:
-        self.axes: Mapping[str, Axis] = {name: drive.axis for name, drive in drives.items()}
-        self.drives, self._homing, self._timeout_s = dict(drives), homing, timeout_s
-        self._talk = Conversation(link, timeout_s, flow)
-        self._brake_s = max((d.speed / d.acceleration for d in drives.values()), default=0.0)
-        self._in_step = self._is_homing = False
+        super().__init__(drives, timeout_s, homing)
+        self._talk, self._is_homing = Conversation(link, timeout_s, flow), False
         report = self._wake()
         self._options = ""
         self._settings = self._read_settings()
@@ -80,36 +82,9 @@ class GrblRig(Rig):
         # L: a build that does not lock itself when its power comes back, so that being unlocked says nothing.
         self._homed = not homing or (report.state != "Alarm" and "L" not in self._options)
 
+    _without_switches = "put it where it was switched on and start anew, or unlock it"
+
     # ---- what every rig does
-
-    def home(self) -> None:
-        """Find the limit switches; see `Rig.home`.
-
-        Raises
-        ------
-        CommandError
-            If the rig has none.
-        AlarmError, DeadlineError, LinkError
-        """
-        if not self._homing:
-            raise CommandError("this rig has no limit switches (motion.homing is false): it cannot be homed")
-        with self._stopping_on_failure():
-            self._homed = False
-            self._halt()
-            self._talk.alarm, self._is_homing = None, True
-            self._talk.command("$H", homing_s(self._settings, self.drives) + self._timeout_s)
-            self._is_homing = False
-            report = self._talk.ask_report()
-            self._refuse_unless_idle(report)
-            for drive in self.drives.values():
-                at, wanted = self._place(report, drive), home_position(self._settings, self._options, drive)
-                if abs(at - wanted) > self._tolerance(drive):
-                    raise LinkError(
-                        f"{drive.axis.name}: homing ended at {drive.channel} {at:g} instead of {wanted:g}: "
-                        "the command was garbled on its way, or $23 or $27 is not what the controller does"
-                    )
-            self._homed = True
-            self._talk.message = ""  # what it said while it was locked
 
     def move(self, targets_deg: Mapping[str, float]) -> None:
         """Move axes in a straight line and wait until they stand there; see `Rig.move`."""
@@ -137,8 +112,8 @@ class GrblRig(Rig):
                 seconds, longest = seconds + travel, max(longest, travel)
                 corners.append(after)
                 places = after
-            arrival = Deadline(seconds * (1 + _MARGIN) + self._timeout_s)
-            self._talk.stream(lines, longest * (1 + _MARGIN) + self._timeout_s, self._refuse_alarm)
+            arrival = Deadline(seconds * (1 + MARGIN) + self._timeout_s)
+            self._talk.stream(lines, longest * (1 + MARGIN) + self._timeout_s, self._refuse_alarm)
             self._await_arrival(corners, arrival)
 
     def jog(self, name: str, by_deg: float) -> None:
@@ -150,14 +125,13 @@ class GrblRig(Rig):
             self.check({name: target_deg})
             after = {**places, name: drive.to_units(target_deg)}
             seconds = self._travel([after[n] - places[n] for n in places])
-            arrival = Deadline(seconds * (1 + _MARGIN) + self._timeout_s)
+            arrival = Deadline(seconds * (1 + MARGIN) + self._timeout_s)
             self._talk.command(jog_line({drive.channel: after[name]}, drive.speed * 60.0))
             self._await_arrival([places, after], arrival)
 
     def status(self) -> RigStatus:
         """Return what the controller says of itself; see `Rig.status`."""
-        if not self._in_step:
-            self._wake()
+        self._get_in_step()
         report = self._talk.ask_report()
         if report.state == "Alarm" or self._talk.restarted:
             self._homed = False
@@ -170,14 +144,6 @@ class GrblRig(Rig):
         if report.pins:
             words.append(f"active inputs: {report.pins}")
         return RigStatus(report.state.lower(), places, self._homed, "; ".join(filter(None, words)))
-
-    def stop(self) -> None:
-        """Hold, wait until the axes stand, and make the controller forget what it was to do."""
-        try:
-            self._halt()
-        except DeviceError:
-            # The bytes that stop it are sent, as far as the line takes them; the next command wakes it anew.
-            self._in_step = False
 
     def close(self) -> None:
         """Let go of the line."""
@@ -197,11 +163,14 @@ class GrblRig(Rig):
         ------
         CommandError
             If it is not at rest.
+        HeldError
+            If it is held: Grbl then reads no line.
         DeadlineError, LinkError
         """
-        if not self._in_step:
-            self._wake()
+        self._get_in_step()
         try:
+            if self._talk.ask_report().state == "Hold":
+                raise HeldError("the rig is held, and answers no question: clear the cause, then let it go on")
             return self._read_settings()
         except (LinkError, DeadlineError):
             self._in_step = False
@@ -242,7 +211,7 @@ class GrblRig(Rig):
 
     def _halt(self) -> None:
         """Bring the axes to rest and reset the controller, which then holds no line and no move."""
-        talk, still = self._talk, Deadline(self._brake_s * (1 + _MARGIN) + self._timeout_s)
+        talk, still = self._talk, Deadline(self._brake_s * (1 + MARGIN) + self._timeout_s)
         try:
             # Homing hears nothing but a reset.
             while not self._is_homing:
@@ -255,7 +224,7 @@ class GrblRig(Rig):
                     pass
                 if still.passed:
                     break
-                time.sleep(_POLL_S / 3)
+                time.sleep(POLL_S / 3)
         except DeadlineError:
             pass
         self._is_homing = False
@@ -275,16 +244,40 @@ class GrblRig(Rig):
             self.stop()
             raise
 
-    def _ready(self) -> dict[str, float]:
-        """Return where the axes stand, controller units, once the controller takes a move."""
+    def _get_in_step(self) -> None:
         if not self._in_step:
             self._wake()
+
+    def _find_switches(self) -> None:
+        self._halt()
+        self._talk.alarm, self._is_homing = None, True
+        self._talk.command("$H", homing_s(self._settings, self.drives) + self._timeout_s)
+        self._is_homing = False
         report = self._talk.ask_report()
         self._refuse_unless_idle(report)
-        if not self._homed:
-            how = "home it first" if self._homing else "put it where it was switched on and start anew, or unlock it"
-            raise AlarmError(f"the rig does not know where it stands: {how}")
-        return {name: self._place(report, drive) for name, drive in self.drives.items()}
+        for drive in self.drives.values():
+            at, wanted = self._place(report, drive), home_position(self._settings, self._options, drive)
+            if abs(at - wanted) > self._tolerance(drive):
+                raise LinkError(
+                    f"{drive.axis.name}: homing ended at {drive.channel} {at:g} instead of {wanted:g}: "
+                    "the command was garbled on its way, or $23 or $27 is not what the controller does"
+                )
+        self._talk.message = ""  # what it said while it was locked
+
+    def _send_resume(self) -> None:
+        self._talk.link.write(RESUME)
+
+    def _astray(self, what: str) -> DeviceError:
+        return LinkError(f"{what}; a command was garbled on its way")
+
+    def _look(self) -> tuple[str, dict[str, float]]:
+        report = self._talk.ask_report()
+        self._refuse_alarm(report)
+        if report.state in ("Door", "Sleep", "Check"):
+            self._refuse_unless_idle(report)
+        places = {name: self._place(report, drive) for name, drive in self.drives.items()}
+        # A hold whose axes still slow down is motion: until they stand, Grbl does not take the end of it.
+        return "run" if report.moving else report.state.lower(), places
 
     def _refuse_unless_idle(self, report: Report) -> None:
         self._refuse_alarm(report)
@@ -319,42 +312,6 @@ class GrblRig(Rig):
     def _travel(self, way: list[float]) -> float:
         drives = list(self.drives.values())
         return straight_s(way, [d.speed for d in drives], [d.acceleration for d in drives])
-
-    def _await_arrival(self, corners: Sequence[Mapping[str, float]], deadline: Deadline) -> None:
-        """Wait until the axes stand at the last of the corners; watch that they stay between them all on the way."""
-        began = Deadline(_START_S)
-        while True:
-            report = self._talk.ask_report()
-            self._refuse_alarm(report)
-            off = self._off_target(report, corners[-1])
-            self._watch_way(report, corners)
-            if report.state == "Idle" and not off:
-                return
-            if report.state != "Idle":
-                began = Deadline(_START_S)
-            elif began.passed:
-                raise LinkError(f"the rig came to rest elsewhere: {off}; a command was garbled on its way")
-            if report.state in ("Door", "Sleep", "Check"):
-                self._refuse_unless_idle(report)
-            if deadline.passed:
-                where = off or "all axes at their targets"
-                raise DeadlineError(f"no arrival within {deadline.seconds:.3g} s: the rig says {report.state}, {where}")
-            time.sleep(_POLL_S)
-
-    def _off_target(self, report: Report, target: Mapping[str, float]) -> str:
-        """Return in words which axis is off its target, empty where none is."""
-        for name, drive in self.drives.items():
-            at = self._place(report, drive)
-            if abs(at - target[name]) > self._tolerance(drive):
-                return f"{name} at {drive.to_deg(at):.6g} instead of {drive.to_deg(target[name]):.6g} degrees"
-        return ""
-
-    def _watch_way(self, report: Report, corners: Sequence[Mapping[str, float]]) -> None:
-        for name, drive in self.drives.items():
-            at, slack = self._place(report, drive), self._tolerance(drive)
-            ways = [corner[name] for corner in corners]
-            if not min(ways) - slack <= at <= max(ways) + slack:
-                raise LinkError(f"{name} is at {drive.to_deg(at):.6g} degrees, off its way: a command was garbled")
 
     def _place(self, report: Report, drive: Drive) -> float:
         """Return where a drive stands, controller units."""

@@ -108,7 +108,13 @@ class GrblMachine(Machine):
 
     def receive(self, byte: int) -> None:
         """Take a byte: single-byte commands act, the others wait in the serial buffer, or are lost where it is full."""
-        realtime = {0x18: self._soft_reset, 0x3F: self._ask, 0x21: self._hold, 0x7E: self._resume, 0x85: self._cancel}
+        realtime = {
+            0x18: self._soft_reset,
+            0x3F: self._ask,
+            0x21: self.press_hold,
+            0x7E: self._resume,
+            0x85: self._cancel,
+        }
         if byte in realtime:
             realtime[byte]()
         elif byte < 0x80 and len(self._rx) < RX_BUFFER_BYTES:
@@ -152,7 +158,8 @@ class GrblMachine(Machine):
         else:
             self._say(self._report())
 
-    def _hold(self) -> None:
+    def press_hold(self) -> None:
+        """Begin a feed hold, as ``!`` and the input at the board do."""
         if self.state == "Jog":
             self._cancel()
         elif self.state in ("Run", "Idle"):
@@ -169,8 +176,7 @@ class GrblMachine(Machine):
             self.stage.holding = True
             # Grbl flushes its serial buffer with the jogs that wait.
             self._rx.clear()
-            self._line = ""
-            self._blocked = None
+            self._line, self._blocked = "", None
 
     def _report(self) -> str:
         mask = int(self.settings[10])

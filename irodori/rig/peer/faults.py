@@ -20,6 +20,7 @@ what
 ``hangup [S]``         the line hangs up; it is back after S seconds of real time, or never. Motion goes on
 ``reset``              the controller loses its power for a moment
 ``alarm N``            the controller raises an alarm without cause
+``hold``               somebody presses the feed hold at the bench
 =====================  ==================================================================================
 """
 
@@ -35,6 +36,7 @@ KINDS = {
     "hangup": "seconds",
     "reset": "",
     "alarm": "count",
+    "hold": "",
 }
 _WHENS = ("now", "line", "move")
 

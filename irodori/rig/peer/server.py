@@ -82,6 +82,10 @@ class Machine(ABC):
     def raise_alarm(self, code: int) -> None:
         """Stop dead and report an alarm."""
 
+    @abstractmethod
+    def press_hold(self) -> None:
+        """Bring the axes to rest on their ramp and keep what they were to do, as the button at the bench does."""
+
 
 class Server:
     """One machine behind one pseudo-terminal.
@@ -203,6 +207,8 @@ class Server:
             self._back_at = time.monotonic() + fault.value
         elif fault.kind == "reset":
             self.machine.power_up()
+        elif fault.kind == "hold":
+            self.machine.press_hold()
         else:
             self.machine.raise_alarm(int(fault.value))
 
