@@ -52,7 +52,7 @@ def assemble(tiles: list, height: int, width: int) -> tuple[dict[str, np.ndarray
             seconds, fitted = seconds + file.attribute("fit_seconds"), fitted + file.attribute("texels_fitted")
             first, last = file.attribute("rows")
             covered[first:last] += 1
-            for name in ("alpha", "beta", "mu", "diffuse_response", *_COLUMNS):
+            for name in ("alpha", "beta", "mu", "diffuse_response", "diffuse_variance", *_COLUMNS):
                 values = file.read(name)
                 if name not in maps:
                     maps[name] = np.empty((height, width, *values.shape[1:]), dtype=values.dtype)
@@ -71,6 +71,31 @@ def typical_gloss(beta: np.ndarray, mu: np.ndarray, mu_error: np.ndarray) -> tup
     relative = mu_error[known] / mu[known]
     best = relative <= np.median(relative)
     return float(np.median(beta[known][best])), float(np.median(mu[known][best]))
+
+
+def confidence(calibration: Calibration, response, variance) -> dict[str, tuple]:
+    """Return what is known of the reliability of recovered spectra, as maps for ``material.h5``.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    response, variance : (height, width, bands) float
+        Diffuse responses and what the camera's noise gives them; NaN where not known.
+
+    Returns
+    -------
+    dict of (map, units, quantity)
+        ``reflectance_error``: standard deviation of the reflectance factor, rms over the wavelengths;
+        ``training_distance``: of the response from those of the chart, 1 = the farthest of the chart's own patches
+        from the others; ``out_of_training``: uint8, 1 where it is above 1.
+    """
+    distance = calibration.distance(response)
+    error = calibration.standard_deviation(response, variance)
+    return {
+        "reflectance_error": (error.astype(np.float32), "1", "standard deviation of S, rms over wavelengths"),
+        "training_distance": (distance.astype(np.float32), "1", "distance from the chart's responses, 1 = its own"),
+        "out_of_training": ((distance > 1.0).astype(np.uint8), "1", "1 where the chart has no colour like it"),
+    }
 
 
 def compress_reflectance(
@@ -109,6 +134,7 @@ def compress_reflectance(
     compressed = compress(weights[observed], calibration.basis, observers, target_mean, align)
     coefficients = np.full((height, width, compressed.basis.shape[1]), np.nan, dtype=np.float32)
     coefficients[observed] = compressed.coefficients
+    maps_of_confidence = confidence(calibration, maps["diffuse_response"], maps["diffuse_variance"])
     n, k = refractive_index(definition["refractive_index"])
     material = Material(
         alpha=maps["alpha"],
@@ -121,9 +147,12 @@ def compress_reflectance(
         k=k,
         mirror=float(definition["mirror_weight"]),
         typical_gloss=typical_gloss(maps["beta"], maps["mu"], maps["mu_error"]),
-        extra={name: (maps[name], units, what) for name, (units, what) in _COLUMNS.items()},
+        extra={name: (maps[name], units, what) for name, (units, what) in _COLUMNS.items()} | maps_of_confidence,
     )
+    error, _, _ = maps_of_confidence["reflectance_error"]
     errors = {
+        "out_of_training_fraction": float(maps_of_confidence["out_of_training"][0][observed].mean()),
+        "reflectance_error_median": float(np.median(error[observed])),
         "delta_e": compressed.errors,
         "negative_fraction": compressed.negative_fraction,
         "observed_fraction": float(observed.mean()),

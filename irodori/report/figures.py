@@ -2,7 +2,6 @@
 
 import base64
 import io
-from pathlib import Path
 
 import matplotlib
 
@@ -21,11 +20,6 @@ _UNSEEN_GREY = 208
 _STATUS_COLOURS = ("#4c9f70", "#e0b050", "#9b6fb0", "#d0d0d0", "#c04040")
 
 
-def data_uri(path) -> str:
-    """Return a PNG file as a data URI."""
-    return "data:image/png;base64," + base64.b64encode(Path(path).read_bytes()).decode()
-
-
 def _finish(figure) -> str:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=90, metadata={"Software": None})
@@ -42,9 +36,13 @@ def _map(axes, figure, values, title: str, unit: str) -> None:
     figure.colorbar(picture, ax=axes, shrink=0.8)
 
 
-def material_figure(material: Material, status: np.ndarray, residual: np.ndarray, truth: Material | None) -> str:
-    """Return the maps of a fitted object: colour, parameters, residual, outcome, and ΔE where the truth is known."""
-    figure, axes = plt.subplots(2, 4, figsize=(13, 5.6), layout="constrained")
+def material_figure(material: Material, maps: dict[str, np.ndarray], truth: Material | None) -> str:
+    """Return the maps of a fitted object: colour, parameters, outcome, confidence, and ΔE where the truth is known.
+
+    ``maps`` holds ``status``, ``residual_rms``, ``reflectance_error`` and ``training_distance``.
+    """
+    figure, axes = plt.subplots(2, 5, figsize=(15, 5.6), layout="constrained")
+    status = maps["status"]
     axes = axes.ravel()
     matrix = xyz_from_reflectance("D65")
     spectra = np.nan_to_num(material.spectra())
@@ -57,7 +55,7 @@ def material_figure(material: Material, status: np.ndarray, residual: np.ndarray
     _map(axes[1], figure, material.alpha, "α", "1")
     _map(axes[2], figure, material.beta, "β", "1")
     _map(axes[3], figure, material.mu, "μ", "rad")
-    _map(axes[4], figure, residual, "residual", "1")
+    _map(axes[4], figure, maps["residual_rms"], "residual", "1")
     norm = BoundaryNorm(np.arange(len(Status) + 1) - 0.5, len(Status))
     axes[5].imshow(status, cmap=ListedColormap(_STATUS_COLOURS), norm=norm)
     axes[5].set_title("outcome of the fit", fontsize=9)
@@ -67,11 +65,14 @@ def material_figure(material: Material, status: np.ndarray, residual: np.ndarray
     else:
         difference = np.where(material.observed, delta_e_reflectance(truth.spectra(), spectra, "D65"), np.nan)
         _map(axes[6], figure, difference, "CIEDE2000 under D65", "1")
+    unseen = np.where(material.observed, 0.0, np.nan)
+    _map(axes[7], figure, maps["reflectance_error"] + unseen, "standard deviation of S", "1")
+    _map(axes[8], figure, maps["training_distance"] + unseen, "distance from the chart's colours", "1")
     shares = [f"{(status == s.value).mean():6.1%}  {s.name.lower().replace('_', ' ')}" for s in Status]
-    axes[7].axis("off")
+    axes[9].axis("off")
     for line, (text, colour) in enumerate(zip(shares, _STATUS_COLOURS, strict=True)):
-        axes[7].text(0.0, 0.9 - 0.15 * line, "■", color=colour, fontsize=12, transform=axes[7].transAxes)
-        axes[7].text(0.08, 0.9 - 0.15 * line, text, fontsize=9, family="monospace", transform=axes[7].transAxes)
+        axes[9].text(0.0, 0.9 - 0.15 * line, "■", color=colour, fontsize=12, transform=axes[9].transAxes)
+        axes[9].text(0.08, 0.9 - 0.15 * line, text, fontsize=9, family="monospace", transform=axes[9].transAxes)
     return _finish(figure)
 
 
@@ -119,4 +120,36 @@ def planning_figure(rows) -> str:
     axes[3].legend(fontsize=7)
     for ax in axes:
         ax.set_xlabel("poses")
+    return _finish(figure)
+
+
+def selection_figure(header: list[str], rows: list[list[str]]) -> str:
+    """Return errors of the estimators against the time that a pixel takes; the one in use is ringed.
+
+    Parameters
+    ----------
+    header, rows : list
+        Of a camera's ``calibration_selection.csv``.
+    """
+    columns = {name: [row[i] for row in rows] for i, name in enumerate(header)}
+    time_ns = np.array(columns["evaluation_ns_per_pixel"], dtype=float)
+    chosen = np.array(columns["chosen"]) == "1"
+    colour_errors = [name for name in header if name.startswith("delta_e") and name.endswith("mean")]
+    figure, axes = plt.subplots(1, 2, figsize=(11, 3.8), layout="constrained")
+    for ax, name, label in zip(
+        axes,
+        (colour_errors[0], "rmse_mean"),
+        (f"mean CIEDE2000 under {colour_errors[0].split('_')[2].upper()}", "mean spectral RMSE"),
+        strict=True,
+    ):
+        values = np.array(columns[name], dtype=float)
+        for number, estimator in enumerate(dict.fromkeys(columns["estimator"])):
+            own = np.array(columns["estimator"]) == estimator
+            ax.plot(time_ns[own], values[own], "o", ms=4, color=f"C{number}", label=estimator)
+            for x, y, bases in zip(time_ns[own], values[own], np.array(columns["bases"])[own], strict=True):
+                ax.annotate(bases, (x, y), fontsize=6, xytext=(3, 2), textcoords="offset points")
+        ax.plot(time_ns[chosen], values[chosen], "o", ms=11, mfc="none", color="black")
+        ax.set(xscale="log", yscale="log", xlabel="time of a pixel, one thread [ns]")
+        ax.set_title(f"{label}, patches left out; numbers of bases beside the points", fontsize=8)
+    axes[0].legend(fontsize=7)
     return _finish(figure)

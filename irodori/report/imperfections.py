@@ -86,8 +86,10 @@ class Chain:
         optics.update({side: optics[side] // 4 * 2 for side in ("width_px", "height_px")})
         optics["pixel_pitch_um"] *= 2.0
         optics["principal_point_px"] = [p / 2.0 for p in optics["principal_point_px"]]
-        chart["centres_px"] = {k: [(p + 0.5) / 2.0 - 0.5 for p in xy] for k, xy in chart["centres_px"].items()}
-        chart["patch_px"] = max(1, chart["patch_px"] // 2)
+        if "centres_px" in chart:
+            chart["centres_px"] = {k: [(p + 0.5) / 2.0 - 0.5 for p in xy] for k, xy in chart["centres_px"].items()}
+        if "patch_px" in chart:
+            chart["patch_px"] = max(1, chart["patch_px"] // 2)
         plate = rig["virtual"]["imperfections"]["filter_plate"]
         plate.update({key: (np.asarray(plate[key]) / 2.0).tolist() for key in _LENGTHS})
         definition["texels"] = {side: min(size, _MAX_TEXELS) for side, size in definition["texels"].items()}

@@ -6,13 +6,13 @@ import json
 import os
 from pathlib import Path
 
-import numpy as np
-
 from irodori import store
 from irodori.material import Material
+from irodori.report.calibration import calibration_section
 from irodori.report.errors import read_errors
-from irodori.report.figures import data_uri, material_figure, planning_figure, spectra_figure
+from irodori.report.figures import material_figure, planning_figure, spectra_figure
 from irodori.report.imperfections import CostRow, read_costs
+from irodori.report.markup import data_uri, figure, number, table
 from irodori.report.planning import PlanRow, read_plan
 from irodori.report.registration import read_registration, summarise
 
@@ -38,32 +38,13 @@ _CAMERA_FIGURES = {
 }
 
 
-def table(header: list[str], rows: list[list[str]]) -> str:
-    """Return an HTML table; cells are escaped."""
-    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in header)
-    body = "".join("<tr>" + "".join(f"<td>{html.escape(str(c))}</td>" for c in row) + "</tr>" for row in rows)
-    return f"<table><tr>{head}</tr>{body}</table>"
-
-
-def figure(uri: str, caption: str, width: int | None = None) -> str:
-    """Return an HTML figure of a data URI."""
-    size = f' width="{width}"' if width else ""
-    text = html.escape(caption)
-    return f'<figure><img src="{uri}" alt="{text}"{size}><figcaption>{text}</figcaption></figure>'
-
-
-def _number(text: str | float) -> str:
-    value = float(text)
-    return "–" if np.isnan(value) else f"{value:.4g}"
-
-
 def _errors_section(rows: list[dict]) -> str:
     parts = ["<h2>Errors</h2>"]
     if not rows:
         return parts[0] + "<p>No ground truth is known for this configuration.</p>"
     for subject in dict.fromkeys(row["subject"] for row in rows):
         lines = [
-            [r["quantity"], r["light"], r["count"], *(_number(r[k]) for k in ("mean", "p95", "p99", "max"))]
+            [r["quantity"], r["light"], r["count"], *(number(r[k]) for k in ("mean", "p95", "p99", "max"))]
             for r in rows
             if r["subject"] == subject
         ]
@@ -99,11 +80,11 @@ def _objects_section(objects: list[str], materials: list, truths: dict) -> str:
         material = Material.load(path)
         truth = Material.load(truths[name]) if name in truths else None
         with store.open_file(path) as file:
-            status, residual = file.read("status"), file.read("residual_rms")
+            maps = {n: file.read(n) for n in ("status", "residual_rms", "reflectance_error", "training_distance")}
             errors = file.attribute("errors")
         beta, mu = material.typical_gloss
         parts.append(f"<h3>{html.escape(name)}</h3>")
-        parts.append(figure(material_figure(material, status, residual, truth), f"{name}: maps over the texture"))
+        parts.append(figure(material_figure(material, maps, truth), f"{name}: maps over the texture"))
         if truth is not None:
             parts.append(figure(spectra_figure(material, truth), f"{name}: spectra"))
         speed = errors["texels_fitted"] / max(errors["fit_seconds"], 1e-9)
@@ -111,7 +92,9 @@ def _objects_section(objects: list[str], materials: list, truths: dict) -> str:
             f"<p>{errors['texels_fitted']} texels fitted, {speed:.0f} a second; "
             f"{errors['observed_fraction']:.1%} of texels observed; {material.basis.shape[1]} bases, "
             f"{errors['negative_fraction']:.3%} of spectral samples negative; typical gloss β = {beta:.3g}, "
-            f"μ = {mu:.3g} rad.</p>"
+            f"μ = {mu:.3g} rad. Standard deviation of the recovered reflectance, from the camera's noise: median "
+            f"{errors['reflectance_error_median']:.2g}; {errors['out_of_training_fraction']:.1%} of texels have a "
+            "colour that the chart has none like.</p>"
         )
     return "".join(parts)
 
@@ -132,15 +115,6 @@ def _time_section(folder) -> str:
     return heading + table(["rule", "jobs", "seconds", "peak MB"], rows)
 
 
-def _calibration_section(cameras: list[str], tables: list) -> str:
-    parts = ["<h2>Calibration, each patch left out in turn</h2>"]
-    for name, path in zip(cameras, tables, strict=True):
-        with open(path, newline="", encoding="utf-8") as stream:
-            header, *rows = list(csv.reader(stream))
-        parts.append(f"<h3>{html.escape(name)}</h3>" + table(header, rows))
-    return "".join(parts)
-
-
 def _planning_section(rows: list[PlanRow]) -> str:
     if not rows:
         return ""
@@ -152,8 +126,8 @@ def _planning_section(rows: list[PlanRow]) -> str:
     for name in dict.fromkeys(row.object for row in rows):
         own = [row for row in rows if row.object == name]
         lines = [
-            [r.poses, r.design, r.parameter, *(_number(v) for v in (r.median, r.p95)), f"{r.identified_fraction:.1%}",
-             _number(r.expected_standard_error)]
+            [r.poses, r.design, r.parameter, *(number(v) for v in (r.median, r.p95)), f"{r.identified_fraction:.1%}",
+             number(r.expected_standard_error)]
             for r in own
         ]  # fmt: skip
         parts.append(f"<h3>{html.escape(name)}</h3>")
@@ -167,8 +141,8 @@ def _imperfections_section(rows: list[CostRow]) -> str:
         return ""
     base = {row.light: row.mean for row in rows if row.faults == "none"}
     lines = [
-        [r.faults, r.light, *(_number(v) for v in (r.mean, r.p95, r.max)), f"{r.mean - base[r.light]:+.3f}",
-         _number(r.beta), _number(r.mu), f"{r.known:.1%}"]
+        [r.faults, r.light, *(number(v) for v in (r.mean, r.p95, r.max)), f"{r.mean - base[r.light]:+.3f}",
+         number(r.beta), number(r.mu), f"{r.known:.1%}"]
         for r in rows
     ]  # fmt: skip
     header = ["faults of the rig", "light", "mean", "p95", "max", "cost of the mean", "β", "μ", "gloss known"]
@@ -192,7 +166,7 @@ def _registration_section(objects: list[str], tables: list) -> str:
     lines = []
     for name, path in zip(objects, tables, strict=True):
         found = summarise(read_registration(path))
-        residuals = [_number(found.median_px), _number(found.max_px), found.worst or "–"]
+        residuals = [number(found.median_px), number(found.max_px), found.worst or "–"]
         lines.append([name, found.by_capture, found.by_chart, found.by_none, *residuals])
     header = ["object", "captures by their own transform", "by the chart's", "as they are", "median residual",
               "largest residual", "its capture"]  # fmt: skip
@@ -231,7 +205,9 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
         _planning_section(read_plan(inputs["planning"])),
         _registration_section(names["objects"], inputs["registrations"]),
         _cameras_section(names["cameras"], inputs["references"]),
-        _calibration_section(names["cameras"], inputs["calibration_errors"]),
+        calibration_section(
+            names["cameras"], inputs["calibrations"], inputs["calibration_errors"], inputs["selections"]
+        ),
         _time_section(benchmarks),
     ]
     page = (

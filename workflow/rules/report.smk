@@ -161,6 +161,8 @@ rule write_report:
         registrations=expand("results/{object}/registration.csv", object=config["objects"]),
         materials=expand("results/{object}/material.h5", object=config["objects"]),
         true_materials=expand("results/{object}/truth.h5", object=virtual("objects")),
+        calibrations=expand("results/cameras/{camera}/calibration.h5", camera=config["cameras"]),
+        selections=expand("results/cameras/{camera}/calibration_selection.csv", camera=config["cameras"]),
         calibration_errors=expand("results/cameras/{camera}/calibration_errors.csv", camera=config["cameras"]),
         pictures=views("results/{scene}/{view}.png"),
         figures=views("results/{scene}/{view}.json"),

@@ -1,0 +1,79 @@
+"""The report's part on cameras: errors of unseen patches, the choice of the estimator, and how the chart was read."""
+
+import csv
+import html
+
+from irodori import store
+from irodori.report.figures import selection_figure
+from irodori.report.markup import details, figure, number, table
+
+_VERDICTS = ("guideline", "level", "metric", "statistic", "limit", "measured", "passes", "source")
+
+
+def calibration_section(cameras: list[str], calibrations: list, errors: list, selections: list) -> str:
+    """Return the section.
+
+    Parameters
+    ----------
+    cameras : list of str
+    calibrations, errors, selections : list of path
+        ``calibration.h5``, ``calibration_errors.csv`` and ``calibration_selection.csv`` of each camera.
+    """
+    parts = [
+        "<h2>Calibration</h2><p>Errors are those of patches that the calibration has not seen: each was left out in "
+        "turn.</p>"
+    ]
+    for name, calibration, patches, selection in zip(cameras, calibrations, errors, selections, strict=True):
+        parts.append(f"<h3>{html.escape(name)}</h3>")
+        with store.open_file(calibration) as file:
+            parts.append(table(["", ""], _figures(file)))
+            verdicts = file.attribute("verdicts")
+        header, rows = _read(selection)
+        parts.append(figure(selection_figure(header, rows), f"{name}: error against time for every estimator"))
+        parts.append(details("every estimator and number of bases", table(header, [_short(r) for r in rows])))
+        parts.append(details("heritage-imaging guidelines", _verdicts(verdicts)))
+        parts.append(details("patch by patch", table(*_read(patches))))
+    return "".join(parts)
+
+
+def _read(path) -> tuple[list[str], list[list[str]]]:
+    with open(path, newline="", encoding="utf-8") as stream:
+        header, *rows = list(csv.reader(stream))
+    return header, rows
+
+
+def _short(row: list[str]) -> list[str]:
+    return [text if text.isalpha() else number(float(text)) for text in row]
+
+
+def _figures(file: store.Reader) -> list[list[str]]:
+    """Return what the calibration says of itself, a row a quantity."""
+    jitter, light = file.attribute("jitter"), file.attribute("light_on_chart")
+    uneven = file.attribute("uneven_patches")
+    moved = f"{jitter['worst']:.3f}, {'within' if jitter['worst'] <= jitter['limit'] else 'BEYOND'} {jitter['limit']:g}"
+    rows = [
+        ["estimator", f"{file.attribute('estimator')}, {file.dataset('basis').shape[1]} bases"],
+        ["best in cross-validation", file.attribute("best_estimator")],
+        ["condition number of the responses", number(file.attribute("condition_number"))],
+        ["noise amplification", number(file.attribute("noise_amplification"))],
+        [f"change of the mean CIEDE2000 with all patches moved by {jitter['step_px']:g} superpixels", moved],
+        ["light on the chart", light],
+        ["patches with dirt, an edge or a shadow", ", ".join(uneven) or "none"],
+    ]
+    found = file.attribute("patches_found")
+    if found:
+        rows.append(["patches", ", ".join(f"{key} {value:.3g}" for key, value in found.items())])
+    return rows
+
+
+def _verdicts(verdicts: list[dict]) -> str:
+    rows = [
+        [number(v[k]) if isinstance(v[k], float) else str(v[k]) for k in _VERDICTS[:-2]]
+        + ["passes" if v["passes"] else "fails", v["source"] + ("" if v["verified"] else " (not verified)")]
+        for v in verdicts
+    ]
+    note = (
+        "<p>Recovered reflectances against the tolerances of whole chains: passing is necessary and not sufficient. "
+        "Each in the guideline's own metric, D50.</p>"
+    )
+    return note + table(list(_VERDICTS), rows)
