@@ -14,6 +14,7 @@ from irodori.calibration.estimators import ESTIMATORS, fit
 from irodori.calibration.numerics import (
     Limits,
     check_amplification,
+    check_brightest,
     check_responses,
     condition_number,
     noise_amplification,
@@ -75,6 +76,7 @@ def calibrate_camera(
     training = Training(patches, spectra, spectrum(light_name), found_noise if noise is None else noise)
     try:
         check_responses(patches, limits.condition, training.noise.patch, filters)
+        check_brightest(training, filters)
         rows, recovered = _judge(training, settings, lights, timed=selection is not None)
         name, bases = choose(rows, settings["estimator"], settings["bases"])
         calibration = fit(name, training, bases, limits.condition)
