@@ -11,7 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from irodori.calibration.linear import calibrate, spectral_basis
-from irodori.calibration.numerics import Limits, check_responses
+from irodori.calibration.numerics import Limits, check_brightest, check_responses
 from irodori.calibration.training import Training, smooth_covariance
 from irodori.recovery import Calibration, LinearMapping, LocalMapping, Mapping, PolynomialMapping
 from irodori.recovery.mappings import polynomial_count
@@ -158,6 +158,8 @@ def fit(name: str, training: Training, bases: int, max_condition: float = Limits
     if name not in ESTIMATORS:
         raise ValueError(f"unknown estimator {name!r}; accepted: {', '.join(ESTIMATORS)}")
     check_responses(response, max_condition, training.noise.patch)
+    with threadpool_limits(1):
+        check_brightest(training)
     basis = spectral_basis(training.spectra, bases)
     if name == "pinv":
         return calibrate(response, training.spectra, bases, training.light, max_condition)

@@ -4,11 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from irodori.calibration.training import Training, fit_response_model
 from irodori.recovery import Calibration
 
 _ALIKE = 1e-9  # relative; clipped means agree to rounding, measured ones do not
 _BELOW_ZERO = 0.01  # of the band's largest patch, where the noise is not known
 _NOISE_LIMIT = 5.0  # standard deviations of a patch mean
+_CLIPPED_SHARE = 0.05  # of the band's largest response that the brightest patch lacks
+_CLIPPED_LIMIT = 6.0  # standard deviations of what the other patches predict for it
 _SAME_PATCH = 1e-6  # relative difference of responses in all bands
 
 
@@ -85,6 +88,30 @@ def check_responses(
             f"(cosine {cosine:.9f}); accepted: up to {limit:.3g} (a filter that changes one of them more, a chart of "
             "more saturated colours, or fewer bands)"
         )
+
+
+def check_brightest(training: Training, filters: tuple[str, ...] = ()) -> None:
+    """Refuse a chart whose brightest patch in a band answers less than the others predict for it: it is saturated.
+
+    Raises
+    ------
+    ValueError
+        Naming the patch and the band, with what was read and what was predicted.
+    """
+    names = [_band_name(band, filters) for band in range(training.response.shape[1])]
+    known = np.zeros(len(names)) if training.noise.patch is None else training.noise.patch / training.scale**2
+    brightest = np.argmax(training.scaled, axis=0)
+    for patch in np.unique(brightest):
+        others = np.arange(len(training.spectra)) != patch
+        model = fit_response_model(training.scaled[others], training.spectra[others], training.light, known)
+        spectrum = training.spectra[patch]
+        for band in np.flatnonzero(brightest == patch):
+            predicted = spectrum @ model.mean[band]
+            spread = np.sqrt(spectrum @ model.covariance[band] @ spectrum + model.noise[band])
+            lack = predicted - training.scaled[patch, band]
+            if lack > max(_CLIPPED_SHARE, _CLIPPED_LIMIT * spread):
+                found = f"patch {patch}, the brightest in {names[band]}, {lack:.0%} below what the others predict"
+                raise ValueError(f"{found}: saturated; accepted: a chart exposed below saturation")
 
 
 def noise_amplification(calibration: Calibration) -> float:

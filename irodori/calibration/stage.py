@@ -3,7 +3,7 @@
 import csv
 import os
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from irodori.calibration.estimators import ESTIMATORS, fit
 from irodori.calibration.numerics import (
     Limits,
     check_amplification,
+    check_brightest,
     check_responses,
     condition_number,
     noise_amplification,
@@ -67,32 +68,51 @@ def calibrate_camera(
     """
     names, spectra = chart_spectra(camera["chart"]["spectra"])
     patches, found_noise, filters = _read_chart(linear, camera["chart"], len(names))
-    settings = camera["calibration"]
+    training = Training(patches, spectra, spectrum(light_name), found_noise if noise is None else noise)
+    try:
+        solved = _solve(training, camera["calibration"], filters, lights, timed=selection is not None)
+    except ValueError as error:
+        raise InputError(linear, "chart", str(error), "a chart that determines every band") from None
+    estimate = solved.recovered
+    rmse, gfc = spectral_rmse(spectra, estimate), goodness_of_fit(spectra, estimate)
+    delta_e = {light: delta_e_reflectance(spectra, estimate, light) for light in lights}
+    _write_calibration(output, solved.calibration, rmse, delta_e, solved.numbers, provenance)
+    _write_errors(table, names, rmse, gfc, delta_e)
+    if selection is not None:
+        write_selection(selection, solved.rows, solved.chosen)
+    _log(solved.calibration, rmse, delta_e, solved.numbers)
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """A calibration, the table it was chosen from, and the spectra it recovers of patches left out."""
+
+    calibration: Calibration
+    rows: list[SelectionRow]
+    chosen: tuple[str, int]
+    recovered: np.ndarray
+    numbers: dict[str, float]
+
+
+def _solve(training: Training, settings: dict, filters: tuple[str, ...], lights, timed: bool) -> _Solved:
+    """Check the chart, judge, choose and fit; ValueError says what is wrong."""
     limits = Limits(
         settings.get("max_condition", Limits.condition),
         settings.get("max_noise_amplification", Limits.noise_amplification),
     )
-    training = Training(patches, spectra, spectrum(light_name), found_noise if noise is None else noise)
-    try:
-        check_responses(patches, limits.condition, training.noise.patch, filters)
-        rows, recovered = _judge(training, settings, lights, timed=selection is not None)
-        name, bases = choose(rows, settings["estimator"], settings["bases"])
-        calibration = fit(name, training, bases, limits.condition)
-        relative_error = _relative_error(training, recovered[name, bases])
-        calibration = replace(calibration, filters=filters, relative_error=relative_error)
-        amplification = noise_amplification(calibration)
-        check_amplification(amplification, limits.noise_amplification, calibration)
-    except ValueError as error:
-        raise InputError(linear, "chart", str(error), "a chart that determines every band") from None
-    estimate = recovered[name, bases]
-    rmse, gfc = spectral_rmse(spectra, estimate), goodness_of_fit(spectra, estimate)
-    delta_e = {light: delta_e_reflectance(spectra, estimate, light) for light in lights}
-    numbers = {"condition_number": condition_number(patches), "noise_amplification": amplification}
-    _write_calibration(output, calibration, rmse, delta_e, numbers, provenance)
-    _write_errors(table, names, rmse, gfc, delta_e)
-    if selection is not None:
-        write_selection(selection, rows, (name, bases))
-    _log(calibration, rmse, delta_e, numbers)
+    check_responses(training.response, limits.condition, training.noise.patch, filters)
+    check_brightest(training, filters)
+    rows, recovered = _judge(training, settings, lights, timed)
+    chosen = choose(rows, settings["estimator"], settings["bases"])
+    calibration = replace(
+        fit(chosen[0], training, chosen[1], limits.condition),
+        filters=filters,
+        relative_error=_relative_error(training, recovered[chosen]),
+    )
+    amplification = noise_amplification(calibration)
+    check_amplification(amplification, limits.noise_amplification, calibration)
+    numbers = {"condition_number": condition_number(training.response), "noise_amplification": amplification}
+    return _Solved(calibration, rows, chosen, recovered[chosen], numbers)
 
 
 def _judge(training: Training, settings: dict, lights, timed: bool):
