@@ -1,33 +1,26 @@
 """The stage: from a chart's linear responses and measured spectra to a calibration and its errors."""
 
 import csv
+import math
 import os
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from irodori import store
-from irodori.calibration.chart import read_chart
-from irodori.calibration.estimators import ESTIMATORS, fit
-from irodori.calibration.numerics import (
-    Limits,
-    check_amplification,
-    check_brightest,
-    check_responses,
-    condition_number,
-    noise_amplification,
-)
-from irodori.calibration.selection import BASES, SelectionRow, choose, cross_validate
+from irodori.calibration.jitter import LIMIT, STEP_PX
+from irodori.calibration.reading import ChartPhotograph
+from irodori.calibration.selection import SelectionRow, choose
+from irodori.calibration.solution import Solution, error_of_unseen, solve
 from irodori.calibration.training import Noise, Training
+from irodori.calibration.verdict import judge
 from irodori.colour import delta_e_reflectance, goodness_of_fit, spectral_rmse, summary
 from irodori.errors import InputError
 from irodori.progress import LOGGER
 from irodori.recovery import Calibration
-from irodori.spectra import WAVELENGTH_NM, chart_spectra, spectrum
-
-_AUTO = "auto"
+from irodori.spectra import WAVELENGTH_NM, chart_spectra, light
 
 
 def calibrate_camera(
@@ -48,7 +41,8 @@ def calibrate_camera(
     linear : path
         Linear responses of the chart.
     camera : dict
-        Definition of the camera: blocks ``chart`` and ``calibration``.
+        Definition of the camera: blocks ``chart``, ``calibration`` and, where there is one, ``white``. Without a white
+        reference, uneven light on the chart is told from the chart itself.
     light_name : str
         Spectrum of the light on the chart.
     output : path of the HDF5 file
@@ -59,102 +53,60 @@ def calibrate_camera(
         CSV of the errors and cost of every estimator and number of bases; where absent, only what the configuration
         leaves open is computed. All its columns but the measured time are the same from run to run.
     noise : Noise, optional
-        Of patch means and pixels; where absent, that of the noise model in ``linear``, if it has one.
+        Of patch means and pixels; where absent, what the photograph tells.
 
     Raises
     ------
     InputError
-        If the responses determine no calibration, or one that amplifies noise beyond the configured limit.
+        If the chart cannot be read, or the responses determine no calibration, or one that amplifies noise beyond the
+        configured limit.
     """
     names, spectra = chart_spectra(camera["chart"]["spectra"])
-    patches, found_noise, filters = _read_chart(linear, camera["chart"], len(names))
-    training = Training(patches, spectra, spectrum(light_name), found_noise if noise is None else noise)
+    photograph = ChartPhotograph.load(linear, camera["chart"], len(names), camera.get("white") is not None)
+
+    def training_of(reading) -> Training:
+        known = photograph.noise(reading) if noise is None else noise
+        return Training(photograph.responses(reading), spectra, light(light_name), known)
+
+    reading = photograph.read()
     try:
-        solved = _solve(training, camera["calibration"], filters, lights, timed=selection is not None)
+        solved = solve(
+            training_of(reading), camera["calibration"], photograph.filters, lights, timed=selection is not None
+        )
     except ValueError as error:
         raise InputError(linear, "chart", str(error), "a chart that determines every band") from None
     estimate = solved.recovered
     rmse, gfc = spectral_rmse(spectra, estimate), goodness_of_fit(spectra, estimate)
-    delta_e = {light: delta_e_reflectance(spectra, estimate, light) for light in lights}
-    _write_calibration(output, solved.calibration, rmse, delta_e, solved.numbers, provenance)
+    delta_e = {name: delta_e_reflectance(spectra, estimate, name) for name in lights}
+    checks = {
+        "uneven_patches": [name for name, uneven in zip(names, reading.uneven, strict=True) if uneven],
+        "patches_found": {key: float(value) for key, value in photograph.located.found.items()},
+        "light_on_chart": photograph.light.reason if photograph.light else "evened by the white reference",
+        "jitter": _jitter(photograph, lambda moved: error_of_unseen(training_of(moved), solved.chosen, lights[0])),
+        "verdicts": _verdicts(spectra, estimate),
+        "best_estimator": "{}, {} bases".format(*choose(solved.rows, "auto", "auto")),
+    }
+    _write_calibration(output, solved.calibration, rmse, delta_e, solved.numbers | checks, provenance)
     _write_errors(table, names, rmse, gfc, delta_e)
     if selection is not None:
         write_selection(selection, solved.rows, solved.chosen)
-    _log(solved.calibration, rmse, delta_e, solved.numbers)
+    _log(solved, rmse, delta_e, checks)
 
 
-@dataclass(frozen=True)
-class _Solved:
-    """A calibration, the table it was chosen from, and the spectra it recovers of patches left out."""
-
-    calibration: Calibration
-    rows: list[SelectionRow]
-    chosen: tuple[str, int]
-    recovered: np.ndarray
-    numbers: dict[str, float]
-
-
-def _solve(training: Training, settings: dict, filters: tuple[str, ...], lights, timed: bool) -> _Solved:
-    """Check the chart, judge, choose and fit; ValueError says what is wrong."""
-    limits = Limits(
-        settings.get("max_condition", Limits.condition),
-        settings.get("max_noise_amplification", Limits.noise_amplification),
-    )
-    check_responses(training.response, limits.condition, training.noise.patch, filters)
-    check_brightest(training, filters)
-    rows, recovered = _judge(training, settings, lights, timed)
-    chosen = choose(rows, settings["estimator"], settings["bases"])
-    calibration = replace(
-        fit(chosen[0], training, chosen[1], limits.condition),
-        filters=filters,
-        relative_error=_relative_error(training, recovered[chosen]),
-    )
-    amplification = noise_amplification(calibration)
-    check_amplification(amplification, limits.noise_amplification, calibration)
-    numbers = {"condition_number": condition_number(training.response), "noise_amplification": amplification}
-    return _Solved(calibration, rows, chosen, recovered[chosen], numbers)
+def _jitter(photograph: ChartPhotograph, error) -> dict[str, float]:
+    """Return what the mean CIEDE2000 does as the patches are moved; NaN where a moved patch leaves the picture."""
+    try:
+        found = photograph.jitter(error)
+    except InputError as refused:
+        LOGGER.warning("the patches cannot be moved for the jitter test: %s", refused)
+        return {"step_px": STEP_PX, "in_place": math.nan, "worst": math.nan, "limit": LIMIT}
+    return {"step_px": found.step_px, "in_place": found.in_place, "worst": found.worst, "limit": found.limit}
 
 
-def _judge(training: Training, settings: dict, lights, timed: bool):
-    """Return the table of estimators and bases, whole where it is written or the choice is open."""
-    estimator, bases = settings["estimator"], settings["bases"]
-    if estimator not in (_AUTO, *ESTIMATORS):
-        raise ValueError(f"unknown estimator {estimator!r}; accepted: {_AUTO}, {', '.join(ESTIMATORS)}")
-    counts = BASES if timed or bases == _AUTO else ()
-    counts = sorted({*counts, *(() if bases == _AUTO else (bases,))})
-    names = tuple(ESTIMATORS) if timed or estimator == _AUTO else (estimator,)
-    rows, recovered = cross_validate(training, lights, bases=counts, timed=timed, estimators=names)
-    if bases != _AUTO and not any(row.bases == bases for row in rows):
-        accepted = max((row.bases for row in rows), default=0)
-        raise ValueError(f"{bases} bases of {len(training.spectra)} patches; accepted: up to {accepted}")
-    return rows, recovered
-
-
-def _relative_error(training: Training, recovered: np.ndarray) -> float:
-    """Return the rms error of unseen patches over the rms length of their scaled responses."""
-    squared = np.mean((recovered - training.spectra) ** 2)
-    return float(np.sqrt(squared / np.mean((training.scaled**2).sum(axis=1))))
-
-
-def _read_chart(linear, chart: dict, count: int) -> tuple[np.ndarray, Noise, tuple[str, ...]]:
-    """Return the chart's responses as if lit at normal incidence, (patches, bands), their noise and the filters."""
-    if count != chart["rows"] * chart["columns"]:
-        found = f"{count} spectra for {chart['rows']} x {chart['columns']} patches"
-        raise InputError(chart["spectra"], "chart", found, "one spectrum a patch, row by row")
-    with store.open_file(linear) as file:
-        response, valid = file.read("response"), file.read("valid")
-        light_deg, _, tilt_deg, _ = file.attribute("pose_deg")
-        sample_px = file.attribute("sample_px")
-        model = file.read("noise_model") if "noise_model" in file else None
-        filters = tuple(file.attribute("filters"))
-    patches = read_chart(response, valid, chart, linear, sample_px)
-    cosine = np.cos(np.radians(light_deg - tilt_deg))
-    noise = Noise()
-    if model is not None and np.isfinite(model).all():
-        # At the chart's mean level: an estimator knows one noise, that of a picture's typical pixel.
-        pixel = np.maximum(model[:, 0] + model[:, 1] * patches.mean(axis=0), 0.0) / cosine**2
-        noise = Noise(pixel / (2 * chart["patch_px"] / sample_px) ** 2, pixel)
-    return patches / cosine, noise, filters
+def _verdicts(spectra, estimate) -> list[dict]:
+    return [
+        {**vars(v.tolerance), "measured": float(v.measured), "passes": bool(v.passes)} for v in judge(spectra, estimate)
+    ]
 
 
 def _write_calibration(output, calibration: Calibration, rmse, delta_e: dict, numbers: dict, provenance) -> None:
@@ -170,7 +122,7 @@ def _write_calibration(output, calibration: Calibration, rmse, delta_e: dict, nu
 
 
 @contextmanager
-def _csv_writer(path):
+def _csv_writer(path) -> Iterator:
     """Open a CSV that takes its name when it is complete."""
     path = Path(path)
     temporary = path.with_name(f".{path.name}.part")
@@ -214,13 +166,18 @@ def write_selection(path, rows: list[SelectionRow], chosen: tuple[str, int]) -> 
             writer.writerow([r.estimator, r.bases, selected, *(f"{n:.5f}" for n in numbers), *cost])
 
 
-def _log(calibration: Calibration, rmse, delta_e: dict, numbers: dict) -> None:
+def _log(solved: Solution, rmse, delta_e: dict, checks: dict) -> None:
+    calibration = solved.calibration
     bands, bases = calibration.training.shape[1], calibration.basis.shape[1]
     mean, largest = rmse.mean(), rmse.max()
-    name = calibration.estimator
     text = "%s, cross-validation, %d bands, %d bases: spectral RMSE mean %.4f max %.4f"
-    LOGGER.info(text, name, bands, bases, mean, largest)
-    for light, values in delta_e.items():
+    LOGGER.info(text, calibration.estimator, bands, bases, mean, largest)
+    for name, values in delta_e.items():
         s = summary(values)
-        LOGGER.info("CIEDE2000 under %s: mean %.2f p95 %.2f max %.2f", light, s["mean"], s["p95"], s["max"])
-    LOGGER.info("condition number %.4g, noise amplification %.4g", *numbers.values())
+        LOGGER.info("CIEDE2000 under %s: mean %.2f p95 %.2f max %.2f", name, s["mean"], s["p95"], s["max"])
+    LOGGER.info("condition number %.4g, noise amplification %.4g", *solved.numbers.values())
+    LOGGER.info("light on the chart: %s", checks["light_on_chart"])
+    moved = checks["jitter"]
+    LOGGER.info("patches moved by %g superpixels: CIEDE2000 changes by %.3f", moved["step_px"], moved["worst"])
+    for name in checks["uneven_patches"]:
+        LOGGER.warning("patch %s: dirt, an edge or a shadow", name)

@@ -15,7 +15,12 @@ rule calibrate_camera:
             category="Calibration",
             labels={"camera": "{camera}"},
         ),
-        selection="results/cameras/{camera}/calibration_selection.csv",
+        selection=report(
+            "results/cameras/{camera}/calibration_selection.csv",
+            caption="../report/calibration_selection.rst",
+            category="Calibration",
+            labels={"camera": "{camera}"},
+        ),
     log:
         "results/logs/calibrate_camera/{camera}.log",
     benchmark:
@@ -28,6 +33,7 @@ rule calibrate_camera:
     params:
         chart=lookup(within=config, dpath="cameras/{camera}/chart"),
         calibration=lookup(within=config, dpath="cameras/{camera}/calibration"),
+        white=lookup(within=config, dpath="cameras/{camera}/white", default=None),
         light=of_rig("light/spectrum"),
         lights=lookup(within=config, dpath="report/lights"),
         code=code_hash("irodori.calibration"),

@@ -1,0 +1,79 @@
+"""From a chart's responses to the calibration that the configuration asks for, and what it was chosen from."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from irodori.calibration.estimators import ESTIMATORS, fit
+from irodori.calibration.numerics import (
+    Limits,
+    check_amplification,
+    check_brightest,
+    check_responses,
+    condition_number,
+    noise_amplification,
+)
+from irodori.calibration.selection import BASES, SelectionRow, choose, cross_validate
+from irodori.calibration.training import Training
+from irodori.recovery import Calibration
+
+_AUTO = "auto"
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A calibration, the table it was chosen from, and the spectra it recovers of patches left out."""
+
+    calibration: Calibration
+    rows: list[SelectionRow]
+    chosen: tuple[str, int]
+    recovered: np.ndarray
+    numbers: dict[str, float]
+
+
+def solve(training: Training, settings: dict, filters: tuple[str, ...], lights, timed: bool) -> Solution:
+    """Check the chart, judge, choose and fit; ValueError says what is wrong."""
+    limits = Limits(
+        settings.get("max_condition", Limits.condition),
+        settings.get("max_noise_amplification", Limits.noise_amplification),
+    )
+    check_responses(training.response, limits.condition, training.noise.patch, filters)
+    check_brightest(training, filters)
+    rows, recovered = _judge(training, settings, lights, timed)
+    chosen = choose(rows, settings["estimator"], settings["bases"])
+    calibration = replace(
+        fit(chosen[0], training, chosen[1], limits.condition),
+        filters=filters,
+        relative_error=_relative_error(training, recovered[chosen]),
+    )
+    amplification = noise_amplification(calibration)
+    check_amplification(amplification, limits.noise_amplification, calibration)
+    numbers = {"condition_number": condition_number(training.response), "noise_amplification": amplification}
+    return Solution(calibration, rows, chosen, recovered[chosen], numbers)
+
+
+def _judge(training: Training, settings: dict, lights, timed: bool):
+    """Return the table of estimators and bases, whole where it is written or the choice is open."""
+    estimator, bases = settings["estimator"], settings["bases"]
+    if estimator not in (_AUTO, *ESTIMATORS):
+        raise ValueError(f"unknown estimator {estimator!r}; accepted: {_AUTO}, {', '.join(ESTIMATORS)}")
+    counts = BASES if timed or bases == _AUTO else ()
+    counts = sorted({*counts, *(() if bases == _AUTO else (bases,))})
+    names = tuple(ESTIMATORS) if timed or estimator == _AUTO else (estimator,)
+    rows, recovered = cross_validate(training, lights, bases=counts, timed=timed, estimators=names)
+    if bases != _AUTO and not any(row.bases == bases for row in rows):
+        accepted = max((row.bases for row in rows), default=0)
+        raise ValueError(f"{bases} bases of {len(training.spectra)} patches; accepted: up to {accepted}")
+    return rows, recovered
+
+
+def _relative_error(training: Training, recovered: np.ndarray) -> float:
+    """Return the rms error of unseen patches over the rms length of their scaled responses."""
+    squared = np.mean((recovered - training.spectra) ** 2)
+    return float(np.sqrt(squared / np.mean((training.scaled**2).sum(axis=1))))
+
+
+def error_of_unseen(training: Training, chosen: tuple[str, int], light: str) -> float:
+    """Return the mean CIEDE2000 of patches left out, by one estimator and number of bases."""
+    rows, _ = cross_validate(training, (light,), bases=(chosen[1],), estimators=(chosen[0],))
+    return rows[0].delta_e_mean[light]
