@@ -108,15 +108,9 @@ class GrblMachine(Machine):
 
     def receive(self, byte: int) -> None:
         """Take a byte: single-byte commands act, the others wait in the serial buffer, or are lost where it is full."""
-        realtime = {
-            0x18: self._soft_reset,
-            0x3F: self._ask,
-            0x21: self.press_hold,
-            0x7E: self._resume,
-            0x85: self._cancel,
-        }
-        if byte in realtime:
-            realtime[byte]()
+        acts = {0x18: self._soft_reset, 0x3F: self._ask, 0x21: self.press_hold, 0x7E: self._resume, 0x85: self._cancel}
+        if byte in acts:
+            acts[byte]()
         elif byte < 0x80 and len(self._rx) < RX_BUFFER_BYTES:
             self._rx.append(byte)
         self._read()
