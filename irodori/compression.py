@@ -73,6 +73,13 @@ def typical_gloss(beta: np.ndarray, mu: np.ndarray, mu_error: np.ndarray) -> tup
     return float(np.median(beta[known][best])), float(np.median(mu[known][best]))
 
 
+def known_variance(maps: dict[str, np.ndarray]) -> np.ndarray | None:
+    """Return the variance of the diffuse responses, None where the camera's noise was not measured."""
+    variance = maps["diffuse_variance"]
+    measured = np.isfinite(maps["diffuse_response"]).all(axis=-1)
+    return variance if np.isfinite(variance[measured]).all() else None
+
+
 def confidence(calibration: Calibration, response, variance) -> dict[str, tuple]:
     """Return what is known of the reliability of recovered spectra, as maps for ``material.h5``.
 
@@ -126,7 +133,7 @@ def compress_reflectance(
     maps, filters, speed = assemble(tiles, height, width)
     calibration = Calibration.load(calibration_file)
     calibration.require_filters(filters, tiles[0])
-    weights = calibration.weights(maps["diffuse_response"])
+    weights = calibration.weights(maps["diffuse_response"], known_variance(maps))
     observed = np.isfinite(weights).all(axis=-1) & np.isfinite(maps["alpha"])
     if not observed.any():
         raise InputError(tiles[0], "status", "no texel with enough observations", "captures that see the object")

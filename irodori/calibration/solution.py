@@ -15,6 +15,7 @@ from irodori.calibration.numerics import (
 )
 from irodori.calibration.selection import BASES, SelectionRow, choose, cross_validate
 from irodori.calibration.training import Training
+from irodori.colour import delta_e_reflectance
 from irodori.recovery import Calibration
 
 _AUTO = "auto"
@@ -74,6 +75,6 @@ def _relative_error(training: Training, recovered: np.ndarray) -> float:
 
 
 def error_of_unseen(training: Training, chosen: tuple[str, int], light: str) -> float:
-    """Return the mean CIEDE2000 of patches left out, by one estimator and number of bases."""
-    rows, _ = cross_validate(training, (light,), bases=(chosen[1],), estimators=(chosen[0],))
-    return rows[0].delta_e_mean[light]
+    """Return the mean CIEDE2000 of patches left out, by one estimator and number of bases, without a pixel's noise."""
+    _, recovered = cross_validate(training, (light,), bases=(chosen[1],), estimators=(chosen[0],))
+    return float(delta_e_reflectance(training.spectra, recovered[chosen], light).mean())
