@@ -82,7 +82,9 @@ def illumination(response: np.ndarray, valid: np.ndarray, located: Located, file
     whole = Located(located.centres_px, side_px, located.rows, located.columns, located.patch_side_px, located.found)
     reading = read_located(response, valid, whole, file, sample_px)
     xy, scale_px = _unit(located.centres_px)
-    slopes, weights = reading.log_slope * scale_px, reading.mean / reading.mean.max(axis=0)
+    slopes, brightest = reading.log_slope * scale_px, reading.mean.max(axis=0)
+    # A dead band has no slopes, and is refused with better words when the calibration is solved.
+    weights = np.divide(reading.mean, brightest, out=np.zeros_like(reading.mean), where=brightest > 0)
     known = np.isfinite(slopes).all(axis=(1, 2)) & (weights > 0).all(axis=1)
     even = np.ones_like(reading.mean)
     if known.sum() < _MIN_SLOPES:

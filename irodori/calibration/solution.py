@@ -45,7 +45,7 @@ def solve(training: Training, settings: dict, filters: tuple[str, ...], lights, 
     calibration = replace(
         fit(chosen[0], training, chosen[1], limits.condition),
         filters=filters,
-        relative_error=_relative_error(training, recovered[chosen]),
+        relative_error=relative_error_of(training, recovered[chosen]),
     )
     amplification = noise_amplification(calibration)
     check_amplification(amplification, limits.noise_amplification, calibration)
@@ -68,7 +68,7 @@ def _judge(training: Training, settings: dict, lights, timed: bool):
     return rows, recovered
 
 
-def _relative_error(training: Training, recovered: np.ndarray) -> float:
+def relative_error_of(training: Training, recovered: np.ndarray) -> float:
     """Return the rms error of unseen patches over the rms length of their scaled responses."""
     squared = np.mean((recovered - training.spectra) ** 2)
     return float(np.sqrt(squared / np.mean((training.scaled**2).sum(axis=1))))
