@@ -114,7 +114,8 @@ def _by_edges(response, valid, chart: dict, file, sample_px: int) -> tuple[np.nd
     start = samples_from_superpixels(patch_centres(chart), sample_px)
     pitch = pitch_px(start, rows, columns)
     try:
-        grid = fit_to_edges(even_picture(response, valid), homography(nodes(rows, columns), start), rows, columns)
+        picture = even_picture(response, valid, _around(start, pitch, valid.shape))
+        grid = fit_to_edges(picture, homography(nodes(rows, columns), start), rows, columns)
     except ValueError as error:
         raise InputError(
             file, "chart.centres_px", str(error), "corners about which patches end in darker gaps"
@@ -128,6 +129,12 @@ def _by_edges(response, valid, chart: dict, file, sample_px: int) -> tuple[np.nd
     return centres, side, {"edges": grid.edges, "residual_px": grid.residual_px}
 
 
+def _around(centres: np.ndarray, pitch: float, shape: tuple[int, int]) -> tuple[slice, slice]:
+    """Return the rows and columns of a picture that hold a chart."""
+    low, high = np.floor(centres.min(axis=0) - pitch).astype(int), np.ceil(centres.max(axis=0) + pitch).astype(int)
+    return tuple(slice(max(0, low[a]), min(shape[1 - a], high[a] + 1)) for a in (1, 0))
+
+
 def _by_itself(response, valid, chart: dict, file) -> tuple[np.ndarray, float, dict]:
     if (chart["rows"], chart["columns"]) != (ROWS, COLUMNS):
         found = f"chart for {chart['rows']} x {chart['columns']} patches"
@@ -137,20 +144,18 @@ def _by_itself(response, valid, chart: dict, file) -> tuple[np.ndarray, float, d
     return seen.centres, seen.side, found
 
 
-def read_located(response, valid, located: Located, file, sample_px: int = 2, shift_px=(0.0, 0.0)) -> ChartReading:
-    """Read patches where they were located, all of them moved by `shift_px` (x, y), superpixels.
+def read_located(response, valid, located: Located, file, sample_px: int = 2) -> ChartReading:
+    """Read patches where they were located.
 
     Raises
     ------
     InputError
         If a patch lies outside the picture or most of it is not valid.
     """
-    centres_px = located.centres_px + np.asarray(shift_px, dtype=np.float64)
-    read = read_squares(
-        response, valid, samples_from_superpixels(centres_px, sample_px), located.side_px * 2.0 / sample_px, file
-    )
+    centres = samples_from_superpixels(located.centres_px, sample_px)
+    read = read_squares(response, valid, centres, located.side_px * 2.0 / sample_px, file)
     read["log_slope"] = read["log_slope"] * (2.0 / sample_px)
-    return ChartReading(centres_px=centres_px, side_px=located.side_px, **read)
+    return ChartReading(centres_px=located.centres_px, side_px=located.side_px, **read)
 
 
 def read_patches(response: np.ndarray, valid: np.ndarray, chart: dict, file, sample_px: int = 2) -> ChartReading:

@@ -7,6 +7,7 @@ lens as well.
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from scipy import ndimage, optimize
 
@@ -107,13 +108,15 @@ def pitch_px(centres: np.ndarray, rows: int, columns: int) -> float:
     return float(np.concatenate(steps).min())
 
 
-def even_picture(response: np.ndarray, valid: np.ndarray) -> np.ndarray:
+def even_picture(response: np.ndarray, valid: np.ndarray, window=np.s_[:, :]) -> np.ndarray:
     """Return a picture for finding edges: bands of like size, 0..1, specks gone, clipped areas white.
 
     Parameters
     ----------
     response : (height, width, bands) float
     valid : (height, width) bool
+    window : (slice, slice)
+        Rows and columns out of which specks are taken.
 
     Returns
     -------
@@ -122,7 +125,11 @@ def even_picture(response: np.ndarray, valid: np.ndarray) -> np.ndarray:
     bright = np.array([np.percentile(band[valid > 0], _BRIGHT) if (valid > 0).any() else 0.0
                        for band in np.moveaxis(response, -1, 0)])  # fmt: skip
     scaled = np.where(valid[..., None] > 0, response / np.where(bright > 0, bright, np.inf), 1.0)
-    return ndimage.median_filter(np.clip(scaled, 0.0, 1.0), size=(3, 3, 1))
+    picture = np.clip(scaled, 0.0, 1.0)
+    for band in range(picture.shape[2]):
+        part = np.ascontiguousarray(picture[(*window, band)], dtype=np.float32)
+        picture[(*window, band)] = cv2.medianBlur(part, 3)
+    return picture
 
 
 def fit_to_edges(picture: np.ndarray, image_from_grid: np.ndarray, rows: int, columns: int) -> FittedGrid:

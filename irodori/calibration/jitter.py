@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irodori.calibration.chart import Located, read_located
-from irodori.calibration.patches import ChartReading
+from irodori.calibration.chart import Located
+from irodori.calibration.patches import read_means
+from irodori.geometry.pinhole import samples_from_superpixels
 
 #: Superpixels by which all patches are moved at once; 6 mosaic pixels.
 STEP_PX = 3.0
@@ -51,7 +52,7 @@ def jitter(
     response: np.ndarray,
     valid: np.ndarray,
     located: Located,
-    error: Callable[[ChartReading], float],
+    error: Callable[[np.ndarray], float],
     file,
     sample_px: int = 2,
     step_px: float = STEP_PX,
@@ -65,7 +66,8 @@ def jitter(
     located : Located
         Where the patches lie.
     error : callable
-        From a reading to one number, such as the mean CIEDE2000 of leave-one-patch-out.
+        From the responses of the patches, (patches, bands), to one number, such as the mean CIEDE2000 of
+        leave-one-patch-out.
     file : path, for error messages
     sample_px : int
         Mosaic pixels along the side of a sample of the picture.
@@ -79,7 +81,7 @@ def jitter(
     """
 
     def at(dx: float, dy: float) -> float:
-        shift_px = dx * step_px, dy * step_px
-        return float(error(read_located(response, valid, located, file, sample_px, shift_px)))
+        centres = samples_from_superpixels(located.centres_px + step_px * np.array([dx, dy]), sample_px)
+        return float(error(read_means(response, valid, centres, located.side_px * 2.0 / sample_px, file)))
 
     return Jitter(step_px, at(0.0, 0.0), np.array([at(*shift) for shift in SHIFTS]))

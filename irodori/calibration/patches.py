@@ -1,5 +1,6 @@
 """Statistics of a chart's patches that dirt, hot pixels and uneven light do not rule."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -97,20 +98,7 @@ def read_squares(response, valid, centres, side: float, file) -> dict:
     InputError
         If a square lies outside the picture or most of it is not valid.
     """
-    height, width = valid.shape
-    side = max(1, round(side))
-    rows = []
-    for number, (x, y) in enumerate(centres):
-        x0, y0 = round(x - side / 2.0), round(y - side / 2.0)
-        x1, y1 = x0 + side, y0 + side
-        if x0 < 0 or y0 < 0 or x1 > width or y1 > height:
-            found = f"patch {number} at ({x:.0f}, {y:.0f})"
-            raise InputError(file, "chart.centres_px", found, f"patches inside {width} x {height} samples")
-        good = valid[y0:y1, x0:x1].astype(bool)
-        if good.mean() < _LEAST_VALID:
-            found = f"patch {number} saturated over {1 - good.mean():.0%}"
-            raise InputError(file, "exposure_s", found, "a chart exposed below saturation")
-        rows.append(_statistics(response[y0:y1, x0:x1], good))
+    rows = [_statistics(*square) for square in _squares(response, valid, centres, side, file)]
     columns = [np.stack(column) for column in zip(*rows, strict=True)]
     names = ("mean", "pixel_variance", "mean_variance", "count", "invalid_share", "change", "deviation", "log_slope")
     read = dict(zip(names, columns, strict=True))
@@ -121,10 +109,39 @@ def read_squares(response, valid, centres, side: float, file) -> dict:
     return read
 
 
+def read_means(response, valid, centres, side: float, file) -> np.ndarray:
+    """Return the trimmed mean responses of squares, (patches, bands); see `read_squares`."""
+    squares = _squares(response, valid, centres, side, file)
+    return np.stack([_trimmed_mean(square[good]) for square, good in squares])
+
+
+def _squares(response, valid, centres, side: float, file) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield the samples of each square and which of them are valid; refuse as `read_squares` says."""
+    height, width = valid.shape
+    side = max(1, round(side))
+    for number, (x, y) in enumerate(centres):
+        x0, y0 = round(x - side / 2.0), round(y - side / 2.0)
+        x1, y1 = x0 + side, y0 + side
+        if x0 < 0 or y0 < 0 or x1 > width or y1 > height:
+            found = f"patch {number} at ({x:.0f}, {y:.0f})"
+            raise InputError(file, "chart.centres_px", found, f"patches inside {width} x {height} samples")
+        good = valid[y0:y1, x0:x1].astype(bool)
+        if good.mean() < _LEAST_VALID:
+            found = f"patch {number} saturated over {1 - good.mean():.0%}"
+            raise InputError(file, "exposure_s", found, "a chart exposed below saturation")
+        yield response[y0:y1, x0:x1], good
+
+
+def _trimmed_mean(values: np.ndarray) -> np.ndarray:
+    """Return the mean over the first axis without the lowest and highest tenth, float64."""
+    cut = int(TRIM * len(values))
+    return np.sort(values, axis=0)[cut : len(values) - cut].mean(axis=0, dtype=np.float64)
+
+
 def _statistics(square: np.ndarray, good: np.ndarray) -> tuple:
     """Return mean, variances, count, share invalid, change along the slope and deviation from it of one patch."""
     values = square[good]
-    mean = stats.trim_mean(values, TRIM, axis=0)
+    mean = _trimmed_mean(values)
     slope, deviation, mean_variance, blocks = _slope(square, good)
     y, x = np.nonzero(good)
     centred = np.stack([x - (good.shape[1] - 1) / 2.0, y - (good.shape[0] - 1) / 2.0], axis=1)

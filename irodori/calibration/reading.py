@@ -81,7 +81,8 @@ class ChartPhotograph:
 
     def read(self) -> ChartReading:
         """Return the statistics of every patch, in even light where that could be told."""
-        return self._evened(read_located(self.response, self.valid, self.located, self.path, self.sample_px))
+        reading = read_located(self.response, self.valid, self.located, self.path, self.sample_px)
+        return reading if self._field is None else reading.divided(self._field)
 
     def responses(self, reading: ChartReading) -> np.ndarray:
         """Return responses as if lit at normal incidence, (patches, bands)."""
@@ -100,16 +101,15 @@ class ChartPhotograph:
         return Noise(patch / self.cosine**2, pixel / self.cosine**2)
 
     def jitter(self, error) -> Jitter:
-        """Return what becomes of an error, a callable from a reading to a number, as the patches are moved."""
+        """Return what becomes of an error as the patches are moved.
+
+        ``error`` is a callable from responses as if lit at normal incidence, (patches, bands), to a number.
+        """
+        field = self.cosine if self._field is None else self.cosine * self._field
         return jitter(
-            self.response,
-            self.valid,
-            self.located,
-            lambda reading: error(self._evened(reading)),
-            self.path,
-            self.sample_px,
+            self.response, self.valid, self.located, lambda mean: error(mean / field), self.path, self.sample_px
         )
 
-    def _evened(self, reading: ChartReading) -> ChartReading:
-        corrected = self.light is not None and self.light.correctable
-        return reading.divided(self.light.field) if corrected else reading
+    @property
+    def _field(self) -> np.ndarray | None:
+        return self.light.field if self.light is not None and self.light.correctable else None

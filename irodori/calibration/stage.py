@@ -5,6 +5,7 @@ import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -64,17 +65,17 @@ def calibrate_camera(
     names, spectra = chart_spectra(camera["chart"]["spectra"])
     photograph = ChartPhotograph.load(linear, camera["chart"], len(names), camera.get("white") is not None)
 
-    def training_of(reading) -> Training:
-        known = photograph.noise(reading) if noise is None else noise
-        return Training(photograph.responses(reading), spectra, light(light_name), known)
-
     reading = photograph.read()
+    noise = photograph.noise(reading) if noise is None else noise
+    training = Training(photograph.responses(reading), spectra, light(light_name), noise)
     try:
-        solved = solve(
-            training_of(reading), camera["calibration"], photograph.filters, lights, timed=selection is not None
-        )
+        solved = solve(training, camera["calibration"], photograph.filters, lights, timed=selection is not None)
     except ValueError as error:
         raise InputError(linear, "chart", str(error), "a chart that determines every band") from None
+
+    def error_of(responses: np.ndarray) -> float:
+        return error_of_unseen(replace(training, response=responses), solved.chosen, lights[0])
+
     estimate = solved.recovered
     rmse, gfc = spectral_rmse(spectra, estimate), goodness_of_fit(spectra, estimate)
     delta_e = {name: delta_e_reflectance(spectra, estimate, name) for name in lights}
@@ -82,7 +83,7 @@ def calibrate_camera(
         "uneven_patches": [name for name, uneven in zip(names, reading.uneven, strict=True) if uneven],
         "patches_found": {key: float(value) for key, value in photograph.located.found.items()},
         "light_on_chart": photograph.light.reason if photograph.light else "evened by the white reference",
-        "jitter": _jitter(photograph, lambda moved: error_of_unseen(training_of(moved), solved.chosen, lights[0])),
+        "jitter": _jitter(photograph, error_of),
         "verdicts": _verdicts(spectra, estimate),
         "best_estimator": "{}, {} bases".format(*choose(solved.rows, "auto", "auto")),
     }

@@ -95,7 +95,7 @@ def test_a_camera_with_oblong_pixels_shows_oblong_patches_and_is_found():
 def test_moving_the_patches_by_three_superpixels_hardly_changes_the_error(chart):
     response, valid, _, located = chart
     for step_px in (3.0, 1.5):
-        found = jitter(response, valid, located, lambda r: errors(r.mean)[1], "chart.crw", step_px=step_px)
+        found = jitter(response, valid, located, lambda mean: errors(mean)[1], "chart.crw", step_px=step_px)
         assert found.passed and found.limit == 0.05 and found.worst > 0
 
 
