@@ -92,7 +92,8 @@ def confidence(calibration: Calibration, response, variance) -> dict[str, tuple]
     Returns
     -------
     dict of (map, units, quantity)
-        ``reflectance_error``: standard deviation of the reflectance factor, rms over the wavelengths;
+        ``reflectance_error``: standard deviation of the reflectance factor, rms over the wavelengths, from the camera's
+        noise and the error that cross-validation on the chart found;
         ``training_distance``: of the response from those of the chart, 1 = the farthest of the chart's own patches
         from the others; ``out_of_training``: uint8, 1 where it is above 1.
     """

@@ -21,7 +21,7 @@ def calibration_section(cameras: list[str], calibrations: list, errors: list, se
     """
     parts = [
         "<h2>Calibration</h2><p>Errors are those of patches that the calibration has not seen: each was left out in "
-        "turn.</p>"
+        "turn. The comparison of the estimators adds the noise of a pixel, where it was measured.</p>"
     ]
     for name, calibration, patches, selection in zip(cameras, calibrations, errors, selections, strict=True):
         parts.append(f"<h3>{html.escape(name)}</h3>")

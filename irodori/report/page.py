@@ -92,7 +92,8 @@ def _objects_section(objects: list[str], materials: list, truths: dict) -> str:
             f"<p>{errors['texels_fitted']} texels fitted, {speed:.0f} a second; "
             f"{errors['observed_fraction']:.1%} of texels observed; {material.basis.shape[1]} bases, "
             f"{errors['negative_fraction']:.3%} of spectral samples negative; typical gloss β = {beta:.3g}, "
-            f"μ = {mu:.3g} rad. Standard deviation of the recovered reflectance, from the camera's noise: median "
+            f"μ = {mu:.3g} rad. Standard deviation of the recovered reflectance, by the camera's noise and "
+            "by what cross-validation found: median "
             f"{errors['reflectance_error_median']:.2g}; {errors['out_of_training_fraction']:.1%} of texels have a "
             "colour that the chart has none like.</p>"
         )
