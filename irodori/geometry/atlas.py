@@ -14,8 +14,8 @@ from irodori.errors import InputError
 from irodori.geometry.mesh import Mesh
 
 NO_FACE = -1
-#: Two triangles overlap at a texel whose centre lies further inside both, texels.
-_OVERLAP = 1e-6
+#: Neighbours whose common edge was rounded apart may both own a centre this near to it, texels; they do not overlap.
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,17 @@ def _holds(xy, face, x, y):
 
 
 @numba.njit(cache=True, error_model="numpy")
+def _overlap(xy, face, other, depth, x, y):
+    """Whether two triangles that both own a point cover each other there."""
+    if depth > _ROUNDING or _holds(xy, other, x, y)[1] > _ROUNDING:
+        return True
+    # On an edge of both: neighbours part on the way to the centre of one, copies do not.
+    cx = (xy[face, 0, 0] + xy[face, 1, 0] + xy[face, 2, 0]) / 3.0
+    cy = (xy[face, 0, 1] + xy[face, 1, 1] + xy[face, 2, 1]) / 3.0
+    return _holds(xy, other, x + 1e-2 * (cx - x), y + 1e-2 * (cy - y))[1] > 0.0
+
+
+@numba.njit(cache=True, error_model="numpy")
 def _rasterise(xy, face_of, overlaps):
     """Fill the triangle of each texel centre and mark those that two triangles hold; xy counts texels from centre 0."""
     height, width = face_of.shape
@@ -90,7 +101,7 @@ def _rasterise(xy, face_of, overlaps):
                 other = face_of[row, column]
                 if other == NO_FACE:
                     face_of[row, column] = face
-                elif depth > _OVERLAP and _holds(xy, other, float(column), float(row))[1] > _OVERLAP:
+                elif _overlap(xy, face, other, depth, float(column), float(row)):
                     overlaps[row, column] = 1
 
 

@@ -17,7 +17,7 @@ from irodori.progress import LOGGER
 _NO_AREA = 1e-15
 #: Coordinates may leave the texture by rounding.
 _UV_ROUNDING = 1e-6
-_ACCEPTED_UV = "one UV atlas over the whole surface (unwrap it in the program that made it, and export with UV)"
+ACCEPTED_UV = "one UV atlas over the whole surface (unwrap it in the program that made it, and export with UV)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ def make_mesh(corners_mm, uv, normals=None, crease_deg: float = 40.0, file="mesh
     """
     corners = np.asarray(corners_mm, dtype=np.float64).reshape(-1, 3, 3)
     if uv is None:
-        raise InputError(file, "UV", "no texture coordinates", _ACCEPTED_UV)
+        raise InputError(file, "UV", "no texture coordinates", ACCEPTED_UV)
     uv = np.asarray(uv, dtype=np.float64).reshape(-1, 3, 2)
     for field, values in (("vertices", corners), ("UV", uv), ("normals", normals)):
         if values is not None and not np.isfinite(values).all():

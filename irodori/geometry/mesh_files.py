@@ -7,7 +7,7 @@ import numpy as np
 
 from irodori.errors import InputError
 from irodori.geometry.files import mesh_files
-from irodori.geometry.mesh import Mesh, make_mesh
+from irodori.geometry.mesh import ACCEPTED_UV, Mesh, make_mesh
 from irodori.progress import LOGGER
 
 MM_IN = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
@@ -42,6 +42,9 @@ def read_mesh(path, unit: str, up: str = "z", pivot_mm=None, crease_deg: float =
             raise ValueError(f"unknown {name} {value!r}; accepted: {', '.join(known)}")
     mesh_files(path)
     corners, uv, normals = _parts(path)
+    if uv is None and _is_gltf(path):
+        accepted = f"{ACCEPTED_UV}; a glTF needs a material too, without which its UV coordinates are not read"
+        raise InputError(path, "UV", "no texture coordinates", accepted)
     corners = MM_IN[unit] * (corners @ _Z_FROM[up].T)
     normals = None if normals is None else normals @ _Z_FROM[up].T
     if np.isfinite(corners).all():
@@ -92,13 +95,18 @@ def _normals(part, world) -> np.ndarray | None:
     return normals[np.asarray(part.faces)] @ np.linalg.inv(world[:3, :3])
 
 
+def _is_gltf(path) -> bool:
+    return Path(path).suffix.lower() in (".glb", ".gltf")
+
+
 def _load(path, **options):
     """Return the trimesh scene of a file, its vertices as they are."""
     import trimesh
 
     logging.getLogger("trimesh").setLevel(logging.ERROR)  # it reports pictures that the project does not read
     try:
-        return trimesh.load_scene(str(path), process=False, skip_materials=True, **options)
+        # trimesh gives the UV coordinates of a glTF with its material only.
+        return trimesh.load_scene(str(path), process=False, skip_materials=not _is_gltf(path), **options)
     except Exception as error:  # trimesh raises whatever its parsers meet
         kind = Path(path).suffix.lower().removeprefix(".").upper()
         raise InputError(path, "", f"{type(error).__name__}: {error}", f"a valid {kind} file of triangles") from error
