@@ -1,6 +1,6 @@
-"""Bodies of revolution with texture coordinates: the example vase, and meshes whose truth is known in closed form.
+"""Bodies of revolution with texture coordinates: the example's lid, and meshes whose truth is known in closed form.
 
-``python -m irodori.geometry.lathe OUT.obj`` writes the vase of ``config/objects/celadon-vase.yaml``.
+``python -m irodori.geometry.lathe OUT.obj`` writes the lid of ``config/objects/celadon-lid.yaml``.
 """
 
 import sys
@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-#: Radius and height of the vase, mm: foot, belly, neck, a lip rolled over, and a floor inside the neck.
-VASE_MM = (
-    (0.0, 0.0), (11.0, 0.0), (12.5, 1.2), (12.0, 3.0), (14.5, 7.0), (18.5, 13.0), (21.5, 20.0), (22.6, 27.0),
-    (21.8, 34.0), (19.0, 41.0), (15.2, 47.0), (11.6, 52.0), (9.6, 56.5), (9.2, 60.0), (10.2, 63.5), (12.4, 66.5),
-    (12.9, 67.4), (12.2, 67.8), (11.2, 67.1), (8.6, 63.0), (7.8, 58.0), (0.0, 57.0),
+#: Radius and height of the lid of a box, mm: rim, dome, knob. It is open below, where no camera sees it.
+LID_MM = (
+    (30.4, 0.0), (31.0, 1.4), (30.8, 3.0), (29.6, 5.0), (27.4, 7.8), (24.4, 10.6), (20.6, 13.2), (16.2, 15.4),
+    (11.6, 17.0), (7.6, 18.0), (4.8, 18.8), (3.9, 20.2), (4.5, 22.0), (5.6, 23.6), (6.0, 25.2),
+    (5.4, 26.8), (3.8, 28.0), (1.8, 28.6), (0.0, 28.8),
 )  # fmt: skip
 _SEGMENTS = 36
 _MARGIN = 1.0 / 64.0  # of the texture, between the chart and its edge
@@ -101,9 +101,9 @@ def write_obj(path, corners_mm, uv, normals=None, digits: int = 6) -> None:
     Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def write_vase(path) -> None:
-    """Write the example vase, mm, its foot at z = 0."""
-    corners, uv = lathe(VASE_MM, _SEGMENTS, _MARGIN)
+def write_lid(path) -> None:
+    """Write the example's lid, mm, its rim at z = 0."""
+    corners, uv = lathe(LID_MM, _SEGMENTS, _MARGIN)
     solid = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) > 1e-9
     write_obj(path, corners[solid], uv[solid], digits=5)
 
@@ -111,4 +111,4 @@ def write_vase(path) -> None:
 if __name__ == "__main__":
     if len(sys.argv) != 2:
         sys.exit("usage: python -m irodori.geometry.lathe OUT.obj")
-    write_vase(sys.argv[1])
+    write_lid(sys.argv[1])

@@ -9,7 +9,7 @@ from scipy.spatial import Delaunay
 from irodori.errors import InputError
 from irodori.geometry.atlas import NO_FACE, mesh_texels, rasterise
 from irodori.geometry.files import mesh_files
-from irodori.geometry.lathe import ball, lathe, write_obj, write_vase
+from irodori.geometry.lathe import ball, lathe, write_lid, write_obj
 from irodori.geometry.mesh import make_mesh
 from irodori.geometry.mesh_files import MM_IN, read_mesh
 from irodori.geometry.shapes import Shape, on_table
@@ -390,14 +390,14 @@ def test_a_million_triangles_are_a_mesh_like_any_other():
     assert np.abs(found.normal - found.position / 30.0).max() < 1e-4
 
 
-def test_the_example_vase_is_what_its_script_writes(tmp_path):
+def test_the_example_lid_is_what_its_script_writes(tmp_path):
     from pathlib import Path
 
-    write_vase(tmp_path / "vase.obj")
-    kept = Path(__file__).resolve().parents[2] / "config/meshes/vase.obj"
-    assert kept.read_text() == (tmp_path / "vase.obj").read_text()
+    write_lid(tmp_path / "lid.obj")
+    kept = Path(__file__).resolve().parents[2] / "config/meshes/lid.obj"
+    assert kept.read_text() == (tmp_path / "lid.obj").read_text()
     mesh = read_mesh(kept, "mm")
-    assert mesh.bottom_mm == pytest.approx(-33.9) and len(mesh.faces) > 1000
+    assert mesh.bottom_mm == pytest.approx(-14.4) and len(mesh.faces) > 1000
 
 
 def test_samples_are_spread_by_area():

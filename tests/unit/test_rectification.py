@@ -90,7 +90,7 @@ def rectify(tmp_path, definition, poses, rows=None, max_angle_deg=85.0, table=0.
     rows = rows or (0, definition["texels"]["height"])
     rectify_object(files, definition, setup_of(table), rows, max_angle_deg, tmp_path / name, PROVENANCE)
     with store.open_file(tmp_path / name) as file:
-        return {name: file.read(name) for name in ("response", "geometry", "weight", "shadowed", "clipped")}
+        return {name: file.read(name) for name in ("response", "geometry", "weight", "shadowed", "clipped", "texel")}
 
 
 PLATE_POSES = [
