@@ -35,10 +35,11 @@ def fold_radius(coefficients) -> float:
     above, below = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])  # in s = r²
     # d(r R)/dr = (N D + 2 s (N' D - N D')) / D².
     slope = above * below + 2 * np.poly1d([1.0, 0.0]) * (above.deriv() * below - above * below.deriv())
-    roots = np.concatenate([slope.roots, below.roots])
-    real = roots[np.abs(roots.imag) <= 1e-9 * np.maximum(np.abs(roots), 1e-300)].real if roots.size else roots
-    positive = real[real > 0].real
-    return math.sqrt(positive.min()) if positive.size else math.inf
+    # Roots in 1/s: both polynomials are 1 at s = 0, so that none is divided by a coefficient next to nothing.
+    inverse = np.concatenate([np.roots(polynomial.coeffs[::-1]) for polynomial in (slope, below)])
+    real = inverse.real[np.abs(inverse.imag) <= 1e-9 * np.abs(inverse)] if inverse.size else inverse.real
+    nearest = real.max(initial=0.0)
+    return 1.0 / math.sqrt(nearest) if nearest > 1e-12 else math.inf
 
 
 @numba.njit(cache=True, inline="always", error_model="numpy")
