@@ -98,7 +98,7 @@ def _on_mesh(surfaces, index, ray, point, normal, facet):
     return u, v
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, inline="always")
 def surface_at(surfaces, index, ray, point, normal, facet):
     """Move a hit point onto its surface, fill its normals, and return its texture coordinates.
 

@@ -127,7 +127,7 @@ def add_light(light, level, x, y, z, scale, out):
     interpolate(light.pixels, light.first_pixel[level], light.size[level, 0], light.size[level, 1], u, v, scale, out)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
 def surface(world, index, ray, point, normal, facet, texel):
     """Move a hit point onto its surface; fill its normals and its interpolated texel."""
     u, v = surface_at(world.surfaces, index, ray, point, normal, facet)
