@@ -215,6 +215,14 @@ def test_what_is_no_texel_is_zero_throughout_and_said_to_be_none(tmp_path, facet
     assert (found["weight"][texel] > 0).any(axis=1).mean() > 0.3
 
 
+def test_a_texel_that_no_capture_sees_is_a_texel_without_weight(tmp_path, facets):
+    found = rectify(tmp_path, facets, PLATE_POSES, table=40.0)
+    south = slice(64 * 28, 64 * 31)  # under the sphere, towards the table
+    assert found["texel"][south].all() and not found["weight"][south].any()
+    # It keeps its geometry, which says why: every pose looks at its back.
+    assert (found["geometry"][south, :, 1] > np.pi / 2).all()
+
+
 def test_tiles_of_a_mesh_are_bit_identical_to_the_whole(tmp_path, facets):
     whole = rectify(tmp_path, facets, PLATE_POSES, table=20.0)
     parts = [
@@ -333,3 +341,17 @@ def test_the_back_of_a_mesh_is_black_and_hides_what_is_behind_it():
 def test_an_untraced_ray_of_a_mesh_scene_meets_nothing():
     tracer = Tracer([Placement(vase())])
     assert tracer.intersect(np.array([[0, 0, 500.0]]), np.array([[0, 0, 1.0]]))[1][0] == NO_HIT
+
+
+def test_poses_are_planned_for_the_points_of_a_mesh_as_for_those_of_the_sphere(facets):
+    from irodori.rig.planner import subject_of
+
+    rig = {"camera_distance_mm": 900.0, "table_radius_mm": 40.0}
+    exact, found = (subject_of({"shape": definition["shape"]}, rig) for definition in (EXACT, facets))
+    assert np.abs(np.linalg.norm(found.position, axis=1) - 25.0).max() < 0.05
+    poses = [Pose(45.0, 20.0), Pose(80.0, 30.0, 10.0, 90.0)]
+    seen = [
+        np.mean((s.geometry(poses)[..., :2] < np.radians(80)).all(axis=-1) & s.unobstructed(poses))
+        for s in (exact, found)
+    ]
+    assert seen[0] == pytest.approx(seen[1], abs=0.08)  # of 64 points each
