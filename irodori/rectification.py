@@ -256,6 +256,23 @@ def _common_filters(linear: list) -> list[str]:
     return first
 
 
+def _maps(observed: _Observed, weight, texels: Texels, near: bool) -> dict:
+    """Return what `rectify_object` writes for each texel: name -> (values, units, quantity)."""
+    shadowed = observed.shadowed.astype(np.uint8)
+    maps = {
+        "response": (observed.response, "1", "response, 1 = perfect diffuser at normal incidence"),
+        "geometry": (observed.geometry, "rad", "theta_i, theta_r, theta_h, phi"),
+        "weight": (weight, "1", "weight in the fit"),
+        "shadowed": (shadowed, "1", "1 where another surface keeps the light away"),
+        "clipped": (observed.clipped, "1", "1 where the picture clips in every exposure"),
+        "texel": (texels.covered.ravel().astype(np.uint8), "1", "1 where a surface lies under the texel's centre"),
+    }
+    if near:
+        quantity = "irradiance of the white reference in the pixel over that of the texel"
+        maps["light_gain"] = (observed.gain.astype(np.float32), "1", quantity)
+    return maps
+
+
 def rectify_object(
     linear: list,
     definition: dict,
@@ -282,7 +299,8 @@ def rectify_object(
     Raises
     ------
     InputError
-        If captures differ in their filter states, or the shape is a mesh that is refused.
+        If captures differ in their filter states, the shape is a mesh that is refused, or a near lamp stands within
+        the object.
 
     Notes
     -----
@@ -298,6 +316,9 @@ def rectify_object(
     """
     shape = Shape.from_definition(definition["shape"])
     width = definition["texels"]["width"]
+    if setup.lamp.distance_mm <= shape.reach_mm:
+        found = f"{setup.lamp.distance_mm:g} mm, within the reach of the object, {shape.reach_mm:.4g} mm"
+        raise InputError("rig", "light.distance_mm", found, "a lamp outside the object, or no such key for a far one")
     texels = shape.atlas(width, definition["texels"]["height"], tuple(rows))
     filters = _common_filters(linear)
     limit = np.radians(max_angle_deg)
@@ -307,27 +328,12 @@ def rectify_object(
         frontal = (found.geometry[:, 0] <= limit) & (found.geometry[:, 1] <= limit)
         weights.append((found.seen & frontal).astype(np.float32))
         captures.append(found._replace(geometry=found.geometry.astype(np.float32)))
-    observed = _Observed(*(np.stack(values, axis=1) for values in zip(*captures, strict=True)))
-    unseen = ~(np.stack(weights, axis=1) > 0).any(axis=1) & texels.covered.ravel()
+    observed, weight = _Observed(*(np.stack(v, axis=1) for v in zip(*captures, strict=True))), np.stack(weights, axis=1)
+    unseen = ~(weight > 0).any(axis=1) & texels.covered.ravel()
     if unseen.any():
         LOGGER.info("%d of %d texels have no observation", unseen.sum(), texels.covered.sum())
     with store.create(output, provenance) as out:
-        maps = {
-            "response": (observed.response, "1", "response, 1 = perfect diffuser at normal incidence"),
-            "geometry": (observed.geometry, "rad", "theta_i, theta_r, theta_h, phi"),
-            "weight": (np.stack(weights, axis=1), "1", "weight in the fit"),
-            "shadowed": (
-                observed.shadowed.astype(np.uint8),
-                "1",
-                "1 where another surface keeps the light away",
-            ),
-            "clipped": (observed.clipped, "1", "1 where the picture clips in every exposure"),
-            "texel": (texels.covered.ravel().astype(np.uint8), "1", "1 where a surface lies under the texel's centre"),
-        }
-        if setup.lamp.is_near:
-            quantity = "irradiance of the white reference in the pixel over that of the texel"
-            maps["light_gain"] = (observed.gain.astype(np.float32), "1", quantity)
-        store.write_maps(out, maps, "texel,capture,component")
+        store.write_maps(out, _maps(observed, weight, texels, setup.lamp.is_near), "texel,capture,component")
         noise = _noise_models(linear)
         out.write("noise_model", noise, units="1", dims="capture,band,term", quantity="variance c0 + c1 rho")
         out.attribute("rows", list(rows))

@@ -273,6 +273,13 @@ def test_a_near_lamp_without_a_white_reference_is_refused(definitions):
     assert RigSetup.from_definitions({"optics": camera["optics"]}, rig, camera["poses"]["white"]).white_pose is not None
 
 
+def test_a_lamp_inside_the_object_is_refused(tmp_path, definitions):
+    camera, rig = small(definitions, distance_mm=20.0)
+    setup = RigSetup.from_definitions(camera, rig)
+    with pytest.raises(InputError, match=r"light\.distance_mm.*20 mm, within the reach of the object, 28 mm"):
+        rectify_object([], uniform(definitions, SPHERE), setup, (0, 1), 80.0, tmp_path / "t.h5", PROVENANCE)
+
+
 def test_a_white_that_does_not_fill_the_picture_is_refused(definitions):
     camera, _ = small(definitions)
     pinhole = Pinhole.from_optics(camera["optics"])

@@ -340,46 +340,6 @@ def test_a_sphere_of_triangles_has_the_texels_of_the_sphere(rings):
     assert np.linalg.norm(normal - direction, axis=-1)[known].max() < 1.5 * bound
 
 
-# Shading normals
-
-
-def cube(seed):
-    """A cube of 2 mm whose six faces are cut along diagonals drawn at random."""
-    rng = np.random.default_rng(seed)
-    corners, charts = [], []
-    for face in range(6):
-        axis, side = face // 2, 1.0 if face % 2 else -1.0
-        a, b = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
-        ring = [side * np.eye(3)[axis] + x * a + y * b for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-        chart = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]) * 0.15 + [face / 6, 0.0]
-        cuts = [(0, 1, 2), (0, 2, 3)] if rng.random() < 0.5 else [(0, 1, 3), (1, 2, 3)]
-        for cut in cuts:
-            order = cut if side > 0 else cut[::-1]
-            corners.append([ring[i] for i in order])
-            charts.append([chart[i] for i in order])
-    return np.array(corners), np.array(charts)
-
-
-@given(seed=SEEDS)
-@settings(deadline=None, max_examples=15)
-def test_normals_weighted_by_angle_do_not_depend_on_how_faces_are_cut(seed):
-    corners, uv = cube(seed)
-    smooth = make_mesh(corners, uv, crease_deg=180.0)
-    assert np.abs(smooth.normals - corners / np.sqrt(3)).max() < 1e-12
-    creased = make_mesh(corners, uv, crease_deg=40.0)
-    assert np.abs(creased.normals - creased.facets[:, None]).max() < 1e-12
-
-
-@given(scale=st.sampled_from([1e-6, 1e-3, 1.0, 1e3, 1e6]), seed=SEEDS)
-@settings(deadline=None, max_examples=15)
-def test_size_changes_nothing_but_size(scale, seed):
-    corners, uv, _ = body(seed)
-    small, plain = make_mesh(scale * corners, uv), make_mesh(corners, uv)
-    order = [in_order(m.vertices_mm[m.faces] / k, m.normals) for m, k in ((small, scale), (plain, 1.0))]
-    assert np.abs(order[0][0] - order[1][0]).max() < 1e-9 and np.abs(order[0][1] - order[1][1]).max() < 1e-9
-    assert np.array_equal(Shape.from_mesh(small).is_covered(32, 32), Shape.from_mesh(plain).is_covered(32, 32))
-
-
 def test_a_million_triangles_are_a_mesh_like_any_other():
     rings, segments = 500, 1000
     shape = Shape.from_mesh(make_mesh(*ball(30.0, rings, segments)))
