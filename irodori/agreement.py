@@ -18,6 +18,7 @@ from irodori.agreement_motion import check_motion
 from irodori.agreement_spectra import check_chart, check_spectra
 from irodori.captures import Shot
 from irodori.errors import InputError
+from irodori.geometry.files import mesh_files
 from irodori.tables import brdf_table, index_table
 
 #: Folders that stand in results/ beside those of objects and scenes.
@@ -154,6 +155,8 @@ class _Checks:
         else:
             table, shots = self._check_photographs(definition, file, "object")
             self._reach(camera).check_shots(shots, table)
+        if definition["shape"]["kind"] == "mesh":
+            mesh_files(self.root / definition["shape"]["file"])
         if index := definition["refractive_index"].get("file"):
             if not (self.root / index).is_file():
                 found = f"no such file: {index}"

@@ -110,13 +110,21 @@ class Material:
         bright = self.green_response > _DARKEST_GREEN
         return np.divide(self.alpha, self.green_response, out=np.ones_like(self.alpha), where=bright)
 
-    def filled(self) -> tuple["Material", float]:
+    def filled(self, covered: np.ndarray | None = None) -> tuple["Material", float]:
         """Return a copy without gaps, and the share of texels that were filled.
 
         A texel that no capture determined takes the colour of the nearest observed texel (the texture's sides are
         joined), and gloss that its own data is silent about is the object's typical gloss.
+
+        Parameters
+        ----------
+        covered : (height, width) bool, optional
+            Which texels lie on the surface, all where absent. The others are filled too, with the gloss of the nearest
+            texel that is one, and count for nothing in the share.
         """
         observed = self.observed
+        if covered is not None and not covered.all():
+            return self._padded(covered)
         if not observed.any():
             raise ValueError("a material without a single observed texel; accepted: at least one")
         width = observed.shape[1]
@@ -134,6 +142,15 @@ class Material:
             mu=np.where(known, self.mu, mu),
         )
         return filled, float(1.0 - observed.mean())
+
+    def _padded(self, covered: np.ndarray) -> tuple["Material", float]:
+        """Fill the texels of the surface from each other, then those beside it from the nearest of the surface."""
+        observed = self.observed & covered
+        own = replace(self, alpha=np.where(covered, self.alpha, np.nan))
+        inside, _ = own.filled()
+        row, column = ndimage.distance_transform_edt(~covered, return_distances=False, return_indices=True)
+        maps = {name: getattr(inside, name)[row, column] for name in (*_MAPS, "coefficients")}
+        return replace(inside, **maps), float(1.0 - observed.sum() / covered.sum())
 
     def spectra(self) -> np.ndarray:
         """Return S(λ) of every texel, (height, width, 61)."""

@@ -1,7 +1,12 @@
-"""From pictures to texels: every texel's response and geometry in every capture [design, §4]."""
+"""From pictures to texels: every texel's response and geometry in every capture [design, §4].
+
+Responses count against a perfect diffuser at normal incidence. Where the light is near, the irradiance is that at the
+texel: see `irodori.geometry.lamp` for what the white reference has divided already and what is divided here.
+"""
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -10,13 +15,14 @@ from irodori import store
 from irodori.brdf import angles_from_directions
 from irodori.captures import Pose
 from irodori.errors import InputError
+from irodori.geometry.atlas import Texels
 from irodori.geometry.embree import Tracer
-from irodori.geometry.frames import rig_from_camera, rig_from_object, to_camera, to_light
+from irodori.geometry.frames import rig_from_camera, rig_from_object, to_camera
+from irodori.geometry.lamp import FAR, Lamp
 from irodori.geometry.pinhole import Pinhole, samples_from_superpixels
 from irodori.geometry.shapes import Shape, on_table
-from irodori.progress import track
+from irodori.progress import LOGGER, track
 
-_OFFSET_MM = 1e-3
 #: Of a sample's noise power, what bilinear interpolation leaves on average over the places between samples.
 _INTERPOLATED = 4.0 / 9.0
 
@@ -32,16 +38,60 @@ class RigSetup:
         From the origin to the centre of projection.
     table_radius_mm : float
         Half the side of the table's top; 0 for none.
+    lamp : Lamp
+    white_pose : Pose, optional
+        In which the white reference was photographed; needed where the lamp is near.
     """
 
     pinhole: Pinhole
     camera_distance_mm: float
     table_radius_mm: float
+    lamp: Lamp = FAR
+    white_pose: Pose | None = None
 
     @classmethod
-    def from_definitions(cls, camera: dict, rig: dict) -> "RigSetup":
-        """Return the setup of a camera's and a rig's definition."""
-        return cls(Pinhole.from_optics(camera["optics"]), rig["camera_distance_mm"], rig["table_radius_mm"])
+    def from_definitions(cls, camera: dict, rig: dict, white_pose: dict | None = None) -> "RigSetup":
+        """Return the setup of a camera's and a rig's definition.
+
+        Parameters
+        ----------
+        camera, rig : dict
+            Validated definitions.
+        white_pose : dict, optional
+            Angles in degrees; ``poses.white`` of the camera where absent.
+
+        Raises
+        ------
+        InputError
+            If the lamp is near and nothing says where the white reference stood.
+        """
+        lamp = Lamp.from_definition(rig.get("light", {}))
+        angles = white_pose or camera.get("poses", {}).get("white")
+        if lamp.is_near and angles is None:
+            found = "no pose of the white reference, though the rig's light is near"
+            raise InputError("camera", "poses.white", found, "photographs of the role white")
+        return cls(
+            Pinhole.from_optics(camera["optics"]),
+            rig["camera_distance_mm"],
+            rig["table_radius_mm"],
+            lamp,
+            Pose(**angles) if lamp.is_near else None,
+        )
+
+    def light_gain(self, xy, power) -> np.ndarray:
+        """Return the factors that turn responses of a picture into those under each texel's own irradiance, (n,).
+
+        Parameters
+        ----------
+        xy : (n, 2) float
+            Where the texels appear, superpixels.
+        power : (n,) float
+            Their irradiance normal to the beam, 1 at the origin.
+        """
+        if not self.lamp.is_near:
+            return np.ones(len(xy))
+        white = self.lamp.on_white(2.0 * (xy + 0.5), self.pinhole, self.camera_distance_mm, self.white_pose)
+        return white / power
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
@@ -78,7 +128,21 @@ def _sample(response, valid, clipped, corner, xy, out, good, clips):
         good[t] = True
 
 
-def observe(position, normal, tracer: Tracer, pose: Pose, setup: RigSetup):
+class Sight(NamedTuple):
+    """How texels appear in a capture.
+
+    ``xy`` (n, 2) superpixels; ``geometry`` (n, 4) θ_i, θ_r, θ_H, φ in rad; ``visible``, ``lit`` (n,) bool, by the
+    angles with the normal and by shadow rays; ``power`` (n,) irradiance normal to the beam, 1 at the origin.
+    """
+
+    xy: np.ndarray
+    geometry: np.ndarray
+    visible: np.ndarray
+    lit: np.ndarray
+    power: np.ndarray
+
+
+def observe(position, normal, tracer: Tracer, pose: Pose, setup: RigSetup, facet=None) -> Sight:
     """Return where texels appear in a capture, their geometry and whether they are seen and lit.
 
     Parameters
@@ -86,27 +150,26 @@ def observe(position, normal, tracer: Tracer, pose: Pose, setup: RigSetup):
     position, normal : (n, 3) float
         Texels in the rig's frame, mm and unit vectors.
     tracer : Tracer
-        Object and table in the rig's frame.
+        Object and table in the rig's frame; the object is shape 0.
     pose : Pose
     setup : RigSetup
-
-    Returns
-    -------
-    xy : (n, 2) float64, superpixels
-    geometry : (n, 4) float64, θ_i, θ_r, θ_H, φ in rad
-    visible, lit : (n,) bool, by the angle with the normal and by shadow rays
+    facet : (n, 3) float, optional
+        Unit normals of the surface itself where they differ from the shading normals. A texel is seen and lit from
+        the front of both.
     """
-    light = to_light(pose)
+    facet = normal if facet is None else facet
+    light, power, lamp_distance = setup.lamp.seen_from(position, pose)
     camera = setup.camera_distance_mm * to_camera(pose)
     to_eye = camera - position
     distance = np.linalg.norm(to_eye, axis=1)
     view = to_eye / distance[:, None]
     geometry = angles_from_directions(normal, light, view)
-    start = position + _OFFSET_MM * normal
-    visible = (geometry[:, 1] < np.pi / 2) & ~tracer.occluded(start, view, far=distance)
-    lit = (geometry[:, 0] < np.pi / 2) & ~tracer.occluded(start, np.broadcast_to(light, start.shape))
-    xy = setup.pinhole.project(position, camera, rig_from_camera(pose))
-    return xy, geometry, visible, lit
+    start = position + tracer.placements[0].shape.ray_offset_mm * facet
+    visible = (geometry[:, 1] < np.pi / 2) & (np.sum(facet * view, axis=1) > 0)
+    visible &= ~tracer.occluded(start, view, far=distance)
+    lit = (geometry[:, 0] < np.pi / 2) & (np.sum(facet * light, axis=1) > 0)
+    lit &= ~tracer.occluded(start, light, far=lamp_distance)
+    return Sight(setup.pinhole.project(position, camera, rig_from_camera(pose)), geometry, visible, lit, power)
 
 
 def _window(xy: np.ndarray, height: int, width: int) -> tuple[slice, slice]:
@@ -119,15 +182,30 @@ def _window(xy: np.ndarray, height: int, width: int) -> tuple[slice, slice]:
     return slice(y0, y1), slice(x0, x1)
 
 
-def _observe_file(path, shape: Shape, position, normal, setup: RigSetup):
+class _Observed(NamedTuple):
+    """One capture's observations of n texels: what `rectify_object` stores, before the largest angle."""
+
+    response: np.ndarray
+    geometry: np.ndarray
+    seen: np.ndarray
+    shadowed: np.ndarray
+    clipped: np.ndarray
+    gain: np.ndarray
+
+
+def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup) -> _Observed:
     """Return responses, geometry, which texels are seen and lit, lie in shadow, and clip, from one capture's file."""
     with store.open_file(path) as file:
         pose = Pose(*file.attribute("pose_deg"))
         rotation = rig_from_object(pose)
         tracer = Tracer(on_table(shape, rotation, setup.table_radius_mm))
-        xy, geometry, visible, lit = observe(position @ rotation.T, normal @ rotation.T, tracer, pose, setup)
+        position, normal, facet = (
+            values[texels.covered] @ rotation.T for values in (texels.position, texels.normal, texels.facet)
+        )
+        sight = observe(position, normal, tracer, pose, setup, facet)
+        visible = sight.visible
         dataset, valid, clipped = (file.dataset(name) for name in ("response", "valid", "clipped"))
-        xy = samples_from_superpixels(xy, file.attribute("sample_px"))
+        xy = samples_from_superpixels(sight.xy, file.attribute("sample_px"))
         window = _window(xy[visible], *valid.shape)
         sampled = np.zeros((len(xy), dataset.shape[2]), dtype=np.float32)
         good, clips = np.empty(len(xy), dtype=np.bool_), np.empty(len(xy), dtype=np.uint8)
@@ -135,7 +213,20 @@ def _observe_file(path, shape: Shape, position, normal, setup: RigSetup):
         _sample(dataset[window], valid[window], clipped[window], corner, xy, sampled, good, clips)
     # What hides a texel is not its own: without this, the window of a tile would decide what is stored here.
     sampled[~visible], clips[~visible] = 0.0, 0
-    return sampled, geometry, visible & lit & good, visible & ~lit & (geometry[:, 0] < np.pi / 2), clips
+    gain = np.ones(len(xy))
+    if setup.lamp.is_near:
+        gain[good] = setup.light_gain(sight.xy[good], sight.power[good])
+        sampled *= gain[:, None].astype(np.float32)
+    shadowed = visible & ~sight.lit & (sight.geometry[:, 0] < np.pi / 2)
+    found = _Observed(sampled, sight.geometry, visible & sight.lit & good, shadowed, clips, gain)
+    return found if texels.covered.all() else _Observed(*(_spread(values, texels.covered) for values in found))
+
+
+def _spread(values: np.ndarray, covered: np.ndarray) -> np.ndarray:
+    """Return values of the covered texels among all, zeros for what is no texel."""
+    out = np.zeros((covered.size, *values.shape[1:]), dtype=values.dtype)
+    out[covered.ravel()] = values
+    return out
 
 
 def _noise_models(linear: list) -> np.ndarray:
@@ -165,6 +256,23 @@ def _common_filters(linear: list) -> list[str]:
     return first
 
 
+def _maps(observed: _Observed, weight, texels: Texels, near: bool) -> dict:
+    """Return what `rectify_object` writes for each texel: name -> (values, units, quantity)."""
+    shadowed = observed.shadowed.astype(np.uint8)
+    maps = {
+        "response": (observed.response, "1", "response, 1 = perfect diffuser at normal incidence"),
+        "geometry": (observed.geometry, "rad", "theta_i, theta_r, theta_h, phi"),
+        "weight": (weight, "1", "weight in the fit"),
+        "shadowed": (shadowed, "1", "1 where another surface keeps the light away"),
+        "clipped": (observed.clipped, "1", "1 where the picture clips in every exposure"),
+        "texel": (texels.covered.ravel().astype(np.uint8), "1", "1 where a surface lies under the texel's centre"),
+    }
+    if near:
+        quantity = "irradiance of the white reference in the pixel over that of the texel"
+        maps["light_gain"] = (observed.gain.astype(np.float32), "1", quantity)
+    return maps
+
+
 def rectify_object(
     linear: list,
     definition: dict,
@@ -188,38 +296,44 @@ def rectify_object(
     max_angle_deg : float, degrees
         Observations with θ_i or θ_r beyond it are kept without weight.
 
+    Raises
+    ------
+    InputError
+        If captures differ in their filter states, the shape is a mesh that is refused, or a near lamp stands within
+        the object.
+
     Notes
     -----
     Datasets: ``/response`` (texel, J, bands) float32; ``/geometry`` (texel, J, 4) float32, θ_i, θ_r, θ_H, φ in rad;
     ``/weight`` (texel, J) float32, 1 where the texel is seen, lit and validly measured, else 0; ``/shadowed`` (texel,
     J) uint8; ``/clipped`` (texel, J) uint8, 1 where the texel is seen and a sample under it clips in every exposure, so
-    that a highlight can be told from a hot pixel or the picture's edge; ``/noise_model`` (J, bands, 2), variance of a
-    response = c0 + c1 * response, NaN where the camera's noise was not measured.
+    that a highlight can be told from a hot pixel or the picture's edge; ``/texel`` (texel,) uint8, 0 outside the UV
+    charts of a mesh: such an entry is no texel, is zero throughout and is nothing to be fitted; ``/noise_model``
+    (J, bands, 2), variance of a response = c0 + c1 * response, NaN where the camera's noise was not measured.
+
+    Under a near light, ``/light_gain`` (texel, J) float32 is the factor that put a response from the white reference's
+    irradiance to the texel's own; its variance is then gain² c0 + gain c1 * response.
     """
     shape = Shape.from_definition(definition["shape"])
     width = definition["texels"]["width"]
-    position, normal = shape.texels(width, definition["texels"]["height"])
-    position, normal = position[slice(*rows)].reshape(-1, 3), normal[slice(*rows)].reshape(-1, 3)
+    if setup.lamp.distance_mm <= shape.reach_mm:
+        found = f"{setup.lamp.distance_mm:g} mm, within the reach of the object, {shape.reach_mm:.4g} mm"
+        raise InputError("rig", "light.distance_mm", found, "a lamp outside the object, or no such key for a far one")
+    texels = shape.atlas(width, definition["texels"]["height"], tuple(rows))
     filters = _common_filters(linear)
-    responses, geometries, weights, shadowed, clipped = [], [], [], [], []
+    limit = np.radians(max_angle_deg)
+    captures, weights = [], []
     for path in track(linear, f"rectify rows {rows[0]}-{rows[1]}"):
-        sampled, geometry, seen, shadow, clips = _observe_file(path, shape, position, normal, setup)
-        limit = np.radians(max_angle_deg)
-        frontal = (geometry[:, 0] <= limit) & (geometry[:, 1] <= limit)
-        responses.append(sampled)
-        geometries.append(geometry.astype(np.float32))
-        weights.append((seen & frontal).astype(np.float32))
-        shadowed.append(shadow.astype(np.uint8))
-        clipped.append(clips)
+        found = _observe_file(path, shape, texels, setup)
+        frontal = (found.geometry[:, 0] <= limit) & (found.geometry[:, 1] <= limit)
+        weights.append((found.seen & frontal).astype(np.float32))
+        captures.append(found._replace(geometry=found.geometry.astype(np.float32)))
+    observed, weight = _Observed(*(np.stack(v, axis=1) for v in zip(*captures, strict=True))), np.stack(weights, axis=1)
+    unseen = ~(weight > 0).any(axis=1) & texels.covered.ravel()
+    if unseen.any():
+        LOGGER.info("%d of %d texels have no observation", unseen.sum(), texels.covered.sum())
     with store.create(output, provenance) as out:
-        maps = {
-            "response": (np.stack(responses, axis=1), "1", "response, 1 = perfect diffuser at normal incidence"),
-            "geometry": (np.stack(geometries, axis=1), "rad", "theta_i, theta_r, theta_h, phi"),
-            "weight": (np.stack(weights, axis=1), "1", "weight in the fit"),
-            "shadowed": (np.stack(shadowed, axis=1), "1", "1 where another surface keeps the light away"),
-            "clipped": (np.stack(clipped, axis=1), "1", "1 where the picture clips in every exposure"),
-        }
-        store.write_maps(out, maps, "texel,capture,component")
+        store.write_maps(out, _maps(observed, weight, texels, setup.lamp.is_near), "texel,capture,component")
         noise = _noise_models(linear)
         out.write("noise_model", noise, units="1", dims="capture,band,term", quantity="variance c0 + c1 rho")
         out.attribute("rows", list(rows))

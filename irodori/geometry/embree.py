@@ -15,7 +15,7 @@ import numba
 import numpy as np
 from numba import types
 
-from irodori.geometry.shapes import PLATE, SPHERE, Placement
+from irodori.geometry.shapes import MESH, PLATE, SPHERE, Placement
 from irodori.native import c_function
 
 _TRIANGLE, _SPHERE_POINT = 0, 50  # enum RTCGeometryType
@@ -125,6 +125,18 @@ def hit_distance(ray):
 
 
 @numba.njit(cache=True, inline="always")
+def hit_primitive(ray):
+    """Return the index of the triangle that was hit within its shape."""
+    return ray.i[ray.at + 17]
+
+
+@numba.njit(cache=True, inline="always")
+def hit_barycentric(ray):
+    """Return the weights of a hit triangle's second and third corner."""
+    return ray.f[ray.at + 15], ray.f[ray.at + 16]
+
+
+@numba.njit(cache=True, inline="always")
 def is_blocked(ray):
     """Return whether rtcOccluded1 found anything on the ray."""
     return ray.f[ray.at + 8] < 0.0
@@ -134,11 +146,12 @@ def is_blocked(ray):
 
 
 @numba.njit(cache=True)
-def _intersect_some(function, scene, origins, directions, distance, shape):
+def _intersect_some(function, scene, origins, directions, distance, shape, triangle):
     ray = new_ray()
     for r in range(origins.shape[0]):
         trace(function, scene, ray, origins[r], directions[r], np.inf)
         shape[r] = hit_shape(ray)
+        triangle[r] = hit_primitive(ray)
         distance[r] = hit_distance(ray)
 
 
@@ -151,11 +164,12 @@ def _occluded_some(function, scene, origins, directions, far, out):
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _intersect(function, scene, origins, directions, distance, shape):
+def _intersect(function, scene, origins, directions, distance, shape, triangle):
     count = origins.shape[0]
     for chunk in numba.prange((count + _CHUNK - 1) // _CHUNK):
         a, b = chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)
-        _intersect_some(function, scene, origins[a:b], directions[a:b], distance[a:b], shape[a:b])
+        some = (distance[a:b], shape[a:b], triangle[a:b])
+        _intersect_some(function, scene, origins[a:b], directions[a:b], some[0], some[1], some[2])
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
@@ -172,7 +186,7 @@ class Tracer:
     Parameters
     ----------
     placements : sequence of Placement
-        Shape i gets the identifier i. Spheres are exact primitives, plates are two triangles.
+        Shape i gets the identifier i. Spheres are exact primitives, plates are two triangles, meshes their own.
 
     Attributes
     ----------
@@ -205,8 +219,13 @@ class Tracer:
             geometry = self._library.rtcNewGeometry(_device(), _TRIANGLE)
             self._share(geometry, _VERTEX_BUFFER, _FLOAT3, placement.corners(), "f4")
             self._share(geometry, _INDEX_BUFFER, _UINT3, np.array([[0, 1, 2], [0, 2, 3]]), "u4")
+        elif placement.shape.kind == MESH:
+            geometry = self._library.rtcNewGeometry(_device(), _TRIANGLE)
+            mesh = placement.shape.mesh
+            self._share(geometry, _VERTEX_BUFFER, _FLOAT3, placement.points(mesh.vertices_mm), "f4")
+            self._share(geometry, _INDEX_BUFFER, _UINT3, mesh.faces, "u4")
         else:
-            raise ValueError(f"unknown shape kind {placement.shape.kind}; accepted: plate, sphere")
+            raise ValueError(f"unknown shape kind {placement.shape.kind}; accepted: plate, sphere, mesh")
         self._library.rtcCommitGeometry(geometry)
         self._library.rtcAttachGeometryByID(self.scene, geometry, identifier)
         self._library.rtcReleaseGeometry(geometry)
@@ -234,20 +253,21 @@ class Tracer:
 
         Returns
         -------
-        distance : (n,) float64, mm; infinite where nothing is hit. Exact for spheres: the single-precision hit is
-            polished in double precision.
+        distance : (n,) float64, mm; infinite where nothing is hit. The single-precision hit is polished in double
+            precision on the sphere or on the plane of the triangle.
         shape : (n,) int32, identifier of the shape, `NO_HIT` where nothing is hit
         """
         origins = np.ascontiguousarray(origins, dtype=np.float64)
         directions = np.ascontiguousarray(directions, dtype=np.float64)
         distance = np.empty(len(origins))
-        shape = np.empty(len(origins), dtype=np.int32)
-        _intersect(self.intersect_address, self.scene, origins, directions, distance, shape)
+        shape, triangle = np.empty((2, len(origins)), dtype=np.int32)
+        _intersect(self.intersect_address, self.scene, origins, directions, distance, shape, triangle)
         distance[shape == NO_HIT] = np.inf
         for identifier, placement in enumerate(self.placements):
             chosen = shape == identifier
             if chosen.any():
-                distance[chosen] = polish(placement, origins[chosen], directions[chosen], distance[chosen])
+                traced = (origins[chosen], directions[chosen], distance[chosen])
+                distance[chosen] = polish(placement, *traced, triangle[chosen])
         return distance, shape
 
     def occluded(self, origins, directions, far=np.inf) -> np.ndarray:
@@ -260,10 +280,11 @@ class Tracer:
         return out
 
 
-def polish(placement: Placement, origins, directions, distance) -> np.ndarray:
+def polish(placement: Placement, origins, directions, distance, triangle=None) -> np.ndarray:
     """Return hit distances recomputed in double precision on the shape's own equation, (n,) mm.
 
-    The root nearest to the traced distance is kept, so that a ray that starts inside a sphere keeps its exit.
+    The root nearest to the traced distance is kept, so that a ray that starts inside a sphere keeps its exit. Of
+    a mesh, ``triangle`` (n,) says which triangle was hit.
     """
     local_o = (origins - placement.translation_mm) @ placement.rotation / placement.scale
     local_d = directions @ placement.rotation / placement.scale
@@ -271,6 +292,15 @@ def polish(placement: Placement, origins, directions, distance) -> np.ndarray:
         with np.errstate(divide="ignore", invalid="ignore"):
             exact = -local_o[:, 2] / local_d[:, 2]
         return np.where(np.isfinite(exact), exact, distance)
+    if placement.shape.kind == MESH:
+        mesh = placement.shape.mesh
+        corner, facet = mesh.vertices_mm[mesh.faces[triangle, 0]], mesh.facets[triangle]
+        steepness = np.sum(local_d * facet, axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            exact = np.sum((corner - local_o) * facet, axis=1) / steepness
+        # Along its plane a triangle is met at an edge, of which the plane knows nothing.
+        steep = np.abs(steepness) * placement.scale > 1e-4
+        return np.where(steep & np.isfinite(exact), exact, distance)
     a = np.sum(local_d**2, axis=1)
     b = np.sum(local_o * local_d, axis=1)
     # The discriminant by the distance of the ray from the centre: no cancellation for far rays.

@@ -1,12 +1,19 @@
-"""Pinhole camera over the mosaic of a sensor.
+"""Pinhole camera over the mosaic of a sensor, with the distortion of its lens.
 
 Superpixel coordinates: a superpixel is 2 x 2 mosaic pixels, and its centre has integer coordinates, x right, y down.
 Mosaic coordinates run from 0 at the left edge of the first mosaic pixel.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+
+from irodori.errors import InputError
+from irodori.geometry.distortion import COEFFICIENTS, coefficients_of, distort_all, fold_radius, undistort_all
+
+#: Beyond its edge the picture must have directions too: pixels gather light about them, plates shift it.
+_MARGIN_PX = 16
 
 
 def samples_from_superpixels(xy, sample_px: int):
@@ -33,7 +40,7 @@ def superpixels_from_samples(xy, sample_px: int):
 
 @dataclass(frozen=True)
 class Pinhole:
-    """A camera without distortion.
+    """A camera, its lens distorting as OpenCV counts it [`irodori.geometry.distortion`].
 
     Parameters
     ----------
@@ -43,22 +50,62 @@ class Pinhole:
         Principal point in mosaic coordinates, x then y.
     width_px, height_px : int
         Size of the mosaic.
+    distortion : (8,) tuple
+        k1, k2, p1, p2, k3, k4, k5, k6.
     """
 
     focal_px: float
     centre_px: tuple[float, float]
     width_px: int
     height_px: int
+    distortion: tuple[float, ...] = (0.0,) * len(COEFFICIENTS)
 
     @classmethod
     def from_optics(cls, optics: dict) -> "Pinhole":
-        """Return the camera of a configuration's `optics` (focal length in mm, pitch in µm)."""
-        return cls(
+        """Return the camera of a configuration's `optics` (focal length in mm, pitch in µm).
+
+        Raises
+        ------
+        InputError
+            If the distortion folds inside the picture.
+        """
+        camera = cls(
             focal_px=optics["focal_length_mm"] * 1000.0 / optics["pixel_pitch_um"],
             centre_px=tuple(optics["principal_point_px"]),
             width_px=optics["width_px"],
             height_px=optics["height_px"],
+            distortion=tuple(coefficients_of(optics.get("distortion"))),
         )
+        camera._check_fold()
+        return camera
+
+    @property
+    def is_distorted(self) -> bool:
+        """Whether any coefficient of the distortion differs from 0."""
+        return any(self.distortion)
+
+    @cached_property
+    def fold(self) -> float:
+        """Distance from the axis, at unit distance, beyond which the distortion does not hold."""
+        return fold_radius(self.distortion)
+
+    def _check_fold(self) -> None:
+        """Refuse a distortion by which some pixel has no direction."""
+        if not self.is_distorted:
+            return
+        x = np.linspace(-_MARGIN_PX, self.width_px + _MARGIN_PX, 65)
+        y = np.linspace(-_MARGIN_PX, self.height_px + _MARGIN_PX, 49)
+        grid = np.stack(np.meshgrid(x, y), axis=-1)
+        lost = np.isnan(self.directions(grid, np.eye(3))[..., 0])
+        if lost.any():
+            found = f"a distortion that folds over {lost.mean():.1%} of the picture"
+            raise InputError("camera", "optics.distortion", found, "coefficients that hold over the whole picture")
+
+    def _through(self, function, plane: np.ndarray) -> np.ndarray:
+        out = np.empty_like(plane)
+        flat, seen = np.ascontiguousarray(plane.reshape(-1, 2)), out.reshape(-1, 2)
+        function(np.array(self.distortion), self.fold, flat, seen)
+        return out
 
     def project(self, points, position, world_from_camera) -> np.ndarray:
         """Project points to superpixel coordinates.
@@ -71,16 +118,21 @@ class Pinhole:
 
         Returns
         -------
-        (..., 2) float64, x then y; NaN for points not in front of the camera
+        (..., 2) float64, x then y; NaN for points not in front of the camera, and for those so far from its axis
+        that the distortion does not hold
         """
         local = (np.asarray(points, dtype=np.float64) - position) @ world_from_camera
         depth = np.where(local[..., 2] > 1e-6, local[..., 2], np.nan)
-        mosaic = np.stack([local[..., 0] / depth, local[..., 1] / depth], axis=-1) * self.focal_px + self.centre_px
-        return mosaic / 2.0 - 0.5
+        plane = np.stack([local[..., 0] / depth, local[..., 1] / depth], axis=-1)
+        if self.is_distorted:
+            plane = self._through(distort_all, plane)
+        return (plane * self.focal_px + self.centre_px) / 2.0 - 0.5
 
     def directions(self, mosaic_xy, world_from_camera) -> np.ndarray:
-        """Return unit view directions of mosaic coordinates, (..., 2) to (..., 3)."""
+        """Return unit view directions of mosaic coordinates, (..., 2) to (..., 3); NaN where the distortion folds."""
         plane = (np.asarray(mosaic_xy, dtype=np.float64) - self.centre_px) / self.focal_px
+        if self.is_distorted:
+            plane = self._through(undistort_all, plane)
         local = np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
         local /= np.linalg.norm(local, axis=-1, keepdims=True)
         return local @ np.asarray(world_from_camera).T

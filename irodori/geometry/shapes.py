@@ -1,9 +1,9 @@
-"""Shapes with a texture parametrisation: plate and sphere, and where they stand.
+"""Shapes with a texture parametrisation: plate, sphere and triangle mesh, and where they stand.
 
 A texture has `height` rows and `width` columns; texel (row, column) has u = (column + 0.5) / width and
 v = (row + 0.5) / height. Object frame, mm: a plate lies in z = 0 with its face up, u along +x and v along -y (so that
 the texture reads as seen from above); a sphere is centred at the origin, v runs from the pole +z to -z and u is the
-azimuth from +x towards +y over 2π.
+azimuth from +x towards +y over 2π; a mesh has the texture coordinates of its file.
 """
 
 import math
@@ -12,55 +12,116 @@ from dataclasses import dataclass, field
 import numba
 import numpy as np
 
-PLATE, SPHERE = 0, 1
+from irodori.geometry.atlas import Texels, mesh_texels, rasterise
+from irodori.geometry.mesh import Mesh
+
+PLATE, SPHERE, MESH = 0, 1, 2
 PLATE_THICKNESS_MM = 2.0
+#: Rays leave a surface this part of the shape's reach above it: some hundred steps of single precision.
+_RAY_OFFSET = 3e-5
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A plate or a sphere.
+    """A plate, a sphere or a mesh.
 
     Parameters
     ----------
     kind : int
-        `PLATE` or `SPHERE`.
+        `PLATE`, `SPHERE` or `MESH`.
     size_mm : (2,) tuple
-        Width and height of a plate; radius twice of a sphere.
+        Width and height of a plate; radius twice of a sphere; reach from the origin twice of a mesh.
+    mesh : Mesh, optional
+        The triangles of a mesh, in the object's frame.
+    file : str
+        Where a mesh came from, for error messages.
     """
 
     kind: int
     size_mm: tuple[float, float]
+    mesh: Mesh | None = None
+    file: str = "mesh"
 
     @classmethod
     def from_definition(cls, shape: dict) -> "Shape":
-        """Return the shape of a configuration's `shape` block."""
+        """Return the shape of a configuration's `shape` block; a mesh is read from its file.
+
+        Raises
+        ------
+        ValueError
+            If the kind is unknown.
+        InputError
+            If a mesh is refused, see `irodori.geometry.mesh_files.read_mesh`.
+        """
         if shape["kind"] == "plate":
             return cls(PLATE, (float(shape["width_mm"]), float(shape["height_mm"])))
         if shape["kind"] == "sphere":
             return cls(SPHERE, (float(shape["radius_mm"]), float(shape["radius_mm"])))
-        raise ValueError(f"unknown shape {shape['kind']!r}; accepted: plate, sphere")
+        if shape["kind"] == "mesh":
+            from irodori.geometry.mesh_files import read_mesh
+
+            options = {key: shape[key] for key in ("unit", "up", "pivot_mm", "crease_deg") if key in shape}
+            return cls.from_mesh(read_mesh(shape["file"], **options), shape["file"])
+        raise ValueError(f"unknown shape {shape['kind']!r}; accepted: plate, sphere, mesh")
+
+    @classmethod
+    def from_mesh(cls, mesh: Mesh, file: str = "mesh") -> "Shape":
+        """Return the shape of triangles."""
+        return cls(MESH, (mesh.reach_mm, mesh.reach_mm), mesh, str(file))
 
     @property
     def table_height_mm(self) -> float:
-        """Height of the table's top under the shape when its centre (sphere) or face (plate) is at the origin."""
+        """Height of the table's top under the shape.
+
+        A sphere's centre and a plate's face are at the origin; a mesh stands on its lowest point.
+        """
+        if self.mesh is not None:
+            return self.mesh.bottom_mm
         return -self.size_mm[0] if self.kind == SPHERE else -PLATE_THICKNESS_MM
 
     @property
     def reach_mm(self) -> float:
-        """Largest distance of a point of the shape from its centre, mm."""
-        return self.size_mm[0] if self.kind == SPHERE else math.hypot(*self.size_mm) / 2.0
+        """Largest distance of a point of the shape from the origin of its frame, mm."""
+        return math.hypot(*self.size_mm) / 2.0 if self.kind == PLATE else self.size_mm[0]
+
+    @property
+    def ray_offset_mm(self) -> float:
+        """Height above the surface at which rays leave it, mm: out of reach of the tracer's single precision."""
+        return _RAY_OFFSET * self.reach_mm
 
     def texels(self, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
         """Return positions (height, width, 3) in mm and unit normals (height, width, 3) of the texel centres."""
+        found = self.atlas(width, height)
+        return found.position, found.normal
+
+    def atlas(self, width: int, height: int, rows: tuple[int, int] | None = None) -> Texels:
+        """Return what lies under the texel centres of some rows, of all where ``rows`` is absent.
+
+        Raises
+        ------
+        InputError
+            If the charts of a mesh overlap, or hold no texel, see `irodori.geometry.atlas.rasterise`.
+        """
+        if self.mesh is not None:
+            return mesh_texels(self.mesh, rasterise(self.mesh, width, height, self.file), rows)
+        first, last = rows or (0, height)
         u = (np.arange(width) + 0.5) / width
-        v = (np.arange(height) + 0.5) / height
+        v = (np.arange(first, last) + 0.5) / height
         u, v = np.meshgrid(u, v)
+        covered = np.ones(u.shape, dtype=bool)
         if self.kind == PLATE:
             position = np.stack([(u - 0.5) * self.size_mm[0], (0.5 - v) * self.size_mm[1], np.zeros_like(u)], axis=-1)
-            return position, np.broadcast_to(np.array([0.0, 0.0, 1.0]), position.shape).copy()
+            normal = np.broadcast_to(np.array([0.0, 0.0, 1.0]), position.shape).copy()
+            return Texels(position, normal, normal, covered)
         theta, azimuth = np.pi * v, 2 * np.pi * u
         normal = np.stack([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1)
-        return self.size_mm[0] * normal, normal
+        return Texels(self.size_mm[0] * normal, normal, normal, covered)
+
+    def is_covered(self, width: int, height: int) -> np.ndarray:
+        """Return which texels lie on the surface, (height, width) bool: all but those outside a mesh's charts."""
+        if self.mesh is None:
+            return np.ones((height, width), dtype=bool)
+        return rasterise(self.mesh, width, height, self.file) >= 0
 
 
 @numba.njit(cache=True, error_model="numpy")

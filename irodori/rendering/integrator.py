@@ -8,6 +8,7 @@ import numpy as np
 
 from irodori.brdf import fresnel
 from irodori.geometry.embree import Tracer, hit_distance, hit_shape, new_ray, trace
+from irodori.geometry.surfaces import Surfaces, face_viewer, make_surfaces
 from irodori.rendering.scene import Light, Objects, View
 from irodori.rendering.shading import (
     BANDS,
@@ -49,6 +50,7 @@ class Path(NamedTuple):
     direction: np.ndarray  # (3,)
     point: np.ndarray  # (3,)
     normal: np.ndarray  # (3,)
+    facet: np.ndarray  # (3,)
     to_eye: np.ndarray  # (3,)
     texel: np.ndarray  # (k + 2,)
     throughput: np.ndarray  # (61,)
@@ -59,6 +61,7 @@ class Path(NamedTuple):
 @numba.njit(cache=True)
 def _new_path(world):
     return Path(
+        np.empty(3),
         np.empty(3),
         np.empty(3),
         np.empty(3),
@@ -79,12 +82,14 @@ def _shade(world, ray, scratch, path, index, sampling, pixel):
     fill_irradiance(world.light, path.normal, scratch.light, scratch.decoded, path.irradiance)
     if sampling.ambient_samples > 0:
         shift = (hashed(x, y, stream, 0), hashed(x, y, stream, 1))
-        hide_and_reflect(world, ray, scratch, path.point, path.normal, sampling.ambient_samples, shift, path.irradiance)
+        at = (path.point, path.normal, path.facet)
+        hide_and_reflect(world, ray, scratch, at[0], at[1], at[2], sampling.ambient_samples, shift, path.irradiance)
     add_diffuse(world.objects, index, path.texel, path.irradiance, 1.0, scratch.decoded, path.radiance)
     shift = (hashed(x, y, stream, 2), hashed(x, y, stream, 3))
     gloss = (path.texel[path.texel.size - 2], path.texel[path.texel.size - 1])
+    at = (path.point, path.normal, path.facet)
     samples = sampling.gloss_samples
-    add_gloss(world, ray, scratch, index, path.point, path.normal, path.to_eye, gloss, samples, shift, path.radiance)
+    add_gloss(world, ray, scratch, index, at[0], at[1], at[2], path.to_eye, gloss, samples, shift, path.radiance)
 
 
 @numba.njit(cache=True)
@@ -106,8 +111,8 @@ def _follow(world, ray, scratch, path, sampling, pixel, out):
         for axis in range(3):
             path.point[axis] = path.origin[axis] + hit_distance(ray) * d[axis]
             path.to_eye[axis] = -d[axis]
-        surface(objects, index, path.point, path.normal, path.texel)
-        cosine = path.normal[0] * path.to_eye[0] + path.normal[1] * path.to_eye[1] + path.normal[2] * path.to_eye[2]
+        surface(world, index, ray, path.point, path.normal, path.facet, path.texel)
+        cosine = face_viewer(path.normal, path.facet, d)
         if cosine <= 0.0:
             return bounce
         _shade(world, ray, scratch, path, index, sampling, (pixel[0], pixel[1], pixel[2] * _STREAMS + bounce))
@@ -121,7 +126,7 @@ def _follow(world, ray, scratch, path, sampling, pixel, out):
             return bounce + 1
         for axis in range(3):
             d[axis] = 2.0 * cosine * path.normal[axis] - path.to_eye[axis]
-            path.origin[axis] = path.point[axis] + world.offset_mm * path.normal[axis]
+            path.origin[axis] = path.point[axis] + world.offset_mm * path.facet[axis]
     return sampling.max_bounces + 1
 
 
@@ -138,9 +143,9 @@ def _aim(view, x, y, sample, side, path):
 
 
 @numba.njit(cache=True)
-def _render_row(objects, light, addresses, offset_mm, view, sampling, y, row):
+def _render_row(surfaces, objects, light, addresses, offset_mm, view, sampling, y, row):
     """Fill a row of the picture; return the number of points shaded."""
-    world = World(objects, light, addresses[0], addresses[1], offset_mm)
+    world = World(surfaces, objects, light, addresses[0], addresses[1], offset_mm)
     ray, scratch, path = new_ray(), new_scratch(world), _new_path(world)
     samples = sampling.pixel_side * sampling.pixel_side
     total = np.empty(BANDS)
@@ -156,10 +161,12 @@ def _render_row(objects, light, addresses, offset_mm, view, sampling, y, row):
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _render(objects, light, addresses, offset_mm, view, sampling, first_row, image, shaded):
+def _render(surfaces, objects, light, addresses, offset_mm, view, sampling, first_row, image, shaded):
     # A parallel loop takes tuples of arrays, but no tuples of tuples: the world is put together inside.
     for row in numba.prange(image.shape[0]):
-        shaded[row] = _render_row(objects, light, addresses, offset_mm, view, sampling, first_row + row, image[row])
+        shaded[row] = _render_row(
+            surfaces, objects, light, addresses, offset_mm, view, sampling, first_row + row, image[row]
+        )
 
 
 def render_rows(
@@ -185,11 +192,12 @@ def render_rows(
     """
     image = np.zeros((rows[1] - rows[0], view.width, BANDS), dtype=np.float32)
     shaded = np.zeros(len(image), dtype=np.int64)
-    extent = np.abs(objects.translation_mm).max() + (objects.size_mm.max(axis=1) * objects.scale).max()
+    surfaces: Surfaces = make_surfaces(tracer.placements)
+    extent = np.abs(surfaces.translation_mm).max() + (surfaces.size_mm.max(axis=1) * surfaces.scale).max()
     size = float(extent + np.linalg.norm(view.position_mm))
     addresses = (tracer.intersect_address, tracer.scene)
     sampling = Sampling(**{name: options[name] for name in Sampling._fields})
     # Rows differ much in cost: handed out one by one, no thread waits for the half with the objects.
     with numba.parallel_chunksize(1):
-        _render(objects, light, addresses, OFFSET * size, view, sampling, rows[0], image, shaded)
+        _render(surfaces, objects, light, addresses, OFFSET * size, view, sampling, rows[0], image, shaded)
     return image, int(shaded.sum())

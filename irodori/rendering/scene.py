@@ -6,7 +6,7 @@ import numpy as np
 
 from irodori.geometry.embree import Tracer
 from irodori.geometry.frames import look_at, rotation_xyz
-from irodori.geometry.shapes import Placement, Shape
+from irodori.geometry.shapes import SPHERE, Placement, Shape
 from irodori.light import Environment, directions
 from irodori.material import Material
 
@@ -14,17 +14,13 @@ _COARSEST_ROWS = 4
 
 
 class Objects(NamedTuple):
-    """Placed objects; the first axis counts them. Bases have the wavelength last, where the loops run.
+    """Materials of the objects; the first axis counts them. Bases have the wavelength last, where the loops run.
 
     ``texels`` holds, a row a texel, the coefficients of α S / S_G, then β and μ. ``grey`` is 1 where the refractive
     index does not vary with the wavelength, so that one Fresnel reflectance serves all bands.
     """
 
-    kind: np.ndarray  # (objects,)
-    rotation: np.ndarray  # (objects, 3, 3) world_from_object
-    translation_mm: np.ndarray  # (objects, 3)
-    scale: np.ndarray  # (objects,)
-    size_mm: np.ndarray  # (objects, 2)
+    wraps: np.ndarray  # (objects,) 1 where the texture's left and right sides are joined
     first_texel: np.ndarray  # (objects,)
     texture_size: np.ndarray  # (objects, 2) width, height
     texels: np.ndarray  # (texels, k + 2) float32
@@ -68,16 +64,19 @@ def make_placements(scene: dict, shapes: list[Shape]) -> list[Placement]:
 def make_objects(placements: list[Placement], materials: list[Material]) -> tuple[Objects, list[float]]:
     """Flatten objects for the integrator.
 
+    A texel that lies on no surface takes the values of the nearest that does, so that looking up between texels at
+    the edge of a mesh's chart finds nothing foreign.
+
     Returns
     -------
     objects : Objects
     filled : list of float
-        Share of each object's texels that had no data of their own.
+        Share of the texels on each object's surface that had no data of their own.
     """
     bases = max(m.basis.shape[1] for m in materials)
     texels, basis, first, filled = [], [], [0], []
-    for material in materials:
-        whole, share = material.filled()
+    for placement, material in zip(placements, materials, strict=True):
+        whole, share = material.filled(placement.shape.is_covered(*material.alpha.shape[::-1]))
         count = whole.basis.shape[1]
         rows = np.zeros((whole.alpha.size, bases + 2), dtype=np.float32)
         rows[:, :count] = (whole.coefficients * whole.spectrum_scale[..., None]).reshape(-1, count)
@@ -88,11 +87,7 @@ def make_objects(placements: list[Placement], materials: list[Material]) -> tupl
         filled.append(share)
     n, k = np.stack([m.n for m in materials]), np.stack([m.k for m in materials])
     objects = Objects(
-        kind=np.array([p.shape.kind for p in placements]),
-        rotation=np.stack([p.rotation for p in placements]),
-        translation_mm=np.stack([p.translation_mm for p in placements]),
-        scale=np.array([p.scale for p in placements], dtype=np.float64),
-        size_mm=np.array([p.shape.size_mm for p in placements], dtype=np.float64),
+        wraps=np.array([p.shape.kind == SPHERE for p in placements], dtype=np.int64),
         first_texel=np.array(first[:-1]),
         texture_size=np.array([m.alpha.shape[::-1] for m in materials]),
         texels=np.concatenate(texels),

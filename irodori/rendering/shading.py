@@ -8,15 +8,16 @@ import numpy as np
 
 from irodori.brdf import attenuation_over_cosine, fresnel
 from irodori.geometry.embree import NO_HIT, hit_distance, hit_shape, trace
-from irodori.geometry.shapes import SPHERE, uv_from_point
+from irodori.geometry.surfaces import Surfaces, face_viewer, surface_at
 from irodori.rendering.scene import Light, Objects
 
 BANDS = 61
 
 
 class World(NamedTuple):
-    """What rays travel in: see `irodori.rendering.scene` for objects and light, `Tracer` for the addresses."""
+    """What rays travel in; surface i is object i. See `irodori.rendering.scene`, and `Tracer` for the addresses."""
 
+    surfaces: Surfaces
     objects: Objects
     light: Light
     intersect: int
@@ -33,6 +34,7 @@ class Scratch(NamedTuple):
     direction: np.ndarray  # (3,)
     point: np.ndarray  # (3,)
     normal: np.ndarray  # (3,)
+    facet: np.ndarray  # (3,)
     texel: np.ndarray  # (k + 2,)
     light: np.ndarray  # (k of the light,)
     gathered: np.ndarray  # (k of the light,)
@@ -45,6 +47,7 @@ class Scratch(NamedTuple):
 def new_scratch(world):
     """Return buffers for one thread."""
     return Scratch(
+        np.empty(3),
         np.empty(3),
         np.empty(3),
         np.empty(3),
@@ -124,40 +127,17 @@ def add_light(light, level, x, y, z, scale, out):
     interpolate(light.pixels, light.first_pixel[level], light.size[level, 0], light.size[level, 1], u, v, scale, out)
 
 
-@numba.njit(cache=True)
-def surface(objects, index, point, normal, texel):
-    """Move a hit point onto its surface; fill its normal and its interpolated texel."""
-    # Fields are indexed in full: a view of an array counts its owners, and two threads would fight over the count.
-    x = point[0] - objects.translation_mm[index, 0]
-    y = point[1] - objects.translation_mm[index, 1]
-    z = point[2] - objects.translation_mm[index, 2]
-    inverse = 1.0 / objects.scale[index]
-    ox, oy, oz = 0.0, 0.0, 0.0
-    for a, value in enumerate((x, y, z)):
-        ox += objects.rotation[index, a, 0] * value * inverse
-        oy += objects.rotation[index, a, 1] * value * inverse
-        oz += objects.rotation[index, a, 2] * value * inverse
-    kind = objects.kind[index]
-    if kind == SPHERE:
-        length = math.sqrt(x * x + y * y + z * z)
-        radius = objects.size_mm[index, 0] * objects.scale[index]
-        for a in range(3):
-            normal[a] = (point[a] - objects.translation_mm[index, a]) / length
-            point[a] = objects.translation_mm[index, a] + radius * normal[a]
-    else:
-        offset = oz * objects.scale[index]
-        for a in range(3):
-            normal[a] = objects.rotation[index, a, 2]
-            point[a] -= offset * normal[a]
-    u, v = uv_from_point(kind, objects.size_mm[index, 0], objects.size_mm[index, 1], ox, oy, oz)
+@numba.njit(cache=True, inline="always")
+def surface(world, index, ray, point, normal, facet, texel):
+    """Move a hit point onto its surface; fill its normals and its interpolated texel."""
+    u, v = surface_at(world.surfaces, index, ray, point, normal, facet)
+    objects = world.objects
     texel[:] = 0.0
     width, height = objects.texture_size[index, 0], objects.texture_size[index, 1]
-    if kind == SPHERE:
-        interpolate(objects.texels, objects.first_texel[index], width, height, u, v, 1.0, texel)
-    else:
-        # A plate's columns do not wrap: stay half a texel inside its edges.
+    if objects.wraps[index] == 0:
+        # Columns that do not wrap: stay half a texel inside the texture's edges.
         u = min(max(u, 0.5 / width), 1.0 - 0.5 / width)
-        interpolate(objects.texels, objects.first_texel[index], width, height, u, v, 1.0, texel)
+    interpolate(objects.texels, objects.first_texel[index], width, height, u, v, 1.0, texel)
 
 
 @numba.njit(cache=True)
@@ -203,14 +183,14 @@ def level_for(light, solid_angle):
 
 
 @numba.njit(cache=True)
-def look_from(world, ray, point, normal, scratch):
+def look_from(world, ray, point, facet, scratch):
     """Trace ``scratch.direction`` from a surface; return the shape met, its point, normal and texel in ``scratch``.
 
-    Returns `NO_HIT` where the light is seen, and -2 for the back of a plate, which is black.
+    Returns `NO_HIT` where the light is seen, and -2 for the back of a surface, which is black.
     """
     origin, d, hit = scratch.origin, scratch.direction, scratch.point
     for axis in range(3):
-        origin[axis] = point[axis] + world.offset_mm * normal[axis]
+        origin[axis] = point[axis] + world.offset_mm * facet[axis]
     trace(world.intersect, world.scene, ray, origin, d, np.inf)
     index = hit_shape(ray)
     if index < 0:
@@ -218,10 +198,8 @@ def look_from(world, ray, point, normal, scratch):
     distance = hit_distance(ray)
     for axis in range(3):
         hit[axis] = origin[axis] + distance * d[axis]
-    across = scratch.normal
-    surface(world.objects, index, hit, across, scratch.texel)
-    facing = across[0] * d[0] + across[1] * d[1] + across[2] * d[2]
-    return index if facing < 0.0 else -2
+    surface(world, index, ray, hit, scratch.normal, scratch.facet, scratch.texel)
+    return index if face_viewer(scratch.normal, scratch.facet, d) > 0.0 else -2
 
 
 @numba.njit(cache=True, inline="always")
@@ -232,7 +210,7 @@ def _stratum(sample, samples, shift):
 
 
 @numba.njit(cache=True)
-def hide_and_reflect(world, ray, scratch, point, normal, samples, shift, irradiance):
+def hide_and_reflect(world, ray, scratch, point, normal, facet, samples, shift, irradiance):
     """Turn the map's irradiance at a point into the real one: other objects hide light, and reflect their own.
 
     Cosine-distributed rays; the hidden share of the map's irradiance is replaced by the diffuse radiance of what
@@ -248,7 +226,7 @@ def hide_and_reflect(world, ray, scratch, point, normal, samples, shift, irradia
         a, b, c = radius * math.cos(angle), radius * math.sin(angle), math.sqrt(1.0 - u)
         for axis in range(3):
             d[axis] = a * tangent[axis] + b * bitangent[axis] + c * normal[axis]
-        index = look_from(world, ray, point, normal, scratch)
+        index = look_from(world, ray, point, facet, scratch)
         if index == NO_HIT:
             continue
         hidden += 1
@@ -301,7 +279,7 @@ def _sample_lobe(normal, view, mu, inside, cos_r, uv, scratch):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def add_gloss(world, ray, scratch, index, point, normal, view, gloss, samples, shift, out):
+def add_gloss(world, ray, scratch, index, point, normal, facet, view, gloss, samples, shift, out):
     """Add the gloss radiance β/π ∫ L F D G / cosθ_r dω [eq. 5], sampled by the facet distribution.
 
     ``gloss`` is (β, μ). Light is looked up at the level of its ladder whose pixels have the sample's solid angle
@@ -322,7 +300,7 @@ def add_gloss(world, ray, scratch, index, point, normal, view, gloss, samples, s
             continue
         weight *= beta / (math.pi * samples)
         factor = weight * fresnel(cos_h, objects.n[index, 0], objects.k[index, 0])
-        other = look_from(world, ray, point, normal, scratch)
+        other = look_from(world, ray, point, facet, scratch)
         if other == NO_HIT:
             level = level_for(world.light, solid_angle / samples)
             if objects.grey[index] == 1:

@@ -116,7 +116,7 @@ class Plan:
 
 
 def subject_of(definition: dict, rig: dict) -> Subject:
-    """Return the texels that stand for an object: centre and corners of a plate; points all around a sphere.
+    """Return the texels that stand for an object: centre and corners of a plate; points all around the others.
 
     A plate has one normal, but the camera is near: its corners are seen up to some degrees apart, and what is good for
     the centre alone may lie beyond the largest angle for them.
@@ -133,6 +133,8 @@ def subject_of(definition: dict, rig: dict) -> Subject:
         signs = np.array([[0, 0, 0], [-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
         position = signs * [shape.size_mm[0] / 2, shape.size_mm[1] / 2, 0.0]
         normal = np.tile([0.0, 0.0, 1.0], (len(position), 1))
+    elif shape.mesh is not None:
+        position, normal = shape.mesh.samples(_SPHERE_TEXELS)
     else:
         index = np.arange(_SPHERE_TEXELS) + 0.5
         z, azimuth = 1.0 - 2.0 * index / _SPHERE_TEXELS, np.pi * (1.0 + math.sqrt(5.0)) * index

@@ -111,7 +111,7 @@ def test_the_real_camera_without_its_data_names_the_missing_file(root):
         ("config.yaml", "make.cameras", ["d5100"], "config.yaml", "make.cameras[0]", "cameras that exist"),
         ("scenes/still-life.yaml", "objects.1.object", "vermillion-sphere", "still-life.yaml",
          "objects[1].object",
-         "did you mean 'vermilion-sphere'? (objects that exist: indigo-sphere, leaf-sphere, tile-plate, "),
+         "did you mean 'vermilion-sphere'? (objects that exist: celadon-lid, indigo-sphere, leaf-sphere, "),
         ("scenes/still-life.yaml", "environment", "x", "still-life.yaml", "environment", "classroom"),
         ("objects/leaf-sphere.yaml", "camera", "x", "leaf-sphere.yaml", "camera", "d5100-comb"),
         ("cameras/d5100-comb.yaml", "rig", "virtuel", "d5100-comb.yaml", "rig", "did you mean 'virtual'?"),

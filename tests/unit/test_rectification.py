@@ -90,7 +90,7 @@ def rectify(tmp_path, definition, poses, rows=None, max_angle_deg=85.0, table=0.
     rows = rows or (0, definition["texels"]["height"])
     rectify_object(files, definition, setup_of(table), rows, max_angle_deg, tmp_path / name, PROVENANCE)
     with store.open_file(tmp_path / name) as file:
-        return {name: file.read(name) for name in ("response", "geometry", "weight", "shadowed", "clipped")}
+        return {name: file.read(name) for name in ("response", "geometry", "weight", "shadowed", "clipped", "texel")}
 
 
 PLATE_POSES = [
@@ -118,9 +118,9 @@ def test_angles_at_a_plates_centre_are_those_of_the_rig(light, camera, tilt):
     shape = Shape.from_definition(PLATE["shape"])
     rotation = rig_from_object(pose)
     tracer = Tracer([Placement(shape, rotation)])
-    xy, geometry, visible, lit = observe(np.zeros((1, 3)), rotation[:, 2][None], tracer, pose, setup_of())
+    xy, geometry, visible, lit, power = observe(np.zeros((1, 3)), rotation[:, 2][None], tracer, pose, setup_of())
     incidence, view = math.radians(light - tilt), math.radians(camera + tilt)
-    assert visible[0] and lit[0]
+    assert visible[0] and lit[0] and power[0] == 1.0
     expected = [incidence, view, (incidence + view) / 2, abs(incidence - view) / 2]
     assert np.abs(geometry[0] - expected).max() <= 1e-9
     centre = [OPTICS["principal_point_px"][0] / 2 - 0.5, OPTICS["principal_point_px"][1] / 2 - 0.5]

@@ -3,6 +3,7 @@
 rule capture_object:
     input:
         spectra=tables_of_capture,
+        mesh=mesh_of_capture,
     output:
         session="results/{object}/captures/session.json",
     log:

@@ -1,6 +1,9 @@
+from dataclasses import asdict
+
 from irodori.captures import read_captures
 from irodori.config import captures_of, is_taken_here, is_virtual, load_definitions
 from irodori.errors import InputError
+from irodori.geometry.files import mesh_files
 from irodori.provenance import code_hash
 from irodori.spectral_files import SUFFIXES
 from irodori.tiles import tile_rows
@@ -91,6 +94,32 @@ def named_tables(*values):
     return found
 
 
+def meshes_of(*names):
+    """Return the files of the meshes among objects; a changed one is seen."""
+    shapes = [config["objects"][name]["shape"] for name in names]
+    return [file for shape in shapes if shape["kind"] == "mesh" for file in mesh_files(shape["file"])]
+
+
+def mesh_of(wildcards):
+    """Return the files of an object's mesh."""
+    return meshes_of(wildcards.object)
+
+
+def mesh_of_capture(wildcards):
+    """Return the files of the mesh that the virtual rig photographs; a real one reads none."""
+    return mesh_of(wildcards) if is_virtual(config, "objects", wildcards.object) else []
+
+
+def white_pose(wildcards):
+    """Return the pose of the white reference of a set's camera, degrees, None where it has none."""
+    name = camera_of(wildcards)
+    camera = config["cameras"][name]
+    if "poses" in camera:
+        return camera["poses"].get("white")
+    whites = [shot.pose for shot in read_captures(camera["captures"]["table"]) if shot.role == "white"]
+    return asdict(whites[0]) if whites else None
+
+
 def tables_of_capture(wildcards):
     """Return the tables of spectra that the virtual rig reads for a set; a real one reads none."""
     kind, name = capture_set(wildcards)
@@ -148,6 +177,12 @@ def definition_of(kind):
     return lambda wildcards: config[kind][name(wildcards)]
 
 
+def light_place(wildcards):
+    """Return what a rig's definition says of the place of its light; nothing for a far one."""
+    light = config["rigs"][rig_of(wildcards)]["light"]
+    return {key: light[key] for key in ("distance_mm",) if key in light}
+
+
 def camera_file(pattern):
     """Return a function from wildcards to a file of the set's camera."""
     return lambda wildcards: pattern.format(camera=camera_of(wildcards))
@@ -169,6 +204,12 @@ def imperfect_object(wildcards):
     definition = config["objects"][name]
     camera = config["cameras"][definition["camera"]]
     return {"name": name, "definition": definition, "camera": camera, "rig": config["rigs"][camera["rig"]]}
+
+
+def mesh_of_imperfections(wildcards):
+    """Return the files of the mesh that the measurement of the faults reads."""
+    subject = imperfect_object(wildcards)
+    return meshes_of(subject["name"]) if subject else []
 
 
 def tables_of_imperfections(wildcards):
@@ -231,6 +272,11 @@ def scene_materials(pattern):
 def scene_environment(wildcards):
     """Return the file of a scene's light."""
     return f"results/environments/{config['scenes'][wildcards.scene]['environment']}.h5"
+
+
+def scene_meshes(wildcards):
+    """Return the files of the meshes among a scene's objects."""
+    return meshes_of(*dict.fromkeys(scene_objects(wildcards)))
 
 
 def scene_shapes(wildcards):

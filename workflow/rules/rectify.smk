@@ -1,6 +1,7 @@
 rule rectify_object:
     input:
         linear=linear_files,
+        mesh=mesh_of,
     output:
         observations="results/{object}/observations/tile-{tile}.h5",
     log:
@@ -17,9 +18,13 @@ rule rectify_object:
         texels=lookup(within=config, dpath="objects/{object}/texels"),
         rows=lambda wildcards: tiles_of(wildcards)[int(wildcards.tile)],
         optics=of_camera("optics"),
-        camera_distance_mm=of_rig("camera_distance_mm"),
-        table_radius_mm=of_rig("table_radius_mm"),
+        white_pose=lambda wildcards: white_pose(wildcards) if light_place(wildcards) else None,
+        rig=lambda wildcards: {
+            "camera_distance_mm": of_rig("camera_distance_mm")(wildcards),
+            "table_radius_mm": of_rig("table_radius_mm")(wildcards),
+            "light": light_place(wildcards),
+        },
         max_angle_deg=lookup(within=config, dpath="rectify/max_angle_deg"),
-        code=code_hash("irodori.rectification", "irodori.geometry.pinhole"),
+        code=code_hash("irodori.rectification"),
     script:
         "../scripts/rectify_object.py"

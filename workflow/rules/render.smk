@@ -2,6 +2,7 @@ rule render_view:
     input:
         materials=scene_materials("results/{object}/material.h5"),
         environment=scene_environment,
+        meshes=scene_meshes,
     output:
         exr="results/{scene}/{view}.exr",
         png=report(
@@ -34,6 +35,7 @@ use rule render_view as render_truth with:
     input:
         materials=scene_materials("results/{object}/truth.h5"),
         environment=scene_environment,
+        meshes=scene_meshes,
     output:
         exr="results/{scene}/truth/{view}.exr",
         png="results/{scene}/truth/{view}.png",

@@ -1,4 +1,6 @@
 rule write_truth:
+    input:
+        mesh=mesh_of,
     output:
         truth="results/{object}/truth.h5",
     log:
@@ -101,6 +103,7 @@ rule measure_plan:
 rule measure_imperfections:
     input:
         tables=tables_of_imperfections,
+        mesh=mesh_of_imperfections,
     output:
         costs=report(
             "results/imperfections.csv",

@@ -86,7 +86,7 @@ class VirtualCamera(Camera):
         pose = self.faults.real_pose(shot, self.bench.pose())
         plate = self.faults.ideal_from_seen(shot, width, height)
         if subject == "white":
-            response = white_mosaic(self.camera, pose, weights)
+            response = white_mosaic(self.camera, self.rig, pose, plate, weights)
         elif subject == "chart":
             response = chart_mosaic(self.camera, self.rig, pose, plate, weights)
         elif subject == "object":

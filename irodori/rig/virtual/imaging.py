@@ -1,4 +1,4 @@
-"""What each mosaic pixel of the virtual camera receives from a sample under a collimated light, with shadows."""
+"""What each mosaic pixel of the virtual camera receives from a sample under a far or a near light, with shadows."""
 
 import math
 from dataclasses import dataclass
@@ -7,13 +7,14 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from irodori.geometry.distortion import undistort
 from irodori.geometry.embree import Tracer, hit_distance, hit_shape, is_blocked, new_ray, trace
+from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
-from irodori.geometry.shapes import PLATE, uv_from_point
+from irodori.geometry.surfaces import Surfaces, face_viewer, make_surfaces, surface_at
 from irodori.rig.virtual.reflection import MEASURED, gloss_lobe, measured_lobe
 
 _BLOCK_ROWS = 16
-_OFFSET_MM = 1e-3
 
 
 @numba.njit(cache=True, inline="always")
@@ -24,22 +25,10 @@ def _lookup(table, cosine, band):
     return (1.0 - part) * table[node, band] + part * table[node + 1, band]
 
 
-@numba.njit(cache=True, inline="always")
-def _surface(kind, rotation, world):
-    """Return the object-frame point and the world normal of a hit on the sample."""
-    ox = rotation[0, 0] * world[0] + rotation[1, 0] * world[1] + rotation[2, 0] * world[2]
-    oy = rotation[0, 1] * world[0] + rotation[1, 1] * world[1] + rotation[2, 1] * world[2]
-    oz = rotation[0, 2] * world[0] + rotation[1, 2] * world[1] + rotation[2, 2] * world[2]
-    if kind == PLATE:
-        return ox, oy, oz, rotation[0, 2], rotation[1, 2], rotation[2, 2]
-    inverse = 1.0 / math.sqrt(world[0] ** 2 + world[1] ** 2 + world[2] ** 2)
-    return ox, oy, oz, world[0] * inverse, world[1] * inverse, world[2] * inverse
-
-
 @numba.njit(cache=True, inline="always", error_model="numpy")
-def _response(out, sample, material, setup, normal, view, ci):
+def _response(out, sample, material, setup, point, ci):
     """Fill the responses of one point, lit at the cosine `ci` and seen from its front, in the state's three bands."""
-    light = setup.to_light
+    normal, view, light, power = point.normal, point.back, point.light, point.lamp[0]
     cr = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
     hx, hy, hz = light[0] + view[0], light[1] + view[1], light[2] + view[2]
     length = math.sqrt(hx * hx + hy * hy + hz * hz)
@@ -48,16 +37,18 @@ def _response(out, sample, material, setup, normal, view, ci):
     lobe, image = 0.0, 0.0
     if sample.model[material] != MEASURED:
         lobe = sample.beta[material] * gloss_lobe(sample.model[material], sample.mu[material], ci, cr, cos_phi, cos_h)
-    # The lamp is a disc: its mirror image is seen where the mirrored view falls within its angular radius.
+    # The lamp is a disc: its mirror image is seen where the mirrored view falls within its angular radius, whose
+    # sine squared grows as the irradiance does; its radiance is the same from everywhere.
     mirrored = 2.0 * ci * cr - (view[0] * light[0] + view[1] * light[1] + view[2] * light[2])
-    if setup.lamp_cosine < 1.0 and mirrored >= setup.lamp_cosine:
-        image = sample.mirror / (1.0 - setup.lamp_cosine**2)
+    width = (1.0 - setup.lamp_cosine**2) * power
+    if setup.lamp_cosine < 1.0 and mirrored >= math.sqrt(max(1.0 - width, 0.0)):
+        image = sample.mirror / width
     for band in range(out.size):
         if sample.model[material] == MEASURED:
             rough = ci * measured_lobe(sample.measured[sample.table[material]], cos_phi, cos_h, band)
         else:
             rough = sample.diffuse[material, band] * ci + lobe * _lookup(sample.fresnel, cos_h, band)
-        out[band] = rough + image * _lookup(sample.fresnel, ci, band)
+        out[band] = power * (rough + image * _lookup(sample.fresnel, ci, band))
 
 
 class _Setup(NamedTuple):
@@ -70,18 +61,49 @@ class _Setup(NamedTuple):
     world_from_camera: np.ndarray  # (3, 3)
     focal_px: float
     centre_px: np.ndarray  # (2,)
+    distortion: np.ndarray  # (8,)
+    fold: float
+    is_distorted: bool
     ideal_from_seen: np.ndarray  # (2, 3) in mosaic coordinates
     to_light: np.ndarray  # (3,)
-    rotation: np.ndarray  # (3, 3) rig_from_object
-    lamp_cosine: float
+    light_distance_mm: float  # from the origin; infinite for a far light
+    lamp_cosine: float  # of its angular radius seen from the origin
     reach_mm: float  # of the sample from the origin
+    offset_mm: float  # above the surface, at which shadow rays leave
+
+
+class _Point(NamedTuple):
+    """Buffers of one thread for the point that a ray meets; all vectors are (3,)."""
+
+    direction: np.ndarray  # from the camera
+    world: np.ndarray
+    normal: np.ndarray
+    facet: np.ndarray
+    back: np.ndarray  # to the camera
+    light: np.ndarray  # to the lamp
+    uv: np.ndarray  # (2,)
+    lamp: np.ndarray  # (2,) irradiance normal to the beam, 1 at the origin; distance in mm
+    origin: np.ndarray  # of the shadow ray
+
+
+@numba.njit(cache=True)
+def _new_point():
+    return _Point(
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(2),
+        np.empty(2),
+        np.empty(3),
+    )
 
 
 class _Subject(NamedTuple):
     """The sample for the compiled loop."""
 
-    kind: int
-    size_mm: np.ndarray  # (2,)
     checks: np.ndarray  # (2,) columns, rows
     diffuse: np.ndarray  # (materials, 3) band responses of S(λ)
     model: np.ndarray  # (materials,) PAPER, GGX or MEASURED
@@ -99,6 +121,8 @@ def _aim(setup, x, y, direction):
     m = setup.ideal_from_seen
     x, y = m[0, 0] * x + m[0, 1] * y + m[0, 2], m[1, 0] * x + m[1, 1] * y + m[1, 2]
     px, py = (x - setup.centre_px[0]) / setup.focal_px, (y - setup.centre_px[1]) / setup.focal_px
+    if setup.is_distorted:
+        px, py = undistort(setup.distortion, setup.fold, px, py)
     scale = 1.0 / math.sqrt(px * px + py * py + 1.0)
     axes = setup.world_from_camera
     for a in range(3):
@@ -114,64 +138,81 @@ def _may_hit(setup, direction):
 
 
 @numba.njit(cache=True, inline="always")
-def _is_seen(setup, sample, ray, direction, world, normal, view):
-    """Whether a ray from the camera sees the front of the sample; fills its point, its normal and the way back."""
-    trace(setup.intersect, setup.scene, ray, setup.camera_mm, direction, np.inf)
-    seen = hit_shape(ray) == 0
-    if seen:
-        for a in range(3):
-            world[a] = setup.camera_mm[a] + hit_distance(ray) * direction[a]
-            view[a] = -direction[a]
-        _u, _v, _w, normal[0], normal[1], normal[2] = _surface(sample.kind, setup.rotation, world)
-        seen = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2] > 0.0
-    return seen
+def _is_seen(setup, surfaces, ray, point):
+    """Whether a ray from the camera sees the front of the sample; fills its point, its normals and the way back."""
+    trace(setup.intersect, setup.scene, ray, setup.camera_mm, point.direction, np.inf)
+    if hit_shape(ray) != 0:
+        return False
+    for a in range(3):
+        point.world[a] = setup.camera_mm[a] + hit_distance(ray) * point.direction[a]
+        point.back[a] = -point.direction[a]
+    point.uv[0], point.uv[1] = surface_at(surfaces, 0, ray, point.world, point.normal, point.facet)
+    return face_viewer(point.normal, point.facet, point.direction) > 0.0
 
 
 @numba.njit(cache=True, inline="always")
-def _is_lit(setup, ray, origin, world, normal):
+def _face_lamp(setup, point):
+    """Fill the way to the lamp and its power at a point; return the cosine with the normal, 0 behind the surface."""
+    if math.isinf(setup.light_distance_mm):
+        for a in range(3):
+            point.light[a] = setup.to_light[a]
+        point.lamp[0], point.lamp[1] = 1.0, np.inf
+    else:
+        total = 0.0
+        for a in range(3):
+            point.light[a] = setup.light_distance_mm * setup.to_light[a] - point.world[a]
+            total += point.light[a] ** 2
+        distance = math.sqrt(total)
+        for a in range(3):
+            point.light[a] /= distance
+        point.lamp[0], point.lamp[1] = setup.light_distance_mm**2 / total, distance
+    cosine, front = 0.0, 0.0
+    for a in range(3):
+        cosine += point.normal[a] * point.light[a]
+        front += point.facet[a] * point.light[a]
+    return cosine if front > 0.0 else 0.0
+
+
+@numba.njit(cache=True, inline="always")
+def _is_lit(setup, ray, point):
     """Whether nothing stands between a point and the light."""
     for a in range(3):
-        origin[a] = world[a] + _OFFSET_MM * normal[a]
-    trace(setup.occluded, setup.scene, ray, origin, setup.to_light, np.inf)
+        point.origin[a] = point.world[a] + setup.offset_mm * point.facet[a]
+    trace(setup.occluded, setup.scene, ray, point.origin, point.light, point.lamp[1])
     return not is_blocked(ray)
 
 
 @numba.njit(cache=True, inline="always")
-def _material_at(setup, sample, world):
+def _material_at(sample, point):
     """Return the material of a point of the surface."""
-    x, y, z, _nx, _ny, _nz = _surface(sample.kind, setup.rotation, world)
-    u, v = uv_from_point(sample.kind, sample.size_mm[0], sample.size_mm[1], x, y, z)
-    column = min(max(int(u * sample.checks[0]), 0), sample.checks[0] - 1)
-    row = min(max(int(v * sample.checks[1]), 0), sample.checks[1] - 1)
+    column = min(max(int(point.uv[0] * sample.checks[0]), 0), sample.checks[0] - 1)
+    row = min(max(int(point.uv[1] * sample.checks[1]), 0), sample.checks[1] - 1)
     return (row * sample.checks[0] + column) % sample.beta.size
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _expose_block(setup, sample, block, image):
+def _expose_block(setup, sample, surfaces, block, image):
     """Fill a block of rows: look at points half a pixel apart, then let each pixel gather its own."""
     first = block * _BLOCK_ROWS
     rows = min(_BLOCK_ROWS, image.shape[0] - first)
     points = np.empty((2 * rows + 3, 2 * image.shape[1] + 3, 3))
-    ray = new_ray()
-    direction, origin = np.empty(3), np.empty(3)
-    world, normal, view = np.empty(3), np.empty(3), np.empty(3)
+    ray, point = new_ray(), _new_point()
     for i in range(points.shape[0]):
         for j in range(points.shape[1]):
-            _aim(setup, 0.5 * (j - 1), first + 0.5 * (i - 1), direction)
+            _aim(setup, 0.5 * (j - 1), first + 0.5 * (i - 1), point.direction)
             out = points[i, j]
             out[:] = 0.0
-            if _may_hit(setup, direction) and _is_seen(setup, sample, ray, direction, world, normal, view):
-                light = setup.to_light
-                ci = normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2]
-                if ci > 0.0 and _is_lit(setup, ray, origin, world, normal):
-                    _response(out, sample, _material_at(setup, sample, world), setup, normal, view, ci)
+            if _may_hit(setup, point.direction) and _is_seen(setup, surfaces, ray, point):
+                ci = _face_lamp(setup, point)
+                if ci > 0.0 and _is_lit(setup, ray, point):
+                    _response(out, sample, _material_at(sample, point), setup, point, ci)
     gather_rows(points, first, image)
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _expose(setup, sample, image):
+def _expose(setup, sample, surfaces, image):
     for block in numba.prange((image.shape[0] + _BLOCK_ROWS - 1) // _BLOCK_ROWS):
-        _expose_block(setup, sample, block, image)
+        _expose_block(setup, sample, surfaces, block, image)
 
 
 @numba.njit(cache=True)
@@ -207,22 +248,22 @@ class View:
     Parameters
     ----------
     pinhole : Pinhole
-    rotation : (3, 3) float, rig_from_object
     position_mm : (3,) float
         Centre of projection in the rig's frame.
     world_from_camera : (3, 3) float
-    to_light : (3,) float, unit vector
+    to_light : (3,) float, unit vector from the origin
+    lamp : Lamp
     lamp_radius_rad : float
-        Angular radius of the lamp, for its mirror image.
+        Angular radius of the lamp seen from the origin, for its mirror image.
     ideal_from_seen : (2, 3) float
         Affine map of mosaic coordinates: where a picture without the filter's plate shows what is seen.
     """
 
     pinhole: Pinhole
-    rotation: np.ndarray
     position_mm: np.ndarray
     world_from_camera: np.ndarray
     to_light: np.ndarray
+    lamp: Lamp
     lamp_radius_rad: float
     ideal_from_seen: np.ndarray
 
@@ -251,15 +292,17 @@ def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) 
         world_from_camera=np.ascontiguousarray(view.world_from_camera),
         focal_px=float(view.pinhole.focal_px),
         centre_px=np.asarray(view.pinhole.centre_px, dtype=np.float64),
+        distortion=np.array(view.pinhole.distortion),
+        fold=float(view.pinhole.fold),
+        is_distorted=view.pinhole.is_distorted,
         ideal_from_seen=np.ascontiguousarray(view.ideal_from_seen, dtype=np.float64),
         to_light=np.asarray(view.to_light, dtype=np.float64),
-        rotation=np.ascontiguousarray(view.rotation),
+        light_distance_mm=float(view.lamp.distance_mm),
         lamp_cosine=math.cos(view.lamp_radius_rad),
         reach_mm=1.001 * sample.shape.reach_mm,
+        offset_mm=sample.shape.ray_offset_mm,
     )
     subject = _Subject(
-        kind=sample.shape.kind,
-        size_mm=np.asarray(sample.shape.size_mm, dtype=np.float64),
         checks=np.array([sample.columns, sample.rows]),
         diffuse=np.ascontiguousarray(sample.reflectance @ band_weights.T),
         model=sample.model,
@@ -271,5 +314,6 @@ def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) 
         fresnel=sample.fresnel @ band_weights.T,
     )
     image = np.empty((view.pinhole.height_px, view.pinhole.width_px))
-    _expose(setup, subject, image)
+    surfaces: Surfaces = make_surfaces(tracer.placements[:1])
+    _expose(setup, subject, surfaces, image)
     return image

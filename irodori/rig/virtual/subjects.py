@@ -11,6 +11,7 @@ import numpy as np
 from irodori.captures import Pose
 from irodori.geometry.embree import Tracer
 from irodori.geometry.frames import flat_incidence_rad, rig_from_camera, rig_from_object, to_camera, to_light
+from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.shapes import on_table
 from irodori.rig.virtual.classroom import room_coefficients, source_spectra
@@ -47,10 +48,10 @@ def object_mosaic(sample: Sample, camera: dict, rig: dict, pose: Pose, ideal_fro
     rotation = rig_from_object(pose)
     view = View(
         pinhole=Pinhole.from_optics(camera["optics"]),
-        rotation=rotation,
         position_mm=rig["camera_distance_mm"] * to_camera(pose),
         world_from_camera=rig_from_camera(pose),
         to_light=to_light(pose),
+        lamp=Lamp.from_definition(rig["light"]),
         lamp_radius_rad=math.radians(rig["virtual"]["light_angular_radius_deg"]),
         ideal_from_seen=ideal_from_seen,
     )
@@ -58,12 +59,24 @@ def object_mosaic(sample: Sample, camera: dict, rig: dict, pose: Pose, ideal_fro
     return expose_object(sample, tracer, view, band_weights)
 
 
-def white_mosaic(camera: dict, pose: Pose, band_weights) -> np.ndarray:
-    """Return the picture of the white reference, which fills it."""
+def white_mosaic(camera: dict, rig: dict, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
+    """Return the picture of the white reference, which fills it; parameters as of `object_mosaic`."""
     optics = camera["optics"]
     reflectance, _ = white_reflectance(camera["white"]["reflectance_factor"], band_weights)
     level = reflectance * math.cos(flat_incidence_rad(pose)) * band_weights.sum(axis=1)
-    return in_mosaic(np.broadcast_to(level, (optics["height_px"], optics["width_px"], 3)))
+    picture = in_mosaic(np.broadcast_to(level, (optics["height_px"], optics["width_px"], 3)))
+    return picture * _fall_off(camera, rig, pose, ideal_from_seen)
+
+
+def _fall_off(camera: dict, rig: dict, pose: Pose, ideal_from_seen) -> np.ndarray | float:
+    """Return the irradiance of a flat subject over that at its centre in each mosaic pixel; 1 under a far light."""
+    lamp = Lamp.from_definition(rig["light"])
+    if not lamp.is_near:
+        return 1.0
+    pinhole = Pinhole.from_optics(camera["optics"])
+    y, x = np.indices((pinhole.height_px, pinhole.width_px)) + 0.5
+    point = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.asarray(ideal_from_seen).T
+    return lamp.on_white(point, pinhole, rig["camera_distance_mm"], pose)
 
 
 def chart_mosaic(camera: dict, rig: dict, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
@@ -79,7 +92,7 @@ def chart_mosaic(camera: dict, rig: dict, pose: Pose, ideal_from_seen, band_weig
         x = 0.5 * (np.arange(2 * pinhole.width_px + 3) - 1.0)
         point = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1) @ np.asarray(ideal_from_seen).T
         gather_rows(bands[_patch_at(point, camera, rig, pose, pinhole, len(patches))], first, image)
-    return image
+    return image * _fall_off(camera, rig, pose, ideal_from_seen)
 
 
 def _patch_at(mosaic_xy, camera: dict, rig: dict, pose: Pose, pinhole: Pinhole, border: int) -> np.ndarray:

@@ -1,0 +1,169 @@
+"""Triangle meshes whose every point has texture coordinates: what the chain needs of them, and what it refuses.
+
+Coordinates are those of the object's frame, mm; u runs right and v down the texture, as `irodori.geometry.shapes` has
+it, while files count v from below.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from irodori.errors import InputError
+from irodori.geometry.normals import corner_normals
+from irodori.progress import LOGGER
+
+#: A triangle whose double area is under this part of the mesh's squared extent has no normal.
+_NO_AREA = 1e-15
+#: Coordinates may leave the texture by rounding.
+_UV_ROUNDING = 1e-6
+ACCEPTED_UV = "one UV atlas over the whole surface (unwrap it in the program that made it, and export with UV)"
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles, counter-clockwise seen from outside.
+
+    Parameters
+    ----------
+    vertices_mm : (n, 3) float64
+        Each position once, whatever its texture coordinates and normals.
+    faces : (m, 3) int32
+    uv : (m, 3, 2) float64
+        Texture coordinates of each triangle's corners, 0..1, v from the top.
+    normals : (m, 3, 3) float64
+        Unit shading normals of the corners.
+    """
+
+    vertices_mm: np.ndarray
+    faces: np.ndarray
+    uv: np.ndarray
+    normals: np.ndarray
+
+    @cached_property
+    def facets(self) -> np.ndarray:
+        """Unit normals of the triangles, (m, 3)."""
+        across = _across(self.vertices_mm, self.faces)
+        return across / np.linalg.norm(across, axis=1, keepdims=True)
+
+    @property
+    def reach_mm(self) -> float:
+        """Largest distance of a vertex from the origin, mm."""
+        return float(np.linalg.norm(self.vertices_mm, axis=1).max())
+
+    @property
+    def bottom_mm(self) -> float:
+        """The smallest z, mm."""
+        return float(self.vertices_mm[:, 2].min())
+
+    def samples(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions (count, 3) in mm and unit normals (count, 3), spread evenly over the area."""
+        area = np.cumsum(np.linalg.norm(_across(self.vertices_mm, self.faces), axis=1))
+        chosen = np.searchsorted(area, (np.arange(count) + 0.5) / count * area[-1])
+        normal = self.normals[chosen].mean(axis=1)
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        normal = np.where(length > 1e-6, normal / np.maximum(length, 1e-6), self.facets[chosen])
+        return self.vertices_mm[self.faces[chosen]].mean(axis=1), normal
+
+
+def _across(vertices, faces) -> np.ndarray:
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    return np.cross(b - a, c - a)
+
+
+def make_mesh(corners_mm, uv, normals=None, crease_deg: float = 40.0, file="mesh") -> Mesh:
+    """Return a mesh of triangles, after a check of all that would make its maps or its pictures wrong.
+
+    Triangles without area are left out: no ray meets them and they have no texel.
+
+    Parameters
+    ----------
+    corners_mm : (m, 3, 3) float
+        Positions of each triangle's corners, counter-clockwise seen from outside.
+    uv : (m, 3, 2) float or None
+        Texture coordinates of the corners, v from the top.
+    normals : (m, 3, 3) float, optional
+        Shading normals of the corners, of any length; `irodori.geometry.normals.corner_normals` where absent.
+    crease_deg : float
+        Where normals are computed: neighbours that meet at a larger angle keep an edge, degrees.
+    file : path
+        Where the mesh came from, for the error message.
+
+    Raises
+    ------
+    InputError
+        Without texture coordinates or with some outside 0..1; with numbers that are not finite; without area; where
+        neighbours are wound against each other, or a closed surface looks inward; where the normals look inward.
+    """
+    corners = np.asarray(corners_mm, dtype=np.float64).reshape(-1, 3, 3)
+    if uv is None:
+        raise InputError(file, "UV", "no texture coordinates", ACCEPTED_UV)
+    uv = np.asarray(uv, dtype=np.float64).reshape(-1, 3, 2)
+    for field, values in (("vertices", corners), ("UV", uv), ("normals", normals)):
+        if values is not None and not np.isfinite(values).all():
+            bad = int((~np.isfinite(values)).any(axis=(1, 2)).sum())
+            raise InputError(file, field, f"{bad} of {len(corners)} triangles with NaN or infinity", "finite numbers")
+    outside = ((uv < -_UV_ROUNDING) | (uv > 1.0 + _UV_ROUNDING)).any(axis=(1, 2))
+    if outside.any():
+        found = f"{int(outside.sum())} of {len(uv)} triangles outside 0..1"
+        raise InputError(file, "UV", found, "coordinates within 0..1: a texture that is not repeated")
+    vertices, faces = _weld(corners)
+    across = np.linalg.norm(_across(vertices, faces), axis=1)
+    extent = np.ptp(vertices, axis=0).max() if len(vertices) else 0.0
+    solid = across > _NO_AREA * extent**2
+    if not solid.any():
+        raise InputError(file, "faces", f"{len(faces)} triangles, none with an area", "a surface of triangles")
+    if not solid.all():
+        LOGGER.info("%s: %d of %d triangles have no area and are left out", file, (~solid).sum(), len(solid))
+    faces, uv = faces[solid], np.clip(uv[solid], 0.0, 1.0)
+    _check_winding(vertices, faces, file)
+    if normals is None:
+        return Mesh(vertices, faces, uv, corner_normals(vertices, faces, crease_deg))
+    return Mesh(vertices, faces, uv, _unit(np.asarray(normals, dtype=np.float64)[solid], vertices, faces, file))
+
+
+def _weld(corners) -> tuple[np.ndarray, np.ndarray]:
+    """Return each position once, and the triangles on them; seams of the texture are none of the surface."""
+    points = corners.reshape(-1, 3) + 0.0  # -0.0 becomes 0.0
+    order = np.lexsort(points.T)
+    ordered = points[order]
+    new = np.ones(len(points), dtype=bool)
+    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    index = np.empty(len(points), dtype=np.int32)
+    index[order] = np.cumsum(new) - 1
+    return np.ascontiguousarray(ordered[new]), index.reshape(-1, 3)
+
+
+def _check_winding(vertices, faces, file) -> None:
+    """Refuse neighbours wound against each other, and a closed surface that is inside out.
+
+    An edge of three and more triangles says nothing: such surfaces are traced and shaded like any other.
+    """
+    start, end = faces.astype(np.int64).ravel(), np.roll(faces, -1, axis=1).astype(np.int64).ravel()
+    edge = np.minimum(start, end) * len(vertices) + np.maximum(start, end)
+    order = np.argsort(edge, kind="stable")
+    first = np.flatnonzero(np.diff(edge[order], prepend=-1))
+    count = np.diff(np.append(first, len(order)))
+    forward = np.add.reduceat((start < end)[order].astype(np.int64), first)
+    against = int(((count == 2) & (forward != 1)).sum())
+    if against:
+        accepted = "triangles counter-clockwise seen from outside (recalculate the outside of the mesh)"
+        raise InputError(file, "faces", f"{against} edges whose two triangles look to opposite sides", accepted)
+    if (count == 2).all():
+        a, b, c = (vertices[faces[:, corner]] - vertices.mean(axis=0) for corner in range(3))
+        if np.sum(a * np.cross(b, c)) < 0:
+            accepted = "triangles counter-clockwise seen from outside (flip the faces)"
+            raise InputError(file, "faces", "a closed surface that looks inward", accepted)
+
+
+def _unit(normals, vertices, faces, file) -> np.ndarray:
+    """Return a file's normals at unit length; a corner without one takes its triangle's."""
+    facet = _across(vertices, faces)
+    facet = np.repeat((facet / np.linalg.norm(facet, axis=1, keepdims=True))[:, None], 3, axis=1)
+    length = np.linalg.norm(normals, axis=2, keepdims=True)
+    normals = np.where(length > 1e-12, normals / np.maximum(length, 1e-12), facet)
+    inward = np.sum(normals * facet, axis=2) < 0
+    if inward.mean() > 0.5:
+        found = f"{inward.mean():.0%} of the normals against the winding of their triangles"
+        raise InputError(file, "normals", found, "normals that look outward, or a file without them")
+    return normals

@@ -1,0 +1,112 @@
+"""Meshes from OBJ, PLY and glTF through trimesh."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+
+from irodori.errors import InputError
+from irodori.geometry.files import mesh_files
+from irodori.geometry.mesh import ACCEPTED_UV, Mesh, make_mesh
+from irodori.progress import LOGGER
+
+MM_IN = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
+_Z_FROM = {"z": np.eye(3), "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])}
+
+
+def read_mesh(path, unit: str, up: str = "z", pivot_mm=None, crease_deg: float = 40.0) -> Mesh:
+    """Read a mesh into the object's frame.
+
+    Parameters
+    ----------
+    path : path
+        OBJ, PLY, GLB or glTF; all its parts share one texture.
+    unit : {"mm", "cm", "m", "inch"}
+        Of the file's coordinates.
+    up : {"z", "y"}
+        Axis of the file that points up; y becomes the object's z, as glTF has it.
+    pivot_mm : (3,) float, optional
+        The point, in mm after unit and up, that stands at the origin; the middle of the bounding box where absent.
+    crease_deg : float
+        See `irodori.geometry.normals.corner_normals`; used where the file has no normals.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or `irodori.geometry.mesh.make_mesh` refuses it.
+    ValueError
+        If `unit` or `up` is unknown.
+    """
+    for name, value, known in (("unit", unit, MM_IN), ("up", up, _Z_FROM)):
+        if value not in known:
+            raise ValueError(f"unknown {name} {value!r}; accepted: {', '.join(known)}")
+    mesh_files(path)
+    corners, uv, normals = _parts(path)
+    if uv is None and _is_gltf(path):
+        accepted = f"{ACCEPTED_UV}; a glTF needs a material too, without which its UV coordinates are not read"
+        raise InputError(path, "UV", "no texture coordinates", accepted)
+    corners = MM_IN[unit] * (corners @ _Z_FROM[up].T)
+    normals = None if normals is None else normals @ _Z_FROM[up].T
+    if np.isfinite(corners).all():
+        flat = corners.reshape(-1, 3)
+        corners -= 0.5 * (flat.min(axis=0) + flat.max(axis=0)) if pivot_mm is None else np.asarray(pivot_mm, float)
+    mesh = make_mesh(corners, uv, normals, crease_deg, path)
+    origin = "computed" if normals is None else "of the file"
+    LOGGER.info("%s: %d triangles, normals %s, %.3g mm wide", path, len(mesh.faces), origin, 2 * mesh.reach_mm)
+    return mesh
+
+
+def _parts(path) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+    """Return corners (m, 3, 3), UV (m, 3, 2) from the top or None, and normals (m, 3, 3) or None, of all parts."""
+    scene = _load(path)
+    # trimesh sorts the vertices of a PLY by texture coordinates and leaves the normals in the old order.
+    unsorted = _load(path, fix_texture=False) if Path(path).suffix.lower() == ".ply" else scene
+    corners, uvs, normals = [], [], []
+    for node in scene.graph.nodes_geometry:
+        world, name = scene.graph[node]
+        part, original = scene.geometry[name], unsorted.geometry[name]
+        if not hasattr(part, "faces") or not len(part.faces):
+            continue
+        faces = np.asarray(part.faces)
+        uv = getattr(part.visual, "uv", None)
+        uvs.append(None if uv is None or len(uv) != len(part.vertices) else np.asarray(uv, dtype=np.float64)[faces])
+        normals.append(_normals(original, world))
+        corners.append(np.asarray(part.vertices, dtype=np.float64)[faces] @ world[:3, :3].T + world[:3, 3])
+        if np.linalg.det(world[:3, :3]) < 0:  # a mirrored part is wound the other way round
+            for part_list in (corners, uvs, normals):
+                part_list[-1] = None if part_list[-1] is None else part_list[-1][:, ::-1]
+    if not corners:
+        raise InputError(path, "faces", "no triangles", "a triangle mesh with UV coordinates")
+    uv = None if any(part is None for part in uvs) else np.concatenate(uvs)
+    if uv is not None:
+        uv = np.stack([uv[..., 0], 1.0 - uv[..., 1]], axis=-1)
+    known = not any(part is None for part in normals)
+    return np.concatenate(corners), uv, np.concatenate(normals) if known else None
+
+
+def _normals(part, world) -> np.ndarray | None:
+    """Return the normals that the file gives to the corners of a part, None where it gives none."""
+    # trimesh computes normals on request; those of the file are the ones that it holds before anyone asks.
+    if "vertex_normals" not in part._cache.cache:
+        return None
+    normals = np.asarray(part._cache.cache["vertex_normals"], dtype=np.float64)
+    if len(normals) != len(part.vertices):
+        return None
+    return normals[np.asarray(part.faces)] @ np.linalg.inv(world[:3, :3])
+
+
+def _is_gltf(path) -> bool:
+    return Path(path).suffix.lower() in (".glb", ".gltf")
+
+
+def _load(path, **options):
+    """Return the trimesh scene of a file, its vertices as they are."""
+    import trimesh
+
+    logging.getLogger("trimesh").setLevel(logging.ERROR)  # it reports pictures that the project does not read
+    try:
+        # trimesh gives the UV coordinates of a glTF with its material only.
+        return trimesh.load_scene(str(path), process=False, skip_materials=not _is_gltf(path), **options)
+    except Exception as error:  # trimesh raises whatever its parsers meet
+        kind = Path(path).suffix.lower().removeprefix(".").upper()
+        raise InputError(path, "", f"{type(error).__name__}: {error}", f"a valid {kind} file of triangles") from error

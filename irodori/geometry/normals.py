@@ -1,0 +1,76 @@
+"""Shading normals of a mesh that has none: means over the triangles about a vertex, weighted by their angles.
+
+Weights: Thürmer and Wüthrich, *Computing vertex normals from polygonal facets*, Journal of Graphics Tools 3(1), 1998.
+"""
+
+import math
+
+import numba
+import numpy as np
+
+
+@numba.njit(cache=True, inline="always")
+def _corner_angle(vertices, faces, face, corner):
+    """Return the angle of a triangle at one of its corners, rad."""
+    a, b, c = faces[face, corner], faces[face, (corner + 1) % 3], faces[face, (corner + 2) % 3]
+    ab, ac, cross = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(3):
+        ab[i], ac[i] = vertices[b, i] - vertices[a, i], vertices[c, i] - vertices[a, i]
+    cross[0] = ab[1] * ac[2] - ab[2] * ac[1]
+    cross[1] = ab[2] * ac[0] - ab[0] * ac[2]
+    cross[2] = ab[0] * ac[1] - ab[1] * ac[0]
+    sine = math.sqrt(cross[0] ** 2 + cross[1] ** 2 + cross[2] ** 2)
+    return math.atan2(sine, ab[0] * ac[0] + ab[1] * ac[1] + ab[2] * ac[2])
+
+
+@numba.njit(cache=True)
+def _angles(vertices, faces, out):
+    for face in range(faces.shape[0]):
+        for corner in range(3):
+            out[face, corner] = _corner_angle(vertices, faces, face, corner)
+
+
+@numba.njit(cache=True)
+def _gather(first, members, facets, angle, cosine, out):
+    """Fill the corners' normals; ``members`` lists the corners of vertex i from ``first[i]`` on."""
+    total = np.empty(3)
+    for vertex in range(first.size - 1):
+        for i in range(first[vertex], first[vertex + 1]):
+            mine = members[i] // 3
+            total[:] = 0.0
+            for j in range(first[vertex], first[vertex + 1]):
+                other = members[j] // 3
+                along = 0.0
+                for a in range(3):
+                    along += facets[mine, a] * facets[other, a]
+                if along >= cosine or other == mine:
+                    for a in range(3):
+                        total[a] += angle[other, members[j] % 3] * facets[other, a]
+            length = math.sqrt(total[0] ** 2 + total[1] ** 2 + total[2] ** 2)
+            for a in range(3):
+                out[mine, members[i] % 3, a] = total[a] / length if length > 1e-12 else facets[mine, a]
+
+
+def corner_normals(vertices, faces, crease_deg: float) -> np.ndarray:
+    """Return unit normals of every triangle's corners, (m, 3, 3) float64.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float
+        Each position once.
+    faces : (m, 3) int
+        Triangles with an area.
+    crease_deg : float
+        A triangle does not share the normals of those about the vertex whose own differ from its by more, degrees.
+    """
+    corners = vertices[faces]
+    facets = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    facets /= np.linalg.norm(facets, axis=1, keepdims=True)
+    angle = np.empty(faces.shape)
+    _angles(vertices, faces, angle)
+    members = np.argsort(faces.ravel(), kind="stable")
+    first = np.searchsorted(faces.ravel()[members], np.arange(len(vertices) + 1))
+    out = np.empty((*faces.shape, 3))
+    # The cosine of 0 degrees is out of reach of two equal normals by rounding.
+    _gather(first, members, facets, angle, math.cos(math.radians(crease_deg)) - 1e-9, out)
+    return out
