@@ -86,23 +86,30 @@ def confidence(calibration: Calibration, response, variance) -> dict[str, tuple]
     Parameters
     ----------
     calibration : Calibration
-    response, variance : (height, width, bands) float
-        Diffuse responses and what the camera's noise gives them; NaN where not known.
+    response : (height, width, bands) float
+        Diffuse responses; NaN where there is none.
+    variance : (height, width, bands) float or None
+        What the camera's noise gives them; None where that was not measured.
 
     Returns
     -------
     dict of (map, units, quantity)
         ``reflectance_error``: standard deviation of the reflectance factor, rms over the wavelengths, from the camera's
-        noise and the error that cross-validation on the chart found;
-        ``training_distance``: of the response from those of the chart, 1 = the farthest of the chart's own patches
-        from the others; ``out_of_training``: uint8, 1 where it is above 1.
+        noise, where that was measured, and the error that cross-validation on the chart found;
+        ``training_distance``: of the response from those of the chart, 1 = what nine tenths of its own patches
+        have at most to the nearest other; ``out_of_training``: uint8, 1 where it is above 1, 2 where the response has no
+        direction.
     """
     distance = calibration.distance(response)
-    error = calibration.standard_deviation(response, variance)
+    noise = np.zeros_like(response) if variance is None else variance
+    error = calibration.standard_deviation(response, noise, stated=variance is not None)
+    outside = np.where(np.isfinite(distance), distance > 1.0, 2).astype(np.uint8)
+    of = "cross-validation alone" if variance is None else "cross-validation and the camera's noise"
+    quantity = f"standard deviation of S by {of}, rms over wavelengths"
     return {
-        "reflectance_error": (error.astype(np.float32), "1", "standard deviation of S, rms over wavelengths"),
+        "reflectance_error": (error.astype(np.float32), "1", quantity),
         "training_distance": (distance.astype(np.float32), "1", "distance from the chart's responses, 1 = its own"),
-        "out_of_training": ((distance > 1.0).astype(np.uint8), "1", "1 where the chart has no colour like it"),
+        "out_of_training": (outside, "1", "1 where the chart has no colour like it, 2 not known"),
     }
 
 
@@ -134,7 +141,8 @@ def compress_reflectance(
     maps, filters, speed = assemble(tiles, height, width)
     calibration = Calibration.load(calibration_file)
     calibration.require_filters(filters, tiles[0])
-    weights = calibration.weights(maps["diffuse_response"], known_variance(maps))
+    variance = known_variance(maps)
+    weights = calibration.weights(maps["diffuse_response"], variance)
     observed = np.isfinite(weights).all(axis=-1) & np.isfinite(maps["alpha"])
     if not observed.any():
         raise InputError(tiles[0], "status", "no texel with enough observations", "captures that see the object")
@@ -142,7 +150,7 @@ def compress_reflectance(
     compressed = compress(weights[observed], calibration.basis, observers, target_mean, align)
     coefficients = np.full((height, width, compressed.basis.shape[1]), np.nan, dtype=np.float32)
     coefficients[observed] = compressed.coefficients
-    maps_of_confidence = confidence(calibration, maps["diffuse_response"], maps["diffuse_variance"])
+    maps_of_confidence = confidence(calibration, maps["diffuse_response"], variance)
     n, k = refractive_index(definition["refractive_index"])
     material = Material(
         alpha=maps["alpha"],
@@ -159,7 +167,7 @@ def compress_reflectance(
     )
     error, _, _ = maps_of_confidence["reflectance_error"]
     errors = {
-        "out_of_training_fraction": float(maps_of_confidence["out_of_training"][0][observed].mean()),
+        "out_of_training_fraction": float((maps_of_confidence["out_of_training"][0][observed] == 1).mean()),
         "reflectance_error_median": float(np.median(error[observed])),
         "delta_e": compressed.errors,
         "negative_fraction": compressed.negative_fraction,

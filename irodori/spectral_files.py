@@ -171,7 +171,7 @@ def _two_columns(path) -> SpectralTable:
             raise InputError(path, f"line {line}", f"{len(row)} columns", accepted)
     wavelength = [number(row[0], path, f"line {line}, wavelength") for line, row in rows]
     values = [number(row[1], path, f"line {line}, {at:g} nm") for (line, row), at in zip(rows, wavelength, strict=True)]
-    return SpectralTable([Path(path).stem], wavelength, [values], is_power=True)
+    return SpectralTable([Path(path).stem], wavelength, [values], is_power=Path(path).suffix.lower() == ".spd")
 
 
 def _tm27_table(path) -> SpectralTable:

@@ -12,6 +12,7 @@ from scipy import ndimage, stats
 
 from irodori.calibration.grid import FittedGrid, even_picture, fit_to_edges, nodes, pitch_px, project
 from irodori.calibration.lattice import Lattice, lattices
+from irodori.calibration.order import readings, rmse_of_unseen
 from irodori.calibration.patches import read_squares
 from irodori.errors import InputError
 
@@ -189,12 +190,11 @@ def _oriented(grid: FittedGrid, response, valid, spectra, file) -> FoundChart:
         read = read_squares(response, valid, centres, max(2.0, _READ * side), file)
     except InputError as error:
         raise _NoChartError(error.found) from None
-    number = np.arange(ROWS * COLUMNS).reshape(ROWS, COLUMNS)
-    readings = {"upright": number, "turned": number[::-1, ::-1], "mirrored": number[:, ::-1], "flipped": number[::-1]}
-    patch_rmse = {name: _rmse(read["mean"][order.ravel()], spectra) for name, order in readings.items()}
+    orders = readings(ROWS, COLUMNS)
+    patch_rmse = {name: rmse_of_unseen(read["mean"][order], spectra) for name, order in orders.items()}
     errors = {name: float(values.mean()) for name, values in patch_rmse.items()}
     best, second = sorted(errors, key=errors.get)[:2]
-    order = readings[best].ravel()
+    order = orders[best]
     rank = stats.spearmanr(_brightness(read["mean"][order]), spectra.mean(axis=1)).statistic
     described = f"spectral RMSE {errors[best]:.3f}, next best reading {errors[second]:.3f}, rank correlation {rank:.2f}"
     if errors[best] > _MAX_RMSE or errors[best] > _MAX_RATIO * errors[second] or not rank > _MIN_RANK_CORRELATION:
@@ -221,12 +221,3 @@ def _refuse_covered(gradient: np.ndarray, unevenness: np.ndarray, patch_rmse: np
 def _brightness(mean: np.ndarray) -> np.ndarray:
     """Return the mean of the bands, each scaled to its largest patch."""
     return (mean / np.maximum(mean.max(axis=0), np.finfo(float).tiny)).mean(axis=1)
-
-
-def _rmse(response: np.ndarray, spectra: np.ndarray) -> np.ndarray:
-    """Return each patch's spectral RMSE, predicted linearly from its response by all the others, in closed form."""
-    response = response / np.maximum(np.abs(response).max(axis=0), np.finfo(float).tiny)
-    left = np.linalg.svd(response, full_matrices=False)[0]
-    leverage = (left**2).sum(axis=1)
-    residual = (spectra - left @ (left.T @ spectra)) / np.maximum(1.0 - leverage, 1e-6)[:, None]
-    return np.sqrt((residual**2).mean(axis=1))

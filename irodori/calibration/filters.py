@@ -72,8 +72,16 @@ def _reflectances(name: str) -> np.ndarray:
 
 
 def write_scores(scores: list[FilterScore], path) -> None:
-    """Write the ranking to a CSV, best first."""
+    """Write the ranking to a CSV, best first.
+
+    Raises
+    ------
+    InputError
+        If the folder takes no file.
+    """
     path = Path(path)
+    if not path.parent.is_dir():
+        raise InputError(path, "", "no such folder", "a file in a folder that is there")
     temporary = path.with_name(f".{path.name}.part")
     with temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)

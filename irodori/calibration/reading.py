@@ -45,7 +45,7 @@ class ChartPhotograph:
     light: Illumination | None
 
     @classmethod
-    def load(cls, path, chart: dict, count: int, even: bool) -> "ChartPhotograph":
+    def load(cls, path, chart: dict, count: int) -> "ChartPhotograph":
         """Read a chart's linear responses and find its patches.
 
         Parameters
@@ -55,8 +55,6 @@ class ChartPhotograph:
             Definition of the chart.
         count : int
             Spectra of the chart.
-        even : bool
-            Whether a white reference has made the light even; otherwise it is told from the slopes within the patches.
 
         Raises
         ------
@@ -68,6 +66,8 @@ class ChartPhotograph:
             raise InputError(chart["spectra"], "chart", found, "one spectrum a patch, row by row")
         with store.open_file(path) as file:
             response, valid = file.read("response"), file.read("valid")
+            # Ingestion writes a rate, 1/s, where no white reference has evened the light.
+            even = file.dataset("response").attrs["units"] == "1"
             light_deg, _, tilt_deg, _ = file.attribute("pose_deg")
             sample_px = file.attribute("sample_px")
             model = file.read("noise_model") if "noise_model" in file else None

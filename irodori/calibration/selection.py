@@ -14,6 +14,8 @@ from irodori.colour import delta_e_reflectance, spectral_rmse
 from irodori.recovery import Mapping
 
 BASES = (3, 4, 5, 6, 7, 8)
+#: Estimators that are one matrix, and those that are not.
+KINDS = {"linear": ("pinv", "ridge", "wiener"), "non-linear": ("local", "kernel")}
 _SINGLE_FOLDS = 32  # patches, up to which each is left out alone
 _FOLDS = 12  # of larger charts, every 12th patch together
 _RMSE_WEIGHT = 50.0  # CIEDE2000 that a spectral RMSE of one counts for in the score: 0.02 is as bad as 1
@@ -100,7 +102,9 @@ def cross_validate(
 def _cross_validate(training, lights, charts, bases, timed, estimators):
     sets = folds(len(training.spectra), charts)
     smallest = min(int((~left_out).sum()) for left_out in sets)
-    bases = [count for count in bases if count <= smallest]
+    wanted, bases = bases, [count for count in bases if count <= smallest]
+    if not bases:
+        raise ValueError(f"{min(wanted)} bases of {len(training.spectra)} patches; accepted: up to {smallest}")
     offsets = _noise_offsets(training)
     combinations = [(name, count) for name in estimators for count in bases]
     recovered = {key: np.empty((len(offsets), *training.spectra.shape)) for key in combinations}
@@ -123,6 +127,15 @@ def _cross_validate(training, lights, charts, bases, timed, estimators):
         seconds = _evaluation_ns(mapping, training.response, row.bases) if timed else float("nan")
         done.append(SelectionRow(**{**vars(row), "multiply_adds": mapping.multiply_adds(), "ns_per_pixel": seconds}))
     return done, {key: values[0] for key, values in recovered.items()}
+
+
+def best_of(rows: list[SelectionRow], estimators: tuple[str, ...]) -> dict | None:
+    """Return estimator, number of bases and score of the best row among some estimators; None without any."""
+    rows = [row for row in rows if row.estimator in estimators]
+    if not rows:
+        return None
+    best = min(rows, key=lambda row: row.score)
+    return {"estimator": best.estimator, "bases": best.bases, "score": best.score}
 
 
 def choose(rows: list[SelectionRow], estimator: str, bases: int | str) -> tuple[str, int]:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import nnls
 
 from irodori.calibration.estimators import ESTIMATORS, fit
 from irodori.calibration.numerics import (
@@ -45,7 +46,7 @@ def solve(training: Training, settings: dict, filters: tuple[str, ...], lights, 
     calibration = replace(
         fit(chosen[0], training, chosen[1], limits.condition),
         filters=filters,
-        relative_error=relative_error_of(training, recovered[chosen]),
+        **own_error(training, recovered[chosen]),
     )
     amplification = noise_amplification(calibration)
     check_amplification(amplification, limits.noise_amplification, calibration)
@@ -68,10 +69,17 @@ def _judge(training: Training, settings: dict, lights, timed: bool):
     return rows, recovered
 
 
-def relative_error_of(training: Training, recovered: np.ndarray) -> float:
-    """Return the rms error of unseen patches over the rms length of their scaled responses."""
-    squared = np.mean((recovered - training.spectra) ** 2)
-    return float(np.sqrt(squared / np.mean((training.scaled**2).sum(axis=1))))
+def own_error(training: Training, recovered: np.ndarray) -> dict[str, float]:
+    """Return what `Calibration` keeps of the errors of unseen patches: ``absolute_error`` and ``relative_error``.
+
+    The mean squared error of a patch is taken as absolute² + relative² times the squared length of its scaled response;
+    both are non-negative least squares over the patches, weighted so that dark ones count as much as bright ones.
+    """
+    squared = np.mean((recovered - training.spectra) ** 2, axis=1)
+    length = (training.scaled**2).sum(axis=1)
+    weight = 1.0 / (length + 0.1 * length.mean())
+    found, _ = nnls(np.stack([weight, weight * length], axis=1), weight * squared)
+    return dict(zip(("absolute_error", "relative_error"), np.sqrt(found).tolist(), strict=True))
 
 
 def error_of_unseen(training: Training, chosen: tuple[str, int], light: str) -> float:

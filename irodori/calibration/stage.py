@@ -12,8 +12,9 @@ import numpy as np
 
 from irodori import store
 from irodori.calibration.jitter import LIMIT, STEP_PX
+from irodori.calibration.order import check_order
 from irodori.calibration.reading import ChartPhotograph
-from irodori.calibration.selection import SelectionRow, choose
+from irodori.calibration.selection import KINDS, SelectionRow, best_of
 from irodori.calibration.solution import Solution, error_of_unseen, solve
 from irodori.calibration.training import Noise, Training
 from irodori.calibration.verdict import judge
@@ -22,6 +23,8 @@ from irodori.errors import InputError
 from irodori.progress import LOGGER
 from irodori.recovery import Calibration
 from irodori.spectra import WAVELENGTH_NM, chart_spectra, light
+
+_MAX_INVALID_SHARE = 0.02  # of a patch, beyond which the report names it
 
 
 def calibrate_camera(
@@ -42,8 +45,8 @@ def calibrate_camera(
     linear : path
         Linear responses of the chart.
     camera : dict
-        Definition of the camera: blocks ``chart``, ``calibration`` and, where there is one, ``white``. Without a white
-        reference, uneven light on the chart is told from the chart itself.
+        Definition of the camera: blocks ``chart`` and ``calibration``. Where no white reference has evened the light,
+        it is told from the chart itself.
     light_name : str
         Spectrum of the light on the chart.
     output : path of the HDF5 file
@@ -63,12 +66,13 @@ def calibrate_camera(
         configured limit.
     """
     names, spectra = chart_spectra(camera["chart"]["spectra"])
-    photograph = ChartPhotograph.load(linear, camera["chart"], len(names), camera.get("white") is not None)
+    photograph = ChartPhotograph.load(linear, camera["chart"], len(names))
 
     reading = photograph.read()
     noise = photograph.noise(reading) if noise is None else noise
     training = Training(photograph.responses(reading), spectra, light(light_name), noise)
     try:
+        check_order(training.response, spectra, camera["chart"]["rows"], camera["chart"]["columns"])
         solved = solve(training, camera["calibration"], photograph.filters, lights, timed=selection is not None)
     except ValueError as error:
         raise InputError(linear, "chart", str(error), "a chart that determines every band") from None
@@ -85,7 +89,8 @@ def calibrate_camera(
         "light_on_chart": photograph.light.reason if photograph.light else "evened by the white reference",
         "jitter": _jitter(photograph, error_of),
         "verdicts": _verdicts(spectra, estimate),
-        "best_estimator": "{}, {} bases".format(*choose(solved.rows, "auto", "auto")),
+        "best_estimators": {kind: best_of(solved.rows, names) for kind, names in KINDS.items()},
+        "clipped_patches": _clipped(names, reading.invalid_share),
     }
     _write_calibration(output, solved.calibration, rmse, delta_e, solved.numbers | checks, provenance)
     _write_errors(table, names, rmse, gfc, delta_e)
@@ -102,6 +107,11 @@ def _jitter(photograph: ChartPhotograph, error) -> dict[str, float]:
         LOGGER.warning("the patches cannot be moved for the jitter test: %s", refused)
         return {"step_px": STEP_PX, "in_place": math.nan, "worst": math.nan, "limit": LIMIT}
     return {"step_px": found.step_px, "in_place": found.in_place, "worst": found.worst, "limit": found.limit}
+
+
+def _clipped(names, invalid_share) -> dict[str, float]:
+    """Return the patches of which more than a little is left out, with the share."""
+    return {name: float(share) for name, share in zip(names, invalid_share, strict=True) if share > _MAX_INVALID_SHARE}
 
 
 def _verdicts(spectra, estimate) -> list[dict]:
@@ -180,5 +190,9 @@ def _log(solved: Solution, rmse, delta_e: dict, checks: dict) -> None:
     LOGGER.info("light on the chart: %s", checks["light_on_chart"])
     moved = checks["jitter"]
     LOGGER.info("patches moved by %g superpixels: CIEDE2000 changes by %.3f", moved["step_px"], moved["worst"])
+    if moved["worst"] > moved["limit"]:
+        LOGGER.warning("that is more than %g: larger patches, or smaller squares in them, would help", moved["limit"])
     for name in checks["uneven_patches"]:
         LOGGER.warning("patch %s: dirt, an edge or a shadow", name)
+    for name, share in checks["clipped_patches"].items():
+        LOGGER.warning("patch %s: %.0f %% of its samples clip; the mean of the rest is too dark", name, 100 * share)

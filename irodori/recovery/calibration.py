@@ -37,9 +37,9 @@ class Calibration:
         What takes the place of M where the estimator is not linear.
     training : (m, bands) float, optional
         Responses of the chart, for `distance`.
-    relative_error : float
-        Root mean square of the reflectance's cross-validation error per unit length of the scaled response, for
-        `standard_deviation`.
+    relative_error, absolute_error : float
+        Root mean square of the reflectance's cross-validation error: in proportion to the length of the scaled
+        response, and whatever it is, for `standard_deviation`.
     """
 
     basis: np.ndarray
@@ -50,6 +50,7 @@ class Calibration:
     mapping: Mapping | None = None
     training: np.ndarray | None = None
     relative_error: float = 0.0
+    absolute_error: float = 0.0
 
     def __post_init__(self) -> None:
         if self.mapping is None:
@@ -79,7 +80,7 @@ class Calibration:
                 file.attribute("estimator") if file.has_attribute("estimator") else "pinv",
                 mapping,
                 file.read("chart_response") if "chart_response" in file else None,
-                file.attribute("relative_error") if file.has_attribute("relative_error") else 0.0,
+                *(file.attribute(n) if file.has_attribute(n) else 0.0 for n in ("relative_error", "absolute_error")),
             )
 
     def write(self, out: store.Writer) -> None:
@@ -106,6 +107,7 @@ class Calibration:
         out.attribute("estimator", self.estimator)
         out.attribute("mapping", self.mapping.kind)
         out.attribute("relative_error", float(self.relative_error))
+        out.attribute("absolute_error", float(self.absolute_error))
 
     def require_filters(self, filters, path) -> None:
         """Refuse responses whose bands are not those of the chart.
@@ -158,7 +160,8 @@ class Calibration:
         """Return the standard deviation of the recovered reflectance, root mean square over wavelengths.
 
         The noise of the bands, taken as independent, goes through the estimator's derivative; the estimator's own
-        error, as cross-validation on the chart found it, is added in square, in proportion to the response.
+        error, as cross-validation on the chart found it, is added in square, a part of it in proportion to the
+        response.
 
         Parameters
         ----------
@@ -180,7 +183,7 @@ class Calibration:
             squared[part] = (gain * variance[part]).sum(axis=1) / len(self.basis)
         if self.relative_error > 0.0:
             squared += self.relative_error**2 * ((flat / self.band_scale()) ** 2).sum(axis=1)
-        return np.sqrt(squared).reshape(response.shape[:-1])
+        return np.sqrt(squared + self.absolute_error**2).reshape(response.shape[:-1])
 
     def band_scale(self) -> np.ndarray:
         """Return the largest response of the chart in every band, (bands,); bands are compared in these units.
@@ -198,7 +201,8 @@ class Calibration:
         """Return how far responses lie from the chart's, whatever their exposure.
 
         The angle between directions in response space (bands scaled by the chart's largest response) to the nearest
-        patch, over the largest such angle between a patch and the others.
+        patch, over that which nine tenths of the patches have at most to the nearest other. A short distance does not
+        promise a small error: spectra that differ may answer alike.
 
         Parameters
         ----------
@@ -206,7 +210,7 @@ class Calibration:
 
         Returns
         -------
-        (...) float64, 1 = as far as the loneliest patch from all others; NaN where the response has no direction
+        (...) float64, 1 = as far as the chart's lonelier patches from all others; NaN where there is no direction
         """
         response = np.asarray(response, dtype=np.float64)
         scale = self.band_scale()
@@ -214,7 +218,7 @@ class Calibration:
         known = known / np.linalg.norm(known, axis=1, keepdims=True)
         among = np.linalg.norm(known[:, None] - known[None], axis=2)
         np.fill_diagonal(among, np.inf)
-        largest = 2.0 * np.arcsin(np.clip(among.min(axis=1).max() / 2.0, 0.0, 1.0))
+        largest = 2.0 * np.arcsin(np.clip(np.quantile(among.min(axis=1), 0.9) / 2.0, 0.0, 1.0))
         flat = response.reshape(-1, response.shape[-1]) / scale
         found = np.empty(len(flat))
         for first in range(0, len(flat), _TILE):

@@ -41,8 +41,8 @@ _FINEST_PIXELS = 800_000  # the finest level has no more, unless the error asks 
 _PLACES = (60_000, 12_000, 4_000)  # compared at the finest level, at the others, in the search
 _GOOD_PX = 0.02  # a predicted error with which no finer level is tried
 _UNDETERMINED_PX = 1.0
-_NEAR_PX = 1.0  # a fit that goes further than this from its start is not believed without a search
-_SURE_COHERENCE = 0.25  # nor is one of less
+_SURE_COHERENCE = 0.25  # a fit from the start alone that is less coherent, or less certain, is not believed
+_SURE_PX = 0.05
 _NOISE_RATIO = 1.5  # information, in its weakest direction, over that which noise alone seems to hold
 _CLUSTERS = 6  # along each side
 _FLOOR_PX = 0.05  # blocks that know better than this count alike in the residual
@@ -131,8 +131,8 @@ def register(
     fixed_valid, moving_valid : (H, W) bool or uint8
         0 where a sample is saturated or hot. Non-finite samples count as invalid.
     start : Registration, optional
-        A guess. The search (which reaches 12 superpixels) is left out where the fit stays within a superpixel of it
-        and the gradients agree; otherwise the guess is tried beside the shifts that the search proposes.
+        A guess. The search (which reaches 12 superpixels) is left out where the fit that begins there is certain;
+        otherwise the guess is tried beside the shifts that the search proposes.
     band_offsets_px : (3, 2) float, optional
         Where the bands lie in a superpixel, see `bayer_offsets_px`; the colour map then mixes bands.
 
@@ -157,8 +157,9 @@ def register(
         return nothing
     pair = _Pair(Pyramid(fixed, fixed_valid), Pyramid(moving, moving_valid), shape, band_offsets_px)
     if start is not None:
-        found, coherence = pair.descend(pair.finest, *start.complex_parts(), nothing)
-        if coherence >= _SURE_COHERENCE and pair.distance_px(found, start) <= _NEAR_PX:
+        # From the coarsest level, where a weave or a halftone that would hold a wrong period is averaged away.
+        found, coherence = pair.from_start(start, nothing)
+        if coherence >= _SURE_COHERENCE and found.sigma_px <= _SURE_PX:
             return found
     fit = pair.first(start)
     return nothing if fit is None else pair.descend(pair.coarsest, fit.turn, fit.shift, nothing)[0]
@@ -191,12 +192,16 @@ class _Pair:
 
     def first(self, start: Registration | None) -> Fit | None:
         """Return the most coherent fit at the coarsest level from all starting points."""
-        n, fits = self.coarsest, []
+        n = self.coarsest
         shifts, level = search(self.fixed[n], self.moving[n], float(2**n)), self.level(n, _PLACES[2], False)
-        for turn, shift in [(1.0 + 0.0j, d) for d in shifts] + ([] if start is None else [start.complex_parts()]):
-            fit = align(level, turn, shift, 3, (0, 1))
-            fits.append(fit and align(level, fit.turn, fit.shift, 5))
+        starts = [(1.0 + 0.0j, d) for d in shifts] + ([] if start is None else [start.complex_parts()])
+        fits = [_settled(level, turn, shift) for turn, shift in starts]
         return max((fit for fit in fits if fit is not None), key=lambda fit: fit.coherence, default=None)
+
+    def from_start(self, start: Registration, nothing: Registration) -> tuple[Registration, float]:
+        """Return the registration that begins at ``start`` at the coarsest level, and its coherence."""
+        fit = _settled(self.level(self.coarsest, _PLACES[2], False), *start.complex_parts())
+        return (nothing, 0.0) if fit is None else self.descend(self.coarsest, fit.turn, fit.shift, nothing)
 
     def descend(self, top: int, turn: complex, shift: complex, nothing: Registration) -> tuple[Registration, float]:
         """Return the best registration from level ``top`` down, and the coherence of its fit."""
@@ -215,12 +220,11 @@ class _Pair:
                     best, coherence = found, fit.coherence
         return best, coherence
 
-    def distance_px(self, one: Registration, other: Registration) -> float:
-        """Return the largest distance between two maps of this picture's corners, superpixels."""
-        x, y = (self.shape[1] - 1) / 2.0, (self.shape[0] - 1) / 2.0
-        corners = np.array([[-x, -y], [x, -y], [-x, y], [x, y], [0.0, 0.0]])
-        maps = [corners @ map_.affine((0.0, 0.0))[:, :2].T + (map_.dx_px, map_.dy_px) for map_ in (one, other)]
-        return float(np.hypot(*(maps[0] - maps[1]).T).max())
+
+def _settled(level: Level, turn: complex, shift: complex) -> Fit | None:
+    """Return the fit at the coarsest level from one starting point, the shift before the rest."""
+    fit = align(level, turn, shift, 3, (0, 1))
+    return fit and align(level, fit.turn, fit.shift, 5)
 
 
 def _has_content(fit: Fit) -> bool:

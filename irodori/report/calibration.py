@@ -2,6 +2,7 @@
 
 import csv
 import html
+import math
 
 from irodori import store
 from irodori.report.figures import selection_figure
@@ -49,21 +50,35 @@ def _short(row: list[str]) -> list[str]:
 def _figures(file: store.Reader) -> list[list[str]]:
     """Return what the calibration says of itself, a row a quantity."""
     jitter, light = file.attribute("jitter"), file.attribute("light_on_chart")
-    uneven = file.attribute("uneven_patches")
-    moved = f"{jitter['worst']:.3f}, {'within' if jitter['worst'] <= jitter['limit'] else 'BEYOND'} {jitter['limit']:g}"
+    uneven, clipped = file.attribute("uneven_patches"), file.attribute("clipped_patches")
+    moved = "not measurable: a moved patch leaves the picture"
+    if not math.isnan(jitter["worst"]):
+        moved = (
+            f"{jitter['worst']:.3f}, {'within' if jitter['worst'] <= jitter['limit'] else 'BEYOND'} {jitter['limit']:g}"
+        )
     rows = [
         ["estimator", f"{file.attribute('estimator')}, {file.dataset('basis').shape[1]} bases"],
-        ["best in cross-validation", file.attribute("best_estimator")],
+        *_best(file.attribute("best_estimators")),
         ["condition number of the responses", number(file.attribute("condition_number"))],
         ["noise amplification", number(file.attribute("noise_amplification"))],
         [f"change of the mean CIEDE2000 with all patches moved by {jitter['step_px']:g} superpixels", moved],
         ["light on the chart", light],
         ["patches with dirt, an edge or a shadow", ", ".join(uneven) or "none"],
+        ["patches of which some clips", ", ".join(f"{n} {s:.0%}" for n, s in clipped.items()) or "none"],
     ]
     found = file.attribute("patches_found")
     if found:
         rows.append(["patches", ", ".join(f"{key} {value:.3g}" for key, value in found.items())])
     return rows
+
+
+def _best(found: dict) -> list[list[str]]:
+    """Return a row for the best estimator of each kind; its time stands in the table of all."""
+    return [
+        [f"best {kind} estimator", f"{best['estimator']}, {best['bases']} bases, score {number(best['score'])}"]
+        for kind, best in found.items()
+        if best is not None
+    ]
 
 
 def _verdicts(verdicts: list[dict]) -> str:

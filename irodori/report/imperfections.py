@@ -137,7 +137,7 @@ def _calibrate(chain: Chain, folder: Path) -> tuple[Path, Path]:
     white = chain.camera["white"]["reflectance_factor"]
     ingest_reference(table, table.parent, reference, _MADE, white, options)
     ingest_raw(table, table.parent, "chart", reference, chart, _MADE, options)
-    camera = {key: chain.camera[key] for key in ("chart", "calibration", "white")}
+    camera = {key: chain.camera[key] for key in ("chart", "calibration")}
     calibrate_camera(chart, camera, light, calibration, folder / "chart.csv", _MADE)
     return reference, calibration
 

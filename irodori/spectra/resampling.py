@@ -105,8 +105,8 @@ def _linear(wavelength_nm: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def _without_overshoot(out: np.ndarray, wavelength_nm: np.ndarray, rows: np.ndarray, file) -> np.ndarray:
-    """Return rows interpolated linearly where Sprague alone made them negative."""
-    overshot = (out.min(axis=1) < 0.0) & (rows.min(axis=1) >= 0.0)
+    """Return rows interpolated linearly where Sprague made them negative beyond what they are themselves."""
+    overshot = out.min(axis=1) < np.minimum(rows.min(axis=1), 0.0)
     if overshot.any():
         LOGGER.info("%s: %d spectra interpolated linearly, Sprague's would be negative", file, overshot.sum())
         out[overshot] = _linear(wavelength_nm, rows[overshot])

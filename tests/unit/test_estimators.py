@@ -287,7 +287,7 @@ def test_standard_deviation_is_that_of_repeated_photographs(solved, name):
     assert np.allclose(wider**2 - predicted**2, 0.05**2 * ((response / unit) ** 2).sum(axis=1))
 
 
-def test_distance_is_one_for_the_loneliest_patch_and_blind_to_exposure(solved):
+def test_distance_is_one_for_the_lonelier_patches_and_blind_to_exposure(solved):
     calibration = solved["local"]
     chart = calibration.training
     assert np.abs(calibration.distance(chart)).max() <= 1e-7
@@ -296,8 +296,8 @@ def test_distance_is_one_for_the_loneliest_patch_and_blind_to_exposure(solved):
     others = replace(calibration, training=np.delete(chart, lone, axis=0))
     unit = np.abs(chart).max(axis=0)
     if np.array_equal(np.abs(others.training).max(axis=0), unit):
-        scale = max(left_out) / max(_lone(others.training / unit))
-        assert others.distance(chart[lone]) == pytest.approx(scale, rel=1e-6)
+        scale = max(left_out) / np.quantile(_lone(others.training / unit), 0.9)
+        assert others.distance(chart[lone]) == pytest.approx(scale, rel=1e-4)
     probe = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     assert calibration.distance(probe) > 1.0
     assert calibration.distance(1e5 * probe) == pytest.approx(calibration.distance(probe))

@@ -1,5 +1,6 @@
 """The figures asked for, on measured spectra: cameras, a filter, charts, and materials that no one trained on."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from benchmarks.calibrate import CAMERAS, DATA, NOISES, Trial, errors
 from irodori.calibration import Noise, Training, cross_validate, fit
-from irodori.calibration.solution import relative_error_of
+from irodori.calibration.solution import own_error
 from irodori.colour import spectral_rmse
 
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured spectra at {DATA}")
@@ -78,7 +79,7 @@ def test_error_bars_hold_on_spectra_never_seen(name, noise):
         training = Training(training.response, training.spectra, training.light, Noise())
     _, recovered = cross_validate(training, ("D65",), bases=(8,), estimators=(name,))
     solved = fit(name, training, 8)
-    object.__setattr__(solved, "relative_error", relative_error_of(training, recovered[name, 8]))
+    solved = replace(solved, **own_error(training, recovered[name, 8]))
     error = spectral_rmse(trial(*FIRST).test, solved.spectra(seen))
     predicted = solved.standard_deviation(seen, variance)
     # Cross-validation has one patch less than the calibration, and the chart's patches are unlike each other.

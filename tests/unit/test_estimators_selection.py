@@ -168,6 +168,19 @@ def test_the_stage_refuses_beyond_the_limits_and_writes_nothing(tmp_path, settin
     assert [path.name for path in tmp_path.iterdir()] == ["chart.h5"]
 
 
+def test_a_chart_that_stands_on_its_head_is_refused(tmp_path):
+    chart = photograph(tmp_path / "chart.h5", None)
+    corners = chart["centres_px"]
+    turned = dict(zip(("first", "row_end", "column_end", "last"),
+                      (corners[k] for k in ("last", "column_end", "row_end", "first")), strict=True))  # fmt: skip
+    camera = {"chart": chart | {"centres_px": turned}, "calibration": {"estimator": "pinv", "bases": 6}}
+    with pytest.raises(InputError, match="when the chart is turned"):
+        calibrate_camera(
+            tmp_path / "chart.h5", camera, "A", tmp_path / "c.h5", tmp_path / "c.csv", store.Provenance("test")
+        )
+    assert not (tmp_path / "c.h5").exists()
+
+
 def test_the_noise_of_the_linear_file_is_used(tmp_path):
     settings = {"estimator": "wiener", "bases": 6}
     loud = Calibration.load(run(tmp_path, settings, np.tile([1e-4, 0.0], (6, 1)))[0])

@@ -247,6 +247,28 @@ def test_a_start_beyond_the_search_is_followed(leaves):
     assert rms_px(wrong, near) <= TARGET_PX
 
 
+@pytest.mark.parametrize("period_px", [3.0, 4.0, 5.0])
+def test_a_weave_does_not_hold_a_start_that_is_a_period_off(period_px):
+    width, height, shift_px = 480, 360, period_px + 0.3
+    rng = np.random.default_rng(16)
+    x0, y0, size = rng.uniform(0, width, 60), rng.uniform(0, height, 60), rng.uniform(10, 40, 60)
+    level = rng.uniform(-0.3, 0.3, 60)
+
+    def seen(dx):
+        y, x = np.mgrid[:height, :width].astype(float)
+        blobs = sum(
+            a * np.exp(-((x - dx - p) ** 2 + (y - q) ** 2) / s**2)
+            for a, p, q, s in zip(level, x0, y0, size, strict=True)
+        )
+        weave = np.sin(2 * np.pi * (x - dx) / period_px) * np.sin(2 * np.pi * y / period_px)
+        picture = np.stack([0.4 + 0.3 * blobs + 0.01 * weave] * 3, axis=-1) * [1.0, 0.8, 0.6]
+        return (picture + rng.normal(0.0, 0.003, picture.shape)).astype(np.float32)
+
+    mask = np.ones((height, width), bool)
+    found = register(seen(0.0), seen(shift_px), mask, mask, start=STILL)
+    assert abs(found.dx_px - shift_px) <= 0.05 * period_px and found.sigma_px <= TARGET_PX
+
+
 def test_pictures_and_masks_must_fit_together():
     picture, mask = np.zeros((40, 50, 3), dtype=np.float32), np.ones((40, 50), dtype=bool)
     with pytest.raises(ValueError, match="accepted"):

@@ -33,7 +33,6 @@ rule calibrate_camera:
     params:
         chart=lookup(within=config, dpath="cameras/{camera}/chart"),
         calibration=lookup(within=config, dpath="cameras/{camera}/calibration"),
-        white=lookup(within=config, dpath="cameras/{camera}/white", default=None),
         light=of_rig("light/spectrum"),
         lights=lookup(within=config, dpath="report/lights"),
         code=code_hash("irodori.calibration"),
