@@ -230,7 +230,8 @@ def minimise(block, fixed, box, nodes, sums):
         t, a, b, count = newton(block, fixed, box, sums[9, i], nodes[i + 1], nodes[i], sums[7, i] == 0.0)
         estimate[i] = np.inf
         evaluations += count
-        if attempt == 0 and not rival <= _RIVAL * best:
+        # The node above or below the interval is higher than the minimum between them; any other has to be compared.
+        if attempt == 0 and (i == top or i + 1 == top) and not rival <= _RIVAL * best:
             return t, a, b, evaluations
         _, _, value = pair_at(block, fixed, box, t)
         evaluations += 1
