@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from irodori.fitting.lobe import COSINE, FAST, GLOSS, RESPONSE, SQUARE, WEIGHT, exp_negative
+from irodori.fitting.lobe import COSINE, FAST, GLOSS, RESPONSE, SQUARE, TRUST, WEIGHT, exp_negative
 from irodori.fitting.lobe import VARIANCE as EXPECTED
 from irodori.material import Status
 
@@ -78,7 +78,9 @@ def _normal(block, a, b, log_mu, pose_variance):
         v = block[EXPECTED, j] + pose_variance * pose
         r = a * c + b * g - block[RESPONSE, j]
         squares += w * r * r
-        chi2 += r * r / v if w > 0.0 else 0.0
+        trust = block[TRUST, j]
+        kept = w * r / (trust if trust > 0.0 else 1.0)  # an outlier counts as far as the loss lets it
+        chi2 += kept * kept / v
         u = w * w * v
         n0 += w * c * c
         n1 += w * c * g
@@ -144,7 +146,9 @@ def diffuse_errors(block, a, used, rules):
         v = block[EXPECTED, j] + rules.pose_variance * a * a * (1.0 - c * c)
         r = a * c - block[RESPONSE, j]
         squares += w * r * r
-        chi2 += r * r / v if w > 0.0 else 0.0
+        trust = block[TRUST, j]
+        kept = w * r / (trust if trust > 0.0 else 1.0)  # an outlier counts as far as the loss lets it
+        chi2 += kept * kept / v
         normal += w * c * c
         middle += w * w * v * c * c
     excess = max(chi2 / max(used - 1, 1), 1.0)

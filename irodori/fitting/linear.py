@@ -4,8 +4,8 @@ The sum of squares with the best bounded pair (α, β) is Φ(t). By the envelope
 derivative at the pair, and its curvature is the Schur complement of the full Hessian over the variables that no bound
 holds (variable projection: Golub and Pereyra 1973).
 
-The sums over observations come as ``fixed`` = (Σ w c², Σ w c ρ, Σ w ρ², Σ w), c = cosθ_i, and as ``moments``: value, slope
-and curvature along t of Σ w c g, of Σ w ρ g and of Σ w g², g = F G D / cosθ_r.
+The sums over observations come as ``fixed`` = (Σ w c², Σ w c ρ, Σ w ρ², Σ w), c = cosθ_i, and as ``moments``: value,
+slope and curvature along t of Σ w c g, of Σ w ρ g and of Σ w g², g = F G D / cosθ_r.
 """
 
 import numba

@@ -27,6 +27,7 @@ _ALGORITHMS = (
     "LD_TNEWTON",
     "LD_VAR2",
 )
+ACCEPTED_ALGORITHMS = tuple(name for name in _ALGORITHMS if hasattr(nlopt, name))
 _SETTINGS = ("objective", "algorithm", "xtol_rel", "max_evaluations")
 _BOUNDS = {"alpha": (0.0, 2.0), "beta": (0.0, 1e4), "mu_rad": (0.005, 1.2), "n": (1.2, 2.5)}
 _CHOICES = {"weights": ("noise", "equal"), "refractive_index": ("fixed", "fitted"), "scan_per_octave": (2, 4)}
@@ -146,9 +147,8 @@ def algorithm_number(name: str) -> int:
     ValueError
         Listing the accepted names: bounded local algorithms that need no inner optimiser.
     """
-    accepted = [name for name in _ALGORITHMS if hasattr(nlopt, name)]
-    if name not in accepted:
-        raise ValueError(f"fit.algorithm {name!r}; accepted: {', '.join(accepted)}")
+    if name not in ACCEPTED_ALGORITHMS:
+        raise ValueError(f"fit.algorithm {name!r}; accepted: {', '.join(ACCEPTED_ALGORITHMS)}")
     return int(getattr(nlopt, name))
 
 
@@ -242,9 +242,7 @@ def _solve_reference(problem: texels.Problem, rules: Rules, options: FitOptions)
         if cost(x, np.empty(0)) / data[3] <= best:
             start = x * scale
         count = optimiser.get_numevals() + problem.nodes.size
-        nlopt_loop.finish(
-            t, block, fixed, tuple(map(float, start)), used, floor, count, problem, rules, sums, out
-        )
+        nlopt_loop.finish(t, block, fixed, tuple(map(float, start)), used, floor, count, problem, rules, sums, out)
     return out
 
 

@@ -12,7 +12,17 @@ import numba
 import numpy as np
 
 from irodori.fitting.linear import best_pair, slope_and_curvature
-from irodori.fitting.lobe import FAST, LEAST_LOBE, GLOSS, SQUARE, WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE, LOBE, exp_negative
+from irodori.fitting.lobe import (
+    FAST,
+    GLOSS,
+    LEAST_LOBE,
+    LOBE,
+    SQUARE,
+    WEIGHT,
+    WEIGHTED_COSINE,
+    WEIGHTED_RESPONSE,
+    exp_negative,
+)
 
 NODE_STEP = 0.5 * math.log(2.0)  # of log μ
 _RIVAL = 1.05  # an interval whose estimate is below this multiple of the best is polished too
@@ -185,8 +195,9 @@ def newton(block, fixed, box, log_mu, low, high, flat_above):
     flat_above : bool
         Where β is at its bound, Φ is flat: says on which side of the minimum.
     """
-    t = log_mu
-    for step in range(_MAX_STEPS):
+    t, steps = log_mu, 0
+    while steps < _MAX_STEPS:
+        steps += 1
         a, b, da, db, slope, curvature = slope_and_curvature(fixed, moments(block, t), box)
         if slope > 0.0 or (slope == 0.0 and flat_above):
             high = t
@@ -200,7 +211,7 @@ def newton(block, fixed, box, log_mu, low, high, flat_above):
         t = following
         if abs(change) < (_CONVERGED if inside else 1e-9):
             break
-    return t, min(max(a + change * da, box[0]), box[1]), min(max(b + change * db, box[2]), box[3]), step + 1
+    return t, min(max(a + change * da, box[0]), box[1]), min(max(b + change * db, box[2]), box[3]), steps
 
 
 @numba.njit(cache=True, error_model="numpy")
