@@ -97,8 +97,8 @@ def confidence(calibration: Calibration, response, variance) -> dict[str, tuple]
         ``reflectance_error``: standard deviation of the reflectance factor, rms over the wavelengths, from the camera's
         noise, where that was measured, and the error that cross-validation on the chart found;
         ``training_distance``: of the response from those of the chart, 1 = what nine tenths of its own patches
-        have at most to the nearest other; ``out_of_training``: uint8, 1 where it is above 1, 2 where the response has no
-        direction.
+        have at most to the nearest other; ``out_of_training``: uint8, 1 where it is above 1, 2 where the
+        response has no direction.
     """
     distance = calibration.distance(response)
     noise = np.zeros_like(response) if variance is None else variance

@@ -21,10 +21,13 @@ class Status(IntEnum):
     """What became of a texel in the fit."""
 
     OK = 0
-    GLOSS_UNIDENTIFIABLE = 1  # α holds; the data does not determine β and μ, which are NaN
+    MU_UNIDENTIFIABLE = 1  # gloss is there, but the data leaves β or μ open: both are NaN
     AT_BOUND = 2
     TOO_FEW_OBSERVATIONS = 3
-    NON_FINITE = 4
+    NON_FINITE = 4  # too few observations, because those with weight are not numbers
+    DIFFUSE_ONLY = 5  # the observations show no gloss
+    SATURATED = 6  # the camera clips where the highlight is
+    DARK = 7  # no light beyond the noise
 
 
 @dataclass(frozen=True)

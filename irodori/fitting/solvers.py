@@ -1,17 +1,20 @@
 """Solvers of equation (7), one result type."""
 
 import ctypes
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import nlopt
 import numpy as np
 
-from irodori.fitting import kernels
-from irodori.material import Status
+from irodori.fitting import judge, nlopt_loop, texels
+from irodori.fitting.index import fit_index
+from irodori.fitting.observations import Rules, camera_noise, pose_variance
+from irodori.fitting.varpro import NODE_STEP
 
 MODEL_PARAMETERS = ("alpha", "beta", "mu")
-_MAX_RELATIVE_ERROR = {"beta": 0.3, "mu": 0.2}
+_MAX_RELATIVE_ERROR = judge.MAX_RELATIVE_ERROR
 # Bounded local algorithms that reach the minimum on noisy texels; MMA and CCSAQ stop at up to three times its value.
 _ALGORITHMS = (
     "LN_BOBYQA",
@@ -24,9 +27,10 @@ _ALGORITHMS = (
     "LD_TNEWTON",
     "LD_VAR2",
 )
+ACCEPTED_ALGORITHMS = tuple(name for name in _ALGORITHMS if hasattr(nlopt, name))
 _SETTINGS = ("objective", "algorithm", "xtol_rel", "max_evaluations")
-_ROUNDING = 1e-7  # relative residual under which two models are equally perfect
-_MODEL_NOISE = 0.01  # of the root mean square response: light drift and pose error, whatever the residual says
+_BOUNDS = {"alpha": (0.0, 2.0), "beta": (0.0, 1e4), "mu_rad": (0.005, 1.2), "n": (1.2, 2.5)}
+_CHOICES = {"weights": ("noise", "equal"), "refractive_index": ("fixed", "fitted"), "scan_per_octave": (2, 4)}
 
 
 @dataclass(frozen=True)
@@ -36,34 +40,61 @@ class FitOptions:
     Parameters
     ----------
     solver : str
-        ``nlopt`` (compiled loop over texels) or ``nlopt-reference`` (NLopt from Python, one callback a step).
+        ``varpro`` (variable projection), ``nlopt`` (NLopt in a compiled loop over texels) or ``nlopt-reference``
+        (NLopt from Python, one callback a step).
     algorithm : str
         Name of a local NLopt algorithm for bounded problems, for instance ``LN_BOBYQA`` or ``LD_SLSQP``.
     max_evaluations : int
+        Of NLopt.
     xtol_rel : float
-    mu_scan : int
-        Values of μ, equally spaced in log μ, tried before NLopt starts from the best.
+        Of NLopt.
+    scan_per_octave : int
+        Values of μ, equally spaced in log μ, that the scan tries for every factor 2 in μ: 2 or 4.
+    weights : str
+        ``noise``: observations count by inverse variance where the camera's noise is known; ``equal``.
+    model_error : float
+        Relative error of an observation apart from the camera's noise: drift of the light, the model itself.
+    pose_error_deg : float
+        Standard deviation of an angle of light or camera, degrees.
+    huber : float or None
+        Residual, in standard deviations, beyond which the loss is linear.
+    refractive_index : str
+        ``fixed``: as given; ``fitted``: each texel's own real part n, within its bounds.
     bounds : dict
-        ``alpha``, ``beta``, ``mu_rad``: lower and upper bound.
+        ``alpha``, ``beta``, ``mu_rad``, ``n``: lower and upper bound.
     """
 
-    solver: str = "nlopt"
+    solver: str = "varpro"
     algorithm: str = "LD_LBFGS"
     max_evaluations: int = 400
     xtol_rel: float = 1e-8
-    mu_scan: int = 32
+    scan_per_octave: int = 2
+    weights: str = "noise"
+    model_error: float = 0.01
+    pose_error_deg: float = 0.05
+    huber: float | None = None
+    refractive_index: str = "fixed"
     bounds: dict | None = None
 
-    def limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return lower and upper bounds of α, β, μ, each (3,)."""
-        bounds = self.bounds or {"alpha": (0.0, 2.0), "beta": (0.0, 1e4), "mu_rad": (0.005, 1.2)}
-        pairs = np.array([bounds["alpha"], bounds["beta"], bounds["mu_rad"]], dtype=np.float64)
-        return pairs[:, 0].copy(), pairs[:, 1].copy()
+    def __post_init__(self):
+        if self.solver not in SOLVERS:
+            raise ValueError(f"fit.solver {self.solver!r}; accepted: {', '.join(SOLVERS)}")
+        for name, accepted in _CHOICES.items():
+            if getattr(self, name) not in accepted:
+                raise ValueError(f"fit.{name} {getattr(self, name)!r}; accepted: {', '.join(map(str, accepted))}")
+        algorithm_number(self.algorithm)
 
-    def mu_grid(self) -> np.ndarray:
-        """Return the values of μ to scan, rad."""
-        lower, upper = self.limits()
-        return np.geomspace(lower[2], upper[2], self.mu_scan)
+    def limits(self, name: str) -> tuple[float, float]:
+        """Return lower and upper bound of a parameter."""
+        low, high = (_BOUNDS | (self.bounds or {}))[name]
+        return float(low), float(high)
+
+    def nodes(self) -> np.ndarray:
+        """Return log μ of the scan, falling from the upper bound in steps of √2 or its root, to the lower one."""
+        low, high = np.log(self.limits("mu_rad"))
+        step = NODE_STEP / (self.scan_per_octave // 2)
+        nodes = high - step * np.arange(int((high - low) / step + 1e-9) + 1)
+        return np.append(nodes[nodes > low + 1e-9], low)
 
 
 @dataclass(frozen=True)
@@ -75,15 +106,20 @@ class FitResult:
     alpha, beta, mu : (n,) float64
         NaN where the data does not determine them; μ in rad.
     alpha_error, beta_error, mu_error : (n,) float64
-        Gauss-Newton standard errors, NaN likewise.
-    residual_rms : (n,) float64, in response
+        Standard errors (see `irodori.fitting.judge`), NaN likewise.
+    residual_rms : (n,) float64, in response, weighted
     relative_residual : (n,) float64
         Residual over the root mean square response.
     status : (n,) int8, see `Status`
+    model : (n,) int8
+        What the observations call for: 0 nothing, 1 diffuse reflection, 2 gloss, 3 both.
     evaluations : (n,) int32, of the objective
     nlopt_result : (n,) int8, NLopt's return code, 0 where it was not called
     gloss : (n, 2) float64
         β and μ that explain the observations best, determined or not; β is 0 where gloss explains nothing.
+    index, index_error : (n,) float64
+        Real refractive index and its standard error; NaN where it was fitted and is not determined. The error is NaN
+        where the index was given.
     """
 
     alpha: np.ndarray
@@ -95,9 +131,12 @@ class FitResult:
     residual_rms: np.ndarray
     relative_residual: np.ndarray
     status: np.ndarray
+    model: np.ndarray
     evaluations: np.ndarray
     nlopt_result: np.ndarray
     gloss: np.ndarray
+    index: np.ndarray
+    index_error: np.ndarray
 
 
 def algorithm_number(name: str) -> int:
@@ -108,102 +147,135 @@ def algorithm_number(name: str) -> int:
     ValueError
         Listing the accepted names: bounded local algorithms that need no inner optimiser.
     """
-    accepted = [name for name in _ALGORITHMS if hasattr(nlopt, name)]
-    if name not in accepted:
-        raise ValueError(f"fit.algorithm {name!r}; accepted: {', '.join(accepted)}")
+    if name not in ACCEPTED_ALGORITHMS:
+        raise ValueError(f"fit.algorithm {name!r}; accepted: {', '.join(ACCEPTED_ALGORITHMS)}")
     return int(getattr(nlopt, name))
 
 
 @lru_cache(maxsize=1)
 def _addresses() -> dict[str, int]:
     library = ctypes.CDLL(nlopt._nlopt.__file__)
-    names = [name for name in kernels.Nlopt._fields if name not in _SETTINGS]
+    names = [name for name in nlopt_loop.Nlopt._fields if name not in _SETTINGS]
     return {name: ctypes.cast(getattr(library, f"nlopt_{name}"), ctypes.c_void_p).value for name in names}
 
 
-def _empty_output(texels: int) -> kernels.Output:
-    return kernels.Output(
-        parameters=np.full((texels, 3), np.nan),
-        sum_squares=np.full(texels, np.nan),
-        diffuse=np.full((texels, 2), np.nan),
-        used=np.zeros(texels, dtype=np.int64),
-        evaluations=np.zeros(texels, dtype=np.int32),
-        result=np.zeros(texels, dtype=np.int8),
+def _empty_output(count: int) -> texels.Output:
+    return texels.Output(
+        table=np.full((count, judge.COLUMNS), np.nan),
+        status=np.zeros(count, dtype=np.int8),
+        model=np.zeros(count, dtype=np.int8),
+        evaluations=np.zeros(count, dtype=np.int32),
+        result=np.zeros(count, dtype=np.int8),
     )
 
 
-def _solve_compiled(response, geometry, weight, n, k, options: FitOptions) -> kernels.Output:
-    lower, upper = options.limits()
-    library = kernels.Nlopt(
+def _solve_varpro(problem: texels.Problem, rules: Rules, options: FitOptions) -> texels.Output:
+    out = _empty_output(len(problem.response))
+    if len(problem.geometry) == 1 and problem.n.size == 1:
+        texels.fit_shared(problem, rules, *texels.shared_geometry(problem), out)
+    else:
+        texels.fit_own(problem, rules, out)
+    return out
+
+
+def _solve_nlopt(problem: texels.Problem, rules: Rules, options: FitOptions) -> texels.Output:
+    library = nlopt_loop.Nlopt(
         **_addresses(),
-        objective=kernels.nlopt_objective.address,
+        objective=nlopt_loop.nlopt_objective.address,
         algorithm=algorithm_number(options.algorithm),
         xtol_rel=float(options.xtol_rel),
         max_evaluations=int(options.max_evaluations),
     )
-    out = _empty_output(len(response))
-    kernels.fit_texels(library, response, geometry, weight, n, k, options.mu_grid(), lower, upper, out)
+    out = _empty_output(len(problem.response))
+    nlopt_loop.fit_nlopt(library, problem, rules, out)
     return out
 
 
-def _cost(rows: np.ndarray, scale: np.ndarray, factor: float):
-    """Return the objective of one texel in NLopt's Python signature; ``rows`` as in `irodori.fitting.kernels`."""
+def _cost(rows, weight: np.ndarray, scale: np.ndarray, factor: float):
+    """Return the objective of one texel in NLopt's Python signature; rows are cosθ_i, F G / cosθ_r, φ², ρ."""
+    cosine, gloss, square, response = rows
 
     def cost(x, gradient):
-        ratio2 = (rows[:, 2] / np.exp(x[2])) ** 2
-        lobe = rows[:, 1] * np.exp(-ratio2)
-        residual = x[0] * scale[0] * rows[:, 0] + x[1] * scale[1] * lobe - rows[:, 3]
+        ratio2 = square * np.exp(-2.0 * x[2])
+        lobe = gloss * np.exp(-ratio2)
+        residual = x[0] * scale[0] * cosine + x[1] * scale[1] * lobe - response
         if gradient.size:
-            weighted = 2.0 * factor * rows[:, 4] * residual
-            gradient[0] = scale[0] * weighted @ rows[:, 0]
+            weighted = 2.0 * factor * weight * residual
+            gradient[0] = scale[0] * weighted @ cosine
             gradient[1] = scale[1] * weighted @ lobe
             gradient[2] = x[1] * scale[1] * weighted @ (lobe * 2.0 * ratio2)
-        return factor * float(rows[:, 4] @ residual**2)
+        return factor * float(weight @ residual**2)
 
     return cost
 
 
-def _solve_reference(response, geometry, weight, n, k, options: FitOptions) -> kernels.Output:
-    """Fit with NLopt from Python: the yardstick for time and the witness for the compiled loop."""
-    lower, upper = options.limits()
-    number, grid = algorithm_number(options.algorithm), options.mu_grid()
-    out = _empty_output(len(response))
-    for t in range(len(response)):
-        data = np.zeros(kernels.HEADER + kernels.WORDS * response.shape[1])
-        out.used[t] = kernels.pack(response[t], geometry[t], weight[t], n, k, data)
-        if out.used[t] == 0:
+def _solve_reference(problem: texels.Problem, rules: Rules, options: FitOptions) -> texels.Output:
+    """Fit with NLopt from Python: the yardstick for time and the witness for the compiled loops."""
+    number = algorithm_number(options.algorithm)
+    out = _empty_output(len(problem.response))
+    data, block, angles, sums = nlopt_loop.new_data(problem)
+    low = np.array([rules.low_alpha, rules.low_beta, rules.low_log_mu])
+    high = np.array([rules.high_alpha, rules.high_beta, rules.high_log_mu])
+    for t in range(len(problem.response)):
+        used, lost, floor = nlopt_loop.load_own(t, problem, rules, block, angles)
+        if used <= judge.PARAMETERS:
+            texels.give_up(t, used, lost, problem, out)
             continue
-        without_gloss = np.array([upper[0], lower[1]])
-        out.diffuse[t, 0], _, out.diffuse[t, 1] = kernels.linear_solution(1e-6, data, lower, without_gloss)
-        if out.used[t] <= kernels.PARAMETERS:
-            continue
-        a, b, m, best = kernels.scan(data, grid, lower, upper)
-        kernels.set_scales(data, a, b)
-        scale = data[1:3].copy()
-        cost = _cost(data[kernels.HEADER :].reshape(-1, kernels.WORDS)[: out.used[t]], scale, data[3])
-        low, high = np.append(lower[:2] / scale, np.log(lower[2])), np.append(upper[:2] / scale, np.log(upper[2]))
-        optimiser = nlopt.opt(number, kernels.PARAMETERS)
-        optimiser.set_lower_bounds(low)
-        optimiser.set_upper_bounds(high)
-        optimiser.set_initial_step(np.full(kernels.PARAMETERS, 0.1))
+        fixed, *start, best = nlopt_loop.start_of(block, problem, rules, sums)
+        nlopt_loop.set_scales(data, block, fixed[2], start[0], start[1])
+        scale = np.append(data[1:3], 1.0)
+        kept = block[nlopt_loop.WEIGHT] > 0
+        cost = _cost(block[:4, kept], block[nlopt_loop.WEIGHT, kept], scale, data[3])
+        optimiser = nlopt.opt(number, nlopt_loop.PARAMETERS)
+        optimiser.set_lower_bounds(low / scale)
+        optimiser.set_upper_bounds(high / scale)
+        optimiser.set_initial_step(np.full(nlopt_loop.PARAMETERS, 0.1))
         optimiser.set_min_objective(cost)
         optimiser.set_xtol_rel(options.xtol_rel)
         optimiser.set_maxeval(options.max_evaluations)
-        x = np.clip(np.append(np.array([a, b]) / scale, np.log(m)), low, high)
-        out.parameters[t], out.sum_squares[t] = (a, b, m), best
+        x = np.clip(np.array(start) / scale, low / scale, high / scale)
         try:
             x = optimiser.optimize(x)
             out.result[t] = optimiser.last_optimize_result()
         except nlopt.RoundoffLimited:
             out.result[t] = nlopt.ROUNDOFF_LIMITED
-        out.evaluations[t] = optimiser.get_numevals() + grid.size
-        polished = cost(x, np.empty(0)) / data[3]
-        if polished <= best:
-            out.parameters[t], out.sum_squares[t] = (*(x[:2] * scale), np.exp(x[2])), polished
+        if cost(x, np.empty(0)) / data[3] <= best:
+            start = x * scale
+        count = optimiser.get_numevals() + problem.nodes.size
+        nlopt_loop.finish(t, block, fixed, tuple(map(float, start)), used, floor, count, problem, rules, sums, out)
     return out
 
 
-SOLVERS = {"nlopt": _solve_compiled, "nlopt-reference": _solve_reference}
+SOLVERS = {"varpro": _solve_varpro, "nlopt": _solve_nlopt, "nlopt-reference": _solve_reference}
+
+
+def _problem(response, geometry, weight, n, k, options: FitOptions, noise, clipped) -> tuple[texels.Problem, Rules]:
+    # Types, strides and read-only arrays are types of their own to the compiler: all float32 or all float64, writeable.
+    dtype = np.float32 if np.asarray(response).dtype == np.float32 else np.float64
+    response, geometry, weight = (np.require(a, dtype, "CW") for a in (response, geometry, weight))
+    geometry = geometry[None] if geometry.ndim == 2 else geometry
+    clipped = np.zeros((1, 0), dtype=np.uint8) if clipped is None else np.asarray(clipped, dtype=np.uint8)
+    count, captures = response.shape
+    n = np.atleast_1d(np.asarray(n, dtype=np.float64))
+    fits = geometry.shape in ((count, captures, 4), (1, captures, 4)) and weight.shape == response.shape
+    fits &= clipped.shape in ((1, 0), response.shape) and n.shape in ((1,), (count,))
+    if not fits or (noise is not None and np.shape(noise) != (captures, 2)):
+        raise ValueError(
+            f"response {response.shape}, geometry {geometry.shape}, weight {weight.shape}, clipped {clipped.shape}, "
+            f"n {n.shape}, noise {np.shape(noise)}; accepted: (n, J), (n, J, 4) or (J, 4), (n, J), (n, J), (n,), (J, 2)"
+        )
+    nodes = options.nodes()
+    camera, known = camera_noise(noise, captures)
+    problem = texels.Problem(
+        response, weight, geometry, np.require(clipped, requirements="CW"), n, float(k), camera, nodes,
+        2.0 * np.exp(-2.0 * nodes), options.scan_per_octave // 2,
+    )  # fmt: skip
+    rules = Rules(
+        *options.limits("alpha"), *options.limits("beta"), float(nodes[-1]), float(nodes[0]), known,
+        known and options.weights == "noise", float(options.model_error), pose_variance(options.pose_error_deg),
+        float(options.huber or 0.0),
+    )  # fmt: skip
+    return problem, rules
 
 
 def fit(
@@ -213,6 +285,8 @@ def fit(
     n: float = 1.5,
     k: float = 0.0,
     options: FitOptions | None = None,
+    noise: np.ndarray | None = None,
+    clipped: np.ndarray | None = None,
 ) -> FitResult:
     """Fit α, β, μ of equation (5) to every texel's observations [eq. 7].
 
@@ -220,13 +294,17 @@ def fit(
     ----------
     response : (texels, J) float
         Responses of the green band.
-    geometry : (texels, J, 4) float
-        θ_i, θ_r, θ_H, φ in rad.
+    geometry : (texels, J, 4) or (J, 4) float
+        θ_i, θ_r, θ_H, φ in rad; one for all texels is much faster.
     weight : (texels, J) float
         Zero leaves an observation out.
     n, k : float
         Complex refractive index.
     options : FitOptions
+    noise : (J, 2) float
+        c0 and c1 of the variance c0 + c1 ρ of a response; NaN or None where not known, which gives equal weights.
+    clipped : (texels, J) bool
+        Where the camera clips.
 
     Returns
     -------
@@ -235,63 +313,45 @@ def fit(
     Raises
     ------
     ValueError
-        For an unknown solver or algorithm, listing those accepted, or for shapes that do not agree.
+        For shapes that do not agree.
     """
     options = options or FitOptions()
-    if options.solver not in SOLVERS:
-        raise ValueError(f"fit.solver {options.solver!r}; accepted: {', '.join(SOLVERS)}")
-    response, geometry, weight = (np.ascontiguousarray(a, dtype=np.float64) for a in (response, geometry, weight))
-    if response.ndim != 2 or geometry.shape != (*response.shape, 4) or weight.shape != response.shape:
-        raise ValueError(
-            f"response {response.shape}, geometry {geometry.shape}, weight {weight.shape}; accepted: "
-            "(n, J), (n, J, 4), (n, J)"
-        )
-    # A non-finite observation says nothing; it must not turn a texel's sums into NaN.
-    weight = np.where(np.isfinite(response) & np.isfinite(geometry).all(axis=-1) & np.isfinite(weight), weight, 0.0)
-    out = SOLVERS[options.solver](response, geometry, weight, float(n), float(k), options)
-    errors = np.empty((len(response), 3))
-    kernels.standard_errors(response, geometry, weight, float(n), float(k), out, _MODEL_NOISE, errors)
-    power = np.sum(weight * np.where(weight > 0, response, 0.0) ** 2, axis=1)
-    return _judge(out, errors, weight, power, options)
+    problem, rules = _problem(response, geometry, weight, n, k, options, noise, clipped)
+    solve = SOLVERS[options.solver]
+    if options.refractive_index == "fixed":
+        return _result(solve(problem, rules, options), problem)
+
+    def at(index: np.ndarray) -> texels.Output:
+        return solve(problem._replace(n=index), rules, options)
+
+    found = fit_index(at, len(problem.response), options.limits("n"), problem.n)
+    return replace(_result(found.output, problem), index=found.index, index_error=found.error)
 
 
-def _judge(out: kernels.Output, errors, weight, power, options: FitOptions) -> FitResult:
-    """Decide what the data determines, and put NaN where it does not."""
-    parameters, squares, diffuse, used = out.parameters, out.sum_squares, out.diffuse, out.used
-    lower, upper = options.limits()
-    few = used <= kernels.PARAMETERS
-    fitted = ~few & np.isfinite(squares)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # BIC of the full model against diffuse only: two more parameters must pay for themselves.
-        floor = np.maximum(_ROUNDING**2 * power, np.finfo(np.float64).tiny)
-        gain = used * (np.log(np.maximum(diffuse[:, 1], floor)) - np.log(np.maximum(squares, floor)))
-        glossy = fitted & (gain > 2.0 * np.log(np.maximum(used, 1))) & (parameters[:, 1] > 0)
-        relative = errors / np.abs(parameters)
-        at_bound = (parameters[:, :2] >= upper[:2] * (1 - 1e-6)).any(axis=1)
-        at_bound |= (parameters[:, 2] >= upper[2] * (1 - 1e-4)) | (parameters[:, 2] <= lower[2] * (1 + 1e-4))
-        determined = glossy & ~at_bound & (relative[:, 1] < _MAX_RELATIVE_ERROR["beta"])
-        determined &= relative[:, 2] < _MAX_RELATIVE_ERROR["mu"]
-    status = np.where(determined, Status.OK, Status.GLOSS_UNIDENTIFIABLE).astype(np.int8)
-    status[glossy & at_bound] = Status.AT_BOUND
-    status[~few & ~fitted] = Status.NON_FINITE
-    status[few] = Status.TOO_FEW_OBSERVATIONS
-    alpha = np.where(glossy, parameters[:, 0], np.where(fitted, diffuse[:, 0], np.nan))
-    squares = np.where(glossy, squares, np.where(fitted, diffuse[:, 1], np.nan))
-    total_weight = weight.sum(axis=1)
-    rms = np.sqrt(np.divide(squares, total_weight, out=np.full_like(squares, np.nan), where=total_weight > 0))
-    known = np.where(determined, 1.0, np.nan)
-    gloss = np.where(glossy[:, None], parameters[:, 1:], np.array([0.0, 1.0]))
+def _result(out: texels.Output, problem: texels.Problem) -> FitResult:
+    """Put NaN where a parameter is not determined."""
+    table, status = out.table, out.status
+    known = status == judge.Status.OK
+    fitted = np.isfinite(table[:, judge.SQUARES])
+    glossy = fitted & (out.model >= judge.GLOSS_ALONE)
+    mu = np.exp(table[:, judge.LOG_MU])
+    squares, power = table[:, judge.SQUARES], table[:, judge.POWER]
+    rms = np.sqrt(squares)
+    alpha_error = table[:, judge.ALPHA_ERROR]
     return FitResult(
-        alpha=alpha,
-        beta=parameters[:, 1] * known,
-        mu=parameters[:, 2] * known,
-        alpha_error=np.where(glossy & np.isfinite(errors[:, 0]), errors[:, 0], np.nan),
-        beta_error=np.where(determined, errors[:, 1], np.nan),
-        mu_error=np.where(determined, errors[:, 2], np.nan),
+        alpha=table[:, judge.ALPHA],
+        beta=np.where(known, table[:, judge.BETA], np.nan),
+        mu=np.where(known, mu, np.nan),
+        alpha_error=np.where(np.isfinite(alpha_error), alpha_error, np.nan),
+        beta_error=np.where(known, table[:, judge.BETA_ERROR], np.nan),
+        mu_error=np.where(known, table[:, judge.LOG_MU_ERROR] * mu, np.nan),
         residual_rms=rms,
         relative_residual=np.sqrt(np.divide(squares, power, out=np.full_like(power, np.nan), where=power > 0)),
         status=status,
+        model=out.model,
         evaluations=out.evaluations,
         nlopt_result=out.result,
-        gloss=gloss,
+        gloss=np.where(glossy[:, None], np.stack([table[:, judge.BETA], mu], axis=1), [0.0, 1.0]),
+        index=np.broadcast_to(problem.n, status.shape).copy(),
+        index_error=np.full(len(status), math.nan),
     )

@@ -7,7 +7,18 @@ import numba
 import numpy as np
 
 from irodori import store
-from irodori.brdf import gloss_factors
+from irodori.fitting.lobe import (
+    COSINE,
+    FAST,
+    GLOSS,
+    LOBE,
+    ROWS,
+    SPOILED,
+    SQUARE,
+    exp_negative,
+    pack_geometry,
+    padded,
+)
 from irodori.fitting.solvers import FitOptions, FitResult, fit
 from irodori.material import Status
 from irodori.progress import LOGGER
@@ -17,23 +28,49 @@ _RESPONSE_NOISE = 0.01
 _GLOSS_MODEL_ERROR = 0.1
 
 
+_CHUNK = 128  # texels that share their scratch
+
+
+@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+def _lobe(block, beta, mu):
+    """Fill the gloss of every observation of a texel."""
+    for j in range(block.shape[1]):
+        block[LOBE, j] = beta * block[GLOSS, j] * exp_negative(-block[SQUARE, j] / (mu * mu))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _combine_texel(response, weight, noise, block, out, variance):
+    for b in range(response.shape[1]):
+        top, bottom, spread = 0.0, 0.0, 0.0
+        for j in range(response.shape[0]):
+            rho, gloss, cosine = response[j, b], block[LOBE, j], block[COSINE, j]
+            if not weight[j] > 0.0 or not math.isfinite(rho) or block[SPOILED, j] != 0.0:
+                continue
+            expected = _RESPONSE_NOISE**2 + (_GLOSS_MODEL_ERROR * gloss) ** 2
+            w = weight[j] * cosine / expected
+            top += w * (rho - gloss)
+            bottom += w * cosine
+            spread += w * w * (noise[j, b, 0] + noise[j, b, 1] * max(rho, 0.0))
+        out[b] = top / bottom if bottom > 0.0 else np.nan
+        variance[b] = spread / bottom**2 if bottom > 0.0 else np.nan
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _combine_chunk(response, geometry, weight, gloss, n, k, noise, out, variance, first, last):
+    p = padded(response.shape[1])
+    block, angles = np.zeros((ROWS, p)), np.zeros((4, p))
+    for t in range(first, last):
+        pack_geometry(geometry[t], n[t], k, angles, block)
+        _lobe(block, gloss[t, 0], gloss[t, 1])
+        _combine_texel(response[t], weight[t], noise, block, out[t], variance[t])
+
+
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _combine(response, cosine, gloss, weight, noise, out, variance):
-    texels, captures, bands = response.shape
-    for t in numba.prange(texels):
-        for b in range(bands):
-            top, bottom, spread = 0.0, 0.0, 0.0
-            for j in range(captures):
-                rho = response[t, j, b]
-                if not weight[t, j] > 0.0 or not math.isfinite(rho) or not math.isfinite(gloss[t, j]):
-                    continue
-                expected = _RESPONSE_NOISE**2 + (_GLOSS_MODEL_ERROR * gloss[t, j]) ** 2
-                w = weight[t, j] * cosine[t, j] / expected
-                top += w * (rho - gloss[t, j])
-                bottom += w * cosine[t, j]
-                spread += w * w * (noise[j, b, 0] + noise[j, b, 1] * max(rho, 0.0))
-            out[t, b] = top / bottom if bottom > 0.0 else np.nan
-            variance[t, b] = spread / bottom**2 if bottom > 0.0 else np.nan
+def _combine(response, geometry, weight, gloss, n, k, noise, out, variance):
+    texels = response.shape[0]
+    for c in numba.prange((texels + _CHUNK - 1) // _CHUNK):
+        first, last = c * _CHUNK, min(texels, (c + 1) * _CHUNK)
+        _combine_chunk(response, geometry, weight, gloss, n, k, noise, out, variance, first, last)
 
 
 def diffuse_response(
@@ -59,11 +96,10 @@ def diffuse_response(
     variance : (texels, bands) float64
         From the camera's noise alone; NaN where that is not known, or without observation.
     """
-    gloss = result.gloss[:, :1] * gloss_factors(np.asarray(geometry, dtype=np.float64), n, k)
-    gloss *= np.exp(-np.square(geometry[..., 3] / result.gloss[:, 1:]))
     out, variance = np.empty((2, len(response), response.shape[2]))
     noise = np.ascontiguousarray(noise, dtype=np.float64)
-    _combine(response, np.cos(geometry[..., 0]), gloss, weight, noise, out, variance)
+    index = np.where(np.isfinite(result.index), result.index, n)
+    _combine(response, geometry, weight, result.gloss, index, float(k), noise, out, variance)
     return out, variance
 
 
@@ -73,16 +109,21 @@ def fit_brdf(observations, output, options: FitOptions, n: float, k: float, prov
     Notes
     -----
     Datasets, one entry a texel: ``/alpha``, ``/beta``, ``/mu`` (rad), their ``*_error``, ``/residual_rms``,
-    ``/status`` (see `Status`), ``/evaluations``, ``/nlopt_result``, ``/diffuse_response`` (texel, bands) and
+    ``/status`` (see `Status`), ``/model``, ``/evaluations``, ``/nlopt_result``, ``/refractive_index`` and
+    ``/refractive_index_error`` (NaN where the index was given), ``/diffuse_response`` (texel, bands) and
     ``/diffuse_variance``, what the camera's noise gives it.
     """
     with store.open_file(observations) as file:
         response, geometry, weight = file.read("response"), file.read("geometry"), file.read("weight")
-        noise = file.read("noise_model")
+        noise, clipped = file.read("noise_model"), file.read("clipped")
         carried = {name: file.attribute(name) for name in ("rows", "width", "filters")}
-    fit(response[:1, :, GREEN], geometry[:1], weight[:1], n, k, options)  # compile before the clock starts
+    if options.weights == "noise" and not np.isfinite(noise[:, GREEN]).all():
+        LOGGER.info("the camera's noise is not known in every capture: observations have equal weights")
+    green, of_green = response[..., GREEN], noise[:, GREEN]
+    # Compile before the clock starts.
+    fit(green[:2], geometry[:2], weight[:2], n, k, options, of_green, clipped[:2])
     start = time.perf_counter()
-    result = fit(response[..., GREEN], geometry, weight, n, k, options)
+    result = fit(green, geometry, weight, n, k, options, of_green, clipped)
     seconds = time.perf_counter() - start
     fitted = int((result.evaluations > 0).sum())
     diffuse, variance = diffuse_response(response, geometry, weight, result, n, k, noise)
@@ -97,6 +138,9 @@ def fit_brdf(observations, output, options: FitOptions, n: float, k: float, prov
             "residual_rms": (result.residual_rms, "1", "root mean square residual in response"),
             "relative_residual": (result.relative_residual, "1", "residual over root mean square response"),
             "status": (result.status, "1", ", ".join(f"{s.value} {s.name.lower()}" for s in Status)),
+            "model": (result.model, "1", "0 nothing, 1 diffuse, 2 gloss, 3 both"),
+            "refractive_index": (result.index, "1", "real refractive index; NaN where fitted and not determined"),
+            "refractive_index_error": (result.index_error, "1", "its standard error where it was fitted"),
             "evaluations": (result.evaluations, "1", "evaluations of the objective"),
             "nlopt_result": (result.nlopt_result, "1", "return code of NLopt, 0 where not called"),
             "diffuse_response": (diffuse, "1", "response to the diffuse reflectance alone"),

@@ -78,7 +78,7 @@ def test_the_repository_s_own_configuration_loads():
     assert list(definitions["environments"]) == ["classroom"]
     assert list(definitions["cameras"]) == ["d5100-comb"]
     assert list(definitions["rigs"]) == ["virtual"]
-    assert definitions["fit"]["solver"] == "nlopt"
+    assert definitions["fit"]["solver"] == "varpro"
     for name in definitions["objects"]:
         captures = captures_of(definitions, "objects", name)
         assert captures == sorted(set(captures)) and len(captures) >= 10

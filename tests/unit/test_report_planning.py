@@ -163,4 +163,4 @@ def test_simulated_photographs_scatter_as_the_noise_says(planned):
 def test_options_of_the_fit_are_those_of_the_configuration(planned, tmp_path):
     with pytest.raises(ValueError, match=r"fit\.solver 'guess'"):
         measure_plan({"x": planned}, {"solver": "guess"}, 80.0, {"poses": [4], "materials": 10}, tmp_path / "x.csv")
-    assert FitOptions().solver == "nlopt"
+    assert FitOptions().solver == "varpro"

@@ -1,0 +1,108 @@
+"""The real refractive index as one more unknown, around any solver that fits α, β, μ for a given one.
+
+The least sum of squares over (α, β, μ) is a function of n alone: it is scanned, and its minimum is found by parabolas
+through three points, for all texels at once. The same parabola gives the standard error of n, and how β moves with n
+what that error adds to the one of β.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from irodori.fitting import judge
+from irodori.fitting.texels import Output
+
+_NODES = 9
+_REFINEMENTS = 4
+#: Standard error of n beyond which n is not stated and the given one is used.
+_MAX_ERROR = 0.1
+
+
+class IndexFit(NamedTuple):
+    """Outcome: the solver's output at each texel's index, the index (NaN where not determined), its error."""
+
+    output: Output
+    index: np.ndarray
+    error: np.ndarray
+
+
+def _pick(outputs: list[Output], which: np.ndarray) -> Output:
+    rows = np.arange(len(which))
+    return Output(*(np.stack(fields)[which, rows] for fields in zip(*outputs, strict=True)))
+
+
+def _sorted(n: np.ndarray, outputs: list[Output]) -> tuple[np.ndarray, list[Output]]:
+    order = np.argsort(n, axis=0)
+    return np.take_along_axis(n, order, axis=0), [_pick(outputs, o) for o in order]
+
+
+def _parabola(n: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the place of the minimum and the curvature of the parabolas through three points, (3, texels) each."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        left, right = (value[1] - value[0]) / (n[1] - n[0]), (value[2] - value[1]) / (n[2] - n[1])
+        curvature = 2.0 * (right - left) / (n[2] - n[0])
+        place = 0.5 * (n[0] + n[1]) - left / curvature
+    return place, curvature
+
+
+def fit_index(solve, texels: int, limits: tuple[float, float], nominal: np.ndarray) -> IndexFit:
+    """Fit n.
+
+    Parameters
+    ----------
+    solve : callable
+        Takes n, (texels,) float64, and returns an `Output`.
+    texels : int
+    limits : (float, float)
+        Bounds of n.
+    nominal : (texels,) or (1,) float64
+        n that is used where the data does not determine it.
+    """
+    grid = np.geomspace(*limits, _NODES)
+    outputs = [solve(np.full(texels, n)) for n in grid]
+    squares = np.nan_to_num(np.stack([o.table[:, judge.SQUARES] for o in outputs]), nan=np.inf)
+    middle = np.clip(squares.argmin(axis=0), 1, _NODES - 2)
+    n = np.stack([grid[middle - 1], grid[middle], grid[middle + 1]])
+    three = [_pick(outputs, middle + i) for i in (-1, 0, 1)]
+    evaluations = np.sum([o.evaluations for o in outputs], axis=0)
+    for _ in range(_REFINEMENTS):
+        value = np.stack([o.table[:, judge.SQUARES] for o in three])
+        place, curvature = _parabola(n, value)
+        # Not on top of a point that is known already: there the parabola would lose its digits.
+        gap = 1e-3 * (n[2] - n[0])
+        beside = np.where(n[2] - n[1] > n[1] - n[0], n[1] + gap, n[1] - gap)
+        usable = np.isfinite(place) & (curvature > 0) & (place > n[0] + gap) & (place < n[2] - gap)
+        usable &= np.abs(place - n[1]) > gap
+        trial = np.where(usable, place, np.clip(beside, *limits))
+        outcome = solve(trial)
+        evaluations = evaluations + outcome.evaluations
+        four, outputs = _sorted(np.concatenate([n, trial[None]]), [*three, outcome])
+        value = np.nan_to_num(np.stack([o.table[:, judge.SQUARES] for o in outputs]), nan=np.inf)
+        middle = np.clip(value.argmin(axis=0), 1, 2)
+        rows = np.arange(texels)
+        n = np.stack([four[middle + i, rows] for i in (-1, 0, 1)])
+        three = [_pick(outputs, middle + i) for i in (-1, 0, 1)]
+    return _conclude(n, three, solve, limits, nominal, evaluations)
+
+
+def _conclude(n, three, solve, limits, nominal, evaluations) -> IndexFit:
+    """State n where it is determined, and add what its error does to β; fall back on the nominal n elsewhere."""
+    table = np.stack([o.table for o in three])
+    value = table[..., judge.SQUARES]
+    best = np.nan_to_num(value, nan=np.inf).argmin(axis=0)
+    rows = np.arange(n.shape[1])
+    _, curvature = _parabola(n, value)
+    found, index = _pick(three, best), n[best, rows]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = np.sqrt(2.0 * found.table[:, judge.VARIANCE] / curvature)
+        slope = (table[2, :, judge.BETA] - table[0, :, judge.BETA]) / (n[2] - n[0])
+    inside = (index > limits[0] * (1 + 1e-3)) & (index < limits[1] * (1 - 1e-3))
+    known = inside & (curvature > 0) & (error < _MAX_ERROR) & (found.status == judge.Status.OK)
+    spread = np.hypot(found.table[:, judge.BETA_ERROR], np.where(known, slope * error, 0.0))
+    found.table[:, judge.BETA_ERROR] = spread
+    lost = known & ~(spread < judge.MAX_RELATIVE_ERROR["beta"] * found.table[:, judge.BETA])
+    found.status[lost] = judge.Status.MU_UNIDENTIFIABLE
+    given = solve(np.broadcast_to(nominal, n.shape[1]).copy())
+    output = _pick([given, found], known.astype(int))
+    output.evaluations[:] = evaluations + given.evaluations
+    return IndexFit(output, np.where(known, index, np.nan), np.where(known, error, np.nan))

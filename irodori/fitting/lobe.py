@@ -1,0 +1,156 @@
+"""Exponential, cosine and gloss factors of a texel in a form that the compiler turns into vector instructions.
+
+numba calls the C library for `math.exp` and `math.cos`, one number at a time. The polynomials here are exact to a few
+units in the last place, and a loop over observations that calls them is vectorised.
+
+Rows of a texel's observations are padded to a multiple of `LANES` with observations of weight 0, so that no loop has
+a remainder; each step of the geometry is a loop of its own, because the compiler vectorises short ones.
+"""
+
+import math
+
+import numba
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+LANES = 8
+#: Rows of a texel's block: cosθ_i, F G / cosθ_r, φ², response, weight, weight times cosine and times response, expected
+#: variance, weight before outliers lose theirs, D, c0 and c1 of the camera's variance, and what is not a number.
+(
+    COSINE, GLOSS, SQUARE, RESPONSE, WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE, VARIANCE, TRUST, LOBE, CONSTANT, SLOPE,
+    SPOILED,
+) = range(13)  # fmt: skip
+ROWS = 13
+_TINY = 1e-300
+
+#: Sums may be reordered and products fused; NaN and infinity keep their meaning.
+FAST = {"reassoc", "contract", "nsz", "arcp"}
+
+_LOG2_E = 1.4426950408889634
+_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
+# Denormal numbers are slow: the lobe ends where its square and its products with weights are still normal.
+_SMALLEST_EXPONENT = -170.0
+LEAST_LOBE = 1e-74
+_HALF_PI_HIGH, _HALF_PI_LOW = 1.5707963267948966, 6.123233995736766e-17
+
+
+@intrinsic
+def _power_of_two(typingctx, exponent):
+    """Return 2 to a whole float64 within -1022..1023."""
+    signature = types.float64(types.float64)
+
+    def codegen(context, builder, signature, values):
+        whole = builder.fptosi(values[0], ir.IntType(64))
+        biased = builder.add(whole, ir.Constant(ir.IntType(64), 1023))
+        return builder.bitcast(builder.shl(biased, ir.Constant(ir.IntType(64), 52)), ir.DoubleType())
+
+    return signature, codegen
+
+
+@numba.njit(cache=True, fastmath={"contract"}, inline="always")
+def exp_negative(x):
+    """Return exp(x) for x <= 0 to 1e-15 of its value; below -170 it stays at 1e-74."""
+    bounded = x if x > _SMALLEST_EXPONENT else _SMALLEST_EXPONENT
+    whole = math.floor(bounded * _LOG2_E + 0.5)
+    r = (bounded - whole * _LN2_HIGH) - whole * _LN2_LOW
+    p = 1.0 / 479001600.0
+    p = p * r + 1.0 / 39916800.0
+    p = p * r + 1.0 / 3628800.0
+    p = p * r + 1.0 / 362880.0
+    p = p * r + 1.0 / 40320.0
+    p = p * r + 1.0 / 5040.0
+    p = p * r + 1.0 / 720.0
+    p = p * r + 1.0 / 120.0
+    p = p * r + 1.0 / 24.0
+    p = p * r + 1.0 / 6.0
+    p = p * r + 0.5
+    p = p * r + 1.0
+    p = p * r + 1.0
+    return p * _power_of_two(whole)
+
+
+@numba.njit(cache=True, fastmath={"contract"}, inline="always")
+def cosine_of(angle):
+    """Return cos of an angle in rad, clipped to 0..π, to 1e-16."""
+    x = angle if angle > 0.0 else 0.0  # NaN becomes 0
+    x = x if x < math.pi else math.pi
+    y = (_HALF_PI_HIGH - x) + _HALF_PI_LOW
+    s = y * y
+    p = 1.0 / 51090942171709440000.0
+    p = p * s - 1.0 / 121645100408832000.0
+    p = p * s + 1.0 / 355687428096000.0
+    p = p * s - 1.0 / 1307674368000.0
+    p = p * s + 1.0 / 6227020800.0
+    p = p * s - 1.0 / 39916800.0
+    p = p * s + 1.0 / 362880.0
+    p = p * s - 1.0 / 5040.0
+    p = p * s + 1.0 / 120.0
+    p = p * s - 1.0 / 6.0
+    return y + y * s * p
+
+
+@numba.njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
+def _fresnel(c, n, k):
+    """Return `irodori.brdf.fresnel` of a cosine within 0..1, without branches."""
+    nk, c2 = n * k, c * c
+    s2 = 1.0 - c2
+    real = (n - 1.0) * (n + 1.0) - k * k + c2
+    modulus = math.sqrt(real * real + 4.0 * nk * nk)
+    root = math.sqrt(0.5 * (modulus + abs(real)) + _TINY)
+    a = root if real >= 0.0 else nk / root
+    cross = 2.0 * a * c
+    s = (modulus + c2 - cross) / (modulus + c2 + cross + _TINY)
+    p_sum, p_cross = modulus * c2 + s2 * s2, cross * s2
+    return 0.5 * s * (1.0 + (p_sum - p_cross) / (p_sum + p_cross + _TINY))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _gather(geometry, angles, block):
+    for j in range(geometry.shape[0]):
+        block[SPOILED, j] = 0.0 * (geometry[j, 0] + geometry[j, 1] + (geometry[j, 2] + geometry[j, 3]))
+    for i in range(4):
+        for j in range(geometry.shape[0]):
+            angles[i, j] = geometry[j, i]
+
+
+@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+def pack_geometry(geometry, n, k, angles, block):
+    """Fill cosθ_i, F G / cosθ_r, φ² of a texel's block, and NaN where an observation's angles are not all finite.
+
+    Parameters
+    ----------
+    geometry : (J, 4) float
+        θ_i, θ_r, θ_H, φ in rad; where one is not finite, what is filled is of no use, but finite.
+    n, k : float
+    angles : (4, P) float64
+        Scratch; P is J padded to a multiple of `LANES`.
+    block : (ROWS, P) float64
+    """
+    _gather(geometry, angles, block)
+    for j in range(block.shape[1]):
+        phi = angles[3, j] if abs(angles[3, j]) < math.pi else math.pi
+        block[SQUARE, j] = phi * phi
+    flat = angles.reshape(angles.size)
+    for j in range(flat.size):
+        flat[j] = cosine_of(flat[j])
+    for j in range(block.shape[1]):
+        # As `irodori.brdf.attenuation_over_cosine`: zero unless all four cosines are positive.
+        cos_i, cos_r, cos_h, cos_phi = angles[0, j], angles[1, j], angles[2, j], angles[3, j]
+        facet = 2.0 * cos_phi / (cos_h + _TINY)
+        bounded = facet * cos_i
+        bounded = (bounded if bounded < 1.0 else 1.0) / (cos_r + _TINY)
+        bounded = bounded if bounded < facet else facet
+        bounded = bounded if cos_i > 0.0 else 0.0
+        bounded = bounded if cos_r > 0.0 else 0.0
+        bounded = bounded if cos_h > 0.0 else 0.0
+        angles[1, j] = bounded if cos_phi > 0.0 else 0.0
+    for j in range(block.shape[1]):
+        block[COSINE, j] = angles[0, j]
+        block[GLOSS, j] = _fresnel(angles[2, j], n, k) * angles[1, j]
+
+
+@numba.njit(cache=True)
+def padded(observations: int) -> int:
+    """Return a row's length: observations, rounded up to a multiple of `LANES`."""
+    return (observations + LANES - 1) // LANES * LANES

@@ -1,0 +1,130 @@
+"""One texel's observations as the solvers want them: responses, expected variances, weights."""
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from irodori.fitting.lobe import (
+    CONSTANT,
+    COSINE,
+    FAST,
+    RESPONSE,
+    SLOPE,
+    SPOILED,
+    TRUST,
+    VARIANCE,
+    WEIGHT,
+    WEIGHTED_COSINE,
+    WEIGHTED_RESPONSE,
+    padded,
+)
+
+_LEAST_VARIANCE = 1e-8  # of the mean square response: no observation counts ten thousand times another
+_TINY = 1e-60
+
+
+class Rules(NamedTuple):
+    """What is allowed, and what is known about the scatter of an observation; numbers only.
+
+    Parameters
+    ----------
+    low_alpha, high_alpha, low_beta, high_beta, low_log_mu, high_log_mu : float
+    known : bool
+        Whether the camera's noise was measured.
+    weighted : bool
+        Whether observations count by inverse variance; needs ``known``.
+    model_error : float
+        Relative error of an observation apart from noise.
+    pose_variance : float
+        Of one angle of the rig, rad².
+    huber : float
+        Residual in standard deviations beyond which an observation counts for less; 0 for none.
+    """
+
+    low_alpha: float
+    high_alpha: float
+    low_beta: float
+    high_beta: float
+    low_log_mu: float
+    high_log_mu: float
+    known: bool
+    weighted: bool
+    model_error: float
+    pose_variance: float
+    huber: float
+
+    @property
+    def box(self):
+        """Bounds of α, then of β."""
+        return self.low_alpha, self.high_alpha, self.low_beta, self.high_beta
+
+
+def camera_noise(model, captures: int) -> tuple[np.ndarray, bool]:
+    """Return c0 and c1 of every capture in padded rows, (2, P), and whether they are known: given and finite."""
+    out = np.zeros((2, padded(captures)))
+    known = model is not None and bool(np.isfinite(model).all())
+    if known:
+        out[:, :captures] = np.asarray(model, dtype=np.float64).T
+    return out, known
+
+
+@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+def load(response, weight, rules, block):
+    """Fill responses, variances and weights of a texel.
+
+    Returns
+    -------
+    used : int
+        Observations with weight.
+    lost : int
+        Observations that would have weight, were they finite.
+    floor : float
+        Expected weighted square of a residual.
+    """
+    used, offered, total, power = 0.0, 0.0, 0.0, 0.0
+    for j in range(response.size):
+        given, trust = np.float64(response[j]), np.float64(weight[j])
+        fine = abs(given + block[SPOILED, j]) < np.inf and trust > 0.0 and trust < np.inf
+        r = given if fine else 0.0
+        t = trust if fine else 0.0
+        block[RESPONSE, j], block[TRUST, j] = r, t
+        used += 1.0 if fine else 0.0
+        offered += 0.0 if trust <= 0.0 else 1.0
+        total += t
+        power += t * r * r
+    power /= total if total > 0.0 else 1.0
+    relative = rules.model_error * rules.model_error
+    common = _TINY + (_LEAST_VARIANCE if rules.known else relative) * power
+    relative = relative if rules.known else 0.0
+    floor = 0.0
+    for j in range(block.shape[1]):
+        r = block[RESPONSE, j]
+        v = common + block[CONSTANT, j] + block[SLOPE, j] * (r if r > 0.0 else 0.0) + relative * r * r
+        block[VARIANCE, j] = v
+        w = block[TRUST, j] / (v if rules.weighted else 1.0)
+        block[TRUST, j] = w
+        block[WEIGHT, j] = w
+        floor += w * v
+    return int(used), int(offered - used), floor / max(used, 1.0)
+
+
+@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+def weigh(block):
+    """Fill the weighted rows and return Σ w c², Σ w c ρ, Σ w ρ², Σ w."""
+    cc, cr, rr, total = 0.0, 0.0, 0.0, 0.0
+    for j in range(block.shape[1]):
+        w, c, r = block[WEIGHT, j], block[COSINE, j], block[RESPONSE, j]
+        block[WEIGHTED_COSINE, j] = w * c
+        block[WEIGHTED_RESPONSE, j] = w * r
+        cc += w * c * c
+        cr += w * c * r
+        rr += w * r * r
+        total += w
+    return cc, cr, rr, total
+
+
+def pose_variance(pose_error_deg: float) -> float:
+    """Return the variance of one angle of the rig, rad²."""
+    return math.radians(pose_error_deg) ** 2

@@ -1,0 +1,266 @@
+"""The loop over texels: load, find the minimum, judge, write."""
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from irodori.fitting import judge
+from irodori.fitting.lobe import (
+    CONSTANT,
+    COSINE,
+    FAST,
+    GLOSS,
+    RESPONSE,
+    ROWS,
+    SLOPE,
+    SQUARE,
+    TRUST,
+    VARIANCE,
+    WEIGHT,
+    exp_negative,
+    pack_geometry,
+    padded,
+)
+from irodori.fitting.observations import load, weigh
+from irodori.fitting.varpro import NODE_STEP, SUMS, minimise, newton, pair_at, scan_own, scan_shared
+from irodori.material import Status
+
+_CHUNK = 128  # texels that share their scratch
+_REWEIGHTINGS = 6
+_SURE = 4.0  # standard errors of α from zero, from which on a model without diffuse light is not tried
+_DARK, _DIFFUSE_ONLY, _SATURATED = int(Status.DARK), int(Status.DIFFUSE_ONLY), int(Status.SATURATED)
+
+
+class Problem(NamedTuple):
+    """What a fit is given.
+
+    Parameters
+    ----------
+    response, weight : (texels, J) float
+    geometry : (texels, J, 4) or (1, J, 4) float
+    clipped : (texels, J) or (1, 0) uint8
+    n : (texels,) or (1,) float64
+    k : float
+    noise : (2, P) float64
+        c0 and c1 of the camera's variance c0 + c1 ρ, by capture.
+    nodes : (nodes,) float64
+        log μ of the scan, falling.
+    steepness : (nodes,) float64
+        2 / μ² there.
+    chains : int
+        Steps of the nodes in √2.
+    """
+
+    response: np.ndarray
+    weight: np.ndarray
+    geometry: np.ndarray
+    clipped: np.ndarray
+    n: np.ndarray
+    k: float
+    noise: np.ndarray
+    nodes: np.ndarray
+    steepness: np.ndarray
+    chains: int
+
+
+class Output(NamedTuple):
+    """What the loop fills: see the columns of `irodori.fitting.judge`."""
+
+    table: np.ndarray  # (texels, COLUMNS)
+    status: np.ndarray  # (texels,) int8
+    model: np.ndarray  # (texels,) int8
+    evaluations: np.ndarray  # (texels,) int32
+    result: np.ndarray  # (texels,) int8, NLopt's return code
+
+
+@numba.njit(cache=True)
+def new_block(problem):
+    """Return an empty block for one texel, scratch for angles, and for the sums of the scan."""
+    p = padded(problem.response.shape[1])
+    block = np.zeros((ROWS, p))
+    block[CONSTANT], block[SLOPE] = problem.noise[0], problem.noise[1]
+    return block, np.zeros((4, p)), np.full((SUMS, problem.nodes.size), np.inf)
+
+
+@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+def _reweigh(block, a, b, log_mu, huber):
+    """Give observations beyond ``huber`` standard deviations the weight that makes their loss linear."""
+    factor = -math.exp(-2.0 * log_mu)
+    for j in range(block.shape[1]):
+        g = block[GLOSS, j] * exp_negative(block[SQUARE, j] * factor)
+        deviation = abs(a * block[COSINE, j] + b * g - block[RESPONSE, j]) / math.sqrt(block[VARIANCE, j])
+        block[WEIGHT, j] = block[TRUST, j] * (huber / deviation if deviation > huber else 1.0)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def robust(block, fixed, log_mu, rules):
+    """Reweight outliers and polish in turn; return the new sums, log μ and the evaluations."""
+    evaluations = 0
+    box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
+    for _ in range(_REWEIGHTINGS):
+        a, b, _value = pair_at(block, fixed, box, log_mu)
+        _reweigh(block, a, b, log_mu, rules.huber)
+        fixed = weigh(block)
+        low, high = max(log_mu - NODE_STEP, rules.low_log_mu), min(log_mu + NODE_STEP, rules.high_log_mu)
+        log_mu, _, _, count = newton(block, fixed, box, log_mu, low, high, False)
+        evaluations += count + 1
+    return fixed, log_mu, evaluations
+
+
+@numba.njit(cache=True, error_model="numpy")
+def conclude(block, fixed, a, b, log_mu, used, floor, clipped, nodes, sums, rules):
+    """Choose the model by BIC, state errors and status; the scan's sums are those of the block."""
+    diffuse = fixed[1] / fixed[0] if fixed[0] > 0.0 else 0.0
+    diffuse = min(max(diffuse, rules.low_alpha), rules.high_alpha)
+    squares = max(fixed[2] + diffuse * (diffuse * fixed[0] - 2.0 * fixed[1]), 0.0)
+    model, best = judge.DIFFUSE_ALONE, judge.information_criterion(squares, used, floor, 1)
+    if rules.low_alpha == 0.0 and judge.information_criterion(fixed[2], used, floor, 0) <= best:
+        model, best = judge.NOTHING, judge.information_criterion(fixed[2], used, floor, 0)
+    errors = judge.Errors(np.inf, np.inf, np.inf, squares, 1.0)
+    evaluations = 0
+    if b > 0.0:
+        both = judge.full_errors(block, a, b, log_mu, used, rules, True)
+        criterion = judge.information_criterion(both.squares, used, floor, 3)
+        if criterion < best or rules.low_beta > 0.0:
+            model, best, errors = judge.BOTH, criterion, both
+        if rules.low_alpha == 0.0 and not a > _SURE * both.alpha:
+            box = (0.0, 0.0, rules.low_beta, rules.high_beta)
+            alone_mu, _, alone_b, evaluations = minimise(block, fixed, box, nodes, sums)
+            alone = judge.full_errors(block, 0.0, alone_b, alone_mu, used, rules, False)
+            if judge.information_criterion(alone.squares, used, floor, 2) < best:
+                model, errors, a, b, log_mu = judge.GLOSS_ALONE, alone, 0.0, alone_b, alone_mu
+    if model == judge.NOTHING or model == judge.DIFFUSE_ALONE:
+        status = _DARK if model == judge.NOTHING else _DIFFUSE_ONLY
+        if judge.highlight_clips(block, clipped, 0.0, False):
+            status = _SATURATED
+        diffuse_error, squares = judge.diffuse_errors(block, diffuse, used, rules)
+        variance = max(squares / (used - 1), floor)
+        return judge.Verdict(
+            status, model, diffuse, 0.0, 0.0, diffuse_error, np.inf, np.inf, squares, variance, evaluations
+        )
+    status = judge.gloss_status(block, clipped, a, b, log_mu, errors, rules)
+    variance = max(errors.squares / (used - judge.PARAMETERS), floor)
+    return judge.Verdict(
+        status, model, a, b, log_mu, errors.alpha, errors.beta, errors.log_mu, errors.squares, variance, evaluations
+    )
+
+
+@numba.njit(cache=True)
+def write(out, t, verdict, fixed, evaluations):
+    """Store a verdict."""
+    out.status[t], out.model[t] = verdict.status, verdict.model
+    out.evaluations[t] = evaluations + verdict.evaluations
+    row = out.table[t]
+    row[judge.ALPHA], row[judge.BETA], row[judge.LOG_MU] = verdict.alpha, verdict.beta, verdict.log_mu
+    row[judge.ALPHA_ERROR], row[judge.BETA_ERROR] = verdict.alpha_error, verdict.beta_error
+    row[judge.LOG_MU_ERROR], row[judge.SQUARES] = verdict.log_mu_error, verdict.squares / fixed[3]
+    row[judge.POWER], row[judge.VARIANCE] = fixed[2] / fixed[3], verdict.variance / fixed[3]
+
+
+@numba.njit(cache=True)
+def clipped_of(t, problem):
+    """Return which observations of a texel clip; empty where that is not known."""
+    return problem.clipped[t if problem.clipped.shape[0] > 1 else 0]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _fit_texel(t, block, used, floor, problem, rules, sums, out):
+    """Scan, polish and judge one loaded texel whose sums are filled."""
+    box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
+    fixed = weigh(block)
+    log_mu, a, b, evaluations = minimise(block, fixed, box, problem.nodes, sums)
+    if rules.huber > 0.0:
+        fixed, log_mu, count = robust(block, fixed, log_mu, rules)
+        scan_own(block, problem.nodes, problem.steepness, problem.chains, sums)
+        a, b, _ = pair_at(block, fixed, box, log_mu)
+        evaluations += count + problem.nodes.size
+    clipped = clipped_of(t, problem)
+    verdict = conclude(block, fixed, a, b, log_mu, used, floor, clipped, problem.nodes, sums, rules)
+    write(out, t, verdict, fixed, evaluations)
+
+
+@numba.njit(cache=True)
+def give_up(t, used, lost, problem, out):
+    """Store the status of a texel with too few observations."""
+    out.status[t] = judge.hopeless(used, lost, clipped_of(t, problem))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _own_chunk(problem, rules, out, first, last):
+    block, angles, sums = new_block(problem)
+    for t in range(first, last):
+        n = problem.n[t if problem.n.size > 1 else 0]
+        pack_geometry(problem.geometry[t if problem.geometry.shape[0] > 1 else 0], n, problem.k, angles, block)
+        used, lost, floor = load(problem.response[t], problem.weight[t], rules, block)
+        if used <= judge.PARAMETERS:
+            give_up(t, used, lost, problem, out)
+            continue
+        weigh(block)
+        scan_own(block, problem.nodes, problem.steepness, problem.chains, sums)
+        _fit_texel(t, block, used, floor, problem, rules, sums, out)
+
+
+@numba.njit(cache=True, parallel=True, nogil=True)
+def fit_own(problem, rules, out):
+    """Fit every texel by variable projection, each with its own geometry."""
+    texels = problem.response.shape[0]
+    for c in numba.prange((texels + _CHUNK - 1) // _CHUNK):
+        _own_chunk(problem, rules, out, c * _CHUNK, min(texels, (c + 1) * _CHUNK))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _lobe_table(nodes, block):
+    """Return g, dg/dt, g² and d(g²)/dt at all nodes for one geometry, (4, nodes, P)."""
+    table = np.zeros((4, nodes.size, block.shape[1]))
+    for i in range(nodes.size):
+        factor = math.exp(-2.0 * nodes[i])
+        for j in range(block.shape[1]):
+            x = block[SQUARE, j] * factor
+            g = block[GLOSS, j] * exp_negative(-x)
+            table[0, i, j], table[1, i, j] = g, 2.0 * x * g
+            table[2, i, j], table[3, i, j] = g * g, 4.0 * x * g * g
+    return table
+
+
+@numba.njit(cache=True, error_model="numpy")
+def shared_geometry(problem):
+    """Return a block with the common geometry, and the table of lobes at the nodes."""
+    block, angles, _ = new_block(problem)
+    pack_geometry(problem.geometry[0], problem.n[0], problem.k, angles, block)
+    return block, _lobe_table(problem.nodes, block)
+
+
+@numba.njit(cache=True)
+def _weights_changed(block, before):
+    changed = False
+    for j in range(before.size):
+        changed |= block[WEIGHT, j] != before[j]
+        before[j] = block[WEIGHT, j]
+    return changed
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _shared_chunk(problem, rules, common, table, out, first, last):
+    _, _, sums = new_block(problem)
+    block = common.copy()
+    before = np.full(block.shape[1], np.nan)
+    for t in range(first, last):
+        used, lost, floor = load(problem.response[t], problem.weight[t], rules, block)
+        if used <= judge.PARAMETERS:
+            give_up(t, used, lost, problem, out)
+            continue
+        weigh(block)
+        scan_shared(block, table, sums, _weights_changed(block, before))
+        _fit_texel(t, block, used, floor, problem, rules, sums, out)
+        if rules.huber > 0.0:
+            before[0] = np.nan
+
+
+@numba.njit(cache=True, parallel=True, nogil=True)
+def fit_shared(problem, rules, common, table, out):
+    """Fit every texel by variable projection, all with one geometry."""
+    texels = problem.response.shape[0]
+    for c in numba.prange((texels + _CHUNK - 1) // _CHUNK):
+        _shared_chunk(problem, rules, common, table, out, c * _CHUNK, min(texels, (c + 1) * _CHUNK))

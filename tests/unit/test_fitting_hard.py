@@ -1,0 +1,349 @@
+"""The fit on hard cases: each with the outcome that is expected of it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+from test_fitting import GEOMETRY, K, N, gloss_over_beta, materials, model, run
+
+from irodori.brdf import gloss_factors
+from irodori.fitting import FitOptions, Status, fit
+from irodori.fitting.lobe import COSINE, GLOSS, ROWS, SPOILED, SQUARE, exp_negative, pack_geometry, padded
+
+CAMERA = np.tile([4e-6, 8e-5], (len(GEOMETRY), 1))  # c0 and c1 of a camera of moderate noise
+FREE = {"alpha": (0.0, 2.0), "beta": (0.0, 1e4), "mu_rad": (0.005, 1.2)}
+
+
+def in_plane(incidence_deg, view_deg) -> np.ndarray:
+    """Angles of poses in one plane, light and camera on opposite sides of the normal, (J, 4) rad."""
+    i, v = np.broadcast_arrays(np.radians(incidence_deg), np.radians(view_deg))
+    return np.stack([np.abs(i), np.abs(v), np.abs(i + v) / 2, np.abs(i - v) / 2], axis=-1)
+
+
+def brute_force(response, geometry, weight, mus) -> np.ndarray:
+    """Least weighted sum of squares over α, β >= 0 on a dense grid of μ, (texels,)."""
+    c, root = np.cos(geometry[:, 0]), np.sqrt(weight)
+    out = np.full(len(response), np.inf)
+    for mu in mus:
+        g = gloss_over_beta(geometry, mu)
+        a = root[:, None] * np.stack([c, g], axis=1)
+        for columns in ([0, 1], [0], [1]):
+            solution, *_ = np.linalg.lstsq(a[:, columns], root[:, None] * response.T, rcond=None)
+            squares = np.sum((a[:, columns] @ solution - root[:, None] * response.T) ** 2, axis=0)
+            out = np.where((solution >= 0).all(axis=0), np.minimum(out, squares), out)
+    return out
+
+
+def stated(result) -> np.ndarray:
+    return result.status == Status.OK
+
+
+def assert_sound(result, bounds=FREE):
+    """Finite or flagged, and within bounds."""
+    for name, (low, high) in zip(("alpha", "beta", "mu"), bounds.values(), strict=True):
+        values = getattr(result, name)
+        known = np.isfinite(values)
+        assert ((values[known] >= low * (1 - 1e-12)) & (values[known] <= high * (1 + 1e-12))).all()
+    for name in ("beta", "mu", "beta_error", "mu_error"):
+        assert np.array_equal(np.isfinite(getattr(result, name)), stated(result))
+    few = np.isin(result.status, (Status.TOO_FEW_OBSERVATIONS, Status.NON_FINITE))
+    assert np.isfinite(result.alpha[~few & (result.status != Status.SATURATED)]).all()
+    assert not np.isinf(np.concatenate([result.alpha, result.alpha_error, result.residual_rms])).any()
+
+
+@pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.2), (1.0001, 0.0)])
+def test_vector_form_of_the_gloss_is_that_of_the_reflection_model(n, k):
+    geometry = np.random.default_rng(0).uniform(0.0, 1.7, (53, 4))
+    block = np.zeros((ROWS, padded(53)))
+    pack_geometry(geometry, n, k, np.zeros((4, padded(53))), block)
+    np.testing.assert_allclose(block[GLOSS, :53], gloss_factors(geometry, n, k), rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(block[COSINE, :53], np.cos(geometry[:, 0]), rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(block[SQUARE, :53], geometry[:, 3] ** 2, rtol=1e-14)
+    assert (block[SPOILED] == 0).all()
+
+
+@given(st.floats(-160.0, 0.0))
+@settings(deadline=None)
+def test_vector_form_of_the_exponential_is_exact(x):
+    assert exp_negative(x) == pytest.approx(np.exp(x), rel=4e-15)
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.05])
+@pytest.mark.parametrize("glossy", [True, False])
+def test_no_dense_scan_beats_variable_projection(noise, glossy):
+    rng = np.random.default_rng(1)
+    if glossy:
+        alpha, beta, mu = materials(400, seed=21)
+    else:
+        alpha, beta, mu = rng.uniform(0, 1, 400), 10 ** rng.uniform(-2, 2, 400), 10 ** rng.uniform(-2.3, 0.08, 400)
+    truth = model(alpha, beta, mu)
+    response = truth * (1 + noise * rng.normal(size=truth.shape)) + 0.1 * noise * rng.normal(size=truth.shape)
+    result = run(response)
+    both = (result.model == 3) & (result.gloss[:, 0] < 9e3)
+    fitted = model(result.alpha, *result.gloss.T)
+    squares = np.sum((fitted - response) ** 2, axis=1)
+    best = brute_force(response, GEOMETRY, np.ones(len(GEOMETRY)), np.geomspace(0.005, 1.2, 1500))
+    assert both.sum() > 200
+    assert (squares[both] <= best[both] * 1.001).mean() >= 0.999
+
+
+def test_one_geometry_for_all_gives_what_a_geometry_each_gives():
+    alpha, beta, mu = materials(300, seed=22)
+    rng = np.random.default_rng(220)
+    response = model(alpha, beta, mu) * (1 + 0.01 * rng.normal(size=(300, len(GEOMETRY))))
+    weight = (rng.random(response.shape) < 0.8).astype(float)
+    weight[::3] = 1.0
+    for noise in (None, CAMERA):
+        shared = fit(response, GEOMETRY, weight, N, K, noise=noise)
+        own = fit(response, np.tile(GEOMETRY, (300, 1, 1)), weight, N, K, noise=noise)
+        assert np.array_equal(shared.status, own.status)
+        for name in ("alpha", "beta", "mu", "beta_error", "residual_rms"):
+            np.testing.assert_allclose(getattr(shared, name), getattr(own, name), rtol=1e-6, equal_nan=True)
+
+
+def test_grazing_views_are_fitted():
+    geometry = in_plane([45, 60, 70, 75, 78, 80, 79, 60, 40, 20], [79, 75, 78, 79, 79.9, 79.9, 70, 60, 30, 0])
+    alpha, beta, mu = np.array([0.2, 0.5]), np.array([1.0, 0.5]), np.array([0.15, 0.3])
+    result = run(model(alpha, beta, mu, geometry), geometry)
+    assert stated(result).all()
+    np.testing.assert_allclose(result.mu, mu, rtol=1e-4)
+    np.testing.assert_allclose(result.beta, beta, rtol=1e-4)
+
+
+def test_back_lit_observations_count_as_dark_and_do_no_harm():
+    back = in_plane([95, 110, 125], [10, 20, 30])
+    alpha, beta, mu = materials(50, seed=23)
+    response = np.concatenate([model(alpha, beta, mu), np.zeros((50, 3))], axis=1)
+    geometry = np.concatenate([GEOMETRY, back])
+    weight = np.concatenate([np.ones(len(GEOMETRY)), np.zeros(3)])
+    result = run(response, geometry, weight)
+    assert stated(result).all()
+    np.testing.assert_allclose(result.mu, mu, rtol=1e-4)
+    assert_sound(run(response, geometry))  # even with weight
+
+
+def test_roughness_over_its_whole_range_is_recovered_or_flagged():
+    off = np.geomspace(0.05, 20, 16)
+    camera = np.concatenate([np.linspace(0, 75, 16), 40 + off, 40 - off])
+    geometry = in_plane(40.0, camera)
+    mu = np.geomspace(0.0055, 1.15, 40)
+    result = run(model(0.3, 3.0, mu, geometry), geometry)
+    assert_sound(result)
+    known = stated(result)
+    assert known[(mu > 0.006) & (mu < 0.5)].all()
+    np.testing.assert_allclose(result.mu[known], mu[known], rtol=1e-4)
+
+
+def test_no_diffuse_light_is_gloss_alone():
+    _, beta, mu = materials(60, seed=24)
+    rng = np.random.default_rng(240)
+    truth = model(0.0, beta, mu)
+    result = run(truth + 0.002 * truth.max(axis=1, keepdims=True) * rng.normal(size=truth.shape))
+    assert (result.model == 2).mean() > 0.9 and stated(result).mean() > 0.9
+    assert (result.alpha[result.model == 2] == 0).all()
+    known = stated(result)
+    assert np.median(np.abs(result.mu / mu - 1)[known]) < 0.01
+
+
+def test_one_geometry_repeated_leaves_the_gloss_open():
+    geometry = np.tile(in_plane(45.0, 40.0), (12, 1))
+    rng = np.random.default_rng(2)
+    result = run(model(0.3, 4.0, 0.1, geometry) * (1 + 0.01 * rng.normal(size=(20, 12))), geometry)
+    assert np.isin(result.status, (Status.DIFFUSE_ONLY, Status.MU_UNIDENTIFIABLE)).all()
+    assert_sound(result)
+
+
+@pytest.mark.parametrize("value", [0.0, -0.003])
+def test_no_light_is_dark(value):
+    result = run(np.full((3, len(GEOMETRY)), value))
+    assert (result.status == Status.DARK).all() and (result.alpha == 0).all()
+
+
+def test_noise_around_nothing_is_dark_and_never_gloss():
+    rng = np.random.default_rng(3)
+    result = fit(1e-3 * rng.normal(size=(500, len(GEOMETRY))), GEOMETRY, np.ones((500, len(GEOMETRY))), N, K,
+                 noise=np.tile([1e-6, 0.0], (len(GEOMETRY), 1)))  # fmt: skip
+    assert (result.status == Status.DARK).mean() > 0.85
+    assert stated(result).mean() < 0.01
+    assert_sound(result)
+
+
+def test_negative_values_after_dark_subtraction_bias_nothing():
+    rng = np.random.default_rng(4)
+    truth = np.broadcast_to(model(0.004, 0.0, 0.1), (2000, len(GEOMETRY)))
+    result = run(truth + 0.004 * rng.normal(size=truth.shape))
+    assert_sound(result)
+    assert result.alpha.mean() == pytest.approx(0.004, rel=0.05)
+
+
+def clip(alpha, beta, mu, level):
+    """Responses and what of them clips."""
+    response = model(alpha, beta, mu)
+    return np.minimum(response, level), response > level
+
+
+def test_a_highlight_that_clips_is_saturated():
+    response, clipped = clip(0.3, np.array([20.0, 30.0]), 0.08, 0.5)
+    assert clipped.any(axis=1).all()
+    result = fit(response, GEOMETRY, (~clipped).astype(float), N, K, clipped=clipped)
+    assert (result.status == Status.SATURATED).all()
+    assert np.isnan(result.mu).all() and np.abs(result.alpha - 0.3).max() < 0.02
+    assert_sound(result)
+
+
+def test_one_clipped_observation_among_many_in_the_highlight_is_not_missed():
+    response, clipped = clip(0.3, 4.0, 0.2, np.sort(model(0.3, 4.0, 0.2))[-2] * 1.0001)
+    assert clipped.sum() == 1
+    result = fit(response[None], GEOMETRY, (~clipped).astype(float)[None], N, K, clipped=clipped[None])
+    assert stated(result).all() and result.mu == pytest.approx(0.2, rel=1e-4)
+
+
+def test_a_texel_that_clips_in_almost_every_picture_is_saturated():
+    clipped = np.ones((1, len(GEOMETRY)), dtype=bool)
+    clipped[0, :2] = False
+    result = fit(np.ones(clipped.shape), GEOMETRY, (~clipped).astype(float), N, K, clipped=clipped)
+    assert result.status == Status.SATURATED and np.isnan(result.alpha).all()
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("weights", ["noise", "equal"])
+def test_amplitude_changes_no_decision(scale, weights):
+    alpha, beta, mu = materials(60, seed=25)
+    beta[::4] = 0.0
+    rng = np.random.default_rng(250)
+    response = model(alpha, beta, mu) * (1 + 0.01 * rng.normal(size=(60, len(GEOMETRY))))
+    bounds = {"alpha": (0.0, 2.0 * scale), "beta": (0.0, 1e4 * scale)}
+    one = fit(response, GEOMETRY, np.ones(response.shape), N, K, FitOptions(weights=weights), CAMERA)
+    camera = CAMERA * [scale**2, scale]
+    many = fit(scale * response, GEOMETRY, np.ones(response.shape), N, K,
+               FitOptions(weights=weights, bounds=bounds), camera)  # fmt: skip
+    assert np.array_equal(one.status, many.status)
+    np.testing.assert_allclose(many.mu, one.mu, rtol=1e-6, equal_nan=True)
+    np.testing.assert_allclose(many.alpha_error, scale * one.alpha_error, rtol=1e-5, equal_nan=True)
+
+
+def test_huber_withstands_one_gross_outlier_in_twenty():
+    geometry = np.concatenate([GEOMETRY, in_plane([30, 50, 60], [25, 45, 60])])
+    alpha, beta, mu = materials(200, seed=26)
+    rng = np.random.default_rng(260)
+    response = model(alpha, beta, mu, geometry) * (1 + 0.005 * rng.normal(size=(200, len(geometry))))
+    response[np.arange(200), rng.integers(0, len(geometry), 200)] *= 3.0
+    plain, robust = (run(response, geometry, huber=h) for h in (None, 2.0))
+    error = [np.where(stated(r), np.abs(r.mu / mu - 1), np.inf) for r in (plain, robust)]
+    assert np.median(error[1]) < 0.05 and np.median(error[1]) < 0.3 * np.median(error[0])
+    assert stated(robust).mean() > stated(plain).mean()
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.05])
+def test_prediction_at_held_out_angles_is_as_good_as_the_noise(noise):
+    held = in_plane([35, 50, 55, 65, 45, 30], [20, 40, 58, 60, 60, 45])
+    many = np.concatenate([GEOMETRY, in_plane(np.linspace(30, 70, 31), np.linspace(60, 35, 31))])
+    alpha, beta, mu = materials(500, seed=27)
+    rng = np.random.default_rng(270)
+    clean = model(alpha, beta, mu, many)
+    result = run(clean * (1 + noise * rng.normal(size=clean.shape)), many, weights="equal")
+    predicted = model(result.alpha, *result.gloss.T, held)
+    truth = model(alpha, beta, mu, held)
+    measured = truth * (1 + noise * rng.normal(size=truth.shape))
+    assert np.std(predicted - measured) <= 1.1 * np.std(truth - measured)
+
+
+def photographed(count, rng, common=0.7):
+    """Materials and their responses under pose errors of 0.05° and a light that drifts by 1 %."""
+    alpha, mu = rng.uniform(0.05, 0.9, count), np.exp(rng.uniform(np.log(0.04), np.log(0.25), count))
+    beta = 10 ** rng.uniform(-0.2, 0.9, count)
+    shape = (count, len(GEOMETRY))
+    off = np.degrees(GEOMETRY[:, :2]) + 0.05 * rng.normal(size=(*shape, 2))
+    y = model(alpha, beta, mu, in_plane(off[..., 0], off[..., 1]))
+    drift = common * rng.normal(size=(count, 1)) + np.sqrt(1 - common**2) * rng.normal(size=shape)
+    y = y * (1 + 0.01 * drift)
+    return alpha, beta, mu, y + np.sqrt(CAMERA[:, 0] + CAMERA[:, 1] * y) * rng.normal(size=shape)
+
+
+@pytest.mark.parametrize("weights", ["noise", "equal"])
+def test_two_standard_errors_hold_for_nine_texels_in_ten(weights):
+    alpha, beta, mu, response = photographed(3000, np.random.default_rng(5))
+    result = fit(response, GEOMETRY, np.ones(response.shape), N, K, FitOptions(weights=weights), CAMERA)
+    known = stated(result)
+    assert known.mean() > 0.95
+    for name, truth in (("alpha", alpha), ("beta", beta), ("mu", mu)):
+        deviation = np.abs(getattr(result, name) - truth)[known] / getattr(result, f"{name}_error")[known]
+        assert (deviation < 2).mean() >= 0.9
+        assert np.median(deviation) > 0.1  # not simply huge
+
+
+def test_inverse_variance_is_better_than_equal_weights():
+    _alpha, _beta, mu, response = photographed(3000, np.random.default_rng(6))
+    weight = np.ones(response.shape)
+    fits = [fit(response, GEOMETRY, weight, N, K, FitOptions(weights=w), CAMERA) for w in ("noise", "equal")]
+    error = [np.nanmedian(np.abs(f.mu / mu - 1)) for f in fits]
+    assert error[0] < error[1]
+
+
+def test_a_lobe_seen_only_far_from_its_peak_is_not_stated():
+    geometry = in_plane([10, 20, 30, 40, 10, 20, 30, 50], [45, 55, 70, 75, 50, 60, 65, 10])
+    rng = np.random.default_rng(7)
+    response = model(0.3, 2000.0, 0.1, geometry)[None] * (1 + 0.002 * rng.normal(size=(50, len(geometry))))
+    result = run(response, geometry)
+    assert (np.abs(geometry[:, 3]) > 0.2).all()
+    assert not stated(result).any()
+    assert_sound(result)
+
+
+def test_a_fitted_index_is_that_of_the_material():
+    geometry = in_plane(*np.meshgrid([20, 35, 50, 65, 75], [15, 25, 35, 50, 60, 70, 78])).reshape(-1, 4)
+    rng = np.random.default_rng(8)
+    truth = rng.uniform(1.35, 2.0, 40)
+    mu, beta = rng.uniform(0.15, 0.3, 40), rng.uniform(4, 8, 40)
+    response = np.stack([model(0.2, b, m, geometry, n=n) for b, m, n in zip(beta, mu, truth, strict=True)])
+    exact = run(response, geometry, refractive_index="fitted", model_error=1e-4, pose_error_deg=0.0)
+    known = np.isfinite(exact.index)
+    assert known.mean() > 0.9
+    np.testing.assert_allclose(exact.index[known], truth[known], atol=2e-3)
+    np.testing.assert_allclose(exact.beta[known], beta[known], rtol=1e-2)
+    noisy = run(response + 0.003 * rng.normal(size=response.shape), geometry, refractive_index="fitted",
+                weights="equal", model_error=1e-3, pose_error_deg=0.0)  # fmt: skip
+    known = np.isfinite(noisy.index)
+    assert known.any() and (np.abs(noisy.index - truth)[known] <= 4 * noisy.index_error[known]).all()
+
+
+def test_an_index_that_the_angles_do_not_tell_is_not_stated():
+    rng = np.random.default_rng(9)
+    geometry = in_plane(np.linspace(3, 12, 12), np.linspace(2, 25, 12))  # all near normal incidence
+    response = model(0.3, 5.0, 0.12, geometry) * (1 + 0.01 * rng.normal(size=(30, 12)))
+    result, given = run(response, geometry, refractive_index="fitted"), run(response, geometry)
+    assert np.isnan(result.index).all()
+    np.testing.assert_array_equal(result.mu, given.mu)
+
+
+VALUES = st.floats(-1e6, 1e6, width=32) | st.sampled_from([np.nan, np.inf])
+
+
+@given(
+    response=npst.arrays(np.float32, (5, 11), elements=VALUES),
+    angles=npst.arrays(np.float32, (5, 11, 4), elements=st.floats(0.0, 2.25, width=32) | st.just(np.nan)),
+    weight=npst.arrays(np.float32, (5, 11), elements=st.sampled_from([0.0, 1.0])),
+    clipped=npst.arrays(np.uint8, (5, 11), elements=st.integers(0, 1)),
+    huber=st.sampled_from([None, 2.0]),
+    known=st.booleans(),
+    scale=st.sampled_from([1e-6, 1.0]),
+)  # fmt: skip
+@settings(deadline=None, max_examples=150)
+def test_whatever_the_data_the_fit_ends_finite_or_flagged(response, angles, weight, clipped, huber, known, scale):
+    noise = np.tile([1e-6, 1e-5], (11, 1)) if known else None
+    with np.errstate(invalid="ignore", over="ignore"):
+        result = fit(response * np.float32(scale), angles, weight, N, K, FitOptions(huber=huber), noise, clipped)
+    assert_sound(result)
+
+
+def test_results_do_not_depend_on_the_neighbours():
+    _alpha, _beta, _mu, response = photographed(400, np.random.default_rng(10))
+    weight = np.ones(response.shape)
+    whole = fit(response, GEOMETRY, weight, N, K, noise=CAMERA)
+    parts = [fit(response[i : i + 7], GEOMETRY, weight[i : i + 7], N, K, noise=CAMERA) for i in (0, 133, 250)]
+    for part, i in zip(parts, (0, 133, 250), strict=True):
+        for field in dataclasses.fields(part):
+            np.testing.assert_array_equal(getattr(part, field.name), getattr(whole, field.name)[i : i + 7])
