@@ -12,6 +12,7 @@ from irodori.recovery import Calibration
 from irodori.spectra import refractive_index
 
 _COLUMNS = {
+    "texel": ("1", "1 where a surface lies under the texel's centre"),
     "alpha_error": ("1", "standard error of alpha"),
     "beta_error": ("1", "standard error of beta"),
     "mu_error": ("rad", "standard error of mu"),
@@ -171,7 +172,7 @@ def compress_reflectance(
         "reflectance_error_median": float(np.median(error[observed])),
         "delta_e": compressed.errors,
         "negative_fraction": compressed.negative_fraction,
-        "observed_fraction": float(observed.mean()),
+        "observed_fraction": float(observed.sum() / max(maps["texel"].sum(), 1)),
         **speed,
     }
     material.save(output, provenance, errors)

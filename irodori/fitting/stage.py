@@ -111,11 +111,11 @@ def fit_brdf(observations, output, options: FitOptions, n: float, k: float, prov
     Datasets, one entry a texel: ``/alpha``, ``/beta``, ``/mu`` (rad), their ``*_error``, ``/residual_rms``,
     ``/status`` (see `Status`), ``/model``, ``/evaluations``, ``/nlopt_result``, ``/refractive_index`` and
     ``/refractive_index_error`` (NaN where the index was given), ``/diffuse_response`` (texel, bands) and
-    ``/diffuse_variance``, what the camera's noise gives it.
+    ``/diffuse_variance``, what the camera's noise gives it; ``/texel``, 0 where the texture shows no surface.
     """
     with store.open_file(observations) as file:
         response, geometry, weight = file.read("response"), file.read("geometry"), file.read("weight")
-        noise, clipped = file.read("noise_model"), file.read("clipped")
+        noise, clipped, texel = file.read("noise_model"), file.read("clipped"), file.read("texel")
         carried = {name: file.attribute(name) for name in ("rows", "width", "filters")}
     if options.weights == "noise" and not np.isfinite(noise[:, GREEN]).all():
         LOGGER.info("the camera's noise is not known in every capture: observations have equal weights")
@@ -129,6 +129,7 @@ def fit_brdf(observations, output, options: FitOptions, n: float, k: float, prov
     diffuse, variance = diffuse_response(response, geometry, weight, result, n, k, noise)
     with store.create(output, provenance) as out:
         maps = {
+            "texel": (texel, "1", "1 where a surface lies under the texel's centre"),
             "alpha": (result.alpha, "1", "diffuse weight"),
             "beta": (result.beta, "1", "gloss weight"),
             "mu": (result.mu, "rad", "roughness"),
