@@ -44,3 +44,5 @@ use rule render_view as render_truth with:
         "results/logs/render_truth/{scene}_{view}.log",
     benchmark:
         "results/benchmarks/render_truth/{scene}_{view}.tsv"
+    # One core is free long before both are: it renders, and compiles the renderer, beside the stages of the chain.
+    threads: 1
