@@ -1,9 +1,13 @@
 """Settings of all tests: in CI, property-based tests draw the same examples every time."""
 
 import os
+import signal
 
 from hypothesis import settings
 
 settings.register_profile("ci", derandomize=True, deadline=None)
 if os.environ.get("CI"):
     settings.load_profile("ci")
+
+# Under nohup a hang-up is ignored, rightly, and by all that is started from here: the tests that hang up need it.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)

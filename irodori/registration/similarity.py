@@ -38,7 +38,7 @@ from irodori.registration.resampling import resample_affine
 _COARSEST_PX = 160  # longest side at which the search runs
 _SHORTEST_PX = 24  # no level gets a shorter side than this
 _FINEST_PIXELS = 800_000  # the finest level has no more, unless the error asks for it
-_PLACES = (60_000, 12_000, 4_000)  # compared at the finest level, at the others, in the search
+_PLACES = (30_000, 8_000, 4_000)  # compared at the finest level, at the others, in the search
 _GOOD_PX = 0.02  # a predicted error with which no finer level is tried
 _UNDETERMINED_PX = 1.0
 _SURE_COHERENCE = 0.25  # a fit from the start alone that is less coherent, or less certain, is not believed

@@ -100,6 +100,7 @@ def test_the_reference_of_a_camera_takes_the_mean_of_the_tiles_spectrum_and_stat
 def test_the_virtual_rig_photographs_the_tiles_spectrum(tmp_path):
     file = tile(tmp_path, np.linspace(0.80, 0.98, 36))
     pose = Pose(40.0, 0.0)
-    mosaic = white_mosaic(CAMERA | {"white": {"reflectance_factor": file}}, pose, WEIGHTS)
+    rig = {"light": {"spectrum": "A"}, "camera_distance_mm": 900.0}
+    mosaic = white_mosaic(CAMERA | {"white": {"reflectance_factor": file}}, rig, pose, np.eye(2, 3), WEIGHTS)
     expected = WEIGHTS @ spectrum(file) * np.cos(np.radians(40.0))
     assert sorted(set(mosaic.ravel())) == pytest.approx(sorted(expected))
