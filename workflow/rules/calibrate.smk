@@ -25,6 +25,8 @@ rule calibrate_camera:
         "results/logs/calibrate_camera/{camera}.log",
     benchmark:
         "results/benchmarks/calibrate_camera/{camera}.tsv"
+    # What every object waits for, and the longest jobs behind it, come first: no core is idle at the end.
+    priority: 30
     conda:
         "../../envs/irodori.yaml"
     threads: 1

@@ -37,6 +37,8 @@ rule capture_camera:
         "results/logs/capture_camera/{camera}.log",
     benchmark:
         "results/benchmarks/capture_camera/{camera}.tsv"
+    # What every object waits for, and the longest jobs behind it, come first: no core is idle at the end.
+    priority: 30
     conda:
         "../../envs/irodori.yaml"
     threads: 1
@@ -63,6 +65,7 @@ rule capture_environment:
         "results/logs/capture_environment/{environment}.log",
     benchmark:
         "results/benchmarks/capture_environment/{environment}.tsv"
+    priority: 30
     conda:
         "../../envs/irodori.yaml"
     threads: 1

@@ -8,9 +8,11 @@ rule prepare_environment:
         "results/logs/prepare_environment/{environment}.log",
     benchmark:
         "results/benchmarks/prepare_environment/{environment}.tsv"
+    priority: 30
     conda:
         "../../envs/irodori.yaml"
-    threads: 2
+    # One core is free long before both are.
+    threads: 1
     resources:
         mem_mb=lambda wildcards, attempt: 2500 * attempt,
     params:

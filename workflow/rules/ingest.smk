@@ -53,6 +53,8 @@ rule ingest_reference:
         "results/logs/ingest_reference/{camera}.log",
     benchmark:
         "results/benchmarks/ingest_reference/{camera}.tsv"
+    # What every object waits for, and the longest jobs behind it, come first: no core is idle at the end.
+    priority: 30
     conda:
         "../../envs/irodori.yaml"
     threads: 1
@@ -98,6 +100,7 @@ use rule ingest_raw as ingest_chart with:
         "results/logs/ingest_raw/cameras-{camera}_{capture}.log",
     benchmark:
         "results/benchmarks/ingest_raw/cameras-{camera}_{capture}.tsv"
+    priority: 30
 
 
 use rule ingest_raw as ingest_environment with:
@@ -107,3 +110,4 @@ use rule ingest_raw as ingest_environment with:
         "results/logs/ingest_raw/environments-{environment}_{capture}.log",
     benchmark:
         "results/benchmarks/ingest_raw/environments-{environment}_{capture}.tsv"
+    priority: 30

@@ -44,5 +44,6 @@ use rule render_view as render_truth with:
         "results/logs/render_truth/{scene}_{view}.log",
     benchmark:
         "results/benchmarks/render_truth/{scene}_{view}.tsv"
+    priority: 20
     # One core is free long before both are: it renders, and compiles the renderer, beside the stages of the chain.
     threads: 1

@@ -114,8 +114,8 @@ rule measure_imperfections:
         "results/logs/measure_imperfections/all.log",
     benchmark:
         "results/benchmarks/measure_imperfections/all.tsv"
-    # No stage waits for it, and the loops it shares with them are compiled by then.
-    priority: -10
+    # No stage waits for it, but it is long: it runs beside them.
+    priority: 10
     conda:
         "../../envs/irodori.yaml"
     threads: 1
