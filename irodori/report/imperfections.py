@@ -33,7 +33,7 @@ from irodori.spectra import refractive_index_at
 from irodori.store import Provenance
 
 _MAX_TEXELS = 64
-_MAX_POSES = 9
+_MAX_POSES = 6
 _MADE = Provenance("measure_imperfections")
 #: Keys of an imperfection that count in pixels and shrink with the picture.
 _LENGTHS = ("shift_px", "repeat_rms_px")
@@ -79,7 +79,7 @@ class Chain:
     settings: dict
 
     def halved(self) -> "Chain":
-        """Return the same at half the camera's resolution, with no more than 64 texels a side and some 9 poses."""
+        """Return the same at half the camera's resolution, with no more than 64 texels a side and some 6 poses."""
         camera, rig, definition = (copy.deepcopy(block) for block in (self.camera, self.rig, self.definition))
         optics, chart = camera["optics"], camera["chart"]
         # Superpixels are whole: sides stay even.

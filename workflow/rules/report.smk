@@ -7,6 +7,7 @@ rule write_truth:
         "results/logs/write_truth/{object}.log",
     benchmark:
         "results/benchmarks/write_truth/{object}.tsv"
+    priority: 30
     conda:
         "../../envs/irodori.yaml"
     threads: 1
@@ -114,8 +115,8 @@ rule measure_imperfections:
         "results/logs/measure_imperfections/all.log",
     benchmark:
         "results/benchmarks/measure_imperfections/all.tsv"
-    # No stage waits for it, but it is long: it runs beside them.
-    priority: 10
+    # No stage waits for it, and the loops it shares with them are compiled by then.
+    priority: -10
     conda:
         "../../envs/irodori.yaml"
     threads: 1
