@@ -24,7 +24,7 @@ from irodori.progress import LOGGER
 from irodori.recovery import Calibration
 from irodori.spectra import WAVELENGTH_NM, chart_spectra, light
 
-_MAX_INVALID_SHARE = 0.02  # of a patch, beyond which the report names it
+_MAX_INVALID_SHARE = 0.05  # of a patch, beyond which the report names it
 
 
 def calibrate_camera(
@@ -195,4 +195,6 @@ def _log(solved: Solution, rmse, delta_e: dict, checks: dict) -> None:
     for name in checks["uneven_patches"]:
         LOGGER.warning("patch %s: dirt, an edge or a shadow", name)
     for name, share in checks["clipped_patches"].items():
-        LOGGER.warning("patch %s: %.0f %% of its samples clip; the mean of the rest is too dark", name, 100 * share)
+        LOGGER.warning(
+            "patch %s: %.0f %% of its samples clip or are hot; where they clip, the rest is too dark", name, 100 * share
+        )

@@ -64,7 +64,10 @@ def _figures(file: store.Reader) -> list[list[str]]:
         [f"change of the mean CIEDE2000 with all patches moved by {jitter['step_px']:g} superpixels", moved],
         ["light on the chart", light],
         ["patches with dirt, an edge or a shadow", ", ".join(uneven) or "none"],
-        ["patches of which some clips", ", ".join(f"{n} {s:.0%}" for n, s in clipped.items()) or "none"],
+        [
+            "patches of which more than 5 % clips or is hot",
+            ", ".join(f"{n} {s:.0%}" for n, s in clipped.items()) or "none",
+        ],
     ]
     found = file.attribute("patches_found")
     if found:
