@@ -14,7 +14,7 @@ from irodori.calibration.grid import FittedGrid, even_picture, fit_to_edges, nod
 from irodori.calibration.lattice import Lattice, lattices
 from irodori.calibration.order import readings, rmse_of_unseen
 from irodori.calibration.patches import read_squares
-from irodori.errors import InputError
+from irodori.errors import InputError, PlainError
 
 ROWS, COLUMNS = 4, 6
 _WORKING_WIDTH_PX = 1440  # the library's own, to which its thresholds are set
@@ -101,10 +101,21 @@ def find_chart(response: np.ndarray, valid: np.ndarray, spectra: np.ndarray, fil
     raise InputError(file, "chart.find", f"no chart (at most {most} separate squares)", _ADVICE)
 
 
+def _library():
+    """Return the library's segmentation. It brings OpenCV, which wants libraries that a bare machine lacks."""
+    try:
+        from colour_checker_detection import segmenter_default
+    except ImportError as error:
+        raise PlainError(
+            f"chart.find: chart needs OpenCV, which does not start ({error}): install the system's libgl1 and "
+            "libglib2.0-0, or give chart.centres_px with find: edges"
+        ) from error
+    return segmenter_default
+
+
 def _squares(picture: np.ndarray, stretch: float) -> np.ndarray:
     """Return the corners of the squares that the library sees, (n, 4, 2) float64, samples."""
-    from colour_checker_detection import segmenter_default
-
+    segmenter_default = _library()
     if np.ptp(picture[..., :3].max(axis=-1)) == 0:
         return np.zeros((0, 4, 2))  # the library would divide by the range
     image = picture[..., :3].astype(np.float32)

@@ -7,7 +7,6 @@ lens as well.
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from scipy import ndimage, optimize
 
@@ -126,9 +125,7 @@ def even_picture(response: np.ndarray, valid: np.ndarray, window=np.s_[:, :]) ->
                        for band in np.moveaxis(response, -1, 0)])  # fmt: skip
     scaled = np.where(valid[..., None] > 0, response / np.where(bright > 0, bright, np.inf), 1.0)
     picture = np.clip(scaled, 0.0, 1.0)
-    for band in range(picture.shape[2]):
-        part = np.ascontiguousarray(picture[(*window, band)], dtype=np.float32)
-        picture[(*window, band)] = cv2.medianBlur(part, 3)
+    picture[window] = ndimage.median_filter(picture[window], size=(3, 3, 1))
     return picture
 
 

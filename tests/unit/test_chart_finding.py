@@ -1,5 +1,9 @@
 """A ColorChecker found in a photograph: right to a part of a pixel, or refused."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from chart_pictures import COLUMNS, PAPER, ROWS, SPECTRA, light_field, noisy, sensitivities, shot, truth, view
@@ -7,6 +11,7 @@ from chart_pictures import COLUMNS, PAPER, ROWS, SPECTRA, light_field, noisy, se
 from irodori.calibration.detection import find_chart
 from irodori.errors import InputError
 
+ROOT = Path(__file__).resolve().parents[2]
 WIDTH, HEIGHT = 720, 520
 
 
@@ -90,6 +95,20 @@ def test_a_saturated_white_patch_does_not_hide_the_chart():
 
 def test_a_mirrored_chart_is_refused():
     assert "mirrored" in refusal(shot([view(WIDTH, HEIGHT, 90, 2)])[:, ::-1])
+
+
+def test_opencv_that_does_not_start_stops_nothing_but_the_finding():
+    """A bare machine has no libGL: every stage must run there, and finding must say what is missing."""
+    program = (
+        "import sys; sys.modules['cv2'] = None; sys.modules['colour_checker_detection'] = None\n"
+        "import irodori.calibration, irodori.report.imperfections, irodori.report.page\n"
+        "from irodori.calibration.detection import _library\n"
+        "from irodori.errors import PlainError\n"
+        "try: _library()\n"
+        "except PlainError as error: print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert "libgl1" in done.stdout and "find: edges" in done.stdout
 
 
 def test_two_charts_are_refused_with_their_places():
