@@ -78,7 +78,11 @@ def known_variance(maps: dict[str, np.ndarray]) -> np.ndarray | None:
     """Return the variance of the diffuse responses, None where the camera's noise was not measured."""
     variance = maps["diffuse_variance"]
     measured = np.isfinite(maps["diffuse_response"]).all(axis=-1)
-    return variance if np.isfinite(variance[measured]).all() else None
+    unknown = ~np.isfinite(variance[measured]).all(axis=-1)
+    if not unknown.any():
+        return variance
+    LOGGER.info("noise not measured for %.1f %% of the texels: it has no part in their spectra", 100 * unknown.mean())
+    return None
 
 
 def confidence(calibration: Calibration, response, variance) -> dict[str, tuple]:

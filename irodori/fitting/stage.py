@@ -103,6 +103,21 @@ def diffuse_response(
     return out, variance
 
 
+def _of_near_light(noise, gain, weight) -> np.ndarray:
+    """Return the noise model of responses that a near light's gain has scaled: gain² c0 + gain c1 ρ.
+
+    One model a capture: with its mean gain and mean squared gain over the texels seen.
+
+    Parameters
+    ----------
+    noise : (J, bands, 2) float
+    gain, weight : (texels, J) float
+    """
+    seen = np.maximum(weight.sum(axis=0), 1e-30)
+    first, second = (weight * gain).sum(axis=0) / seen, (weight * gain**2).sum(axis=0) / seen
+    return noise * np.stack([second, first], axis=-1)[:, None, :]
+
+
 def fit_brdf(observations, output, options: FitOptions, n: float, k: float, provenance: store.Provenance) -> None:
     """Fit one tile of observations and write its parameters.
 
@@ -116,6 +131,8 @@ def fit_brdf(observations, output, options: FitOptions, n: float, k: float, prov
     with store.open_file(observations) as file:
         response, geometry, weight = file.read("response"), file.read("geometry"), file.read("weight")
         noise, clipped, texel = file.read("noise_model"), file.read("clipped"), file.read("texel")
+        if "light_gain" in file:
+            noise = _of_near_light(noise, file.read("light_gain"), weight)
         carried = {name: file.attribute(name) for name in ("rows", "width", "filters")}
     if options.weights == "noise" and not np.isfinite(noise[:, GREEN]).all():
         LOGGER.info("the camera's noise is not known in every capture: observations have equal weights")

@@ -1,6 +1,5 @@
 """The fit of equation (7): recovery of known materials, bounds, statuses, agreement of its solvers."""
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ from hypothesis.extra import numpy as npst
 from scipy.optimize import nnls
 
 from irodori.fitting import FitOptions, Status, fit
-from irodori.fitting.stage import diffuse_response
 
 ROOT = Path(__file__).resolve().parents[2]
 N, K = 1.5, 0.0
@@ -331,77 +329,3 @@ def test_shapes_that_disagree_are_refused():
         fit(np.ones((2, 5)), np.ones((2, 4, 4)), np.ones((2, 5)))
     with pytest.raises(ValueError, match="accepted"):
         fit(np.ones((2, 5)), np.ones((2, 5, 4)), np.ones((2, 4)))
-
-
-NOISE = np.tile([1e-6, 2e-5], (len(GEOMETRY), 6, 1))  # c0 and c1 of each capture and band
-
-
-def six_bands(alpha, beta, mu, bands):
-    """Responses of six bands, (texels, J, 6): the gloss has no colour, the diffuse light has that of ``bands``."""
-    gloss = beta[:, None] * gloss_over_beta(GEOMETRY, mu[:, None])
-    return bands[:, None, :] * np.cos(GEOMETRY[:, 0])[:, None] + gloss[..., None]
-
-
-def test_diffuse_response_is_the_truth_where_the_gloss_is_known():
-    alpha, beta, mu = materials(60, seed=13)
-    rng = np.random.default_rng(130)
-    bands = rng.uniform(0.0, 1.0, (60, 6))
-    bands[:, 1] = alpha
-    response = six_bands(alpha, beta, mu, bands)
-    geometry, weight = np.tile(GEOMETRY, (60, 1, 1)), np.ones(response.shape[:2])
-    fitted = fit(response[..., 1], geometry, weight, N, K)
-    known = dataclasses.replace(fitted, gloss=np.stack([beta, mu], axis=1))
-    assert np.abs(diffuse_response(response, geometry, weight, known, N, K, NOISE)[0] - bands).max() <= 1e-9
-    assert np.abs(diffuse_response(response, geometry, weight, fitted, N, K, NOISE)[0] - bands).max() <= 1e-4
-
-
-def test_diffuse_response_averages_noise_down():
-    texels, noise = 4000, 0.01
-    rng = np.random.default_rng(14)
-    bands = np.tile(rng.uniform(0.1, 0.9, 6), (texels, 1))
-    zero = np.zeros(texels)
-    response = six_bands(bands[:, 1], zero, zero + 0.1, bands)
-    response += noise * rng.normal(size=response.shape)
-    geometry, weight = np.tile(GEOMETRY, (texels, 1, 1)), np.ones(response.shape[:2])
-    matt = dataclasses.replace(run(response[..., 1]), gloss=np.tile([0.0, 1.0], (texels, 1)))
-    scatter = (diffuse_response(response, geometry, weight, matt, N, K, NOISE)[0] - bands).std(axis=0)
-    # Gauss: the best estimate of a slope along cosθ_i has this standard error.
-    best = noise / np.sqrt(np.sum(np.cos(GEOMETRY[:, 0]) ** 2))
-    assert scatter == pytest.approx(np.full(6, best), rel=0.05)
-
-
-def test_variance_of_the_diffuse_response_is_the_scatter_that_the_cameras_noise_gives():
-    texels = 4000
-    rng = np.random.default_rng(15)
-    bands = np.tile(rng.uniform(0.1, 0.9, 6), (texels, 1))
-    gloss = np.tile([0.4, 0.2], (texels, 1))
-    clean = six_bands(bands[:, 1], *gloss.T, bands)
-    # Bands and captures of different noise, the first capture seen by half of the texels only.
-    noise = rng.uniform(0.5, 2.0, NOISE.shape) * np.array([1e-5, 4e-4])
-    response = clean + np.sqrt(noise[..., 0] + noise[..., 1] * clean) * rng.normal(size=clean.shape)
-    geometry, weight = np.tile(GEOMETRY, (texels, 1, 1)), np.ones(response.shape[:2])
-    weight[::2, 0] = 0.0
-    known = dataclasses.replace(run(clean[..., 1]), gloss=gloss)
-    found, variance = diffuse_response(response, geometry, weight, known, N, K, noise)
-    for half in (slice(0, None, 2), slice(1, None, 2)):
-        assert variance[half].mean(axis=0) == pytest.approx((found - bands)[half].var(axis=0), rel=0.1)
-    unknown = diffuse_response(response, geometry, weight, known, N, K, np.full(noise.shape, np.nan))
-    assert np.array_equal(unknown[0], found) and np.isnan(unknown[1]).all()
-
-
-def test_diffuse_response_is_nan_without_observations():
-    response = six_bands(*(np.array([v]) for v in (0.3, 5.0, 0.1)), np.full((1, 6), 0.3))
-    weight = np.zeros((1, len(GEOMETRY)))
-    result = fit(response[..., 1], GEOMETRY[None], weight, N, K)
-    assert np.isnan(diffuse_response(response, GEOMETRY[None], weight, result, N, K, NOISE)).all()
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_diffuse_response_leaves_out_what_the_fit_leaves_out(value):
-    alpha, beta, mu = materials(5, seed=15)
-    response = six_bands(alpha, beta, mu, np.tile(alpha[:, None], (1, 6)))
-    response[:, 4] = value
-    geometry, weight = np.tile(GEOMETRY, (5, 1, 1)), np.ones(response.shape[:2])
-    fitted = fit(response[..., 1], geometry, weight, N, K)
-    assert (fitted.status == Status.OK).all()
-    assert np.abs(diffuse_response(response, geometry, weight, fitted, N, K, NOISE)[0] - alpha[:, None]).max() <= 1e-4
