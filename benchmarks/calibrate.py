@@ -7,18 +7,15 @@ errors of every estimator instead, for all sets, cameras and noises. Both read t
 """
 
 import argparse
-import csv
-import os
-import statistics
 import subprocess
 import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import numba
 import numpy as np
 
+from benchmarks.table import COLUMNS, arguments_of, median_s, medians_s, own_peak_mb, report
 from irodori.calibration import ESTIMATORS, Noise, Training, cross_validate, fit
 from irodori.colour import delta_e_reflectance, spectral_rmse
 from irodori.spectra import TRAPEZOID_NM, camera_sensitivities, read_wide_csv, resample, spectrum
@@ -32,8 +29,6 @@ PIXELS = 1 << 21
 BASES = 6
 NOISES = (0.0, 0.001, 0.003, 0.01)
 SEEDS = (0, 1, 2)
-COLUMNS = ("stage", "variant", "work", "unit", "seconds", "throughput", "error_metric", "error", "peak_mb", "reference",
-           "ratio")  # fmt: skip
 SETS = {
     "classic": "colorchecker_classic_24.csv",
     "sg": "colorchecker_digital_sg_140.csv",
@@ -144,19 +139,8 @@ def calibration(variant: str):
 def bare_product(response: np.ndarray):
     """Return a function that multiplies a picture with a matrix by BLAS and nothing else."""
     matrix = np.asarray(calibration("pinv").weights_from_response, dtype=np.float32)
-    return lambda: response @ matrix
-
-
-def timed(work: dict, runs: int) -> dict[str, float]:
-    """Return the median time of each function, s; they take turns, so that a busy machine is busy for all."""
-    seconds = {name: [] for name in work}
-    for run in range(runs + 1):
-        for name, function in work.items():
-            start = time.perf_counter()
-            function()
-            if run:  # the first warms up
-                seconds[name].append(time.perf_counter() - start)
-    return {name: statistics.median(values) for name, values in seconds.items()}
+    out = np.empty((len(response), matrix.shape[1]), dtype=np.float32)
+    return lambda: np.matmul(response, matrix, out=out)
 
 
 def peak_mb(variant: str, threads: int) -> float:
@@ -173,9 +157,7 @@ def child(variant: str) -> None:
         bare_product(response)()
     elif variant != "imports":
         calibration(variant).weights(response)
-    # The kernel's ru_maxrss would count the parent's memory at the time of the fork.
-    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    print(float(status["VmHWM"].split()[0]) / 1024)
+    print(own_peak_mb())
 
 
 def measure(runs: int, threads: int) -> list[dict]:
@@ -188,7 +170,7 @@ def measure(runs: int, threads: int) -> list[dict]:
         solved.weights(response[: PIXELS // 64])
         print(f"{variant}, first run, compilation included: {time.perf_counter() - start:.2f} s", file=sys.stderr)
         work[variant] = lambda solved=solved: solved.weights(response)
-    seconds = timed(work, runs)
+    seconds = medians_s(work, runs)
     rows = []
     for variant, median in seconds.items():
         error = float("nan") if variant == "blas" else errors(trial, 0.003, variant, BASES)[0]
@@ -199,7 +181,7 @@ def measure(runs: int, threads: int) -> list[dict]:
         chart = Training(training.response, training.spectra, training.light, training.noise)
         cross_validate(chart, timed=True)
 
-    seconds = timed({"all": judge}, 5)["all"]
+    seconds = median_s(judge, 5)
     print(f"cross-validation of everything: {seconds:.2f} s", file=sys.stderr)
     print(f"a process after its imports and its picture: {peak_mb('imports', threads):.0f} MB", file=sys.stderr)
     return rows
@@ -216,10 +198,7 @@ def row(variant: str, seconds: float, reference: float, error: float, peak: floa
 
 def main() -> None:
     """Measure and print; write a CSV if asked."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=7, help="timed runs of each variant, at least 5")
-    parser.add_argument("--threads", type=int, default=min(2, numba.config.NUMBA_NUM_THREADS))
-    parser.add_argument("--output", type=Path, help="CSV to write")
+    parser = arguments_of(__doc__.splitlines()[0])
     parser.add_argument("--table", action="store_true", help="errors of every estimator, set, camera and noise")
     parser.add_argument("--child", choices=["blas", "imports", *ESTIMATORS], help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -232,19 +211,8 @@ def main() -> None:
     if arguments.table:
         print_table()
         return
-    if arguments.runs < 5:
-        parser.error("--runs: at least 5")
     rows = measure(arguments.runs, arguments.threads)
-    print(f"{arguments.threads} threads, load {os.getloadavg()[0]:.1f}")
-    shown = ("variant", "seconds", "throughput", "error", "peak_mb", "ratio")
-    print("  ".join(f"{name:>12}" for name in shown))
-    for line in rows:
-        print("  ".join(f"{line[name]:>12}" for name in shown))
-    if arguments.output:
-        with arguments.output.open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+    report(rows, arguments.threads, arguments.output)
 
 
 if __name__ == "__main__":

@@ -9,17 +9,15 @@ a process that fits the texels once; times exclude compilation.
 """
 
 import argparse
-import csv
 import os
-import statistics
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-import numba
 import numpy as np
 
+from benchmarks.table import COLUMNS, arguments_of, median_s, own_peak_mb, report
 from irodori.brdf import gloss_factors, reflect
 from irodori.fitting import FitOptions, Status, fit
 from irodori.fitting.solvers import ACCEPTED_ALGORITHMS
@@ -31,8 +29,6 @@ OBSERVATIONS = 48
 TEXELS = {"varpro": 200_000, "nlopt": 20_000, "nlopt-reference": 600}
 CHECKED = 2000  # texels whose minimum is compared with a dense scan
 MEGAPIXELS, TILE = 10.1, 40_000
-COLUMNS = ("stage", "variant", "work", "unit", "seconds", "throughput", "error_metric", "error", "peak_mb", "reference",
-           "ratio")  # fmt: skip
 
 
 def angles(observations: int = OBSERVATIONS) -> np.ndarray:
@@ -101,23 +97,6 @@ def errors(options: FitOptions, kind: str, best: np.ndarray) -> tuple[float, np.
     return missed, np.array([np.abs(v[known]).max() for v in off])
 
 
-def timed(function, runs: int) -> float:
-    """Return the median time of some runs after a first one, s."""
-    function()
-    seconds = []
-    for _ in range(runs):
-        start = time.perf_counter()
-        function()
-        seconds.append(time.perf_counter() - start)
-    return statistics.median(seconds)
-
-
-def peak_mb() -> float:
-    """Return this process's peak resident memory, MB."""
-    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    return float(status["VmHWM"].split()[0]) / 1024
-
-
 def variants(quick: bool) -> dict[str, FitOptions]:
     """Return the options of every variant, the reference first."""
     algorithms = ("LD_LBFGS",) if quick else ACCEPTED_ALGORITHMS
@@ -144,7 +123,7 @@ def measure(runs: int, threads: int, quick: bool) -> list[dict]:
         for variant, options in variants(quick).items():
             texels = TEXELS[options.solver]
             arguments = inputs(scene(texels)[3], kind)
-            seconds = timed(lambda a=arguments, o=options: fit(*a, o), runs)
+            seconds = median_s(lambda a=arguments, o=options: fit(*a, o), runs)
             missed, off = errors(options, kind, best[200 if options.solver == "nlopt-reference" else CHECKED])
             slowest = slowest or seconds / texels
             name = variant if kind == "own" else f"{variant}-shared"
@@ -164,7 +143,7 @@ def growth(runs: int) -> None:
     for kind in ("own", "shared"):
         for texels, observations in ((25_000, 48), (50_000, 48), (100_000, 48), (50_000, 24), (50_000, 96)):
             arguments = inputs(scene(texels, observations)[3], kind)
-            seconds = timed(lambda a=arguments: fit(*a, FitOptions()), runs)
+            seconds = median_s(lambda a=arguments: fit(*a, FitOptions()), runs)
             print(f"{kind:>7} {texels:>7} pixels, {observations} observations: {seconds:.3f} s, "
                   f"{1e9 * seconds / texels / observations:.1f} ns each")  # fmt: skip
 
@@ -180,16 +159,13 @@ def capture() -> None:
         done += TILE
     seconds = time.perf_counter() - start
     print(f"{done / 1e6:.1f} megapixels of {OBSERVATIONS} poses in tiles of {TILE}: {seconds:.1f} s, "
-          f"{peak_mb():.0f} MB, load {os.getloadavg()[0]:.1f}")  # fmt: skip
+          f"{own_peak_mb():.0f} MB, load {os.getloadavg()[0]:.1f}")  # fmt: skip
 
 
 def main() -> None:
     """Measure and print; write a CSV if asked."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=7, help="timed runs of each variant, at least 5")
-    parser.add_argument("--threads", type=int, default=min(2, numba.config.NUMBA_NUM_THREADS))
+    parser = arguments_of(__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="one NLopt algorithm only")
-    parser.add_argument("--output", type=Path, help="CSV to write")
     parser.add_argument("--child", help=argparse.SUPPRESS)
     parser.add_argument("--kind", default="own", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -200,19 +176,12 @@ def main() -> None:
     if arguments.child:
         options = variants(False)[arguments.child]
         fit(*inputs(scene(TEXELS[options.solver])[3], arguments.kind), options)
-        print(peak_mb())
+        print(own_peak_mb())
         return
-    if arguments.runs < 5:
-        parser.error("--runs: at least 5")
     rows = measure(arguments.runs, arguments.threads, arguments.quick)
     growth(arguments.runs)
     subprocess.run([sys.executable, "-m", "benchmarks.fit", "--child", "capture"], cwd=ROOT, check=True)
-    print(f"{arguments.threads} threads, load {os.getloadavg()[0]:.1f}")
-    if arguments.output:
-        with arguments.output.open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+    report(rows, arguments.threads, arguments.output)
 
 
 if __name__ == "__main__":

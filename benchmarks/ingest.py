@@ -10,10 +10,7 @@ after its imports. Times exclude compilation, which is reported apart.
 """
 
 import argparse
-import csv
 import math
-import os
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -22,13 +19,13 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import imagecodecs
-import numba
 import numpy as np
 import rawpy
 import tifffile
 import yaml
 
 from benchmarks.plate_pictures import leaves_scene, render
+from benchmarks.table import COLUMNS, arguments_of, medians_s, own_peak_mb, report
 from irodori import store
 from irodori.captures import Pose, Shot, write_captures
 from irodori.raw import IngestOptions, ingest_raw, ingest_reference
@@ -44,8 +41,6 @@ BALANCE = {"out": (0.7, 1.0, 0.5), "in": (0.30, 0.45, 0.2)}
 PLATE = Registration(1.6, -0.9, math.radians(0.03), 1.0015, 0.0, 0.0)
 POSE = Pose(45.0, 20.0)
 PROVENANCE = store.Provenance("benchmark")
-COLUMNS = ("stage", "variant", "work", "unit", "seconds", "throughput", "error_metric", "error", "peak_mb", "reference",
-           "ratio")  # fmt: skip
 
 
 def scene_mosaic(state: str, moved: bool = True) -> np.ndarray:
@@ -137,17 +132,6 @@ def response_error(folder: Path, truth: np.ndarray) -> float:
     return float(np.sqrt(np.mean((response - truth)[valid] ** 2) / np.mean(truth[valid] ** 2)))
 
 
-def timed(function, runs: int) -> float:
-    """Return the median time of some runs after a first one, s."""
-    function()
-    seconds = []
-    for _ in range(runs):
-        start = time.perf_counter()
-        function()
-        seconds.append(time.perf_counter() - start)
-    return statistics.median(seconds)
-
-
 def peak_mb(folder: Path, variant: str, threads: int) -> float:
     """Return the peak resident memory of a process of its own that does the work once, MB."""
     command = [sys.executable, "-m", "benchmarks.ingest", "--child", variant, "--folder", str(folder),
@@ -168,9 +152,7 @@ def child(folder: Path, variant: str, threads: int) -> None:
         libraw(folder, read_arrays(folder), threads)
     elif variant != "imports":
         ingest(folder, VARIANTS[variant])
-    # The kernel's ru_maxrss would count the parent's memory at the time of the fork.
-    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    print(float(status["VmHWM"].split()[0]) / 1024)
+    print(own_peak_mb())
 
 
 def read_arrays(folder: Path) -> dict:
@@ -189,13 +171,15 @@ def measure(folder: Path, packed: bool, runs: int, threads: int) -> list[dict]:
     ingest(folder, VARIANTS["superpixel"])
     print(f"first run, compilation included: {time.perf_counter() - start:.2f} s", file=sys.stderr)
     arrays, truth = read_arrays(folder), true_response()
-    reference = timed(lambda: libraw(folder, arrays, threads), runs)
-    suffix = "" if packed else "-unpacked"
-    rows = [row("libraw", suffix, reference, reference, float("nan"), peak_mb(folder, "libraw", threads))]
-    for variant, options in VARIANTS.items():
-        seconds = timed(lambda options=options: ingest(folder, options), runs)
-        error, peak = response_error(folder, truth), peak_mb(folder, variant, threads)
-        rows.append(row(variant, suffix, seconds, reference, error, peak))
+    work = {"libraw": lambda: libraw(folder, arrays, threads)}
+    work |= {name: lambda options=options: ingest(folder, options) for name, options in VARIANTS.items()}
+    seconds, suffix, rows = medians_s(work, runs), "" if packed else "-unpacked", []
+    for variant, median in seconds.items():
+        error = float("nan")
+        if variant in VARIANTS:
+            ingest(folder, VARIANTS[variant])
+            error = response_error(folder, truth)
+        rows.append(row(variant, suffix, median, seconds["libraw"], error, peak_mb(folder, variant, threads)))
     print(f"a process after its imports: {peak_mb(folder, 'imports', threads):.0f} MB", file=sys.stderr)
     return rows
 
@@ -211,10 +195,7 @@ def row(variant: str, suffix: str, seconds: float, reference: float, error: floa
 
 def main() -> None:
     """Measure and print; write a CSV if asked."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=7, help="timed runs of each variant, at least 5")
-    parser.add_argument("--threads", type=int, default=min(2, numba.config.NUMBA_NUM_THREADS))
-    parser.add_argument("--output", type=Path, help="CSV to write")
+    parser = arguments_of(__doc__.splitlines()[0])
     parser.add_argument("--child", choices=["libraw", "imports", *VARIANTS], help=argparse.SUPPRESS)
     parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -222,22 +203,11 @@ def main() -> None:
     if arguments.child:
         child(arguments.folder, arguments.child, arguments.threads)
         return
-    if arguments.runs < 5:
-        parser.error("--runs: at least 5")
     rows = []
     for packed in (True, False):
         with tempfile.TemporaryDirectory() as folder:
             rows += measure(Path(folder), packed, arguments.runs, arguments.threads)
-    print(f"{arguments.threads} threads, load {os.getloadavg()[0]:.1f}")
-    shown = ("variant", "seconds", "throughput", "error", "peak_mb", "ratio")
-    print("  ".join(f"{name:>31}" for name in shown))
-    for line in rows:
-        print("  ".join(f"{line[name]:>31}" for name in shown))
-    if arguments.output:
-        with arguments.output.open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+    report(rows, arguments.threads, arguments.output)
 
 
 if __name__ == "__main__":

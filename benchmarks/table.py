@@ -1,0 +1,67 @@
+"""What every benchmark does alike: time, memory, and the table of speed against error [design, section 6]."""
+
+import argparse
+import csv
+import os
+import statistics
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numba
+
+COLUMNS = ("stage", "variant", "work", "unit", "seconds", "throughput", "error_metric", "error", "peak_mb", "reference",
+           "ratio")  # fmt: skip
+_SHOWN = ("variant", "seconds", "throughput", "error", "peak_mb", "ratio")
+_LEAST_RUNS = 5
+
+
+def medians_s(work: Mapping[str, Callable[[], object]], runs: int) -> dict[str, float]:
+    """Return the median time of each function, s; they take turns, so that a busy machine is busy for all."""
+    seconds: dict[str, list[float]] = {name: [] for name in work}
+    for run in range(runs + 1):
+        for name, function in work.items():
+            start = time.perf_counter()
+            function()
+            if run:  # the first warms up
+                seconds[name].append(time.perf_counter() - start)
+    return {name: statistics.median(values) for name, values in seconds.items()}
+
+
+def median_s(function: Callable[[], object], runs: int) -> float:
+    """Return the median time of a function after a first run, s."""
+    return medians_s({"": function}, runs)[""]
+
+
+def own_peak_mb() -> float:
+    """Return the peak resident memory of this process, MB; ru_maxrss would count the parent's at the fork."""
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return float(status["VmHWM"].split()[0]) / 1024
+
+
+def arguments_of(description: str) -> argparse.ArgumentParser:
+    """Return a parser with what all benchmarks take."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--runs", type=_runs, default=7, help=f"timed runs of each variant, at least {_LEAST_RUNS}")
+    parser.add_argument("--threads", type=int, default=min(2, numba.config.NUMBA_NUM_THREADS))
+    parser.add_argument("--output", type=Path, help="CSV to write")
+    return parser
+
+
+def _runs(text: str) -> int:
+    if int(text) < _LEAST_RUNS:
+        raise argparse.ArgumentTypeError(f"{text}; accepted: {_LEAST_RUNS} or more")
+    return int(text)
+
+
+def report(rows: Sequence[dict], threads: int, output: Path | None) -> None:
+    """Print the table with the machine's load; write it if asked."""
+    print(f"{threads} threads, load {os.getloadavg()[0]:.1f}")
+    widths = {name: max(len(name), *(len(row[name]) for row in rows)) for name in _SHOWN}
+    for row in ({name: name for name in _SHOWN}, *rows):
+        print("  ".join(f"{row[name]:>{widths[name]}}" for name in _SHOWN))
+    if output:
+        with output.open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
