@@ -6,8 +6,8 @@ import signal
 from hypothesis import settings
 
 settings.register_profile("ci", derandomize=True, deadline=None)
-if os.environ.get("CI"):
-    settings.load_profile("ci")
+settings.register_profile("here", deadline=None)  # the first example of a test compiles its loops
+settings.load_profile("ci" if os.environ.get("CI") else "here")
 
 # Under nohup a hang-up is ignored, rightly, and by all that is started from here: the tests that hang up need it.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)

@@ -157,12 +157,12 @@ def diffuse_errors(block, a, used, rules):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def information_criterion(squares, used, floor, unknowns):
-    """Return Schwarz's BIC where the variance is unknown but at least the expected one."""
+def information_criterion(squares, used, floor, penalty):
+    """Return Schwarz's BIC where the variance is unknown but at least the expected one; log(used) an unknown."""
     if not floor > 0.0:
         floor = 1e-300
-    variance = max(squares / used, floor)
-    return used * math.log(variance / floor) + squares / variance + unknowns * math.log(used)
+    mean = squares / used
+    return squares / floor + penalty if mean <= floor else used * (math.log(mean / floor) + 1.0) + penalty
 
 
 @numba.njit(cache=True, error_model="numpy")

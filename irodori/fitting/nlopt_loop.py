@@ -29,6 +29,7 @@ from irodori.fitting.lobe import (
     padded,
 )
 from irodori.fitting.observations import load, weigh
+from irodori.fitting.shared import no_shared, padded_nodes
 from irodori.fitting.texels import clipped_of, conclude, give_up, robust, write
 from irodori.fitting.varpro import SUMS, find_intervals, pair_at, scan_own, value_nodes
 from irodori.native import c_function
@@ -138,7 +139,7 @@ def new_data(problem):
     data[0] = p
     block = data[HEADER:].reshape((ROWS, p))
     block[CONSTANT], block[SLOPE] = problem.noise[0], problem.noise[1]
-    return data, block, np.zeros((4, p)), np.full((SUMS, problem.nodes.size), np.inf)
+    return data, block, np.zeros((4, p)), np.zeros((SUMS, padded_nodes(problem.nodes.size)))
 
 
 @numba.njit(cache=True)
@@ -201,13 +202,13 @@ def finish(t, block, fixed, found, used, floor, evaluations, problem, rules, sum
     """Judge α, β, log μ that a solver found, after reweighting if that is asked for, and write the texel."""
     a, b, log_mu = found
     if rules.huber > 0.0:
-        fixed, log_mu, count = robust(block, fixed, log_mu, rules)
+        fixed, log_mu, count = robust(block, sums, fixed, log_mu, rules)
         box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
         a, b, _ = pair_at(block, fixed, box, log_mu)
         scan_own(block, problem.nodes, problem.steepness, problem.chains, sums)
         evaluations += count + problem.nodes.size
     clipped = clipped_of(t, problem)
-    verdict = conclude(block, fixed, a, b, log_mu, used, floor, clipped, problem.nodes, sums, rules)
+    verdict = conclude(block, no_shared(), fixed, a, b, log_mu, used, floor, clipped, problem.nodes, sums, rules)
     write(out, t, verdict, fixed, evaluations)
 
 

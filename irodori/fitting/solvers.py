@@ -171,10 +171,7 @@ def _empty_output(count: int) -> texels.Output:
 
 def _solve_varpro(problem: texels.Problem, rules: Rules, options: FitOptions) -> texels.Output:
     out = _empty_output(len(problem.response))
-    if len(problem.geometry) == 1 and problem.n.size == 1:
-        texels.fit_shared(problem, rules, *texels.shared_geometry(problem), out)
-    else:
-        texels.fit_own(problem, rules, out)
+    texels.fit_texels(problem, rules, out)
     return out
 
 

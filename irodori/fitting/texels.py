@@ -23,9 +23,11 @@ from irodori.fitting.lobe import (
     pack_geometry,
     padded,
 )
-from irodori.fitting.observations import load, weigh
-from irodori.fitting.varpro import NODE_STEP, SUMS, minimise, newton, pair_at, scan_own, scan_shared
+from irodori.fitting.observations import Rules, load, weigh
+from irodori.fitting.shared import no_shared, padded_nodes, scan_shared, tabulate
+from irodori.fitting.varpro import NODE_STEP, SUMS, minimise, newton, pair_at, scan_own
 from irodori.material import Status
+from irodori.native import aligned
 
 _CHUNK = 128  # texels that share their scratch
 _REWEIGHTINGS = 6
@@ -78,10 +80,10 @@ class Output(NamedTuple):
 @numba.njit(cache=True)
 def new_block(problem):
     """Return an empty block for one texel, scratch for angles, and for the sums of the scan."""
-    p = padded(problem.response.shape[1])
-    block = np.zeros((ROWS, p))
+    p, nodes = padded(problem.response.shape[1]), padded_nodes(problem.nodes.size)
+    block = aligned(ROWS * p).reshape((ROWS, p))
     block[CONSTANT], block[SLOPE] = problem.noise[0], problem.noise[1]
-    return block, np.zeros((4, p)), np.full((SUMS, problem.nodes.size), np.inf)
+    return block, aligned(4 * p).reshape((4, p)), aligned(SUMS * nodes).reshape((SUMS, nodes))
 
 
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -95,41 +97,44 @@ def _reweigh(block, a, b, log_mu, huber):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def robust(block, fixed, log_mu, rules):
+def robust(block, sums, fixed, log_mu, rules):
     """Reweight outliers and polish in turn; return the new sums, log μ and the evaluations."""
     evaluations = 0
     box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
+    nothing = no_shared()
     for _ in range(_REWEIGHTINGS):
         a, b, _value = pair_at(block, fixed, box, log_mu)
         _reweigh(block, a, b, log_mu, rules.huber)
         fixed = weigh(block)
         low, high = max(log_mu - NODE_STEP, rules.low_log_mu), min(log_mu + NODE_STEP, rules.high_log_mu)
-        log_mu, _, _, count = newton(block, fixed, box, log_mu, low, high, False)
+        log_mu, _, _, count = newton(block, nothing, sums, fixed, box, log_mu, low, high, False)
         evaluations += count + 1
     return fixed, log_mu, evaluations
 
 
 @numba.njit(cache=True, error_model="numpy")
-def conclude(block, fixed, a, b, log_mu, used, floor, clipped, nodes, sums, rules):
+def conclude(block, shared, fixed, a, b, log_mu, used, floor, clipped, nodes, sums, rules):
     """Choose the model by BIC, state errors and status; the scan's sums are those of the block."""
     diffuse = fixed[1] / fixed[0] if fixed[0] > 0.0 else 0.0
     diffuse = min(max(diffuse, rules.low_alpha), rules.high_alpha)
     squares = max(fixed[2] + diffuse * (diffuse * fixed[0] - 2.0 * fixed[1]), 0.0)
-    model, best = judge.DIFFUSE_ALONE, judge.information_criterion(squares, used, floor, 1)
-    if rules.low_alpha == 0.0 and judge.information_criterion(fixed[2], used, floor, 0) <= best:
-        model, best = judge.NOTHING, judge.information_criterion(fixed[2], used, floor, 0)
+    unknown = math.log(used)
+    model, best = judge.DIFFUSE_ALONE, judge.information_criterion(squares, used, floor, unknown)
+    nothing = judge.information_criterion(fixed[2], used, floor, 0.0)
+    if rules.low_alpha == 0.0 and nothing <= best:
+        model, best = judge.NOTHING, nothing
     errors = judge.Errors(np.inf, np.inf, np.inf, squares, 1.0)
     evaluations = 0
     if b > 0.0:
         both = judge.full_errors(block, a, b, log_mu, used, rules, True)
-        criterion = judge.information_criterion(both.squares, used, floor, 3)
+        criterion = judge.information_criterion(both.squares, used, floor, 3.0 * unknown)
         if criterion < best or rules.low_beta > 0.0:
             model, best, errors = judge.BOTH, criterion, both
         if rules.low_alpha == 0.0 and not a > _SURE * both.alpha:
             box = (0.0, 0.0, rules.low_beta, rules.high_beta)
-            alone_mu, _, alone_b, evaluations = minimise(block, fixed, box, nodes, sums)
+            alone_mu, _, alone_b, evaluations = minimise(block, shared, fixed, box, nodes, sums)
             alone = judge.full_errors(block, 0.0, alone_b, alone_mu, used, rules, False)
-            if judge.information_criterion(alone.squares, used, floor, 2) < best:
+            if judge.information_criterion(alone.squares, used, floor, 2.0 * unknown) < best:
                 model, errors, a, b, log_mu = judge.GLOSS_ALONE, alone, 0.0, alone_b, alone_mu
     if model == judge.NOTHING or model == judge.DIFFUSE_ALONE:
         status = _DARK if model == judge.NOTHING else _DIFFUSE_ONLY
@@ -166,18 +171,18 @@ def clipped_of(t, problem):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _fit_texel(t, block, used, floor, problem, rules, sums, out):
+def _fit_texel(t, block, shared, used, floor, problem, rules, sums, out):
     """Scan, polish and judge one loaded texel whose sums are filled."""
     box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
     fixed = weigh(block)
-    log_mu, a, b, evaluations = minimise(block, fixed, box, problem.nodes, sums)
+    log_mu, a, b, evaluations = minimise(block, shared, fixed, box, problem.nodes, sums)
     if rules.huber > 0.0:
-        fixed, log_mu, count = robust(block, fixed, log_mu, rules)
+        fixed, log_mu, count = robust(block, sums, fixed, log_mu, rules)
         scan_own(block, problem.nodes, problem.steepness, problem.chains, sums)
         a, b, _ = pair_at(block, fixed, box, log_mu)
         evaluations += count + problem.nodes.size
     clipped = clipped_of(t, problem)
-    verdict = conclude(block, fixed, a, b, log_mu, used, floor, clipped, problem.nodes, sums, rules)
+    verdict = conclude(block, shared, fixed, a, b, log_mu, used, floor, clipped, problem.nodes, sums, rules)
     write(out, t, verdict, fixed, evaluations)
 
 
@@ -188,7 +193,7 @@ def give_up(t, used, lost, problem, out):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _own_chunk(problem, rules, out, first, last):
+def _own_chunk(problem, shared, rules, out, first, last):
     block, angles, sums = new_block(problem)
     for t in range(first, last):
         n = problem.n[t if problem.n.size > 1 else 0]
@@ -199,37 +204,14 @@ def _own_chunk(problem, rules, out, first, last):
             continue
         weigh(block)
         scan_own(block, problem.nodes, problem.steepness, problem.chains, sums)
-        _fit_texel(t, block, used, floor, problem, rules, sums, out)
+        _fit_texel(t, block, shared, used, floor, problem, rules, sums, out)
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def fit_own(problem, rules, out):
-    """Fit every texel by variable projection, each with its own geometry."""
+def _fit_own(problem, shared, rules, out):
     texels = problem.response.shape[0]
     for c in numba.prange((texels + _CHUNK - 1) // _CHUNK):
-        _own_chunk(problem, rules, out, c * _CHUNK, min(texels, (c + 1) * _CHUNK))
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _lobe_table(nodes, block):
-    """Return g, dg/dt, g² and d(g²)/dt at all nodes for one geometry, (4, nodes, P)."""
-    table = np.zeros((4, nodes.size, block.shape[1]))
-    for i in range(nodes.size):
-        factor = math.exp(-2.0 * nodes[i])
-        for j in range(block.shape[1]):
-            x = block[SQUARE, j] * factor
-            g = block[GLOSS, j] * exp_negative(-x)
-            table[0, i, j], table[1, i, j] = g, 2.0 * x * g
-            table[2, i, j], table[3, i, j] = g * g, 4.0 * x * g * g
-    return table
-
-
-@numba.njit(cache=True, error_model="numpy")
-def shared_geometry(problem):
-    """Return a block with the common geometry, and the table of lobes at the nodes."""
-    block, angles, _ = new_block(problem)
-    pack_geometry(problem.geometry[0], problem.n[0], problem.k, angles, block)
-    return block, _lobe_table(problem.nodes, block)
+        _own_chunk(problem, shared, rules, out, c * _CHUNK, min(texels, (c + 1) * _CHUNK))
 
 
 @numba.njit(cache=True)
@@ -242,9 +224,9 @@ def _weights_changed(block, before):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _shared_chunk(problem, rules, common, table, out, first, last):
-    _, _, sums = new_block(problem)
-    block = common.copy()
+def _shared_chunk(problem, shared, rules, common, out, first, last):
+    block, _, sums = new_block(problem)
+    block[:] = common
     before = np.full(block.shape[1], np.nan)
     for t in range(first, last):
         used, lost, floor = load(problem.response[t], problem.weight[t], rules, block)
@@ -252,15 +234,31 @@ def _shared_chunk(problem, rules, common, table, out, first, last):
             give_up(t, used, lost, problem, out)
             continue
         weigh(block)
-        scan_shared(block, table, sums, _weights_changed(block, before))
-        _fit_texel(t, block, used, floor, problem, rules, sums, out)
+        scan_shared(block, shared, sums, _weights_changed(block, before))
+        _fit_texel(t, block, shared, used, floor, problem, rules, sums, out)
         if rules.huber > 0.0:
             before[0] = np.nan
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def fit_shared(problem, rules, common, table, out):
-    """Fit every texel by variable projection, all with one geometry."""
+def _fit_shared(problem, shared, rules, common, out):
     texels = problem.response.shape[0]
     for c in numba.prange((texels + _CHUNK - 1) // _CHUNK):
-        _shared_chunk(problem, rules, common, table, out, c * _CHUNK, min(texels, (c + 1) * _CHUNK))
+        _shared_chunk(problem, shared, rules, common, out, c * _CHUNK, min(texels, (c + 1) * _CHUNK))
+
+
+@numba.njit(cache=True)
+def _common_block(problem):
+    """Return a block with the geometry that all texels share."""
+    block, angles, _ = new_block(problem)
+    pack_geometry(problem.geometry[0], problem.n[0], problem.k, angles, block)
+    return block
+
+
+def fit_texels(problem: Problem, rules: Rules, out: Output) -> None:
+    """Fit every texel by variable projection, with the geometry of its own or the one that all share."""
+    if problem.geometry.shape[0] == 1 and problem.n.size == 1:
+        common = _common_block(problem)
+        _fit_shared(problem, tabulate(common, problem.nodes), rules, common, out)
+    else:
+        _fit_own(problem, no_shared(), rules, out)

@@ -2,8 +2,8 @@
 
 From one roughness of the scan to the next, smaller by √2, the lobe D = exp(-(φ/μ)²) is squared: a scan costs one
 exponential an observation. Value and slope at every node tell which intervals hold a minimum, and a cubic through them
-where; the best is polished, and any other that may come as low. Texels that share one geometry share the table of
-lobes, and where their weights agree too, all sums but those with the response.
+where; the best is polished, and any other that may come as low. Texels that share one geometry share tables of lobes
+(`irodori.fitting.shared`), and where their weights agree too, the scan's sums but those with the response.
 """
 
 import math
@@ -23,14 +23,15 @@ from irodori.fitting.lobe import (
     WEIGHTED_RESPONSE,
     exp_negative,
 )
+from irodori.fitting.shared import local_moments, log_mu_of_centre, nearest_centre, project
 
 NODE_STEP = 0.5 * math.log(2.0)  # of log μ
 _RIVAL = 1.05  # an interval whose estimate is below this multiple of the best is polished too
 _CONVERGED = 1e-4  # last Newton step of log μ; what is left is of the order of its square
 _MAX_STEPS = 24
 #: Rows of sums of the scan: Σ w c g, Σ w ρ g, Σ w g², their slopes along log μ, Φ, Φ', and of the interval below the
-#: node the estimated minimum and its place.
-SUMS = 10
+#: node the estimated minimum and its place; the last holds polynomials (`irodori.fitting.shared`).
+SUMS, LOCAL = 11, 10
 
 
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -117,40 +118,13 @@ def scan_own(block, nodes, steepness, chains, sums):
     _node(block, steepness[count - 1], sums, count - 1)
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
-def _table_dot(block, row, table, kind, sums, into):
-    for i in range(table.shape[1]):
-        total = 0.0
-        for j in range(table.shape[2]):
-            total += block[row, j] * table[kind, i, j]
-        sums[into, i] = total
-
-
-@numba.njit(cache=True, error_model="numpy")
-def scan_shared(block, table, sums, changed):
-    """Fill the sums of all nodes from a table of g, dg/dt, g² and d(g²)/dt, (4, nodes, P).
-
-    The sums without the response stay as they are unless ``changed``.
-    """
-    _table_dot(block, WEIGHTED_RESPONSE, table, 0, sums, 1)
-    _table_dot(block, WEIGHTED_RESPONSE, table, 1, sums, 4)
-    if changed:
-        _table_dot(block, WEIGHTED_COSINE, table, 0, sums, 0)
-        _table_dot(block, WEIGHTED_COSINE, table, 1, sums, 3)
-        _table_dot(block, WEIGHT, table, 2, sums, 2)
-        _table_dot(block, WEIGHT, table, 3, sums, 5)
-
-
 @numba.njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
 def value_nodes(fixed, sums, box):
     """Fill Φ and Φ' of all nodes."""
-    cg, rg, gg, cg1, rg1, gg1, value, slope = (
-        sums[0], sums[1], sums[2], sums[3], sums[4], sums[5], sums[6], sums[7]
-    )  # fmt: skip
-    for i in range(value.size):
-        a, b, v = best_pair(fixed, cg[i], rg[i], gg[i], box)
-        value[i] = v
-        slope[i] = b * (b * gg1[i] + 2.0 * (a * cg1[i] - rg1[i]))
+    for i in range(sums.shape[1]):
+        a, b, value = best_pair(fixed, sums[0, i], sums[1, i], sums[2, i], box)
+        sums[6, i] = value
+        sums[7, i] = b * (b * sums[5, i] + 2.0 * (a * sums[3, i] - sums[4, i]))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -185,20 +159,31 @@ def find_intervals(nodes, sums):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def newton(block, fixed, box, log_mu, low, high, flat_above):
+def newton(block, shared, sums, fixed, box, log_mu, low, high, flat_above):
     """Return log μ, α and β of the minimum in a bracket, and the evaluations it took.
 
     Parameters
     ----------
+    shared : Shared
+        Where it is empty, the sums are taken over the block, else from polynomials.
+    sums : (SUMS, W) float64
+        The last row is scratch for these.
     log_mu, low, high : float
         Start and bracket.
     flat_above : bool
         Where β is at its bound, Φ is flat: says on which side of the minimum.
     """
-    t, steps = log_mu, 0
+    t, steps, centre = log_mu, 0, -1
     while steps < _MAX_STEPS:
         steps += 1
-        a, b, da, db, slope, curvature = slope_and_curvature(fixed, moments(block, t), box)
+        if shared.shapes.shape[0] == 0:
+            now = moments(block, t)
+        else:
+            held, centre = centre, nearest_centre(shared, t, centre)
+            if centre != held:
+                project(block, shared, centre, sums, LOCAL)
+            now = local_moments(sums, LOCAL, t - log_mu_of_centre(shared, centre))
+        a, b, da, db, slope, curvature = slope_and_curvature(fixed, now, box)
         if slope > 0.0 or (slope == 0.0 and flat_above):
             high = t
         else:
@@ -222,24 +207,24 @@ def pair_at(block, fixed, box, log_mu):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def minimise(block, fixed, box, nodes, sums):
+def minimise(block, shared, fixed, box, nodes, sums):
     """Return log μ, α and β of the lowest minimum of Φ, and the evaluations; the nodes' sums are filled already."""
     value_nodes(fixed, sums, box)
     top = find_intervals(nodes, sums)
-    estimate = sums[8]
     best_t, best = nodes[top], sums[6, top]
     evaluations = nodes.size
     for attempt in range(nodes.size):
         i, rival = 0, np.inf
         for other in range(1, nodes.size - 1):
-            if estimate[other] < estimate[i]:
-                rival, i = estimate[i], other
+            if sums[8, other] < sums[8, i]:
+                rival, i = sums[8, i], other
             else:
-                rival = min(rival, estimate[other])
-        if not estimate[i] <= _RIVAL * best:
+                rival = min(rival, sums[8, other])
+        if not sums[8, i] <= _RIVAL * best:
             break
-        t, a, b, count = newton(block, fixed, box, sums[9, i], nodes[i + 1], nodes[i], sums[7, i] == 0.0)
-        estimate[i] = np.inf
+        above = sums[7, i] == 0.0
+        t, a, b, count = newton(block, shared, sums, fixed, box, sums[9, i], nodes[i + 1], nodes[i], above)
+        sums[8, i] = np.inf
         evaluations += count
         # The node above or below the interval is higher than the minimum between them; any other has to be compared.
         if attempt == 0 and (i == top or i + 1 == top) and not rival <= _RIVAL * best:

@@ -1,0 +1,100 @@
+"""One geometry for all texels: its tables hold what the sums over observations hold."""
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from irodori.brdf import reflect
+from irodori.fitting import FitOptions, Status, fit
+from irodori.fitting.lobe import ROWS, WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE, pack_geometry, padded
+from irodori.fitting.shared import local_moments, log_mu_of_centre, nearest_centre, padded_nodes, project, tabulate
+from irodori.fitting.varpro import LOCAL, SUMS, moments
+from irodori.native import LANES, aligned, vector_times_table
+
+NODES = FitOptions().nodes()
+_times_16 = vector_times_table(2 * LANES, 2)
+
+
+@numba.njit
+def _multiply(vectors, table, sums):
+    """Put the second vector times the second table into the second row of the sums."""
+    size = vectors.shape[1] * 2 * LANES
+    _times_16(vectors, 1, table, size, sums, 2 * LANES)
+
+
+def poses(light_deg, camera_deg) -> np.ndarray:
+    light, camera = np.radians(np.asarray(light_deg, float)), np.radians(np.asarray(camera_deg, float))
+    return np.stack([light, np.abs(camera), np.abs(light + camera) / 2, np.abs(light - camera) / 2], axis=-1)
+
+
+def block_of(geometry, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    block, angles = np.zeros((ROWS, padded(len(geometry)))), np.zeros((4, padded(len(geometry))))
+    pack_geometry(geometry, 1.5, 0.0, angles, block)
+    rows = [WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE]
+    block[rows, : len(geometry)] = rng.uniform(0.1, 2.0, (3, len(geometry)))
+    return block
+
+
+@given(
+    log_mu=st.floats(float(NODES[-1]), float(NODES[0])),
+    spread=st.floats(0.5, 60.0),
+    seed=st.integers(0, 99),
+)
+def test_polynomials_hold_the_sums_and_their_derivatives_at_every_roughness(log_mu, spread, seed):
+    light = np.array([20.0, 40.0, 60.0])[np.arange(13) % 3]
+    block = block_of(poses(light, light - np.linspace(0.0, spread, 13)), seed)
+    shared, sums = tabulate(block, NODES), np.zeros((SUMS, padded_nodes(NODES.size)))
+    centre = nearest_centre(shared, log_mu, -1)
+    assert 0 <= centre < len(shared.shapes)
+    project(block, shared, centre, sums, LOCAL)
+    found = np.array(local_moments(sums, LOCAL, log_mu - log_mu_of_centre(shared, centre)))
+    expected = np.array(moments(block, log_mu))
+    scale = np.abs(block[WEIGHTED_RESPONSE]).sum() + np.abs(block[WEIGHT]).sum()
+    # Relative to the largest value that a sum can have.
+    np.testing.assert_allclose(found[[0, 3, 6]], expected[[0, 3, 6]], atol=3e-9 * scale)
+    np.testing.assert_allclose(found[[1, 4, 7]], expected[[1, 4, 7]], atol=3e-7 * scale)
+    np.testing.assert_allclose(found[[2, 5, 8]], expected[[2, 5, 8]], atol=3e-5 * scale)
+
+
+@pytest.mark.parametrize("scan_per_octave", [2, 4])
+@pytest.mark.parametrize("mu_rad", [(0.005, 1.2), (0.03, 0.031), (0.1, 0.9)])
+def test_one_geometry_for_all_gives_what_a_geometry_each_gives(scan_per_octave, mu_rad):
+    rng = np.random.default_rng(3)
+    light = np.array([25.0, 45.0, 65.0])[np.arange(37) % 3]
+    geometry = poses(light, light - np.linspace(-12.0, 20.0, 37))
+    alpha, beta = rng.uniform(0.0, 0.9, (400, 1)), 10 ** rng.uniform(-1.5, 1.2, (400, 1))
+    mu = np.exp(rng.uniform(np.log(0.004), np.log(1.5), (400, 1)))  # some beyond the bounds
+    clean = reflect(alpha, 1.0, beta, mu, geometry[None], 1.5, 0.0)
+    response = clean * (1 + 0.01 * rng.normal(size=clean.shape))
+    options = FitOptions(scan_per_octave=scan_per_octave, bounds={"mu_rad": list(mu_rad)})
+    noise = np.tile([1e-6, 1e-5], (37, 1))
+    one = fit(response, geometry, np.ones_like(response), options=options, noise=noise)
+    each = fit(response, np.tile(geometry, (400, 1, 1)), np.ones_like(response), options=options, noise=noise)
+    assert (one.status == each.status).mean() > 0.995
+    both = (one.status == Status.OK) & (each.status == Status.OK)
+    np.testing.assert_allclose(one.residual_rms[both], each.residual_rms[both], rtol=1e-5)
+    for name in ("alpha", "beta", "mu"):
+        error = getattr(each, f"{name}_error")[both]
+        assert (np.abs(getattr(one, name) - getattr(each, name))[both] < 1e-3 * error).all(), name
+        np.testing.assert_allclose(getattr(one, f"{name}_error")[both], error, rtol=1e-3, err_msg=name)
+
+
+@given(
+    hnp.arrays(np.float64, st.integers(1, 9).map(lambda n: (2, 8 * n)), elements=st.floats(-1e3, 1e3)),
+    st.integers(0, 99),
+)
+def test_a_vector_times_a_table_is_the_matrix_product(vectors, seed):
+    table = np.random.default_rng(seed).normal(size=(2, vectors.shape[1], 2 * LANES))
+    sums = aligned(2 * 2 * LANES).reshape(2, 2 * LANES)
+    _multiply(vectors, np.ascontiguousarray(table), sums)
+    scale = np.abs(vectors).max() * vectors.shape[1]
+    np.testing.assert_allclose(sums, [[0.0] * 2 * LANES, vectors[1] @ table[1]], atol=1e-13 * scale)
+
+
+def test_aligned_memory_begins_with_a_line_of_the_cache():
+    assert {aligned(n).ctypes.data % 64 for n in range(1, 40)} == {0}
+    assert all(aligned(n).shape == (n,) and not aligned(n).any() for n in (1, 7, 100))
