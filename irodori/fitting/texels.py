@@ -82,7 +82,8 @@ def new_block(problem):
     """Return an empty block for one texel, scratch for angles, and for the sums of the scan."""
     p, nodes = padded(problem.response.shape[1]), padded_nodes(problem.nodes.size)
     block = aligned(ROWS * p).reshape((ROWS, p))
-    block[CONSTANT], block[SLOPE] = problem.noise[0], problem.noise[1]
+    for j in range(p):  # an assignment of whole rows compiles the text of its error, for seconds
+        block[CONSTANT, j], block[SLOPE, j] = problem.noise[0, j], problem.noise[1, j]
     return block, aligned(4 * p).reshape((4, p)), aligned(SUMS * nodes).reshape((SUMS, nodes))
 
 
@@ -226,7 +227,9 @@ def _weights_changed(block, before):
 @numba.njit(cache=True, error_model="numpy")
 def _shared_chunk(problem, shared, rules, common, out, first, last):
     block, _, sums = new_block(problem)
-    block[:] = common
+    for i in range(ROWS):
+        for j in range(block.shape[1]):
+            block[i, j] = common[i, j]
     before = np.full(block.shape[1], np.nan)
     for t in range(first, last):
         used, lost, floor = load(problem.response[t], problem.weight[t], rules, block)
