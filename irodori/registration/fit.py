@@ -4,7 +4,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import fft
 
 from irodori.registration import kernels
 from irodori.registration.pyramid import choose, gradient_energy, noise_of
@@ -168,6 +167,8 @@ def align(
 
 def search(fixed, moving, scale: float) -> list[complex]:
     """Return the likeliest shifts in superpixels, from the gradient magnitudes of one level."""
+    from scipy import fft  # slow to import, and a good start needs no search
+
     parts = []
     for picture in (fixed, moving):
         energy = gradient_energy(picture, noise_of(picture))
