@@ -12,7 +12,6 @@ import re
 from pathlib import Path
 
 import yaml
-from jsonschema import Draft202012Validator
 
 from irodori.errors import InputError
 
@@ -57,7 +56,7 @@ def validate(instance: dict, schema_name: str, file: Path | str) -> dict:
     schema = load_schema(schema_name)
     try:
         _refuse_odd_values(instance, (), file)
-        faults = [leaf for error in Draft202012Validator(schema).iter_errors(instance) for leaf in _leaves(error)]
+        faults = [leaf for error in _validator(schema).iter_errors(instance) for leaf in _leaves(error)]
         if faults:
             raise _input_error(min(faults, key=_rank), schema, instance, file)
         return _complete(schema, instance)
@@ -100,6 +99,12 @@ def _inline(node, file: str):
     return {key: _inline(value, file) for key, value in node.items()}
 
 
+def _validator(schema: dict):
+    from jsonschema import Draft202012Validator  # slow to import; most jobs read no configuration
+
+    return Draft202012Validator(schema)
+
+
 def dotted(path) -> str:
     """Return a path of keys and indexes as text: ``("objects", 1, "scale")`` is ``objects[1].scale``."""
     text = ""
@@ -137,7 +142,7 @@ def _branch(schema: dict, instance) -> int | None:
     variants = schema["oneOf"]
     if not isinstance(instance, dict):
         return next(
-            (i for i, variant in enumerate(variants) if Draft202012Validator(variant).is_valid(instance)),
+            (i for i, variant in enumerate(variants) if _validator(variant).is_valid(instance)),
             None,
         )
     kinds = [variant.get("properties", {}).get("kind", {}).get("const") for variant in variants]

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import ndimage
 
 from irodori import store
 from irodori.captures import Shot
@@ -12,7 +11,7 @@ from irodori.progress import LOGGER
 from irodori.raw.develop import Developed, develop
 from irodori.raw.options import IngestOptions
 from irodori.raw.settings import filter_states
-from irodori.registration import Registration, bayer_offsets_px, register, resample
+from irodori.registration import Registration, bayer_offsets_px, meets_marked, register, resample
 
 #: Predicted standard error of a registration, superpixels, above which the picture has too little content for it.
 MAX_SIGMA_PX = 0.1
@@ -120,22 +119,12 @@ def align_states(
     return found
 
 
-def move(state: Developed, alignment: Alignment, sample_px: int) -> Developed:
-    """Return a filtered picture on the grid of the unfiltered one."""
+def move(state: Developed, alignment: Alignment, sample_px: int, out: np.ndarray) -> Developed:
+    """Return a filtered picture on the grid of the unfiltered one, its responses in ``out``."""
     registration = _registration(alignment, 2.0 / sample_px)
-    response, valid = resample(state.response, state.valid, registration)
-    clipped = _moved_mask(state.clipped, registration) & ~valid
-    return replace(state, response=response, clipped=clipped, hot=~valid & ~clipped)
-
-
-def _moved_mask(mask: np.ndarray, registration: Registration) -> np.ndarray:
-    """Return where the interpolation meets a marked sample."""
-    if not mask.any():
-        return mask
-    height, width = mask.shape
-    (a, b, x0), (c, d, y0) = registration.affine(((width - 1) / 2.0, (height - 1) / 2.0))
-    wide = ndimage.binary_dilation(mask, np.ones((5, 5), bool))  # the cubic's reach, and rounding to the nearest
-    return ndimage.affine_transform(wide, [[d, c], [b, a]], [y0, x0], order=0, mode="constant")
+    response, valid = resample(state.response, state.valid, registration, out)
+    clipped = meets_marked(state.clipped, valid, registration) if state.clipped.any() else state.clipped
+    return replace(state, response=response, clipped=clipped, hot=~(valid | clipped))
 
 
 def nominal_alignment(reference, white: dict, shots: list[Shot], table, folder, options: IngestOptions):

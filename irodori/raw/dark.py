@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from scipy import special
 
 from irodori.captures import Shot, shot_path
 from irodori.errors import InputError
@@ -85,6 +84,8 @@ def hot_pixels(level_dn: np.ndarray, variance_dn2: np.ndarray | None, freedom: i
     a chance of 1e-9, by the chi-square distribution scaled to the median variance. Median and median absolute
     deviation do not move while hot pixels are a minority.
     """
+    from scipy import special  # slow to import; captures only read what is measured here
+
     sample = level_dn.ravel()[:: max(1, level_dn.size // _SAMPLES)]
     median = np.median(sample)
     sigma = max(1.4826 * float(np.median(np.abs(sample - median))), np.sqrt(1 / 12))

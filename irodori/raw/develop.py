@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from scipy import ndimage
 
 from irodori.captures import Shot, shot_path
 from irodori.errors import InputError
@@ -133,6 +132,8 @@ def _demosaiced(reference, shot: Shot, mosaic: Mosaic, path, options: IngestOpti
 
 def _reached(mask: np.ndarray, options: IngestOptions) -> np.ndarray:
     """Return where marked mosaic pixels take part in the interpolation."""
+    from scipy import ndimage  # slow to import, and superpixels never need it
+
     reach = REACH_PX[options.demosaic]
     return ndimage.binary_dilation(mask, np.ones((2 * reach + 1,) * 2, bool)) if mask.any() else mask
 

@@ -60,19 +60,20 @@ def ingest_raw(
     frames = [replace(f, shot=shot) for f, shot in zip(frames, settled, strict=True)]
     height, width = (side // options.sample_px for side in frames[0].mosaic.values.shape)
     response = empty_response(height, width, len(states))
+    align = options.register and len(states) > 1 and capture != _ENVIRONMENT
     developed = []
     for number, state in enumerate(states):
         group = [f for f in frames if f.shot.filter == state]
         if group[0].mosaic.values.shape != frames[0].mosaic.values.shape:
             found = f"{group[0].mosaic.size} pixels"
             raise InputError(group[0].shot.file, "size", found, f"{frames[0].mosaic.size}, as the other filter state")
-        out = response[..., _BANDS * number : _BANDS * (number + 1)]
+        # What will be moved is resampled from room of its own into the response.
+        out = None if align and number else response[..., _BANDS * number : _BANDS * (number + 1)]
         developed.append(merge_frames(camera, group, options, camera.white.get(state), out))
     alignment = None
-    if options.register and len(states) > 1 and capture != _ENVIRONMENT:
+    if align:
         alignment = align_states(developed[0], developed[1], camera.alignment, options, table, capture)
-        developed[1] = move(developed[1], alignment, options.sample_px)
-        response[..., _BANDS:] = developed[1].response
+        developed[1] = move(developed[1], alignment, options.sample_px, response[..., _BANDS:])
     _write(output, provenance, response, developed, alignment, bool(camera.white), options, settled, frames)
 
 

@@ -4,9 +4,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import fft
 
-from irodori.registration import kernels as kernels
+from irodori.registration import kernels
 from irodori.registration.pyramid import choose, gradient_energy, noise_of
 
 _REACH_PX = 12.0  # of the search, superpixels
@@ -14,9 +13,9 @@ _CANDIDATES = 3
 _PRIOR = (8.0, math.radians(0.5), 0.01)  # shift in superpixels, rotation in rad, scale
 _SLOPE = 0.1  # spread of a residual as a share of its gradient
 _PULL = 0.1  # of the picture's colour map on a cell's, as a share of a cell's mean gradient energy
-_STEP_PX = 1e-3  # at which the iteration ends
 _GATE = 12.0  # gradient energy of a place over the 5 % quantile; noise alone passes it with 2 in a thousand
 _LEAST_PLACES = 16
+_MEDIAN_PLACES = 4096  # at most twice as many tell the spread of residuals; 8192 values tell it within 2 %
 
 
 def affine_of_level(turn: complex, shift: complex, centre: complex, scale: float) -> np.ndarray:
@@ -31,6 +30,7 @@ class Level(NamedTuple):
 
     scale: float  # superpixels in one of its pixels
     moving: np.ndarray  # (h, w, 4)
+    least: np.ndarray  # (h, w) share of valid pixels of the moving picture, see `kernels.least_share`
     places: np.ndarray  # (cells, quota, 2)
     counts: np.ndarray  # (cells,)
     columns: int  # of cells
@@ -41,6 +41,7 @@ class Level(NamedTuple):
     curvature: np.ndarray  # (cells, quota, 3, 3)
     weight: np.ndarray  # (cells, quota)
     geometry: np.ndarray  # (4,) see `kernels.scores`
+    first_weight: np.ndarray  # (cells, quota) in the first colour map
     noise: np.ndarray  # (3,) variance that noise gives a gradient of the fixed picture
 
 
@@ -59,7 +60,8 @@ class Fit(NamedTuple):
 def make_level(fixed, moving, scale: float, shape, count: int, offsets_px, local: bool) -> Level:
     """Choose the places of one level and take the fixed picture's derivatives there; ``shape`` is that of level 0."""
     cell = int(min(32, max(8, min(fixed.shape[:2]) // 6)))
-    energy = gradient_energy(fixed)
+    noise = noise_of(fixed)
+    energy = gradient_energy(fixed, noise)
     some = energy[1:-1, 1:-1][:: max(1, energy.shape[0] // 64)]
     some = some[some > 0.0]
     gate = _GATE * float(np.quantile(some, 0.05)) if some.size else 0.0
@@ -69,20 +71,24 @@ def make_level(fixed, moving, scale: float, shape, count: int, offsets_px, local
     places, counts = choose(energy, cell, cell // 2, quota, gate)
     # A band that samples left of the centre shows a place of the scene further right in its own array.
     offsets = np.zeros((3, 2)) if offsets_px is None else -np.asarray(offsets_px, dtype=np.float64) / scale
-    gradient, curvature, weight = kernels.template(fixed, places, counts, offsets)
+    gradient, curvature, weight = kernels.template(fixed, kernels.least_share(fixed), places, counts, offsets)
+    power = np.einsum("cnia,cnia->cn", gradient, gradient)
+    some = power[weight > 0.0]
+    typical = max(float(np.median(some)), 1e-30) if some.size else 1.0
+    first_weight = (1.0 / (1.0 + power / typical)).astype(np.float32)
     reach = math.sqrt((shape[0] ** 2 + shape[1] ** 2) / 12.0)
     geometry = np.array([scale, (shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0, reach])
     mixed = offsets_px is not None
     value, first, _ = kernels.spline_power()
-    noise = noise_of(fixed) ** 2 * value * first
+    noise = noise**2 * value * first
     return Level(
-        scale, moving, places, counts, columns, offsets, mixed, local, gradient, curvature, weight, geometry, noise
-    )
+        scale, moving, kernels.least_share(moving), places, counts, columns, offsets, mixed, local, gradient, curvature,
+        weight, geometry, first_weight, noise,
+    )  # fmt: skip
 
 
-def _colour_maps(level: Level, moving, weight) -> np.ndarray:
-    """Return the map from fixed to moving gradients of each cell, (cells, 3, 3)."""
-    cells = kernels.moments(level.gradient, moving, weight, level.counts)
+def _colour_maps(level: Level, cells: np.ndarray) -> np.ndarray:
+    """Return the map from fixed to moving gradients of each cell, (cells, 3, 3), from the moments of `kernels`."""
     if not level.mixed:
         cells *= np.eye(3)
     common = cells.sum(axis=0)
@@ -95,33 +101,33 @@ def _colour_maps(level: Level, moving, weight) -> np.ndarray:
     return np.ascontiguousarray(maps.swapaxes(1, 2))
 
 
-def evaluate(level: Level, turn: complex, shift: complex, weight) -> Fit | None:
+def evaluate(level: Level, turn: complex, shift: complex, weight: np.ndarray) -> Fit | None:
     """Return the sums at a similarity, with the places weighted as given in the colour map; None without overlap."""
     affine = affine_of_level(turn, shift, complex(level.geometry[1], level.geometry[2]), level.scale)
-    moving, valid = kernels.sample(level.moving, level.places, level.counts, level.offsets, affine, level.weight)
+    moving, valid, moments = kernels.sample(
+        level.moving, level.least, level.places, level.counts, level.offsets, affine, level.weight, level.gradient,
+        weight,
+    )  # fmt: skip
     used = np.flatnonzero(valid > 0.0)
     if used.size < _LEAST_PLACES:
         return None
-    if weight is None:
-        energy = (level.gradient**2).sum(axis=(2, 3))
-        typical = max(float(np.median(energy.ravel()[used])), 1e-30)
-        weight = (1.0 / (1.0 + energy / typical)).astype(np.float32)
-    colour = _colour_maps(level, moving, weight * valid)
-    residual = kernels.residuals(level.gradient, moving, colour, level.counts)
-    some = used[:: max(1, used.size // 8192)]
-    left, found = residual.reshape(-1, 3, 2)[some], moving.reshape(-1, 3, 2)[some]
+    colour = _colour_maps(level, moments)
+    some = used[:: -(-used.size // _MEDIAN_PLACES)]
+    predicted, left = kernels.residuals(level.gradient, moving, colour, some)
+    found = predicted + left
     # The floor keeps noiseless pictures from dividing by nothing.
-    sigma = 1.4826 * np.median(np.abs(left), axis=(0, 2))
-    sigma = np.maximum(sigma, 1e-3 * math.sqrt(np.square(found, dtype=np.float64).mean()) + 1e-12)
+    sigma = 1.4826 * np.median(np.abs(left).reshape(3, -1), axis=1)
+    sigma = np.maximum(sigma, 1e-3 * math.sqrt(np.einsum("ina,ina->", found, found) / found.size) + 1e-12)
     sums, weight = kernels.scores(
-        level.places, residual, level.gradient, level.curvature, colour, valid, level.counts, sigma, _SLOPE,
+        level.places, moving, level.gradient, level.curvature, colour, valid, level.counts, sigma, _SLOPE,
         level.geometry,
     )  # fmt: skip
     share = float(np.minimum(0.5, (colour**2).mean(axis=0) @ level.noise / sigma**2).sum())
-    predicted, found = (found - left) / sigma[:, None], found / sigma[:, None]
-    energy = (predicted**2 + found**2).sum(axis=(1, 2))
-    coherence = 2.0 * (predicted * found).sum(axis=(1, 2)) / np.maximum(energy, 1e-30)
-    return Fit(turn, shift, sums, weight, float(coherence.mean()), used.size, share)
+    scale = (sigma**-2.0).astype(np.float32)
+    both = np.einsum("i,ina,ina->n", scale, predicted, found)
+    energy = np.einsum("i,ina,ina->n", scale, predicted, predicted) + np.einsum("i,ina,ina->n", scale, found, found)
+    coherence = float((2.0 * both / np.maximum(energy, np.float32(1e-30))).mean())
+    return Fit(turn, shift, sums, weight, coherence, used.size, share)
 
 
 def information_of(sums: np.ndarray) -> np.ndarray:
@@ -130,9 +136,14 @@ def information_of(sums: np.ndarray) -> np.ndarray:
     return np.triu(upper) + np.triu(upper, 1).T
 
 
-def align(level: Level, turn: complex, shift: complex, iterations: int, free=(0, 1, 2, 3)) -> Fit | None:
-    """Return the Gauss-Newton solution at one level, over some of: shift x, y, scale, rotation."""
-    reach, weight, fit = level.geometry[3], None, None
+def align(
+    level: Level, turn: complex, shift: complex, iterations: int, tolerance: float, free=(0, 1, 2, 3)
+) -> Fit | None:
+    """Return the Gauss-Newton solution at one level, over some of: shift x, y, scale, rotation.
+
+    Ends with a step below ``tolerance``, pixels of the level; the sums of the result are those before that step.
+    """
+    reach, weight = level.geometry[3], level.first_weight
     precision = np.array([_PRIOR[0], _PRIOR[0], _PRIOR[2] * reach, _PRIOR[1] * reach]) ** -2.0
     chosen = np.ix_(free, free)
     for _ in range(iterations):
@@ -149,16 +160,18 @@ def align(level: Level, turn: complex, shift: complex, iterations: int, free=(0,
         turn /= 1.0 + complex(step[2], step[3]) / reach
         shift -= turn * complex(step[0], step[1])
         weight = fit.weight
-        if length < _STEP_PX:
-            break
+        if length < tolerance * level.scale:
+            return fit._replace(turn=turn, shift=shift)
     return evaluate(level, turn, shift, weight)
 
 
 def search(fixed, moving, scale: float) -> list[complex]:
     """Return the likeliest shifts in superpixels, from the gradient magnitudes of one level."""
+    from scipy import fft  # slow to import, and a good start needs no search
+
     parts = []
     for picture in (fixed, moving):
-        energy = gradient_energy(picture)
+        energy = gradient_energy(picture, noise_of(picture))
         mask = np.zeros(energy.shape)
         mask[1:-1, 1:-1] = picture[1:-1, 1:-1, 3] > 0.5
         parts += [energy**0.25 * mask, mask]

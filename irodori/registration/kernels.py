@@ -17,80 +17,122 @@ _SUMS = 4 + 16 + 5
 
 
 @numba.njit(cache=True, inline="always")
-def _spline(t, w, d, e):
-    """Fill the weights of the quintic B-spline and of its two derivatives for the taps -2..3 around a fraction t."""
-    w[0] = 1.0
-    for degree in range(1, TAPS):
-        if degree == TAPS - 2:
-            # Second differences of the cubic are the second derivative of the quintic.
-            for j in range(TAPS):
-                low2 = w[j - 2] if j >= 2 else 0.0
-                low1 = w[j - 1] if 1 <= j <= degree else 0.0
-                low0 = w[j] if j < degree else 0.0
-                e[j] = low2 - 2.0 * low1 + low0
-        if degree == TAPS - 1:
-            for j in range(TAPS):
-                d[j] = (w[j - 1] if j >= 1 else 0.0) - (w[j] if j < degree else 0.0)
-        previous = 0.0
-        for j in range(degree + 1):
-            here = w[j] if j < degree else 0.0
-            w[j] = ((t + degree - j) * previous + (1.0 + j - t) * here) / degree
-            previous = here
+def _cubic(t):
+    """Return the weights of the cubic B-spline for the taps -1..2 around a fraction t."""
+    s = 1.0 - t
+    c0, c3 = s * s * s / 6.0, t * t * t / 6.0
+    c1 = (0.5 * t - 1.0) * t * t + 2.0 / 3.0
+    return c0, c1, 1.0 - c0 - c1 - c3, c3
+
+
+@numba.njit(cache=True, inline="always")
+def _quintic(t):
+    """Return the weights of the quintic B-spline and of its derivative for the taps -2..3 around a fraction t."""
+    c0, c1, c2, c3 = _cubic(t)
+    # Degree by degree (de Boor); differences of the quartic are the derivative of the quintic.
+    q0, q1 = 0.25 * (1.0 - t) * c0, 0.25 * ((t + 3.0) * c0 + (2.0 - t) * c1)
+    q2, q3, q4 = 0.25 * ((t + 2.0) * c1 + (3.0 - t) * c2), 0.25 * ((t + 1.0) * c2 + (4.0 - t) * c3), 0.25 * t * c3
+    w0, w1 = 0.2 * (1.0 - t) * q0, 0.2 * ((t + 4.0) * q0 + (2.0 - t) * q1)
+    w2, w3 = 0.2 * ((t + 3.0) * q1 + (3.0 - t) * q2), 0.2 * ((t + 2.0) * q2 + (4.0 - t) * q3)
+    w4, w5 = 0.2 * ((t + 1.0) * q3 + (5.0 - t) * q4), 0.2 * t * q4
+    return (w0, w1, w2, w3, w4, w5), (-q0, q0 - q1, q1 - q2, q2 - q3, q3 - q4, q4)
+
+
+@numba.njit(cache=True, inline="always")
+def _second(t):
+    """Return the weights of the quintic's second derivative: second differences of the cubic."""
+    c0, c1, c2, c3 = _cubic(t)
+    return c0, c1 - 2.0 * c0, c2 - 2.0 * c1 + c0, c3 - 2.0 * c2 + c1, c2 - 2.0 * c3, c3
 
 
 def spline_power() -> tuple[float, float, float]:
     """Return the sums of the squared weights of the spline and of its two derivatives, at a pixel."""
-    kernels = np.zeros((3, TAPS))
-    _spline(0.0, *kernels)
-    value, first, second = (kernels**2).sum(axis=1)
-    return float(value), float(first), float(second)
+    value, first = _quintic(0.0)
+    return tuple(float(np.square(weights).sum()) for weights in (value, first, _second(0.0)))
+
+
+@numba.njit(cache=True, inline="always", fastmath={"contract"})
+def _row(values, p, w):
+    """Return the weighted sum of six pixels of a row of a level in the band where ``p`` lies."""
+    four = np.uint64(4)
+    a, b = w[0] * values[p], w[1] * values[p + four]
+    p += four + four
+    a += w[2] * values[p]
+    b += w[3] * values[p + four]
+    p += four + four
+    return (a + w[4] * values[p]) + (b + w[5] * values[p + four])
 
 
 @numba.njit(cache=True, inline="always")
-def _least_weight(level, x, y):
-    least = np.float32(1.0)
-    for j in range(TAPS):
-        for i in range(TAPS):
-            least = min(least, level[y + j, x + i, 3])
-    return least
+def _less(a, b):
+    # One instruction for eight numbers; min() has more to say about NaN.
+    return a if a < b else b
 
 
 @numba.njit(cache=True)
-def _template_cell(level, places, count, offsets, gradient, curvature, weight):
-    wx, dx, ex = np.empty(TAPS), np.empty(TAPS), np.empty(TAPS)
-    wy, dy, ey = np.empty(TAPS), np.empty(TAPS), np.empty(TAPS)
+def _least_along_row(level, y, out):
+    """Fill the least share of valid pixels among the taps -2..3 along a row."""
+    share = level[y, :, 3].copy()
+    for i in range(share.size - 5):
+        a, b = _less(share[i], share[i + 1]), _less(share[i + 2], share[i + 3])
+        out[i + 2] = _less(_less(a, b), _less(share[i + 4], share[i + 5]))
+
+
+@numba.njit(cache=True)
+def _least_of_rows(r0, r1, r2, r3, r4, r5, out):
+    for i in range(out.size):
+        out[i] = _less(_less(_less(r0[i], r1[i]), _less(r2[i], r3[i])), _less(r4[i], r5[i]))
+
+
+@numba.njit(cache=True, parallel=True, nogil=True)
+def least_share(level):
+    """Return the least share of valid pixels under the spline's 6 x 6 taps around each pixel, (h, w); 0 at borders."""
+    along, out = np.zeros(level.shape[:2], dtype=np.float32), np.zeros(level.shape[:2], dtype=np.float32)
+    for y in numba.prange(level.shape[0]):
+        _least_along_row(level, y, along[y])
+    for y in numba.prange(2, level.shape[0] - 3):
+        _least_of_rows(along[y - 2], along[y - 1], along[y], along[y + 1], along[y + 2], along[y + 3], out[y])
+    return out
+
+
+@numba.njit(cache=True, fastmath={"contract"})
+def _template_cell(values, least, places, count, offsets, gradient, curvature, weight):
+    height, width = least.shape
+    line = np.uint64(4 * width)
     for n in range(count):
         weight[n] = 1.0
         for c in range(3):
             fx, fy = places[n, 0] + offsets[c, 0], places[n, 1] + offsets[c, 1]
-            x, y = math.floor(fx), math.floor(fy)
-            _spline(fx - x, wx, dx, ex)
-            _spline(fy - y, wy, dy, ey)
-            x, y = int(x) - 2, int(y) - 2
-            if x < 0 or y < 0 or x + TAPS > level.shape[1] or y + TAPS > level.shape[0]:
+            if not (2.0 <= fx < width - 3.0 and 2.0 <= fy < height - 3.0):
                 weight[n] = 0.0
                 break
-            weight[n] = min(weight[n], _least_weight(level, x, y))
+            x, y = int(fx), int(fy)
+            weight[n] = min(weight[n], least[y, x])
+            wx, dx = _quintic(fx - x)
+            wy, dy = _quintic(fy - y)
+            ex, ey = _second(fx - x), _second(fy - y)
             gx = gy = gxx = gxy = gyy = 0.0
+            p = np.uint64(((y - 2) * width + x - 2) * 4 + c)
             for j in range(TAPS):
-                value = first = second = 0.0
-                for i in range(TAPS):
-                    v = level[y + j, x + i, c]
-                    value += wx[i] * v
-                    first += dx[i] * v
-                    second += ex[i] * v
+                value, first, second = _row(values, p, wx), _row(values, p, dx), _row(values, p, ex)
                 gx += wy[j] * first
                 gy += dy[j] * value
                 gxx += wy[j] * second
                 gxy += dy[j] * first
                 gyy += ey[j] * value
+                p += line
             gradient[n, c, 0], gradient[n, c, 1] = gx, gy
             curvature[n, c, 0], curvature[n, c, 1], curvature[n, c, 2] = gxx, gxy, gyy
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def template(level, places, counts, offsets):
+def template(level, least, places, counts, offsets):
     """Return gradients and second derivatives of the fixed picture at chosen places.
+
+    Parameters
+    ----------
+    least : (h, w) float32
+        Of the level, see `least_share`.
 
     Returns
     -------
@@ -99,79 +141,52 @@ def template(level, places, counts, offsets):
     weight : (cells, quota) float32, least share of valid pixels under the kernel, 0 outside
     """
     cells, quota = places.shape[:2]
+    values = level.ravel()
     gradient = np.zeros((cells, quota, 3, 2), dtype=np.float32)
     curvature = np.zeros((cells, quota, 3, 3), dtype=np.float32)
     weight = np.zeros((cells, quota), dtype=np.float32)
     for cell in numba.prange(cells):
-        _template_cell(level, places[cell], counts[cell], offsets, gradient[cell], curvature[cell], weight[cell])
+        _template_cell(
+            values, least, places[cell], counts[cell], offsets, gradient[cell], curvature[cell], weight[cell]
+        )
     return gradient, curvature, weight
 
 
-@numba.njit(cache=True)
-def _sample_cell(level, places, count, offsets, affine, fixed_weight, gradient, weight):
-    wx, dx, ex = np.empty(TAPS), np.empty(TAPS), np.empty(TAPS)
-    wy, dy, ey = np.empty(TAPS), np.empty(TAPS), np.empty(TAPS)
+@numba.njit(cache=True, fastmath={"contract"})
+def _sample_cell(values, least, places, count, offsets, affine, fixed_weight, gradient, weight):
+    height, width = least.shape
+    line = np.uint64(4 * width)
     for n in range(count):
         weight[n] = fixed_weight[n]
         if fixed_weight[n] <= 0.0:
             continue
         px, py = places[n, 0], places[n, 1]
+        mx = affine[0, 0] * px + affine[0, 1] * py + affine[0, 2]
+        my = affine[1, 0] * px + affine[1, 1] * py + affine[1, 2]
         for c in range(3):
-            if c == 0 or offsets[c, 0] != offsets[c - 1, 0] or offsets[c, 1] != offsets[c - 1, 1]:
-                fx = affine[0, 0] * px + affine[0, 1] * py + affine[0, 2] + offsets[c, 0]
-                fy = affine[1, 0] * px + affine[1, 1] * py + affine[1, 2] + offsets[c, 1]
-                if not (2.0 <= fx < level.shape[1] - 3.0 and 2.0 <= fy < level.shape[0] - 3.0):
-                    weight[n] = 0.0
-                    break
-                x, y = int(fx), int(fy)
-                _spline(fx - x, wx, dx, ex)
-                _spline(fy - y, wy, dy, ey)
-                x, y = x - 2, y - 2
-                weight[n] = min(weight[n], _least_weight(level, x, y))
+            fx, fy = mx + offsets[c, 0], my + offsets[c, 1]
+            if not (2.0 <= fx < width - 3.0 and 2.0 <= fy < height - 3.0):
+                weight[n] = 0.0
+                break
+            x, y = int(fx), int(fy)
+            weight[n] = min(weight[n], least[y, x])
+            wx, dx = _quintic(fx - x)
+            wy, dy = _quintic(fy - y)
             gx = gy = 0.0
+            p = np.uint64(((y - 2) * width + x - 2) * 4 + c)
             for j in range(TAPS):
-                value = first = 0.0
-                for i in range(TAPS):
-                    v = level[y + j, x + i, c]
-                    value += wx[i] * v
-                    first += dx[i] * v
-                gx += wy[j] * first
-                gy += dy[j] * value
+                gx += wy[j] * _row(values, p, dx)
+                gy += dy[j] * _row(values, p, wx)
+                p += line
             # Derivatives along the fixed picture's axes.
             gradient[n, c, 0] = affine[0, 0] * gx + affine[1, 0] * gy
             gradient[n, c, 1] = affine[0, 1] * gx + affine[1, 1] * gy
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
-def sample(level, places, counts, offsets, affine, fixed_weight):
-    """Return gradients of the moving picture, along the fixed picture's axes, at the images of chosen places.
-
-    Parameters
-    ----------
-    affine : (2, 3) float64
-        Moving from fixed coordinates of this level.
-    fixed_weight : (cells, quota) float32
-        Weights of the places in the fixed picture.
-
-    Returns
-    -------
-    gradient : (cells, quota, 3, 2) float32
-    weight : (cells, quota) float32, the smaller of the two pictures'
-    """
-    cells, quota = places.shape[:2]
-    gradient = np.zeros((cells, quota, 3, 2), dtype=np.float32)
-    weight = np.zeros((cells, quota), dtype=np.float32)
-    for cell in numba.prange(cells):
-        _sample_cell(
-            level, places[cell], counts[cell], offsets, affine, fixed_weight[cell], gradient[cell], weight[cell]
-        )
-    return gradient, weight
-
-
 @numba.njit(cache=True)
-def _moments_cell(fixed, moving, weight, count, out):
+def _moments_cell(fixed, moving, weight, valid, count, out):
     for n in range(count):
-        w = weight[n]
+        w = weight[n] * valid[n]
         if w == 0.0:
             continue
         for a in range(2):
@@ -181,37 +196,79 @@ def _moments_cell(fixed, moving, weight, count, out):
                     out[1, i, j] += w * moving[n, i, a] * fixed[n, j, a]
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
-def moments(fixed, moving, weight, counts):
-    """Return weighted sums (cells, 2, 3, 3): fixed·fixedᵀ and moving·fixedᵀ."""
-    out = np.zeros((counts.size, 2, 3, 3))
-    for cell in numba.prange(counts.size):
-        _moments_cell(fixed[cell], moving[cell], weight[cell], counts[cell], out[cell])
-    return out
-
-
 @numba.njit(cache=True)
-def _residual_cell(fixed, moving, colour, count, residual):
-    for n in range(count):
+def _sample_and_sum(values, least, places, count, offsets, affine, fixed_weight, fixed, weight, moving, valid, out):
+    _sample_cell(values, least, places, count, offsets, affine, fixed_weight, moving, valid)
+    _moments_cell(fixed, moving, weight, valid, count, out)
+
+
+@numba.njit(cache=True, parallel=True, nogil=True)
+def sample(level, least, places, counts, offsets, affine, fixed_weight, fixed, weight):
+    """Return gradients of the moving picture, along the fixed picture's axes, at the images of chosen places.
+
+    Parameters
+    ----------
+    least : (h, w) float32
+        Of the level, see `least_share`.
+    affine : (2, 3) float64
+        Moving from fixed coordinates of this level.
+    fixed_weight : (cells, quota) float32
+        Share of valid pixels of the fixed picture.
+    fixed : (cells, quota, 3, 2) float32
+        Gradients of the fixed picture.
+    weight : (cells, quota) float32
+        Weights of the places in the sums.
+
+    Returns
+    -------
+    gradient : (cells, quota, 3, 2) float32
+    valid : (cells, quota) float32, the smaller share of the two pictures
+    moments : (cells, 2, 3, 3) float64
+        Sums of fixed·fixedᵀ and moving·fixedᵀ, weighted by ``weight`` times ``valid``.
+    """
+    cells, quota = places.shape[:2]
+    values = level.ravel()
+    gradient = np.zeros((cells, quota, 3, 2), dtype=np.float32)
+    valid = np.zeros((cells, quota), dtype=np.float32)
+    moments = np.zeros((cells, 2, 3, 3))
+    for c in numba.prange(cells):
+        _sample_and_sum(
+            values, least, places[c], counts[c], offsets, affine, fixed_weight[c], fixed[c], weight[c], gradient[c],
+            valid[c], moments[c],
+        )  # fmt: skip
+    return gradient, valid, moments
+
+
+@numba.njit(cache=True, nogil=True)
+def residuals(fixed, moving, colour, chosen):
+    """Return what the colour map predicts and what it leaves at some places.
+
+    Parameters
+    ----------
+    fixed, moving : (cells, quota, 3, 2) float32
+    colour : (cells, 3, 3) float64
+    chosen : (n,) int64
+        Numbers of the places in the order of memory.
+
+    Returns
+    -------
+    predicted, residual : (3, n, 2) float32
+    """
+    quota = fixed.shape[1]
+    predicted, residual = np.empty((3, chosen.size, 2), np.float32), np.empty((3, chosen.size, 2), np.float32)
+    for at in range(chosen.size):
+        cell, n = chosen[at] // quota, chosen[at] % quota
         for i in range(3):
             for a in range(2):
-                total = moving[n, i, a]
+                total = 0.0
                 for j in range(3):
-                    total -= colour[i, j] * fixed[n, j, a]
-                residual[n, i, a] = total
-
-
-@numba.njit(cache=True, parallel=True, nogil=True)
-def residuals(fixed, moving, colour, counts):
-    """Return moving minus colour times fixed gradients, (cells, quota, 3, 2) float32."""
-    out = np.zeros_like(moving)
-    for cell in numba.prange(counts.size):
-        _residual_cell(fixed[cell], moving[cell], colour[cell], counts[cell], out[cell])
-    return out
+                    total += colour[cell, i, j] * fixed[cell, n, j, a]
+                predicted[i, at, a], residual[i, at, a] = total, moving[cell, n, i, a] - total
+    return predicted, residual
 
 
 @numba.njit(cache=True)
-def _score_cell(places, residual, predicted_from, curvature, colour, valid, count, sigma, slope, geometry, weight, out):
+def _score_cell(places, moving, fixed, curvature, colour, valid, count, sigma, slope, geometry, weight, out):
     """Sum score and information of one cell; ``weight`` receives the weights of its places."""
     scale, cx, cy, reach = geometry
     for n in range(count):
@@ -220,18 +277,15 @@ def _score_cell(places, residual, predicted_from, curvature, colour, valid, coun
             continue
         misfit, axx, axy, ayy, bx, by = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(3):
-            hxx = hxy = hyy = expected = 0.0
-            for a in range(2):
-                total = 0.0
-                for j in range(3):
-                    total += colour[i, j] * predicted_from[n, j, a]
-                expected += total * total
+            hxx = hxy = hyy = gx = gy = 0.0
             for j in range(3):
+                gx += colour[i, j] * fixed[n, j, 0]
+                gy += colour[i, j] * fixed[n, j, 1]
                 hxx += colour[i, j] * curvature[n, j, 0]
                 hxy += colour[i, j] * curvature[n, j, 1]
                 hyy += colour[i, j] * curvature[n, j, 2]
-            rx, ry = residual[n, i, 0], residual[n, i, 1]
-            inverse = 1.0 / (sigma[i] * sigma[i] + slope * slope * expected)
+            rx, ry = moving[n, i, 0] - gx, moving[n, i, 1] - gy
+            inverse = 1.0 / (sigma[i] * sigma[i] + slope * slope * (gx * gx + gy * gy))
             misfit += (rx * rx + ry * ry) * inverse
             axx += inverse * (hxx * hxx + hxy * hxy)
             axy += inverse * (hxx * hxy + hxy * hyy)
@@ -269,7 +323,7 @@ def _score_cell(places, residual, predicted_from, curvature, colour, valid, coun
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def scores(places, residual, fixed, curvature, colour, valid, counts, sigma, slope, geometry):
+def scores(places, moving, fixed, curvature, colour, valid, counts, sigma, slope, geometry):
     """Return sums of score and information of each cell, in superpixels, and the weights of the places.
 
     Parameters
@@ -292,7 +346,7 @@ def scores(places, residual, fixed, curvature, colour, valid, counts, sigma, slo
     weight = np.zeros(valid.shape, dtype=np.float32)
     for c in numba.prange(counts.size):
         _score_cell(
-            places[c], residual[c], fixed[c], curvature[c], colour[c], valid[c], counts[c], sigma, slope, geometry,
+            places[c], moving[c], fixed[c], curvature[c], colour[c], valid[c], counts[c], sigma, slope, geometry,
             weight[c], sums[c],
         )  # fmt: skip
     return sums, weight

@@ -9,6 +9,8 @@ import math
 import numba
 import numpy as np
 
+from irodori.registration.layout import flatten
+
 _LEAST_NOISE = 1e-9
 
 
@@ -37,49 +39,68 @@ def halve(source):
 
 
 @numba.njit(cache=True, inline="always")
-def _put(out, y, x, image, valid):
-    r, g, b = image[y, x, 0], image[y, x, 1], image[y, x, 2]
-    good = valid[y, x] != 0 and math.isfinite(r) and math.isfinite(g) and math.isfinite(b)
-    one, zero = np.float32(1.0), np.float32(0.0)
-    if good:
-        out[0], out[1], out[2], out[3] = r, g, b, one
-    else:
-        out[0], out[1], out[2], out[3] = zero, zero, zero, zero
+def _weight(image, at, valid):
+    """Return 1 for a valid and finite pixel, else 0."""
+    one = np.uint64(1)
+    r, g, b = image[at], image[at + one], image[at + one + one]
+    good = valid and math.isfinite(r) and math.isfinite(g) and math.isfinite(b)
+    return np.float32(1.0) if good else np.float32(0.0)
 
 
 @numba.njit(cache=True)
-def _pack_row(out, image, valid, y):
+def _pack_row(out, image, step, valid, y):
+    zero = np.float32(0.0)
     for x in range(out.shape[1]):
-        _put(out[y, x], y, x, image, valid)
+        at = np.uint64((y * out.shape[1] + x) * step)
+        weight = _weight(image, at, valid[y, x])
+        for c in range(3):
+            out[y, x, c] = image[at + np.uint64(c)] if weight > zero else zero
+        out[y, x, 3] = weight
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
+def _pack(image, step, valid):
+    out = np.empty((*valid.shape, 4), dtype=np.float32)
+    for y in numba.prange(out.shape[0]):
+        _pack_row(out, image, step, valid, y)
+    return out
+
+
 def pack(image, valid):
     """Return level 0, (h, w, 4): invalid and non-finite pixels are zero and have no weight."""
-    out = np.empty((image.shape[0], image.shape[1], 4), dtype=np.float32)
-    for y in numba.prange(out.shape[0]):
-        _pack_row(out, image, valid, y)
-    return out
+    return _pack(*flatten(image), valid)
 
 
 @numba.njit(cache=True)
-def _pack_halve_row(out, image, valid, y):
-    cell = np.empty((2, 2, 4), dtype=np.float32)
-    small = np.empty((1, 1, 4), dtype=np.float32)
+def _pack_halve_row(out, image, step, valid, y):
+    width = valid.shape[1]
+    quarter, zero = np.float32(0.25), np.float32(0.0)
     for x in range(out.shape[1]):
+        total = r = g = b = zero
         for s in range(4):
-            _put(cell[s // 2, s % 2], 2 * y + s // 2, 2 * x + s % 2, image, valid)
-        _halve_row(small, cell, 0)
-        out[y, x] = small[0, 0]
+            row, column = 2 * y + s // 2, 2 * x + s % 2
+            at = np.uint64((row * width + column) * step)
+            weight = _weight(image, at, valid[row, column])
+            if weight > zero:
+                total += weight
+                r += image[at]
+                g += image[at + np.uint64(1)]
+                b += image[at + np.uint64(2)]
+        share = np.float32(1.0) / total if total > zero else zero
+        out[y, x, 0], out[y, x, 1], out[y, x, 2], out[y, x, 3] = r * share, g * share, b * share, quarter * total
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
+def _pack_halve(image, step, valid):
+    out = np.empty((valid.shape[0] // 2, valid.shape[1] // 2, 4), dtype=np.float32)
+    for y in numba.prange(out.shape[0]):
+        _pack_halve_row(out, image, step, valid, y)
+    return out
+
+
 def pack_halve(image, valid):
     """Return level 1 without building level 0."""
-    out = np.empty((image.shape[0] // 2, image.shape[1] // 2, 4), dtype=np.float32)
-    for y in numba.prange(out.shape[0]):
-        _pack_halve_row(out, image, valid, y)
-    return out
+    return _pack_halve(*flatten(image), valid)
 
 
 @numba.njit(cache=True, inline="always")
@@ -108,9 +129,9 @@ def noise_of(level) -> np.ndarray:
 
     From the lower quartile of the differences between pixels two apart, which edges do not reach.
     """
-    rows = level[:: max(1, level.shape[0] // 64)]
-    good = (rows[:, 2:, 3] > 0.5) & (rows[:, :-2, 3] > 0.5)
-    differences = np.abs(rows[:, 2:, :3] - rows[:, :-2, :3])[good]
+    rows, step = level[:: max(1, level.shape[0] // 64)], max(1, level.shape[1] // 256)
+    right, left = rows[:, 2::step], rows[:, :-2:step]
+    differences = np.abs(right[..., :3] - left[..., :3])[np.minimum(right[..., 3], left[..., 3]) > 0.5]
     if len(differences) == 0:
         return np.full(3, _LEAST_NOISE)
     floor = 1e-3 * np.sqrt(np.square(differences, dtype=np.float64).mean())
@@ -118,22 +139,27 @@ def noise_of(level) -> np.ndarray:
     return np.maximum(np.quantile(differences, 0.25, axis=0) / (0.3186 * math.sqrt(2.0)), max(floor, _LEAST_NOISE))
 
 
-def gradient_energy(level) -> np.ndarray:
+def gradient_energy(level, noise) -> np.ndarray:
     """Return squared gradients in units of the bands' noise, summed over the bands, (h, w) float32; border 0."""
-    return _all_energies(level, (noise_of(level) ** -2.0).astype(np.float32))
+    return _all_energies(level, (noise**-2.0).astype(np.float32))
 
 
 @numba.njit(cache=True)
 def _choose(energy, places, counts, cell, columns, height, width, quota, gate):
     """Fill the places of the ``quota`` largest energies of one cell."""
     y0, x0 = (cell // columns) * height, (cell % columns) * width
-    values = energy[y0 : y0 + height, x0 : x0 + width].copy().ravel()
-    limit = np.float32(gate)
-    if values.size > quota:
-        limit = max(limit, np.partition(values, values.size - quota)[values.size - quota])
+    bottom, right = min(y0 + height, energy.shape[0]), min(x0 + width, energy.shape[1])
+    limit, passed, values = np.float32(gate), 0, np.empty(height * width, dtype=np.float32)
+    for y in range(y0, bottom):
+        for x in range(x0, right):
+            if energy[y, x] > 0.0 and energy[y, x] >= limit:
+                values[passed] = energy[y, x]
+                passed += 1
+    if passed > quota:
+        limit = np.partition(values[:passed], passed - quota)[passed - quota]
     n = 0
-    for y in range(y0, min(y0 + height, energy.shape[0])):
-        for x in range(x0, min(x0 + width, energy.shape[1])):
+    for y in range(y0, bottom):
+        for x in range(x0, right):
             if energy[y, x] > 0.0 and energy[y, x] >= limit and n < quota:
                 places[cell, n, 0], places[cell, n, 1] = x, y
                 n += 1
@@ -163,7 +189,7 @@ class Pyramid:
     """Levels of a picture, made when asked for."""
 
     def __init__(self, image, valid) -> None:
-        self._image, self._valid = np.ascontiguousarray(image, dtype=np.float32), np.ascontiguousarray(valid)
+        self._image, self._valid = np.asarray(image, dtype=np.float32), np.ascontiguousarray(valid, dtype=bool)
         self._levels: dict[int, np.ndarray] = {}
 
     def __getitem__(self, n: int) -> np.ndarray:

@@ -33,13 +33,14 @@ import numpy as np
 from irodori.registration.fit import Fit, Level, affine_of_level, align, information_of, make_level, search
 from irodori.registration.kernels import spline_power
 from irodori.registration.pyramid import Pyramid
-from irodori.registration.resampling import resample_affine
+from irodori.registration.resampling import marked_affine, resample_affine
 
 _COARSEST_PX = 160  # longest side at which the search runs
 _SHORTEST_PX = 24  # no level gets a shorter side than this
 _FINEST_PIXELS = 800_000  # the finest level has no more, unless the error asks for it
 _PLACES = (30_000, 8_000, 4_000)  # compared at the finest level, at the others, in the search
 _GOOD_PX = 0.02  # a predicted error with which no finer level is tried
+_STEP, _LAST_STEP = 1e-2, 1e-3  # at which the iteration ends, pixels of the level; a step leaves a fifth of itself
 _UNDETERMINED_PX = 1.0
 _SURE_COHERENCE = 0.25  # a fit from the start alone that is less coherent, or less certain, is not believed
 _SURE_PX = 0.05
@@ -210,7 +211,8 @@ class _Pair:
             if n < self.finest and best.sigma_px <= _GOOD_PX:
                 break
             level = self.level(n, _PLACES[0 if n <= self.finest else 1], True)
-            fit = align(level, turn, shift, 8 if n <= self.finest else 3)
+            last = n <= self.finest
+            fit = align(level, turn, shift, 8 if last else 3, _LAST_STEP if last else _STEP)
             if fit is None:
                 break
             turn, shift = fit.turn, fit.shift
@@ -223,8 +225,8 @@ class _Pair:
 
 def _settled(level: Level, turn: complex, shift: complex) -> Fit | None:
     """Return the fit at the coarsest level from one starting point, the shift before the rest."""
-    fit = align(level, turn, shift, 3, (0, 1))
-    return fit and align(level, fit.turn, fit.shift, 5)
+    fit = align(level, turn, shift, 3, _STEP, (0, 1))
+    return fit and align(level, fit.turn, fit.shift, 5, _STEP)
 
 
 def _has_content(fit: Fit) -> bool:
@@ -301,7 +303,7 @@ def _residual_px(level: Level, fit: Fit) -> float:
     return math.sqrt(max(0.0, 2.0 * (found[0::2] * found[1::2]).sum() / bottom)) if bottom > 0.0 else math.nan
 
 
-def resample(image, valid, registration: Registration) -> tuple[np.ndarray, np.ndarray]:
+def resample(image, valid, registration: Registration, out=None) -> tuple[np.ndarray, np.ndarray]:
     """Bring the moving picture onto the fixed one's grid.
 
     Parameters
@@ -310,6 +312,8 @@ def resample(image, valid, registration: Registration) -> tuple[np.ndarray, np.n
     valid : (H, W) bool or uint8
     registration : Registration
         Taken about this picture's centre.
+    out : (H, W, 3) float32, optional
+        Receives the picture; not where ``image`` lies.
 
     Returns
     -------
@@ -324,10 +328,31 @@ def resample(image, valid, registration: Registration) -> tuple[np.ndarray, np.n
     0.4 and 0 at 0.5 cycles per superpixel (`irodori.registration.resampling`); a step overshoots by at most
     7 % of its height. A sample with an invalid pixel among its 16 is bilinear of 4, and invalid where one of these is.
     """
-    image, valid = np.ascontiguousarray(image, dtype=np.float32), np.ascontiguousarray(valid)
+    image, valid = np.asarray(image, dtype=np.float32), np.ascontiguousarray(valid, dtype=bool)
     height, width = valid.shape
     if image.shape != (height, width, 3) or min(height, width) < 2:
         raise ValueError(
             f"picture {image.shape} with mask {valid.shape}; accepted: (H, W, 3) and (H, W), 2 x 2 or more"
         )
-    return resample_affine(image, valid, registration.affine(((width - 1) / 2.0, (height - 1) / 2.0)))
+    return resample_affine(image, valid, registration.affine(((width - 1) / 2.0, (height - 1) / 2.0)), out)
+
+
+def meets_marked(mask, valid, registration: Registration) -> np.ndarray:
+    """Return where a resampled picture is not valid and a marked sample lies near the place it shows.
+
+    Parameters
+    ----------
+    mask : (H, W) bool
+        Samples of the picture before it was resampled.
+    valid : (H, W) bool
+        Of the resampled picture, see `resample`.
+    registration : Registration
+
+    Returns
+    -------
+    (H, W) bool
+        Near is within two samples of the nearest one, along rows and columns: the cubic's reach, and rounding.
+    """
+    height, width = np.shape(mask)
+    affine = registration.affine(((width - 1) / 2.0, (height - 1) / 2.0))
+    return marked_affine(np.ascontiguousarray(mask, dtype=bool), np.ascontiguousarray(valid, dtype=bool), affine)
