@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from irodori.registration import Registration, resample
+from irodori.registration import Registration, meets_marked, resample
 from irodori.registration.resampling import frequency_response
 
 HEIGHT, WIDTH = 60, 80
@@ -85,3 +85,18 @@ def test_smooth_pictures_agree_with_splines_of_another_library():
     inner = np.zeros_like(valid)
     inner[6:-6, 6:-6] = True
     assert np.abs(out[..., 1] - witness)[inner & valid].max() < 2e-3 * np.ptp(image)
+
+
+@pytest.mark.parametrize("moved", [similarity(0.0, 0.0), similarity(3.3, -2.7, 0.008, 1.01), similarity(-7.5, 7.5)])
+def test_marks_follow_the_picture_to_what_became_invalid(moved):
+    rng = np.random.default_rng(4)
+    marked, valid = rng.random((HEIGHT, WIDTH)) < 0.002, rng.random((HEIGHT, WIDTH)) < 0.5
+    near = ndimage.maximum_filter(marked.astype(np.uint8), size=5, mode="constant").astype(bool)
+    y, x = np.indices((HEIGHT, WIDTH))
+    places = moved.moving_from_fixed(np.stack([x, y], axis=-1))
+    inside = ((places >= 0) & (places <= (WIDTH - 1, HEIGHT - 1))).all(axis=-1)
+    nearest = np.floor(places + 0.5).astype(int)
+    expected = np.zeros_like(marked)
+    expected[inside] = near[nearest[inside][:, 1], nearest[inside][:, 0]]
+    assert 20 < expected.sum() < expected.size / 2
+    assert np.array_equal(meets_marked(marked, valid, moved), expected & ~valid)
