@@ -27,9 +27,9 @@ from irodori.fitting.observations import Rules, load, weigh
 from irodori.fitting.shared import no_shared, padded_nodes, scan_shared, tabulate
 from irodori.fitting.varpro import NODE_STEP, SUMS, minimise, newton, pair_at, scan_own
 from irodori.material import Status
-from irodori.native import aligned
+from irodori.native import aligned, run_chunks
 
-_CHUNK = 128  # texels that share their scratch
+_CHUNK = 2048  # texels that a thread fits before it asks for more
 _REWEIGHTINGS = 6
 _SURE = 4.0  # standard errors of α from zero, from which on a model without diffuse light is not tried
 _DARK, _DIFFUSE_ONLY, _SATURATED = int(Status.DARK), int(Status.DIFFUSE_ONLY), int(Status.SATURATED)
@@ -193,28 +193,6 @@ def give_up(t, used, lost, problem, out):
     out.status[t] = judge.hopeless(used, lost, clipped_of(t, problem))
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _own_chunk(problem, shared, rules, out, first, last):
-    block, angles, sums = new_block(problem)
-    for t in range(first, last):
-        n = problem.n[t if problem.n.size > 1 else 0]
-        pack_geometry(problem.geometry[t if problem.geometry.shape[0] > 1 else 0], n, problem.k, angles, block)
-        used, lost, floor = load(problem.response[t], problem.weight[t], rules, block)
-        if used <= judge.PARAMETERS:
-            give_up(t, used, lost, problem, out)
-            continue
-        weigh(block)
-        scan_own(block, problem.nodes, problem.steepness, problem.chains, sums)
-        _fit_texel(t, block, shared, used, floor, problem, rules, sums, out)
-
-
-@numba.njit(cache=True, parallel=True, nogil=True)
-def _fit_own(problem, shared, rules, out):
-    texels = problem.response.shape[0]
-    for c in numba.prange((texels + _CHUNK - 1) // _CHUNK):
-        _own_chunk(problem, shared, rules, out, c * _CHUNK, min(texels, (c + 1) * _CHUNK))
-
-
 @numba.njit(cache=True)
 def _weights_changed(block, before):
     changed = False
@@ -224,30 +202,31 @@ def _weights_changed(block, before):
     return changed
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _shared_chunk(problem, shared, rules, common, out, first, last):
-    block, _, sums = new_block(problem)
-    for i in range(ROWS):
-        for j in range(block.shape[1]):
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _fit_chunk(problem, shared, rules, common, out, first, last):
+    """Fit some texels, each with a geometry of its own unless there is something ``shared``."""
+    block, angles, sums = new_block(problem)
+    own = shared.shapes.shape[0] == 0
+    for i in range(common.shape[0]):
+        for j in range(common.shape[1]):
             block[i, j] = common[i, j]
     before = np.full(block.shape[1], np.nan)
     for t in range(first, last):
+        if own:
+            n = problem.n[t if problem.n.size > 1 else 0]
+            pack_geometry(problem.geometry[t if problem.geometry.shape[0] > 1 else 0], n, problem.k, angles, block)
         used, lost, floor = load(problem.response[t], problem.weight[t], rules, block)
         if used <= judge.PARAMETERS:
             give_up(t, used, lost, problem, out)
             continue
         weigh(block)
-        scan_shared(block, shared, sums, _weights_changed(block, before))
+        if own:
+            scan_own(block, problem.nodes, problem.steepness, problem.chains, sums)
+        else:
+            scan_shared(block, shared, sums, _weights_changed(block, before))
         _fit_texel(t, block, shared, used, floor, problem, rules, sums, out)
         if rules.huber > 0.0:
             before[0] = np.nan
-
-
-@numba.njit(cache=True, parallel=True, nogil=True)
-def _fit_shared(problem, shared, rules, common, out):
-    texels = problem.response.shape[0]
-    for c in numba.prange((texels + _CHUNK - 1) // _CHUNK):
-        _shared_chunk(problem, shared, rules, common, out, c * _CHUNK, min(texels, (c + 1) * _CHUNK))
 
 
 @numba.njit(cache=True)
@@ -260,8 +239,8 @@ def _common_block(problem):
 
 def fit_texels(problem: Problem, rules: Rules, out: Output) -> None:
     """Fit every texel by variable projection, with the geometry of its own or the one that all share."""
+    shared, common = no_shared(), np.zeros((0, 0))
     if problem.geometry.shape[0] == 1 and problem.n.size == 1:
         common = _common_block(problem)
-        _fit_shared(problem, tabulate(common, problem.nodes), rules, common, out)
-    else:
-        _fit_own(problem, no_shared(), rules, out)
+        shared = tabulate(common, problem.nodes)
+    run_chunks(_fit_chunk, len(problem.response), _CHUNK, problem, shared, rules, common, out)

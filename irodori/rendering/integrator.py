@@ -9,6 +9,7 @@ import numpy as np
 from irodori.brdf import fresnel
 from irodori.geometry.embree import Tracer, hit_distance, hit_shape, new_ray, trace
 from irodori.geometry.surfaces import Surfaces, face_viewer, make_surfaces
+from irodori.native import run_chunks
 from irodori.rendering.scene import Light, Objects, View
 from irodori.rendering.shading import (
     BANDS,
@@ -143,12 +144,9 @@ def _aim(view, x, y, sample, side, path):
 
 
 @numba.njit(cache=True)
-def _render_row(surfaces, objects, light, addresses, offset_mm, view, sampling, y, row):
+def _render_row(world, ray, scratch, path, total, view, sampling, y, row):
     """Fill a row of the picture; return the number of points shaded."""
-    world = World(surfaces, objects, light, addresses[0], addresses[1], offset_mm)
-    ray, scratch, path = new_ray(), new_scratch(world), _new_path(world)
     samples = sampling.pixel_side * sampling.pixel_side
-    total = np.empty(BANDS)
     shaded = 0
     for x in range(view.width):
         total[:] = 0.0
@@ -160,13 +158,11 @@ def _render_row(surfaces, objects, light, addresses, offset_mm, view, sampling, 
     return shaded
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
-def _render(surfaces, objects, light, addresses, offset_mm, view, sampling, first_row, image, shaded):
-    # A parallel loop takes tuples of arrays, but no tuples of tuples: the world is put together inside.
-    for row in numba.prange(image.shape[0]):
-        shaded[row] = _render_row(
-            surfaces, objects, light, addresses, offset_mm, view, sampling, first_row + row, image[row]
-        )
+@numba.njit(cache=True, nogil=True)
+def _render(world, view, sampling, first_row, image, shaded, first, last):
+    ray, scratch, path, total = new_ray(), new_scratch(world), _new_path(world), np.empty(BANDS)
+    for row in range(first, last):
+        shaded[row] = _render_row(world, ray, scratch, path, total, view, sampling, first_row + row, image[row])
 
 
 def render_rows(
@@ -195,9 +191,8 @@ def render_rows(
     surfaces: Surfaces = make_surfaces(tracer.placements)
     extent = np.abs(surfaces.translation_mm).max() + (surfaces.size_mm.max(axis=1) * surfaces.scale).max()
     size = float(extent + np.linalg.norm(view.position_mm))
-    addresses = (tracer.intersect_address, tracer.scene)
+    world = World(surfaces, objects, light, tracer.intersect_address, tracer.scene, OFFSET * size)
     sampling = Sampling(**{name: options[name] for name in Sampling._fields})
     # Rows differ much in cost: handed out one by one, no thread waits for the half with the objects.
-    with numba.parallel_chunksize(1):
-        _render(surfaces, objects, light, addresses, OFFSET * size, view, sampling, rows[0], image, shaded)
+    run_chunks(_render, len(image), 1, world, view, sampling, rows[0], image, shaded)
     return image, int(shaded.sum())

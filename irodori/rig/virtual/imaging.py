@@ -12,6 +12,7 @@ from irodori.geometry.embree import Tracer, hit_distance, hit_shape, is_blocked,
 from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.surfaces import Surfaces, face_viewer, make_surfaces, surface_at
+from irodori.native import run_chunks
 from irodori.rig.virtual.reflection import MEASURED, gloss_lobe, measured_lobe
 
 _BLOCK_ROWS = 16
@@ -190,12 +191,10 @@ def _material_at(sample, point):
     return (row * sample.checks[0] + column) % sample.beta.size
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _expose_block(setup, sample, surfaces, block, image):
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _expose(setup, sample, surfaces, image, first, last):
     """Fill a block of rows: look at points half a pixel apart, then let each pixel gather its own."""
-    first = block * _BLOCK_ROWS
-    rows = min(_BLOCK_ROWS, image.shape[0] - first)
-    points = np.empty((2 * rows + 3, 2 * image.shape[1] + 3, 3))
+    points = np.empty((2 * (last - first) + 3, 2 * image.shape[1] + 3, 3))
     ray, point = new_ray(), _new_point()
     for i in range(points.shape[0]):
         for j in range(points.shape[1]):
@@ -207,12 +206,6 @@ def _expose_block(setup, sample, surfaces, block, image):
                 if ci > 0.0 and _is_lit(setup, ray, point):
                     _response(out, sample, _material_at(sample, point), setup, point, ci)
     gather_rows(points, first, image)
-
-
-@numba.njit(cache=True, parallel=True, nogil=True)
-def _expose(setup, sample, surfaces, image):
-    for block in numba.prange((image.shape[0] + _BLOCK_ROWS - 1) // _BLOCK_ROWS):
-        _expose_block(setup, sample, surfaces, block, image)
 
 
 @numba.njit(cache=True)
@@ -315,5 +308,5 @@ def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) 
     )
     image = np.empty((view.pinhole.height_px, view.pinhole.width_px))
     surfaces: Surfaces = make_surfaces(tracer.placements[:1])
-    _expose(setup, subject, surfaces, image)
+    run_chunks(_expose, len(image), _BLOCK_ROWS, setup, subject, surfaces, image)
     return image
