@@ -19,6 +19,7 @@ from irodori.fitting.lobe import (
     pack_geometry,
     padded,
 )
+from irodori.fitting.pooling import pool
 from irodori.fitting.solvers import FitOptions, FitResult, fit
 from irodori.material import Status
 from irodori.progress import LOGGER
@@ -124,8 +125,8 @@ def fit_brdf(observations, output, options: FitOptions, n: float, k: float, prov
     Notes
     -----
     Datasets, one entry a texel: ``/alpha``, ``/beta``, ``/mu`` (rad), their ``*_error``, ``/residual_rms``,
-    ``/status`` (see `Status`), ``/model``, ``/evaluations``, ``/nlopt_result``, ``/refractive_index`` and
-    ``/refractive_index_error`` (NaN where the index was given), ``/diffuse_response`` (texel, bands) and
+    ``/status`` (see `Status`), ``/model``, ``/pooled_from``, ``/evaluations``, ``/nlopt_result``, ``/refractive_index``
+    and ``/refractive_index_error`` (NaN where the index was given), ``/diffuse_response`` (texel, bands) and
     ``/diffuse_variance``, what the camera's noise gives it; ``/texel``, 0 where the texture shows no surface.
     """
     with store.open_file(observations) as file:
@@ -142,6 +143,7 @@ def fit_brdf(observations, output, options: FitOptions, n: float, k: float, prov
     start = time.perf_counter()
     result = fit(green, geometry, weight, n, k, options, of_green, clipped)
     seconds = time.perf_counter() - start
+    result = pool(result, green, geometry, weight, n, k, options, of_green, carried["width"])
     fitted = int((result.evaluations > 0).sum())
     diffuse, variance = diffuse_response(response, geometry, weight, result, n, k, noise)
     with store.create(output, provenance) as out:
@@ -160,6 +162,7 @@ def fit_brdf(observations, output, options: FitOptions, n: float, k: float, prov
             "refractive_index": (result.index, "1", "real refractive index; NaN where fitted and not determined"),
             "refractive_index_error": (result.index_error, "1", "its standard error where it was fitted"),
             "evaluations": (result.evaluations, "1", "evaluations of the objective"),
+            "pooled_from": (result.pooled_from, "1", "texels that the gloss comes from, 0 where it is the texel's own"),
             "nlopt_result": (result.nlopt_result, "1", "return code of NLopt, 0 where not called"),
             "diffuse_response": (diffuse, "1", "response to the diffuse reflectance alone"),
             "diffuse_variance": (variance, "1", "variance of diffuse_response from the camera's noise"),
