@@ -19,6 +19,7 @@ _COLUMNS = {
     "residual_rms": ("1", "root mean square residual in response"),
     "status": ("1", "outcome of the fit"),
     "relative_residual": ("1", "root mean square residual over root mean square response"),
+    "pooled_from": ("1", "texels that the gloss comes from, 0 where it is the texel's own"),
     "evaluations": ("1", "evaluations of the objective"),
     "nlopt_result": ("1", "return code of NLopt, 0 where not called"),
 }

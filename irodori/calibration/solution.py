@@ -46,6 +46,7 @@ def solve(training: Training, settings: dict, filters: tuple[str, ...], lights, 
     calibration = replace(
         fit(chosen[0], training, chosen[1], limits.condition),
         filters=filters,
+        band_response=training.model.mean * training.scale[:, None],
         **own_error(training, recovered[chosen]),
     )
     amplification = noise_amplification(calibration)

@@ -152,6 +152,13 @@ def _new_optimiser(nlopt, data):
 
 
 @numba.njit(cache=True)
+def first_step(low, high):
+    """Return a step that a parameter's bounds have room for; BOBYQA refuses more than half of the range."""
+    room = 0.25 * (high - low)
+    return min(_FIRST_STEP, room) if room > 0.0 else _FIRST_STEP
+
+
+@numba.njit(cache=True)
 def _polish(nlopt, optimiser, data, start, rules, vectors):
     """Run NLopt from a start; return its code, its evaluations and the α, β, log μ that it found."""
     x, low, high, step, value = vectors
@@ -160,7 +167,7 @@ def _polish(nlopt, optimiser, data, start, rules, vectors):
     low[2], high[2], x[2] = rules.low_log_mu, rules.high_log_mu, start[2]
     for p in range(PARAMETERS):
         x[p] = min(max(x[p], low[p]), high[p])
-        step[p] = _FIRST_STEP
+        step[p] = first_step(low[p], high[p])
     nlopt_set_pointer(nlopt.set_lower_bounds, optimiser, np.uintp(low.ctypes.data))
     nlopt_set_pointer(nlopt.set_upper_bounds, optimiser, np.uintp(high.ctypes.data))
     nlopt_set_pointer(nlopt.set_initial_step, optimiser, np.uintp(step.ctypes.data))

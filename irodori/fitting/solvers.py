@@ -28,6 +28,7 @@ _ALGORITHMS = (
     "LD_VAR2",
 )
 ACCEPTED_ALGORITHMS = tuple(name for name in _ALGORITHMS if hasattr(nlopt, name))
+MAX_POOLING_RADIUS_TEXELS = 32
 _SETTINGS = ("objective", "algorithm", "xtol_rel", "max_evaluations")
 _BOUNDS = {"alpha": (0.0, 2.0), "beta": (0.0, 1e4), "mu_rad": (0.005, 1.2), "n": (1.2, 2.5)}
 _CHOICES = {"weights": ("noise", "equal"), "refractive_index": ("fixed", "fitted"), "scan_per_octave": (2, 4)}
@@ -60,6 +61,9 @@ class FitOptions:
         Residual, in standard deviations, beyond which the loss is linear.
     refractive_index : str
         ``fixed``: as given; ``fitted``: each texel's own real part n, within its bounds.
+    pooling_radius_texels : int
+        Distance up to which a texel that leaves its gloss open may take it from those around it, see
+        `irodori.fitting.pooling`; 0 for none. `fit` itself knows no neighbours.
     bounds : dict
         ``alpha``, ``beta``, ``mu_rad``, ``n``: lower and upper bound.
     """
@@ -74,6 +78,7 @@ class FitOptions:
     pose_error_deg: float = 0.05
     huber: float | None = None
     refractive_index: str = "fixed"
+    pooling_radius_texels: int = 0
     bounds: dict | None = None
 
     def __post_init__(self):
@@ -83,6 +88,9 @@ class FitOptions:
             if getattr(self, name) not in accepted:
                 raise ValueError(f"fit.{name} {getattr(self, name)!r}; accepted: {', '.join(map(str, accepted))}")
         algorithm_number(self.algorithm)
+        if not 0 <= self.pooling_radius_texels <= MAX_POOLING_RADIUS_TEXELS:
+            found = f"fit.pooling_radius_texels {self.pooling_radius_texels}"
+            raise ValueError(f"{found}; accepted: 0 to {MAX_POOLING_RADIUS_TEXELS}")
 
     def limits(self, name: str) -> tuple[float, float]:
         """Return lower and upper bound of a parameter."""
@@ -120,6 +128,8 @@ class FitResult:
     index, index_error : (n,) float64
         Real refractive index and its standard error; NaN where it was fitted and is not determined. The error is NaN
         where the index was given.
+    pooled_from : (n,) int32
+        Texels that the gloss comes from where the status is POOLED, else 0.
     """
 
     alpha: np.ndarray
@@ -137,6 +147,7 @@ class FitResult:
     gloss: np.ndarray
     index: np.ndarray
     index_error: np.ndarray
+    pooled_from: np.ndarray
 
 
 def algorithm_number(name: str) -> int:
@@ -226,7 +237,8 @@ def _solve_reference(problem: texels.Problem, rules: Rules, options: FitOptions)
         optimiser = nlopt.opt(number, nlopt_loop.PARAMETERS)
         optimiser.set_lower_bounds(low / scale)
         optimiser.set_upper_bounds(high / scale)
-        optimiser.set_initial_step(np.full(nlopt_loop.PARAMETERS, 0.1))
+        room = zip(low / scale, high / scale, strict=True)
+        optimiser.set_initial_step(np.array([nlopt_loop.first_step(*bounds) for bounds in room]))
         optimiser.set_min_objective(cost)
         optimiser.set_xtol_rel(options.xtol_rel)
         optimiser.set_maxeval(options.max_evaluations)
@@ -246,7 +258,8 @@ def _solve_reference(problem: texels.Problem, rules: Rules, options: FitOptions)
 SOLVERS = {"varpro": _solve_varpro, "nlopt": _solve_nlopt, "nlopt-reference": _solve_reference}
 
 
-def _problem(response, geometry, weight, n, k, options: FitOptions, noise, clipped) -> tuple[texels.Problem, Rules]:
+def problem_of(response, geometry, weight, n, k, options: FitOptions, noise, clipped) -> tuple[texels.Problem, Rules]:
+    """Return what the loops take; parameters and errors as in `fit`, n also (texels,)."""
     # Types, strides and read-only arrays are types of their own to the compiler: all float32 or all float64, writeable.
     dtype = np.float32 if np.asarray(response).dtype == np.float32 else np.float64
     response, geometry, weight = (np.require(a, dtype, "CW") for a in (response, geometry, weight))
@@ -313,7 +326,7 @@ def fit(
         For shapes that do not agree.
     """
     options = options or FitOptions()
-    problem, rules = _problem(response, geometry, weight, n, k, options, noise, clipped)
+    problem, rules = problem_of(response, geometry, weight, n, k, options, noise, clipped)
     solve = SOLVERS[options.solver]
     if options.refractive_index == "fixed":
         return _result(solve(problem, rules, options), problem)
@@ -351,4 +364,5 @@ def _result(out: texels.Output, problem: texels.Problem) -> FitResult:
         gloss=np.where(glossy[:, None], np.stack([table[:, judge.BETA], mu], axis=1), [0.0, 1.0]),
         index=np.broadcast_to(problem.n, status.shape).copy(),
         index_error=np.full(len(status), math.nan),
+        pooled_from=np.zeros(len(status), dtype=np.int32),
     )

@@ -7,6 +7,8 @@ import numba
 import numpy as np
 
 from irodori import store
+from irodori.errors import InputError
+from irodori.fitting.bands import BandGloss, band_gloss, uniform, varies
 from irodori.fitting.lobe import (
     COSINE,
     FAST,
@@ -19,6 +21,7 @@ from irodori.fitting.lobe import (
     pack_geometry,
     padded,
 )
+from irodori.fitting.pooling import pool
 from irodori.fitting.solvers import FitOptions, FitResult, fit
 from irodori.material import Status
 from irodori.progress import LOGGER
@@ -39,13 +42,17 @@ def _lobe(block, beta, mu):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _combine_texel(response, weight, noise, block, out, variance):
+def _combine_texel(response, weight, noise, theta_h, ratio, block, out, variance):
+    step = 0.5 * math.pi / (ratio.shape[1] - 1)
     for b in range(response.shape[1]):
         top, bottom, spread = 0.0, 0.0, 0.0
         for j in range(response.shape[0]):
-            rho, gloss, cosine = response[j, b], block[LOBE, j], block[COSINE, j]
+            rho, cosine = response[j, b], block[COSINE, j]
             if not weight[j] > 0.0 or not math.isfinite(rho) or block[SPOILED, j] != 0.0:
                 continue
+            place = min(max(theta_h[j] / step, 0.0), ratio.shape[1] - 1.0)
+            i = min(int(place), ratio.shape[1] - 2)
+            gloss = block[LOBE, j] * (ratio[b, i] + (place - i) * (ratio[b, i + 1] - ratio[b, i]))
             expected = _RESPONSE_NOISE**2 + (_GLOSS_MODEL_ERROR * gloss) ** 2
             w = weight[j] * cosine / expected
             top += w * (rho - gloss)
@@ -56,25 +63,25 @@ def _combine_texel(response, weight, noise, block, out, variance):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _combine_chunk(response, geometry, weight, gloss, n, k, noise, out, variance, first, last):
+def _combine_chunk(response, geometry, weight, gloss, n, k, ratio, noise, out, variance, first, last):
     p = padded(response.shape[1])
     block, angles = np.zeros((ROWS, p)), np.zeros((4, p))
     for t in range(first, last):
         pack_geometry(geometry[t], n[t], k, angles, block)
         _lobe(block, gloss[t, 0], gloss[t, 1])
-        _combine_texel(response[t], weight[t], noise, block, out[t], variance[t])
+        _combine_texel(response[t], weight[t], noise, geometry[t, :, 2], ratio, block, out[t], variance[t])
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _combine(response, geometry, weight, gloss, n, k, noise, out, variance):
+def _combine(response, geometry, weight, gloss, n, k, ratio, noise, out, variance):
     texels = response.shape[0]
     for c in numba.prange((texels + _CHUNK - 1) // _CHUNK):
         first, last = c * _CHUNK, min(texels, (c + 1) * _CHUNK)
-        _combine_chunk(response, geometry, weight, gloss, n, k, noise, out, variance, first, last)
+        _combine_chunk(response, geometry, weight, gloss, n, k, ratio, noise, out, variance, first, last)
 
 
 def diffuse_response(
-    response, geometry, weight, result: FitResult, n: float, k: float, noise
+    response, geometry, weight, result: FitResult, fresnel: BandGloss, noise
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return each texel's response to its diffuse reflectance alone, all observations combined, and its variance.
 
@@ -87,6 +94,8 @@ def diffuse_response(
     geometry : (texels, J, 4) float, rad
     weight : (texels, J) float
     result : FitResult
+    fresnel : BandGloss
+        n and k of the fit, and F of every band.
     noise : (J, bands, 2) float
         c0 and c1 of the variance c0 + c1 ρ that the camera's noise gives a response.
 
@@ -98,8 +107,8 @@ def diffuse_response(
     """
     out, variance = np.empty((2, len(response), response.shape[2]))
     noise = np.ascontiguousarray(noise, dtype=np.float64)
-    index = np.where(np.isfinite(result.index), result.index, n)
-    _combine(response, geometry, weight, result.gloss, index, float(k), noise, out, variance)
+    index = np.where(np.isfinite(result.index), result.index, fresnel.n)
+    _combine(response, geometry, weight, result.gloss, index, fresnel.k, fresnel.ratio, noise, out, variance)
     return out, variance
 
 
@@ -118,14 +127,37 @@ def _of_near_light(noise, gain, weight) -> np.ndarray:
     return noise * np.stack([second, first], axis=-1)[:, None, :]
 
 
-def fit_brdf(observations, output, options: FitOptions, n: float, k: float, provenance: store.Provenance) -> None:
+def _fresnel(n, k, calibration, bands: int) -> BandGloss:
+    if not varies(n, k):
+        return uniform(np.mean(n), np.mean(k), bands)
+    if calibration is None:
+        raise ValueError("a refractive index that varies with the wavelength; accepted: one with a calibration")
+    with store.open_file(calibration) as file:
+        if "band_response" not in file:
+            accepted = "the response model of a calibration, for a refractive index that varies with the wavelength"
+            raise InputError(calibration, "band_response", "no such dataset", accepted)
+        found = band_gloss(n, k, file.read("band_response"), GREEN)
+    LOGGER.info("refractive index in the band of the fit: %.3f + %.3f i", found.n, found.k)
+    return found
+
+
+def fit_brdf(observations, output, options: FitOptions, n, k, provenance: store.Provenance, calibration=None) -> None:
     """Fit one tile of observations and write its parameters.
+
+    Parameters
+    ----------
+    observations, output : path
+    options : FitOptions
+    n, k : float or (61,) float
+        Complex refractive index; where it varies with the wavelength, every band has the F that it sees.
+    calibration : path, optional
+        Of the camera; needed where n or k varies.
 
     Notes
     -----
     Datasets, one entry a texel: ``/alpha``, ``/beta``, ``/mu`` (rad), their ``*_error``, ``/residual_rms``,
-    ``/status`` (see `Status`), ``/model``, ``/evaluations``, ``/nlopt_result``, ``/refractive_index`` and
-    ``/refractive_index_error`` (NaN where the index was given), ``/diffuse_response`` (texel, bands) and
+    ``/status`` (see `Status`), ``/model``, ``/pooled_from``, ``/evaluations``, ``/nlopt_result``, ``/refractive_index``
+    and ``/refractive_index_error`` (NaN where the index was given), ``/diffuse_response`` (texel, bands) and
     ``/diffuse_variance``, what the camera's noise gives it; ``/texel``, 0 where the texture shows no surface.
     """
     with store.open_file(observations) as file:
@@ -133,6 +165,8 @@ def fit_brdf(observations, output, options: FitOptions, n: float, k: float, prov
         noise, clipped, texel = file.read("noise_model"), file.read("clipped"), file.read("texel")
         if "light_gain" in file:
             noise = _of_near_light(noise, file.read("light_gain"), weight)
+        fresnel = _fresnel(n, k, calibration, response.shape[2])
+        n, k = fresnel.n, fresnel.k
         carried = {name: file.attribute(name) for name in ("rows", "width", "filters")}
     if options.weights == "noise" and not np.isfinite(noise[:, GREEN]).all():
         LOGGER.info("the camera's noise is not known in every capture: observations have equal weights")
@@ -142,8 +176,9 @@ def fit_brdf(observations, output, options: FitOptions, n: float, k: float, prov
     start = time.perf_counter()
     result = fit(green, geometry, weight, n, k, options, of_green, clipped)
     seconds = time.perf_counter() - start
+    result = pool(result, green, geometry, weight, n, k, options, of_green, carried["width"])
     fitted = int((result.evaluations > 0).sum())
-    diffuse, variance = diffuse_response(response, geometry, weight, result, n, k, noise)
+    diffuse, variance = diffuse_response(response, geometry, weight, result, fresnel, noise)
     with store.create(output, provenance) as out:
         maps = {
             "texel": (texel, "1", "1 where a surface lies under the texel's centre"),
@@ -160,6 +195,7 @@ def fit_brdf(observations, output, options: FitOptions, n: float, k: float, prov
             "refractive_index": (result.index, "1", "real refractive index; NaN where fitted and not determined"),
             "refractive_index_error": (result.index_error, "1", "its standard error where it was fitted"),
             "evaluations": (result.evaluations, "1", "evaluations of the objective"),
+            "pooled_from": (result.pooled_from, "1", "texels that the gloss comes from, 0 where it is the texel's own"),
             "nlopt_result": (result.nlopt_result, "1", "return code of NLopt, 0 where not called"),
             "diffuse_response": (diffuse, "1", "response to the diffuse reflectance alone"),
             "diffuse_variance": (variance, "1", "variance of diffuse_response from the camera's noise"),

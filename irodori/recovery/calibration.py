@@ -40,6 +40,8 @@ class Calibration:
     relative_error, absolute_error : float
         Root mean square of the reflectance's cross-validation error: in proportion to the length of the scaled
         response, and whatever it is, for `standard_deviation`.
+    band_response : (bands, 61) float, optional
+        Response per unit reflectance at each wavelength, as the chart tells it.
     """
 
     basis: np.ndarray
@@ -51,6 +53,7 @@ class Calibration:
     training: np.ndarray | None = None
     relative_error: float = 0.0
     absolute_error: float = 0.0
+    band_response: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if self.mapping is None:
@@ -81,6 +84,7 @@ class Calibration:
                 mapping,
                 file.read("chart_response") if "chart_response" in file else None,
                 *(file.attribute(n) if file.has_attribute(n) else 0.0 for n in ("relative_error", "absolute_error")),
+                file.read("band_response") if "band_response" in file else None,
             )
 
     def write(self, out: store.Writer) -> None:
@@ -103,6 +107,9 @@ class Calibration:
             out.write(
                 "chart_response", self.training, units="1", dims="patch,band", quantity="responses P of the chart"
             )
+        if self.band_response is not None:
+            quantity = "response per unit reflectance at each wavelength"
+            out.write("band_response", self.band_response, units="1", dims="band,wavelength", quantity=quantity)
         out.attribute("filters", list(self.filters))
         out.attribute("estimator", self.estimator)
         out.attribute("mapping", self.mapping.kind)

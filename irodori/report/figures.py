@@ -17,7 +17,7 @@ from irodori.material import Material, Status
 from irodori.spectra import WAVELENGTH_NM
 
 _UNSEEN_GREY = 208
-_STATUS_COLOURS = ("#4c9f70", "#e0b050", "#9b6fb0", "#d0d0d0", "#c04040", "#4a90c4", "#f0e442", "#303030")
+_STATUS_COLOURS = ("#4c9f70", "#e0b050", "#9b6fb0", "#d0d0d0", "#c04040", "#4a90c4", "#f0e442", "#303030", "#a5d6a7")
 
 
 def _finish(figure) -> str:
@@ -71,8 +71,8 @@ def material_figure(material: Material, maps: dict[str, np.ndarray], truth: Mate
     shares = [f"{(status == s.value).mean():6.1%}  {s.name.lower().replace('_', ' ')}" for s in Status]
     axes[9].axis("off")
     for line, (text, colour) in enumerate(zip(shares, _STATUS_COLOURS, strict=True)):
-        axes[9].text(0.0, 0.9 - 0.11 * line, "■", color=colour, fontsize=12, transform=axes[9].transAxes)
-        axes[9].text(0.08, 0.9 - 0.11 * line, text, fontsize=9, family="monospace", transform=axes[9].transAxes)
+        axes[9].text(0.0, 0.92 - 0.1 * line, "■", color=colour, fontsize=12, transform=axes[9].transAxes)
+        axes[9].text(0.08, 0.92 - 0.1 * line, text, fontsize=9, family="monospace", transform=axes[9].transAxes)
     return _finish(figure)
 
 

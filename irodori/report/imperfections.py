@@ -29,7 +29,7 @@ from irodori.rig.plan import camera_shots, object_shots
 from irodori.rig.virtual.bench import Bench
 from irodori.rig.virtual.camera import VirtualCamera
 from irodori.rig.virtual.truth import true_material
-from irodori.spectra import refractive_index_at
+from irodori.spectra import refractive_index
 from irodori.store import Provenance
 
 _MAX_TEXELS = 64
@@ -164,8 +164,8 @@ def run_chain(chain: Chain, folder: Path) -> Material:
     setup = RigSetup.from_definitions(chain.camera, chain.rig)
     limit = settings["rectify"]["max_angle_deg"]
     rectify_object(linear, chain.definition, setup, (0, texels["height"]), limit, tile, _MADE)
-    index = refractive_index_at(chain.definition["refractive_index"])
-    fit_brdf(tile, brdf, FitOptions(**settings["fit"]), *index, _MADE)
+    index = refractive_index(chain.definition["refractive_index"])
+    fit_brdf(tile, brdf, FitOptions(**settings["fit"]), *index, _MADE, calibration)
     target, align = (settings["compress"][key] for key in ("target_delta_e_mean", "align"))
     compress_reflectance([brdf], calibration, chain.definition, material, target, align, settings["lights"], _MADE)
     return Material.load(material)

@@ -17,7 +17,7 @@ from irodori.brdf import reflect
 from irodori.captures import Pose
 from irodori.fitting import FitOptions, fit
 from irodori.progress import LOGGER
-from irodori.rig.information import Materials
+from irodori.rig.information import Materials, Weighting
 from irodori.rig.planner import Planner, axis_angles, default_noise
 from irodori.rig.selection import TooFewPoses
 
@@ -185,7 +185,9 @@ def fit_errors(sitting: Sitting, poses: list[Pose], count: int, options: FitOpti
     """Return the error of each parameter over random materials, (count,) each; NaN where the fit does not state it."""
     materials = sitting.planner.range.at(rng.random((count, 3)))
     response, geometry, weight = sitting.photograph(poses, materials, min(_SESSIONS, count), rng)
-    result = fit(response, geometry, weight, materials.n, materials.k, options)
+    noise = sitting.planner.noise
+    camera = np.tile([noise.read_variance, noise.shot_variance], (len(poses), 1))
+    result = fit(response, geometry, weight, materials.n, materials.k, options, camera)
     out = {}
     for name, relative in _RELATIVE.items():
         truth = getattr(materials, name)
@@ -239,8 +241,9 @@ def measure_object(name: str, planned: dict, options: FitOptions, max_angle_deg:
     planner = Planner(
         definition,
         rig,
-        noise=default_noise(rig, planned["sensor"], planned["exposures_s"]),
+        noise=default_noise(rig, planned["sensor"], planned["exposures_s"], asdict(options)),
         max_angle_deg=max_angle_deg,
+        weighting=Weighting(options.weights, options.model_error),
     )
     drift = rig.get("virtual", {}).get("imperfections", {}).get("light_drift", {})
     memory = drift.get("correlation_shots", Sitting.correlation_shots)

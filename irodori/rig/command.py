@@ -24,10 +24,11 @@ from irodori.rig.connect import open_rig
 from irodori.rig.devices import LimitError, Rig
 from irodori.rig.ending import ending_in_order
 from irodori.rig.gphoto import GphotoCamera
+from irodori.rig.information import Weighting
 from irodori.rig.journal import storing
 from irodori.rig.operator import PromptOperator
 from irodori.rig.plan import camera_shots, object_shots
-from irodori.rig.planner import plan_best
+from irodori.rig.planner import default_noise, plan_best
 from irodori.rig.session import verify
 from irodori.rig.stage import Target, capture_camera, capture_object
 from irodori.store import Provenance
@@ -197,13 +198,25 @@ def _target(options) -> tuple[Target, dict | None]:
     return target, None if options.camera else definition
 
 
+def _as_fitted(definition: dict, target: Target) -> dict:
+    """Return noise, weights and largest angle as the configuration's fit will have them."""
+    config = load_one("objects", target.name)
+    fit, sensor = config["fit"], target.camera.get("virtual", {}).get("sensor")
+    exposures_s = definition["exposure_s"]["out"] if sensor else ()
+    return {
+        "noise": default_noise(target.rig, sensor, exposures_s, fit),
+        "weighting": Weighting(fit["weights"], fit["model_error"]),
+        "max_angle_deg": config["rectify"]["max_angle_deg"],
+    }
+
+
 def _plan(options) -> None:
     target, definition = _target(options)
     if options.best is not None:
         if definition is None:
             raise InputError("--best", "", "a camera", "an object: a camera's own photographs need no choice of poses")
         try:
-            best = plan_best(definition, target.rig, options.best)
+            best = plan_best(definition, target.rig, options.best, **_as_fitted(definition, target))
         except ValueError as error:
             raise InputError("--best", "", str(options.best), str(error)) from None
         print("\n".join(best.lines()))

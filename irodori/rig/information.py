@@ -76,6 +76,35 @@ class Noise:
 
 
 @dataclass(frozen=True)
+class Weighting:
+    """How the fit weighs an observation: by the inverse of the variance that it expects, or not at all.
+
+    Parameters
+    ----------
+    weights : str
+        ``noise``: 1 / (c0 + c1 ρ + (model error · ρ)²); ``equal``. As ``fit.weights``.
+    model_error : float
+        As ``fit.model_error``, ratio.
+
+    Raises
+    ------
+    ValueError
+        For other weights.
+    """
+
+    weights: str = "noise"
+    model_error: float = 0.01
+
+    def __post_init__(self) -> None:
+        if self.weights not in ("noise", "equal"):
+            raise ValueError(f"weights {self.weights!r}; accepted: noise, equal")
+
+
+#: The fit's own where the configuration says nothing.
+WEIGHTING = Weighting()
+
+
+@dataclass(frozen=True)
 class Materials:
     """Materials to tell apart.
 
@@ -163,23 +192,33 @@ class Observations:
         Of ρ; infinite where there is nothing to observe.
     response : (poses, cases) float64
         ρ, zero where there is nothing to observe.
+    weight : (poses, cases) float64
+        That of the fit; zero where there is nothing to observe.
     """
 
     jacobian: np.ndarray
     variance: np.ndarray
     response: np.ndarray
+    weight: np.ndarray
 
     def of(self, chosen) -> "Observations":
         """Return the observations of chosen poses."""
         chosen = np.asarray(chosen)
-        return Observations(self.jacobian[chosen], self.variance[chosen], self.response[chosen])
+        return Observations(self.jacobian[chosen], self.variance[chosen], self.response[chosen], self.weight[chosen])
 
     def scaled(self) -> np.ndarray:
         """Return the Jacobian over the standard deviation, (poses, cases, 3): row · rowᵀ is the information."""
         return self.jacobian / np.sqrt(self.variance)[..., None]
 
 
-def observe(subject: Subject, poses: list[Pose], materials: Materials, noise: Noise, max_angle_deg: float = 80.0):
+def observe(
+    subject: Subject,
+    poses: list[Pose],
+    materials: Materials,
+    noise: Noise,
+    max_angle_deg: float = 80.0,
+    weighting: Weighting = WEIGHTING,
+) -> Observations:
     """Return what each pose would show of each texel with each material.
 
     Parameters
@@ -190,6 +229,8 @@ def observe(subject: Subject, poses: list[Pose], materials: Materials, noise: No
     noise : Noise
     max_angle_deg : float
         Observations with θ_i or θ_r beyond it carry no weight in the fit and tell nothing here, degrees.
+    weighting : Weighting
+        How the fit will weigh them.
 
     Returns
     -------
@@ -214,12 +255,14 @@ def observe(subject: Subject, poses: list[Pose], materials: Materials, noise: No
     gloss = gloss_factors(np.ascontiguousarray(geometry), float(materials.n), float(materials.k))
     parameters = materials.parameters()
     cases = geometry.shape[1] * len(parameters)
-    out = Observations(
-        np.zeros((len(poses), cases, PARAMETERS)), np.full((len(poses), cases), np.inf), np.zeros((len(poses), cases))
-    )
+    shape = (len(poses), cases)
+    out = Observations(np.zeros((*shape, PARAMETERS)), np.full(shape, np.inf), np.zeros(shape), np.zeros(shape))
     phi = np.ascontiguousarray(geometry[..., 3])
     spread = (noise.read_variance, noise.shot_variance, noise.relative, noise.saturation_response)
-    _fill(cosine, gloss, phi, seen, parameters, spread, out.jacobian, out.variance, out.response)
+    # Without weights of its own the fit takes all variances for one.
+    expected = weighting.model_error if weighting.weights == "noise" else -1.0
+    filled = out.jacobian, out.variance, out.response, out.weight
+    _fill(cosine, gloss, phi, seen, parameters, spread, expected, *filled)
     return out
 
 
@@ -232,7 +275,7 @@ def _rough(alpha, beta, mu, cosine, gloss, phi):
 
 
 @numba.njit(cache=True)
-def _fill_pose(cosine, gloss, phi, seen, parameters, spread, jacobian, variance, response):
+def _fill_pose(cosine, gloss, phi, seen, parameters, spread, expected, jacobian, variance, response, weight):
     read, shot, relative, saturation = spread
     materials = parameters.shape[0]
     for t in range(seen.size):
@@ -253,12 +296,16 @@ def _fill_pose(cosine, gloss, phi, seen, parameters, spread, jacobian, variance,
             jacobian[case, 2] = 2.0 * lobe * (phi[t, 0] / mu) ** 2
             variance[case] = read + shot * total + (relative * total) ** 2 + shift
             response[case] = total
+            weight[case] = 1.0 / (read + shot * total + (expected * total) ** 2) if expected >= 0.0 else 1.0
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _fill(cosine, gloss, phi, seen, parameters, spread, jacobian, variance, response):
+def _fill(cosine, gloss, phi, seen, parameters, spread, expected, jacobian, variance, response, weight):
     for p in numba.prange(seen.shape[0]):
-        _fill_pose(cosine[p], gloss[p], phi[p], seen[p], parameters, spread, jacobian[p], variance[p], response[p])
+        _fill_pose(
+            cosine[p], gloss[p], phi[p], seen[p], parameters, spread, expected,
+            jacobian[p], variance[p], response[p], weight[p],
+        )  # fmt: skip
 
 
 def information(observations: Observations) -> np.ndarray:
@@ -274,15 +321,17 @@ def information(observations: Observations) -> np.ndarray:
 def standard_errors(observations: Observations) -> np.ndarray:
     """Return the expected relative standard errors of α, β, μ of the fit, (cases, 3); infinite where undetermined.
 
-    The fit of equation (7) gives every observation the same weight. Its covariance is N⁻¹ (Jᵀ Σ J) N⁻¹ with
-    N = Jᵀ J, which is more than the inverse of the information by what the best weights would gain.
+    With the weights w of the fit of equation (7) its covariance is N⁻¹ (Σ w² v J Jᵀ) N⁻¹ with N = Σ w J Jᵀ, as
+    `irodori.fitting.judge` computes it from the photographs. It is more than the inverse of the information by what the
+    best weights would gain: those of the fit know noise and model error, but not what an error of the pose does. An
+    error that all photographs share, which the fit adds to those of α and β, is not in it.
     """
-    jacobian = observations.jacobian
+    jacobian, weight = observations.jacobian, observations.weight
     seen = np.isfinite(observations.variance)
     # Without weight in the fit an observation adds to neither sum.
     variance = np.where(seen, observations.variance, 0.0)
-    normal = np.einsum("pci,pcj->cij", jacobian, jacobian)
-    middle = np.einsum("pc,pci,pcj->cij", variance, jacobian, jacobian)
+    normal = np.einsum("pc,pci,pcj->cij", weight, jacobian, jacobian)
+    middle = np.einsum("pc,pci,pcj->cij", weight**2 * variance, jacobian, jacobian)
     out = np.full(normal.shape[:2], np.inf)
     size = np.sqrt(np.einsum("cii->ci", normal))
     usable = (size > 0.0).all(axis=1) & (seen.sum(axis=0) > PARAMETERS)

@@ -10,7 +10,17 @@ from scipy.stats import qmc
 from irodori.captures import Pose
 from irodori.geometry.frames import to_camera, to_light
 from irodori.geometry.shapes import PLATE, Shape
-from irodori.rig.information import PARAMETERS, Materials, Noise, Observations, Subject, observe, standard_errors
+from irodori.rig.information import (
+    PARAMETERS,
+    WEIGHTING,
+    Materials,
+    Noise,
+    Observations,
+    Subject,
+    Weighting,
+    observe,
+    standard_errors,
+)
 from irodori.rig.selection import TooFewPoses, choose
 from irodori.spectra import refractive_index_at
 
@@ -196,8 +206,8 @@ def open_poses(
     return candidate_poses({**limits, "turn_deg": still}, coarse_deg or COARSE_DEG, clearance_deg)
 
 
-def default_noise(rig: dict, sensor: dict | None = None, exposures_s=()) -> Noise:
-    """Return the noise of a rig and of its camera where their definitions state it, else that of `Noise`.
+def default_noise(rig: dict, sensor: dict | None = None, exposures_s=(), fit: dict | None = None) -> Noise:
+    """Return the noise of a rig and of its camera where their definitions state it, else what the fit reckons with.
 
     Parameters
     ----------
@@ -207,9 +217,12 @@ def default_noise(rig: dict, sensor: dict | None = None, exposures_s=()) -> Nois
         ``virtual.sensor`` of the camera's definition.
     exposures_s : sequence of float
         Bracket of the unfiltered photographs, s.
+    fit : dict, optional
+        ``fit`` block of the configuration: ``model_error`` and ``pose_error_deg``, where the rig's own are not stated.
     """
     faults = rig.get("virtual", {}).get("imperfections", {})
-    own = {}
+    names = {"relative": "model_error", "pose_rms_deg": "pose_error_deg"}
+    own = {field: fit[key] for field, key in names.items() if fit and key in fit}
     for field, fault, key in (("relative", "light_drift", "relative_rms"), ("pose_rms_deg", "pose_error", "rms_deg")):
         if fault in faults:
             own[field] = faults[fault][key] if faults[fault]["enabled"] else 0.0
@@ -235,6 +248,8 @@ class Planner:
         See `candidate_poses`, degrees.
     coarse_deg : dict, optional
         See `candidate_poses`; finer grids cost time in proportion.
+    weighting : Weighting
+        How the fit will weigh the observations.
 
     Attributes
     ----------
@@ -251,6 +266,7 @@ class Planner:
         max_angle_deg: float = 80.0,
         clearance_deg: float = 5.0,
         coarse_deg: Mapping[str, float] | None = None,
+        weighting: Weighting = WEIGHTING,
     ) -> None:
         self.subject = subject_of(definition, rig)
         self.max_manual = definition["plan"]["max_manual"]
@@ -263,8 +279,8 @@ class Planner:
         self.range = materials or MaterialRange.from_definition(definition)
         self.sample = self.range.spread(_FLAT_MATERIALS if flat else _SPHERE_MATERIALS)
         self.noise = noise or default_noise(rig)
-        self.max_angle_deg = max_angle_deg
-        seen = observe(self.subject, poses, self.sample, self.noise, max_angle_deg)
+        self.max_angle_deg, self.weighting = max_angle_deg, weighting
+        seen = self._observe(poses)
         useful = np.flatnonzero(np.isfinite(seen.variance).any(axis=1))
         self.poses, self.seen = [poses[i] for i in useful], seen.of(useful)
 
@@ -287,9 +303,10 @@ class Planner:
 
     def expected(self, poses: list[Pose]) -> dict[str, tuple[float, float]]:
         """Return what a fit of any poses is expected to reach, as in `Plan`."""
-        return expected_errors(observe(self.subject, poses, self.sample, self.noise, self.max_angle_deg), self.sample)[
-            0
-        ]
+        return expected_errors(self._observe(poses), self.sample)[0]
+
+    def _observe(self, poses: list[Pose]) -> Observations:
+        return observe(self.subject, poses, self.sample, self.noise, self.max_angle_deg, self.weighting)
 
 
 def plan_best(
@@ -312,10 +329,11 @@ def plan_best(
         How many different settings of light angle and tilt a person is willing to make; ``plan.max_manual`` where
         absent.
     criterion : str
-        See `irodori.rig.selection`. The default gave the smallest errors of simulated fits: with equal weights, a noisy
-        observation that Fisher information takes for harmless spoils a fit, and a saturated one leaves too few.
+        See `irodori.rig.selection`. The default gave the smallest errors of simulated fits: it knows what the fit's
+        weights do not, and counts observations that saturate.
     **others
-        Further parameters of `Planner`: ``materials``, ``noise``, ``max_angle_deg``, ``clearance_deg``, ``coarse_deg``.
+        Further parameters of `Planner`: ``materials``, ``noise``, ``max_angle_deg``, ``clearance_deg``, ``coarse_deg``,
+        ``weighting``.
 
     Returns
     -------

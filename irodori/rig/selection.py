@@ -6,11 +6,12 @@ the cases, larger for the better design:
 ``determinant``      ln det P, where P is the Fisher information: D-optimality, the volume of what remains possible
 ``variance``         minus the trace of P⁻¹: A-optimality, the sum of the relative variances
 ``fit-determinant``, ``fit-variance``
-                     the same for the precision that the fit reaches, whose observations all weigh the same
+                     the same for the precision that the fit reaches with the weights that it gives
 
 Fisher information grows by a matrix of rank one with each observation, so that a candidate is judged without a new
-inversion (the matrix determinant lemma; Sherman and Morrison). The precision of the fit, N (Jᵀ Σ J)⁻¹ N with N = Jᵀ J,
-is computed anew for each candidate; it may fall with one more observation, if that is a noisy one.
+inversion (the matrix determinant lemma; Sherman and Morrison). The precision of the fit, N (Σ w² v J Jᵀ)⁻¹ N with
+N = Σ w J Jᵀ, is computed anew for each candidate; it may fall with one more observation, if that weighs more than it
+should.
 """
 
 import math
@@ -109,25 +110,26 @@ def _judge_fisher(jacobian, variance, state, by_determinant):
 
 
 @numba.njit(cache=True)
-def _judge_fit(jacobian, variance, state, prior, by_determinant):
+def _judge_fit(jacobian, variance, weight, state, prior, by_determinant):
     total = 0.0
     for c in range(variance.size):
         normal, middle, count = _six(state[c]), _six(state[c, 6:]), state[c, 12]
         if variance[c] < np.inf:
-            normal, middle = _with_row(normal, jacobian[c], 1.0), _with_row(middle, jacobian[c], variance[c])
+            normal = _with_row(normal, jacobian[c], weight[c])
+            middle = _with_row(middle, jacobian[c], weight[c] * weight[c] * variance[c])
             count += 1.0
         total += _score(_fit_precision(prior, normal, middle, count), by_determinant)
     return total / variance.size
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _judge_all(jacobian, variance, state, prior, allowed, of_fit, by_determinant, out):
+def _judge_all(jacobian, variance, weight, state, prior, allowed, of_fit, by_determinant, out):
     """Fill in the criterion of the design with each candidate added."""
     for p in numba.prange(allowed.size):
         if not allowed[p]:
             out[p] = -np.inf
         elif of_fit:
-            out[p] = _judge_fit(jacobian[p], variance[p], state, prior, by_determinant)
+            out[p] = _judge_fit(jacobian[p], variance[p], weight[p], state, prior, by_determinant)
         else:
             out[p] = _judge_fisher(jacobian[p], variance[p], state, by_determinant)
 
@@ -167,6 +169,7 @@ class Selection:
             raise ValueError(f"criterion {criterion!r}; accepted: {', '.join(CRITERIA)}")
         self.jacobian = np.ascontiguousarray(seen.jacobian)
         self.variance = np.ascontiguousarray(seen.variance)
+        self.weight = np.ascontiguousarray(seen.weight)
         self.prior = tuple(prior * np.eye(PARAMETERS)[_UPPER])
         self.setting = np.asarray(setting)
         self.max_manual = max_manual
@@ -174,13 +177,13 @@ class Selection:
         self.by_determinant = criterion.endswith("determinant")
 
     def _state(self, chosen: list[int]) -> np.ndarray:
-        """Return the sums of a design, (cases, 13): Fisher information with prior, or N, Jᵀ Σ J and their count."""
-        jacobian, variance = self.jacobian[chosen], self.variance[chosen]
+        """Return the sums of a design, (cases, 13): Fisher information with prior, or N, Σ w² v J Jᵀ, and the count."""
+        jacobian, variance, weight = self.jacobian[chosen], self.variance[chosen], self.weight[chosen]
         seen = np.isfinite(variance)
         state = np.zeros((self.variance.shape[1], 13))
         if self.of_fit:
-            state[:, :6] = _sums(seen.astype(float), jacobian)
-            state[:, 6:12] = _sums(np.where(seen, variance, 0.0), jacobian)
+            state[:, :6] = _sums(weight, jacobian)
+            state[:, 6:12] = _sums(weight**2 * np.where(seen, variance, 0.0), jacobian)
             state[:, 12] = seen.sum(axis=0)
         else:
             state[:, :6] = _sums(1.0 / variance, jacobian) + self.prior
@@ -191,7 +194,7 @@ class Selection:
         nothing = np.full(self.variance.shape[1], np.inf)
         state = self._state(list(chosen))
         if self.of_fit:
-            return _judge_fit(self.jacobian[0], nothing, state, self.prior, self.by_determinant)
+            return _judge_fit(self.jacobian[0], nothing, self.weight[0], state, self.prior, self.by_determinant)
         return _judge_fisher(self.jacobian[0], nothing, state, self.by_determinant)
 
     def _additions(self, chosen: list[int]) -> np.ndarray:
@@ -207,7 +210,9 @@ class Selection:
             )
         out = np.empty(len(self.variance))
         state = self._state(chosen)
-        _judge_all(self.jacobian, self.variance, state, self.prior, allowed, self.of_fit, self.by_determinant, out)
+        _judge_all(
+            self.jacobian, self.variance, self.weight, state, self.prior, allowed, self.of_fit, self.by_determinant, out
+        )
         return out
 
     def _fill(self, chosen: list[int], count: int) -> tuple[list[int], float]:

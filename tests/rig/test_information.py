@@ -10,8 +10,8 @@ from plans import PLATE_OBJECT, POSES, RIG, SPHERE_OBJECT, flat_angles, texel
 
 from irodori.brdf import MU_MAX_RAD, MU_MIN_RAD, reflect
 from irodori.captures import Pose
-from irodori.fitting import Status, fit
-from irodori.rig.information import Materials, Noise, information, observe, standard_errors
+from irodori.fitting import FitOptions, Status, fit
+from irodori.rig.information import Materials, Noise, Weighting, information, observe, standard_errors
 from irodori.rig.planner import subject_of
 
 SHOT = Noise(read_variance=6e-8, shot_variance=4e-5, relative=0.0, pose_rms_deg=0.0)
@@ -101,8 +101,9 @@ def test_another_unit_of_light_leaves_the_information_as_it_is(unit):
     np.testing.assert_allclose(first, second, rtol=1e-9)
 
 
+@pytest.mark.parametrize("weights", ["noise", "equal"])
 @pytest.mark.parametrize("material", [one(0.4, 3.0, 0.12), one(0.05, 1.5, 0.25), one(0.7, 5.0, 0.09)])
-def test_expected_errors_are_the_scatter_of_fits_under_shot_and_read_noise(material):
+def test_expected_errors_are_the_scatter_of_fits_under_shot_and_read_noise(material, weights):
     repeats = 4000
     rng = np.random.default_rng(7)
     geometry = flat_angles(POSES)
@@ -110,19 +111,47 @@ def test_expected_errors_are_the_scatter_of_fits_under_shot_and_read_noise(mater
     mean = reflect(alpha, 1.0, beta, mu, geometry)
     response = rng.poisson(mean / SHOT.shot_variance, size=(repeats, len(POSES))) * SHOT.shot_variance
     response = response + rng.normal(scale=np.sqrt(SHOT.read_variance), size=response.shape)
-    result = fit(response, np.broadcast_to(geometry, (*response.shape, 4)), np.ones_like(response))
+    camera = np.tile([SHOT.read_variance, SHOT.shot_variance], (len(POSES), 1))
+    result = fit(response, geometry, np.ones_like(response), options=FitOptions(weights=weights), noise=camera)
     assert (result.status == Status.OK).all()
     scatter = [result.alpha.std() / alpha, result.beta.std() / beta, result.mu.std() / mu]
+    seen = observe(texel(), POSES, material, SHOT, weighting=Weighting(weights, FitOptions().model_error))
     # The standard deviation of 4000 values is itself known to 1.1 %.
-    np.testing.assert_allclose(standard_errors(observe(texel(), POSES, material, SHOT))[0], scatter, rtol=0.05)
+    np.testing.assert_allclose(standard_errors(seen)[0], scatter, rtol=0.05)
 
 
-def test_equal_weights_reach_no_more_than_the_information_allows():
+@pytest.mark.parametrize("weights", ["noise", "equal"])
+@pytest.mark.parametrize("material", [one(0.4, 3.0, 0.12), one(0.05, 1.5, 0.25), one(0.7, 5.0, 0.09)])
+def test_expected_errors_are_those_that_the_fit_states(material, weights):
+    options, noise = FitOptions(weights=weights, model_error=0.02, pose_error_deg=0.08), Noise(3e-6, 8e-5, 0.02, 0.08)
+    geometry, truth = flat_angles(POSES), material.parameters()[0]
+    response = reflect(truth[0], 1.0, truth[1], truth[2], geometry)[None]
+    camera = np.tile([noise.read_variance, noise.shot_variance], (len(POSES), 1))
+    result = fit(response, geometry, np.ones_like(response), options=options, noise=camera)
+    stated = np.array([result.alpha_error, result.beta_error, result.mu_error])[:, 0] / truth
+    stated[:2] = np.sqrt(stated[:2] ** 2 - options.model_error**2)  # what all photographs share
+    seen = observe(texel(), POSES, material, noise, weighting=Weighting(weights, options.model_error))
+    # The fit knows a pose error by the slope along φ alone; F and G, and the curvature at the top, are left.
+    np.testing.assert_allclose(standard_errors(seen)[0], stated, rtol=0.05)
+
+
+@pytest.mark.parametrize("weights", ["noise", "equal"])
+def test_no_weights_reach_more_than_the_information_allows(weights):
     subject = subject_of(PLATE_OBJECT, RIG)
     material = Materials(np.array([0.1, 0.7]), np.array([1.0, 6.0]), np.array([0.08, 0.25]))
-    seen = observe(subject, POSES, material, Noise())
+    seen = observe(subject, POSES, material, Noise(), weighting=Weighting(weights))
     bound = np.sqrt(np.einsum("cii->ci", np.linalg.inv(information(seen))))
     assert (standard_errors(seen) >= bound * (1 - 1e-9)).all()
+
+
+def test_weights_of_the_fit_reach_the_information_where_they_are_the_inverse_variances():
+    subject, noise = subject_of(PLATE_OBJECT, RIG), replace(Noise(), pose_rms_deg=0.0)
+    material = Materials(np.array([0.1, 0.7]), np.array([1.0, 6.0]), np.array([0.08, 0.25]))
+    seen = observe(subject, POSES, material, noise, weighting=Weighting("noise", noise.relative))
+    bound = np.sqrt(np.einsum("cii->ci", np.linalg.inv(information(seen))))
+    np.testing.assert_allclose(standard_errors(seen), bound, rtol=1e-9)
+    with pytest.raises(ValueError, match="accepted: noise, equal"):
+        Weighting("inverse")
 
 
 @pytest.mark.parametrize("mu", [MU_MIN_RAD, MU_MAX_RAD])

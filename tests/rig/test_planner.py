@@ -12,7 +12,7 @@ from plans import PLATE_OBJECT, POSES, RIG, SPHERE_OBJECT, texel
 from irodori.captures import Pose
 from irodori.fitting import solvers
 from irodori.geometry.frames import to_camera, to_light
-from irodori.rig.information import Materials, Noise, information, observe, standard_errors
+from irodori.rig.information import Materials, Noise, Weighting, information, observe, standard_errors
 from irodori.rig.planner import (
     KNOWN_RELATIVE_ERROR,
     MaterialRange,
@@ -67,8 +67,8 @@ def test_the_criteria_are_what_they_are_called():
     chosen = [0, 3, 5, 9, 12, 16]
     fisher = information(seen.of(chosen)) + PRIOR * np.eye(3)
     part = seen.of(chosen)
-    normal = np.einsum("pci,pcj->cij", part.jacobian, part.jacobian)
-    middle = np.einsum("pc,pci,pcj->cij", part.variance, part.jacobian, part.jacobian)
+    normal = np.einsum("pc,pci,pcj->cij", part.weight, part.jacobian, part.jacobian)
+    middle = np.einsum("pc,pci,pcj->cij", part.weight**2 * part.variance, part.jacobian, part.jacobian)
     of_fit = normal @ np.linalg.inv(middle) @ normal + PRIOR * np.eye(3)
     expected = {
         "determinant": np.linalg.slogdet(fisher)[1].mean(),
@@ -220,6 +220,13 @@ def test_unknown_choices_and_impossible_counts_are_refused():
         Planner(PLATE_OBJECT, RIG, coarse_deg={"light_deg": 5.0})
 
 
+def test_the_planner_reckons_with_the_weights_that_it_is_told():
+    plans = [Planner(PLATE_OBJECT, RIG, weighting=Weighting(w)).best(8) for w in ("noise", "equal")]
+    # The best weights promise more of the same poses, and so of the best ones.
+    for name in ("beta", "mu"):
+        assert plans[0].expected[name][0] < plans[1].expected[name][0]
+
+
 def test_what_counts_as_known_is_what_the_fit_states():
     assert KNOWN_RELATIVE_ERROR == solvers._MAX_RELATIVE_ERROR
 
@@ -232,6 +239,9 @@ def test_the_noise_of_a_virtual_rig_has_its_imperfections_and_their_switches():
     noise = default_noise(RIG | {"virtual": {"imperfections": faults}})
     assert (noise.relative, noise.pose_rms_deg) == (0.0, 0.2)
     assert default_noise(RIG) == Noise()
+    assert default_noise(RIG, fit={"model_error": 0.03, "pose_error_deg": 0.1}) == Noise(
+        relative=0.03, pose_rms_deg=0.1
+    )
 
 
 def test_a_plan_in_words_names_every_pose_and_expectation():

@@ -2,13 +2,21 @@
 
 import dataclasses
 
+import made_up_camera
 import numpy as np
 import pytest
 from test_fitting import GEOMETRY, K, N, gloss_over_beta, materials, run
 
+from irodori import store
+from irodori.calibration.solution import solve
+from irodori.errors import InputError
 from irodori.fitting import Status, fit
-from irodori.fitting.stage import _of_near_light, diffuse_response
+from irodori.fitting.bands import band_gloss, uniform
+from irodori.fitting.stage import _fresnel, _of_near_light, diffuse_response
+from irodori.recovery import Calibration
+from irodori.spectra import WAVELENGTH_NM
 
+FRESNEL = uniform(N, K, 6)
 NOISE = np.tile([1e-6, 2e-5], (len(GEOMETRY), 6, 1))  # c0 and c1 of each capture and band
 
 
@@ -27,8 +35,8 @@ def test_diffuse_response_is_the_truth_where_the_gloss_is_known():
     geometry, weight = np.tile(GEOMETRY, (60, 1, 1)), np.ones(response.shape[:2])
     fitted = fit(response[..., 1], geometry, weight, N, K)
     known = dataclasses.replace(fitted, gloss=np.stack([beta, mu], axis=1))
-    assert np.abs(diffuse_response(response, geometry, weight, known, N, K, NOISE)[0] - bands).max() <= 1e-9
-    assert np.abs(diffuse_response(response, geometry, weight, fitted, N, K, NOISE)[0] - bands).max() <= 1e-4
+    assert np.abs(diffuse_response(response, geometry, weight, known, FRESNEL, NOISE)[0] - bands).max() <= 1e-9
+    assert np.abs(diffuse_response(response, geometry, weight, fitted, FRESNEL, NOISE)[0] - bands).max() <= 1e-4
 
 
 def test_diffuse_response_averages_noise_down():
@@ -40,7 +48,7 @@ def test_diffuse_response_averages_noise_down():
     response += noise * rng.normal(size=response.shape)
     geometry, weight = np.tile(GEOMETRY, (texels, 1, 1)), np.ones(response.shape[:2])
     matt = dataclasses.replace(run(response[..., 1]), gloss=np.tile([0.0, 1.0], (texels, 1)))
-    scatter = (diffuse_response(response, geometry, weight, matt, N, K, NOISE)[0] - bands).std(axis=0)
+    scatter = (diffuse_response(response, geometry, weight, matt, FRESNEL, NOISE)[0] - bands).std(axis=0)
     # Gauss: the best estimate of a slope along cosθ_i has this standard error.
     best = noise / np.sqrt(np.sum(np.cos(GEOMETRY[:, 0]) ** 2))
     assert scatter == pytest.approx(np.full(6, best), rel=0.05)
@@ -58,10 +66,10 @@ def test_variance_of_the_diffuse_response_is_the_scatter_that_the_cameras_noise_
     geometry, weight = np.tile(GEOMETRY, (texels, 1, 1)), np.ones(response.shape[:2])
     weight[::2, 0] = 0.0
     known = dataclasses.replace(run(clean[..., 1]), gloss=gloss)
-    found, variance = diffuse_response(response, geometry, weight, known, N, K, noise)
+    found, variance = diffuse_response(response, geometry, weight, known, FRESNEL, noise)
     for half in (slice(0, None, 2), slice(1, None, 2)):
         assert variance[half].mean(axis=0) == pytest.approx((found - bands)[half].var(axis=0), rel=0.1)
-    unknown = diffuse_response(response, geometry, weight, known, N, K, np.full(noise.shape, np.nan))
+    unknown = diffuse_response(response, geometry, weight, known, FRESNEL, np.full(noise.shape, np.nan))
     assert np.array_equal(unknown[0], found) and np.isnan(unknown[1]).all()
 
 
@@ -69,7 +77,7 @@ def test_diffuse_response_is_nan_without_observations():
     response = six_bands(*(np.array([v]) for v in (0.3, 5.0, 0.1)), np.full((1, 6), 0.3))
     weight = np.zeros((1, len(GEOMETRY)))
     result = fit(response[..., 1], GEOMETRY[None], weight, N, K)
-    assert np.isnan(diffuse_response(response, GEOMETRY[None], weight, result, N, K, NOISE)).all()
+    assert np.isnan(diffuse_response(response, GEOMETRY[None], weight, result, FRESNEL, NOISE)).all()
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -80,7 +88,9 @@ def test_diffuse_response_leaves_out_what_the_fit_leaves_out(value):
     geometry, weight = np.tile(GEOMETRY, (5, 1, 1)), np.ones(response.shape[:2])
     fitted = fit(response[..., 1], geometry, weight, N, K)
     assert (fitted.status == Status.OK).all()
-    assert np.abs(diffuse_response(response, geometry, weight, fitted, N, K, NOISE)[0] - alpha[:, None]).max() <= 1e-4
+    assert (
+        np.abs(diffuse_response(response, geometry, weight, fitted, FRESNEL, NOISE)[0] - alpha[:, None]).max() <= 1e-4
+    )
 
 
 def test_noise_under_a_near_light_is_that_of_the_response_that_its_gain_scaled():
@@ -95,3 +105,68 @@ def test_noise_under_a_near_light_is_that_of_the_response_that_its_gain_scaled()
         scaled = 0.4  # the response after its gain, which the camera saw as scaled / gain
         exact = seen**2 * (noise[j, :, 0] + noise[j, :, 1] * scaled / seen)
         assert found[j, :, 0] + found[j, :, 1] * scaled == pytest.approx(exact.mean(axis=0), rel=1e-9)
+
+
+#: n and k of gold at 400, 450, .. 700 nm, to two digits (Johnson and Christy 1972).
+GOLD = np.stack([np.interp(WAVELENGTH_NM, np.arange(400, 701, 50), v) for v in (
+    [1.47, 1.50, 0.97, 0.43, 0.25, 0.17, 0.16], [1.95, 1.88, 1.87, 2.46, 2.99, 3.14, 3.80])])  # fmt: skip
+
+
+def fresnel_exact(geometry, n, k) -> np.ndarray:
+    """F from the amplitudes, (J,)."""
+    index, outside = n + 1j * k, np.cos(geometry[:, 2])
+    inside = np.sqrt(1.0 - (np.sin(geometry[:, 2]) / index) ** 2 + 0j)
+    s = (outside - index * inside) / (outside + index * inside)
+    p = (index * outside - inside) / (index * outside + inside)
+    return 0.5 * (abs(s) ** 2 + abs(p) ** 2)
+
+
+@pytest.mark.parametrize("known", ["camera", "chart"])
+def test_the_coloured_gloss_of_gold_is_subtracted_in_its_own_colour(known):
+    """Responses integrated over the spectrum; ``chart``: the bands are known from the calibration's chart alone."""
+    rng = np.random.default_rng(18)
+    count, true = 40, made_up_camera.system()
+    bands = rng.uniform(0.05, 0.3, (count, 6))
+    mu, beta = rng.uniform(0.1, 0.3, count), rng.uniform(0.5, 2.0, count)
+    factor = np.stack([fresnel_exact(GEOMETRY, *index) for index in GOLD.T])  # (61, J)
+    plain = gloss_over_beta(GEOMETRY, mu[:, None]) / fresnel_exact(GEOMETRY, N, K)
+    gloss = (beta[:, None] * plain)[..., None] * (true @ factor).T[None]
+    response = bands[:, None, :] * np.cos(GEOMETRY[:, 0])[:, None] + gloss
+    seen = true if known == "camera" else solve(
+        made_up_camera.training(), {"estimator": "pinv", "bases": 6}, ("out", "in"), ("D65",), False
+    ).calibration.band_response  # fmt: skip
+    fresnel = band_gloss(*GOLD, seen, 1)
+    geometry, weight = np.tile(GEOMETRY, (count, 1, 1)), np.ones(response.shape[:2])
+    fitted = fit(response[..., 1], geometry, weight, fresnel.n, fresnel.k)
+    found = diffuse_response(response, geometry, weight, fitted, fresnel, NOISE)[0]
+    n, k = (float(v[WAVELENGTH_NM == 550.0][0]) for v in GOLD)
+    alone = fit(response[..., 1], geometry, weight, n, k)
+    plain = diffuse_response(response, geometry, weight, alone, uniform(n, k, 6), NOISE)[0]
+    # The fit has one n + ik for a mean over the band, which is not quite the F of any.
+    assert np.abs(fitted.beta / beta - 1).max() < 0.005 < np.abs(alone.beta / beta - 1).min()
+    assert np.abs(found - bands).max() < 0.001 * gloss.max()
+    assert np.abs(plain - bands).max() > 0.1
+
+
+def test_bands_do_not_matter_where_the_index_has_no_colour():
+    flat = band_gloss(np.full(61, 1.5), np.full(61, 0.2), made_up_camera.system(), 1)
+    assert (flat.n, flat.k) == (pytest.approx(1.5, abs=1e-6), pytest.approx(0.2, abs=1e-6))
+    np.testing.assert_allclose(flat.ratio, 1.0, atol=1e-7)
+
+
+def test_the_bands_are_read_from_the_calibration_and_missed_where_they_are_needed(tmp_path):
+    made = store.Provenance("test", "", "")
+    calibration = solve(
+        made_up_camera.training(), {"estimator": "pinv", "bases": 6}, ("out", "in"), ("D65",), False
+    ).calibration
+    for name, content in (("whole", calibration), ("old", dataclasses.replace(calibration, band_response=None))):
+        with store.create(tmp_path / f"{name}.h5", made) as out:
+            content.write(out)
+    np.testing.assert_array_equal(Calibration.load(tmp_path / "whole.h5").band_response, calibration.band_response)
+    found, expected = _fresnel(*GOLD, tmp_path / "whole.h5", 6), band_gloss(*GOLD, calibration.band_response, 1)
+    assert (found.n, found.k) == (expected.n, expected.k)
+    with pytest.raises(InputError, match="band_response"):
+        _fresnel(*GOLD, tmp_path / "old.h5", 6)
+    with pytest.raises(ValueError, match="accepted: one with a calibration"):
+        _fresnel(*GOLD, None, 6)
+    assert _fresnel(np.full(61, 1.5), np.zeros(61), None, 6).n == _fresnel(1.5, 0.0, None, 6).n == 1.5

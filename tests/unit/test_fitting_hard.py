@@ -339,6 +339,42 @@ def test_whatever_the_data_the_fit_ends_finite_or_flagged(response, angles, weig
     assert_sound(result)
 
 
+@pytest.mark.parametrize("solver", ["nlopt", "nlopt-reference"])
+@given(
+    response=npst.arrays(np.float64, (3, 9), elements=VALUES),
+    angles=npst.arrays(np.float64, (3, 9, 4), elements=st.floats(0.0, 2.25) | st.just(np.nan)),
+    weight=npst.arrays(np.float64, (3, 9), elements=st.sampled_from([0.0, 1.0])),
+    algorithm=st.sampled_from(["LD_LBFGS", "LN_BOBYQA", "LN_NELDERMEAD"]),
+    scale=st.sampled_from([1e-6, 1.0]),
+)
+@settings(deadline=None, max_examples=40)
+def test_whatever_the_data_nlopt_ends_finite_or_flagged(solver, response, angles, weight, algorithm, scale):
+    with np.errstate(invalid="ignore", over="ignore"):
+        result = fit(response * scale, angles, weight, N, K, FitOptions(solver=solver, algorithm=algorithm))
+    assert_sound(result)
+
+
+@pytest.mark.parametrize("solver", ["nlopt", "nlopt-reference"])
+def test_nlopt_says_of_hard_texels_what_variable_projection_says(solver):
+    rng = np.random.default_rng(11)
+    noise = 1 + 0.01 * rng.normal(size=len(GEOMETRY))
+    hard = {
+        "no gloss": model(0.4, 0.0, 0.1) * noise,
+        "no diffuse light": model(0.0, 4.0, 0.12) * noise,
+        "no light": np.zeros(len(GEOMETRY)),
+        "negative": np.full(len(GEOMETRY), -0.003),
+        "dim": 1e-6 * model(0.4, 4.0, 0.1) * noise,
+        "smooth": model(0.4, 4.0, 0.02) * noise,
+        "rough": model(0.4, 4.0, 0.6) * noise,
+        "not a number": np.where(np.arange(len(GEOMETRY)) > 2, np.nan, 1.0),
+    }
+    response = np.stack(list(hard.values()))
+    one, other = run(response), run(response, solver=solver)
+    assert dict(zip(hard, one.status, strict=True)) == dict(zip(hard, other.status, strict=True))
+    np.testing.assert_allclose(other.mu, one.mu, rtol=1e-2, equal_nan=True)
+    assert_sound(other)
+
+
 def test_results_do_not_depend_on_the_neighbours():
     _alpha, _beta, _mu, response = photographed(400, np.random.default_rng(10))
     weight = np.ones(response.shape)

@@ -144,6 +144,13 @@ def tables_of_index(wildcards):
     return named_tables(config["objects"][wildcards.object]["refractive_index"])
 
 
+def calibration_of_index(wildcards):
+    """Return the calibration of an object's camera, as a list, where its refractive index varies with the wavelength."""
+    if not tables_of_index(wildcards):
+        return []
+    return [f"results/cameras/{camera_of(wildcards)}/calibration.h5"]
+
+
 def checked_table(wildcards):
     """Return the table of a set after every file of it was decoded once."""
     kind, name = capture_set(wildcards)

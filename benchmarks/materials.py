@@ -1,0 +1,259 @@
+"""How well equation (5) describes measured materials, beside Lambert's law and a Cook-Torrance model with GGX.
+
+Bidirectional measurements of ``../shared/data/brdf`` are fitted at every wavelength by itself, every observation with
+the same weight as in equation (7): α alone (Lambert); α, β and roughness with the Gaussian facets and the V-groove
+attenuation of equation (5); α, β and roughness with the GGX distribution and Smith's height-correlated masking (Walter
+2007, Heitz 2014). F is exact, n = 1.5, in both. The error is the root mean square residual in ρ = π f cosθ_i over the
+root mean square of ρ. `irodori.fitting` fits equation (5); a dense scan over roughness with bounded minimisation fits
+GGX. With ``--peer`` scipy's least squares looks from many starts for anything lower.
+
+Values above 20 sr⁻¹ are taken for outliers, left out and counted; the figures with them are printed too.
+
+``python -m benchmarks.materials [--peer] [--data FOLDER] [--output materials.csv]``, at the top of the repository.
+"""
+
+import argparse
+import csv
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares, minimize_scalar
+
+from irodori.brdf import angles_from_directions, gloss_factors, reflect
+from irodori.fitting import FitOptions, fit
+
+DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+CORNELL = ("cornell_acryl_blue", "cornell_garnet_red", "cornell_krylon_blue")
+PTFE = "nist_ptfe"
+MATERIALS = (*CORNELL, PTFE)
+MODELS = ("lambert", "equation 5", "ggx")
+N, K = 1.5, 0.0
+OUTLIER_PER_SR = 20.0
+_BOUNDS = {"alpha": (0.0, 2.0), "beta": (0.0, 1e6), "mu_rad": (0.005, 1.2)}
+_GGX_ALPHA = (0.003, 1.0)
+_SCAN = 400
+_VISIBLE_UM = (0.4, 0.7)
+
+
+class Measured(NamedTuple):
+    """A measured material: θ_i, θ_r, θ_H, φ in rad, (J, 4); wavelengths in nm; f in sr⁻¹, (wavelengths, J)."""
+
+    name: str
+    geometry: np.ndarray
+    wavelength_nm: np.ndarray
+    brdf: np.ndarray
+
+    @property
+    def response(self) -> np.ndarray:
+        """ρ = π f cosθ_i, (wavelengths, J)."""
+        return np.pi * self.brdf * np.cos(self.geometry[:, 0])
+
+    @property
+    def trusted(self) -> np.ndarray:
+        """Which values are no outliers, (wavelengths, J) bool."""
+        return self.brdf <= OUTLIER_PER_SR
+
+
+def _direction(theta, phi) -> np.ndarray:
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def _angles(incidence: np.ndarray, view: np.ndarray) -> np.ndarray:
+    return angles_from_directions(np.array([0.0, 0.0, 1.0]), _direction(*incidence), _direction(*view))
+
+
+def read(name: str, folder: Path = DATA) -> list[Measured]:
+    """Return what was measured of a material: one entry, or one a wavelength where each has its own angles."""
+    if name != PTFE:
+        path = folder / "brdf" / f"{name}.csv"
+        table = np.genfromtxt(path, delimiter=",", skip_header=1)
+        with path.open(encoding="utf-8") as stream:
+            wavelength_nm = np.array([float(word) for word in stream.readline().split(",")[4:]])
+        angles = table[:, :4].T
+        return [Measured(name, _angles(angles[:2], angles[2:]), wavelength_nm, table[:, 4:].T)]
+    table = np.genfromtxt(folder / "brdf" / "nist_ptfe_mueller.csv", delimiter=",", skip_header=1)
+    out = []
+    for wavelength_um in np.unique(table[:, 0]):
+        if _VISIBLE_UM[0] <= wavelength_um <= _VISIBLE_UM[1]:
+            rows = table[table[:, 0] == wavelength_um]
+            angles = np.radians(rows[:, 1:5]).T
+            geometry = _angles(angles[:2], angles[2:])
+            out.append(Measured(name, geometry, np.array([1000.0 * wavelength_um]), rows[None, :, 5]))
+    return out
+
+
+def gauss(geometry: np.ndarray) -> Callable[[float], np.ndarray]:
+    """Return F D G / cosθ_r of equation (5) as a function of μ in rad."""
+    plain = gloss_factors(geometry, N, K)
+    return lambda mu: plain * np.exp(-np.square(geometry[:, 3] / mu))
+
+
+def ggx(geometry: np.ndarray) -> Callable[[float], np.ndarray]:
+    """Return π F D G₂ / (4 cosθ_r), D of GGX and G₂ Smith's, as a function of its roughness α_g."""
+    cos_i, cos_r, cos_phi = (np.cos(geometry[:, i]) for i in (0, 1, 3))
+    # F alone: at normal angles of light and view the geometric factor of `gloss_factors` is 1.
+    plain = np.zeros_like(geometry)
+    plain[:, 2] = geometry[:, 2]
+    fresnel = gloss_factors(plain, N, K)
+
+    def lobe(roughness: float) -> np.ndarray:
+        a2 = roughness * roughness
+        d = a2 / (np.pi * np.square(1.0 + (a2 - 1.0) * cos_phi**2))
+        shadow = cos_r * np.sqrt(a2 + (1.0 - a2) * cos_i**2) + cos_i * np.sqrt(a2 + (1.0 - a2) * cos_r**2)
+        return np.pi * fresnel * d * (2.0 * cos_i * cos_r / shadow) / (4.0 * cos_r)
+
+    return lobe
+
+
+def best_pair(cosine: np.ndarray, lobe: np.ndarray, response: np.ndarray) -> tuple[float, float, float]:
+    """Return α, β >= 0 of the least sum of squares, and that sum."""
+    found = [(max(cosine @ response / (cosine @ cosine), 0.0), 0.0)]
+    square = lobe @ lobe
+    if square > 0.0:
+        found.append((0.0, max(lobe @ response / square, 0.0)))
+        pair = np.linalg.lstsq(np.stack([cosine, lobe], axis=1), response, rcond=None)[0]
+        if (pair >= 0.0).all():
+            found.append(tuple(pair))
+    sums = [float(np.sum((a * cosine + b * lobe - response) ** 2)) for a, b in found]
+    best = int(np.argmin(sums))
+    return *map(float, found[best]), sums[best]
+
+
+def scan(cosine, lobe: Callable, response, limits: tuple[float, float]) -> tuple[float, float, float, float]:
+    """Return α, β, roughness and the sum of squares: a dense scan over roughness, then bounded minimisation."""
+    grid = np.linspace(*np.log(limits), _SCAN)
+    sums = [best_pair(cosine, lobe(math.exp(t)), response)[2] for t in grid]
+    best = int(np.argmin(sums))
+    bracket = grid[max(best - 1, 0)], grid[min(best + 1, _SCAN - 1)]
+    found = minimize_scalar(
+        lambda t: best_pair(cosine, lobe(math.exp(t)), response)[2],
+        bounds=bracket, method="bounded", options={"xatol": 1e-9},
+    )  # fmt: skip
+    roughness = math.exp(found.x if found.fun <= sums[best] else grid[best])
+    alpha, beta, squares = best_pair(cosine, lobe(roughness), response)
+    return alpha, beta, roughness, squares
+
+
+class Fitted(NamedTuple):
+    """A fit at every wavelength: parameters, (wavelengths, 3), and predictions of ρ, (wavelengths, J)."""
+
+    parameters: np.ndarray
+    predicted: np.ndarray
+
+
+def fit_all(measured: Measured, keep_outliers: bool = False) -> dict[str, Fitted]:
+    """Return the fit of every model to a material."""
+    kept = np.ones(measured.brdf.shape, dtype=bool) if keep_outliers else measured.trusted
+    response, geometry = measured.response, measured.geometry
+    cosine = np.cos(geometry[:, 0])
+    out = {}
+    alpha = (kept * response) @ cosine / (kept @ cosine**2)
+    out["lambert"] = Fitted(np.stack([alpha, 0 * alpha, 0 * alpha + 1.0], axis=1), alpha[:, None] * cosine)
+    options = FitOptions(weights="equal", bounds=_BOUNDS, scan_per_octave=4)
+    result = fit(response, geometry, kept.astype(float), N, K, options)
+    parameters = np.column_stack([result.alpha, result.gloss])
+    a, b, m = (parameters[:, i, None] for i in range(3))
+    out["equation 5"] = Fitted(parameters, reflect(a, 1.0, b, m, geometry[None], N, K))
+    lobe, rows = ggx(geometry), []
+    for w, rho in enumerate(response):
+        rows.append(scan(cosine[kept[w]], _only(lobe, kept[w]), rho[kept[w]], _GGX_ALPHA)[:3])
+    predicted = np.stack([a * cosine + b * lobe(r) for a, b, r in rows])
+    out["ggx"] = Fitted(np.array(rows), predicted)
+    return out
+
+
+def _only(lobe: Callable, kept: np.ndarray) -> Callable:
+    return lambda roughness: lobe(roughness)[kept]
+
+
+def relative(measured: Measured, fitted: Fitted, chosen: np.ndarray) -> float:
+    """Return the root mean square residual over the root mean square response of chosen values."""
+    off = (fitted.predicted - measured.response)[chosen]
+    return float(np.sqrt(np.mean(off**2) / np.mean(measured.response[chosen] ** 2)))
+
+
+def peer(measured: Measured, model: str, wavelength: int, starts: int = 40, seed: int = 0) -> float:
+    """Return the least sum of squares that scipy's least squares finds from many starts."""
+    kept = measured.trusted[wavelength]
+    rho, cosine = measured.response[wavelength, kept], np.cos(measured.geometry[kept, 0])
+    lobe = {"equation 5": gauss, "ggx": ggx}[model](measured.geometry[kept])
+    limits = {"equation 5": _BOUNDS["mu_rad"], "ggx": _GGX_ALPHA}[model]
+    low, high = np.array([0.0, 0.0, math.log(limits[0])]), np.array([2.0, 1e6, math.log(limits[1])])
+    rng, best = np.random.default_rng(seed), np.inf
+    for _ in range(starts):
+        t = rng.uniform(low[2], high[2])
+        top = lobe(math.exp(t)).max()
+        start = [rng.uniform(0.0, 1.0), min(rng.uniform(0.1, 2.0) * rho.max() / max(top, 1e-12), 9e5), t]
+        found = least_squares(
+            lambda x: x[0] * cosine + x[1] * lobe(math.exp(x[2])) - rho,
+            start, bounds=(low, high), x_scale=[0.1, max(start[1], 1e-6), 0.1], xtol=1e-12, ftol=1e-12, gtol=1e-14,
+        )  # fmt: skip
+        best = min(best, 2.0 * found.cost)
+    return best
+
+
+def rows_of(name: str, folder: Path = DATA) -> list[dict]:
+    """Return the table of a material: every model over everything, by angle of incidence, and by wavelength."""
+    out = []
+    for measured in read(name, folder):
+        whole, trusted = fit_all(measured, keep_outliers=True), measured.trusted
+        incidence = np.round(np.degrees(measured.geometry[:, 0])).astype(int)
+        parts = {f"θ_i {angle}°": trusted & (incidence == angle) for angle in np.unique(incidence)}
+        if len(measured.wavelength_nm) > 1:
+            bands = np.digitize(measured.wavelength_nm, [500.0, 600.0])
+            for band, label in enumerate(("400..490 nm", "500..590 nm", "600..700 nm")):
+                parts[label] = trusted & (bands == band)[:, None]
+        label = name if len(measured.wavelength_nm) > 1 else f"{name} {measured.wavelength_nm[0]:.0f} nm"
+        for model, fitted in fit_all(measured).items():
+            base = {"material": label, "model": model, "outliers": int((~trusted).sum()), "values": trusted.size}
+            out.append(base | {"part": "all", "relative_rms": relative(measured, fitted, trusted)})
+            everything = relative(measured, whole[model], np.ones_like(trusted))
+            out.append(base | {"part": "all, outliers fitted too", "relative_rms": everything})
+            out += [base | {"part": p, "relative_rms": relative(measured, fitted, c)} for p, c in parts.items()]
+    return out
+
+
+def peer_rows(name: str, folder: Path = DATA) -> list[tuple[str, str, float, float]]:
+    """Return material, model, wavelength in nm, and sum of squares of our fit over that of scipy's least squares."""
+    out = []
+    for measured in read(name, folder):
+        fitted = fit_all(measured)
+        for w in range(0, len(measured.wavelength_nm), 10):
+            kept = measured.trusted[w]
+            for model in MODELS[1:]:
+                off = fitted[model].predicted[w, kept] - measured.response[w, kept]
+                ratio = float(np.sum(off**2)) / peer(measured, model, w)
+                out.append((name, model, float(measured.wavelength_nm[w]), ratio))
+    return out
+
+
+def main() -> None:
+    """Measure and print; write a CSV if asked."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--peer", action="store_true", help="compare the minima with scipy's least squares")
+    parser.add_argument("--data", type=Path, default=DATA)
+    parser.add_argument("--output", type=Path, help="CSV to write")
+    arguments = parser.parse_args()
+    rows = [row for name in MATERIALS for row in rows_of(name, arguments.data)]
+    print(f"{'material':>22} {'part':>26} {'outliers':>9} " + " ".join(f"{m:>11}" for m in MODELS))
+    for row in rows:
+        if row["model"] == MODELS[0]:
+            same = {r["model"]: r for r in rows if (r["material"], r["part"]) == (row["material"], row["part"])}
+            values = " ".join(f"{same[m]['relative_rms']:>11.3f}" for m in MODELS)
+            print(f"{row['material']:>22} {row['part']:>26} {row['outliers']:>4}/{row['values']:<6} {values}")
+    if arguments.peer:
+        for name in MATERIALS:
+            for row in peer_rows(name, arguments.data):
+                print("{} {} {:.0f} nm: sum of squares over the peer's {:.6f}".format(*row))
+    if arguments.output:
+        with arguments.output.open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,269 @@
+"""Gloss of a neighbourhood for texels whose own observations cannot carry it.
+
+Most objects vary faster in colour than in gloss. A texel that leaves β and μ open takes them from a joint fit of one
+β and μ, and an α for each texel, to the observations of the texels around it (`irodori.fitting.pool_sums`).
+
+What must not happen is that another material takes part. A texel around takes part only if a common gloss explains it
+and the texel in question together; and the pool must agree with itself: texels that its gloss does not explain are
+left out where they are few, and make the neighbourhood smaller where they are many. Texels that show no gloss take
+part like all others, so that noise does not become gloss by choice of the texels where it looks like it.
+"""
+
+import math
+from dataclasses import replace
+
+import numba
+import numpy as np
+
+from irodori.fitting import pool_sums
+from irodori.fitting.judge import MAX_RELATIVE_ERROR
+from irodori.fitting.pool_sums import PACKED, evaluate, lowest, polish
+from irodori.fitting.solvers import FitOptions, FitResult, problem_of
+from irodori.material import Status
+
+_BETA, _MU = MAX_RELATIVE_ERROR["beta"], MAX_RELATIVE_ERROR["mu"]
+_DIFFUSE_ONLY = int(Status.DIFFUSE_ONLY)
+_IN_NEED = (Status.MU_UNIDENTIFIABLE, Status.AT_BOUND, Status.DIFFUSE_ONLY)
+_TAKE_PART = (Status.OK, *_IN_NEED)
+#: χ² of two parameters that one material exceeds once in a thousand; for a pair twice that, the pose is not in it yet.
+_FOREIGN = 9.2
+_PAIR_FOREIGN = 2.0 * _FOREIGN
+#: χ² that the pool's gloss may add to a texel that showed none by itself.
+_SILENT = 4.0
+#: Share of the texels that see the gloss which may object to it.
+_FOREIGN_SHARE = 0.1
+#: Texels that must see the gloss: two of different materials can be explained by a gloss that is neither's.
+_WITNESSES = 4
+_POLISH = 14
+_PROMISING = 1.25  # between two nodes the gain of gloss is at most this multiple of that at the nodes
+#: Columns of the outcome.
+_ALPHA, _BETA_OUT, _LOG_MU, _ALPHA_ERROR, _BETA_ERROR, _LOG_MU_ERROR, _RMS, _RELATIVE, _COUNT = range(9)
+_COLUMNS = 9
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _valley(members, count, sums, nodes):
+    """Return the node of the least joint sum of squares, the gain over no gloss at all."""
+    total = np.zeros((2, nodes.size))
+    for m in range(count):
+        total[0] += sums[members[m], 1]
+        total[1] += sums[members[m], 2]
+    best, gain = 0, -1.0
+    for i in range(nodes.size):
+        b, c = total[0, i], total[1, i]
+        here = b * b / c if b > 0.0 and c > 0.0 else 0.0
+        if here > gain:
+            best, gain = i, here
+    return best, gain
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _agree(t, k, packed, sums, nodes, high):
+    """Return whether one gloss explains two texels nearly as well as a gloss each."""
+    apart = sums[t, 3, 1] + sums[k, 3, 1] + _PAIR_FOREIGN
+    a = sums[t, 3, 0] + sums[k, 3, 0]
+    best, least = 0, np.inf
+    for i in range(nodes.size):
+        value, _ = lowest(a, sums[t, 1, i] + sums[k, 1, i], sums[t, 2, i] + sums[k, 2, i], 0.0, high)
+        if value <= apart:
+            return True
+        if value < least:
+            best, least = i, value
+    pair = np.stack((packed[t], packed[k]))
+    _t, _b, value = polish(pair, nodes[min(best + 1, nodes.size - 1)], nodes[max(best - 1, 0)], high, 8)
+    return value <= apart
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _around(t, radius, width, rows, used, packed, sums, nodes, high, members, distance):
+    """Fill the texel and those around it that agree with it, nearest to farthest not sorted; return their count."""
+    members[0], distance[0], count = t, 0, 1
+    row, column = t // width, t % width
+    for y in range(max(row - radius, 0), min(row + radius + 1, rows)):
+        for x in range(max(column - radius, 0), min(column + radius + 1, width)):
+            k, square = y * width + x, (y - row) ** 2 + (x - column) ** 2
+            if k == t or square > radius * radius or used[k] == 0:
+                continue
+            if _agree(t, k, packed, sums, nodes, high):
+                members[count], distance[count] = k, square
+                count += 1
+    return count
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _misfit(block, own_log_mu, beta, log_mu, high):
+    """Return by how much χ² of a texel exceeds its own least with the pool's gloss."""
+    a, b, c = evaluate(block, own_log_mu)
+    own, _ = lowest(a, b, c, 0.0, high)
+    a, b, c = evaluate(block, log_mu)
+    return a + beta * (beta * c - 2.0 * b) - own
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _fit_members(members, packed, sums, nodes, rules):
+    """Return the members' blocks with weights that know the pose error, log μ, β and the sum of squares."""
+    best, _ = _valley(members, members.size, sums, nodes)
+    left, right = nodes[min(best + 1, nodes.size - 1)], nodes[max(best - 1, 0)]
+    blocks = packed[members]
+    log_mu, beta, value = polish(blocks, left, right, rules.high_beta, 6)
+    pool_sums.spread_by_pose(blocks, beta, log_mu, rules)
+    low, high = nodes[nodes.size - 1], nodes[0]
+    left, right = max(min(left, log_mu - 0.2), low), min(max(right, log_mu + 0.2), high)
+    log_mu, beta, value = polish(blocks, left, right, rules.high_beta, _POLISH)
+    return blocks, log_mu, beta, value
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _sift(members, blocks, log_mu, beta, sums, excess, high):
+    """Return to which members the gloss is foreign, whether to too many, how many see it, and the first's misfit."""
+    foreign = np.zeros(members.size, dtype=np.bool_)
+    wrong, able = 0, 0
+    first = 0.0
+    for m in range(members.size):
+        off = _misfit(blocks[m], sums[members[m], 3, 2], beta, log_mu, high) / excess
+        foreign[m] = off > _FOREIGN
+        wrong += foreign[m]
+        # Only a texel that would see this gloss can object to it.
+        able += foreign[m] or beta * beta * evaluate(blocks[m], log_mu)[2] > _FOREIGN
+        if m == 0:
+            first = off
+    return foreign, wrong > max(1.0, _FOREIGN_SHARE * able), able - wrong, first
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _conclude(members, blocks, log_mu, beta, value, used, nodes, rules, block, row):
+    """Fill the outcome of a pool that agrees with itself, if it determines the gloss; return whether it does."""
+    observations = 0
+    for m in range(members.size):
+        observations += used[members[m]]
+    excess = max(value / max(observations - members.size - 2, 1), 1.0)
+    without = 0.0
+    for m in range(members.size):
+        without += evaluate(blocks[m], log_mu)[0]
+    if not (without - value) / excess > 2.0 * math.log(observations):  # Schwarz's criterion for β and μ
+        return False
+    inside = nodes[nodes.size - 1] + 1e-4 < log_mu < nodes[0] - 1e-4 and beta < rules.high_beta * (1.0 - 1e-6)
+    bb, bt, tt = pool_sums.covariance(blocks, beta, log_mu, rules, excess)
+    if not (inside and math.sqrt(bb) < _BETA * beta and math.sqrt(tt) < _MU and pool_sums.top_is_seen(blocks, log_mu)):
+        return False
+    alpha, by_beta, by_mu, cc = pool_sums.own_alpha(blocks[0], beta, log_mu, rules.low_alpha, rules.high_alpha)
+    variance = excess / cc + by_beta * by_beta * bb + 2.0 * by_beta * by_mu * bt + by_mu * by_mu * tt
+    squares, power, total = pool_sums.residual(block, alpha, beta, log_mu)
+    row[_ALPHA], row[_BETA_OUT], row[_LOG_MU] = alpha, beta, log_mu
+    row[_ALPHA_ERROR] = math.sqrt(variance + (rules.model_error * alpha) ** 2)
+    row[_BETA_ERROR], row[_LOG_MU_ERROR] = math.sqrt(bb), math.sqrt(tt)
+    row[_RMS] = math.sqrt(squares / total)
+    row[_RELATIVE] = math.sqrt(squares / power) if power > 0.0 else np.nan
+    row[_COUNT] = members.size
+    return True
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _pool_texel(t, radius, width, rows, status, packed, used, sums, nodes, rules, row):
+    """Fill the outcome of one texel in need; leave it as it is where the neighbourhood says nothing."""
+    size = (2 * radius + 1) ** 2
+    members, distance = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
+    high = rules.high_beta
+    count = _around(t, radius, width, rows, used, packed, sums, nodes, high, members, distance)
+    while radius > 0 and count > 1:
+        kept = 0
+        for m in range(count):
+            if distance[m] <= radius * radius:
+                members[kept], distance[kept] = members[m], distance[m]
+                kept += 1
+        count = kept
+        chosen = members[:count].copy()
+        if not _PROMISING * _valley(chosen, count, sums, nodes)[1] > 2.0 * math.log(used[chosen].sum()):
+            radius -= max(1, radius // 3)
+            continue
+        blocks, log_mu, beta, value = _fit_members(chosen, packed, sums, nodes, rules)
+        excess = max(value / max(used[chosen].sum() - count - 2, 1), 1.0)
+        foreign, mixed, witnesses, off = _sift(chosen, blocks, log_mu, beta, sums, excess, high)
+        limit = _SILENT if status[t] == _DIFFUSE_ONLY else _FOREIGN
+        if not mixed and not foreign[0]:
+            if foreign.any():
+                chosen = chosen[~foreign]
+                blocks, log_mu, beta, value = _fit_members(chosen, packed, sums, nodes, rules)
+                off = _misfit(blocks[0], sums[t, 3, 2], beta, log_mu, high) / excess
+            if off <= limit and witnesses >= _WITNESSES:
+                _conclude(chosen, blocks, log_mu, beta, value, used, nodes, rules, packed[t], row)
+            return
+        radius -= max(1, radius // 3)
+
+
+@numba.njit(cache=True, parallel=True, nogil=True)
+def _pool_all(targets, radius, width, status, packed, used, sums, nodes, rules, out):
+    rows = status.size // width
+    for i in numba.prange(targets.size):
+        t = targets[i]
+        _pool_texel(t, radius, width, rows, status, packed, used, sums, nodes, rules, out[t])
+
+
+def pool(result: FitResult, response, geometry, weight, n, k, options: FitOptions, noise, width: int) -> FitResult:
+    """Return the result with the gloss of their neighbourhood for texels that leave β and μ open.
+
+    Parameters
+    ----------
+    result : FitResult
+        Of the same observations.
+    response, geometry, weight, n, k, noise
+        As in `irodori.fitting.solvers.fit`; where the index was fitted, a texel's own is used where it is known.
+    options : FitOptions
+        ``pooling_radius_texels`` is the radius; with 0 the result is returned as it is.
+    width : int
+        Texels in a row; texels run along the rows.
+
+    Returns
+    -------
+    FitResult
+        Texels of status MU_UNIDENTIFIABLE or AT_BOUND, and those of DIFFUSE_ONLY whose observations do not object,
+        that found their gloss have status POOLED; ``pooled_from`` counts the texels that it comes from.
+
+    Raises
+    ------
+    ValueError
+        If the texels do not fill rows of this width.
+    """
+    if len(response) % width:
+        raise ValueError(f"{len(response)} texels in rows of {width}; accepted: whole rows")
+    in_need = np.isin(result.status, _IN_NEED)
+    glossy = np.isin(result.status, _TAKE_PART[:-1]).any()
+    if options.pooling_radius_texels == 0 or not (glossy and in_need.any()):
+        return result
+    index = np.where(np.isfinite(result.index), result.index, n)
+    problem, rules = problem_of(response, geometry, weight, index, k, options, noise, None)
+    nodes = replace(options, scan_per_octave=4).nodes()
+    own = np.column_stack([result.alpha, result.gloss])
+    own[~np.isin(result.status, _TAKE_PART)] = np.nan
+    count, observations = len(response), problem.noise.shape[1]
+    packed, sums = np.zeros((count, PACKED, observations)), np.zeros((count, 4, nodes.size))
+    used, out = np.zeros(count, dtype=np.int32), np.full((count, _COLUMNS), np.nan)
+    pool_sums.pack(problem, rules, own, nodes, packed, used, sums)
+    targets = np.flatnonzero(in_need & (used > 0))
+    _pool_all(targets, options.pooling_radius_texels, width, result.status, packed, used, sums, nodes, rules, out)
+    return _merge(result, out)
+
+
+def _merge(result: FitResult, out: np.ndarray) -> FitResult:
+    """Put the outcome of the pools into the result."""
+    found = np.isfinite(out[:, _COUNT])
+    mu = np.exp(out[:, _LOG_MU])
+
+    def chosen(values, others):
+        return np.where(found, values, others)
+
+    return replace(
+        result,
+        alpha=chosen(out[:, _ALPHA], result.alpha),
+        beta=chosen(out[:, _BETA_OUT], result.beta),
+        mu=chosen(mu, result.mu),
+        alpha_error=chosen(out[:, _ALPHA_ERROR], result.alpha_error),
+        beta_error=chosen(out[:, _BETA_ERROR], result.beta_error),
+        mu_error=chosen(out[:, _LOG_MU_ERROR] * mu, result.mu_error),
+        residual_rms=chosen(out[:, _RMS], result.residual_rms),
+        relative_residual=chosen(out[:, _RELATIVE], result.relative_residual),
+        status=chosen(int(Status.POOLED), result.status).astype(np.int8),
+        model=chosen(3, result.model).astype(np.int8),
+        gloss=np.where(found[:, None], np.column_stack([out[:, _BETA_OUT], mu]), result.gloss),
+        pooled_from=np.nan_to_num(out[:, _COUNT]).astype(np.int32),
+    )

@@ -1,0 +1,79 @@
+"""Equation (5) against measured materials: what it leaves, beside Lambert and GGX, and that its fits are minima."""
+
+import numpy as np
+import pytest
+from test_fitting import gloss_over_beta
+from test_fitting_hard import in_plane
+
+from benchmarks import materials
+from irodori.brdf import gloss_factors
+
+needs_data = pytest.mark.skipif(
+    not (materials.DATA / "brdf").is_dir(), reason="no measured materials beside the repository"
+)
+GEOMETRY = in_plane(*np.meshgrid([10, 30, 50, 65, 75], np.linspace(0, 78, 14))).reshape(-1, 4)
+
+
+def made_up(response) -> materials.Measured:
+    response = np.atleast_2d(response)
+    brdf = response / (np.pi * np.cos(GEOMETRY[:, 0]))
+    return materials.Measured("made up", GEOMETRY, np.linspace(400, 700, len(response)), brdf)
+
+
+def test_every_model_fits_what_it_made():
+    cosine = np.cos(GEOMETRY[:, 0])
+    truth = {"lambert": (0.4, 0.0, 1.0), "equation 5": (0.3, 2.0, 0.2), "ggx": (0.2, 0.7, 0.25)}
+    made = {
+        "lambert": 0.4 * cosine,
+        "equation 5": 0.3 * cosine + 2.0 * gloss_over_beta(GEOMETRY, 0.2),
+        "ggx": 0.2 * cosine + 0.7 * materials.ggx(GEOMETRY)(0.25),
+    }
+    for model, response in made.items():
+        measured = made_up(response)
+        fitted = materials.fit_all(measured)[model]
+        assert materials.relative(measured, fitted, measured.trusted) < 1e-5
+        assert fitted.parameters[0] == pytest.approx(truth[model], rel=1e-4)
+    both = made_up(made["ggx"])
+    assert materials.relative(both, materials.fit_all(both)["equation 5"], both.trusted) > 0.01
+
+
+def test_the_ggx_lobe_is_reciprocal_and_keeps_energy():
+    swapped = GEOMETRY[:, [1, 0, 2, 3]]
+    for roughness in (0.05, 0.3, 1.0):
+        forth, back = (materials.ggx(g)(roughness) / np.cos(g[:, 0]) for g in (GEOMETRY, swapped))
+        np.testing.assert_allclose(forth, back, rtol=1e-12)
+    # Without Fresnel's loss a narrow lobe at normal incidence returns what comes in, but for a tail below the horizon:
+    # a share α² / (1 + α²) of the facets is steeper than 45°.
+    theta, roughness = np.radians(np.linspace(0.001, 89.999, 20000)), 0.05
+    geometry = np.stack([0 * theta, theta, theta / 2, theta / 2], axis=1)
+    fresnel = gloss_factors(np.stack([0 * theta, 0 * theta, theta / 2, 0 * theta], axis=1), materials.N, materials.K)
+    returned = 2.0 * materials.ggx(geometry)(roughness) / fresnel * np.cos(theta) * np.sin(theta)
+    assert 1.0 - 2.0 * roughness**2 < np.trapezoid(returned, theta) < 1.0
+
+
+def test_outliers_are_counted_and_left_out():
+    response = 0.4 * np.cos(GEOMETRY[:, 0])
+    response[7] = 100.0
+    measured = made_up(response)
+    assert (~measured.trusted).sum() == 1
+    fitted = materials.fit_all(measured)
+    assert fitted["lambert"].parameters[0, 0] == pytest.approx(0.4)
+    assert materials.relative(measured, fitted["equation 5"], measured.trusted) < 1e-6
+    assert materials.fit_all(measured, keep_outliers=True)["lambert"].parameters[0, 0] > 1.0
+
+
+@needs_data
+@pytest.mark.parametrize("name", materials.MATERIALS)
+def test_measured_materials_are_fitted_to_the_minimum_and_better_than_by_lambert(name):
+    for measured in materials.read(name):
+        chosen = slice(0, None, 15) if len(measured.wavelength_nm) > 1 else slice(None)
+        part = measured._replace(wavelength_nm=measured.wavelength_nm[chosen], brdf=measured.brdf[chosen])
+        fitted = materials.fit_all(part)
+        errors = {model: materials.relative(part, fitted[model], part.trusted) for model in materials.MODELS}
+        assert errors["equation 5"] < errors["lambert"] and errors["ggx"] < errors["lambert"]
+        if name == materials.PTFE:
+            assert errors["lambert"] < 0.08  # nearly a perfect diffuser, as it is known for
+        assert (~measured.trusted).sum() <= 0.001 * measured.brdf.size
+        for model in materials.MODELS[1:]:
+            off = (fitted[model].predicted - part.response)[0, part.trusted[0]]
+            assert np.sum(off**2) <= 1.0001 * materials.peer(part, model, 0, starts=8)
