@@ -1,7 +1,7 @@
 """Cross-validation of every estimator and number of bases, and the choice among them."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
@@ -14,6 +14,7 @@ from irodori.colour import delta_e_reflectance, spectral_rmse
 from irodori.recovery import Mapping
 
 BASES = (3, 4, 5, 6, 7, 8)
+LEFT_OUT = ("patch", "chart")
 #: Estimators that are one matrix, and those that are not.
 KINDS = {"linear": ("pinv", "ridge", "wiener"), "non-linear": ("local", "kernel")}
 _SINGLE_FOLDS = 32  # patches, up to which each is left out alone
@@ -39,6 +40,8 @@ class SelectionRow:
         A pixel's, see `irodori.recovery.Mapping`.
     ns_per_pixel : float
         Measured; NaN where not. The choice does not look at it.
+    left_out : str
+        What was left out in turn, of LEFT_OUT.
     """
 
     estimator: str
@@ -51,6 +54,7 @@ class SelectionRow:
     rmse_max: float
     multiply_adds: int
     ns_per_pixel: float = float("nan")
+    left_out: str = "patch"
 
 
 def folds(patches: int, charts=None) -> list[np.ndarray]:
@@ -83,6 +87,7 @@ def cross_validate(
     training : Training
     lights : sequence of str
     charts : see `folds`
+        A chart without which fewer patches than bands or bases would be left stays; where all do, nothing is judged.
     bases : sequence of int
         Numbers of bases; those beyond the smallest fold's patches are left out.
     timed : bool
@@ -92,22 +97,29 @@ def cross_validate(
 
     Returns
     -------
-    rows : list of SelectionRow, by estimator, then bases
-    recovered : dict of (estimator, bases) to (m, 61) float64, without noise
+    rows : list of SelectionRow, by estimator, then bases; empty where nothing is judged
+    recovered : dict of (estimator, bases) to (m, 61) float64, without noise; NaN for patches of a chart that stays
     """
     with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
         return _cross_validate(training, lights, charts, bases, timed, estimators)
 
 
 def _cross_validate(training, lights, charts, bases, timed, estimators):
+    by_chart = charts is not None and np.unique(charts).size > 1
     sets = folds(len(training.spectra), charts)
+    if by_chart:
+        least = max(*bases, training.response.shape[1])
+        sets = [left_out for left_out in sets if (~left_out).sum() >= least]
+        if not sets:
+            return [], {}
     smallest = min(int((~left_out).sum()) for left_out in sets)
     wanted, bases = bases, [count for count in bases if count <= smallest]
     if not bases:
         raise ValueError(f"{min(wanted)} bases of {len(training.spectra)} patches; accepted: up to {smallest}")
     offsets = _noise_offsets(training)
     combinations = [(name, count) for name in estimators for count in bases]
-    recovered = {key: np.empty((len(offsets), *training.spectra.shape)) for key in combinations}
+    recovered = {key: np.full((len(offsets), *training.spectra.shape), np.nan) for key in combinations}
+    judged = np.any(sets, axis=0)
     for left_out in sets:
         seen = training.without(left_out)
         largest = spectral_basis(seen.spectra, max(bases))
@@ -118,28 +130,43 @@ def _cross_validate(training, lights, charts, bases, timed, estimators):
                 # The bases are nested and orthonormal: the first of many weights are those of few.
                 spectra = coefficients[:, :count] @ largest[:, :count].T
                 recovered[name, count][:, left_out] = spectra.reshape(len(offsets), -1, spectra.shape[1])
-    rows = [_row(training, key, recovered[key], lights) for key in combinations]
+    rows = [_row(training.spectra[judged], key, recovered[key][:, judged], lights) for key in combinations]
     whole = {name: fit_mapping(name, training) for name in estimators}
     full = spectral_basis(training.spectra, max(bases))
     done = []
     for row in rows:
         mapping = whole[row.estimator].on_basis(full[:, : row.bases])
         seconds = _evaluation_ns(mapping, training.response, row.bases) if timed else float("nan")
-        done.append(SelectionRow(**{**vars(row), "multiply_adds": mapping.multiply_adds(), "ns_per_pixel": seconds}))
+        kind = LEFT_OUT[by_chart]
+        done.append(replace(row, multiply_adds=mapping.multiply_adds(), ns_per_pixel=seconds, left_out=kind))
     return done, {key: values[0] for key, values in recovered.items()}
 
 
+def scores_of(rows: list[SelectionRow]) -> dict[tuple[str, int], float]:
+    """Return the score of each estimator and number of bases, the mean over what was left out (patches, charts).
+
+    What was not judged in every way is not there.
+    """
+    by_key: dict[tuple[str, int], list[float]] = {}
+    for row in rows:
+        by_key.setdefault((row.estimator, row.bases), []).append(row.score)
+    ways = len({row.left_out for row in rows})
+    return {key: sum(scores) / ways for key, scores in by_key.items() if len(scores) == ways}
+
+
 def best_of(rows: list[SelectionRow], estimators: tuple[str, ...]) -> dict | None:
-    """Return estimator, number of bases and score of the best row among some estimators; None without any."""
-    rows = [row for row in rows if row.estimator in estimators]
-    if not rows:
+    """Return estimator, number of bases and score of the best among some estimators; None without any."""
+    scores = {key: score for key, score in scores_of(rows).items() if key[0] in estimators}
+    if not scores:
         return None
-    best = min(rows, key=lambda row: row.score)
-    return {"estimator": best.estimator, "bases": best.bases, "score": best.score}
+    best = min(scores, key=scores.get)
+    return {"estimator": best[0], "bases": best[1], "score": scores[best]}
 
 
 def choose(rows: list[SelectionRow], estimator: str, bases: int | str) -> tuple[str, int]:
     """Return the estimator and number of bases of the smallest score among those that the configuration allows.
+
+    The score is the mean of that with patches left out and, where there are several charts, that with charts left out.
 
     Parameters
     ----------
@@ -158,13 +185,13 @@ def choose(rows: list[SelectionRow], estimator: str, bases: int | str) -> tuple[
         raise ValueError(f"unknown estimator {estimator!r}; accepted: auto, {', '.join(ESTIMATORS)}")
     if "auto" not in (estimator, bases):
         return estimator, int(bases)
-    fitting = [r for r in rows if estimator in ("auto", r.estimator) and bases in ("auto", r.bases)]
+    scores, cost = scores_of(rows), {(r.estimator, r.bases): r.multiply_adds for r in rows}
+    fitting = [key for key in scores if estimator in ("auto", key[0]) and bases in ("auto", key[1])]
     if not fitting:
         accepted = ", ".join(str(n) for n in sorted({r.bases for r in rows}))
         raise ValueError(f"{bases} bases with estimator {estimator}; accepted: {accepted}")
     # Rounded, so that equal errors go to the simpler estimator and the fewer bases whatever the last bits are.
-    best = min(fitting, key=lambda r: (round(r.score, 6), r.multiply_adds))
-    return best.estimator, best.bases
+    return min(fitting, key=lambda key: (round(scores[key], 6), cost[key]))
 
 
 def _noise_offsets(training: Training) -> np.ndarray:
@@ -182,10 +209,10 @@ def _apply(mapping: Mapping, response: np.ndarray, bases: int) -> np.ndarray:
     return out
 
 
-def _row(training: Training, key: tuple[str, int], recovered: np.ndarray, lights) -> SelectionRow:
+def _row(spectra: np.ndarray, key: tuple[str, int], recovered: np.ndarray, lights) -> SelectionRow:
     # The response without noise stands for the noise only where there is none.
     judged = recovered[1:] if len(recovered) > 1 else recovered
-    truth = np.broadcast_to(training.spectra, judged.shape)
+    truth = np.broadcast_to(spectra, judged.shape)
     rmse = spectral_rmse(truth, judged)
     delta_e = {light: delta_e_reflectance(truth, judged, light) for light in lights}
     colour = float(np.mean([values.mean() for values in delta_e.values()]))
