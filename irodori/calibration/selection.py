@@ -13,7 +13,7 @@ from irodori.calibration.training import Training
 from irodori.colour import delta_e_reflectance, spectral_rmse
 from irodori.recovery import Mapping
 
-BASES = (3, 4, 5, 6, 7, 8)
+BASES = (3, 4, 5, 6, 7, 8, 10, 12)
 LEFT_OUT = ("patch", "chart")
 #: Estimators that are one matrix, and those that are not.
 KINDS = {"linear": ("pinv", "ridge", "wiener"), "non-linear": ("local", "kernel")}
@@ -74,13 +74,19 @@ def folds(patches: int, charts=None) -> list[np.ndarray]:
 
 
 def cross_validate(
-    training: Training, lights=("D65", "A"), charts=None, bases=BASES, timed: bool = False, estimators=tuple(ESTIMATORS)
+    training: Training,
+    lights=("D65", "A"),
+    charts=None,
+    bases=BASES,
+    timed: bool = False,
+    estimators=tuple(ESTIMATORS),
+    noisy: bool = True,
 ) -> tuple[list[SelectionRow], dict[tuple[str, int], np.ndarray]]:
     """Return the table of every estimator and number of bases, and the spectra each recovers of unseen patches.
 
     Where the noise of a pixel is known, every patch left out is recovered from its response and from two more a band,
     √bands standard deviations above and below, whose second moments are those of the noise; the score and its errors
-    are means over these.
+    are means over these. ``local`` is told the variance of these pixels, as a material's texels tell it theirs.
 
     Parameters
     ----------
@@ -94,6 +100,8 @@ def cross_validate(
         Whether evaluation is timed.
     estimators : sequence of str
         Those to judge.
+    noisy : bool
+        Whether the noise of a pixel is added; without it the scores are those of the patches as they were read.
 
     Returns
     -------
@@ -101,10 +109,10 @@ def cross_validate(
     recovered : dict of (estimator, bases) to (m, 61) float64, without noise; NaN for patches of a chart that stays
     """
     with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
-        return _cross_validate(training, lights, charts, bases, timed, estimators)
+        return _cross_validate(training, lights, charts, bases, timed, estimators, noisy)
 
 
-def _cross_validate(training, lights, charts, bases, timed, estimators):
+def _cross_validate(training, lights, charts, bases, timed, estimators, noisy):
     by_chart = charts is not None and np.unique(charts).size > 1
     sets = folds(len(training.spectra), charts)
     if by_chart:
@@ -116,16 +124,24 @@ def _cross_validate(training, lights, charts, bases, timed, estimators):
     wanted, bases = bases, [count for count in bases if count <= smallest]
     if not bases:
         raise ValueError(f"{min(wanted)} bases of {len(training.spectra)} patches; accepted: up to {smallest}")
-    offsets = _noise_offsets(training)
+    offsets = _noise_offsets(training, noisy)
+    stated = len(offsets) > 1
     combinations = [(name, count) for name in estimators for count in bases]
     recovered = {key: np.full((len(offsets), *training.spectra.shape), np.nan) for key in combinations}
     judged = np.any(sets, axis=0)
     for left_out in sets:
-        seen = training.without(left_out)
+        seen = training.without(left_out, pixel_levels=stated)
         largest = spectral_basis(seen.spectra, max(bases))
         queries = (training.response[left_out] + offsets[:, None]).reshape(-1, training.response.shape[1])
         for name in estimators:
-            coefficients = _apply(fit_mapping(name, seen).on_basis(largest), queries, largest.shape[1])
+            mapping = fit_mapping(name, seen).on_basis(largest)
+            coefficients = np.empty((len(queries), largest.shape[1]))
+            # The patches as they were read come first; the others are pixels.
+            read = int(left_out.sum())
+            mapping.weights(queries[:read], None, coefficients[:read])
+            if stated:
+                variance = np.broadcast_to(training.noise.pixel, queries[read:].shape)
+                mapping.weights(queries[read:], variance, coefficients[read:])
             for count in bases:
                 # The bases are nested and orthonormal: the first of many weights are those of few.
                 spectra = coefficients[:, :count] @ largest[:, :count].T
@@ -194,19 +210,13 @@ def choose(rows: list[SelectionRow], estimator: str, bases: int | str) -> tuple[
     return min(fitting, key=lambda key: (round(scores[key], 6), cost[key]))
 
 
-def _noise_offsets(training: Training) -> np.ndarray:
+def _noise_offsets(training: Training, noisy: bool) -> np.ndarray:
     """Return what is added to a response, (1 or 1 + 2 bands, bands), the first row zero."""
     bands = training.response.shape[1]
-    if training.noise.pixel is None or not np.any(training.noise.pixel):
+    if not noisy or training.noise.pixel is None or not np.any(training.noise.pixel):
         return np.zeros((1, bands))
     step = np.diag(np.sqrt(training.noise.pixel)) * sqrt(bands)
     return np.concatenate([np.zeros((1, bands)), step, -step])
-
-
-def _apply(mapping: Mapping, response: np.ndarray, bases: int) -> np.ndarray:
-    out = np.empty((len(response), bases))
-    mapping.weights(response, None, out)
-    return out
 
 
 def _row(spectra: np.ndarray, key: tuple[str, int], recovered: np.ndarray, lights) -> SelectionRow:

@@ -103,5 +103,5 @@ def own_error(training: Training, recovered: np.ndarray) -> dict[str, float]:
 
 def error_of_unseen(training: Training, chosen: tuple[str, int], light: str) -> float:
     """Return the mean CIEDE2000 of patches left out, by one estimator and number of bases, without a pixel's noise."""
-    _, recovered = cross_validate(training, (light,), bases=(chosen[1],), estimators=(chosen[0],))
+    _, recovered = cross_validate(training, (light,), bases=(chosen[1],), estimators=(chosen[0],), noisy=False)
     return float(delta_e_reflectance(training.spectra, recovered[chosen], light).mean())
