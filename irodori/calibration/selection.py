@@ -57,7 +57,7 @@ class SelectionRow:
     left_out: str = "patch"
 
 
-def folds(patches: int, charts=None) -> list[np.ndarray]:
+def folds(patches: int, charts=None, groups: int | None = None) -> list[np.ndarray]:
     """Return what is left out in turn, bool arrays (patches,).
 
     Parameters
@@ -66,10 +66,13 @@ def folds(patches: int, charts=None) -> list[np.ndarray]:
     charts : (patches,) int, optional
         Number of the chart that each patch belongs to; with several, whole charts are left out. Of one chart up to
         32 patches are left out one by one, of a larger one in 12 groups of every 12th.
+    groups : int, optional
+        Another number of groups.
     """
     if charts is not None and np.unique(charts).size > 1:
         return [np.asarray(charts) == chart for chart in np.unique(charts)]
-    group = np.arange(patches) if patches <= _SINGLE_FOLDS else np.arange(patches) % _FOLDS
+    groups = groups or (patches if patches <= _SINGLE_FOLDS else _FOLDS)
+    group = np.arange(patches) % groups
     return [group == number for number in range(group.max() + 1)]
 
 
@@ -81,6 +84,7 @@ def cross_validate(
     timed: bool = False,
     estimators=tuple(ESTIMATORS),
     noisy: bool = True,
+    groups: int | None = None,
 ) -> tuple[list[SelectionRow], dict[tuple[str, int], np.ndarray]]:
     """Return the table of every estimator and number of bases, and the spectra each recovers of unseen patches.
 
@@ -102,19 +106,21 @@ def cross_validate(
         Those to judge.
     noisy : bool
         Whether the noise of a pixel is added; without it the scores are those of the patches as they were read.
+    groups : see `folds`
 
     Returns
     -------
     rows : list of SelectionRow, by estimator, then bases; empty where nothing is judged
     recovered : dict of (estimator, bases) to (m, 61) float64, without noise; NaN for patches of a chart that stays
     """
-    with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
-        return _cross_validate(training, lights, charts, bases, timed, estimators, noisy)
-
-
-def _cross_validate(training, lights, charts, bases, timed, estimators, noisy):
     by_chart = charts is not None and np.unique(charts).size > 1
-    sets = folds(len(training.spectra), charts)
+    with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
+        return _cross_validate(
+            training, lights, folds(len(training.spectra), charts, groups), by_chart, bases, timed, estimators, noisy
+        )
+
+
+def _cross_validate(training, lights, sets, by_chart, bases, timed, estimators, noisy):
     if by_chart:
         least = max(*bases, training.response.shape[1])
         sets = [left_out for left_out in sets if (~left_out).sum() >= least]

@@ -146,6 +146,10 @@ class Population:
         Expected ρ sᵀ.
     excess : (n, bands, bands) float64
         Covariance of ρ.
+    size : (n,) float64
+        Of a member's cloud, its squared level.
+    cloud : (bands, 61) float64
+        Covariance of ρ and s in a cloud of size one.
     """
 
     spectra: np.ndarray
@@ -154,6 +158,8 @@ class Population:
     response_response: np.ndarray
     response_spectra: np.ndarray
     excess: np.ndarray
+    size: np.ndarray
+    cloud: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -233,4 +239,6 @@ class Training:
             response_response=response[:, :, None] * response[:, None, :] + excess,
             response_spectra=response[:, :, None] * spectra[:, None, :] + level * seen,
             excess=excess,
+            size=level[:, 0, 0],
+            cloud=seen,
         )
