@@ -137,7 +137,9 @@ def tables_of_calibration(wildcards):
 def chart_files(wildcards):
     """Return the linear files of a camera's charts, the first chart's first."""
     return expand(
-        "results/cameras/{camera}/linear/{chart}.h5", camera=wildcards.camera, chart=CAPTURES["cameras"][wildcards.camera]
+        "results/cameras/{camera}/linear/{chart}.h5",
+        camera=wildcards.camera,
+        chart=CAPTURES["cameras"][wildcards.camera],
     )
 
 
