@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.table import COLUMNS, arguments_of, median_s, medians_s, own_peak_mb, report
-from irodori.calibration import ESTIMATORS, Noise, Training, cross_validate, fit
+from irodori.calibration import ESTIMATORS, Noise, Training, choose, cross_validate, fit
 from irodori.colour import delta_e_reflectance, spectral_rmse
 from irodori.spectra import TRAPEZOID_NM, camera_sensitivities, read_wide_csv, resample, spectrum
 from irodori.tables import wide_table
@@ -82,13 +82,13 @@ class Trial:
         return np.linalg.solve(spread, self.system @ moment)
 
 
-def errors(trial: Trial, noise: float, estimator: str, bases: int = 8, stated: bool = False) -> np.ndarray:
+def errors(trial: Trial, noise: float, estimator: str, bases: int = 12, stated: bool = False) -> np.ndarray:
     """Return mean and p95 of CIEDE2000 under D65 and mean spectral RMSE, averaged over the seeds, (3,).
 
     Parameters
     ----------
     estimator : str
-        A name of the registry, or ``bound``.
+        A name of the registry, ``bound``, or ``auto``: estimator and number of bases are those of cross-validation.
     stated : bool
         Whether the estimator is told the variance of the pixels it recovers.
     """
@@ -98,18 +98,25 @@ def errors(trial: Trial, noise: float, estimator: str, bases: int = 8, stated: b
         if estimator == "bound":
             recovered = seen @ trial.bound(noise)
         else:
-            recovered = fit(estimator, training, bases).spectra(seen, variance if stated else None)
+            name, count = _choice(training) if estimator == "auto" else (estimator, bases)
+            recovered = fit(name, training, count).spectra(seen, variance if stated else None)
         delta_e = delta_e_reflectance(trial.test, recovered, "D65")
         found.append((delta_e.mean(), np.percentile(delta_e, 95), spectral_rmse(trial.test, recovered).mean()))
     return np.mean(found, axis=0)
+
+
+def _choice(training: Training) -> tuple[str, int]:
+    return choose(cross_validate(training)[0], "auto", "auto")
 
 
 def print_table() -> None:
     """Print mean / p95 of CIEDE2000 under D65 and mean spectral RMSE of everything."""
     trials = [(CAMERAS[0], train, test) for train in ("classic", "sg") for test in ("munsell", "vrhel")]
     trials += [(camera, "classic", test) for camera in CAMERAS[1:] for test in ("munsell", "vrhel")]
+    trials += [(CAMERAS[1], "sg", test) for test in ("munsell", "vrhel")]
     variants = [("bound", 0, False), ("pinv", 6, False)]
-    variants += [(name, 8, False) for name in ESTIMATORS if name != "pinv"] + [("local", 8, True)]
+    variants += [(name, 12, False) for name in ESTIMATORS if name != "pinv"]
+    variants += [("local", 12, True), ("auto", 0, False), ("auto", 0, True)]
     print("noise  " + "".join(f"{noise:>22.1%}" for noise in NOISES))
     for names in trials:
         print(", ".join(names))

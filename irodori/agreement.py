@@ -6,6 +6,7 @@ from pathlib import Path
 
 from irodori.agreement_captures import (
     Reach,
+    by_chart,
     check_incidence,
     check_one_pose,
     check_states,
@@ -128,6 +129,8 @@ class _Checks:
             raise InputError(file, "calibration.bases", str(bases), accepted)
         check_spectra(camera, (), self.root, file)
         check_chart(camera["chart"], self.root, file)
+        for chart, definition in camera["further_charts"].items():
+            check_chart(definition, self.root, file, f"further_charts.{chart}")
 
     def environment(self, name: str) -> None:
         file, environment = self.file("environments", name), self.all["environments"][name]
@@ -234,8 +237,11 @@ class _Checks:
     def _check_chart_and_white(self, name: str, camera: dict, file) -> None:
         """Check the photographs that calibrate a camera of a real rig; what it photographs is divided by its white."""
         table, shots = read_table(camera, self.root, file)
-        chart = of_role(shots, "chart", table)
+        photographed = of_role(shots, "chart", table)
+        charts = by_chart(photographed, camera["further_charts"], table, file)
+        chart = charts[0]
         self.charts[name] = table, chart
+        check_states(photographed, table, chart, table)
         user = self._user_of(name)
         whites = [shot for shot in shots if shot.role == "white"]
         if user and not whites:
@@ -246,7 +252,7 @@ class _Checks:
             if "white" not in camera:
                 found = f"no such key, though {table} lists photographs of the role white"
                 raise InputError(file, "white", found, "white: {reflectance_factor: ...} of the white reference")
-        for group in filter(None, (chart, whites)):
+        for group in filter(None, (*charts, whites)):
             self._reach(camera).check_shots(group, table)
             check_one_pose(group, table)
 

@@ -1,8 +1,9 @@
 """Poses and tables of photographs against the rig that they are taken on and the camera that takes them."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
-from irodori.captures import FILTERS, Shot, expand_poses, read_captures
+from irodori.captures import FILTERS, Shot, chart_capture, expand_poses, read_captures
 from irodori.errors import InputError
 
 _ANGLE_TOLERANCE_DEG = 1e-6
@@ -91,6 +92,23 @@ def of_role(shots: list[Shot], role: str, table: Path) -> list[Shot]:
     return wanted
 
 
+def by_chart(shots: list[Shot], further: Iterable[str], table: Path, file) -> list[list[Shot]]:
+    """Return the photographs of each chart, the first chart's first; refuse charts that only one side knows."""
+    wanted = ["", *further]
+    groups: dict[str, list[Shot]] = {name: [] for name in wanted}
+    for shot in shots:
+        if shot.chart not in groups:
+            known = ", ".join(chart_capture(name) for name in wanted)
+            found = f"{shot.subject}, for which {file} has no further_charts.{shot.chart}"
+            raise InputError(table, f"role of {shot.file}", found, known)
+        groups[shot.chart].append(shot)
+    for name, group in groups.items():
+        if not group:
+            found = f"no photograph of the role {chart_capture(name)}"
+            raise InputError(table, "role", found, f"each chart of {file} photographed")
+    return list(groups.values())
+
+
 def check_states(shots: list[Shot], table: Path, chart: list[Shot], chart_table: Path) -> None:
     """Refuse a capture in other filter states than the chart's, for which alone the calibration holds."""
     check_states_are(shots, table, {shot.filter for shot in chart}, chart_table)
@@ -114,7 +132,7 @@ def check_one_pose(shots: list[Shot], table: Path) -> None:
         for axis in _AXES:
             here, there = getattr(shot.pose, axis), getattr(first.pose, axis)
             if here != there:
-                accepted = f"{there:g}, as of {first.file}: one pose for all photographs of the role {shot.role}"
+                accepted = f"{there:g}, as of {first.file}: one pose for all photographs of the role {shot.subject}"
                 raise InputError(table, f"{axis} of {shot.file}", f"{here:g}", accepted)
 
 

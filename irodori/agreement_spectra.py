@@ -62,34 +62,34 @@ def check_spectra(value, path: tuple, root: Path, file) -> None:
         _check_one(kind, value, root, file, dotted(path))
 
 
-def check_chart(chart: dict, root: Path, file) -> None:
+def check_chart(chart: dict, root: Path, file, key: str = "chart") -> None:
     """Refuse a chart whose rows and columns do not hold as many patches as its spectra."""
     name, patches = chart["spectra"], chart["rows"] * chart["columns"]
     count = CHART_PATCHES[name] if name in CHART_PATCHES else len(spectral_table(root / name).names)
     if patches != count:
         found = f"{chart['rows']} rows of {chart['columns']} patches, {patches} in all"
-        raise InputError(file, "chart.rows", found, f"rows and columns that make {count} patches, as in {name}")
-    _check_places(chart, file)
+        raise InputError(file, f"{key}.rows", found, f"rows and columns that make {count} patches, as in {name}")
+    _check_places(chart, file, key)
 
 
-def _check_places(chart: dict, file) -> None:
+def _check_places(chart: dict, file, key: str) -> None:
     """Refuse a chart whose patches are placed twice, or nowhere."""
     find, given = chart["find"], "centres_px" in chart
     if find == "chart":
         if given:
             accepted = "either centres_px, or find: chart, which needs none"
-            raise InputError(file, "chart.centres_px", "corners of a chart that is to be found", accepted)
+            raise InputError(file, f"{key}.centres_px", "corners of a chart that is to be found", accepted)
         if (chart["rows"], chart["columns"]) != FOUND_LAYOUT:
             found = f"chart, for {chart['rows']} x {chart['columns']} patches"
             accepted = "4 x 6 patches, a ColorChecker Classic; for other layouts centres_px with nothing or edges"
-            raise InputError(file, "chart.find", found, accepted)
+            raise InputError(file, f"{key}.find", found, accepted)
         return
     if not given:
-        found = f"no corners where chart.find is {find}"
-        raise InputError(file, "chart.centres_px", found, "the centres of the four corner patches, or find: chart")
+        found = f"no corners where {key}.find is {find}"
+        raise InputError(file, f"{key}.centres_px", found, "the centres of the four corner patches, or find: chart")
     if find == "nothing" and "patch_px" not in chart:
         raise InputError(
-            file, "chart.patch_px", "no side of the patches", "a side in superpixels, or find: edges or chart"
+            file, f"{key}.patch_px", "no side of the patches", "a side in superpixels, or find: edges or chart"
         )
 
 

@@ -10,6 +10,7 @@ import itertools
 import math
 import os
 import posixpath
+import re
 import tempfile
 from pathlib import Path
 
@@ -17,6 +18,9 @@ from irodori.errors import InputError
 from irodori.validation import suggest
 
 ROLES = ("object", "chart", "white", "dark", "environment")
+#: A further chart has its name behind the role, such as ``chart-sg``.
+_FURTHER_CHART = "chart-"
+_NAME = re.compile(r"[a-z0-9-]+")
 FILTERS = ("out", "in")
 COLUMNS = ("file", "role", "light_deg", "camera_deg", "tilt_deg", "turn_deg", "filter", "exposure_s")
 
@@ -49,6 +53,7 @@ class Shot:
     """One photograph: ``file`` as the table writes it, ``role`` of ROLES, ``filter`` of FILTERS.
 
     ``iso`` (sensitivity, ISO 12232) and ``f_number`` (relative aperture) are 0 where the table does not state them.
+    ``chart`` is the name of a further chart, empty for the camera's first and for all other roles.
     """
 
     file: str
@@ -58,11 +63,22 @@ class Shot:
     exposure_s: float
     iso: float = 0.0
     f_number: float = 0.0
+    chart: str = ""
+
+    @property
+    def subject(self) -> str:
+        """What stands before the lens: the role, of a further chart with the chart's name (``chart-sg``)."""
+        return chart_capture(self.chart) if self.role == "chart" else self.role
 
     @property
     def capture(self) -> str:
-        """Name of the capture that this photograph belongs to: its pose for an object, else its role."""
-        return self.pose.name if self.role == "object" else self.role
+        """Name of the capture that this photograph belongs to: its pose for an object, else its subject."""
+        return self.pose.name if self.role == "object" else self.subject
+
+
+def chart_capture(name: str) -> str:
+    """Return the name of a chart's capture: ``chart`` of the camera's first (no name), ``chart-NAME`` of another."""
+    return _FURTHER_CHART + name if name else "chart"
 
 
 def expand_poses(groups) -> list[Pose]:
@@ -183,7 +199,7 @@ class _Shots:
         file = row["file"]
         if not file.strip() or any(ord(letter) < 32 or ord(letter) == 127 for letter in file):
             raise self._error(line, "file", repr(file), "the name of a RAW file")
-        role = self._choice(line, row, "role", ROLES)
+        role, chart = self._role(line, row)
         state = self._choice(line, row, "filter", FILTERS)
         pose = Pose(*(self._number(line, angle, row.get(angle, "0")) for angle in _ANGLES))
         exposure = self._number(line, "exposure_s", row["exposure_s"])
@@ -193,7 +209,7 @@ class _Shots:
             if abs(getattr(pose, angle)) > 360:
                 raise self._error(line, angle, row[angle].strip(), "an angle from -360 to 360 degrees")
         iso, f_number = (self._optional(line, column, row.get(column, "")) for column in ("iso", "f_number"))
-        shot = Shot(file, role, pose, state, exposure, iso, f_number)
+        shot = Shot(file, role, pose, state, exposure, iso, f_number, chart)
         self._check_against_others(line, shot)
         self._check_file(line, shot)
         self.all.append(shot)
@@ -231,6 +247,13 @@ class _Shots:
             found = "an empty file" if raw.is_file() else "no such file"
             raise self._error(line, "file", f"{found}: {raw}", "a RAW file of the camera")
 
+    def _role(self, line: int, row: dict[str, str]) -> tuple[str, str]:
+        """Return the role and, of a further chart, the chart's name."""
+        role, _, chart = row["role"].strip().partition("-")
+        if role == "chart" and _NAME.fullmatch(chart):
+            return role, chart
+        return self._choice(line, row, "role", ROLES), ""
+
     def _choice(self, line: int, row: dict[str, str], column: str, valid: tuple) -> str:
         value = row[column].strip()
         if value not in valid:
@@ -263,7 +286,7 @@ class _Shots:
 def shot_cells(shot: Shot, sha256: str) -> list:
     """Return a photograph's line of a table, in the order of COLUMNS and EXTRA_COLUMNS; unknown values are empty."""
     angles = [getattr(shot.pose, angle) for angle in _ANGLES]
-    row = [shot.file, shot.role, *angles, shot.filter, shot.exposure_s]
+    row = [shot.file, shot.subject, *angles, shot.filter, shot.exposure_s]
     return [*row, shot.iso or "", shot.f_number or "", sha256]
 
 

@@ -11,7 +11,7 @@ import yaml
 
 from irodori.agreement import check_agreement, rig_of
 from irodori.agreement_captures import table_and_folder
-from irodori.captures import expand_poses, read_captures
+from irodori.captures import chart_capture, expand_poses, read_captures
 from irodori.errors import InputError
 from irodori.validation import dotted, suggest, validate
 
@@ -254,7 +254,8 @@ def captures_of(definitions: dict, kind: str, name: str, root=".") -> list[str]:
     Returns
     -------
     list of str
-        Of an object its poses, sorted, each once; of a camera ``chart``, of an environment ``environment``.
+        Of an object its poses, sorted, each once; of a camera ``chart`` and ``chart-NAME`` of each further chart; of an
+        environment ``environment``.
 
     Raises
     ------
@@ -265,7 +266,8 @@ def captures_of(definitions: dict, kind: str, name: str, root=".") -> list[str]:
     """
     definition = _definition(definitions, kind, name)
     if kind != "objects":
-        return ["chart" if kind == "cameras" else "environment"]
+        charts = ["", *definition.get("further_charts", {})]
+        return [chart_capture(chart) for chart in charts] if kind == "cameras" else ["environment"]
     if is_taken_here(definitions, kind, name):
         return sorted(pose.name for pose in expand_poses(definition["poses"]))
     table, _ = table_and_folder(definition, Path(root))

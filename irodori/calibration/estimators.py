@@ -115,8 +115,7 @@ def kernel(training: Training) -> PolynomialMapping:
     turned = turned.transpose(1, 0, 2).reshape(features.shape[1], -1)
     moment = (features * weight[:, None]).T @ features + turned @ turned.T
     cross = (features * weight[:, None]).T @ population.spectra
-    cloud = population.response_spectra - population.response[:, :, None] * population.spectra[:, None, :]
-    cross += np.tensordot(weight[:, None, None] * slopes, cloud, ((0, 2), (0, 1)))
+    cross += np.tensordot(weight * population.size, slopes, 1) @ population.cloud
     penalty = np.full(features.shape[1], _POLYNOMIAL_RIDGE)
     penalty[:bands] = _FLOOR
     moment[np.diag_indices_from(moment)] += penalty * np.trace(moment[:bands, :bands]) / bands
@@ -193,8 +192,7 @@ def monomials(response: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         # The product of n direction cosines times the length: d = Σ (product without one factor) e - (n - 1) product c.
         slope = -(degree - 1) * product[:, :, None] * c[:, None, :]
         for which in range(degree):
-            others = np.prod([f for k, f in enumerate(factors) if k != which], axis=0)
-            slope = slope + others[:, :, None] * unit[index[which]][None]
+            slope[:, np.arange(index.shape[1]), index[which]] += np.prod(factors[:which] + factors[which + 1 :], axis=0)
         values.append(product * length)
         slopes.append(slope)
     values, slopes = np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)

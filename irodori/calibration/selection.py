@@ -1,7 +1,7 @@
 """Cross-validation of every estimator and number of bases, and the choice among them."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
@@ -13,7 +13,8 @@ from irodori.calibration.training import Training
 from irodori.colour import delta_e_reflectance, spectral_rmse
 from irodori.recovery import Mapping
 
-BASES = (3, 4, 5, 6, 7, 8)
+BASES = (3, 4, 5, 6, 7, 8, 10, 12)
+LEFT_OUT = ("patch", "chart")
 #: Estimators that are one matrix, and those that are not.
 KINDS = {"linear": ("pinv", "ridge", "wiener"), "non-linear": ("local", "kernel")}
 _SINGLE_FOLDS = 32  # patches, up to which each is left out alone
@@ -39,6 +40,8 @@ class SelectionRow:
         A pixel's, see `irodori.recovery.Mapping`.
     ns_per_pixel : float
         Measured; NaN where not. The choice does not look at it.
+    left_out : str
+        What was left out in turn, of LEFT_OUT.
     """
 
     estimator: str
@@ -51,9 +54,10 @@ class SelectionRow:
     rmse_max: float
     multiply_adds: int
     ns_per_pixel: float = float("nan")
+    left_out: str = "patch"
 
 
-def folds(patches: int, charts=None) -> list[np.ndarray]:
+def folds(patches: int, charts=None, groups: int | None = None) -> list[np.ndarray]:
     """Return what is left out in turn, bool arrays (patches,).
 
     Parameters
@@ -62,84 +66,129 @@ def folds(patches: int, charts=None) -> list[np.ndarray]:
     charts : (patches,) int, optional
         Number of the chart that each patch belongs to; with several, whole charts are left out. Of one chart up to
         32 patches are left out one by one, of a larger one in 12 groups of every 12th.
+    groups : int, optional
+        Another number of groups.
     """
     if charts is not None and np.unique(charts).size > 1:
         return [np.asarray(charts) == chart for chart in np.unique(charts)]
-    group = np.arange(patches) if patches <= _SINGLE_FOLDS else np.arange(patches) % _FOLDS
+    groups = groups or (patches if patches <= _SINGLE_FOLDS else _FOLDS)
+    group = np.arange(patches) % groups
     return [group == number for number in range(group.max() + 1)]
 
 
 def cross_validate(
-    training: Training, lights=("D65", "A"), charts=None, bases=BASES, timed: bool = False, estimators=tuple(ESTIMATORS)
+    training: Training,
+    lights=("D65", "A"),
+    charts=None,
+    bases=BASES,
+    timed: bool = False,
+    estimators=tuple(ESTIMATORS),
+    noisy: bool = True,
+    groups: int | None = None,
 ) -> tuple[list[SelectionRow], dict[tuple[str, int], np.ndarray]]:
     """Return the table of every estimator and number of bases, and the spectra each recovers of unseen patches.
 
     Where the noise of a pixel is known, every patch left out is recovered from its response and from two more a band,
     √bands standard deviations above and below, whose second moments are those of the noise; the score and its errors
-    are means over these.
+    are means over these. ``local`` is told the variance of these pixels, as a material's texels tell it theirs.
 
     Parameters
     ----------
     training : Training
     lights : sequence of str
     charts : see `folds`
+        A chart without which fewer patches than bands or bases would be left stays; where all do, nothing is judged.
     bases : sequence of int
         Numbers of bases; those beyond the smallest fold's patches are left out.
     timed : bool
         Whether evaluation is timed.
     estimators : sequence of str
         Those to judge.
+    noisy : bool
+        Whether the noise of a pixel is added; without it the scores are those of the patches as they were read.
+    groups : see `folds`
 
     Returns
     -------
-    rows : list of SelectionRow, by estimator, then bases
-    recovered : dict of (estimator, bases) to (m, 61) float64, without noise
+    rows : list of SelectionRow, by estimator, then bases; empty where nothing is judged
+    recovered : dict of (estimator, bases) to (m, 61) float64, without noise; NaN for patches of a chart that stays
     """
+    by_chart = charts is not None and np.unique(charts).size > 1
     with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
-        return _cross_validate(training, lights, charts, bases, timed, estimators)
+        return _cross_validate(
+            training, lights, folds(len(training.spectra), charts, groups), by_chart, bases, timed, estimators, noisy
+        )
 
 
-def _cross_validate(training, lights, charts, bases, timed, estimators):
-    sets = folds(len(training.spectra), charts)
+def _cross_validate(training, lights, sets, by_chart, bases, timed, estimators, noisy):
+    if by_chart:
+        least = max(*bases, training.response.shape[1])
+        sets = [left_out for left_out in sets if (~left_out).sum() >= least]
+        if not sets:
+            return [], {}
     smallest = min(int((~left_out).sum()) for left_out in sets)
     wanted, bases = bases, [count for count in bases if count <= smallest]
     if not bases:
         raise ValueError(f"{min(wanted)} bases of {len(training.spectra)} patches; accepted: up to {smallest}")
-    offsets = _noise_offsets(training)
+    offsets = _noise_offsets(training, noisy)
+    stated = len(offsets) > 1
     combinations = [(name, count) for name in estimators for count in bases]
-    recovered = {key: np.empty((len(offsets), *training.spectra.shape)) for key in combinations}
+    recovered = {key: np.full((len(offsets), *training.spectra.shape), np.nan) for key in combinations}
+    judged = np.any(sets, axis=0)
     for left_out in sets:
-        seen = training.without(left_out)
+        seen = training.without(left_out, pixel_levels=stated)
         largest = spectral_basis(seen.spectra, max(bases))
         queries = (training.response[left_out] + offsets[:, None]).reshape(-1, training.response.shape[1])
         for name in estimators:
-            coefficients = _apply(fit_mapping(name, seen).on_basis(largest), queries, largest.shape[1])
+            mapping = fit_mapping(name, seen).on_basis(largest)
+            coefficients = np.empty((len(queries), largest.shape[1]))
+            # The patches as they were read come first; the others are pixels.
+            read = int(left_out.sum())
+            mapping.weights(queries[:read], None, coefficients[:read])
+            if stated:
+                variance = np.broadcast_to(training.noise.pixel, queries[read:].shape)
+                mapping.weights(queries[read:], variance, coefficients[read:])
             for count in bases:
                 # The bases are nested and orthonormal: the first of many weights are those of few.
                 spectra = coefficients[:, :count] @ largest[:, :count].T
                 recovered[name, count][:, left_out] = spectra.reshape(len(offsets), -1, spectra.shape[1])
-    rows = [_row(training, key, recovered[key], lights) for key in combinations]
+    rows = [_row(training.spectra[judged], key, recovered[key][:, judged], lights) for key in combinations]
     whole = {name: fit_mapping(name, training) for name in estimators}
     full = spectral_basis(training.spectra, max(bases))
     done = []
     for row in rows:
         mapping = whole[row.estimator].on_basis(full[:, : row.bases])
         seconds = _evaluation_ns(mapping, training.response, row.bases) if timed else float("nan")
-        done.append(SelectionRow(**{**vars(row), "multiply_adds": mapping.multiply_adds(), "ns_per_pixel": seconds}))
+        kind = LEFT_OUT[by_chart]
+        done.append(replace(row, multiply_adds=mapping.multiply_adds(), ns_per_pixel=seconds, left_out=kind))
     return done, {key: values[0] for key, values in recovered.items()}
 
 
+def scores_of(rows: list[SelectionRow]) -> dict[tuple[str, int], float]:
+    """Return the score of each estimator and number of bases, the mean over what was left out (patches, charts).
+
+    What was not judged in every way is not there.
+    """
+    by_key: dict[tuple[str, int], list[float]] = {}
+    for row in rows:
+        by_key.setdefault((row.estimator, row.bases), []).append(row.score)
+    ways = len({row.left_out for row in rows})
+    return {key: sum(scores) / ways for key, scores in by_key.items() if len(scores) == ways}
+
+
 def best_of(rows: list[SelectionRow], estimators: tuple[str, ...]) -> dict | None:
-    """Return estimator, number of bases and score of the best row among some estimators; None without any."""
-    rows = [row for row in rows if row.estimator in estimators]
-    if not rows:
+    """Return estimator, number of bases and score of the best among some estimators; None without any."""
+    scores = {key: score for key, score in scores_of(rows).items() if key[0] in estimators}
+    if not scores:
         return None
-    best = min(rows, key=lambda row: row.score)
-    return {"estimator": best.estimator, "bases": best.bases, "score": best.score}
+    best = min(scores, key=scores.get)
+    return {"estimator": best[0], "bases": best[1], "score": scores[best]}
 
 
 def choose(rows: list[SelectionRow], estimator: str, bases: int | str) -> tuple[str, int]:
     """Return the estimator and number of bases of the smallest score among those that the configuration allows.
+
+    The score is the mean of that with patches left out and, where there are several charts, that with charts left out.
 
     Parameters
     ----------
@@ -158,34 +207,28 @@ def choose(rows: list[SelectionRow], estimator: str, bases: int | str) -> tuple[
         raise ValueError(f"unknown estimator {estimator!r}; accepted: auto, {', '.join(ESTIMATORS)}")
     if "auto" not in (estimator, bases):
         return estimator, int(bases)
-    fitting = [r for r in rows if estimator in ("auto", r.estimator) and bases in ("auto", r.bases)]
+    scores, cost = scores_of(rows), {(r.estimator, r.bases): r.multiply_adds for r in rows}
+    fitting = [key for key in scores if estimator in ("auto", key[0]) and bases in ("auto", key[1])]
     if not fitting:
         accepted = ", ".join(str(n) for n in sorted({r.bases for r in rows}))
         raise ValueError(f"{bases} bases with estimator {estimator}; accepted: {accepted}")
     # Rounded, so that equal errors go to the simpler estimator and the fewer bases whatever the last bits are.
-    best = min(fitting, key=lambda r: (round(r.score, 6), r.multiply_adds))
-    return best.estimator, best.bases
+    return min(fitting, key=lambda key: (round(scores[key], 6), cost[key]))
 
 
-def _noise_offsets(training: Training) -> np.ndarray:
+def _noise_offsets(training: Training, noisy: bool) -> np.ndarray:
     """Return what is added to a response, (1 or 1 + 2 bands, bands), the first row zero."""
     bands = training.response.shape[1]
-    if training.noise.pixel is None or not np.any(training.noise.pixel):
+    if not noisy or training.noise.pixel is None or not np.any(training.noise.pixel):
         return np.zeros((1, bands))
     step = np.diag(np.sqrt(training.noise.pixel)) * sqrt(bands)
     return np.concatenate([np.zeros((1, bands)), step, -step])
 
 
-def _apply(mapping: Mapping, response: np.ndarray, bases: int) -> np.ndarray:
-    out = np.empty((len(response), bases))
-    mapping.weights(response, None, out)
-    return out
-
-
-def _row(training: Training, key: tuple[str, int], recovered: np.ndarray, lights) -> SelectionRow:
+def _row(spectra: np.ndarray, key: tuple[str, int], recovered: np.ndarray, lights) -> SelectionRow:
     # The response without noise stands for the noise only where there is none.
     judged = recovered[1:] if len(recovered) > 1 else recovered
-    truth = np.broadcast_to(training.spectra, judged.shape)
+    truth = np.broadcast_to(spectra, judged.shape)
     rmse = spectral_rmse(truth, judged)
     delta_e = {light: delta_e_reflectance(truth, judged, light) for light in lights}
     colour = float(np.mean([values.mean() for values in delta_e.values()]))

@@ -17,31 +17,40 @@ from irodori.calibration.numerics import (
 from irodori.calibration.selection import BASES, SelectionRow, choose, cross_validate
 from irodori.calibration.training import Training
 from irodori.colour import delta_e_reflectance
+from irodori.progress import LOGGER
 from irodori.recovery import Calibration
 
 _AUTO = "auto"
+_GROUPS = 8
 
 
 @dataclass(frozen=True)
 class Solution:
-    """A calibration, the table it was chosen from, and the spectra it recovers of patches left out."""
+    """A calibration, the table it was chosen from, and the spectra it recovers of patches left out.
+
+    ``recovered_by_chart`` are those with whole charts left out, None where there is one chart or none could be.
+    """
 
     calibration: Calibration
     rows: list[SelectionRow]
     chosen: tuple[str, int]
     recovered: np.ndarray
+    recovered_by_chart: np.ndarray | None
     numbers: dict[str, float]
 
 
-def solve(training: Training, settings: dict, filters: tuple[str, ...], lights, timed: bool) -> Solution:
-    """Check the chart, judge, choose and fit; ValueError says what is wrong."""
+def solve(training: Training, settings: dict, filters: tuple[str, ...], lights, timed: bool, charts=None) -> Solution:
+    """Check the charts, judge, choose and fit; ValueError says what is wrong.
+
+    ``charts``, (m,) int, is the number of the chart of each patch; None is one chart.
+    """
     limits = Limits(
         settings.get("max_condition", Limits.condition),
         settings.get("max_noise_amplification", Limits.noise_amplification),
     )
     check_responses(training.response, limits.condition, training.noise.patch, filters)
     check_brightest(training, filters)
-    rows, recovered = _judge(training, settings, lights, timed)
+    rows, recovered, by_chart = _judge(training, settings, lights, timed, charts)
     chosen = choose(rows, settings["estimator"], settings["bases"])
     calibration = replace(
         fit(chosen[0], training, chosen[1], limits.condition),
@@ -52,11 +61,15 @@ def solve(training: Training, settings: dict, filters: tuple[str, ...], lights, 
     amplification = noise_amplification(calibration)
     check_amplification(amplification, limits.noise_amplification, calibration)
     numbers = {"condition_number": condition_number(training.response), "noise_amplification": amplification}
-    return Solution(calibration, rows, chosen, recovered[chosen], numbers)
+    return Solution(calibration, rows, chosen, recovered[chosen], by_chart.get(chosen), numbers)
 
 
-def _judge(training: Training, settings: dict, lights, timed: bool):
-    """Return the table of estimators and bases, whole where it is written or the choice is open."""
+def _judge(training: Training, settings: dict, lights, timed: bool, charts):
+    """Return the table of estimators and bases, and what each recovers of patches and of charts left out.
+
+    The table is whole where it is written or the choice is open. Patches are left out in turn; where there are several
+    charts, the table goes on with whole charts left out.
+    """
     estimator, bases = settings["estimator"], settings["bases"]
     if estimator not in (_AUTO, *ESTIMATORS):
         raise ValueError(f"unknown estimator {estimator!r}; accepted: {_AUTO}, {', '.join(ESTIMATORS)}")
@@ -67,7 +80,14 @@ def _judge(training: Training, settings: dict, lights, timed: bool):
     if bases != _AUTO and not any(row.bases == bases for row in rows):
         accepted = max((row.bases for row in rows), default=0)
         raise ValueError(f"{bases} bases of {len(training.spectra)} patches; accepted: up to {accepted}")
-    return rows, recovered
+    if charts is None or np.unique(charts).size < 2:
+        return rows, recovered, {}
+    others, by_chart = cross_validate(training, lights, charts=charts, bases=counts, estimators=names)
+    times = {(row.estimator, row.bases): row.ns_per_pixel for row in rows}
+    rows += [replace(row, ns_per_pixel=times[row.estimator, row.bases]) for row in others]
+    if not others:
+        LOGGER.warning("no chart can be left out: the others would leave fewer patches than bands or bases")
+    return rows, recovered, by_chart
 
 
 def own_error(training: Training, recovered: np.ndarray) -> dict[str, float]:
@@ -84,6 +104,13 @@ def own_error(training: Training, recovered: np.ndarray) -> dict[str, float]:
 
 
 def error_of_unseen(training: Training, chosen: tuple[str, int], light: str) -> float:
-    """Return the mean CIEDE2000 of patches left out, by one estimator and number of bases, without a pixel's noise."""
-    _, recovered = cross_validate(training, (light,), bases=(chosen[1],), estimators=(chosen[0],))
+    """Return the mean CIEDE2000 of patches left out, by one estimator and number of bases, without a pixel's noise.
+
+    The patches are left out in eight groups, where the others are enough: this is to be compared with itself.
+    """
+    patches, bands = training.response.shape
+    groups = _GROUPS if patches - -(-patches // _GROUPS) >= max(bands, chosen[1]) else None
+    _, recovered = cross_validate(
+        training, (light,), bases=(chosen[1],), estimators=(chosen[0],), noisy=False, groups=groups
+    )
     return float(delta_e_reflectance(training.spectra, recovered[chosen], light).mean())

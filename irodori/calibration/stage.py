@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from irodori import store
+from irodori.calibration.charts import Charts
 from irodori.calibration.jitter import LIMIT, STEP_PX
-from irodori.calibration.order import check_order
-from irodori.calibration.reading import ChartPhotograph
 from irodori.calibration.selection import KINDS, SelectionRow, best_of
 from irodori.calibration.solution import Solution, error_of_unseen, solve
 from irodori.calibration.training import Noise, Training
@@ -22,7 +21,7 @@ from irodori.colour import delta_e_reflectance, goodness_of_fit, spectral_rmse, 
 from irodori.errors import InputError
 from irodori.progress import LOGGER
 from irodori.recovery import Calibration
-from irodori.spectra import WAVELENGTH_NM, chart_spectra, light
+from irodori.spectra import WAVELENGTH_NM, light
 
 _MAX_INVALID_SHARE = 0.05  # of a patch, beyond which the report names it
 
@@ -42,67 +41,90 @@ def calibrate_camera(
 
     Parameters
     ----------
-    linear : path
-        Linear responses of the chart.
+    linear : path or sequence of paths
+        Linear responses of the chart; where there are several charts, of each, the first chart's first.
     camera : dict
-        Definition of the camera: blocks ``chart`` and ``calibration``. Where no white reference has evened the light,
-        it is told from the chart itself.
+        Definition of the camera: blocks ``chart``, ``further_charts`` (none where absent) and ``calibration``. Where no
+        white reference has evened the light, it is told from each chart itself.
     light_name : str
-        Spectrum of the light on the chart.
+        Spectrum of the light on the charts.
     output : path of the HDF5 file
-    table : path of the CSV of errors, one row a patch
+    table : path of the CSV of errors, one row a patch; with several charts also those with its whole chart left out
     lights : sequence of str
         Lights for CIEDE2000.
     selection : path, optional
         CSV of the errors and cost of every estimator and number of bases; where absent, only what the configuration
         leaves open is computed. All its columns but the measured time are the same from run to run.
     noise : Noise, optional
-        Of patch means and pixels; where absent, what the photograph tells.
+        Of patch means and pixels; where absent, what the photographs tell.
 
     Raises
     ------
     InputError
-        If the chart cannot be read, or the responses determine no calibration, or one that amplifies noise beyond the
+        If a chart cannot be read, or the responses determine no calibration, or one that amplifies noise beyond the
         configured limit.
     """
-    names, spectra = chart_spectra(camera["chart"]["spectra"])
-    photograph = ChartPhotograph.load(linear, camera["chart"], len(names))
-
-    reading = photograph.read()
-    noise = photograph.noise(reading) if noise is None else noise
-    training = Training(photograph.responses(reading), spectra, light(light_name), noise)
+    charts = Charts.load(linear, camera)
+    names, spectra = charts.patches, charts.spectra
+    training = Training(charts.responses(), spectra, light(light_name), charts.noise() if noise is None else noise)
     try:
-        check_order(training.response, spectra, camera["chart"]["rows"], camera["chart"]["columns"])
-        solved = solve(training, camera["calibration"], photograph.filters, lights, timed=selection is not None)
+        solved = solve(training, camera["calibration"], charts.filters, lights, selection is not None, charts.number)
     except ValueError as error:
-        raise InputError(linear, "chart", str(error), "a chart that determines every band") from None
+        raise InputError(charts.photographs[0].path, "chart", str(error), "charts that determine every band") from None
 
     def error_of(responses: np.ndarray) -> float:
         return error_of_unseen(replace(training, response=responses), solved.chosen, lights[0])
 
-    estimate = solved.recovered
-    rmse, gfc = spectral_rmse(spectra, estimate), goodness_of_fit(spectra, estimate)
-    delta_e = {name: delta_e_reflectance(spectra, estimate, name) for name in lights}
+    errors = {"leave_one_out": _errors(spectra, solved.recovered, lights)}
+    if solved.recovered_by_chart is not None:
+        errors["leave_one_chart_out"] = _errors(spectra, solved.recovered_by_chart, lights)
+    each = list(zip(charts.captures, charts.photographs, charts.readings, strict=True))
     checks = {
-        "uneven_patches": [name for name, uneven in zip(names, reading.uneven, strict=True) if uneven],
-        "patches_found": {key: float(value) for key, value in photograph.located.found.items()},
-        "light_on_chart": photograph.light.reason if photograph.light else "evened by the white reference",
-        "jitter": _jitter(photograph, error_of),
-        "verdicts": _verdicts(spectra, estimate),
+        "lights": list(lights),
+        "charts": dict(zip(charts.captures, np.bincount(charts.number).tolist(), strict=True)),
+        "uneven_patches": [n for n, u in zip(names, _of_all(each, lambda r: r.uneven), strict=True) if u],
+        "patches_found": {c: {k: float(v) for k, v in p.located.found.items()} for c, p, _ in each if p.located.found},
+        "light_on_chart": "; ".join(dict.fromkeys(_light(photograph) for _, photograph, _ in each)),
+        "jitter": _jitter(charts, error_of),
+        "verdicts": _verdicts(spectra, solved.recovered),
         "best_estimators": {kind: best_of(solved.rows, names) for kind, names in KINDS.items()},
-        "clipped_patches": _clipped(names, reading.invalid_share),
+        "clipped_patches": _clipped(names, _of_all(each, lambda r: r.invalid_share)),
     }
-    _write_calibration(output, solved.calibration, rmse, delta_e, solved.numbers | checks, provenance)
-    _write_errors(table, names, rmse, gfc, delta_e)
+    _write_calibration(output, solved.calibration, errors, solved.numbers | checks, provenance)
+    _write_errors(table, names, errors)
     if selection is not None:
         write_selection(selection, solved.rows, solved.chosen)
-    _log(solved, rmse, delta_e, checks)
+    _log(solved, errors, checks)
 
 
-def _jitter(photograph: ChartPhotograph, error) -> dict[str, float]:
-    """Return what the mean CIEDE2000 does as the patches are moved; NaN where a moved patch leaves the picture."""
+def _errors(spectra: np.ndarray, estimate: np.ndarray, lights) -> dict[str, np.ndarray]:
+    """Return spectral RMSE, GFC and CIEDE2000 under each light of every patch, by column; NaN where not judged."""
+    judged = np.isfinite(estimate).all(axis=1)
+    truth, found = spectra[judged], estimate[judged]
+    values = {"spectral_rmse": spectral_rmse(truth, found), "gfc": goodness_of_fit(truth, found)}
+    values |= {f"delta_e_{name.lower()}": delta_e_reflectance(truth, found, name) for name in lights}
+    whole = {}
+    for name, column in values.items():
+        whole[name] = np.full(len(spectra), np.nan)
+        whole[name][judged] = column
+    return whole
+
+
+def _of_all(each, value) -> np.ndarray:
+    return np.concatenate([value(reading) for _, _, reading in each])
+
+
+def _light(photograph) -> str:
+    return photograph.light.reason if photograph.light else "evened by the white reference"
+
+
+def _jitter(charts: Charts, error) -> dict[str, float]:
+    """Return what the mean CIEDE2000 does as the patches of one chart are moved, the worst of the charts.
+
+    NaN where a moved patch leaves the picture.
+    """
     try:
-        found = photograph.jitter(error)
+        found = max(charts.jitter(error), key=lambda jitter: jitter.worst)
     except InputError as refused:
         LOGGER.warning("the patches cannot be moved for the jitter test: %s", refused)
         return {"step_px": STEP_PX, "in_place": math.nan, "worst": math.nan, "limit": LIMIT}
@@ -120,14 +142,15 @@ def _verdicts(spectra, estimate) -> list[dict]:
     ]
 
 
-def _write_calibration(output, calibration: Calibration, rmse, delta_e: dict, numbers: dict, provenance) -> None:
+def _write_calibration(output, calibration: Calibration, errors: dict, numbers: dict, provenance) -> None:
     with store.create(output, provenance) as out:
         out.write("wavelength", WAVELENGTH_NM, units="nm", dims="wavelength", quantity="wavelength")
         calibration.write(out)
-        out.write("leave_one_out/rmse", rmse, units="1", dims="patch", quantity="spectral RMSE")
-        for name, values in delta_e.items():
-            label = f"leave_one_out/delta_e_{name.lower()}"
-            out.write(label, values, units="1", dims="patch", quantity=f"CIEDE2000 under {name}")
+        for way, columns in errors.items():
+            out.write(f"{way}/rmse", columns["spectral_rmse"], units="1", dims="patch", quantity="spectral RMSE")
+            for name in (name for name in columns if name.startswith("delta_e_")):
+                quantity = f"CIEDE2000 under {name.removeprefix('delta_e_').upper()}"
+                out.write(f"{way}/{name}", columns[name], units="1", dims="patch", quantity=quantity)
         for name, value in numbers.items():
             out.attribute(name, value)
 
@@ -142,19 +165,20 @@ def _csv_writer(path) -> Iterator:
     os.replace(temporary, path)
 
 
-def _write_errors(path, names, rmse, gfc, delta_e: dict) -> None:
+def _write_errors(path, names, errors: dict[str, dict[str, np.ndarray]]) -> None:
+    """Write the errors of patches left out; with several charts columns ``_by_chart`` follow, whole charts left out."""
+    columns = dict(errors["leave_one_out"])
+    columns |= {f"{name}_by_chart": values for name, values in errors.get("leave_one_chart_out", {}).items()}
     with _csv_writer(path) as writer:
-        writer.writerow(["patch", "spectral_rmse", "gfc", *(f"delta_e_{n.lower()}" for n in delta_e)])
-        columns = [rmse, gfc, *delta_e.values()]
+        writer.writerow(["patch", *columns])
         for i, name in enumerate(names):
-            writer.writerow([name, *(f"{c[i]:.5f}" for c in columns)])
-        writer.writerow(["mean", *(f"{np.mean(c):.5f}" for c in columns)])
-        writer.writerow(["p95", *(f"{np.percentile(c, 95):.5f}" for c in columns)])
-        writer.writerow(["max", *(f"{np.max(c):.5f}" for c in columns)])
+            writer.writerow([name, *(f"{c[i]:.5f}" for c in columns.values())])
+        for name, value in (("mean", np.nanmean), ("p95", lambda c: np.nanpercentile(c, 95)), ("max", np.nanmax)):
+            writer.writerow([name, *(f"{value(c):.5f}" for c in columns.values())])
 
 
 def write_selection(path, rows: list[SelectionRow], chosen: tuple[str, int]) -> None:
-    """Write the table of cross-validation, one row an estimator and number of bases.
+    """Write the table of cross-validation, one row an estimator, number of bases and what was left out.
 
     Parameters
     ----------
@@ -166,7 +190,17 @@ def write_selection(path, rows: list[SelectionRow], chosen: tuple[str, int]) -> 
     lights = list(rows[0].delta_e_mean)
     parts = ("mean", "p95", "max")
     colour = [f"delta_e_{light.lower()}_{part}" for light in lights for part in parts]
-    header = ["estimator", "bases", "chosen", "score", *colour, "rmse_mean", "rmse_max", "multiply_adds_per_pixel"]
+    header = [
+        "estimator",
+        "bases",
+        "left_out",
+        "chosen",
+        "score",
+        *colour,
+        "rmse_mean",
+        "rmse_max",
+        "multiply_adds_per_pixel",
+    ]
     with _csv_writer(path) as writer:
         writer.writerow([*header, "evaluation_ns_per_pixel"])
         for r in rows:
@@ -174,18 +208,21 @@ def write_selection(path, rows: list[SelectionRow], chosen: tuple[str, int]) -> 
             numbers = [r.score, *errors, r.rmse_mean, r.rmse_max]
             selected = int((r.estimator, r.bases) == chosen)
             cost = [r.multiply_adds, f"{r.ns_per_pixel:.1f}"]
-            writer.writerow([r.estimator, r.bases, selected, *(f"{n:.5f}" for n in numbers), *cost])
+            writer.writerow([r.estimator, r.bases, r.left_out, selected, *(f"{n:.5f}" for n in numbers), *cost])
 
 
-def _log(solved: Solution, rmse, delta_e: dict, checks: dict) -> None:
+def _log(solved: Solution, errors: dict, checks: dict) -> None:
     calibration = solved.calibration
     bands, bases = calibration.training.shape[1], calibration.basis.shape[1]
-    mean, largest = rmse.mean(), rmse.max()
-    text = "%s, cross-validation, %d bands, %d bases: spectral RMSE mean %.4f max %.4f"
-    LOGGER.info(text, calibration.estimator, bands, bases, mean, largest)
-    for name, values in delta_e.items():
-        s = summary(values)
-        LOGGER.info("CIEDE2000 under %s: mean %.2f p95 %.2f max %.2f", name, s["mean"], s["p95"], s["max"])
+    for way, columns in errors.items():
+        rmse = columns["spectral_rmse"]
+        text = "%s, %s, %d bands, %d bases: spectral RMSE mean %.4f max %.4f"
+        left_out = way.replace("_", " ")
+        LOGGER.info(text, calibration.estimator, left_out, bands, bases, np.nanmean(rmse), np.nanmax(rmse))
+        for name in (name for name in columns if name.startswith("delta_e_")):
+            s = summary(columns[name][np.isfinite(columns[name])])
+            light_name = name.removeprefix("delta_e_").upper()
+            LOGGER.info("CIEDE2000 under %s: mean %.2f p95 %.2f max %.2f", light_name, s["mean"], s["p95"], s["max"])
     LOGGER.info("condition number %.4g, noise amplification %.4g", *solved.numbers.values())
     LOGGER.info("light on the chart: %s", checks["light_on_chart"])
     moved = checks["jitter"]

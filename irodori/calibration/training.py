@@ -79,28 +79,29 @@ def fit_response_model(response: np.ndarray, spectra: np.ndarray, light: np.ndar
     total = np.mean(response**2, axis=0)
     best = np.full(response.shape[1], -np.inf)
     chosen: list = [None] * response.shape[1]
+    noise = np.maximum(patch_variance, 0.0)[:, None] + _EXTRA_NOISE * total[:, None]
     for length in _LENGTHS_NM:
         prior = shape[:, None] * smooth_covariance(length) * shape
         gram = spectra @ prior @ spectra.T
         values, vectors = np.linalg.eigh(gram)
         values, scale = np.maximum(values, 0.0), np.trace(gram) / len(gram)
-        rotated = (vectors.T @ response) ** 2
-        for band in range(response.shape[1]):
-            amplitude = _AMPLITUDES[:, None, None] * total[band] / scale
-            noise = np.maximum(patch_variance[band], 0.0) + _EXTRA_NOISE[None, :, None] * total[band]
-            variance = amplitude * values + noise
-            likelihood = -0.5 * (rotated[:, band] / variance + np.log(variance)).sum(axis=2)
-            i, j = np.unravel_index(np.argmax(likelihood), likelihood.shape)
-            if likelihood[i, j] > best[band]:
-                best[band] = likelihood[i, j]
-                chosen[band] = (amplitude[i, 0, 0] * prior, noise[0, j, 0])
+        rotated = (vectors.T @ response).T ** 2
+        amplitude = _AMPLITUDES * total[:, None] / scale
+        # Bands, amplitudes, noises, eigenvalues.
+        variance = amplitude[:, :, None, None] * values + noise[:, None, :, None]
+        likelihood = -0.5 * (rotated[:, None, None] / variance + np.log(variance)).sum(axis=3)
+        for band, own in enumerate(likelihood):
+            i, j = np.unravel_index(np.argmax(own), own.shape)
+            if own[i, j] > best[band]:
+                best[band] = own[i, j]
+                chosen[band] = (amplitude[band, i] * prior, noise[band, j])
     mean, covariance = [], []
-    for band, (prior, noise) in enumerate(chosen):
+    for band, (prior, own_noise) in enumerate(chosen):
         cross = spectra @ prior
-        gain = np.linalg.solve(cross @ spectra.T + noise * np.eye(len(spectra)), cross).T
+        gain = np.linalg.solve(cross @ spectra.T + own_noise * np.eye(len(spectra)), cross).T
         mean.append(gain @ response[:, band])
         covariance.append(prior - gain @ cross)
-    return ResponseModel(np.array(mean), np.array(covariance), np.array([noise for _, noise in chosen]))
+    return ResponseModel(np.array(mean), np.array(covariance), np.array([own_noise for _, own_noise in chosen]))
 
 
 def mix_paints(spectra: np.ndarray, limit: int = _MIXTURES) -> np.ndarray:
@@ -145,6 +146,10 @@ class Population:
         Expected ρ sᵀ.
     excess : (n, bands, bands) float64
         Covariance of ρ.
+    size : (n,) float64
+        Of a member's cloud, its squared level.
+    cloud : (bands, 61) float64
+        Covariance of ρ and s in a cloud of size one.
     """
 
     spectra: np.ndarray
@@ -153,6 +158,8 @@ class Population:
     response_response: np.ndarray
     response_spectra: np.ndarray
     excess: np.ndarray
+    size: np.ndarray
+    cloud: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -175,9 +182,9 @@ class Training:
     noise: Noise = Noise()
     pixel_levels: bool = True
 
-    def without(self, left_out: np.ndarray) -> "Training":
-        """Return the same without some patches, (m,) bool, and without levels of a pixel's noise."""
-        return Training(self.response[~left_out], self.spectra[~left_out], self.light, self.noise, pixel_levels=False)
+    def without(self, left_out: np.ndarray, pixel_levels: bool = False) -> "Training":
+        """Return the same without some patches, (m,) bool, and as a rule without levels of a pixel's noise."""
+        return Training(self.response[~left_out], self.spectra[~left_out], self.light, self.noise, pixel_levels)
 
     @cached_property
     def scale(self) -> np.ndarray:
@@ -232,4 +239,6 @@ class Training:
             response_response=response[:, :, None] * response[:, None, :] + excess,
             response_spectra=response[:, :, None] * spectra[:, None, :] + level * seen,
             excess=excess,
+            size=level[:, 0, 0],
+            cloud=seen,
         )

@@ -1,7 +1,7 @@
 """Exponential, cosine and gloss factors of a texel in a form that the compiler turns into vector instructions.
 
-numba calls the C library for `math.exp` and `math.cos`, one number at a time. The polynomials here are exact to a few
-units in the last place, and a loop over observations that calls them is vectorised.
+numba calls the C library for `math.cos`, one number at a time. The polynomial here is exact to a few units in the last
+place, and a loop over observations that calls it is vectorised; `irodori.exponential` does the same for `math.exp`.
 
 Rows of a texel's observations are padded to a multiple of `LANES` with observations of weight 0, so that no loop has
 a remainder; each step of the geometry is a loop of its own, because the compiler vectorises short ones.
@@ -10,9 +10,8 @@ a remainder; each step of the geometry is a loop of its own, because the compile
 import math
 
 import numba
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
+
+from irodori.exponential import exp_negative as exp_negative
 
 LANES = 8
 #: Rows of a texel's block: cosθ_i, F G / cosθ_r, φ², response, weight, weight times cosine and times response, expected
@@ -27,47 +26,8 @@ _TINY = 1e-300
 #: Sums may be reordered and products fused; NaN and infinity keep their meaning.
 FAST = {"reassoc", "contract", "nsz", "arcp"}
 
-_LOG2_E = 1.4426950408889634
-_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
-# Denormal numbers are slow: the lobe ends where its square and its products with weights are still normal.
-_SMALLEST_EXPONENT = -170.0
 LEAST_LOBE = 1e-74
 _HALF_PI_HIGH, _HALF_PI_LOW = 1.5707963267948966, 6.123233995736766e-17
-
-
-@intrinsic
-def _power_of_two(typingctx, exponent):
-    """Return 2 to a whole float64 within -1022..1023."""
-    signature = types.float64(types.float64)
-
-    def codegen(context, builder, signature, values):
-        whole = builder.fptosi(values[0], ir.IntType(64))
-        biased = builder.add(whole, ir.Constant(ir.IntType(64), 1023))
-        return builder.bitcast(builder.shl(biased, ir.Constant(ir.IntType(64), 52)), ir.DoubleType())
-
-    return signature, codegen
-
-
-@numba.njit(cache=True, fastmath={"contract"}, inline="always")
-def exp_negative(x):
-    """Return exp(x) for x <= 0 to 1e-15 of its value; below -170 it stays at 1e-74."""
-    bounded = x if x > _SMALLEST_EXPONENT else _SMALLEST_EXPONENT
-    whole = math.floor(bounded * _LOG2_E + 0.5)
-    r = (bounded - whole * _LN2_HIGH) - whole * _LN2_LOW
-    p = 1.0 / 479001600.0
-    p = p * r + 1.0 / 39916800.0
-    p = p * r + 1.0 / 3628800.0
-    p = p * r + 1.0 / 362880.0
-    p = p * r + 1.0 / 40320.0
-    p = p * r + 1.0 / 5040.0
-    p = p * r + 1.0 / 720.0
-    p = p * r + 1.0 / 120.0
-    p = p * r + 1.0 / 24.0
-    p = p * r + 1.0 / 6.0
-    p = p * r + 0.5
-    p = p * r + 1.0
-    p = p * r + 1.0
-    return p * _power_of_two(whole)
 
 
 @numba.njit(cache=True, fastmath={"contract"}, inline="always")

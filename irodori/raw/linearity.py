@@ -114,12 +114,12 @@ def _usable(mosaic: Mosaic, place, row: int, column: int, dark: Dark | None) -> 
 def exposure_series(shots: list[Shot]) -> list[Shot]:
     """Return the shots of the white reference, else of the chart, that form the longest series of exposures.
 
-    One filter state and pose; an empty list where no two exposures differ.
+    One chart, filter state and pose; an empty list where no two exposures differ.
     """
     for role in ("white", "chart"):
         groups: dict[tuple, list[Shot]] = {}
         for shot in (s for s in shots if s.role == role):
-            groups.setdefault((shot.filter, shot.pose), []).append(shot)
+            groups.setdefault((shot.filter, shot.pose, shot.chart), []).append(shot)
         best = max(groups.values(), key=lambda g: len({relative_exposure_s(s) for s in g}), default=[])
         if len({relative_exposure_s(s) for s in best}) > 1:
             return best

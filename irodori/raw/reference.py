@@ -125,7 +125,7 @@ def ingest_reference(
         state: _white(partial, [s for s in whites if s.filter == state], table, folder, float(factor), options)
         for state in filter_states(whites)
     }
-    alignment = nominal_alignment(partial, white, [s for s in shots if s.role == "chart"], table, folder, options)
+    alignment = nominal_alignment(partial, white, [s for s in shots if s.capture == "chart"], table, folder, options)
     with store.create(output, provenance) as out:
         _write_dark(out, dark)
         if white:

@@ -141,7 +141,8 @@ class Calibration:
 
         Returns
         -------
-        (..., k), float32 for float32 responses, otherwise float64; NaN where the response is not finite
+        (..., k), float32 for float32 responses, otherwise float64; NaN where the response is not finite, and with
+        ``local`` where the variance is NaN or negative
         """
         response = np.asarray(response)
         dtype = np.float32 if response.dtype == np.float32 else np.float64

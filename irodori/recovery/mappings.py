@@ -90,7 +90,9 @@ class LocalMapping(_Differences):
 
     A response is divided by ``scale``; its direction c meets the anchors z with shares exp((c·z - 1) / width²), which
     sum to one. Where the variance of a response is given, the matrices are those of its relative noise, interpolated
-    between levels, and the width grows with it; without, they are those of ``maps[0]``.
+    between levels, and the width grows with it; without, they are those of ``maps[0]``. A variance of zero counts as
+    the lowest level, an infinite one as the highest; where it is NaN or negative, the weights are NaN. float32
+    responses are blended in float32.
 
     Parameters
     ----------

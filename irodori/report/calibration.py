@@ -4,6 +4,8 @@ import csv
 import html
 import math
 
+import numpy as np
+
 from irodori import store
 from irodori.report.figures import selection_figure
 from irodori.report.markup import details, figure, number, table
@@ -22,7 +24,8 @@ def calibration_section(cameras: list[str], calibrations: list, errors: list, se
     """
     parts = [
         "<h2>Calibration</h2><p>Errors are those of patches that the calibration has not seen: each was left out in "
-        "turn. The comparison of the estimators adds the noise of a pixel, where it was measured.</p>"
+        "turn, and each whole chart where there are several. The comparison of the estimators adds the noise of a "
+        "pixel, where it was measured.</p>"
     ]
     for name, calibration, patches, selection in zip(cameras, calibrations, errors, selections, strict=True):
         parts.append(f"<h3>{html.escape(name)}</h3>")
@@ -30,7 +33,8 @@ def calibration_section(cameras: list[str], calibrations: list, errors: list, se
             parts.append(table(["", ""], _figures(file)))
             verdicts = file.attribute("verdicts")
         header, rows = _read(selection)
-        parts.append(figure(selection_figure(header, rows), f"{name}: error against time for every estimator"))
+        by_patch = [row for row in rows if row[header.index("left_out")] == "patch"]
+        parts.append(figure(selection_figure(header, by_patch), f"{name}: error against time for every estimator"))
         parts.append(details("every estimator and number of bases", table(header, [_short(r) for r in rows])))
         parts.append(details("heritage-imaging guidelines", _verdicts(verdicts)))
         parts.append(details("patch by patch", table(*_read(patches))))
@@ -59,6 +63,9 @@ def _figures(file: store.Reader) -> list[list[str]]:
     rows = [
         ["estimator", f"{file.attribute('estimator')}, {file.dataset('basis').shape[1]} bases"],
         *_best(file.attribute("best_estimators")),
+        ["charts", ", ".join(f"{name} of {count} patches" for name, count in file.attribute("charts").items())],
+        *(_left_out(file, "leave_one_out", "left out patch by patch")),
+        *(_left_out(file, "leave_one_chart_out", "left out chart by chart")),
         ["condition number of the responses", number(file.attribute("condition_number"))],
         ["noise amplification", number(file.attribute("noise_amplification"))],
         [f"change of the mean CIEDE2000 with all patches moved by {jitter['step_px']:g} superpixels", moved],
@@ -69,10 +76,21 @@ def _figures(file: store.Reader) -> list[list[str]]:
             ", ".join(f"{n} {s:.0%}" for n, s in clipped.items()) or "none",
         ],
     ]
-    found = file.attribute("patches_found")
-    if found:
-        rows.append(["patches", ", ".join(f"{key} {value:.3g}" for key, value in found.items())])
+    for chart, found in file.attribute("patches_found").items():
+        rows.append([f"patches of {chart}", ", ".join(f"{key} {value:.3g}" for key, value in found.items())])
     return rows
+
+
+def _left_out(file: store.Reader, way: str, words: str) -> list[list[str]]:
+    """Return a row of errors for one way of leaving out; none where it was not done."""
+    if f"{way}/rmse" not in file:
+        return []
+    parts = [f"{light} {_mean(file, way, f'delta_e_{light.lower()}')}" for light in file.attribute("lights")]
+    return [[f"patches {words}, mean CIEDE2000 and spectral RMSE", ", ".join([*parts, _mean(file, way, "rmse")])]]
+
+
+def _mean(file: store.Reader, way: str, name: str) -> str:
+    return number(float(np.nanmean(file.read(f"{way}/{name}"))))
 
 
 def _best(found: dict) -> list[list[str]]:

@@ -79,9 +79,10 @@ class Chain:
     settings: dict
 
     def halved(self) -> "Chain":
-        """Return the same at half the camera's resolution, with no more than 64 texels a side and some 6 poses."""
+        """Return the same with half the camera's resolution, one chart, at most 64 texels a side and some 6 poses."""
         camera, rig, definition = (copy.deepcopy(block) for block in (self.camera, self.rig, self.definition))
         optics, chart = camera["optics"], camera["chart"]
+        camera.pop("further_charts", None)
         # Superpixels are whole: sides stay even.
         optics.update({side: optics[side] // 4 * 2 for side in ("width_px", "height_px")})
         optics["pixel_pitch_um"] *= 2.0
@@ -123,7 +124,7 @@ def _photograph(shots: list[Shot], chain: Chain, session: str, subject: dict | N
     bench = Bench()
     camera = VirtualCamera(chain.camera, chain.rig, bench, session, shots, subject)
     for shot in shots:
-        bench.set({"subject": shot.role, "filter": shot.filter, **vars(shot.pose)})
+        bench.set({"subject": shot.subject, "filter": shot.filter, **vars(shot.pose)})
         camera.capture(shot, folder / shot.file)
     write_captures(folder / "captures.csv", shots)
     return folder / "captures.csv"

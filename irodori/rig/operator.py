@@ -36,12 +36,18 @@ _SUBJECT_PHRASES = {
     "object": "put the object in place",
     "environment": "point the camera at the environment",
 }
+_CHART = "chart-"  # before the name of a further chart, see `irodori.captures.chart_capture`
 _YES, _NO = ("", "y", "yes", "ok", "done"), ("q", "quit", "a", "abort", "n", "no", "stop")
 _PROGRESS_S, _POLL_S = 60.0, 0.5
 
 
 class OperatorAbort(DeviceError):
     """The person at the bench answered that the session is to stop."""
+
+
+def _further_chart(subject) -> str:
+    """Return the name of a further chart, empty for any other subject."""
+    return str(subject).removeprefix(_CHART) if str(subject).startswith(_CHART) else ""
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,8 @@ class Change:
         if self.name not in SETTINGS:
             raise ValueError(f"no setting {self.name!r}; {suggest(self.name, SETTINGS)}")
         words = {"filter": _FILTER_PHRASES, "subject": _SUBJECT_PHRASES}.get(self.name)
+        if self.name == "subject" and _further_chart(self.new):
+            return
         if words is not None and self.new not in words:
             raise ValueError(f"no {self.name} {self.new!r}; {suggest(str(self.new), words)}")
 
@@ -74,7 +82,9 @@ class Change:
         if self.name == "subject":
             # After dark frames, and after a restart, the cap may be on.
             capped = self.new != "dark" and self.old in (None, "dark")
-            return ("take the lens cap off and " if capped else "") + _SUBJECT_PHRASES[self.new]
+            chart = _further_chart(self.new)
+            phrase = f"put the colour chart {chart} in place" if chart else _SUBJECT_PHRASES[self.new]
+            return ("take the lens cap off and " if capped else "") + phrase
         phrase = _ANGLE_PHRASES[self.name].format(_degrees(self.new))
         return phrase if self.old is None else f"{phrase} (it stands at {_degrees(self.old)})"
 

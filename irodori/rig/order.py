@@ -70,8 +70,8 @@ def order_shots(
     """Return the shots in the order of least work by hand, then of least travel.
 
     Dark frames come first, then the white reference, the chart, the objects and the environment. The exposures of
-    one bracket (same role, pose and filter) follow each other, the shortest first, so that no long exposure leaves its
-    traces in the next picture. The same input gives the same order.
+    one bracket (same subject, pose and filter) follow each other, the shortest first, so that no long exposure leaves
+    its traces in the next picture. The same input gives the same order.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def order_shots(
         raise ValueError(f"manual_cost_s {manual_cost_s:g}: 0 or more")
     brackets: dict[tuple, list[Shot]] = {}
     for shot in shots:
-        brackets.setdefault((PHASES.index(shot.role), shot.pose, shot.filter), []).append(shot)
+        brackets.setdefault((PHASES.index(shot.role), shot.pose, shot.filter, shot.chart), []).append(shot)
     for bracket in brackets.values():
         bracket.sort(key=lambda shot: shot.exposure_s)
     given = sorted(brackets, key=lambda key: key[0])  # in the given order, as far as the phases allow
@@ -178,7 +178,7 @@ def _blockwise(brackets: dict[tuple, list[Shot]], axes, start, by_hand: bool) ->
         places = blocks[phase, tuple(sorted(settings.items()))]
         for place in way:
             # Captures of one place follow each other by their angles, the two filter states of each side by side.
-            for key in sorted(places[place], key=lambda key: (_angles(key[1]), key[2] == "in")):
+            for key in sorted(places[place], key=lambda key: (_angles(key[1]), key[3], key[2] == "in")):
                 ordered += brackets[key]
     return ordered
 
@@ -189,7 +189,7 @@ def _angles(pose) -> tuple[float, ...]:
 
 def _splits(shots: list[Shot]) -> int:
     """Return how often the order leaves a capture, to count how well its photographs stay together."""
-    captures = [(shot.role, shot.pose) for shot in shots]
+    captures = [(shot.subject, shot.pose) for shot in shots]
     return sum(a != b for a, b in itertools.pairwise(captures))
 
 

@@ -1,7 +1,7 @@
 """What a photograph wants set before it is taken, and by whom: by motors, or by the person at the bench.
 
 A setting is an angle of a pose in degrees, the state of the comb filter (``filter``), or what stands before the lens
-(``subject``, the role of the photograph).
+(``subject``, of a photograph as `irodori.captures.Shot` has it).
 """
 
 import dataclasses
@@ -34,7 +34,7 @@ def hand_settings(shot: Shot, motorised: Container[str]) -> dict[str, float | st
 
     What does not matter to the shot is left out: it may stay as it stands.
     """
-    wanted: dict[str, float | str] = {"subject": shot.role}
+    wanted: dict[str, float | str] = {"subject": shot.subject}
     if shot.role not in _WITHOUT_POSE:
         wanted |= {angle: getattr(shot.pose, angle) for angle in ANGLES if angle not in motorised}
     if shot.role != "dark":

@@ -5,6 +5,7 @@ knows what is missing.
 """
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 from irodori.captures import Pose, Shot, expand_poses
 
@@ -25,11 +26,13 @@ def _file(subject: str, state: str, exposure_s: float, suffix: str, frame: int |
     return f"{subject}-{state}-{round(exposure_s * 1e6)}us{repeat}{suffix}"
 
 
-def _bracket(role: str, pose: Pose, exposure_s: Mapping[str, Iterable[float]], settings: dict, suffix: str):
-    subject = pose.name if role == "object" else role
+def _bracket(
+    role: str, pose: Pose, exposure_s: Mapping[str, Iterable[float]], settings: dict, suffix: str, chart: str = ""
+):
     for state, exposures in exposure_s.items():
         for exposure in exposures:
-            yield Shot(_file(subject, state, exposure, suffix), role, pose, state, exposure, **settings)
+            shot = Shot("", role, pose, state, exposure, **settings, chart=chart)
+            yield replace(shot, file=_file(shot.capture, state, exposure, suffix))
 
 
 def object_shots(definition: dict, camera: dict, suffix: str) -> list[Shot]:
@@ -56,7 +59,7 @@ def environment_shots(definition: dict, camera: dict, suffix: str) -> list[Shot]
 
 
 def camera_shots(camera: dict, suffix: str) -> list[Shot]:
-    """Return the photographs that calibrate a camera: dark frames, white references, the chart.
+    """Return the photographs that calibrate a camera: dark frames, white references, the chart, further charts.
 
     Dark frames are taken at every exposure time of ``exposure_s``, the white reference ``white_frames`` times at each
     exposure time, with the filter out also at those of ``linearity_exposure_s``.
@@ -75,4 +78,6 @@ def camera_shots(camera: dict, suffix: str) -> list[Shot]:
             for frame in range(camera["white_frames"]):
                 file = _file("white", state, exposure, suffix, frame)
                 shots.append(Shot(file, "white", pose["white"], state, exposure, **settings))
-    return shots + list(_bracket("chart", pose["chart"], exposure_s, settings, suffix))
+    for chart in ("", *camera.get("further_charts", {})):
+        shots += _bracket("chart", pose["chart"], exposure_s, settings, suffix, chart)
+    return shots

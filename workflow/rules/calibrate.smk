@@ -5,7 +5,7 @@ rule calibrate:
 
 rule calibrate_camera:
     input:
-        linear="results/cameras/{camera}/linear/chart.h5",
+        linear=chart_files,
         spectra=tables_of_calibration,
     output:
         calibration="results/cameras/{camera}/calibration.h5",
@@ -34,6 +34,7 @@ rule calibrate_camera:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         chart=lookup(within=config, dpath="cameras/{camera}/chart"),
+        further_charts=lookup(within=config, dpath="cameras/{camera}/further_charts"),
         calibration=lookup(within=config, dpath="cameras/{camera}/calibration"),
         light=of_rig("light/spectrum"),
         lights=lookup(within=config, dpath="report/lights"),

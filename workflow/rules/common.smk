@@ -131,7 +131,16 @@ def tables_of_capture(wildcards):
 def tables_of_calibration(wildcards):
     """Return the tables of spectra that a calibration reads."""
     camera = config["cameras"][wildcards.camera]
-    return named_tables(camera["chart"], config["rigs"][camera["rig"]]["light"])
+    return named_tables(camera["chart"], camera["further_charts"], config["rigs"][camera["rig"]]["light"])
+
+
+def chart_files(wildcards):
+    """Return the linear files of a camera's charts, the first chart's first."""
+    return expand(
+        "results/cameras/{camera}/linear/{chart}.h5",
+        camera=wildcards.camera,
+        chart=CAPTURES["cameras"][wildcards.camera],
+    )
 
 
 def tables_of_white(wildcards):

@@ -4,7 +4,7 @@ from irodori.rules import run_rule
 with run_rule(snakemake) as provenance:
     calibrate_camera(
         snakemake.input.linear,
-        {key: snakemake.params[key] for key in ("chart", "calibration")},
+        {key: snakemake.params[key] for key in ("chart", "further_charts", "calibration")},
         snakemake.params.light,
         snakemake.output.calibration,
         snakemake.output.errors,

@@ -19,7 +19,7 @@ class Bench:
     filter : str
         State of the comb filter, ``out`` or ``in``.
     subject : str
-        What stands before the lens, a role of `irodori.captures.ROLES`; ``dark`` is the cap on the lens.
+        What stands before the lens, see `irodori.captures.Shot.subject`; ``dark`` is the cap on the lens.
     """
 
     motors_deg: Callable[[], Mapping[str, float]] = dict

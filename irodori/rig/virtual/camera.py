@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from irodori.captures import FILTERS, Shot
+from irodori.captures import FILTERS, Shot, chart_capture
 from irodori.rig.devices import Camera, DeviceError
 from irodori.rig.virtual.bench import Bench
 from irodori.rig.virtual.dng import write_dng
@@ -50,6 +50,12 @@ class VirtualCamera(Camera):
         """What stands on the table."""
         return Sample.from_definition(self.subject)
 
+    @property
+    def _charts(self) -> dict[str, dict]:
+        """Definition of every chart, by what the bench calls it."""
+        further = self.camera.get("further_charts", {})
+        return {"chart": self.camera["chart"], **{chart_capture(name): chart for name, chart in further.items()}}
+
     @cached_property
     def _hot_rate_e_per_s(self) -> np.ndarray:
         optics = self.camera["optics"]
@@ -87,8 +93,8 @@ class VirtualCamera(Camera):
         plate = self.faults.ideal_from_seen(shot, width, height)
         if subject == "white":
             response = white_mosaic(self.camera, self.rig, pose, plate, weights)
-        elif subject == "chart":
-            response = chart_mosaic(self.camera, self.rig, pose, plate, weights)
+        elif subject in self._charts:
+            response = chart_mosaic(self._charts[subject], self.camera, self.rig, pose, plate, weights)
         elif subject == "object":
             response = object_mosaic(self.sample, self.camera, self.rig, pose, plate, weights)
         else:

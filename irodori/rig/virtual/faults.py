@@ -28,7 +28,7 @@ def places(shots: Sequence[Shot]) -> dict[str, Place]:
     found, arrival, insertion, before = {}, 0, 0, None
     for number, shot in enumerate(shots):
         if before is not None:
-            arrival += (shot.pose, shot.role) != (before.pose, before.role)
+            arrival += (shot.pose, shot.subject) != (before.pose, before.subject)
             insertion += shot.filter != before.filter
         found[shot.file] = Place(number, arrival, insertion)
         before = shot

@@ -79,10 +79,10 @@ def _fall_off(camera: dict, rig: dict, pose: Pose, ideal_from_seen) -> np.ndarra
     return lamp.on_white(point, pinhole, rig["camera_distance_mm"], pose)
 
 
-def chart_mosaic(camera: dict, rig: dict, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
-    """Return the picture of the colour chart; parameters as of `object_mosaic`."""
+def chart_mosaic(chart: dict, camera: dict, rig: dict, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
+    """Return the picture of a colour chart of that definition; other parameters as of `object_mosaic`."""
     pinhole = Pinhole.from_optics(camera["optics"])
-    _names, patches = chart_spectra(camera["chart"]["spectra"])
+    _names, patches = chart_spectra(chart["spectra"])
     spectra = np.concatenate([patches, np.full((1, patches.shape[1]), _BORDER_REFLECTANCE)])
     bands = spectra @ band_weights.T * math.cos(flat_incidence_rad(pose))
     image = np.empty((pinhole.height_px, pinhole.width_px))
@@ -91,13 +91,13 @@ def chart_mosaic(camera: dict, rig: dict, pose: Pose, ideal_from_seen, band_weig
         y = first + 0.5 * (np.arange(2 * rows + 3) - 1.0)
         x = 0.5 * (np.arange(2 * pinhole.width_px + 3) - 1.0)
         point = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1) @ np.asarray(ideal_from_seen).T
-        gather_rows(bands[_patch_at(point, camera, rig, pose, pinhole, len(patches))], first, image)
+        gather_rows(bands[_patch_at(point, chart, camera, rig, pose, pinhole)], first, image)
     return image * _fall_off(camera, rig, pose, ideal_from_seen)
 
 
-def _patch_at(mosaic_xy, camera: dict, rig: dict, pose: Pose, pinhole: Pinhole, border: int) -> np.ndarray:
-    """Return the patch that each point of the picture shows, `border` between them."""
-    rows, columns = camera["chart"]["rows"], camera["chart"]["columns"]
+def _patch_at(mosaic_xy, chart: dict, camera: dict, rig: dict, pose: Pose, pinhole: Pinhole) -> np.ndarray:
+    """Return the patch that each point of the picture shows, the number of patches between them."""
+    rows, columns = chart["rows"], chart["columns"]
     rotation = rig_from_object(pose)
     view = pinhole.directions(mosaic_xy, rig_from_camera(pose)) @ rotation
     eye = rig["camera_distance_mm"] * to_camera(pose) @ rotation
@@ -107,7 +107,7 @@ def _patch_at(mosaic_xy, camera: dict, rig: dict, pose: Pose, pinhole: Pinhole, 
     column, row = np.floor(across).astype(int), np.floor(along).astype(int)
     patch = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     patch &= (np.abs(across - column - 0.5) < _PATCH_FILL) & (np.abs(along - row - 0.5) < _PATCH_FILL)
-    return np.where(patch, row * columns + column, border)
+    return np.where(patch, row * columns + column, rows * columns)
 
 
 def room_mosaic(definition: dict, light: np.ndarray, band_weights) -> np.ndarray:

@@ -1,0 +1,120 @@
+"""All charts of a camera together: what the first alone gives, from the patches of every one."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from irodori.calibration.jitter import Jitter
+from irodori.calibration.order import check_order
+from irodori.calibration.patches import ChartReading
+from irodori.calibration.reading import ChartPhotograph
+from irodori.calibration.training import Noise
+from irodori.captures import chart_capture
+from irodori.errors import InputError
+from irodori.spectra import chart_spectra
+
+
+@dataclass(frozen=True)
+class Charts:
+    """The photographs of a camera's charts, the first chart's first, and what is known of their patches.
+
+    Parameters
+    ----------
+    captures : tuple of str
+        ``chart``, then ``chart-NAME`` of each further chart.
+    photographs : tuple of ChartPhotograph
+    readings : tuple of ChartReading
+    patches : tuple of str
+        Names of all patches; where there are several charts, those of further ones behind the chart's name and a slash.
+    spectra : (m, 61) float64
+    number : (m,) int
+        Of the chart that each patch belongs to.
+    """
+
+    captures: tuple[str, ...]
+    photographs: tuple[ChartPhotograph, ...]
+    readings: tuple[ChartReading, ...]
+    patches: tuple[str, ...]
+    spectra: np.ndarray
+    number: np.ndarray
+
+    @classmethod
+    def load(cls, linear, camera: dict) -> "Charts":
+        """Read all charts.
+
+        Parameters
+        ----------
+        linear : path or sequence of paths
+            Linear responses of each chart, in the order of the definition; one path where there is one chart.
+        camera : dict
+            Definition of the camera: ``chart`` and ``further_charts``.
+
+        Raises
+        ------
+        InputError
+            If a chart cannot be read, its patches stand in another order, or charts were photographed in different
+            filter states.
+        ValueError
+            If there is not one file a chart.
+        """
+        files = [linear] if isinstance(linear, str | Path) else list(linear)
+        definitions = {"": camera["chart"], **camera.get("further_charts", {})}
+        if len(files) != len(definitions):
+            raise ValueError(f"{len(files)} files of charts; accepted: {len(definitions)}, one for each chart")
+        photographs, readings, patches, spectra = [], [], [], []
+        for file, (name, chart) in zip(files, definitions.items(), strict=True):
+            names, reflectances = chart_spectra(chart["spectra"])
+            photograph = ChartPhotograph.load(file, chart, len(names))
+            if photograph.filters != (photographs or [photograph])[0].filters:
+                found = ", ".join(photograph.filters)
+                raise InputError(file, "filters", found, ", ".join(photographs[0].filters) + ", as of the first chart")
+            photographs.append(photograph)
+            readings.append(_in_order(photograph, reflectances, chart))
+            patches += [f"{name}/{patch}" if name else patch for patch in names]
+            spectra.append(reflectances)
+        number = np.repeat(np.arange(len(files)), [len(part) for part in spectra])
+        captures = tuple(chart_capture(name) for name in definitions)
+        return cls(captures, tuple(photographs), tuple(readings), tuple(patches), np.concatenate(spectra), number)
+
+    @property
+    def filters(self) -> tuple[str, ...]:
+        """Filter states of the bands, three bands each."""
+        return self.photographs[0].filters
+
+    def responses(self) -> np.ndarray:
+        """Return responses of all patches as if lit at normal incidence, (m, bands)."""
+        return np.concatenate([p.responses(r) for p, r in zip(self.photographs, self.readings, strict=True)])
+
+    def noise(self) -> Noise:
+        """Return the noise of patch means and of a pixel, see `ChartPhotograph.noise`, in the mean over all patches."""
+        found = [p.noise(r) for p, r in zip(self.photographs, self.readings, strict=True)]
+        share = np.bincount(self.number) / self.number.size
+        return Noise(share @ [noise.patch for noise in found], share @ [noise.pixel for noise in found])
+
+    def jitter(self, error: Callable[[np.ndarray], float]) -> list[Jitter]:
+        """Return what becomes of an error as the patches of each chart are moved, those of the others in place.
+
+        ``error`` is a callable from responses of all patches as if lit at normal incidence, (m, bands), to a number.
+        """
+        inner = self.responses()
+
+        def moved(which: int) -> Callable[[np.ndarray], float]:
+            def error_of(responses: np.ndarray) -> float:
+                whole = inner.copy()
+                whole[self.number == which] = responses
+                return error(whole)
+
+            return error_of
+
+        return [photograph.jitter(moved(which)) for which, photograph in enumerate(self.photographs)]
+
+
+def _in_order(photograph: ChartPhotograph, spectra: np.ndarray, chart: dict) -> ChartReading:
+    reading = photograph.read()
+    try:
+        check_order(photograph.responses(reading), spectra, chart["rows"], chart["columns"])
+    except ValueError as error:
+        raise InputError(photograph.path, "chart", str(error), "a chart that determines every band") from None
+    return reading
