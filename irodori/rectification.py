@@ -96,9 +96,9 @@ class RigSetup:
 
 @numba.njit(cache=True, parallel=True, nogil=True)
 def _sample(response, valid, clipped, corner, xy, out, good, clips):
-    """Interpolate responses bilinearly; a texel is good where all four neighbours are inside and valid.
+    """Interpolate responses bilinearly; a texel is good where all neighbours with weight are inside and valid.
 
-    It clips where one of the four does. ``response``, ``valid`` and ``clipped`` are the window of the picture that
+    It clips where one of them does. ``response``, ``valid`` and ``clipped`` are the window of the picture that
     begins at ``corner`` (row, column); coordinates are those of the whole picture, so that a texel gets the same bits
     whatever tile it belongs to.
     """
@@ -111,19 +111,16 @@ def _sample(response, valid, clipped, corner, xy, out, good, clips):
         left, top_row = math.floor(x), math.floor(y)
         fx, fy = x - left, y - top_row
         x0, y0 = left - corner[1], top_row - corner[0]
-        # On the last row or column the neighbour beyond has no weight: step back onto the last pair.
-        if fx == 0.0 and x0 == width - 1:
-            x0, fx = x0 - 1, 1.0
-        if fy == 0.0 and y0 == height - 1:
-            y0, fy = y0 - 1, 1.0
-        if x0 < 0 or y0 < 0 or x0 > width - 2 or y0 > height - 2:
+        # A neighbour without weight is not looked at: it may lie outside the picture, or the window.
+        x1, y1 = x0 + (1 if fx > 0.0 else 0), y0 + (1 if fy > 0.0 else 0)
+        if x0 < 0 or y0 < 0 or x1 > width - 1 or y1 > height - 1:
             continue
-        clips[t] = clipped[y0, x0] | clipped[y0, x0 + 1] | clipped[y0 + 1, x0] | clipped[y0 + 1, x0 + 1]
-        if not (valid[y0, x0] and valid[y0, x0 + 1] and valid[y0 + 1, x0] and valid[y0 + 1, x0 + 1]):
+        clips[t] = clipped[y0, x0] | clipped[y0, x1] | clipped[y1, x0] | clipped[y1, x1]
+        if not (valid[y0, x0] and valid[y0, x1] and valid[y1, x0] and valid[y1, x1]):
             continue
         for b in range(bands):
-            top = (1.0 - fx) * response[y0, x0, b] + fx * response[y0, x0 + 1, b]
-            bottom = (1.0 - fx) * response[y0 + 1, x0, b] + fx * response[y0 + 1, x0 + 1, b]
+            top = (1.0 - fx) * response[y0, x0, b] + fx * response[y0, x1, b]
+            bottom = (1.0 - fx) * response[y1, x0, b] + fx * response[y1, x1, b]
             out[t, b] = (1.0 - fy) * top + fy * bottom
         good[t] = True
 

@@ -1,8 +1,7 @@
 """The real refractive index as one more unknown, around any solver that fits α, β, μ for a given one.
 
 The least sum of squares over (α, β, μ) is a function of n alone: it is scanned, and its minimum is found by parabolas
-through three points, for all texels at once. The same parabola gives the standard error of n, and how β moves with n
-what that error adds to the one of β.
+through three points, for all texels at once.
 """
 
 from typing import NamedTuple
@@ -45,13 +44,15 @@ def _parabola(n: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return place, curvature
 
 
-def fit_index(solve, texels: int, limits: tuple[float, float], nominal: np.ndarray) -> IndexFit:
+def fit_index(solve, errors_at, texels: int, limits: tuple[float, float], nominal: np.ndarray) -> IndexFit:
     """Fit n.
 
     Parameters
     ----------
     solve : callable
         Takes n, (texels,) float64, and returns an `Output`.
+    errors_at : callable
+        Takes n and α, β, log μ, (texels, 3), and returns the standard errors of α, β, log μ, n, (texels, 4).
     texels : int
     limits : (float, float)
         Bounds of n.
@@ -82,27 +83,24 @@ def fit_index(solve, texels: int, limits: tuple[float, float], nominal: np.ndarr
         rows = np.arange(texels)
         n = np.stack([four[middle + i, rows] for i in (-1, 0, 1)])
         three = [_pick(outputs, middle + i) for i in (-1, 0, 1)]
-    return _conclude(n, three, solve, limits, nominal, evaluations)
+    return _conclude(n, three, solve, errors_at, limits, nominal, evaluations)
 
 
-def _conclude(n, three, solve, limits, nominal, evaluations) -> IndexFit:
-    """State n where it is determined, and add what its error does to β; fall back on the nominal n elsewhere."""
-    table = np.stack([o.table for o in three])
-    value = table[..., judge.SQUARES]
+def _conclude(n, three, solve, errors_at, limits, nominal, evaluations) -> IndexFit:
+    """State n where it is determined, with errors of four unknowns; fall back on the nominal n elsewhere."""
+    value = np.stack([o.table[:, judge.SQUARES] for o in three])
     best = np.nan_to_num(value, nan=np.inf).argmin(axis=0)
-    rows = np.arange(n.shape[1])
     _, curvature = _parabola(n, value)
-    found, index = _pick(three, best), n[best, rows]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        error = np.sqrt(2.0 * found.table[:, judge.VARIANCE] / curvature)
-        slope = (table[2, :, judge.BETA] - table[0, :, judge.BETA]) / (n[2] - n[0])
+    found, index = _pick(three, best), n[best, np.arange(n.shape[1])]
+    columns = [judge.ALPHA, judge.BETA, judge.LOG_MU]
+    errors = errors_at(index, found.table[:, columns])
     inside = (index > limits[0] * (1 + 1e-3)) & (index < limits[1] * (1 - 1e-3))
-    known = inside & (curvature > 0) & (error < _MAX_ERROR) & (found.status == judge.Status.OK)
-    spread = np.hypot(found.table[:, judge.BETA_ERROR], np.where(known, slope * error, 0.0))
-    found.table[:, judge.BETA_ERROR] = spread
-    lost = known & ~(spread < judge.MAX_RELATIVE_ERROR["beta"] * found.table[:, judge.BETA])
-    found.status[lost] = judge.Status.MU_UNIDENTIFIABLE
+    known = inside & (curvature > 0) & (errors[:, 3] < _MAX_ERROR) & (found.status == judge.Status.OK)
+    found.table[:, [judge.ALPHA_ERROR, judge.BETA_ERROR, judge.LOG_MU_ERROR]] = errors[:, :3]
+    stated = errors[:, 1] < judge.MAX_RELATIVE_ERROR["beta"] * found.table[:, judge.BETA]
+    stated &= errors[:, 2] < judge.MAX_RELATIVE_ERROR["mu"]
+    found.status[known & ~stated] = judge.Status.MU_UNIDENTIFIABLE
     given = solve(np.broadcast_to(nominal, n.shape[1]).copy())
     output = _pick([given, found], known.astype(int))
     output.evaluations[:] = evaluations + given.evaluations
-    return IndexFit(output, np.where(known, index, np.nan), np.where(known, error, np.nan))
+    return IndexFit(output, np.where(known, index, np.nan), np.where(known, errors[:, 3], np.nan))

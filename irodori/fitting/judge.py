@@ -32,6 +32,8 @@ _NON_FINITE, _SATURATED, _DARK = int(Status.NON_FINITE), int(Status.SATURATED), 
 #: The lobe must be seen where D is at least this, or its height is an extrapolation.
 _LEAST_LOBE = math.exp(-2.0)
 _SINGULAR = 1e-10
+_TOLD_APART = 1e-6
+_LEAST_LEFT = 0.05  # of an observation's error that its residual is taken to show at least
 
 
 class Verdict(NamedTuple):
@@ -104,13 +106,64 @@ def _sandwich(m, i0, i1, i2):
 
 
 @numba.njit(cache=True, error_model="numpy")
+def excess_of(chi2, degrees):
+    """Return by what variances are multiplied: χ² over degrees of freedom where that exceeds 1, with Student's factor.
+
+    The factor is that of the interval which holds 68 % of a normal variable, to 0.3 % for any degrees of freedom.
+    """
+    if not chi2 > degrees:
+        return 1.0
+    student = 1.0 + (0.5 + 0.25 / degrees + 0.087 / (degrees * degrees * degrees)) / degrees
+    return chi2 / degrees * student * student
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _lone_alpha(normal, middle, told, excess, a, rules):
+    """Return the standard error of α where β and μ are open; ``told`` is the part of its column that is theirs."""
+    if not (normal > 0.0 and 1.0 - told > _TOLD_APART):
+        return np.inf
+    common = rules.model_error * a
+    return math.sqrt(excess * middle / (normal * normal * (1.0 - told)) + common * common)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _scatter(block, a, b, log_mu, correlation, scale, determinant):
+    """Return Σ w² v J Jᵀ where the variances v are not known: those of the residuals, at least the expected ones.
+
+    A residual is smaller than the error by what the observation decides itself, its leverage h: v = r² / (1 - h)²
+    (HC3; MacKinnon and White, J. Econometrics 29, 1985).
+    """
+    p, q, r = correlation
+    i0, i1, i2 = 1.0 - r * r, 1.0 - q * q, 1.0 - p * p
+    i01, i02, i12 = q * r - p, p * r - q, p * q - r
+    factor = -math.exp(-2.0 * log_mu)
+    m0, m1, m2, m3, m4, m5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(block.shape[1]):
+        x, w = block[SQUARE, j] * factor, block[WEIGHT, j]
+        c, g = block[COSINE, j], block[GLOSS, j] * exp_negative(x)
+        s = -2.0 * b * x * g
+        u0, u1, u2 = c * scale[0], g * scale[1], s * scale[2]
+        form = u0 * (i0 * u0 + 2.0 * (i01 * u1 + i02 * u2)) + u1 * (i1 * u1 + 2.0 * i12 * u2) + i2 * u2 * u2
+        left = max(1.0 - w * form / determinant, _LEAST_LEFT)
+        off = (a * c + b * g - block[RESPONSE, j]) / left
+        u = w * w * max(off * off, block[EXPECTED, j])
+        m0 += u * c * c
+        m1 += u * c * g
+        m2 += u * g * g
+        m3 += u * c * s
+        m4 += u * g * s
+        m5 += u * s * s
+    return m0, m1, m2, m3, m4, m5
+
+
+@numba.njit(cache=True, error_model="numpy")
 def full_errors(block, a, b, log_mu, used, rules, with_alpha):
     """Return the standard errors of α, β, log μ, or of β and log μ alone."""
     squares, chi2, normal, middle = _normal(block, a, b, log_mu, rules.pose_variance)
-    excess = max(chi2 / max(used - (3 if with_alpha else 2), 1), 1.0)
-    infinite = Errors(np.inf, np.inf, np.inf, squares, excess)
+    excess = excess_of(chi2, max(used - (3 if with_alpha else 2), 1))
     if not (normal[0] > 0.0 and normal[2] > 0.0 and normal[5] > 0.0):
-        return infinite
+        lone = _lone_alpha(normal[0], middle[0], 0.0, excess, a, rules) if with_alpha else np.inf
+        return Errors(lone, np.inf, np.inf, squares, excess)
     s0, s1, s2 = 1.0 / math.sqrt(normal[0]), 1.0 / math.sqrt(normal[2]), 1.0 / math.sqrt(normal[5])
     # Scaled to a unit diagonal, a determinant near zero means that two parameters cannot be told apart.
     p, q, r = normal[1] * s0 * s1, normal[3] * s0 * s2, normal[4] * s1 * s2
@@ -118,7 +171,13 @@ def full_errors(block, a, b, log_mu, used, rules, with_alpha):
         p, q = 0.0, 0.0
     determinant = 1.0 + 2.0 * p * q * r - p * p - q * q - r * r
     if not determinant > _SINGULAR:
-        return infinite
+        apart = 1.0 - r * r
+        told = (p * p + q * q - 2.0 * p * q * r) / apart if apart > _SINGULAR else p * p
+        lone = _lone_alpha(normal[0], middle[0], told, excess, a, rules) if with_alpha else np.inf
+        return Errors(lone, np.inf, np.inf, squares, excess)
+    if not rules.known:
+        middle = _scatter(block, a, b, log_mu, (p, q, r), (s0, s1, s2), determinant)
+        excess = 1.0
     scaled = (
         middle[0] * s0 * s0, middle[1] * s0 * s1, middle[2] * s1 * s1,
         middle[3] * s0 * s2, middle[4] * s1 * s2, middle[5] * s2 * s2,
@@ -151,7 +210,7 @@ def diffuse_errors(block, a, used, rules):
         chi2 += kept * kept / v
         normal += w * c * c
         middle += w * w * v * c * c
-    excess = max(chi2 / max(used - 1, 1), 1.0)
+    excess = excess_of(chi2, max(used - 1, 1))
     variance = excess * middle / (normal * normal) if normal > 0.0 else np.inf
     return math.sqrt(variance + (rules.model_error * a) ** 2), squares
 
@@ -205,10 +264,30 @@ def hopeless(used, lost, clipped):
 
 
 @numba.njit(cache=True, error_model="numpy")
+def diffuse_status(block, clipped, model, diffuse, rules):
+    """Return the status of a texel whose data shows no gloss."""
+    if highlight_clips(block, clipped, 0.0, False):
+        return _SATURATED
+    if model == NOTHING:
+        return _DARK
+    pinned = diffuse >= rules.high_alpha * (1.0 - 1e-6) or 0.0 < diffuse <= rules.low_alpha * (1.0 + 1e-6)
+    return _AT_BOUND if pinned else _DIFFUSE_ONLY
+
+
+@numba.njit(cache=True, error_model="numpy")
+def shown_dark(a, error, fixed):
+    """Return whether α is known to be small: its share of the power, two standard errors up, is under a tenth."""
+    high = a + 2.0 * error
+    return high * high * fixed[0] < 0.1 * fixed[2]
+
+
+@numba.njit(cache=True, error_model="numpy")
 def gloss_status(block, clipped, a, b, log_mu, errors, rules):
     """Return the status of a texel whose data shows gloss."""
     edge = a >= rules.high_alpha * (1.0 - 1e-6) or b >= rules.high_beta * (1.0 - 1e-6)
     edge = edge or log_mu >= rules.high_log_mu - 1e-4 or log_mu <= rules.low_log_mu + 1e-4
+    edge = edge or (rules.low_alpha > 0.0 and a <= rules.low_alpha * (1.0 + 1e-6))
+    edge = edge or (rules.low_beta > 0.0 and b <= rules.low_beta * (1.0 + 1e-6))
     if highlight_clips(block, clipped, log_mu, True):
         return _SATURATED
     if edge:

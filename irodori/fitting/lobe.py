@@ -97,6 +97,7 @@ def pack_geometry(geometry, n, k, angles, block):
     for j in range(block.shape[1]):
         # As `irodori.brdf.attenuation_over_cosine`: zero unless all four cosines are positive.
         cos_i, cos_r, cos_h, cos_phi = angles[0, j], angles[1, j], angles[2, j], angles[3, j]
+        block[LOBE, j] = cos_r
         facet = 2.0 * cos_phi / (cos_h + _TINY)
         bounded = facet * cos_i
         bounded = (bounded if bounded < 1.0 else 1.0) / (cos_r + _TINY)
@@ -106,7 +107,8 @@ def pack_geometry(geometry, n, k, angles, block):
         bounded = bounded if cos_h > 0.0 else 0.0
         angles[1, j] = bounded if cos_phi > 0.0 else 0.0
     for j in range(block.shape[1]):
-        block[COSINE, j] = angles[0, j]
+        # Light and eye are on the outer side, or no light is carried.
+        block[COSINE, j] = angles[0, j] if angles[0, j] > 0.0 and block[LOBE, j] > 0.0 else 0.0
         block[GLOSS, j] = _fresnel(angles[2, j], n, k) * angles[1, j]
 
 

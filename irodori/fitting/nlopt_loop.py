@@ -28,9 +28,10 @@ from irodori.fitting.lobe import (
     pack_geometry,
     padded,
 )
-from irodori.fitting.observations import load, weigh
+from irodori.fitting.observations import expect, load, telling, weigh
+from irodori.fitting.robust import robust
 from irodori.fitting.shared import no_shared, padded_nodes
-from irodori.fitting.texels import clipped_of, conclude, give_up, robust, write
+from irodori.fitting.texels import clipped_of, conclude, doubt, give_up, is_noisy, write
 from irodori.fitting.varpro import SUMS, find_intervals, pair_at, scan_own, value_nodes
 from irodori.native import c_function
 
@@ -177,8 +178,17 @@ def _polish(nlopt, optimiser, data, start, rules, vectors):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def start_of(block, problem, rules, sums):
+def start_of(block, problem, rules, used, floor, sums):
     """Return the sums without lobe, and the best α, β, log μ that the scan knows with their sum of squares."""
+    start = _scanned(block, problem, rules, sums)
+    if is_noisy(used, floor, start[4], start[0], rules):
+        expect(block, start[1], start[2], start[3], rules)
+        start = _scanned(block, problem, rules, sums)
+    return start
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _scanned(block, problem, rules, sums):
     box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
     fixed = weigh(block)
     scan_own(block, problem.nodes, problem.steepness, problem.chains, sums)
@@ -201,22 +211,24 @@ def load_own(t, problem, rules, block, angles):
     """Fill a texel's block."""
     n = problem.n[t if problem.n.size > 1 else 0]
     pack_geometry(problem.geometry[t if problem.geometry.shape[0] > 1 else 0], n, problem.k, angles, block)
-    return load(problem.response[t], problem.weight[t], rules, block)
+    used, lost, floor = load(problem.response[t], problem.weight[t], rules, block)
+    return telling(block, used), lost, floor
 
 
 @numba.njit(cache=True, error_model="numpy")
 def finish(t, block, fixed, found, used, floor, evaluations, problem, rules, sums, out):
     """Judge α, β, log μ that a solver found, after reweighting if that is asked for, and write the texel."""
     a, b, log_mu = found
+    settled = True
     if rules.huber > 0.0:
-        fixed, log_mu, count = robust(block, sums, fixed, log_mu, rules)
-        box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
-        a, b, _ = pair_at(block, fixed, box, log_mu)
+        fixed, a, b, log_mu, count, settled = robust(block, sums, problem.nodes, rules)
         scan_own(block, problem.nodes, problem.steepness, problem.chains, sums)
         evaluations += count + problem.nodes.size
     clipped = clipped_of(t, problem)
     verdict = conclude(block, no_shared(), fixed, a, b, log_mu, used, floor, clipped, problem.nodes, sums, rules)
     write(out, t, verdict, fixed, evaluations)
+    if not settled:
+        doubt(out, t)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -229,7 +241,7 @@ def _fit_chunk(nlopt, problem, rules, out, first, last):
         if used <= judge.PARAMETERS:
             give_up(t, used, lost, problem, out)
             continue
-        fixed, a, b, log_mu, squares = start_of(block, problem, rules, sums)
+        fixed, a, b, log_mu, squares = start_of(block, problem, rules, used, floor, sums)
         set_scales(data, block, fixed[2], a, b)
         code, count, pa, pb, pt = _polish(nlopt, optimiser, data, (a, b, log_mu), rules, vectors)
         if objective(pa, pb, pt, block)[0] <= squares:

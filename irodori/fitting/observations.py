@@ -10,19 +10,24 @@ from irodori.fitting.lobe import (
     CONSTANT,
     COSINE,
     FAST,
+    GLOSS,
     RESPONSE,
     SLOPE,
     SPOILED,
+    SQUARE,
     TRUST,
     VARIANCE,
     WEIGHT,
     WEIGHTED_COSINE,
     WEIGHTED_RESPONSE,
+    exp_negative,
     padded,
 )
 
 _LEAST_VARIANCE = 1e-8  # of the mean square response: no observation counts ten thousand times another
 _TINY = 1e-60
+_SAME = 1e-6  # of cosine, φ² and gloss: what single precision makes of one angle
+ENOUGH = 4  # geometries that determine three unknowns and can object to them
 
 
 class Rules(NamedTuple):
@@ -62,8 +67,16 @@ class Rules(NamedTuple):
 
 
 def camera_noise(model, captures: int) -> tuple[np.ndarray, bool]:
-    """Return c0 and c1 of every capture in padded rows, (2, P), and whether they are known: given and finite."""
+    """Return c0 and c1 of every capture in padded rows, (2, P), and whether they are known: given and finite.
+
+    Raises
+    ------
+    ValueError
+        If one is negative: a variance is not.
+    """
     out = np.zeros((2, padded(captures)))
+    if model is not None and (np.asarray(model) < 0.0).any():
+        raise ValueError(f"noise model with a coefficient of {np.nanmin(model):.3g}; accepted: 0 or more")
     known = model is not None and bool(np.isfinite(model).all())
     if known:
         out[:, :captures] = np.asarray(model, dtype=np.float64).T
@@ -83,7 +96,7 @@ def load(response, weight, rules, block):
     floor : float
         Expected weighted square of a residual.
     """
-    used, offered, total, power = 0.0, 0.0, 0.0, 0.0
+    used, offered, total, power, largest = 0.0, 0.0, 0.0, 0.0, 0.0
     for j in range(response.size):
         given, trust = np.float64(response[j]), np.float64(weight[j])
         fine = abs(given + block[SPOILED, j]) < np.inf and trust > 0.0 and trust < np.inf
@@ -92,8 +105,13 @@ def load(response, weight, rules, block):
         block[RESPONSE, j], block[TRUST, j] = r, t
         used += 1.0 if fine else 0.0
         offered += 0.0 if trust <= 0.0 else 1.0
+        largest = t if t > largest else largest
+    scale = 1.0 / largest if largest > _TINY else 1.0 / _TINY
+    for j in range(response.size):
+        t = block[TRUST, j] * scale
+        block[TRUST, j] = t
         total += t
-        power += t * r * r
+        power += t * block[RESPONSE, j] * block[RESPONSE, j]
     power /= total if total > 0.0 else 1.0
     relative = rules.model_error * rules.model_error
     common = _TINY + (_LEAST_VARIANCE if rules.known else relative) * power
@@ -108,6 +126,60 @@ def load(response, weight, rules, block):
         block[WEIGHT, j] = w
         floor += w * v
     return int(used), int(offered - used), floor / max(used, 1.0)
+
+
+@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+def expect(block, a, b, log_mu, rules):
+    """Weigh observations by the variance that the fitted response calls for, not the one with its noise.
+
+    A reading that is too low by chance has too small a variance, and counts for too much.
+    """
+    factor = -math.exp(-2.0 * log_mu)
+    relative = rules.model_error * rules.model_error
+    for j in range(block.shape[1]):
+        r, v = block[RESPONSE, j], block[VARIANCE, j]
+        fitted = a * block[COSINE, j] + b * block[GLOSS, j] * exp_negative(block[SQUARE, j] * factor)
+        given = r if r > 0.0 else 0.0
+        u = v + block[SLOPE, j] * (fitted - given) + relative * (fitted * fitted - r * r)
+        least = _LEAST_VARIANCE * v
+        u = u if u > least else least
+        block[VARIANCE, j] = u
+        block[TRUST, j] *= v / u
+        block[WEIGHT, j] = block[TRUST, j]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def telling(block, used):
+    """Return the number of observations with weight, or of their geometries where these are fewer than `ENOUGH`.
+
+    A repeated geometry adds certainty to what it tells, and nothing else.
+    """
+    count, first, second, third = 0, 0, 0, 0
+    for j in range(block.shape[1]):
+        if not block[WEIGHT, j] > 0.0:
+            continue
+        if count > 0 and _same(block, j, first):
+            continue
+        if count > 1 and _same(block, j, second):
+            continue
+        if count > 2 and _same(block, j, third):
+            continue
+        count += 1
+        if count == ENOUGH:
+            return used
+        if count == 1:
+            first = j
+        elif count == 2:
+            second = j
+        else:
+            third = j
+    return count
+
+
+@numba.njit(cache=True, error_model="numpy", inline="always")
+def _same(block, i, j):
+    near = abs(block[COSINE, i] - block[COSINE, j]) <= _SAME and abs(block[SQUARE, i] - block[SQUARE, j]) <= _SAME
+    return near and abs(block[GLOSS, i] - block[GLOSS, j]) <= _SAME * (1.0 + block[GLOSS, i])
 
 
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")

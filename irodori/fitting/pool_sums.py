@@ -10,8 +10,19 @@ import math
 import numba
 import numpy as np
 
-from irodori.fitting.lobe import COSINE, FAST, GLOSS, RESPONSE, SQUARE, VARIANCE, WEIGHT, exp_negative, pack_geometry
-from irodori.fitting.observations import load
+from irodori.fitting.lobe import (
+    COSINE,
+    FAST,
+    GLOSS,
+    LOBE,
+    RESPONSE,
+    SQUARE,
+    VARIANCE,
+    WEIGHT,
+    exp_negative,
+    pack_geometry,
+)
+from irodori.fitting.observations import load, telling
 from irodori.fitting.texels import new_block
 
 PACKED = 5
@@ -21,11 +32,17 @@ _CHUNK = 128
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _weights(block, alpha, beta, mu, used, floor, huber, out):
+def _weights(block, beta, mu, used, floor, rules, out):
     """Fill inverse variances: the weights over what the texel's own residual says of them, outliers by Huber's loss."""
-    squares = 0.0
+    squares, cc, cr, huber = 0.0, 0.0, 0.0, rules.huber
     for j in range(block.shape[1]):
-        lobe = block[GLOSS, j] * exp_negative(-block[SQUARE, j] / (mu * mu))
+        block[LOBE, j] = block[GLOSS, j] * exp_negative(-block[SQUARE, j] / (mu * mu))
+        wc = block[WEIGHT, j] * block[COSINE, j]
+        cc += wc * block[COSINE, j]
+        cr += wc * (block[RESPONSE, j] - beta * block[LOBE, j])
+    alpha = min(max(cr / cc if cc > 0.0 else 0.0, rules.low_alpha), rules.high_alpha)
+    for j in range(block.shape[1]):
+        lobe = block[LOBE, j]
         r = alpha * block[COSINE, j] + beta * lobe - block[RESPONSE, j]
         w = block[WEIGHT, j]
         if huber > 0.0:
@@ -114,10 +131,11 @@ def _pack_chunk(problem, rules, own, nodes, packed, used, sums, first, last):
         pack_geometry(problem.geometry[t if problem.geometry.shape[0] > 1 else 0], n, problem.k, angles, block)
         count, _lost, floor = load(problem.response[t], problem.weight[t], rules, block)
         used[t] = count
+        count = telling(block, count)
         if count <= 3 or not math.isfinite(own[t, 0]):
             used[t] = 0
             continue
-        _weights(block, own[t, 0], own[t, 1], own[t, 2], count, floor, rules.huber, packed[t])
+        _weights(block, own[t, 0], own[t, 1], count, floor, rules, packed[t])
         best = 0
         for i in range(nodes.size):
             a, sums[t, 1, i], sums[t, 2, i] = evaluate(packed[t], nodes[i])
@@ -137,8 +155,8 @@ def pack(problem, rules, own, nodes, packed, used, sums):
     ----------
     problem : Problem
     rules : Rules
-    own : (texels, 3) float64
-        α, β, μ of each texel's own best fit; NaN where there is none.
+    own : (texels, 2) float64
+        β and μ of each texel's own best fit; NaN where it takes no part.
     nodes : (nodes,) float64
         log μ, falling.
     packed : (texels, PACKED, P) float64

@@ -233,7 +233,7 @@ def pool(result: FitResult, response, geometry, weight, n, k, options: FitOption
     index = np.where(np.isfinite(result.index), result.index, n)
     problem, rules = problem_of(response, geometry, weight, index, k, options, noise, None)
     nodes = replace(options, scan_per_octave=4).nodes()
-    own = np.column_stack([result.alpha, result.gloss])
+    own = result.gloss.copy()
     own[~np.isin(result.status, _TAKE_PART)] = np.nan
     count, observations = len(response), problem.noise.shape[1]
     packed, sums = np.zeros((count, PACKED, observations)), np.zeros((count, 4, nodes.size))

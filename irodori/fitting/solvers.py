@@ -10,18 +10,19 @@ import numpy as np
 
 from irodori.fitting import judge, nlopt_loop, texels
 from irodori.fitting.index import fit_index
+from irodori.fitting.index_errors import index_errors
 from irodori.fitting.observations import Rules, camera_noise, pose_variance
 from irodori.fitting.varpro import NODE_STEP
 
 MODEL_PARAMETERS = ("alpha", "beta", "mu")
 _MAX_RELATIVE_ERROR = judge.MAX_RELATIVE_ERROR
-# Bounded local algorithms that reach the minimum on noisy texels; MMA and CCSAQ stop at up to three times its value.
+# Bounded local algorithms that reach the minimum on noisy texels; MMA and CCSAQ stop at up to three times its value,
+# and PRAXIS draws random directions: two runs differ.
 _ALGORITHMS = (
     "LN_BOBYQA",
     "LN_COBYLA",
     "LN_NELDERMEAD",
     "LN_SBPLX",
-    "LN_PRAXIS",
     "LD_SLSQP",
     "LD_LBFGS",
     "LD_TNEWTON",
@@ -91,6 +92,10 @@ class FitOptions:
         if not 0 <= self.pooling_radius_texels <= MAX_POOLING_RADIUS_TEXELS:
             found = f"fit.pooling_radius_texels {self.pooling_radius_texels}"
             raise ValueError(f"{found}; accepted: 0 to {MAX_POOLING_RADIUS_TEXELS}")
+        for name in _BOUNDS:
+            low, high = self.limits(name)
+            if not low < high * (0.99 if name == "mu_rad" else 1.0) < np.inf:
+                raise ValueError(f"fit.bounds {name} of {low:g} to {high:g}; accepted: a range, lower bound first")
 
     def limits(self, name: str) -> tuple[float, float]:
         """Return lower and upper bound of a parameter."""
@@ -229,7 +234,7 @@ def _solve_reference(problem: texels.Problem, rules: Rules, options: FitOptions)
         if used <= judge.PARAMETERS:
             texels.give_up(t, used, lost, problem, out)
             continue
-        fixed, *start, best = nlopt_loop.start_of(block, problem, rules, sums)
+        fixed, *start, best = nlopt_loop.start_of(block, problem, rules, used, floor, sums)
         nlopt_loop.set_scales(data, block, fixed[2], start[0], start[1])
         scale = np.append(data[1:3], 1.0)
         kept = block[nlopt_loop.WEIGHT] > 0
@@ -334,7 +339,10 @@ def fit(
     def at(index: np.ndarray) -> texels.Output:
         return solve(problem._replace(n=index), rules, options)
 
-    found = fit_index(at, len(problem.response), options.limits("n"), problem.n)
+    def errors_at(index: np.ndarray, found: np.ndarray) -> np.ndarray:
+        return index_errors(problem, rules, index, found)
+
+    found = fit_index(at, errors_at, len(problem.response), options.limits("n"), problem.n)
     return replace(_result(found.output, problem), index=found.index, index_error=found.error)
 
 
@@ -347,9 +355,12 @@ def _result(out: texels.Output, problem: texels.Problem) -> FitResult:
     mu = np.exp(table[:, judge.LOG_MU])
     squares, power = table[:, judge.SQUARES], table[:, judge.POWER]
     rms = np.sqrt(squares)
-    alpha_error = table[:, judge.ALPHA_ERROR]
+    # α is 0 by choice of the model where it has no error, and not told apart from gloss anywhere else.
+    open_alpha = ~np.isfinite(table[:, judge.ALPHA_ERROR]) & (out.model != judge.GLOSS_ALONE)
+    # At a bound of gloss, what the bound does to α is not in its error.
+    alpha_error = np.where(status == judge.Status.AT_BOUND, np.nan, table[:, judge.ALPHA_ERROR])
     return FitResult(
-        alpha=table[:, judge.ALPHA],
+        alpha=np.where(open_alpha, np.nan, table[:, judge.ALPHA]),
         beta=np.where(known, table[:, judge.BETA], np.nan),
         mu=np.where(known, mu, np.nan),
         alpha_error=np.where(np.isfinite(alpha_error), alpha_error, np.nan),

@@ -27,7 +27,8 @@ from irodori.material import Status
 from irodori.progress import LOGGER
 
 GREEN = 1  # green without the filter, the band of equation (7)
-_RESPONSE_NOISE = 0.01
+_RESPONSE_NOISE = 0.01  # where the camera's is not known
+_LEAST_VARIANCE = 1e-12
 _GLOSS_MODEL_ERROR = 0.1
 
 
@@ -42,46 +43,57 @@ def _lobe(block, beta, mu):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _combine_texel(response, weight, noise, theta_h, ratio, block, out, variance):
+def _expected(noise, j, b, gloss, fitted, model_error):
+    """Return the variance of an observation: of noise and light at the ``fitted`` response, else of an even camera."""
+    own = noise[j, b, 0] + noise[j, b, 1] * max(fitted, 0.0) + (model_error * fitted) ** 2
+    own = max(own, _LEAST_VARIANCE) if math.isfinite(own) else _RESPONSE_NOISE**2
+    return own + (_GLOSS_MODEL_ERROR * gloss) ** 2
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _combine_texel(response, weight, noise, model_error, theta_h, ratio, block, out, variance):
     step = 0.5 * math.pi / (ratio.shape[1] - 1)
     for b in range(response.shape[1]):
-        top, bottom, spread = 0.0, 0.0, 0.0
-        for j in range(response.shape[0]):
-            rho, cosine = response[j, b], block[COSINE, j]
-            if not weight[j] > 0.0 or not math.isfinite(rho) or block[SPOILED, j] != 0.0:
-                continue
-            place = min(max(theta_h[j] / step, 0.0), ratio.shape[1] - 1.0)
-            i = min(int(place), ratio.shape[1] - 2)
-            gloss = block[LOBE, j] * (ratio[b, i] + (place - i) * (ratio[b, i + 1] - ratio[b, i]))
-            expected = _RESPONSE_NOISE**2 + (_GLOSS_MODEL_ERROR * gloss) ** 2
-            w = weight[j] * cosine / expected
-            top += w * (rho - gloss)
-            bottom += w * cosine
-            spread += w * w * (noise[j, b, 0] + noise[j, b, 1] * max(rho, 0.0))
-        out[b] = top / bottom if bottom > 0.0 else np.nan
+        diffuse = np.nan  # not known in the first of two rounds
+        for _ in range(2):
+            top, bottom, spread = 0.0, 0.0, 0.0
+            for j in range(response.shape[0]):
+                rho, cosine = response[j, b], block[COSINE, j]
+                if not weight[j] > 0.0 or not math.isfinite(rho) or block[SPOILED, j] != 0.0:
+                    continue
+                place = min(max(theta_h[j] / step, 0.0), ratio.shape[1] - 1.0)
+                i = min(int(place), ratio.shape[1] - 2)
+                gloss = block[LOBE, j] * (ratio[b, i] + (place - i) * (ratio[b, i + 1] - ratio[b, i]))
+                expected = _expected(noise, j, b, gloss, diffuse * cosine + gloss, model_error)
+                w = weight[j] * cosine / expected
+                top += w * (rho - gloss)
+                bottom += w * cosine
+                spread += w * w * (noise[j, b, 0] + noise[j, b, 1] * max(rho, 0.0))
+            diffuse = top / bottom if bottom > 0.0 else np.nan
+        out[b] = diffuse
         variance[b] = spread / bottom**2 if bottom > 0.0 else np.nan
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _combine_chunk(response, geometry, weight, gloss, n, k, ratio, noise, out, variance, first, last):
+def _combine_chunk(response, geometry, weight, gloss, n, k, ratio, noise, model_error, out, variance, first, last):
     p = padded(response.shape[1])
     block, angles = np.zeros((ROWS, p)), np.zeros((4, p))
     for t in range(first, last):
         pack_geometry(geometry[t], n[t], k, angles, block)
         _lobe(block, gloss[t, 0], gloss[t, 1])
-        _combine_texel(response[t], weight[t], noise, geometry[t, :, 2], ratio, block, out[t], variance[t])
+        _combine_texel(response[t], weight[t], noise, model_error, geometry[t, :, 2], ratio, block, out[t], variance[t])
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _combine(response, geometry, weight, gloss, n, k, ratio, noise, out, variance):
+def _combine(response, geometry, weight, gloss, n, k, ratio, noise, model_error, out, variance):
     texels = response.shape[0]
     for c in numba.prange((texels + _CHUNK - 1) // _CHUNK):
         first, last = c * _CHUNK, min(texels, (c + 1) * _CHUNK)
-        _combine_chunk(response, geometry, weight, gloss, n, k, ratio, noise, out, variance, first, last)
+        _combine_chunk(response, geometry, weight, gloss, n, k, ratio, noise, model_error, out, variance, first, last)
 
 
 def diffuse_response(
-    response, geometry, weight, result: FitResult, fresnel: BandGloss, noise
+    response, geometry, weight, result: FitResult, fresnel: BandGloss, noise, model_error: float = 0.01
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return each texel's response to its diffuse reflectance alone, all observations combined, and its variance.
 
@@ -108,7 +120,19 @@ def diffuse_response(
     out, variance = np.empty((2, len(response), response.shape[2]))
     noise = np.ascontiguousarray(noise, dtype=np.float64)
     index = np.where(np.isfinite(result.index), result.index, fresnel.n)
-    _combine(response, geometry, weight, result.gloss, index, fresnel.k, fresnel.ratio, noise, out, variance)
+    _combine(
+        response,
+        geometry,
+        weight,
+        result.gloss,
+        index,
+        fresnel.k,
+        fresnel.ratio,
+        noise,
+        float(model_error),
+        out,
+        variance,
+    )
     return out, variance
 
 
@@ -178,7 +202,7 @@ def fit_brdf(observations, output, options: FitOptions, n, k, provenance: store.
     seconds = time.perf_counter() - start
     result = pool(result, green, geometry, weight, n, k, options, of_green, carried["width"])
     fitted = int((result.evaluations > 0).sum())
-    diffuse, variance = diffuse_response(response, geometry, weight, result, fresnel, noise)
+    diffuse, variance = diffuse_response(response, geometry, weight, result, fresnel, noise, options.model_error)
     with store.create(output, provenance) as out:
         maps = {
             "texel": (texel, "1", "1 where a surface lies under the texel's centre"),

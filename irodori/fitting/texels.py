@@ -9,30 +9,25 @@ import numpy as np
 from irodori.fitting import judge
 from irodori.fitting.lobe import (
     CONSTANT,
-    COSINE,
-    FAST,
-    GLOSS,
-    RESPONSE,
     ROWS,
     SLOPE,
-    SQUARE,
-    TRUST,
-    VARIANCE,
     WEIGHT,
-    exp_negative,
     pack_geometry,
     padded,
 )
-from irodori.fitting.observations import Rules, load, weigh
+from irodori.fitting.observations import Rules, expect, load, telling, weigh
+from irodori.fitting.robust import robust
 from irodori.fitting.shared import no_shared, padded_nodes, scan_shared, tabulate
-from irodori.fitting.varpro import NODE_STEP, SUMS, minimise, newton, pair_at, scan_own
+from irodori.fitting.varpro import SUMS, minimise, scan_own
 from irodori.material import Status
 from irodori.native import aligned, run_chunks
 
 _CHUNK = 2048  # texels that a thread fits before it asks for more
-_REWEIGHTINGS = 6
+_NOISY = (
+    0.01  # relative variance of an observation times their number, from which on weights are of the fitted response
+)
 _SURE = 4.0  # standard errors of α from zero, from which on a model without diffuse light is not tried
-_DARK, _DIFFUSE_ONLY, _SATURATED = int(Status.DARK), int(Status.DIFFUSE_ONLY), int(Status.SATURATED)
+_OK, _UNIDENTIFIABLE = int(Status.OK), int(Status.MU_UNIDENTIFIABLE)
 
 
 class Problem(NamedTuple):
@@ -87,32 +82,6 @@ def new_block(problem):
     return block, aligned(4 * p).reshape((4, p)), aligned(SUMS * nodes).reshape((SUMS, nodes))
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
-def _reweigh(block, a, b, log_mu, huber):
-    """Give observations beyond ``huber`` standard deviations the weight that makes their loss linear."""
-    factor = -math.exp(-2.0 * log_mu)
-    for j in range(block.shape[1]):
-        g = block[GLOSS, j] * exp_negative(block[SQUARE, j] * factor)
-        deviation = abs(a * block[COSINE, j] + b * g - block[RESPONSE, j]) / math.sqrt(block[VARIANCE, j])
-        block[WEIGHT, j] = block[TRUST, j] * (huber / deviation if deviation > huber else 1.0)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def robust(block, sums, fixed, log_mu, rules):
-    """Reweight outliers and polish in turn; return the new sums, log μ and the evaluations."""
-    evaluations = 0
-    box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
-    nothing = no_shared()
-    for _ in range(_REWEIGHTINGS):
-        a, b, _value = pair_at(block, fixed, box, log_mu)
-        _reweigh(block, a, b, log_mu, rules.huber)
-        fixed = weigh(block)
-        low, high = max(log_mu - NODE_STEP, rules.low_log_mu), min(log_mu + NODE_STEP, rules.high_log_mu)
-        log_mu, _, _, count = newton(block, nothing, sums, fixed, box, log_mu, low, high, False)
-        evaluations += count + 1
-    return fixed, log_mu, evaluations
-
-
 @numba.njit(cache=True, error_model="numpy")
 def conclude(block, shared, fixed, a, b, log_mu, used, floor, clipped, nodes, sums, rules):
     """Choose the model by BIC, state errors and status; the scan's sums are those of the block."""
@@ -131,16 +100,15 @@ def conclude(block, shared, fixed, a, b, log_mu, used, floor, clipped, nodes, su
         criterion = judge.information_criterion(both.squares, used, floor, 3.0 * unknown)
         if criterion < best or rules.low_beta > 0.0:
             model, best, errors = judge.BOTH, criterion, both
-        if rules.low_alpha == 0.0 and not a > _SURE * both.alpha:
+        # That gloss alone explains the data says nothing where the data cannot tell α from gloss.
+        if rules.low_alpha == 0.0 and not a > _SURE * both.alpha and judge.shown_dark(a, both.alpha, fixed):
             box = (0.0, 0.0, rules.low_beta, rules.high_beta)
             alone_mu, _, alone_b, evaluations = minimise(block, shared, fixed, box, nodes, sums)
             alone = judge.full_errors(block, 0.0, alone_b, alone_mu, used, rules, False)
             if judge.information_criterion(alone.squares, used, floor, 2.0 * unknown) < best:
                 model, errors, a, b, log_mu = judge.GLOSS_ALONE, alone, 0.0, alone_b, alone_mu
     if model == judge.NOTHING or model == judge.DIFFUSE_ALONE:
-        status = _DARK if model == judge.NOTHING else _DIFFUSE_ONLY
-        if judge.highlight_clips(block, clipped, 0.0, False):
-            status = _SATURATED
+        status = judge.diffuse_status(block, clipped, model, diffuse, rules)
         diffuse_error, squares = judge.diffuse_errors(block, diffuse, used, rules)
         variance = max(squares / (used - 1), floor)
         return judge.Verdict(
@@ -171,28 +139,6 @@ def clipped_of(t, problem):
     return problem.clipped[t if problem.clipped.shape[0] > 1 else 0]
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _fit_texel(t, block, shared, used, floor, problem, rules, sums, out):
-    """Scan, polish and judge one loaded texel whose sums are filled."""
-    box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
-    fixed = weigh(block)
-    log_mu, a, b, evaluations = minimise(block, shared, fixed, box, problem.nodes, sums)
-    if rules.huber > 0.0:
-        fixed, log_mu, count = robust(block, sums, fixed, log_mu, rules)
-        scan_own(block, problem.nodes, problem.steepness, problem.chains, sums)
-        a, b, _ = pair_at(block, fixed, box, log_mu)
-        evaluations += count + problem.nodes.size
-    clipped = clipped_of(t, problem)
-    verdict = conclude(block, shared, fixed, a, b, log_mu, used, floor, clipped, problem.nodes, sums, rules)
-    write(out, t, verdict, fixed, evaluations)
-
-
-@numba.njit(cache=True)
-def give_up(t, used, lost, problem, out):
-    """Store the status of a texel with too few observations."""
-    out.status[t] = judge.hopeless(used, lost, clipped_of(t, problem))
-
-
 @numba.njit(cache=True)
 def _weights_changed(block, before):
     changed = False
@@ -200,6 +146,66 @@ def _weights_changed(block, before):
         changed |= block[WEIGHT, j] != before[j]
         before[j] = block[WEIGHT, j]
     return changed
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _scan(block, shared, problem, sums, before):
+    if shared.shapes.shape[0] == 0:
+        scan_own(block, problem.nodes, problem.steepness, problem.chains, sums)
+    else:
+        scan_shared(block, shared, sums, _weights_changed(block, before))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _fit_texel(t, block, shared, used, floor, problem, rules, sums, before, out):
+    """Scan, polish and judge one loaded texel."""
+    box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
+    fixed = weigh(block)
+    _scan(block, shared, problem, sums, before)
+    log_mu, a, b, evaluations = minimise(block, shared, fixed, box, problem.nodes, sums)
+    settled = True
+    if is_noisy(used, floor, _least_square(problem.nodes, sums), fixed, rules):
+        expect(block, a, b, log_mu, rules)
+        fixed = weigh(block)
+        _scan(block, shared, problem, sums, before)
+        log_mu, a, b, count = minimise(block, shared, fixed, box, problem.nodes, sums)
+        evaluations += count
+    if rules.huber > 0.0:
+        fixed, a, b, log_mu, count, settled = robust(block, sums, problem.nodes, rules)
+        _scan(block, shared, problem, sums, before)
+        evaluations += count + problem.nodes.size
+    clipped = clipped_of(t, problem)
+    verdict = conclude(block, shared, fixed, a, b, log_mu, used, floor, clipped, problem.nodes, sums, rules)
+    write(out, t, verdict, fixed, evaluations)
+    if not settled:
+        doubt(out, t)
+
+
+@numba.njit(cache=True)
+def is_noisy(used, floor, squares, fixed, rules):
+    """Return whether weights of noisy responses would pull α by more than a tenth of its standard error."""
+    return rules.weighted and used * max(used * floor, squares) > _NOISY * fixed[2]
+
+
+@numba.njit(cache=True)
+def doubt(out, t):
+    """Take back that the gloss of a texel is determined."""
+    if out.status[t] == _OK:
+        out.status[t] = _UNIDENTIFIABLE
+
+
+@numba.njit(cache=True)
+def _least_square(nodes, sums):
+    least = np.inf
+    for i in range(nodes.size):
+        least = min(least, sums[6, i])
+    return least
+
+
+@numba.njit(cache=True)
+def give_up(t, used, lost, problem, out):
+    """Store the status of a texel with too few observations."""
+    out.status[t] = judge.hopeless(used, lost, clipped_of(t, problem))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -216,17 +222,11 @@ def _fit_chunk(problem, shared, rules, common, out, first, last):
             n = problem.n[t if problem.n.size > 1 else 0]
             pack_geometry(problem.geometry[t if problem.geometry.shape[0] > 1 else 0], n, problem.k, angles, block)
         used, lost, floor = load(problem.response[t], problem.weight[t], rules, block)
+        used = telling(block, used)
         if used <= judge.PARAMETERS:
             give_up(t, used, lost, problem, out)
             continue
-        weigh(block)
-        if own:
-            scan_own(block, problem.nodes, problem.steepness, problem.chains, sums)
-        else:
-            scan_shared(block, shared, sums, _weights_changed(block, before))
-        _fit_texel(t, block, shared, used, floor, problem, rules, sums, out)
-        if rules.huber > 0.0:
-            before[0] = np.nan
+        _fit_texel(t, block, shared, used, floor, problem, rules, sums, before, out)
 
 
 @numba.njit(cache=True)

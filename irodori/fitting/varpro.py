@@ -141,6 +141,13 @@ def _cubic_minimum(width, f0, f1, d0, d1):
 
 
 @numba.njit(cache=True, error_model="numpy")
+def _dips(width, f0, f1, d0, d1):
+    """Return whether the cubic through values and slopes of one sign has a minimum inside all the same."""
+    u = d0 + d1 - 3.0 * (f1 - f0) / width
+    return d0 * d1 > 0.0 and u * d0 > 0.0 and u * u > d0 * d1
+
+
+@numba.njit(cache=True, error_model="numpy")
 def find_intervals(nodes, sums):
     """Fill the estimated minimum of every interval, infinite where it holds none; return the best node."""
     value, slope, estimate, place = sums[6], sums[7], sums[8], sums[9]
@@ -150,12 +157,28 @@ def find_intervals(nodes, sums):
             best = i
     for i in range(nodes.size - 1):
         estimate[i] = np.inf
+        width = nodes[i] - nodes[i + 1]
         # Node i + 1 has the smaller μ. A slope of 0 is where the best β is at its bound.
-        if slope[i + 1] <= 0.0 <= slope[i] and slope[i + 1] < slope[i]:
-            offset, least = _cubic_minimum(nodes[i] - nodes[i + 1], value[i + 1], value[i], slope[i + 1], slope[i])
-            estimate[i] = min(least, value[i], value[i + 1])
-            place[i] = nodes[i + 1] + offset
+        sure = slope[i + 1] <= 0.0 <= slope[i] and slope[i + 1] < slope[i]
+        if sure or _dips(width, value[i + 1], value[i], slope[i + 1], slope[i]):
+            offset, least = _cubic_minimum(width, value[i + 1], value[i], slope[i + 1], slope[i])
+            ends = min(value[i], value[i + 1])
+            if sure or least < ends:
+                estimate[i] = min(least, ends)
+                place[i] = nodes[i + 1] + offset
+    _mark_beside(nodes, value, slope, estimate, place, best)
     return best
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _mark_beside(nodes, value, slope, estimate, place, best):
+    """Mark the interval to which Φ falls from the best node: its far end is higher, so it holds a minimum."""
+    if slope[best] > 0.0 and best + 1 < nodes.size and estimate[best] == np.inf:
+        estimate[best] = value[best]
+        place[best] = 0.8 * nodes[best] + 0.2 * nodes[best + 1]
+    elif slope[best] < 0.0 and best > 0 and estimate[best - 1] == np.inf:
+        estimate[best - 1] = value[best]
+        place[best - 1] = 0.8 * nodes[best] + 0.2 * nodes[best - 1]
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -226,8 +249,9 @@ def minimise(block, shared, fixed, box, nodes, sums):
         t, a, b, count = newton(block, shared, sums, fixed, box, sums[9, i], nodes[i + 1], nodes[i], above)
         sums[8, i] = np.inf
         evaluations += count
-        # The node above or below the interval is higher than the minimum between them; any other has to be compared.
-        if attempt == 0 and (i == top or i + 1 == top) and not rival <= _RIVAL * best:
+        # Where slopes of both signs enclose it the minimum is lower than both nodes; any other has to be compared.
+        sure = sums[7, i + 1] <= 0.0 <= sums[7, i] and (i == top or i + 1 == top)
+        if attempt == 0 and sure and not rival <= _RIVAL * best:
             return t, a, b, evaluations
         _, _, value = pair_at(block, fixed, box, t)
         evaluations += 1

@@ -15,7 +15,7 @@ from irodori.captures import Pose
 from irodori.geometry.embree import Tracer
 from irodori.geometry.frames import rig_from_object
 from irodori.geometry.shapes import Placement, Shape
-from irodori.rectification import RigSetup, observe, rectify_object
+from irodori.rectification import RigSetup, _sample, observe, rectify_object
 
 ROOT = Path(__file__).resolve().parents[2]
 OPTICS = yaml.safe_load((ROOT / "config/cameras/d5100-comb.yaml").read_text())["optics"]
@@ -288,3 +288,23 @@ def test_full_resolution_gives_the_same_texels_as_superpixels(tmp_path, definiti
     both = (found[0]["weight"] > 0) & (found[1]["weight"] > 0)
     assert both.mean() > 0.99 * (found[0]["weight"] > 0).mean()
     assert np.abs(found[0]["response"] - found[1]["response"])[both].max() < 1e-5
+
+
+def test_a_texel_on_a_sample_does_not_depend_on_the_window_that_is_read():
+    rng = np.random.default_rng(5)
+    response = rng.random((9, 9, 6), dtype=np.float32)
+    valid, clipped = np.ones((9, 9), dtype=bool), np.zeros((9, 9), dtype=np.uint8)
+    valid[2, 4], clipped[3, 4] = False, 1  # neighbours of the sample at column 3, row 2, without weight there
+    xy = np.array([[3.0, 2.0], [3.0, 2.5], [2.5, 2.0]])
+    found = []
+    for first, last in ((1, 4), (1, 7), (0, 9)):
+        out, good, clips = np.zeros((3, 6), dtype=np.float32), np.empty(3, dtype=bool), np.empty(3, dtype=np.uint8)
+        window = slice(first, last)
+        _sample(response[window, window], valid[window, window], clipped[window, window],
+                np.array([first, first]), xy, out, good, clips)  # fmt: skip
+        found.append((out.copy(), good.copy(), clips.copy()))
+    assert found[0][1].all() and not found[0][2].any()
+    np.testing.assert_array_equal(found[0][0][0], response[2, 3])
+    for other in found[1:]:
+        for one, two in zip(found[0], other, strict=True):
+            np.testing.assert_array_equal(one, two)
