@@ -1,0 +1,198 @@
+"""Pictures as rows of pixels, tile by tile: from memory, a memory map, an HDF5 dataset, or anything that yields tiles.
+
+Reading goes on in a thread of its own while the tile before is worked on; a picture may be read as often as wanted.
+"""
+
+import queue
+import threading
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from irodori import store
+from irodori.errors import InputError
+from irodori.spectra import SAMPLES, WAVELENGTH_NM
+from irodori.tables import check_wavelengths
+
+TILE_BYTES = 16 << 20
+_GRID_NM = 1e-3
+_BUFFERS = 3  # one worked on, one waiting, one being read
+
+
+class Tiles:
+    """A picture that can be read tile by tile, several times.
+
+    Parameters
+    ----------
+    source : array, h5py.Dataset, or iterable of arrays
+        Array-like: (pixels, bands) or (height, width, bands). Iterable: tiles of either kind, the same each time it is
+        iterated. Values are brought to float32.
+    tile_bytes : int
+        Size of a tile as float32, about; bounds the memory. Tiles of an iterable are taken as they are.
+
+    Raises
+    ------
+    ValueError
+        If the source has other axes, no pixel, or can be iterated once only.
+    """
+
+    def __init__(self, source, tile_bytes: int = TILE_BYTES) -> None:
+        self._source, self._bytes = source, tile_bytes
+        self._is_array = hasattr(source, "shape") and hasattr(source, "dtype")
+        if self._is_array:
+            if len(source.shape) not in (2, 3) or 0 in source.shape:
+                raise ValueError(
+                    f"a picture of shape {source.shape}; accepted: (pixels, bands) or (height, width, bands)"
+                )
+        elif iter(source) is source:
+            raise ValueError(
+                "tiles that can be read once only; accepted: what can be iterated twice, a list or a dataset"
+            )
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        """Yield tiles (pixels, bands) float32, contiguous; each is valid until the next is asked for."""
+        if not self._is_array:
+            yield from _ahead(lambda: (_rows(tile) for tile in self._source))
+        elif type(self._source) is np.ndarray:
+            yield from (_rows(self._source[part]) for part in self._parts())
+        else:
+            yield from _ahead(self._read)
+
+    def _read(self) -> Iterator[np.ndarray]:
+        source = self._source
+        buffers = [np.empty(0, dtype=np.float32) for _ in range(_BUFFERS)]
+        for turn, part in enumerate(self._parts()):
+            shape = (*(s.stop - s.start for s in part), *source.shape[len(part) :])
+            size = int(np.prod(shape))
+            if buffers[turn % _BUFFERS].size < size:
+                buffers[turn % _BUFFERS] = np.empty(size, dtype=np.float32)
+            tile = buffers[turn % _BUFFERS][:size].reshape(shape)
+            if hasattr(source, "read_direct"):
+                source.read_direct(tile, part)
+            else:
+                np.copyto(tile, source[part], casting="unsafe")
+            yield tile.reshape(-1, shape[-1])
+
+    def _parts(self) -> Iterator[tuple[slice, ...]]:
+        """Yield slices of the leading axes: rows, a multiple of the file's chunks; parts of a row that is long."""
+        shape = self._source.shape
+        row_bytes = int(np.prod(shape[1:])) * 4
+        if len(shape) == 3 and row_bytes > self._bytes:
+            columns = max(1, self._bytes // (shape[2] * 4))
+            for row in range(shape[0]):
+                for first in range(0, shape[1], columns):
+                    yield slice(row, row + 1), slice(first, min(first + columns, shape[1]))
+            return
+        rows = max(1, self._bytes // row_bytes)
+        chunk = (getattr(self._source, "chunks", None) or (1,))[0]
+        rows = -(-rows // chunk) * chunk if chunk * row_bytes <= 4 * self._bytes else rows
+        for first in range(0, shape[0], rows):
+            yield (slice(first, min(first + rows, shape[0])),)
+
+
+def _rows(tile) -> np.ndarray:
+    tile = np.asarray(tile)
+    return np.ascontiguousarray(tile.reshape(-1, tile.shape[-1]), dtype=np.float32)
+
+
+def _ahead(read) -> Iterator[np.ndarray]:
+    """Yield what ``read()`` yields, read by a thread that is one item ahead; what it raises is raised here."""
+    waiting: queue.Queue = queue.Queue(maxsize=1)
+    stopped = threading.Event()
+
+    def put(item) -> bool:
+        while not stopped.is_set():
+            try:
+                waiting.put(item, timeout=0.1)
+                return True
+            except queue.Full:
+                continue
+        return False
+
+    def work() -> None:
+        try:
+            for tile in read():
+                if not put((tile, None)):
+                    return
+            put((None, None))
+        except BaseException as error:
+            put((None, error))
+
+    thread = threading.Thread(target=work, name="tiles", daemon=True)
+    thread.start()
+    try:
+        while True:
+            tile, error = waiting.get()
+            if error is not None:
+                raise error
+            if tile is None:
+                return
+            yield tile
+    finally:
+        stopped.set()
+        thread.join()
+
+
+def spectral_tiles(file: store.Reader, name: str, tile_bytes: int = TILE_BYTES) -> Tiles:
+    """Return the tiles of a spectral picture in a file of this project.
+
+    Parameters
+    ----------
+    file : store.Reader
+        Its dataset ``wavelength``, where it has one, is checked.
+    name : str
+        Dataset (height, width, 61) or (pixels, 61).
+
+    Raises
+    ------
+    InputError
+        If the axes are others, or the wavelengths are not those of the grid, each once.
+    """
+    dataset = file.dataset(name)
+    if len(dataset.shape) not in (2, 3) or dataset.shape[-1] != SAMPLES or 0 in dataset.shape:
+        raise InputError(
+            file.path, name, f"shape {dataset.shape}", f"(height, width, {SAMPLES}) or (pixels, {SAMPLES})"
+        )
+    if "wavelength" in file:
+        require_grid(file.read("wavelength"), file.path)
+    return Tiles(dataset, tile_bytes)
+
+
+def require_grid(wavelength_nm: np.ndarray, file, field: str = "wavelength") -> None:
+    """Refuse wavelengths that are not the package's grid: 400 to 700 nm, step 5, increasing, each once.
+
+    Raises
+    ------
+    InputError
+    """
+    wavelength_nm = np.asarray(wavelength_nm, dtype=np.float64).ravel()
+    check_wavelengths(wavelength_nm.tolist(), file, field)
+    if wavelength_nm.size != SAMPLES or np.abs(wavelength_nm - WAVELENGTH_NM).max() > _GRID_NM:
+        found = f"{wavelength_nm.size} wavelengths, {wavelength_nm[0]:g} to {wavelength_nm[-1]:g} nm"
+        raise InputError(file, field, found, f"{SAMPLES} wavelengths, 400 to 700 nm in steps of 5")
+
+
+def flat_weights(weights) -> np.ndarray:
+    """Return weights of pixels, (pixels,) float32; refuse negative ones and those that are not finite.
+
+    Raises
+    ------
+    ValueError
+    """
+    flat = np.ascontiguousarray(np.asarray(weights).reshape(-1), dtype=np.float32)
+    if not (np.isfinite(flat).all() and (flat >= 0).all()):
+        raise ValueError("weights of pixels that are negative or not finite; accepted: finite weights from 0")
+    return flat
+
+
+def iterate(tiles: Iterable[np.ndarray], weights: np.ndarray | None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield tiles with the weights of their pixels; an empty array where there are none."""
+    none, first = np.empty(0, dtype=np.float32), 0
+    for tile in tiles:
+        last = first + len(tile)
+        if weights is not None and last > weights.size:
+            raise ValueError(f"{weights.size} weights for more pixels; accepted: one each")
+        yield tile, none if weights is None else weights[first:last]
+        first = last
+    if weights is not None and first != weights.size:
+        raise ValueError(f"{weights.size} weights for {first} pixels; accepted: one each")
