@@ -26,11 +26,13 @@ _CHUNK_BYTES = 1 << 20
 _CACHE_BYTES = 16 << 20
 #: How a dataset is packed. ``small`` is gzip, which every program reads; ``fast`` is Blosc with LZ4, which packs floats
 #: as well at a fifteenth of the time, for what is large and passes from one stage to the next; ``planes`` is Blosc2
-#: with LZ4 over bit planes, which finds in half-precision numbers what shuffled bytes hide.
+#: with LZ4 over bit planes, which finds in half-precision numbers what shuffled bytes hide; ``none`` lies in one piece,
+#: for what is streamed at the speed of the disk.
 _COMPRESSIONS = {
     "small": {"compression": "gzip", "compression_opts": 1, "shuffle": True},
     "fast": dict(hdf5plugin.Blosc(cname="lz4", clevel=5, shuffle=hdf5plugin.Blosc.SHUFFLE)),
     "planes": dict(hdf5plugin.Blosc2(cname="lz4", clevel=5, filters=hdf5plugin.Blosc2.BITSHUFFLE)),
+    "none": {},
 }
 _JSON = "json:"  # marks an attribute that holds a list or a dictionary
 
@@ -75,7 +77,7 @@ class Writer:
         quantity : str
             What the numbers are.
         compression : str
-            ``small`` (gzip), ``fast`` (Blosc with LZ4) or ``planes`` (Blosc2 with LZ4 over bit planes).
+            ``small`` (gzip), ``fast`` (Blosc with LZ4), ``planes`` (Blosc2 with LZ4 over bit planes) or ``none``.
 
         Raises
         ------
@@ -98,7 +100,8 @@ class Writer:
             raise ValueError(f"{name}: {len(shape)} axes but dims {dims!r}")
         options = {}
         if np.prod(shape, dtype=np.int64) > 64:
-            options = {"chunks": _chunk_shape(shape, np.dtype(dtype).itemsize), **_COMPRESSIONS[compression]}
+            chunks = None if compression == "none" else _chunk_shape(shape, np.dtype(dtype).itemsize)
+            options = {"chunks": chunks, **_COMPRESSIONS[compression]}
         dataset = self._file.create_dataset(name, shape, dtype, **options)
         dataset.attrs.update({"units": units, "dims": dims, "quantity": quantity})
         return dataset

@@ -1,7 +1,7 @@
 """The fewest bases that keep a picture's colours, and the second pass that writes its coefficients."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from irodori.principal.moments import SAMPLE_PIXELS, Moments, second_moments
 from irodori.principal.positive import Negative, count_negative
 from irodori.principal.reflections import colour_error
 from irodori.principal.tiles import Tiles
+
+_FIRST_LOOK = 8192  # pixels of the sample, which come in no order
 
 
 @dataclass(frozen=True)
@@ -121,8 +123,8 @@ class Compression:
 
     def tiles(self, source) -> Iterator[np.ndarray]:
         """Yield the stored coefficients of a picture tile by tile: the second pass."""
-        for rows in source if isinstance(source, Tiles) else Tiles(source):
-            yield self.encode(rows)
+        tiles = source if isinstance(source, Tiles) else Tiles(source)
+        yield from tiles.map(lambda rows, first, worker: self.encode(rows))
 
     def write(self, out: store.Writer, name: str, source, size: tuple[int, int], *, quantity: str, codec: str) -> None:
         """Write a picture's coefficients, tile by tile, to a dataset (height, width, k).
@@ -223,37 +225,64 @@ def choose(
     matrices = [matrix for matrix, _ in observers.values()] if options.weighting == "visual" else None
     found = decompose(moments.root, basis, matrices)
     spectra = moments.sample if basis is None else moments.sample @ np.asarray(basis, dtype=np.float64).T
+    trial = _Trial(found, moments, spectra, observers, options)
     rank = found.rank
     counts = [*range(options.align, rank, options.align), rank] if bases is None else [max(1, min(bases, rank))]
     for count in counts:
-        trial = _trial(found, count, moments, spectra, observers, options)
-        if trial.budget_met or bases is not None:
-            return trial
+        if count != counts[-1] and trial.is_hopeless(count):
+            continue
+        made = trial.compression(count)
+        if made.budget_met or count == counts[-1]:
+            break
+    if made.budget_met or bases is not None or rank == len(found.energies):
+        return made
     # Under a light far brighter than the rest, directions that look like rounding may still be colours.
-    full = _trial(found, len(found.energies), moments, spectra, observers, options)
-    return full if full.budget_met else trial
+    full = trial.compression(len(found.energies))
+    return full if full.budget_met else made
 
 
-def _trial(
-    found: Decomposition, count: int, moments: Moments, spectra: np.ndarray, observers: dict, options: CompressOptions
-) -> Compression:
-    vectors, encoder = found.truncated(count)
-    scale = np.ones(count, dtype=np.float32)
-    if options.storage == "half":
-        scale = half_scale(np.linalg.norm(encoder, axis=1) * moments.largest_norm)
-    made = Compression(vectors, encoder, scale, options.storage, {}, 0.0, False, found.rank, moments.pixels,
-                       moments.masked, None, moments.sample)  # fmt: skip
-    decoded = made.decode(made.encode(moments.sample)) @ vectors.T
-    errors = {
-        light: summary(colour_error(spectra @ matrix.T, decoded @ matrix.T, white))
-        for light, (matrix, white) in observers.items()
-    }
-    met = all(
-        e["mean"] <= options.target_delta_e_mean and e["p99"] <= options.target_delta_e_p99 for e in errors.values()
-    )
-    rmse = float(np.sqrt(np.mean((spectra - decoded) ** 2)))
-    fields = {**vars(made), "errors": errors, "rmse": rmse, "budget_met": met, "negative": count_negative(decoded)}
-    return Compression(**fields)
+class _Trial:
+    """Numbers of bases on one picture, and what each does to the colours of its sample."""
+
+    def __init__(
+        self, found: Decomposition, moments: Moments, spectra: np.ndarray, observers: dict, options: CompressOptions
+    ) -> None:
+        self._found, self._moments, self._spectra, self._options = found, moments, spectra, options
+        self._observers = observers
+        self._before = {light: spectra @ matrix.T for light, (matrix, _) in observers.items()}
+
+    def is_hopeless(self, count: int) -> bool:
+        """Whether so few bases miss a target by twice on a part of the sample; the whole need not be looked at."""
+        errors = self._errors(self._made(count), slice(_FIRST_LOOK))
+        mean, p99 = self._options.target_delta_e_mean, self._options.target_delta_e_p99
+        return any(e["mean"] > 2 * mean or e["p99"] > 2 * p99 for e in errors.values())
+
+    def compression(self, count: int) -> Compression:
+        """Return the compression with its errors."""
+        made, options = self._made(count), self._options
+        errors = self._errors(made, slice(None))
+        met = all(
+            e["mean"] <= options.target_delta_e_mean and e["p99"] <= options.target_delta_e_p99 for e in errors.values()
+        )
+        decoded = made.decode(made.encode(self._moments.sample)) @ made.basis.T
+        rmse = float(np.sqrt(np.mean((self._spectra - decoded) ** 2)))
+        return replace(made, errors=errors, rmse=rmse, budget_met=met, negative=count_negative(decoded))
+
+    def _made(self, count: int) -> Compression:
+        moments, storage = self._moments, self._options.storage
+        vectors, encoder = self._found.truncated(count)
+        scale = np.ones(count, dtype=np.float32)
+        if storage == "half":
+            scale = half_scale(np.linalg.norm(encoder, axis=1) * moments.largest_norm)
+        return Compression(vectors, encoder, scale, storage, {}, 0.0, False, self._found.rank, moments.pixels,
+                           moments.masked, None, moments.sample)  # fmt: skip
+
+    def _errors(self, made: Compression, part: slice) -> dict:
+        stored = made.decode(made.encode(self._moments.sample[part]))
+        return {
+            light: summary(colour_error(self._before[light][part], stored @ (matrix @ made.basis).T, white))
+            for light, (matrix, white) in self._observers.items()
+        }
 
 
 def compress(

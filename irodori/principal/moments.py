@@ -5,12 +5,13 @@ twice the decades of what is squared, and a sun would leave nothing of the shado
 """
 
 import math
+import threading
 from dataclasses import dataclass
 
 import numba
 import numpy as np
 
-from irodori.principal.tiles import Tiles, flat_weights, iterate
+from irodori.principal.tiles import Tiles, flat_weights
 
 SAMPLE_PIXELS = 1 << 16
 _BLOCK = 64  # pixels that are multiplied together, in the first cache
@@ -99,51 +100,64 @@ def _accumulate(rows, weights, first, last, blocks, waiting, moments, totals):
             waiting[level] = 0
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
-def _accumulate_tile(rows, weights, blocks, waiting, moments, totals):
-    parts = blocks.shape[0]
-    for part in numba.prange(parts):
-        first, last = part * len(rows) // parts, (part + 1) * len(rows) // parts
-        _accumulate(rows, weights, first, last, blocks[part], waiting[part], moments[part], totals[part])
-
-
 @numba.njit(cache=True, nogil=True)
 def _finish(blocks, waiting, moments):
-    for part in range(blocks.shape[0]):
-        for level in range(blocks.shape[1]):
-            if waiting[part, level]:
-                blocks[part, level, :, waiting[part, level] :] = 0.0
-                _multiply(blocks[part, level], moments[part, level])
+    for level in range(len(blocks)):
+        if waiting[level]:
+            blocks[level, :, waiting[level] :] = 0.0
+            _multiply(blocks[level], moments[level])
+
+
+class _Sums:
+    """What one worker adds up."""
+
+    def __init__(self, bands: int) -> None:
+        side = -(-bands // _SIDE) * _SIDE
+        self.bands = bands
+        self.totals = np.zeros(2)
+        self.moments = np.zeros((_CLASSES, side, side))
+        self._blocks, self._waiting = np.zeros((_CLASSES, side, _BLOCK)), np.zeros(_CLASSES, dtype=np.int64)
+
+    def add(self, rows: np.ndarray, weights: np.ndarray) -> None:
+        _accumulate(rows, weights, 0, len(rows), self._blocks, self._waiting, self.moments, self.totals)
+
+    def finished(self) -> np.ndarray:
+        """Return the moments of every class, (classes, bands, bands)."""
+        _finish(self._blocks, self._waiting, self.moments)
+        upper = np.triu(self.moments[:, : self.bands, : self.bands])
+        return upper + np.triu(upper, 1).transpose(0, 2, 1)
 
 
 class _Sampler:
     """Draws pixels without repetition: each gets a random number, and those with the least are kept."""
 
     def __init__(self, size: int, seed: int) -> None:
-        self._size, self._rng = size, np.random.default_rng(seed)
+        self._size, self._seed, self._lock = size, seed, threading.Lock()
         self._keys, self._rows, self._limit = [], [], 2.0
 
-    def add(self, rows: np.ndarray) -> None:
-        keys = self._rng.random(len(rows), dtype=np.float32)
+    def add(self, rows: np.ndarray, first: int) -> None:
+        """Take in a tile; in whatever order tiles come, the sample is the same."""
+        keys = np.random.default_rng((self._seed, first)).random(len(rows), dtype=np.float32)
         chosen = np.flatnonzero(keys < self._limit)
         picked = rows[chosen]
         finite = np.isfinite(picked).all(axis=1)
-        self._keys.append(keys[chosen][finite])
-        self._rows.append(picked[finite])
-        if sum(map(len, self._keys)) > 2 * self._size:
-            self._thin()
+        with self._lock:
+            self._keys.append(keys[chosen][finite])
+            self._rows.append(picked[finite])
+            if sum(map(len, self._keys)) > 2 * self._size:
+                self._thin()
 
     def _thin(self) -> None:
         keys, rows = np.concatenate(self._keys), np.concatenate(self._rows)
         if len(keys) > self._size:
-            order = np.sort(np.argpartition(keys, self._size)[: self._size])
+            order = np.argpartition(keys, self._size)[: self._size]
             keys, rows = keys[order], rows[order]
             self._limit = float(keys.max())
         self._keys, self._rows = [keys], [rows]
 
     def rows(self) -> np.ndarray:
         self._thin()
-        return self._rows[0]
+        return self._rows[0][np.argsort(self._keys[0], kind="stable")]
 
 
 def second_moments(source, weights=None, sample_pixels: int = SAMPLE_PIXELS, seed: int = 0) -> Moments:
@@ -169,32 +183,39 @@ def second_moments(source, weights=None, sample_pixels: int = SAMPLE_PIXELS, see
     """
     tiles = source if isinstance(source, Tiles) else Tiles(source)
     flat = None if weights is None else flat_weights(weights)
-    parts, state, pixels, bands = numba.get_num_threads(), None, 0, 0
-    sampler = _Sampler(sample_pixels, seed)
-    for rows, of_rows in iterate(tiles, flat):
-        if state is None:
-            bands, side = rows.shape[1], -(-rows.shape[1] // _SIDE) * _SIDE
-            shape = (parts, _CLASSES, side)
-            state = (np.zeros((*shape, _BLOCK)), np.zeros(shape[:2], dtype=np.int64), np.zeros((*shape, side)),
-                     np.zeros((parts, 2)))  # fmt: skip
-        if rows.shape[1] != bands:
-            raise ValueError(f"a tile of {rows.shape[1]} bands after one of {bands}; accepted: the same in all")
-        _accumulate_tile(rows, of_rows, *state)
-        sampler.add(rows)
-        pixels += len(rows)
-    masked = int(state[3][:, 0].sum()) if state is not None else 0
+    sums: dict[int, _Sums] = {}
+    sampler, lock = _Sampler(sample_pixels, seed), threading.Lock()
+
+    def add(rows: np.ndarray, first: int, worker: int) -> int:
+        with lock:
+            own = sums.setdefault(worker, _Sums(rows.shape[1]))
+            if rows.shape[1] != sums[min(sums)].bands:
+                found = f"a tile of {rows.shape[1]} bands among others of {sums[min(sums)].bands}"
+                raise ValueError(f"{found}; accepted: the same in all")
+        of_rows = np.empty(0, dtype=np.float32) if flat is None else flat[first : first + len(rows)]
+        if flat is not None and len(of_rows) < len(rows):
+            raise ValueError(f"{flat.size} weights for more pixels; accepted: one each")
+        own.add(rows, of_rows)
+        sampler.add(rows, first)
+        return len(rows)
+
+    pixels = sum(tiles.map(add))
+    if flat is not None and flat.size != pixels:
+        raise ValueError(f"{flat.size} weights for {pixels} pixels; accepted: one each")
+    totals = np.array([own.totals for own in sums.values()]).reshape(-1, 2)
+    masked = int(totals[:, 0].sum())
     if masked == pixels:
         raise ValueError(f"a picture without a finite pixel among {pixels}; accepted: at least one")
-    _finish(*state[:3])
-    upper = np.triu(state[2].sum(axis=0)[:, :bands, :bands])
-    largest = math.sqrt(state[3][:, 1].max())
-    return Moments(_root(upper + np.triu(upper, 1).transpose(0, 2, 1)), pixels, masked, largest, sampler.rows())
+    root = _root(np.sum([sums[worker].finished() for worker in sorted(sums)], axis=0))
+    return Moments(root, pixels, masked, math.sqrt(totals[:, 1].max()), sampler.rows())
 
 
 def _root(moments: np.ndarray) -> np.ndarray:
     """Return rows whose products sum to those of the classes, (m, bands); a row of zeros where all is black."""
     rows = [np.zeros((1, moments.shape[-1]))]
     for moment in moments:
+        if not moment.any():
+            continue
         values, vectors = np.linalg.eigh(moment)
         kept = values > _ROUNDING * values[-1]
         if kept.any():

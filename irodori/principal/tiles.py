@@ -1,22 +1,24 @@
 """Pictures as rows of pixels, tile by tile: from memory, a memory map, an HDF5 dataset, or anything that yields tiles.
 
-Reading goes on in a thread of its own while the tile before is worked on; a picture may be read as often as wanted.
+One tile is read while others are worked on; a picture may be read as often as wanted.
 """
 
-import queue
-import threading
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 
+import numba
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from irodori import store
 from irodori.errors import InputError
 from irodori.spectra import SAMPLES, WAVELENGTH_NM
 from irodori.tables import check_wavelengths
 
-TILE_BYTES = 16 << 20
+TILE_BYTES = 8 << 20
 _GRID_NM = 1e-3
-_BUFFERS = 3  # one worked on, one waiting, one being read
 
 
 class Tiles:
@@ -28,7 +30,8 @@ class Tiles:
         Array-like: (pixels, bands) or (height, width, bands). Iterable: tiles of either kind, the same each time it is
         iterated. Values are brought to float32.
     tile_bytes : int
-        Size of a tile as float32, about; bounds the memory. Tiles of an iterable are taken as they are.
+        Size of a tile as float32, about; a worker holds one. Tiles of an iterable are taken as they are, and four
+        for each worker may be held.
 
     Raises
     ------
@@ -49,29 +52,59 @@ class Tiles:
                 "tiles that can be read once only; accepted: what can be iterated twice, a list or a dataset"
             )
 
-    def __iter__(self) -> Iterator[np.ndarray]:
-        """Yield tiles (pixels, bands) float32, contiguous; each is valid until the next is asked for."""
-        if not self._is_array:
-            yield from _ahead(lambda: (_rows(tile) for tile in self._source))
-        elif type(self._source) is np.ndarray:
-            yield from (_rows(self._source[part]) for part in self._parts())
-        else:
-            yield from _ahead(self._read)
+    def map(self, function: Callable[[np.ndarray, int, int], object]) -> Iterator:
+        """Yield ``function(tile, first, worker)`` for every tile, in order.
 
-    def _read(self) -> Iterator[np.ndarray]:
+        As many workers as numba has threads each take every so-manieth tile, read it and work on it; none waits for
+        another. BLAS has one thread meanwhile.
+
+        Parameters
+        ----------
+        function : callable
+            Takes a tile (pixels, bands) float32, contiguous, that is valid during the call only; the number of its
+            first pixel; and the number of the worker, whose tiles come in order and one at a time.
+        """
+        workers = numba.get_num_threads()
+        buffers = [np.empty(0, dtype=np.float32) for _ in range(workers)]
+
+        def work(item, first: int, worker: int):
+            if self._is_array:
+                item = self._read(item, buffers, worker)
+            return function(_rows(item), first, worker)
+
+        with ExitStack() as stack:
+            stack.enter_context(threadpool_limits(1, user_api="blas"))
+            pools = [stack.enter_context(ThreadPoolExecutor(1, "tiles")) for _ in range(workers)]
+            waiting: deque = deque()
+            first = 0
+            for number, item in enumerate(self._parts() if self._is_array else self._source):
+                worker = number % workers
+                waiting.append(pools[worker].submit(work, item, first, worker))
+                first += self._pixels(item)
+                if len(waiting) == 2 * workers:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+
+    def _pixels(self, item) -> int:
+        if not self._is_array:
+            return int(np.prod(np.shape(item)[:-1]))
+        return int(np.prod([s.stop - s.start for s in item] + list(self._source.shape[len(item) : -1])))
+
+    def _read(self, part: tuple[slice, ...], buffers: list, worker: int) -> np.ndarray:
         source = self._source
-        buffers = [np.empty(0, dtype=np.float32) for _ in range(_BUFFERS)]
-        for turn, part in enumerate(self._parts()):
-            shape = (*(s.stop - s.start for s in part), *source.shape[len(part) :])
-            size = int(np.prod(shape))
-            if buffers[turn % _BUFFERS].size < size:
-                buffers[turn % _BUFFERS] = np.empty(size, dtype=np.float32)
-            tile = buffers[turn % _BUFFERS][:size].reshape(shape)
-            if hasattr(source, "read_direct"):
-                source.read_direct(tile, part)
-            else:
-                np.copyto(tile, source[part], casting="unsafe")
-            yield tile.reshape(-1, shape[-1])
+        if type(source) is np.ndarray:
+            return source[part]
+        shape = (*(s.stop - s.start for s in part), *source.shape[len(part) :])
+        size = int(np.prod(shape))
+        if buffers[worker].size < size:
+            buffers[worker] = np.empty(size, dtype=np.float32)
+        tile = buffers[worker][:size].reshape(shape)
+        if hasattr(source, "read_direct"):
+            source.read_direct(tile, part)
+        else:
+            np.copyto(tile, source[part], casting="unsafe")
+        return tile
 
     def _parts(self) -> Iterator[tuple[slice, ...]]:
         """Yield slices of the leading axes: rows, a multiple of the file's chunks; parts of a row that is long."""
@@ -93,44 +126,6 @@ class Tiles:
 def _rows(tile) -> np.ndarray:
     tile = np.asarray(tile)
     return np.ascontiguousarray(tile.reshape(-1, tile.shape[-1]), dtype=np.float32)
-
-
-def _ahead(read) -> Iterator[np.ndarray]:
-    """Yield what ``read()`` yields, read by a thread that is one item ahead; what it raises is raised here."""
-    waiting: queue.Queue = queue.Queue(maxsize=1)
-    stopped = threading.Event()
-
-    def put(item) -> bool:
-        while not stopped.is_set():
-            try:
-                waiting.put(item, timeout=0.1)
-                return True
-            except queue.Full:
-                continue
-        return False
-
-    def work() -> None:
-        try:
-            for tile in read():
-                if not put((tile, None)):
-                    return
-            put((None, None))
-        except BaseException as error:
-            put((None, error))
-
-    thread = threading.Thread(target=work, name="tiles", daemon=True)
-    thread.start()
-    try:
-        while True:
-            tile, error = waiting.get()
-            if error is not None:
-                raise error
-            if tile is None:
-                return
-            yield tile
-    finally:
-        stopped.set()
-        thread.join()
 
 
 def spectral_tiles(file: store.Reader, name: str, tile_bytes: int = TILE_BYTES) -> Tiles:
@@ -183,16 +178,3 @@ def flat_weights(weights) -> np.ndarray:
     if not (np.isfinite(flat).all() and (flat >= 0).all()):
         raise ValueError("weights of pixels that are negative or not finite; accepted: finite weights from 0")
     return flat
-
-
-def iterate(tiles: Iterable[np.ndarray], weights: np.ndarray | None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield tiles with the weights of their pixels; an empty array where there are none."""
-    none, first = np.empty(0, dtype=np.float32), 0
-    for tile in tiles:
-        last = first + len(tile)
-        if weights is not None and last > weights.size:
-            raise ValueError(f"{weights.size} weights for more pixels; accepted: one each")
-        yield tile, none if weights is None else weights[first:last]
-        first = last
-    if weights is not None and first != weights.size:
-        raise ValueError(f"{weights.size} weights for {first} pixels; accepted: one each")
