@@ -13,6 +13,7 @@ from irodori.principal.moments import SAMPLE_PIXELS, Moments, second_moments
 from irodori.principal.positive import Negative, count_negative
 from irodori.principal.reflections import colour_error
 from irodori.principal.tiles import Tiles
+from irodori.spectra import SAMPLES
 
 _FIRST_LOOK = 8192  # pixels of the sample, which come in no order
 
@@ -222,6 +223,10 @@ def choose(
     moments: Moments, basis: np.ndarray | None, observers: dict, options: CompressOptions, *, bases: int | None = None
 ) -> Compression:
     """Return the compression with the fewest bases that meet the targets; see `analyse`."""
+    width = moments.root.shape[1]
+    if width != (SAMPLES if basis is None else basis.shape[1]):
+        expected = f"{SAMPLES} bands" if basis is None else f"{basis.shape[1]}, one for each vector of the basis"
+        raise ValueError(f"pixels of {width} bands; accepted: {expected}")
     matrices = [matrix for matrix, _ in observers.values()] if options.weighting == "visual" else None
     found = decompose(moments.root, basis, matrices)
     spectra = moments.sample if basis is None else moments.sample @ np.asarray(basis, dtype=np.float64).T

@@ -85,7 +85,7 @@ def _accumulate(rows, weights, first, last, blocks, waiting, moments, totals):
             totals[0] += 1.0
             continue
         totals[1] = max(totals[1], square)
-        scale = math.sqrt(weights[p]) if weights.size else 1.0
+        scale = math.sqrt(np.float64(weights[p])) if weights.size else 1.0
         square *= scale * scale
         if square == 0.0:
             continue
@@ -137,7 +137,7 @@ class _Sampler:
 
     def add(self, rows: np.ndarray, first: int) -> None:
         """Take in a tile; in whatever order tiles come, the sample is the same."""
-        keys = np.random.default_rng((self._seed, first)).random(len(rows), dtype=np.float32)
+        keys = np.random.default_rng((self._seed, first)).random(len(rows))
         chosen = np.flatnonzero(keys < self._limit)
         picked = rows[chosen]
         finite = np.isfinite(picked).all(axis=1)

@@ -30,8 +30,8 @@ class Tiles:
         Array-like: (pixels, bands) or (height, width, bands). Iterable: tiles of either kind, the same each time it is
         iterated. Values are brought to float32.
     tile_bytes : int
-        Size of a tile as float32, about; a worker holds one. Tiles of an iterable are taken as they are, and four
-        for each worker may be held.
+        Size of a tile as float32, about; a worker holds one. Tiles of an iterable are taken as they are, and two
+        for each worker are held: they must not be overwritten meanwhile.
 
     Raises
     ------
