@@ -5,6 +5,8 @@ keeps them down to 2e-9 of it, so that a picture with a light a million times it
 Scales are powers of two: scaling is exact, and what was rounded once is not rounded again.
 """
 
+from collections.abc import Iterator
+
 import h5py
 import numpy as np
 
@@ -17,6 +19,7 @@ CODECS = {"blosc2": "planes", "gzip": "small"}
 _SUFFIX = "_scale"
 _HALF_TOP = 2.0**15
 _TILE_VALUES = 1 << 20
+_CACHED_VALUES = 1 << 16
 
 
 def require_storage(storage: str, codec: str = "blosc2") -> None:
@@ -60,9 +63,19 @@ def to_half(coefficients: np.ndarray, scale: np.ndarray) -> np.ndarray:
 
 def from_half(stored: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Return the coefficients that `to_half` rounded, (..., k) float32."""
-    out = stored.astype(np.float32)
-    out *= scale
+    out = np.empty(stored.shape, dtype=np.float32)
+    _decode(stored.reshape(-1, stored.shape[-1]), np.asarray(scale), out.reshape(-1, stored.shape[-1]))
     return out
+
+
+def _decode(stored: np.ndarray, scale: np.ndarray, out: np.ndarray) -> None:
+    """Decode pixels (n, k), a cacheful at a time and in one flat piece, which converts several numbers at once."""
+    pixels = max(1, _CACHED_VALUES // max(scale.size, 1))
+    scales = np.tile(scale, min(pixels, len(stored)))
+    for first in range(0, len(stored), pixels):
+        piece = out[first : first + pixels].reshape(-1)
+        piece[:] = stored[first : first + pixels].reshape(-1)
+        piece *= scales[: piece.size]
 
 
 def write_coefficients(
@@ -137,7 +150,7 @@ def read_coefficients(file: store.Reader, name: str, rows: slice = slice(None)) 
     file : store.Reader
     name : str
     rows : slice
-        Rows of the picture to read.
+        Rows of the picture to read, in steps of one.
 
     Returns
     -------
@@ -151,15 +164,32 @@ def read_coefficients(file: store.Reader, name: str, rows: slice = slice(None)) 
     dataset = file.dataset(name)
     if dataset.dtype not in (np.float16, np.float32):
         raise InputError(file.path, name, f"values of type {dataset.dtype}", "half or single precision")
+    scale = None
+    if dataset.dtype == np.float16:
+        scale = file.read(name + _SUFFIX)
+        if scale.shape != dataset.shape[-1:]:
+            found, accepted = f"shape {scale.shape}", f"one number for each of {dataset.shape[-1]} bases"
+            raise InputError(file.path, name + _SUFFIX, found, accepted)
+    first, last, _ = rows.indices(dataset.shape[0])
+    out = np.empty((max(last - first, 0), *dataset.shape[1:]), dtype=np.float32)
     try:
-        stored = dataset[rows]
+        for part, tile in _row_tiles(dataset, first, last):
+            if scale is None:
+                dataset.read_direct(out[tile], np.s_[part])
+            else:
+                _decode(dataset[part].reshape(-1, scale.size), scale, out[tile].reshape(-1, scale.size))
     except OSError as error:
         raise InputError(file.path, name, f"unreadable data ({error})", "a complete file") from None
-    if stored.dtype == np.float32:
-        return stored
-    scale = file.read(name + _SUFFIX)
-    if scale.shape != stored.shape[-1:]:
-        raise InputError(
-            file.path, name + _SUFFIX, f"shape {scale.shape}", f"one number for each of {stored.shape[-1]} bases"
-        )
-    return from_half(stored, scale)
+    return out
+
+
+def _row_tiles(dataset: h5py.Dataset, first: int, last: int) -> Iterator[tuple[slice, slice]]:
+    """Yield rows of a dataset, whole chunks where they fit, and the same rows counted from the first."""
+    rows = max(1, _TILE_VALUES // max(int(np.prod(dataset.shape[1:])), 1))
+    chunk = (dataset.chunks or (1,))[0]
+    rows = -(-rows // chunk) * chunk
+    start = first
+    while start < last:
+        stop = min((start // rows + 1) * rows, last)
+        yield slice(start, stop), slice(start - first, stop - first)
+        start = stop

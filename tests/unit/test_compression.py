@@ -1,8 +1,6 @@
 """Compression of spectral pictures: exact where it can be, within its colour error elsewhere; and hard cases."""
 
-import itertools
 import json
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.linalg import subspace_angles
 
 from irodori import store
-from irodori.coefficients import from_half, half_scale, read_coefficients, to_half, write_coefficients
+from irodori.coefficients import read_coefficients
 from irodori.colour import spectral_rmse, xyz_from_reflectance
 from irodori.compression import compress_maps
 from irodori.errors import InputError
@@ -22,12 +20,9 @@ from irodori.principal import (
     analyse,
     choose,
     compress,
-    count_negative,
-    drift,
     require_grid,
     second_moments,
     spectral_tiles,
-    without_negative,
 )
 from irodori.report.compression import compression_section
 from irodori.spectra import WAVELENGTH_NM, spectrum
@@ -356,49 +351,6 @@ def test_a_picture_of_other_bands_is_refused(tmp_path):
         analyse(np.ones((4, 5), np.float32), np.ones((61, 6)), observers(), EXACT)
 
 
-# --- storage
-
-
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    decades=st.floats(0, 8),
-    unit=st.sampled_from([1e-30, 1e-3, 1.0, 1e6, 1e30]),
-)
-@settings(deadline=None, max_examples=60)
-def test_half_precision_keeps_eleven_bits_over_eight_decades(seed, decades, unit):
-    rng = np.random.default_rng(seed)
-    values = rng.choice([-1, 1], (200, 3)) * unit * 10 ** -rng.uniform(0, decades, (200, 3))
-    values = values.astype(np.float32)
-    scale = half_scale(np.abs(values).max(axis=0))
-    assert np.array_equal(np.exp2(np.round(np.log2(scale))).astype(np.float32), scale)
-    back = from_half(to_half(values, scale), scale)
-    assert np.abs(back / values - 1).max() <= 2.0**-11
-    # What was rounded once is kept as it is, with any other scale that fits.
-    other = half_scale(3 * np.abs(values).max(axis=0))
-    assert np.array_equal(from_half(to_half(back, other), other), back)
-
-
-def test_a_bound_that_is_not_finite_has_no_scale():
-    with pytest.raises(ValueError, match="accepted"):
-        half_scale([1.0, np.inf])
-
-
-@pytest.mark.parametrize(("storage", "codec"), [*itertools.product(["half", "single"], ["blosc2", "gzip"])])
-def test_coefficients_come_back_from_their_file(tmp_path, storage, codec):
-    rng = np.random.default_rng(9)
-    values = (rng.normal(size=(60, 50, 5)) * [1e5, 1, 1e-3, 1e-12, 0]).astype(np.float32)
-    values[10:12] = np.nan
-    with store.create(tmp_path / "c.h5", PROVENANCE) as out:
-        write_coefficients(out, "map/c", values, quantity="coefficients", storage=storage, codec=codec)
-    with store.open_file(tmp_path / "c.h5") as file:
-        found, part = read_coefficients(file, "map/c"), read_coefficients(file, "map/c", slice(5, 20))
-        assert file.dataset("map/c").dtype.itemsize == (2 if storage == "half" else 4)
-    assert found.dtype == np.float32 and np.array_equal(part, found[5:20], equal_nan=True)
-    assert np.array_equal(np.isnan(found), np.isnan(values))
-    error = np.nanmax(np.abs(found - values) / np.nanmax(np.abs(values) + 1e-30, axis=(0, 1)))
-    assert error <= (2.0**-11 if storage == "half" else 0)
-
-
 @pytest.mark.parametrize("storage", ["half", "single"])
 def test_a_streamed_file_holds_what_memory_gives(tmp_path, storage):
     source = picture(10)
@@ -415,100 +367,6 @@ def test_a_streamed_file_holds_what_memory_gives(tmp_path, storage):
     with pytest.raises(ValueError, match="2000 pixels"), store.create(tmp_path / "d.h5", PROVENANCE) as out:
         done.compression.write(out, "c", tiles, (41, 50), quantity="coefficients", codec=options.codec)
     assert not (tmp_path / "d.h5").exists()
-
-
-def test_half_precision_without_its_scale_and_integers_are_refused(tmp_path):
-    with store.create(tmp_path / "c.h5", PROVENANCE) as out:
-        names = {"units": "1", "dims": "row,column,basis", "quantity": "coefficients"}
-        out.write("half", np.ones((2, 3, 4), np.float16), **names)
-        out.write("whole", np.ones((2, 3, 4), np.int32), **names)
-        out.write("other", np.ones((2, 3, 4), np.float16), **names)
-        out.write("other_scale", np.ones(3), units="1", dims="basis", quantity="scale")
-    with store.open_file(tmp_path / "c.h5") as file:
-        for name, found in (("half", "no such dataset"), ("whole", "int32"), ("other", r"shape \(3,\)")):
-            with pytest.raises(InputError, match=found):
-                read_coefficients(file, name)
-
-
-@given(share=st.floats(0.0, 1.0, exclude_max=True), storage=st.sampled_from(["half", "single"]))
-@settings(deadline=None, suppress_health_check=REUSED, max_examples=40)
-def test_a_file_of_coefficients_cut_short_anywhere_is_refused(tmp_path, share, storage):
-    path = tmp_path / f"{storage}.h5"
-    values = np.random.default_rng(11).normal(size=(100, 80, 4)).astype(np.float32)
-    with store.create(path, PROVENANCE) as out:
-        write_coefficients(out, "c", values, quantity="coefficients", storage=storage, codec="blosc2")
-    path.write_bytes(path.read_bytes()[: int(share * os.path.getsize(path))])
-    with pytest.raises(InputError, match="accepted"), store.open_file(path) as file:
-        read_coefficients(file, "c")
-
-
-# --- below zero
-
-
-def test_negative_samples_are_counted_with_their_depth_and_what_clipping_would_add():
-    spectra = np.ones((4, 61))
-    spectra[0, :2] = [-0.5, -0.1]
-    spectra[1, 5] = -0.25
-    found = count_negative(spectra)
-    assert found.fraction == pytest.approx(3 / 244) and found.pixel_fraction == 0.5 and found.pixels == 4
-    assert found.depth_max == 0.5 and 0.49 < found.depth_p99 <= 0.5
-    assert found.clipping_bias == pytest.approx(0.85 / spectra.sum())
-
-
-@given(seed=st.integers(0, 2**32 - 1), weighted=st.booleans())
-@settings(deadline=None, max_examples=40)
-def test_the_guard_leaves_nothing_below_zero_and_adds_no_light(seed, weighted):
-    rng = np.random.default_rng(seed)
-    spectra = rng.normal(0.2, 0.3, (50, 61))
-    weights = rng.uniform(0, 1, 61) if weighted else np.ones(61)
-    guarded = without_negative(spectra, weights)
-    assert (guarded >= 0).all()
-    total = spectra @ weights
-    assert np.allclose(guarded @ weights, np.maximum(total, 0), atol=1e-12)
-    positive = np.abs(spectra)
-    assert np.array_equal(without_negative(positive, weights), positive)
-
-
-def test_clipping_would_brighten_dark_noise_and_the_guard_does_not():
-    rng = np.random.default_rng(12)
-    noisy = 0.02 + 0.02 * rng.standard_normal((4000, 61))
-    assert np.maximum(noisy, 0).mean() > 1.05 * noisy.mean()
-    assert without_negative(noisy).mean() == pytest.approx(noisy.mean(), rel=1e-6)
-
-
-# --- repeated reflection
-
-
-def test_errors_of_products_grow_with_the_reflections_as_relative_errors_add():
-    truth = np.tile(np.linspace(0.3, 0.6, 61), (50, 1))
-    decoded = truth * 1.01
-    rows = drift(truth, decoded, np.linalg.qr(np.stack([truth[0] ** n for n in range(6)], axis=1))[0], observers())
-    assert [row["reflections"] for row in rows] == [1, 2, 3, 4, 5]
-    rmse = np.array([row["rmse"] for row in rows])
-    level = np.array(
-        [np.sqrt(np.mean(truth[0] ** (2 * n))) * truth.mean() / np.mean(truth[0] ** n) for n in range(1, 6)]
-    )
-    assert np.allclose(rmse, (1.01 ** np.arange(1, 6) - 1) * level, rtol=1e-9)
-    # The powers of the spectrum up to the fifth are in the span: bringing products back to it costs nothing.
-    assert np.allclose([row["projected_rmse"] for row in rows], rmse, rtol=1e-6)
-
-
-def test_products_leave_the_span_and_projecting_them_costs_more():
-    source = picture(13).reshape(-1, 61).astype(float)
-    done = compress(source, None, observers(), EXACT, bases=6)
-    rows = drift(source, done.coefficients @ done.basis.T, done.basis, observers())
-    means = [row["delta_e"]["D65"]["mean"] for row in rows]
-    assert (np.diff(means) > 0).all()
-    first, last = rows[0], rows[-1]
-    assert first["projected_rmse"] == pytest.approx(first["rmse"], rel=1e-3)
-    assert last["projected_rmse"] > 1.2 * last["rmse"]
-    exact = drift(source, source, np.eye(61), observers())
-    assert max(row["rmse"] for row in exact) == 0 and max(row["projected_delta_e"]["A"]["max"] for row in exact) < 1e-6
-
-
-def test_a_black_picture_stays_black_through_all_reflections():
-    rows = drift(np.zeros((3, 61)), np.zeros((3, 61)), np.eye(61)[:, :2], observers())
-    assert all(row["rmse"] == 0 and row["delta_e"]["D65"]["max"] == 0 for row in rows)
 
 
 # --- what the material's file says
