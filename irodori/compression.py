@@ -1,12 +1,14 @@
 """From fitted tiles to the object's material: maps, spectra by equation (4), PCA of this image."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from irodori import store
 from irodori.colour import xyz_from_reflectance
 from irodori.errors import InputError
 from irodori.material import Material
-from irodori.principal import Compressed, compress
+from irodori.principal import WEIGHTINGS, Compression, CompressOptions, choose, drift, second_moments
 from irodori.progress import LOGGER
 from irodori.recovery import Calibration
 from irodori.spectra import refractive_index
@@ -124,8 +126,7 @@ def compress_reflectance(
     calibration_file,
     definition: dict,
     output,
-    target_mean: float,
-    align: int,
+    options: CompressOptions,
     lights: list[str],
     provenance: store.Provenance,
 ) -> None:
@@ -137,11 +138,9 @@ def compress_reflectance(
     calibration_file : path
     definition : dict
         Definition of the object.
-    target_mean : float
-        Bound on the mean CIEDE2000 of the compression under every light.
-    align : int
-        See `irodori.principal.compress`.
+    options : CompressOptions
     lights : list of str
+        Under each of which the colours are compared.
     """
     height, width = definition["texels"]["height"], definition["texels"]["width"]
     maps, filters, speed = assemble(tiles, height, width)
@@ -153,9 +152,10 @@ def compress_reflectance(
     if not observed.any():
         raise InputError(tiles[0], "status", "no texel with enough observations", "captures that see the object")
     observers = {name: (matrix := xyz_from_reflectance(name), matrix.sum(axis=1)) for name in lights}
-    compressed = compress(weights[observed], calibration.basis, observers, target_mean, align)
-    coefficients = np.full((height, width, compressed.basis.shape[1]), np.nan, dtype=np.float32)
-    coefficients[observed] = compressed.coefficients
+    weights[~observed] = np.nan
+    compression, compared = compress_maps(weights, calibration.basis, observers, options)
+    coefficients = np.concatenate([compression.decode(tile) for tile in compression.tiles(weights)])
+    coefficients = coefficients.reshape(height, width, -1)
     maps_of_confidence = confidence(calibration, maps["diffuse_response"], variance)
     n, k = refractive_index(definition["refractive_index"])
     material = Material(
@@ -164,7 +164,7 @@ def compress_reflectance(
         mu=maps["mu"],
         green_response=maps["diffuse_response"][..., _GREEN],
         coefficients=coefficients,
-        basis=compressed.basis,
+        basis=compression.basis,
         n=n,
         k=k,
         mirror=float(definition["mirror_weight"]),
@@ -175,20 +175,58 @@ def compress_reflectance(
     errors = {
         "out_of_training_fraction": float((maps_of_confidence["out_of_training"][0][observed] == 1).mean()),
         "reflectance_error_median": float(np.median(error[observed])),
-        "delta_e": compressed.errors,
-        "negative_fraction": compressed.negative_fraction,
+        "delta_e": compression.errors,
+        "negative_fraction": compression.negative.fraction,
+        "compression": compared,
         "observed_fraction": float(observed.sum() / max(maps["texel"].sum(), 1)),
         **speed,
     }
-    material.save(output, provenance, errors)
-    _log(material, compressed, observed, calibration.basis.shape[1])
+    material.save(output, provenance, errors, storage=options.storage, codec=options.codec)
+    _log(material, compression, observed)
 
 
-def _log(material: Material, compressed: Compressed, observed: np.ndarray, rank: int) -> None:
-    share, negative = 100 * observed.mean(), 100 * compressed.negative_fraction
-    count = compressed.basis.shape[1]
-    LOGGER.info("%d bases of %d; observed %.1f %% of texels; negative samples %.3f %%", count, rank, share, negative)
+def compress_maps(
+    weights: np.ndarray, basis: np.ndarray, observers: dict, options: CompressOptions
+) -> tuple[Compression, dict]:
+    """Return the compression of reflectance maps, and what the material's file says of it.
+
+    Parameters
+    ----------
+    weights : (height, width, r) float32
+        NaN where nothing is known.
+    basis : (61, r) float
+    observers : dict
+        See `irodori.principal.analyse`.
+    options : CompressOptions
+
+    Returns
+    -------
+    compression : Compression
+    errors : dict
+        Its summary, with ``storage`` and ``weighting``; ``weightings``: the same summary for each weighting on this
+        image; ``drift``: see `irodori.principal.drift`.
+    """
+    moments = second_moments(weights)
+    made = {name: choose(moments, basis, observers, replace(options, weighting=name)) for name in WEIGHTINGS}
+    compression = made[options.weighting]
+    truth = moments.sample @ np.asarray(basis, dtype=np.float64).T
+    decoded = compression.decode(compression.encode(moments.sample)) @ compression.basis.T
+    return compression, {
+        **compression.summary(),
+        "storage": options.storage,
+        "weighting": options.weighting,
+        "weightings": {name: one.summary() for name, one in made.items()},
+        "drift": drift(truth, decoded, compression.basis, observers),
+    }
+
+
+def _log(material: Material, compression: Compression, observed: np.ndarray) -> None:
+    share, negative = 100 * observed.mean(), 100 * compression.negative.fraction
+    bases, rank = compression.bases, compression.rank
+    LOGGER.info("%d bases of %d; observed %.1f %% of texels; negative samples %.3f %%", bases, rank, share, negative)
+    if not compression.budget_met:
+        LOGGER.warning("the colour error stays above its target with all %d bases in this storage", bases)
     ratio = material.alpha[observed] / material.green_response[observed]
     LOGGER.info("alpha / S_G: median %.4f, 5 to 95 %% %.4f to %.4f", *np.percentile(ratio, [50, 5, 95]))
-    for light, error in compressed.errors.items():
+    for light, error in compression.errors.items():
         LOGGER.info("CIEDE2000 of the compression under %s: mean %.3f p99 %.3f", light, error["mean"], error["p99"])

@@ -6,7 +6,7 @@ from irodori import store
 from irodori.colour import xyz_from_radiance
 from irodori.errors import InputError
 from irodori.light import Environment, irradiance_map
-from irodori.principal import compress
+from irodori.principal import CompressOptions, compress
 from irodori.progress import LOGGER
 from irodori.recovery import Calibration
 
@@ -39,8 +39,7 @@ def prepare_environment(
     linear,
     calibration_file,
     output,
-    target_mean: float,
-    align: int,
+    options: CompressOptions,
     irradiance_size: dict,
     provenance: store.Provenance,
 ) -> None:
@@ -80,11 +79,19 @@ def prepare_environment(
     # The colour of the light is judged against the rig's light as white.
     matrix = xyz_from_radiance(calibration.light)
     observers = {"light": (matrix, matrix @ calibration.light)}
-    compressed = compress(weights, basis, observers, target_mean, align)
+    compressed = compress(weights, basis, observers, options)
     coefficients = compressed.coefficients.reshape(height, width, -1)
     irradiance = irradiance_map(coefficients, irradiance_size["width"], irradiance_size["height"])
-    errors = {"delta_e": compressed.errors, "negative_fraction": compressed.negative_fraction}
-    Environment(coefficients, compressed.basis, irradiance).save(output, provenance, errors)
+    errors = {
+        "delta_e": compressed.errors,
+        "negative_fraction": compressed.negative_fraction,
+        "compression": compressed.compression.summary(),
+    }
+    Environment(coefficients, compressed.basis, irradiance).save(
+        output, provenance, errors, storage=options.storage, codec=options.codec
+    )
+    if not compressed.compression.budget_met:
+        LOGGER.warning("the colour error stays above its target with all bases; see the errors in the file")
     LOGGER.info(
         "%d bases of %d; CIEDE2000 of the compression mean %.3f p99 %.3f; negative samples %.2f %%",
         compressed.basis.shape[1],

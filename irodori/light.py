@@ -10,6 +10,7 @@ import numba
 import numpy as np
 
 from irodori import store
+from irodori.coefficients import read_coefficients, write_coefficients
 
 _LARGEST_BLOCK = 4  # pixels along each side that share one test against the horizon
 _BLOCK_ROWS = 128  # blocks from the zenith down, at least, where the picture has as many
@@ -32,15 +33,24 @@ class Environment:
     basis: np.ndarray
     irradiance: np.ndarray
 
-    def save(self, path, provenance: store.Provenance, errors: dict | None = None) -> None:
-        """Write an environment's file."""
+    def save(
+        self,
+        path,
+        provenance: store.Provenance,
+        errors: dict | None = None,
+        *,
+        storage: str = "single",
+        codec: str = "gzip",
+    ) -> None:
+        """Write an environment's file; ``storage`` and ``codec`` are those of `irodori.coefficients`."""
         with store.create(path, provenance) as out:
-            out.write(
+            write_coefficients(
+                out,
                 "coefficients",
                 self.coefficients,
-                units="1",
-                dims="row,column,basis",
                 quantity="coefficients of the radiance",
+                storage=storage,
+                codec=codec,
             )
             out.write("basis", self.basis, units="1", dims="wavelength,basis", quantity="spectral basis of the light")
             out.write(
@@ -56,7 +66,7 @@ class Environment:
     def load(cls, path) -> "Environment":
         """Read an environment's file."""
         with store.open_file(path) as file:
-            return cls(file.read("coefficients"), file.read("basis"), file.read("irradiance"))
+            return cls(read_coefficients(file, "coefficients"), file.read("basis"), file.read("irradiance"))
 
     def upward_white(self) -> np.ndarray:
         """Return the radiance of a perfect diffuser that faces up, (61,): the scene's white."""

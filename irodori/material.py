@@ -7,6 +7,7 @@ import numpy as np
 from scipy import ndimage
 
 from irodori import store
+from irodori.coefficients import read_coefficients, write_coefficients
 
 _DARKEST_GREEN = 1e-3
 _MAPS = {
@@ -63,17 +64,29 @@ class Material:
     typical_gloss: tuple[float, float]
     extra: dict = field(default_factory=dict)
 
-    def save(self, path, provenance: store.Provenance, errors: dict | None = None) -> None:
-        """Write ``material.h5``; ``errors`` is kept as an attribute."""
+    def save(
+        self,
+        path,
+        provenance: store.Provenance,
+        errors: dict | None = None,
+        *,
+        storage: str = "single",
+        codec: str = "gzip",
+    ) -> None:
+        """Write ``material.h5``; ``errors`` is kept as an attribute.
+
+        ``storage`` and ``codec`` are those of `irodori.coefficients`.
+        """
         with store.create(path, provenance) as out:
             maps = {name: (getattr(self, name), units, what) for name, (units, what) in _MAPS.items()}
             store.write_maps(out, maps | self.extra, "row,column,component")
-            out.write(
+            write_coefficients(
+                out,
                 "reflectance/coefficients",
                 self.coefficients,
-                units="1",
-                dims="row,column,basis",
                 quantity="coefficients of the reflectance factor",
+                storage=storage,
+                codec=codec,
             )
             out.write("reflectance/basis", self.basis, units="1", dims="wavelength,basis", quantity="spectral basis")
             for name in ("n", "k"):
@@ -94,7 +107,7 @@ class Material:
         with store.open_file(path) as file:
             return cls(
                 **{name: file.read(name) for name in _MAPS},
-                coefficients=file.read("reflectance/coefficients"),
+                coefficients=read_coefficients(file, "reflectance/coefficients"),
                 basis=file.read("reflectance/basis"),
                 n=file.read("refractive_index/n"),
                 k=file.read("refractive_index/k"),

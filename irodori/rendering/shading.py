@@ -142,14 +142,26 @@ def surface(world, index, ray, point, normal, facet, texel):
 
 @numba.njit(cache=True)
 def add_spectrum(basis, coefficients, decoded, out):
-    """Add the spectrum of coefficients; what recovery left below zero is dark. ``decoded`` (61,) is a buffer."""
+    """Add the spectrum of coefficients; ``decoded`` (61,) is a buffer.
+
+    Samples below zero, left by recovery and compression, are dark, and the others carry so much less that the total
+    stays: setting them to zero alone would add light.
+    """
     decoded[:] = 0.0
     for b in range(coefficients.size):
         value = coefficients[b]
         for band in range(BANDS):
             decoded[band] += basis[b, band] * value
+    total = 0.0
+    positive = 0.0
     for band in range(BANDS):
-        out[band] += max(decoded[band], 0.0)
+        total += decoded[band]
+        positive += max(decoded[band], 0.0)
+    if total <= 0.0:
+        return
+    share = total / positive
+    for band in range(BANDS):
+        out[band] += share * max(decoded[band], 0.0)
 
 
 @numba.njit(cache=True)
@@ -164,14 +176,25 @@ def fill_irradiance(light, normal, coefficients, decoded, out):
 
 @numba.njit(cache=True)
 def add_diffuse(objects, index, texel, irradiance, scale, decoded, out):
-    """Add ``scale`` times the diffuse radiance α S / S_G · I / π of a surface [eq. 9]. ``decoded`` is a buffer."""
+    """Add ``scale`` times the diffuse radiance α S / S_G · I / π of a surface [eq. 9]. ``decoded`` is a buffer.
+
+    What is below zero is dark, as in `add_spectrum`; what stays is the light reflected under this irradiance.
+    """
     decoded[:] = 0.0
     for b in range(objects.bases[index]):
         value = texel[b]
         for band in range(BANDS):
             decoded[band] += objects.basis[index, b, band] * value
+    total = 0.0
+    positive = 0.0
     for band in range(BANDS):
-        out[band] += scale / math.pi * max(decoded[band], 0.0) * irradiance[band]
+        total += decoded[band] * irradiance[band]
+        positive += max(decoded[band], 0.0) * irradiance[band]
+    if total <= 0.0:
+        return
+    share = total / positive * scale / math.pi
+    for band in range(BANDS):
+        out[band] += share * max(decoded[band], 0.0) * irradiance[band]
 
 
 @numba.njit(cache=True, inline="always")

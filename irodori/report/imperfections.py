@@ -21,6 +21,7 @@ from irodori.colour import delta_e_reflectance, summary
 from irodori.compression import compress_reflectance
 from irodori.fitting import FitOptions, fit_brdf
 from irodori.material import Material
+from irodori.principal import CompressOptions
 from irodori.progress import LOGGER, track
 from irodori.raw import IngestOptions, ingest_raw, ingest_reference
 from irodori.rectification import RigSetup, rectify_object
@@ -167,8 +168,8 @@ def run_chain(chain: Chain, folder: Path) -> Material:
     rectify_object(linear, chain.definition, setup, (0, texels["height"]), limit, tile, _MADE)
     index = refractive_index(chain.definition["refractive_index"])
     fit_brdf(tile, brdf, FitOptions(**settings["fit"]), *index, _MADE, calibration)
-    target, align = (settings["compress"][key] for key in ("target_delta_e_mean", "align"))
-    compress_reflectance([brdf], calibration, chain.definition, material, target, align, settings["lights"], _MADE)
+    options = CompressOptions(**settings["compress"])
+    compress_reflectance([brdf], calibration, chain.definition, material, options, settings["lights"], _MADE)
     return Material.load(material)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from irodori import store
 from irodori.material import Material
 from irodori.report.calibration import calibration_section
+from irodori.report.compression import compression_section
 from irodori.report.errors import read_errors
 from irodori.report.figures import material_figure, planning_figure, spectra_figure
 from irodori.report.imperfections import CostRow, read_costs
@@ -97,6 +98,7 @@ def _objects_section(objects: list[str], materials: list, truths: dict) -> str:
             f"{errors['reflectance_error_median']:.2g}; {errors['out_of_training_fraction']:.1%} of texels have a "
             "colour that the chart has none like.</p>"
         )
+        parts.append(compression_section(name, errors["compression"]))
     return "".join(parts)
 
 

@@ -12,7 +12,7 @@ from irodori.colour import xyz_from_radiance
 from irodori.environment import fill_masked, irradiance_map, prepare_environment
 from irodori.errors import InputError
 from irodori.light import Environment, directions
-from irodori.principal import compress, principal_basis
+from irodori.principal import CompressOptions, compress, principal_basis
 from irodori.recovery import Calibration
 from irodori.spectra import spectrum
 
@@ -102,6 +102,11 @@ def test_upward_white_is_the_radiance_of_a_diffuser_that_faces_up(tmp_path):
 # --- principal components ----------------------------------------------------------------------------------------
 
 
+def options(target: float, align: int) -> CompressOptions:
+    """Bounds on the mean alone, exact storage."""
+    return CompressOptions(target, np.inf, align, storage="single")
+
+
 def image(seed: int, pixels: int = 400, rank: int = 6):
     rng = np.random.default_rng(seed)
     centres = np.linspace(0, 60, rank)
@@ -128,7 +133,7 @@ def test_reconstruction_error_is_that_of_the_truncated_svd(seed, count):
 @pytest.mark.parametrize("align", [1, 2, 3, 4, 6, 8])
 def test_an_image_of_rank_six_is_exact_with_six_bases(align):
     weights, basis = image(2)
-    done = compress(weights, basis, OBSERVERS, 0.0, align)
+    done = compress(weights, basis, OBSERVERS, options(0.0, align))
     full = weights @ basis.T
     assert done.basis.shape == (61, 6) and done.coefficients.shape == (400, 6)
     # Coefficients are single precision.
@@ -140,21 +145,21 @@ def test_an_image_of_rank_six_is_exact_with_six_bases(align):
 @settings(deadline=None, max_examples=60)
 def test_the_fewest_aligned_bases_meet_the_target(seed, target, align):
     weights, basis = image(seed)
-    done = compress(weights, basis, OBSERVERS, target, align)
+    done = compress(weights, basis, OBSERVERS, options(target, align))
     count = done.basis.shape[1]
     assert count % align == 0 or count == 6
     assert done.errors["light"]["mean"] <= target or count == 6
     assert done.errors["light"]["count"] == 400
     if count > align:  # the next smaller multiple would not have done
         less = max(k for k in range(align, count, align))
-        fewer = compress(weights, basis, OBSERVERS, np.inf, less)
+        fewer = compress(weights, basis, OBSERVERS, options(np.inf, less))
         assert fewer.basis.shape[1] == less
         assert fewer.errors["light"]["mean"] > target
 
 
 def test_a_grey_image_needs_one_basis():
     weights = np.random.default_rng(3).uniform(0.1, 1.0, (300, 1)) * np.array([[0.2, 0.5, 0.9]])
-    done = compress(weights, image(4, rank=3)[1], OBSERVERS, 0.01, 1)
+    done = compress(weights, image(4, rank=3)[1], OBSERVERS, options(0.01, 1))
     assert done.basis.shape == (61, 1)
     assert np.allclose(done.coefficients @ done.basis.T, weights @ image(4, rank=3)[1].T, rtol=1e-5, atol=1e-6)
 
@@ -162,9 +167,9 @@ def test_a_grey_image_needs_one_basis():
 def test_negative_samples_are_counted():
     basis = np.eye(61)[:, :2]
     weights = np.tile([[1.0, -1.0], [1.0, 1.0]], (50, 1))
-    done = compress(weights, basis, OBSERVERS, 0.0, 1)
+    done = compress(weights, basis, OBSERVERS, options(0.0, 1))
     assert done.negative_fraction == pytest.approx(0.5 / 61, rel=1e-9)
-    assert compress(abs(weights), basis + 0.01, OBSERVERS, 0.0, 1).negative_fraction == 0
+    assert compress(abs(weights), basis + 0.01, OBSERVERS, options(0.0, 1)).negative_fraction == 0
 
 
 # --- the stage ---------------------------------------------------------------------------------------------------
@@ -185,7 +190,7 @@ def write_inputs(folder, response, valid, calibration, clipped=None):
 
 
 def stage(folder, target=0.0):
-    prepare_environment(folder / "linear.h5", folder / "calibration.h5", folder / "e.h5", target, 4,
+    prepare_environment(folder / "linear.h5", folder / "calibration.h5", folder / "e.h5", options(target, 4),
                         {"width": 32, "height": 16}, store.Provenance("test"))  # fmt: skip
     return Environment.load(folder / "e.h5")
 

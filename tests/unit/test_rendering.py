@@ -44,6 +44,20 @@ def test_a_grey_sphere_shows_its_reflectance_times_the_light(reflectance, level)
     assert np.abs(picture[2, 2] - expected).max() <= 1e-5 * level
 
 
+def test_what_is_below_zero_is_dark_and_adds_no_light():
+    """As recovery leaves vivid colours: the rest of the spectrum carries what the negative samples take away."""
+    spectrum = np.where(np.arange(61) < 20, -0.05, 0.4)
+    light = np.linspace(0.5, 2.0, 61)
+    seen = render([BALL], [material(spectrum)], constant_light(light), size=(5, 5))[2, 2]
+    assert (seen[:20] == 0).all() and seen.sum() == pytest.approx((spectrum * light).sum(), rel=1e-5)
+    ratio = seen[20:] / (spectrum * light)[20:]
+    assert np.ptp(ratio) < 1e-5 and 0.9 < ratio[0] < 1
+    # The light itself, seen beside the sphere.
+    sky = render([BALL], [material(0.5)], constant_light(spectrum), size=(5, 5))[0, 0]
+    assert (sky >= 0).all() and sky.sum() == pytest.approx(spectrum.sum(), rel=1e-5)
+    assert (render([BALL], [material(-0.1)], constant_light(light), size=(5, 5))[2, 2] == 0).all()
+
+
 def test_scale_of_alpha_is_the_reflectances_own():
     # α S / S_G: a user who doubles α doubles the diffuse light.
     one = material(np.linspace(0.1, 0.4, 61))

@@ -1,4 +1,5 @@
 from irodori.compression import compress_reflectance
+from irodori.principal import CompressOptions
 from irodori.rules import run_rule
 
 with run_rule(snakemake) as provenance:
@@ -7,8 +8,7 @@ with run_rule(snakemake) as provenance:
         snakemake.input.calibration,
         {key: snakemake.params[key] for key in ("texels", "refractive_index", "mirror_weight")},
         snakemake.output.material,
-        snakemake.params.compress["target_delta_e_mean"],
-        snakemake.params.compress["align"],
+        CompressOptions(**snakemake.params.compress),
         snakemake.params.lights,
         provenance,
     )

@@ -1,0 +1,260 @@
+"""Compression of a spectral environment, streamed from disk: speed against error, beside scikit-learn on the same file.
+
+``python -m benchmarks.compress [--size full] [--runs 7] [--output speed_error.csv]``. The picture is made of the 99
+measured materials of CIE 224 under daylight, a tungsten lamp and an LED, 61 bands in single precision, with a sun of a
+million times its shadows and 0.2 % of noise. Small: 1500 x 750, times are medians of runs in turn. Full: 6000 x 3000
+(4.4 GB in a temporary folder), each variant once in a process of its own, compiled before.
+
+The reference ``read-blas`` reads the file tile by tile and multiplies each tile with itself by BLAS, in single
+precision, one after the other. Every variant ends with 61-band spectra encoded: the ``pca`` ones in a file, those of
+scikit-learn in memory (it has no storage). Errors are CIEDE2000 over a sample of 65536 pixels, storage included, of the
+picture taken as reflectance under D65 and A: directly seen light has three numbers for the eye, and three bases would
+do. ``decode`` reads coefficients back.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from sklearn.decomposition import IncrementalPCA, TruncatedSVD
+
+from benchmarks.table import COLUMNS, arguments_of, medians_s, own_peak_mb, report
+from irodori import store
+from irodori.coefficients import read_coefficients
+from irodori.colour import colour_matching_weights, summary, xyz_from_reflectance
+from irodori.principal import Compression, CompressOptions, Tiles, analyse
+from irodori.principal.reflections import colour_error
+from irodori.spectra import spectrum
+from irodori.threads import use_threads
+
+ROOT = Path(__file__).resolve().parents[1]
+PROVENANCE = store.Provenance("benchmark")
+SIZES = {"small": (750, 1500), "full": (3000, 6000)}
+LIGHTS = ("D65", "A", "LED-B3")
+PATCHES = 60  # along the longer side
+NOISE, SUN = 0.002, 1e4
+
+#: Variant -> file of the picture, options, number of bases (None: by the colour error).
+PCA = {
+    "pca-4": ("spectra", CompressOptions(), 4),
+    "pca-8": ("spectra", CompressOptions(), 8),
+    "pca-12": ("spectra", CompressOptions(), 12),
+    "pca-budget": ("spectra", CompressOptions(), None),
+    "pca-4-visual": ("spectra", CompressOptions(weighting="visual"), 4),
+    "pca-8-visual": ("spectra", CompressOptions(weighting="visual"), 8),
+    "pca-budget-visual": ("spectra", CompressOptions(weighting="visual"), None),
+    "pca-4-single": ("spectra", CompressOptions(storage="single"), 4),
+    "pca-4-gzip": ("spectra", CompressOptions(codec="gzip"), 4),
+    "pca-4-from-6": ("bands", CompressOptions(), 4),
+    "pca-budget-from-6": ("bands", CompressOptions(), None),
+}
+OTHER_BASES = 4
+DECODED = ("pca-4", "pca-4-single", "pca-4-gzip")
+
+
+def palette() -> np.ndarray:
+    """Return the spectra that the picture is made of, (297, 61): every material under every light, white at Y = 1."""
+    materials = np.stack([spectrum(f"TCS{i}") for i in range(99)])
+    lights = np.stack([spectrum(name) for name in LIGHTS])
+    lights *= colour_matching_weights()[1].sum() / (lights @ colour_matching_weights()[1])[:, None]
+    return (materials[None] * lights[:, None]).reshape(-1, 61)
+
+
+def make_picture(folder: Path, size: str) -> None:
+    """Write the picture as spectra and as coefficients on six vectors."""
+    height, width = SIZES[size]
+    rng = np.random.default_rng(1)
+    spectra = palette()
+    basis = np.linalg.svd(spectra, full_matrices=False)[2][:6].T
+    patch = width // PATCHES
+    shape = (-(-height // patch), PATCHES + 1)
+    chosen = rng.integers(99, size=(2, *shape))
+    chosen += 99 * (np.arange(shape[1]) * len(LIGHTS) // shape[1])
+    noise = (1 + NOISE * rng.standard_normal((1 << 15, 61))).astype(np.float32)
+    with store.create(folder / "spectra.h5", PROVENANCE) as whole, store.create(folder / "bands.h5", PROVENANCE) as six:
+        names = {"units": "1", "dims": "row,column,band", "quantity": "radiance", "compression": "none"}
+        out = whole.reserve("radiance", (height, width, 61), np.float32, **names)
+        bands = six.reserve("radiance", (height, width, 6), np.float32, **names)
+        six.write("basis", basis, units="1", dims="wavelength,basis", quantity="basis")
+        column = np.arange(width)
+        for row in range(height):
+            mix = np.abs((column % patch) / patch - 0.5)[:, None]
+            brightness = 0.01 + 0.99 * np.abs(np.sin(column / width * 7 + row / height * 5))[:, None]
+            first, second = (spectra[one[row // patch, column // patch]] for one in chosen)
+            line = (brightness * (first + mix * (second - first))).astype(np.float32)
+            line *= noise[(column + 7919 * row) % len(noise)]
+            if height // 3 <= row < height // 3 + height // 150:
+                line[: width // 300] = SUN * spectra[0]
+            out[row], bands[row] = line, line @ basis.astype(np.float32)
+
+
+def observers() -> dict:
+    """Return the observers of the picture's colours."""
+    return {name: (matrix := xyz_from_reflectance(name), matrix.sum(axis=1)) for name in LIGHTS[:2]}
+
+
+def pca(folder: Path, variant: str) -> Compression:
+    """Compress the file into another."""
+    name, options, bases = PCA[variant]
+    with store.open_file(folder / f"{name}.h5") as file:
+        source = file.dataset("radiance")
+        basis = file.read("basis") if "basis" in file else None
+        made = analyse(source, basis, observers(), options, bases=bases)
+        with store.create(folder / f"{variant}.h5", PROVENANCE) as out:
+            names = {"quantity": "coefficients of the radiance", "codec": options.codec}
+            made.write(out, "coefficients", source, source.shape[:2], **names)
+            out.write("basis", made.basis, units="1", dims="wavelength,basis", quantity="basis")
+    return made
+
+
+def read_blas(folder: Path) -> None:
+    """Read the picture, tile by tile, and multiply each with itself."""
+    with store.open_file(folder / "spectra.h5") as file:
+        source = file.dataset("radiance")
+        rows = max(1, (16 << 20) // (source.shape[1] * 244))
+        tile, total = np.empty((rows, *source.shape[1:]), dtype=np.float32), np.zeros((61, 61))
+        for first in range(0, source.shape[0], rows):
+            last = min(first + rows, source.shape[0])
+            source.read_direct(tile, np.s_[first:last], np.s_[: last - first])
+            flat = tile[: last - first].reshape(-1, 61)
+            total += flat.T @ flat
+
+
+def scikit(folder: Path, variant: str):
+    """Fit scikit-learn's decomposition and return it with the picture's coefficients."""
+    with store.open_file(folder / "spectra.h5") as file:
+        source = file.dataset("radiance")
+        if variant == "truncated-svd":
+            model = TruncatedSVD(OTHER_BASES, random_state=0)
+            return model, model.fit_transform(source[()].reshape(-1, 61))
+        model, tiles = IncrementalPCA(OTHER_BASES), Tiles(source)
+        for _ in tiles.map(lambda rows, first, worker: model.partial_fit(rows)):
+            pass
+        return model, np.concatenate(
+            list(tiles.map(lambda rows, first, worker: model.transform(rows).astype(np.float32)))
+        )
+
+
+def decode(folder: Path, variant: str) -> int:
+    """Read coefficients back; return how many."""
+    with store.open_file(folder / f"{variant}.h5") as file:
+        return read_coefficients(file, "coefficients").size
+
+
+def run(folder: Path, variant: str):
+    """Do a variant's work once."""
+    if variant.startswith("decode-"):
+        return decode(folder, variant.removeprefix("decode-"))
+    if variant in PCA:
+        return pca(folder, variant)
+    if variant == "read-blas":
+        read_blas(folder)
+        return None
+    return scikit(folder, variant)
+
+
+def error(folder: Path, done) -> dict:
+    """Return the worst light's mean and p99 of CIEDE2000, the rms error, and the bases of a variant."""
+    if isinstance(done, Compression):
+        worst = max(done.errors.values(), key=lambda e: e["mean"])
+        return {"mean": worst["mean"], "p99": worst["p99"], "rmse": done.rmse, "bases": done.bases,
+                "negative": done.negative.fraction}  # fmt: skip
+    model, coefficients = done
+    chosen = np.sort(np.random.default_rng(0).choice(len(coefficients), 1 << 16, replace=False))
+    with store.open_file(folder / "spectra.h5") as file:
+        truth = file.dataset("radiance")[()].reshape(-1, 61)[chosen]
+    decoded = model.inverse_transform(coefficients[chosen])
+    found = [summary(colour_error(truth @ m.T, decoded @ m.T, white)) for m, white in observers().values()]
+    worst = max(found, key=lambda e: e["mean"])
+    rmse = float(np.sqrt(np.mean((truth - decoded) ** 2)))
+    return {"mean": worst["mean"], "p99": worst["p99"], "rmse": rmse, "bases": OTHER_BASES,
+            "negative": float((decoded < 0).mean())}  # fmt: skip
+
+
+def child(folder: Path, variant: str) -> None:
+    """Do the work once, compiled before, and print what `once` returns."""
+    if variant in PCA:
+        basis = np.eye(61)[:, :6] if PCA[variant][0] == "bands" else None
+        analyse(np.ones((100, 61 if basis is None else 6), np.float32), basis, observers(), PCA[variant][1])
+    start, done = time.perf_counter(), None
+    if variant != "imports":
+        done = run(folder, variant)
+    found = {"seconds": time.perf_counter() - start, "peak_mb": own_peak_mb()}
+    if variant.startswith("decode-"):
+        found["coefficients"] = done
+    elif done is not None:
+        found |= error(folder, done)
+    if variant in PCA:
+        found["mb"] = (folder / f"{variant}.h5").stat().st_size / 1e6
+    print(json.dumps(found))
+
+
+def once(folder: Path, variant: str, threads: int) -> dict:
+    """Return what a process of its own measured: ``seconds``, ``peak_mb``, errors, size of the file in MB."""
+    command = [sys.executable, "-m", "benchmarks.compress", "--child", variant, "--folder", str(folder),
+               "--threads", str(threads)]  # fmt: skip
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def measure(folder: Path, size: str, wanted: list[str] | None, runs: int, threads: int) -> list[dict]:
+    """Return one row a variant, the reference first."""
+    start = time.perf_counter()
+    make_picture(folder, size)
+    print(f"the picture: {time.perf_counter() - start:.0f} s to make", file=sys.stderr)
+    variants = (
+        ["read-blas", *wanted]
+        if wanted
+        else ["read-blas", *PCA, "sklearn-incremental", "truncated-svd", *(f"decode-{name}" for name in DECODED)]
+    )
+    single = {name: once(folder, name, threads) for name in variants}
+    if size == "full":
+        seconds = {name: measured["seconds"] for name, measured in single.items()}
+    else:
+        seconds = medians_s({name: lambda name=name: run(folder, name) for name in variants}, runs)
+    return [row(name, size, seconds, single[name]) for name in variants]
+
+
+def row(variant: str, size: str, seconds: dict, found: dict) -> dict:
+    """Return a line of the table of speed against error; print what has no column."""
+    height, width = SIZES[size]
+    work, unit, median = width * height / 1e6, "megapixels", seconds[variant]
+    name = variant if size == "small" else f"{variant}-full"
+    if "coefficients" in found:
+        work, unit = found["coefficients"] / 1e6, "megacoefficients"
+    elif "mean" in found:
+        packed = f", {found['mb']:.1f} MB" if "mb" in found else ""
+        print(f"{name}: {found['bases']} bases, p99 {found['p99']:.3f}, rms {found['rmse']:.2e}, "
+              f"negative {found['negative']:.3%}{packed}", file=sys.stderr)  # fmt: skip
+    values = ("compress", name, f"{work:.2f}", unit, f"{median:.4f}", f"{work / median:.1f}",
+              "mean CIEDE2000, worse light, 65536 pixels", f"{found.get('mean', float('nan')):.5f}",
+              f"{found['peak_mb']:.0f}", "read-blas", f"{median / seconds['read-blas']:.3f}")  # fmt: skip
+    return dict(zip(COLUMNS, values, strict=True))
+
+
+def main() -> None:
+    """Measure and print; write a CSV if asked."""
+    parser = arguments_of(__doc__.splitlines()[0])
+    parser.add_argument("--size", choices=list(SIZES), default="small", help="1500 x 750, or 6000 x 3000 once")
+    parser.add_argument("--variants", nargs="+", help="all where absent; decode-<variant> needs the variant before it")
+    parser.add_argument("--child", help=argparse.SUPPRESS)
+    parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    use_threads(arguments.threads)
+    if arguments.child:
+        child(arguments.folder, arguments.child)
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        rows = measure(Path(folder), arguments.size, arguments.variants, arguments.runs, arguments.threads)
+        print(f"a process after its imports: {once(Path(folder), 'imports', arguments.threads)['peak_mb']:.0f} MB",
+              file=sys.stderr)  # fmt: skip
+    report(rows, arguments.threads, arguments.output)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,306 @@
+"""The fewest bases that keep a picture's colours, and the second pass that writes its coefficients."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from irodori import store
+from irodori.coefficients import from_half, half_scale, require_storage, reserve_coefficients, to_half
+from irodori.colour import summary
+from irodori.principal.decomposition import WEIGHTINGS, Decomposition, decompose
+from irodori.principal.moments import SAMPLE_PIXELS, Moments, second_moments
+from irodori.principal.positive import Negative, count_negative
+from irodori.principal.reflections import colour_error
+from irodori.principal.tiles import Tiles
+from irodori.spectra import SAMPLES
+
+_FIRST_LOOK = 8192  # pixels of the sample, which come in no order
+
+
+@dataclass(frozen=True)
+class CompressOptions:
+    """How pictures are compressed; the keys of ``compress`` in the configuration.
+
+    Parameters
+    ----------
+    target_delta_e_mean, target_delta_e_p99 : float
+        Bounds on mean and 99th percentile of CIEDE2000 under every light, storage included.
+    align : int
+        The number of bases is rounded up to a multiple of this, but not beyond the picture's rank.
+    weighting : str
+        ``nothing``: all wavelengths count alike; ``visual``: as colour-matching functions and lights weigh them.
+    storage : str
+        ``half`` or ``single`` precision.
+    codec : str
+        ``blosc2`` or ``gzip``.
+    """
+
+    target_delta_e_mean: float = 0.1
+    target_delta_e_p99: float = 0.5
+    align: int = 4
+    weighting: str = "nothing"
+    storage: str = "half"
+    codec: str = "blosc2"
+
+    def __post_init__(self) -> None:
+        require_storage(self.storage, self.codec)
+        if self.weighting not in WEIGHTINGS:
+            raise ValueError(f"unknown weighting {self.weighting!r}; accepted: {', '.join(WEIGHTINGS)}")
+        if self.align < 1:
+            raise ValueError(f"align {self.align}; accepted: 1 or more")
+
+
+@dataclass(frozen=True)
+class Compression:
+    """A basis for one picture, how its coefficients are made, and what that costs.
+
+    Parameters
+    ----------
+    basis : (61, k) float64, orthonormal columns
+    encoder : (k, r) float64
+        ``coefficients = encoder @ pixel``.
+    scale : (k,) float32
+        By which coefficients are divided in half precision; 1 in single precision.
+    storage : str
+    errors : dict
+        light -> mean, p95, p99, max of CIEDE2000 between the sample's spectra before and after, storage included, and
+        the count of pixels compared.
+    rmse : float
+        Root mean square error of the sample's spectra over all samples.
+    budget_met : bool
+        False where even all bases leave more than the target; the errors say how much.
+    rank, pixels, masked : int
+        Directions of the picture with energy; all pixels; those that are not finite and have no coefficients.
+    negative : Negative
+        Of the decoded sample.
+    sample : (n, r) float32
+        Pixels that the errors are of.
+    """
+
+    basis: np.ndarray
+    encoder: np.ndarray
+    scale: np.ndarray
+    storage: str
+    errors: dict
+    rmse: float
+    budget_met: bool
+    rank: int
+    pixels: int
+    masked: int
+    negative: Negative
+    sample: np.ndarray = field(repr=False)
+
+    @property
+    def bases(self) -> int:
+        """Number of bases."""
+        return self.basis.shape[1]
+
+    def encode(self, rows: np.ndarray) -> np.ndarray:
+        """Return the coefficients of pixels as they are stored, (n, r) to (n, k) half or single; NaN where masked."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            out = np.asarray(rows, dtype=np.float32) @ self.encoder.T.astype(np.float32)
+        masked = ~np.isfinite(out)
+        if masked.any():
+            out[masked.any(axis=1)] = np.nan
+        return to_half(out, self.scale) if self.storage == "half" else out
+
+    def decode(self, stored: np.ndarray) -> np.ndarray:
+        """Return stored coefficients (n, k) as float32."""
+        return from_half(stored, self.scale) if self.storage == "half" else stored
+
+    def summary(self) -> dict:
+        """Return what a file keeps of the compression: numbers and dictionaries."""
+        return {
+            "bases": self.bases,
+            "rank": self.rank,
+            "delta_e": self.errors,
+            "rmse": self.rmse,
+            "budget_met": self.budget_met,
+            "pixels": self.pixels,
+            "masked_pixels": self.masked,
+            "negative": self.negative.as_dict(),
+        }
+
+    def tiles(self, source) -> Iterator[np.ndarray]:
+        """Yield the stored coefficients of a picture tile by tile: the second pass."""
+        tiles = source if isinstance(source, Tiles) else Tiles(source)
+        yield from tiles.map(lambda rows, first, worker: self.encode(rows))
+
+    def write(self, out: store.Writer, name: str, source, size: tuple[int, int], *, quantity: str, codec: str) -> None:
+        """Write a picture's coefficients, tile by tile, to a dataset (height, width, k).
+
+        Parameters
+        ----------
+        out : store.Writer
+        name : str
+        source : Tiles, or what `Tiles` takes
+            The picture that was analysed.
+        size : (height, width)
+        quantity, codec : str
+        """
+        height, width = size
+        shape = (height, width, self.bases)
+        scale = self.scale if self.storage == "half" else None
+        dataset = reserve_coefficients(
+            out, name, shape, quantity=quantity, storage=self.storage, codec=codec, scale=scale
+        )
+        row, rest = 0, np.empty((0, self.bases), dtype=dataset.dtype)
+        for tile in self.tiles(source):
+            rest = np.concatenate([rest, tile]) if len(rest) else tile
+            rows = len(rest) // width
+            dataset[row : row + rows] = rest[: rows * width].reshape(rows, width, self.bases)
+            row, rest = row + rows, rest[rows * width :]
+        if row != height or len(rest):
+            raise ValueError(f"a picture of {row * width + len(rest)} pixels; accepted: {height} rows of {width}")
+
+
+@dataclass(frozen=True)
+class Compressed:
+    """An image on its own principal basis.
+
+    Parameters
+    ----------
+    coefficients : (n, k) float32
+        As they come back from storage.
+    compression : Compression
+    """
+
+    coefficients: np.ndarray
+    compression: Compression
+
+    @property
+    def basis(self) -> np.ndarray:
+        """Orthonormal columns, (61, k) float64."""
+        return self.compression.basis
+
+    @property
+    def errors(self) -> dict:
+        """CIEDE2000 by light."""
+        return self.compression.errors
+
+    @property
+    def negative_fraction(self) -> float:
+        """Share of samples (pixel and wavelength) that are below zero."""
+        return self.compression.negative.fraction
+
+
+def analyse(
+    source,
+    basis: np.ndarray | None,
+    observers: dict,
+    options: CompressOptions,
+    weights=None,
+    *,
+    bases: int | None = None,
+) -> Compression:
+    """Read a picture once and return its compression: the first pass, and the choice of the bases.
+
+    Parameters
+    ----------
+    source : Tiles, or what `Tiles` takes
+        Pixels are spectra (61), or coefficients (r) on ``basis``: then everything is of the size of r.
+    basis : (61, r) float or None
+    observers : dict
+        light -> ((3, 61) matrix to XYZ, (3,) XYZ of white). Brighter than white is scaled down to it before the
+        comparison, because CIELAB is for surfaces.
+    options : CompressOptions
+    weights : (pixels,) float, optional
+        Weights of the pixels in the decomposition; the errors are of pixels as they are.
+    bases : int, optional
+        That many, or the rank if that is less, whatever the target.
+
+    Raises
+    ------
+    ValueError
+        If no pixel is finite, or the pixels' bands are not those of the basis.
+    """
+    moments = second_moments(source, weights, SAMPLE_PIXELS)
+    return choose(moments, basis, observers, options, bases=bases)
+
+
+def choose(
+    moments: Moments, basis: np.ndarray | None, observers: dict, options: CompressOptions, *, bases: int | None = None
+) -> Compression:
+    """Return the compression with the fewest bases that meet the targets; see `analyse`."""
+    width = moments.root.shape[1]
+    if width != (SAMPLES if basis is None else basis.shape[1]):
+        expected = f"{SAMPLES} bands" if basis is None else f"{basis.shape[1]}, one for each vector of the basis"
+        raise ValueError(f"pixels of {width} bands; accepted: {expected}")
+    matrices = [matrix for matrix, _ in observers.values()] if options.weighting == "visual" else None
+    found = decompose(moments.root, basis, matrices)
+    spectra = moments.sample if basis is None else moments.sample @ np.asarray(basis, dtype=np.float64).T
+    trial = _Trial(found, moments, spectra, observers, options)
+    rank = found.rank
+    counts = [*range(options.align, rank, options.align), rank] if bases is None else [max(1, min(bases, rank))]
+    for count in counts:
+        if count != counts[-1] and trial.is_hopeless(count):
+            continue
+        made = trial.compression(count)
+        if made.budget_met or count == counts[-1]:
+            break
+    if made.budget_met or bases is not None or rank == len(found.energies):
+        return made
+    # Under a light far brighter than the rest, directions that look like rounding may still be colours.
+    full = trial.compression(len(found.energies))
+    return full if full.budget_met else made
+
+
+class _Trial:
+    """Numbers of bases on one picture, and what each does to the colours of its sample."""
+
+    def __init__(
+        self, found: Decomposition, moments: Moments, spectra: np.ndarray, observers: dict, options: CompressOptions
+    ) -> None:
+        self._found, self._moments, self._spectra, self._options = found, moments, spectra, options
+        self._observers = observers
+        self._before = {light: spectra @ matrix.T for light, (matrix, _) in observers.items()}
+
+    def is_hopeless(self, count: int) -> bool:
+        """Whether so few bases miss a target by twice on a part of the sample; the whole need not be looked at."""
+        errors = self._errors(self._made(count), slice(_FIRST_LOOK))
+        mean, p99 = self._options.target_delta_e_mean, self._options.target_delta_e_p99
+        return any(e["mean"] > 2 * mean or e["p99"] > 2 * p99 for e in errors.values())
+
+    def compression(self, count: int) -> Compression:
+        """Return the compression with its errors."""
+        made, options = self._made(count), self._options
+        errors = self._errors(made, slice(None))
+        met = all(
+            e["mean"] <= options.target_delta_e_mean and e["p99"] <= options.target_delta_e_p99 for e in errors.values()
+        )
+        decoded = made.decode(made.encode(self._moments.sample)) @ made.basis.T
+        rmse = float(np.sqrt(np.mean((self._spectra - decoded) ** 2)))
+        return replace(made, errors=errors, rmse=rmse, budget_met=met, negative=count_negative(decoded))
+
+    def _made(self, count: int) -> Compression:
+        moments, storage = self._moments, self._options.storage
+        vectors, encoder = self._found.truncated(count)
+        scale = np.ones(count, dtype=np.float32)
+        if storage == "half":
+            scale = half_scale(np.linalg.norm(encoder, axis=1) * moments.largest_norm)
+        return Compression(vectors, encoder, scale, storage, {}, 0.0, False, self._found.rank, moments.pixels,
+                           moments.masked, None, moments.sample)  # fmt: skip
+
+    def _errors(self, made: Compression, part: slice) -> dict:
+        stored = made.decode(made.encode(self._moments.sample[part]))
+        return {
+            light: summary(colour_error(self._before[light][part], stored @ (matrix @ made.basis).T, white))
+            for light, (matrix, white) in self._observers.items()
+        }
+
+
+def compress(
+    weights: np.ndarray, basis: np.ndarray, observers: dict, options: CompressOptions, *, bases: int | None = None
+) -> Compressed:
+    """Compress an image in memory; see `analyse`.
+
+    Parameters
+    ----------
+    weights : (n, r) float
+        The image on its recovery basis.
+    basis : (61, r) float or None
+    """
+    compression = analyse(weights, basis, observers, options, bases=bases)
+    coefficients = np.concatenate([compression.decode(tile) for tile in compression.tiles(weights)])
+    return Compressed(coefficients, compression)

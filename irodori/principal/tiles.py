@@ -1,0 +1,180 @@
+"""Pictures as rows of pixels, tile by tile: from memory, a memory map, an HDF5 dataset, or anything that yields tiles.
+
+One tile is read while others are worked on; a picture may be read as often as wanted.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+
+import numba
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from irodori import store
+from irodori.errors import InputError
+from irodori.spectra import SAMPLES, WAVELENGTH_NM
+from irodori.tables import check_wavelengths
+
+TILE_BYTES = 8 << 20
+_GRID_NM = 1e-3
+
+
+class Tiles:
+    """A picture that can be read tile by tile, several times.
+
+    Parameters
+    ----------
+    source : array, h5py.Dataset, or iterable of arrays
+        Array-like: (pixels, bands) or (height, width, bands). Iterable: tiles of either kind, the same each time it is
+        iterated. Values are brought to float32.
+    tile_bytes : int
+        Size of a tile as float32, about; a worker holds one. Tiles of an iterable are taken as they are, and two
+        for each worker are held: they must not be overwritten meanwhile.
+
+    Raises
+    ------
+    ValueError
+        If the source has other axes, no pixel, or can be iterated once only.
+    """
+
+    def __init__(self, source, tile_bytes: int = TILE_BYTES) -> None:
+        self._source, self._bytes = source, tile_bytes
+        self._is_array = hasattr(source, "shape") and hasattr(source, "dtype")
+        if self._is_array:
+            if len(source.shape) not in (2, 3) or 0 in source.shape:
+                raise ValueError(
+                    f"a picture of shape {source.shape}; accepted: (pixels, bands) or (height, width, bands)"
+                )
+        elif iter(source) is source:
+            raise ValueError(
+                "tiles that can be read once only; accepted: what can be iterated twice, a list or a dataset"
+            )
+
+    def map(self, function: Callable[[np.ndarray, int, int], object]) -> Iterator:
+        """Yield ``function(tile, first, worker)`` for every tile, in order.
+
+        As many workers as numba has threads each take every so-manieth tile, read it and work on it; none waits for
+        another. BLAS has one thread meanwhile.
+
+        Parameters
+        ----------
+        function : callable
+            Takes a tile (pixels, bands) float32, contiguous, that is valid during the call only; the number of its
+            first pixel; and the number of the worker, whose tiles come in order and one at a time.
+        """
+        workers = numba.get_num_threads()
+        buffers = [np.empty(0, dtype=np.float32) for _ in range(workers)]
+
+        def work(item, first: int, worker: int):
+            if self._is_array:
+                item = self._read(item, buffers, worker)
+            return function(_rows(item), first, worker)
+
+        with ExitStack() as stack:
+            stack.enter_context(threadpool_limits(1, user_api="blas"))
+            pools = [stack.enter_context(ThreadPoolExecutor(1, "tiles")) for _ in range(workers)]
+            waiting: deque = deque()
+            first = 0
+            for number, item in enumerate(self._parts() if self._is_array else self._source):
+                worker = number % workers
+                waiting.append(pools[worker].submit(work, item, first, worker))
+                first += self._pixels(item)
+                if len(waiting) == 2 * workers:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+
+    def _pixels(self, item) -> int:
+        if not self._is_array:
+            return int(np.prod(np.shape(item)[:-1]))
+        return int(np.prod([s.stop - s.start for s in item] + list(self._source.shape[len(item) : -1])))
+
+    def _read(self, part: tuple[slice, ...], buffers: list, worker: int) -> np.ndarray:
+        source = self._source
+        if type(source) is np.ndarray:
+            return source[part]
+        shape = (*(s.stop - s.start for s in part), *source.shape[len(part) :])
+        size = int(np.prod(shape))
+        if buffers[worker].size < size:
+            buffers[worker] = np.empty(size, dtype=np.float32)
+        tile = buffers[worker][:size].reshape(shape)
+        if hasattr(source, "read_direct"):
+            source.read_direct(tile, part)
+        else:
+            np.copyto(tile, source[part], casting="unsafe")
+        return tile
+
+    def _parts(self) -> Iterator[tuple[slice, ...]]:
+        """Yield slices of the leading axes: rows, a multiple of the file's chunks; parts of a row that is long."""
+        shape = self._source.shape
+        row_bytes = int(np.prod(shape[1:])) * 4
+        if len(shape) == 3 and row_bytes > self._bytes:
+            columns = max(1, self._bytes // (shape[2] * 4))
+            for row in range(shape[0]):
+                for first in range(0, shape[1], columns):
+                    yield slice(row, row + 1), slice(first, min(first + columns, shape[1]))
+            return
+        rows = max(1, self._bytes // row_bytes)
+        chunk = (getattr(self._source, "chunks", None) or (1,))[0]
+        rows = -(-rows // chunk) * chunk if chunk * row_bytes <= 4 * self._bytes else rows
+        for first in range(0, shape[0], rows):
+            yield (slice(first, min(first + rows, shape[0])),)
+
+
+def _rows(tile) -> np.ndarray:
+    tile = np.asarray(tile)
+    return np.ascontiguousarray(tile.reshape(-1, tile.shape[-1]), dtype=np.float32)
+
+
+def spectral_tiles(file: store.Reader, name: str, tile_bytes: int = TILE_BYTES) -> Tiles:
+    """Return the tiles of a spectral picture in a file of this project.
+
+    Parameters
+    ----------
+    file : store.Reader
+        Its dataset ``wavelength``, where it has one, is checked.
+    name : str
+        Dataset (height, width, 61) or (pixels, 61).
+
+    Raises
+    ------
+    InputError
+        If the axes are others, or the wavelengths are not those of the grid, each once.
+    """
+    dataset = file.dataset(name)
+    if len(dataset.shape) not in (2, 3) or dataset.shape[-1] != SAMPLES or 0 in dataset.shape:
+        raise InputError(
+            file.path, name, f"shape {dataset.shape}", f"(height, width, {SAMPLES}) or (pixels, {SAMPLES})"
+        )
+    if "wavelength" in file:
+        require_grid(file.read("wavelength"), file.path)
+    return Tiles(dataset, tile_bytes)
+
+
+def require_grid(wavelength_nm: np.ndarray, file, field: str = "wavelength") -> None:
+    """Refuse wavelengths that are not the package's grid: 400 to 700 nm, step 5, increasing, each once.
+
+    Raises
+    ------
+    InputError
+    """
+    wavelength_nm = np.asarray(wavelength_nm, dtype=np.float64).ravel()
+    check_wavelengths(wavelength_nm.tolist(), file, field)
+    if wavelength_nm.size != SAMPLES or np.abs(wavelength_nm - WAVELENGTH_NM).max() > _GRID_NM:
+        found = f"{wavelength_nm.size} wavelengths, {wavelength_nm[0]:g} to {wavelength_nm[-1]:g} nm"
+        raise InputError(file, field, found, f"{SAMPLES} wavelengths, 400 to 700 nm in steps of 5")
+
+
+def flat_weights(weights) -> np.ndarray:
+    """Return weights of pixels, (pixels,) float32; refuse negative ones and those that are not finite.
+
+    Raises
+    ------
+    ValueError
+    """
+    flat = np.ascontiguousarray(np.asarray(weights).reshape(-1), dtype=np.float32)
+    if not (np.isfinite(flat).all() and (flat >= 0).all()):
+        raise ValueError("weights of pixels that are negative or not finite; accepted: finite weights from 0")
+    return flat

@@ -1,0 +1,80 @@
+"""Spectra below zero, and products of spectra: what compression leaves that its colour error does not show."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from irodori.colour import xyz_from_reflectance
+from irodori.principal import CompressOptions, compress, count_negative, drift, without_negative
+from irodori.spectra import spectrum
+
+
+def observers() -> dict:
+    return {name: (matrix := xyz_from_reflectance(name), matrix.sum(axis=1)) for name in ("D65", "A")}
+
+
+def test_negative_samples_are_counted_with_their_depth_and_what_clipping_would_add():
+    spectra = np.ones((4, 61))
+    spectra[0, :2] = [-0.5, -0.1]
+    spectra[1, 5] = -0.25
+    found = count_negative(spectra)
+    assert found.fraction == pytest.approx(3 / 244) and found.pixel_fraction == 0.5 and found.pixels == 4
+    assert found.depth_max == 0.5 and 0.49 < found.depth_p99 <= 0.5
+    assert found.clipping_bias == pytest.approx(0.85 / spectra.sum())
+
+
+@given(seed=st.integers(0, 2**32 - 1), weighted=st.booleans())
+@settings(deadline=None, max_examples=40)
+def test_the_guard_leaves_nothing_below_zero_and_adds_no_light(seed, weighted):
+    rng = np.random.default_rng(seed)
+    spectra = rng.normal(0.2, 0.3, (50, 61))
+    weights = rng.uniform(0, 1, 61) if weighted else np.ones(61)
+    guarded = without_negative(spectra, weights)
+    assert (guarded >= 0).all()
+    total = spectra @ weights
+    assert np.allclose(guarded @ weights, np.maximum(total, 0), atol=1e-12)
+    positive = np.abs(spectra)
+    assert np.array_equal(without_negative(positive, weights), positive)
+
+
+def test_clipping_would_brighten_dark_noise_and_the_guard_does_not():
+    rng = np.random.default_rng(12)
+    noisy = 0.02 + 0.02 * rng.standard_normal((4000, 61))
+    assert np.maximum(noisy, 0).mean() > 1.05 * noisy.mean()
+    assert without_negative(noisy).mean() == pytest.approx(noisy.mean(), rel=1e-6)
+
+
+# --- repeated reflection
+
+
+def test_errors_of_products_grow_with_the_reflections_as_relative_errors_add():
+    truth = np.tile(np.linspace(0.3, 0.6, 61), (50, 1))
+    decoded = truth * 1.01
+    rows = drift(truth, decoded, np.linalg.qr(np.stack([truth[0] ** n for n in range(6)], axis=1))[0], observers())
+    assert [row["reflections"] for row in rows] == [1, 2, 3, 4, 5]
+    rmse = np.array([row["rmse"] for row in rows])
+    level = np.array(
+        [np.sqrt(np.mean(truth[0] ** (2 * n))) * truth.mean() / np.mean(truth[0] ** n) for n in range(1, 6)]
+    )
+    assert np.allclose(rmse, (1.01 ** np.arange(1, 6) - 1) * level, rtol=1e-9)
+    # The powers of the spectrum up to the fifth are in the span: bringing products back to it costs nothing.
+    assert np.allclose([row["projected_rmse"] for row in rows], rmse, rtol=1e-6)
+
+
+def test_products_leave_the_span_and_projecting_them_costs_more():
+    source = np.stack([spectrum(f"TCS{i}") for i in range(99)])
+    done = compress(source, None, observers(), CompressOptions(storage="single"), bases=6)
+    rows = drift(source, done.coefficients @ done.basis.T, done.basis, observers())
+    means = [row["delta_e"]["D65"]["mean"] for row in rows]
+    assert (np.diff(means) > 0).all()
+    first, last = rows[0], rows[-1]
+    assert first["projected_rmse"] == pytest.approx(first["rmse"], rel=1e-3)
+    assert last["projected_rmse"] > 1.2 * last["rmse"]
+    exact = drift(source, source, np.eye(61), observers())
+    assert max(row["rmse"] for row in exact) == 0 and max(row["projected_delta_e"]["A"]["max"] for row in exact) < 1e-6
+
+
+def test_a_black_picture_stays_black_through_all_reflections():
+    rows = drift(np.zeros((3, 61)), np.zeros((3, 61)), np.eye(61)[:, :2], observers())
+    assert all(row["rmse"] == 0 and row["delta_e"]["D65"]["max"] == 0 for row in rows)
