@@ -252,7 +252,7 @@ class _Checks:
             if "white" not in camera:
                 found = f"no such key, though {table} lists photographs of the role white"
                 raise InputError(file, "white", found, "white: {reflectance_factor: ...} of the white reference")
-        for group in filter(None, (*charts, whites)):
+        for group in filter(None, ([shot for chart in charts for shot in chart], whites)):
             self._reach(camera).check_shots(group, table)
             check_one_pose(group, table)
 

@@ -13,7 +13,11 @@ from irodori.calibration.reading import ChartPhotograph
 from irodori.calibration.training import Noise
 from irodori.captures import chart_capture
 from irodori.errors import InputError
+from irodori.progress import LOGGER
 from irodori.spectra import chart_spectra
+
+_LEVEL_BASES = 6
+_LEVEL_TOLERANCE = 0.02
 
 
 @dataclass(frozen=True)
@@ -87,6 +91,33 @@ class Charts:
         """Return responses of all patches as if lit at normal incidence, (m, bands)."""
         return np.concatenate([p.responses(r) for p, r in zip(self.photographs, self.readings, strict=True)])
 
+    def check_levels(self) -> None:
+        """Refuse a further chart that was lit otherwise than the first; log how bright each is beside the others.
+
+        The responses of the other charts, on the principal vectors of all spectra, predict those of the chart in
+        question; the level is the median of measured over predicted.
+
+        Raises
+        ------
+        InputError
+            If a level is off by more than 2 % and by more than four times what the scatter of its patches explains.
+        """
+        response = self.responses()
+        weights = self.spectra @ np.linalg.svd(self.spectra, full_matrices=False)[2][:_LEVEL_BASES].T
+        for which, photograph in enumerate(self.photographs[1:], start=1):
+            own = self.number == which
+            if (~own).sum() <= _LEVEL_BASES:
+                continue
+            model = np.linalg.lstsq(weights[~own], response[~own], rcond=None)[0]
+            predicted = weights[own] @ model
+            bright = (predicted > 0.02 * predicted.max(axis=0)) & (response[own] > 0.0)
+            level, error = _level(np.log(response[own][bright] / predicted[bright]), own.sum())
+            LOGGER.info("%s: %.3f +- %.3f times as bright as the other charts say", photograph.path, level, error)
+            if abs(level - 1.0) > max(_LEVEL_TOLERANCE, 4.0 * error):
+                found = f"a chart {level:.3f} times as bright as the others predict"
+                accepted = f"{1 - _LEVEL_TOLERANCE:g} to {1 + _LEVEL_TOLERANCE:g}: the pose and the light of the first"
+                raise InputError(photograph.path, "chart", found, accepted)
+
     def noise(self) -> Noise:
         """Return the noise of patch means and of a pixel, see `ChartPhotograph.noise`, in the mean over all patches."""
         found = [p.noise(r) for p, r in zip(self.photographs, self.readings, strict=True)]
@@ -109,6 +140,13 @@ class Charts:
             return error_of
 
         return [photograph.jitter(moved(which)) for which, photograph in enumerate(self.photographs)]
+
+
+def _level(ratios: np.ndarray, patches: int) -> tuple[float, float]:
+    """Return the median of ratios given as logarithms, and its standard error from their spread over the patches."""
+    middle = float(np.median(ratios))
+    spread = 1.4826 * float(np.median(np.abs(ratios - middle)))
+    return float(np.exp(middle)), 1.2533 * spread / np.sqrt(patches)
 
 
 def _in_order(photograph: ChartPhotograph, spectra: np.ndarray, chart: dict) -> ChartReading:

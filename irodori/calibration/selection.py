@@ -17,6 +17,7 @@ BASES = (3, 4, 5, 6, 7, 8, 10, 12)
 LEFT_OUT = ("patch", "chart")
 #: Estimators that are one matrix, and those that are not.
 KINDS = {"linear": ("pinv", "ridge", "wiener"), "non-linear": ("local", "kernel")}
+_TWIN_RMS = 0.005
 _SINGLE_FOLDS = 32  # patches, up to which each is left out alone
 _FOLDS = 12  # of larger charts, every 12th patch together
 _RMSE_WEIGHT = 50.0  # CIEDE2000 that a spectral RMSE of one counts for in the score: 0.02 is as bad as 1
@@ -76,6 +77,16 @@ def folds(patches: int, charts=None, groups: int | None = None) -> list[np.ndarr
     return [group == number for number in range(group.max() + 1)]
 
 
+def twins(spectra: np.ndarray) -> np.ndarray:
+    """Return the number of the first patch of nearly the same spectrum (rms difference under 0.005), (m,) int.
+
+    Two copies of one chart, or the greys along the edge of a large one, are one paint: with its twin among the rest,
+    a patch is not left out.
+    """
+    difference = np.sqrt(np.mean((spectra[:, None] - spectra) ** 2, axis=-1))
+    return np.argmax(difference < _TWIN_RMS, axis=1)
+
+
 def cross_validate(
     training: Training,
     lights=("D65", "A"),
@@ -98,6 +109,7 @@ def cross_validate(
     lights : sequence of str
     charts : see `folds`
         A chart without which fewer patches than bands or bases would be left stays; where all do, nothing is judged.
+        Patches of the same paint (see `twins`) go with those left out.
     bases : sequence of int
         Numbers of bases; those beyond the smallest fold's patches are left out.
     timed : bool
@@ -121,12 +133,15 @@ def cross_validate(
 
 
 def _cross_validate(training, lights, sets, by_chart, bases, timed, estimators, noisy):
+    paint = twins(training.spectra)
+    # What is left out, and what must not be seen either.
+    pairs = [(left_out, np.isin(paint, paint[left_out])) for left_out in sets]
     if by_chart:
         least = max(*bases, training.response.shape[1])
-        sets = [left_out for left_out in sets if (~left_out).sum() >= least]
-        if not sets:
+        pairs = [pair for pair in pairs if (~pair[1]).sum() >= least]
+        if not pairs:
             return [], {}
-    smallest = min(int((~left_out).sum()) for left_out in sets)
+    smallest = min(int((~unseen).sum()) for _, unseen in pairs)
     wanted, bases = bases, [count for count in bases if count <= smallest]
     if not bases:
         raise ValueError(f"{min(wanted)} bases of {len(training.spectra)} patches; accepted: up to {smallest}")
@@ -134,9 +149,9 @@ def _cross_validate(training, lights, sets, by_chart, bases, timed, estimators, 
     stated = len(offsets) > 1
     combinations = [(name, count) for name in estimators for count in bases]
     recovered = {key: np.full((len(offsets), *training.spectra.shape), np.nan) for key in combinations}
-    judged = np.any(sets, axis=0)
-    for left_out in sets:
-        seen = training.without(left_out, pixel_levels=stated)
+    judged = np.any([left_out for left_out, _ in pairs], axis=0)
+    for left_out, unseen in pairs:
+        seen = training.without(unseen, pixel_levels=stated)
         largest = spectral_basis(seen.spectra, max(bases))
         queries = (training.response[left_out] + offsets[:, None]).reshape(-1, training.response.shape[1])
         for name in estimators:
@@ -158,7 +173,7 @@ def _cross_validate(training, lights, sets, by_chart, bases, timed, estimators, 
     done = []
     for row in rows:
         mapping = whole[row.estimator].on_basis(full[:, : row.bases])
-        seconds = _evaluation_ns(mapping, training.response, row.bases) if timed else float("nan")
+        seconds = _evaluation_ns(mapping, training, row.bases, stated) if timed else float("nan")
         kind = LEFT_OUT[by_chart]
         done.append(replace(row, multiply_adds=mapping.multiply_adds(), ns_per_pixel=seconds, left_out=kind))
     return done, {key: values[0] for key, values in recovered.items()}
@@ -244,14 +259,15 @@ def _row(spectra: np.ndarray, key: tuple[str, int], recovered: np.ndarray, light
     )
 
 
-def _evaluation_ns(mapping: Mapping, response: np.ndarray, bases: int) -> float:
-    """Return the shortest of three evaluations, ns a pixel, compilation apart."""
-    pixels = np.resize(response.astype(np.float32), (_TIMED_PIXELS, response.shape[1]))
+def _evaluation_ns(mapping: Mapping, training: Training, bases: int, stated: bool) -> float:
+    """Return the shortest of three evaluations, ns a pixel, without compilation; told the noise if it is ``stated``."""
+    pixels = np.resize(training.response.astype(np.float32), (_TIMED_PIXELS, training.response.shape[1]))
+    variance = np.broadcast_to(np.float32(training.noise.pixel), pixels.shape).copy() if stated else None
     out = np.empty((_TIMED_PIXELS, bases), dtype=np.float32)
-    mapping.weights(pixels, None, out)
+    mapping.weights(pixels, variance, out)
     best = float("inf")
     for _ in range(3):
         start = time.perf_counter()
-        mapping.weights(pixels, None, out)
+        mapping.weights(pixels, variance, out)
         best = min(best, time.perf_counter() - start)
     return 1e9 * best / _TIMED_PIXELS

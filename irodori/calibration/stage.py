@@ -65,6 +65,7 @@ def calibrate_camera(
         configured limit.
     """
     charts = Charts.load(linear, camera)
+    charts.check_levels()
     names, spectra = charts.patches, charts.spectra
     training = Training(charts.responses(), spectra, light(light_name), charts.noise() if noise is None else noise)
     try:

@@ -20,6 +20,7 @@ from irodori.fitting.judge import MAX_RELATIVE_ERROR
 from irodori.fitting.pool_sums import PACKED, evaluate, lowest, polish
 from irodori.fitting.solvers import FitOptions, FitResult, problem_of
 from irodori.material import Status
+from irodori.progress import LOGGER
 
 _BETA, _MU = MAX_RELATIVE_ERROR["beta"], MAX_RELATIVE_ERROR["mu"]
 _DIFFUSE_ONLY = int(Status.DIFFUSE_ONLY)
@@ -34,6 +35,7 @@ _SILENT = 4.0
 _FOREIGN_SHARE = 0.1
 #: Texels that must see the gloss: two of different materials can be explained by a gloss that is neither's.
 _WITNESSES = 4
+_VARYING = 3  # texels with a gloss of their own that tell how it varies
 _POLISH = 14
 _PROMISING = 1.25  # between two nodes the gain of gloss is at most this multiple of that at the nodes
 #: Columns of the outcome.
@@ -159,9 +161,44 @@ def _conclude(members, blocks, log_mu, beta, value, used, nodes, rules, block, r
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _pool_texel(t, radius, width, rows, status, packed, used, sums, nodes, rules, row):
+def _vary(t, radius, width, rows, own, column):
+    """Return the variance between the values around a texel beyond what their errors explain (method of moments).
+
+    All texels around that determine their gloss count, up to twice the pool's radius: the pool's own agree by choice.
+    """
+    count, total, weight, square, inverse = 0, 0.0, 0.0, 0.0, 0.0
+    row, column_of = t // width, t % width
+    for y in range(max(row - radius, 0), min(row + radius + 1, rows)):
+        for x in range(max(column_of - radius, 0), min(column_of + radius + 1, width)):
+            value, error = own[y * width + x, column], own[y * width + x, column + 2]
+            if math.isfinite(value) and (y - row) ** 2 + (x - column_of) ** 2 <= radius * radius:
+                w = 1.0 / (error * error)
+                count += 1
+                weight += w
+                total += w * value
+                square += w * value * value
+                inverse += w * w
+    if count < _VARYING:
+        return 0.0
+    # DerSimonian and Laird, Controlled Clinical Trials 7(3), 1986.
+    scatter = square - total * total / weight
+    return max((scatter - (count - 1)) / (weight - inverse / weight), 0.0)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _widen(t, radius, width, rows, own, row):
+    """Add to the errors how much gloss varies around a texel; forget the outcome where that leaves it open."""
+    by_beta, by_mu = _vary(t, radius, width, rows, own, 0), _vary(t, radius, width, rows, own, 1)
+    row[_BETA_ERROR] = row[_BETA_OUT] * math.sqrt((row[_BETA_ERROR] / row[_BETA_OUT]) ** 2 + by_beta)
+    row[_LOG_MU_ERROR] = math.sqrt(row[_LOG_MU_ERROR] ** 2 + by_mu)
+    if not (row[_BETA_ERROR] < _BETA * row[_BETA_OUT] and row[_LOG_MU_ERROR] < _MU):
+        row[:] = np.nan
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _pool_texel(t, radius, width, rows, status, own, packed, used, sums, nodes, rules, row):
     """Fill the outcome of one texel in need; leave it as it is where the neighbourhood says nothing."""
-    size = (2 * radius + 1) ** 2
+    size, reach = (2 * radius + 1) ** 2, radius
     members, distance = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
     high = rules.high_beta
     count = _around(t, radius, width, rows, used, packed, sums, nodes, high, members, distance)
@@ -185,18 +222,19 @@ def _pool_texel(t, radius, width, rows, status, packed, used, sums, nodes, rules
                 chosen = chosen[~foreign]
                 blocks, log_mu, beta, value = _fit_members(chosen, packed, sums, nodes, rules)
                 off = _misfit(blocks[0], sums[t, 3, 2], beta, log_mu, high) / excess
-            if off <= limit and witnesses >= _WITNESSES:
-                _conclude(chosen, blocks, log_mu, beta, value, used, nodes, rules, packed[t], row)
+            able = off <= limit and witnesses >= _WITNESSES
+            if able and _conclude(chosen, blocks, log_mu, beta, value, used, nodes, rules, packed[t], row):
+                _widen(t, 2 * reach, width, rows, own, row)
             return
         radius -= max(1, radius // 3)
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def _pool_all(targets, radius, width, status, packed, used, sums, nodes, rules, out):
+def _pool_all(targets, radius, width, status, own, packed, used, sums, nodes, rules, out):
     rows = status.size // width
     for i in numba.prange(targets.size):
         t = targets[i]
-        _pool_texel(t, radius, width, rows, status, packed, used, sums, nodes, rules, out[t])
+        _pool_texel(t, radius, width, rows, status, own, packed, used, sums, nodes, rules, out[t])
 
 
 def pool(result: FitResult, response, geometry, weight, n, k, options: FitOptions, noise, width: int) -> FitResult:
@@ -217,7 +255,8 @@ def pool(result: FitResult, response, geometry, weight, n, k, options: FitOption
     -------
     FitResult
         Texels of status MU_UNIDENTIFIABLE or AT_BOUND, and those of DIFFUSE_ONLY whose observations do not object,
-        that found their gloss have status POOLED; ``pooled_from`` counts the texels that it comes from.
+        that found their gloss have status POOLED; ``pooled_from`` counts the texels that it comes from. Where the
+        camera's noise is not known nothing is pooled.
 
     Raises
     ------
@@ -232,6 +271,10 @@ def pool(result: FitResult, response, geometry, weight, n, k, options: FitOption
         return result
     index = np.where(np.isfinite(result.index), result.index, n)
     problem, rules = problem_of(response, geometry, weight, index, k, options, noise, None)
+    if not rules.known:
+        # A texel that fits well by chance would decide for all: four degrees of freedom tell no variance.
+        LOGGER.info("the camera's noise is not known in every capture: gloss is not pooled")
+        return result
     nodes = replace(options, scan_per_octave=4).nodes()
     own = result.gloss.copy()
     own[~np.isin(result.status, _TAKE_PART)] = np.nan
@@ -240,8 +283,17 @@ def pool(result: FitResult, response, geometry, weight, n, k, options: FitOption
     used, out = np.zeros(count, dtype=np.int32), np.full((count, _COLUMNS), np.nan)
     pool_sums.pack(problem, rules, own, nodes, packed, used, sums)
     targets = np.flatnonzero(in_need & (used > 0))
-    _pool_all(targets, options.pooling_radius_texels, width, result.status, packed, used, sums, nodes, rules, out)
+    known = _own_gloss(result)
+    radius = options.pooling_radius_texels
+    _pool_all(targets, radius, width, result.status, known, packed, used, sums, nodes, rules, out)
     return _merge(result, out)
+
+
+def _own_gloss(result: FitResult) -> np.ndarray:
+    """Return log β and log μ of the texels that determine them, and their standard errors, (texels, 4); else NaN."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        columns = [np.log(result.beta), np.log(result.mu), result.beta_error / result.beta, result.mu_error / result.mu]
+    return np.where((result.status == Status.OK)[:, None], np.column_stack(columns), np.nan)
 
 
 def _merge(result: FitResult, out: np.ndarray) -> FitResult:

@@ -29,7 +29,7 @@ _ALGORITHMS = (
     "LD_VAR2",
 )
 ACCEPTED_ALGORITHMS = tuple(name for name in _ALGORITHMS if hasattr(nlopt, name))
-MAX_POOLING_RADIUS_TEXELS = 32
+MAX_POOLING_RADIUS_TEXELS = 8
 _SETTINGS = ("objective", "algorithm", "xtol_rel", "max_evaluations")
 _BOUNDS = {"alpha": (0.0, 2.0), "beta": (0.0, 1e4), "mu_rad": (0.005, 1.2), "n": (1.2, 2.5)}
 _CHOICES = {"weights": ("noise", "equal"), "refractive_index": ("fixed", "fitted"), "scan_per_octave": (2, 4)}

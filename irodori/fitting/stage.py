@@ -200,7 +200,9 @@ def fit_brdf(observations, output, options: FitOptions, n, k, provenance: store.
     start = time.perf_counter()
     result = fit(green, geometry, weight, n, k, options, of_green, clipped)
     seconds = time.perf_counter() - start
+    start = time.perf_counter()
     result = pool(result, green, geometry, weight, n, k, options, of_green, carried["width"])
+    pool_seconds = time.perf_counter() - start
     fitted = int((result.evaluations > 0).sum())
     diffuse, variance = diffuse_response(response, geometry, weight, result, fresnel, noise, options.model_error)
     with store.create(output, provenance) as out:
@@ -228,7 +230,10 @@ def fit_brdf(observations, output, options: FitOptions, n, k, provenance: store.
         for name, value in carried.items():
             out.attribute(name, value)
         out.attribute("fit_seconds", seconds)
+        out.attribute("pool_seconds", pool_seconds)
         out.attribute("texels_fitted", fitted)
     counts = np.bincount(result.status, minlength=len(Status))
+    if options.pooling_radius_texels:
+        LOGGER.info("pooled the gloss of %d texels in %.2f s", int((result.pooled_from > 0).sum()), pool_seconds)
     LOGGER.info("fitted %d texels in %.2f s (%.0f texels/s)", fitted, seconds, fitted / max(seconds, 1e-9))
     LOGGER.info("%s", ", ".join(f"{s.name.lower()}: {counts[s]}" for s in Status))

@@ -112,6 +112,8 @@ def resample_affine(image, valid, affine, out=None) -> tuple[np.ndarray, np.ndar
     """
     out = np.empty(image.shape, dtype=np.float32) if out is None else out
     flat_out, out_step = flatten(out)
+    if not out.flags.writeable or np.shares_memory(out, image):
+        raise ValueError("room that is read-only or holds the picture itself; accepted: room apart from the picture")
     if out.shape != image.shape or not np.may_share_memory(flat_out, out):
         raise ValueError(f"room for {out.shape}, strides {out.strides}; accepted: bands of a contiguous {image.shape}")
     out_valid = np.empty(valid.shape, dtype=np.bool_)
