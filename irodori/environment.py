@@ -5,7 +5,8 @@ import numpy as np
 from irodori import store
 from irodori.colour import xyz_from_radiance
 from irodori.errors import InputError
-from irodori.light import Environment, irradiance_map
+from irodori.irradiance import fitted_irradiance_map
+from irodori.light import Environment
 from irodori.principal import compress
 from irodori.progress import LOGGER
 from irodori.recovery import Calibration
@@ -41,7 +42,7 @@ def prepare_environment(
     output,
     target_mean: float,
     align: int,
-    irradiance_size: dict,
+    irradiance_options: dict,
     provenance: store.Provenance,
 ) -> None:
     """Write an environment's file from the linear responses of its omnidirectional picture.
@@ -82,8 +83,12 @@ def prepare_environment(
     observers = {"light": (matrix, matrix @ calibration.light)}
     compressed = compress(weights, basis, observers, target_mean, align)
     coefficients = compressed.coefficients.reshape(height, width, -1)
-    irradiance = irradiance_map(coefficients, irradiance_size["width"], irradiance_size["height"])
-    errors = {"delta_e": compressed.errors, "negative_fraction": compressed.negative_fraction}
+    irradiance, irradiance_errors = fitted_irradiance_map(coefficients, **irradiance_options)
+    errors = {
+        "delta_e": compressed.errors,
+        "negative_fraction": compressed.negative_fraction,
+        "irradiance": irradiance_errors,
+    }
     Environment(coefficients, compressed.basis, irradiance).save(output, provenance, errors)
     LOGGER.info(
         "%d bases of %d; CIEDE2000 of the compression mean %.3f p99 %.3f; negative samples %.2f %%",

@@ -18,7 +18,8 @@ from irodori.colour import (
     summary,
     xyz_from_radiance,
 )
-from irodori.light import Environment
+from irodori.irradiance import irradiance_at
+from irodori.light import Environment, directions
 from irodori.material import Material, Status
 from irodori.pictures import read_spectral_exr
 from irodori.progress import LOGGER
@@ -100,7 +101,9 @@ def environment_errors(name: str, environment: Environment, truth: Environment) 
     white = truth.upward_white()
     step = 4
     picture = [e.coefficients[::step, ::step] @ e.basis.T for e in (truth, environment)]
-    irradiance = [e.irradiance @ e.basis.T / np.pi for e in (truth, environment)]
+    # The maps are as fine as their own light needs.
+    normals = directions(128, 64)[0]
+    irradiance = [irradiance_at(e.irradiance, normals) @ e.basis.T / np.pi for e in (truth, environment)]
     return [
         _row(name, "light CIEDE2000", radiance_delta_e(*picture, white)),
         _row(name, "irradiance CIEDE2000", radiance_delta_e(*irradiance, white)),
