@@ -235,16 +235,16 @@ class Integrator:
     """
 
     def __init__(self, coefficients: np.ndarray) -> None:
-        self._pixels = make_pixels(coefficients)
-        self._cells = make_cells(self._pixels)
-        counts = self._cells.rows * self._cells.columns
+        self.pixels = make_pixels(coefficients)
+        self.cells = make_cells(self.pixels)
+        counts = self.cells.rows * self.cells.columns
         self._coarse = int(np.argmax(counts <= max(_COARSE_CELLS, counts[-1])))
 
     def __call__(self, normals: np.ndarray) -> np.ndarray:
         """Return the irradiance, (..., k) float64 in radiance unit times sr, of unit normals (..., 3)."""
         flat = np.ascontiguousarray(np.reshape(normals, (-1, 3)), dtype=np.float64)
-        out = np.zeros((len(flat), self._pixels.values.shape[2]))
-        _irradiance(self._cells, self._pixels, self._coarse, flat, out)
+        out = np.zeros((len(flat), self.pixels.values.shape[2]))
+        _irradiance(self.cells, self.pixels, self._coarse, flat, out)
         return out.reshape(*np.shape(normals)[:-1], -1)
 
 

@@ -28,8 +28,26 @@ class Environment:
     basis: np.ndarray
     irradiance: np.ndarray
 
-    def save(self, path, provenance: store.Provenance, errors: dict | None = None) -> None:
-        """Write an environment's file."""
+    def save(
+        self,
+        path,
+        provenance: store.Provenance,
+        errors: dict | None = None,
+        gloss=None,
+        origin: dict | None = None,
+    ) -> None:
+        """Write an environment's file.
+
+        Parameters
+        ----------
+        path : path
+        provenance : Provenance
+        errors : dict, optional
+        gloss : irodori.gloss.GlossMaps, optional
+            Blurred light for rough reflection.
+        origin : dict, optional
+            Where the light came from and what was assumed about it.
+        """
         with store.create(path, provenance) as out:
             out.write(
                 "coefficients",
@@ -46,7 +64,10 @@ class Environment:
                 dims="row,column,basis",
                 quantity="coefficients of the irradiance map",
             )
+            if gloss is not None:
+                gloss.write(out)
             out.attribute("errors", errors or {})
+            out.attribute("origin", origin or {})
 
     @classmethod
     def load(cls, path) -> "Environment":
