@@ -2,7 +2,7 @@
 
 A lobe of width s is κ / (2π (1 - exp(-2κ))) exp(κ (cosγ - 1)) with κ = 1 / s², the Gaussian of the sphere. Along a row
 the convolution is a product of Fourier series, which closes at the seam; from row to row the lobe itself is evaluated
-on the sphere, so that the poles are no exception. A pixel counts as its power at its centre.
+on the sphere. A pixel shines evenly over its area: where it is wide against the lobe its row is divided.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -20,6 +20,7 @@ _FEWEST_ROWS = 12
 _CUT = 5.0  # widths beyond which the lobe is nothing
 _ROWS_PER_WIDTH = 12.0  # rows of the source over the width, at least, where it is thinned
 _FINEST_OF_PITCH = 0.6  # a lobe narrower than this part of a pixel would show the pixels one by one
+_PARTS_PER_WIDTH = 4.0  # rows of the source over the width, at least, into which coarse rows are divided
 _ROWS_AT_A_TIME = 64
 
 
@@ -40,7 +41,9 @@ def _row_series(coefficients: np.ndarray, terms: int) -> np.ndarray:
     solid_angle = directions(1, height)[1][:, 0] / width
     order = np.arange(terms)
     # Powers at points have a series without end, which repeats with the number of columns.
-    index, phase = order % width, np.exp(-1j * np.pi * order / width)[:, None]
+    index = order % width
+    # The place of column 0, and the series of a pixel's width.
+    phase = (np.exp(-1j * np.pi * order / width) * np.sinc(order / width))[:, None]
     out = np.empty((height, terms, bases), dtype=np.complex64)
     for first in range(0, height, _ROWS_AT_A_TIME):
         rows = slice(first, min(first + _ROWS_AT_A_TIME, height))
@@ -53,11 +56,25 @@ def _row_series(coefficients: np.ndarray, terms: int) -> np.ndarray:
     return out
 
 
-def _thinned(series: np.ndarray) -> np.ndarray:
-    """Return half the rows; the power of each is shared by the two nearest so that its place is kept."""
+def row_angles(height: int) -> np.ndarray:
+    """Return the polar angle, rad, at which each row's power counts: the mean of the cosine over the row."""
+    edges = np.cos(np.pi * np.arange(height + 1) / height)
+    return np.arccos(0.5 * (edges[1:] + edges[:-1]))
+
+
+def _divided(series: np.ndarray, parts: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return every row of light divided into parts by solid angle, and their angles."""
+    cosine = np.cos(np.pi * np.arange(len(series) * parts + 1) / (len(series) * parts))
+    share = (cosine[:-1] - cosine[1:]).reshape(-1, parts)
+    share = (share / share.sum(axis=1, keepdims=True)).ravel().astype(np.float32)
+    return np.repeat(series, parts, axis=0) * share[:, None, None], row_angles(len(series) * parts)
+
+
+def _thinned(series: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return half the rows and their angles; the power of each is shared by the two nearest: its place is kept."""
     height, terms, bases = series.shape
     rows = height // 2
-    place = (np.arange(height) + 0.5) * rows / height - 0.5
+    place = theta / np.pi * rows - 0.5
     lower = np.floor(place).astype(int)
     share = place - lower
     sign = np.where(np.arange(terms) % 2, -1.0, 1.0).astype(np.float32)[:, None]
@@ -73,7 +90,7 @@ def _thinned(series: np.ndarray) -> np.ndarray:
             )
             part = matrix @ flat
             out += (part.reshape(rows, terms, bases) * sign).reshape(rows, -1) if turned else part
-    return out.reshape(rows, terms, bases)
+    return out.reshape(rows, terms, bases), np.pi * (np.arange(rows) + 0.5) / rows
 
 
 def _concentration(width_rad: float, pitch_rad: float) -> float:
@@ -81,15 +98,14 @@ def _concentration(width_rad: float, pitch_rad: float) -> float:
     return 1.0 / (width_rad**2 - pitch_rad**2 / 6.0)
 
 
-def _level(series: np.ndarray, width_rad: float, pool: ThreadPoolExecutor) -> np.ndarray:
-    """Return the map of one width, (h, 2 h, k) float32."""
+def _level(series: np.ndarray, source: np.ndarray, width_rad: float, pool: ThreadPoolExecutor) -> np.ndarray:
+    """Return the map of one width, (h, 2 h, k) float32, from rows at polar angles ``source`` (rad)."""
     height = level_height(width_rad)
     kappa = _concentration(width_rad, np.pi / height)
     scale = kappa / (2 * np.pi * -np.expm1(-2 * kappa))
     terms = min(series.shape[1], height)
     samples = fft.next_fast_len(2 * terms, real=True)
     cosine = np.cos(2 * np.pi * np.arange(samples) / samples)
-    source = np.pi * (np.arange(len(series)) + 0.5) / len(series)
     target = np.pi * (np.arange(height) + 0.5) / height
     reach = _CUT / np.sqrt(kappa)
     spectrum = np.empty((height, terms, series.shape[2]), dtype=np.complex128)
@@ -128,10 +144,11 @@ def prefiltered(coefficients: np.ndarray) -> tuple[int, list[np.ndarray]]:
     first = first_level(height, width)
     finest = WIDTHS_RAD[first]
     series = _row_series(coefficients, min(int(np.ceil(6.0 / finest)) + 1, level_height(finest)))
+    series, theta = _divided(series, int(np.ceil(_PARTS_PER_WIDTH * np.pi / height / finest)))
     levels = []
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
         for width_rad in WIDTHS_RAD[first:]:
             while np.pi / (len(series) // 2 or 1) <= width_rad / _ROWS_PER_WIDTH:
-                series = _thinned(series)
-            levels.append(_level(series, width_rad, pool))
+                series, theta = _thinned(series, theta)
+            levels.append(_level(series, theta, width_rad, pool))
     return first, levels
