@@ -136,11 +136,11 @@ class _Checks:
         if not is_photographed(environment):
             check_spectra(environment, (), self.root, file)
             return
-        self._check_keys("environments", name)
         ball = environment["source"]["kind"] == "mirror_ball"
         if ball and self._rig_of("environments", name)["kind"] == "virtual":
             accepted = "captures: the virtual rig photographs its room from every direction itself"
             raise InputError(file, "source.kind", "mirror_ball on a rig of kind virtual", accepted)
+        self._check_keys("environments", name)
         if self._is_taken_here("environments", name):
             self._check_exposures(environment, file)
         else:

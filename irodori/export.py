@@ -1,8 +1,8 @@
 """Materials and environments as pictures that other programs read: ``python -m irodori.export material.h5 out.exr``.
 
 Spectral EXR in the published layout (Fichet et al. 2021), or TIFF of 32-bit floats with a channel a wavelength, both
-through OpenImageIO; spectra are decoded a band of rows at a time. A material has layers ``T.<λ>nm`` (reflectance factor)
-and α, β, μ; an environment has ``S0.<λ>nm``, a panorama as other programs have it: clockwise, azimuth 0 in the middle.
+through OpenImageIO; spectra are decoded a band of rows at a time. A material has layers ``T.<λ>nm`` (reflectance) and
+α, β, μ; an environment has ``S0.<λ>nm``, a panorama as other programs have it: clockwise, azimuth 0 in the middle.
 """
 
 import argparse
