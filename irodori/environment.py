@@ -197,13 +197,14 @@ def write_environment(
     observers = {"light": (matrix, matrix @ white)}
     compressed = compress(picture.weights.reshape(height * width, rank), picture.basis, observers, target_mean, align)
     coefficients = compressed.coefficients.reshape(height, width, -1)
-    irradiance, irradiance_errors = fitted_irradiance_map(coefficients, **irradiance_options)
+    integrator = Integrator(coefficients)
+    irradiance, irradiance_errors = fitted_irradiance_map(coefficients, **irradiance_options, integrate=integrator)
     gloss = GlossMaps.of(coefficients)
     errors = {
         "delta_e": compressed.errors,
         "negative_fraction": compressed.negative_fraction,
         "irradiance": irradiance_errors,
-        "gloss": gloss_errors(Integrator(coefficients), gloss),
+        "gloss": gloss_errors(integrator, gloss),
     }
     Environment(coefficients, compressed.basis, irradiance).save(output, provenance, errors, gloss, picture.origin)
     LOGGER.info(

@@ -12,9 +12,9 @@ from irodori.irradiance import Integrator
 #: Roughnesses (rad) and view angles (degrees) of the table.
 MU_RAD = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 THETA_R_DEG = (0.0, 30.0, 60.0, 75.0, 85.0)
-_PLACES = 8
-_CELLS_PER_WIDTH = 16.0  # light is summed in cells that are small against the lobe
-_REACH = 4.0
+_PLACES = 3
+_CELLS_PER_WIDTH = 10.0  # light is summed in cells that are small against the lobe
+_REACH = 3.3
 _PARTS_PER_WIDTH, _MOST_PARTS = 4.0, 8
 _INDEX = (1.5, 0.0)
 
@@ -81,7 +81,12 @@ def _add_from_pixels(pixels, parts, normal, view, mu, n, k, out):
 @numba.njit(cache=True)
 def _add_from_cells(cells, level, normal, view, mu, n, k, out):
     first = cells.first[level]
+    mirror, reach = _reach(normal, view, mu)
     for j in range(first, first + cells.rows[level] * cells.columns[level]):
+        c = cells.centre[j]
+        away = mirror[0] * c[0] + mirror[1] * c[1] + mirror[2] * c[2]
+        if reach + cells.radius[j] < math.pi and away < math.cos(reach + cells.radius[j]):
+            continue
         m = cells.power_moment[j]
         length = math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
         if length <= 0.0:
@@ -105,7 +110,7 @@ def _references(pixels, cells, level, parts, normal, view, mu, n, k, out):
 def true_gloss(integrator: Integrator, normal: np.ndarray, view: np.ndarray, mu: float, index=_INDEX) -> np.ndarray:
     """Return β/π ∫ L F D G / cosθ_r dω for β = 1 summed over the light, (n, bases) float64.
 
-    The light is taken in cells of at most a sixteenth of the roughness, each at its centre of power, or pixel by pixel,
+    The light is taken in cells of at most a tenth of the roughness, each at its centre of power, or pixel by pixel,
     where a pixel shines evenly and is sampled up to 8 x 8 times so that a narrow lobe is not missed.
     """
     cells, pixels = integrator.cells, integrator.pixels
@@ -130,19 +135,38 @@ def places(theta_r: float, count: int, seed: int = 0) -> tuple[np.ndarray, np.nd
     return normal, np.cos(theta_r) * normal + np.sin(theta_r) * across
 
 
+def lit_places(cells, mu: float, theta_r: float, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Return normals and views, (count, 3) each, that mirror within about a roughness (rad) of the light's power."""
+    rng = np.random.default_rng(seed)
+    blocks = cells.rows[0] * cells.columns[0]
+    power = cells.power[:blocks]
+    if not power.any():
+        return places(theta_r, count, seed)
+    chosen = rng.choice(blocks, count, p=power / power.sum())
+    mirror = cells.power_moment[:blocks][chosen]
+    mirror = mirror / np.linalg.norm(mirror, axis=1, keepdims=True) + mu * rng.normal(size=(count, 3))
+    mirror /= np.linalg.norm(mirror, axis=1, keepdims=True)
+    across = np.cross(mirror, rng.normal(size=(count, 3)))
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    normal = np.cos(theta_r) * mirror + np.sin(theta_r) * across
+    return normal, 2.0 * np.cos(theta_r) * normal - mirror
+
+
 def gloss_errors(integrator: Integrator, maps: GlossMaps) -> list[dict]:
     """Return the errors of the look-up by roughness and view angle, for n = 1.5.
 
     Returns
     -------
     list of dict
-        ``mu_rad``, ``theta_r_deg``; ``rms``: root mean square error over that of the radiance, at 8 random normals and
-        views; ``max``: the largest error over the largest radiance.
+        ``mu_rad``, ``theta_r_deg``; ``rms``: root mean square error over that of the radiance, at 3 random normals and
+        views and at 3 that mirror about where light comes from; ``max``: the largest error over the largest radiance.
     """
     tables, rows = maps.tables(), []
     for mu in MU_RAD:
         for theta_r in THETA_R_DEG:
-            normal, view = places(math.radians(theta_r), _PLACES)
+            angle = math.radians(theta_r)
+            pairs = places(angle, _PLACES), lit_places(integrator.cells, mu, angle, _PLACES)
+            normal, view = (np.concatenate(both) for both in zip(*pairs, strict=True))
             truth = true_gloss(integrator, normal, view, mu)
             error = np.linalg.norm(gloss_radiance(tables, normal, view, 1.0, mu, *_INDEX) - truth, axis=1)
             size = np.linalg.norm(truth, axis=1)

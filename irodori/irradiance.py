@@ -18,7 +18,8 @@ from irodori.sphere import look_up
 _BLOCK = 8  # pixels along each side of the smallest cell that is stored
 _TOP_CELLS = 32
 _COARSE_CELLS = 1024  # cells by which the irradiance is bounded from below before the tolerance is set
-_TOLERANCE = 1e-4  # power times angular radius of a cut cell that is not divided, over the irradiance
+_TOLERANCE = 2e-4  # power times angular radius of a cut cell that is not divided, over the irradiance
+_SPREAD = 0.55  # half the extent of a cell's heights over the horizon, over its angular radius
 _DARKEST = 1e-7  # irradiance over power under which the tolerance sinks no further
 _STACK = 1024
 _SMALLEST_HEIGHT = 32
@@ -196,17 +197,24 @@ def _add_irradiance(cells, pixels, coarse, nx, ny, nz, levels, places, out):
         cut = height < cells.sine[j]
         if cut and cells.power[j] * cells.radius[j] > limit:
             columns = cells.columns[level]
-            i, c = place // columns, place % columns
+            i, k = place // columns, place % columns
             if level == 0:
-                _add_pixels(pixels, i, c, nx, ny, nz, out)
+                _add_pixels(pixels, i, k, nx, ny, nz, out)
                 continue
             below_rows, below_columns = cells.rows[level - 1], cells.columns[level - 1]
             for row in range(2 * i, min(2 * i + 2, below_rows)):
-                for column in range(2 * c, min(2 * c + 2, below_columns)):
+                for column in range(2 * k, min(2 * k + 2, below_columns)):
                     levels[waiting], places[waiting] = level - 1, row * below_columns + column
                     waiting += 1
+            continue
+        m, c = cells.moment[j], cells.centre[j]
+        spread = _SPREAD * cells.radius[j]
+        if abs(height) < spread:
+            # Light even over the heights from the centre's less to the centre's plus the spread.
+            mean = (height + spread) ** 2 / (4.0 * spread)
+            for b in range(out.size):
+                out[b] += mean * (c[0] * m[b, 0] + c[1] * m[b, 1] + c[2] * m[b, 2])
         elif height > 0.0:
-            m = cells.moment[j]
             for b in range(out.size):
                 out[b] += nx * m[b, 0] + ny * m[b, 1] + nz * m[b, 2]
 
@@ -289,7 +297,9 @@ def midpoints(height: int) -> np.ndarray:
     return np.concatenate([[[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], unit])
 
 
-def fitted_irradiance_map(coefficients: np.ndarray, max_error: float, max_height: int) -> tuple[np.ndarray, dict]:
+def fitted_irradiance_map(
+    coefficients: np.ndarray, max_error: float, max_height: int, integrate: Integrator | None = None
+) -> tuple[np.ndarray, dict]:
     """Return the smallest irradiance map that looks up between its normals well enough.
 
     Parameters
@@ -300,6 +310,8 @@ def fitted_irradiance_map(coefficients: np.ndarray, max_error: float, max_height
         Largest error of the look-up at the midpoints between the map's normals, relative to the largest irradiance.
     max_height : int
         Rows at which the map stops growing, px; columns are twice as many. Heights are 32, 64, 128...
+    integrate : Integrator, optional
+        Of the same picture, where there is one already.
 
     Returns
     -------
@@ -307,7 +319,7 @@ def fitted_irradiance_map(coefficients: np.ndarray, max_error: float, max_height
     errors : dict
         ``height`` of the map, ``max_error`` and ``mean_error`` at the midpoints, relative to the largest irradiance.
     """
-    integrate = Integrator(coefficients)
+    integrate = Integrator(coefficients) if integrate is None else integrate
     height = min(_SMALLEST_HEIGHT, max_height)
     while True:
         found = integrate(directions(2 * height, height)[0]).astype(np.float32)

@@ -142,7 +142,9 @@ def test_the_errors_under_a_photographed_place(name):
     rows = gloss_errors(Integrator(light), GlossMaps.of(light))
     assert len(rows) == 30
     for row in rows:
-        limit = 0.5 if row["theta_r_deg"] > 80 else 0.25 if row["mu_rad"] > 0.3 else 0.12
+        # Across the plane of incidence the lobe is as narrow as cosθ_r: under the finest level it is only sketched.
+        narrow = math.sqrt(2.0) * row["mu_rad"] * math.cos(math.radians(row["theta_r_deg"])) < WIDTHS_RAD[0]
+        limit = 0.5 if narrow or row["theta_r_deg"] > 80 else 0.25 if row["mu_rad"] > 0.3 else 0.12
         assert row["rms"] <= limit and row["max"] <= 1.5 * limit, row
 
 
