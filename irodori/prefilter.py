@@ -17,8 +17,8 @@ from irodori.light import directions
 WIDTHS_RAD = 0.01 * np.sqrt(2.0) * 2.0 ** (0.5 * np.arange(14))
 _SAMPLES_PER_WIDTH = 3.0
 _FEWEST_ROWS = 12
-_CUT = 5.0  # widths beyond which the lobe is nothing
-_ROWS_PER_WIDTH = 12.0  # rows of the source over the width, at least, where it is thinned
+_CUT = 4.5  # widths beyond which the lobe is nothing
+_ROWS_PER_WIDTH = 8.0  # rows of the source over the width, at least, where it is thinned
 _FINEST_OF_PITCH = 0.6  # a lobe narrower than this part of a pixel would show the pixels one by one
 _PARTS_PER_WIDTH = 4.0  # rows of the source over the width, at least, into which coarse rows are divided
 _ROWS_AT_A_TIME = 64
