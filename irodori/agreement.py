@@ -15,6 +15,7 @@ from irodori.agreement_captures import (
     read_table,
     table_and_folder,
 )
+from irodori.agreement_environments import check_source, is_photographed
 from irodori.agreement_motion import check_motion
 from irodori.agreement_spectra import check_chart, check_spectra
 from irodori.captures import Shot
@@ -134,6 +135,14 @@ class _Checks:
 
     def environment(self, name: str) -> None:
         file, environment = self.file("environments", name), self.all["environments"][name]
+        check_source(environment, self.root, file)
+        if not is_photographed(environment):
+            check_spectra(environment, (), self.root, file)
+            return
+        ball = environment["source"]["kind"] == "mirror_ball"
+        if ball and self._rig_of("environments", name)["kind"] == "virtual":
+            accepted = "captures: the virtual rig photographs its room from every direction itself"
+            raise InputError(file, "source.kind", "mirror_ball on a rig of kind virtual", accepted)
         self._check_keys("environments", name)
         if self._is_taken_here("environments", name):
             self._check_exposures(environment, file)
@@ -260,7 +269,7 @@ class _Checks:
         """Return the file of an object or an environment that a camera photographs, None where there is none."""
         for kind in ("objects", "environments"):
             for name, definition in self.all[kind].items():
-                if definition["camera"] == camera:
+                if definition.get("camera") == camera:
                     return self.file(kind, name)
         return None
 

@@ -224,7 +224,8 @@ class _Loader:
 
     def _environment(self, name: str, by, path: tuple) -> None:
         for definition, file in self._load("environments", name, by, path):
-            self.camera(definition["camera"], file, ("camera",))
+            if "camera" in definition:
+                self.camera(definition["camera"], file, ("camera",))
 
     def _load(self, kind: str, name: str, by, path: tuple) -> Iterator[tuple[dict, Path]]:
         """Yield the definition of a name, once: nothing where it is loaded already."""
@@ -255,7 +256,7 @@ def captures_of(definitions: dict, kind: str, name: str, root=".") -> list[str]:
     -------
     list of str
         Of an object its poses, sorted, each once; of a camera ``chart`` and ``chart-NAME`` of each further chart; of an
-        environment ``environment``.
+        environment ``environment``, and none where no camera photographed it.
 
     Raises
     ------
@@ -265,9 +266,10 @@ def captures_of(definitions: dict, kind: str, name: str, root=".") -> list[str]:
         If the table of a real rig is at fault.
     """
     definition = _definition(definitions, kind, name)
-    if kind != "objects":
-        charts = ["", *definition.get("further_charts", {})]
-        return [chart_capture(chart) for chart in charts] if kind == "cameras" else ["environment"]
+    if kind == "environments":
+        return ["environment"] if "camera" in definition else []
+    if kind == "cameras":
+        return [chart_capture(chart) for chart in ["", *definition.get("further_charts", {})]]
     if is_taken_here(definitions, kind, name):
         return sorted(pose.name for pose in expand_poses(definition["poses"]))
     table, _ = table_and_folder(definition, Path(root))
@@ -282,6 +284,8 @@ def is_virtual(definitions: dict, kind: str, name: str) -> bool:
     ValueError
         If there is no such kind or name.
     """
+    if kind == "environments" and "camera" not in _definition(definitions, kind, name):
+        return False
     _definition(definitions, kind, name)
     return definitions["rigs"][rig_of(definitions, kind, name)]["kind"] == "virtual"
 

@@ -6,14 +6,10 @@ centres. Radiance is relative: 1 is a perfect diffuser lit at normal incidence b
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from irodori import store
 from irodori.coefficients import read_coefficients, write_coefficients
-
-_LARGEST_BLOCK = 4  # pixels along each side that share one test against the horizon
-_BLOCK_ROWS = 128  # blocks from the zenith down, at least, where the picture has as many
 
 
 @dataclass(frozen=True)
@@ -38,11 +34,26 @@ class Environment:
         path,
         provenance: store.Provenance,
         errors: dict | None = None,
+        gloss=None,
+        origin: dict | None = None,
         *,
         storage: str = "single",
         codec: str = "gzip",
     ) -> None:
-        """Write an environment's file; ``storage`` and ``codec`` are those of `irodori.coefficients`."""
+        """Write an environment's file.
+
+        Parameters
+        ----------
+        path : path
+        provenance : Provenance
+        errors : dict, optional
+        gloss : irodori.gloss.GlossMaps, optional
+            Blurred light for rough reflection.
+        origin : dict, optional
+            Where the light came from and what was assumed about it.
+        storage, codec : str
+            See `irodori.coefficients`.
+        """
         with store.create(path, provenance) as out:
             write_coefficients(
                 out,
@@ -60,7 +71,10 @@ class Environment:
                 dims="row,column,basis",
                 quantity="coefficients of the irradiance map",
             )
+            if gloss is not None:
+                gloss.write(out)
             out.attribute("errors", errors or {})
+            out.attribute("origin", origin or {})
 
     @classmethod
     def load(cls, path) -> "Environment":
@@ -91,57 +105,3 @@ def directions(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     )
     solid_angle = np.repeat((np.cos(edges[:-1]) - np.cos(edges[1:]))[:, None], width, axis=1) * (2 * np.pi / width)
     return unit, solid_angle
-
-
-def _blocks(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
-    """Return sums over blocks of a picture, (height, width, ...) to (rows, columns, ...), any sizes."""
-    row_edges = np.arange(rows) * values.shape[0] // rows
-    column_edges = np.arange(columns) * values.shape[1] // columns
-    return np.add.reduceat(np.add.reduceat(values, row_edges, axis=0), column_edges, axis=1)
-
-
-@numba.njit(cache=True, parallel=True, nogil=True)
-def _irradiance(normals, centres, moments, out):
-    count = centres.shape[0]
-    bases = moments.shape[1]
-    for i in numba.prange(normals.shape[0]):
-        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
-        total = np.zeros(bases)
-        for j in range(count):
-            if nx * centres[j, 0] + ny * centres[j, 1] + nz * centres[j, 2] <= 0.0:
-                continue
-            for b in range(bases):
-                total[b] += nx * moments[j, b, 0] + ny * moments[j, b, 1] + nz * moments[j, b, 2]
-        for b in range(bases):
-            out[i, b] = total[b]
-
-
-def irradiance_map(coefficients: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Return the irradiance map I_d of equation (8) on the coefficients.
-
-    A block of pixels on one side of the horizon gives N · Σ L ω dΩ exactly; only blocks that the horizon cuts are
-    approximated, by their centre.
-
-    Parameters
-    ----------
-    coefficients : (H, W, k) float
-        Radiance, equirectangular.
-    width, height : int
-        Size of the map over the normals.
-
-    Returns
-    -------
-    (height, width, k) float32, radiance unit times sr
-    """
-    unit, solid_angle = directions(coefficients.shape[1], coefficients.shape[0])
-    block = min(max(coefficients.shape[0] // _BLOCK_ROWS, 1), _LARGEST_BLOCK)
-    rows, columns = coefficients.shape[0] // block, max(1, coefficients.shape[1] // block)
-    weighted = unit * solid_angle[..., None]
-    moments = np.stack(
-        [_blocks(coefficients * weighted[..., a : a + 1], rows, columns) for a in range(3)], axis=-1
-    ).reshape(rows * columns, -1, 3)
-    centres = _blocks(weighted, rows, columns).reshape(-1, 3)
-    normals = directions(width, height)[0].reshape(-1, 3)
-    out = np.empty((len(normals), coefficients.shape[2]), dtype=np.float32)
-    _irradiance(normals, np.ascontiguousarray(centres), np.ascontiguousarray(moments, dtype=np.float64), out)
-    return out.reshape(height, width, -1)

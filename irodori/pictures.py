@@ -1,6 +1,7 @@
 """Pictures in files through OpenImageIO: spectral EXR (published layout) and display PNG with its ICC profile."""
 
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,14 @@ from irodori.errors import InputError
 from irodori.spectra import WAVELENGTH_NM
 
 
+def layer_names(kind: str) -> list[str]:
+    """Return the layers of a kind, S0 (emissive) or T (reflective), as the layout prescribes: S0.400,000000nm."""
+    return [f"{kind}." + f"{wavelength:.6f}nm".replace(".", ",") for wavelength in WAVELENGTH_NM]
+
+
 def channel_names() -> list[str]:
-    """Return the channels of an emissive spectral EXR: S0.<wavelength>nm with a comma, as the layout prescribes."""
-    return [f"S0.{wavelength:.6f}nm".replace(".", ",").replace("S0,", "S0.", 1) for wavelength in WAVELENGTH_NM]
+    """Return the channels of an emissive spectral EXR."""
+    return layer_names("S0")
 
 
 def _write(path, pixels: np.ndarray, spec: oiio.ImageSpec) -> None:
@@ -52,13 +58,41 @@ def write_spectral_exr(path, radiance: np.ndarray, rgb: np.ndarray, attributes: 
     _write(path, np.ascontiguousarray(np.concatenate([rgb, radiance], axis=-1), dtype=np.float32), spec)
 
 
-def read_spectral_exr(path) -> np.ndarray:
-    """Read the S0 layers of a spectral EXR on the 61 wavelengths, (height, width, 61) float32.
+_LAYER = re.compile(r"(S0|T)\.(\d*,?\d+(?:[eE][+-]?\d+)?)(Y|Z|E|P|T|G|M|k|h|da|d|c|m|u|n|p)?(m|Hz)")
+_PREFIX = {"Y": 24, "Z": 21, "E": 18, "P": 15, "T": 12, "G": 9, "M": 6, "k": 3, "h": 2, "da": 1, "": 0, "d": -1,
+           "c": -2, "m": -3, "u": -6, "n": -9, "p": -12}  # fmt: skip
+_LIGHT_NM_PER_S = 299_792_458e9
+
+
+def _wavelength_nm(name: str, kind: str) -> float | None:
+    """Return the wavelength of a layer of a kind in nm, given as a wavelength or a frequency; None for others."""
+    match = _LAYER.fullmatch(name)
+    if match is None or match[1] != kind:
+        return None
+    value = float(match[2].replace(",", ".")) * 10.0 ** _PREFIX[match[3] or ""]
+    if value <= 0.0:
+        return None
+    return round(value * 1e9 if match[4] == "m" else _LIGHT_NM_PER_S / value, 6)
+
+
+def read_layers(path, kind: str) -> tuple[np.ndarray, np.ndarray]:
+    """Read the layers of one kind of a spectral EXR (Fichet et al. 2021), whatever their wavelengths.
+
+    Parameters
+    ----------
+    path : path
+    kind : {"S0", "T"}
+        Emissive radiance without polarisation, or reflectance.
+
+    Returns
+    -------
+    wavelength_nm : (n,) float64, increasing
+    pixels : (height, width, n) float32
 
     Raises
     ------
     InputError
-        If the file is missing, truncated, or lacks a wavelength.
+        If the file is missing, truncated, holds no such layers, or one wavelength twice.
     """
     source = oiio.ImageInput.open(str(path))
     if source is None:
@@ -70,10 +104,30 @@ def read_spectral_exr(path) -> np.ndarray:
         source.close()
     if pixels is None:
         raise InputError(path, "", "a truncated EXR", "a whole spectral EXR")
-    available = {}
-    for index, name in enumerate(names):
-        if name.startswith("S0.") and name.endswith("nm"):
-            available[round(float(name[3:-2].replace(",", ".")), 3)] = index
+    found = [(wavelength, index) for index, name in enumerate(names) if (wavelength := _wavelength_nm(name, kind))]
+    if not found:
+        others = sorted({name.partition(".")[0] for name in names})
+        accepted = f"layers {kind}.<wavelength>nm of the published spectral layout"
+        missing = f"no layer for 400 nm or another wavelength of the kind {kind} among {', '.join(others)}"
+        raise InputError(path, "channels", missing, accepted)
+    found.sort()
+    wavelength_nm = np.array([wavelength for wavelength, _ in found])
+    twice = np.flatnonzero(np.diff(wavelength_nm) < 1e-6)
+    if twice.size:
+        raise InputError(path, "channels", f"{wavelength_nm[twice[0]]:g} nm twice", "each wavelength once")
+    return wavelength_nm, np.ascontiguousarray(pixels[..., [index for _, index in found]])
+
+
+def read_spectral_exr(path) -> np.ndarray:
+    """Read the S0 layers of a spectral EXR on the 61 wavelengths, (height, width, 61) float32.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, truncated, or lacks a wavelength; `read_layers` reads files of other wavelengths.
+    """
+    wavelength_nm, pixels = read_layers(path, "S0")
+    available = {round(float(w), 3): index for index, w in enumerate(wavelength_nm)}
     missing = [w for w in WAVELENGTH_NM if round(float(w), 3) not in available]
     if missing:
         raise InputError(path, "channels", f"no layer for {missing[0]:g} nm", "layers S0.400nm to S0.700nm, step 5")

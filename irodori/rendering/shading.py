@@ -10,6 +10,7 @@ from irodori.brdf import attenuation_over_cosine, fresnel
 from irodori.geometry.embree import NO_HIT, hit_distance, hit_shape, trace
 from irodori.geometry.surfaces import Surfaces, face_viewer, surface_at
 from irodori.rendering.scene import Light, Objects
+from irodori.sphere import add_interpolated, direction_uv
 
 BANDS = 61
 
@@ -113,13 +114,6 @@ def interpolate(pixels, first, width, height, u, v, scale, out):
         out[i] += wa * pixels[a, i] + wb * pixels[b, i] + wc * pixels[c, i] + wd * pixels[d, i]
 
 
-@numba.njit(cache=True, inline="always")
-def direction_uv(x, y, z):
-    """Return equirectangular u, v of a unit direction."""
-    u = math.atan2(y, x) / (2.0 * math.pi)
-    return (u if u >= 0.0 else u + 1.0), math.acos(min(max(z, -1.0), 1.0)) / math.pi
-
-
 @numba.njit(cache=True)
 def add_light(light, level, x, y, z, scale, out):
     """Add coefficients of the environment's radiance from a direction."""
@@ -169,8 +163,8 @@ def fill_irradiance(light, normal, coefficients, decoded, out):
     """Fill the spectral irradiance of an unobstructed normal from the irradiance map [eq. 8]."""
     coefficients[:] = 0.0
     out[:] = 0.0
-    u, v = direction_uv(normal[0], normal[1], normal[2])
-    interpolate(light.irradiance, 0, light.irradiance_size[0], light.irradiance_size[1], u, v, 1.0, coefficients)
+    width, height = light.irradiance_size[0], light.irradiance_size[1]
+    add_interpolated(light.irradiance, 0, width, height, normal[0], normal[1], normal[2], 1.0, coefficients)
     add_spectrum(light.basis, coefficients, decoded, out)
 
 

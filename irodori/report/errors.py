@@ -18,7 +18,8 @@ from irodori.colour import (
     summary,
     xyz_from_radiance,
 )
-from irodori.light import Environment
+from irodori.irradiance import irradiance_at
+from irodori.light import Environment, directions
 from irodori.material import Material, Status
 from irodori.pictures import read_spectral_exr
 from irodori.progress import LOGGER
@@ -100,7 +101,9 @@ def environment_errors(name: str, environment: Environment, truth: Environment) 
     white = truth.upward_white()
     step = 4
     picture = [e.coefficients[::step, ::step] @ e.basis.T for e in (truth, environment)]
-    irradiance = [e.irradiance @ e.basis.T / np.pi for e in (truth, environment)]
+    # The maps are as fine as their own light needs.
+    normals = directions(128, 64)[0]
+    irradiance = [irradiance_at(e.irradiance, normals) @ e.basis.T / np.pi for e in (truth, environment)]
     return [
         _row(name, "light CIEDE2000", radiance_delta_e(*picture, white)),
         _row(name, "irradiance CIEDE2000", radiance_delta_e(*irradiance, white)),
@@ -132,7 +135,8 @@ def measure_errors(inputs: dict, names: dict, lights: list[str], output) -> None
     Parameters
     ----------
     inputs : dict
-        Lists of files: materials, true_materials, environments, true_environments, calibrations, views, true_views.
+        Lists of files: materials, true_materials, environments, true_environments, calibrations, views, true_views;
+        and view_lights, the environment of each view.
     names : dict
         Their names: objects, environments, cameras, views; and view_environments, the light of each view.
     lights : list of str
@@ -143,13 +147,14 @@ def measure_errors(inputs: dict, names: dict, lights: list[str], output) -> None
         rows += calibration_errors(name, path, lights)
     for name, path, truth in zip(names["objects"], inputs["materials"], inputs["true_materials"], strict=True):
         rows += material_errors(name, Material.load(path), Material.load(truth), lights) + outcome(name, path)
-    whites = {}
     for name, path, truth in zip(
         names["environments"], inputs["environments"], inputs["true_environments"], strict=True
     ):
-        environment = Environment.load(path)
-        whites[name] = environment.upward_white()
-        rows += environment_errors(name, environment, Environment.load(truth))
+        rows += environment_errors(name, Environment.load(path), Environment.load(truth))
+    whites = {
+        name: Environment.load(path).upward_white()
+        for name, path in dict(zip(names["view_environments"], inputs["view_lights"], strict=True)).items()
+    }
     for name, light, path, truth in zip(
         names["views"], names["view_environments"], inputs["views"], inputs["true_views"], strict=True
     ):

@@ -88,6 +88,40 @@ def resample(
     return out.reshape((*values.shape[:-1], SAMPLES))
 
 
+def resample_picture(wavelength_nm: np.ndarray, pixels: np.ndarray, file) -> np.ndarray:
+    """Bring a spectral picture of light to the grid, as `resample` brings the spectrum of a light.
+
+    Pictures finer than the grid are averaged over ±5 nm, others interpolated by Sprague where their steps are uniform,
+    linearly otherwise and in pixels that Sprague would give a negative value.
+
+    Parameters
+    ----------
+    wavelength_nm : (n,) float, nm
+    pixels : (..., n) float, finite
+    file : path
+        For the error message.
+
+    Returns
+    -------
+    (..., 61) float32
+
+    Raises
+    ------
+    InputError
+        See `resample`.
+    """
+    unit = np.eye(len(wavelength_nm))
+    if is_finer_than_grid(np.asarray(wavelength_nm)):
+        return pixels @ resample(wavelength_nm, unit, file, method="average").astype(np.float32)
+    linear = resample(wavelength_nm, unit, file).astype(np.float32)
+    if not is_uniform(np.asarray(wavelength_nm)):
+        return pixels @ linear
+    out = pixels @ resample(wavelength_nm, unit, file, method="sprague").astype(np.float32)
+    overshot = out.min(axis=-1) < np.minimum(pixels.min(axis=-1), 0.0)
+    out[overshot] = pixels[overshot] @ linear
+    return out
+
+
 def is_uniform(wavelength_nm: np.ndarray) -> bool:
     """Return whether wavelengths stand at equal steps and are enough for Sprague's interpolation."""
     steps = np.diff(wavelength_nm)

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from irodori.environment import irradiance_map
 from irodori.geometry.shapes import Shape
+from irodori.irradiance import irradiance_map
 from irodori.light import Environment, directions
 from irodori.material import Material
 from irodori.rendering.stage import render_image

@@ -226,6 +226,74 @@ def test_a_table_of_the_refractive_index(root, content, field):
         assert (Path(error.file).name, error.field.split(",")[0]) == ("metal.csv", field)
 
 
+# ---- environments that no camera photographs, and mirror balls
+
+
+def environment(root, **definition):
+    (root / "config" / ROOM_FILE).write_text(yaml.safe_dump(definition), encoding="utf-8")
+
+
+SUN = {"spectrum": "D65", "azimuth_deg": 10, "elevation_deg": 40, "irradiance": 1}
+
+
+def test_an_environment_of_placed_lights_needs_no_camera(root):
+    environment(root, source={"kind": "lights", "lights": [SUN]}, image={"width": 64, "height": 32})
+    definitions = load(root)
+    assert definitions["environments"]["classroom"]["source"]["lights"][0]["diameter_deg"] == 0.0
+    assert captures_of(definitions, "environments", "classroom") == []
+    assert not is_virtual(definitions, "environments", "classroom")
+
+
+@pytest.mark.parametrize("kind", ["rgb", "spectral"])
+def test_an_environment_of_a_file_that_is_there(root, kind):
+    (root / "sky.exr").write_bytes(b"")
+    environment(root, source={"kind": kind, "file": "sky.exr"})
+    source = load(root)["environments"]["classroom"]["source"]
+    assert source == {"kind": kind, "file": "sky.exr", "scale": 1.0, "centre_azimuth_deg": 0.0}
+
+
+LIGHTS = {"kind": "lights", "lights": [SUN]}
+SIZE = {"width": 64, "height": 32}
+BALL = {"kind": "mirror_ball", "centre_px": [50, 50], "radius_px": 40, "reflectance_factor": 0.9}
+
+
+@pytest.mark.parametrize(
+    ("definition", "field", "found"),
+    [
+        ({"source": LIGHTS}, "image", "no such key"),
+        ({"source": LIGHTS, "image": SIZE, "camera": "d5100-comb"}, "camera", "does not use"),
+        ({"source": {"kind": "rgb", "file": "no.exr"}}, "source.file", "no such file: no.exr"),
+        ({"source": {"kind": "rgb", "file": "no.exr"}, "image": SIZE}, "image", "does not use"),
+        ({"source": {"kind": "captures"}, "image": SIZE}, "camera", "no such key"),
+        ({"source": {"kind": "sphere"}}, "source.kind", "sphere"),
+        ({"source": {**LIGHTS, "ligths": []}, "image": SIZE}, "source.ligths", "unknown key"),
+        ({"source": {"kind": "lights", "lights": [{**SUN, "radiance": 1}]}, "image": SIZE},
+         "source.lights[0].irradiance", "both"),
+        ({"source": {"kind": "lights", "lights": [{k: v for k, v in SUN.items() if k != "irradiance"}]}, "image": SIZE},
+         "source.lights[0].irradiance", "neither"),
+        ({"source": {"kind": "lights", "lights": [{**{k: v for k, v in SUN.items() if k != "irradiance"},
+                                                   "radiance": 1}]}, "image": SIZE},
+         "source.lights[0].diameter_deg", "gives no light"),
+        ({"source": {"kind": "lights", "lights": [{**SUN, "spectrum": "D56"}]}, "image": SIZE},
+         "source.lights[0].spectrum", "D56"),
+        ({"source": BALL, "image": SIZE, "camera": "d5100-comb"}, "source.kind", "virtual"),
+        ({"source": {**BALL, "refractive_index": {"n": 2, "k": 3}}, "image": SIZE, "camera": "d5100-comb"},
+         "source.refractive_index", "both"),
+        ({"source": {k: v for k, v in BALL.items() if k != "reflectance_factor"}, "image": SIZE,
+          "camera": "d5100-comb"}, "source.refractive_index", "no such key"),
+        ({"source": {**{k: v for k, v in BALL.items() if k != "reflectance_factor"},
+                     "refractive_index": {"file": "x.csv"}}, "image": SIZE, "camera": "d5100-comb"},
+         "source.refractive_index.file", "no such file"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_the_source_of_the_light(root, definition, field, found):
+    environment(root, **definition)
+    error = fault(root)
+    assert Path(error.file).name == "classroom.yaml"
+    assert error.field == field
+    assert found in error.found
+
+
 # ---- names in results/
 
 

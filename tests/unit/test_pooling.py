@@ -96,7 +96,7 @@ def test_two_materials_side_by_side_are_not_mixed(left, right):
     beta, mu = (np.where(LEFT, a, b) for a, b in zip(left, right, strict=True))
     _, _, pooled = patch(beta, mu)
     found = pooled.status == Status.POOLED
-    assert found[LEFT].sum() > 50
+    assert found[LEFT].sum() > 20  # those near the other material are not stated: gloss varies there
     for name, truth, ends in (("beta", beta, (left[0], right[0])), ("mu", mu, (left[1], right[1]))):
         off = np.abs(getattr(pooled, name) - truth)[found]
         assert (off < 3 * getattr(pooled, f"{name}_error")[found]).mean() > 0.97

@@ -75,7 +75,8 @@ def mosaic_size(wildcards):
     """Return width and height in pixels that a set's RAW files must have, where its definition states them."""
     kind, name = capture_set(wildcards)
     if kind == "environments":
-        image = config[kind][name].get("image")
+        equirectangular = config[kind][name]["source"]["kind"] == "captures"
+        image = config[kind][name].get("image") if equirectangular else None
         return [2 * image["width"], 2 * image["height"]] if image else None
     optics = config["cameras"][camera_of(wildcards)].get("optics")
     return [optics["width_px"], optics["height_px"]] if optics else None
@@ -255,6 +256,25 @@ def plates(wildcards):
 def tables_of_plates(wildcards):
     """Return the tables of refractive indices of the plates."""
     return named_tables(*(planned["definition"] for planned in plates(wildcards).values()))
+
+
+def photographed_environment(wildcards):
+    """Whether a camera photographed an environment, as against a file of another program or placed lights."""
+    return "camera" in config["environments"][wildcards.environment]
+
+
+def environment_inputs(wildcards):
+    """Return the files that an environment's light is made from."""
+    source = config["environments"][wildcards.environment]["source"]
+    tables = named_tables(source)
+    if photographed_environment(wildcards):
+        made = {
+            "linear": f"results/environments/{wildcards.environment}/linear/environment.h5",
+            "calibration": f"results/cameras/{camera_of(wildcards)}/calibration.h5",
+        }
+    else:
+        made = {"picture": source["file"]} if "file" in source else {}
+    return made | ({"tables": tables} if tables else {})
 
 
 def linear_files(wildcards):

@@ -1,7 +1,6 @@
 rule prepare_environment:
     input:
-        linear="results/environments/{environment}/linear/environment.h5",
-        calibration=camera_file("results/cameras/{camera}/calibration.h5"),
+        unpack(environment_inputs),
     output:
         environment="results/environments/{environment}.h5",
     log:
@@ -17,6 +16,9 @@ rule prepare_environment:
         mem_mb=lambda wildcards, attempt: 2500 * attempt,
     params:
         compress=lookup(within=config, dpath="environment"),
+        source=lookup(within=config, dpath="environments/{environment}/source"),
+        image=lookup(within=config, dpath="environments/{environment}/image", default=None),
+        photographed=photographed_environment,
         code=code_hash("irodori.environment"),
     script:
         "../scripts/prepare_environment.py"

@@ -50,6 +50,7 @@ rule measure_errors:
         environments=expand("results/environments/{environment}.h5", environment=virtual("environments")),
         true_environments=expand("results/environments/{environment}/truth.h5", environment=virtual("environments")),
         calibrations=expand("results/cameras/{camera}/calibration.h5", camera=config["cameras"]),
+        view_lights=views("results/environments/{environment}.h5", virtual_only=True),
         views=views("results/{scene}/{view}.exr", virtual_only=True),
         true_views=views("results/{scene}/truth/{view}.exr", virtual_only=True),
     output:

@@ -3,7 +3,8 @@
 import numpy as np
 
 from irodori import store
-from irodori.light import Environment, irradiance_map
+from irodori.irradiance import fitted_irradiance_map
+from irodori.light import Environment
 from irodori.material import Material
 from irodori.rig.virtual.classroom import room_coefficients, source_spectra
 from irodori.rig.virtual.reflection import PAPER
@@ -40,12 +41,12 @@ def true_material(definition: dict, camera: dict, rig: dict) -> Material:
     )
 
 
-def true_environment(definition: dict, rig: dict, irradiance_size: dict) -> Environment:
+def true_environment(definition: dict, rig: dict, irradiance_options: dict) -> Environment:
     """Return the virtual room's light: one basis vector a source."""
     width, height = definition["image"]["width"], definition["image"]["height"]
     spectra = source_spectra(definition["virtual"], light(rig["light"]["spectrum"]))[1]
     coefficients = room_coefficients(definition["virtual"], width, height)
-    irradiance = irradiance_map(coefficients, irradiance_size["width"], irradiance_size["height"])
+    irradiance, _ = fitted_irradiance_map(coefficients, **irradiance_options)
     return Environment(coefficients, spectra.T, irradiance)
 
 
@@ -55,7 +56,7 @@ def write_true_material(definition: dict, camera: dict, rig: dict, output, prove
 
 
 def write_true_environment(
-    definition: dict, rig: dict, irradiance_size: dict, output, provenance: store.Provenance
+    definition: dict, rig: dict, irradiance_options: dict, output, provenance: store.Provenance
 ) -> None:
     """Write the true light of an environment."""
-    true_environment(definition, rig, irradiance_size).save(output, provenance)
+    true_environment(definition, rig, irradiance_options).save(output, provenance)

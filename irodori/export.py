@@ -1,0 +1,155 @@
+"""Materials and environments as pictures that other programs read: ``python -m irodori.export material.h5 out.exr``.
+
+Spectral EXR in the published layout (Fichet et al. 2021), or TIFF of 32-bit floats with a channel a wavelength, both
+through OpenImageIO; spectra are decoded a band of rows at a time. A material has layers ``T.<λ>nm`` (reflectance) and
+α, β, μ; an environment has ``S0.<λ>nm``, a panorama as other programs have it: clockwise, azimuth 0 in the middle.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+
+from irodori import store
+from irodori.colour import xyz_from_radiance, xyz_from_reflectance
+from irodori.display import rgb_from_xyz
+from irodori.errors import InputError, PlainError
+from irodori.light import Environment
+from irodori.material import Material
+from irodori.omnidirectional import to_panorama
+from irodori.pictures import layer_names
+from irodori.spectra import WAVELENGTH_NM
+
+SUFFIXES = (".exr", ".tif", ".tiff")
+_ROWS = 32
+
+
+def _bands(height: int, rows: Callable[[slice], np.ndarray]) -> Iterator[tuple[int, int, np.ndarray]]:
+    for first in range(0, height, _ROWS):
+        last = min(first + _ROWS, height)
+        yield first, last, np.ascontiguousarray(rows(slice(first, last)), dtype=np.float32)
+
+
+def _write(path: Path, size: tuple[int, int], names: list[str], attributes: dict, rows: Callable) -> None:
+    """Write a picture whose channels come a band of rows at a time; it takes its name when it is whole."""
+    height, width = size
+    spec = oiio.ImageSpec(width, height, len(names), "float")
+    spec.channelnames = tuple(names)
+    spec.attribute("compression", "zip")
+    spec.attribute("oiio:RowsPerStrip", _ROWS)
+    for name, value in attributes.items():
+        spec.attribute(name, value)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    output = oiio.ImageOutput.create(str(temporary))
+    if output is None:
+        raise OSError(f"{path}: {oiio.geterror()}")
+    try:
+        done = output.open(str(temporary), spec)
+        for first, last, values in _bands(height, rows):
+            done = done and output.write_scanlines(first, last, 0, values)
+        if not (done and output.close()):
+            raise OSError(f"{path}: {output.geterror()}")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _attributes(units: str, names: list[str]) -> dict:
+    return {
+        "spectralLayoutVersion": "1.0",
+        "irodori:units": units,
+        "irodori:channels": " ".join(names),
+        # TIFF has no names of channels: the description tells them in order.
+        "ImageDescription": f"channels: {' '.join(names)}; {units}",
+    }
+
+
+def export_material(source, path) -> None:
+    """Write a material's reflectance factor and the maps α, β, μ.
+
+    Parameters
+    ----------
+    source : path
+        ``material.h5``. Texels that nothing determined stay NaN.
+    path : path
+        ``.exr`` or ``.tif``. RGB is linear sRGB under D65.
+    """
+    material = Material.load(source)
+    names = ["R", "G", "B", *layer_names("T"), "alpha", "beta", "mu"]
+    to_xyz = xyz_from_reflectance("D65")
+    to_rgb = rgb_from_xyz(to_xyz.sum(axis=1)) @ to_xyz
+
+    def rows(part: slice) -> np.ndarray:
+        spectra = material.coefficients[part] @ material.basis.T
+        maps = np.stack([material.alpha[part], material.beta[part], material.mu[part]], axis=-1)
+        return np.concatenate([spectra @ to_rgb.T, spectra, maps], axis=-1)
+
+    units = "reflectance factor, 1 = perfect diffuser; alpha and beta are ratios, mu is in rad"
+    _write(Path(path), material.alpha.shape, names, _attributes(units, names), rows)
+
+
+def export_environment(source, path) -> None:
+    """Write an environment's radiance as a panorama.
+
+    Parameters
+    ----------
+    source : path
+        An environment's file.
+    path : path
+        ``.exr`` or ``.tif``. RGB is linear sRGB with a perfect diffuser that faces up as white.
+    """
+    environment = Environment.load(source)
+    names = ["R", "G", "B", *layer_names("S0")]
+    white = environment.upward_white()
+    matrix = xyz_from_radiance(white) if (white > 0).any() else np.zeros((3, WAVELENGTH_NM.size))
+    to_rgb = rgb_from_xyz(matrix @ white) @ matrix if matrix.any() else matrix
+
+    def rows(part: slice) -> np.ndarray:
+        spectra = to_panorama(environment.coefficients[part].astype(np.float32)) @ environment.basis.T
+        return np.concatenate([spectra @ to_rgb.T, spectra], axis=-1)
+
+    units = "relative spectral radiance"
+    attributes = _attributes(units, names) | {"emissiveUnits": units}
+    _write(Path(path), environment.coefficients.shape[:2], names, attributes, rows)
+
+
+def export(source, path) -> None:
+    """Write a material or an environment in the format that the suffix of ``path`` names.
+
+    Raises
+    ------
+    InputError
+        For another suffix, or a file that is neither material nor environment.
+    """
+    if Path(path).suffix.lower() not in SUFFIXES:
+        raise InputError(path, "", f"the suffix {Path(path).suffix!r}", f"one of {', '.join(SUFFIXES)}")
+    with store.open_file(source) as file:
+        is_material, is_environment = "reflectance/coefficients" in file, "irradiance" in file
+    if is_material:
+        export_material(source, path)
+    elif is_environment:
+        export_environment(source, path)
+    else:
+        raise InputError(source, "", "neither a material nor an environment", "material.h5 or an environment's file")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; return 0, or 2 after a fault said in one sentence."""
+    parser = argparse.ArgumentParser(prog="python -m irodori.export", description=__doc__.partition(":")[0])
+    parser.add_argument("source", help="material.h5 or an environment's file")
+    parser.add_argument("output", help=f"picture to write, {', '.join(SUFFIXES)}")
+    given = parser.parse_args(arguments)
+    try:
+        export(given.source, given.output)
+    except PlainError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,90 @@
+"""Materials and environments in files of other programs: what was written is what is read."""
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+from scenes import material
+
+from irodori import store
+from irodori.errors import InputError
+from irodori.export import export, main
+from irodori.light import Environment
+from irodori.light_files import spectral_picture
+from irodori.pictures import layer_names, read_layers
+from irodori.spectra import WAVELENGTH_NM, spectrum
+
+
+def read(path):
+    source = oiio.ImageInput.open(str(path))
+    spec, pixels = source.spec(), source.read_image("float")
+    source.close()
+    return spec, pixels
+
+
+@pytest.fixture
+def files(tmp_path):
+    rng = np.random.default_rng(1)
+    paint = material(spectrum("TCS10"), beta=1.5, mu=0.2)
+    paint.coefficients[:] = rng.uniform(0.2, 1.0, paint.coefficients.shape)
+    paint.alpha[1, 2] = np.nan
+    paint.save(tmp_path / "material.h5", store.Provenance("test"))
+    coefficients = rng.uniform(0, 1, (70, 140, 3)).astype(np.float32)
+    light = Environment(coefficients, rng.uniform(0.1, 1, (61, 3)), np.ones((4, 8, 3), np.float32))
+    light.save(tmp_path / "light.h5", store.Provenance("test"))
+    return tmp_path, paint, light
+
+
+def test_a_material_comes_back_from_a_spectral_exr(files):
+    folder, paint, _ = files
+    export(folder / "material.h5", folder / "out.exr")
+    wavelength, reflectance = read_layers(folder / "out.exr", "T")
+    assert np.array_equal(wavelength, WAVELENGTH_NM)
+    assert np.allclose(reflectance, paint.spectra(), rtol=1e-6)
+    spec, pixels = read(folder / "out.exr")
+    names = list(spec.channelnames)
+    for name, values in (("alpha", paint.alpha), ("beta", paint.beta), ("mu", paint.mu)):
+        assert np.allclose(pixels[..., names.index(name)], values, rtol=1e-6, equal_nan=True)
+    assert spec.getattribute("spectralLayoutVersion") == "1.0"
+    assert [p.name for p in sorted(folder.iterdir())] == ["light.h5", "material.h5", "out.exr"]
+
+
+def test_an_environment_comes_back_as_the_same_light(files):
+    folder, _, light = files
+    export(folder / "light.h5", folder / "out.exr")
+    picture = spectral_picture(folder / "out.exr")
+    expected = light.coefficients @ light.basis.T
+    assert np.allclose(picture.weights @ picture.basis.T, expected, rtol=1e-5)
+    assert read(folder / "out.exr")[0].getattribute("emissiveUnits") == "relative spectral radiance"
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".tiff"])
+def test_a_tiff_holds_the_same_numbers_and_tells_its_channels(files, suffix):
+    folder, paint, _ = files
+    export(folder / "material.h5", folder / f"out{suffix}")
+    spec, pixels = read(folder / f"out{suffix}")
+    assert pixels.shape == (4, 8, 67) and str(spec.format) == "float"
+    assert np.allclose(pixels[..., 3:64], paint.spectra(), rtol=1e-6)
+    told = spec.getattribute("ImageDescription")
+    assert told.startswith("channels: R G B " + " ".join(layer_names("T")) + " alpha beta mu")
+
+
+def test_a_white_texel_is_white_in_rgb(tmp_path):
+    material(1.0).save(tmp_path / "white.h5", store.Provenance("test"))
+    export(tmp_path / "white.h5", tmp_path / "white.exr")
+    spec, pixels = read(tmp_path / "white.exr")
+    rgb = pixels[..., [list(spec.channelnames).index(c) for c in "RGB"]]
+    assert np.allclose(rgb, 1.0, atol=0.002)
+
+
+def test_what_cannot_be_exported_is_refused_in_one_sentence(files, capsys):
+    folder, _, _ = files
+    with pytest.raises(InputError, match=r"'\.png'.*\.exr, \.tif"):
+        export(folder / "material.h5", folder / "out.png")
+    with store.create(folder / "other.h5", store.Provenance("test")) as out:
+        out.attribute("x", 1)
+    with pytest.raises(InputError, match="neither a material nor an environment"):
+        export(folder / "other.h5", folder / "out.exr")
+    assert main([str(folder / "none.h5"), str(folder / "out.exr")]) == 2
+    assert "no such file" in capsys.readouterr().err
+    assert main([str(folder / "light.h5"), str(folder / "out.exr")]) == 0
+    assert (folder / "out.exr").is_file()

@@ -1,0 +1,160 @@
+"""Rough reflection by look-up: blurred light against sums over pixels, the fitted lobes against the true ones."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scenes import DATA
+
+from irodori import store
+from irodori.brdf import fresnel
+from irodori.errors import InputError
+from irodori.gloss import GlossMaps, gloss_radiance
+from irodori.gloss_errors import gloss_errors, places, true_gloss
+from irodori.gloss_lobes import fitted_lobes, lobe_samples
+from irodori.irradiance import Integrator
+from irodori.light import Environment, directions
+from irodori.prefilter import WIDTHS_RAD, prefiltered
+from irodori.sphere import look_up
+
+
+def blurred(coefficients, unit, width_rad):
+    """Σ of power times the von Mises-Fisher lobe, over 4 x 4 parts of every pixel."""
+    fine = coefficients.repeat(4, axis=0).repeat(4, axis=1)
+    pixel, solid_angle = directions(fine.shape[1], fine.shape[0])
+    kappa = width_rad**-2
+    lobe = kappa / (2 * np.pi * -np.expm1(-2 * kappa)) * np.exp(kappa * (unit @ pixel.reshape(-1, 3).T - 1))
+    return lobe @ (fine * solid_angle[..., None]).reshape(-1, fine.shape[2])
+
+
+def looked_up(level, unit):
+    out = np.empty((len(unit), level.shape[2]))
+    look_up(level, np.ascontiguousarray(unit), out)
+    return out
+
+
+@pytest.mark.parametrize("place", [None, (0, 5), (63, 0), (32, 127), (20, 64)])
+def test_blurred_light_is_the_sum_over_the_pixels_at_poles_and_seam_too(place):
+    rng = np.random.default_rng(1)
+    coefficients = rng.uniform(0, 1, (64, 128, 2)).astype(np.float32)
+    unit = rng.normal(size=(60, 3))
+    if place is not None:
+        coefficients *= 1e-6
+        coefficients[place] = [1e3, 10.0]
+        unit[:30] = directions(128, 64)[0][place] + 0.03 * unit[:30]
+    unit = np.concatenate([unit / np.linalg.norm(unit, axis=1, keepdims=True), [[0, 0, 1.0], [0, 0, -1.0]]])
+    first, levels = prefiltered(coefficients)
+    assert first + len(levels) == len(WIDTHS_RAD) and WIDTHS_RAD[first] < 2 * np.pi / 64
+    power = (coefficients * directions(128, 64)[1][..., None]).sum(axis=(0, 1))
+    for level, width_rad in zip(levels, WIDTHS_RAD[first:], strict=True):
+        expected = blurred(coefficients, unit, width_rad)
+        # A third of the width between pixels: bilinear look-up errs by up to 2 % of a sharp highlight's peak.
+        assert np.abs(looked_up(level, unit) - expected).max() <= 0.02 * expected.max()
+        kept = (level * directions(level.shape[1], level.shape[0])[1][..., None]).sum(axis=(0, 1))
+        assert np.allclose(kept, power, rtol=0.006)
+
+
+@pytest.mark.parametrize("size", [(32, 64), (33, 50), (200, 400)])
+def test_constant_light_stays_constant_when_blurred(size):
+    for level in prefiltered(np.full((*size, 1), 3.0, np.float32))[1]:
+        assert np.abs(level / 3.0 - 1.0).max() <= 0.01
+
+
+@given(height=st.integers(1, 40), width=st.integers(1, 60), seed=st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=15)
+def test_pictures_of_any_size_keep_their_power(height, width, seed):
+    coefficients = np.random.default_rng(seed).uniform(0, 1, (height, width, 1)).astype(np.float32)
+    power = (coefficients[..., 0] * directions(width, height)[1]).sum()
+    for level in prefiltered(coefficients)[1]:
+        assert (level[..., 0] * directions(level.shape[1], level.shape[0])[1]).sum() == pytest.approx(power, rel=0.01)
+
+
+def test_the_fitted_lobes_are_near_the_true_ones_and_keep_their_power():
+    lobes, distance = fitted_lobes()
+    mu, theta_r = lobes.mu[:, None], np.degrees(lobes.theta_r)[None]
+    assert (lobes.weight >= 0).all()
+    # ∫ |difference| over ∫ lobe; what the finest level is too wide for at grazing view is not promised.
+    middle = (mu >= 0.05) & (mu <= 0.35) & (theta_r <= 60)
+    assert distance[middle].max() <= 0.1
+    assert distance[(mu >= 0.05) & (theta_r <= 75)].max() <= 0.3
+    for i, j in ((0, 0), (4, 3), (8, 6), (12, 2)):
+        _, value, _, solid_angle = lobe_samples(lobes.mu[i], lobes.theta_r[j])
+        power = (value * solid_angle).sum() / (math.pi * lobes.mu[i] ** 2)
+        assert lobes.weight[i, j].sum() == pytest.approx(power, rel=0.02)
+
+
+@pytest.fixture(scope="module")
+def constant():
+    coefficients = np.tile(np.float32([2.0, 0.5]), (128, 256, 1))
+    return Integrator(coefficients), GlossMaps.of(coefficients)
+
+
+@pytest.mark.parametrize(("mu", "limit"), [(0.02, 0.02), (0.07, 0.02), (0.15, 0.03), (0.3, 0.07), (0.8, 0.12)])
+@pytest.mark.parametrize("index", [(1.5, 0.0), (0.2, 3.4)])
+def test_constant_light_is_reflected_as_the_lobe_says(constant, mu, limit, index):
+    integrator, maps = constant
+    for theta_r in (0.0, 33.0, 62.0, 74.0):
+        normal, view = places(math.radians(theta_r), 3, seed=4)
+        truth = true_gloss(integrator, normal, view, mu, index)
+        found = gloss_radiance(maps.tables(), normal, view, 1.0, mu, *index)
+        assert np.abs(found - truth).max() <= limit * truth.max()
+    # Directly: radiance times Fresnel at normal view times ∫ D G 4 cosφ dω_h / π for a narrow lobe, 4 μ² π / π.
+    if mu <= 0.02:
+        found = gloss_radiance(maps.tables(), [0.0, 0.0, 1.0], [0.0, 0.0, 1.0], 1.0, mu, *index)
+        assert found == pytest.approx(np.array([2.0, 0.5]) * 4 * mu**2 * fresnel(1.0, *index), rel=0.01)
+
+
+def test_gloss_turns_with_the_scene_and_scales_with_its_weight():
+    rng = np.random.default_rng(5)
+    sky = rng.uniform(0, 1, (48, 96, 3)).astype(np.float32) ** 8
+    turned = np.roll(sky, 24, axis=1)  # a quarter turn about the zenith
+    normal, view = places(0.7, 40, seed=6)
+    mu, beta = rng.uniform(0.1, 0.5, 40), rng.uniform(0, 3, 40)
+    one = gloss_radiance(GlossMaps.of(sky).tables(), normal, view, beta, mu, 1.6, 0.0)
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    tables = GlossMaps.of(turned).tables()
+    other = gloss_radiance(tables, normal @ quarter.T, view @ quarter.T, 2 * beta, mu, 1.6, 0.0)
+    # Levels of an odd number of rows have columns that a quarter turn does not map onto each other.
+    assert np.abs(other - 2 * one).max() <= 0.01 * one.max()
+
+
+def test_what_reflects_nothing_gives_nothing(constant):
+    tables = constant[1].tables()
+    up, side = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+    for normal, view, beta, mu in ((up, -up, 1.0, 0.1), (up, side, 1.0, 0.1), (up, up, 0.0, 0.1), (up, up, 1.0, np.nan),
+                                   (up, up, np.nan, 0.1), (up, up, 1.0, 0.0)):  # fmt: skip
+        assert (gloss_radiance(tables, normal, view, beta, mu, 1.5, 0.0) == 0).all()
+    assert np.isfinite(gloss_radiance(tables, -up, -up, 1.0, 0.1, 1.5, 0.0)).all()
+
+
+@pytest.mark.parametrize("name", ["museum", "hall"])
+def test_the_errors_under_a_photographed_place(name):
+    path = DATA / "environments" / f"{name}.exr"
+    if not path.is_file():
+        pytest.skip(f"no picture at {path}")
+    import OpenImageIO as oiio
+
+    source = oiio.ImageInput.open(str(path))
+    light = np.maximum(source.read_image("float"), 0.0)
+    source.close()
+    rows = gloss_errors(Integrator(light), GlossMaps.of(light))
+    assert len(rows) == 30
+    for row in rows:
+        # Across the plane of incidence the lobe is as narrow as cosθ_r: under the finest level it is only sketched.
+        narrow = math.sqrt(2.0) * row["mu_rad"] * math.cos(math.radians(row["theta_r_deg"])) < WIDTHS_RAD[0]
+        limit = 0.5 if narrow or row["theta_r_deg"] > 80 else 0.25 if row["mu_rad"] > 0.3 else 0.12
+        assert row["rms"] <= limit and row["max"] <= 1.5 * limit, row
+
+
+def test_gloss_maps_in_a_file(tmp_path, constant):
+    maps = constant[1]
+    light = Environment(np.ones((8, 16, 2), np.float32), np.ones((61, 2)), np.ones((4, 8, 2), np.float32))
+    light.save(tmp_path / "e.h5", store.Provenance("test"), gloss=maps)
+    read = GlossMaps.load(tmp_path / "e.h5")
+    assert read.first == maps.first
+    assert all(np.array_equal(a, b) for a, b in zip(read.levels, maps.levels, strict=True))
+    light.save(tmp_path / "none.h5", store.Provenance("test"))
+    with pytest.raises(InputError, match="gloss/width"):
+        GlossMaps.load(tmp_path / "none.h5")

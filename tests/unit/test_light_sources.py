@@ -1,0 +1,358 @@
+"""Environments from other programs' files, placed lights and mirror balls: energy, colour, direction."""
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scenes import DATA, fresnel
+from test_environment import write_inputs
+
+from irodori import store
+from irodori.colour import colour_matching_weights, delta_e, lab_from_xyz
+from irodori.environment import make_environment, prepare_environment
+from irodori.errors import InputError
+from irodori.irradiance import Integrator
+from irodori.light import Environment, directions
+from irodori.light_files import mallett_basis, rgb_picture, spectral_picture
+from irodori.mirror_ball import RIM, ball_places, inverse_reflectance, unwrapped
+from irodori.omnidirectional import from_panorama, to_panorama
+from irodori.pictures import read_layers, write_spectral_exr
+from irodori.placed_lights import direction_of, lights_picture, unit_luminance
+from irodori.principal import CompressOptions
+from irodori.recovery import Calibration
+from irodori.spectra import WAVELENGTH_NM, light, spectrum
+from irodori.spectra.resampling import resample_picture
+
+OPTIONS = (
+    CompressOptions(0.1, np.inf, 4, storage="single"),
+    {"max_error": 0.002, "max_height": 64},
+    store.Provenance("test"),
+)
+EXACT = CompressOptions(0.0, np.inf, 4, storage="single")
+
+
+def write_exr(path, pixels, names=("R", "G", "B"), kind="float"):
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], len(names), kind)
+    spec.channelnames = tuple(names)
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec) and output.write_image(np.ascontiguousarray(pixels, dtype=np.float32))
+    output.close()
+    return path
+
+
+# --- which way round -----------------------------------------------------------------------------------------------
+
+
+@given(width=st.integers(1, 40).map(lambda half: 2 * half), seed=st.integers(0, 99))
+@settings(deadline=None, max_examples=30)
+def test_a_panorama_comes_back_as_it_was(width, seed):
+    picture = np.random.default_rng(seed).uniform(0, 1, (3, width, 2)).astype(np.float32)
+    assert np.array_equal(from_panorama(to_panorama(picture)), picture)
+
+
+def test_a_panorama_is_what_one_sees_when_turning_to_the_right():
+    panorama = np.zeros((1, 8, 1), np.float32)
+    panorama[0, 5] = 1.0  # right of the middle, whose azimuth is 0: clockwise from above, so y is negative
+    here = directions(8, 1)[0][0, from_panorama(panorama)[0, :, 0].argmax()]
+    assert here[0] > 0 and here[1] < 0
+    turned = directions(8, 1)[0][0, from_panorama(panorama, 90.0)[0, :, 0].argmax()]
+    assert np.allclose(turned, [-here[1], here[0], here[2]])
+
+
+def test_a_turn_between_columns_keeps_the_light():
+    panorama = np.random.default_rng(1).uniform(0, 1, (2, 12, 1)).astype(np.float32)
+    turned = from_panorama(panorama, 10.0)
+    assert np.allclose(turned.sum(axis=1), panorama.sum(axis=1), rtol=1e-6)
+    assert np.allclose(from_panorama(panorama[:, :7], 33.0).sum(axis=1), panorama[:, :7].sum(axis=1), rtol=1e-6)
+
+
+# --- RGB -----------------------------------------------------------------------------------------------------------
+
+
+def xyz(spectra):
+    """XYZ of light, D65 as tabulated having Y = 1."""
+    weights = colour_matching_weights()
+    return spectra @ weights.T / (weights[1] @ light("D65"))
+
+
+def test_upsampled_colours_are_those_of_the_picture():
+    rgb = np.random.default_rng(2).uniform(0, 1, (500, 3)) ** 2
+    from colour import RGB_COLOURSPACES
+
+    expected = rgb @ RGB_COLOURSPACES["sRGB"].matrix_RGB_to_XYZ.T
+    white = RGB_COLOURSPACES["sRGB"].matrix_RGB_to_XYZ.sum(axis=1)
+    found = xyz(rgb @ mallett_basis().T)
+    error = delta_e(lab_from_xyz(expected, white), lab_from_xyz(found, white))
+    assert error.mean() <= 0.3 and error.max() <= 1.5
+    assert (mallett_basis() >= 0).all()
+    assert np.allclose(mallett_basis().sum(axis=1), light("D65"), rtol=1e-3)
+
+
+def test_negative_values_are_set_to_nothing_and_counted(tmp_path):
+    pixels = np.full((4, 8, 3), 0.5, np.float32)
+    pixels[1, 2, 0] = -0.25
+    pixels[3, 7] = -1.0
+    picture = rgb_picture(write_exr(tmp_path / "a.exr", pixels), scale=2.0)
+    assert picture.origin["negative_pixels"] == 2 and "Mallett" in picture.origin["assumption"]
+    assert (picture.weights >= 0).all() and picture.weights.max() == 1.0
+    assert picture.weights.sum() == pytest.approx(2.0 * np.maximum(pixels, 0).sum())
+
+
+def test_pictures_that_are_no_light_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"none\.exr"):
+        rgb_picture(tmp_path / "none.exr")
+    with pytest.raises(InputError, match="no channel R"):
+        rgb_picture(write_exr(tmp_path / "y.exr", np.ones((4, 8, 1)), ["Y"]))
+    display = oiio.ImageBuf(oiio.ImageSpec(8, 4, 3, "uint8"))
+    assert display.write(str(tmp_path / "display.png"))
+    with pytest.raises(InputError, match="made for a display"):
+        rgb_picture(tmp_path / "display.png")
+    broken = np.ones((4, 8, 3), np.float32)
+    broken[2, 2] = np.inf
+    with pytest.raises(InputError, match="1 pixels that are not finite"):
+        rgb_picture(write_exr(tmp_path / "inf.exr", broken))
+
+
+@pytest.mark.parametrize("name", ["lobby", "hall", "workshop", "museum"])
+def test_measured_places_become_environments(tmp_path, name):
+    path = DATA / "environments" / f"{name}.exr"
+    if not path.is_file():
+        pytest.skip(f"no picture at {path}")
+    picture = rgb_picture(path)
+    assert picture.weights.shape == (256, 512, 3) and (picture.weights >= 0).all()
+    assert (picture.origin["negative_pixels"] > 0) == (name != "museum")
+    assert picture.origin["negative_sum_over_positive"] < 0.05
+
+
+def test_an_rgb_environment_in_a_file(tmp_path):
+    rng = np.random.default_rng(3)
+    write_exr(tmp_path / "a.exr", rng.uniform(0, 1, (16, 32, 3)))
+    source = {"kind": "rgb", "file": str(tmp_path / "a.exr"), "scale": 1.0, "centre_azimuth_deg": 0.0}
+    make_environment(source, None, tmp_path / "e.h5", *OPTIONS)
+    found = Environment.load(tmp_path / "e.h5")
+    expected = rgb_picture(tmp_path / "a.exr")
+    truth = expected.weights @ expected.basis.T
+    assert np.abs(found.coefficients @ found.basis.T - truth).max() <= 0.02 * truth.max()
+    with store.open_file(tmp_path / "e.h5") as file:
+        assert "assumption" in file.attribute("origin")
+        assert {"mu_rad", "theta_r_deg", "rms", "max"} == set(file.attribute("errors")["gloss"][0])
+        assert "gloss/width" in file
+
+
+def test_an_unknown_kind_of_light_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="no light is made from 'captures'"):
+        make_environment({"kind": "captures"}, None, tmp_path / "e.h5", *OPTIONS)
+
+
+# --- spectral EXR --------------------------------------------------------------------------------------------------
+
+
+def test_our_own_spectral_picture_keeps_its_spectra(tmp_path):
+    radiance = np.random.default_rng(4).gamma(1.0, 1.0, (6, 12, 61)).astype(np.float32)
+    write_spectral_exr(tmp_path / "a.exr", to_panorama(radiance), radiance[..., :3], {})
+    picture = spectral_picture(tmp_path / "a.exr", scale=3.0)
+    assert np.allclose(picture.weights @ picture.basis.T, 3.0 * radiance, rtol=1e-6)
+
+
+@pytest.mark.parametrize("unit", ["nm", "um", "THz"])
+def test_any_wavelengths_and_units_of_the_layout(tmp_path, unit):
+    wavelength = np.arange(380.0, 731.0, 10.0)
+    name = {
+        "nm": lambda w: f"S0.{w:.3f}nm",
+        "um": lambda w: f"S0.{w / 1000:.6f}um",
+        "THz": lambda w: f"S0.{299792.458 / w:.9f}THz",
+    }[unit]
+    names = [name(w).replace(".", ",").replace("S0,", "S0.") for w in wavelength]
+    line = 2.0 + wavelength / 700
+    pixels = np.tile(line, (3, 6, 1))
+    shuffled = np.random.default_rng(1).permutation(len(names))
+    write_exr(tmp_path / "a.exr", pixels[..., shuffled], [names[i] for i in shuffled])
+    picture = spectral_picture(tmp_path / "a.exr")
+    assert np.allclose(picture.weights @ picture.basis.T, 2.0 + WAVELENGTH_NM / 700, rtol=1e-4)
+
+
+def test_a_fine_picture_keeps_the_power_of_its_lines():
+    wavelength = np.arange(390.0, 711.0, 1.0)
+    pixels = np.exp(-(((wavelength - 546.0) / 1.5) ** 2)).astype(np.float32).reshape(1, 1, -1)
+    out = resample_picture(wavelength, pixels, "a.exr")
+    assert out.sum() * 5 == pytest.approx(pixels.sum(), rel=0.01)
+
+
+def test_spectral_pictures_that_are_no_light_are_refused(tmp_path):
+    with pytest.raises(InputError, match="kind S0 among T"):
+        spectral_picture(write_exr(tmp_path / "t.exr", np.ones((2, 4, 2)), ["T.400,0nm", "T.700,0nm"]))
+    with pytest.raises(InputError, match="500 nm twice"):
+        read_layers(write_exr(tmp_path / "d.exr", np.ones((2, 4, 2)), ["S0.500,0nm", "S0.500nm"]), "S0")
+    names = [f"S0.{w},0nm" for w in range(450, 651, 10)]
+    with pytest.raises(InputError, match="400"):
+        spectral_picture(write_exr(tmp_path / "s.exr", np.ones((2, 4, len(names))), names))
+
+
+def test_another_programs_chart_is_read_and_brought_to_the_grid():
+    path = DATA / "spectral" / "macbeth_chart_36_bands.exr"
+    if not path.is_file():
+        pytest.skip(f"no picture at {path}")
+    wavelength, pixels = read_layers(path, "T")
+    assert len(wavelength) == 36 and wavelength[0] == 380 and wavelength[-1] == 730
+    out = resample_picture(wavelength, pixels, path)
+    assert out.shape == (400, 600, 61) and out.min() >= 0 and out.max() < 1
+    assert np.allclose(out[..., ::2], pixels[..., 2:33], atol=1e-5)
+    with pytest.raises(InputError, match="kind S0"):
+        spectral_picture(path)
+
+
+# --- placed lights -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("diameter", [0.0, 0.5, 3.0, 20.0, 90.0])
+@pytest.mark.parametrize(
+    "where", [(30.0, 40.0), (0.0, 90.0), (123.0, -90.0), (-0.1, 0.0), (359.9, 0.0), (180.0, -60.0)]
+)
+def test_placed_lights_keep_their_energy(diameter, where):
+    one = {"spectrum": "A", "azimuth_deg": where[0], "elevation_deg": where[1], "diameter_deg": diameter}
+    width, height = 120, 60
+    unit, solid_angle = directions(width, height)
+    facing = lights_picture([{**one, "irradiance": 2.0}], width, height)
+    texel = unit.reshape(-1, 3)[(unit @ direction_of(*where)).argmax()]
+    normal = texel if diameter < 3.0 else direction_of(*where)
+    found = Integrator(facing.weights)(normal[None])[0, 0]
+    # A diffuser of radiance 2.
+    assert found / np.pi == pytest.approx(2.0, rel=0.002 if diameter != 0.5 and diameter != 0 else 0.01)
+    if diameter > 0:
+        glowing = lights_picture([{**one, "radiance": 3.0}], width, height)
+        disc = 2 * np.pi * (1 - np.cos(np.radians(diameter / 2)))
+        assert (glowing.weights[..., 0] * solid_angle).sum() == pytest.approx(3.0 * disc, rel=1e-5)
+        if diameter >= 20:
+            assert glowing.weights.max() == pytest.approx(3.0, rel=0.02)
+    centre = (unit * (facing.weights[..., 0] * solid_angle)[..., None]).sum(axis=(0, 1))
+    assert centre @ direction_of(*where) >= np.cos(np.radians(3.0)) * np.linalg.norm(centre)
+
+
+def test_lights_have_their_own_spectra_at_one_luminance():
+    names = ["D65", "FL11", "P2856"]
+    lights = [{"spectrum": n, "azimuth_deg": 120.0 * i, "elevation_deg": 10.0, "diameter_deg": 30.0, "radiance": 1.0}
+              for i, n in enumerate(names)]  # fmt: skip
+    picture = lights_picture(lights, 64, 32)
+    luminance = xyz(picture.basis.T)[:, 1]
+    assert np.allclose(luminance, 1.0)
+    for i, name in enumerate(names):
+        assert np.allclose(picture.basis[:, i] / picture.basis[:, i].sum(), spectrum(name) / spectrum(name).sum())
+        row, column = np.unravel_index(picture.weights[..., i].argmax(), (32, 64))
+        assert picture.weights[row, column, i] == pytest.approx(1.0, rel=0.02)
+    assert np.allclose(unit_luminance("D65"), light("D65"))
+
+
+def test_placed_lights_in_a_file(tmp_path):
+    lights = [{"spectrum": "FL11", "azimuth_deg": 20.0, "elevation_deg": 50.0, "diameter_deg": 0.0, "irradiance": 1.0}]
+    make_environment({"kind": "lights", "lights": lights}, {"width": 64, "height": 32}, tmp_path / "e.h5", *OPTIONS)
+    found = Environment.load(tmp_path / "e.h5")
+    place = np.unravel_index(np.linalg.norm(found.coefficients, axis=-1).argmax(), (32, 64))
+    radiance = found.basis @ found.coefficients[place] * directions(64, 32)[1][place]
+    assert np.allclose(radiance / np.pi, unit_luminance("FL11"), rtol=1e-4)
+
+
+# --- mirror ball ---------------------------------------------------------------------------------------------------
+
+BALL = {"kind": "mirror_ball", "centre_px": [100.5, 90.0], "radius_px": 85.0, "camera_azimuth_deg": 0.0,
+        "camera_elevation_deg": 0.0, "roll_deg": 0.0, "reflectance_factor": 1.0}  # fmt: skip
+
+
+def photograph(radiance, source, reflectance=None, size=(190, 205)):
+    """A ball's photograph: each pixel shows the radiance in the mirror direction; radiance: (n, 3) -> (n, b)."""
+    rows, columns = size
+    x = (np.arange(columns) - source["centre_px"][0]) / source["radius_px"]
+    y = -(np.arange(rows)[:, None] - source["centre_px"][1]) / source["radius_px"]
+    a, b = np.broadcast_arrays(x, y)
+    c = np.sqrt(np.maximum(1 - a**2 - b**2, 0.0))
+    azimuth, elevation = np.radians([source["camera_azimuth_deg"], source["camera_elevation_deg"]])
+    back = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    up = np.array([-np.sin(elevation) * np.cos(azimuth), -np.sin(elevation) * np.sin(azimuth), np.cos(elevation)])
+    normal = a[..., None] * right + b[..., None] * up + c[..., None] * back
+    seen = radiance(2 * c[..., None] * normal - back)
+    on_ball = (a**2 + b**2 <= 1)[..., None]
+    return np.where(on_ball, seen * (1.0 if reflectance is None else reflectance(c)), 0.0)
+
+
+def smooth(unit):
+    return np.stack([2 + unit[..., 0], 1.5 + unit[..., 1] * unit[..., 2], 1 + unit[..., 2] ** 2], axis=-1)
+
+
+@pytest.mark.parametrize("camera", [(0.0, 0.0), (140.0, 0.0), (-60.0, 35.0)])
+def test_a_mirror_ball_shows_the_light_where_it_comes_from(camera):
+    source = {**BALL, "camera_azimuth_deg": camera[0], "camera_elevation_deg": camera[1]}
+    weights = photograph(smooth, source)
+    picture = unwrapped(source, {"width": 64, "height": 32}, weights, np.ones(weights.shape[:2], bool),
+                        np.eye(61)[:, :3], "ball.h5")  # fmt: skip
+    unit = directions(64, 32)[0]
+    seen = ball_places(source, 64, 32)[2] < RIM
+    found = (picture.weights @ picture.basis.T)[..., :3]
+    assert np.abs(found - smooth(unit))[seen].max() <= 0.01
+    assert picture.origin["blind_fraction"] == pytest.approx((1 - np.cos(np.pi - 2 * np.arcsin(RIM))) / 2, abs=0.01)
+    # The blind cone lies behind the ball.
+    towards = direction_of(*camera)
+    assert (unit[~seen] @ towards < -0.9).all()
+
+
+def test_the_balls_own_fresnel_reflectance_is_divided_out():
+    n, k = 3.2, 3.3  # chromium, about
+    source = {key: value for key, value in BALL.items() if key != "reflectance_factor"}
+    source["refractive_index"] = {"n": n, "k": k}
+    weights = photograph(smooth, source, lambda cosine: fresnel(cosine, n, k)[..., None])
+    picture = unwrapped(source, {"width": 64, "height": 32}, weights, np.ones(weights.shape[:2], bool),
+                        np.eye(61)[:, :3], "ball.h5")  # fmt: skip
+    seen = ball_places(source, 64, 32)[2] < RIM
+    found = (picture.weights @ picture.basis.T)[..., :3]
+    assert np.abs(found - smooth(directions(64, 32)[0]))[seen].max() <= 0.015
+
+
+def test_a_coloured_metal_is_divided_out_at_every_wavelength(tmp_path):
+    path = DATA / "refractive_index"
+    tables = sorted(path.glob("*copper*.csv")) + sorted(path.glob("*brass*.csv")) if path.is_dir() else []
+    if not tables:
+        pytest.skip(f"no refractive indices in {path}")
+    source = {**BALL, "refractive_index": {"file": str(tables[0])}}
+    del source["reflectance_factor"]
+    from irodori.spectra import refractive_index
+
+    n, k = refractive_index(source["refractive_index"])
+    cosine = np.linspace(0.21, 1.0, 50)
+    factors, spectra = inverse_reflectance(source, cosine)
+    assert factors.shape[1] <= 6
+    exact = np.array([fresnel(c, n, k) for c in cosine])
+    assert np.abs((factors @ spectra.T) * exact - 1.0).max() <= 2e-3
+
+
+def test_a_ball_that_is_not_in_the_picture_or_masked_is_refused():
+    weights, valid = np.ones((190, 205, 3)), np.ones((190, 205), bool)
+    size, basis = {"width": 32, "height": 16}, np.eye(61)[:, :3]
+    with pytest.raises(InputError, match="beyond the photograph"):
+        unwrapped({**BALL, "radius_px": 120.0}, size, weights, valid, basis, "ball.h5")
+    one = valid.copy()
+    one[90, 100] = False
+    picture = unwrapped(BALL, size, weights, one, basis, "ball.h5")
+    assert np.allclose((picture.weights @ picture.basis.T)[..., :3], 1.0)
+    one[80:100, 90:110] = False
+    with pytest.raises(InputError, match="all masked"):
+        unwrapped(BALL, size, weights, one, basis, "ball.h5")
+
+
+def test_the_stage_unwraps_a_ball_and_minds_saturation_on_it_alone(tmp_path):
+    response = photograph(smooth, BALL).astype(np.float32)
+    calibration = Calibration(np.eye(61)[:, [10, 30, 50]], np.eye(3), np.full(61, 2.0), ("out",))
+    valid = np.ones(response.shape[:2], np.uint8)
+    valid[0, 0] = 0  # beside the ball: clipped, and of no importance
+    write_inputs(tmp_path, response, valid, calibration)
+    size = {"width": 64, "height": 32}
+    prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "e.h5", EXACT,
+                        OPTIONS[1], OPTIONS[2], BALL, size)  # fmt: skip
+    found = Environment.load(tmp_path / "e.h5")
+    seen = ball_places(BALL, 64, 32)[2] < RIM
+    spectra = (found.coefficients @ found.basis.T)[..., [10, 30, 50]]
+    assert np.abs(spectra - 2 * smooth(directions(64, 32)[0]))[seen].max() <= 0.03
+    valid[90, 100] = 0
+    write_inputs(tmp_path, response, valid, calibration)
+    with pytest.raises(InputError, match="saturated in every bracket"):
+        prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "f.h5", EXACT,
+                            OPTIONS[1], OPTIONS[2], BALL, size)  # fmt: skip
