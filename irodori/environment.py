@@ -101,6 +101,7 @@ def prepare_environment(
     provenance: store.Provenance,
     source: dict | None = None,
     image: dict | None = None,
+    with_gloss: bool = False,
 ) -> None:
     """Write an environment's file from the linear responses of its omnidirectional picture or of a mirror ball.
 
@@ -114,6 +115,8 @@ def prepare_environment(
     irradiance_options : dict
         See `irodori.irradiance.fitted_irradiance_map`.
     provenance : Provenance
+    with_gloss : bool
+        Whether gloss maps are made, and their errors.
     source : dict, optional
         Of the environment's definition; of the kind ``captures`` where absent.
     image : dict, optional
@@ -134,7 +137,7 @@ def prepare_environment(
     else:
         picture = _mirror_ball(linear, calibration, source, image)
     # The colour of the light is judged against the rig's light as white.
-    write_environment(picture, calibration.light, output, options, irradiance_options, provenance)
+    write_environment(picture, calibration.light, output, options, irradiance_options, provenance, with_gloss)
 
 
 def make_environment(
@@ -144,6 +147,7 @@ def make_environment(
     options: CompressOptions,
     irradiance_options: dict,
     provenance: store.Provenance,
+    with_gloss: bool = False,
 ) -> None:
     """Write an environment's file from a file of another program or from lights placed in directions.
 
@@ -169,7 +173,7 @@ def make_environment(
     else:
         raise ValueError(f"no light is made from {source['kind']!r}; accepted: lights, {', '.join(_READERS)}")
     white = picture.mean_light()
-    write_environment(picture, white, output, options, irradiance_options, provenance)
+    write_environment(picture, white, output, options, irradiance_options, provenance, with_gloss)
 
 
 def write_environment(
@@ -179,6 +183,7 @@ def write_environment(
     options: CompressOptions,
     irradiance_options: dict,
     provenance: store.Provenance,
+    with_gloss: bool = False,
 ) -> None:
     """Compress an omnidirectional picture, integrate its maps and write the environment's file.
 
@@ -196,14 +201,15 @@ def write_environment(
     coefficients = compressed.coefficients.reshape(height, width, -1)
     integrator = Integrator(coefficients)
     irradiance, irradiance_errors = fitted_irradiance_map(coefficients, **irradiance_options, integrate=integrator)
-    gloss = GlossMaps.of(coefficients)
+    gloss = GlossMaps.of(coefficients) if with_gloss else None
     errors = {
         "delta_e": compressed.errors,
         "negative_fraction": compressed.negative_fraction,
         "compression": compressed.compression.summary(),
         "irradiance": irradiance_errors,
-        "gloss": gloss_errors(integrator, gloss),
     }
+    if gloss is not None:
+        errors["gloss"] = gloss_errors(integrator, gloss)
     Environment(coefficients, compressed.basis, irradiance).save(
         output, provenance, errors, gloss, picture.origin, storage=options.storage, codec=options.codec
     )
@@ -217,5 +223,5 @@ def write_environment(
         compressed.errors["light"]["p99"],
         100 * compressed.negative_fraction,
     )
-    for row in errors["gloss"]:
+    for row in errors.get("gloss", []):
         LOGGER.info("gloss by look-up, mu %.2f rad, view %.0f degrees: rms error %.3f", *list(row.values())[:3])

@@ -4,6 +4,7 @@ import ast
 import functools
 import hashlib
 import json
+from functools import lru_cache
 from pathlib import Path
 
 _ROOT = Path(__file__).resolve().parents[1]
@@ -85,6 +86,13 @@ def _exists(module: str, root: Path) -> bool:
 
 def _imports(name: str, file: Path, root: Path) -> list[str]:
     """Return the local modules that a file imports, wherever in the file the import stands."""
+    status = file.stat()
+    return list(_parsed_imports(name, file, root, status.st_mtime_ns, status.st_size))
+
+
+@lru_cache(maxsize=4096)
+def _parsed_imports(name: str, file: Path, root: Path, _modified_ns: int, _size: int) -> tuple[str, ...]:
+    # Each rule hashes what its script imports: without the cache a file is parsed for every one of them.
     top = name.partition(".")[0]
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
     wanted = []
@@ -99,7 +107,7 @@ def _imports(name: str, file: Path, root: Path) -> list[str]:
                 base = ".".join([*parents, base] if base else parents)
             # What follows "import" may be a submodule or a name inside the module.
             wanted += [base, *(f"{base}.{alias.name}" for alias in node.names)]
-    return [module for module in wanted if module.partition(".")[0] == top and _exists(module, root)]
+    return tuple(module for module in wanted if module.partition(".")[0] == top and _exists(module, root))
 
 
 def config_hash(obj) -> str:

@@ -126,7 +126,7 @@ def _lone_alpha(normal, middle, told, excess, a, rules):
     return math.sqrt(excess * middle / (normal * normal * (1.0 - told)) + common * common)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
 def _scatter(block, a, b, log_mu, correlation, scale, determinant):
     """Return Σ w² v J Jᵀ where the variances v are not known: those of the residuals, at least the expected ones.
 
@@ -136,7 +136,7 @@ def _scatter(block, a, b, log_mu, correlation, scale, determinant):
     p, q, r = correlation
     i0, i1, i2 = 1.0 - r * r, 1.0 - q * q, 1.0 - p * p
     i01, i02, i12 = q * r - p, p * r - q, p * q - r
-    factor = -math.exp(-2.0 * log_mu)
+    factor, inverse = -math.exp(-2.0 * log_mu), 1.0 / determinant
     m0, m1, m2, m3, m4, m5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for j in range(block.shape[1]):
         x, w = block[SQUARE, j] * factor, block[WEIGHT, j]
@@ -144,9 +144,11 @@ def _scatter(block, a, b, log_mu, correlation, scale, determinant):
         s = -2.0 * b * x * g
         u0, u1, u2 = c * scale[0], g * scale[1], s * scale[2]
         form = u0 * (i0 * u0 + 2.0 * (i01 * u1 + i02 * u2)) + u1 * (i1 * u1 + 2.0 * i12 * u2) + i2 * u2 * u2
-        left = max(1.0 - w * form / determinant, _LEAST_LEFT)
+        left = 1.0 - w * form * inverse
+        left = left if left > _LEAST_LEFT else _LEAST_LEFT
         off = (a * c + b * g - block[RESPONSE, j]) / left
-        u = w * w * max(off * off, block[EXPECTED, j])
+        v, expected = off * off, block[EXPECTED, j]
+        u = w * w * (v if v > expected else expected)
         m0 += u * c * c
         m1 += u * c * g
         m2 += u * g * g

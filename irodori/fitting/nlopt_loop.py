@@ -181,7 +181,7 @@ def _polish(nlopt, optimiser, data, start, rules, vectors):
 def start_of(block, problem, rules, used, floor, sums):
     """Return the sums without lobe, and the best α, β, log μ that the scan knows with their sum of squares."""
     start = _scanned(block, problem, rules, sums)
-    if is_noisy(used, floor, start[4], start[0], rules):
+    if is_noisy(used, floor, start[0], rules):
         expect(block, start[1], start[2], start[3], rules)
         start = _scanned(block, problem, rules, sums)
     return start

@@ -26,6 +26,7 @@ from irodori.fitting.lobe import (
 
 _LEAST_VARIANCE = 1e-8  # of the mean square response: no observation counts ten thousand times another
 _TINY = 1e-60
+_LARGE = 1e30  # a common weight beyond this, or below its inverse, is taken out
 _SAME = 1e-6  # of cosine, φ² and gloss: what single precision makes of one angle
 ENOUGH = 4  # geometries that determine three unknowns and can object to them
 
@@ -83,6 +84,18 @@ def camera_noise(model, captures: int) -> tuple[np.ndarray, bool]:
     return out, known
 
 
+@numba.njit(cache=True, error_model="numpy")
+def _rescale(block, largest):
+    """Divide weights whose squares would leave the range of numbers by the largest; return Σ w and Σ w ρ²."""
+    total, power = 0.0, 0.0
+    for j in range(block.shape[1]):
+        t = block[TRUST, j] / largest if largest > 0.0 else 0.0
+        block[TRUST, j] = t
+        total += t
+        power += t * block[RESPONSE, j] * block[RESPONSE, j]
+    return total, power
+
+
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")
 def load(response, weight, rules, block):
     """Fill responses, variances and weights of a texel.
@@ -106,12 +119,10 @@ def load(response, weight, rules, block):
         used += 1.0 if fine else 0.0
         offered += 0.0 if trust <= 0.0 else 1.0
         largest = t if t > largest else largest
-    scale = 1.0 / largest if largest > _TINY else 1.0 / _TINY
-    for j in range(response.size):
-        t = block[TRUST, j] * scale
-        block[TRUST, j] = t
         total += t
-        power += t * block[RESPONSE, j] * block[RESPONSE, j]
+        power += t * r * r
+    if largest > _LARGE or total < used / _LARGE:
+        total, power = _rescale(block, largest)
     power /= total if total > 0.0 else 1.0
     relative = rules.model_error * rules.model_error
     common = _TINY + (_LEAST_VARIANCE if rules.known else relative) * power

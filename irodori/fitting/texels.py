@@ -164,7 +164,7 @@ def _fit_texel(t, block, shared, used, floor, problem, rules, sums, before, out)
     _scan(block, shared, problem, sums, before)
     log_mu, a, b, evaluations = minimise(block, shared, fixed, box, problem.nodes, sums)
     settled = True
-    if is_noisy(used, floor, _least_square(problem.nodes, sums), fixed, rules):
+    if is_noisy(used, floor, fixed, rules):
         expect(block, a, b, log_mu, rules)
         fixed = weigh(block)
         _scan(block, shared, problem, sums, before)
@@ -182,9 +182,9 @@ def _fit_texel(t, block, shared, used, floor, problem, rules, sums, before, out)
 
 
 @numba.njit(cache=True)
-def is_noisy(used, floor, squares, fixed, rules):
-    """Return whether weights of noisy responses would pull α by more than a tenth of its standard error."""
-    return rules.weighted and used * max(used * floor, squares) > _NOISY * fixed[2]
+def is_noisy(used, floor, fixed, rules):
+    """Return whether weights of noisy responses would pull α by more than a fifth of its standard error."""
+    return rules.weighted and used * used * floor > _NOISY * fixed[2]
 
 
 @numba.njit(cache=True)
@@ -192,14 +192,6 @@ def doubt(out, t):
     """Take back that the gloss of a texel is determined."""
     if out.status[t] == _OK:
         out.status[t] = _UNIDENTIFIABLE
-
-
-@numba.njit(cache=True)
-def _least_square(nodes, sums):
-    least = np.inf
-    for i in range(nodes.size):
-        least = min(least, sums[6, i])
-    return least
 
 
 @numba.njit(cache=True)

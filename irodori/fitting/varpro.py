@@ -143,8 +143,10 @@ def _cubic_minimum(width, f0, f1, d0, d1):
 @numba.njit(cache=True, error_model="numpy")
 def _dips(width, f0, f1, d0, d1):
     """Return whether the cubic through values and slopes of one sign has a minimum inside all the same."""
-    u = d0 + d1 - 3.0 * (f1 - f0) / width
-    return d0 * d1 > 0.0 and u * d0 > 0.0 and u * u > d0 * d1
+    # All times the width, for a division in every interval would cost as much as the rest.
+    both = d0 * d1 * width * width
+    u = (d0 + d1) * width - 3.0 * (f1 - f0)
+    return both > 0.0 and u * d0 > 0.0 and u * u > both
 
 
 @numba.njit(cache=True, error_model="numpy")

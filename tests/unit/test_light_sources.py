@@ -129,7 +129,7 @@ def test_an_rgb_environment_in_a_file(tmp_path):
     rng = np.random.default_rng(3)
     write_exr(tmp_path / "a.exr", rng.uniform(0, 1, (16, 32, 3)))
     source = {"kind": "rgb", "file": str(tmp_path / "a.exr"), "scale": 1.0, "centre_azimuth_deg": 0.0}
-    make_environment(source, None, tmp_path / "e.h5", *OPTIONS)
+    make_environment(source, None, tmp_path / "e.h5", *OPTIONS, with_gloss=True)
     found = Environment.load(tmp_path / "e.h5")
     expected = rgb_picture(tmp_path / "a.exr")
     truth = expected.weights @ expected.basis.T

@@ -4,10 +4,10 @@ from irodori.rules import run_rule
 
 with run_rule(snakemake) as provenance:
     options = dict(snakemake.params.compress)
-    irradiance = options.pop("irradiance")
+    irradiance, gloss = options.pop("irradiance"), options.pop("gloss_maps")
     common = snakemake.output.environment, CompressOptions(**options), irradiance, provenance
     source, image = snakemake.params.source, snakemake.params.image
     if snakemake.params.photographed:
-        prepare_environment(snakemake.input.linear, snakemake.input.calibration, *common, source, image)
+        prepare_environment(snakemake.input.linear, snakemake.input.calibration, *common, source, image, gloss)
     else:
-        make_environment(source, image, *common)
+        make_environment(source, image, *common, gloss)
