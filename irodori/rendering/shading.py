@@ -13,6 +13,8 @@ from irodori.rendering.scene import Light, Objects
 from irodori.sphere import add_interpolated, direction_uv
 
 BANDS = 61
+#: Sums over bands may be taken in any order, or each addition waits for the one before.
+_SUMS = {"reassoc", "contract", "nsz"}
 
 
 class World(NamedTuple):
@@ -134,7 +136,7 @@ def surface(world, index, ray, point, normal, facet, texel):
     interpolate(objects.texels, objects.first_texel[index], width, height, u, v, 1.0, texel)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, fastmath=_SUMS)
 def add_spectrum(basis, coefficients, decoded, out):
     """Add the spectrum of coefficients; ``decoded`` (61,) is a buffer.
 
@@ -168,7 +170,7 @@ def fill_irradiance(light, normal, coefficients, decoded, out):
     add_spectrum(light.basis, coefficients, decoded, out)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, fastmath=_SUMS)
 def add_diffuse(objects, index, texel, irradiance, scale, decoded, out):
     """Add ``scale`` times the diffuse radiance α S / S_G · I / π of a surface [eq. 9]. ``decoded`` is a buffer.
 
