@@ -9,5 +9,8 @@ settings.register_profile("ci", derandomize=True, deadline=None)
 settings.register_profile("here", deadline=None)  # the first example of a test compiles its loops
 settings.load_profile("ci" if os.environ.get("CI") else "here")
 
-# Under nohup a hang-up is ignored, rightly, and by all that is started from here: the tests that hang up need it.
+# Under nohup a hang-up is ignored, and in a script's background an interrupt, rightly, and by all that is started from
+# here: the tests that hang up and interrupt need both.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)

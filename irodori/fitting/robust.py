@@ -11,7 +11,7 @@ import numpy as np
 
 from irodori.fitting.linear import best_pair
 from irodori.fitting.lobe import COSINE, FAST, GLOSS, LOBE, RESPONSE, SQUARE, TRUST, VARIANCE, WEIGHT, exp_negative
-from irodori.fitting.observations import weigh
+from irodori.fitting.observations import expect, weigh
 from irodori.fitting.shared import no_shared
 from irodori.fitting.varpro import NODE_STEP, newton
 
@@ -58,12 +58,8 @@ def _pair(block, box):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def robust(block, sums, nodes, rules):
-    """Return the sums without lobe, α, β, log μ of the least Huber loss, the evaluations, and whether it settled.
-
-    The block is left with the weights that make the loss linear for outliers.
-    """
-    box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
+def _least_loss(block, nodes, box, rules):
+    """Return log μ of the node with the least Huber loss, and α and β there."""
     best, log_mu, a, b = np.inf, nodes[0], 0.0, 0.0
     for i in range(nodes.size):
         fill_lobe(block, nodes[i])
@@ -75,6 +71,21 @@ def robust(block, sums, nodes, rules):
             loss = reweigh(block, x, y, rules.huber)
         if loss < best:
             best, log_mu, a, b = loss, nodes[i], x, y
+    return log_mu, a, b
+
+
+@numba.njit(cache=True, error_model="numpy")
+def robust(block, sums, nodes, rules):
+    """Return the sums without lobe, α, β, log μ of the least Huber loss, the evaluations, and whether it settled.
+
+    The block is left with the weights that make the loss linear for outliers.
+    """
+    box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
+    log_mu, a, b = _least_loss(block, nodes, box, rules)
+    if rules.weighted:
+        # The variance of a reading that lost its light would be small, and its pull large.
+        expect(block, a, b, log_mu, rules)
+        log_mu, a, b = _least_loss(block, nodes, box, rules)
     nothing, settled, evaluations = no_shared(), False, nodes.size * _AT_NODE
     fixed = weigh(block)
     for _ in range(_SETTLING):
