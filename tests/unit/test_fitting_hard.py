@@ -238,60 +238,6 @@ def test_amplitude_changes_no_decision(scale, weights):
     np.testing.assert_allclose(many.alpha_error, scale * one.alpha_error, rtol=1e-5, equal_nan=True)
 
 
-@pytest.mark.parametrize("factor", [0.0, 0.2, 3.0])
-@pytest.mark.parametrize("weights", ["noise", "equal"])
-def test_huber_withstands_one_gross_outlier_in_twenty(factor, weights):
-    geometry = np.concatenate([GEOMETRY, in_plane([30, 50, 60], [25, 45, 60])])
-    camera = np.tile(CAMERA[:1], (len(geometry), 1))
-    alpha, beta, mu = materials(400, seed=26)
-    rng = np.random.default_rng(260)
-    clean = model(alpha, beta, mu, geometry)
-    response = clean * (1 + 0.005 * rng.normal(size=clean.shape))
-    response[np.arange(400), rng.integers(0, len(geometry), 400)] *= factor
-    fits = [fit(response, geometry, np.ones(response.shape), N, K, FitOptions(huber=h, weights=weights), camera)
-            for h in (None, 2.0)]  # fmt: skip
-    error = [np.where(stated(r), np.abs(r.mu / mu - 1), np.inf) for r in fits]
-    assert np.median(error[1]) < 0.05 and np.median(error[1]) < 0.5 * np.median(error[0])
-    robust = fits[1]
-    known = stated(robust)
-    off = np.abs(robust.mu - mu)[known] / robust.mu_error[known]
-    assert known.mean() > 0.6 and (off < 3).mean() > 0.85
-
-
-def huber_loss(response, geometry, weight, variance, alpha, beta, mu, limit):
-    deviation = np.abs(alpha * np.cos(geometry[:, 0]) + beta * gloss_over_beta(geometry, mu) - response)
-    deviation /= np.sqrt(variance)
-    far = limit * (2 * deviation - limit)
-    return np.sum(weight * variance * np.where(deviation > limit, far, deviation**2), axis=1)
-
-
-def test_no_dense_scan_finds_a_lower_huber_loss():
-    rng = np.random.default_rng(261)
-    alpha, beta, mu = materials(60, seed=262)
-    response = model(alpha, beta, mu) * (1 + 0.01 * rng.normal(size=(60, len(GEOMETRY))))
-    response[np.arange(60), rng.integers(0, len(GEOMETRY), 60)] *= 0.1
-    variance = np.broadcast_to(CAMERA[:, 0], response.shape)
-    noise = np.stack([CAMERA[:, 0], 0 * CAMERA[:, 1]], axis=1)
-    result = fit(response, GEOMETRY, np.ones(response.shape), N, K, FitOptions(huber=2.0, model_error=0.0), noise)
-    arguments = (response, GEOMETRY, 1.0 / variance, variance)
-    whole = (result.model == 3) & np.isfinite(result.alpha)
-    found = huber_loss(*arguments, result.alpha[:, None], *result.gloss.T[..., None], 2.0)
-    best = np.full(60, np.inf)
-    for trial in np.geomspace(0.005, 1.2, 200):
-        a, b = result.alpha[:, None], np.ones((60, 1))
-        g, c = gloss_over_beta(GEOMETRY, trial), np.cos(GEOMETRY[:, 0])
-        for _ in range(60):
-            deviation = np.abs(a * c + b * g - response) / np.sqrt(variance)
-            w = np.where(deviation > 2.0, 2.0 / np.maximum(deviation, 1e-30), 1.0) / variance
-            cc, gg, cg = (w * c * c).sum(1), (w * g * g).sum(1), (w * c * g).sum(1)
-            cr, rg = (w * c * response).sum(1), (w * g * response).sum(1)
-            d = np.maximum(cc * gg - cg**2, 1e-30)
-            a, b = np.maximum((cr * gg - rg * cg) / d, 0)[:, None], np.maximum((rg * cc - cr * cg) / d, 0)[:, None]
-        best = np.minimum(best, huber_loss(*arguments, a, b, trial, 2.0))
-    assert whole.sum() > 40
-    assert (found[whole] <= 1.01 * best[whole]).mean() >= 0.97
-
-
 @pytest.mark.parametrize("observations", [5, 8])
 def test_two_lobes_with_a_valley_between_two_nodes_are_searched(observations):
     rng = np.random.default_rng(observations)
@@ -415,60 +361,6 @@ def test_a_lobe_seen_only_far_from_its_peak_is_not_stated():
     assert (np.abs(geometry[:, 3]) > 0.2).all()
     assert not stated(result).any()
     assert_sound(result)
-
-
-def test_a_fitted_index_is_that_of_the_material():
-    geometry = in_plane(*np.meshgrid([20, 35, 50, 65, 75], [15, 25, 35, 50, 60, 70, 78])).reshape(-1, 4)
-    rng = np.random.default_rng(8)
-    truth = rng.uniform(1.35, 2.0, 40)
-    mu, beta = rng.uniform(0.15, 0.3, 40), rng.uniform(4, 8, 40)
-    response = np.stack([model(0.2, b, m, geometry, n=n) for b, m, n in zip(beta, mu, truth, strict=True)])
-    exact = run(response, geometry, refractive_index="fitted", model_error=1e-4, pose_error_deg=0.0)
-    known = np.isfinite(exact.index)
-    assert known.mean() > 0.9
-    np.testing.assert_allclose(exact.index[known], truth[known], atol=2e-3)
-    np.testing.assert_allclose(exact.beta[known], beta[known], rtol=1e-2)
-    noisy = run(response + 0.003 * rng.normal(size=response.shape), geometry, refractive_index="fitted",
-                weights="equal", model_error=1e-3, pose_error_deg=0.0)  # fmt: skip
-    known = np.isfinite(noisy.index)
-    assert known.any() and (np.abs(noisy.index - truth)[known] <= 4 * noisy.index_error[known]).all()
-
-
-def test_errors_of_a_fitted_index_and_of_what_hangs_on_it_hold():
-    geometry = in_plane(*np.meshgrid([20, 35, 50, 65, 75], [15, 25, 35, 50, 60, 70, 78])).reshape(-1, 4)
-    rng = np.random.default_rng(80)
-    mu, beta = rng.uniform(0.15, 0.3, 400), rng.uniform(4, 8, 400)
-    off = np.degrees(geometry[:, :2]) + 0.05 * rng.normal(size=(400, len(geometry), 2))
-    response = model(0.2, beta, mu, in_plane(off[..., 0], off[..., 1]))
-    noise = np.tile([4e-6, 8e-5], (len(geometry), 1))
-    response = response + np.sqrt(noise[:, 0] + noise[:, 1] * response) * rng.normal(size=response.shape)
-    for weights in ("noise", "equal"):
-        options = FitOptions(refractive_index="fitted", weights=weights, model_error=1e-4, pose_error_deg=0.05)
-        result = fit(response, geometry, np.ones(response.shape), N, K, options, noise)
-        known = np.isfinite(result.index) & stated(result)
-        assert known.mean() > 0.5
-        truths = (("index", np.full(400, N)), ("alpha", np.full(400, 0.2)), ("beta", beta), ("mu", mu))
-        for name, truth in truths:
-            deviation = (np.abs(getattr(result, name) - truth) / getattr(result, f"{name}_error"))[known]
-            assert (deviation < 2).mean() > 0.88, (name, weights)
-            assert (deviation < 1).mean() < 0.9, (name, weights)
-
-
-def test_an_index_of_texels_without_gloss_is_not_stated():
-    rng = np.random.default_rng(81)
-    matt = model(0.4, 0.0, 0.1)[None] * (1 + 0.01 * rng.normal(size=(20, len(GEOMETRY))))
-    result = run(np.concatenate([matt, np.zeros((2, len(GEOMETRY)))]), refractive_index="fitted")
-    assert np.isnan(result.index).all()
-    assert np.isin(result.status, (Status.DIFFUSE_ONLY, Status.DARK)).mean() > 0.9
-
-
-def test_an_index_that_the_angles_do_not_tell_is_not_stated():
-    rng = np.random.default_rng(9)
-    geometry = in_plane(np.linspace(3, 12, 12), np.linspace(2, 25, 12))  # all near normal incidence
-    response = model(0.3, 5.0, 0.12, geometry) * (1 + 0.01 * rng.normal(size=(30, 12)))
-    result, given = run(response, geometry, refractive_index="fitted"), run(response, geometry)
-    assert np.isnan(result.index).all()
-    np.testing.assert_array_equal(result.mu, given.mu)
 
 
 VALUES = st.floats(-1e6, 1e6, width=32) | st.sampled_from([np.nan, np.inf])
