@@ -60,6 +60,16 @@ def c_function(result, *arguments):
     return intrinsic(namespace["typed"])
 
 
+def uncounted(**options):
+    """Return `numba.njit` for a function that allocates nothing: no references to its arrays are counted.
+
+    A loop that hands tuples of arrays from function to function otherwise spends most of its time counting. What such
+    a function calls for the first time is compiled in the same way, so it may call only what returns numbers (an array
+    it returned would be freed too early elsewhere); numba refuses an allocation.
+    """
+    return numba.njit(cache=True, _nrt=False, **options)
+
+
 LANES = 8  # float64 in a vector of 512 bits; shorter ones are used in pairs or fours
 
 

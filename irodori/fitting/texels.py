@@ -20,7 +20,7 @@ from irodori.fitting.robust import robust
 from irodori.fitting.shared import no_shared, padded_nodes, scan_shared, tabulate
 from irodori.fitting.varpro import SUMS, minimise, scan_own
 from irodori.material import Status
-from irodori.native import aligned, run_chunks
+from irodori.native import aligned, run_chunks, uncounted
 
 _CHUNK = 2048  # texels that a thread fits before it asks for more
 _NOISY = (
@@ -133,7 +133,7 @@ def write(out, t, verdict, fixed, evaluations):
     row[judge.POWER], row[judge.VARIANCE] = fixed[2] / fixed[3], verdict.variance / fixed[3]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
 def clipped_of(t, problem):
     """Return which observations of a texel clip; empty where that is not known."""
     return problem.clipped[t if problem.clipped.shape[0] > 1 else 0]
@@ -209,6 +209,11 @@ def _fit_chunk(problem, shared, rules, common, out, first, last):
         for j in range(common.shape[1]):
             block[i, j] = common[i, j]
     before = np.full(block.shape[1], np.nan)
+    _fit_range(problem, shared, rules, own, block, angles, sums, before, out, first, last)
+
+
+@uncounted(error_model="numpy")
+def _fit_range(problem, shared, rules, own, block, angles, sums, before, out, first, last):
     for t in range(first, last):
         if own:
             n = problem.n[t if problem.n.size > 1 else 0]

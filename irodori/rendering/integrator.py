@@ -9,7 +9,7 @@ import numpy as np
 from irodori.brdf import fresnel
 from irodori.geometry.embree import Tracer, hit_distance, hit_shape, new_ray, trace
 from irodori.geometry.surfaces import Surfaces, face_viewer, make_surfaces
-from irodori.native import run_chunks
+from irodori.native import run_chunks, uncounted
 from irodori.rendering.scene import Light, Objects, View
 from irodori.rendering.shading import (
     BANDS,
@@ -143,7 +143,7 @@ def _aim(view, x, y, sample, side, path):
         path.origin[a] = view.position_mm[a]
 
 
-@numba.njit(cache=True)
+@uncounted()
 def _render_row(world, ray, scratch, path, total, view, sampling, y, row):
     """Fill a row of the picture; return the number of points shaded."""
     samples = sampling.pixel_side * sampling.pixel_side

@@ -23,6 +23,7 @@ from irodori.fitting import FitOptions, fit_brdf
 from irodori.material import Material
 from irodori.principal import CompressOptions
 from irodori.progress import LOGGER, track
+from irodori.provenance import config_hash
 from irodori.raw import IngestOptions, ingest_raw, ingest_reference
 from irodori.rectification import RigSetup, rectify_object
 from irodori.report.errors import interior
@@ -119,11 +120,13 @@ class Chain:
             )
 
 
-def _photograph(shots: list[Shot], chain: Chain, session: str, subject: dict | None, folder: Path) -> Path:
+def _photograph(
+    shots: list[Shot], chain: Chain, session: str, subject: dict | None, folder: Path, seen: dict | None = None
+) -> Path:
     """Take all photographs of a session and return its table."""
     folder.mkdir()
     bench = Bench()
-    camera = VirtualCamera(chain.camera, chain.rig, bench, session, shots, subject)
+    camera = VirtualCamera(chain.camera, chain.rig, bench, session, shots, subject, seen)
     for shot in shots:
         bench.set({"subject": shot.subject, "filter": shot.filter, **vars(shot.pose)})
         camera.capture(shot, folder / shot.file)
@@ -144,7 +147,7 @@ def _calibrate(chain: Chain, folder: Path) -> tuple[Path, Path]:
     return reference, calibration
 
 
-def run_chain(chain: Chain, folder: Path) -> Material:
+def run_chain(chain: Chain, folder: Path, seen: dict | None = None) -> Material:
     """Run all stages on one object and return what they found.
 
     Parameters
@@ -152,11 +155,13 @@ def run_chain(chain: Chain, folder: Path) -> Material:
     chain : Chain
     folder : path
         Empty; for the files between the stages.
+    seen : dict, optional
+        See `VirtualCamera`; of one definition of the object and one of the camera.
     """
     settings, texels = chain.settings, chain.definition["texels"]
     reference, calibration = _calibrate(chain, folder)
     shots = object_shots(chain.definition, chain.camera, ".dng")
-    table = _photograph(shots, chain, chain.name, chain.definition, folder / "object")
+    table = _photograph(shots, chain, chain.name, chain.definition, folder / "object", seen)
     linear = []
     for capture in sorted({shot.capture for shot in shots}):
         linear.append(folder / f"{capture}.h5")
@@ -173,10 +178,10 @@ def run_chain(chain: Chain, folder: Path) -> Material:
     return Material.load(material)
 
 
-def cost_rows(label: str, chain: Chain) -> list[CostRow]:
-    """Run the chain and return its errors under every light."""
+def cost_rows(label: str, chain: Chain, seen: dict | None = None) -> list[CostRow]:
+    """Run the chain and return its errors under every light; ``seen`` as of `run_chain`."""
     with tempfile.TemporaryDirectory(prefix="irodori-") as folder:
-        found = run_chain(chain, Path(folder))
+        found = run_chain(chain, Path(folder), seen)
     truth = true_material(chain.definition, chain.camera, chain.rig)
     chosen = found.observed & interior(truth)
     exact, estimate = (m.coefficients[chosen] @ m.basis.T for m in (truth, found))
@@ -207,11 +212,12 @@ def measure_imperfections(chain: Chain | None, output) -> None:
     output = Path(output)
     temporary = output.with_name(f".{output.name}.part")
     variants = list(chain.halved().variants()) if chain is not None else []
+    seen: dict[str, dict] = {}  # of each definition: most faults leave alone what the object looks like
     with temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, [f.name for f in fields(CostRow)])
         writer.writeheader()
         for label, variant in track(variants, "faults"):
-            for row in cost_rows(label, variant):
+            for row in cost_rows(label, variant, seen.setdefault(config_hash(variant.definition), {})):
                 writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(row).items()})
                 LOGGER.info("%s: CIEDE2000 under %s mean %.3f p95 %.3f", row.faults, row.light, row.mean, row.p95)
     os.replace(temporary, output)

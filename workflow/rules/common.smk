@@ -1,4 +1,5 @@
 from dataclasses import asdict
+from typing import NamedTuple
 
 from irodori.captures import read_captures
 from irodori.config import captures_of, is_taken_here, is_virtual, load_definitions
@@ -275,6 +276,32 @@ def environment_inputs(wildcards):
     else:
         made = {"picture": source["file"]} if "file" in source else {}
     return made | ({"tables": tables} if tables else {})
+
+
+class IngestPart(NamedTuple):
+    """Captures of an object that one job ingests."""
+
+    object_name: str
+    number: str
+    captures: list[str]
+
+    @property
+    def rule_name(self):
+        """The job's rule: names of rules hold no hyphen."""
+        return f"ingest_raw_{self.object_name}_{self.number}".replace("-", "_")
+
+
+def ingest_parts():
+    """Yield the parts in which the captures of every object are ingested."""
+    size = config["ingest"]["captures_per_job"]
+    for name, captures in CAPTURES["objects"].items():
+        for number, first in enumerate(range(0, len(captures), size)):
+            yield IngestPart(name, f"{number:03d}", captures[first : first + size])
+
+
+def ingest_options(wildcards):
+    """Return what ingestion does to a capture."""
+    return {key: value for key, value in config["ingest"].items() if key != "captures_per_job"}
 
 
 def linear_files(wildcards):

@@ -62,23 +62,24 @@ rule ingest_reference:
         mem_mb=lambda wildcards, attempt: 2500 * attempt,
     params:
         folder=captures_folder,
-        options=lookup(within=config, dpath="ingest"),
+        options=ingest_options,
         white_reflectance=of_camera("white/reflectance_factor", default=1.0),
         code=code_hash("irodori.raw"),
     script:
         "../scripts/ingest_reference.py"
 
 
-rule ingest_raw:
+rule ingest_chart:
     input:
         table=checked_table,
         reference=camera_file("results/cameras/{camera}/reference.h5"),
     output:
-        linear="results/{object}/linear/{capture}.h5",
+        linear="results/cameras/{camera}/linear/{capture}.h5",
     log:
-        "results/logs/ingest_raw/{object}_{capture}.log",
+        "results/logs/ingest_raw/cameras-{camera}_{capture}.log",
     benchmark:
-        "results/benchmarks/ingest_raw/{object}_{capture}.tsv"
+        "results/benchmarks/ingest_raw/cameras-{camera}_{capture}.tsv"
+    priority: 30
     conda:
         "../../envs/irodori.yaml"
     # Captures are many: one core each does more of them than both on one.
@@ -87,27 +88,47 @@ rule ingest_raw:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
         folder=captures_folder,
-        options=lookup(within=config, dpath="ingest"),
+        options=ingest_options,
         code=code_hash("irodori.raw"),
     script:
         "../scripts/ingest_raw.py"
 
 
-use rule ingest_raw as ingest_chart with:
-    output:
-        linear="results/cameras/{camera}/linear/{capture}.h5",
-    log:
-        "results/logs/ingest_raw/cameras-{camera}_{capture}.log",
-    benchmark:
-        "results/benchmarks/ingest_raw/cameras-{camera}_{capture}.tsv"
-    priority: 30
-
-
-use rule ingest_raw as ingest_environment with:
+use rule ingest_chart as ingest_environment with:
     output:
         linear="results/environments/{environment}/linear/{capture}.h5",
     log:
         "results/logs/ingest_raw/environments-{environment}_{capture}.log",
     benchmark:
         "results/benchmarks/ingest_raw/environments-{environment}_{capture}.tsv"
-    priority: 30
+
+
+# A job ingests several captures of an object, for starting takes longer than ingesting one. No wildcard stands for
+# a list of files, so that every such job is a rule of its own.
+for part in ingest_parts():
+
+    rule:
+        name:
+            part.rule_name
+        input:
+            table=checked_table,
+            reference=camera_file("results/cameras/{camera}/reference.h5"),
+        output:
+            linear=expand("results/{{object}}/linear/{capture}.h5", capture=part.captures),
+        log:
+            f"results/logs/ingest_raw/{{object}}_{part.number}.log",
+        benchmark:
+            f"results/benchmarks/ingest_raw/{{object}}_{part.number}.tsv"
+        wildcard_constraints:
+            object=part.object_name,
+        conda:
+            "../../envs/irodori.yaml"
+        threads: 1
+        resources:
+            mem_mb=lambda wildcards, attempt: 1500 * attempt,
+        params:
+            folder=captures_folder,
+            options=ingest_options,
+            code=code_hash("irodori.raw"),
+        script:
+            "../scripts/ingest_raw.py"

@@ -125,7 +125,7 @@ rule measure_imperfections:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         subject=imperfect_object,
-        ingest=lookup(within=config, dpath="ingest"),
+        ingest=ingest_options,
         rectify=lookup(within=config, dpath="rectify"),
         fit=lookup(within=config, dpath="fit"),
         compress=lookup(within=config, dpath="compress"),

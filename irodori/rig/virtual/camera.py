@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from irodori.captures import FILTERS, Shot, chart_capture
+from irodori.captures import FILTERS, Pose, Shot, chart_capture
 from irodori.rig.devices import Camera, DeviceError
 from irodori.rig.virtual.bench import Bench
 from irodori.rig.virtual.dng import write_dng
@@ -32,18 +32,29 @@ class VirtualCamera(Camera):
         All photographs of the session in order: its light drifts along them.
     subject : dict, optional
         Definition of the object or of the environment that stands before it; a camera's own session has none.
+    seen : dict, optional
+        Objects as they look without optics and noise, filled here. Cameras that differ in their faults alone may share
+        one: what a fault does not change is then made once.
     """
 
     suffix = ".dng"
 
     def __init__(
-        self, camera: dict, rig: dict, bench: Bench, session: str, shots: Sequence[Shot], subject: dict | None = None
+        self,
+        camera: dict,
+        rig: dict,
+        bench: Bench,
+        session: str,
+        shots: Sequence[Shot],
+        subject: dict | None = None,
+        seen: dict | None = None,
     ) -> None:
         self.camera, self.rig, self.bench, self.subject = camera, rig, bench, subject
         self.sensor = Sensor(**camera["virtual"]["sensor"])
         self.light = light(rig["light"]["spectrum"])
         self.band_weights = band_weights(camera, self.light)
         self.faults = Faults(rig["virtual"]["imperfections"], rig["virtual"]["seed"], session, shots)
+        self._known = seen
 
     @cached_property
     def sample(self) -> Sample:
@@ -96,10 +107,21 @@ class VirtualCamera(Camera):
         elif subject in self._charts:
             response = chart_mosaic(self._charts[subject], self.camera, self.rig, pose, plate, weights)
         elif subject == "object":
-            response = object_mosaic(self.sample, self.camera, self.rig, pose, plate, weights)
+            response = self._object(state, pose, plate)
         else:
             raise DeviceError(f"nothing known of the subject {subject!r}; accepted: what a session photographs")
         return self.faults.through_optics(response), self._hot_rate_e_per_s
+
+    def _object(self, state: int, pose: Pose, plate: np.ndarray) -> np.ndarray:
+        """Return the picture of the object in a filter state, a pose and through the filter's plate."""
+        key = (state, pose, plate.tobytes())
+        if self._known is not None and key in self._known:
+            return self._known[key]
+        weights = self.band_weights[3 * state : 3 * state + 3]
+        picture = object_mosaic(self.sample, self.camera, self.rig, pose, plate, weights)
+        if self._known is not None:
+            self._known[key] = picture
+        return picture
 
     def status(self) -> dict[str, str]:
         """Return the camera's sensor and settings."""

@@ -11,8 +11,9 @@ from irodori.geometry.distortion import undistort
 from irodori.geometry.embree import Tracer, hit_distance, hit_shape, is_blocked, new_ray, trace
 from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
+from irodori.geometry.shapes import MESH, PLATE
 from irodori.geometry.surfaces import Surfaces, face_viewer, make_surfaces, surface_at
-from irodori.native import run_chunks
+from irodori.native import run_chunks, uncounted
 from irodori.rig.virtual.reflection import MEASURED, gloss_lobe, measured_lobe
 
 _BLOCK_ROWS = 16
@@ -71,6 +72,7 @@ class _Setup(NamedTuple):
     lamp_cosine: float  # of its angular radius seen from the origin
     reach_mm: float  # of the sample from the origin
     offset_mm: float  # above the surface, at which shadow rays leave
+    is_open: bool  # whether nothing can stand between a point that faces the lamp and the lamp
 
 
 class _Point(NamedTuple):
@@ -191,11 +193,17 @@ def _material_at(sample, point):
     return (row * sample.checks[0] + column) % sample.beta.size
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True)
 def _expose(setup, sample, surfaces, image, first, last):
     """Fill a block of rows: look at points half a pixel apart, then let each pixel gather its own."""
     points = np.empty((2 * (last - first) + 3, 2 * image.shape[1] + 3, 3))
-    ray, point = new_ray(), _new_point()
+    _look(setup, sample, surfaces, new_ray(), _new_point(), points, first)
+    gather_rows(points, first, image)
+
+
+@uncounted(error_model="numpy")
+def _look(setup, sample, surfaces, ray, point, points, first):
+    """Fill what is seen at points half a pixel apart, from half a pixel before the row ``first`` on."""
     for i in range(points.shape[0]):
         for j in range(points.shape[1]):
             _aim(setup, 0.5 * (j - 1), first + 0.5 * (i - 1), point.direction)
@@ -203,9 +211,8 @@ def _expose(setup, sample, surfaces, image, first, last):
             out[:] = 0.0
             if _may_hit(setup, point.direction) and _is_seen(setup, surfaces, ray, point):
                 ci = _face_lamp(setup, point)
-                if ci > 0.0 and _is_lit(setup, ray, point):
+                if ci > 0.0 and (setup.is_open or _is_lit(setup, ray, point)):
                     _response(out, sample, _material_at(sample, point), setup, point, ci)
-    gather_rows(points, first, image)
 
 
 @numba.njit(cache=True)
@@ -261,6 +268,23 @@ class View:
     ideal_from_seen: np.ndarray
 
 
+def _is_open(placements, to_light: np.ndarray, lamp: Lamp) -> bool:
+    """Whether a point of the first shape that faces the lamp is lit whatever else stands there.
+
+    A convex shape does not shade itself, and a table under it shades nothing while the lamp is above its plane.
+    """
+    shape, table = placements[0].shape, placements[1:]
+    normals = [top.rotation[:, 2] for top in table]
+    if shape.kind == MESH or any(top.shape.kind != PLATE for top in table):
+        return False
+    if not lamp.is_near:
+        return all(float(normal @ to_light) >= 0.0 for normal in normals)
+    place = lamp.distance_mm * to_light
+    return all(
+        float(normal @ (place - top.translation_mm)) >= 0.0 for normal, top in zip(normals, table, strict=True)
+    )
+
+
 def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) -> np.ndarray:
     """Return what each mosaic pixel receives from the sample under the rig's light.
 
@@ -268,7 +292,7 @@ def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) 
     ----------
     sample : irodori.rig.virtual.samples.Sample
     tracer : Tracer
-        Shape 0 is the sample, the others only cast shadows.
+        Shape 0 is the sample; the others only cast shadows, and it stands above the plane of each that is a plate.
     view : View
     band_weights : (3, 61) float
         Those of the photograph's filter state, see `irodori.rig.virtual.sensor.band_weights`.
@@ -294,6 +318,7 @@ def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) 
         lamp_cosine=math.cos(view.lamp_radius_rad),
         reach_mm=1.001 * sample.shape.reach_mm,
         offset_mm=sample.shape.ray_offset_mm,
+        is_open=_is_open(tracer.placements, np.asarray(view.to_light), view.lamp),
     )
     subject = _Subject(
         checks=np.array([sample.columns, sample.rows]),
