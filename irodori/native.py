@@ -64,8 +64,8 @@ def uncounted(**options):
     """Return `numba.njit` for a function that allocates nothing: no references to its arrays are counted.
 
     A loop that hands tuples of arrays from function to function otherwise spends most of its time counting. What such
-    a function calls for the first time is compiled in the same way, so it may call only what returns numbers (an array
-    it returned would be freed too early elsewhere); numba refuses an allocation.
+    a function calls for the first time is compiled in the same way, so it may call only what allocates nothing and
+    returns numbers: an array that such a function makes is never freed, one that it returns too early elsewhere.
     """
     return numba.njit(cache=True, _nrt=False, **options)
 

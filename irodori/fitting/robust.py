@@ -12,7 +12,6 @@ import numpy as np
 from irodori.fitting.linear import best_pair
 from irodori.fitting.lobe import COSINE, FAST, GLOSS, LOBE, RESPONSE, SQUARE, TRUST, VARIANCE, WEIGHT, exp_negative
 from irodori.fitting.observations import expect, weigh
-from irodori.fitting.shared import no_shared
 from irodori.fitting.varpro import NODE_STEP, newton
 
 _AT_NODE = 8  # weighted least squares at a node of the scan
@@ -75,10 +74,11 @@ def _least_loss(block, nodes, box, rules):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def robust(block, sums, nodes, rules):
+def robust(block, nothing, sums, nodes, rules):
     """Return the sums without lobe, α, β, log μ of the least Huber loss, the evaluations, and whether it settled.
 
-    The block is left with the weights that make the loss linear for outliers.
+    ``nothing`` is what texels with geometries of their own share. The block is left with the weights
+    that make the loss linear for outliers.
     """
     box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
     log_mu, a, b = _least_loss(block, nodes, box, rules)
@@ -86,7 +86,7 @@ def robust(block, sums, nodes, rules):
         # The variance of a reading that lost its light would be small, and its pull large.
         expect(block, a, b, log_mu, rules)
         log_mu, a, b = _least_loss(block, nodes, box, rules)
-    nothing, settled, evaluations = no_shared(), False, nodes.size * _AT_NODE
+    settled, evaluations = False, nodes.size * _AT_NODE
     fixed = weigh(block)
     for _ in range(_SETTLING):
         fill_lobe(block, log_mu)

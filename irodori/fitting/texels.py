@@ -157,7 +157,7 @@ def _scan(block, shared, problem, sums, before):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _fit_texel(t, block, shared, used, floor, problem, rules, sums, before, out):
+def _fit_texel(t, block, shared, nothing, used, floor, problem, rules, sums, before, out):
     """Scan, polish and judge one loaded texel."""
     box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
     fixed = weigh(block)
@@ -171,7 +171,7 @@ def _fit_texel(t, block, shared, used, floor, problem, rules, sums, before, out)
         log_mu, a, b, count = minimise(block, shared, fixed, box, problem.nodes, sums)
         evaluations += count
     if rules.huber > 0.0:
-        fixed, a, b, log_mu, count, settled = robust(block, sums, problem.nodes, rules)
+        fixed, a, b, log_mu, count, settled = robust(block, nothing, sums, problem.nodes, rules)
         _scan(block, shared, problem, sums, before)
         evaluations += count + problem.nodes.size
     clipped = clipped_of(t, problem)
@@ -201,7 +201,7 @@ def give_up(t, used, lost, problem, out):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fit_chunk(problem, shared, rules, common, out, first, last):
+def _fit_chunk(problem, shared, nothing, rules, common, out, first, last):
     """Fit some texels, each with a geometry of its own unless there is something ``shared``."""
     block, angles, sums = new_block(problem)
     own = shared.shapes.shape[0] == 0
@@ -209,11 +209,11 @@ def _fit_chunk(problem, shared, rules, common, out, first, last):
         for j in range(common.shape[1]):
             block[i, j] = common[i, j]
     before = np.full(block.shape[1], np.nan)
-    _fit_range(problem, shared, rules, own, block, angles, sums, before, out, first, last)
+    _fit_range(problem, shared, nothing, rules, own, block, angles, sums, before, out, first, last)
 
 
 @uncounted(error_model="numpy")
-def _fit_range(problem, shared, rules, own, block, angles, sums, before, out, first, last):
+def _fit_range(problem, shared, nothing, rules, own, block, angles, sums, before, out, first, last):
     for t in range(first, last):
         if own:
             n = problem.n[t if problem.n.size > 1 else 0]
@@ -223,7 +223,7 @@ def _fit_range(problem, shared, rules, own, block, angles, sums, before, out, fi
         if used <= judge.PARAMETERS:
             give_up(t, used, lost, problem, out)
             continue
-        _fit_texel(t, block, shared, used, floor, problem, rules, sums, before, out)
+        _fit_texel(t, block, shared, nothing, used, floor, problem, rules, sums, before, out)
 
 
 @numba.njit(cache=True)
@@ -236,8 +236,9 @@ def _common_block(problem):
 
 def fit_texels(problem: Problem, rules: Rules, out: Output) -> None:
     """Fit every texel by variable projection, with the geometry of its own or the one that all share."""
-    shared, common = no_shared(), np.zeros((0, 0))
+    nothing, common = no_shared(), np.zeros((0, 0))
+    shared = nothing
     if problem.geometry.shape[0] == 1 and problem.n.size == 1:
         common = _common_block(problem)
         shared = tabulate(common, problem.nodes)
-    run_chunks(_fit_chunk, len(problem.response), _CHUNK, problem, shared, rules, common, out)
+    run_chunks(_fit_chunk, len(problem.response), _CHUNK, problem, shared, nothing, rules, common, out)

@@ -280,9 +280,7 @@ def _is_open(placements, to_light: np.ndarray, lamp: Lamp) -> bool:
     if not lamp.is_near:
         return all(float(normal @ to_light) >= 0.0 for normal in normals)
     place = lamp.distance_mm * to_light
-    return all(
-        float(normal @ (place - top.translation_mm)) >= 0.0 for normal, top in zip(normals, table, strict=True)
-    )
+    return all(float(normal @ (place - top.translation_mm)) >= 0.0 for normal, top in zip(normals, table, strict=True))
 
 
 def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) -> np.ndarray:
