@@ -15,6 +15,7 @@ import numpy as np
 
 from irodori.fitting.lobe import COSINE, FAST, GLOSS, RESPONSE, SQUARE, TRUST, WEIGHT, exp_negative
 from irodori.fitting.lobe import VARIANCE as EXPECTED
+from irodori.lanes import log, root, select, upper_of
 from irodori.material import Status
 
 #: Relative standard error beyond which a parameter is not stated.
@@ -30,10 +31,10 @@ _OK, _AT_BOUND, _DIFFUSE_ONLY = int(Status.OK), int(Status.AT_BOUND), int(Status
 _UNIDENTIFIABLE, _FEW_STATUS = int(Status.MU_UNIDENTIFIABLE), int(Status.TOO_FEW_OBSERVATIONS)
 _NON_FINITE, _SATURATED, _DARK = int(Status.NON_FINITE), int(Status.SATURATED), int(Status.DARK)
 #: The lobe must be seen where D is at least this, or its height is an extrapolation.
-_LEAST_LOBE = math.exp(-2.0)
+LOG_LEAST_LOBE = -2.0
 _SINGULAR = 1e-10
 _TOLD_APART = 1e-6
-_LEAST_LEFT = 0.05  # of an observation's error that its residual is taken to show at least
+LEAST_LEFT = 0.05  # of an observation's error that its residual is taken to show at least
 
 
 class Verdict(NamedTuple):
@@ -111,10 +112,8 @@ def excess_of(chi2, degrees):
 
     The factor is that of the interval which holds 68 % of a normal variable, to 0.3 % for any degrees of freedom.
     """
-    if not chi2 > degrees:
-        return 1.0
     student = 1.0 + (0.5 + 0.25 / degrees + 0.087 / (degrees * degrees * degrees)) / degrees
-    return chi2 / degrees * student * student
+    return select(chi2 > degrees, chi2 / degrees * student * student, 1.0)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -145,7 +144,7 @@ def _scatter(block, a, b, log_mu, correlation, scale, determinant):
         u0, u1, u2 = c * scale[0], g * scale[1], s * scale[2]
         form = u0 * (i0 * u0 + 2.0 * (i01 * u1 + i02 * u2)) + u1 * (i1 * u1 + 2.0 * i12 * u2) + i2 * u2 * u2
         left = 1.0 - w * form * inverse
-        left = left if left > _LEAST_LEFT else _LEAST_LEFT
+        left = left if left > LEAST_LEFT else LEAST_LEFT
         off = (a * c + b * g - block[RESPONSE, j]) / left
         v, expected = off * off, block[EXPECTED, j]
         u = w * w * (v if v > expected else expected)
@@ -166,12 +165,11 @@ def full_errors(block, a, b, log_mu, used, rules, with_alpha):
     if not (normal[0] > 0.0 and normal[2] > 0.0 and normal[5] > 0.0):
         lone = _lone_alpha(normal[0], middle[0], 0.0, excess, a, rules) if with_alpha else np.inf
         return Errors(lone, np.inf, np.inf, squares, excess)
-    s0, s1, s2 = 1.0 / math.sqrt(normal[0]), 1.0 / math.sqrt(normal[2]), 1.0 / math.sqrt(normal[5])
-    # Scaled to a unit diagonal, a determinant near zero means that two parameters cannot be told apart.
-    p, q, r = normal[1] * s0 * s1, normal[3] * s0 * s2, normal[4] * s1 * s2
+    scale, correlation, determinant = correlations(normal)
+    s0, s1, s2 = scale
+    p, q, r = correlation
     if not with_alpha:
-        p, q = 0.0, 0.0
-    determinant = 1.0 + 2.0 * p * q * r - p * p - q * q - r * r
+        p, q, determinant = 0.0, 0.0, 1.0 - r * r
     if not determinant > _SINGULAR:
         apart = 1.0 - r * r
         told = (p * p + q * q - 2.0 * p * q * r) / apart if apart > _SINGULAR else p * p
@@ -180,6 +178,26 @@ def full_errors(block, a, b, log_mu, used, rules, with_alpha):
     if not rules.known:
         middle = _scatter(block, a, b, log_mu, (p, q, r), (s0, s1, s2), determinant)
         excess = 1.0
+    alpha, beta, along = parameter_errors(middle, (s0, s1, s2), (p, q, r), determinant, excess, a, b, rules)
+    return Errors(alpha if with_alpha else np.inf, beta, along, squares, excess)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def correlations(normal):
+    """Return what scales Σ w J Jᵀ to a unit diagonal, its three numbers beside it then, and its determinant.
+
+    A determinant near zero means that two parameters cannot be told apart. Numbers or lanes.
+    """
+    s0, s1, s2 = 1.0 / root(normal[0]), 1.0 / root(normal[2]), 1.0 / root(normal[5])
+    p, q, r = normal[1] * s0 * s1, normal[3] * s0 * s2, normal[4] * s1 * s2
+    return (s0, s1, s2), (p, q, r), 1.0 + 2.0 * p * q * r - p * p - q * q - r * r
+
+
+@numba.njit(cache=True, error_model="numpy")
+def parameter_errors(middle, scale, correlation, determinant, excess, a, b, rules):
+    """Return the standard errors of α, β, log μ from Σ w² v J Jᵀ and what `correlations` says; numbers or lanes."""
+    s0, s1, s2 = scale
+    p, q, r = correlation
     scaled = (
         middle[0] * s0 * s0, middle[1] * s0 * s1, middle[2] * s1 * s1,
         middle[3] * s0 * s2, middle[4] * s1 * s2, middle[5] * s2 * s2,
@@ -189,12 +207,10 @@ def full_errors(block, a, b, log_mu, used, rules, with_alpha):
     vb = _sandwich(scaled, q * r - p, 1.0 - q * q, p * q - r)
     vt = _sandwich(scaled, p * r - q, p * q - r, 1.0 - p * p)
     common = rules.model_error * rules.model_error
-    return Errors(
-        math.sqrt(max(va * factor, 0.0) * s0 * s0 + common * a * a) if with_alpha else np.inf,
-        math.sqrt(max(vb * factor, 0.0) * s1 * s1 + common * b * b),
-        math.sqrt(max(vt * factor, 0.0)) * s2,
-        squares,
-        excess,
+    return (
+        root(upper_of(va * factor, 0.0) * s0 * s0 + common * a * a),
+        root(upper_of(vb * factor, 0.0) * s1 * s1 + common * b * b),
+        root(upper_of(vt * factor, 0.0)) * s2,
     )
 
 
@@ -220,16 +236,15 @@ def diffuse_errors(block, a, used, rules):
 @numba.njit(cache=True, error_model="numpy")
 def information_criterion(squares, used, floor, penalty):
     """Return Schwarz's BIC where the variance is unknown but at least the expected one; log(used) an unknown."""
-    if not floor > 0.0:
-        floor = 1e-300
-    mean = squares / used
-    return squares / floor + penalty if mean <= floor else used * (math.log(mean / floor) + 1.0) + penalty
+    floor = upper_of(floor, 1e-300)
+    excess = squares / (used * floor)
+    return used * select(excess > 1.0, log(upper_of(excess, 1.0)) + 1.0, excess) + penalty
 
 
 @numba.njit(cache=True, error_model="numpy")
 def lobe_is_seen(block, log_mu):
     """Return whether an observation with weight lies where the lobe is high."""
-    limit = -math.log(_LEAST_LOBE) * math.exp(2.0 * log_mu)
+    limit = -LOG_LEAST_LOBE * math.exp(2.0 * log_mu)
     for j in range(block.shape[1]):
         if block[WEIGHT, j] > 0.0 and block[GLOSS, j] > 0.0 and block[SQUARE, j] <= limit:
             return True
@@ -286,14 +301,20 @@ def shown_dark(a, error, fixed):
 @numba.njit(cache=True, error_model="numpy")
 def gloss_status(block, clipped, a, b, log_mu, errors, rules):
     """Return the status of a texel whose data shows gloss."""
-    edge = a >= rules.high_alpha * (1.0 - 1e-6) or b >= rules.high_beta * (1.0 - 1e-6)
-    edge = edge or log_mu >= rules.high_log_mu - 1e-4 or log_mu <= rules.low_log_mu + 1e-4
-    edge = edge or (rules.low_alpha > 0.0 and a <= rules.low_alpha * (1.0 + 1e-6))
-    edge = edge or (rules.low_beta > 0.0 and b <= rules.low_beta * (1.0 + 1e-6))
     if highlight_clips(block, clipped, log_mu, True):
         return _SATURATED
-    if edge:
-        return _AT_BOUND
-    if errors.beta < _BETA * b and errors.log_mu < _MU and lobe_is_seen(block, log_mu):
-        return _OK
-    return _UNIDENTIFIABLE
+    seen = lobe_is_seen(block, log_mu)
+    return int(gloss_status_of(a, b, log_mu, (errors.alpha, errors.beta, errors.log_mu), seen, rules))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def gloss_status_of(a, b, log_mu, errors, seen, rules):
+    """Return the status of gloss that does not clip; numbers or lanes, ``seen`` says whether the lobe is."""
+    edge = (a >= rules.high_alpha * (1.0 - 1e-6)) | (b >= rules.high_beta * (1.0 - 1e-6))
+    edge = edge | (log_mu >= rules.high_log_mu - 1e-4) | (log_mu <= rules.low_log_mu + 1e-4)
+    if rules.low_alpha > 0.0:
+        edge = edge | (a <= rules.low_alpha * (1.0 + 1e-6))
+    if rules.low_beta > 0.0:
+        edge = edge | (b <= rules.low_beta * (1.0 + 1e-6))
+    known = (errors[1] < _BETA * b) & (errors[2] < _MU) & seen
+    return select(edge, float(_AT_BOUND), select(known, float(_OK), float(_UNIDENTIFIABLE)))

@@ -5,10 +5,12 @@ derivative at the pair, and its curvature is the Schur complement of the full He
 holds (variable projection: Golub and Pereyra 1973).
 
 The sums over observations come as ``fixed`` = (Σ w c², Σ w c ρ, Σ w ρ², Σ w), c = cosθ_i, and as ``moments``: value,
-slope and curvature along t of Σ w c g, of Σ w ρ g and of Σ w g², g = F G D / cosθ_r.
+slope and curvature along t of Σ w c g, of Σ w ρ g and of Σ w g², g = F G D / cosθ_r. All may be numbers or lanes.
 """
 
 import numba
+
+from irodori.lanes import lower_of, negated, select, upper_of
 
 _PARALLEL = 1e-13  # of 1 - cos² between the columns: under it α and β cannot be told apart
 _TINY = 1e-300
@@ -16,8 +18,7 @@ _TINY = 1e-300
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
 def _clamp(x, low, high):
-    x = x if x > low else low
-    return x if x < high else high
+    return lower_of(upper_of(x, low), high)
 
 
 @numba.njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy", inline="always")
@@ -38,9 +39,9 @@ def best_pair(fixed, cg, rg, gg, box):
     cc, cr, rr, _ = fixed
     determinant = cc * gg - cg * cg
     regular = determinant > _PARALLEL * cc * gg
-    scale = 1.0 / (determinant if regular else 1.0)
-    free_a = (cr * gg - rg * cg) * scale if regular else box[0]
-    free_b = (rg * cc - cr * cg) * scale if regular else box[2]
+    scale = 1.0 / select(regular, determinant, 1.0)
+    free_a = select(regular, (cr * gg - rg * cg) * scale, box[0])
+    free_b = select(regular, (rg * cc - cr * cg) * scale, box[2])
     b1 = _clamp(free_b, box[2], box[3])
     a1 = _clamp((cr - b1 * cg) / (cc + _TINY), box[0], box[1])
     a2 = _clamp(free_a, box[0], box[1])
@@ -48,8 +49,7 @@ def best_pair(fixed, cg, rg, gg, box):
     v1 = rr + a1 * (a1 * cc - 2.0 * cr) + b1 * (b1 * gg + 2.0 * (a1 * cg - rg))
     v2 = rr + a2 * (a2 * cc - 2.0 * cr) + b2 * (b2 * gg + 2.0 * (a2 * cg - rg))
     first = v1 <= v2
-    value = v1 if first else v2
-    return a1 if first else a2, b1 if first else b2, value if value > 0.0 else 0.0
+    return select(first, a1, a2), select(first, b1, b2), upper_of(select(first, v1, v2), 0.0)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -62,14 +62,11 @@ def slope_and_curvature(fixed, moments, box):
     slope = b * (b * gg1 + 2.0 * cross)
     curvature = b * (b * gg2 + 2.0 * (a * cg2 - rg2))
     at, bt = 2.0 * b * cg1, 2.0 * (b * gg1 + cross)
-    free_a, free_b = box[0] < a < box[1], box[2] < b < box[3]
-    da, db = 0.0, 0.0
-    if free_a and free_b:
-        determinant = cc * gg - cg * cg
-        if determinant > _PARALLEL * cc * gg:
-            da, db = 0.5 * (cg * bt - gg * at) / determinant, 0.5 * (cg * at - cc * bt) / determinant
-    elif free_a:
-        da = -0.5 * at / (cc + _TINY)
-    elif free_b:
-        db = -0.5 * bt / (gg + _TINY)
+    free_a, free_b = (a > box[0]) & (a < box[1]), (b > box[2]) & (b < box[3])
+    both, determinant = free_a & free_b, cc * gg - cg * cg
+    regular = determinant > _PARALLEL * cc * gg
+    scale = 0.5 / select(regular, determinant, 1.0)
+    da = select(both, (cg * bt - gg * at) * scale, select(free_a, -0.5 * at / (cc + _TINY), 0.0))
+    db = select(both, (cg * at - cc * bt) * scale, select(free_b, -0.5 * bt / (gg + _TINY), 0.0))
+    da, db = select(both & negated(regular), 0.0, da), select(both & negated(regular), 0.0, db)
     return a, b, da, db, slope, curvature + at * da + bt * db

@@ -12,6 +12,7 @@ import math
 import numba
 
 from irodori.exponential import exp_negative as exp_negative
+from irodori.lanes import lower_of, magnitude, root, select, upper_of
 
 LANES = 8
 #: Rows of a texel's block: cosθ_i, F G / cosθ_r, φ², response, weight, weight times cosine and times response, expected
@@ -32,9 +33,8 @@ _HALF_PI_HIGH, _HALF_PI_LOW = 1.5707963267948966, 6.123233995736766e-17
 
 @numba.njit(cache=True, fastmath={"contract"}, inline="always")
 def cosine_of(angle):
-    """Return cos of an angle in rad, clipped to 0..π, to 1e-16."""
-    x = angle if angle > 0.0 else 0.0  # NaN becomes 0
-    x = x if x < math.pi else math.pi
+    """Return cos of an angle in rad, clipped to 0..π, to 1e-16; a number or lanes."""
+    x = lower_of(upper_of(angle, 0.0), math.pi)  # NaN becomes 0
     y = (_HALF_PI_HIGH - x) + _HALF_PI_LOW
     s = y * y
     p = 1.0 / 51090942171709440000.0
@@ -51,18 +51,29 @@ def cosine_of(angle):
 
 
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
-def _fresnel(c, n, k):
-    """Return `irodori.brdf.fresnel` of a cosine within 0..1, without branches."""
+def fresnel_of(c, n, k):
+    """Return `irodori.brdf.fresnel` of a cosine within 0..1, without branches; numbers or lanes."""
     nk, c2 = n * k, c * c
     s2 = 1.0 - c2
     real = (n - 1.0) * (n + 1.0) - k * k + c2
-    modulus = math.sqrt(real * real + 4.0 * nk * nk)
-    root = math.sqrt(0.5 * (modulus + abs(real)) + _TINY)
-    a = root if real >= 0.0 else nk / root
+    modulus = root(real * real + 4.0 * nk * nk)
+    half = root(0.5 * (modulus + magnitude(real)) + _TINY)
+    a = select(real >= 0.0, half, nk / half)
     cross = 2.0 * a * c
     s = (modulus + c2 - cross) / (modulus + c2 + cross + _TINY)
     p_sum, p_cross = modulus * c2 + s2 * s2, cross * s2
     return 0.5 * s * (1.0 + (p_sum - p_cross) / (p_sum + p_cross + _TINY))
+
+
+@numba.njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
+def attenuation(cos_i, cos_r, cos_h, cos_phi):
+    """Return `irodori.brdf.attenuation_over_cosine` without branches: zero unless all four cosines are positive."""
+    facet = 2.0 * cos_phi / (cos_h + _TINY)
+    bounded = lower_of(lower_of(facet * cos_i, 1.0) / (cos_r + _TINY), facet)
+    bounded = select(cos_i > 0.0, bounded, 0.0)
+    bounded = select(cos_r > 0.0, bounded, 0.0)
+    bounded = select(cos_h > 0.0, bounded, 0.0)
+    return select(cos_phi > 0.0, bounded, 0.0)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -95,21 +106,13 @@ def pack_geometry(geometry, n, k, angles, block):
     for j in range(flat.size):
         flat[j] = cosine_of(flat[j])
     for j in range(block.shape[1]):
-        # As `irodori.brdf.attenuation_over_cosine`: zero unless all four cosines are positive.
         cos_i, cos_r, cos_h, cos_phi = angles[0, j], angles[1, j], angles[2, j], angles[3, j]
         block[LOBE, j] = cos_r
-        facet = 2.0 * cos_phi / (cos_h + _TINY)
-        bounded = facet * cos_i
-        bounded = (bounded if bounded < 1.0 else 1.0) / (cos_r + _TINY)
-        bounded = bounded if bounded < facet else facet
-        bounded = bounded if cos_i > 0.0 else 0.0
-        bounded = bounded if cos_r > 0.0 else 0.0
-        bounded = bounded if cos_h > 0.0 else 0.0
-        angles[1, j] = bounded if cos_phi > 0.0 else 0.0
+        angles[1, j] = attenuation(cos_i, cos_r, cos_h, cos_phi)
     for j in range(block.shape[1]):
         # Light and eye are on the outer side, or no light is carried.
         block[COSINE, j] = angles[0, j] if angles[0, j] > 0.0 and block[LOBE, j] > 0.0 else 0.0
-        block[GLOSS, j] = _fresnel(angles[2, j], n, k) * angles[1, j]
+        block[GLOSS, j] = fresnel_of(angles[2, j], n, k) * angles[1, j]
 
 
 @numba.njit(cache=True)

@@ -23,10 +23,11 @@ from irodori.fitting.lobe import (
     exp_negative,
     padded,
 )
+from irodori.lanes import magnitude
 
-_LEAST_VARIANCE = 1e-8  # of the mean square response: no observation counts ten thousand times another
-_TINY = 1e-60
-_LARGE = 1e30  # a common weight beyond this, or below its inverse, is taken out
+LEAST_VARIANCE = 1e-8  # of the mean square response: no observation counts ten thousand times another
+TINY = 1e-60
+LARGE = 1e30  # a common weight beyond this, or below its inverse, is taken out
 _SAME = 1e-6  # of cosine, φ² and gloss: what single precision makes of one angle
 ENOUGH = 4  # geometries that determine three unknowns and can object to them
 
@@ -121,11 +122,11 @@ def load(response, weight, rules, block):
         largest = t if t > largest else largest
         total += t
         power += t * r * r
-    if largest > _LARGE or total < used / _LARGE:
+    if largest > LARGE or total < used / LARGE:
         total, power = _rescale(block, largest)
     power /= total if total > 0.0 else 1.0
     relative = rules.model_error * rules.model_error
-    common = _TINY + (_LEAST_VARIANCE if rules.known else relative) * power
+    common = TINY + (LEAST_VARIANCE if rules.known else relative) * power
     relative = relative if rules.known else 0.0
     floor = 0.0
     for j in range(block.shape[1]):
@@ -152,7 +153,7 @@ def expect(block, a, b, log_mu, rules):
         fitted = a * block[COSINE, j] + b * block[GLOSS, j] * exp_negative(block[SQUARE, j] * factor)
         given = r if r > 0.0 else 0.0
         u = v + block[SLOPE, j] * (fitted - given) + relative * (fitted * fitted - r * r)
-        least = _LEAST_VARIANCE * v
+        least = LEAST_VARIANCE * v
         u = u if u > least else least
         block[VARIANCE, j] = u
         block[TRUST, j] *= v / u
@@ -188,9 +189,17 @@ def telling(block, used):
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
+def is_same(one, other):
+    """Return whether two geometries, each cosθ_i, φ², F G / cosθ_r, are one; numbers or lanes."""
+    near = (magnitude(one[0] - other[0]) <= _SAME) & (magnitude(one[1] - other[1]) <= _SAME)
+    return near & (magnitude(one[2] - other[2]) <= _SAME * (1.0 + one[2]))
+
+
+@numba.njit(cache=True, error_model="numpy", inline="always")
 def _same(block, i, j):
-    near = abs(block[COSINE, i] - block[COSINE, j]) <= _SAME and abs(block[SQUARE, i] - block[SQUARE, j]) <= _SAME
-    return near and abs(block[GLOSS, i] - block[GLOSS, j]) <= _SAME * (1.0 + block[GLOSS, i])
+    return is_same(
+        (block[COSINE, i], block[SQUARE, i], block[GLOSS, i]), (block[COSINE, j], block[SQUARE, j], block[GLOSS, j])
+    )
 
 
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -7,6 +7,7 @@ import numba
 import numpy as np
 
 from irodori.fitting import judge
+from irodori.fitting.abreast import NOISY, SURE, fit_abreast, new_abreast, spread_geometry, write_abreast
 from irodori.fitting.lobe import (
     CONSTANT,
     ROWS,
@@ -19,14 +20,11 @@ from irodori.fitting.observations import Rules, expect, load, telling, weigh
 from irodori.fitting.robust import robust
 from irodori.fitting.shared import no_shared, padded_nodes, scan_shared, tabulate
 from irodori.fitting.varpro import SUMS, minimise, scan_own
+from irodori.lanes import COUNT
 from irodori.material import Status
 from irodori.native import aligned, run_chunks, uncounted
 
 _CHUNK = 2048  # texels that a thread fits before it asks for more
-_NOISY = (
-    0.01  # relative variance of an observation times their number, from which on weights are of the fitted response
-)
-_SURE = 4.0  # standard errors of α from zero, from which on a model without diffuse light is not tried
 _OK, _UNIDENTIFIABLE = int(Status.OK), int(Status.MU_UNIDENTIFIABLE)
 
 
@@ -101,7 +99,7 @@ def conclude(block, shared, fixed, a, b, log_mu, used, floor, clipped, nodes, su
         if criterion < best or rules.low_beta > 0.0:
             model, best, errors = judge.BOTH, criterion, both
         # That gloss alone explains the data says nothing where the data cannot tell α from gloss.
-        if rules.low_alpha == 0.0 and not a > _SURE * both.alpha and judge.shown_dark(a, both.alpha, fixed):
+        if rules.low_alpha == 0.0 and not a > SURE * both.alpha and judge.shown_dark(a, both.alpha, fixed):
             box = (0.0, 0.0, rules.low_beta, rules.high_beta)
             alone_mu, _, alone_b, evaluations = minimise(block, shared, fixed, box, nodes, sums)
             alone = judge.full_errors(block, 0.0, alone_b, alone_mu, used, rules, False)
@@ -184,7 +182,7 @@ def _fit_texel(t, block, shared, nothing, used, floor, problem, rules, sums, bef
 @numba.njit(cache=True)
 def is_noisy(used, floor, fixed, rules):
     """Return whether weights of noisy responses would pull α by more than a fifth of its standard error."""
-    return rules.weighted and used * used * floor > _NOISY * fixed[2]
+    return rules.weighted and used * used * floor > NOISY * fixed[2]
 
 
 @numba.njit(cache=True)
@@ -204,25 +202,39 @@ def give_up(t, used, lost, problem, out):
 def _fit_chunk(problem, shared, nothing, rules, common, out, first, last):
     """Fit some texels, each with a geometry of its own unless there is something ``shared``."""
     block, angles, sums = new_block(problem)
-    own = shared.shapes.shape[0] == 0
     for i in range(common.shape[0]):
         for j in range(common.shape[1]):
             block[i, j] = common[i, j]
+    buffers = new_abreast(problem.response.shape[1], problem.nodes.size)
+    if common.shape[0] > 0:
+        spread_geometry(common, buffers.rows, problem.response.shape[1])
     before = np.full(block.shape[1], np.nan)
-    _fit_range(problem, shared, nothing, rules, own, block, angles, sums, before, out, first, last)
+    _fit_range(problem, shared, nothing, rules, block, angles, sums, before, buffers, out, first, last)
 
 
 @uncounted(error_model="numpy")
-def _fit_range(problem, shared, nothing, rules, own, block, angles, sums, before, out, first, last):
-    for t in range(first, last):
-        if own:
-            n = problem.n[t if problem.n.size > 1 else 0]
-            pack_geometry(problem.geometry[t if problem.geometry.shape[0] > 1 else 0], n, problem.k, angles, block)
-        used, lost, floor = load(problem.response[t], problem.weight[t], rules, block)
-        used = telling(block, used)
-        if used <= judge.PARAMETERS:
-            give_up(t, used, lost, problem, out)
-            continue
+def _fit_range(problem, shared, nothing, rules, block, angles, sums, before, buffers, out, first, last):
+    """Fit texels eight at a time, and alone those that are not done then."""
+    together = rules.huber == 0.0 and (problem.geometry.shape[0] > 1 or shared.shapes.shape[0] > 0)
+    for batch in range(first, last, COUNT):
+        done = fit_abreast(problem, shared, rules, batch, last, buffers) if together else 0
+        write_abreast(buffers.results, done, batch, out)
+        for i in range(min(COUNT, last - batch)):
+            if not done >> i & 1:
+                _fit_alone(batch + i, block, angles, shared, nothing, problem, rules, sums, before, out)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _fit_alone(t, block, angles, shared, nothing, problem, rules, sums, before, out):
+    """Load, fit and judge one texel."""
+    if shared.shapes.shape[0] == 0:
+        n = problem.n[t if problem.n.size > 1 else 0]
+        pack_geometry(problem.geometry[t if problem.geometry.shape[0] > 1 else 0], n, problem.k, angles, block)
+    used, lost, floor = load(problem.response[t], problem.weight[t], rules, block)
+    used = telling(block, used)
+    if used <= judge.PARAMETERS:
+        give_up(t, used, lost, problem, out)
+    else:
         _fit_texel(t, block, shared, nothing, used, floor, problem, rules, sums, before, out)
 
 

@@ -24,10 +24,11 @@ from irodori.fitting.lobe import (
     exp_negative,
 )
 from irodori.fitting.shared import local_moments, log_mu_of_centre, nearest_centre, project
+from irodori.lanes import lower_of, root, select, upper_of
 
 NODE_STEP = 0.5 * math.log(2.0)  # of log μ
-_RIVAL = 1.05  # an interval whose estimate is below this multiple of the best is polished too
-_CONVERGED = 1e-4  # last Newton step of log μ; what is left is of the order of its square
+RIVAL = 1.05  # an interval whose estimate is below this multiple of the best is polished too
+CONVERGED = 1e-4  # last Newton step of log μ; what is left is of the order of its square
 _MAX_STEPS = 24
 #: Rows of sums of the scan: Σ w c g, Σ w ρ g, Σ w g², their slopes along log μ, Φ, Φ', and of the interval below the
 #: node the estimated minimum and its place; the last holds polynomials (`irodori.fitting.shared`).
@@ -128,15 +129,18 @@ def value_nodes(fixed, sums, box):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _cubic_minimum(width, f0, f1, d0, d1):
-    """Return where in an interval, from 0 to its width, the cubic through values and slopes is least, and its value."""
+def cubic_minimum(width, f0, f1, d0, d1):
+    """Return where in an interval, from 0 to its width, the cubic through values and slopes is least, and its value.
+
+    Numbers or lanes.
+    """
     u = d0 + d1 - 3.0 * (f1 - f0) / width
-    root = math.sqrt(max(u * u - d0 * d1, 0.0))
-    bottom = d1 - d0 + 2.0 * root
-    s = 1.0 - (d1 + root - u) / bottom if bottom > 0.0 else 0.5
-    s = min(max(s, 0.02), 0.98)
-    h00, h01 = (1.0 + 2.0 * s) * (1.0 - s) ** 2, s * s * (3.0 - 2.0 * s)
-    h10, h11 = s * (1.0 - s) ** 2, s * s * (s - 1.0)
+    half = root(upper_of(u * u - d0 * d1, 0.0))
+    bottom = d1 - d0 + 2.0 * half
+    s = select(bottom > 0.0, 1.0 - (d1 + half - u) / select(bottom > 0.0, bottom, 1.0), 0.5)
+    s = lower_of(upper_of(s, 0.02), 0.98)
+    h00, h01 = (1.0 + 2.0 * s) * (1.0 - s) * (1.0 - s), s * s * (3.0 - 2.0 * s)
+    h10, h11 = s * (1.0 - s) * (1.0 - s), s * s * (s - 1.0)
     return s * width, h00 * f0 + h01 * f1 + width * (h10 * d0 + h11 * d1)
 
 
@@ -163,7 +167,7 @@ def find_intervals(nodes, sums):
         # Node i + 1 has the smaller μ. A slope of 0 is where the best β is at its bound.
         sure = slope[i + 1] <= 0.0 <= slope[i] and slope[i + 1] < slope[i]
         if sure or _dips(width, value[i + 1], value[i], slope[i + 1], slope[i]):
-            offset, least = _cubic_minimum(width, value[i + 1], value[i], slope[i + 1], slope[i])
+            offset, least = cubic_minimum(width, value[i + 1], value[i], slope[i + 1], slope[i])
             ends = min(value[i], value[i + 1])
             if sure or least < ends:
                 estimate[i] = min(least, ends)
@@ -219,7 +223,7 @@ def newton(block, shared, sums, fixed, box, log_mu, low, high, flat_above):
             following = 0.5 * (low + high)
         change = following - t
         t = following
-        if abs(change) < (_CONVERGED if inside else 1e-9):
+        if abs(change) < (CONVERGED if inside else 1e-9):
             break
     return t, min(max(a + change * da, box[0]), box[1]), min(max(b + change * db, box[2]), box[3]), steps
 
@@ -245,7 +249,7 @@ def minimise(block, shared, fixed, box, nodes, sums):
                 rival, i = sums[8, i], other
             else:
                 rival = min(rival, sums[8, other])
-        if not sums[8, i] <= _RIVAL * best:
+        if not sums[8, i] <= RIVAL * best:
             break
         above = sums[7, i] == 0.0
         t, a, b, count = newton(block, shared, sums, fixed, box, sums[9, i], nodes[i + 1], nodes[i], above)
@@ -253,7 +257,7 @@ def minimise(block, shared, fixed, box, nodes, sums):
         evaluations += count
         # Where slopes of both signs enclose it the minimum is lower than both nodes; any other has to be compared.
         sure = sums[7, i + 1] <= 0.0 <= sums[7, i] and (i == top or i + 1 == top)
-        if attempt == 0 and sure and not rival <= _RIVAL * best:
+        if attempt == 0 and sure and not rival <= RIVAL * best:
             return t, a, b, evaluations
         _, _, value = pair_at(block, fixed, box, t)
         evaluations += 1

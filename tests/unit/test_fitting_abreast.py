@@ -1,0 +1,89 @@
+"""Eight texels fitted at once come out as each of them alone."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from irodori.brdf import reflect
+from irodori.fitting import FitOptions, judge
+from irodori.fitting.solvers import SOLVERS, problem_of
+
+LIGHT = np.radians(np.array([25.0, 45.0, 65.0]))[np.arange(24) % 3]
+CAMERA = LIGHT + np.radians(np.linspace(-22.0, 12.0, 24))
+ANGLES = np.stack([LIGHT, np.abs(CAMERA), np.abs(LIGHT + CAMERA) / 2, np.abs(LIGHT - CAMERA) / 2], axis=1)
+NOISE = np.tile([1e-6, 1e-5], (len(ANGLES), 1))
+
+
+def _alone(problem, rules, options):
+    """Fit texel by texel: an index a texel and one geometry for all is a problem that goes no other way."""
+    count = len(problem.response)
+    if len(problem.geometry) == 1:
+        problem = problem._replace(n=np.full(count, problem.n[0]))
+        return SOLVERS["varpro"](problem, rules, options)
+    parts = [
+        SOLVERS["varpro"](
+            problem._replace(
+                response=problem.response[t : t + 1],
+                weight=problem.weight[t : t + 1],
+                geometry=problem.geometry[t : t + 1],
+                n=np.full(1, problem.n[0]).repeat(2),
+                clipped=problem.clipped[t : t + 1] if len(problem.clipped) > 1 else problem.clipped,
+            ),
+            rules,
+            options,
+        )
+        for t in range(count)
+    ]
+    return type(parts[0])(*(np.concatenate([getattr(p, name) for p in parts]) for name in parts[0]._fields))
+
+
+def _same(together, alone):
+    """Assert that two outcomes agree: minima to what Newton leaves, everything said about them likewise."""
+    assert_array_equal(together.status, alone.status)
+    assert_array_equal(together.model, alone.model)
+    assert_array_equal(np.isnan(together.table), np.isnan(alone.table))
+    errors = [judge.ALPHA_ERROR, judge.BETA_ERROR, judge.LOG_MU_ERROR]
+    rest = [column for column in range(judge.COLUMNS) if column not in errors]
+    assert_allclose(together.table[:, rest], alone.table[:, rest], rtol=2e-5, atol=1e-9)
+    # Errors from residuals multiply what Newton leaves by up to a thousand where one observation decides.
+    assert_allclose(together.table[:, errors], alone.table[:, errors], rtol=1e-3, atol=1e-9)
+
+
+@pytest.mark.parametrize("shared", [True, False])
+@pytest.mark.parametrize("noise", [None, NOISE])
+@given(
+    seed=st.integers(0, 10_000),
+    level=st.sampled_from([0.0, 0.003, 0.01, 0.05, 0.3]),
+    scale=st.sampled_from([1.0, 1e-5, 1e5]),
+    holes=st.sampled_from([0.0, 0.1, 0.7]),
+    count=st.integers(1, 19),
+)
+@settings(max_examples=25, deadline=None)
+def test_eight_at_once_are_as_each_alone(shared, noise, seed, level, scale, holes, count):
+    rng = np.random.default_rng(seed)
+    geometry = ANGLES if shared else ANGLES + np.radians(rng.uniform(0.0, 2.0, (count, 1, 4)))
+    truth = (
+        rng.uniform(0.0, 0.95, (count, 1)),
+        10 ** rng.uniform(-2, 1.5, (count, 1)),
+        rng.uniform(0.02, 0.5, (count, 1)),
+    )
+    clean = reflect(truth[0], 1.0, truth[1] * (rng.random((count, 1)) < 0.8), truth[2], geometry)
+    response = scale * clean * (1.0 + level * rng.normal(size=clean.shape))
+    weight = (rng.random(response.shape) >= holes).astype(np.float64)
+    if holes:
+        response[rng.random(response.shape) < 0.02] = np.nan
+    clipped = rng.random(response.shape) < 0.002
+    options = FitOptions()
+    variance = None if noise is None else noise * [scale**2, scale]
+    problem, rules = problem_of(response, geometry, weight, 1.5, 0.0, options, variance, clipped)
+    _same(SOLVERS["varpro"](problem, rules, options), _alone(problem, rules, options))
+
+
+def test_repeated_geometries_are_no_new_observations():
+    few = np.repeat(ANGLES[:3], 8, axis=0)
+    response = np.tile(reflect(0.5, 1.0, 2.0, 0.1, few), (8, 1))
+    options = FitOptions()
+    problem, rules = problem_of(response, few, np.ones_like(response), 1.5, 0.0, options, None, None)
+    _same(SOLVERS["varpro"](problem, rules, options), _alone(problem, rules, options))
