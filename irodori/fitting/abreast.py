@@ -17,7 +17,7 @@ from irodori.fitting.linear import best_pair, slope_and_curvature
 from irodori.fitting.lobe import COSINE, GLOSS, LEAST_LOBE, SPOILED, SQUARE, attenuation, cosine_of, fresnel_of
 from irodori.fitting.observations import ENOUGH, LARGE, LEAST_VARIANCE, TINY, is_same
 from irodori.fitting.shared import WIDTH
-from irodori.fitting.varpro import CONVERGED, RIVAL, cubic_minimum
+from irodori.fitting.varpro import RIVAL, cubic_minimum
 from irodori.lanes import (
     COUNT,
     bits,
@@ -38,6 +38,7 @@ from irodori.native import aligned
 
 NOISY = 0.01  # relative variance of an observation times their number, from which on weights are of the fitted response
 SURE = 4.0  # standard errors of α from zero, from which on a model without diffuse light is not tried
+_CONVERGED = 3e-5  # last Newton step of log μ; nearer than alone, for the first step leaves the second just under that
 _MAX_STEPS = 12  # of Newton; a texel that takes more is fitted alone
 _OK, _AT_BOUND, _OPEN = int(Status.OK), int(Status.AT_BOUND), int(Status.MU_UNIDENTIFIABLE)
 _SINGULAR = 1e-10
@@ -376,7 +377,7 @@ def _newton(rows, captures, fixed, box, place, bracket, wanted):
         a = select(active, lower_of(upper_of(now_a + change * da, box[0]), box[1]), a)
         b = select(active, lower_of(upper_of(now_b + change * db, box[2]), box[3]), b)
         t = select(active, following, t)
-        active = active & (magnitude(change) >= select(inside, CONVERGED, 1e-9))
+        active = active & (magnitude(change) >= select(inside, _CONVERGED, 1e-9))
         if bits(active) == 0:
             break
     return t, a, b, steps, wanted & negated(active)
@@ -477,7 +478,7 @@ def _minimise(problem, shared, rules, rows, sums, ordinary):
     captures, nodes = problem.response.shape[1], problem.nodes.size
     box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
     fixed, changed = _weigh(rows, captures)
-    if shared.shapes.shape[0] == 0:
+    if shared.nodes.shape[1] == 0:
         _scan_squares(problem, rows, sums)
     else:
         _scan_tables(shared, rows, captures, nodes, sums, changed)
@@ -499,7 +500,7 @@ def fit_abreast(problem, shared, rules, first, last, buffers):
         Its results are filled.
     """
     captures, rows, sums = problem.response.shape[1], buffers.rows, buffers.sums
-    if shared.shapes.shape[0] == 0:
+    if shared.nodes.shape[1] == 0:
         _pack_own(problem, first, last, rows)
     used, floor, ordinary = _load(problem, rules, first, last, rows)
     ordinary = ordinary & _tell(rows, captures)

@@ -30,7 +30,7 @@ from irodori.fitting.lobe import (
 )
 from irodori.fitting.observations import expect, load, telling, weigh
 from irodori.fitting.robust import robust
-from irodori.fitting.shared import no_shared, padded_nodes
+from irodori.fitting.shared import padded_nodes
 from irodori.fitting.texels import clipped_of, conclude, doubt, give_up, is_noisy, write
 from irodori.fitting.varpro import SUMS, find_intervals, pair_at, scan_own, value_nodes
 from irodori.native import c_function
@@ -216,16 +216,16 @@ def load_own(t, problem, rules, block, angles):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def finish(t, block, nothing, fixed, found, used, floor, evaluations, problem, rules, sums, out):
+def finish(t, block, fixed, found, used, floor, evaluations, problem, rules, sums, out):
     """Judge α, β, log μ that a solver found, after reweighting if that is asked for, and write the texel."""
     a, b, log_mu = found
     settled = True
     if rules.huber > 0.0:
-        fixed, a, b, log_mu, count, settled = robust(block, nothing, sums, problem.nodes, rules)
+        fixed, a, b, log_mu, count, settled = robust(block, problem.nodes, rules)
         scan_own(block, problem.nodes, problem.steepness, problem.chains, sums)
         evaluations += count + problem.nodes.size
     clipped = clipped_of(t, problem)
-    verdict = conclude(block, nothing, fixed, a, b, log_mu, used, floor, clipped, problem.nodes, sums, rules)
+    verdict = conclude(block, fixed, a, b, log_mu, used, floor, clipped, problem.nodes, sums, rules)
     write(out, t, verdict, fixed, evaluations)
     if not settled:
         doubt(out, t)
@@ -235,7 +235,7 @@ def finish(t, block, nothing, fixed, found, used, floor, evaluations, problem, r
 def _fit_chunk(nlopt, problem, rules, out, first, last):
     data, block, angles, sums = new_data(problem)
     vectors = (np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(1))
-    optimiser, nothing = _new_optimiser(nlopt, data), no_shared()
+    optimiser = _new_optimiser(nlopt, data)
     for t in range(first, last):
         used, lost, floor = load_own(t, problem, rules, block, angles)
         if used <= judge.PARAMETERS:
@@ -248,7 +248,7 @@ def _fit_chunk(nlopt, problem, rules, out, first, last):
             a, b, log_mu = pa, pb, pt
         out.result[t] = code
         evaluations = count + problem.nodes.size
-        finish(t, block, nothing, fixed, (a, b, log_mu), used, floor, evaluations, problem, rules, sums, out)
+        finish(t, block, fixed, (a, b, log_mu), used, floor, evaluations, problem, rules, sums, out)
     nlopt_destroy(nlopt.destroy, optimiser)
 
 

@@ -74,11 +74,10 @@ def _least_loss(block, nodes, box, rules):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def robust(block, nothing, sums, nodes, rules):
+def robust(block, nodes, rules):
     """Return the sums without lobe, α, β, log μ of the least Huber loss, the evaluations, and whether it settled.
 
-    ``nothing`` is what texels with geometries of their own share. The block is left with the weights
-    that make the loss linear for outliers.
+    The block is left with the weights that make the loss linear for outliers.
     """
     box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
     log_mu, a, b = _least_loss(block, nodes, box, rules)
@@ -93,7 +92,7 @@ def robust(block, nothing, sums, nodes, rules):
         reweigh(block, a, b, rules.huber)
         fixed = weigh(block)
         low, high = max(log_mu - NODE_STEP, rules.low_log_mu), min(log_mu + NODE_STEP, rules.high_log_mu)
-        t, x, y, count = newton(block, nothing, sums, fixed, box, log_mu, low, high, False)
+        t, x, y, count = newton(block, fixed, box, log_mu, low, high, False)
         evaluations += count
         settled = abs(t - log_mu) + abs(x - a) / (abs(x) + 1e-30) + abs(y - b) / (abs(y) + 1e-30) < _SETTLED
         log_mu, a, b = t, x, y

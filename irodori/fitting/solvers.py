@@ -12,7 +12,6 @@ from irodori.fitting import judge, nlopt_loop, texels
 from irodori.fitting.index import fit_index
 from irodori.fitting.index_errors import index_errors
 from irodori.fitting.observations import Rules, camera_noise, pose_variance
-from irodori.fitting.shared import no_shared
 from irodori.fitting.varpro import NODE_STEP
 
 MODEL_PARAMETERS = ("alpha", "beta", "mu")
@@ -258,7 +257,7 @@ def _solve_reference(problem: texels.Problem, rules: Rules, options: FitOptions)
             start = x * scale
         count = optimiser.get_numevals() + problem.nodes.size
         found = tuple(map(float, start))
-        nlopt_loop.finish(t, block, no_shared(), fixed, found, used, floor, count, problem, rules, sums, out)
+        nlopt_loop.finish(t, block, fixed, found, used, floor, count, problem, rules, sums, out)
     return out
 
 

@@ -81,7 +81,7 @@ def new_block(problem):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def conclude(block, shared, fixed, a, b, log_mu, used, floor, clipped, nodes, sums, rules):
+def conclude(block, fixed, a, b, log_mu, used, floor, clipped, nodes, sums, rules):
     """Choose the model by BIC, state errors and status; the scan's sums are those of the block."""
     diffuse = fixed[1] / fixed[0] if fixed[0] > 0.0 else 0.0
     diffuse = min(max(diffuse, rules.low_alpha), rules.high_alpha)
@@ -101,7 +101,7 @@ def conclude(block, shared, fixed, a, b, log_mu, used, floor, clipped, nodes, su
         # That gloss alone explains the data says nothing where the data cannot tell α from gloss.
         if rules.low_alpha == 0.0 and not a > SURE * both.alpha and judge.shown_dark(a, both.alpha, fixed):
             box = (0.0, 0.0, rules.low_beta, rules.high_beta)
-            alone_mu, _, alone_b, evaluations = minimise(block, shared, fixed, box, nodes, sums)
+            alone_mu, _, alone_b, evaluations = minimise(block, fixed, box, nodes, sums)
             alone = judge.full_errors(block, 0.0, alone_b, alone_mu, used, rules, False)
             if judge.information_criterion(alone.squares, used, floor, 2.0 * unknown) < best:
                 model, errors, a, b, log_mu = judge.GLOSS_ALONE, alone, 0.0, alone_b, alone_mu
@@ -148,32 +148,32 @@ def _weights_changed(block, before):
 
 @numba.njit(cache=True, error_model="numpy")
 def _scan(block, shared, problem, sums, before):
-    if shared.shapes.shape[0] == 0:
+    if shared.nodes.shape[1] == 0:
         scan_own(block, problem.nodes, problem.steepness, problem.chains, sums)
     else:
         scan_shared(block, shared, sums, _weights_changed(block, before))
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _fit_texel(t, block, shared, nothing, used, floor, problem, rules, sums, before, out):
+def _fit_texel(t, block, shared, used, floor, problem, rules, sums, before, out):
     """Scan, polish and judge one loaded texel."""
     box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
     fixed = weigh(block)
     _scan(block, shared, problem, sums, before)
-    log_mu, a, b, evaluations = minimise(block, shared, fixed, box, problem.nodes, sums)
+    log_mu, a, b, evaluations = minimise(block, fixed, box, problem.nodes, sums)
     settled = True
     if is_noisy(used, floor, fixed, rules):
         expect(block, a, b, log_mu, rules)
         fixed = weigh(block)
         _scan(block, shared, problem, sums, before)
-        log_mu, a, b, count = minimise(block, shared, fixed, box, problem.nodes, sums)
+        log_mu, a, b, count = minimise(block, fixed, box, problem.nodes, sums)
         evaluations += count
     if rules.huber > 0.0:
-        fixed, a, b, log_mu, count, settled = robust(block, nothing, sums, problem.nodes, rules)
+        fixed, a, b, log_mu, count, settled = robust(block, problem.nodes, rules)
         _scan(block, shared, problem, sums, before)
         evaluations += count + problem.nodes.size
     clipped = clipped_of(t, problem)
-    verdict = conclude(block, shared, fixed, a, b, log_mu, used, floor, clipped, problem.nodes, sums, rules)
+    verdict = conclude(block, fixed, a, b, log_mu, used, floor, clipped, problem.nodes, sums, rules)
     write(out, t, verdict, fixed, evaluations)
     if not settled:
         doubt(out, t)
@@ -199,7 +199,7 @@ def give_up(t, used, lost, problem, out):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fit_chunk(problem, shared, nothing, rules, common, out, first, last):
+def _fit_chunk(problem, shared, rules, common, out, first, last):
     """Fit some texels, each with a geometry of its own unless there is something ``shared``."""
     block, angles, sums = new_block(problem)
     for i in range(common.shape[0]):
@@ -209,25 +209,25 @@ def _fit_chunk(problem, shared, nothing, rules, common, out, first, last):
     if common.shape[0] > 0:
         spread_geometry(common, buffers.rows, problem.response.shape[1])
     before = np.full(block.shape[1], np.nan)
-    _fit_range(problem, shared, nothing, rules, block, angles, sums, before, buffers, out, first, last)
+    _fit_range(problem, shared, rules, block, angles, sums, before, buffers, out, first, last)
 
 
 @uncounted(error_model="numpy")
-def _fit_range(problem, shared, nothing, rules, block, angles, sums, before, buffers, out, first, last):
+def _fit_range(problem, shared, rules, block, angles, sums, before, buffers, out, first, last):
     """Fit texels eight at a time, and alone those that are not done then."""
-    together = rules.huber == 0.0 and (problem.geometry.shape[0] > 1 or shared.shapes.shape[0] > 0)
+    together = rules.huber == 0.0 and (problem.geometry.shape[0] > 1 or shared.nodes.shape[1] > 0)
     for batch in range(first, last, COUNT):
         done = fit_abreast(problem, shared, rules, batch, last, buffers) if together else 0
         write_abreast(buffers.results, done, batch, out)
         for i in range(min(COUNT, last - batch)):
             if not done >> i & 1:
-                _fit_alone(batch + i, block, angles, shared, nothing, problem, rules, sums, before, out)
+                _fit_alone(batch + i, block, angles, shared, problem, rules, sums, before, out)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _fit_alone(t, block, angles, shared, nothing, problem, rules, sums, before, out):
+def _fit_alone(t, block, angles, shared, problem, rules, sums, before, out):
     """Load, fit and judge one texel."""
-    if shared.shapes.shape[0] == 0:
+    if shared.nodes.shape[1] == 0:
         n = problem.n[t if problem.n.size > 1 else 0]
         pack_geometry(problem.geometry[t if problem.geometry.shape[0] > 1 else 0], n, problem.k, angles, block)
     used, lost, floor = load(problem.response[t], problem.weight[t], rules, block)
@@ -235,7 +235,7 @@ def _fit_alone(t, block, angles, shared, nothing, problem, rules, sums, before, 
     if used <= judge.PARAMETERS:
         give_up(t, used, lost, problem, out)
     else:
-        _fit_texel(t, block, shared, nothing, used, floor, problem, rules, sums, before, out)
+        _fit_texel(t, block, shared, used, floor, problem, rules, sums, before, out)
 
 
 @numba.njit(cache=True)
@@ -248,9 +248,8 @@ def _common_block(problem):
 
 def fit_texels(problem: Problem, rules: Rules, out: Output) -> None:
     """Fit every texel by variable projection, with the geometry of its own or the one that all share."""
-    nothing, common = no_shared(), np.zeros((0, 0))
-    shared = nothing
+    shared, common = no_shared(), np.zeros((0, 0))
     if problem.geometry.shape[0] == 1 and problem.n.size == 1:
         common = _common_block(problem)
         shared = tabulate(common, problem.nodes)
-    run_chunks(_fit_chunk, len(problem.response), _CHUNK, problem, shared, nothing, rules, common, out)
+    run_chunks(_fit_chunk, len(problem.response), _CHUNK, problem, shared, rules, common, out)

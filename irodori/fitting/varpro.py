@@ -23,16 +23,15 @@ from irodori.fitting.lobe import (
     WEIGHTED_RESPONSE,
     exp_negative,
 )
-from irodori.fitting.shared import local_moments, log_mu_of_centre, nearest_centre, project
 from irodori.lanes import lower_of, root, select, upper_of
 
 NODE_STEP = 0.5 * math.log(2.0)  # of log μ
 RIVAL = 1.05  # an interval whose estimate is below this multiple of the best is polished too
-CONVERGED = 1e-4  # last Newton step of log μ; what is left is of the order of its square
+_CONVERGED = 1e-4  # last Newton step of log μ; what is left is of the order of its square
 _MAX_STEPS = 24
 #: Rows of sums of the scan: Σ w c g, Σ w ρ g, Σ w g², their slopes along log μ, Φ, Φ', and of the interval below the
-#: node the estimated minimum and its place; the last holds polynomials (`irodori.fitting.shared`).
-SUMS, LOCAL = 11, 10
+#: node the estimated minimum and its place.
+SUMS = 10
 
 
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -188,31 +187,20 @@ def _mark_beside(nodes, value, slope, estimate, place, best):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def newton(block, shared, sums, fixed, box, log_mu, low, high, flat_above):
+def newton(block, fixed, box, log_mu, low, high, flat_above):
     """Return log μ, α and β of the minimum in a bracket, and the evaluations it took.
 
     Parameters
     ----------
-    shared : Shared
-        Where it is empty, the sums are taken over the block, else from polynomials.
-    sums : (SUMS, W) float64
-        The last row is scratch for these.
     log_mu, low, high : float
         Start and bracket.
     flat_above : bool
         Where β is at its bound, Φ is flat: says on which side of the minimum.
     """
-    t, steps, centre = log_mu, 0, -1
+    t, steps = log_mu, 0
     while steps < _MAX_STEPS:
         steps += 1
-        if shared.shapes.shape[0] == 0:
-            now = moments(block, t)
-        else:
-            held, centre = centre, nearest_centre(shared, t, centre)
-            if centre != held:
-                project(block, shared, centre, sums, LOCAL)
-            now = local_moments(sums, LOCAL, t - log_mu_of_centre(shared, centre))
-        a, b, da, db, slope, curvature = slope_and_curvature(fixed, now, box)
+        a, b, da, db, slope, curvature = slope_and_curvature(fixed, moments(block, t), box)
         if slope > 0.0 or (slope == 0.0 and flat_above):
             high = t
         else:
@@ -223,7 +211,7 @@ def newton(block, shared, sums, fixed, box, log_mu, low, high, flat_above):
             following = 0.5 * (low + high)
         change = following - t
         t = following
-        if abs(change) < (CONVERGED if inside else 1e-9):
+        if abs(change) < (_CONVERGED if inside else 1e-9):
             break
     return t, min(max(a + change * da, box[0]), box[1]), min(max(b + change * db, box[2]), box[3]), steps
 
@@ -236,7 +224,7 @@ def pair_at(block, fixed, box, log_mu):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def minimise(block, shared, fixed, box, nodes, sums):
+def minimise(block, fixed, box, nodes, sums):
     """Return log μ, α and β of the lowest minimum of Φ, and the evaluations; the nodes' sums are filled already."""
     value_nodes(fixed, sums, box)
     top = find_intervals(nodes, sums)
@@ -252,7 +240,7 @@ def minimise(block, shared, fixed, box, nodes, sums):
         if not sums[8, i] <= RIVAL * best:
             break
         above = sums[7, i] == 0.0
-        t, a, b, count = newton(block, shared, sums, fixed, box, sums[9, i], nodes[i + 1], nodes[i], above)
+        t, a, b, count = newton(block, fixed, box, sums[9, i], nodes[i + 1], nodes[i], above)
         sums[8, i] = np.inf
         evaluations += count
         # Where slopes of both signs enclose it the minimum is lower than both nodes; any other has to be compared.
