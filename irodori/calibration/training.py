@@ -6,18 +6,19 @@ response of any reflectance, with its uncertainty. The *population* is the patch
 paints (Kubelka and Munk 1931), seen through that model.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from irodori.spectra import WAVELENGTH_NM
+from irodori.calibration.response_model import (
+    ResponseModel,
+    SmoothPrior,
+    fit_response_model,
+    smooth_covariance,
+    smooth_priors,
+)
 
-#: Correlation lengths of a sensitivity behind its filter, nm, and prior variances tried, in that of the data.
-_LENGTHS_NM = (10.0, 15.0, 20.0, 30.0, 40.0)
-_AMPLITUDES = 10.0 ** np.arange(-2.0, 5.0)
-#: Variance of patch means tried, where it is not known or on top of what is, in mean squares of the responses.
-_EXTRA_NOISE = 10.0 ** np.arange(-10.0, -1.0)
 _MIXTURES = 600  # at most; pairs are left out evenly
 _LEAST_REFLECTANCE = 1e-3  # of a paint that is mixed: absorption grows without bound below
 _SPREAD, _SPREAD_NM = 0.03, 60.0  # of a reflectance about those of the population, of its level; correlation length
@@ -37,71 +38,6 @@ class Noise:
 
     patch: np.ndarray | None = None
     pixel: np.ndarray | None = None
-
-
-def smooth_covariance(length_nm: float) -> np.ndarray:
-    """Return the squared-exponential covariance of unit variance over the grid, (61, 61)."""
-    distance = (WAVELENGTH_NM[:, None] - WAVELENGTH_NM) / length_nm
-    return np.exp(-0.5 * distance**2)
-
-
-@dataclass(frozen=True)
-class ResponseModel:
-    """Responses per unit reflectance and wavelength, with their uncertainty.
-
-    Parameters
-    ----------
-    mean : (bands, 61) float64
-    covariance : (bands, 61, 61) float64
-    noise : (bands,) float64
-        Variance of patch means, what was given and what the data showed beyond it.
-    """
-
-    mean: np.ndarray
-    covariance: np.ndarray
-    noise: np.ndarray
-
-
-def fit_response_model(response: np.ndarray, spectra: np.ndarray, light: np.ndarray, patch_variance) -> ResponseModel:
-    """Return the posterior of the response model under a prior of smooth sensitivities times the light.
-
-    Correlation length, amplitude and noise beyond what is stated maximise the marginal likelihood over a fixed grid,
-    band by band; everything is one eigendecomposition a length (Rasmussen and Williams 2006, section 5.4).
-
-    Parameters
-    ----------
-    response : (m, bands) float64
-    spectra : (m, 61) float64
-    light : (61,) float64
-    patch_variance : (bands,) float64, zeros where not known
-    """
-    shape = np.asarray(light) / np.mean(light)
-    total = np.mean(response**2, axis=0)
-    best = np.full(response.shape[1], -np.inf)
-    chosen: list = [None] * response.shape[1]
-    noise = np.maximum(patch_variance, 0.0)[:, None] + _EXTRA_NOISE * total[:, None]
-    for length in _LENGTHS_NM:
-        prior = shape[:, None] * smooth_covariance(length) * shape
-        gram = spectra @ prior @ spectra.T
-        values, vectors = np.linalg.eigh(gram)
-        values, scale = np.maximum(values, 0.0), np.trace(gram) / len(gram)
-        rotated = (vectors.T @ response).T ** 2
-        amplitude = _AMPLITUDES * total[:, None] / scale
-        # Bands, amplitudes, noises, eigenvalues.
-        variance = amplitude[:, :, None, None] * values + noise[:, None, :, None]
-        likelihood = -0.5 * (rotated[:, None, None] / variance + np.log(variance)).sum(axis=3)
-        for band, own in enumerate(likelihood):
-            i, j = np.unravel_index(np.argmax(own), own.shape)
-            if own[i, j] > best[band]:
-                best[band] = own[i, j]
-                chosen[band] = (amplitude[band, i] * prior, noise[band, j])
-    mean, covariance = [], []
-    for band, (prior, own_noise) in enumerate(chosen):
-        cross = spectra @ prior
-        gain = np.linalg.solve(cross @ spectra.T + own_noise * np.eye(len(spectra)), cross).T
-        mean.append(gain @ response[:, band])
-        covariance.append(prior - gain @ cross)
-    return ResponseModel(np.array(mean), np.array(covariance), np.array([own_noise for _, own_noise in chosen]))
 
 
 def mix_paints(spectra: np.ndarray, limit: int = _MIXTURES) -> np.ndarray:
@@ -129,7 +65,7 @@ def mix_paints(spectra: np.ndarray, limit: int = _MIXTURES) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Population:
-    """Reflectances that a picture may show, as first and second moments of what the camera answers.
+    """Reflectances that a picture may show, and what the camera answers.
 
     Each member stands for a small cloud of smooth spectra about it, and the response model for those it may be.
 
@@ -140,12 +76,8 @@ class Population:
         Sum one; half on the patches, half on their mixtures, each over its level.
     response : (n, bands) float64
         Expected, scaled.
-    response_response : (n, bands, bands) float64
-        Expected ρ ρᵀ without the noise of a pixel.
-    response_spectra : (n, bands, 61) float64
-        Expected ρ sᵀ.
     excess : (n, bands, bands) float64
-        Covariance of ρ.
+        Covariance of ρ, without the noise of a pixel.
     size : (n,) float64
         Of a member's cloud, its squared level.
     cloud : (bands, 61) float64
@@ -155,8 +87,6 @@ class Population:
     spectra: np.ndarray
     weight: np.ndarray
     response: np.ndarray
-    response_response: np.ndarray
-    response_spectra: np.ndarray
     excess: np.ndarray
     size: np.ndarray
     cloud: np.ndarray
@@ -186,6 +116,12 @@ class Training:
         """Return the same without some patches, (m,) bool, and as a rule without levels of a pixel's noise."""
         return Training(self.response[~left_out], self.spectra[~left_out], self.light, self.noise, pixel_levels)
 
+    def answering(self, response: np.ndarray) -> "Training":
+        """Return the same patches with other responses, (m, bands); what follows from the spectra alone is shared."""
+        other = replace(self, response=response)
+        other.__dict__.update(priors=self.priors, paints=self.paints)
+        return other
+
     @cached_property
     def scale(self) -> np.ndarray:
         """Largest response in every band, (bands,)."""
@@ -200,7 +136,12 @@ class Training:
     def model(self) -> ResponseModel:
         """Response model of the scaled responses."""
         known = np.zeros(len(self.scale)) if self.noise.patch is None else self.noise.patch / self.scale**2
-        return fit_response_model(self.scaled, self.spectra, self.light, known)
+        return fit_response_model(self.scaled, self.priors, known)
+
+    @cached_property
+    def priors(self) -> tuple[SmoothPrior, ...]:
+        """What the response model may be before any response."""
+        return smooth_priors(self.spectra, self.light)
 
     @cached_property
     def pixel_variance(self) -> np.ndarray:
@@ -217,11 +158,16 @@ class Training:
         return weight / weight.sum()
 
     @cached_property
-    def population(self) -> Population:
-        """Patches and their mixtures."""
+    def paints(self) -> tuple[np.ndarray, np.ndarray]:
+        """Patches and their mixtures, (n, 61), and their weights, (n,)."""
         mixtures = mix_paints(self.spectra)
         spectra = np.concatenate([self.spectra, mixtures])
-        return self.members(spectra, self.member_weights(spectra, len(mixtures)))
+        return spectra, self.member_weights(spectra, len(mixtures))
+
+    @cached_property
+    def population(self) -> Population:
+        """Patches and their mixtures, seen by the camera."""
+        return self.members(*self.paints)
 
     def members(self, spectra: np.ndarray, weight: np.ndarray) -> Population:
         """Return the population of given spectra (n, 61) and weights (n,)."""
@@ -236,8 +182,6 @@ class Training:
             spectra=spectra,
             weight=weight,
             response=response,
-            response_response=response[:, :, None] * response[:, None, :] + excess,
-            response_spectra=response[:, :, None] * spectra[:, None, :] + level * seen,
             excess=excess,
             size=level[:, 0, 0],
             cloud=seen,

@@ -12,7 +12,8 @@ from irodori import store
 from irodori.calibration import ESTIMATORS, Noise, Training, calibrate, fit, noise_amplification
 from irodori.calibration.estimators import monomials
 from irodori.calibration.numerics import check_amplification, check_responses
-from irodori.calibration.training import fit_response_model, mix_paints
+from irodori.calibration.response_model import fit_response_model, smooth_priors
+from irodori.calibration.training import mix_paints
 from irodori.colour import spectral_rmse
 from irodori.recovery import Calibration, LinearMapping, LocalMapping, PolynomialMapping
 
@@ -209,7 +210,7 @@ def test_too_much_amplification_is_refused_with_the_band():
 
 
 def test_the_response_model_is_that_of_the_camera_within_its_uncertainty():
-    model = fit_response_model(patches() @ system().T, patches(), LIGHT, np.zeros(6))
+    model = fit_response_model(patches() @ system().T, smooth_priors(patches(), LIGHT), np.zeros(6))
     error = model.mean - system()
     # Spectra beyond the chart: what the model says of their responses holds within its own standard deviation.
     probes = np.concatenate([PROBES, np.exp(-0.5 * ((np.arange(61) - np.arange(5, 60, 5)[:, None]) / 8.0) ** 2)])

@@ -10,7 +10,8 @@ from made_up_camera import patches, system, training
 
 from irodori import store
 from irodori.calibration import ESTIMATORS, calibrate_camera, choose, cross_validate, fit, leave_one_out
-from irodori.calibration.selection import BASES, SelectionRow, folds
+from irodori.calibration.selection import BASES, SelectionRow
+from irodori.calibration.unseen import folds
 from irodori.colour import delta_e_reflectance, spectral_rmse
 from irodori.errors import InputError
 from irodori.recovery import Calibration
