@@ -192,7 +192,7 @@ def _refuse_saturated(scaled: np.ndarray, names: list[str]) -> None:
         top = np.flatnonzero(scaled[:, band] >= scaled[:, band].max() * (1.0 - _ALIKE))
         differ = [p for p in top[1:] if np.abs(scaled[p] - scaled[top[0]]).max() > 1e-3]
         if differ:
-            found = f" at the same largest value in {names[band]} as another patch: saturated"
+            found = f" with another at the same largest value in {names[band]}: saturated"
             raise PatchError(top[0], f"{found}; accepted: a chart exposed below saturation")
 
 
