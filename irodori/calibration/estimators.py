@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from irodori.calibration.linear import calibrate, spectral_basis
 from irodori.calibration.numerics import Limits, check_brightest, check_responses
 from irodori.calibration.response_model import smooth_covariance
-from irodori.calibration.training import Training
+from irodori.calibration.training import Population, Training
 from irodori.recovery import Calibration, LinearMapping, LocalMapping, Mapping, PolynomialMapping
 from irodori.recovery.mappings import polynomial_count
 
@@ -109,7 +109,16 @@ def kernel(training: Training) -> PolynomialMapping:
     terms. The noise of a pixel and the spread of the population go through the derivatives of the monomials into the
     moments, so that they regularise each monomial by what it amplifies.
     """
-    population, bands = training.population, len(training.scale)
+    return _regression(training, training.population)
+
+
+def broad(training: Training) -> PolynomialMapping:
+    """Return what `kernel` does, for reflectances that may be far from paints: the population spreads wider."""
+    return _regression(training, training.wide_population)
+
+
+def _regression(training: Training, population: Population) -> PolynomialMapping:
+    bands = len(training.scale)
     features, slopes = monomials(population.response)
     weight = population.weight
     spread = population.excess + np.diag(training.pixel_variance)
@@ -132,6 +141,7 @@ ESTIMATORS: dict[str, Callable[[Training], Mapping]] = {
     "wiener": wiener,
     "local": local,
     "kernel": kernel,
+    "broad": broad,
 }
 
 

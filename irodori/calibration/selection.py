@@ -18,6 +18,8 @@ BASES = (3, 4, 5, 6, 7, 8, 10, 12)
 LEFT_OUT = ("patch", "chart")
 #: Estimators that are one matrix, and those that are not.
 KINDS = {"linear": ("pinv", "ridge", "wiener"), "non-linear": ("local", "kernel")}
+#: Estimators that ``auto`` never takes: the patches of a chart do not tell whether objects are paint.
+ON_REQUEST = ("broad",)
 _RMSE_WEIGHT = 50.0  # CIEDE2000 that a spectral RMSE of one counts for in the score: 0.02 is as bad as 1
 _TIMED_PIXELS = 1024
 
@@ -188,7 +190,7 @@ def choose(rows: list[SelectionRow], estimator: str, bases: int | str) -> tuple[
     ----------
     rows : list of SelectionRow
     estimator : str
-        A name, or ``auto``.
+        A name, or ``auto``: one that is not ON_REQUEST.
     bases : int or str
         A number, or ``auto``.
 
@@ -202,7 +204,8 @@ def choose(rows: list[SelectionRow], estimator: str, bases: int | str) -> tuple[
     if "auto" not in (estimator, bases):
         return estimator, int(bases)
     scores, cost = scores_of(rows), {(r.estimator, r.bases): r.multiply_adds for r in rows}
-    fitting = [key for key in scores if estimator in ("auto", key[0]) and bases in ("auto", key[1])]
+    asked = [key for key in scores if key[0] not in ON_REQUEST] if estimator == "auto" else scores
+    fitting = [key for key in asked if estimator in ("auto", key[0]) and bases in ("auto", key[1])]
     if not fitting:
         accepted = ", ".join(str(n) for n in sorted({r.bases for r in rows}))
         raise ValueError(f"{bases} bases with estimator {estimator}; accepted: {accepted}")

@@ -14,7 +14,7 @@ from irodori.calibration.numerics import (
     condition_number,
     noise_amplification,
 )
-from irodori.calibration.selection import BASES, SelectionRow, choose, cross_validate
+from irodori.calibration.selection import BASES, ON_REQUEST, SelectionRow, choose, cross_validate
 from irodori.calibration.training import Training
 from irodori.progress import LOGGER
 from irodori.recovery import Calibration
@@ -73,7 +73,9 @@ def _judge(training: Training, settings: dict, lights, timed: bool, charts):
         raise ValueError(f"unknown estimator {estimator!r}; accepted: {_AUTO}, {', '.join(ESTIMATORS)}")
     counts = BASES if timed or bases == _AUTO else ()
     counts = sorted({*counts, *(() if bases == _AUTO else (bases,))})
-    names = tuple(ESTIMATORS) if timed or estimator == _AUTO else (estimator,)
+    names = tuple(ESTIMATORS) if timed else (estimator,)
+    if not timed and estimator == _AUTO:
+        names = tuple(name for name in ESTIMATORS if name not in ON_REQUEST)
     rows, recovered = cross_validate(training, lights, bases=counts, timed=timed, estimators=names)
     if bases != _AUTO and not any(row.bases == bases for row in rows):
         accepted = max((row.bases for row in rows), default=0)

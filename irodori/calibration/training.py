@@ -21,7 +21,10 @@ from irodori.calibration.response_model import (
 
 _MIXTURES = 600  # at most; pairs are left out evenly
 _LEAST_REFLECTANCE = 1e-3  # of a paint that is mixed: absorption grows without bound below
-_SPREAD, _SPREAD_NM = 0.03, 60.0  # of a reflectance about those of the population, of its level; correlation length
+#: Standard deviation of a reflectance about a member of the population, of its level, and its correlation length, nm.
+#: Those of what is not paint were taken by leaving out each patch of a ColorChecker, not from any other set.
+PAINTS, ANYTHING = (0.03, 60.0), (0.2, 80.0)
+_TWIN_RMS = 0.005
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,16 @@ def mix_paints(spectra: np.ndarray, limit: int = _MIXTURES) -> np.ndarray:
     ratio = (1.0 - paint) ** 2 / (2.0 * paint)
     mixed = 0.5 * (ratio[first] + ratio[second])
     return 1.0 + mixed - np.sqrt(mixed * (mixed + 2.0))
+
+
+def twins(spectra: np.ndarray) -> np.ndarray:
+    """Return the number of the first patch of nearly the same spectrum (rms difference under 0.005), (m,) int.
+
+    Two copies of one chart, or the greys along the edge of a large one, are one paint: with its twin among the rest,
+    a patch is not left out.
+    """
+    difference = np.sqrt(np.mean((spectra[:, None] - spectra) ** 2, axis=-1))
+    return np.argmax(difference < _TWIN_RMS, axis=1)
 
 
 @dataclass(frozen=True)
@@ -119,7 +132,7 @@ class Training:
     def answering(self, response: np.ndarray) -> "Training":
         """Return the same patches with other responses, (m, bands); what follows from the spectra alone is shared."""
         other = replace(self, response=response)
-        other.__dict__.update(priors=self.priors, paints=self.paints)
+        other.__dict__.update(priors=self.priors, paints=self.paints, different_paints=self.different_paints)
         return other
 
     @cached_property
@@ -150,30 +163,44 @@ class Training:
             return self.model.noise
         return self.noise.pixel / self.scale**2
 
-    def member_weights(self, spectra: np.ndarray, mixtures: int) -> np.ndarray:
-        """Return weights of patches followed by mixtures: half each, over the level, since ΔE grows as light falls."""
-        patches = len(spectra) - mixtures
-        weight = np.concatenate([np.full(patches, 1.0 / patches), np.full(mixtures, 1.0 / max(mixtures, 1))])
-        weight = weight / np.maximum(spectra.mean(axis=1), _LEAST_REFLECTANCE)
-        return weight / weight.sum()
-
     @cached_property
     def paints(self) -> tuple[np.ndarray, np.ndarray]:
         """Patches and their mixtures, (n, 61), and their weights, (n,)."""
-        mixtures = mix_paints(self.spectra)
+        return self._members(np.arange(len(self.spectra)))
+
+    @cached_property
+    def different_paints(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same, where what stands several times on a chart, as greys along the edges do, counts as one paint."""
+        return self._members(twins(self.spectra))
+
+    def _members(self, paint: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return patches and mixtures with weights: half each, over the level, since ΔE grows as light falls.
+
+        ``paint``, (m,) int, is the same for patches that count as one.
+        """
+        _, first, which, count = np.unique(paint, return_index=True, return_inverse=True, return_counts=True)
+        mixtures = mix_paints(self.spectra[first])
         spectra = np.concatenate([self.spectra, mixtures])
-        return spectra, self.member_weights(spectra, len(mixtures))
+        share = 1.0 / (count[which] * len(first))
+        weight = np.concatenate([share, np.full(len(mixtures), 1.0 / max(len(mixtures), 1))])
+        weight = weight / np.maximum(spectra.mean(axis=1), _LEAST_REFLECTANCE)
+        return spectra, weight / weight.sum()
 
     @cached_property
     def population(self) -> Population:
-        """Patches and their mixtures, seen by the camera."""
-        return self.members(*self.paints)
+        """Patches and their mixtures, and what is nearly so, seen by the camera."""
+        return self.members(*self.paints, *PAINTS)
 
-    def members(self, spectra: np.ndarray, weight: np.ndarray) -> Population:
-        """Return the population of given spectra (n, 61) and weights (n,)."""
+    @cached_property
+    def wide_population(self) -> Population:
+        """Patches and their mixtures, each paint once, and smooth reflectances far about them, seen by the camera."""
+        return self.members(*self.different_paints, *ANYTHING)
+
+    def members(self, spectra: np.ndarray, weight: np.ndarray, spread: float, length_nm: float) -> Population:
+        """Return the population of given spectra (n, 61), weights (n,) and clouds (see `PAINTS`)."""
         model = self.model
         response, bands = spectra @ model.mean.T, len(model.mean)
-        cloud = _SPREAD**2 * smooth_covariance(_SPREAD_NM)
+        cloud = spread**2 * smooth_covariance(length_nm)
         level = spectra.mean(axis=1)[:, None, None] ** 2
         seen = model.mean @ cloud
         unsure = np.stack([np.einsum("ni,ni->n", spectra @ c, spectra) for c in model.covariance], axis=1)

@@ -7,10 +7,9 @@ import numpy as np
 
 from irodori.calibration.estimators import fit_mapping
 from irodori.calibration.linear import spectral_basis
-from irodori.calibration.training import Training
+from irodori.calibration.training import Training, twins
 from irodori.colour import delta_e_reflectance
 
-_TWIN_RMS = 0.005
 _SINGLE_FOLDS = 32  # patches, up to which each is left out alone
 _FOLDS = 12  # of larger charts, every 12th patch together
 _GROUPS = 4
@@ -33,16 +32,6 @@ def folds(patches: int, charts=None, groups: int | None = None) -> list[np.ndarr
     groups = groups or (patches if patches <= _SINGLE_FOLDS else _FOLDS)
     group = np.arange(patches) % groups
     return [group == number for number in range(group.max() + 1)]
-
-
-def twins(spectra: np.ndarray) -> np.ndarray:
-    """Return the number of the first patch of nearly the same spectrum (rms difference under 0.005), (m,) int.
-
-    Two copies of one chart, or the greys along the edge of a large one, are one paint: with its twin among the rest,
-    a patch is not left out.
-    """
-    difference = np.sqrt(np.mean((spectra[:, None] - spectra) ** 2, axis=-1))
-    return np.argmax(difference < _TWIN_RMS, axis=1)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from made_up_camera import patches, system, training
 
 from irodori import store
 from irodori.calibration import ESTIMATORS, calibrate_camera, choose, cross_validate, fit, leave_one_out
-from irodori.calibration.selection import BASES, SelectionRow
+from irodori.calibration.selection import BASES, ON_REQUEST, SelectionRow
 from irodori.calibration.unseen import folds
 from irodori.colour import delta_e_reflectance, spectral_rmse
 from irodori.errors import InputError
@@ -86,6 +86,12 @@ def test_the_smallest_score_is_chosen_and_the_cheaper_of_equals():
         choose(rows, "auto", 7)
 
 
+def test_a_prior_that_the_chart_cannot_judge_is_taken_only_by_name():
+    rows = [row("kernel", 6, 0.5, 36), row("broad", 6, 0.1, 36), row("broad", 8, 0.2, 48)]
+    assert choose(rows, "auto", "auto") == ("kernel", 6)
+    assert choose(rows, "broad", "auto") == ("broad", 6)
+
+
 # ---- the stage
 
 
@@ -136,6 +142,7 @@ def test_the_stage_records_its_choice_and_the_whole_table(tmp_path, estimator, b
     assert (chosen["estimator"], int(chosen["bases"])) == (loaded.estimator, loaded.basis.shape[1])
     assert estimator in ("auto", loaded.estimator) and bases in ("auto", loaded.basis.shape[1])
     allowed = [line for line in table if estimator in ("auto", line["estimator"])
+               and (line["estimator"] not in ON_REQUEST or estimator == line["estimator"])
                and bases in ("auto", int(line["bases"]))]  # fmt: skip
     assert float(chosen["score"]) == min(float(line["score"]) for line in allowed)
     assert all(float(line["evaluation_ns_per_pixel"]) > 0 for line in table)

@@ -10,7 +10,7 @@ from definitions import CAMERA_FILE, ROOT, edit, fault, load
 
 from irodori import store
 from irodori.calibration import Training, calibrate_camera, choose, cross_validate, fit
-from irodori.calibration.selection import scores_of
+from irodori.calibration.selection import ON_REQUEST, scores_of
 from irodori.calibration.solution import solve
 from irodori.captures import Pose, Shot, read_captures, write_captures
 from irodori.config import captures_of
@@ -120,6 +120,8 @@ def test_the_choice_weighs_both_ways_of_leaving_out(session):
     assert {row["left_out"] for row in chosen} == {"patch", "chart"}
     total: dict = {}
     for row in table:
+        if row["estimator"] in ON_REQUEST:
+            continue
         key = row["estimator"], row["bases"]
         total[key] = total.get(key, 0.0) + float(row["score"])
     assert total[chosen[0]["estimator"], chosen[0]["bases"]] <= min(total.values()) + 1e-4
