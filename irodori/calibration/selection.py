@@ -65,8 +65,6 @@ def cross_validate(
     bases=BASES,
     timed: bool = False,
     estimators=tuple(ESTIMATORS),
-    noisy: bool = True,
-    groups: int | None = None,
     costs: bool = True,
 ) -> tuple[list[SelectionRow], dict[tuple[str, int], np.ndarray]]:
     """Return the table of every estimator and number of bases, and the spectra each recovers of unseen patches.
@@ -88,9 +86,6 @@ def cross_validate(
         Whether evaluation is timed.
     estimators : sequence of str
         Those to judge.
-    noisy : bool
-        Whether the noise of a pixel is added; without it the scores are those of the patches as they were read.
-    groups : see `folds`
     costs : bool
         Whether the estimators are also trained on all patches, to tell ``multiply_adds`` (0 where not) and times.
 
@@ -100,8 +95,8 @@ def cross_validate(
     recovered : dict of (estimator, bases) to (m, 61) float64, without noise; NaN for patches of a chart that stays
     """
     by_chart = charts is not None and np.unique(charts).size > 1
-    sets = folds(len(training.spectra), charts, groups)
-    offsets = _noise_offsets(training, noisy)
+    sets = folds(len(training.spectra), charts)
+    offsets = _noise_offsets(training)
     least = max(*bases, training.response.shape[1]) if by_chart else 0
     with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
         parts = split(training, sets, least, pixel_levels=len(offsets) > 1)
@@ -213,10 +208,10 @@ def choose(rows: list[SelectionRow], estimator: str, bases: int | str) -> tuple[
     return min(fitting, key=lambda key: (round(scores[key], 6), cost[key]))
 
 
-def _noise_offsets(training: Training, noisy: bool) -> np.ndarray:
+def _noise_offsets(training: Training) -> np.ndarray:
     """Return what is added to a response, (1 or 1 + 2 bands, bands), the first row zero."""
     bands = training.response.shape[1]
-    if not noisy or training.noise.pixel is None or not np.any(training.noise.pixel):
+    if training.noise.pixel is None or not np.any(training.noise.pixel):
         return np.zeros((1, bands))
     step = np.diag(np.sqrt(training.noise.pixel)) * sqrt(bands)
     return np.concatenate([np.zeros((1, bands)), step, -step])

@@ -9,9 +9,9 @@ import pytest
 from made_up_camera import patches, system, training
 
 from irodori import store
-from irodori.calibration import ESTIMATORS, calibrate_camera, choose, cross_validate, fit, leave_one_out
+from irodori.calibration import ESTIMATORS, Training, calibrate_camera, choose, cross_validate, fit, leave_one_out
 from irodori.calibration.selection import BASES, ON_REQUEST, SelectionRow
-from irodori.calibration.unseen import folds
+from irodori.calibration.unseen import error_of_unseen, folds
 from irodori.colour import delta_e_reflectance, spectral_rmse
 from irodori.errors import InputError
 from irodori.recovery import Calibration
@@ -49,6 +49,20 @@ def test_a_patch_has_no_say_in_its_own_recovery(judged, name):
     change = np.abs(spoiled[name, 6] - judged[1][name, 6]).max(axis=1)
     assert change[5] <= 1e-12
     assert np.delete(change, 5).min() > 1e-7
+
+
+@pytest.mark.parametrize("name", list(ESTIMATORS))
+def test_the_error_of_moved_patches_is_that_of_estimators_trained_on_them(name):
+    chart = training(0.003)
+    moved = chart.response * np.random.default_rng(1).uniform(0.98, 1.02, chart.response.shape)
+    recovered = np.empty_like(patches())
+    for left_out in folds(24, groups=4):
+        seen = Training(moved[~left_out], patches()[~left_out], chart.light, chart.noise)
+        recovered[left_out] = fit(name, seen, 6).spectra(moved[left_out])
+    expected = delta_e_reflectance(patches(), recovered, "D65").mean()
+    error = error_of_unseen(chart, (name, 6), "D65")
+    assert error(moved) == pytest.approx(expected, rel=1e-6)
+    assert error(moved) == error(moved) != error(chart.response)
 
 
 def test_charts_are_left_out_whole():
