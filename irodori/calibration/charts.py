@@ -1,12 +1,15 @@
 """All charts of a camera together: what the first alone gives, from the patches of every one."""
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from irodori.calibration.jitter import Jitter
+from irodori.calibration.numerics import PatchError
 from irodori.calibration.order import check_order
 from irodori.calibration.patches import ChartReading
 from irodori.calibration.reading import ChartPhotograph
@@ -26,6 +29,8 @@ class Charts:
 
     Parameters
     ----------
+    fields : tuple of str
+        Where the definition of the camera has each chart.
     captures : tuple of str
         ``chart``, then ``chart-NAME`` of each further chart.
     photographs : tuple of ChartPhotograph
@@ -37,6 +42,7 @@ class Charts:
         Of the chart that each patch belongs to.
     """
 
+    fields: tuple[str, ...]
     captures: tuple[str, ...]
     photographs: tuple[ChartPhotograph, ...]
     readings: tuple[ChartReading, ...]
@@ -70,17 +76,22 @@ class Charts:
         photographs, readings, patches, spectra = [], [], [], []
         for file, (name, chart) in zip(files, definitions.items(), strict=True):
             names, reflectances = chart_spectra(chart["spectra"])
-            photograph = ChartPhotograph.load(file, chart, len(names))
+            with _naming(name):
+                photograph = ChartPhotograph.load(file, chart, len(names))
+                reading = photograph.read()
+                _check_order(photograph, reading, reflectances, chart)
             if photograph.filters != (photographs or [photograph])[0].filters:
                 found = ", ".join(photograph.filters)
                 raise InputError(file, "filters", found, ", ".join(photographs[0].filters) + ", as of the first chart")
             photographs.append(photograph)
-            readings.append(_in_order(photograph, reflectances, chart))
+            readings.append(reading)
             patches += [f"{name}/{patch}" if name else patch for patch in names]
             spectra.append(reflectances)
         number = np.repeat(np.arange(len(files)), [len(part) for part in spectra])
-        captures = tuple(chart_capture(name) for name in definitions)
-        return cls(captures, tuple(photographs), tuple(readings), tuple(patches), np.concatenate(spectra), number)
+        fields, captures = (tuple(of(name) for name in definitions) for of in (field_of, chart_capture))
+        return cls(
+            fields, captures, tuple(photographs), tuple(readings), tuple(patches), np.concatenate(spectra), number
+        )
 
     @property
     def filters(self) -> tuple[str, ...]:
@@ -116,7 +127,20 @@ class Charts:
             if abs(level - 1.0) > max(_LEVEL_TOLERANCE, 4.0 * error):
                 found = f"a chart {level:.3f} times as bright as the others predict"
                 accepted = f"{1 - _LEVEL_TOLERANCE:g} to {1 + _LEVEL_TOLERANCE:g}: the pose and the light of the first"
-                raise InputError(photograph.path, "chart", found, accepted)
+                raise InputError(photograph.path, self.fields[which], found, accepted)
+
+    def refusal(self, error: ValueError) -> InputError:
+        """Return what is raised for responses that determine no calibration.
+
+        It names the chart whose patch is at fault, and the patch by its number in that chart; where the patches of all
+        charts together are at fault, every chart, and the first one's file.
+        """
+        accepted = "charts that determine every band"
+        if not isinstance(error, PatchError):
+            return InputError(self.photographs[0].path, ", ".join(self.fields), str(error), accepted)
+        which = int(self.number[error.patch])
+        own = error.patch - int(np.argmax(self.number == which))
+        return InputError(self.photographs[which].path, self.fields[which], f"patch {own}{error.fault}", accepted)
 
     def noise(self) -> Noise:
         """Return the noise of patch means and of a pixel, see `ChartPhotograph.noise`, in the mean over all patches."""
@@ -149,10 +173,28 @@ def _level(ratios: np.ndarray, patches: int) -> tuple[float, float]:
     return float(np.exp(middle)), 1.2533 * spread / np.sqrt(patches)
 
 
-def _in_order(photograph: ChartPhotograph, spectra: np.ndarray, chart: dict) -> ChartReading:
-    reading = photograph.read()
+def _check_order(photograph: ChartPhotograph, reading: ChartReading, spectra: np.ndarray, chart: dict) -> None:
     try:
         check_order(photograph.responses(reading), spectra, chart["rows"], chart["columns"])
     except ValueError as error:
         raise InputError(photograph.path, "chart", str(error), "a chart that determines every band") from None
-    return reading
+
+
+def field_of(name: str) -> str:
+    """Return where the configuration of a camera defines a chart; the first has no name."""
+    return f"further_charts.{name}" if name else "chart"
+
+
+@contextmanager
+def _naming(name: str) -> Iterator[None]:
+    """Let what is refused of a further chart name its own keys; the reading of a chart knows them as ``chart``."""
+    try:
+        yield
+    except InputError as error:
+        if not name:
+            raise
+        own = (re.sub(r"\bchart(?=$|\.[a-z])", field_of(name), error.field),)
+        own += tuple(
+            re.sub(r"\bchart(?=\.[a-z]+_px\b|\.find\b)", field_of(name), t) for t in (error.found, error.accepted)
+        )
+        raise InputError(error.file, *own) from None

@@ -12,7 +12,8 @@ from threadpoolctl import threadpool_limits
 
 from irodori.calibration.linear import calibrate, spectral_basis
 from irodori.calibration.numerics import Limits, check_brightest, check_responses
-from irodori.calibration.training import Training, smooth_covariance
+from irodori.calibration.response_model import smooth_covariance
+from irodori.calibration.training import Population, Training
 from irodori.recovery import Calibration, LinearMapping, LocalMapping, Mapping, PolynomialMapping
 from irodori.recovery.mappings import polynomial_count
 
@@ -92,9 +93,12 @@ def local(training: Training) -> LocalMapping:
         squared_width = _WIDTH**2 + (_SPREAD * relative if maps else 0.0)
         share = population.weight * (_BACKGROUND + np.exp(-0.5 * chord / squared_width))
         share /= share.sum(axis=1, keepdims=True)
-        moment = np.tensordot(share, population.response_response, 1)
+        shared = (share[:, None] * population.response.T).reshape(-1, len(squares))
+        moment = (shared @ population.response).reshape(-1, bands, bands) + np.tensordot(share, population.excess, 1)
         moment += (share @ squares)[:, None, None] * np.diag(relative * shape)
-        maps.append(np.linalg.solve(_floored(moment), np.tensordot(share, population.response_spectra, 1)))
+        cross = (shared @ population.spectra).reshape(len(anchors), bands, -1)
+        cross += (share @ population.size)[:, None, None] * population.cloud
+        maps.append(np.linalg.solve(_floored(moment), cross))
     return LocalMapping(training.scale, anchors, _WIDTH, levels, _SPREAD, np.array(maps))
 
 
@@ -105,7 +109,16 @@ def kernel(training: Training) -> PolynomialMapping:
     terms. The noise of a pixel and the spread of the population go through the derivatives of the monomials into the
     moments, so that they regularise each monomial by what it amplifies.
     """
-    population, bands = training.population, len(training.scale)
+    return _regression(training, training.population)
+
+
+def broad(training: Training) -> PolynomialMapping:
+    """Return what `kernel` does, for reflectances that may be far from paints: the population spreads wider."""
+    return _regression(training, training.wide_population)
+
+
+def _regression(training: Training, population: Population) -> PolynomialMapping:
+    bands = len(training.scale)
     features, slopes = monomials(population.response)
     weight = population.weight
     spread = population.excess + np.diag(training.pixel_variance)
@@ -128,6 +141,7 @@ ESTIMATORS: dict[str, Callable[[Training], Mapping]] = {
     "wiener": wiener,
     "local": local,
     "kernel": kernel,
+    "broad": broad,
 }
 
 
@@ -159,14 +173,19 @@ def fit(name: str, training: Training, bases: int, max_condition: float = Limits
     check_responses(response, max_condition, training.noise.patch)
     with threadpool_limits(1):
         check_brightest(training)
-    basis = spectral_basis(training.spectra, bases)
+    return fit_checked(name, training, bases, max_condition)
+
+
+def fit_checked(name: str, training: Training, bases: int, max_condition: float = Limits.condition) -> Calibration:
+    """Return what `fit` does, of responses that are known to determine a calibration."""
     if name == "pinv":
-        return calibrate(response, training.spectra, bases, training.light, max_condition)
+        return calibrate(training.response, training.spectra, bases, training.light, max_condition)
+    basis = spectral_basis(training.spectra, bases)
     with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
         mapping = fit_mapping(name, training).on_basis(basis)
     matrix = mapping.matrix if isinstance(mapping, LinearMapping) else None
     light = np.asarray(training.light, dtype=np.float64)
-    return Calibration(basis, matrix, light, estimator=name, mapping=mapping, training=response)
+    return Calibration(basis, matrix, light, estimator=name, mapping=mapping, training=training.response)
 
 
 def monomials(response: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irodori.calibration.training import Training, fit_response_model
+from irodori.calibration.response_model import fit_response_model, smooth_priors
+from irodori.calibration.training import Training
 from irodori.recovery import Calibration
 
 _ALIKE = 1e-9  # relative; clipped means agree to rounding, measured ones do not
@@ -13,6 +14,22 @@ _NOISE_LIMIT = 5.0  # standard deviations of a patch mean
 _CLIPPED_SHARE = 0.05  # of the band's largest response that the brightest patch lacks
 _CLIPPED_LIMIT = 6.0  # standard deviations of what the other patches predict for it
 _SAME_PATCH = 1e-6  # relative difference of responses in all bands
+
+
+class PatchError(ValueError):
+    """Responses that determine no calibration for the sake of one patch.
+
+    Parameters
+    ----------
+    patch : int
+        Its number among the patches of all charts.
+    fault : str
+        What is wrong with it, as it goes on behind its number.
+    """
+
+    def __init__(self, patch: int, fault: str) -> None:
+        self.patch, self.fault = int(patch), fault
+        super().__init__(f"patch {patch}{fault}")
 
 
 @dataclass(frozen=True)
@@ -66,7 +83,7 @@ def check_responses(
         raise ValueError(f"{patches} patches for {bands} bands; accepted: at least as many patches as bands")
     if not np.isfinite(response).all():
         patch, band = np.argwhere(~np.isfinite(response))[0]
-        raise ValueError(f"patch {patch} not finite in {names[band]}; accepted: finite responses")
+        raise PatchError(patch, f" not finite in {names[band]}; accepted: finite responses")
     peak = np.abs(response).max(axis=0)
     if not (peak > 0).all():
         dead = names[int(np.argmin(peak))]
@@ -103,15 +120,16 @@ def check_brightest(training: Training, filters: tuple[str, ...] = ()) -> None:
     brightest = np.argmax(training.scaled, axis=0)
     for patch in np.unique(brightest):
         others = np.arange(len(training.spectra)) != patch
-        model = fit_response_model(training.scaled[others], training.spectra[others], training.light, known)
+        priors = smooth_priors(training.spectra[others], training.light)
+        model = fit_response_model(training.scaled[others], priors, known)
         spectrum = training.spectra[patch]
         for band in np.flatnonzero(brightest == patch):
             predicted = spectrum @ model.mean[band]
             spread = np.sqrt(spectrum @ model.covariance[band] @ spectrum + model.noise[band])
             lack = predicted - training.scaled[patch, band]
             if lack > max(_CLIPPED_SHARE, _CLIPPED_LIMIT * spread):
-                found = f"patch {patch}, the brightest in {names[band]}, {lack:.0%} below what the others predict"
-                raise ValueError(f"{found}: saturated; accepted: a chart exposed below saturation")
+                found = f", the brightest in {names[band]}, {lack:.0%} below what the others predict"
+                raise PatchError(patch, f"{found}: saturated; accepted: a chart exposed below saturation")
 
 
 def noise_amplification(calibration: Calibration) -> float:
@@ -154,8 +172,9 @@ def _refuse_negative(scaled: np.ndarray, variance, names: list[str]) -> None:
     least = -_BELOW_ZERO if variance is None else -np.maximum(_NOISE_LIMIT * np.sqrt(variance), _BELOW_ZERO)
     if (scaled < least).any():
         patch, band = np.argwhere(scaled < least)[0]
-        found = f"patch {patch} at {scaled[patch, band]:.3g} of the largest in {names[band]}"
-        raise ValueError(f"{found}; accepted: responses that are not negative (a dark frame of the same exposure)")
+        found = f" at {scaled[patch, band]:.3g} of the largest in {names[band]}"
+        accepted = "responses that are not negative (a dark frame of the same exposure)"
+        raise PatchError(patch, f"{found}; accepted: {accepted}")
 
 
 def _distinct(scaled: np.ndarray) -> int:
@@ -173,8 +192,8 @@ def _refuse_saturated(scaled: np.ndarray, names: list[str]) -> None:
         top = np.flatnonzero(scaled[:, band] >= scaled[:, band].max() * (1.0 - _ALIKE))
         differ = [p for p in top[1:] if np.abs(scaled[p] - scaled[top[0]]).max() > 1e-3]
         if differ:
-            found = f"patches {top[0]} and {differ[0]} at the same largest value in {names[band]}: saturated"
-            raise ValueError(f"{found}; accepted: a chart exposed below saturation")
+            found = f" with another at the same largest value in {names[band]}: saturated"
+            raise PatchError(top[0], f"{found}; accepted: a chart exposed below saturation")
 
 
 def _most_alike(scaled: np.ndarray) -> tuple[int, int, float]:

@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 from irodori.calibration.estimators import ESTIMATORS, fit_mapping
 from irodori.calibration.linear import spectral_basis
 from irodori.calibration.training import Training
+from irodori.calibration.unseen import Fold, folds, split
 from irodori.colour import delta_e_reflectance, spectral_rmse
 from irodori.recovery import Mapping
 
@@ -17,9 +18,8 @@ BASES = (3, 4, 5, 6, 7, 8, 10, 12)
 LEFT_OUT = ("patch", "chart")
 #: Estimators that are one matrix, and those that are not.
 KINDS = {"linear": ("pinv", "ridge", "wiener"), "non-linear": ("local", "kernel")}
-_TWIN_RMS = 0.005
-_SINGLE_FOLDS = 32  # patches, up to which each is left out alone
-_FOLDS = 12  # of larger charts, every 12th patch together
+#: Estimators that ``auto`` never takes: the patches of a chart do not tell whether objects are paint.
+ON_REQUEST = ("broad",)
 _RMSE_WEIGHT = 50.0  # CIEDE2000 that a spectral RMSE of one counts for in the score: 0.02 is as bad as 1
 _TIMED_PIXELS = 1024
 
@@ -58,35 +58,6 @@ class SelectionRow:
     left_out: str = "patch"
 
 
-def folds(patches: int, charts=None, groups: int | None = None) -> list[np.ndarray]:
-    """Return what is left out in turn, bool arrays (patches,).
-
-    Parameters
-    ----------
-    patches : int
-    charts : (patches,) int, optional
-        Number of the chart that each patch belongs to; with several, whole charts are left out. Of one chart up to
-        32 patches are left out one by one, of a larger one in 12 groups of every 12th.
-    groups : int, optional
-        Another number of groups.
-    """
-    if charts is not None and np.unique(charts).size > 1:
-        return [np.asarray(charts) == chart for chart in np.unique(charts)]
-    groups = groups or (patches if patches <= _SINGLE_FOLDS else _FOLDS)
-    group = np.arange(patches) % groups
-    return [group == number for number in range(group.max() + 1)]
-
-
-def twins(spectra: np.ndarray) -> np.ndarray:
-    """Return the number of the first patch of nearly the same spectrum (rms difference under 0.005), (m,) int.
-
-    Two copies of one chart, or the greys along the edge of a large one, are one paint: with its twin among the rest,
-    a patch is not left out.
-    """
-    difference = np.sqrt(np.mean((spectra[:, None] - spectra) ** 2, axis=-1))
-    return np.argmax(difference < _TWIN_RMS, axis=1)
-
-
 def cross_validate(
     training: Training,
     lights=("D65", "A"),
@@ -94,8 +65,7 @@ def cross_validate(
     bases=BASES,
     timed: bool = False,
     estimators=tuple(ESTIMATORS),
-    noisy: bool = True,
-    groups: int | None = None,
+    costs: bool = True,
 ) -> tuple[list[SelectionRow], dict[tuple[str, int], np.ndarray]]:
     """Return the table of every estimator and number of bases, and the spectra each recovers of unseen patches.
 
@@ -116,9 +86,8 @@ def cross_validate(
         Whether evaluation is timed.
     estimators : sequence of str
         Those to judge.
-    noisy : bool
-        Whether the noise of a pixel is added; without it the scores are those of the patches as they were read.
-    groups : see `folds`
+    costs : bool
+        Whether the estimators are also trained on all patches, to tell ``multiply_adds`` (0 where not) and times.
 
     Returns
     -------
@@ -126,57 +95,64 @@ def cross_validate(
     recovered : dict of (estimator, bases) to (m, 61) float64, without noise; NaN for patches of a chart that stays
     """
     by_chart = charts is not None and np.unique(charts).size > 1
+    sets = folds(len(training.spectra), charts)
+    offsets = _noise_offsets(training)
+    least = max(*bases, training.response.shape[1]) if by_chart else 0
     with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
-        return _cross_validate(
-            training, lights, folds(len(training.spectra), charts, groups), by_chart, bases, timed, estimators, noisy
-        )
-
-
-def _cross_validate(training, lights, sets, by_chart, bases, timed, estimators, noisy):
-    paint = twins(training.spectra)
-    # What is left out, and what must not be seen either.
-    pairs = [(left_out, np.isin(paint, paint[left_out])) for left_out in sets]
-    if by_chart:
-        least = max(*bases, training.response.shape[1])
-        pairs = [pair for pair in pairs if (~pair[1]).sum() >= least]
-        if not pairs:
+        parts = split(training, sets, least, pixel_levels=len(offsets) > 1)
+        if not parts:
             return [], {}
-    smallest = min(int((~unseen).sum()) for _, unseen in pairs)
-    wanted, bases = bases, [count for count in bases if count <= smallest]
-    if not bases:
-        raise ValueError(f"{min(wanted)} bases of {len(training.spectra)} patches; accepted: up to {smallest}")
-    offsets = _noise_offsets(training, noisy)
-    stated = len(offsets) > 1
-    combinations = [(name, count) for name in estimators for count in bases]
-    recovered = {key: np.full((len(offsets), *training.spectra.shape), np.nan) for key in combinations}
-    judged = np.any([left_out for left_out, _ in pairs], axis=0)
-    for left_out, unseen in pairs:
-        seen = training.without(unseen, pixel_levels=stated)
-        largest = spectral_basis(seen.spectra, max(bases))
-        queries = (training.response[left_out] + offsets[:, None]).reshape(-1, training.response.shape[1])
+        smallest = min(len(part.seen.spectra) for part in parts)
+        fitting = [count for count in bases if count <= smallest]
+        if not fitting:
+            raise ValueError(f"{min(bases)} bases of {len(training.spectra)} patches; accepted: up to {smallest}")
+        recovered = _recover(training, parts, offsets, fitting, estimators)
+        judged = np.any([part.left_out for part in parts], axis=0)
+        kind = LEFT_OUT[by_chart]
+        rows = [
+            _row(training.spectra[judged], key, values[:, judged], lights, kind) for key, values in recovered.items()
+        ]
+        if costs:
+            rows = _with_costs(rows, training, len(offsets) > 1, timed)
+    return rows, {key: values[0] for key, values in recovered.items()}
+
+
+def _recover(training: Training, parts: list[Fold], offsets, bases, estimators) -> dict[tuple[str, int], np.ndarray]:
+    """Return spectra (offsets, m, 61) of patches left out, NaN where never left out, by estimator and bases."""
+    recovered = {
+        (name, count): np.full((len(offsets), *training.spectra.shape), np.nan)
+        for name in estimators
+        for count in bases
+    }
+    for part in parts:
+        largest = spectral_basis(part.seen.spectra, max(bases))
+        queries = (training.response[part.left_out] + offsets[:, None]).reshape(-1, training.response.shape[1])
         for name in estimators:
-            mapping = fit_mapping(name, seen).on_basis(largest)
+            mapping = fit_mapping(name, part.seen).on_basis(largest)
             coefficients = np.empty((len(queries), largest.shape[1]))
             # The patches as they were read come first; the others are pixels.
-            read = int(left_out.sum())
+            read = int(part.left_out.sum())
             mapping.weights(queries[:read], None, coefficients[:read])
-            if stated:
+            if len(offsets) > 1:
                 variance = np.broadcast_to(training.noise.pixel, queries[read:].shape)
                 mapping.weights(queries[read:], variance, coefficients[read:])
             for count in bases:
                 # The bases are nested and orthonormal: the first of many weights are those of few.
                 spectra = coefficients[:, :count] @ largest[:, :count].T
-                recovered[name, count][:, left_out] = spectra.reshape(len(offsets), -1, spectra.shape[1])
-    rows = [_row(training.spectra[judged], key, recovered[key][:, judged], lights) for key in combinations]
-    whole = {name: fit_mapping(name, training) for name in estimators}
-    full = spectral_basis(training.spectra, max(bases))
+                recovered[name, count][:, part.left_out] = spectra.reshape(len(offsets), -1, spectra.shape[1])
+    return recovered
+
+
+def _with_costs(rows: list[SelectionRow], training: Training, stated: bool, timed: bool) -> list[SelectionRow]:
+    """Return rows with what a pixel costs after training on all patches."""
+    full = spectral_basis(training.spectra, max(row.bases for row in rows))
+    whole = {name: fit_mapping(name, training).on_basis(full) for name in dict.fromkeys(row.estimator for row in rows)}
     done = []
     for row in rows:
-        mapping = whole[row.estimator].on_basis(full[:, : row.bases])
-        seconds = _evaluation_ns(mapping, training, row.bases, stated) if timed else float("nan")
-        kind = LEFT_OUT[by_chart]
-        done.append(replace(row, multiply_adds=mapping.multiply_adds(), ns_per_pixel=seconds, left_out=kind))
-    return done, {key: values[0] for key, values in recovered.items()}
+        mapping = whole[row.estimator].on_basis(np.eye(full.shape[1])[:, : row.bases])
+        ns = _evaluation_ns(mapping, training, row.bases, stated) if timed else float("nan")
+        done.append(replace(row, multiply_adds=mapping.multiply_adds(), ns_per_pixel=ns))
+    return done
 
 
 def scores_of(rows: list[SelectionRow]) -> dict[tuple[str, int], float]:
@@ -209,7 +185,7 @@ def choose(rows: list[SelectionRow], estimator: str, bases: int | str) -> tuple[
     ----------
     rows : list of SelectionRow
     estimator : str
-        A name, or ``auto``.
+        A name, or ``auto``: one that is not ON_REQUEST.
     bases : int or str
         A number, or ``auto``.
 
@@ -223,7 +199,8 @@ def choose(rows: list[SelectionRow], estimator: str, bases: int | str) -> tuple[
     if "auto" not in (estimator, bases):
         return estimator, int(bases)
     scores, cost = scores_of(rows), {(r.estimator, r.bases): r.multiply_adds for r in rows}
-    fitting = [key for key in scores if estimator in ("auto", key[0]) and bases in ("auto", key[1])]
+    asked = [key for key in scores if key[0] not in ON_REQUEST] if estimator == "auto" else scores
+    fitting = [key for key in asked if estimator in ("auto", key[0]) and bases in ("auto", key[1])]
     if not fitting:
         accepted = ", ".join(str(n) for n in sorted({r.bases for r in rows}))
         raise ValueError(f"{bases} bases with estimator {estimator}; accepted: {accepted}")
@@ -231,16 +208,16 @@ def choose(rows: list[SelectionRow], estimator: str, bases: int | str) -> tuple[
     return min(fitting, key=lambda key: (round(scores[key], 6), cost[key]))
 
 
-def _noise_offsets(training: Training, noisy: bool) -> np.ndarray:
+def _noise_offsets(training: Training) -> np.ndarray:
     """Return what is added to a response, (1 or 1 + 2 bands, bands), the first row zero."""
     bands = training.response.shape[1]
-    if not noisy or training.noise.pixel is None or not np.any(training.noise.pixel):
+    if training.noise.pixel is None or not np.any(training.noise.pixel):
         return np.zeros((1, bands))
     step = np.diag(np.sqrt(training.noise.pixel)) * sqrt(bands)
     return np.concatenate([np.zeros((1, bands)), step, -step])
 
 
-def _row(spectra: np.ndarray, key: tuple[str, int], recovered: np.ndarray, lights) -> SelectionRow:
+def _row(spectra: np.ndarray, key: tuple[str, int], recovered: np.ndarray, lights, left_out: str) -> SelectionRow:
     # The response without noise stands for the noise only where there is none.
     judged = recovered[1:] if len(recovered) > 1 else recovered
     truth = np.broadcast_to(spectra, judged.shape)
@@ -256,6 +233,7 @@ def _row(spectra: np.ndarray, key: tuple[str, int], recovered: np.ndarray, light
         rmse_mean=float(rmse.mean()),
         rmse_max=float(rmse.max()),
         multiply_adds=0,
+        left_out=left_out,
     )
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import nnls
 
-from irodori.calibration.estimators import ESTIMATORS, fit
+from irodori.calibration.estimators import ESTIMATORS, fit_checked
 from irodori.calibration.numerics import (
     Limits,
     check_amplification,
@@ -14,14 +14,12 @@ from irodori.calibration.numerics import (
     condition_number,
     noise_amplification,
 )
-from irodori.calibration.selection import BASES, SelectionRow, choose, cross_validate
+from irodori.calibration.selection import BASES, ON_REQUEST, SelectionRow, choose, cross_validate
 from irodori.calibration.training import Training
-from irodori.colour import delta_e_reflectance
 from irodori.progress import LOGGER
 from irodori.recovery import Calibration
 
 _AUTO = "auto"
-_GROUPS = 8
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,7 @@ def solve(training: Training, settings: dict, filters: tuple[str, ...], lights, 
     rows, recovered, by_chart = _judge(training, settings, lights, timed, charts)
     chosen = choose(rows, settings["estimator"], settings["bases"])
     calibration = replace(
-        fit(chosen[0], training, chosen[1], limits.condition),
+        fit_checked(chosen[0], training, chosen[1], limits.condition),
         filters=filters,
         band_response=training.model.mean * training.scale[:, None],
         **own_error(training, recovered[chosen]),
@@ -75,16 +73,18 @@ def _judge(training: Training, settings: dict, lights, timed: bool, charts):
         raise ValueError(f"unknown estimator {estimator!r}; accepted: {_AUTO}, {', '.join(ESTIMATORS)}")
     counts = BASES if timed or bases == _AUTO else ()
     counts = sorted({*counts, *(() if bases == _AUTO else (bases,))})
-    names = tuple(ESTIMATORS) if timed or estimator == _AUTO else (estimator,)
+    names = tuple(ESTIMATORS) if timed else (estimator,)
+    if not timed and estimator == _AUTO:
+        names = tuple(name for name in ESTIMATORS if name not in ON_REQUEST)
     rows, recovered = cross_validate(training, lights, bases=counts, timed=timed, estimators=names)
     if bases != _AUTO and not any(row.bases == bases for row in rows):
         accepted = max((row.bases for row in rows), default=0)
         raise ValueError(f"{bases} bases of {len(training.spectra)} patches; accepted: up to {accepted}")
     if charts is None or np.unique(charts).size < 2:
         return rows, recovered, {}
-    others, by_chart = cross_validate(training, lights, charts=charts, bases=counts, estimators=names)
-    times = {(row.estimator, row.bases): row.ns_per_pixel for row in rows}
-    rows += [replace(row, ns_per_pixel=times[row.estimator, row.bases]) for row in others]
+    others, by_chart = cross_validate(training, lights, charts=charts, bases=counts, estimators=names, costs=False)
+    costs = {(r.estimator, r.bases): {k: getattr(r, k) for k in ("multiply_adds", "ns_per_pixel")} for r in rows}
+    rows += [replace(row, **costs[row.estimator, row.bases]) for row in others]
     if not others:
         LOGGER.warning("no chart can be left out: the others would leave fewer patches than bands or bases")
     return rows, recovered, by_chart
@@ -101,16 +101,3 @@ def own_error(training: Training, recovered: np.ndarray) -> dict[str, float]:
     weight = 1.0 / (length + 0.1 * length.mean())
     found, _ = nnls(np.stack([weight, weight * length], axis=1), weight * squared)
     return dict(zip(("absolute_error", "relative_error"), np.sqrt(found).tolist(), strict=True))
-
-
-def error_of_unseen(training: Training, chosen: tuple[str, int], light: str) -> float:
-    """Return the mean CIEDE2000 of patches left out, by one estimator and number of bases, without a pixel's noise.
-
-    The patches are left out in eight groups, where the others are enough: this is to be compared with itself.
-    """
-    patches, bands = training.response.shape
-    groups = _GROUPS if patches - -(-patches // _GROUPS) >= max(bands, chosen[1]) else None
-    _, recovered = cross_validate(
-        training, (light,), bases=(chosen[1],), estimators=(chosen[0],), noisy=False, groups=groups
-    )
-    return float(delta_e_reflectance(training.spectra, recovered[chosen], light).mean())

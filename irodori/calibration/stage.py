@@ -5,17 +5,18 @@ import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from irodori import store
 from irodori.calibration.charts import Charts
 from irodori.calibration.jitter import LIMIT, STEP_PX
 from irodori.calibration.selection import KINDS, SelectionRow, best_of
-from irodori.calibration.solution import Solution, error_of_unseen, solve
+from irodori.calibration.solution import Solution, solve
 from irodori.calibration.training import Noise, Training
+from irodori.calibration.unseen import error_of_unseen
 from irodori.calibration.verdict import judge
 from irodori.colour import delta_e_reflectance, goodness_of_fit, spectral_rmse, summary
 from irodori.errors import InputError
@@ -64,38 +65,43 @@ def calibrate_camera(
         If a chart cannot be read, or the responses determine no calibration, or one that amplifies noise beyond the
         configured limit.
     """
-    charts = Charts.load(linear, camera)
-    charts.check_levels()
-    names, spectra = charts.patches, charts.spectra
-    training = Training(charts.responses(), spectra, light(light_name), charts.noise() if noise is None else noise)
-    try:
-        solved = solve(training, camera["calibration"], charts.filters, lights, selection is not None, charts.number)
-    except ValueError as error:
-        raise InputError(charts.photographs[0].path, "chart", str(error), "charts that determine every band") from None
-
-    def error_of(responses: np.ndarray) -> float:
-        return error_of_unseen(replace(training, response=responses), solved.chosen, lights[0])
-
-    errors = {"leave_one_out": _errors(spectra, solved.recovered, lights)}
-    if solved.recovered_by_chart is not None:
-        errors["leave_one_chart_out"] = _errors(spectra, solved.recovered_by_chart, lights)
-    each = list(zip(charts.captures, charts.photographs, charts.readings, strict=True))
-    checks = {
-        "lights": list(lights),
-        "charts": dict(zip(charts.captures, np.bincount(charts.number).tolist(), strict=True)),
-        "uneven_patches": [n for n, u in zip(names, _of_all(each, lambda r: r.uneven), strict=True) if u],
-        "patches_found": {c: {k: float(v) for k, v in p.located.found.items()} for c, p, _ in each if p.located.found},
-        "light_on_chart": "; ".join(dict.fromkeys(_light(photograph) for _, photograph, _ in each)),
-        "jitter": _jitter(charts, error_of),
-        "verdicts": _verdicts(spectra, solved.recovered),
-        "best_estimators": {kind: best_of(solved.rows, names) for kind, names in KINDS.items()},
-        "clipped_patches": _clipped(names, _of_all(each, lambda r: r.invalid_share)),
-    }
+    with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
+        charts = Charts.load(linear, camera)
+        charts.check_levels()
+        spectra = charts.spectra
+        training = Training(charts.responses(), spectra, light(light_name), charts.noise() if noise is None else noise)
+        try:
+            solved = solve(
+                training, camera["calibration"], charts.filters, lights, selection is not None, charts.number
+            )
+        except ValueError as error:
+            raise charts.refusal(error) from None
+        errors = {"leave_one_out": _errors(spectra, solved.recovered, lights)}
+        if solved.recovered_by_chart is not None:
+            errors["leave_one_chart_out"] = _errors(spectra, solved.recovered_by_chart, lights)
+        checks = _checks(charts, training, solved, lights)
     _write_calibration(output, solved.calibration, errors, solved.numbers | checks, provenance)
-    _write_errors(table, names, errors)
+    _write_errors(table, charts.patches, errors)
     if selection is not None:
         write_selection(selection, solved.rows, solved.chosen)
     _log(solved, errors, checks)
+
+
+def _checks(charts: Charts, training: Training, solved: Solution, lights) -> dict:
+    """Return what the calibration file tells of charts, patches, light, jitter and choice, as attributes."""
+    each = list(zip(charts.captures, charts.photographs, charts.readings, strict=True))
+    uneven = _of_all(each, lambda reading: reading.uneven)
+    return {
+        "lights": list(lights),
+        "charts": dict(zip(charts.captures, np.bincount(charts.number).tolist(), strict=True)),
+        "uneven_patches": [name for name, is_so in zip(charts.patches, uneven, strict=True) if is_so],
+        "patches_found": {c: {k: float(v) for k, v in p.located.found.items()} for c, p, _ in each if p.located.found},
+        "light_on_chart": "; ".join(dict.fromkeys(_light(photograph) for _, photograph, _ in each)),
+        "jitter": _jitter(charts, error_of_unseen(training, solved.chosen, lights[0])),
+        "verdicts": _verdicts(charts.spectra, solved.recovered),
+        "best_estimators": {kind: best_of(solved.rows, names) for kind, names in KINDS.items()},
+        "clipped_patches": _clipped(charts.patches, _of_all(each, lambda reading: reading.invalid_share)),
+    }
 
 
 def _errors(spectra: np.ndarray, estimate: np.ndarray, lights) -> dict[str, np.ndarray]:

@@ -6,21 +6,25 @@ response of any reflectance, with its uncertainty. The *population* is the patch
 paints (Kubelka and Munk 1931), seen through that model.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from irodori.spectra import WAVELENGTH_NM
+from irodori.calibration.response_model import (
+    ResponseModel,
+    SmoothPrior,
+    fit_response_model,
+    smooth_covariance,
+    smooth_priors,
+)
 
-#: Correlation lengths of a sensitivity behind its filter, nm, and prior variances tried, in that of the data.
-_LENGTHS_NM = (10.0, 15.0, 20.0, 30.0, 40.0)
-_AMPLITUDES = 10.0 ** np.arange(-2.0, 5.0)
-#: Variance of patch means tried, where it is not known or on top of what is, in mean squares of the responses.
-_EXTRA_NOISE = 10.0 ** np.arange(-10.0, -1.0)
 _MIXTURES = 600  # at most; pairs are left out evenly
 _LEAST_REFLECTANCE = 1e-3  # of a paint that is mixed: absorption grows without bound below
-_SPREAD, _SPREAD_NM = 0.03, 60.0  # of a reflectance about those of the population, of its level; correlation length
+#: Standard deviation of a reflectance about a member of the population, of its level, and its correlation length, nm.
+#: Those of what is not paint were taken by leaving out each patch of a ColorChecker, not from any other set.
+PAINTS, ANYTHING = (0.03, 60.0), (0.2, 80.0)
+_TWIN_RMS = 0.005
 
 
 @dataclass(frozen=True)
@@ -37,71 +41,6 @@ class Noise:
 
     patch: np.ndarray | None = None
     pixel: np.ndarray | None = None
-
-
-def smooth_covariance(length_nm: float) -> np.ndarray:
-    """Return the squared-exponential covariance of unit variance over the grid, (61, 61)."""
-    distance = (WAVELENGTH_NM[:, None] - WAVELENGTH_NM) / length_nm
-    return np.exp(-0.5 * distance**2)
-
-
-@dataclass(frozen=True)
-class ResponseModel:
-    """Responses per unit reflectance and wavelength, with their uncertainty.
-
-    Parameters
-    ----------
-    mean : (bands, 61) float64
-    covariance : (bands, 61, 61) float64
-    noise : (bands,) float64
-        Variance of patch means, what was given and what the data showed beyond it.
-    """
-
-    mean: np.ndarray
-    covariance: np.ndarray
-    noise: np.ndarray
-
-
-def fit_response_model(response: np.ndarray, spectra: np.ndarray, light: np.ndarray, patch_variance) -> ResponseModel:
-    """Return the posterior of the response model under a prior of smooth sensitivities times the light.
-
-    Correlation length, amplitude and noise beyond what is stated maximise the marginal likelihood over a fixed grid,
-    band by band; everything is one eigendecomposition a length (Rasmussen and Williams 2006, section 5.4).
-
-    Parameters
-    ----------
-    response : (m, bands) float64
-    spectra : (m, 61) float64
-    light : (61,) float64
-    patch_variance : (bands,) float64, zeros where not known
-    """
-    shape = np.asarray(light) / np.mean(light)
-    total = np.mean(response**2, axis=0)
-    best = np.full(response.shape[1], -np.inf)
-    chosen: list = [None] * response.shape[1]
-    noise = np.maximum(patch_variance, 0.0)[:, None] + _EXTRA_NOISE * total[:, None]
-    for length in _LENGTHS_NM:
-        prior = shape[:, None] * smooth_covariance(length) * shape
-        gram = spectra @ prior @ spectra.T
-        values, vectors = np.linalg.eigh(gram)
-        values, scale = np.maximum(values, 0.0), np.trace(gram) / len(gram)
-        rotated = (vectors.T @ response).T ** 2
-        amplitude = _AMPLITUDES * total[:, None] / scale
-        # Bands, amplitudes, noises, eigenvalues.
-        variance = amplitude[:, :, None, None] * values + noise[:, None, :, None]
-        likelihood = -0.5 * (rotated[:, None, None] / variance + np.log(variance)).sum(axis=3)
-        for band, own in enumerate(likelihood):
-            i, j = np.unravel_index(np.argmax(own), own.shape)
-            if own[i, j] > best[band]:
-                best[band] = own[i, j]
-                chosen[band] = (amplitude[band, i] * prior, noise[band, j])
-    mean, covariance = [], []
-    for band, (prior, own_noise) in enumerate(chosen):
-        cross = spectra @ prior
-        gain = np.linalg.solve(cross @ spectra.T + own_noise * np.eye(len(spectra)), cross).T
-        mean.append(gain @ response[:, band])
-        covariance.append(prior - gain @ cross)
-    return ResponseModel(np.array(mean), np.array(covariance), np.array([own_noise for _, own_noise in chosen]))
 
 
 def mix_paints(spectra: np.ndarray, limit: int = _MIXTURES) -> np.ndarray:
@@ -127,9 +66,19 @@ def mix_paints(spectra: np.ndarray, limit: int = _MIXTURES) -> np.ndarray:
     return 1.0 + mixed - np.sqrt(mixed * (mixed + 2.0))
 
 
+def twins(spectra: np.ndarray) -> np.ndarray:
+    """Return the number of the first patch of nearly the same spectrum (rms difference under 0.005), (m,) int.
+
+    Two copies of one chart, or the greys along the edge of a large one, are one paint: with its twin among the rest,
+    a patch is not left out.
+    """
+    difference = np.sqrt(np.mean((spectra[:, None] - spectra) ** 2, axis=-1))
+    return np.argmax(difference < _TWIN_RMS, axis=1)
+
+
 @dataclass(frozen=True)
 class Population:
-    """Reflectances that a picture may show, as first and second moments of what the camera answers.
+    """Reflectances that a picture may show, and what the camera answers.
 
     Each member stands for a small cloud of smooth spectra about it, and the response model for those it may be.
 
@@ -140,12 +89,8 @@ class Population:
         Sum one; half on the patches, half on their mixtures, each over its level.
     response : (n, bands) float64
         Expected, scaled.
-    response_response : (n, bands, bands) float64
-        Expected ρ ρᵀ without the noise of a pixel.
-    response_spectra : (n, bands, 61) float64
-        Expected ρ sᵀ.
     excess : (n, bands, bands) float64
-        Covariance of ρ.
+        Covariance of ρ, without the noise of a pixel.
     size : (n,) float64
         Of a member's cloud, its squared level.
     cloud : (bands, 61) float64
@@ -155,8 +100,6 @@ class Population:
     spectra: np.ndarray
     weight: np.ndarray
     response: np.ndarray
-    response_response: np.ndarray
-    response_spectra: np.ndarray
     excess: np.ndarray
     size: np.ndarray
     cloud: np.ndarray
@@ -186,6 +129,12 @@ class Training:
         """Return the same without some patches, (m,) bool, and as a rule without levels of a pixel's noise."""
         return Training(self.response[~left_out], self.spectra[~left_out], self.light, self.noise, pixel_levels)
 
+    def answering(self, response: np.ndarray) -> "Training":
+        """Return the same patches with other responses, (m, bands); what follows from the spectra alone is shared."""
+        other = replace(self, response=response)
+        other.__dict__.update(priors=self.priors, paints=self.paints, different_paints=self.different_paints)
+        return other
+
     @cached_property
     def scale(self) -> np.ndarray:
         """Largest response in every band, (bands,)."""
@@ -200,7 +149,12 @@ class Training:
     def model(self) -> ResponseModel:
         """Response model of the scaled responses."""
         known = np.zeros(len(self.scale)) if self.noise.patch is None else self.noise.patch / self.scale**2
-        return fit_response_model(self.scaled, self.spectra, self.light, known)
+        return fit_response_model(self.scaled, self.priors, known)
+
+    @cached_property
+    def priors(self) -> tuple[SmoothPrior, ...]:
+        """What the response model may be before any response."""
+        return smooth_priors(self.spectra, self.light)
 
     @cached_property
     def pixel_variance(self) -> np.ndarray:
@@ -209,25 +163,44 @@ class Training:
             return self.model.noise
         return self.noise.pixel / self.scale**2
 
-    def member_weights(self, spectra: np.ndarray, mixtures: int) -> np.ndarray:
-        """Return weights of patches followed by mixtures: half each, over the level, since ΔE grows as light falls."""
-        patches = len(spectra) - mixtures
-        weight = np.concatenate([np.full(patches, 1.0 / patches), np.full(mixtures, 1.0 / max(mixtures, 1))])
+    @cached_property
+    def paints(self) -> tuple[np.ndarray, np.ndarray]:
+        """Patches and their mixtures, (n, 61), and their weights, (n,)."""
+        return self._members(np.arange(len(self.spectra)))
+
+    @cached_property
+    def different_paints(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same, where what stands several times on a chart, as greys along the edges do, counts as one paint."""
+        return self._members(twins(self.spectra))
+
+    def _members(self, paint: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return patches and mixtures with weights: half each, over the level, since ΔE grows as light falls.
+
+        ``paint``, (m,) int, is the same for patches that count as one.
+        """
+        _, first, which, count = np.unique(paint, return_index=True, return_inverse=True, return_counts=True)
+        mixtures = mix_paints(self.spectra[first])
+        spectra = np.concatenate([self.spectra, mixtures])
+        share = 1.0 / (count[which] * len(first))
+        weight = np.concatenate([share, np.full(len(mixtures), 1.0 / max(len(mixtures), 1))])
         weight = weight / np.maximum(spectra.mean(axis=1), _LEAST_REFLECTANCE)
-        return weight / weight.sum()
+        return spectra, weight / weight.sum()
 
     @cached_property
     def population(self) -> Population:
-        """Patches and their mixtures."""
-        mixtures = mix_paints(self.spectra)
-        spectra = np.concatenate([self.spectra, mixtures])
-        return self.members(spectra, self.member_weights(spectra, len(mixtures)))
+        """Patches and their mixtures, and what is nearly so, seen by the camera."""
+        return self.members(*self.paints, *PAINTS)
 
-    def members(self, spectra: np.ndarray, weight: np.ndarray) -> Population:
-        """Return the population of given spectra (n, 61) and weights (n,)."""
+    @cached_property
+    def wide_population(self) -> Population:
+        """Patches and their mixtures, each paint once, and smooth reflectances far about them, seen by the camera."""
+        return self.members(*self.different_paints, *ANYTHING)
+
+    def members(self, spectra: np.ndarray, weight: np.ndarray, spread: float, length_nm: float) -> Population:
+        """Return the population of given spectra (n, 61), weights (n,) and clouds (see `PAINTS`)."""
         model = self.model
         response, bands = spectra @ model.mean.T, len(model.mean)
-        cloud = _SPREAD**2 * smooth_covariance(_SPREAD_NM)
+        cloud = spread**2 * smooth_covariance(length_nm)
         level = spectra.mean(axis=1)[:, None, None] ** 2
         seen = model.mean @ cloud
         unsure = np.stack([np.einsum("ni,ni->n", spectra @ c, spectra) for c in model.covariance], axis=1)
@@ -236,8 +209,6 @@ class Training:
             spectra=spectra,
             weight=weight,
             response=response,
-            response_response=response[:, :, None] * response[:, None, :] + excess,
-            response_spectra=response[:, :, None] * spectra[:, None, :] + level * seen,
             excess=excess,
             size=level[:, 0, 0],
             cloud=seen,

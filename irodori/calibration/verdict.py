@@ -3,14 +3,19 @@
 * **FADGI 2016**: Federal Agencies Digital Guidelines Initiative, *Technical Guidelines for Digitizing Cultural Heritage
   Materials: Creation of Raster Image Files*, September 2016, table of "Paintings and Other Two-Dimensional Art (Other
   Than Prints)", row "Color Accuracy Mean (ΔE2000)". Read in the document.
-* **FADGI 2023**: the same, third edition, May 2023; mean and 90th percentile of CIEDE2000. The document itself could
-  not be read: the figures are those of a published comparison (its column "Bound General Collections"); those of four
-  stars agree with a second source, which gives them for paintings. To be checked before they are quoted.
+* **FADGI 2023**: the same, third edition, May 2023; mean and 90th percentile of CIEDE2000. **Not read in the
+  document**: a search of November 2026 found the guideline's page of comments and older editions, but not this text.
+  All eight figures are those of a comparison (skandalski.pl, "tabela FADGI ISO Metamorfoze", column "FADGI 2023 (Bound
+  General Collections)"); its excerpt read again then ended before the 90th percentile of one star. Those of four
+  stars, 2 and 4, stand also in the source of arte-profiler, for "Paintings and Other Two-Dimensional Art (Other Than
+  Prints)"; the others have one source. To be checked before they are quoted.
 * **Metamorfoze 1.0**: H. van Dormolen, *Metamorfoze Preservation Imaging Guidelines, Image Quality*, version 1.0,
   January 2012, sections 1.2 and 2.10: mean and maximum of CIE 1976 over the patches of the Digital ColorChecker SG,
   with the white of the ICC profile. Read in the document.
-* **Metamorfoze 2.0**: its author's announcement of version 2.0, draft of June 2023: CIE 2000 with S_L = 1, mean and
-  maximum; no tolerance is announced for Extra Light. A draft: the published version may differ.
+* **Metamorfoze 2.0**: **not read in the guideline**, but in the announcement of its draft of June 2023
+  (preservationimaging.com, "Version 2.0"), which says: formula CIE2000 with S_L = 1; Full mean at most 3, maximum at
+  most 7; Light 4 and 14. It names none for Extra Light; the comparison above has the same four figures and no other.
+  A draft: the published version may differ.
 
 The tolerances are for the whole chain up to an encoded picture of the guideline's own target; here they meet recovered
 reflectances, so passing is necessary and not sufficient. CIELAB is computed for D50 and the 2° observer, the white of

@@ -10,7 +10,8 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from irodori.recovery.loops import local_weights, polynomial_weights
+from irodori.recovery.local import columns_of, local_weights
+from irodori.recovery.loops import polynomial_weights
 
 _TILE = 1 << 16  # responses at a time: the tile and its result stay in the cache
 _STEP = 1e-4  # of the length of a response, for differences
@@ -121,11 +122,23 @@ class LocalMapping(_Differences):
 
     def weights(self, response, variance, out) -> None:
         """See `Mapping`."""
-        relative = np.empty(0) if variance is None else np.mean(np.asarray(variance) / self.scale**2, axis=1)
+        response = np.ascontiguousarray(response)
+        if variance is None:
+            variance = np.empty((0, self.scale.size), response.dtype)
+        elif variance.strides[0] == 0 or len(variance) == 1:
+            variance = variance[:1]
+        maps = self.maps.astype(response.dtype).swapaxes(-1, -2)
         local_weights(
-            np.ascontiguousarray(response), relative.astype(np.float64), self.scale, self.anchors, self.width,
-            self.levels, self.spread, np.ascontiguousarray(self.maps), out,
-        )  # fmt: skip
+            response,
+            np.array(variance, order="C", copy=None),
+            self.scale,
+            columns_of(self.anchors.T.astype(response.dtype)),
+            self.width,
+            self.levels,
+            self.spread,
+            columns_of(maps.reshape(*maps.shape[:2], -1)),
+            out,
+        )
 
     def on_basis(self, basis):
         """See `Mapping`."""

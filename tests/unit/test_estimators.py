@@ -12,8 +12,9 @@ from irodori import store
 from irodori.calibration import ESTIMATORS, Noise, Training, calibrate, fit, noise_amplification
 from irodori.calibration.estimators import monomials
 from irodori.calibration.numerics import check_amplification, check_responses
-from irodori.calibration.training import fit_response_model, mix_paints
-from irodori.colour import spectral_rmse
+from irodori.calibration.response_model import fit_response_model, smooth_covariance, smooth_priors
+from irodori.calibration.training import mix_paints
+from irodori.colour import delta_e_reflectance, spectral_rmse
 from irodori.recovery import Calibration, LinearMapping, LocalMapping, PolynomialMapping
 
 NAMES = list(ESTIMATORS)
@@ -95,7 +96,7 @@ def test_without_noise_wiener_and_local_explain_the_response():
         assert np.abs(again - response).max() <= 0.003
 
 
-@pytest.mark.parametrize("name", ["ridge", "wiener", "local", "kernel"])
+@pytest.mark.parametrize("name", ["ridge", "wiener", "local", "kernel", "broad"])
 def test_knowing_the_noise_beats_the_pseudo_inverse(name):
     noise, rng = 0.01, np.random.default_rng(1)
     response = np.repeat(PROBES @ system().T, 20, axis=0)
@@ -209,7 +210,7 @@ def test_too_much_amplification_is_refused_with_the_band():
 
 
 def test_the_response_model_is_that_of_the_camera_within_its_uncertainty():
-    model = fit_response_model(patches() @ system().T, patches(), LIGHT, np.zeros(6))
+    model = fit_response_model(patches() @ system().T, smooth_priors(patches(), LIGHT), np.zeros(6))
     error = model.mean - system()
     # Spectra beyond the chart: what the model says of their responses holds within its own standard deviation.
     probes = np.concatenate([PROBES, np.exp(-0.5 * ((np.arange(61) - np.arange(5, 60, 5)[:, None]) / 8.0) ** 2)])
@@ -217,6 +218,31 @@ def test_the_response_model_is_that_of_the_camera_within_its_uncertainty():
     standard = (probes @ error.T) / (spread + 1e-9)
     assert np.sqrt(np.mean(standard**2)) <= 2.0
     assert np.abs(PROBES @ error.T).max() <= 0.005
+
+
+def test_a_paint_that_stands_ten_times_on_a_chart_counts_once_where_paints_differ():
+    chart = training(0.001)
+    again = np.r_[:24, np.zeros(9, int)]
+    many = replace(chart, response=chart.response[again], spectra=chart.spectra[again])
+    (spectra, weight), (more, shared) = chart.different_paints, many.different_paints
+    assert np.allclose(more[33:], spectra[24:]) and np.allclose(shared[33:], weight[24:])
+    assert shared[0] + shared[24:33].sum() == pytest.approx(weight[0]) and np.allclose(shared[1:24], weight[1:24])
+    # A chart without repeats has one population, and a repeat weighs more in the other.
+    assert np.array_equal(chart.paints[1], weight) and many.paints[1][0] * 10 > 1.5 * weight[0]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.001, 0.003])
+def test_smooth_reflectances_that_are_no_paint_are_recovered_better_by_the_broad_prior(noise):
+    rng, chart = np.random.default_rng(0), training(noise)
+    drawn = 0.5 + 0.1 * rng.multivariate_normal(np.zeros(61), smooth_covariance(80.0), 500, method="eigh")
+    response = drawn @ system().T + noise * rng.standard_normal((500, 6))
+    errors = {}
+    for name in ("kernel", "broad"):
+        # On all wavelengths: the principal vectors of the chart do not hold these spectra, whatever the estimator.
+        found = np.empty((500, 61))
+        ESTIMATORS[name](chart).weights(response, None, found)
+        errors[name] = spectral_rmse(drawn, found).mean(), delta_e_reflectance(drawn, found, "D65").mean()
+    assert errors["broad"][0] <= 0.97 * errors["kernel"][0] and errors["broad"][1] <= 0.95 * errors["kernel"][1]
 
 
 def test_noise_that_is_not_stated_is_found():
@@ -333,7 +359,7 @@ def test_a_calibration_survives_its_file(solved, name, tmp_path):
     assert np.array_equal(loaded.standard_deviation(response, variance),
                           calibration.standard_deviation(response, variance))  # fmt: skip
     assert np.array_equal(loaded.distance(response), calibration.distance(response))
-    assert (loaded.weights_from_response is None) == (name in ("local", "kernel"))
+    assert (loaded.weights_from_response is None) == (name in ("local", "kernel", "broad"))
 
 
 def test_pinv_of_the_registry_is_the_printed_formula():

@@ -79,6 +79,13 @@ def test_other_materials_reach_the_linear_bound_at_little_noise(noise):
     assert found(names, noise, "kernel", 8)[0] >= 1.02 * found(names, noise, "kernel")[0]
 
 
+@pytest.mark.parametrize("noise", NOISES[:2])
+@pytest.mark.parametrize("camera", CAMERAS[:2])
+def test_the_larger_chart_reaches_the_bound_on_other_materials(camera, noise):
+    names = (camera, "sg", "vrhel")
+    assert found(names, noise, "broad")[0] <= found(names, noise, "bound")[0]
+
+
 def test_the_larger_chart_reaches_the_bound_of_another_camera():
     names = (CAMERAS[1], "sg", "munsell")
     assert found(names, 0.0, "local")[0] <= found(names, 0.0, "bound")[0]
@@ -97,7 +104,7 @@ def test_the_choice_is_the_best_estimator_at_the_noise_of_the_pixels(camera, tes
 
 
 @pytest.mark.parametrize("noise", NOISES[:3])
-@pytest.mark.parametrize("name", ["pinv", "wiener", "local", "kernel"])
+@pytest.mark.parametrize("name", ["pinv", "wiener", "local", "kernel", "broad"])
 def test_error_bars_hold_on_spectra_never_seen(name, noise):
     training, seen, variance = trial(*FIRST).responses(noise, 0)
     if noise == 0.0:

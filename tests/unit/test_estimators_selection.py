@@ -9,8 +9,9 @@ import pytest
 from made_up_camera import patches, system, training
 
 from irodori import store
-from irodori.calibration import ESTIMATORS, calibrate_camera, choose, cross_validate, fit, leave_one_out
-from irodori.calibration.selection import BASES, SelectionRow, folds
+from irodori.calibration import ESTIMATORS, Training, calibrate_camera, choose, cross_validate, fit, leave_one_out
+from irodori.calibration.selection import BASES, ON_REQUEST, SelectionRow
+from irodori.calibration.unseen import error_of_unseen, folds
 from irodori.colour import delta_e_reflectance, spectral_rmse
 from irodori.errors import InputError
 from irodori.recovery import Calibration
@@ -50,6 +51,20 @@ def test_a_patch_has_no_say_in_its_own_recovery(judged, name):
     assert np.delete(change, 5).min() > 1e-7
 
 
+@pytest.mark.parametrize("name", list(ESTIMATORS))
+def test_the_error_of_moved_patches_is_that_of_estimators_trained_on_them(name):
+    chart = training(0.003)
+    moved = chart.response * np.random.default_rng(1).uniform(0.98, 1.02, chart.response.shape)
+    recovered = np.empty_like(patches())
+    for left_out in folds(24, groups=4):
+        seen = Training(moved[~left_out], patches()[~left_out], chart.light, chart.noise)
+        recovered[left_out] = fit(name, seen, 6).spectra(moved[left_out])
+    expected = delta_e_reflectance(patches(), recovered, "D65").mean()
+    error = error_of_unseen(chart, (name, 6), "D65")
+    assert error(moved) == pytest.approx(expected, rel=1e-6)
+    assert error(moved) == error(moved) != error(chart.response)
+
+
 def test_charts_are_left_out_whole():
     charts = np.repeat([0, 1, 2], [5, 9, 10])
     assert [int(f.sum()) for f in folds(24, charts)] == [5, 9, 10]
@@ -83,6 +98,12 @@ def test_the_smallest_score_is_chosen_and_the_cheaper_of_equals():
         choose(rows, "best", 6)
     with pytest.raises(ValueError, match="accepted: 6, 8"):
         choose(rows, "auto", 7)
+
+
+def test_a_prior_that_the_chart_cannot_judge_is_taken_only_by_name():
+    rows = [row("kernel", 6, 0.5, 36), row("broad", 6, 0.1, 36), row("broad", 8, 0.2, 48)]
+    assert choose(rows, "auto", "auto") == ("kernel", 6)
+    assert choose(rows, "broad", "auto") == ("broad", 6)
 
 
 # ---- the stage
@@ -135,6 +156,7 @@ def test_the_stage_records_its_choice_and_the_whole_table(tmp_path, estimator, b
     assert (chosen["estimator"], int(chosen["bases"])) == (loaded.estimator, loaded.basis.shape[1])
     assert estimator in ("auto", loaded.estimator) and bases in ("auto", loaded.basis.shape[1])
     allowed = [line for line in table if estimator in ("auto", line["estimator"])
+               and (line["estimator"] not in ON_REQUEST or estimator == line["estimator"])
                and bases in ("auto", int(line["bases"]))]  # fmt: skip
     assert float(chosen["score"]) == min(float(line["score"]) for line in allowed)
     assert all(float(line["evaluation_ns_per_pixel"]) > 0 for line in table)

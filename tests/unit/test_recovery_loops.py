@@ -1,11 +1,15 @@
 """The compiled loops of the non-linear mappings compute what their definition says, pixel by pixel."""
 
+from dataclasses import replace
+
+import numba
 import numpy as np
 import pytest
 
 from irodori.exponential import exp_negative
 from irodori.recovery import Calibration, LocalMapping, PolynomialMapping
 from irodori.recovery.mappings import polynomial_count
+from irodori.recovery.vectors import decaying, logarithm
 
 
 def local(bands: int, anchors: int, bases: int, seed: int = 0) -> LocalMapping:
@@ -44,7 +48,7 @@ def weights(mapping, response, variance=None) -> np.ndarray:
 
 
 @pytest.mark.parametrize("stated", [False, True])
-@pytest.mark.parametrize(("bands", "anchors", "bases"), [(6, 24, 6), (3, 5, 3), (6, 48, 12), (6, 1, 7)])
+@pytest.mark.parametrize(("bands", "anchors", "bases"), [(6, 24, 6), (3, 5, 3), (6, 48, 12), (6, 1, 7), (9, 7, 4)])
 def test_the_blend_of_matrices_is_that_of_its_definition(bands, anchors, bases, stated):
     mapping, rng = local(bands, anchors, bases), np.random.default_rng(1)
     response = np.abs(rng.normal(0.5, 0.4, (131, bands))) * 10.0 ** rng.uniform(-3, 1, (131, 1))
@@ -56,6 +60,45 @@ def test_the_blend_of_matrices_is_that_of_its_definition(bands, anchors, bases, 
     assert (np.abs(weights(mapping, response, variance) - expected) <= 2e-6 * anchors * size).all()
     single = weights(mapping, response.astype(np.float32), variance)
     assert (np.abs(single - expected) <= 1e-5 * size * np.abs(mapping.maps).max()).all()
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_one_variance_for_all_pixels_is_that_variance_at_each(kind):
+    mapping = local(6, 24, 6)
+    response = np.abs(np.random.default_rng(6).normal(0.5, 0.2, (100, 6))).astype(kind)
+    one = np.geomspace(1e-6, 1e-3, 6).astype(kind)
+    each = np.tile(one, (100, 1))
+    assert np.array_equal(weights(mapping, response, np.broadcast_to(one, response.shape)),
+                          weights(mapping, response, each))  # fmt: skip
+    # A view of every second row, and variances that are not those of the responses, are read in place.
+    assert np.array_equal(weights(mapping, response, np.repeat(each, 2, axis=0)[::2]), weights(mapping, response, each))
+
+
+def test_an_anchor_that_stands_twice_counts_as_two():
+    mapping = local(6, 24, 6)
+    twice = replace(
+        mapping,
+        anchors=np.repeat(mapping.anchors, 2, axis=0),
+        maps=np.repeat(mapping.maps, 2, axis=1),
+    )
+    response = np.abs(np.random.default_rng(7).normal(0.5, 0.2, (90, 6)))
+    variance = 10.0 ** np.random.default_rng(8).uniform(-9, 0, (90, 6))
+    for own in (None, variance):
+        assert np.allclose(weights(twice, response, own), weights(mapping, response, own), rtol=0, atol=1e-4)
+        assert np.allclose(weights(twice, response, own), plain(twice, response, own), rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("stated", [False, True])
+def test_responses_that_are_no_numbers_or_none_spoil_no_neighbour(kind, stated):
+    mapping = local(6, 24, 6)
+    response = np.abs(np.random.default_rng(9).normal(0.5, 0.2, (70, 6))).astype(kind)
+    variance = np.full((70, 6), 1e-4) if stated else None
+    expected = weights(mapping, response, variance)
+    response[3, 2], response[4, 0], response[5] = np.nan, np.inf, 0.0
+    found = weights(mapping, response, variance)
+    assert np.isnan(found[3:5]).all() and not found[5].any()
+    assert np.array_equal(np.delete(found, [3, 4, 5], axis=0), np.delete(expected, [3, 4, 5], axis=0))
 
 
 def test_the_polynomial_is_that_of_its_definition():
@@ -105,6 +148,28 @@ def test_no_noise_is_the_lowest_level_and_endless_noise_the_highest():
     assert np.array_equal(none, least)
     endless = weights(mapping, response, np.full((3, 6), np.inf))
     assert np.allclose(endless, weights(mapping, response, 10.0 * squared[:, None] * scale), atol=1e-12)
+
+
+@numba.njit
+def decayed(x):
+    out = np.empty_like(x)
+    for i in range(x.size):
+        out[i] = decaying(x[i])
+    return out
+
+
+def test_the_exponential_in_single_precision_is_exact_to_three_parts_in_ten_million():
+    x = -np.geomspace(1e-6, 60.0, 4000).astype(np.float32)
+    found = decayed(x)
+    assert found.dtype == np.float32
+    # The argument's own rounding is not the exponential's: it was rounded before.
+    assert found.astype(np.float64) == pytest.approx(np.exp(x.astype(np.float64)), rel=3e-7)
+    assert decayed(np.array([0.0, -1e30, -np.inf], np.float32)) == pytest.approx([1.0, 0.0, 0.0], abs=1e-34)
+
+
+def test_the_logarithm_is_exact_to_ten_digits():
+    x = np.concatenate([np.geomspace(1e-300, 1e300, 4001), np.linspace(0.5, 2.1, 4001)])
+    assert [logarithm(v) for v in x] == pytest.approx(np.log(x), rel=0, abs=2e-10)
 
 
 def test_the_exponential_of_numbers_below_zero_is_exact():
