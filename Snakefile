@@ -20,6 +20,7 @@ wildcard_constraints:
     view="[a-z0-9-]+",
     capture="[a-z0-9-]+",
     tile="[0-9]+",
+    stage="[a-z0-9-]+",
 
 
 report: "workflow/report/workflow.rst"
@@ -34,10 +35,12 @@ include: "workflow/rules/compress.smk"
 include: "workflow/rules/environment.smk"
 include: "workflow/rules/render.smk"
 include: "workflow/rules/report.smk"
+include: "workflow/rules/benchmark.smk"
 
 
 localrules:
     all,
+    benchmark,
     calibrate,
     capture,
 

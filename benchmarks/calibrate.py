@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.table import COLUMNS, arguments_of, median_s, medians_s, own_peak_mb, report
+from benchmarks.table import COLUMNS, arguments_of, median_s, medians_s, own_peak_mb, report, write
 from irodori.calibration import ESTIMATORS, Noise, Training, choose, cross_validate, fit
 from irodori.colour import delta_e_reflectance, spectral_rmse
 from irodori.spectra import TRAPEZOID_NM, camera_sensitivities, read_wide_csv, resample, spectrum
@@ -226,7 +226,11 @@ def main() -> None:
     arguments = parser.parse_args()
     use_threads(arguments.threads)
     if not DATA.is_dir():
-        parser.error(f"no measured spectra at {DATA}")
+        if not arguments.output:
+            parser.error(f"no measured spectra at {DATA}")
+        print(f"skipped: no measured spectra at {DATA}")
+        write([], arguments.output)
+        return
     if arguments.child:
         child(arguments.child)
         return

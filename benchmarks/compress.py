@@ -1,6 +1,6 @@
 """Compression of a spectral environment, streamed from disk: speed against error, beside scikit-learn on the same file.
 
-``python -m benchmarks.compress [--size full] [--runs 7] [--output speed_error.csv]``. The picture is made of the 99
+``python -m benchmarks.compress [--size small] [--runs 7] [--output speed_error.csv]``. The picture is made of the 99
 measured materials of CIE 224 under daylight, a tungsten lamp and an LED, 61 bands in single precision, with a sun of a
 million times its shadows and 0.2 % of noise. Small: 1500 x 750, times are medians of runs in turn. Full: 6000 x 3000
 (4.4 GB in a temporary folder), each variant once in a process of its own, compiled before.
@@ -240,7 +240,6 @@ def row(variant: str, size: str, seconds: dict, found: dict) -> dict:
 def main() -> None:
     """Measure and print; write a CSV if asked."""
     parser = arguments_of(__doc__.splitlines()[0])
-    parser.add_argument("--size", choices=list(SIZES), default="small", help="1500 x 750, or 6000 x 3000 once")
     parser.add_argument("--variants", nargs="+", help="all where absent; decode-<variant> needs the variant before it")
     parser.add_argument("--child", help=argparse.SUPPRESS)
     parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)

@@ -4,8 +4,9 @@ Two geometries: ``own`` (every texel its own angles, as on a curved object or un
 flat object under far light). The error is the share of texels whose sum of squares exceeds the best of a dense scan
 over μ in float64 by more than 0.1 %; the largest errors of noise-free parameters are printed beside it.
 
-``python -m benchmarks.fit [--runs 7] [--output speed_error.csv]``, at the top of the repository. Peak memory is that of
-a process that fits the texels once; times exclude compilation.
+``python -m benchmarks.fit [--size small] [--runs 7] [--output speed_error.csv]``,
+at the top of the repository. Peak memory is that of a
+process that fits the texels once; times exclude compilation.
 """
 
 import argparse
@@ -115,16 +116,17 @@ def child(variant: str, kind: str, threads: int) -> float:
 
 
 def measure(runs: int, threads: int, quick: bool) -> list[dict]:
-    """Return one row a variant and geometry."""
-    best = {count: brute_force(scene(count)[3], np.geomspace(0.005, 1.2, 4000)) for count in (CHECKED, 200)}
+    """Return one row a variant and geometry; a quick one tries one algorithm of NLopt on a tenth of the texels."""
+    checked = CHECKED // 4 if quick else CHECKED
+    best = {count: brute_force(scene(count)[3], np.geomspace(0.005, 1.2, 4000)) for count in (checked, 200)}
     rows = []
     for kind in ("own", "shared"):
         slowest = None
         for variant, options in variants(quick).items():
-            texels = TEXELS[options.solver]
+            texels = TEXELS[options.solver] // (10 if quick and options.solver == "nlopt" else 1)
             arguments = inputs(scene(texels)[3], kind)
             seconds = median_s(lambda a=arguments, o=options: fit(*a, o), runs)
-            missed, off = errors(options, kind, best[200 if options.solver == "nlopt-reference" else CHECKED])
+            missed, off = errors(options, kind, best[200 if options.solver == "nlopt-reference" else checked])
             slowest = slowest or seconds / texels
             name = variant if kind == "own" else f"{variant}-shared"
             values = ("fit", name, str(texels), "pixels", f"{seconds:.4f}", f"{texels / seconds:.0f}",
@@ -165,7 +167,6 @@ def capture() -> None:
 def main() -> None:
     """Measure and print; write a CSV if asked."""
     parser = arguments_of(__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="one NLopt algorithm only")
     parser.add_argument("--child", help=argparse.SUPPRESS)
     parser.add_argument("--kind", default="own", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -178,9 +179,10 @@ def main() -> None:
         fit(*inputs(scene(TEXELS[options.solver])[3], arguments.kind), options)
         print(own_peak_mb())
         return
-    rows = measure(arguments.runs, arguments.threads, arguments.quick)
-    growth(arguments.runs)
-    subprocess.run([sys.executable, "-m", "benchmarks.fit", "--child", "capture"], cwd=ROOT, check=True)
+    rows = measure(arguments.runs, arguments.threads, arguments.size == "small")
+    if arguments.size == "full":
+        growth(arguments.runs)
+        subprocess.run([sys.executable, "-m", "benchmarks.fit", "--child", "capture"], cwd=ROOT, check=True)
     report(rows, arguments.threads, arguments.output)
 
 

@@ -4,7 +4,8 @@ Twice: from DNG files packed by lossless JPEG, as cameras write them (CR2, NEF, 
 packing, which LibRaw only copies (variants that end in ``-unpacked``). The filtered shot is moved by a plate that the
 chart's shots show too, so that without registration the filtered bands belong to other places: the error says so.
 
-``python -m benchmarks.ingest [--runs 7] [--output speed_error.csv]``, at the top of the repository. It makes its own
+``python -m benchmarks.ingest [--size small] [--runs 7] [--output speed_error.csv]``,
+at the top of the repository. It makes its own
 DNG files in a temporary folder. Peak memory is that of a process that ingests once; its baseline is the same process
 after its imports. Times exclude compilation, which is reported apart.
 """
@@ -204,7 +205,7 @@ def main() -> None:
         child(arguments.folder, arguments.child, arguments.threads)
         return
     rows = []
-    for packed in (True, False):
+    for packed in (True, False)[: 1 if arguments.size == "small" else 2]:
         with tempfile.TemporaryDirectory() as folder:
             rows += measure(Path(folder), packed, arguments.runs, arguments.threads)
     report(rows, arguments.threads, arguments.output)

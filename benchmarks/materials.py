@@ -237,6 +237,12 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--output", type=Path, help="CSV to write")
     arguments = parser.parse_args()
+    if not arguments.data.is_dir():
+        if not arguments.output:
+            parser.error(f"no measured materials at {arguments.data}")
+        print(f"skipped: no measured materials at {arguments.data}")
+        arguments.output.write_text("material,model,outliers,values,part,relative_rms\n", encoding="utf-8")
+        return
     rows = [row for name in MATERIALS for row in rows_of(name, arguments.data)]
     print(f"{'material':>22} {'part':>26} {'outliers':>9} " + " ".join(f"{m:>11}" for m in MODELS))
     for row in rows:

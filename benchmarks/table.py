@@ -4,11 +4,15 @@ import argparse
 import csv
 import os
 import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numba
+
+from irodori.progress import LOGGER
 
 COLUMNS = ("stage", "variant", "work", "unit", "seconds", "throughput", "error_metric", "error", "peak_mb", "reference",
            "ratio")  # fmt: skip
@@ -44,6 +48,7 @@ def arguments_of(description: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--runs", type=_runs, default=7, help=f"timed runs of each variant, at least {_LEAST_RUNS}")
     parser.add_argument("--threads", type=int, default=min(2, numba.config.NUMBA_NUM_THREADS))
+    parser.add_argument("--size", choices=("small", "full"), default="full", help="small is over within a minute")
     parser.add_argument("--output", type=Path, help="CSV to write")
     return parser
 
@@ -54,6 +59,30 @@ def _runs(text: str) -> int:
     return int(text)
 
 
+def run_benchmark(name: str, output: str, threads: int | None = None, size: str | None = None) -> None:
+    """Run a module of this folder in a process of its own, and log what it prints.
+
+    Raises
+    ------
+    RuntimeError
+        With its last words if it fails.
+    """
+    output = Path(output).absolute()
+    part = output.with_name(f".{output.name}.part")
+    options = ["--output", str(part)]
+    options += ["--threads", str(threads)] if threads else []
+    options += ["--size", size, "--runs", str(_LEAST_RUNS if size == "small" else 2 * _LEAST_RUNS)] if size else []
+    command = [sys.executable, "-m", f"benchmarks.{name}", *options]
+    root = Path(__file__).resolve().parents[1]
+    done = subprocess.run(command, cwd=root, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    for line in done.stdout.splitlines():
+        LOGGER.info("%s", line)
+    if done.returncode:
+        last = done.stdout.strip().splitlines()[-1:] or ["nothing printed"]
+        raise RuntimeError(f"benchmarks.{name} ended with {done.returncode}: {last[0]}")
+    os.replace(part, output)
+
+
 def report(rows: Sequence[dict], threads: int, output: Path | None) -> None:
     """Print the table with the machine's load; write it if asked."""
     print(f"{threads} threads, load {os.getloadavg()[0]:.1f}")
@@ -61,7 +90,12 @@ def report(rows: Sequence[dict], threads: int, output: Path | None) -> None:
     for row in ({name: name for name in _SHOWN}, *rows):
         print("  ".join(f"{row[name]:>{widths[name]}}" for name in _SHOWN))
     if output:
-        with output.open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+        write(rows, output)
+
+
+def write(rows: Sequence[dict], output: Path) -> None:
+    """Write rows with all `COLUMNS` as CSV."""
+    with output.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)

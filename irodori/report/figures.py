@@ -153,3 +153,21 @@ def selection_figure(header: list[str], rows: list[list[str]]) -> str:
         ax.set_title(f"{label}, patches left out; numbers of bases beside the points", fontsize=8)
     axes[0].legend(fontsize=7)
     return _finish(figure)
+
+
+def front_figure(rows: list[dict], front: list[str], default: str | None, metric: str) -> str:
+    """Return throughput against error of variants of one unit; those on the front are joined, the default is ringed."""
+    figure, axes = plt.subplots(figsize=(7.5, 4.2), layout="constrained")
+    places = {r["variant"]: (float(r["throughput"]), float(r["error"])) for r in rows}
+    for name, (speed, error) in places.items():
+        axes.plot(speed, error, "o", color="#2f6690" if name in front else "#b0b0b0", markersize=5)
+        axes.annotate(name, (speed, error), fontsize=7, textcoords="offset points", xytext=(4, 3))
+    best = [places[name] for name in front if name in places]
+    axes.plot([p[0] for p in best], [p[1] for p in best], "-", color="#2f6690", linewidth=0.8)
+    if default in places:
+        axes.plot(*places[default], "o", markersize=12, markerfacecolor="none", color="#c04040")
+    axes.set_xscale("log")
+    axes.set_yscale("symlog", linthresh=max(min((e for _, e in places.values() if e > 0.0), default=1.0), 1e-12))
+    axes.set_xlabel(f"throughput, {rows[0]['unit']}/s", fontsize=8)
+    axes.set_ylabel(metric, fontsize=8)
+    return _finish(figure)

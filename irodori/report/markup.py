@@ -3,7 +3,17 @@
 import base64
 import html
 import math
+import os
 from pathlib import Path
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 1180px; margin: 2rem auto; padding: 0 1rem; color: #222 }
+h1, h2 { font-weight: 600 } table { border-collapse: collapse; margin: .5rem 0 1.5rem }
+th, td { padding: .2rem .7rem; border-bottom: 1px solid #ddd; text-align: right }
+th:first-child, td:first-child, td.text, th.text { text-align: left }
+figure { display: inline-block; margin: 0 1rem 1rem 0 } figcaption { font-size: .85rem; color: #555 }
+img { max-width: 100% }
+"""
 
 
 def table(header: list[str], rows: list[list[str]]) -> str:
@@ -34,3 +44,15 @@ def number(text: str | float) -> str:
 def data_uri(path) -> str:
     """Return a PNG file as a data URI."""
     return "data:image/png;base64," + base64.b64encode(Path(path).read_bytes()).decode()
+
+
+def write_page(path, title: str, body: str) -> None:
+    """Write a page that needs nothing beside it, whole or not at all."""
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.part")
+    temporary.write_text(
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>'
+        f"<style>{_STYLE}</style><body>{body}</body></html>\n",
+        encoding="utf-8",
+    )
+    os.replace(temporary, path)

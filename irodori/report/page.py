@@ -3,7 +3,6 @@
 import csv
 import html
 import json
-import os
 from pathlib import Path
 
 from irodori import store
@@ -13,18 +12,9 @@ from irodori.report.compression import compression_section
 from irodori.report.errors import read_errors
 from irodori.report.figures import material_figure, planning_figure, spectra_figure
 from irodori.report.imperfections import CostRow, read_costs
-from irodori.report.markup import data_uri, figure, number, table
+from irodori.report.markup import data_uri, figure, number, table, write_page
 from irodori.report.planning import PlanRow, read_plan
 from irodori.report.registration import read_registration, summarise
-
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 1180px; margin: 2rem auto; padding: 0 1rem; color: #222 }
-h1, h2 { font-weight: 600 } table { border-collapse: collapse; margin: .5rem 0 1.5rem }
-th, td { padding: .2rem .7rem; border-bottom: 1px solid #ddd; text-align: right }
-th:first-child, td:first-child, td.text, th.text { text-align: left }
-figure { display: inline-block; margin: 0 1rem 1rem 0 } figcaption { font-size: .85rem; color: #555 }
-img { max-width: 100% }
-"""
 
 #: What the report says of a camera: attribute of its reference file, and what it is.
 _CAMERA_FIGURES = {
@@ -213,11 +203,4 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
         ),
         _time_section(benchmarks),
     ]
-    page = (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Irodori report</title><style>{_STYLE}'
-        f"</style><body>{''.join(body)}</body></html>\n"
-    )
-    output = Path(output)
-    temporary = output.with_name(f".{output.name}.part")
-    temporary.write_text(page, encoding="utf-8")
-    os.replace(temporary, output)
+    write_page(output, "Irodori report", "".join(body))

@@ -291,6 +291,10 @@ class IngestPart(NamedTuple):
         return f"ingest_raw_{self.object_name}_{self.number}".replace("-", "_")
 
 
+#: Stages whose speed and error `snakemake benchmark` measures; each is a module of benchmarks/.
+BENCHMARKS = ["ingest", "calibrate", "fit", "compress"]
+
+
 def ingest_parts():
     """Yield the parts in which the captures of every object are ingested."""
     size = config["ingest"]["captures_per_job"]

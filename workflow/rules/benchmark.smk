@@ -1,0 +1,68 @@
+rule measure_speed:
+    output:
+        table="results/benchmark/stages/{stage}.csv",
+    log:
+        "results/logs/measure_speed/{stage}.log",
+    benchmark:
+        "results/benchmarks/measure_speed/{stage}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    # Alone on the machine: what is timed beside something else is timed wrong.
+    threads: workflow.cores
+    resources:
+        mem_mb=lambda wildcards, attempt: 6000 * attempt,
+    params:
+        size=lookup(within=config, dpath="benchmark_size"),
+        code=lambda wildcards: code_hash(f"benchmarks.{wildcards.stage}"),
+    script:
+        "../scripts/measure_speed.py"
+
+
+rule compare_materials:
+    output:
+        table="results/benchmark/materials.csv",
+    log:
+        "results/logs/compare_materials/all.log",
+    benchmark:
+        "results/benchmarks/compare_materials/all.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 1500 * attempt,
+    params:
+        code=code_hash("benchmarks.materials"),
+    script:
+        "../scripts/compare_materials.py"
+
+
+rule write_speed_report:
+    input:
+        tables=expand("results/benchmark/stages/{stage}.csv", stage=BENCHMARKS),
+        materials="results/benchmark/materials.csv",
+    output:
+        table="results/benchmark/speed_error.csv",
+        page=report(
+            "results/benchmark/speed_error.html",
+            caption="../report/speed.rst",
+            category="Speed against error",
+        ),
+    log:
+        "results/logs/write_speed_report/all.log",
+    benchmark:
+        "results/benchmarks/write_speed_report/all.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 1000 * attempt,
+    params:
+        size=lookup(within=config, dpath="benchmark_size"),
+        code=code_hash("irodori.report.speed"),
+    script:
+        "../scripts/write_speed_report.py"
+
+
+rule benchmark:
+    input:
+        "results/benchmark/speed_error.html",

@@ -1,0 +1,11 @@
+from irodori.report.speed import write_speed_report
+from irodori.rules import run_rule
+
+with run_rule(snakemake):
+    write_speed_report(
+        snakemake.input.tables,
+        snakemake.input.materials,
+        snakemake.params.size,
+        snakemake.output.table,
+        snakemake.output.page,
+    )
