@@ -14,7 +14,7 @@ from scipy import fft, sparse
 from irodori.light import directions
 
 #: Widths of the ladder, rad: a factor √2 apart.
-WIDTHS_RAD = 0.01 * np.sqrt(2.0) * 2.0 ** (0.5 * np.arange(14))
+WIDTHS_RAD = 0.01 * 2.0 ** (0.5 * np.arange(-1, 13))
 _SAMPLES_PER_WIDTH = 3.0
 _FEWEST_ROWS = 12
 _CUT = 4.5  # widths beyond which the lobe is nothing
