@@ -144,7 +144,9 @@ def _across(normal, view, cos_r):
 
 @numba.njit(cache=True)
 def _add_lobe(maps, width, x, y, z, scale, out):
-    add_interpolated(maps.pixels, maps.first_pixel[width], maps.size[width, 0], maps.size[width, 1], x, y, z, scale, out)
+    add_interpolated(
+        maps.pixels, maps.first_pixel[width], maps.size[width, 0], maps.size[width, 1], x, y, z, scale, out
+    )
 
 
 @numba.njit(cache=True, error_model="numpy")

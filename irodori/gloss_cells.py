@@ -6,6 +6,7 @@ radian; each is a point at its centre of power, so that a small sun stands where
 """
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numba
@@ -28,11 +29,12 @@ class PointLights(NamedTuple):
 
 def point_lights(coefficients: np.ndarray) -> PointLights:
     """Return the points of an equirectangular picture, (height, width, k)."""
-    parts = [-(-least // size) for least, size in zip((_FEWEST_ROWS, 2 * _FEWEST_ROWS), coefficients.shape, strict=False)]
+    parts = [
+        -(-least // size) for least, size in zip((_FEWEST_ROWS, 2 * _FEWEST_ROWS), coefficients.shape, strict=False)
+    ]
     pixels = make_pixels(coefficients.repeat(parts[0], axis=0).repeat(parts[1], axis=1))
-    height, width, _ = pixels.values.shape
-    edges = np.round(np.linspace(0, height, _ROWS + 1)).astype(int)
-    found = [_band(pixels, slice(*rows)) for rows in zip(edges, edges[1:], strict=False)]
+    edges = np.round(np.linspace(0, len(pixels.values), _ROWS + 1)).astype(int)
+    found = [_band(pixels, slice(*rows)) for rows in pairwise(edges)]
     return PointLights(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 

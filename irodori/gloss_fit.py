@@ -93,9 +93,9 @@ def _candidates(mu: float, theta_r: float) -> tuple[np.ndarray, np.ndarray, np.n
     """Return the number of the width, and the axis' angles along and across, of lobes that may serve."""
     width, view = math.sqrt(2.0) * mu, unit(np.array(-theta_r), np.array(0.0))
     finest = min(width * max(_NARROWEST, min(_FINEST, _FINEST_ACROSS * math.cos(theta_r))), _FINEST_RAD)
-    inside = (WIDTHS_RAD <= 1.02 * width) & (WIDTHS_RAD >= finest)
+    first, last = np.searchsorted(WIDTHS_RAD, [finest, 1.02 * width])
     found = []
-    for number in np.flatnonzero(inside) if inside.any() else [0]:
+    for number in range(first, max(last, first + 1)):
         step = _SPACING * WIDTHS_RAD[number]
         low, high = max(theta_r - 7.0 * mu, -0.5 * math.pi), min(theta_r + 7.0 * mu, 0.5 * math.pi + 0.5 * step)
         # The mirror direction is one of them.

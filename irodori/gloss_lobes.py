@@ -28,9 +28,9 @@ PATH = Path(__file__).with_name("gloss_lobes.h5")
 class Lobes(NamedTuple):
     """The fitted table, over roughnesses and view angles; a weight of 0 ends the lobes of an entry.
 
-    ``weight`` is ∫ D G / cosθ_r dω of the lobe, of both where it is a pair. ``offset`` is the angle of its axis from the
-    normal within the plane of incidence, away from the view, less θ_r; ``across`` its angle out of that plane, 0 or that
-    of a pair. ``incidence`` is the angle θ_H at which its light is reflected, less θ_r.
+    ``weight`` is ∫ D G / cosθ_r dω of the lobe, of both where it is a pair. ``offset`` is the angle of its axis from
+    the normal within the plane of incidence, away from the view, less θ_r; ``across`` its angle out of that plane, 0 or
+    that of a pair. ``incidence`` is the angle θ_H at which its light is reflected, less θ_r.
     """
 
     mu: np.ndarray  # (m,) rad

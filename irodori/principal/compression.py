@@ -127,7 +127,17 @@ class Compression:
         tiles = source if isinstance(source, Tiles) else Tiles(source)
         yield from tiles.map(lambda rows, first, worker: self.encode(rows))
 
-    def write(self, out: store.Writer, name: str, source, size: tuple[int, int], *, quantity: str, codec: str) -> None:
+    def write(
+        self,
+        out: store.Writer,
+        name: str,
+        source,
+        size: tuple[int, int],
+        *,
+        quantity: str,
+        codec: str,
+        decoded: np.ndarray | None = None,
+    ) -> None:
         """Write a picture's coefficients, tile by tile, to a dataset (height, width, k).
 
         Parameters
@@ -138,6 +148,8 @@ class Compression:
             The picture that was analysed.
         size : (height, width)
         quantity, codec : str
+        decoded : (height, width, k) float32, optional
+            Filled with the coefficients as they come back from storage.
         """
         height, width = size
         shape = (height, width, self.bases)
@@ -149,7 +161,10 @@ class Compression:
         for tile in self.tiles(source):
             rest = np.concatenate([rest, tile]) if len(rest) else tile
             rows = len(rest) // width
-            dataset[row : row + rows] = rest[: rows * width].reshape(rows, width, self.bases)
+            whole = rest[: rows * width].reshape(rows, width, self.bases)
+            dataset[row : row + rows] = whole
+            if decoded is not None:
+                decoded[row : row + rows] = self.decode(whole)
             row, rest = row + rows, rest[rows * width :]
         if row != height or len(rest):
             raise ValueError(f"a picture of {row * width + len(rest)} pixels; accepted: {height} rows of {width}")

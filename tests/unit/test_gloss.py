@@ -12,8 +12,8 @@ from irodori import store
 from irodori.brdf import fresnel
 from irodori.errors import InputError
 from irodori.gloss import GlossMaps, gloss_radiance
-from irodori.gloss_errors import gloss_errors, places, true_gloss
 from irodori.gloss_cells import point_lights
+from irodori.gloss_errors import gloss_errors, places, true_gloss
 from irodori.gloss_fit import fit_lobe, gaussians, lobe_samples, unit
 from irodori.gloss_lobes import fitted_lobes
 from irodori.irradiance import Integrator
@@ -112,7 +112,9 @@ def constant():
     return Integrator(coefficients), GlossMaps.of(coefficients)
 
 
-@pytest.mark.parametrize(("mu", "limit"), [(0.02, 0.02), (0.07, 0.02), (0.15, 0.03), (0.3, 0.04), (0.36, 0.03), (0.8, 0.01), (1.2, 0.01)])
+@pytest.mark.parametrize(
+    ("mu", "limit"), [(0.02, 0.02), (0.07, 0.02), (0.15, 0.03), (0.3, 0.04), (0.36, 0.03), (0.8, 0.01), (1.2, 0.01)]
+)
 @pytest.mark.parametrize("index", [(1.5, 0.0), (0.2, 3.4)])
 def test_constant_light_is_reflected_as_the_lobe_says(constant, mu, limit, index):
     integrator, maps = constant
