@@ -29,10 +29,10 @@ class PointLights(NamedTuple):
 
 def point_lights(coefficients: np.ndarray) -> PointLights:
     """Return the points of an equirectangular picture, (height, width, k)."""
-    parts = [
-        -(-least // size) for least, size in zip((_FEWEST_ROWS, 2 * _FEWEST_ROWS), coefficients.shape, strict=False)
-    ]
-    pixels = make_pixels(coefficients.repeat(parts[0], axis=0).repeat(parts[1], axis=1))
+    for axis, least in enumerate((_FEWEST_ROWS, 2 * _FEWEST_ROWS)):
+        if coefficients.shape[axis] < least:
+            coefficients = coefficients.repeat(-(-least // coefficients.shape[axis]), axis=axis)
+    pixels = make_pixels(coefficients)
     edges = np.round(np.linspace(0, len(pixels.values), _ROWS + 1)).astype(int)
     found = [_band(pixels, slice(*rows)) for rows in pairwise(edges)]
     return PointLights(*(np.concatenate(column) for column in zip(*found, strict=True)))

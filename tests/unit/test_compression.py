@@ -382,7 +382,7 @@ def test_the_maps_are_compressed_with_the_chosen_weighting_and_both_are_reported
         assert said["masked_pixels"] == 3 and said["pixels"] == 600
         assert said["bases"] == found.bases == said["weightings"][weighting]["bases"]
         assert set(said["weightings"]) == {"nothing", "visual"} and len(said["drift"]) == 5
-        page = compression_section("vase & lid", json.loads(json.dumps(said)))
+        page = compression_section("vase & lid", json.loads(json.dumps(said)), "12 MB")
         assert (
             f"<td>{weighting} (in use)</td>" in page and "vase &amp; lid" in page and "3 of 600 pixels masked" in page
         )
