@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import DATA
+from scipy.special import ive
 
 from irodori import store
 from irodori.brdf import fresnel
@@ -18,7 +19,7 @@ from irodori.gloss_fit import fit_lobe, gaussians, lobe_samples, unit
 from irodori.gloss_lobes import fitted_lobes
 from irodori.irradiance import Integrator
 from irodori.light import Environment, directions
-from irodori.prefilter import WIDTHS_RAD, first_level, prefiltered
+from irodori.prefilter import WIDTHS_RAD, _bessel_series, first_level, prefiltered
 from irodori.sphere import look_up
 
 
@@ -62,6 +63,13 @@ def test_blurred_light_is_the_sum_over_the_pixels_at_poles_and_seam_too(place):
 def test_constant_light_stays_constant_when_blurred(size):
     for level in prefiltered(np.full((*size, 1), 3.0, np.float32))[1]:
         assert np.abs(level / 3.0 - 1.0).max() <= 0.01
+
+
+@given(z=st.floats(300.0, 1e5), terms=st.integers(2, 1500))
+@settings(deadline=None, max_examples=40)
+def test_the_series_of_a_narrow_lobe_is_of_bessel_functions(z, terms):
+    found = _bessel_series(np.zeros((1, 1)), np.array([[z]]), terms)[0]
+    assert np.abs(found - ive(np.arange(terms), z)).max() <= 2e-6 * ive(0, z)
 
 
 @given(height=st.integers(1, 40), width=st.integers(1, 60), seed=st.integers(0, 2**32 - 1))
