@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from irodori import store
-from irodori.coefficients import from_half, half_scale, require_storage, reserve_coefficients
+from irodori.coefficients import from_half, half_scale, require_storage, reserve_coefficients, rounded_to_half
 from irodori.colour import summary
 from irodori.principal.decomposition import WEIGHTINGS, Decomposition, decompose
 from irodori.principal.moments import SAMPLE_PIXELS, Moments, second_moments
@@ -108,10 +108,7 @@ class Compression:
         finite = np.isfinite(out)
         if not finite.all():
             out[~finite.all(axis=1)] = np.nan
-        if self.storage != "half":
-            return out
-        with np.errstate(under="ignore"):
-            return out.astype(np.float16)
+        return rounded_to_half(out) if self.storage == "half" else out
 
     def decode(self, stored: np.ndarray) -> np.ndarray:
         """Return stored coefficients (n, k) as float32."""
