@@ -154,26 +154,11 @@ def compress_reflectance(
     observers = {name: (matrix := xyz_from_reflectance(name), matrix.sum(axis=1)) for name in lights}
     weights[~observed] = np.nan
     compression, compared = compress_maps(weights, calibration.basis, observers, options)
-    coefficients = np.concatenate([compression.decode(tile) for tile in compression.tiles(weights)])
-    coefficients = coefficients.reshape(height, width, -1)
-    maps_of_confidence = confidence(calibration, maps["diffuse_response"], variance)
-    n, k = refractive_index(definition["refractive_index"])
-    material = Material(
-        alpha=maps["alpha"],
-        beta=maps["beta"],
-        mu=maps["mu"],
-        green_response=maps["diffuse_response"][..., _GREEN],
-        coefficients=coefficients,
-        basis=compression.basis,
-        n=n,
-        k=k,
-        mirror=float(definition["mirror_weight"]),
-        typical_gloss=typical_gloss(maps["beta"], maps["mu"], maps["mu_error"]),
-        extra={name: (maps[name], units, what) for name, (units, what) in _COLUMNS.items()} | maps_of_confidence,
-    )
-    error, _, _ = maps_of_confidence["reflectance_error"]
+    reliability = confidence(calibration, maps["diffuse_response"], variance)
+    material = _material(definition, maps, weights, compression, reliability)
+    error, _, _ = reliability["reflectance_error"]
     errors = {
-        "out_of_training_fraction": float((maps_of_confidence["out_of_training"][0][observed] == 1).mean()),
+        "out_of_training_fraction": float((reliability["out_of_training"][0][observed] == 1).mean()),
         "reflectance_error_median": float(np.median(error[observed])),
         "delta_e": compression.errors,
         "negative_fraction": compression.negative.fraction,
@@ -183,6 +168,27 @@ def compress_reflectance(
     }
     material.save(output, provenance, errors, storage=options.storage, codec=options.codec)
     _log(material, compression, observed)
+
+
+def _material(
+    definition: dict, maps: dict[str, np.ndarray], weights: np.ndarray, compression: Compression, reliability: dict
+) -> Material:
+    """Return the material of an object's maps; ``weights``, (height, width, r), are its reflectance before."""
+    coefficients = np.concatenate([compression.decode(tile) for tile in compression.tiles(weights)])
+    n, k = refractive_index(definition["refractive_index"])
+    return Material(
+        alpha=maps["alpha"],
+        beta=maps["beta"],
+        mu=maps["mu"],
+        green_response=maps["diffuse_response"][..., _GREEN],
+        coefficients=coefficients.reshape(*weights.shape[:2], -1),
+        basis=compression.basis,
+        n=n,
+        k=k,
+        mirror=float(definition["mirror_weight"]),
+        typical_gloss=typical_gloss(maps["beta"], maps["mu"], maps["mu_error"]),
+        extra={name: (maps[name], units, what) for name, (units, what) in _COLUMNS.items()} | reliability,
+    )
 
 
 def compress_maps(

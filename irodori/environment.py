@@ -1,5 +1,7 @@
 """From an omnidirectional picture to compressed light, its irradiance map and gloss maps: equations (4), (8), (9)."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from irodori import store
@@ -8,35 +10,25 @@ from irodori.errors import InputError
 from irodori.gloss import GlossMaps
 from irodori.gloss_errors import gloss_errors
 from irodori.irradiance import Integrator, fitted_irradiance_map
-from irodori.light import Environment
+from irodori.light import QUANTITY, Environment
 from irodori.light_files import rgb_picture, spectral_picture
 from irodori.mirror_ball import RIM, unwrapped
-from irodori.omnidirectional import Picture
+from irodori.omnidirectional import MeanLight, Picture, bands
 from irodori.placed_lights import lights_picture
-from irodori.principal import CompressOptions, compress
+from irodori.principal import Compression, CompressOptions, Tiles, choose, second_moments
 from irodori.progress import LOGGER
 from irodori.recovery import Calibration
 
 _READERS = {"rgb": rgb_picture, "spectral": spectral_picture}
 
 
+def lost_neighbours(masked: np.ndarray) -> int:
+    """Return how many masked pixels have a masked neighbour in their row, which closes on itself: (height, width)."""
+    return int((masked & (np.roll(masked, 1, axis=1) | np.roll(masked, -1, axis=1))).sum())
+
+
 def fill_masked(response: np.ndarray, masked: np.ndarray) -> np.ndarray:
-    """Return a panorama whose single masked pixels take the mean of their neighbours along the row.
-
-    Parameters
-    ----------
-    response : (height, width, bands) float
-        Longitude by latitude: the row closes on itself.
-    masked : (height, width) bool
-
-    Raises
-    ------
-    ValueError
-        If a masked pixel has a masked neighbour in its row.
-    """
-    left, right = np.roll(masked, 1, axis=1), np.roll(masked, -1, axis=1)
-    if (masked & (left | right)).any():
-        raise ValueError(f"{int((masked & (left | right)).sum())} masked pixels beside each other in a row")
+    """Return rows of a panorama, (rows, width, bands), whose masked pixels take the mean of their two neighbours."""
     filled = response.copy()
     rows, columns = np.nonzero(masked)
     width = response.shape[1]
@@ -44,8 +36,8 @@ def fill_masked(response: np.ndarray, masked: np.ndarray) -> np.ndarray:
     return filled
 
 
-def _read_linear(linear, part=None) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Return response, mask and filter states of a photograph; refuse one that is saturated where it is used.
+def _read_masks(linear, part=None) -> tuple[np.ndarray, list[str]]:
+    """Return where a photograph is valid and its filter states; refuse one that is saturated where it is used.
 
     Parameters
     ----------
@@ -54,29 +46,34 @@ def _read_linear(linear, part=None) -> tuple[np.ndarray, np.ndarray, list[str]]:
         (height, width) -> (height, width) bool, the pixels that are used; all where absent.
     """
     with store.open_file(linear) as file:
-        response, valid = file.read("response"), file.read("valid").astype(bool)
-        clipped = file.read("clipped").astype(bool)
+        valid, clipped = file.read("valid").astype(bool), file.read("clipped").astype(bool)
         filters = file.attribute("filters")
     used = clipped if part is None else clipped & part(*valid.shape)
     if used.any():
         found = f"{int(used.sum())} pixels saturated in every bracket"
         raise InputError(linear, "exposure_s", found, "a shorter bracket of the environment")
-    return response, valid, filters
+    return valid, filters
 
 
 def _photographed(linear, calibration: Calibration) -> Picture:
-    """Return the light of an equirectangular photograph."""
-    response, valid, filters = _read_linear(linear)
-    if not valid.all():
-        try:
-            response = fill_masked(response, ~valid)
-        except ValueError as error:
-            accepted = "masked pixels that stand alone, or a stitched panorama"
-            raise InputError(linear, "valid", str(error), accepted) from None
-        LOGGER.info("%d masked pixels filled from their neighbours along the row", int((~valid).sum()))
+    """Return the light of an equirectangular photograph; its brackets were merged when it was read in."""
+    valid, filters = _read_masks(linear)
     calibration.require_filters(filters, linear)
+    beside = lost_neighbours(~valid)
+    if beside:
+        found, accepted = f"{beside} masked pixels beside each other in a row", "masked pixels that stand alone"
+        raise InputError(linear, "valid", found, f"{accepted}, or a stitched panorama")
+    if not valid.all():
+        LOGGER.info("%d masked pixels filled from their neighbours along the row", int((~valid).sum()))
+
+    def read() -> Iterator[np.ndarray]:
+        with store.open_file(linear) as file:
+            response = file.dataset("response")
+            for rows in bands(len(valid)):
+                yield calibration.weights(fill_masked(response[rows], ~valid[rows]))
+
     basis = calibration.basis * calibration.light[:, None]
-    return Picture(calibration.weights(response), basis, {"kind": "captures"})
+    return Picture(valid.shape, basis, read, linear, {"kind": "captures"})
 
 
 def _mirror_ball(linear, calibration: Calibration, source: dict, image: dict) -> Picture:
@@ -86,8 +83,10 @@ def _mirror_ball(linear, calibration: Calibration, source: dict, image: dict) ->
     def ball(height: int, width: int) -> np.ndarray:
         return np.hypot(np.arange(width) - x, np.arange(height)[:, None] - y) <= RIM * radius + 1.0
 
-    response, valid, filters = _read_linear(linear, ball)
+    valid, filters = _read_masks(linear, ball)
     calibration.require_filters(filters, linear)
+    with store.open_file(linear) as file:
+        response = file.read("response")
     weights = calibration.weights(np.where(valid[..., None], response, 0.0))
     return unwrapped(source, image, weights, valid, calibration.basis * calibration.light[:, None], linear)
 
@@ -110,13 +109,8 @@ def prepare_environment(
 
     Parameters
     ----------
-    linear, calibration_file, output : path
-    target_mean, align : see `irodori.principal.compress`
-    irradiance_options : dict
-        See `irodori.irradiance.fitted_irradiance_map`.
-    provenance : Provenance
-    with_gloss : bool
-        Whether gloss maps are made, and their errors.
+    linear, calibration_file : path
+    output, options, irradiance_options, provenance, with_gloss : see `write_environment`
     source : dict, optional
         Of the environment's definition; of the kind ``captures`` where absent.
     image : dict, optional
@@ -157,7 +151,7 @@ def make_environment(
         Of the kind ``rgb``, ``spectral`` or ``lights``.
     image : dict or None
         ``width`` and ``height`` of the picture of placed lights.
-    output, options, irradiance_options, provenance : see `prepare_environment`
+    output, options, irradiance_options, provenance, with_gloss : see `write_environment`
 
     Raises
     ------
@@ -172,13 +166,12 @@ def make_environment(
         picture = _READERS[source["kind"]](source["file"], source["scale"], source["centre_azimuth_deg"])
     else:
         raise ValueError(f"no light is made from {source['kind']!r}; accepted: lights, {', '.join(_READERS)}")
-    white = picture.mean_light()
-    write_environment(picture, white, output, options, irradiance_options, provenance, with_gloss)
+    write_environment(picture, None, output, options, irradiance_options, provenance, with_gloss)
 
 
 def write_environment(
     picture: Picture,
-    white: np.ndarray,
+    white: np.ndarray | None,
     output,
     options: CompressOptions,
     irradiance_options: dict,
@@ -187,41 +180,66 @@ def write_environment(
 ) -> None:
     """Compress an omnidirectional picture, integrate its maps and write the environment's file.
 
+    The picture is read twice, a band of rows at a time; its k coefficients a pixel are held for the maps.
+
     Parameters
     ----------
     picture : Picture
-    white : (61,) float
-        Radiance as which white is judged.
-    output, options, irradiance_options, provenance : see `prepare_environment`
+    white : (61,) float or None
+        Radiance as which white is judged; the mean over the sphere where None.
+    output : path
+    options : CompressOptions
+    irradiance_options : dict
+        See `irodori.irradiance.fitted_irradiance_map`.
+    provenance : Provenance
+    with_gloss : bool
+        Whether gloss maps are made, and their errors.
+
+    Raises
+    ------
+    InputError
+        If a pixel of the picture is not finite: every direction has its light.
     """
-    height, width, rank = picture.weights.shape
+    mean = MeanLight(picture.size)
+    tiles = Tiles(picture)
+    moments = second_moments(tiles, also=mean.add if white is None else None)
+    if moments.masked:
+        raise InputError(picture.file, "", f"{moments.masked} pixels that are not finite", "finite radiance everywhere")
+    white = mean.light(picture.basis) if white is None else white
     matrix = xyz_from_radiance(white)
-    observers = {"light": (matrix, matrix @ white)}
-    compressed = compress(picture.weights.reshape(height * width, rank), picture.basis, observers, options)
-    coefficients = compressed.coefficients.reshape(height, width, -1)
-    integrator = Integrator(coefficients)
-    irradiance, irradiance_errors = fitted_irradiance_map(coefficients, **irradiance_options, integrate=integrator)
-    gloss = GlossMaps.of(coefficients) if with_gloss else None
-    errors = {
-        "delta_e": compressed.errors,
-        "negative_fraction": compressed.negative_fraction,
-        "compression": compressed.compression.summary(),
-        "irradiance": irradiance_errors,
-    }
-    if gloss is not None:
-        errors["gloss"] = gloss_errors(integrator, gloss)
-    Environment(coefficients, compressed.basis, irradiance).save(
-        output, provenance, errors, gloss, picture.origin, storage=options.storage, codec=options.codec
-    )
-    if not compressed.compression.budget_met:
+    compression = choose(moments, picture.basis, {"light": (matrix, matrix @ white)}, options)
+    coefficients = np.empty((*picture.size, compression.bases), dtype=np.float32)
+    with store.create(output, provenance) as out:
+        compression.write(
+            out, "coefficients", tiles, picture.size, quantity=QUANTITY, codec=options.codec, decoded=coefficients
+        )
+        integrator = Integrator(coefficients)
+        irradiance, of_irradiance = fitted_irradiance_map(coefficients, **irradiance_options, integrate=integrator)
+        gloss = GlossMaps.of(coefficients) if with_gloss else None
+        errors = {
+            "delta_e": compression.errors,
+            "negative_fraction": compression.negative.fraction,
+            "compression": compression.summary(),
+            "irradiance": of_irradiance,
+        }
+        if gloss is not None:
+            errors["gloss"] = gloss_errors(integrator, gloss)
+        light = Environment(coefficients, compression.basis, irradiance)
+        light.write_rest(out, errors, gloss, picture.origin)
+    _log(compression, errors)
+
+
+def _log(compression: Compression, errors: dict) -> None:
+    if not compression.budget_met:
         LOGGER.warning("the colour error stays above its target with all bases; see the errors in the file")
+    of_light = compression.errors["light"]
     LOGGER.info(
         "%d bases of %d; CIEDE2000 of the compression mean %.3f p99 %.3f; negative samples %.2f %%",
-        compressed.basis.shape[1],
-        rank,
-        compressed.errors["light"]["mean"],
-        compressed.errors["light"]["p99"],
-        100 * compressed.negative_fraction,
+        compression.bases,
+        compression.rank,
+        of_light["mean"],
+        of_light["p99"],
+        100 * compression.negative.fraction,
     )
     for row in errors.get("gloss", []):
         LOGGER.info("gloss by look-up, mu %.2f rad, view %.0f degrees: rms error %.3f", *list(row.values())[:3])

@@ -1,7 +1,8 @@
 """Materials and environments as pictures that other programs read: ``python -m irodori.export material.h5 out.exr``.
 
 Spectral EXR in the published layout (Fichet et al. 2021), or TIFF of 32-bit floats with a channel a wavelength, both
-through OpenImageIO; spectra are decoded a band of rows at a time. A material has layers ``T.<λ>nm`` (reflectance) and
+through OpenImageIO, or ENVI, flat numbers with a header, through Spectral Python (OpenImageIO has no writer for it);
+spectra are decoded a band of rows at a time. A material has layers ``T.<λ>nm`` (reflectance) and
 α, β, μ; an environment has ``S0.<λ>nm``, a panorama as other programs have it: clockwise, azimuth 0 in the middle.
 """
 
@@ -17,6 +18,7 @@ import OpenImageIO as oiio
 from irodori import store
 from irodori.colour import xyz_from_radiance, xyz_from_reflectance
 from irodori.display import rgb_from_xyz
+from irodori.envi import INTERLEAVES, write_envi
 from irodori.errors import InputError, PlainError
 from irodori.light import Environment
 from irodori.material import Material
@@ -24,8 +26,9 @@ from irodori.omnidirectional import to_panorama
 from irodori.pictures import layer_names
 from irodori.spectra import WAVELENGTH_NM
 
-SUFFIXES = (".exr", ".tif", ".tiff")
+SUFFIXES = (".exr", ".tif", ".tiff", ".img")
 _ROWS = 32
+_ENVI_BANDS = [f"{wavelength:g} nm" for wavelength in WAVELENGTH_NM]  # a comma would part the list
 
 
 def _bands(height: int, rows: Callable[[slice], np.ndarray]) -> Iterator[tuple[int, int, np.ndarray]]:
@@ -68,7 +71,7 @@ def _attributes(units: str, names: list[str]) -> dict:
     }
 
 
-def export_material(source, path) -> None:
+def export_material(source, path, interleave: str = "bsq") -> None:
     """Write a material's reflectance factor and the maps α, β, μ.
 
     Parameters
@@ -76,23 +79,37 @@ def export_material(source, path) -> None:
     source : path
         ``material.h5``. Texels that nothing determined stay NaN.
     path : path
-        ``.exr`` or ``.tif``. RGB is linear sRGB under D65.
+        ``.exr`` or ``.tif``, where RGB is linear sRGB under D65; or ``.img`` of ENVI, which has wavelengths for all its
+        bands or none: α, β and μ are in a second one, ``<name>-maps.img``.
+    interleave : str
+        Of ENVI, see `irodori.envi.write_envi`.
     """
     material = Material.load(source)
     names = ["R", "G", "B", *layer_names("T"), "alpha", "beta", "mu"]
     to_xyz = xyz_from_reflectance("D65")
     to_rgb = rgb_from_xyz(to_xyz.sum(axis=1)) @ to_xyz
 
-    def rows(part: slice) -> np.ndarray:
-        spectra = material.coefficients[part] @ material.basis.T
-        maps = np.stack([material.alpha[part], material.beta[part], material.mu[part]], axis=-1)
-        return np.concatenate([spectra @ to_rgb.T, spectra, maps], axis=-1)
+    def decoded(part: slice) -> np.ndarray:
+        return material.coefficients[part] @ material.basis.T
 
-    units = "reflectance factor, 1 = perfect diffuser; alpha and beta are ratios, mu is in rad"
+    def maps(part: slice) -> np.ndarray:
+        return np.stack([material.alpha[part], material.beta[part], material.mu[part]], axis=-1)
+
+    def rows(part: slice) -> np.ndarray:
+        spectra = decoded(part)
+        return np.concatenate([spectra @ to_rgb.T, spectra, maps(part)], axis=-1)
+
+    reflectance, ratios = "reflectance factor, 1 = perfect diffuser", "alpha and beta are ratios, mu is in rad"
+    if _is_envi(path):
+        size, beside = material.alpha.shape, Path(path).with_name(f"{Path(path).stem}-maps.img")
+        write_envi(path, size, _ENVI_BANDS, decoded, interleave=interleave, units=reflectance)
+        write_envi(beside, size, names[-3:], maps, interleave=interleave, units=ratios)
+        return
+    units = f"{reflectance}; {ratios}"
     _write(Path(path), material.alpha.shape, names, _attributes(units, names), rows)
 
 
-def export_environment(source, path) -> None:
+def export_environment(source, path, interleave: str = "bsq") -> None:
     """Write an environment's radiance as a panorama.
 
     Parameters
@@ -100,7 +117,10 @@ def export_environment(source, path) -> None:
     source : path
         An environment's file.
     path : path
-        ``.exr`` or ``.tif``. RGB is linear sRGB with a perfect diffuser that faces up as white.
+        ``.exr`` or ``.tif``, where RGB is linear sRGB with a perfect diffuser that faces up as white; or ``.img`` of
+        ENVI.
+    interleave : str
+        Of ENVI, see `irodori.envi.write_envi`.
     """
     environment = Environment.load(source)
     names = ["R", "G", "B", *layer_names("S0")]
@@ -108,31 +128,52 @@ def export_environment(source, path) -> None:
     matrix = xyz_from_radiance(white) if (white > 0).any() else np.zeros((3, WAVELENGTH_NM.size))
     to_rgb = rgb_from_xyz(matrix @ white) @ matrix if matrix.any() else matrix
 
+    def decoded(part: slice) -> np.ndarray:
+        return to_panorama(environment.coefficients[part].astype(np.float32)) @ environment.basis.T
+
     def rows(part: slice) -> np.ndarray:
-        spectra = to_panorama(environment.coefficients[part].astype(np.float32)) @ environment.basis.T
+        spectra = decoded(part)
         return np.concatenate([spectra @ to_rgb.T, spectra], axis=-1)
 
     units = "relative spectral radiance"
+    if _is_envi(path):
+        size = environment.coefficients.shape[:2]
+        write_envi(path, size, _ENVI_BANDS, decoded, interleave=interleave, units=units)
+        return
     attributes = _attributes(units, names) | {"emissiveUnits": units}
     _write(Path(path), environment.coefficients.shape[:2], names, attributes, rows)
 
 
-def export(source, path) -> None:
+def _is_envi(path) -> bool:
+    return Path(path).suffix.lower() == ".img"
+
+
+def export(source, path, interleave: str | None = None) -> None:
     """Write a material or an environment in the format that the suffix of ``path`` names.
+
+    Parameters
+    ----------
+    source, path : path
+    interleave : str, optional
+        Of ENVI, ``bsq`` where absent; see `irodori.envi.write_envi`.
 
     Raises
     ------
     InputError
-        For another suffix, or a file that is neither material nor environment.
+        For another suffix, a file that is neither material nor environment, or an interleave that is unknown or asked
+        of another format.
     """
+    if interleave is not None and not (_is_envi(path) and interleave in INTERLEAVES):
+        raise InputError(path, "interleave", interleave, f"one of {', '.join(INTERLEAVES)}, with the suffix .img")
+    interleave = interleave or INTERLEAVES[0]
     if Path(path).suffix.lower() not in SUFFIXES:
         raise InputError(path, "", f"the suffix {Path(path).suffix!r}", f"one of {', '.join(SUFFIXES)}")
     with store.open_file(source) as file:
         is_material, is_environment = "reflectance/coefficients" in file, "irradiance" in file
     if is_material:
-        export_material(source, path)
+        export_material(source, path, interleave)
     elif is_environment:
-        export_environment(source, path)
+        export_environment(source, path, interleave)
     else:
         raise InputError(source, "", "neither a material nor an environment", "material.h5 or an environment's file")
 
@@ -142,9 +183,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m irodori.export", description=__doc__.partition(":")[0])
     parser.add_argument("source", help="material.h5 or an environment's file")
     parser.add_argument("output", help=f"picture to write, {', '.join(SUFFIXES)}")
+    parser.add_argument("--interleave", help=f"of ENVI (.img): {', '.join(INTERLEAVES)}; the first where absent")
     given = parser.parse_args(arguments)
     try:
-        export(given.source, given.output)
+        export(given.source, given.output, given.interleave)
     except PlainError as error:
         print(error, file=sys.stderr)
         return 2

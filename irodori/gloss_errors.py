@@ -10,8 +10,8 @@ from irodori.gloss import GlossMaps, gloss_radiance
 from irodori.irradiance import Integrator
 
 #: Roughnesses (rad) and view angles (degrees) of the table.
-MU_RAD = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
-THETA_R_DEG = (0.0, 30.0, 60.0, 75.0, 85.0)
+MU_RAD = (0.01, 0.02, 0.05, 0.1, 0.2, 0.36, 0.8, 1.2)
+THETA_R_DEG = (0.0, 30.0, 60.0, 75.0, 80.0, 85.0)
 _PLACES = 3
 _CELLS_PER_WIDTH = 10.0  # light is summed in cells that are small against the lobe
 _REACH = 3.3

@@ -11,6 +11,9 @@ import numpy as np
 from irodori import store
 from irodori.coefficients import read_coefficients, write_coefficients
 
+#: What the coefficients of an environment are.
+QUANTITY = "coefficients of the radiance"
+
 
 @dataclass(frozen=True)
 class Environment:
@@ -55,26 +58,18 @@ class Environment:
             See `irodori.coefficients`.
         """
         with store.create(path, provenance) as out:
-            write_coefficients(
-                out,
-                "coefficients",
-                self.coefficients,
-                quantity="coefficients of the radiance",
-                storage=storage,
-                codec=codec,
-            )
-            out.write("basis", self.basis, units="1", dims="wavelength,basis", quantity="spectral basis of the light")
-            out.write(
-                "irradiance",
-                self.irradiance,
-                units="sr",
-                dims="row,column,basis",
-                quantity="coefficients of the irradiance map",
-            )
-            if gloss is not None:
-                gloss.write(out)
-            out.attribute("errors", errors or {})
-            out.attribute("origin", origin or {})
+            write_coefficients(out, "coefficients", self.coefficients, quantity=QUANTITY, storage=storage, codec=codec)
+            self.write_rest(out, errors, gloss, origin)
+
+    def write_rest(self, out: store.Writer, errors: dict | None = None, gloss=None, origin: dict | None = None) -> None:
+        """Write all but the coefficients into an open file; see `save`."""
+        out.write("basis", self.basis, units="1", dims="wavelength,basis", quantity="spectral basis of the light")
+        names = {"units": "sr", "dims": "row,column,basis", "quantity": "coefficients of the irradiance map"}
+        out.write("irradiance", self.irradiance, **names)
+        if gloss is not None:
+            gloss.write(out)
+        out.attribute("errors", errors or {})
+        out.attribute("origin", origin or {})
 
     @classmethod
     def load(cls, path) -> "Environment":
@@ -87,13 +82,13 @@ class Environment:
         return self.basis @ self.irradiance[0].astype(np.float64).mean(axis=0) / np.pi
 
 
-def directions(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the unit vector (height, width, 3) and the solid angle in sr (height, width) of every pixel.
+def directions(width: int, height: int, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+    """Return the unit vector (height, width, 3) and the solid angle in sr (height, width) of every pixel, or of rows.
 
     Solid angles are exact: the difference of the cosines of a row's edges times its width in azimuth.
     """
     edges = np.linspace(0.0, np.pi, height + 1)
-    theta = 0.5 * (edges[1:] + edges[:-1])
+    theta = 0.5 * (edges[1:] + edges[:-1])[rows]
     azimuth = 2 * np.pi * (np.arange(width) + 0.5) / width
     unit = np.stack(
         [
@@ -103,5 +98,5 @@ def directions(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
         ],
         axis=-1,
     )
-    solid_angle = np.repeat((np.cos(edges[:-1]) - np.cos(edges[1:]))[:, None], width, axis=1) * (2 * np.pi / width)
-    return unit, solid_angle
+    of_row = (np.cos(edges[:-1]) - np.cos(edges[1:]))[rows] * (2 * np.pi / width)
+    return unit, np.repeat(of_row[:, None], width, axis=1)

@@ -1,12 +1,12 @@
 """Environments from the files of other programs: RGB pictures of high dynamic range and spectral EXR."""
 
+from collections.abc import Iterator
+
 import numpy as np
-import OpenImageIO as oiio
 
 from irodori.errors import InputError
-from irodori.omnidirectional import Picture, from_panorama
-from irodori.pictures import read_layers
-from irodori.progress import LOGGER
+from irodori.omnidirectional import BAND_ROWS, Picture, from_panorama
+from irodori.pictures import layers_of, picture_bands, picture_header
 from irodori.spectra import WAVELENGTH_NM, light
 from irodori.spectra.resampling import resample_picture
 
@@ -27,32 +27,32 @@ def mallett_basis() -> np.ndarray:
     return np.stack(columns, axis=1) * light("D65")[:, None]
 
 
-def _read_rgb(path) -> np.ndarray:
-    source = oiio.ImageInput.open(str(path))
-    if source is None:
-        raise InputError(path, "", f"a file OpenImageIO cannot open ({oiio.geterror()})", "an HDR or EXR picture")
-    try:
-        spec = source.spec()
-        names, depth = list(spec.channelnames), str(spec.format)
-        pixels = source.read_image("float")
-    finally:
-        source.close()
-    if depth not in ("half", "float", "double"):
-        accepted = "linear light: half or float samples, as EXR and Radiance HDR have"
-        raise InputError(path, "", f"{depth} samples, which are made for a display", accepted)
-    if pixels is None:
-        raise InputError(path, "", "a truncated picture", "a whole HDR or EXR picture")
-    missing = [name for name in "RGB" if name not in names]
-    if missing:
-        found = f"no channel {missing[0]} among {', '.join(names[:6])}"
-        raise InputError(path, "channels", found, "the channels R, G and B")
-    return pixels[..., [names.index(name) for name in "RGB"]]
-
-
-def _finite(pixels: np.ndarray, path) -> None:
-    bad = int((~np.isfinite(pixels)).any(axis=-1).sum())
+def _finite(band: np.ndarray, first: int, path) -> np.ndarray:
+    """Return a band of a picture; refuse one with a pixel that is not finite."""
+    bad = int((~np.isfinite(band)).any(axis=-1).sum())
     if bad:
-        raise InputError(path, "", f"{bad} pixels that are not finite", "finite radiance everywhere")
+        found = f"{bad} pixels that are not finite in rows {first} to {first + len(band) - 1}"
+        raise InputError(path, "", found, "finite radiance everywhere")
+    return band
+
+
+class _NotNegative:
+    """Bands of a picture with what is negative set to 0 and counted; the counts are those of one reading."""
+
+    def __init__(self, origin: dict) -> None:
+        self._origin, self._counts = origin, {}
+        origin |= {"negative_pixels": 0, "negative_sum_over_positive": 0.0}
+
+    def __call__(self, band: np.ndarray, first: int) -> np.ndarray:
+        """Return a band (rows, width, n) of which the first row has a number."""
+        out = np.maximum(band, 0.0)
+        removed = out - band
+        self._counts[first] = (
+            int(removed.any(axis=-1).sum()), removed.sum(dtype=np.float64), out.sum(dtype=np.float64)
+        )  # fmt: skip
+        pixels, below, above = (sum(column) for column in zip(*self._counts.values(), strict=True))
+        self._origin |= {"negative_pixels": pixels, "negative_sum_over_positive": float(below / max(above, 1e-30))}
+        return out
 
 
 def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Picture:
@@ -70,28 +70,30 @@ def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Pi
     Raises
     ------
     InputError
-        If the file cannot be read, has no R, G and B, is made for a display, or a pixel is not finite.
+        If the file cannot be read, has no R, G and B, or is made for a display; while it is read, if it is truncated or
+        a pixel is not finite.
 
     Notes
     -----
     Negative values, which lossy compression and wide gamuts leave, are set to 0 and counted in ``origin``.
     """
-    pixels = _read_rgb(path)
-    _finite(pixels, path)
-    negative = pixels < 0.0
-    count = int(negative.any(axis=-1).sum())
-    if count:
-        LOGGER.info("%d of %d pixels had negative values, set to 0", count, negative[..., 0].size)
-    weights = from_panorama(np.maximum(pixels, 0.0) * np.float32(scale), centre_azimuth_deg)
-    origin = {
-        "kind": "rgb",
-        "assumption": _RGB_ASSUMPTION,
-        "negative_pixels": count,
-        "negative_sum_over_positive": float(
-            -pixels[negative].sum(dtype=np.float64) / max(weights.sum() / scale, 1e-30)
-        ),
-    }
-    return Picture(np.ascontiguousarray(weights), mallett_basis(), origin)
+    shape, names, depth = picture_header(path)
+    if depth not in ("half", "float", "double"):
+        accepted = "linear light: half or float samples, as EXR and Radiance HDR have"
+        raise InputError(path, "", f"{depth} samples, which are made for a display", accepted)
+    missing = [name for name in "RGB" if name not in names]
+    if missing:
+        found = f"no channel {missing[0]} among {', '.join(names[:6])}"
+        raise InputError(path, "channels", found, "the channels R, G and B")
+    origin = {"kind": "rgb", "assumption": _RGB_ASSUMPTION}
+    not_negative, channels = _NotNegative(origin), [names.index(name) for name in "RGB"]
+
+    def read() -> Iterator[np.ndarray]:
+        for first, band in picture_bands(path, BAND_ROWS):
+            rgb = not_negative(_finite(band[..., channels], first, path), first)
+            yield from_panorama(rgb * np.float32(scale), centre_azimuth_deg)
+
+    return Picture(shape, mallett_basis(), read, path, origin)
 
 
 def spectral_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Picture:
@@ -108,21 +110,20 @@ def spectral_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) 
     Raises
     ------
     InputError
-        If the file cannot be read, holds no emissive layers (a picture of reflectances is no light), does not cover the
-        wavelengths, or a value is not finite.
+        If the file cannot be read, holds no emissive layers (a picture of reflectances is no light), or does not cover
+        the wavelengths; while it is read, if it is truncated or a value is not finite.
     """
-    wavelength_nm, pixels = read_layers(path, "S0")
-    _finite(pixels, path)
-    values = resample_picture(wavelength_nm, pixels, path)
-    negative = values < 0.0
-    count = int(negative.any(axis=-1).sum())
-    if count:
-        LOGGER.info("%d pixels had negative values, set to 0", count)
-        values[negative] = 0.0
-    origin = {
-        "kind": "spectral",
-        "negative_pixels": count,
-        "wavelengths_nm": [float(wavelength_nm[0]), float(wavelength_nm[-1]), len(wavelength_nm)],
-    }
-    weights = from_panorama(values * np.float32(scale), centre_azimuth_deg)
-    return Picture(np.ascontiguousarray(weights), np.eye(WAVELENGTH_NM.size), origin)
+    shape, names, _ = picture_header(path)
+    wavelength_nm, channels = layers_of(names, "S0", path)
+    resample_picture(wavelength_nm, np.zeros((1, len(wavelength_nm)), np.float32), path)  # refuses before reading
+    bounds = [float(wavelength_nm[0]), float(wavelength_nm[-1]), len(wavelength_nm)]
+    origin = {"kind": "spectral", "wavelengths_nm": bounds}
+    not_negative = _NotNegative(origin)
+
+    def read() -> Iterator[np.ndarray]:
+        for first, band in picture_bands(path, BAND_ROWS):
+            spectra = _finite(band[..., channels], first, path)
+            values = not_negative(resample_picture(wavelength_nm, spectra, path), first)
+            yield from_panorama(values * np.float32(scale), centre_azimuth_deg)
+
+    return Picture(shape, np.eye(WAVELENGTH_NM.size), read, path, origin)

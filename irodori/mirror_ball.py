@@ -6,13 +6,14 @@ directions about the point opposite the camera into few pixels; those beyond `RI
 """
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
 from irodori.brdf import fresnel
 from irodori.errors import InputError
 from irodori.light import directions
-from irodori.omnidirectional import Picture
+from irodori.omnidirectional import Picture, bands
 from irodori.placed_lights import direction_of
 from irodori.progress import LOGGER
 from irodori.spectra import SAMPLES, refractive_index, spectrum
@@ -53,8 +54,10 @@ def inverse_reflectance(source: dict, cos_h: np.ndarray) -> tuple[np.ndarray, np
     return np.stack(factors, axis=-1), vt[:count].T
 
 
-def ball_places(source: dict, width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return where an equirectangular picture's directions are seen in the photograph of the ball.
+def ball_places(
+    source: dict, width: int, height: int, rows: slice = slice(None)
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return where an equirectangular picture's directions, all or those of rows, are seen in the ball's photograph.
 
     Returns
     -------
@@ -69,7 +72,7 @@ def ball_places(source: dict, width: int, height: int) -> tuple[np.ndarray, np.n
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     up = np.cross(to_camera, right)
     right, up = np.cos(roll) * right + np.sin(roll) * up, np.cos(roll) * up - np.sin(roll) * right
-    unit = directions(width, height)[0]
+    unit = directions(width, height, rows)[0]
     half = unit + to_camera
     length = np.linalg.norm(half, axis=-1, keepdims=True)
     half = np.divide(half, length, out=np.broadcast_to(right, half.shape).copy(), where=length > 1e-9)
@@ -102,7 +105,7 @@ def _bilinear(values: np.ndarray, valid: np.ndarray, x: np.ndarray, y: np.ndarra
 
 
 def unwrapped(source: dict, image: dict, weights, valid, basis: np.ndarray, path) -> Picture:
-    """Return the light around a mirror ball.
+    """Return the light around a mirror ball; the photograph is held whole, for its pixels are wanted in no order.
 
     Parameters
     ----------
@@ -121,23 +124,30 @@ def unwrapped(source: dict, image: dict, weights, valid, basis: np.ndarray, path
     Raises
     ------
     InputError
-        If the ball does not lie within the photograph, or masked pixels stand together.
+        If the ball does not lie within the photograph; while it is read, if masked pixels stand together.
     """
     rows, columns = valid.shape
     (x, y), radius = source["centre_px"], source["radius_px"]
     if min(x, y) - radius < -0.5 or x + radius > columns - 0.5 or y + radius > rows - 0.5:
         found = f"a ball about {x:g}, {y:g} of radius {radius:g}, beyond the photograph"
         raise InputError(path, "response", found, f"a ball within {columns} x {rows} pixels")
-    x_px, y_px, sine = ball_places(source, image["width"], image["height"])
-    blind = float((directions(image["width"], image["height"])[1] * (sine > RIM)).sum() / (4 * np.pi))
+    # The directions beyond the rim are a cone about the line of sight, of half the angle π - 2 asin(RIM).
+    blind = 1.0 - RIM**2
     LOGGER.info("mirror ball: %.1f %% of the sphere lies behind it and takes the values of its rim", 100 * blind)
-    seen = _bilinear(weights, valid, x_px, y_px, path)
-    factors, spectra = inverse_reflectance(source, np.sqrt(1.0 - np.minimum(sine, RIM) ** 2).ravel())
-    out = seen.reshape(-1, 1, seen.shape[-1]) * factors[:, :, None]
-    full = np.einsum("lt,lr->ltr", spectra, basis).reshape(len(basis), -1)
+    size = image["height"], image["width"]
+    full = np.einsum("lt,lr->ltr", inverse_reflectance(source, np.ones(1))[1], basis).reshape(len(basis), -1)
+
+    def read() -> Iterator[np.ndarray]:
+        for part in bands(size[0]):
+            x_px, y_px, sine = ball_places(source, size[1], size[0], part)
+            seen = _bilinear(weights, valid, x_px, y_px, path)
+            factors, _ = inverse_reflectance(source, np.sqrt(1.0 - np.minimum(sine, RIM) ** 2).ravel())
+            out = seen.reshape(-1, 1, seen.shape[-1]) * factors[:, :, None]
+            yield out.reshape(*x_px.shape, -1).astype(np.float32)
+
     origin = {
         "kind": "mirror_ball",
         "assumption": "an orthographic camera: it stands far from the ball against the ball's radius",
         "blind_fraction": blind,
     }
-    return Picture(out.reshape(*x_px.shape, -1).astype(np.float32), full, origin)
+    return Picture(size, full, read, path, origin)

@@ -4,37 +4,77 @@ Here columns run with the azimuth, from +x towards +y, which is counter-clockwis
 the outside of a globe. A photographed panorama shows what stands around the eye, so that its columns run clockwise.
 """
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from irodori.light import directions
 
+#: Rows of a picture that are read together; EXR packs 16 or 32.
+BAND_ROWS = 32
+
 
 @dataclass(frozen=True)
 class Picture:
-    """Light from every direction.
+    """Light from every direction, read a band of rows at a time, as often as wanted.
 
     Parameters
     ----------
-    weights : (height, width, r) float
-        L(λ) = basis @ weights.
+    size : (height, width)
     basis : (61, r) float
+        L(λ) = basis @ weights.
+    read : callable
+        Returns an iterator over bands (rows, width, r) float32 from the zenith down.
+    file : path
+        Named in error messages.
     origin : dict
-        What it was made from and what was assumed.
+        What it was made from and what was assumed; counts are complete when all bands have been read.
     """
 
-    weights: np.ndarray
+    size: tuple[int, int]
     basis: np.ndarray
+    read: Callable[[], Iterator[np.ndarray]]
+    file: object = ""
     origin: dict = field(default_factory=dict)
 
-    def mean_light(self) -> np.ndarray:
-        """Return the mean radiance over the sphere, (61,), what is negative left out; equal energy where it is dark."""
-        height, width = self.weights.shape[:2]
-        solid_angle = directions(1, height)[1][:, 0] / (4 * np.pi * width)
-        mean = self.basis @ np.einsum("h,hwr->r", solid_angle, self.weights, dtype=np.float64)
-        mean = np.maximum(mean, 0.0)
+    def __iter__(self) -> Iterator[np.ndarray]:
+        return iter(self.read())
+
+    @property
+    def weights(self) -> np.ndarray:
+        """The whole picture, (height, width, r) float32; for small ones."""
+        return np.concatenate(list(self))
+
+
+class MeanLight:
+    """Mean of a picture's pixels over the sphere, gathered while tiles of it are read in any order.
+
+    Parameters
+    ----------
+    size : (height, width)
+    """
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        height, width = size
+        self._width, self._share = width, directions(1, height)[1][:, 0] / (4 * np.pi * width)
+        self._sums: dict[int, np.ndarray] = {}
+
+    def add(self, rows: np.ndarray, first: int) -> None:
+        """Take in pixels (n, r) of which the first has a number."""
+        share = self._share[(first + np.arange(len(rows))) // self._width]
+        self._sums[first] = share @ rows
+
+    def light(self, basis: np.ndarray) -> np.ndarray:
+        """Return the mean radiance, (61,), what is negative left out; equal energy where it is dark."""
+        mean = np.maximum(basis @ np.sum([self._sums[first] for first in sorted(self._sums)], axis=0), 0.0)
         return mean if mean.any() else np.ones_like(mean)
+
+
+def bands(height: int) -> Iterator[slice]:
+    """Yield the rows of each band."""
+    for first in range(0, height, BAND_ROWS):
+        yield slice(first, min(first + BAND_ROWS, height))
 
 
 def _shift(width: int, centre_azimuth_deg: float) -> float:

@@ -2,6 +2,7 @@
 
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,82 @@ def _wavelength_nm(name: str, kind: str) -> float | None:
     return round(value * 1e9 if match[4] == "m" else _LIGHT_NM_PER_S / value, 6)
 
 
+def _open(path, accepted: str) -> oiio.ImageInput:
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        raise InputError(path, "", f"a file OpenImageIO cannot open ({oiio.geterror()})", accepted)
+    return source
+
+
+def picture_header(path) -> tuple[tuple[int, int], list[str], str]:
+    """Return (height, width), the names of the channels, and the type of the samples of a picture's file.
+
+    Raises
+    ------
+    InputError
+        If OpenImageIO cannot open it.
+    """
+    source = _open(path, "an HDR or EXR picture")
+    spec = source.spec()
+    source.close()
+    return (spec.height, spec.width), list(spec.channelnames), str(spec.format)
+
+
+def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield the number of the first row, and the pixels (rows, width, channels) float32, of bands of a picture's file.
+
+    Parameters
+    ----------
+    path : path
+    rows : int
+        Of a band, the last one excepted; a file in tiles is read in whole rows of tiles instead.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be opened or ends early.
+    """
+    source = _open(path, "an HDR or EXR picture")
+    try:
+        spec = source.spec()
+        rows = spec.tile_height or rows
+        for first in range(0, spec.height, rows):
+            top, bottom = spec.y + first, spec.y + min(first + rows, spec.height)
+            if spec.tile_height:
+                right = spec.x + spec.width
+                band = source.read_tiles(0, 0, spec.x, right, top, bottom, 0, 1, 0, spec.nchannels, "float")
+            else:
+                band = source.read_scanlines(0, 0, top, bottom, 0, 0, spec.nchannels, "float")
+            if band is None:
+                found = f"a picture that ends within rows {first} to {bottom - spec.y - 1}"
+                raise InputError(path, "", found, f"a whole picture of {spec.height} rows")
+            yield first, band.reshape(bottom - top, spec.width, spec.nchannels)
+    finally:
+        source.close()
+
+
+def layers_of(names: list[str], kind: str, path) -> tuple[np.ndarray, list[int]]:
+    """Return the wavelengths (nm, increasing) of the layers of one kind among channels, and the channels' numbers.
+
+    Raises
+    ------
+    InputError
+        If there are none, or one wavelength twice.
+    """
+    found = [(wavelength, index) for index, name in enumerate(names) if (wavelength := _wavelength_nm(name, kind))]
+    if not found:
+        others = sorted({name.partition(".")[0] for name in names})
+        accepted = f"layers {kind}.<wavelength>nm of the published spectral layout"
+        missing = f"no layer for 400 nm or another wavelength of the kind {kind} among {', '.join(others)}"
+        raise InputError(path, "channels", missing, accepted)
+    found.sort()
+    wavelength_nm = np.array([wavelength for wavelength, _ in found])
+    twice = np.flatnonzero(np.diff(wavelength_nm) < 1e-6)
+    if twice.size:
+        raise InputError(path, "channels", f"{wavelength_nm[twice[0]]:g} nm twice", "each wavelength once")
+    return wavelength_nm, [index for _, index in found]
+
+
 def read_layers(path, kind: str) -> tuple[np.ndarray, np.ndarray]:
     """Read the layers of one kind of a spectral EXR (Fichet et al. 2021), whatever their wavelengths.
 
@@ -94,28 +171,9 @@ def read_layers(path, kind: str) -> tuple[np.ndarray, np.ndarray]:
     InputError
         If the file is missing, truncated, holds no such layers, or one wavelength twice.
     """
-    source = oiio.ImageInput.open(str(path))
-    if source is None:
-        raise InputError(path, "", f"a file OpenImageIO cannot open ({oiio.geterror()})", "a spectral EXR")
-    try:
-        names = list(source.spec().channelnames)
-        pixels = source.read_image("float")
-    finally:
-        source.close()
-    if pixels is None:
-        raise InputError(path, "", "a truncated EXR", "a whole spectral EXR")
-    found = [(wavelength, index) for index, name in enumerate(names) if (wavelength := _wavelength_nm(name, kind))]
-    if not found:
-        others = sorted({name.partition(".")[0] for name in names})
-        accepted = f"layers {kind}.<wavelength>nm of the published spectral layout"
-        missing = f"no layer for 400 nm or another wavelength of the kind {kind} among {', '.join(others)}"
-        raise InputError(path, "channels", missing, accepted)
-    found.sort()
-    wavelength_nm = np.array([wavelength for wavelength, _ in found])
-    twice = np.flatnonzero(np.diff(wavelength_nm) < 1e-6)
-    if twice.size:
-        raise InputError(path, "channels", f"{wavelength_nm[twice[0]]:g} nm twice", "each wavelength once")
-    return wavelength_nm, np.ascontiguousarray(pixels[..., [index for _, index in found]])
+    (height, _), names, _ = picture_header(path)
+    wavelength_nm, channels = layers_of(names, kind, path)
+    return wavelength_nm, np.concatenate([band[..., channels] for _, band in picture_bands(path, height)])
 
 
 def read_spectral_exr(path) -> np.ndarray:

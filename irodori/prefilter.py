@@ -14,14 +14,15 @@ from scipy import fft, sparse
 from irodori.light import directions
 
 #: Widths of the ladder, rad: a factor √2 apart.
-WIDTHS_RAD = 0.01 * np.sqrt(2.0) * 2.0 ** (0.5 * np.arange(14))
+WIDTHS_RAD = 0.01 * 2.0 ** (0.5 * np.arange(-1, 13))
 _SAMPLES_PER_WIDTH = 3.0
 _FEWEST_ROWS = 12
 _CUT = 4.5  # widths beyond which the lobe is nothing
-_ROWS_PER_WIDTH = 8.0  # rows of the source over the width, at least, where it is thinned
+_ROWS_PER_WIDTH = 5.0  # rows of the source over the width, at least, where it is thinned
 _FINEST_OF_PITCH = 0.6  # a lobe narrower than this part of a pixel would show the pixels one by one
 _PARTS_PER_WIDTH = 4.0  # rows of the source over the width, at least, into which coarse rows are divided
 _ROWS_AT_A_TIME = 64
+_NARROW = 300.0  # κ sinθ sinθ' from which a row's lobe is narrow enough for the asymptotic series
 
 
 def level_height(width_rad: float) -> int:
@@ -98,6 +99,19 @@ def _concentration(width_rad: float, pitch_rad: float) -> float:
     return 1.0 / (width_rad**2 - pitch_rad**2 / 6.0)
 
 
+def _bessel_series(meridian: np.ndarray, parallel: np.ndarray, terms: int) -> np.ndarray:
+    """Return the Fourier series of exp(meridian + z (cos φ - 1)), z = ``parallel`` (rows, 1), as (rows, terms).
+
+    Its terms are exp(-z) I_m(z) by the uniform expansion [Abramowitz and Stegun 9.7.7], to the second order in 1 / z.
+    """
+    square = np.arange(terms) ** 2 / parallel
+    # The second term of the exponent is held where it would outgrow the first: nothing is left of the series there.
+    exponent = meridian + 0.125 / parallel
+    exponent = exponent - square * (0.5 + 0.25 / parallel - np.minimum(square / (24.0 * parallel), 0.25))
+    with np.errstate(under="ignore"):
+        return np.exp(exponent) / np.sqrt(2.0 * np.pi * parallel)
+
+
 def _level(series: np.ndarray, source: np.ndarray, width_rad: float, pool: ThreadPoolExecutor) -> np.ndarray:
     """Return the map of one width, (h, 2 h, k) float32, from rows at polar angles ``source`` (rad)."""
     height = level_height(width_rad)
@@ -108,21 +122,27 @@ def _level(series: np.ndarray, source: np.ndarray, width_rad: float, pool: Threa
     cosine = np.cos(2 * np.pi * np.arange(samples) / samples)
     target = np.pi * (np.arange(height) + 0.5) / height
     reach = _CUT / np.sqrt(kappa)
-    spectrum = np.empty((height, terms, series.shape[2]), dtype=np.complex128)
+    # Real and imaginary parts are columns: the kernel is real.
+    numbers = np.ascontiguousarray(series).view(np.float32)
+    spectrum = np.empty((height, terms, numbers.shape[2]), dtype=np.float32)
 
     def fill(row: int) -> None:
         first, last = np.searchsorted(source, [target[row] - reach, target[row] + reach])
         if first == last:
             first, last = max(first - 1, 0), min(last + 1, len(source))
         theta = source[first:last, None]
-        lobe = kappa * (np.cos(target[row] - theta) - 1.0)
-        lobe = lobe + kappa * np.sin(target[row]) * np.sin(theta) * (cosine - 1.0)
-        kernel = fft.rfft(np.exp(lobe), axis=1).real[:, :terms] * (scale / samples)
-        spectrum[row] = np.einsum("rm,rmk->mk", kernel, series[first:last, :terms])
+        meridian = kappa * (np.cos(target[row] - theta) - 1.0)
+        parallel = kappa * np.sin(target[row]) * np.sin(theta)
+        if parallel.min() > _NARROW:
+            kernel = scale * _bessel_series(meridian, parallel, terms)
+        else:
+            lobe = meridian + parallel * (cosine - 1.0)
+            kernel = fft.rfft(np.exp(lobe), axis=1).real[:, :terms] * (scale / samples)
+        spectrum[row] = np.einsum("rm,rmk->mk", kernel.astype(np.float32), numbers[first:last, :terms])
 
     list(pool.map(fill, range(height)))
     turn = np.exp(1j * np.pi * np.arange(terms) / (2 * height))[:, None]
-    return (fft.irfft(spectrum * turn, n=2 * height, axis=1) * (2 * height)).astype(np.float32)
+    return (fft.irfft(spectrum.view(np.complex64) * turn, n=2 * height, axis=1) * (2 * height)).astype(np.float32)
 
 
 def prefiltered(coefficients: np.ndarray) -> tuple[int, list[np.ndarray]]:

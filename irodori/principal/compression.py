@@ -1,12 +1,14 @@
 """The fewest bases that keep a picture's colours, and the second pass that writes its coefficients."""
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
+import numba
 import numpy as np
 
 from irodori import store
-from irodori.coefficients import from_half, half_scale, require_storage, reserve_coefficients, to_half
+from irodori.coefficients import from_half, half_scale, require_storage, reserve_coefficients, rounded_to_half
 from irodori.colour import summary
 from irodori.principal.decomposition import WEIGHTINGS, Decomposition, decompose
 from irodori.principal.moments import SAMPLE_PIXELS, Moments, second_moments
@@ -16,6 +18,7 @@ from irodori.principal.tiles import Tiles
 from irodori.spectra import SAMPLES
 
 _FIRST_LOOK = 8192  # pixels of the sample, which come in no order
+_PIECE = 4096  # pixels whose colours are compared together
 
 
 @dataclass(frozen=True)
@@ -98,12 +101,14 @@ class Compression:
 
     def encode(self, rows: np.ndarray) -> np.ndarray:
         """Return the coefficients of pixels as they are stored, (n, r) to (n, k) half or single; NaN where masked."""
+        # Scales are powers of two: to divide the encoder by them is to divide the coefficients.
+        encoder = (self.encoder / self.scale[:, None]).T.astype(np.float32)
         with np.errstate(invalid="ignore", over="ignore"):
-            out = np.asarray(rows, dtype=np.float32) @ self.encoder.T.astype(np.float32)
-        masked = ~np.isfinite(out)
-        if masked.any():
-            out[masked.any(axis=1)] = np.nan
-        return to_half(out, self.scale) if self.storage == "half" else out
+            out = np.asarray(rows, dtype=np.float32) @ encoder
+        finite = np.isfinite(out)
+        if not finite.all():
+            out[~finite.all(axis=1)] = np.nan
+        return rounded_to_half(out) if self.storage == "half" else out
 
     def decode(self, stored: np.ndarray) -> np.ndarray:
         """Return stored coefficients (n, k) as float32."""
@@ -127,7 +132,17 @@ class Compression:
         tiles = source if isinstance(source, Tiles) else Tiles(source)
         yield from tiles.map(lambda rows, first, worker: self.encode(rows))
 
-    def write(self, out: store.Writer, name: str, source, size: tuple[int, int], *, quantity: str, codec: str) -> None:
+    def write(
+        self,
+        out: store.Writer,
+        name: str,
+        source,
+        size: tuple[int, int],
+        *,
+        quantity: str,
+        codec: str,
+        decoded: np.ndarray | None = None,
+    ) -> None:
         """Write a picture's coefficients, tile by tile, to a dataset (height, width, k).
 
         Parameters
@@ -138,6 +153,8 @@ class Compression:
             The picture that was analysed.
         size : (height, width)
         quantity, codec : str
+        decoded : (height, width, k) float32, optional
+            Filled with the coefficients as they come back from storage.
         """
         height, width = size
         shape = (height, width, self.bases)
@@ -149,7 +166,10 @@ class Compression:
         for tile in self.tiles(source):
             rest = np.concatenate([rest, tile]) if len(rest) else tile
             rows = len(rest) // width
-            dataset[row : row + rows] = rest[: rows * width].reshape(rows, width, self.bases)
+            whole = rest[: rows * width].reshape(rows, width, self.bases)
+            dataset[row : row + rows] = whole
+            if decoded is not None:
+                decoded[row : row + rows] = self.decode(whole)
             row, rest = row + rows, rest[rows * width :]
         if row != height or len(rest):
             raise ValueError(f"a picture of {row * width + len(rest)} pixels; accepted: {height} rows of {width}")
@@ -239,11 +259,11 @@ def choose(
         made = trial.compression(count)
         if made.budget_met or count == counts[-1]:
             break
-    if made.budget_met or bases is not None or rank == len(found.energies):
-        return made
-    # Under a light far brighter than the rest, directions that look like rounding may still be colours.
-    full = trial.compression(len(found.energies))
-    return full if full.budget_met else made
+    if not (made.budget_met or bases is not None or rank == len(found.energies)):
+        # Under a light far brighter than the rest, directions that look like rounding may still be colours.
+        full = trial.compression(len(found.energies))
+        made = full if full.budget_met else made
+    return trial.finished(made)
 
 
 class _Trial:
@@ -263,15 +283,19 @@ class _Trial:
         return any(e["mean"] > 2 * mean or e["p99"] > 2 * p99 for e in errors.values())
 
     def compression(self, count: int) -> Compression:
-        """Return the compression with its errors."""
+        """Return the compression with its colour errors."""
         made, options = self._made(count), self._options
         errors = self._errors(made, slice(None))
         met = all(
             e["mean"] <= options.target_delta_e_mean and e["p99"] <= options.target_delta_e_p99 for e in errors.values()
         )
+        return replace(made, errors=errors, budget_met=met)
+
+    def finished(self, made: Compression) -> Compression:
+        """Return a compression with its spectral error and what it leaves below zero."""
         decoded = made.decode(made.encode(self._moments.sample)) @ made.basis.T
         rmse = float(np.sqrt(np.mean((self._spectra - decoded) ** 2)))
-        return replace(made, errors=errors, rmse=rmse, budget_met=met, negative=count_negative(decoded))
+        return replace(made, rmse=rmse, negative=count_negative(decoded))
 
     def _made(self, count: int) -> Compression:
         moments, storage = self._moments, self._options.storage
@@ -283,11 +307,22 @@ class _Trial:
                            moments.masked, None, moments.sample)  # fmt: skip
 
     def _errors(self, made: Compression, part: slice) -> dict:
-        stored = made.decode(made.encode(self._moments.sample[part]))
-        return {
-            light: summary(colour_error(self._before[light][part], stored @ (matrix @ made.basis).T, white))
-            for light, (matrix, white) in self._observers.items()
-        }
+        sample = self._moments.sample[part]
+        before = {light: xyz[part] for light, xyz in self._before.items()}
+
+        def of_piece(first: int) -> list[np.ndarray]:
+            piece = slice(first, first + _PIECE)
+            stored = made.decode(made.encode(sample[piece]))
+            return [
+                colour_error(before[light][piece], stored @ (matrix @ made.basis).T, white)
+                for light, (matrix, white) in self._observers.items()
+            ]
+
+        # A cacheful at a time, and several at once.
+        with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+            pieces = list(pool.map(of_piece, range(0, len(sample), _PIECE)))
+        errors = (np.concatenate(of_light) for of_light in zip(*pieces, strict=True))
+        return {light: summary(values) for light, values in zip(self._observers, errors, strict=True)}
 
 
 def compress(

@@ -43,7 +43,8 @@ class Decomposition:
     def truncated(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Return a basis of so many vectors and what gives its coefficients.
 
-        The vectors are orthonormal and their coefficients uncorrelated over the picture, by falling energy. With a
+        The vectors are orthonormal, the largest sample of each is positive, and their coefficients are uncorrelated
+        over the picture, by falling energy. With a
         metric the coefficients are not projections along the vectors: they are chosen so that the weighted error is
         least, and the vectors are the least-squares regression of the spectra on them.
 
@@ -54,11 +55,17 @@ class Decomposition:
         """
         chosen = self.directions[:, :count]
         if self.metric_root is None:
-            return self.orthonormal @ chosen, chosen.T @ self.upper
+            return _signed(self.orthonormal @ chosen, chosen.T @ self.upper)
         decoder = np.linalg.solve(self.metric_root, chosen)
         spread = decoder * self.energies[:count] if self.energies[0] > 0 else decoder
         rotation = np.linalg.svd(spread, full_matrices=False)[0]
-        return self.orthonormal @ rotation, rotation.T @ decoder @ chosen.T @ self.metric_root @ self.upper
+        return _signed(self.orthonormal @ rotation, rotation.T @ decoder @ chosen.T @ self.metric_root @ self.upper)
+
+
+def _signed(basis: np.ndarray, encoder: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vectors with the sign that makes the largest sample of each positive: LAPACK leaves it to chance."""
+    sign = np.where(basis[np.abs(basis).argmax(axis=0), np.arange(basis.shape[1])] < 0.0, -1.0, 1.0)
+    return basis * sign, encoder * sign[:, None]
 
 
 def decompose(root: np.ndarray, basis: np.ndarray | None, matrices=None) -> Decomposition:

@@ -6,6 +6,7 @@ twice the decades of what is squared, and a sun would leave nothing of the shado
 
 import math
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numba
@@ -160,7 +161,13 @@ class _Sampler:
         return self._rows[0][np.argsort(self._keys[0], kind="stable")]
 
 
-def second_moments(source, weights=None, sample_pixels: int = SAMPLE_PIXELS, seed: int = 0) -> Moments:
+def second_moments(
+    source,
+    weights=None,
+    sample_pixels: int = SAMPLE_PIXELS,
+    seed: int = 0,
+    also: Callable[[np.ndarray, int], None] | None = None,
+) -> Moments:
     """Read a picture once and return its second moments about zero.
 
     Parameters
@@ -171,6 +178,9 @@ def second_moments(source, weights=None, sample_pixels: int = SAMPLE_PIXELS, see
     sample_pixels : int
     seed : int
         Of the sample.
+    also : callable, optional
+        Takes every tile (pixels, bands) and the number of its first pixel, from several threads: what else one reading
+        can give.
 
     Returns
     -------
@@ -197,6 +207,8 @@ def second_moments(source, weights=None, sample_pixels: int = SAMPLE_PIXELS, see
             raise ValueError(f"{flat.size} weights for more pixels; accepted: one each")
         own.add(rows, of_rows)
         sampler.add(rows, first)
+        if also is not None:
+            also(rows, first)
         return len(rows)
 
     pixels = sum(tiles.map(add))

@@ -5,7 +5,7 @@ import html
 from irodori.report.markup import details, number, table
 
 
-def compression_section(name: str, errors: dict) -> str:
+def compression_section(name: str, errors: dict, stored: str) -> str:
     """Return the part on one compressed picture.
 
     Parameters
@@ -13,6 +13,8 @@ def compression_section(name: str, errors: dict) -> str:
     name : str
     errors : dict
         As `irodori.compression.compress_maps` leaves it in a material's file.
+    stored : str
+        What `irodori.report.storage.storage_sentence` says of the file.
     """
     parts = [f"<h4>{html.escape(name)}: compression</h4>"]
     lines = [
@@ -30,7 +32,7 @@ def compression_section(name: str, errors: dict) -> str:
         f"{negative['fraction']:.3%} of the samples, in {negative['pixel_fraction']:.2%} of the pixels, are negative: "
         f"the lowest by {negative['depth_max']:.2%} of the pixel's largest (99th percentile "
         f"{negative['depth_p99']:.2%}). "
-        f"Setting them to zero would add {negative['clipping_bias']:.4%} of light; rendering adds none.</p>"
+        f"Setting them to zero would add {negative['clipping_bias']:.4%} of light; rendering adds none. {stored}</p>"
     )
     lines = [
         [str(row["reflections"]), light, *(number(row["delta_e"][light][key]) for key in ("mean", "p99")),

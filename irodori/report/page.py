@@ -12,9 +12,11 @@ from irodori.report.compression import compression_section
 from irodori.report.errors import read_errors
 from irodori.report.figures import material_figure, planning_figure, spectra_figure
 from irodori.report.imperfections import CostRow, read_costs
+from irodori.report.light import light_section
 from irodori.report.markup import data_uri, figure, number, table, write_page
 from irodori.report.planning import PlanRow, read_plan
 from irodori.report.registration import read_registration, summarise
+from irodori.report.storage import storage_sentence
 
 #: What the report says of a camera: attribute of its reference file, and what it is.
 _CAMERA_FIGURES = {
@@ -73,6 +75,7 @@ def _objects_section(objects: list[str], materials: list, truths: dict) -> str:
         with store.open_file(path) as file:
             maps = {n: file.read(n) for n in ("status", "residual_rms", "reflectance_error", "training_distance")}
             errors = file.attribute("errors")
+            stored = storage_sentence(file, "reflectance/coefficients")
         beta, mu = material.typical_gloss
         parts.append(f"<h3>{html.escape(name)}</h3>")
         parts.append(figure(material_figure(material, maps, truth), f"{name}: maps over the texture"))
@@ -88,7 +91,7 @@ def _objects_section(objects: list[str], materials: list, truths: dict) -> str:
             f"{errors['reflectance_error_median']:.2g}; {errors['out_of_training_fraction']:.1%} of texels have a "
             "colour that the chart has none like.</p>"
         )
-        parts.append(compression_section(name, errors["compression"]))
+        parts.append(compression_section(name, errors["compression"], stored))
     return "".join(parts)
 
 
@@ -180,9 +183,9 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
     ----------
     inputs : dict
         Files: errors, planning, imperfections; lists of references, registrations, materials, true_materials,
-        calibration_errors, pictures, figures, true_pictures.
+        environments, calibration_errors, pictures, figures, true_pictures.
     names : dict
-        objects, virtual_objects, cameras, views, virtual_views, in the order of the files.
+        objects, virtual_objects, environments, cameras, views, virtual_views, in the order of the files.
     benchmarks : path
         Folder of the benchmark files of the run.
     output : path
@@ -194,6 +197,7 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
         _views_section(names["views"], inputs["pictures"], inputs["figures"], true_views),
         _errors_section(read_errors(inputs["errors"])),
         _objects_section(names["objects"], inputs["materials"], true_objects),
+        light_section(names["environments"], inputs["environments"]),
         _imperfections_section(read_costs(inputs["imperfections"])),
         _planning_section(read_plan(inputs["planning"])),
         _registration_section(names["objects"], inputs["registrations"]),

@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import sys
 
 import numpy as np
 import pytest
@@ -9,7 +10,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from irodori import store
-from irodori.coefficients import from_half, half_scale, read_coefficients, to_half, write_coefficients
+from irodori.coefficients import (
+    _converters,
+    from_half,
+    half_scale,
+    read_coefficients,
+    rounded_to_half,
+    to_half,
+    write_coefficients,
+)
 from irodori.errors import InputError
 
 PROVENANCE = store.Provenance("test")
@@ -33,6 +42,26 @@ def test_half_precision_keeps_eleven_bits_over_eight_decades(seed, decades, unit
     # What was rounded once is kept as it is, with any other scale that fits.
     other = half_scale(3 * np.abs(values).max(axis=0))
     assert np.array_equal(from_half(to_half(back, other), other), back)
+
+
+@pytest.mark.parametrize("with_opencv", [True, False])
+def test_rounding_is_to_the_nearest_half_as_ieee_754_has_it(monkeypatch, with_opencv):
+    _converters.cache_clear()
+    if not with_opencv:
+        monkeypatch.setitem(sys.modules, "cv2", None)
+    every = np.arange(1 << 16, dtype=np.uint16).view(np.float16)
+    finite = every[np.isfinite(every)]
+    between = 0.5 * (finite[:-1].astype(np.float64) + finite[1:])
+    with np.errstate(over="ignore"):
+        values = np.concatenate([finite, between, between * (1 + 1e-7)]).astype(np.float32)
+        values = values[np.abs(values) < 65504]
+    found = rounded_to_half(values)
+    assert found.dtype == np.float16 and np.array_equal(found, values.astype(np.float16))
+    assert np.isnan(rounded_to_half(np.array([[np.nan, 1.0]], np.float32))[0, 0])
+    assert rounded_to_half(np.zeros((0, 4), np.float32)).shape == (0, 4)
+    ones = np.ones(1, np.float32)
+    assert np.array_equal(from_half(finite[:, None], ones)[:, 0], finite.astype(np.float32))
+    _converters.cache_clear()
 
 
 def test_a_bound_that_is_not_finite_has_no_scale():

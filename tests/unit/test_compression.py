@@ -178,6 +178,18 @@ def test_six_bands_and_the_61_they_make_have_the_same_compression():
     assert np.abs(difference).max() < 1e-5
 
 
+@pytest.mark.parametrize("weighting", ["nothing", "visual"])
+def test_the_signs_of_the_bases_are_the_pictures_alone(weighting):
+    source, options = picture(11), CompressOptions(weighting=weighting)
+    one = analyse(source, None, observers(), options, bases=8)
+    # The same pixels in another order and other tiles: other rounding of the same sums.
+    other = analyse(Tiles(source.reshape(-1, 61)[::-1], 50_000), None, observers(), options, bases=8)
+    assert (np.einsum("wk,wk->k", one.basis, other.basis) > 0.999).all()
+    assert (one.basis[np.abs(one.basis).argmax(axis=0), np.arange(8)] > 0).all()
+    spectra = one.decode(one.encode(source.reshape(-1, 61))) @ one.basis.T
+    assert spectral_rmse(spectra, source.reshape(-1, 61)).mean() < 0.02
+
+
 def test_more_bases_than_the_rank_are_not_to_be_had():
     weights, basis = bands()
     for source, of in ((weights, basis), (weights @ basis.T, None)):
@@ -382,7 +394,7 @@ def test_the_maps_are_compressed_with_the_chosen_weighting_and_both_are_reported
         assert said["masked_pixels"] == 3 and said["pixels"] == 600
         assert said["bases"] == found.bases == said["weightings"][weighting]["bases"]
         assert set(said["weightings"]) == {"nothing", "visual"} and len(said["drift"]) == 5
-        page = compression_section("vase & lid", json.loads(json.dumps(said)))
+        page = compression_section("vase & lid", json.loads(json.dumps(said)), "12 MB")
         assert (
             f"<td>{weighting} (in use)</td>" in page and "vase &amp; lid" in page and "3 of 600 pixels masked" in page
         )

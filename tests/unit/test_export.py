@@ -4,12 +4,14 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 from scenes import material
+from spectral.io import envi
 
 from irodori import store
 from irodori.errors import InputError
 from irodori.export import export, main
 from irodori.light import Environment
 from irodori.light_files import spectral_picture
+from irodori.omnidirectional import from_panorama
 from irodori.pictures import layer_names, read_layers
 from irodori.spectra import WAVELENGTH_NM, spectrum
 
@@ -66,6 +68,52 @@ def test_a_tiff_holds_the_same_numbers_and_tells_its_channels(files, suffix):
     assert np.allclose(pixels[..., 3:64], paint.spectra(), rtol=1e-6)
     told = spec.getattribute("ImageDescription")
     assert told.startswith("channels: R G B " + " ".join(layer_names("T")) + " alpha beta mu")
+
+
+def read_flat(path, shape, interleave):
+    """The numbers as the header's words lay them out, without the library that wrote them: (height, width, bands)."""
+    height, width, bands = shape
+    values = np.fromfile(path, np.float32)
+    if interleave == "bsq":
+        return values.reshape(bands, height, width).transpose(1, 2, 0)
+    if interleave == "bil":
+        return values.reshape(height, bands, width).transpose(0, 2, 1)
+    return values.reshape(height, width, bands)
+
+
+@pytest.mark.parametrize("interleave", ["bsq", "bil", "bip"])
+def test_envi_holds_the_spectra_with_their_wavelengths_and_the_maps_beside(files, interleave):
+    folder, paint, light = files
+    export(folder / "material.h5", folder / "out.img", interleave)
+    header = envi.read_envi_header(str(folder / "out.hdr"))
+    assert [float(w) for w in header["wavelength"]] == WAVELENGTH_NM.tolist()
+    assert header["wavelength units"] == "Nanometers" and header["interleave"] == interleave
+    assert (header["lines"], header["samples"], header["bands"], header["data type"]) == ("4", "8", "61", "4")
+    assert "reflectance factor" in header["description"] and header["band names"][::60] == ["400 nm", "700 nm"]
+    assert np.allclose(read_flat(folder / "out.img", (4, 8, 61), interleave), paint.spectra(), rtol=1e-6)
+    maps = read_flat(folder / "out-maps.img", (4, 8, 3), interleave)
+    for values, expected in zip(np.moveaxis(maps, -1, 0), (paint.alpha, paint.beta, paint.mu), strict=True):
+        assert np.allclose(values, expected, rtol=1e-6, equal_nan=True)
+    named = envi.read_envi_header(str(folder / "out-maps.hdr"))
+    assert named["band names"] == ["alpha", "beta", "mu"] and "wavelength" not in named
+    export(folder / "light.h5", folder / "light.img", interleave)
+    opened = envi.open(str(folder / "light.hdr"))
+    expected = light.coefficients @ light.basis.T
+    assert np.allclose(from_panorama(np.asarray(opened.load())), expected, rtol=1e-5)
+    assert opened.bands.centers == WAVELENGTH_NM.tolist() and opened.bands.band_unit == "Nanometers"
+    export(folder / "light.h5", folder / "light.img", interleave)  # again, over what is there
+    assert not [path for path in folder.iterdir() if "part" in path.name]
+
+
+def test_an_interleave_is_one_of_envis_and_for_envi(files, capsys):
+    folder, _, _ = files
+    with pytest.raises(InputError, match=r"bpi.+bsq, bil, bip"):
+        export(folder / "material.h5", folder / "out.img", "bpi")
+    with pytest.raises(InputError, match=r"suffix \.img"):
+        export(folder / "material.h5", folder / "out.exr", "bil")
+    assert main([str(folder / "material.h5"), str(folder / "out.img"), "--interleave", "bsl"]) == 2
+    assert "bsl" in capsys.readouterr().err
+    assert not list(folder.glob("out*"))
 
 
 def test_a_white_texel_is_white_in_rgb(tmp_path):

@@ -1,5 +1,7 @@
 """Environments from other programs' files, placed lights and mirror balls: energy, colour, direction."""
 
+import tracemalloc
+
 import numpy as np
 import OpenImageIO as oiio
 import pytest
@@ -9,14 +11,14 @@ from scenes import DATA, fresnel
 from test_environment import write_inputs
 
 from irodori import store
-from irodori.colour import colour_matching_weights, delta_e, lab_from_xyz
-from irodori.environment import make_environment, prepare_environment
+from irodori.colour import colour_matching_weights, delta_e, lab_from_xyz, spectral_rmse
+from irodori.environment import make_environment, prepare_environment, write_environment
 from irodori.errors import InputError
 from irodori.irradiance import Integrator
 from irodori.light import Environment, directions
 from irodori.light_files import mallett_basis, rgb_picture, spectral_picture
 from irodori.mirror_ball import RIM, ball_places, inverse_reflectance, unwrapped
-from irodori.omnidirectional import from_panorama, to_panorama
+from irodori.omnidirectional import BAND_ROWS, Picture, bands, from_panorama, to_panorama
 from irodori.pictures import read_layers, write_spectral_exr
 from irodori.placed_lights import direction_of, lights_picture, unit_luminance
 from irodori.principal import CompressOptions
@@ -94,9 +96,12 @@ def test_negative_values_are_set_to_nothing_and_counted(tmp_path):
     pixels[1, 2, 0] = -0.25
     pixels[3, 7] = -1.0
     picture = rgb_picture(write_exr(tmp_path / "a.exr", pixels), scale=2.0)
-    assert picture.origin["negative_pixels"] == 2 and "Mallett" in picture.origin["assumption"]
-    assert (picture.weights >= 0).all() and picture.weights.max() == 1.0
+    weights = picture.weights
+    assert (weights >= 0).all() and weights.max() == 1.0
     assert picture.weights.sum() == pytest.approx(2.0 * np.maximum(pixels, 0).sum())
+    # Read twice, counted once.
+    assert picture.origin["negative_pixels"] == 2 and "Mallett" in picture.origin["assumption"]
+    assert picture.origin["negative_sum_over_positive"] == pytest.approx(3.25 / np.maximum(pixels, 0).sum())
 
 
 def test_pictures_that_are_no_light_are_refused(tmp_path):
@@ -111,7 +116,7 @@ def test_pictures_that_are_no_light_are_refused(tmp_path):
     broken = np.ones((4, 8, 3), np.float32)
     broken[2, 2] = np.inf
     with pytest.raises(InputError, match="1 pixels that are not finite"):
-        rgb_picture(write_exr(tmp_path / "inf.exr", broken))
+        _ = rgb_picture(write_exr(tmp_path / "inf.exr", broken)).weights
 
 
 @pytest.mark.parametrize("name", ["lobby", "hall", "workshop", "museum"])
@@ -120,7 +125,8 @@ def test_measured_places_become_environments(tmp_path, name):
     if not path.is_file():
         pytest.skip(f"no picture at {path}")
     picture = rgb_picture(path)
-    assert picture.weights.shape == (256, 512, 3) and (picture.weights >= 0).all()
+    weights = picture.weights
+    assert weights.shape == (256, 512, 3) and (weights >= 0).all()
     assert (picture.origin["negative_pixels"] > 0) == (name != "museum")
     assert picture.origin["negative_sum_over_positive"] < 0.05
 
@@ -200,6 +206,75 @@ def test_another_programs_chart_is_read_and_brought_to_the_grid():
     assert np.allclose(out[..., ::2], pixels[..., 2:33], atol=1e-5)
     with pytest.raises(InputError, match="kind S0"):
         spectral_picture(path)
+
+
+@pytest.mark.parametrize("tiled", [False, True])
+def test_a_picture_is_read_in_bands_that_make_it_whole(tmp_path, tiled):
+    pixels = np.random.default_rng(6).uniform(0, 1, (75, 150, 3)).astype(np.float32)
+    spec = oiio.ImageSpec(150, 75, 3, "float")
+    spec.x, spec.y = 7, -20  # a data window of its own
+    if tiled:
+        spec.tile_width, spec.tile_height = 64, 16
+    output = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
+    assert output.open(str(tmp_path / "a.exr"), spec)
+    assert output.write_image(pixels) and output.close()
+    picture = rgb_picture(tmp_path / "a.exr")
+    assert picture.size == (75, 150)
+    assert np.array_equal(picture.weights, from_panorama(pixels))
+    assert max(len(band) for band in picture) <= BAND_ROWS
+    whole = (tmp_path / "a.exr").read_bytes()
+    (tmp_path / "a.exr").write_bytes(whole[: len(whole) * 2 // 3])
+    with pytest.raises(InputError, match=r"ends within rows|cannot open"):
+        _ = rgb_picture(tmp_path / "a.exr").weights
+
+
+def test_the_memory_for_an_environment_does_not_grow_with_its_spectra(tmp_path):
+    size, spectra = (1200, 1200), np.stack([spectrum(f"TCS{i}") for i in range(99)]).astype(np.float32)
+
+    def read():
+        for rows in bands(size[0]):
+            first = np.arange(rows.start, rows.stop)[:, None] // 40 + np.arange(size[1]) // 60
+            yield spectra[first % 99]
+
+    picture = Picture(size, np.eye(61), read)
+    tracemalloc.start()
+    write_environment(picture, None, tmp_path / "e.h5", CompressOptions(), {"max_error": 0.1, "max_height": 32},
+                      store.Provenance("test"))  # fmt: skip
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    found = Environment.load(tmp_path / "e.h5")
+    expected = picture.weights
+    # The 61 planes take 351 MB; a sample of 65536 pixels of them and k planes are held.
+    assert expected.nbytes > 340e6 and peak < 0.6 * expected.nbytes
+    assert spectral_rmse(found.coefficients[::50] @ found.basis.T, expected[::50]).mean() < 0.01
+
+
+def test_light_that_is_not_finite_is_refused_and_black_light_is_black(tmp_path):
+    def picture(values):
+        return Picture(values.shape[:2], np.ones((61, 1)), lambda: iter([values]), "a.h5")
+
+    broken = np.ones((8, 16, 1), np.float32)
+    broken[2, 3] = np.nan
+    with pytest.raises(InputError, match="1 pixels that are not finite"):
+        write_environment(picture(broken), None, tmp_path / "e.h5", *OPTIONS)
+    assert not (tmp_path / "e.h5").exists()
+    write_environment(picture(0 * np.ones_like(broken)), None, tmp_path / "e.h5", *OPTIONS, with_gloss=True)
+    found = Environment.load(tmp_path / "e.h5")
+    assert (found.coefficients == 0).all() and (found.irradiance == 0).all() and (found.upward_white() == 0).all()
+
+
+@pytest.mark.parametrize("storage", ["half", "single"])
+def test_a_light_of_a_million_to_one_keeps_its_shadows_in_the_file(tmp_path, storage):
+    rng = np.random.default_rng(9)
+    sky = rng.uniform(0.5, 1.0, (1, 300, 3)).astype(np.float32)  # a picture of one row
+    sky[0, 17] = 1e6
+    options = CompressOptions(storage=storage)
+    write_environment(Picture((1, 300), mallett_basis(), lambda: iter([sky])), None, tmp_path / "e.h5", options,
+                      *OPTIONS[1:])  # fmt: skip
+    found = Environment.load(tmp_path / "e.h5")
+    expected = sky @ mallett_basis().T.astype(np.float32)
+    error = np.abs(found.coefficients @ found.basis.T - expected).max(axis=-1) / expected.max(axis=-1)
+    assert error.max() <= (0.005 if storage == "half" else 1e-4)
 
 
 # --- placed lights -------------------------------------------------------------------------------------------------
@@ -335,7 +410,7 @@ def test_a_ball_that_is_not_in_the_picture_or_masked_is_refused():
     assert np.allclose((picture.weights @ picture.basis.T)[..., :3], 1.0)
     one[80:100, 90:110] = False
     with pytest.raises(InputError, match="all masked"):
-        unwrapped(BALL, size, weights, one, basis, "ball.h5")
+        _ = unwrapped(BALL, size, weights, one, basis, "ball.h5").weights
 
 
 def test_the_stage_unwraps_a_ball_and_minds_saturation_on_it_alone(tmp_path):

@@ -43,7 +43,8 @@ def test_every_third_party_import_of_the_package_is_pinned():
     import sys
 
     modules = {"OpenImageIO": "OpenImageIO", "PIL": "pillow", "yaml": "PyYAML", "colour": "colour-science",
-               "serial": "pyserial", "colour_checker_detection": "colour-checker-detection"}  # fmt: skip
+               "serial": "pyserial", "cv2": "opencv-python",
+               "colour_checker_detection": "colour-checker-detection"}  # fmt: skip
     files = ("requirements.txt", "requirements-rig.txt")
     pinned = {name.lower() for file in files for name in pins(ROOT / file)} | {"llvmlite"}  # numba brings llvmlite
     for path in (ROOT / "irodori").rglob("*.py"):

@@ -166,6 +166,7 @@ rule write_report:
         registrations=expand("results/{object}/registration.csv", object=config["objects"]),
         materials=expand("results/{object}/material.h5", object=config["objects"]),
         true_materials=expand("results/{object}/truth.h5", object=virtual("objects")),
+        environments=expand("results/environments/{environment}.h5", environment=config["environments"]),
         calibrations=expand("results/cameras/{camera}/calibration.h5", camera=config["cameras"]),
         selections=expand("results/cameras/{camera}/calibration_selection.csv", camera=config["cameras"]),
         calibration_errors=expand("results/cameras/{camera}/calibration_errors.csv", camera=config["cameras"]),
@@ -186,6 +187,7 @@ rule write_report:
     params:
         objects=list(config["objects"]),
         virtual_objects=virtual("objects"),
+        environments=list(config["environments"]),
         cameras=list(config["cameras"]),
         views=views("{scene}/{view}"),
         virtual_views=views("{scene}/{view}", virtual_only=True),

@@ -1,0 +1,73 @@
+"""The maps of an environment: irradiance, light blurred for rough reflection, its look-up.
+
+``python -m benchmarks.environment [--height 3000] [--runs 5] [--output speed_error.csv]``. The light is a bright sky
+with waves of four bases, with a sun of half a degree, 50000 times as bright, and without; 6000 x 3000 px. ``quadtree``
+sorts the light, ``irradiance`` fits the irradiance map to 0.2 % of its largest value, ``gloss`` blurs the light and
+gathers its points: together the maps of one environment. The look-ups are of random normals and views, on one light.
+The reference is ``irradiance`` without the sun.
+"""
+
+import numpy as np
+
+from benchmarks.table import COLUMNS, arguments_of, medians_s, own_peak_mb, report
+from irodori.gloss import GlossMaps, gloss_radiance
+from irodori.gloss_errors import gloss_errors, places
+from irodori.irradiance import Integrator, fitted_irradiance_map
+from irodori.threads import use_threads
+
+MAX_ERROR, MAX_HEIGHT = 0.002, 512
+SUN, SUN_RAD = 5e4, 0.0093
+LOOKUPS, VIEW_RAD = 20_000, 0.9
+LOOKUP_MU_RAD = (0.02, 0.1, 0.3, 0.8)
+
+
+def sky(height: int, with_sun: bool) -> np.ndarray:
+    """Return the light, (height, 2 height, 4) float32."""
+    theta, azimuth = np.pi * (np.arange(height) + 0.5) / height, np.pi * (np.arange(2 * height) + 0.5) / height
+    waves = 1.0 + 0.5 * np.sin(5 * theta)[:, None] * np.sin(7 * azimuth)
+    out = (waves[..., None] * [1.0, 0.3, 0.1, 0.05]).astype(np.float32)
+    if with_sun:
+        row, column, radius = int(0.3 * height), int(1.2 * height), max(1, round(0.5 * SUN_RAD / np.pi * height))
+        out[row - radius : row + radius, column - radius : column + radius] *= SUN
+    return out
+
+
+def main() -> None:
+    """Measure and print; write a CSV if asked."""
+    parser = arguments_of(__doc__.splitlines()[0])
+    parser.add_argument("--height", type=int, default=3000, help="rows of the panorama, twice as many columns")
+    arguments = parser.parse_args()
+    use_threads(arguments.threads)
+    lights = {"": sky(arguments.height, False), "-sun": sky(arguments.height, True)}
+    integrators = {name: Integrator(light) for name, light in lights.items()}
+    maps = GlossMaps.of(lights["-sun"])
+    tables, (normal, view) = maps.tables(), places(VIEW_RAD, LOOKUPS)
+    work, errors = {}, {}
+    for name, light in lights.items():
+        work[f"quadtree{name}"] = lambda light=light: Integrator(light)
+        work[f"irradiance{name}"] = lambda name=name, light=light: fitted_irradiance_map(
+            light, MAX_ERROR, MAX_HEIGHT, integrators[name]
+        )
+        work[f"gloss{name}"] = lambda light=light: GlossMaps.of(light)
+        errors[f"irradiance{name}"] = work[f"irradiance{name}"]()[1]["max_error"]
+    for mu in LOOKUP_MU_RAD:
+        work[f"look-up-{mu:g}"] = lambda mu=mu: gloss_radiance(tables, normal, view, 1.0, mu, 1.5, 0.0)
+    seconds = medians_s(work, arguments.runs)
+    rows = []
+    for name, median in seconds.items():
+        count = LOOKUPS / 1e6 if name.startswith("look-up") else lights[""].shape[0] * lights[""].shape[1] / 1e6
+        unit = "million look-ups" if name.startswith("look-up") else "megapixels"
+        metric = "largest error over the largest irradiance" if name in errors else ""
+        values = ("environment", name, f"{count:.2f}", unit, f"{median:.4f}", f"{count / median:.3f}", metric,
+                  f"{errors.get(name, float('nan')):.5f}", f"{own_peak_mb():.0f}", "irradiance",
+                  f"{median / seconds['irradiance']:.3f}")  # fmt: skip
+        rows.append(dict(zip(COLUMNS, values, strict=True)))
+    report(rows, arguments.threads, arguments.output)
+    for row in gloss_errors(integrators["-sun"], maps):
+        print(
+            f"gloss, mu {row['mu_rad']:g} rad, view {row['theta_r_deg']:g}: rms {row['rms']:.3f}, max {row['max']:.3f}"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,43 @@
+"""The report's part on light says what the environment's file says."""
+
+import re
+
+import numpy as np
+import pytest
+
+from irodori import store
+from irodori.coefficients import write_coefficients
+from irodori.environment import make_environment
+from irodori.principal import CompressOptions
+from irodori.report.light import light_section
+from irodori.report.storage import storage_sentence
+
+LIGHTS = [{"spectrum": "A", "azimuth_deg": 20.0, "elevation_deg": 50.0, "diameter_deg": 30.0, "irradiance": 1.0}]
+
+
+@pytest.mark.parametrize("with_gloss", [False, True])
+def test_every_figure_of_the_gloss_table_is_the_files(tmp_path, with_gloss):
+    path = tmp_path / "room.h5"
+    make_environment({"kind": "lights", "lights": LIGHTS}, {"width": 64, "height": 32}, path, CompressOptions(),
+                     {"max_error": 0.01, "max_height": 64}, store.Provenance("test"), with_gloss)  # fmt: skip
+    page = light_section(["room & hall"], [path])
+    assert "room &amp; hall" in page and "Source: lights." in page
+    with store.open_file(path) as file:
+        errors = file.attribute("errors")
+    assert f"map of {errors['irradiance']['height']} rows" in page
+    assert ("θ_r" in page) == with_gloss
+    for row in errors.get("gloss", []):
+        line = re.search(rf"<tr><td>{row['mu_rad']:g}</td>(.*?)</tr>", page)[1]
+        assert f"<td>{row['rms']:.1%} ({row['max']:.1%})</td>" in line
+
+
+def test_the_size_told_is_that_of_the_packed_numbers(tmp_path):
+    coefficients = np.random.default_rng(1).normal(size=(64, 128, 4)).astype(np.float32)
+    with store.create(tmp_path / "a.h5", store.Provenance("test")) as out:
+        write_coefficients(out, "coefficients", coefficients, quantity="coefficients", storage="half", codec="gzip")
+    with store.open_file(tmp_path / "a.h5") as file:
+        sentence = storage_sentence(file, "coefficients")
+    megabytes, ratio, speed = map(float, re.findall(r"[\d.]+(?= (?:MB|times|million))", sentence))
+    # Noise hardly packs: 16 bits of each of 4 x 8192 numbers, against 61 x 32 bits a pixel.
+    assert 0.04 < megabytes < 0.075 and ratio == pytest.approx(64 * 128 * 61 * 4 / 1e6 / megabytes, rel=0.02)
+    assert speed > 0
