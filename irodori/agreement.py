@@ -192,6 +192,11 @@ class _Checks:
                 found = f"{view['up']}, along the line of sight or of no length"
                 raise InputError(file, f"views.{label}.up", found, "a direction that points up in the picture")
 
+        check_spectra(scene, (), self.root, file)
+        if scene["lights"] and scene["integrator"]["kind"] != "reference":
+            found = f"lights, which the integrator {scene['integrator']['kind']} does not trace"
+            raise InputError(file, "lights", found, "integrator: {kind: reference, samples: 256}, or no lights")
+
     def folders(self) -> None:
         """Refuse a table or a folder into which two sessions would write: their photographs bear the same names."""
         taken: dict[tuple[str, Path], Path] = {}

@@ -20,6 +20,7 @@ KINDS = {"collimated": COLLIMATED, "rectangle": RECTANGLE, "sphere": BALL}
 BANDS, PADDED = 61, 64
 #: Cosine at the light under which its share of the choice does not fall: light along its plane is not left to chance.
 _LEAST_COSINE = 0.05
+_PARTS = 64  # along each side of a rectangle, for the white of the picture
 
 
 class Lights(NamedTuple):
@@ -93,7 +94,31 @@ def _placement(light: dict) -> Placement:
     return Placement(shape, rotation_xyz(light["rotation_deg"]), position)
 
 
-@numba.njit(cache=True, _nrt=False)
+def upward_radiance(lights: Lights) -> np.ndarray:
+    """Return the radiance of a perfect diffuser at the scene's origin that faces up and sees every light whole, (61,).
+
+    A sphere whose centre is under the horizon, and a part of a rectangle there, give nothing.
+    """
+    total = np.zeros(BANDS)
+    steps = (np.arange(_PARTS) + 0.5) / _PARTS - 0.5
+    for i, kind in enumerate(lights.kind):
+        shines, centre, size = lights.rotation[i, :, 2], lights.position_mm[i], lights.size_mm[i]
+        if kind == COLLIMATED:
+            factor = max(shines[2], 0.0)
+        elif kind == BALL:
+            squared = max(float(centre @ centre), size[0] ** 2)
+            factor = math.pi * size[0] ** 2 / squared * max(centre[2], 0.0) / math.sqrt(squared)
+        else:
+            a, b = np.meshgrid(steps * size[0], steps * size[1])
+            place = centre + a[..., None] * lights.rotation[i, :, 0] + b[..., None] * lights.rotation[i, :, 1]
+            squared = np.maximum(np.sum(place**2, axis=-1), 1e-12 * size.max() ** 2)
+            cosines = np.maximum(place[..., 2], 0.0) * np.maximum(-place @ shines, 0.0) / squared
+            factor = float(np.mean(cosines / squared)) * size[0] * size[1]
+        total += factor * lights.spectrum[i, :BANDS]
+    return total / math.pi
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _towards(lights, light, point):
     """Return the squared distance to a light's centre, mm², and the height of a point over the light's plane, mm."""
     squared, height = 0.0, 0.0
@@ -104,7 +129,7 @@ def _towards(lights, light, point):
     return squared, height
 
 
-@numba.njit(cache=True, _nrt=False)
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def unobstructed(lights, light, point):
     """Return about what irradiance a light gives at a point, summed over the wavelengths; 0 where it gives none.
 
@@ -123,14 +148,14 @@ def unobstructed(lights, light, point):
     return lights.power[light] * area * cosine / max(squared, area)
 
 
-@numba.njit(cache=True, _nrt=False)
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _cap(lights, light, squared):
     """Return 1 - cos of the half angle under which a sphere is seen from a squared distance."""
     sine2 = lights.size_mm[light, 0] ** 2 / squared
     return sine2 / (1.0 + math.sqrt(1.0 - sine2))
 
 
-@numba.njit(cache=True, _nrt=False)
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def density_towards(lights, light, point, direction):
     """Return the density in 1/sr with which `sample_towards` draws a direction that meets the light; 0 from behind."""
     squared, height = _towards(lights, light, point)
@@ -146,7 +171,7 @@ def density_towards(lights, light, point, direction):
     return distance * distance / (lights.size_mm[light, 0] * lights.size_mm[light, 1] * cosine)
 
 
-@numba.njit(cache=True, _nrt=False)
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def sample_towards(lights, light, point, u, v, direction, tangent, bitangent):
     """Fill a unit direction from a point to a light: even over a rectangle, even in solid angle over a sphere.
 

@@ -107,3 +107,36 @@ def test_a_view_in_files_shows_a_white_diffuser_as_white(tmp_path):
     figures = json.loads((tmp_path / "v.json").read_text())
     assert figures["exposure"] == 1.0 and figures["filled_fraction"] == {"white": 0.0, "grey": 0.0}
     assert WAVELENGTH_NM.size == radiance.shape[2]
+
+
+def test_a_view_by_paths_in_files_tells_its_error_and_leaves_no_tiles(tmp_path):
+    """A white plate under constant light and a lamp above it: their sum is the picture's white."""
+    light = constant_light(np.linspace(0.3, 3.0, 61))
+    light.save(tmp_path / "e.h5", store.Provenance("test"))
+    material(1.0).save(tmp_path / "white.h5", store.Provenance("test"))
+    sun = {"kind": "collimated", "spectrum": "A", "azimuth_deg": 0.0, "elevation_deg": 30.0, "irradiance": 4.0}
+    lamp = {"kind": "sphere", "spectrum": "D65", "position_mm": [-200, 0, 100], "radius_mm": 10.0, "radiance": 900.0}
+    panel = {"kind": "rectangle", "spectrum": "D65", "position_mm": [90, 0, 200], "rotation_deg": [180, 20, 0],
+             "width_mm": 60.0, "height_mm": 90.0, "radiance": 5.0}  # fmt: skip
+    scene = {
+        "image": {"width": 7, "height": 5}, "display": {"exposure": "auto"}, "lights": [sun, lamp, panel],
+        "integrator": {"kind": "reference", "samples": 512, "seed": 3},
+        "objects": [{"object": "white", "position_mm": [0, 0, 0], "rotation_deg": [0, 0, 0], "scale": 1.0}],
+        "views": {"v": {"position_mm": [0, -0.01, 500.0], "target_mm": [0, 0, 0], "up": [0, 0, 1],
+                        "field_of_view_deg": 0.1}},
+    }  # fmt: skip
+    outputs = [tmp_path / f"v.{suffix}" for suffix in ("exr", "png", "json")]
+    shapes = [{"kind": "plate", "width_mm": 100.0, "height_mm": 100.0}]
+    arguments = (scene, "v", shapes, [tmp_path / "white.h5"], tmp_path / "e.h5", *outputs, OPTIONS, 2)
+    render_view(*arguments)
+    with Image.open(tmp_path / "v.png") as image:
+        assert (np.asarray(image) >= 252).all()
+    figures = json.loads((tmp_path / "v.json").read_text())
+    assert figures["integrator"] == "reference" and figures["samples"] == 512 and figures["paths_cut"] == 0
+    assert 0 < figures["relative_standard_error"]["mean"] <= figures["relative_standard_error"]["max"] < 0.02
+    assert not (tmp_path / "v.tiles").exists()
+    # The sampled integrator would leave the lights out.
+    with pytest.raises(ValueError, match="accepted: the integrator 'reference'"):
+        render_view(scene | {"integrator": {"kind": "sampled"}}, *arguments[1:])
+    with pytest.raises(ValueError, match="accepted: sampled, reference"):
+        render_view(scene | {"integrator": {"kind": "bidirectional"}}, *arguments[1:])

@@ -315,6 +315,11 @@ def scene_meshes(wildcards):
     return meshes_of(*dict.fromkeys(scene_objects(wildcards)))
 
 
+def scene_tables(wildcards):
+    """Return the tables of spectra of a scene's own lights."""
+    return named_tables(config["scenes"][wildcards.scene]["lights"])
+
+
 def scene_shapes(wildcards):
     """Return the shapes of a scene's objects."""
     return [config["objects"][name]["shape"] for name in scene_objects(wildcards)]

@@ -7,8 +7,19 @@ from irodori.rendering.reference.picture import (
     Tiles,
     check_samples,
     make_scene,
+    picture_key,
     render,
     render_rows,
 )
 
-__all__ = ["REPLICATES", "Picture", "Scene", "Tiles", "check_samples", "make_scene", "render", "render_rows"]
+__all__ = [
+    "REPLICATES",
+    "Picture",
+    "Scene",
+    "Tiles",
+    "check_samples",
+    "make_scene",
+    "picture_key",
+    "render",
+    "render_rows",
+]

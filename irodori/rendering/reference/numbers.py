@@ -54,7 +54,7 @@ def make_numbers(samples: int, seed: int, replicates: int) -> Numbers:
     return Numbers(points, replicates, count, seed)
 
 
-@numba.njit(cache=True, _nrt=False, inline="always")
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _mixed(z):
     """Return the finaliser of SplitMix64 (Steele et al. 2014)."""
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -62,7 +62,7 @@ def _mixed(z):
     return z ^ (z >> np.uint64(31))
 
 
-@numba.njit(cache=True, _nrt=False)
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def pixel_key(x, y, replicate, seed):
     """Return what makes a pixel's numbers in a replicate its own, uint64."""
     key = _mixed(np.uint64(seed) * _ODD + _GOLDEN)
@@ -70,15 +70,21 @@ def pixel_key(x, y, replicate, seed):
     return _mixed(key + np.uint64(replicate) * _GOLDEN)
 
 
-@numba.njit(cache=True, _nrt=False, inline="always")
-def draw(numbers, key, replicate, sample, dimension):
-    """Return a number in [0, 1)."""
-    z = key + np.uint64(dimension) * _GOLDEN
+@numba.njit(cache=True, _nrt=False, forceinline=True)
+def stream_of(numbers, key, replicate, sample):
+    """Return what `draw` needs to know of a sample: keys of its set and of itself, and its place in the points."""
     size = numbers.points.shape[1]
+    # A set that is used again is shifted anew.
+    of_set = key + np.uint64(sample // size) * _ODD
+    return of_set, _mixed(key + np.uint64(sample + 1) * _ODD), replicate, sample % size
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
+def draw(numbers, stream, dimension):
+    """Return a number in [0, 1)."""
+    step = np.uint64(dimension) * _GOLDEN
     if dimension < DIMENSIONS:
-        # A set that is used again is shifted anew.
-        z += np.uint64(sample // size) * _ODD
-        bits = np.uint32(_mixed(z) >> np.uint64(32)) ^ numbers.points[replicate, sample % size, dimension]
+        bits = np.uint32(_mixed(stream[0] + step) >> np.uint64(32)) ^ numbers.points[stream[2], stream[3], dimension]
     else:
-        bits = np.uint32(_mixed(z + np.uint64(sample + 1) * _ODD) >> np.uint64(32))
+        bits = np.uint32(_mixed(stream[1] + step) >> np.uint64(32))
     return np.float64(bits) * 2.0**-32

@@ -7,15 +7,14 @@ roulette, which leaves the mean as it is.
 """
 
 import math
-from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from irodori.brdf import fresnel
 from irodori.geometry.embree import hit_distance, hit_shape, is_blocked, new_ray, trace
-from irodori.geometry.surfaces import Surfaces, face_viewer
-from irodori.rendering.lights import COLLIMATED, Lights, density_towards, sample_towards, unobstructed
+from irodori.geometry.surfaces import face_viewer
+from irodori.rendering.lights import COLLIMATED, density_towards, sample_towards, unobstructed
 from irodori.rendering.reference.bands import (
     BANDS,
     PADDED,
@@ -42,9 +41,10 @@ from irodori.rendering.reference.numbers import (
     VERTEX,
     draw,
     pixel_key,
+    stream_of,
 )
-from irodori.rendering.reference.sky import Sky, look_at_sky, sample_sky
-from irodori.rendering.scene import Objects
+from irodori.rendering.reference.sky import look_at_sky, sample_sky
+from irodori.rendering.reference.world import new_work
 from irodori.rendering.shading import frame, surface
 
 #: Surfaces after which a path is cut, which is counted: two perfect mirrors may keep one for ever.
@@ -53,78 +53,7 @@ _GREEN = 30  # the band whose index stands for all where terms are chosen
 _ROULETTE_FROM = 1  # the second surface
 
 
-class Bands(NamedTuple):
-    """What the materials have a band, padded; the first axis counts the objects."""
-
-    basis: np.ndarray  # (objects, k, 64) float32
-    n: np.ndarray  # (objects, 64) float32
-    k: np.ndarray  # (objects, 64) float32
-
-
-class World(NamedTuple):
-    """What paths travel in; surface i is object i, and those of lights follow."""
-
-    surfaces: Surfaces
-    objects: Objects
-    bands: Bands
-    sky: Sky
-    lights: Lights
-    intersect: int
-    occluded: int
-    scene: int
-    offset_mm: np.ndarray  # (surfaces,) height above a surface at which rays leave it, at the origin
-    steps: float  # further height, a part of the coordinates' size: single precision
-
-
-class Work(NamedTuple):
-    """Buffers of one thread."""
-
-    origin: np.ndarray  # (3,)
-    direction: np.ndarray  # (3,)
-    point: np.ndarray  # (3,)
-    normal: np.ndarray  # (3,)
-    facet: np.ndarray  # (3,)
-    to_eye: np.ndarray  # (3,)
-    tangent: np.ndarray  # (3,)
-    bitangent: np.ndarray  # (3,)
-    light: np.ndarray  # (3,) towards a light
-    texel: np.ndarray  # (k + 2,)
-    coefficients: np.ndarray  # (k + 1,) of the environment
-    share: np.ndarray  # (lights + 1,) of the choice among lights, the environment last
-    throughput: np.ndarray  # (64,) float32, as are the others
-    diffuse: np.ndarray
-    fresnel: np.ndarray
-    radiance: np.ndarray
-    mixture: np.ndarray
-    total: np.ndarray
-
-
-@numba.njit(cache=True)
-def new_work(world):
-    """Return the buffers of one thread."""
-    return Work(
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(world.objects.texels.shape[1]),
-        np.empty(world.sky.pixels.shape[1]),
-        np.zeros(world.lights.kind.size + 1),
-        np.zeros(PADDED, np.float32),
-        np.zeros(PADDED, np.float32),
-        np.zeros(PADDED, np.float32),
-        np.zeros(PADDED, np.float32),
-        np.zeros(PADDED, np.float32),
-        np.zeros(PADDED, np.float32),
-    )
-
-
-@numba.njit(cache=True, _nrt=False)
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _fill_shares(world, point, share):
     """Fill the probabilities by which lights are chosen at a point, about their irradiance; return whether any is."""
     total = 0.0
@@ -139,7 +68,7 @@ def _fill_shares(world, point, share):
     return total > 0.0
 
 
-@numba.njit(cache=True, _nrt=False)
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _meet_light(world, work, index, density):
     """Add what a path meets beside the objects; ``density`` is that of its drawing, below 0 of a single direction."""
     count = world.lights.kind.size
@@ -160,7 +89,7 @@ def _meet_light(world, work, index, density):
             add_product(work.throughput, work.radiance, weight, work.total)
 
 
-@numba.njit(cache=True, _nrt=False)
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _reflect(world, work, index, direction, probability, gloss):
     """Fill ``work.mixture`` with the rough terms towards a direction of light; return the density of its drawing.
 
@@ -190,7 +119,7 @@ def _reflect(world, work, index, direction, probability, gloss):
     return density + probability[1] * of_gloss
 
 
-@numba.njit(cache=True, _nrt=False)
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _leave(world, work, index, origin):
     """Fill the origin of a ray that leaves the surface."""
     p = work.point
@@ -199,15 +128,15 @@ def _leave(world, work, index, origin):
         origin[axis] = p[axis] + height * work.facet[axis]
 
 
-@numba.njit(cache=True, _nrt=False)
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _add_chosen_light(world, ray, work, index, probability, gloss, numbers, at):
     """Add what one chosen light sends over the surface towards the eye.
 
-    ``at`` is (key, replicate, sample, first dimension of the surface).
+    ``at`` is the stream of random numbers and the first dimension of the surface.
     """
-    key, replicate, sample, first = at
-    pick = draw(numbers, key, replicate, sample, first + PICK)
+    stream, first = at
     chosen, count = -1, world.lights.kind.size
+    pick = draw(numbers, stream, first + PICK) if count > 0 else 0.0
     for light in range(count + 1):
         if work.share[light] > 0.0:
             chosen = light
@@ -215,8 +144,8 @@ def _add_chosen_light(world, ray, work, index, probability, gloss, numbers, at):
                 break
             pick -= work.share[light]
     u, v = (
-        draw(numbers, key, replicate, sample, first + LIGHT),
-        draw(numbers, key, replicate, sample, first + LIGHT + 1),
+        draw(numbers, stream, first + LIGHT),
+        draw(numbers, stream, first + LIGHT + 1),
     )
     if chosen == count:
         density = sample_sky(world.sky, u, v, work.light, work.coefficients)
@@ -247,7 +176,7 @@ def _add_chosen_light(world, ray, work, index, probability, gloss, numbers, at):
     add_product(work.throughput, work.mixture, 1.0, work.total)
 
 
-@numba.njit(cache=True, _nrt=False)
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _shares_of_terms(world, work, index, cos_r):
     """Return the shares of diffuse, gloss and mirror term in the light that is reflected, about; and β, μ.
 
@@ -272,15 +201,15 @@ def _shares_of_terms(world, work, index, cos_r):
     return diffuse / whole, gloss / whole, mirror / whole, beta, mu, reflectance
 
 
-@numba.njit(cache=True, _nrt=False)
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _turn(world, work, index, terms, numbers, at):
     """Choose the path's next direction and multiply its throughput.
 
     Returns the density of the direction in 1/sr, below 0 for the mirror's, 0 where the path ends.
     """
-    key, replicate, sample, first = at
+    stream, first = at
     diffuse, gloss, mirror, beta, mu, reflectance = terms
-    choice = draw(numbers, key, replicate, sample, first + CHOICE)
+    choice = draw(numbers, stream, first + CHOICE)
     d, normal = work.direction, work.normal
     if choice < mirror:
         cos_r, above = 0.0, 0.0
@@ -296,7 +225,7 @@ def _turn(world, work, index, terms, numbers, at):
             fill_fresnel(min(cos_r, 1.0), world.bands.n, world.bands.k, index, work.fresnel)
             scale_by(work.throughput, work.fresnel, chi)
         return -1.0 if above > 0.0 else 0.0
-    u, v = draw(numbers, key, replicate, sample, first + LOBE), draw(numbers, key, replicate, sample, first + LOBE + 1)
+    u, v = draw(numbers, stream, first + LOBE), draw(numbers, stream, first + LOBE + 1)
     frame(normal, work.tangent, work.bitangent)
     if choice < mirror + gloss:
         if not draw_gloss(normal, work.tangent, work.bitangent, work.to_eye, mu, u, v, d):
@@ -309,7 +238,7 @@ def _turn(world, work, index, terms, numbers, at):
     return density
 
 
-@numba.njit(cache=True, _nrt=False)
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _arrive(world, work, ray, index):
     """Fill what is known of the surface that a path met; return the cosine towards the viewer."""
     distance, d = hit_distance(ray), work.direction
@@ -320,21 +249,21 @@ def _arrive(world, work, ray, index):
     return face_viewer(work.normal, work.facet, d)
 
 
-@numba.njit(cache=True, _nrt=False)
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _survives(work, numbers, at):
     """Play Russian roulette; return whether the path goes on."""
-    key, replicate, sample, first = at
+    stream, first = at
     chance = largest(work.throughput)
     if chance >= 1.0:
         return True
-    if not draw(numbers, key, replicate, sample, first + SURVIVAL) < chance:
+    if not draw(numbers, stream, first + SURVIVAL) < chance:
         return False
     scale(work.throughput, 1.0 / chance)
     return True
 
 
-@numba.njit(cache=True, _nrt=False)
-def _follow(world, ray, work, numbers, key, replicate, sample):
+@numba.njit(cache=True, _nrt=False, forceinline=True)
+def _follow(world, ray, work, numbers, stream):
     """Add the radiance along one path to ``work.total``; return 1 where it had to be cut, 0 else."""
     objects = world.objects.mirror.size
     for band in range(PADDED):
@@ -349,7 +278,7 @@ def _follow(world, ray, work, numbers, key, replicate, sample):
         cos_r = _arrive(world, work, ray, index)
         if cos_r <= 0.0:
             return 0
-        at = (key, replicate, sample, VERTEX + vertex * PER_VERTEX)
+        at = (stream, VERTEX + vertex * PER_VERTEX)
         terms = _shares_of_terms(world, work, index, cos_r)
         if terms[0] + terms[1] + terms[2] <= 0.0:
             return 0
@@ -362,7 +291,7 @@ def _follow(world, ray, work, numbers, key, replicate, sample):
     return 1
 
 
-@numba.njit(cache=True, _nrt=False, inline="always")
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _aim(view, x, y, work):
     """Start a path from the eye through a place of the picture, px."""
     px, py = (x - 0.5 * view.width) / view.focal_px, (y - 0.5 * view.height) / view.focal_px
@@ -373,7 +302,7 @@ def _aim(view, x, y, work):
         work.origin[a] = view.position_mm[a]
 
 
-@numba.njit(cache=True, _nrt=False)
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _render_pixel(world, ray, work, view, numbers, x, y, mean, spread):
     """Add the means of a pixel's replicates, and their squares; return the number of paths that were cut."""
     cut = 0
@@ -382,9 +311,10 @@ def _render_pixel(world, ray, work, view, numbers, x, y, mean, spread):
         for band in range(PADDED):
             work.total[band] = np.float32(0.0)
         for sample in range(numbers.samples):
-            u, v = draw(numbers, key, replicate, sample, PIXEL), draw(numbers, key, replicate, sample, PIXEL + 1)
+            stream = stream_of(numbers, key, replicate, sample)
+            u, v = draw(numbers, stream, PIXEL), draw(numbers, stream, PIXEL + 1)
             _aim(view, x + u, y + v, work)
-            cut += _follow(world, ray, work, numbers, key, replicate, sample)
+            cut += _follow(world, ray, work, numbers, stream)
         for band in range(BANDS):
             value = float(work.total[band]) / numbers.samples
             mean[band] += value

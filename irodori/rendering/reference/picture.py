@@ -1,5 +1,6 @@
 """The `reference` integrator: a converging picture with its standard error, in tiles that an interrupted run keeps."""
 
+import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -12,11 +13,13 @@ from irodori.geometry.surfaces import make_surfaces
 from irodori.light import Environment
 from irodori.native import run_chunks
 from irodori.progress import LOGGER, track
+from irodori.provenance import code_hash
 from irodori.rendering.lights import BANDS, make_lights
 from irodori.rendering.reference.bands import padded
 from irodori.rendering.reference.numbers import Numbers, make_numbers
-from irodori.rendering.reference.paths import Bands, World, render_some_rows
+from irodori.rendering.reference.paths import render_some_rows
 from irodori.rendering.reference.sky import make_sky
+from irodori.rendering.reference.world import Bands, World
 from irodori.rendering.scene import Objects, View
 
 #: Independent parts of the samples of a pixel, from whose spread the standard error comes.
@@ -129,6 +132,23 @@ def render(
         radiance[slice(*rows)], error[slice(*rows)] = part.radiance, part.standard_error
         cut += part.cut
     return Picture(radiance, error, cut)
+
+
+def picture_key(scene: Scene, view: View, samples: int, seed: int) -> str:
+    """Return a hash of everything that a picture depends on: the scene, the view, the samples and this code."""
+    digest = hashlib.blake2b(code_hash(__name__).encode(), digest_size=16)
+    for part in (
+        scene.world.surfaces,
+        scene.world.objects,
+        scene.world.bands,
+        scene.world.sky,
+        scene.world.lights,
+        view,
+    ):
+        for value in part:
+            digest.update(np.ascontiguousarray(value).data)
+    digest.update(f"{samples} {seed}".encode())
+    return digest.hexdigest()
 
 
 class Tiles:

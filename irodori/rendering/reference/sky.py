@@ -16,7 +16,6 @@ import numpy as np
 from irodori.light import Environment, directions
 from irodori.light_sampling import light_sampler
 from irodori.rendering.reference.bands import padded
-from irodori.rendering.shading import interpolate
 from irodori.sphere import direction_uv
 
 _TWO_PI_SQUARED = 2.0 * math.pi**2
@@ -34,8 +33,10 @@ class Sky(NamedTuple):
     width: int
     height: int
     basis: np.ndarray  # (1, k, 64) float32
-    rows: np.ndarray  # (height + 1,) from 0 to 1
+    rows: np.ndarray  # (1, height + 1) from 0 to 1
     columns: np.ndarray  # (height, width + 1), each row from 0 to 1
+    row_guides: np.ndarray  # (1, height + 1) int32, see `_guides`
+    column_guides: np.ndarray  # (height, width + 1) int32
     power: float
 
 
@@ -59,16 +60,30 @@ def make_sky(environment: Environment) -> Sky:
         width,
         height,
         padded(environment.basis.T[None]),
-        sampler.rows,
+        sampler.rows[None],
         sampler.columns,
+        _guides(sampler.rows[None]),
+        _guides(sampler.columns),
         excess,
     )
 
 
-@numba.njit(cache=True, _nrt=False, inline="always")
-def _entry(cumulative, row, u):
+def _guides(cumulative: np.ndarray) -> np.ndarray:
+    """Return where the search in each row (n + 1,) may begin: the entry that holds i / n, for i from 0 to n."""
+    rows, count = cumulative.shape[0], cumulative.shape[1] - 1
+    even = np.arange(count + 1) / count
+    found = np.empty((rows, count + 1), dtype=np.int32)
+    for row in range(rows):
+        found[row] = np.searchsorted(cumulative[row], even, side="right") - 1
+    return np.clip(found, 0, count - 1)
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
+def _entry(cumulative, guides, row, u):
     """Return the entry of a row whose share of 0..1 holds u, never one without a share."""
-    low, high = 0, cumulative.shape[1] - 1
+    count = cumulative.shape[1] - 1
+    part = int(u * count)
+    low, high = guides[row, part], guides[row, part + 1] + 1
     while high - low > 1:
         middle = (low + high) // 2
         if cumulative[row, middle] <= u:
@@ -78,13 +93,13 @@ def _entry(cumulative, row, u):
     return low
 
 
-@numba.njit(cache=True, _nrt=False, inline="always")
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _under_tent(r):
     """Return a place from -1 to 1 with a density that falls from 1 at 0 to 0 at both ends."""
     return math.sqrt(2.0 * r) - 1.0 if r < 0.5 else 1.0 - math.sqrt(2.0 * (1.0 - r))
 
 
-@numba.njit(cache=True, _nrt=False)
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def sample_sky(sky, u, v, direction, coefficients):
     """Fill a drawn direction and the coefficients of its radiance; return the density in 1/sr, 0 for a useless one.
 
@@ -97,16 +112,10 @@ def sample_sky(sky, u, v, direction, coefficients):
     direction : (3,) float
     coefficients : (k + 1,) float
     """
-    low, high = 0, sky.rows.size - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        if sky.rows[middle] <= v:
-            low = middle
-        else:
-            high = middle
-    start, row = sky.rows[low], low
-    v = (v - start) / (sky.rows[row + 1] - start)
-    column = _entry(sky.columns, row, u)
+    row = _entry(sky.rows, sky.row_guides, 0, v)
+    start = sky.rows[0, row]
+    v = (v - start) / (sky.rows[0, row + 1] - start)
+    column = _entry(sky.columns, sky.column_guides, row, u)
     start = sky.columns[row, column]
     u = (u - start) / (sky.columns[row, column + 1] - start)
     # The outer half of a polar row is not interpolated: its tent is flat there.
@@ -121,15 +130,25 @@ def sample_sky(sky, u, v, direction, coefficients):
     return _look(sky, u, v, sine, coefficients)
 
 
-@numba.njit(cache=True, _nrt=False, inline="always")
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _look(sky, u, v, sine, coefficients):
+    """Fill the interpolated coefficients as `irodori.rendering.shading.interpolate` does, without its divisions."""
+    x, y = u * sky.width - 0.5, min(max(v * sky.height - 0.5, 0.0), sky.height - 1.0)
+    left, above = math.floor(x), int(y)
+    fx, fy = x - left, y - above
+    right, below = left + 1, min(above + 1, sky.height - 1)
+    left = left + sky.width if left < 0 else left
+    right = right - sky.width if right >= sky.width else right
+    a, b = above * sky.width + left, above * sky.width + right
+    c, d = below * sky.width + left, below * sky.width + right
+    wa, wb, wc, wd = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
+    pixels = sky.pixels
     for i in range(coefficients.size):
-        coefficients[i] = 0.0
-    interpolate(sky.pixels, 0, sky.width, sky.height, u, v, 1.0, coefficients)
+        coefficients[i] = wa * pixels[a, i] + wb * pixels[b, i] + wc * pixels[c, i] + wd * pixels[d, i]
     return coefficients[coefficients.size - 1] / sine if sine > 1e-12 else 0.0
 
 
-@numba.njit(cache=True, _nrt=False)
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def look_at_sky(sky, direction, coefficients):
     """Fill the coefficients of the radiance from a direction; return the density with which it is drawn, 1/sr."""
     u, v = direction_uv(direction[0], direction[1], direction[2])
