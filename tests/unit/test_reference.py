@@ -21,6 +21,7 @@ from scenes import (
     smooth_light,
 )
 
+from irodori.brdf import angles_from_directions, reflect
 from irodori.geometry.frames import rotation_x
 from irodori.rendering.reference import Tiles
 from irodori.spectra import light as spectrum_of
@@ -308,6 +309,37 @@ def test_a_sphere_lights_a_plate_by_its_solid_angle(radius):
     assert (picture.standard_error[0, 0] <= 3e-3 * expected).all()
 
 
+@pytest.mark.parametrize("mu", [0.02, 0.1, 0.4, 1.2])
+@pytest.mark.parametrize("theta_deg", [30.0, 80.0])
+def test_a_lamp_is_mirrored_as_broadly_as_the_surface_is_rough(mu, theta_deg):
+    """Quadrature over the lamp with the arrays of `irodori.brdf`, the eye in the mirror direction and beside it."""
+    radius, distance = 12.0, 100.0
+    theta = np.radians(theta_deg)
+    centre = distance * np.array([0.0, np.sin(theta), np.cos(theta)])
+    beta, normal = 1 / (4 * mu**2), np.array([0.0, 0.0, 1.0])
+    nodes, weights = np.polynomial.legendre.leggauss(300)
+    cap = 1 - np.sqrt(1 - (radius / distance) ** 2)
+    rise, around = np.meshgrid((nodes + 1) / 2 * cap, (np.arange(360) + 0.5) * np.pi / 180, indexing="ij")
+    axis = centre / distance
+    across = np.cross(axis, [1.0, 0.0, 0.0])
+    sine = np.sqrt(rise * (2 - rise))[..., None]
+    towards = (1 - rise)[..., None] * axis + sine * (
+        np.cos(around)[..., None] * np.array([1.0, 0.0, 0.0]) + np.sin(around)[..., None] * across
+    )
+    for off_deg in (0.0, 6.0):
+        angle = np.radians(theta_deg - off_deg)
+        view = np.array([0.0, -np.sin(angle), np.cos(angle)])
+        reflected = reflect(0.3, 1.0, beta, mu, angles_from_directions(normal, towards, view), 1.5, 0.2)
+        value = np.sum(reflected / np.pi * (weights * cap / 2)[:, None]) * np.pi / 180
+        expected = 7.0 * value * spectrum_of("D65")[30]
+        picture = traced([plate(50.0)], [material(0.3, beta=beta, mu=mu, n=1.5, k=0.2)], DARK, 16384,
+                         position=300 * view, size=(1, 1), fov=0.001, up=(0.0, np.cos(angle), np.sin(angle)),
+                         lights=[lamp("sphere", position_mm=list(centre), radius_mm=radius, radiance=7.0)])  # fmt: skip
+        error = picture.standard_error[0, 0, 30]
+        assert error <= 0.02 * expected
+        assert abs(picture.radiance[0, 0, 30] - expected) <= 5 * error + 1e-3 * expected
+
+
 def test_lights_add_up():
     """Which light is chosen is left to chance; what they give together is not."""
     lights = [
@@ -444,3 +476,8 @@ def test_an_interrupted_picture_goes_on_where_it_stopped(tmp_path, monkeypatch):
 def test_samples_that_replicates_cannot_share_are_refused(samples):
     with pytest.raises(ValueError, match="multiple of 8"):
         still_life(samples)
+
+
+def test_an_unknown_light_lists_the_kinds():
+    with pytest.raises(ValueError, match="accepted: collimated, rectangle, sphere"):
+        traced([BALL], [material(0.5)], DARK, 8, size=(1, 1), lights=[lamp("disc", radius_mm=3.0)])

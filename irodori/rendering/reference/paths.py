@@ -1,7 +1,7 @@
 """Paths from the eye through a scene, each carrying all bands [eq. 5]: the compiled half of the path tracer.
 
 At a surface one light is chosen and one direction drawn from it, and one direction drawn from the surface's own
-reflection; both count towards the same light by the balance heuristic (Veach and Guibas 1995). The mirror term is a
+reflection; both count towards the same light by the power heuristic (Veach and Guibas 1995). The mirror term is a
 single direction, followed as often as its share of the reflected light. Paths of little throughput end by Russian
 roulette, which leaves the mean as it is.
 """
@@ -50,7 +50,8 @@ from irodori.rendering.shading import frame, surface
 #: Surfaces after which a path is cut, which is counted: two perfect mirrors may keep one for ever.
 LONGEST = 20_000
 _GREEN = 30  # the band whose index stands for all where terms are chosen
-_ROULETTE_FROM = 1  # the second surface
+_LEAST_REFLECTANCE = 1e-3  # for that choice: another band may reflect where this one does not
+_ROULETTE_FROM = 4  # the fifth surface
 
 
 @numba.njit(cache=True, _nrt=False, forceinline=True)
@@ -69,13 +70,19 @@ def _fill_shares(world, point, share):
 
 
 @numba.njit(cache=True, _nrt=False, forceinline=True)
+def _weight(own, other):
+    """Return the weight of a direction by the densities of both drawings, 1/sr; below 0 there is no other."""
+    return 1.0 / (1.0 + (other / own) ** 2) if own > 0.0 else 1.0
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _meet_light(world, work, index, density):
     """Add what a path meets beside the objects; ``density`` is that of its drawing, below 0 of a single direction."""
     count = world.lights.kind.size
     if index < 0:
         drawn = look_at_sky(world.sky, work.direction, work.coefficients) * work.share[count]
         decode(world.sky.basis, 0, work.coefficients.size - 1, work.coefficients, work.radiance)
-        weight = density / (density + drawn) if density > 0.0 else 1.0
+        weight = _weight(density, drawn)
         add_product(work.throughput, work.radiance, weight, work.total)
         return
     for light in range(count):
@@ -83,7 +90,7 @@ def _meet_light(world, work, index, density):
             continue
         of_light = density_towards(world.lights, light, work.origin, work.direction)
         if of_light > 0.0:
-            weight = density / (density + of_light * work.share[light]) if density > 0.0 else 1.0
+            weight = _weight(density, of_light * work.share[light])
             for band in range(PADDED):
                 work.radiance[band] = world.lights.spectrum[light, band]
             add_product(work.throughput, work.radiance, weight, work.total)
@@ -172,7 +179,8 @@ def _add_chosen_light(world, ray, work, index, probability, gloss, numbers, at):
             work.radiance[band] = world.lights.spectrum[chosen, band]
         if world.lights.kind[chosen] == COLLIMATED:
             other = 0.0  # no other drawing finds a single direction
-    scale_by(work.mixture, work.radiance, 1.0 / (share * density + other))
+    drawn = share * density
+    scale_by(work.mixture, work.radiance, _weight(drawn, other) / drawn)
     add_product(work.throughput, work.mixture, 1.0, work.total)
 
 
@@ -190,7 +198,7 @@ def _shares_of_terms(world, work, index, cos_r):
     reflectance = 0.0
     if beta > 0.0 or chi > 0.0:
         reflectance = fresnel(cos_r, objects.n[index, _GREEN], objects.k[index, _GREEN])
-    gloss = total * gloss_share(beta, mu, reflectance) if beta > 0.0 and mu > 0.0 else 0.0
+    gloss = total * gloss_share(beta, mu, max(reflectance, _LEAST_REFLECTANCE)) if beta > 0.0 and mu > 0.0 else 0.0
     mirror = total * chi * reflectance
     if chi > 0.0 and objects.grey[index] == 0:
         fill_fresnel(min(cos_r, 1.0), world.bands.n, world.bands.k, index, work.fresnel)
