@@ -94,11 +94,10 @@ def gold() -> tuple[np.ndarray, np.ndarray]:
 
 def uniform(reflectance: np.ndarray | None) -> Material:
     """Return a material of one reflectance, or a golden mirror."""
-    one = np.ones((2, 2))
+    if reflectance is not None:
+        return Material.uniform(reflectance)
     n, k = gold()
-    basis = (np.zeros(61) if reflectance is None else reflectance)[:, None]
-    mirror = 1.0 if reflectance is None else 0.0
-    return Material(one, 0 * one, 0.1 * one, one, np.ones((2, 2, 1), np.float32), basis, n, k, mirror, (0.0, 0.1))
+    return Material.uniform(0.0, mirror=1.0, n=n, k=k)
 
 
 def even_light(radiance: np.ndarray | None) -> Environment:

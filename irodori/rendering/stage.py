@@ -16,6 +16,7 @@ from irodori.pictures import write_png, write_spectral_exr
 from irodori.progress import LOGGER, track
 from irodori.rendering.integrator import render_rows
 from irodori.rendering.scene import make_light, make_objects, make_placements, make_tracer, make_view
+from irodori.spectra import refractive_index, spectrum
 
 #: Kinds of `integrator` in a scene.
 INTEGRATORS = ("sampled", "reference")
@@ -84,6 +85,7 @@ def render_image(
     ValueError
         If the integrator is unknown, or cannot render what the scene asks for.
     """
+    scene, shapes, materials = _with_bodies(scene, shapes, materials)
     integrator = scene.get("integrator", {"kind": "sampled"})
     if integrator["kind"] not in INTEGRATORS:
         raise ValueError(f"unknown integrator {integrator['kind']!r}; accepted: {', '.join(INTEGRATORS)}")
@@ -98,8 +100,23 @@ def render_image(
             scene, view_name, placements, objects, environment, tile_rows, tiles_folder
         )
     figures["pixels_per_second"] = radiance.shape[0] * radiance.shape[1] / figures["seconds"]
-    figures["filled_fraction"] = {o["object"]: f for o, f in zip(scene["objects"], filled, strict=True)}
+    names = [item["object"] for item in scene["objects"] if "object" in item]
+    figures["filled_fraction"] = dict(zip(names, filled, strict=False))
     return radiance, {"integrator": integrator["kind"], **figures}
+
+
+def _with_bodies(scene: dict, shapes: list[Shape], materials: list[Material]) -> tuple[dict, list, list]:
+    """Return a scene, shapes and materials whose last objects are the scene's bodies."""
+    bodies = scene.get("bodies", [])
+    made = []
+    for body in bodies:
+        n, k = refractive_index(body["material"]["refractive_index"])
+        gloss = {
+            key: body["material"][name] for key, name in (("beta", "beta"), ("mu", "mu_rad"), ("mirror", "mirror"))
+        }
+        made.append(Material.uniform(spectrum(body["material"]["spectrum"]), **gloss, n=n, k=k))
+    shapes = [*shapes, *(Shape.from_definition(body["shape"]) for body in bodies)]
+    return scene | {"objects": [*scene["objects"], *bodies]}, shapes, [*materials, *made]
 
 
 def _render_sampled(scene, view_name, placements, objects, environment, options, tile_rows) -> tuple[np.ndarray, dict]:

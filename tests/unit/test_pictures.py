@@ -140,3 +140,39 @@ def test_a_view_by_paths_in_files_tells_its_error_and_leaves_no_tiles(tmp_path):
         render_view(scene | {"integrator": {"kind": "sampled"}}, *arguments[1:])
     with pytest.raises(ValueError, match="accepted: sampled, reference"):
         render_view(scene | {"integrator": {"kind": "bidirectional"}}, *arguments[1:])
+
+
+@pytest.mark.parametrize("integrator", [{"kind": "sampled"}, {"kind": "reference", "samples": 4096, "seed": 0}])
+def test_a_body_is_rendered_from_its_names_alone(tmp_path, integrator):
+    """A photographed plate, a ball of a test colour and one that mirrors too, under constant light."""
+    from irodori.spectra import spectrum
+
+    light = constant_light(2.0)
+    light.save(tmp_path / "e.h5", store.Provenance("test"))
+    material(0.5).save(tmp_path / "plate.h5", store.Provenance("test"))
+    where = {"rotation_deg": [0, 0, 0], "scale": 2.0, "shape": {"kind": "sphere", "radius_mm": 10.0}}
+    index = tmp_path / "gold.csv"
+    index.write_text("wavelength_nm,n,k\n" + "".join(f"{w},{0.2 + w / 1e3},3.5\n" for w in range(380, 721, 20)))
+    smooth = {"spectrum": "TCS12", "beta": 0.0, "mu_rad": 0.1, "mirror": 0.0, "refractive_index": {"n": 1.5, "k": 0.0}}
+    golden = smooth | {"mirror": 1.0, "refractive_index": {"file": str(index)}}
+    scene = {
+        "image": {"width": 3, "height": 1}, "display": {"exposure": "auto"}, "integrator": integrator,
+        "objects": [{"object": "plate", "position_mm": [0, 0, -500], "rotation_deg": [0, 0, 0], "scale": 1.0}],
+        "bodies": [where | {"position_mm": [-100, 0, 0], "material": smooth},
+                   where | {"position_mm": [100, 0, 0], "material": golden}],
+        "views": {},
+    }  # fmt: skip
+    for name, x in (("left", -100), ("right", 100)):
+        scene["views"][name] = {"position_mm": [x, -0.01, 5000.0], "target_mm": [x, 0, 0], "up": [0, 1, 0],
+                                "field_of_view_deg": 0.002}  # fmt: skip
+        render_view(scene, name, [{"kind": "plate", "width_mm": 10.0, "height_mm": 10.0}], [tmp_path / "plate.h5"],
+                    tmp_path / "e.h5", *(tmp_path / f"{name}.{s}" for s in ("exr", "png", "json")), OPTIONS,
+                    4)  # fmt: skip
+    left, right = (read_spectral_exr(tmp_path / f"{name}.exr")[0, 1] for name in ("left", "right"))
+    # Each sees nothing but the light; the second adds its mirror term to its diffuse one.
+    assert np.allclose(left, 2.0 * np.maximum(spectrum("TCS12"), 0), rtol=2e-3)
+    n = 0.2 + WAVELENGTH_NM / 1e3
+    mirrored = ((n - 1) ** 2 + 3.5**2) / ((n + 1) ** 2 + 3.5**2)
+    assert np.allclose(right, 2.0 * (spectrum("TCS12") + mirrored), rtol=5e-3)
+    figures = json.loads((tmp_path / "left.json").read_text())
+    assert figures["integrator"] == integrator["kind"] and figures["filled_fraction"] == {"plate": 0.0}

@@ -316,8 +316,9 @@ def scene_meshes(wildcards):
 
 
 def scene_tables(wildcards):
-    """Return the tables of spectra of a scene's own lights."""
-    return named_tables(config["scenes"][wildcards.scene]["lights"])
+    """Return the tables that a scene's own lights and bodies are made of."""
+    scene = config["scenes"][wildcards.scene]
+    return named_tables(scene["lights"], scene["bodies"])
 
 
 def scene_shapes(wildcards):
