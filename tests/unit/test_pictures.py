@@ -12,6 +12,7 @@ from irodori import store
 from irodori.errors import InputError
 from irodori.pictures import channel_names, read_spectral_exr, write_png, write_spectral_exr
 from irodori.rendering.stage import render_view
+from irodori.report.page import _views_section
 from irodori.spectra import WAVELENGTH_NM
 
 
@@ -174,5 +175,7 @@ def test_a_body_is_rendered_from_its_names_alone(tmp_path, integrator):
     n = 0.2 + WAVELENGTH_NM / 1e3
     mirrored = ((n - 1) ** 2 + 3.5**2) / ((n + 1) ** 2 + 3.5**2)
     assert np.allclose(right, 2.0 * (spectrum("TCS12") + mirrored), rtol=5e-3)
+    page = _views_section(["s/left"], [tmp_path / "left.png"], [tmp_path / "left.json"], {})
+    assert integrator["kind"] in page and ("4096" in page) == (integrator["kind"] == "reference")
     figures = json.loads((tmp_path / "left.json").read_text())
     assert figures["integrator"] == integrator["kind"] and figures["filled_fraction"] == {"plate": 0.0}
