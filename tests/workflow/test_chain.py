@@ -43,6 +43,12 @@ def test_one_command_leaves_pictures_report_and_errors(finished):
         assert f"<td>{name}</td><td>{found.by_capture}</td><td>{found.by_chart}</td>" in page
 
 
+def test_a_report_is_made_without_a_number_of_cores(finished, tmp_path):
+    run = snakemake(finished, "--report", str(tmp_path / "report.zip"), cores=None)
+    assert run.returncode == 0, run.stderr[-2000:]
+    assert (tmp_path / "report.zip").is_file()
+
+
 def test_recovered_materials_are_near_the_truth(finished):
     table = errors(finished)
     for subject in ("tile-plate", "leaf-sphere"):
