@@ -7,7 +7,7 @@ import shutil
 import h5py
 import numpy as np
 import yaml
-from project import ROOT, edit, planned, snakemake
+from project import ROOT, edit, planned, small_project, snakemake
 
 from irodori.pictures import read_spectral_exr
 from irodori.report.registration import read_registration, summarise
@@ -43,10 +43,10 @@ def test_one_command_leaves_pictures_report_and_errors(finished):
         assert f"<td>{name}</td><td>{found.by_capture}</td><td>{found.by_chart}</td>" in page
 
 
-def test_a_report_is_made_without_a_number_of_cores(finished, tmp_path):
-    run = snakemake(finished, "--report", str(tmp_path / "report.zip"), cores=None)
-    assert run.returncode == 0, run.stderr[-2000:]
-    assert (tmp_path / "report.zip").is_file()
+def test_reports_and_clusters_name_no_number_of_cores_and_need_none(tmp_path):
+    folder = small_project(tmp_path / "still-life")
+    run = snakemake(folder, "--summary", cores=None)
+    assert run.returncode == 0 and "results/report.html" in run.stdout, run.stderr[-2000:]
 
 
 def test_recovered_materials_are_near_the_truth(finished):
