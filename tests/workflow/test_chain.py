@@ -49,6 +49,13 @@ def test_reports_and_clusters_name_no_number_of_cores_and_need_none(tmp_path):
     assert run.returncode == 0 and "results/report.html" in run.stdout, run.stderr[-2000:]
 
 
+def test_what_measuring_speed_takes_is_not_counted_as_time_of_the_results(tmp_path):
+    run = snakemake(small_project(tmp_path / "still-life"), "--dry-run", "benchmark")
+    assert run.returncode == 0, run.stderr[-2000:]
+    kept = [line.split()[1] for line in run.stdout.splitlines() if line.strip().startswith("benchmark: ")]
+    assert len(kept) == 6 and not [path for path in kept if path.startswith("results/benchmarks/")]
+
+
 def test_recovered_materials_are_near_the_truth(finished):
     table = errors(finished)
     for subject in ("tile-plate", "leaf-sphere"):

@@ -3,8 +3,9 @@ rule measure_speed:
         table="results/benchmark/stages/{stage}.csv",
     log:
         "results/logs/measure_speed/{stage}.log",
+    # Not beside those of the other rules: the report adds them up as what the results took.
     benchmark:
-        "results/benchmarks/measure_speed/{stage}.tsv"
+        "results/benchmark/jobs/measure_speed/{stage}.tsv"
     conda:
         "../../envs/irodori.yaml"
     # Alone on the machine: what is timed beside something else is timed wrong. The number is asked for only when this
@@ -25,7 +26,7 @@ rule compare_materials:
     log:
         "results/logs/compare_materials/all.log",
     benchmark:
-        "results/benchmarks/compare_materials/all.tsv"
+        "results/benchmark/jobs/compare_materials/all.tsv"
     conda:
         "../../envs/irodori.yaml"
     threads: 1
@@ -51,7 +52,7 @@ rule write_speed_report:
     log:
         "results/logs/write_speed_report/all.log",
     benchmark:
-        "results/benchmarks/write_speed_report/all.tsv"
+        "results/benchmark/jobs/write_speed_report/all.tsv"
     conda:
         "../../envs/irodori.yaml"
     threads: 1
