@@ -1,5 +1,6 @@
 """Eight texels fitted at once come out as each of them alone."""
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,6 +9,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from irodori.brdf import reflect
 from irodori.fitting import FitOptions, judge
+from irodori.fitting.abreast import fit_abreast, new_abreast
+from irodori.fitting.shared import no_shared
 from irodori.fitting.solvers import SOLVERS, problem_of
 
 LIGHT = np.radians(np.array([25.0, 45.0, 65.0]))[np.arange(24) % 3]
@@ -88,6 +91,27 @@ def test_eight_at_once_are_as_each_alone(shared, noise, seed, level, scale, hole
     variance = None if noise is None else noise * [scale**2, scale]
     problem, rules = problem_of(response, geometry, weight, 1.5, 0.0, options, variance, clipped)
     _same(SOLVERS["varpro"](problem, rules, options), _alone(problem, rules, options))
+
+
+@numba.njit
+def _done(problem, rules, captures):
+    return fit_abreast(problem, no_shared(), rules, 0, len(problem.response), new_abreast(captures, problem.nodes.size))
+
+
+@pytest.mark.parametrize("count", [8, 5])
+@pytest.mark.parametrize("noise", [None, NOISE])
+def test_ordinary_texels_are_fitted_together_and_others_handed_back(count, noise):
+    rng = np.random.default_rng(4)
+    truth = rng.uniform(0.1, 0.9, (count, 1)), rng.uniform(1.0, 6.0, (count, 1)), rng.uniform(0.06, 0.3, (count, 1))
+    geometry = np.tile(ANGLES, (count, 1, 1))
+    response = reflect(truth[0], 1.0, truth[1], truth[2], geometry) * (
+        1 + 0.005 * rng.normal(size=(count, len(ANGLES)))
+    )
+    response[2] = reflect(0.5, 1.0, 0.0, 0.1, ANGLES)  # matt: another model
+    weight = np.ones_like(response)
+    weight[4, 3:] = 0.0  # too few
+    problem, rules = problem_of(response, geometry, weight, 1.5, 0.0, FitOptions(), noise, None)
+    assert _done(problem, rules, len(ANGLES)) == (1 << count) - 1 - (1 << 2) - (1 << 4)
 
 
 def test_repeated_geometries_are_no_new_observations():
