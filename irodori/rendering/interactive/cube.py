@@ -34,16 +34,24 @@ _COARSEST_SIDE = 4
 _PARTS, _ROWS = 3, 64
 
 
-def cube_directions(side: int, border: int = 0) -> np.ndarray:
-    """Return the unit vectors of the texels' centres, borders included, (6, side, side, 3) float64."""
-    place = 2.0 * (np.arange(-border, side + border) + 0.5) / side - 1.0
-    u, v = np.meshgrid(place, place)
+def _on_faces(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Return the unit vectors at places (...) of all faces, (6, ..., 3)."""
     faces = []
     for axis, sign in itertools.product(range(3), (1.0, -1.0)):
         unit = np.empty((*u.shape, 3))
         unit[..., axis], unit[..., (axis + 1) % 3], unit[..., (axis + 2) % 3] = sign, u, v
         faces.append(unit / np.linalg.norm(unit, axis=-1, keepdims=True))
     return np.stack(faces)
+
+
+def _texel_places(side: int, border: int) -> tuple[np.ndarray, np.ndarray]:
+    place = 2.0 * (np.arange(-border, side + border) + 0.5) / side - 1.0
+    return tuple(np.meshgrid(place, place))
+
+
+def cube_directions(side: int, border: int = 0) -> np.ndarray:
+    """Return the unit vectors of the texels' centres, borders included, (6, side, side, 3) float64."""
+    return _on_faces(*_texel_places(side, border))
 
 
 def places_of(unit: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -71,15 +79,16 @@ def fill_borders(stored: np.ndarray) -> None:
     """Fill the borders of a map, (6, side + 2, side + 2, k) of any float, from what the other faces show there."""
     edge = np.ones(stored.shape[1:3], dtype=bool)
     edge[1:-1, 1:-1] = False
-    unit = cube_directions(stored.shape[1] - 2, 1)
-    stored[:, edge] = look_up_cube(stored, unit[:, edge], reach=0.0)
+    u, v = _texel_places(stored.shape[1] - 2, 1)
+    stored[:, edge] = look_up_cube(stored, _on_faces(u[edge], v[edge]), reach=0.0)
     # A corner lies between the outermost texels of the two other faces.
-    for face, row, column in itertools.product(range(FACES), (0, -1), (0, -1)):
-        sides = np.repeat(unit[face, row, column][None], 2, axis=0)
+    corners = _on_faces(u[:: len(u) - 1, :: len(u) - 1], v[:: len(u) - 1, :: len(u) - 1])
+    for face, row, column in itertools.product(range(FACES), (0, 1), (0, 1)):
+        sides = np.repeat(corners[face, row, column][None], 2, axis=0)
         for side, turn in zip(sides, (1, 2), strict=True):
             other = (face // 2 + turn) % 3
             side[other] = np.copysign(side[face // 2], side[other])
-        stored[face, row, column] = look_up_cube(stored, sides, reach=0.0).mean(axis=0)
+        stored[face, -row, -column] = look_up_cube(stored, sides, reach=0.0).mean(axis=0)
 
 
 def from_equirectangular(picture: np.ndarray, side: int) -> np.ndarray:

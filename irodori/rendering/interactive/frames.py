@@ -180,7 +180,10 @@ def _frame(prepared: Prepared, view: View, world_from_light, lamps) -> Frame:
     if len(lamps) != prepared.lamps:
         raise ValueError(f"{len(lamps)} lamps; accepted: the {prepared.lamps} that the scene was prepared for")
     directions = np.array([lamp.direction for lamp in lamps], dtype=np.float64).reshape(-1, 3)
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    length = np.linalg.norm(directions, axis=1, keepdims=True)
+    if not (np.isfinite(length) & (length > 0)).all():
+        raise ValueError("a lamp without a direction; accepted: three finite numbers, not all zero")
+    directions /= length
     return Frame(
         position_mm=_single(view.position_mm),
         world_from_camera=_single(view.world_from_camera),
@@ -234,7 +237,8 @@ def render_frame(
     keep_visibility : bool
         Keep what the rays met, and use it in frames of the same view. The picture is the same to the bit.
     figures : dict, optional
-        Filled with ``rays`` and, if a scene was prepared by `profiled`, the cycles of each stage, all threads together.
+        Filled with ``rays``, those that the shapes' bounds answer included, and, if a scene was prepared by `profiled`,
+        with the cycles of each stage, all threads together.
     out : optional
         Picture to fill.
 
@@ -245,7 +249,7 @@ def render_frame(
     Raises
     ------
     ValueError
-        If lamps or bands do not fit the scene.
+        If lamps or bands do not fit the scene, or a lamp has no direction.
     """
     if bands and prepared.representation != "spectral":
         raise ValueError(f"bands of the representation {prepared.representation!r}; accepted: spectral")

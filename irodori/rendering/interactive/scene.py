@@ -148,14 +148,14 @@ def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
 def make_gloss(gloss: GlossMaps, channels: Channels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the blurred light, flat, with where each level begins and its side."""
     # Texels in the middle of a face are as wide as the maps' rows are high.
-    parts, sides = [], [int(np.ceil(level.shape[0] * 2.0 / np.pi)) for level in gloss.levels]
+    sides = [int(np.ceil(level.shape[0] * 2.0 / np.pi)) for level in gloss.levels]
+    first = np.cumsum([0] + [FACES * (side + 2) ** 2 * 2 * channels.light for side in sides])
+    flat, stored = np.zeros(first[-1], dtype=np.float32), len(channels.stored_from_light)
     for number, side in enumerate(sides):
-        pair = (gloss.levels[number], gloss.levels[min(number + 1, len(sides) - 1)])
-        stored = [from_equirectangular(p, side) @ channels.stored_from_light.T for p in pair]
-        flat = [padded(s, channels.light).reshape(*s.shape[:3], channels.light) for s in stored]
-        parts.append(np.concatenate(flat, axis=-1).ravel())
-    first = np.concatenate([[0], np.cumsum([p.size for p in parts])[:-1]])
-    return np.concatenate(parts), first.astype(np.int64), np.array(sides, dtype=np.int32)
+        there = flat[first[number] : first[number + 1]].reshape(FACES, side + 2, side + 2, 2, channels.light)
+        for place, level in enumerate((number, min(number + 1, len(sides) - 1))):
+            there[..., place, :stored] = from_equirectangular(gloss.levels[level], side) @ channels.stored_from_light.T
+    return flat, first[:-1].astype(np.int64), np.array(sides, dtype=np.int32)
 
 
 def _stored_scaled(channels: Channels, scale: np.ndarray) -> Channels:
