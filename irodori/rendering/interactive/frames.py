@@ -131,7 +131,7 @@ def prepare_scene(
     least_throughput : float
         Under which a path ends.
     half : bool
-        Whether the environment is stored in half precision.
+        Whether the environment and its blurred light are stored in half precision.
     ambient : bool
         Whether spheres and plates hide light from all sides from each other, see
         `irodori.rendering.interactive.ambient`.

@@ -53,7 +53,7 @@ class World(NamedTuple):
     texels_per_rad: float
     irradiance: Memory
     irradiance_side: int
-    gloss: Memory  # at each texel of a level the light of this level and of the next
+    gloss: Memory  # as the environment; at each texel of a level the light of this level and of the next
     gloss_first: Memory  # (levels,) int64
     gloss_side: Memory  # (levels,) int32
     gloss_levels: int
@@ -145,17 +145,17 @@ def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
     return padded(stored @ channels.irradiance_from_light.T, channels.surface), side
 
 
-def make_gloss(gloss: GlossMaps, channels: Channels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def make_gloss(gloss: GlossMaps, channels: Channels, half: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the blurred light, flat, with where each level begins and its side."""
     # Texels in the middle of a face are as wide as the maps' rows are high.
     sides = [int(np.ceil(level.shape[0] * 2.0 / np.pi)) for level in gloss.levels]
     first = np.cumsum([0] + [FACES * (side + 2) ** 2 * 2 * channels.light for side in sides])
-    flat, stored = np.zeros(first[-1], dtype=np.float32), len(channels.stored_from_light)
+    flat, stored = np.zeros(first[-1], np.float16 if half else np.float32), len(channels.stored_from_light)
     for number, side in enumerate(sides):
         there = flat[first[number] : first[number + 1]].reshape(FACES, side + 2, side + 2, 2, channels.light)
         for place, level in enumerate((number, min(number + 1, len(sides) - 1))):
             there[..., place, :stored] = from_equirectangular(gloss.levels[level], side) @ channels.stored_from_light.T
-    return flat, first[:-1].astype(np.int64), np.array(sides, dtype=np.int32)
+    return flat.view(np.uint16) if half else flat, first[:-1].astype(np.int64), np.array(sides, dtype=np.int32)
 
 
 def _stored_scaled(channels: Channels, scale: np.ndarray) -> Channels:
@@ -195,7 +195,7 @@ def make_world(
     functions : (int, int, int)
         Addresses of rtcIntersect16, rtcOccluded16 and of their arguments.
     half : bool
-        Whether the environment is stored in half precision.
+        Whether the environment and its blurred light are stored in half precision.
     ambient : bool
         Whether objects hide light from all sides.
     """
@@ -205,7 +205,7 @@ def make_world(
     channels = _stored_scaled(channels, pyramid.scale)
     texels, first, stride = make_textures(objects, channels)
     irradiance, irradiance_side = make_irradiance(light, channels)
-    blurred, gloss_first, gloss_side = make_gloss(gloss, channels)
+    blurred, gloss_first, gloss_side = make_gloss(gloss, channels, half)
     index = np.concatenate(
         [channels.index, np.repeat(channels.index[..., -1:], channels.surface - channels.count, axis=2)], axis=2
     )
