@@ -116,7 +116,7 @@ def print_memory(name: str, folder: Path, width: int, height: int) -> None:
     representation, options, frame = VARIANTS[name]
     studio = Studio(folder, width, height)
     prepared = studio.prepare(representation, **options)
-    del studio.environment
+    del studio.environment, studio.gloss
     for number in range(2):
         studio.frame(prepared, number, **frame)
     print(own_peak_mb(), own_resident_mb())
