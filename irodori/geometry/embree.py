@@ -192,6 +192,8 @@ class Tracer:
     ----------
     scene, intersect_address, occluded_address : int
         For compiled loops that call `trace` themselves.
+    intersect16_address, occluded16_address : int
+        For those that lay out packets of sixteen rays.
     """
 
     def __init__(self, placements) -> None:
@@ -209,6 +211,8 @@ class Tracer:
             raise RuntimeError(f"Embree refused the scene, error {error}")
         self.intersect_address = _address("rtcIntersect1")
         self.occluded_address = _address("rtcOccluded1")
+        self.intersect16_address = _address("rtcIntersect16")
+        self.occluded16_address = _address("rtcOccluded16")
 
     def _attach(self, identifier: int, placement: Placement) -> None:
         if placement.shape.kind == SPHERE:

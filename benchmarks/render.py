@@ -1,0 +1,236 @@
+"""Speed against error of the interactive integrator: the paper's scene, camera and light moving.
+
+``python -m benchmarks.render [--environment 6000] [--width 640] [--output render.csv]`` makes its inputs itself: the
+classroom of `config` on four principal vectors of its sources' spectra, and the still life with its true materials.
+Every frame turns the camera and the light by half a degree. Errors are CIEDE2000 of the first frame to the 61-band
+frame whose paths end at the last reflection only. Peak and resident memory are those of a process that loads the
+scene, prepares one variant and renders it. Processor time over threads is what a frame takes on idle cores.
+"""
+
+import pickle
+import subprocess
+import sys
+import tempfile
+import time
+from functools import partial
+from pathlib import Path
+
+import numba
+import numpy as np
+
+from benchmarks.table import arguments_of, medians_s, own_peak_mb, report
+from irodori.colour import delta_e, lab_from_xyz, summary, xyz_from_radiance
+from irodori.config import load_definitions, read_yaml
+from irodori.geometry.frames import rotation_xyz
+from irodori.geometry.shapes import Shape
+from irodori.gloss import GlossMaps
+from irodori.irradiance import fitted_irradiance_map
+from irodori.light import Environment
+from irodori.rendering.interactive import Lamp, light_of, prepare_scene, profiled, render_frame
+from irodori.rendering.scene import make_objects, make_placements, make_tracer, make_view
+from irodori.rig.virtual.classroom import room_coefficients, source_spectra
+from irodori.rig.virtual.truth import true_material
+from irodori.spectra import light
+
+_ROOT = Path(__file__).resolve().parents[1]
+_BASES = 4
+_STEP_DEG = 0.5
+_LAMP_DIRECTION = (0.4, -0.5, 1.0)
+#: Representation, options of `prepare_scene`, and options of `render_frame`.
+VARIANTS = {
+    "rgb": ("rgb", {}, {}),
+    "coefficients": ("coefficients", {}, {}),
+    "coefficients, all bounces": ("coefficients", {"least_throughput": 0.0}, {}),
+    "coefficients, cut at 1e-2": ("coefficients", {"least_throughput": 1e-2}, {}),
+    "coefficients, single precision": ("coefficients", {"half": False}, {}),
+    "coefficients, camera rests": ("coefficients", {}, {"keep_visibility": True}),
+    "coefficients, ambient": ("coefficients", {"ambient": True}, {}),
+    "spectral, ambient": ("spectral", {"ambient": True}, {}),
+    "coefficients, a lamp": ("coefficients", {"lamps": 1}, {}),
+    "quadrature": ("quadrature", {}, {}),
+    "spectral": ("spectral", {}, {}),
+    "spectral, bands": ("spectral", {}, {"bands": True}),
+}
+
+
+def make_inputs(width: int, folder: Path) -> None:
+    """Write the scene for an environment ``width`` px wide to a folder."""
+    definitions = load_definitions(read_yaml(_ROOT / "config/config.yaml"), _ROOT)
+    scene, rig = definitions["scenes"]["still-life"], definitions["rigs"]["virtual"]
+    objects = [definitions["objects"][item["object"]] for item in scene["objects"]]
+    materials = [true_material(o, definitions["cameras"][o["camera"]], rig) for o in objects]
+    room = definitions["environments"][scene["environment"]]["virtual"]
+    spectra = source_spectra(room, light(rig["light"]["spectrum"]))[1]
+    # The room is traced at half the width: blurred light needs no more, and the picture is as large as any.
+    sources = room_coefficients(room, width // 2, width // 4)
+    flat = sources.reshape(-1, len(spectra))
+    root = np.linalg.cholesky((flat.T @ flat).astype(np.float64) / len(flat))
+    basis = np.linalg.svd(root.T @ spectra, full_matrices=False)[2][:_BASES].T
+    coefficients = (flat @ (spectra @ basis).astype(np.float32)).reshape(*sources.shape[:2], _BASES)
+    irradiance, _ = fitted_irradiance_map(coefficients, max_error=2e-3, max_height=128)
+    np.save(folder / "coefficients.npy", np.repeat(np.repeat(coefficients.astype(np.float16), 2, axis=0), 2, axis=1))
+    with (folder / "scene.pickle").open("wb") as out:
+        pickle.dump(
+            (scene, [o["shape"] for o in objects], materials, basis, irradiance, GlossMaps.of(coefficients)), out
+        )
+
+
+class Studio:
+    """The scene of a folder of `make_inputs`, and its frames."""
+
+    def __init__(self, folder: Path, width: int, height: int) -> None:
+        with (folder / "scene.pickle").open("rb") as source:
+            self.scene, shapes, materials, basis, irradiance, self.gloss = pickle.load(source)
+        placements = make_placements(self.scene, [Shape.from_definition(shape) for shape in shapes])
+        self.tracer = make_tracer(placements)
+        self.objects, _ = make_objects(placements, materials)
+        self.environment = Environment(np.load(folder / "coefficients.npy", mmap_mode="r"), basis, irradiance)
+        self.white = self.environment.upward_white()
+        self.image = {"width": width, "height": height}
+
+    def prepare(self, representation: str, lamps: int = 0, **options):
+        """Return the scene prepared for a representation."""
+        spectra = np.repeat(2.0 * light("LED-B3")[None] / light("LED-B3").mean(), lamps, axis=0)
+        source = light_of(self.environment)
+        scene = (self.objects, source, self.gloss, self.tracer, representation, self.white)
+        return prepare_scene(*scene, lamps=spectra, **options)
+
+    def frame(self, prepared, number: int, **options) -> np.ndarray:
+        """Return a frame; the light always turns, the camera unless it rests."""
+        turn = 0.0 if options.get("keep_visibility") else number * _STEP_DEG
+        view = dict(self.scene["views"]["front"])
+        view["position_mm"] = rotation_xyz([0.0, 0.0, turn]) @ np.asarray(view["position_mm"])
+        lamps = tuple(Lamp(np.array(_LAMP_DIRECTION)) for _ in range(prepared.lamps))
+        rotation = rotation_xyz([0.0, 0.0, number * _STEP_DEG])
+        return render_frame(prepared, make_view(view, self.image), world_from_light=rotation, lamps=lamps, **options)
+
+
+def own_resident_mb() -> float:
+    """Return the resident memory of this process, MB."""
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return float(status["VmRSS"].split()[0]) / 1024
+
+
+def print_memory(name: str, folder: Path, width: int, height: int) -> None:
+    """Prepare one variant, leave its inputs, render it, and print peak and resident memory, MB."""
+    representation, options, frame = VARIANTS[name]
+    studio = Studio(folder, width, height)
+    prepared = studio.prepare(representation, **options)
+    del studio.environment, studio.gloss
+    for number in range(2):
+        studio.frame(prepared, number, **frame)
+    print(own_peak_mb(), own_resident_mb())
+
+
+def _in_own_process(*arguments: str) -> str:
+    """Return what this module prints with arguments; the memory that it takes is not this process' own."""
+    command = [sys.executable, "-m", "benchmarks.render", *arguments]
+    return subprocess.run(command, cwd=_ROOT, stdout=subprocess.PIPE, text=True, check=True).stdout
+
+
+def _memory_mb(name: str, arguments, folder: Path) -> tuple[float, float]:
+    size = ("--width", str(arguments.width), "--height", str(arguments.height))
+    out = _in_own_process("--memory-of", name, "--inputs", str(folder), *size)
+    peak, resident = map(float, out.split()[-2:])
+    return peak, resident
+
+
+def _error(name: str, image: np.ndarray, reference: np.ndarray, white_xyz: np.ndarray) -> dict:
+    """Return CIEDE2000 of a variant to the reference; a picture under other light has none."""
+    if image.shape[2] != 3 or "lamp" in name or "ambient" in name:
+        return {"mean": float("nan"), "p99": float("nan"), "max": float("nan")}
+    return summary(delta_e(lab_from_xyz(reference, white_xyz), lab_from_xyz(image, white_xyz)))
+
+
+def _stages(studio: Studio, prepared) -> dict[str, float]:
+    """Return each stage's share of the cycles, and the rays of a frame: the quietest of ten frames."""
+    counting, found = profiled(prepared), None
+    for _ in range(10):
+        figures: dict = {}
+        studio.frame(counting, 0, figures=figures)
+        rays = figures.pop("rays")
+        if found is None or sum(figures.values()) < sum(found[0].values()):
+            found = figures, rays
+    total = sum(found[0].values())
+    return {name: count / total for name, count in found[0].items()} | {"rays": found[1]}
+
+
+def measure(arguments, folder: Path) -> list[dict]:
+    """Time all variants, frame by frame in turn, and return the rows of the table."""
+    studio = Studio(folder, arguments.width, arguments.height)
+    white_xyz = xyz_from_radiance(studio.white) @ studio.white
+    reference = studio.frame(studio.prepare("spectral", least_throughput=0.0), 0)
+    names = [name for name in VARIANTS if name in arguments.variants] if arguments.variants else list(VARIANTS)
+    work, errors, shares = {}, {}, {}
+    for name in names:
+        representation, options, frame = VARIANTS[name]
+        prepared = studio.prepare(representation, **options)
+        errors[name] = _error(name, studio.frame(prepared, 0, **frame), reference, white_xyz)
+        shares[name] = _stages(studio, prepared)
+        work[name] = partial(_next_frame, studio, prepared, frame, [0])
+    seconds = medians_s(work, arguments.runs)
+    own_s = {name: _least_processor_s(function, arguments.runs) for name, function in work.items()}
+    rows = []
+    for name in names:
+        share, error = shares[name], errors[name]
+        peak, resident = _memory_mb(name, arguments, folder)
+        stages = ", ".join(f"{stage} {100 * part:.0f} %" for stage, part in share.items() if stage != "rays")
+        alone = own_s[name] / arguments.threads
+        print(f"{name}: {1 / seconds[name]:.1f} frames/s ({1 / alone:.1f} on idle cores), {share['rays']} rays, "
+              f"{share['rays'] / alone / 1e6:.1f} million rays/s; {stages}; p99 {error['p99']:.3f}, "
+              f"max {error['max']:.2f}; resident {resident:.0f} MB")  # fmt: skip
+        rows.append(
+            {
+                "stage": "render", "variant": f"interactive-{name}", "work": f"{arguments.width * arguments.height}",
+                "unit": "pixel", "seconds": f"{seconds[name]:.4f}",
+                "throughput": f"{arguments.width * arguments.height / seconds[name]:.3g}",
+                "error_metric": "CIEDE2000 to spectral, mean", "error": f"{error['mean']:.4f}",
+                "peak_mb": f"{peak:.0f}", "reference": "interactive-rgb",
+                "ratio": f"{seconds[name] / seconds['rgb']:.2f}" if "rgb" in seconds else "",
+            }
+        )  # fmt: skip
+    return rows
+
+
+def _least_processor_s(function, runs: int) -> float:
+    """Return the least processor time of a frame, all threads together, s: others on the machine matter less to it."""
+    found = []
+    for _ in range(runs):
+        start = time.process_time()
+        function()
+        found.append(time.process_time() - start)
+    return min(found)
+
+
+def _next_frame(studio: Studio, prepared, options: dict, number: list[int]) -> None:
+    number[0] += 1
+    studio.frame(prepared, number[0], **options)
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = arguments_of(__doc__.splitlines()[0])
+    parser.add_argument("--environment", type=int, default=6000, help="width of the light's picture, px")
+    parser.add_argument("--width", type=int, default=640, help="of a frame, px")
+    parser.add_argument("--height", type=int, default=480, help="of a frame, px")
+    parser.add_argument("--variants", nargs="*", choices=list(VARIANTS), help="all where absent")
+    parser.add_argument("--inputs", type=Path, help="folder of inputs that were made before")
+    parser.add_argument("--memory-of", choices=list(VARIANTS), help="print the memory of a variant and end")
+    parser.add_argument("--make", action="store_true", help="make the inputs and end")
+    arguments = parser.parse_args()
+    numba.set_num_threads(arguments.threads)
+    if arguments.make:
+        make_inputs(arguments.environment, arguments.inputs)
+        return
+    if arguments.memory_of:
+        print_memory(arguments.memory_of, arguments.inputs, arguments.width, arguments.height)
+        return
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = arguments.inputs or Path(temporary)
+        if not (folder / "scene.pickle").exists():
+            _in_own_process("--make", "--environment", str(arguments.environment), "--inputs", str(folder))
+        report(measure(arguments, folder), arguments.threads, arguments.output)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,14 @@
+"""The paper's ray tracer for moving pictures: nothing is sampled, so nothing is noisy.
+
+A scene is prepared once for a representation of colour and then rendered frame by frame::
+
+    prepared = prepare_scene(objects, light_of(environment), gloss_maps, tracer, "coefficients", white)
+    xyz = render_frame(prepared, view)
+
+Light from all sides comes from an irradiance map for the diffuse term and from blurred light for gloss; mirrors are
+followed ray by ray; collimated lamps have hard shadows.
+"""
+
+from irodori.rendering.interactive.frames import Lamp, Prepared, light_of, prepare_scene, profiled, render_frame
+
+__all__ = ["Lamp", "Prepared", "light_of", "prepare_scene", "profiled", "render_frame"]

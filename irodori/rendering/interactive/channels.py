@@ -1,0 +1,233 @@
+"""The four ways to carry colour along a path, each as the numbers that one and the same kernel multiplies and adds.
+
+A hit adds texel * light, number by number, to its pixel; the sky and blurred light are added as they are stored. What
+the numbers mean is the representation's:
+
+``spectral``
+    61 bands. Throughput is a spectrum, stored light is decoded at every look-up: nothing is shortened, so this is what
+    the others are compared with.
+``quadrature``
+    Radiance at a few wavelengths, whose weights integrate the scene's own spectra into XYZ.
+``coefficients``
+    Light is its coefficients; a texel holds the bilinear form that takes them to XYZ. Exact while throughput is one
+    number for all wavelengths, after any number of reflections: each path has one surface between the light and the
+    mirrors, and mirrors of constant n + ik are grey.
+``rgb``
+    Three products, as a plain renderer forms them.
+
+Everything is linear: samples below zero, which recovery and compression leave, are carried as they are.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori.rendering.interactive.lanes import width_of
+from irodori.rendering.interactive.quadrature import Quadrature
+from irodori.rendering.scene import Light, Objects
+from irodori.spectra import SAMPLES
+
+REPRESENTATIONS = ("spectral", "coefficients", "quadrature", "rgb")
+#: Vectors for the light that objects reflect on each other, beside those of the light.
+_REFLECTED = 3
+#: Linear sRGB primaries and D65, for `rgb`: XYZ of 1, 1, 1 is the white of D65 with Y = 1.
+_XYZ_FROM_RGB = np.array(
+    [[0.4123908, 0.3575843, 0.1804808], [0.2126390, 0.7151687, 0.0721923], [0.0193308, 0.1191948, 0.9505322]]
+)
+
+
+@dataclass(frozen=True)
+class Channels:
+    """A representation of one scene; spectra go to channels, channels to XYZ.
+
+    Parameters
+    ----------
+    count : int
+        Numbers of a texel that are multiplied with light.
+    surface, light : int
+        Lanes of a texel and of stored light, see `irodori.rendering.interactive.layout.Layout`.
+    coloured : bool
+    texel_from_weights : tuple of (count, k) float64
+        For each object, from its coefficients of S(λ).
+    irradiance_from_light : (count, k) float64
+        What a texel is multiplied with, from the coefficients of the irradiance; 1 / π is in it.
+    stored_from_light : (s, k) float64
+        The light that is stored, from its coefficients.
+    lamp_light, lamp_colour : (lamps, count) float64
+        What texels are multiplied with for a lamp of irradiance E(λ), and the colour of E / π itself.
+    index : (objects, 2, count) float64
+        n and k by channel.
+    xyz_from_colour : (3, count) float64
+    xyz_from_light : (3, s) float64
+        Of stored light.
+    colour_from_light : (count, s) float64
+        Stored light as a colour; unused where paths are not coloured.
+    reflected : callable
+        From a mean reflectance, (61,), to (inputs, count): the light that texels are multiplied with, after it was
+        reflected, from the first ``inputs`` of its channels before.
+    """
+
+    count: int
+    surface: int
+    light: int
+    coloured: bool
+    texel_from_weights: tuple[np.ndarray, ...]
+    irradiance_from_light: np.ndarray
+    stored_from_light: np.ndarray
+    lamp_light: np.ndarray
+    lamp_colour: np.ndarray
+    index: np.ndarray
+    xyz_from_colour: np.ndarray
+    xyz_from_light: np.ndarray
+    colour_from_light: np.ndarray
+    reflected: Callable[[np.ndarray], np.ndarray]
+
+
+def _bases(objects: Objects) -> list[np.ndarray]:
+    """Return the basis of each object's S(λ), (61, k)."""
+    return [objects.basis[i, :k].T for i, k in enumerate(objects.bases)]
+
+
+def mean_spectra(objects: Objects) -> list[np.ndarray]:
+    """Return the mean S(λ) over the texels of each object, (61,)."""
+    means = []
+    for i, start in enumerate(objects.first_texel):
+        columns, rows = objects.texture_size[i]
+        weights = objects.texels[start : start + rows * columns, : objects.bases[i]]
+        means.append(weights.mean(axis=0, dtype=np.float64) @ objects.basis[i, : objects.bases[i]])
+    return means
+
+
+def _by_channel(values: np.ndarray, objects: Objects, light: Light, lamps, xyz_from_colour, coloured: bool) -> Channels:
+    """Return channels in which surfaces and light are multiplied one by one; ``values`` is (count, 61)."""
+    count = len(values)
+    basis = light.basis.T
+    lamp = lamps @ values.T / np.pi
+    index = np.stack([objects.n, objects.k], axis=1)
+    weight = np.abs(values)
+    colour = values @ basis
+    return Channels(
+        count=count,
+        surface=width_of(count + 2),
+        light=width_of(basis.shape[1]),
+        coloured=coloured,
+        texel_from_weights=tuple(values @ b for b in _bases(objects)),
+        irradiance_from_light=colour / np.pi,
+        stored_from_light=np.eye(basis.shape[1]),
+        lamp_light=lamp,
+        lamp_colour=lamp,
+        index=index @ weight.T / weight.sum(axis=1),
+        xyz_from_colour=xyz_from_colour,
+        xyz_from_light=xyz_from_colour @ colour,
+        colour_from_light=colour,
+        reflected=lambda mean: np.diag(values @ mean),
+    )
+
+
+def spectral_channels(objects: Objects, light: Light, lamps: np.ndarray, matrix: np.ndarray) -> Channels:
+    """Return the 61 bands."""
+    return _by_channel(np.eye(SAMPLES), objects, light, lamps, matrix, True)
+
+
+def quadrature_channels(
+    objects: Objects, light: Light, lamps: np.ndarray, quadrature: Quadrature, coloured: bool
+) -> Channels:
+    """Return the wavelengths of a quadrature."""
+    chosen = np.eye(SAMPLES)[quadrature.samples]
+    return _by_channel(chosen, objects, light, lamps, quadrature.weights, coloured)
+
+
+def rgb_channels(objects: Objects, light: Light, lamps: np.ndarray, matrix: np.ndarray, white, coloured) -> Channels:
+    """Return three products: linear sRGB of the light, times sRGB of the surface under the white over that of white."""
+    rgb = np.linalg.solve(_XYZ_FROM_RGB, matrix)
+    of_white = rgb @ white
+    basis = light.basis.T
+    lamp = lamps @ rgb.T / np.pi
+    seen = np.abs(rgb * white)
+    return Channels(
+        count=3,
+        surface=width_of(3 + 2),
+        light=width_of(3),
+        coloured=coloured,
+        texel_from_weights=tuple((rgb * white) @ b / of_white[:, None] for b in _bases(objects)),
+        irradiance_from_light=rgb @ basis / np.pi,
+        stored_from_light=rgb @ basis,
+        lamp_light=lamp,
+        lamp_colour=lamp,
+        index=np.stack([objects.n, objects.k], axis=1) @ seen.T / seen.sum(axis=1),
+        xyz_from_colour=_XYZ_FROM_RGB,
+        xyz_from_light=_XYZ_FROM_RGB,
+        colour_from_light=np.eye(3),
+        reflected=lambda mean: np.diag((rgb * white) @ mean / of_white),
+    )
+
+
+def _reflected_basis(objects: Objects, basis: np.ndarray) -> np.ndarray:
+    """Return the vectors beside the light's basis that what objects reflect of it needs most, (61, up to 3)."""
+    spectra = np.concatenate([mean[:, None] * basis for mean in mean_spectra(objects)], axis=1)
+    rest = spectra - basis @ (np.linalg.pinv(basis) @ spectra)
+    left, values, _ = np.linalg.svd(rest, full_matrices=False)
+    return left[:, : min(_REFLECTED, int((values > 1e-6 * np.linalg.norm(spectra)).sum()))]
+
+
+def coefficient_channels(
+    objects: Objects, light: Light, lamps: np.ndarray, matrix: np.ndarray, ambient: bool
+) -> Channels:
+    """Return the bilinear forms from coefficients to XYZ: X, Y, Z one after the other, each over the light's basis.
+
+    Where objects throw light on each other (``ambient``) it leaves that basis, and the forms have up to three more
+    vectors for it: the one place where coefficients err by more than their rounding.
+
+    Raises
+    ------
+    ValueError
+        If a mirror or gloss is coloured: the light that it passes on leaves the basis.
+    """
+    if not is_grey(objects):
+        raise ValueError(
+            "coefficients need a refractive index that does not vary with the wavelength where there is gloss or a "
+            "mirror; accepted representations: spectral, quadrature, rgb"
+        )
+    basis = light.basis.T
+    k = basis.shape[1]
+    wide = np.concatenate([basis, _reflected_basis(objects, basis)], axis=1) if ambient else basis
+    lit = wide.shape[1]
+    # Lamps are further vectors of the light.
+    spectra = np.concatenate([wide, lamps.T], axis=1)
+    each = spectra.shape[1]
+    irradiance = np.zeros((3, each, k))
+    irradiance[:, :k] = np.eye(k) / np.pi
+    pad, nearest = ((0, 0), (0, each - lit)), np.linalg.pinv(wide).T
+    lamp_light = np.zeros((len(lamps), 3, each))
+    lamp_light[np.arange(len(lamps)), :, lit + np.arange(len(lamps))] = 1.0 / np.pi
+    lamp_colour = np.zeros((len(lamps), 3, each))
+    lamp_colour[:, :, 0] = lamps @ matrix.T / np.pi
+    index = np.repeat(np.stack([objects.n[:, :1], objects.k[:, :1]], axis=1), 3 * each, axis=2)
+    return Channels(
+        count=3 * each,
+        surface=width_of(3 * each + 2),
+        light=width_of(k),
+        coloured=False,
+        texel_from_weights=tuple(
+            np.einsum("cl,lj,lm->cjm", matrix, spectra, b).reshape(-1, b.shape[1]) for b in _bases(objects)
+        ),
+        irradiance_from_light=irradiance.reshape(-1, k),
+        stored_from_light=np.eye(k),
+        lamp_light=lamp_light.reshape(len(lamps), 3 * each),
+        lamp_colour=lamp_colour.reshape(len(lamps), 3 * each),
+        index=index,
+        xyz_from_colour=np.repeat(np.eye(3), each, axis=1),
+        xyz_from_light=matrix @ basis,
+        colour_from_light=np.zeros((3 * each, k)),
+        reflected=lambda mean: np.tile(np.pad(basis.T @ (mean[:, None] * nearest), pad), (1, 3)),
+    )
+
+
+def is_grey(objects: Objects) -> bool:
+    """Return whether no gloss and no mirror of the scene has a colour of its own."""
+    shines = objects.mirror > 0
+    for i, first in enumerate(objects.first_texel):
+        columns, rows = objects.texture_size[i]
+        shines[i] |= bool((objects.texels[first : first + columns * rows, -2] > 0).any())
+    return bool((objects.grey[shines] == 1).all())

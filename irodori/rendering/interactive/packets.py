@@ -1,0 +1,353 @@
+"""Packets of sixteen rays: handed to Embree, and brought from hits to points, normals and the places of look-ups."""
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numba import types
+
+from irodori.geometry.embree import Ray
+from irodori.geometry.shapes import MESH, PLATE, SPHERE
+from irodori.geometry.surfaces import surface_at
+from irodori.native import c_function
+from irodori.rendering.interactive.cube import cell_of, face_of
+from irodori.rendering.interactive.lanes import (
+    absolute,
+    as_float,
+    bits_as_float,
+    bits_as_int,
+    gather,
+    greatest,
+    least,
+    load,
+    mask_bits,
+    numbered,
+    repeated,
+    root,
+    select,
+    store,
+    truncated,
+    with_sign,
+)
+from irodori.rendering.interactive.memory import Memory, address_of, as_integers, moved
+
+RAYS = 16
+TILE = 16  # pixels along a side
+PATHS = TILE * TILE
+#: Numbers of a shape in `World.shape`.
+SHAPE = 24
+CENTRE, RADIUS, CURVATURE, TURN, WIDE, HIGH, KIND, MIRROR, COLUMNS, ROWS = 0, 3, 4, 5, 14, 15, 16, 17, 18, 19
+#: A hit's points rise this part of their coordinates above the surface: 32 steps of single precision.
+_RISE = 2.0**-18
+#: A sphere seen at less than this cosine, rounding has turned from the viewer.
+_OUTLINE = -1e-3
+#: Bounds of shapes are wider by this part of their size and of the distance.
+_SLACK = 1e-4
+
+# RTCRayHit16 as 32-bit words, each field sixteen wide.
+_ORIGIN, _NEAR, _DIRECTION, _TIME, _FAR, _MASK, _FLAGS, _U, _V, _PRIMITIVE, _GEOMETRY, _WORDS = (
+    0, 48, 64, 112, 128, 144, 176, 240, 256, 272, 288, 352)  # fmt: skip
+#: Words of a packet's hit that are kept: distance, u, v, triangle, shape.
+KEPT = 5 * RAYS
+
+_trace = c_function(types.void, types.uintp, types.uintp, types.uintp, types.uintp)
+
+
+class Packet(NamedTuple):
+    """A packet of rays as Embree lays it out, sixteen masks before it, and a single ray for `surface_at`."""
+
+    f: Memory
+    i: Memory
+    rays: int  # address of the rays
+    valid: int  # address of the masks
+    ray: Ray
+    point: Memory  # (3,) float64
+    normal: Memory  # (3,) float64
+    facet: Memory  # (3,) float64
+
+
+class Paths(NamedTuple):
+    """Paths of a tile that go on; field f of path j is at ``f * STRIDE + j``."""
+
+    f: Memory
+    slot: Memory  # (STRIDE,) int32, which pixel of the tile
+
+
+STRIDE = PATHS + RAYS
+#: Fields of a path: origin, direction, throughput, width of its cone (mm) and growth of the width with the distance.
+ORIGIN, DIRECTION, THROUGHPUT, CONE, SPREAD, PATH_FIELDS = 0, 3, 6, 7, 8, 9
+
+# Fields of a packet's hits, each sixteen wide.
+POINT, NORMAL, FACET, TEXTURE_U, TEXTURE_V = 0, 3, 6, 9, 10
+COSINE, REFLECTED, TEXEL_X, TEXEL_Y, NORMAL_X, NORMAL_Y = 11, 12, 15, 16, 17, 18
+LIT_NORMAL, LIT_MIRROR, NEXT, WIDTH = 20, 23, 26, 27
+SIZE, GLOSS, LIT_BY = 29, 30, 31
+HIT_FIELDS = 32
+# Whole numbers of a packet's hits.
+OBJECT, TEXEL, NORMAL_CELL, HIT_NUMBERS = 0, 1, 2, 3
+
+
+#: Numbers of float32 and of float64 that a packet takes.
+PACKET_SINGLES, PACKET_DOUBLES = _WORDS + RAYS + 32, 9
+
+
+@numba.njit(cache=True)
+def packet_in(singles, doubles):
+    """Return a packet in zeroed memory that begins with a line of the cache; its constant words are set."""
+    i = as_integers(singles)
+    for lane in range(RAYS):
+        i[lane + RAYS + _MASK] = -1
+        i[lane + RAYS + _GEOMETRY + RAYS] = -1
+        i[lane + RAYS + _GEOMETRY + 2 * RAYS] = -1
+    single = moved(singles, RAYS + _WORDS)
+    address = address_of(singles)
+    ray = Ray(single, as_integers(single), np.uintp(0), 0)
+    rays = address + np.uintp(4 * RAYS)
+    return Packet(singles, i, rays, address, ray, doubles, moved(doubles, 3), moved(doubles, 6))
+
+
+@numba.njit(cache=True, forceinline=True)
+def trace_packet(world, packet, paths, base, active):
+    """Let Embree meet the rays of the paths from ``base`` on; ``active`` is a mask."""
+    f, i = packet.f, packet.i
+    for axis in range(3):
+        store(f, RAYS + _ORIGIN + axis * RAYS, load(paths.f, (ORIGIN + axis) * STRIDE + base, 16))
+        store(f, RAYS + _DIRECTION + axis * RAYS, load(paths.f, (DIRECTION + axis) * STRIDE + base, 16))
+    store(f, RAYS + _FAR, repeated(np.float32(np.inf), 16))
+    store(i, RAYS + _GEOMETRY, repeated(-1, 16))
+    store(i, 0, select(active, repeated(-1, 16), 0))
+    _trace(world.intersect, packet.valid, world.scene, packet.rays, world.query)
+
+
+@numba.njit(cache=True, forceinline=True)
+def may_meet(world, paths, base, active):
+    """Return the mask of the paths that may meet anything, by the bounds of the shapes; Embree decides.
+
+    Bounds are wider than single precision errs. A sphere that a ray leaves does not bound it.
+    """
+    ox, oy, oz = (
+        load(paths.f, ORIGIN * STRIDE + base, 16),
+        load(paths.f, (ORIGIN + 1) * STRIDE + base, 16),
+        load(paths.f, (ORIGIN + 2) * STRIDE + base, 16),
+    )
+    dx, dy, dz = (
+        load(paths.f, DIRECTION * STRIDE + base, 16),
+        load(paths.f, (DIRECTION + 1) * STRIDE + base, 16),
+        load(paths.f, (DIRECTION + 2) * STRIDE + base, 16),
+    )
+    found = active & ~active
+    for shape in range(world.bounded):
+        at, table = shape * SHAPE, world.shape
+        radius = table[at + RADIUS]
+        x, y, z = table[at] - ox, table[at + 1] - oy, table[at + 2] - oz
+        along = x * dx + y * dy + z * dz
+        if table[at + KIND] == PLATE:
+            nx, ny, nz = table[at + TURN + 2], table[at + TURN + 5], table[at + TURN + 8]
+            distance = (x * nx + y * ny + z * nz) / (dx * nx + dy * ny + dz * nz)
+            slack = absolute(distance) * _SLACK + radius * _SLACK
+            near = distance > 0.0
+            for axis in range(2):
+                a, b, c = table[at + TURN + axis], table[at + TURN + axis + 3], table[at + TURN + axis + 6]
+                across = (distance * dx - x) * a + (distance * dy - y) * b + (distance * dz - z) * c
+                near = near & (absolute(across) * table[at + WIDE + axis] <= 0.5 + slack * table[at + WIDE + axis])
+            found = found | near
+        else:
+            px, py, pz = x - along * dx, y - along * dy, z - along * dz
+            bound = radius + (radius + absolute(along)) * _SLACK
+            inside = x * x + y * y + z * z < radius * radius * (1.0 + 2e-6)
+            found = found | ((px * px + py * py + pz * pz <= bound * bound) & ((along > 0.0) | inside))
+    return active & found
+
+
+@numba.njit(cache=True, forceinline=True)
+def meet_nothing(packet):
+    """Note that no ray of a packet met anything."""
+    store(packet.i, RAYS + _GEOMETRY, repeated(-1, 16))
+
+
+@numba.njit(cache=True, forceinline=True)
+def keep_packet(packet, kept, at):
+    """Write what a packet met to ``kept`` from ``at`` on."""
+    store(kept, at, load(packet.f, RAYS + _FAR, 16))
+    store(kept, at + 16, load(packet.f, RAYS + _U, 16))
+    store(kept, at + 32, load(packet.f, RAYS + _V, 16))
+    store(kept, at + 48, bits_as_float(load(packet.i, RAYS + _PRIMITIVE, 16)))
+    store(kept, at + 64, bits_as_float(load(packet.i, RAYS + _GEOMETRY, 16)))
+
+
+@numba.njit(cache=True, forceinline=True)
+def recall_packet(packet, kept, at):
+    """Read what a packet met from ``kept``."""
+    store(packet.f, RAYS + _FAR, load(kept, at, 16))
+    store(packet.f, RAYS + _U, load(kept, at + 16, 16))
+    store(packet.f, RAYS + _V, load(kept, at + 32, 16))
+    store(packet.i, RAYS + _PRIMITIVE, bits_as_int(load(kept, at + 48, 16)))
+    store(packet.i, RAYS + _GEOMETRY, bits_as_int(load(kept, at + 64, 16)))
+
+
+@numba.njit(cache=True, forceinline=True)
+def shapes_met(packet):
+    """Return the identifiers of the shapes that the rays met, `NO_HIT` where none."""
+    return load(packet.i, RAYS + _GEOMETRY, 16)
+
+
+@numba.njit(cache=True, forceinline=True)
+def distances(packet):
+    """Return the distances of the hits, mm."""
+    return load(packet.f, RAYS + _FAR, 16)
+
+
+@numba.njit(cache=True, forceinline=True)
+def arc_tangent(y, x):
+    """Return atan2 of vectors within 1e-5 rad."""
+    ax, ay = absolute(x), absolute(y)
+    ratio = least(ax, ay) / greatest(greatest(ax, ay), 1e-30)
+    s = ratio * ratio
+    angle = ratio * (
+        0.99997726 + s * (-0.33262347 + s * (0.19354346 + s * (-0.11643287 + s * (0.05265332 + s * -0.01172120))))
+    )
+    angle = select(ay > ax, 0.5 * np.pi - angle, angle)
+    angle = select(x < 0.0, np.pi - angle, angle)
+    return with_sign(angle, y)
+
+
+@numba.njit(cache=True, forceinline=True)
+def _onto_shapes(world, hit, number, shape, px, py, pz):
+    """Move traced points onto spheres and planes; fill points, normals, and places in the textures."""
+    table, at = world.shape, shape * SHAPE
+    cx, cy, cz = gather(table, at), gather(table, at + 1), gather(table, at + 2)
+    radius, kind = gather(table, at + RADIUS), gather(table, at + KIND)
+    r00, r01, r02 = gather(table, at + TURN), gather(table, at + (TURN + 1)), gather(table, at + (TURN + 2))
+    r10, r11, r12 = gather(table, at + (TURN + 3)), gather(table, at + (TURN + 4)), gather(table, at + (TURN + 5))
+    r20, r21, r22 = gather(table, at + (TURN + 6)), gather(table, at + (TURN + 7)), gather(table, at + (TURN + 8))
+    round_ = kind == float(SPHERE)
+    x, y, z = px - cx, py - cy, pz - cz
+    height = x * r02 + y * r12 + z * r22
+    inverse = 1.0 / greatest(root(x * x + y * y + z * z), 1e-30)
+    nx, ny, nz = select(round_, x * inverse, r02), select(round_, y * inverse, r12), select(round_, z * inverse, r22)
+    x = select(round_, radius * nx, x - height * r02)
+    y = select(round_, radius * ny, y - height * r12)
+    z = select(round_, radius * nz, z - height * r22)
+    store(hit, POINT * RAYS, cx + x)
+    store(hit, (POINT + 1) * RAYS, cy + y)
+    store(hit, (POINT + 2) * RAYS, cz + z)
+    for field in range(2):
+        store(hit, (NORMAL + 3 * field) * RAYS, nx)
+        store(hit, (NORMAL + 3 * field + 1) * RAYS, ny)
+        store(hit, (NORMAL + 3 * field + 2) * RAYS, nz)
+    ox, oy, oz = x * r00 + y * r10 + z * r20, x * r01 + y * r11 + z * r21, x * r02 + y * r12 + z * r22
+    turn = arc_tangent(oy, ox) * (0.5 / np.pi)
+    u = select(round_, select(turn < 0.0, turn + 1.0, turn), ox * gather(table, at + WIDE) + 0.5)
+    v = select(round_, arc_tangent(root(ox * ox + oy * oy), oz) * (1.0 / np.pi), 0.5 - oy * gather(table, at + HIGH))
+    store(hit, TEXTURE_U * RAYS, u)
+    store(hit, TEXTURE_V * RAYS, v)
+    return kind
+
+
+@numba.njit(cache=True)
+def _onto_mesh(world, packet, hit, lane, shape):
+    """Do for one ray that met a mesh what `_onto_shapes` does for spheres and planes."""
+    ray, at = packet.ray, packet.ray.at
+    ray.i[at + 17], ray.i[at + 18] = packet.i[RAYS + _PRIMITIVE + lane], shape
+    ray.f[at + 15], ray.f[at + 16] = packet.f[RAYS + _U + lane], packet.f[RAYS + _V + lane]
+    for axis in range(3):
+        packet.point[axis] = hit[(POINT + axis) * RAYS + lane]
+    u, v = surface_at(world.surfaces, shape, ray, packet.point, packet.normal, packet.facet)
+    for axis in range(3):
+        hit[(POINT + axis) * RAYS + lane] = packet.point[axis]
+        hit[(NORMAL + axis) * RAYS + lane] = packet.normal[axis]
+        hit[(FACET + axis) * RAYS + lane] = packet.facet[axis]
+    hit[TEXTURE_U * RAYS + lane], hit[TEXTURE_V * RAYS + lane] = u, v
+
+
+@numba.njit(cache=True, forceinline=True)
+def place_hits(world, packet, paths, hit, number, base, met):
+    """Fill points, normals and texture places of the hits that the mask ``met`` chooses; return their shapes."""
+    distance = select(met, distances(packet), 0.0)
+    shape = select(met, shapes_met(packet), 0)
+    px = load(paths.f, ORIGIN * STRIDE + base, 16) + distance * load(paths.f, DIRECTION * STRIDE + base, 16)
+    py = load(paths.f, (ORIGIN + 1) * STRIDE + base, 16) + distance * load(paths.f, (DIRECTION + 1) * STRIDE + base, 16)
+    pz = load(paths.f, (ORIGIN + 2) * STRIDE + base, 16) + distance * load(paths.f, (DIRECTION + 2) * STRIDE + base, 16)
+    store(number, OBJECT * RAYS, shape)
+    store(hit, SIZE * RAYS, gather(world.shape, shape * SHAPE + RADIUS))
+    kind = _onto_shapes(world, hit, number, shape, px, py, pz)
+    if world.meshes > 0:
+        on_mesh = mask_bits((kind == float(MESH)) & met)
+        for lane in range(RAYS):
+            if (on_mesh >> lane) & 1:
+                _onto_mesh(world, packet, hit, lane, number[OBJECT * RAYS + lane])
+    return shape, kind, distance
+
+
+@numba.njit(cache=True, forceinline=True)
+def turned(rotation, row, x, y, z):
+    """Return one coordinate of vectors turned by a flat (9,) matrix."""
+    return rotation[3 * row] * x + rotation[3 * row + 1] * y + rotation[3 * row + 2] * z
+
+
+@numba.njit(cache=True, forceinline=True)
+def prepare_hits(world, frame, paths, hit, number, base, met, placed):
+    """Fill what shading looks up at the hits; return the mask of those seen from their front."""
+    shape, kind, distance = placed
+    table, at = world.shape, shape * SHAPE
+    dx, dy, dz = (
+        load(paths.f, DIRECTION * STRIDE + base, 16),
+        load(paths.f, (DIRECTION + 1) * STRIDE + base, 16),
+        load(paths.f, (DIRECTION + 2) * STRIDE + base, 16),
+    )
+    fx, fy, fz = load(hit, FACET * RAYS, 16), load(hit, (FACET + 1) * RAYS, 16), load(hit, (FACET + 2) * RAYS, 16)
+    front = -(fx * dx + fy * dy + fz * dz)
+    seen = met & ((front > 0.0) | ((kind == float(SPHERE)) & (front > _OUTLINE)))
+    nx, ny, nz = load(hit, NORMAL * RAYS, 16), load(hit, (NORMAL + 1) * RAYS, 16), load(hit, (NORMAL + 2) * RAYS, 16)
+    cosine = -(nx * dx + ny * dy + nz * dz)
+    away = cosine <= 0.0
+    nx, ny, nz = select(away, fx, nx), select(away, fy, ny), select(away, fz, nz)
+    cosine = least(greatest(select(away, front, cosine), 0.0), 1.0)
+    rx, ry, rz = dx + 2.0 * cosine * nx, dy + 2.0 * cosine * ny, dz + 2.0 * cosine * nz
+    store(hit, COSINE * RAYS, cosine)
+    store(hit, NORMAL * RAYS, nx)
+    store(hit, (NORMAL + 1) * RAYS, ny)
+    store(hit, (NORMAL + 2) * RAYS, nz)
+    store(hit, REFLECTED * RAYS, rx)
+    store(hit, (REFLECTED + 1) * RAYS, ry)
+    store(hit, (REFLECTED + 2) * RAYS, rz)
+    width = load(paths.f, CONE * STRIDE + base, 16) + distance * load(paths.f, SPREAD * STRIDE + base, 16)
+    store(hit, WIDTH * RAYS, width)
+    # The texture has a border, which its sides or its edges fill.
+    columns, rows = gather(table, at + COLUMNS), gather(table, at + ROWS)
+    u, v = load(hit, TEXTURE_U * RAYS, 16), load(hit, TEXTURE_V * RAYS, 16)
+    x, y = least(greatest(u * columns + 0.5, 0.0), columns + 0.5), least(greatest(v * rows + 0.5, 0.0), rows + 0.5)
+    column, row = truncated(x), truncated(y)
+    store(hit, TEXEL_X * RAYS, x - as_float(column))
+    store(hit, TEXEL_Y * RAYS, y - as_float(row))
+    store(number, TEXEL * RAYS, row * (truncated(columns) + 2) + column)
+    # The light may be turned: what is looked up in it is turned back.
+    turn = frame.light_from_world
+    lx, ly, lz = turned(turn, 0, nx, ny, nz), turned(turn, 1, nx, ny, nz), turned(turn, 2, nx, ny, nz)
+    store(hit, LIT_NORMAL * RAYS, lx)
+    store(hit, (LIT_NORMAL + 1) * RAYS, ly)
+    store(hit, (LIT_NORMAL + 2) * RAYS, lz)
+    store(hit, LIT_MIRROR * RAYS, turned(turn, 0, rx, ry, rz))
+    store(hit, (LIT_MIRROR + 1) * RAYS, turned(turn, 1, rx, ry, rz))
+    store(hit, (LIT_MIRROR + 2) * RAYS, turned(turn, 2, rx, ry, rz))
+    face, a, b = face_of(lx, ly, lz)
+    cell, sx, sy = cell_of(face, a, b, repeated(np.float32(world.irradiance_side), 16))
+    store(number, NORMAL_CELL * RAYS, cell)
+    store(hit, NORMAL_X * RAYS, sx)
+    store(hit, NORMAL_Y * RAYS, sy)
+    return seen
+
+
+@numba.njit(cache=True, forceinline=True)
+def raised(hit, axis):
+    """Return one coordinate of the hits' points, raised from the surface by what single precision needs."""
+    facet = load(hit, (FACET + axis) * RAYS, 16)
+    x, y, z = load(hit, POINT * RAYS, 16), load(hit, (POINT + 1) * RAYS, 16), load(hit, (POINT + 2) * RAYS, 16)
+    reach = greatest(greatest(absolute(x), absolute(y)), greatest(absolute(z), load(hit, SIZE * RAYS, 16)))
+    return load(hit, (POINT + axis) * RAYS, 16) + reach * _RISE * facet
+
+
+@numba.njit(cache=True, forceinline=True)
+def active_lanes(count, base):
+    """Return the mask of the paths from ``base`` on that there are."""
+    return numbered(16) + base < count

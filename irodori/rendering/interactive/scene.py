@@ -1,0 +1,252 @@
+"""A scene prepared for the interactive integrator, and its frames."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from irodori.geometry.embree import Tracer
+from irodori.geometry.shapes import MESH, PLATE, SPHERE
+from irodori.geometry.surfaces import Surfaces, make_surfaces
+from irodori.gloss import GlossMaps
+from irodori.rendering.interactive.channels import Channels, mean_spectra
+from irodori.rendering.interactive.cube import FACES, environment_pyramid, from_equirectangular
+from irodori.rendering.interactive.lobes import lobe_table, roughness_at, roughness_place
+from irodori.rendering.interactive.memory import Memory
+from irodori.rendering.interactive.packets import (
+    CENTRE,
+    COLUMNS,
+    CURVATURE,
+    HIGH,
+    KIND,
+    MIRROR,
+    RADIUS,
+    ROWS,
+    SHAPE,
+    TURN,
+    WIDE,
+)
+from irodori.rendering.scene import Light, Objects
+
+#: Objects of a scene whose bounds are asked one by one.
+_MOST_BOUNDED = 12
+
+
+class World(NamedTuple):
+    """What the kernel reads of a scene; flat float32 unless said otherwise."""
+
+    shape: Memory  # (objects * SHAPE,)
+    objects: int
+    ambient: Memory  # of each object, rows by the channels of the light that it reflects
+    ambient_inputs: int  # channels of that light; 0 where nothing hides light from all sides
+    surfaces: Surfaces
+    meshes: int  # how many of the objects are meshes
+    bounded: int  # how many objects' bounds are asked before Embree: all, or none where they are many
+    texels: Memory
+    texture_first: Memory  # (objects,) int64
+    texture_stride: Memory  # (objects,) int64
+    index: Memory  # n, then k, of each object
+    environment: Memory  # uint16 for half precision
+    environment_first: Memory  # (levels,) int64
+    environment_side: Memory  # (levels,) int32
+    environment_levels: int
+    texels_per_rad: float
+    irradiance: Memory
+    irradiance_side: int
+    gloss: Memory  # as the environment; at each texel of a level the light of this level and of the next
+    gloss_first: Memory  # (levels,) int64
+    gloss_side: Memory  # (levels,) int32
+    gloss_levels: int
+    gloss_level: float  # the finest's place in the ladder
+    lobes: Memory
+    roughness_start: float
+    roughness_step: float
+    decode: Memory
+    lamp_light: Memory
+    lamp_colour: Memory
+    xyz_from_colour: Memory
+    xyz_from_light: Memory
+    intersect: int
+    occluded: int
+    scene: int
+    query: int  # address of RTCIntersectArguments
+
+
+class Frame(NamedTuple):
+    """What changes from frame to frame."""
+
+    position_mm: Memory  # (3,)
+    world_from_camera: Memory  # (9,)
+    pixel: float  # of the image plane at distance 1
+    width: int
+    height: int
+    light_from_world: Memory  # (9,)
+    lamps: int
+    lamp_direction: Memory  # (lamps * 3,) towards the lamp
+    lamp_strength: Memory  # (lamps,)
+
+
+def padded(rows: np.ndarray, width: int) -> np.ndarray:
+    """Return rows, (..., n), filled up with zeros to a width, as flat float32."""
+    room = width - rows.shape[-1]
+    return np.pad(rows, [(0, 0)] * (rows.ndim - 1) + [(0, room)]).astype(np.float32).ravel()
+
+
+def make_shapes(tracer: Tracer, objects: Objects) -> np.ndarray:
+    """Return the numbers of the shapes, (objects * SHAPE,) float32."""
+    table = np.zeros((len(tracer.placements), SHAPE), dtype=np.float32)
+    for row, placement, size, mirror in zip(
+        table, tracer.placements, objects.texture_size, objects.mirror, strict=True
+    ):
+        shape = placement.shape
+        row[CENTRE : CENTRE + 3] = placement.translation_mm
+        row[RADIUS] = shape.reach_mm * placement.scale
+        row[TURN : TURN + 9] = np.ravel(placement.rotation)
+        row[KIND], row[MIRROR] = shape.kind, mirror
+        row[COLUMNS], row[ROWS] = size
+        if shape.kind == SPHERE:
+            row[CURVATURE] = 2.0 / row[RADIUS]
+        elif shape.kind == PLATE:
+            row[WIDE], row[HIGH] = 1.0 / (np.asarray(shape.size_mm) * placement.scale)
+    return table.ravel()
+
+
+def make_textures(objects: Objects, channels: Channels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the texels with their borders, where each object's begin, and the texels of a stored row.
+
+    Sides that are joined have each other in the border, other edges themselves.
+    """
+    parts, first, stride = [], [0], []
+    for i, start in enumerate(objects.first_texel):
+        columns, rows = objects.texture_size[i]
+        texels = objects.texels[start : start + rows * columns].reshape(rows, columns, -1)
+        weights = texels[..., : objects.bases[i]].astype(np.float64)
+        stored = np.zeros((rows + 2, columns + 2, channels.surface), dtype=np.float32)
+        inner = stored[1:-1, 1:-1]
+        inner[..., : channels.count] = weights @ channels.texel_from_weights[i].T
+        # β μ², the gloss' power: one number less to compute at a hit.
+        inner[..., -2] = np.where(texels[..., -1] > 0, texels[..., -2] * texels[..., -1].astype(np.float64) ** 2, 0.0)
+        inner[..., -1] = roughness_place(np.where(texels[..., -1] > 0, texels[..., -1], 1.0))
+        wraps = objects.wraps[i] == 1
+        stored[:, 0], stored[:, -1] = (stored[:, -2], stored[:, 1]) if wraps else (stored[:, 1], stored[:, -2])
+        stored[0], stored[-1] = stored[1], stored[-2]
+        parts.append(stored.ravel())
+        first.append(first[-1] + stored.size)
+        stride.append(columns + 2)
+    return np.concatenate(parts), np.array(first[:-1], dtype=np.int64), np.array(stride, dtype=np.int64)
+
+
+def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
+    """Return the irradiance map for the texels' channels, flat, and its side."""
+    width, height = light.irradiance_size
+    picture = light.irradiance.reshape(height, width, -1)
+    side = int(height)
+    stored = from_equirectangular(picture, side)
+    return padded(stored @ channels.irradiance_from_light.T, channels.surface), side
+
+
+def make_gloss(gloss: GlossMaps, channels: Channels, half: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the blurred light, flat, with where each level begins and its side."""
+    # Texels in the middle of a face are as wide as the maps' rows are high.
+    sides = [int(np.ceil(level.shape[0] * 2.0 / np.pi)) for level in gloss.levels]
+    first = np.cumsum([0] + [FACES * (side + 2) ** 2 * 2 * channels.light for side in sides])
+    flat, stored = np.zeros(first[-1], np.float16 if half else np.float32), len(channels.stored_from_light)
+    for number, side in enumerate(sides):
+        there = flat[first[number] : first[number + 1]].reshape(FACES, side + 2, side + 2, 2, channels.light)
+        for place, level in enumerate((number, min(number + 1, len(sides) - 1))):
+            there[..., place, :stored] = from_equirectangular(gloss.levels[level], side) @ channels.stored_from_light.T
+    return flat.view(np.uint16) if half else flat, first[:-1].astype(np.int64), np.array(sides, dtype=np.int32)
+
+
+def _stored_scaled(channels: Channels, scale: np.ndarray) -> Channels:
+    """Return the channels for light that is stored divided by a scale."""
+    return replace(
+        channels,
+        stored_from_light=channels.stored_from_light / scale[:, None],
+        xyz_from_light=channels.xyz_from_light * scale,
+        colour_from_light=channels.colour_from_light * scale,
+    )
+
+
+def make_query(flags: int) -> np.ndarray:
+    """Return Embree's RTCIntersectArguments: flags, a mask of all features, and no functions; kept by the caller."""
+    query = np.zeros(16, dtype=np.uint32)
+    query[0], query[1] = flags, 0xFFFFFFFF
+    return query
+
+
+def make_world(
+    objects: Objects,
+    light: Light,
+    gloss: GlossMaps,
+    tracer: Tracer,
+    channels: Channels,
+    functions: tuple[int, int, int],
+    half: bool,
+    ambient: bool,
+) -> World:
+    """Return the flat scene of a representation.
+
+    Parameters
+    ----------
+    objects, light, gloss, tracer
+        Shape i is object i.
+    channels : Channels
+    functions : (int, int, int)
+        Addresses of rtcIntersect16, rtcOccluded16 and of their arguments.
+    half : bool
+        Whether the environment and its blurred light are stored in half precision.
+    ambient : bool
+        Whether objects hide light from all sides.
+    """
+    columns, rows = light.size[0]
+    picture = light.pixels[: columns * rows].reshape(rows, columns, -1)
+    pyramid = environment_pyramid(picture, channels.stored_from_light, channels.light, half)
+    channels = _stored_scaled(channels, pyramid.scale)
+    texels, first, stride = make_textures(objects, channels)
+    irradiance, irradiance_side = make_irradiance(light, channels)
+    blurred, gloss_first, gloss_side = make_gloss(gloss, channels, half)
+    index = np.concatenate(
+        [channels.index, np.repeat(channels.index[..., -1:], channels.surface - channels.count, axis=2)], axis=2
+    )
+    reflected = np.stack([channels.reflected(mean) for mean in mean_spectra(objects)])
+    decode = padded(channels.colour_from_light, channels.light).reshape(channels.count, channels.light)
+    step = float(np.log(roughness_at(1) / roughness_at(0)))
+    fields = {
+        "shape": make_shapes(tracer, objects),
+        "objects": len(tracer.placements),
+        "ambient": padded(reflected, channels.surface),
+        "ambient_inputs": reflected.shape[1] if ambient else 0,
+        "surfaces": Surfaces(*(Memory(array) for array in make_surfaces(tracer.placements))),
+        "meshes": sum(p.shape.kind == MESH for p in tracer.placements),
+        "bounded": len(tracer.placements) if len(tracer.placements) <= _MOST_BOUNDED else 0,
+        "texels": texels,
+        "texture_first": first,
+        "texture_stride": stride,
+        "index": index.astype(np.float32).ravel(),
+        "environment": pyramid.texels,
+        "environment_first": pyramid.first.astype(np.int64),
+        "environment_side": pyramid.side.astype(np.int32),
+        "environment_levels": len(pyramid.side),
+        "texels_per_rad": float(pyramid.side[0] * np.sqrt(FACES / (4.0 * np.pi))),
+        "irradiance": irradiance,
+        "irradiance_side": irradiance_side,
+        "gloss": blurred,
+        "gloss_first": gloss_first,
+        "gloss_side": gloss_side,
+        "gloss_levels": len(gloss_side),
+        "gloss_level": float(gloss.first),
+        "lobes": lobe_table()[0].ravel(),
+        "roughness_start": float(np.log(roughness_at(0))),
+        "roughness_step": step,
+        "decode": padded(decode.T, channels.surface),
+        "lamp_light": padded(channels.lamp_light, channels.surface),
+        "lamp_colour": padded(channels.lamp_colour, channels.surface),
+        "xyz_from_colour": padded(channels.xyz_from_colour, channels.surface),
+        "xyz_from_light": padded(channels.xyz_from_light, channels.light),
+        "intersect": functions[0],
+        "occluded": functions[1],
+        "scene": tracer.scene,
+        "query": functions[2],
+    }
+    return World(**{name: Memory(v) if isinstance(v, np.ndarray) else v for name, v in fields.items()})

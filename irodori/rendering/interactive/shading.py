@@ -1,0 +1,280 @@
+"""Shading of a packet: what each ray's hit or sky adds to its pixel, and which paths go on [eq. 5, 8, 9]."""
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from irodori.brdf import attenuation_over_cosine, facet_distribution
+from irodori.rendering.interactive.ambient import ambient_light
+from irodori.rendering.interactive.cube import bilinear
+from irodori.rendering.interactive.lanes import (
+    compress,
+    gather,
+    largest,
+    load,
+    load_like,
+    mask_bits,
+    store,
+    zeros_like,
+)
+from irodori.rendering.interactive.layout import (
+    is_coloured,
+    light_black,
+    light_lanes,
+    surface_black,
+    surface_lanes,
+)
+from irodori.rendering.interactive.light import (
+    decoded,
+    find_sky,
+    fresnel,
+    lobe_at,
+    lobe_incidence,
+    lobe_weight,
+    sky_at,
+)
+from irodori.rendering.interactive.lobes import ANGLES, ENTRY, ROUGHNESSES, TAPS
+from irodori.rendering.interactive.memory import Memory
+from irodori.rendering.interactive.packets import (
+    CONE,
+    COSINE,
+    CURVATURE,
+    DIRECTION,
+    GLOSS,
+    MIRROR,
+    NEXT,
+    NORMAL,
+    NORMAL_CELL,
+    NORMAL_X,
+    NORMAL_Y,
+    OBJECT,
+    ORIGIN,
+    RAYS,
+    REFLECTED,
+    SHAPE,
+    SPREAD,
+    STRIDE,
+    TEXEL,
+    TEXEL_X,
+    TEXEL_Y,
+    THROUGHPUT,
+    WIDTH,
+    raised,
+)
+
+
+class Sums(NamedTuple):
+    """What a tile's pixels have gathered; pixel ``slot`` begins at ``slot`` times the lanes."""
+
+    colour: Memory  # (PATHS * surface lanes,) float32
+    light: Memory  # (PATHS * light lanes,) float32, light as it is stored; not used where paths are coloured
+    throughput: Memory  # (PATHS * surface lanes,) float32, used where paths are coloured
+    texel: Memory  # (surface lanes,) buffer
+
+
+class Hits(NamedTuple):
+    """Buffers of a packet's hits and look-ups, see `irodori.rendering.interactive.packets` and `light`."""
+
+    f: Memory
+    i: Memory
+    entries: Memory  # (RAYS * ENTRY,)
+    look: Memory
+    look_i: Memory
+    lit: Memory  # (lamps * RAYS,) cosine with each lamp, 0 where it is hidden
+
+
+@numba.njit(cache=True, forceinline=True)
+def shade_sky(world, frame, layout, paths, hits, sums, base, missed):
+    """Add the environment to the pixels of the rays whose bits are set."""
+    find_sky(world, frame, paths, base, hits.look, hits.look_i)
+    for ray in range(RAYS):
+        if (missed >> ray) & 1:
+            slot = np.int64(paths.slot[base + ray])
+            light = sky_at(world, layout, hits.look, hits.look_i, ray)
+            if is_coloured(layout):
+                _add_coloured(layout, sums, slot, decoded(world, layout, light))
+            else:
+                at = slot * light_lanes(layout)
+                throughput = paths.f[THROUGHPUT * STRIDE + base + ray]
+                store(sums.light, at, load_like(sums.light, at, light) + throughput * light)
+
+
+@numba.njit(cache=True, forceinline=True)
+def _add_coloured(layout, sums, slot, colour):
+    """Add a colour times a path's throughput to its pixel."""
+    at = slot * surface_lanes(layout)
+    passed = load_like(sums.throughput, at, colour) * colour
+    store(sums.colour, at, load_like(sums.colour, at, colour) + passed)
+
+
+@numba.njit(cache=True, forceinline=True)
+def _add_colour(layout, paths, sums, base, ray, slot, colour):
+    if is_coloured(layout):
+        _add_coloured(layout, sums, slot, colour)
+    else:
+        at = slot * surface_lanes(layout)
+        throughput = paths.f[THROUGHPUT * STRIDE + base + ray]
+        store(sums.colour, at, load_like(sums.colour, at, colour) + throughput * colour)
+
+
+@numba.njit(cache=True, forceinline=True)
+def _lobe_entry(world, hits, ray, power, place):
+    """Fill the entry of a hit's lobe from its place in the table of roughnesses, and its power β / π times π μ²."""
+    cosine = hits.f[COSINE * RAYS + ray]
+    x, y = math.sqrt(cosine) * np.float32(ANGLES - 1), min(max(place, np.float32(0.0)), np.float32(ROUGHNESSES - 1))
+    column, row = min(int(x), ANGLES - 2), min(int(y), ROUGHNESSES - 2)
+    entry = bilinear(world.lobes, 0, row * ANGLES + column, ANGLES, x - column, y - row, load(world.lobes, 0, ENTRY))
+    store(hits.entries, ray * ENTRY, entry)
+    hits.f[GLOSS * RAYS + ray] = power
+
+
+@numba.njit(cache=True, forceinline=True)
+def shade_surfaces(world, frame, layout, paths, hits, sums, base, seen, least_power):
+    """Add the diffuse light of the hits whose bits are set; look up their lobes. Returns the bits of glossy hits."""
+    glossy = 0
+    width = surface_lanes(layout)
+    for ray in range(RAYS):
+        if not (seen >> ray) & 1:
+            continue
+        slot, shape = np.int64(paths.slot[base + ray]), hits.i[OBJECT * RAYS + ray]
+        x, y = hits.f[TEXEL_X * RAYS + ray], hits.f[TEXEL_Y * RAYS + ray]
+        first, stride, cell = world.texture_first[shape], world.texture_stride[shape], hits.i[TEXEL * RAYS + ray]
+        texel = bilinear(world.texels, first, np.int64(cell), stride, x, y, surface_black(layout))
+        store(sums.texel, 0, texel)
+        x, y = hits.f[NORMAL_X * RAYS + ray], hits.f[NORMAL_Y * RAYS + ray]
+        cell, stride = np.int64(hits.i[NORMAL_CELL * RAYS + ray]), world.irradiance_side + 2
+        light = bilinear(world.irradiance, 0, cell, stride, x, y, texel)
+        if world.ambient_inputs > 0:
+            light = ambient_light(world, frame, layout, hits, ray, light)
+        power, place = sums.texel[width - 2], sums.texel[width - 1]
+        for lamp in range(frame.lamps):
+            cosine = hits.lit[lamp * RAYS + ray]
+            if cosine > 0.0:
+                light = light + (frame.lamp_strength[lamp] * cosine) * load_like(world.lamp_light, lamp * width, texel)
+                if power > 0.0:
+                    _add_highlight(world, frame, layout, paths, hits, sums, base, ray, lamp)
+        _add_colour(layout, paths, sums, base, ray, slot, texel * light)
+        if power * paths.f[THROUGHPUT * STRIDE + base + ray] > least_power:
+            glossy |= 1 << ray
+            _lobe_entry(world, hits, ray, power, place)
+        else:
+            hits.f[GLOSS * RAYS + ray] = 0.0
+    return glossy
+
+
+@numba.njit(cache=True)
+def _add_highlight(world, frame, layout, paths, hits, sums, base, ray, lamp):
+    """Add β F D G / cosθ_r of a lamp to a pixel."""
+    width = surface_lanes(layout)
+    power, place = sums.texel[width - 2], sums.texel[width - 1]
+    mu = math.exp(place * world.roughness_step + world.roughness_start)
+    along = h2 = cos_nh = 0.0
+    for axis in range(3):
+        to_light = np.float64(frame.lamp_direction[3 * lamp + axis])
+        to_eye = -np.float64(paths.f[(DIRECTION + axis) * STRIDE + base + ray])
+        along += to_light * to_eye
+        half = to_light + to_eye
+        h2 += half * half
+        cos_nh += half * hits.f[(NORMAL + axis) * RAYS + ray]
+    if h2 < 1e-12:
+        return
+    cos_nh, cos_h = cos_nh / math.sqrt(h2), math.sqrt(max(0.5 * (1.0 + along), 0.0))
+    cos_i, cos_r = np.float64(hits.lit[lamp * RAYS + ray]), np.float64(hits.f[COSINE * RAYS + ray])
+    phi = math.acos(min(max(cos_nh, -1.0), 1.0))
+    value = power / (mu * mu) * facet_distribution(phi, mu) * attenuation_over_cosine(cos_i, cos_r, cos_nh, cos_h)
+    value *= frame.lamp_strength[lamp]
+    index = hits.i[OBJECT * RAYS + ray] * 2 * width
+    colour = load_like(world.lamp_colour, lamp * width, surface_black(layout))
+    n, k = load_like(world.index, index, colour), load_like(world.index, index + width, colour)
+    colour = value * colour * fresnel(zeros_like(colour) + cos_h, n, k)
+    _add_colour(layout, paths, sums, base, ray, np.int64(paths.slot[base + ray]), colour)
+
+
+@numba.njit(cache=True, forceinline=True)
+def shade_gloss(world, layout, paths, hits, sums, base, glossy, least_weight):
+    """Add the blurred light of the glossy hits' lobes; those with too little weight are left."""
+    width = surface_lanes(layout)
+    for ray in range(RAYS):
+        if not (glossy >> ray) & 1:
+            continue
+        slot, throughput = np.int64(paths.slot[base + ray]), paths.f[THROUGHPUT * STRIDE + base + ray]
+        light, colour = light_black(layout), surface_black(layout)
+        for tap in range(TAPS):
+            weight = lobe_weight(hits.look, ray, tap)
+            if weight * throughput <= least_weight:
+                continue
+            found = weight * lobe_at(world, layout, hits.look, hits.look_i, ray, tap)
+            if is_coloured(layout):
+                index = np.int64(hits.i[OBJECT * RAYS + ray]) * 2 * width
+                n, k = load_like(world.index, index, colour), load_like(world.index, index + width, colour)
+                cosine = zeros_like(colour) + lobe_incidence(hits.look, ray, tap)
+                colour = colour + fresnel(cosine, n, k) * decoded(world, layout, found)
+            else:
+                light = light + found
+        if is_coloured(layout):
+            _add_coloured(layout, sums, slot, colour)
+        else:
+            at = slot * light_lanes(layout)
+            store(sums.light, at, load_like(sums.light, at, light) + throughput * light)
+
+
+@numba.njit(cache=True, forceinline=True)
+def reflect_packet(world, layout, paths, hits, sums, base, seen):
+    """Fill the throughput with which the hits' paths go on."""
+    width = surface_lanes(layout)
+    shape = load(hits.i, OBJECT * RAYS, 16)
+    mirror = gather(world.shape, shape * SHAPE + MIRROR)
+    if not is_coloured(layout):
+        n, k = gather(world.index, shape * (2 * width)), gather(world.index, shape * (2 * width) + width)
+        factor = mirror * fresnel(load(hits.f, COSINE * RAYS, 16), n, k)
+        store(hits.f, NEXT * RAYS, factor * load(paths.f, THROUGHPUT * STRIDE + base, 16))
+        return
+    for ray in range(RAYS):
+        if (seen >> ray) & 1:
+            index = np.int64(hits.i[OBJECT * RAYS + ray])
+            at = np.int64(paths.slot[base + ray]) * width
+            passed = load_like(sums.throughput, at, surface_black(layout))
+            n = load_like(world.index, index * 2 * width, passed)
+            k = load_like(world.index, index * 2 * width + width, passed)
+            cosine = zeros_like(passed) + hits.f[COSINE * RAYS + ray]
+            passed = passed * (world.shape[index * SHAPE + MIRROR] * fresnel(cosine, n, k))
+            store(sums.throughput, at, passed)
+            hits.f[NEXT * RAYS + ray] = largest(passed)
+        else:
+            hits.f[NEXT * RAYS + ray] = 0.0
+
+
+@numba.njit(cache=True, forceinline=True)
+def advance(world, paths, hits, base, seen, least_throughput, after):
+    """Write the paths that go on close together from ``after`` on; return where they end."""
+    throughput = load(hits.f, NEXT * RAYS, 16)
+    going = seen & (throughput > least_throughput)
+    count = _bits(mask_bits(going))
+    if count == 0:
+        return after
+    shape = load(hits.i, OBJECT * RAYS, 16)
+    x, y, z = raised(hits.f, 0), raised(hits.f, 1), raised(hits.f, 2)
+    width = load(hits.f, WIDTH * RAYS, 16)
+    spread = load(paths.f, SPREAD * STRIDE + base, 16) + width * gather(world.shape, shape * SHAPE + CURVATURE)
+    slot = load(paths.slot, base, 16)
+    compress(paths.f, ORIGIN * STRIDE + after, going, x)
+    compress(paths.f, (ORIGIN + 1) * STRIDE + after, going, y)
+    compress(paths.f, (ORIGIN + 2) * STRIDE + after, going, z)
+    for axis in range(3):
+        compress(paths.f, (DIRECTION + axis) * STRIDE + after, going, load(hits.f, (REFLECTED + axis) * RAYS, 16))
+    compress(paths.f, THROUGHPUT * STRIDE + after, going, throughput)
+    compress(paths.f, CONE * STRIDE + after, going, width)
+    compress(paths.f, SPREAD * STRIDE + after, going, spread)
+    compress(paths.slot, after, going, slot)
+    return after + count
+
+
+@numba.njit(cache=True, forceinline=True)
+def _bits(mask):
+    """Return how many bits of a mask of sixteen are set."""
+    mask = mask - ((mask >> 1) & 0x5555)
+    mask = (mask & 0x3333) + ((mask >> 2) & 0x3333)
+    mask = (mask + (mask >> 4)) & 0x0F0F
+    return (mask + (mask >> 8)) & 0x1F

@@ -1,0 +1,218 @@
+"""The parts of the interactive integrator by themselves: vectors, cube maps, rows of lobes, what shapes hide."""
+
+import math
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from irodori.gloss_fit import lobe_samples
+from irodori.irradiance import irradiance_at
+from irodori.light import directions
+from irodori.rendering.interactive import lanes
+from irodori.rendering.interactive.ambient import hidden_by_corners, hidden_by_sphere
+from irodori.rendering.interactive.cube import (
+    bilinear,
+    cell_of,
+    cube_directions,
+    environment_pyramid,
+    face_of,
+    fill_borders,
+    from_equirectangular,
+    look_up_cube,
+)
+from irodori.rendering.interactive.lobes import ANGLES, ROUGHNESSES, TAPS, lobe_table, roughness_at, roughness_place
+from irodori.rendering.interactive.packets import arc_tangent
+
+
+@numba.njit
+def _exercise(a, b, numbers, out):
+    x, y = lanes.load(a, 0, 16), lanes.load(b, 0, 16)
+    mask = (x > y) & ~(y < 0.25)
+    lanes.store(out, 0, lanes.select(mask, x * 2.0 - y, lanes.root(lanes.absolute(y)) / (1.0 + x)))
+    lanes.store(out, 16, lanes.gather(a, lanes.load(numbers, 0, 16)))
+    lanes.store(out, 32, arc_tangent(y, x))
+    lanes.store(out, 48, lanes.with_sign(lanes.least(lanes.greatest(x, 0.1), 0.6), -y))
+    lanes.compress(out, 64, mask, x)
+    return lanes.mask_bits(mask), lanes.total(x), lanes.largest(x)
+
+
+def test_vectors_compute_what_numpy_computes():
+    rng = np.random.default_rng(0)
+    a, b = rng.uniform(-1, 1, (2, 16)).astype(np.float32)
+    numbers = rng.permutation(16).astype(np.int32)
+    out = np.zeros(96, np.float32)
+    bits, total, largest = _exercise(a, b, numbers, out)
+    mask = (a > b) & ~(b < 0.25)
+    assert 0 < mask.sum() < 16
+    assert bits == sum(1 << i for i in np.flatnonzero(mask))
+    assert np.allclose(out[:16], np.where(mask, a * 2 - b, np.sqrt(np.abs(b)) / (1 + a)), rtol=1e-6)
+    assert np.array_equal(out[16:32], a[numbers])
+    assert np.abs(out[32:48] - np.arctan2(b, a)).max() <= 1e-5
+    assert np.array_equal(out[48:64], np.copysign(np.clip(a, np.float32(0.1), np.float32(0.6)), -b))
+    assert np.array_equal(out[64 : 64 + mask.sum()], a[mask]) and (out[64 + mask.sum() :] == 0).all()
+    assert total == pytest.approx(a.sum(), abs=1e-6) and largest == a.max()
+
+
+def test_halves_are_read_as_the_numbers_that_they_are():
+    values = np.array([1.0, -0.5, 6e-8, 65504.0], dtype=np.float16)
+    out = np.zeros(4, np.float32)
+
+    @numba.njit
+    def read(halves, out):
+        lanes.store(out, 0, lanes.load(halves, 0, 4))
+
+    read(values.view(np.uint16), out)
+    assert np.array_equal(out, values.astype(np.float32))
+
+
+# --- cube maps -----------------------------------------------------------------------------------------------------
+
+
+def smooth(unit):
+    return np.stack([2 + unit[..., 0], 1 + unit[..., 1] * unit[..., 2], 1 - unit[..., 2] ** 2], axis=-1)
+
+
+def directions_near_edges(count=4000):
+    """Unit vectors, half of them within a hundredth of an edge or of a corner."""
+    rng = np.random.default_rng(1)
+    unit = rng.normal(size=(count, 3))
+    near = 1 + 0.01 * rng.normal(size=count // 2)
+    unit[: count // 4, 0] = unit[: count // 4, 1] * near[: count // 4]
+    corners = np.copysign(np.stack([near[count // 4 :]] * 3, axis=1) ** [1, 2, 3], unit[count // 4 : count // 2])
+    unit[count // 4 : count // 2] = corners
+    return unit / np.linalg.norm(unit, axis=1, keepdims=True)
+
+
+def test_a_map_errs_with_the_square_of_a_texel_over_edges_and_corners_too():
+    unit = directions_near_edges()
+    errors = []
+    for side in (16, 32, 64):
+        stored = np.zeros((6, side + 2, side + 2, 3), np.float32)
+        stored[:, 1:-1, 1:-1] = smooth(cube_directions(side))
+        fill_borders(stored)
+        errors.append(np.abs(look_up_cube(stored, unit) - smooth(unit)).max())
+    assert errors[0] < 0.02 and errors[2] < errors[0] / 8
+
+
+@numba.njit
+def _compiled_look_up(texels, side, unit, out):
+    for i in range(0, unit.shape[1], 16):
+        face, u, v = face_of(lanes.load(unit[0], i, 16), lanes.load(unit[1], i, 16), lanes.load(unit[2], i, 16))
+        cell, x, y = cell_of(face, u, v, lanes.repeated(np.float32(side), 16))
+        for ray in range(16):
+            place, fx, fy = np.int64(lanes.lane(cell, ray)), lanes.lane(x, ray), lanes.lane(y, ray)
+            lanes.store(out, (i + ray) * 4, bilinear(texels, 0, place, side + 2, fx, fy, lanes.load(texels, 0, 4)))
+
+
+def test_compiled_look_up_is_that_of_numpy():
+    stored = np.random.default_rng(2).random((6, 10, 10, 4)).astype(np.float32)
+    unit = directions_near_edges(320).astype(np.float32)
+    out = np.zeros(320 * 4, np.float32)
+    _compiled_look_up(stored.ravel(), 8, np.ascontiguousarray(unit.T), out)
+    assert np.abs(out.reshape(-1, 4) - look_up_cube(stored, unit.astype(np.float64))).max() <= 1e-4
+
+
+def solid_angles(side):
+    """Of a face's texels, sr."""
+    place = 2.0 * np.arange(side + 1) / side - 1.0
+    u, v = np.meshgrid(place, place)
+    corner = np.arctan(u * v / np.sqrt(1 + u * u + v * v))
+    return corner[1:, 1:] - corner[1:, :-1] - corner[:-1, 1:] + corner[:-1, :-1]
+
+
+@pytest.mark.parametrize("row", [3, 20, 40, 60])
+def test_the_power_of_a_one_texel_sun_is_kept(row):
+    picture = np.zeros((64, 128, 1), np.float32)
+    picture[row, 77] = 1e6
+    pyramid = environment_pyramid(picture, np.eye(1), 4, True)
+    power = float(picture[..., 0].ravel() @ directions(128, 64)[1].ravel())
+    for first, side in zip(pyramid.first[:2], pyramid.side[:2], strict=True):
+        count = 6 * (side + 2) ** 2 * 4
+        stored = pyramid.texels[first : first + count].view(np.float16).reshape(6, side + 2, side + 2, 4)
+        values = stored[:, 1:-1, 1:-1, 0].astype(np.float64) * pyramid.scale[0]
+        # Bilinear between the source's pixels, and sampled: its power is that of a blurred sun.
+        assert (values * solid_angles(side)).sum() == pytest.approx(power, rel=0.1)
+
+
+def test_an_irradiance_map_loses_little_by_going_round():
+    picture = smooth(directions(128, 64)[0]).astype(np.float32)
+    stored = from_equirectangular(picture, 64)
+    unit = directions_near_edges()
+    assert np.abs(look_up_cube(stored, unit) - irradiance_at(picture, unit)).max() <= 1e-3
+
+
+# --- lobes -------------------------------------------------------------------------------------------------------
+
+
+def test_rows_of_lobes_are_near_the_true_ones_where_these_are_short():
+    distance = lobe_table()[1]
+    theta = np.degrees(np.arccos(np.linspace(0, 1, ANGLES) ** 2))
+    mu = roughness_at(np.arange(ROUGHNESSES))
+    short = np.ix_(mu < 0.22, theta < 60)
+    assert distance[short].max() <= 0.12
+    assert distance[np.ix_((mu > 0.1) & (mu < 0.35), theta < 77)].max() <= 0.31
+    assert distance[np.ix_(mu > 0.35, theta < 60)].max() <= 0.41
+
+
+@given(place=st.floats(0, ROUGHNESSES - 1.001), root=st.floats(0.25, 0.999))
+@settings(deadline=None, max_examples=40)
+def test_between_its_entries_the_table_keeps_the_power(place, root):
+    table = lobe_table()[0]
+    i, j = int(place), int(root * (ANGLES - 1))
+    fi, fj = place - i, root * (ANGLES - 1) - j
+    entry = (table[i, j] * (1 - fj) + table[i, j + 1] * fj) * (1 - fi)
+    entry = entry + (table[i + 1, j] * (1 - fj) + table[i + 1, j + 1] * fj) * fi
+    mu = float(roughness_at(place))
+    _, value, _, solid_angle = lobe_samples(mu, math.acos(root**2), (48, 48))
+    power = float(value @ solid_angle) / (math.pi * mu**2)
+    assert entry[1 : 1 + 3 * TAPS : 3].sum() == pytest.approx(power, rel=0.03)
+    assert roughness_place(mu) == pytest.approx(place, abs=1e-6)
+
+
+# --- what shapes hide --------------------------------------------------------------------------------------------
+
+
+def cosine_rays(count=40000):
+    """Cosine-distributed directions about +z, an even set."""
+    i = np.arange(count)
+    r2, turn = (i + 0.5) / count, 2 * np.pi * (i * 0.6180339887498949 % 1.0)
+    r = np.sqrt(r2)
+    return np.stack([r * np.cos(turn), r * np.sin(turn), np.sqrt(1 - r2)], axis=1)
+
+
+@given(angle=st.floats(0, math.pi), ratio=st.floats(1.001, 8.0))
+@settings(deadline=None, max_examples=40)
+def test_a_sphere_hides_what_rays_say(angle, ratio):
+    rays = cosine_rays()
+    centre = np.array([math.sin(angle), 0.0, math.cos(angle)])
+    counted = (rays @ centre > math.sqrt(1 - 1 / ratio**2)).mean()
+    assert hidden_by_sphere(math.cos(angle), ratio, 1.0) == pytest.approx(counted, abs=4e-3)
+
+
+def test_a_point_inside_a_sphere_is_hidden_by_nothing_and_one_on_it_by_half():
+    assert hidden_by_sphere(0.3, 0.9, 1.0) == 0.0
+    assert hidden_by_sphere(0.0, 1.0 + 1e-9, 1.0) == pytest.approx(0.5, abs=1e-3)
+    assert hidden_by_sphere(1.0, 1.0 + 1e-9, 1.0) == pytest.approx(1.0, abs=1e-6)
+
+
+@given(
+    centre=st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3)),
+    tilt=st.floats(0, math.pi),
+    half=st.floats(0.2, 4.0),
+)
+@settings(deadline=None, max_examples=40)
+def test_a_plate_hides_what_rays_say(centre, tilt, half):
+    u, v = np.array([math.cos(tilt), 0.0, math.sin(tilt)]), np.array([0.0, 1.0, 0.0])
+    centre, normal = np.array(centre), np.cross(u, v)
+    if abs(centre @ normal) < 0.05:
+        return  # seen edge-on
+    corners = tuple(tuple(centre + half * (a * u + b * v)) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1)))
+    rays = cosine_rays()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = (centre @ normal) / (rays @ normal)
+        across = distance[:, None] * rays - centre
+    counted = ((distance > 0) & (np.abs(across @ u) <= half) & (np.abs(across @ v) <= half)).mean()
+    assert hidden_by_corners((0.0, 0.0, 1.0), corners) == pytest.approx(counted, abs=5e-3)

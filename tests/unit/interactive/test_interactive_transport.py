@@ -1,0 +1,381 @@
+"""The interactive integrator's geometry and light: mirrors, gloss, lamps, shadows, textures; scales; what repeats."""
+
+import dataclasses
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scenes import BALL, fresnel, material, plate, sphere_hits
+from studio import BASIS, even_light, picture, prepared, spectrum_of, view_of
+
+from irodori.brdf import angles_from_directions, reflect
+from irodori.colour import xyz_from_radiance
+from irodori.geometry.frames import rotation_xyz
+from irodori.geometry.mesh import Mesh
+from irodori.geometry.shapes import Shape
+from irodori.irradiance import irradiance_map
+from irodori.light import Environment, directions
+from irodori.rendering.interactive import Lamp, render_frame
+
+CROWD = [plate(120.0), BALL, BALL]
+CROWD_PLACES = [(0, 0, 0), (-22, 0, 20), (22, 5, 20)]
+CROWD_VIEW = {"position": (20, -250, 130), "target": (0, 0, 10), "fov": 24, "size": (50, 40)}
+
+
+def crowd():
+    return [material(0.5, beta=1.0, mirror=0.5), material(0.3, beta=3.0, mu=0.2, mirror=0.6),
+            material(mirror=1.0, n=0.2, k=3.0)]  # fmt: skip
+
+
+def sky_of(function, height=256) -> Environment:
+    """Light with one number a direction, on the first vector of `BASIS`."""
+    values = function(directions(2 * height, height)[0])
+    coefficients = np.stack([values, 0 * values, 0 * values], axis=-1).astype(np.float32)
+    return Environment(coefficients, BASIS, irradiance_map(coefficients, 128, 64))
+
+
+def levels(image, light):
+    """The coefficient on the first vector that Y shows."""
+    white = light.upward_white()
+    return image[..., 1] / (xyz_from_radiance(white)[1] @ BASIS[:, 0])
+
+
+@pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.4), (2.4, 0.0), (1.2, 40.0)])
+def test_a_mirror_shows_fresnel_reflectance_up_to_the_outline(n, k):
+    light = even_light()
+    found = picture([BALL], [material(mirror=1.0, n=n, k=k)], light)
+    ray, normal = sphere_hits()
+    cosine = -np.sum(ray * normal, axis=-1)
+    truth = xyz_from_radiance(light.upward_white()) @ spectrum_of()
+    inside = np.isfinite(cosine) & (cosine > 0.02)
+    assert inside.sum() > 1000
+    assert np.allclose(found[inside, 1] / truth[1], fresnel(cosine[inside], n, k), atol=1e-3, rtol=2e-3)
+    assert found[~np.isfinite(cosine)] / truth == pytest.approx(1.0, abs=1e-3)
+
+
+def test_a_mirror_shows_the_light_of_the_reflected_direction_and_of_the_turned_one():
+    light = sky_of(lambda d: 3 + d[..., 0] - 0.5 * d[..., 1] + 0.7 * d[..., 2])
+    turn = rotation_xyz([20.0, -35.0, 140.0])
+    # Fine pixels: a ball widens a pixel's cone, and the light is the mean over it.
+    size = (161, 161)
+    ray, normal = sphere_hits(size=size)
+    cosine = -np.sum(ray * normal, axis=-1)
+    inside = cosine > 0.3
+    reflected = ray + 2 * cosine[..., None] * normal
+    for rotation in (np.eye(3), turn):
+        found = picture([BALL], [material(mirror=1.0, n=0.01, k=30.0)], light, view={"size": size},
+                        frame={"world_from_light": rotation})  # fmt: skip
+        local = reflected[inside] @ rotation
+        truth = (3 + local @ [1.0, -0.5, 0.7]) * fresnel(cosine[inside], 0.01, 30.0)
+        assert np.allclose(levels(found, light)[inside], truth, rtol=5e-3)
+        beside = 3 + (ray[0, 0] @ rotation) @ [1.0, -0.5, 0.7]
+        assert levels(found, light)[0, 0] == pytest.approx(beside, rel=2e-3)
+
+
+def test_parallel_mirrors_end_at_the_limit_and_keep_the_energy():
+    shapes, places = [plate(100.0), plate(100.0)], [(0, 0, 0), (0, 0, 20.0)]
+    over = [np.eye(3), rotation_xyz([180.0, 0.0, 0.0])]
+    light = even_light()
+    truth = xyz_from_radiance(light.upward_white()) @ spectrum_of()
+    view = {"position": (0, -48, 10), "target": (0, 0, 2), "fov": 40, "size": (32, 24)}
+    means, mirrors = [], [material(mirror=1.0, n=0.001, k=50.0)] * 2
+    for bounces in (0, 1, 3, 10, 40):
+        figures = {}
+        found = picture(shapes, mirrors, light, view=view, places=places, rotations=over, max_bounces=bounces,
+                        frame={"figures": figures})  # fmt: skip
+        assert figures["rays"] <= (bounces + 1) * 32 * 24
+        assert found.max() <= 1.001 * truth.max() and found.min() >= 0
+        means.append(found[..., 1].mean() / truth[1])
+    assert means == sorted(means) and means[0] < 0.6 and means[-1] > 0.99
+
+
+# --- gloss -------------------------------------------------------------------------------------------------------
+
+
+def smooth_light(direction):
+    x, y, z = np.moveaxis(direction, -1, 0)
+    return 1.0 + 0.5 * x - 0.3 * y + 0.6 * z * z + 0.2 * x * z
+
+
+def lobe_integral(normal, view, beta, mu, n, k) -> float:
+    """Radiance β/π ∫ L F D G / cosθ_r dω of equation (5), Gauss-Legendre over half vectors."""
+    nodes, weights = np.polynomial.legendre.leggauss(120)
+    top = min(6 * mu, np.pi / 2)
+    phi, dphi = (nodes + 1) / 2 * top, weights * top / 2
+    around = (np.arange(128) + 0.5) * 2 * np.pi / 128
+    tangent = np.cross(normal, [0.3, 0.9, -0.2])
+    tangent /= np.linalg.norm(tangent)
+    bitangent = np.cross(normal, tangent)
+    phi, around = np.meshgrid(phi, around, indexing="ij")
+    ring = np.cos(around)[..., None] * tangent + np.sin(around)[..., None] * bitangent
+    half = np.cos(phi)[..., None] * normal + np.sin(phi)[..., None] * ring
+    to_light = 2 * (half @ view)[..., None] * half - view
+    angles = angles_from_directions(normal, to_light, view)
+    value = reflect(0.0, 0.0, beta, mu, angles, n, k) * smooth_light(to_light)
+    solid_angle = np.sin(phi) * dphi[:, None] * 2 * np.pi / 128 * 4 * np.maximum(half @ view, 0.0)
+    return float(np.sum(value * solid_angle) / np.pi)
+
+
+@pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.4)], ids=["lacquer", "metal"])
+@pytest.mark.parametrize(("mu", "tolerance"), [(0.05, 0.03), (0.12, 0.03), (0.35, 0.08)])
+def test_gloss_is_the_lobe_integrated_over_the_light(mu, tolerance, n, k):
+    """A row of four round lobes: the rougher the surface, the less they follow the horizon's cut."""
+    beta = 1 / (4 * mu**2)
+    light = sky_of(smooth_light, 128)
+    found = levels(picture([BALL], [material(0.0, beta=beta, mu=mu, n=n, k=k)], light), light)
+    ray, normal = sphere_hits()
+    cosine = -np.sum(ray * normal, axis=-1)
+    for y, x in [(20, 20), (14, 20), (20, 27), (28, 12), (10, 14), (25, 33), (33, 24)]:
+        assert cosine[y, x] > 0.25
+        assert found[y, x] == pytest.approx(lobe_integral(normal[y, x], -ray[y, x], beta, mu, n, k), rel=tolerance)
+
+
+@pytest.mark.parametrize("mu", [0.005, 0.05, 0.2, 0.6, 1.2])
+def test_gloss_creates_no_energy_at_any_roughness(mu):
+    light = even_light()
+    glossy = material(0.0, beta=1 / (4 * mu**2), mu=mu, n=0.01, k=20.0)
+    found = picture([BALL], [glossy], light)
+    truth = xyz_from_radiance(light.upward_white()) @ spectrum_of()
+    assert found[20, 20, 1] > 0 and found.max() <= 1.01 * truth.max()
+
+
+# --- lamps -------------------------------------------------------------------------------------------------------
+
+DARK = even_light((0.0, 0.0, 0.0))
+BEAM = np.linspace(1.0, 2.0, 61)[None]
+
+
+@pytest.mark.parametrize("representation", ["spectral", "coefficients"])
+def test_a_lamp_lights_by_equation_5(representation):
+    direction = np.array([0.4, -0.7, 0.6])
+    direction /= np.linalg.norm(direction)
+    paint = material(np.linspace(0.2, 0.7, 61), beta=2.0, mu=0.25)
+    found = picture([BALL], [paint], DARK, representation, white=np.ones(61), lamps=BEAM,
+                    frame={"lamps": (Lamp(5.0 * direction, 3.0),)})  # fmt: skip
+    ray, normal = sphere_hits()
+    matrix = np.eye(61) if representation == "spectral" else xyz_from_radiance(np.ones(61))
+    lit = 0
+    for y, x in [(20, 20), (14, 20), (20, 27), (28, 12), (25, 33), (33, 24), (16, 26)]:
+        if normal[y, x] @ direction <= 0:
+            continue
+        lit += 1
+        angles = angles_from_directions(normal[y, x], direction, -ray[y, x])
+        truth = [reflect(1.0, s, 2.0, 0.25, angles) for s in np.linspace(0.2, 0.7, 61)]
+        assert np.allclose(found[y, x], matrix @ (np.array(truth) * 3.0 * BEAM[0] / np.pi), rtol=2e-3)
+    assert lit >= 4
+    away = (normal @ direction < -0.05) & np.isfinite(ray[..., 0])
+    assert away.any() and (found[away] == 0).all()
+
+
+def test_a_ball_throws_the_shadow_of_a_disc():
+    """From straight above: the plate is dark within the ball's radius and lit as if alone beyond."""
+    view = {"position": (0.0, -0.001, 600.0), "target": (0, 0, 0), "size": (81, 81), "fov": 9.6}
+    scene = {"places": [(0, 0, 0), (0, 0, 300.0)], "white": np.ones(61), "lamps": BEAM}
+    slanted = np.array([1.0, 0.0, 1.0])
+    ready = prepared([plate(4000.0), BALL], [material(0.5), material(0.0)], DARK, **scene)
+    shadow = render_frame(ready, view_of(**view | {"target": (-300.0, 0.0, 0.0), "position": (-300.0, -0.001, 600.0)}),
+                          lamps=(Lamp(slanted),))[..., 1]  # fmt: skip
+    # The ball stands 300 mm up and the light comes from +x at 45 degrees: the shadow's centre is at x = -300.
+    at = (np.arange(81) - 40.0) * (2 * 600 * np.tan(np.radians(4.8)) / 81)
+    x, y = np.meshgrid(at, -at)
+    radius = np.hypot(x / np.sqrt(2.0), y)
+    truth = 0.5 * np.cos(np.pi / 4) * xyz_from_radiance(np.ones(61))[1] @ BEAM[0] / np.pi
+    assert (shadow[radius < 19] == 0).all() and (radius < 19).sum() > 300
+    assert np.allclose(shadow[radius > 21], truth, rtol=1e-3)
+
+
+def test_a_black_lamp_and_lamps_of_no_strength_change_nothing():
+    light = even_light()
+    plain = picture(CROWD, crowd(), light, view=CROWD_VIEW, places=CROWD_PLACES)
+    for spectra, strength in ((np.zeros((1, 61)), 1.0), (BEAM, 0.0)):
+        found = picture(CROWD, crowd(), light, view=CROWD_VIEW, places=CROWD_PLACES, lamps=spectra,
+                        frame={"lamps": (Lamp(np.array([0.0, 0.0, 1.0]), strength),)})  # fmt: skip
+        assert np.allclose(found, plain, rtol=1e-5, atol=1e-5)
+    with pytest.raises(ValueError, match="accepted: three finite numbers"):
+        picture(CROWD, crowd(), light, view=CROWD_VIEW, places=CROWD_PLACES, lamps=BEAM,
+                frame={"lamps": (Lamp(np.zeros(3)),)})  # fmt: skip
+    with pytest.raises(ValueError, match="accepted: the 1 that the scene was prepared for"):
+        picture(CROWD, crowd(), light, view=CROWD_VIEW, places=CROWD_PLACES, lamps=BEAM)
+
+
+def test_a_sun_of_one_texel_stays_finite_and_black_light_black():
+    light = sky_of(
+        lambda d: np.where((d[..., 2] > 0) & (np.arange(512) == 200) & (np.arange(256) == 60)[:, None], 1e6, 0.0)
+    )
+    found = picture(CROWD, crowd(), light, view=CROWD_VIEW, places=CROWD_PLACES, white=np.ones(61))
+    # Blurred light is a Fourier series, which rounds to either side of zero: 1e-9 of the sun's radiance.
+    assert np.isfinite(found).all() and found.max() > 0 and found.min() >= -1e-3
+    dark = picture(CROWD, crowd(), DARK, view=CROWD_VIEW, places=CROWD_PLACES, white=np.ones(61))
+    assert (dark == 0).all()
+
+
+# --- shapes and scales -------------------------------------------------------------------------------------------
+
+
+def test_the_picture_shows_a_textures_places():
+    values = np.array([[0.1, 0.4], [0.6, 0.9]]).repeat(16, axis=0).repeat(16, axis=1)
+    uniform = material(1.0)
+    textured = dataclasses.replace(
+        uniform, alpha=values, green_response=np.ones_like(values), beta=np.zeros_like(values),
+        mu=np.full_like(values, 0.1), coefficients=np.ones((32, 32, 1), np.float32),
+    )  # fmt: skip
+    light = even_light()
+    view = {"position": (0, -0.001, 500), "fov": 11, "size": (40, 40)}
+    found = picture([plate(100.0)], [textured], light, view=view)
+    truth = xyz_from_radiance(light.upward_white()) @ spectrum_of()
+    for rows, columns, value in (
+        (slice(5, 18), slice(5, 18), 0.1), (slice(5, 18), slice(22, 35), 0.4),
+        (slice(22, 35), slice(5, 18), 0.6), (slice(22, 35), slice(22, 35), 0.9),
+    ):  # fmt: skip
+        assert np.allclose(found[rows, columns], value * truth, rtol=2e-3)
+
+
+def square_mesh(side: float) -> Shape:
+    """A plate as two triangles with the plate's texture coordinates."""
+    corners = side / 2 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    uv = np.stack([corners[:, 0] / side + 0.5, 0.5 - corners[:, 1] / side], axis=1)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+    return Shape.from_mesh(Mesh(corners, faces, uv[faces], np.broadcast_to([0.0, 0.0, 1.0], (2, 3, 3)).copy()))
+
+
+def test_a_mesh_looks_like_the_plate_that_it_is():
+    light = even_light()
+    pictures = [picture([shape, BALL, BALL], crowd(), light, view=CROWD_VIEW, places=CROWD_PLACES)
+                for shape in (plate(120.0), square_mesh(120.0))]  # fmt: skip
+    different = (np.abs(pictures[0] - pictures[1]) > 1e-3 * pictures[0].max()).any(axis=-1)
+    assert different.mean() <= 2e-3  # pixels on an edge
+
+
+@pytest.mark.parametrize("scale", [1 / 120.0, 1e6 / 120.0])
+def test_a_scene_of_a_millimetre_and_one_of_a_kilometre_look_alike(scale):
+    light = sky_of(lambda d: 2 + d[..., 0] + d[..., 2])
+    lamp = {"lamps": BEAM}
+    pictures = [
+        picture(CROWD, crowd(), light, view=CROWD_VIEW | {"scale": s}, places=CROWD_PLACES, scale=s,
+                frame={"lamps": (Lamp(np.array([0.3, -0.4, 0.8])),)}, **lamp)
+        for s in (1.0, scale)
+    ]  # fmt: skip
+    different = (np.abs(pictures[0] - pictures[1]) > 2e-3 * pictures[0].max()).any(axis=-1)
+    assert different.mean() <= 4e-3
+
+
+def test_spheres_that_touch_and_plates_of_a_kilometre_throw_no_specks():
+    """A lamp straight above a plate of 1 km lights it evenly; touching mirrors show light everywhere."""
+    ready = prepared([plate(1e6)], [material(0.5)], DARK, white=np.ones(61), lamps=BEAM)
+    found = render_frame(ready, view_of((0.0, -2e4, 1e4), size=(60, 40)), lamps=(Lamp(np.array([0.0, 0.0, 1.0])),))
+    assert np.ptp(found[..., 1]) <= 1e-4 * found.max() and found.min() > 0
+    light = even_light()
+    truth = xyz_from_radiance(light.upward_white()) @ spectrum_of()
+    found = picture([BALL, BALL], [material(mirror=1.0, n=0.001, k=50.0)] * 2, light, places=[(-20, 0, 0), (20, 0, 0)],
+                    view={"fov": 26, "size": (60, 40)}, max_bounces=40)  # fmt: skip
+    assert np.abs(found / truth - 1).max() <= 2e-3
+
+
+def test_the_back_of_a_plate_is_black():
+    found = picture([plate(100.0)], [material(0.8, mirror=0.5)], even_light(), view={"position": (0, -1, -200.0)})
+    assert (found[20, 20] == 0).all()
+
+
+# --- what repeats ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def threads():
+    before = numba.get_num_threads()
+    yield numba.set_num_threads
+    numba.set_num_threads(before)
+
+
+def test_threads_do_not_change_a_bit(threads):
+    if numba.config.NUMBA_NUM_THREADS < 2:
+        pytest.skip("one thread only")
+    ready = prepared(CROWD, crowd(), sky_of(smooth_light, 64), places=CROWD_PLACES)
+    pictures = []
+    for count in (1, 2):
+        threads(count)
+        pictures += [render_frame(ready, view_of(**CROWD_VIEW)) for _ in range(2)]
+    assert all(np.array_equal(pictures[0], other) for other in pictures[1:])
+
+
+def test_kept_visibility_changes_no_bit_and_is_of_its_view():
+    ready = prepared(CROWD, crowd(), sky_of(smooth_light, 64), places=CROWD_PLACES)
+    turned = {"world_from_light": rotation_xyz([0.0, 0.0, 50.0])}
+    one, other = view_of(**CROWD_VIEW), view_of(**CROWD_VIEW | {"position": (-40, -250, 110)})
+    for view, frame in ((one, {}), (one, turned), (other, turned), (one, turned)):
+        fresh = render_frame(ready, view, **frame)
+        assert np.array_equal(render_frame(ready, view, keep_visibility=True, **frame), fresh)
+    # What is kept is what is used: without it the same frame is of nothing.
+    ready._kept.view(np.int32)[:] = -1
+    assert not np.array_equal(render_frame(ready, one, keep_visibility=True, **turned), fresh)
+    ready.forget()
+    assert np.array_equal(render_frame(ready, one, keep_visibility=True, **turned), fresh)
+
+
+@given(
+    balls=st.lists(st.tuples(st.floats(-60, 60), st.floats(-60, 60), st.floats(-10, 50), st.floats(0, 1),
+                             st.floats(0.1, 3.0), st.floats(0.0, 30.0), st.floats(0.005, 1.2)), min_size=1, max_size=4),
+    eye=st.tuples(st.floats(-200, 200), st.floats(-300, -100), st.floats(-50, 200)),
+    ambient=st.booleans(),
+)  # fmt: skip
+@settings(deadline=None, max_examples=25)
+def test_any_spheres_give_finite_light_between_black_and_the_sky(balls, eye, ambient):
+    light = even_light()
+    truth = xyz_from_radiance(light.upward_white()) @ spectrum_of()
+    materials = [material(1 - m, beta=(1 - m) * 0.0, mu=mu, mirror=m, n=n, k=k) for *_, m, n, k, mu in balls]
+    places = [ball[:3] for ball in balls]
+    found = picture([BALL] * len(balls), materials, light, places=places, ambient=ambient,
+                    view={"position": eye, "size": (17, 19), "fov": 40})  # fmt: skip
+    assert np.isfinite(found).all() and (found >= 0).all() and (found <= 1.002 * truth).all()
+
+
+@pytest.mark.parametrize("distance", [12.0, 20.0, 40.0, 100.0])
+def test_the_contact_shadow_of_a_black_ball_is_its_form_factor(distance):
+    # A sphere of radius R that rests on the plane hides cosθ (R/D)² = (R/D)³ of the hemisphere, seen from D.
+    hidden = (20.0 / np.hypot(20.0, distance)) ** 3
+    light = even_light()
+    truth = 0.8 * xyz_from_radiance(light.upward_white()) @ spectrum_of()
+    view = {"position": (distance + 400.0, 0.0, 150.0), "target": (distance, 0, 0), "size": (1, 1), "fov": 0.05}
+    for ambient, share in ((True, 1 - hidden), (False, 1.0)):
+        found = picture([plate(4000.0), BALL], [material(0.8), material(0.0)], light, view=view,
+                        places=[(0, 0, 0), (0, 0, 20.0)], ambient=ambient)  # fmt: skip
+        assert np.allclose(found[0, 0], share * truth, rtol=2e-3)
+
+
+def test_a_red_ball_colours_its_plate_and_a_grey_one_does_not():
+    light = even_light()
+    white = light.upward_white()
+    view = {"position": (420.0, 0.0, 150.0), "target": (20.0, 0, 0), "size": (1, 1), "fov": 0.05}
+    seen = {}
+    for name, paint in (("red", 0.9 * (np.arange(61) > 38) + 0.01), ("grey", 0.4)):
+        for representation in ("coefficients", "spectral"):
+            ready = prepared([plate(4000.0), BALL], [material(0.8), material(paint)], light, representation,
+                             places=[(0, 0, 0), (0, 0, 20.0)], ambient=True)  # fmt: skip
+            xyz = render_frame(ready, view_of(**view))[0, 0]
+            seen[name, representation] = xyz / (xyz_from_radiance(white) @ spectrum_of())
+    for representation in ("coefficients", "spectral"):
+        red, grey = seen["red", representation], seen["grey", representation]
+        assert np.ptp(grey) <= 2e-3 and red[0] - red[2] > 0.05
+    assert np.allclose(seen["red", "coefficients"], seen["red", "spectral"], atol=0.03)
+
+
+@given(
+    turns=st.lists(st.tuples(*[st.floats(-180, 180)] * 3), min_size=3, max_size=3),
+    eye=st.tuples(st.floats(-60, 60), st.floats(-250, -30), st.floats(-60, 120)),
+    far=st.sampled_from([0.0, 3e3, 1e5]),
+)
+@settings(deadline=None, max_examples=20)
+def test_bounds_keep_no_ray_from_what_it_meets(turns, eye, far):
+    """Every ray that Embree would let meet something is handed to it, far from the origin too.
+
+    Not where the eye lies in a plate: Embree then meets the plate at no distance, the bounds do not.
+    """
+    shapes, places = [plate(80.0), BALL, plate(30.0)], [(far, 0, 0), (far - 22, 0, 20), (far + 10, -20, 15)]
+    rotations = [rotation_xyz(t) for t in turns]
+    from_plates = [(np.add(eye, (far, 0, 0)) - places[i]) @ rotations[i][:, 2] for i in (0, 2)]
+    assume(min(abs(height) for height in from_plates) > 1e-6 * max(far, 1e4))
+    ready = prepared(shapes, crowd(), even_light(), places=places, rotations=rotations)
+    everything = dataclasses.replace(ready, world=ready.world._replace(bounded=0))
+    view = view_of((far + eye[0], eye[1], eye[2]), (far, 0, 5), (24, 24), 40.0)
+    assert np.array_equal(render_frame(ready, view), render_frame(everything, view))
