@@ -192,9 +192,11 @@ class _Checks:
         for index, body in enumerate(scene["bodies"]):
             field = f"bodies[{index}].material.refractive_index"
             self._check_index(body["material"]["refractive_index"], field, file)
-        if scene["lights"] and scene["integrator"]["kind"] != "reference":
-            found = f"lights, which the integrator {scene['integrator']['kind']} does not trace"
-            raise InputError(file, "lights", found, "integrator: {kind: reference, samples: 256}, or no lights")
+        traced = {"sampled": (), "interactive": ("collimated",)}.get(scene["integrator"]["kind"])
+        strange = [light["kind"] for light in scene["lights"] if traced is not None and light["kind"] not in traced]
+        if strange:
+            found = f"a {strange[0]} light, which the integrator {scene['integrator']['kind']} does not trace"
+            raise InputError(file, "lights", found, "integrator: {kind: reference, samples: 256}, or no such light")
 
     def folders(self) -> None:
         """Refuse a table or a folder into which two sessions would write: their photographs bear the same names."""

@@ -19,7 +19,7 @@ from irodori.rendering.scene import make_light, make_objects, make_placements, m
 from irodori.spectra import refractive_index, spectrum
 
 #: Kinds of `integrator` in a scene.
-INTEGRATORS = ("sampled", "reference")
+INTEGRATORS = ("sampled", "interactive", "reference")
 
 
 def display_white(environment: Environment, lights: list[dict], exposure) -> tuple[np.ndarray, float]:
@@ -95,6 +95,8 @@ def render_image(
         if scene.get("lights"):
             raise ValueError("lights in a scene of the integrator 'sampled'; accepted: the integrator 'reference'")
         radiance, figures = _render_sampled(scene, view_name, placements, objects, environment, options, tile_rows)
+    elif integrator["kind"] == "interactive":
+        radiance, figures = _render_interactive(scene, view_name, placements, objects, environment, options)
     else:
         radiance, figures = _render_reference(
             scene, view_name, placements, objects, environment, tile_rows, tiles_folder
@@ -141,6 +143,48 @@ def _render_sampled(scene, view_name, placements, objects, environment, options,
         "surfaces_shaded": met,
     }
     return radiance, figures
+
+
+def _render_interactive(scene, view_name, placements, objects, environment, options) -> tuple[np.ndarray, dict]:
+    """Render by look-ups alone, see `irodori.rendering.interactive`, which is loaded only where it is asked for."""
+    from irodori.gloss import GlossMaps
+    from irodori.rendering import interactive
+    from irodori.rendering.lights import BANDS, make_lights
+
+    if any(light["kind"] != "collimated" for light in scene.get("lights", [])):
+        raise ValueError("area lights in a scene of the integrator 'interactive'; accepted: collimated lights")
+    lights, _ = make_lights(scene.get("lights", []), 0)
+    lamps = tuple(interactive.Lamp(rotation[:, 2]) for rotation in lights.rotation)
+    start = time.perf_counter()
+    prepared = interactive.prepare_scene(
+        objects,
+        interactive.light_of(environment),
+        GlossMaps.of(environment.coefficients),
+        make_tracer(placements),
+        "spectral",
+        environment.upward_white(),
+        lamps=lights.spectrum[:, :BANDS],
+        max_bounces=options["max_bounces"],
+        least_throughput=options["min_throughput"],
+        half=False,
+        ambient=scene["integrator"]["ambient"],
+    )
+    prepared_s = time.perf_counter() - start
+    side = options["pixel_side"]
+    image = {key: side * size for key, size in scene["image"].items()}
+    view = make_view(scene["views"][view_name], image)
+    interactive.render_frame(prepared, view._replace(width=side, height=side), lamps=lamps, bands=True)  # compile
+    start, counted = time.perf_counter(), {}
+    fine = interactive.render_frame(prepared, view, lamps=lamps, bands=True, figures=counted)
+    radiance = fine.reshape(scene["image"]["height"], side, scene["image"]["width"], side, BANDS).mean(axis=(1, 3))
+    seconds = time.perf_counter() - start
+    rays = counted["rays"]
+    return radiance, {
+        "seconds": seconds,
+        "seconds_to_prepare": prepared_s,
+        "rays": rays,
+        "rays_per_second": rays / seconds,
+    }
 
 
 def _render_reference(scene, view_name, placements, objects, environment, tile_rows, folder) -> tuple[np.ndarray, dict]:

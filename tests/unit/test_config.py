@@ -179,7 +179,7 @@ def test_an_unknown_name_lists_the_existing_ones(root, file, path, value, named_
          "bodies[1].material.refractive_index.file", "no such file", "wavelength_nm, n, k"),
         ("scenes/still-life.yaml", "lights",
          [{"kind": "collimated", "spectrum": "D65", "azimuth_deg": 0, "elevation_deg": 40, "irradiance": 1}],
-         "lights", "the integrator sampled does not trace", "reference"),
+         "lights", "a collimated light, which the integrator sampled does not trace", "reference"),
         ("scenes/still-life.yaml", "lights",
          [{"kind": "collimated", "spectrum": "D66", "azimuth_deg": 0, "elevation_deg": 40, "irradiance": 1}],
          "lights[0].spectrum", "'D66'", "did you mean 'D65'"),

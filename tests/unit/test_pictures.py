@@ -139,11 +139,45 @@ def test_a_view_by_paths_in_files_tells_its_error_and_leaves_no_tiles(tmp_path):
     # The sampled integrator would leave the lights out.
     with pytest.raises(ValueError, match="accepted: the integrator 'reference'"):
         render_view(scene | {"integrator": {"kind": "sampled"}}, *arguments[1:])
-    with pytest.raises(ValueError, match="accepted: sampled, reference"):
+    with pytest.raises(ValueError, match=r"area lights .* accepted: collimated"):
+        render_view(scene | {"integrator": {"kind": "interactive", "ambient": True}}, *arguments[1:])
+    with pytest.raises(ValueError, match="accepted: sampled, interactive, reference"):
         render_view(scene | {"integrator": {"kind": "bidirectional"}}, *arguments[1:])
 
 
-@pytest.mark.parametrize("integrator", [{"kind": "sampled"}, {"kind": "reference", "samples": 4096, "seed": 0}])
+def test_an_interactive_view_in_files_has_the_light_of_its_lamp(tmp_path):
+    """A white plate under constant light and a lamp aslant: together they are the picture's white."""
+    constant_light(np.linspace(0.3, 3.0, 61)).save(tmp_path / "e.h5", store.Provenance("test"))
+    material(1.0).save(tmp_path / "white.h5", store.Provenance("test"))
+    sun = {"kind": "collimated", "spectrum": "A", "azimuth_deg": 0.0, "elevation_deg": 30.0, "irradiance": 4.0}
+    scene = {
+        "image": {"width": 7, "height": 5}, "display": {"exposure": "auto"}, "lights": [sun],
+        "integrator": {"kind": "interactive", "ambient": True},
+        "objects": [{"object": "white", "position_mm": [0, 0, 0], "rotation_deg": [0, 0, 0], "scale": 1.0}],
+        "views": {"v": {"position_mm": [0, -0.01, 500.0], "target_mm": [0, 0, 0], "up": [0, 0, 1],
+                        "field_of_view_deg": 0.1}},
+    }  # fmt: skip
+    outputs = [tmp_path / f"v.{suffix}" for suffix in ("exr", "png", "json")]
+    shapes = [{"kind": "plate", "width_mm": 100.0, "height_mm": 100.0}]
+    render_view(scene, "v", shapes, [tmp_path / "white.h5"], tmp_path / "e.h5", *outputs, OPTIONS, 2)
+    from irodori.placed_lights import unit_luminance
+
+    expected = np.linspace(0.3, 3.0, 61) + 4.0 * 0.5 * unit_luminance("A")
+    np.testing.assert_allclose(read_spectral_exr(outputs[0])[2, 3], expected, rtol=3e-3)
+    with Image.open(outputs[1]) as image:
+        assert (np.asarray(image) >= 252).all()
+    figures = json.loads(outputs[2].read_text())
+    assert figures["integrator"] == "interactive" and figures["rays"] >= 35
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        {"kind": "sampled"},
+        {"kind": "interactive", "ambient": False},
+        {"kind": "reference", "samples": 4096, "seed": 0},
+    ],
+)
 def test_a_body_is_rendered_from_its_names_alone(tmp_path, integrator):
     """A photographed plate, a ball of a test colour and one that mirrors too, under constant light."""
     from irodori.spectra import spectrum
