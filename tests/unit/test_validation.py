@@ -163,7 +163,7 @@ ROOM = ("environments", "classroom")
         (SCENE, "objects.1.scale", -1, "objects[1].scale", "-1", "a number above 0"),
         (SCENE, "objects.1.rotation_deg", [0, 0], "objects[1].rotation_deg", "[0, 0]", "exactly 3 items"),
         (SCENE, "integrator", {"kind": "referenc", "samples": 8}, "integrator.kind", "'referenc'",
-         "sampled, reference"),
+         "sampled, interactive, reference"),
         (SCENE, "integrator", {"kind": "reference"}, "integrator.samples", "no such key", ""),
         (SCENE, "integrator", {"kind": "reference", "samples": 20}, "integrator.samples", "20", "multiple of 8"),
         (SCENE, "integrator", {"kind": "sampled", "samples": 8}, "integrator.samples", "unknown key", "kind"),
