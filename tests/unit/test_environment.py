@@ -13,6 +13,7 @@ from irodori.environment import fill_masked, prepare_environment
 from irodori.errors import InputError
 from irodori.irradiance import irradiance_at, irradiance_map
 from irodori.light import Environment, directions
+from irodori.omnidirectional import to_panorama
 from irodori.principal import CompressOptions, compress, principal_basis
 from irodori.recovery import Calibration
 from irodori.spectra import spectrum
@@ -150,7 +151,10 @@ def test_stage_recovers_radiance_as_light_times_reflectance(tmp_path):
     matrix = np.linalg.inv(sensitivity @ basis).T  # weights = response @ M for reflectances in the basis
     reflectance = rng.uniform(0.0, 1.0, (40, 80, 6)) @ image(6)[1].T
     write_inputs(
-        tmp_path, reflectance @ sensitivity.T, np.ones((40, 80), np.uint8), Calibration(basis, matrix, light, ("out",))
+        tmp_path,
+        to_panorama(reflectance) @ sensitivity.T,
+        np.ones((40, 80), np.uint8),
+        Calibration(basis, matrix, light, ("out",)),
     )
     environment = stage(tmp_path)
     truth = reflectance * light
@@ -162,6 +166,21 @@ def test_stage_recovers_radiance_as_light_times_reflectance(tmp_path):
     with store.open_file(tmp_path / "e.h5") as file:
         errors = file.attribute("errors")["irradiance"]
     assert errors["height"] == len(environment.irradiance) and errors["max_error"] <= 0.002
+
+
+@pytest.mark.parametrize("centre_azimuth_deg", [0.0, 90.0])
+def test_what_stood_to_the_right_of_a_photographs_middle_has_a_smaller_azimuth(tmp_path, centre_azimuth_deg):
+    response = np.full((8, 16, 3), 0.1)
+    response[4, 11] = 0.9  # 3.5 columns of 22.5 degrees to the right of the middle
+    calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61), ("out",))
+    write_inputs(tmp_path, response, np.ones((8, 16), np.uint8), calibration)
+    source = {"kind": "captures", "centre_azimuth_deg": centre_azimuth_deg}
+    prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "e.h5", options(0.0, 4),
+                        {"max_error": 0.1, "max_height": 32}, store.Provenance("test"), source)  # fmt: skip
+    found = Environment.load(tmp_path / "e.h5").coefficients
+    row, column = np.unravel_index(np.linalg.norm(found, axis=-1).argmax(), (8, 16))
+    x, y, _ = directions(16, 8)[0][row, column]
+    assert np.degrees(np.arctan2(y, x)) == pytest.approx(centre_azimuth_deg - 3.5 * 22.5)
 
 
 def test_stage_refuses_pixels_without_a_valid_bracket(tmp_path):
