@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from compressing import compress
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,7 +15,8 @@ from irodori.errors import InputError
 from irodori.irradiance import irradiance_at, irradiance_map
 from irodori.light import Environment, directions
 from irodori.omnidirectional import to_panorama
-from irodori.principal import CompressOptions, compress, principal_basis
+from irodori.principal import CompressOptions
+from irodori.principal.decomposition import decompose
 from irodori.recovery import Calibration
 from irodori.spectra import spectrum
 
@@ -67,7 +69,7 @@ def image(seed: int, pixels: int = 400, rank: int = 6):
 def test_reconstruction_error_is_that_of_the_truncated_svd(seed, count):
     weights, basis = image(seed)
     full = weights @ basis.T
-    vectors, transform = principal_basis(weights, basis)
+    vectors, transform = decompose(weights, basis).truncated(6)
     assert np.abs(vectors.T @ vectors - np.eye(6)).max() <= 1e-10
     decoded = (weights @ transform[:count].T) @ vectors[:, :count].T
     u, s, vt = np.linalg.svd(full, full_matrices=False)
