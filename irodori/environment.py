@@ -18,7 +18,10 @@ from irodori.placed_lights import lights_picture
 from irodori.principal import Compression, CompressOptions, Tiles, choose, second_moments
 from irodori.progress import LOGGER
 from irodori.recovery import Calibration
+from irodori.spectra import spectrum
 
+#: Of the test colours of CIE 224 those least alike: light that keeps its colours on them keeps them on others.
+SURFACES = ("TCS2", "TCS56", "TCS77")
 _READERS = {"rgb": rgb_picture, "spectral": spectral_picture}
 
 
@@ -173,6 +176,16 @@ def make_environment(
     write_environment(picture, None, output, options, irradiance_options, provenance, with_gloss)
 
 
+def observers(white: np.ndarray) -> dict:
+    """Return how the colours of a light are judged: seen directly, and on surfaces, for `irodori.principal.choose`.
+
+    Directly seen light has three numbers for the eye; three bases would do, and say little of how it looks on pigments.
+    """
+    matrix = xyz_from_radiance(white)
+    seen = {"light": matrix} | {f"light on {name}": matrix * spectrum(name) for name in SURFACES}
+    return {name: (one, matrix @ white) for name, one in seen.items()}
+
+
 def write_environment(
     picture: Picture,
     white: np.ndarray | None,
@@ -210,8 +223,7 @@ def write_environment(
     if moments.masked:
         raise InputError(picture.file, "", f"{moments.masked} pixels that are not finite", "finite radiance everywhere")
     white = mean.light(picture.basis) if white is None else white
-    matrix = xyz_from_radiance(white)
-    compression = choose(moments, picture.basis, {"light": (matrix, matrix @ white)}, options)
+    compression = choose(moments, picture.basis, observers(white), options)
     coefficients = np.empty((*picture.size, compression.bases), dtype=np.float32)
     with store.create(output, provenance) as out:
         compression.write(

@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from irodori import store
-from irodori.colour import xyz_from_radiance
-from irodori.environment import fill_masked, prepare_environment
+from irodori.colour import delta_e, lab_from_xyz, xyz_from_radiance
+from irodori.environment import SURFACES, fill_masked, observers, prepare_environment
 from irodori.errors import InputError
 from irodori.irradiance import irradiance_at, irradiance_map
 from irodori.light import Environment, directions
 from irodori.omnidirectional import to_panorama
-from irodori.principal import CompressOptions
+from irodori.principal import CompressOptions, choose, second_moments
 from irodori.principal.decomposition import decompose
 from irodori.recovery import Calibration
 from irodori.spectra import spectrum
@@ -120,6 +120,25 @@ def test_negative_samples_are_counted():
     done = compress(weights, basis, OBSERVERS, options(0.0, 1))
     assert done.negative_fraction == pytest.approx(0.5 / 61, rel=1e-9)
     assert compress(abs(weights), basis + 0.01, OBSERVERS, options(0.0, 1)).negative_fraction == 0
+
+
+@pytest.mark.parametrize("weighting", ["nothing", "visual"])
+@pytest.mark.parametrize("names", [("D65", "A"), ("D65", "FL11", "HP1")])
+def test_compressed_light_keeps_the_colours_of_what_it_shines_on(names, weighting):
+    rng = np.random.default_rng(4)
+    materials = np.stack([spectrum(f"TCS{i}") for i in range(99)])
+    lights = np.stack([spectrum(name) / spectrum(name).mean() for name in names])
+    first, second = (materials[None] * lights[:, None]).reshape(-1, 61)[rng.integers(99 * len(names), size=(2, 4000))]
+    mix = rng.uniform(size=(4000, 1))
+    radiance = (first * mix + second * (1 - mix)).astype(np.float32)
+    white = radiance.mean(axis=0).astype(float)
+    found = choose(second_moments(radiance), None, observers(white), CompressOptions(weighting=weighting))
+    assert found.budget_met and set(found.errors) == {"light", *(f"light on {name}" for name in SURFACES)}
+    decoded = found.decode(found.encode(radiance)) @ found.basis.T
+    matrix, white = observers(white)["light"]
+    colours = [[lab_from_xyz((light * one) @ matrix.T, white) for light in (radiance, decoded)] for one in materials]
+    errors = np.concatenate([delta_e(*pair) for pair in colours])
+    assert errors.mean() <= 0.1 and np.percentile(errors, 99) <= 0.5
 
 
 # --- the stage ---------------------------------------------------------------------------------------------------
