@@ -2,8 +2,8 @@
 
 A scene is a heap of discs and rectangles ("dead leaves"), each of two smooth random reflectance spectra that a sine
 wave mixes. It is a function of continuous coordinates, so the picture through the plate is rendered at the
-transformed places and never resampled. The camera is the virtual rig's: its band weights, its mosaic, its point
-spread (a mosaic pixel sees its four corners), its noise, its converter.
+transformed places and never resampled. The camera is the virtual rig's: its band weights, its mosaic, what its pixels
+gather, its noise, its converter.
 """
 
 from dataclasses import dataclass
@@ -15,6 +15,7 @@ import numpy as np
 import yaml
 
 from irodori.registration import Registration
+from irodori.rig.virtual.aperture import gather_rows, place_in_cell
 from irodori.rig.virtual.sensor import Sensor, band_weights
 from irodori.spectra import SAMPLES, spectrum
 
@@ -23,6 +24,7 @@ SATURATION = 0.98
 _EXPOSURE_S = (0.02, 0.05)
 _CELL_PX = 16.0
 _MARGIN_PX = 48.0
+_BLOCK_ROWS = 16  # of the mosaic, even
 
 
 @dataclass(frozen=True)
@@ -130,10 +132,12 @@ def _cells(scene: Scene, low, high):
 
 
 @numba.njit(cache=True)
-def _colour(x, y, low, columns, rows, starts, listed, leaves, bands, background, band):
+def _see(out, x, y, low, columns, rows, starts, listed, leaves, bands, background):
+    """Fill the responses of the topmost leaf at a place of the scene, in the bands of one filter state."""
     column, row = int((x - low[0]) / _CELL_PX), int((y - low[1]) / _CELL_PX)
+    out[:] = background
     if column < 0 or row < 0 or column >= columns or row >= rows:
-        return background[band]
+        return
     cell = row * columns + column
     for at in range(starts[cell], starts[cell + 1]):
         leaf = leaves[listed[at]]
@@ -143,25 +147,33 @@ def _colour(x, y, low, columns, rows, starts, listed, leaves, bands, background,
         covered = (u * u + v * v < 1.0) if leaf[8] == 0.0 else (abs(u) < 1.0 and abs(v) < 1.0)
         if covered:
             mix = 0.5 + 0.5 * np.sin(leaf[6] * dx + leaf[7] * dy + leaf[5])
-            return mix * bands[listed[at], 0, band] + (1.0 - mix) * bands[listed[at], 1, band]
-    return background[band]
+            for band in range(out.size):
+                out[band] = mix * bands[listed[at], 0, band] + (1.0 - mix) * bands[listed[at], 1, band]
+            return
+
+
+@numba.njit(cache=True)
+def _mosaic_rows(out, first, inverse, barrel, low, columns, rows, starts, listed, leaves, bands, background):
+    count = min(_BLOCK_ROWS, out.shape[0] - first)
+    points = np.empty((2 * count + 2, 2 * out.shape[1] + 2, 3))
+    for i in range(points.shape[0]):
+        for j in range(points.shape[1]):
+            x, y = place_in_cell(2 * first + i - 1, j - 1)
+            # A mosaic pixel spans 0..1; the centre of a superpixel is an integer.
+            dx, dy = x / 2.0 - 0.5 - inverse[2, 0], y / 2.0 - 0.5 - inverse[2, 1]
+            bend = 1.0 + barrel * (dx * dx + dy * dy)
+            qx = inverse[0, 0] * dx * bend + inverse[0, 1] * dy * bend + inverse[0, 2]
+            qy = inverse[1, 0] * dx * bend + inverse[1, 1] * dy * bend + inverse[1, 2]
+            _see(points[i, j], qx, qy, low, columns, rows, starts, listed, leaves, bands, background)
+    gather_rows(points, first, out)
 
 
 @numba.njit(cache=True, parallel=True)
-def _mosaic(out, inverse, state, barrel, low, columns, rows, starts, listed, leaves, bands, background):
-    for y in numba.prange(out.shape[0]):
-        for x in range(out.shape[1]):
-            total = 0.0
-            for s in range(4):
-                # A mosaic pixel spans 0..1 and sees its corners; the centre of a superpixel is an integer.
-                px, py = (x + s % 2) / 2.0 - 0.5, (y + s // 2) / 2.0 - 0.5
-                dx, dy = px - inverse[2, 0], py - inverse[2, 1]
-                bend = 1.0 + barrel * (dx * dx + dy * dy)
-                qx = inverse[0, 0] * dx * bend + inverse[0, 1] * dy * bend + inverse[0, 2]
-                qy = inverse[1, 0] * dx * bend + inverse[1, 1] * dy * bend + inverse[1, 2]
-                band = 3 * state + y % 2 + x % 2
-                total += _colour(qx, qy, low, columns, rows, starts, listed, leaves, bands, background, band)
-            out[y, x] = 0.25 * total
+def _mosaic(out, inverse, barrel, low, columns, rows, starts, listed, leaves, bands, background):
+    for block in numba.prange(-(-out.shape[0] // _BLOCK_ROWS)):
+        _mosaic_rows(
+            out, block * _BLOCK_ROWS, inverse, barrel, low, columns, rows, starts, listed, leaves, bands, background
+        )
 
 
 def render(scene: Scene, width_px: int, height_px: int, state: int, truth: Registration, barrel_px: float = 0.0):
@@ -180,9 +192,10 @@ def render(scene: Scene, width_px: int, height_px: int, state: int, truth: Regis
     inverse[2, :2] = np.add(centre, (truth.dx_px, truth.dy_px))
     radius = np.hypot(*centre)
     out = np.empty((2 * height_px, 2 * width_px))
+    seen = slice(3 * state, 3 * state + 3)
     _mosaic(
-        out, inverse, state, -barrel_px / radius**3, low, columns, rows, starts, listed, scene.leaves, scene.bands,
-        scene.background,
+        out, inverse, -barrel_px / radius**3, low, columns, rows, starts, listed, scene.leaves,
+        np.ascontiguousarray(scene.bands[..., seen]), np.ascontiguousarray(scene.background[seen]),
     )  # fmt: skip
     return out
 

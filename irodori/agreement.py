@@ -169,11 +169,7 @@ class _Checks:
             self._reach(camera).check_shots(shots, table)
         if definition["shape"]["kind"] == "mesh":
             mesh_files(self.root / definition["shape"]["file"])
-        if index := definition["refractive_index"].get("file"):
-            if not (self.root / index).is_file():
-                found = f"no such file: {index}"
-                raise InputError(file, "refractive_index.file", found, "a CSV of wavelength_nm, n, k")
-            index_table(self.root / index)
+        self._check_index(definition["refractive_index"], "refractive_index", file)
         for key in ("alpha", "beta", "mu_rad"):
             low, high = definition["plan"][key]
             if low > high:
@@ -192,6 +188,14 @@ class _Checks:
                 found = f"{view['up']}, along the line of sight or of no length"
                 raise InputError(file, f"views.{label}.up", found, "a direction that points up in the picture")
 
+        check_spectra(scene, (), self.root, file)
+        for index, body in enumerate(scene["bodies"]):
+            field = f"bodies[{index}].material.refractive_index"
+            self._check_index(body["material"]["refractive_index"], field, file)
+        if scene["lights"] and scene["integrator"]["kind"] != "reference":
+            found = f"lights, which the integrator {scene['integrator']['kind']} does not trace"
+            raise InputError(file, "lights", found, "integrator: {kind: reference, samples: 256}, or no lights")
+
     def folders(self) -> None:
         """Refuse a table or a folder into which two sessions would write: their photographs bear the same names."""
         taken: dict[tuple[str, Path], Path] = {}
@@ -207,6 +211,13 @@ class _Checks:
                         found = f"{path.relative_to(self.root) if path.is_relative_to(self.root) else path}"
                         accepted = f"a {key} of its own: {first} has this one"
                         raise InputError(self.file(kind, name), field, found, accepted)
+
+    def _check_index(self, index: dict, field: str, file: Path) -> None:
+        """Refuse a table of refractive indices that is not there, or is none."""
+        if table := index.get("file"):
+            if not (self.root / table).is_file():
+                raise InputError(file, f"{field}.file", f"no such file: {table}", "a CSV of wavelength_nm, n, k")
+            index_table(self.root / table)
 
     def _rig_of(self, kind: str, name: str) -> dict:
         return self.all["rigs"][rig_of(self.all, kind, name)]

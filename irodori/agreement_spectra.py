@@ -99,7 +99,7 @@ def _kind(path: tuple) -> str | None:
     if keys[-1] in ("ambient_light", "lights"):
         return "light"
     if keys[-1] == "spectrum":
-        return "reflectance" if {"materials", "surfaces"} & set(keys) else "light"
+        return "reflectance" if {"materials", "surfaces", "bodies"} & set(keys) else "light"
     kinds = {"spectra": "chart", "sensitivities": "sensitivities", "reflectance_factor": "reflectance"}
     return kinds.get(keys[-1])
 

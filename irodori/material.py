@@ -8,6 +8,7 @@ from scipy import ndimage
 
 from irodori import store
 from irodori.coefficients import read_coefficients, write_coefficients
+from irodori.spectra.grid import SAMPLES
 
 _DARKEST_GREEN = 1e-3
 #: Maps of a material's own file: units and quantity.
@@ -65,6 +66,33 @@ class Material:
     mirror: float
     typical_gloss: tuple[float, float]
     extra: dict = field(default_factory=dict)
+
+    @classmethod
+    def uniform(cls, reflectance, beta: float = 0.0, mu: float = 0.1, mirror: float = 0.0, n=1.5, k=0.0) -> "Material":
+        """Return the same parameters everywhere.
+
+        Parameters
+        ----------
+        reflectance : float or (61,) float
+            Absolute reflectance factor α S / S_G of the diffuse term.
+        beta, mu, mirror : float
+            Weight of the gloss and its roughness in rad, weight of the mirror term.
+        n, k : float or (61,) float
+            Complex refractive index.
+        """
+        one = np.ones((2, 2))
+        spectrum, n, k = (np.broadcast_to(np.asarray(v, dtype=np.float64), SAMPLES).copy() for v in (reflectance, n, k))
+        coefficients = np.ones((2, 2, 1), dtype=np.float32)
+        maps = {"alpha": one, "beta": beta * one, "mu": mu * one, "green_response": one}
+        return cls(
+            **maps,
+            coefficients=coefficients,
+            basis=spectrum[:, None],
+            n=n,
+            k=k,
+            mirror=mirror,
+            typical_gloss=(beta, mu),
+        )
 
     def save(
         self,

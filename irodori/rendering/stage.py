@@ -16,14 +16,20 @@ from irodori.pictures import write_png, write_spectral_exr
 from irodori.progress import LOGGER, track
 from irodori.rendering.integrator import render_rows
 from irodori.rendering.scene import make_light, make_objects, make_placements, make_tracer, make_view
+from irodori.spectra import refractive_index, spectrum
+
+#: Kinds of `integrator` in a scene.
+INTEGRATORS = ("sampled", "reference")
 
 
-def display_white(environment: Environment, exposure) -> tuple[np.ndarray, float]:
+def display_white(environment: Environment, lights: list[dict], exposure) -> tuple[np.ndarray, float]:
     """Return the radiance that the display shows as white, and the exposure used.
 
     Parameters
     ----------
     environment : Environment
+    lights : list of dict
+        Of the scene, which that diffuser sees from the scene's origin.
     exposure : float or ``auto``
         Factor on the radiance of a perfect diffuser that faces up; ``auto`` is 1, that diffuser is then white.
 
@@ -33,7 +39,12 @@ def display_white(environment: Environment, exposure) -> tuple[np.ndarray, float
     exposure : float
     """
     factor = 1.0 if exposure == "auto" else float(exposure)
-    return environment.upward_white() / factor, factor
+    white = environment.upward_white()
+    if lights:
+        from irodori.rendering.lights import make_lights, upward_radiance
+
+        white = white + upward_radiance(make_lights(lights, 0)[0])
+    return white / factor, factor
 
 
 def render_image(
@@ -44,13 +55,14 @@ def render_image(
     environment: Environment,
     options: dict,
     tile_rows: int = 60,
+    tiles_folder=None,
 ) -> tuple[np.ndarray, dict]:
     """Render a view of a scene.
 
     Parameters
     ----------
     scene : dict
-        Validated definition of the scene.
+        Validated definition of the scene; without ``integrator`` it is ``sampled``.
     view_name : str
     shapes, materials : one an object of the scene
     environment : Environment
@@ -58,16 +70,58 @@ def render_image(
         See `irodori.rendering.integrator.render_rows`.
     tile_rows : int
         Rows rendered between two reports of progress.
+    tiles_folder : path, optional
+        Where the `reference` integrator keeps finished tiles until the picture is whole.
 
     Returns
     -------
     radiance : (height, width, 61) float32
     figures : dict
-        Seconds, pixels and rays per second, share of filled texels by object.
+        Integrator, seconds, pixels and rays or paths per second, share of filled texels by object; of the `reference`
+        integrator the standard error of the pixels too.
+
+    Raises
+    ------
+    ValueError
+        If the integrator is unknown, or cannot render what the scene asks for.
     """
+    scene, shapes, materials = _with_bodies(scene, shapes, materials)
+    integrator = scene.get("integrator", {"kind": "sampled"})
+    if integrator["kind"] not in INTEGRATORS:
+        raise ValueError(f"unknown integrator {integrator['kind']!r}; accepted: {', '.join(INTEGRATORS)}")
     placements = make_placements(scene, shapes)
-    tracer = make_tracer(placements)
     objects, filled = make_objects(placements, materials)
+    if integrator["kind"] == "sampled":
+        if scene.get("lights"):
+            raise ValueError("lights in a scene of the integrator 'sampled'; accepted: the integrator 'reference'")
+        radiance, figures = _render_sampled(scene, view_name, placements, objects, environment, options, tile_rows)
+    else:
+        radiance, figures = _render_reference(
+            scene, view_name, placements, objects, environment, tile_rows, tiles_folder
+        )
+    figures["pixels_per_second"] = radiance.shape[0] * radiance.shape[1] / figures["seconds"]
+    names = [item["object"] for item in scene["objects"] if "object" in item]
+    figures["filled_fraction"] = dict(zip(names, filled, strict=False))
+    return radiance, {"integrator": integrator["kind"], **figures}
+
+
+def _with_bodies(scene: dict, shapes: list[Shape], materials: list[Material]) -> tuple[dict, list, list]:
+    """Return a scene, shapes and materials whose last objects are the scene's bodies."""
+    bodies = scene.get("bodies", [])
+    made = []
+    for body in bodies:
+        n, k = refractive_index(body["material"]["refractive_index"])
+        gloss = {
+            key: body["material"][name] for key, name in (("beta", "beta"), ("mu", "mu_rad"), ("mirror", "mirror"))
+        }
+        made.append(Material.uniform(spectrum(body["material"]["spectrum"]), **gloss, n=n, k=k))
+    shapes = [*shapes, *(Shape.from_definition(body["shape"]) for body in bodies)]
+    return scene | {"objects": [*scene["objects"], *bodies]}, shapes, [*materials, *made]
+
+
+def _render_sampled(scene, view_name, placements, objects, environment, options, tile_rows) -> tuple[np.ndarray, dict]:
+    """Render by the irradiance map and few samples a point, see `irodori.rendering.integrator`."""
+    tracer = make_tracer(placements)
     light = make_light(environment)
     view = make_view(scene["views"][view_name], scene["image"])
     render_rows(objects, light, view, tracer, (view.height // 2, view.height // 2 + 1), options)  # compile
@@ -82,13 +136,45 @@ def render_image(
     rays = primary + met * (1 + options["ambient_samples"] + options["gloss_samples"])
     figures = {
         "seconds": seconds,
-        "pixels_per_second": view.width * view.height / seconds,
         "rays": rays,
         "rays_per_second": rays / seconds,
         "surfaces_shaded": met,
-        "filled_fraction": {o["object"]: f for o, f in zip(scene["objects"], filled, strict=True)},
     }
     return radiance, figures
+
+
+def _render_reference(scene, view_name, placements, objects, environment, tile_rows, folder) -> tuple[np.ndarray, dict]:
+    """Render by paths, see `irodori.rendering.reference`, which is loaded only where it is asked for."""
+    from irodori.rendering import reference
+
+    samples, seed = scene["integrator"]["samples"], scene["integrator"]["seed"]
+    prepared = reference.make_scene(placements, objects, environment, scene.get("lights"))
+    view = make_view(scene["views"][view_name], scene["image"])
+    reference.render(prepared, view._replace(width=1, height=1), reference.REPLICATES)  # compile
+    tiles = None
+    if folder is not None:
+        tiles = reference.Tiles(folder, reference.picture_key(prepared, view, samples, seed))
+    start = time.perf_counter()
+    picture = reference.render(prepared, view, samples, seed, tile_rows, f"render {view_name}", tiles)
+    seconds = time.perf_counter() - start
+    if tiles is not None:
+        tiles.remove()
+    if picture.cut:
+        LOGGER.warning("%d paths were cut: the picture is too dark by what they would have brought", picture.cut)
+    error, mean = picture.standard_error.mean(axis=-1), picture.radiance.mean(axis=-1)
+    relative = np.divide(error, mean, out=np.zeros_like(error), where=mean > 0)
+    figures = {
+        "seconds": seconds,
+        "samples": samples,
+        "paths_per_second": view.width * view.height * samples / seconds,
+        "paths_cut": picture.cut,
+        "relative_standard_error": {
+            "mean": float(relative.mean()),
+            "p95": float(np.percentile(relative, 95)),
+            "max": float(relative.max()),
+        },
+    }
+    return picture.radiance, figures
 
 
 def render_view(
@@ -107,9 +193,16 @@ def render_view(
     materials = [Material.load(path) for path in material_files]
     environment = Environment.load(environment_file)
     radiance, figures = render_image(
-        scene, view_name, [Shape.from_definition(s) for s in shapes], materials, environment, options, tile_rows
+        scene,
+        view_name,
+        [Shape.from_definition(s) for s in shapes],
+        materials,
+        environment,
+        options,
+        tile_rows,
+        Path(exr).with_suffix(".tiles"),
     )
-    white, exposure = display_white(environment, scene["display"]["exposure"])
+    white, exposure = display_white(environment, scene.get("lights", []), scene["display"]["exposure"])
     matrix = xyz_from_radiance(white)
     white_xyz = matrix @ white
     rgb = radiance @ (rgb_from_xyz(white_xyz) @ matrix).T.astype(np.float32)
@@ -122,9 +215,8 @@ def render_view(
     temporary.write_text(json.dumps(figures, indent=1), encoding="utf-8")
     os.replace(temporary, figures_file)
     LOGGER.info(
-        "%.2f s, %.0f pixels/s, %.2f million rays/s; %.1f %% of pixels outside the display's gamut",
+        "%.2f s, %.0f pixels/s; %.1f %% of pixels outside the display's gamut",
         figures["seconds"],
         figures["pixels_per_second"],
-        figures["rays_per_second"] / 1e6,
         100 * outside,
     )

@@ -54,9 +54,10 @@ def _views_section(views: list[str], pictures: list, figures: list, truths: dict
         if name in truths:
             parts.append(figure(data_uri(truths[name]), f"{name}, from the true materials", 560))
         rows = [
+            ["integrator", measured["integrator"]],
             ["seconds", f"{measured['seconds']:.2f}"],
             ["pixels per second", f"{measured['pixels_per_second']:.0f}"],
-            ["rays per second", f"{measured['rays_per_second']:.3g}"],
+            *_integrator_rows(measured),
             ["pixels outside the display's gamut", f"{measured['out_of_gamut_fraction']:.2%}"],
         ]
         rows += [
@@ -65,6 +66,19 @@ def _views_section(views: list[str], pictures: list, figures: list, truths: dict
         ]
         parts.append(table(["rendering", ""], rows))
     return "".join(parts)
+
+
+def _integrator_rows(measured: dict) -> list[list[str]]:
+    """Return what only one of the integrators measures."""
+    if measured["integrator"] == "sampled":
+        return [["rays per second", f"{measured['rays_per_second']:.3g}"]]
+    error = measured["relative_standard_error"]
+    return [
+        ["paths per pixel", f"{measured['samples']}"],
+        ["paths per second", f"{measured['paths_per_second']:.3g}"],
+        ["relative standard error of a pixel, mean and p95", f"{error['mean']:.2%}, {error['p95']:.2%}"],
+        ["paths that were cut", f"{measured['paths_cut']}"],
+    ]
 
 
 def _objects_section(objects: list[str], materials: list, truths: dict) -> str:

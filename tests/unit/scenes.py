@@ -94,3 +94,30 @@ def sphere_hits(radius=20.0, position=(0.0, -200.0, 0.0), **view):
     with np.errstate(invalid="ignore"):
         distance = -along - np.sqrt(along**2 - (np.dot(position, position) - radius**2))
     return ray, (np.asarray(position) + distance[..., None] * ray) / radius
+
+
+def smooth_light(direction):
+    x, y, z = np.moveaxis(direction, -1, 0)
+    return 1.0 + 0.5 * x - 0.3 * y + 0.6 * z * z + 0.2 * x * z
+
+
+def lobe_integral(normal, view, beta, mu, n, k) -> float:
+    """Radiance β/π ∫ L F D G / cosθ_r dω of equation (5), Gauss-Legendre over half vectors."""
+    nodes, weights = np.polynomial.legendre.leggauss(160)
+    top = min(6 * mu, np.pi / 2)
+    phi, dphi = (nodes + 1) / 2 * top, weights * top / 2
+    around = (np.arange(256) + 0.5) * 2 * np.pi / 256
+    tangent = np.cross(normal, [0.3, 0.9, -0.2])
+    tangent /= np.linalg.norm(tangent)
+    bitangent = np.cross(normal, tangent)
+    phi, around = np.meshgrid(phi, around, indexing="ij")
+    ring = np.cos(around)[..., None] * tangent + np.sin(around)[..., None] * bitangent
+    half = np.cos(phi)[..., None] * normal + np.sin(phi)[..., None] * ring
+    cos_h = half @ view
+    light = 2 * cos_h[..., None] * half - view
+    cos_i, cos_r = light @ normal, normal @ view
+    valid = (cos_h > 1e-6) & (cos_i > 0)
+    safe = np.where(valid, cos_h, 1.0)
+    geometric = np.minimum(1.0, 2 * np.cos(phi) / safe * np.minimum(cos_r, cos_i))
+    value = smooth_light(light) * fresnel(safe, n, k) * np.exp(-((phi / mu) ** 2)) * geometric / cos_r * 4 * safe
+    return beta / np.pi * np.sum(np.where(valid, value, 0.0) * np.sin(phi) * dphi[:, None] * 2 * np.pi / 256)

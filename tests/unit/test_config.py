@@ -15,6 +15,7 @@ from irodori.errors import InputError
 
 DATA = ROOT.parent / "shared" / "data"
 POSE = "l0450-c0000-t000-r0000"
+BODY = {"shape": {"kind": "sphere", "radius_mm": 5}, "position_mm": [0, 0, 5], "material": {"spectrum": "TCS3"}}
 
 
 # ---- reading YAML
@@ -171,6 +172,17 @@ def test_an_unknown_name_lists_the_existing_ones(root, file, path, value, named_
         ("config.yaml", "report.lights", ["D65", "lamp.txt"], "report.lights[1]", "no such file",
          "published name"),
         ("config.yaml", "fit.bounds.alpha", [1.0, 1.0], "fit.bounds.alpha", "[1, 1]", "smaller value first"),
+        ("scenes/still-life.yaml", "bodies", [BODY | {"material": {"spectrum": "D65"}}],
+         "bodies[0].material.spectrum", "'D65'", "TCS0"),
+        ("scenes/still-life.yaml", "bodies",
+         [BODY, BODY | {"material": {"spectrum": "TCS3", "refractive_index": {"file": "gold.csv"}}}],
+         "bodies[1].material.refractive_index.file", "no such file", "wavelength_nm, n, k"),
+        ("scenes/still-life.yaml", "lights",
+         [{"kind": "collimated", "spectrum": "D65", "azimuth_deg": 0, "elevation_deg": 40, "irradiance": 1}],
+         "lights", "the integrator sampled does not trace", "reference"),
+        ("scenes/still-life.yaml", "lights",
+         [{"kind": "collimated", "spectrum": "D66", "azimuth_deg": 0, "elevation_deg": 40, "irradiance": 1}],
+         "lights[0].spectrum", "'D66'", "did you mean 'D65'"),
         ("scenes/still-life.yaml", "views.front.target_mm", [0.0, -330.0, 190.0], "views.front.target_mm",
          "own position", "another point"),
         ("scenes/still-life.yaml", "views.front.up", [0.0, 0.0, 0.0], "views.front.up", "no length",

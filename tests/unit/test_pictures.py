@@ -12,6 +12,7 @@ from irodori import store
 from irodori.errors import InputError
 from irodori.pictures import channel_names, read_spectral_exr, write_png, write_spectral_exr
 from irodori.rendering.stage import render_view
+from irodori.report.page import _views_section
 from irodori.spectra import WAVELENGTH_NM
 
 
@@ -107,3 +108,74 @@ def test_a_view_in_files_shows_a_white_diffuser_as_white(tmp_path):
     figures = json.loads((tmp_path / "v.json").read_text())
     assert figures["exposure"] == 1.0 and figures["filled_fraction"] == {"white": 0.0, "grey": 0.0}
     assert WAVELENGTH_NM.size == radiance.shape[2]
+
+
+def test_a_view_by_paths_in_files_tells_its_error_and_leaves_no_tiles(tmp_path):
+    """A white plate under constant light and a lamp above it: their sum is the picture's white."""
+    light = constant_light(np.linspace(0.3, 3.0, 61))
+    light.save(tmp_path / "e.h5", store.Provenance("test"))
+    material(1.0).save(tmp_path / "white.h5", store.Provenance("test"))
+    sun = {"kind": "collimated", "spectrum": "A", "azimuth_deg": 0.0, "elevation_deg": 30.0, "irradiance": 4.0}
+    lamp = {"kind": "sphere", "spectrum": "D65", "position_mm": [-200, 0, 100], "radius_mm": 10.0, "radiance": 900.0}
+    panel = {"kind": "rectangle", "spectrum": "D65", "position_mm": [90, 0, 200], "rotation_deg": [180, 20, 0],
+             "width_mm": 60.0, "height_mm": 90.0, "radiance": 5.0}  # fmt: skip
+    scene = {
+        "image": {"width": 7, "height": 5}, "display": {"exposure": "auto"}, "lights": [sun, lamp, panel],
+        "integrator": {"kind": "reference", "samples": 512, "seed": 3},
+        "objects": [{"object": "white", "position_mm": [0, 0, 0], "rotation_deg": [0, 0, 0], "scale": 1.0}],
+        "views": {"v": {"position_mm": [0, -0.01, 500.0], "target_mm": [0, 0, 0], "up": [0, 0, 1],
+                        "field_of_view_deg": 0.1}},
+    }  # fmt: skip
+    outputs = [tmp_path / f"v.{suffix}" for suffix in ("exr", "png", "json")]
+    shapes = [{"kind": "plate", "width_mm": 100.0, "height_mm": 100.0}]
+    arguments = (scene, "v", shapes, [tmp_path / "white.h5"], tmp_path / "e.h5", *outputs, OPTIONS, 2)
+    render_view(*arguments)
+    with Image.open(tmp_path / "v.png") as image:
+        assert (np.asarray(image) >= 252).all()
+    figures = json.loads((tmp_path / "v.json").read_text())
+    assert figures["integrator"] == "reference" and figures["samples"] == 512 and figures["paths_cut"] == 0
+    assert 0 < figures["relative_standard_error"]["mean"] <= figures["relative_standard_error"]["max"] < 0.02
+    assert not (tmp_path / "v.tiles").exists()
+    # The sampled integrator would leave the lights out.
+    with pytest.raises(ValueError, match="accepted: the integrator 'reference'"):
+        render_view(scene | {"integrator": {"kind": "sampled"}}, *arguments[1:])
+    with pytest.raises(ValueError, match="accepted: sampled, reference"):
+        render_view(scene | {"integrator": {"kind": "bidirectional"}}, *arguments[1:])
+
+
+@pytest.mark.parametrize("integrator", [{"kind": "sampled"}, {"kind": "reference", "samples": 4096, "seed": 0}])
+def test_a_body_is_rendered_from_its_names_alone(tmp_path, integrator):
+    """A photographed plate, a ball of a test colour and one that mirrors too, under constant light."""
+    from irodori.spectra import spectrum
+
+    light = constant_light(2.0)
+    light.save(tmp_path / "e.h5", store.Provenance("test"))
+    material(0.5).save(tmp_path / "plate.h5", store.Provenance("test"))
+    where = {"rotation_deg": [0, 0, 0], "scale": 2.0, "shape": {"kind": "sphere", "radius_mm": 10.0}}
+    index = tmp_path / "gold.csv"
+    index.write_text("wavelength_nm,n,k\n" + "".join(f"{w},{0.2 + w / 1e3},3.5\n" for w in range(380, 721, 20)))
+    smooth = {"spectrum": "TCS12", "beta": 0.0, "mu_rad": 0.1, "mirror": 0.0, "refractive_index": {"n": 1.5, "k": 0.0}}
+    golden = smooth | {"mirror": 1.0, "refractive_index": {"file": str(index)}}
+    scene = {
+        "image": {"width": 3, "height": 1}, "display": {"exposure": "auto"}, "integrator": integrator,
+        "objects": [{"object": "plate", "position_mm": [0, 0, -500], "rotation_deg": [0, 0, 0], "scale": 1.0}],
+        "bodies": [where | {"position_mm": [-100, 0, 0], "material": smooth},
+                   where | {"position_mm": [100, 0, 0], "material": golden}],
+        "views": {},
+    }  # fmt: skip
+    for name, x in (("left", -100), ("right", 100)):
+        scene["views"][name] = {"position_mm": [x, -0.01, 5000.0], "target_mm": [x, 0, 0], "up": [0, 1, 0],
+                                "field_of_view_deg": 0.002}  # fmt: skip
+        render_view(scene, name, [{"kind": "plate", "width_mm": 10.0, "height_mm": 10.0}], [tmp_path / "plate.h5"],
+                    tmp_path / "e.h5", *(tmp_path / f"{name}.{s}" for s in ("exr", "png", "json")), OPTIONS,
+                    4)  # fmt: skip
+    left, right = (read_spectral_exr(tmp_path / f"{name}.exr")[0, 1] for name in ("left", "right"))
+    # Each sees nothing but the light; the second adds its mirror term to its diffuse one.
+    assert np.allclose(left, 2.0 * np.maximum(spectrum("TCS12"), 0), rtol=2e-3)
+    n = 0.2 + WAVELENGTH_NM / 1e3
+    mirrored = ((n - 1) ** 2 + 3.5**2) / ((n + 1) ** 2 + 3.5**2)
+    assert np.allclose(right, 2.0 * (spectrum("TCS12") + mirrored), rtol=5e-3)
+    page = _views_section(["s/left"], [tmp_path / "left.png"], [tmp_path / "left.json"], {})
+    assert integrator["kind"] in page and ("4096" in page) == (integrator["kind"] == "reference")
+    figures = json.loads((tmp_path / "left.json").read_text())
+    assert figures["integrator"] == integrator["kind"] and figures["filled_fraction"] == {"plate": 0.0}

@@ -162,6 +162,13 @@ ROOM = ("environments", "classroom")
         # Ranges and types.
         (SCENE, "objects.1.scale", -1, "objects[1].scale", "-1", "a number above 0"),
         (SCENE, "objects.1.rotation_deg", [0, 0], "objects[1].rotation_deg", "[0, 0]", "exactly 3 items"),
+        (SCENE, "integrator", {"kind": "referenc", "samples": 8}, "integrator.kind", "'referenc'",
+         "sampled, reference"),
+        (SCENE, "integrator", {"kind": "reference"}, "integrator.samples", "no such key", ""),
+        (SCENE, "integrator", {"kind": "reference", "samples": 20}, "integrator.samples", "20", "multiple of 8"),
+        (SCENE, "integrator", {"kind": "sampled", "samples": 8}, "integrator.samples", "unknown key", "kind"),
+        (SCENE, "lights", [{"kind": "sphere", "spectrum": "A", "position_mm": [0, 0, 9], "radius": 1, "radiance": 1}],
+         "lights[0].radius", "unknown key", "did you mean 'radius_mm'?"),
         (SCENE, "max_bounces", 21, "max_bounces", "21", "a whole number from 0 to 20"),
         (SCENE, "max_bounces", 1.5, "max_bounces", "1.5", "a whole number"),
         (SCENE, "max_bounces", True, "max_bounces", "true", "a whole number"),

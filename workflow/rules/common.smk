@@ -346,6 +346,12 @@ def scene_meshes(wildcards):
     return meshes_of(*dict.fromkeys(scene_objects(wildcards)))
 
 
+def scene_tables(wildcards):
+    """Return the tables that a scene's own lights and bodies are made of."""
+    scene = config["scenes"][wildcards.scene]
+    return named_tables(scene["lights"], scene["bodies"])
+
+
 def scene_shapes(wildcards):
     """Return the shapes of a scene's objects."""
     return [config["objects"][name]["shape"] for name in scene_objects(wildcards)]

@@ -3,6 +3,7 @@ rule render_view:
         materials=scene_materials("results/{object}/material.h5"),
         environment=scene_environment,
         meshes=scene_meshes,
+        tables=scene_tables,
     output:
         exr="results/{scene}/{view}.exr",
         png=report(
@@ -36,6 +37,7 @@ use rule render_view as render_truth with:
         materials=scene_materials("results/{object}/truth.h5"),
         environment=scene_environment,
         meshes=scene_meshes,
+        tables=scene_tables,
     output:
         exr="results/{scene}/truth/{view}.exr",
         png="results/{scene}/truth/{view}.png",

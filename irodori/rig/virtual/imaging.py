@@ -14,6 +14,7 @@ from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.shapes import MESH, PLATE
 from irodori.geometry.surfaces import Surfaces, face_viewer, make_surfaces, surface_at
 from irodori.native import run_chunks, uncounted
+from irodori.rig.virtual.aperture import gather_rows, place_in_cell
 from irodori.rig.virtual.reflection import MEASURED, gloss_lobe, measured_lobe
 
 _BLOCK_ROWS = 16
@@ -195,50 +196,25 @@ def _material_at(sample, point):
 
 @numba.njit(cache=True, nogil=True)
 def _expose(setup, sample, surfaces, image, first, last):
-    """Fill a block of rows: look at points half a pixel apart, then let each pixel gather its own."""
-    points = np.empty((2 * (last - first) + 3, 2 * image.shape[1] + 3, 3))
+    """Fill a block of rows: look through each quarter of a pixel, then let the pixels gather theirs."""
+    points = np.empty((2 * (last - first) + 2, 2 * image.shape[1] + 2, 3))
     _look(setup, sample, surfaces, new_ray(), _new_point(), points, first)
     gather_rows(points, first, image)
 
 
 @uncounted(error_model="numpy")
 def _look(setup, sample, surfaces, ray, point, points, first):
-    """Fill what is seen at points half a pixel apart, from half a pixel before the row ``first`` on."""
+    """Fill what is seen in quarters of pixels, from half a pixel before the row ``first`` on."""
     for i in range(points.shape[0]):
         for j in range(points.shape[1]):
-            _aim(setup, 0.5 * (j - 1), first + 0.5 * (i - 1), point.direction)
+            x, y = place_in_cell(2 * first + i - 1, j - 1)
+            _aim(setup, x, y, point.direction)
             out = points[i, j]
             out[:] = 0.0
             if _may_hit(setup, point.direction) and _is_seen(setup, surfaces, ray, point):
                 ci = _face_lamp(setup, point)
                 if ci > 0.0 and (setup.is_open or _is_lit(setup, ray, point)):
                     _response(out, sample, _material_at(sample, point), setup, point, ci)
-
-
-@numba.njit(cache=True)
-def gather_rows(points, first, image):
-    """Fill rows of an RGGB mosaic from what is seen at points half a pixel apart.
-
-    A pixel gathers light over its whole area, and the optical low-pass filter before the sensor splits every point in
-    four, one pixel apart: along each axis the weights are 1, 2, 2, 2, 1 over two pixels.
-
-    Parameters
-    ----------
-    points : (2 rows + 3, 2 width + 3, 3) float
-        Responses in red, green and blue; the first point is half a pixel outside the first pixel of the first row.
-    first : int
-        First row to fill, even.
-    image : (height, width) float64
-    """
-    for y in range((points.shape[0] - 3) // 2):
-        for x in range(image.shape[1]):
-            band, total = y % 2 + x % 2, 0.0
-            for i in range(5):
-                line = 0.0
-                for j in range(5):
-                    line += (2.0 if 0 < j < 4 else 1.0) * points[2 * y + i, 2 * x + j, band]
-                total += (2.0 if 0 < i < 4 else 1.0) * line
-            image[first + y, x] = total / 64.0
 
 
 @dataclass(frozen=True)

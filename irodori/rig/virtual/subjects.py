@@ -15,8 +15,9 @@ from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.shapes import on_table
 from irodori.omnidirectional import to_panorama
+from irodori.rig.virtual.aperture import gather_rows, place_in_cell
 from irodori.rig.virtual.classroom import room_coefficients, source_spectra
-from irodori.rig.virtual.imaging import View, expose_object, gather_rows
+from irodori.rig.virtual.imaging import View, expose_object
 from irodori.rig.virtual.samples import Sample
 from irodori.spectra import chart_spectra, white_reflectance
 
@@ -89,9 +90,9 @@ def chart_mosaic(chart: dict, camera: dict, rig: dict, pose: Pose, ideal_from_se
     image = np.empty((pinhole.height_px, pinhole.width_px))
     for first in range(0, pinhole.height_px, _BLOCK_ROWS):
         rows = min(_BLOCK_ROWS, pinhole.height_px - first)
-        y = first + 0.5 * (np.arange(2 * rows + 3) - 1.0)
-        x = 0.5 * (np.arange(2 * pinhole.width_px + 3) - 1.0)
-        point = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1) @ np.asarray(ideal_from_seen).T
+        row, column = np.indices((2 * rows + 2, 2 * pinhole.width_px + 2), sparse=True)
+        x, y = place_in_cell(2 * first + row - 1, column - 1)
+        point = np.stack(np.broadcast_arrays(x, y, 1.0), axis=-1) @ np.asarray(ideal_from_seen).T
         gather_rows(bands[_patch_at(point, chart, camera, rig, pose, pinhole)], first, image)
     return image * _fall_off(camera, rig, pose, ideal_from_seen)
 

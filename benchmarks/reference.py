@@ -1,0 +1,321 @@
+"""The `reference` integrator beside Mitsuba 3: time to the same colour error, and how time grows.
+
+``python -m benchmarks.reference [--size 96x72] [--runs 5] [--output speed_error.csv]``. Two scenes that both renderers
+express alike, in 61 bands: three spheres on a plate (test colours of CIE 224, gold as a mirror) under even D65 and a
+tungsten panel, and the box of five walls with that panel alone. Mitsuba traces four wavelengths a path, drawn anew for
+each; ours carries 61 bands.
+
+How the error is matched: each renderer is compared with a converged picture of its own (``--converged`` paths a pixel,
+another seed), by the mean CIEDE2000 over the pixels, white being the same diffuser for both; so neither is charged with
+what the other does differently. The errors of several sample counts, two seeds each, make a line in logarithms; on it
+the samples are read at which the error is ``--target``, and seconds are those samples' (time is linear in them, see
+below). ``converged pictures`` is the mean CIEDE2000 between the two: it tells that the scenes are the same.
+
+Mitsuba's kernels are compiled before; LLVM is found by DRJIT_LIBLLVM_PATH. Its default sampler is ``independent``;
+``multijitter``, the default here, is its best. Seconds are processor time of all threads over their number, the least
+of the runs, which other work on the machine disturbs less than the clock on the wall.
+"""
+
+import os
+import time
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+
+from benchmarks.table import COLUMNS, arguments_of, own_peak_mb, report
+from irodori.colour import colour_matching_weights, delta_e, lab_from_xyz, xyz_from_radiance
+from irodori.geometry.frames import rotation_x, rotation_xyz, rotation_y
+from irodori.geometry.mesh import Mesh
+from irodori.geometry.shapes import Placement, Shape
+from irodori.light import Environment
+from irodori.material import Material
+from irodori.placed_lights import unit_luminance
+from irodori.rendering import reference
+from irodori.rendering.scene import View, make_objects, make_view
+from irodori.spectra import spectrum
+from irodori.threads import use_threads
+
+# Gold (Johnson and Christy 1972) at 400, 450 ... 700 nm.
+GOLD_NM = np.array([400, 450, 500, 550, 600, 650, 700])
+GOLD_N = np.array([1.468, 1.384, 0.974, 0.409, 0.245, 0.166, 0.161])
+GOLD_K = np.array([1.952, 1.914, 1.866, 2.357, 3.085, 3.150, 3.960])
+WAVELENGTH_NM = np.linspace(400, 700, 61)
+PANEL = {"kind": "rectangle", "spectrum": "A", "radiance": 12.0, "rotation_deg": [180.0, 0.0, 25.0], "width_mm": 60.0,
+         "height_mm": 40.0}  # fmt: skip
+# Those of Mitsuba are such as its multijittered sampler takes.
+OUR_SAMPLES, THEIR_SAMPLES = (16, 64, 256), (35, 132, 528)
+
+
+class Body(NamedTuple):
+    """A shape in its place, of one reflectance or a mirror of n, k."""
+
+    kind: str
+    size_mm: float  # side of a plate, radius of a sphere
+    place_mm: tuple
+    turn: np.ndarray
+    reflectance: np.ndarray | None  # (61,)
+
+
+class Stage(NamedTuple):
+    """A scene of both renderers."""
+
+    bodies: list
+    sky: np.ndarray | None  # (61,) radiance
+    panel_mm: tuple
+    eye_mm: tuple
+    target_mm: tuple
+    field_deg: float
+
+
+def stages() -> dict[str, Stage]:
+    """Return the scenes."""
+    up = np.eye(3)
+    spheres = [Body("plate", 240.0, (0, 0, 0), up, spectrum("TCS10")),
+               Body("sphere", 30.0, (-52, 8, 30), up, spectrum("TCS3")),
+               Body("sphere", 30.0, (14, 42, 30), up, spectrum("TCS40")),
+               Body("sphere", 30.0, (46, -34, 30), up, None)]  # fmt: skip
+    walls = [((0, 0, 0), up, "TCS10"), ((0, 0, 100), rotation_x(np.pi), "TCS10"),
+             ((0, 50, 50), rotation_x(np.pi / 2), "TCS10"),
+             ((-50, 0, 50), rotation_y(np.pi / 2), "TCS3"), ((50, 0, 50), rotation_y(-np.pi / 2), "TCS40")]  # fmt: skip
+    box = [Body("plate", 100.0, place, turn, spectrum(name)) for place, turn, name in walls]
+    box.append(Body("sphere", 18.0, (15, 5, 18), up, spectrum("TCS70")))
+    sky = 0.3 * unit_luminance("D65")
+    return {
+        "spheres": Stage(spheres, sky, (-60.0, -40.0, 180.0), (0, -330, 190), (0, 0, 22), 34.0),
+        "box": Stage(box, None, (0.0, 0.0, 98.0), (0, -220, 50), (0, 0, 50), 32.0),
+    }
+
+
+def gold() -> tuple[np.ndarray, np.ndarray]:
+    """Return n and k of gold on the grid."""
+    return np.interp(WAVELENGTH_NM, GOLD_NM, GOLD_N), np.interp(WAVELENGTH_NM, GOLD_NM, GOLD_K)
+
+
+def uniform(reflectance: np.ndarray | None) -> Material:
+    """Return a material of one reflectance, or a golden mirror."""
+    if reflectance is not None:
+        return Material.uniform(reflectance)
+    n, k = gold()
+    return Material.uniform(0.0, mirror=1.0, n=n, k=k)
+
+
+def even_light(radiance: np.ndarray | None) -> Environment:
+    """Return light of one radiance from everywhere, or none."""
+    basis = (np.zeros(61) if radiance is None else radiance)[:, None]
+    return Environment(np.ones((8, 16, 1), np.float32), basis, np.full((8, 16, 1), np.pi, np.float32))
+
+
+def shape_of(body: Body) -> Shape:
+    """Return the shape of a body."""
+    size = (
+        {"width_mm": body.size_mm, "height_mm": body.size_mm} if body.kind == "plate" else {"radius_mm": body.size_mm}
+    )
+    return Shape.from_definition({"kind": body.kind, **size})
+
+
+class Ours:
+    """The `reference` integrator."""
+
+    name = "reference-spectral"
+
+    def __init__(self, stage: Stage, size: tuple[int, int], white: np.ndarray) -> None:
+        placements = [Placement(shape_of(b), b.turn, np.array(b.place_mm, float)) for b in stage.bodies]
+        objects, _ = make_objects(placements, [uniform(b.reflectance) for b in stage.bodies])
+        lights = [PANEL | {"position_mm": list(stage.panel_mm)}]
+        self.scene = reference.make_scene(placements, objects, even_light(stage.sky), lights)
+        self.view = view_of(stage, size)
+        self.matrix = xyz_from_radiance(white)
+
+    def xyz(self, samples: int, seed: int) -> np.ndarray:
+        """Return a picture, (height, width, 3), white Y = 100."""
+        return reference.render(self.scene, self.view, samples, seed).radiance @ self.matrix.T
+
+
+def view_of(stage: Stage, size: tuple[int, int]) -> View:
+    """Return the camera of a stage."""
+    eye = {"position_mm": stage.eye_mm, "target_mm": stage.target_mm, "up": (0, 0, 1)}
+    return make_view(eye | {"field_of_view_deg": stage.field_deg}, {"width": size[0], "height": size[1]})
+
+
+class Theirs:
+    """Mitsuba 3 in one of its variants."""
+
+    def __init__(self, variant: str, sampler: str, stage: Stage, size: tuple[int, int], white: np.ndarray) -> None:
+        import mitsuba
+
+        mitsuba.set_variant(variant)
+        self.mitsuba, self.variant, self.name = mitsuba, variant, f"mitsuba-{variant.split('_')[0]}"
+        eye = mitsuba.ScalarTransform4f().look_at(list(stage.eye_mm), list(stage.target_mm), [0, 0, 1])
+        film = {"type": "hdrfilm", "width": size[0], "height": size[1], "pixel_format": "xyz",
+                "rfilter": {"type": "box"}, "component_format": "float32"}  # fmt: skip
+        camera = {"type": "perspective", "fov": stage.field_deg, "fov_axis": "y", "to_world": eye, "film": film}
+        parts = {f"body{i}": self._body(body) for i, body in enumerate(stage.bodies)}
+        if stage.sky is not None:
+            parts["sky"] = {"type": "constant", "radiance": self._spectrum(stage.sky)}
+        turn, half = rotation_xyz(PANEL["rotation_deg"]), (PANEL["width_mm"] / 2, PANEL["height_mm"] / 2)
+        parts["panel"] = {
+            "type": "rectangle", "to_world": self._transform(stage.panel_mm, turn, half),
+            "bsdf": {"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.0}},
+            "emitter": {"type": "area", "radiance": self._spectrum(PANEL["radiance"] * unit_luminance("A"))},
+        }  # fmt: skip
+        camera["sampler"] = {"type": sampler}
+        integrator = {"type": "path", "max_depth": -1}
+        self.scene = mitsuba.load_dict({"type": "scene", "integrator": integrator, "camera": camera, **parts})
+        weights = colour_matching_weights()[1]
+        self.scale = 100.0 * weights.sum() / (weights @ white)
+
+    def _spectrum(self, values: np.ndarray) -> dict:
+        # Held at its ends outside the grid, as ours are when they become colours.
+        held = np.interp(np.arange(360, 831, 5), WAVELENGTH_NM, values)
+        text = ",".join(f"{v:.9g}" for v in held)
+        return {"type": "regular", "wavelength_min": 360.0, "wavelength_max": 830.0, "values": text}
+
+    def _transform(self, place, turn: np.ndarray, half):
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = turn * np.array([*half, 1.0]), place
+        return self.mitsuba.ScalarTransform4f(matrix)
+
+    def _body(self, body: Body) -> dict:
+        if body.reflectance is None:
+            n, k = gold()
+            bsdf = {"type": "conductor", "eta": self._spectrum(n), "k": self._spectrum(k)}
+        else:
+            bsdf = {"type": "diffuse", "reflectance": self._spectrum(body.reflectance)}
+        if body.kind == "sphere":
+            return {"type": "sphere", "center": list(body.place_mm), "radius": body.size_mm, "bsdf": bsdf}
+        half = (body.size_mm / 2, body.size_mm / 2)
+        return {"type": "rectangle", "to_world": self._transform(body.place_mm, body.turn, half), "bsdf": bsdf}
+
+    def xyz(self, samples: int, seed: int) -> np.ndarray:
+        """Return a picture, (height, width, 3), white Y = 100; Mitsuba's own scale is ∫ L x̄ dλ / ∫ ȳ dλ."""
+        self.mitsuba.set_variant(self.variant)
+        return self.scale * np.array(self.mitsuba.render(self.scene, spp=samples, seed=seed), dtype=np.float64)
+
+
+def mean_error(picture: np.ndarray, truth: np.ndarray, white_xyz: np.ndarray) -> float:
+    """Return the mean CIEDE2000 between two pictures in XYZ."""
+    return float(delta_e(lab_from_xyz(truth, white_xyz), lab_from_xyz(picture, white_xyz)).mean())
+
+
+def least_s(work, runs: int) -> float:
+    """Return the least processor time of a function, s, of all threads together."""
+    seconds = []
+    for _ in range(runs):
+        start = time.process_time()
+        work()
+        seconds.append(time.process_time() - start)
+    return min(seconds)
+
+
+class Line(NamedTuple):
+    """Error and time of one renderer over its samples."""
+
+    samples: np.ndarray
+    errors: np.ndarray
+    process_s: float  # a sample
+
+    def samples_for(self, error: float) -> float:
+        """Return the samples at which the error is reached, by a line in logarithms."""
+        slope, level = np.polyfit(np.log(self.samples), np.log(self.errors), 1)
+        return float(np.exp((np.log(error) - level) / slope))
+
+
+def line_of(renderer, samples: tuple, truth: np.ndarray, white_xyz: np.ndarray, runs: int) -> Line:
+    """Measure a renderer."""
+    renderer.xyz(samples[0], 1)  # compile
+    errors = [np.mean([mean_error(renderer.xyz(n, seed), truth, white_xyz) for seed in (11, 12)]) for n in samples]
+    process = least_s(lambda: renderer.xyz(samples[-1], 21), runs)
+    return Line(np.array(samples), np.array(errors), process / samples[-1])
+
+
+def compare(name: str, stage: Stage, arguments) -> list[dict]:
+    """Return the rows of a scene."""
+    white = unit_luminance("D65")
+    white_xyz = xyz_from_radiance(white) @ white
+    size = tuple(map(int, arguments.size.split("x")))
+    pixels = size[0] * size[1]
+    renderers = [(Ours(stage, size, white), OUR_SAMPLES)]
+    for variant in arguments.variants:
+        renderers.append((Theirs(variant, arguments.sampler, stage, size, white), THEIR_SAMPLES))
+    truths: dict[str, np.ndarray] = {}
+    lines = []
+    for renderer, samples in renderers:
+        kind = renderer.name.split("-")[0]
+        if kind not in truths:  # the variants of Mitsuba share their limit
+            truths[kind] = renderer.xyz(arguments.converged, 99)
+        lines.append(line_of(renderer, samples, truths[kind], white_xyz, arguments.runs))
+        text = ", ".join(f"{n}: {e:.3f}" for n, e in zip(lines[-1].samples, lines[-1].errors, strict=True))
+        speed = 1e-6 * pixels / lines[-1].process_s
+        print(f"{name} {renderer.name}: CIEDE2000 at samples {text}; {speed:.2f} million paths/s a core", flush=True)
+    if len(truths) == 2:
+        between = mean_error(*truths.values(), white_xyz)
+        print(f"{name} converged pictures: mean CIEDE2000 {between:.3f}")
+    rows = []
+    for (renderer, _), line in zip(renderers, lines, strict=True):
+        samples = line.samples_for(arguments.target)
+        seconds = samples * line.process_s / arguments.threads
+        first = lines[0].samples_for(arguments.target) * lines[0].process_s / arguments.threads
+        values = ("render", f"{renderer.name} {name}", f"{pixels * samples:.0f}", "paths", f"{seconds:.4f}",
+                  f"{pixels * samples / seconds:.0f}", "mean CIEDE2000", f"{arguments.target:.2f}",
+                  f"{own_peak_mb():.0f}", f"reference-spectral {name}", f"{seconds / first:.2f}")  # fmt: skip
+        rows.append(dict(zip(COLUMNS, values, strict=True)))
+        print(f"{name} {renderer.name}: {samples:.0f} samples for {arguments.target}, load {os.getloadavg()[0]:.1f}")
+    return rows
+
+
+def ball_of(triangles: int) -> Shape:
+    """Return a sphere of about so many triangles, on one colour."""
+    rows = max(3, round((triangles / 4) ** 0.5))
+    sphere = trimesh.creation.uv_sphere(radius=30.0, count=[rows, 2 * rows])
+    corners = np.asarray(sphere.vertices)[sphere.faces]
+    uv = np.full((len(corners), 3, 2), 0.5)
+    uv[0] = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
+    normals = corners / np.linalg.norm(corners, axis=-1, keepdims=True)
+    return Shape.from_mesh(Mesh(np.asarray(sphere.vertices), np.asarray(sphere.faces, dtype=np.int32), uv, normals))
+
+
+def growth(runs: int) -> None:
+    """Print the time over pixels, samples and triangles."""
+    stage = stages()["spheres"]
+    white = unit_luminance("D65")
+    for width, samples in ((48, 64), (96, 64), (192, 64), (96, 16), (96, 256)):
+        ours = Ours(stage, (width, width * 3 // 4), white)
+        process = least_s(lambda o=ours, n=samples: o.xyz(n, 1), runs)
+        each = 1e9 * process / (width * (width * 3 // 4) * samples)
+        print(
+            f"{width} x {width * 3 // 4} pixels, {samples} samples: {process:.3f} s, {each:.0f} ns a path", flush=True
+        )
+    for triangles in (1_000, 10_000, 100_000, 1_000_000):
+        shape = ball_of(triangles)
+        bodies = [stage.bodies[0]]
+        placements = [Placement(shape_of(bodies[0])), Placement(shape, np.eye(3), np.array([0.0, 0.0, 30.0]))]
+        objects, _ = make_objects(placements, [uniform(bodies[0].reflectance), uniform(spectrum("TCS3"))])
+        scene = reference.make_scene(placements, objects, even_light(stage.sky), [PANEL | {"position_mm": [0, 0, 180]}])
+        close = stage._replace(field_deg=14.0)
+        view = view_of(close, (96, 72))
+        reference.render(scene, view, 8)
+        process = least_s(lambda s=scene, v=view: reference.render(s, v, 64, 1), runs)
+        print(f"{len(shape.mesh.faces)} triangles: {1e9 * process / (96 * 72 * 64):.0f} ns a path", flush=True)
+
+
+def main() -> None:
+    """Measure and print; write a CSV if asked."""
+    parser = arguments_of(__doc__.splitlines()[0])
+    parser.add_argument("--size", default="96x72", help="pixels, WIDTHxHEIGHT")
+    parser.add_argument("--converged", type=int, default=8192, help="paths a pixel of the converged pictures")
+    parser.add_argument("--target", type=float, default=0.4, help="mean CIEDE2000 at which times are compared")
+    parser.add_argument("--sampler", default="multijitter", help="of Mitsuba")
+    parser.add_argument("--variants", nargs="*", default=["llvm_ad_spectral", "scalar_spectral"])
+    parser.add_argument("--scenes", nargs="*", default=list(stages()))
+    parser.add_argument("--no-growth", action="store_true")
+    arguments = parser.parse_args()
+    use_threads(arguments.threads)
+    rows = [row for name in arguments.scenes for row in compare(name, stages()[name], arguments)]
+    report(rows, arguments.threads, arguments.output)
+    if not arguments.no_growth:
+        growth(arguments.runs)
+
+
+if __name__ == "__main__":
+    main()

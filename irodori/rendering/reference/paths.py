@@ -1,0 +1,359 @@
+"""Paths from the eye through a scene, each carrying all bands [eq. 5]: the compiled half of the path tracer.
+
+At a surface one light is chosen and one direction drawn from it, and one direction drawn from the surface's own
+reflection; both count towards the same light by the power heuristic (Veach and Guibas 1995). The mirror term is a
+single direction, followed as often as its share of the reflected light. Paths of little throughput end by Russian
+roulette, which leaves the mean as it is.
+"""
+
+import math
+
+import numba
+import numpy as np
+
+from irodori.brdf import fresnel
+from irodori.geometry.embree import hit_distance, hit_shape, is_blocked, new_ray, trace
+from irodori.geometry.surfaces import face_viewer
+from irodori.rendering.lights import COLLIMATED, density_towards, sample_towards, unobstructed
+from irodori.rendering.reference.bands import (
+    BANDS,
+    PADDED,
+    add_product,
+    decode,
+    fill_fresnel,
+    fill_mixture,
+    fill_mixture_grey,
+    largest,
+    scale,
+    scale_by,
+    summed,
+    summed_product,
+)
+from irodori.rendering.reference.lobes import draw_cosine, draw_gloss, gloss_at, gloss_share
+from irodori.rendering.reference.numbers import (
+    CHOICE,
+    LIGHT,
+    LOBE,
+    PER_VERTEX,
+    PICK,
+    PIXEL,
+    SURVIVAL,
+    VERTEX,
+    draw,
+    pixel_key,
+    stream_of,
+)
+from irodori.rendering.reference.sky import look_at_sky, sample_sky
+from irodori.rendering.reference.world import new_work
+from irodori.rendering.shading import frame, surface
+
+#: Surfaces after which a path is cut, which is counted: two perfect mirrors may keep one for ever.
+LONGEST = 20_000
+_GREEN = 30  # the band whose index stands for all where terms are chosen
+_LEAST_REFLECTANCE = 1e-3  # for that choice: another band may reflect where this one does not
+_ROULETTE_FROM = 4  # the fifth surface
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
+def _fill_shares(world, point, share):
+    """Fill the probabilities by which lights are chosen at a point, about their irradiance; return whether any is."""
+    total = 0.0
+    count = world.lights.kind.size
+    for light in range(count):
+        share[light] = unobstructed(world.lights, light, point)
+        total += share[light]
+    share[count] = world.sky.power
+    total += share[count]
+    for light in range(count + 1):
+        share[light] = share[light] / total if total > 0.0 else 0.0
+    return total > 0.0
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
+def _weight(own, other):
+    """Return the weight of a direction by the densities of both drawings, 1/sr; below 0 there is no other."""
+    return 1.0 / (1.0 + (other / own) ** 2) if own > 0.0 else 1.0
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
+def _meet_light(world, work, index, density):
+    """Add what a path meets beside the objects; ``density`` is that of its drawing, below 0 of a single direction."""
+    count = world.lights.kind.size
+    if index < 0:
+        drawn = look_at_sky(world.sky, work.direction, work.coefficients) * work.share[count]
+        decode(world.sky.basis, 0, work.coefficients.size - 1, work.coefficients, work.radiance)
+        weight = _weight(density, drawn)
+        add_product(work.throughput, work.radiance, weight, work.total)
+        return
+    for light in range(count):
+        if world.lights.surface[light] != index:
+            continue
+        of_light = density_towards(world.lights, light, work.origin, work.direction)
+        if of_light > 0.0:
+            weight = _weight(density, of_light * work.share[light])
+            for band in range(PADDED):
+                work.radiance[band] = world.lights.spectrum[light, band]
+            add_product(work.throughput, work.radiance, weight, work.total)
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
+def _reflect(world, work, index, direction, probability, gloss):
+    """Fill ``work.mixture`` with the rough terms towards a direction of light; return the density of its drawing.
+
+    ``probability`` is that of the diffuse and of the gloss term, ``gloss`` is (β, μ). 0 is returned, and nothing
+    filled, where the direction lies below the surface.
+    """
+    normal, facet = work.normal, work.facet
+    cos_i, above, cos_r = 0.0, 0.0, 0.0
+    for axis in range(3):
+        cos_i += direction[axis] * normal[axis]
+        above += direction[axis] * facet[axis]
+        cos_r += work.to_eye[axis] * normal[axis]
+    if cos_i <= 0.0 or above <= 0.0:
+        return 0.0
+    density = probability[0] * cos_i / math.pi
+    if probability[1] <= 0.0:
+        fill_mixture_grey(work.diffuse, cos_i / math.pi, 0.0, work.mixture)
+        return density
+    factor, of_gloss, cos_h = gloss_at(normal, work.to_eye, direction, cos_i, cos_r, gloss[0], gloss[1])
+    objects = world.objects
+    if objects.grey[index] == 1:
+        reflected = factor * fresnel(cos_h, objects.n[index, 0], objects.k[index, 0])
+        fill_mixture_grey(work.diffuse, cos_i / math.pi, reflected, work.mixture)
+    else:
+        fill_fresnel(min(cos_h, 1.0), world.bands.n, world.bands.k, index, work.fresnel)
+        fill_mixture(work.diffuse, cos_i / math.pi, work.fresnel, factor, work.mixture)
+    return density + probability[1] * of_gloss
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
+def _leave(world, work, index, origin):
+    """Fill the origin of a ray that leaves the surface."""
+    p = work.point
+    height = world.offset_mm[index] + world.steps * (abs(p[0]) + abs(p[1]) + abs(p[2]))
+    for axis in range(3):
+        origin[axis] = p[axis] + height * work.facet[axis]
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
+def _add_chosen_light(world, ray, work, index, probability, gloss, numbers, at):
+    """Add what one chosen light sends over the surface towards the eye.
+
+    ``at`` is the stream of random numbers and the first dimension of the surface.
+    """
+    stream, first = at
+    chosen, count = -1, world.lights.kind.size
+    pick = draw(numbers, stream, first + PICK) if count > 0 else 0.0
+    for light in range(count + 1):
+        if work.share[light] > 0.0:
+            chosen = light
+            if pick < work.share[light]:
+                break
+            pick -= work.share[light]
+    u, v = (
+        draw(numbers, stream, first + LIGHT),
+        draw(numbers, stream, first + LIGHT + 1),
+    )
+    if chosen == count:
+        density = sample_sky(world.sky, u, v, work.light, work.coefficients)
+    else:
+        density = sample_towards(world.lights, chosen, work.origin, u, v, work.light, work.tangent, work.bitangent)
+    if density <= 0.0:
+        return
+    other = _reflect(world, work, index, work.light, probability, gloss)
+    if other <= 0.0:
+        return
+    share = work.share[chosen]
+    if chosen < count and world.lights.surface[chosen] >= 0:
+        trace(world.intersect, world.scene, ray, work.origin, work.light, np.inf)
+        if hit_shape(ray) != world.lights.surface[chosen]:
+            return
+    else:
+        trace(world.occluded, world.scene, ray, work.origin, work.light, np.inf)
+        if is_blocked(ray):
+            return
+    if chosen == count:
+        decode(world.sky.basis, 0, work.coefficients.size - 1, work.coefficients, work.radiance)
+    else:
+        for band in range(PADDED):
+            work.radiance[band] = world.lights.spectrum[chosen, band]
+        if world.lights.kind[chosen] == COLLIMATED:
+            other = 0.0  # no other drawing finds a single direction
+    drawn = share * density
+    scale_by(work.mixture, work.radiance, _weight(drawn, other) / drawn)
+    add_product(work.throughput, work.mixture, 1.0, work.total)
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
+def _shares_of_terms(world, work, index, cos_r):
+    """Return the shares of diffuse, gloss and mirror term in the light that is reflected, about; and β, μ.
+
+    Fills ``work.diffuse``, and ``work.fresnel`` with the mirror's reflectance where the index varies with the band.
+    """
+    objects, size = world.objects, work.texel.size
+    decode(world.bands.basis, index, objects.bases[index], work.texel, work.diffuse)
+    beta, mu, chi = work.texel[size - 2], work.texel[size - 1], objects.mirror[index]
+    diffuse = summed_product(work.throughput, work.diffuse)
+    total = summed(work.throughput)
+    reflectance = 0.0
+    if beta > 0.0 or chi > 0.0:
+        reflectance = fresnel(cos_r, objects.n[index, _GREEN], objects.k[index, _GREEN])
+    gloss = total * gloss_share(beta, mu, max(reflectance, _LEAST_REFLECTANCE)) if beta > 0.0 and mu > 0.0 else 0.0
+    mirror = total * chi * reflectance
+    if chi > 0.0 and objects.grey[index] == 0:
+        fill_fresnel(min(cos_r, 1.0), world.bands.n, world.bands.k, index, work.fresnel)
+        mirror = chi * summed_product(work.throughput, work.fresnel)
+    whole = diffuse + gloss + mirror
+    if not whole > 0.0:
+        return 0.0, 0.0, 0.0, beta, mu, reflectance
+    return diffuse / whole, gloss / whole, mirror / whole, beta, mu, reflectance
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
+def _turn(world, work, index, terms, numbers, at):
+    """Choose the path's next direction and multiply its throughput.
+
+    Returns the density of the direction in 1/sr, below 0 for the mirror's, 0 where the path ends.
+    """
+    stream, first = at
+    diffuse, gloss, mirror, beta, mu, reflectance = terms
+    choice = draw(numbers, stream, first + CHOICE)
+    d, normal = work.direction, work.normal
+    if choice < mirror:
+        cos_r, above = 0.0, 0.0
+        for axis in range(3):
+            cos_r += work.to_eye[axis] * normal[axis]
+        for axis in range(3):
+            d[axis] = 2.0 * cos_r * normal[axis] - work.to_eye[axis]
+            above += d[axis] * work.facet[axis]
+        chi = world.objects.mirror[index] / mirror
+        if world.objects.grey[index] == 1:
+            scale(work.throughput, chi * reflectance)
+        else:
+            fill_fresnel(min(cos_r, 1.0), world.bands.n, world.bands.k, index, work.fresnel)
+            scale_by(work.throughput, work.fresnel, chi)
+        return -1.0 if above > 0.0 else 0.0
+    u, v = draw(numbers, stream, first + LOBE), draw(numbers, stream, first + LOBE + 1)
+    frame(normal, work.tangent, work.bitangent)
+    if choice < mirror + gloss:
+        if not draw_gloss(normal, work.tangent, work.bitangent, work.to_eye, mu, u, v, d):
+            return 0.0
+    else:
+        draw_cosine(normal, work.tangent, work.bitangent, u, v, d)
+    density = _reflect(world, work, index, d, (diffuse, gloss), (beta, mu))
+    if density > 0.0:
+        scale_by(work.throughput, work.mixture, 1.0 / density)
+    return density
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
+def _arrive(world, work, ray, index):
+    """Fill what is known of the surface that a path met; return the cosine towards the viewer."""
+    distance, d = hit_distance(ray), work.direction
+    for axis in range(3):
+        work.point[axis] = work.origin[axis] + distance * d[axis]
+        work.to_eye[axis] = -d[axis]
+    surface(world, index, ray, work.point, work.normal, work.facet, work.texel)
+    return face_viewer(work.normal, work.facet, d)
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
+def _survives(work, numbers, at):
+    """Play Russian roulette; return whether the path goes on."""
+    stream, first = at
+    chance = largest(work.throughput)
+    if chance >= 1.0:
+        return True
+    if not draw(numbers, stream, first + SURVIVAL) < chance:
+        return False
+    scale(work.throughput, 1.0 / chance)
+    return True
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
+def _follow(world, ray, work, numbers, stream):
+    """Add the radiance along one path to ``work.total``; return 1 where it had to be cut, 0 else."""
+    objects = world.objects.mirror.size
+    for band in range(PADDED):
+        work.throughput[band] = np.float32(1.0)
+    density = -1.0
+    for vertex in range(LONGEST):
+        trace(world.intersect, world.scene, ray, work.origin, work.direction, np.inf)
+        index = hit_shape(ray)
+        if index < 0 or index >= objects:
+            _meet_light(world, work, index, density)
+            return 0
+        cos_r = _arrive(world, work, ray, index)
+        if cos_r <= 0.0:
+            return 0
+        at = (stream, VERTEX + vertex * PER_VERTEX)
+        terms = _shares_of_terms(world, work, index, cos_r)
+        if terms[0] + terms[1] + terms[2] <= 0.0:
+            return 0
+        _leave(world, work, index, work.origin)
+        if terms[0] + terms[1] > 0.0 and _fill_shares(world, work.origin, work.share):
+            _add_chosen_light(world, ray, work, index, (terms[0], terms[1]), (terms[3], terms[4]), numbers, at)
+        density = _turn(world, work, index, terms, numbers, at)
+        if density == 0.0 or (vertex >= _ROULETTE_FROM and not _survives(work, numbers, at)):
+            return 0
+    return 1
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
+def _aim(view, x, y, work):
+    """Start a path from the eye through a place of the picture, px."""
+    px, py = (x - 0.5 * view.width) / view.focal_px, (y - 0.5 * view.height) / view.focal_px
+    size = 1.0 / math.sqrt(px * px + py * py + 1.0)
+    rotation = view.world_from_camera
+    for a in range(3):
+        work.direction[a] = (rotation[a, 0] * px + rotation[a, 1] * py + rotation[a, 2]) * size
+        work.origin[a] = view.position_mm[a]
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
+def _render_pixel(world, ray, work, view, numbers, x, y, mean, spread):
+    """Add the means of a pixel's replicates, and their squares; return the number of paths that were cut."""
+    cut = 0
+    for replicate in range(numbers.replicates):
+        key = pixel_key(x, y, replicate, numbers.seed)
+        for band in range(PADDED):
+            work.total[band] = np.float32(0.0)
+        for sample in range(numbers.samples):
+            stream = stream_of(numbers, key, replicate, sample)
+            u, v = draw(numbers, stream, PIXEL), draw(numbers, stream, PIXEL + 1)
+            _aim(view, x + u, y + v, work)
+            cut += _follow(world, ray, work, numbers, stream)
+        for band in range(BANDS):
+            value = float(work.total[band]) / numbers.samples
+            mean[band] += value
+            spread[band] += value * value
+    return cut
+
+
+@numba.njit(cache=True, nogil=True)
+def render_some_rows(world, view, numbers, first_row, image, error, cut, first, last):
+    """Fill rows ``first`` to ``last`` of a band of the picture that begins at ``first_row``.
+
+    Parameters
+    ----------
+    world : World
+    view : irodori.rendering.scene.View
+    numbers : irodori.rendering.reference.numbers.Numbers
+    first_row : int
+    image, error : (rows, width, 61) float32
+        Mean radiance, and the standard error of that mean by the spread of the replicates.
+    cut : (rows,) int64
+        Paths that were cut at `LONGEST` surfaces.
+    """
+    ray, work = new_ray(), new_work(world)
+    mean, spread = np.empty(BANDS), np.empty(BANDS)
+    count = numbers.replicates
+    for row in range(first, last):
+        for x in range(view.width):
+            mean[:] = 0.0
+            spread[:] = 0.0
+            cut[row] += _render_pixel(world, ray, work, view, numbers, x, first_row + row, mean, spread)
+            for band in range(BANDS):
+                value = mean[band] / count
+                image[row, x, band] = value
+                error[row, x, band] = math.sqrt(max(spread[band] / count - value * value, 0.0) / (count - 1))

@@ -1,0 +1,189 @@
+"""The `reference` integrator: a converging picture with its standard error, in tiles that an interrupted run keeps."""
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from irodori.geometry.embree import Tracer
+from irodori.geometry.shapes import Placement
+from irodori.geometry.surfaces import make_surfaces
+from irodori.light import Environment
+from irodori.native import run_chunks
+from irodori.progress import LOGGER, track
+from irodori.provenance import code_hash
+from irodori.rendering.lights import BANDS, make_lights
+from irodori.rendering.reference.bands import padded
+from irodori.rendering.reference.numbers import Numbers, make_numbers
+from irodori.rendering.reference.paths import render_some_rows
+from irodori.rendering.reference.sky import make_sky
+from irodori.rendering.reference.world import Bands, World
+from irodori.rendering.scene import Objects, View
+
+#: Independent parts of the samples of a pixel, from whose spread the standard error comes.
+REPLICATES = 8
+#: Rays leave a surface this part of its reach above it, and this part of its coordinates: single precision.
+_OFFSET, _STEPS = 1e-5, 1e-6
+
+
+class Scene(NamedTuple):
+    """A scene ready for paths; the tracer owns what the world's addresses point to."""
+
+    world: World
+    tracer: Tracer
+
+
+class Picture(NamedTuple):
+    """Part of a picture, or all of it.
+
+    ``radiance`` is the mean and ``standard_error`` that of the mean; ``cut`` counts the paths that were ended at
+    `irodori.rendering.reference.paths.LONGEST` surfaces, the one thing by which the mean can be too low.
+    """
+
+    radiance: np.ndarray  # (rows, width, 61) float32
+    standard_error: np.ndarray  # (rows, width, 61) float32
+    cut: int
+
+
+def make_scene(
+    placements: list[Placement], objects: Objects, environment: Environment, lights: list[dict] | None = None
+) -> Scene:
+    """Return a scene for `render_rows`.
+
+    Parameters
+    ----------
+    placements, objects
+        Of the objects, one for one, see `irodori.rendering.scene`.
+    environment : Environment
+    lights : list of dict, optional
+        Definitions, see `irodori.rendering.lights.make_lights`.
+    """
+    placed, shapes = make_lights(lights or [], len(placements))
+    tracer = Tracer([*placements, *shapes])
+    surfaces = make_surfaces(list(tracer.placements))
+    bands = Bands(padded(objects.basis), padded(objects.n, "edge"), padded(objects.k, "edge"))
+    offset = np.array([_OFFSET * p.shape.reach_mm * p.scale for p in tracer.placements])
+    addresses = (tracer.intersect_address, tracer.occluded_address, tracer.scene)
+    return Scene(World(surfaces, objects, bands, make_sky(environment), placed, *addresses, offset, _STEPS), tracer)
+
+
+def render_rows(scene: Scene, view: View, numbers: Numbers, rows: tuple[int, int]) -> Picture:
+    """Render a band of rows, on as many threads as numba may use; these do not change the result."""
+    count = rows[1] - rows[0]
+    image = np.zeros((count, view.width, BANDS), dtype=np.float32)
+    error, cut = np.zeros_like(image), np.zeros(count, dtype=np.int64)
+    run_chunks(render_some_rows, count, 1, scene.world, view, numbers, rows[0], image, error, cut)
+    return Picture(image, error, int(cut.sum()))
+
+
+def check_samples(samples: int) -> None:
+    """Refuse a number of samples that the replicates cannot share.
+
+    Raises
+    ------
+    ValueError
+    """
+    if samples < REPLICATES or samples % REPLICATES:
+        raise ValueError(f"{samples} samples a pixel; accepted: a multiple of {REPLICATES}")
+
+
+def render(
+    scene: Scene,
+    view: View,
+    samples: int,
+    seed: int = 0,
+    tile_rows: int = 16,
+    label: str = "render",
+    tiles: "Tiles | None" = None,
+) -> Picture:
+    """Render a picture.
+
+    Parameters
+    ----------
+    scene : Scene
+    view : View
+    samples : int
+        Paths a pixel, a multiple of 8; powers of two are spread best.
+    seed : int, from 0
+    tile_rows : int
+        Rows between two reports of progress, and between two tiles on disk.
+    label : str
+        Of the progress.
+    tiles : Tiles, optional
+        Where finished tiles are kept and looked for.
+
+    Raises
+    ------
+    ValueError
+        If `samples` is no multiple of 8.
+    """
+    check_samples(samples)
+    numbers = make_numbers(samples, seed, REPLICATES)
+    radiance = np.empty((view.height, view.width, BANDS), dtype=np.float32)
+    error, cut = np.empty_like(radiance), 0
+    for first in track(range(0, view.height, tile_rows), label):
+        rows = (first, min(first + tile_rows, view.height))
+        if tiles is None:
+            part = render_rows(scene, view, numbers, rows)
+        else:
+            part = tiles.get(rows, lambda rows=rows: render_rows(scene, view, numbers, rows))
+        radiance[slice(*rows)], error[slice(*rows)] = part.radiance, part.standard_error
+        cut += part.cut
+    return Picture(radiance, error, cut)
+
+
+def picture_key(scene: Scene, view: View, samples: int, seed: int) -> str:
+    """Return a hash of everything that a picture depends on: the scene, the view, the samples and this code."""
+    digest = hashlib.blake2b(code_hash(__name__).encode(), digest_size=16)
+    for part in (
+        scene.world.surfaces,
+        scene.world.objects,
+        scene.world.bands,
+        scene.world.sky,
+        scene.world.lights,
+        view,
+    ):
+        for value in part:
+            digest.update(np.ascontiguousarray(value).data)
+    digest.update(f"{samples} {seed}".encode())
+    return digest.hexdigest()
+
+
+class Tiles:
+    """Finished tiles in a folder, of one picture alone.
+
+    Parameters
+    ----------
+    folder : path
+        Made where it is not there.
+    key : str
+        Names everything that the picture depends on: tiles of another key are not read.
+    """
+
+    def __init__(self, folder, key: str) -> None:
+        self.folder, self.key = Path(folder), key
+        self.folder.mkdir(parents=True, exist_ok=True)
+
+    def get(self, rows: tuple[int, int], make: Callable[[], Picture]) -> Picture:
+        """Return a tile from the folder, or make it and keep it there."""
+        path = self.folder / f"{self.key}-{rows[0]}-{rows[1]}.npz"
+        if path.is_file():
+            with np.load(path) as kept:
+                return Picture(kept["radiance"], kept["standard_error"], int(kept["cut"]))
+        part = make()
+        partial = path.with_suffix(".part")
+        with partial.open("wb") as stream:
+            np.savez(stream, radiance=part.radiance, standard_error=part.standard_error, cut=part.cut)
+        partial.replace(path)
+        return part
+
+    def remove(self) -> None:
+        """Remove the tiles, and the folder if nothing else is in it."""
+        for path in self.folder.glob(f"{self.key}-*"):
+            path.unlink()
+        if not any(self.folder.iterdir()):
+            self.folder.rmdir()
+        else:
+            LOGGER.info("%s holds tiles of other pictures", self.folder)

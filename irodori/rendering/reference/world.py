@@ -1,0 +1,86 @@
+"""What paths travel in and what a thread needs on the way, as the compiled loops want it.
+
+numba passes a tuple of arrays to a function word by word, and counts the owners of each: the functions that take these
+are inlined (``forceinline``) and count nothing (``_nrt=False``), or most of the time would go there.
+"""
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from irodori.geometry.surfaces import Surfaces
+from irodori.rendering.lights import PADDED, Lights
+from irodori.rendering.reference.sky import Sky
+from irodori.rendering.scene import Objects
+
+
+class Bands(NamedTuple):
+    """What the materials have a band, padded; the first axis counts the objects."""
+
+    basis: np.ndarray  # (objects, k, 64) float32
+    n: np.ndarray  # (objects, 64) float32
+    k: np.ndarray  # (objects, 64) float32
+
+
+class World(NamedTuple):
+    """What paths travel in; surface i is object i, and those of lights follow."""
+
+    surfaces: Surfaces
+    objects: Objects
+    bands: Bands
+    sky: Sky
+    lights: Lights
+    intersect: int
+    occluded: int
+    scene: int
+    offset_mm: np.ndarray  # (surfaces,) height above a surface at which rays leave it, at the origin
+    steps: float  # further height, a part of the coordinates' size: single precision
+
+
+class Work(NamedTuple):
+    """Buffers of one thread."""
+
+    origin: np.ndarray  # (3,)
+    direction: np.ndarray  # (3,)
+    point: np.ndarray  # (3,)
+    normal: np.ndarray  # (3,)
+    facet: np.ndarray  # (3,)
+    to_eye: np.ndarray  # (3,)
+    tangent: np.ndarray  # (3,)
+    bitangent: np.ndarray  # (3,)
+    light: np.ndarray  # (3,) towards a light
+    texel: np.ndarray  # (k + 2,)
+    coefficients: np.ndarray  # (k + 1,) of the environment
+    share: np.ndarray  # (lights + 1,) of the choice among lights, the environment last
+    throughput: np.ndarray  # (64,) float32, as are the others
+    diffuse: np.ndarray
+    fresnel: np.ndarray
+    radiance: np.ndarray
+    mixture: np.ndarray
+    total: np.ndarray
+
+
+@numba.njit(cache=True)
+def new_work(world):
+    """Return the buffers of one thread."""
+    return Work(
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(world.objects.texels.shape[1]),
+        np.empty(world.sky.pixels.shape[1]),
+        np.zeros(world.lights.kind.size + 1),
+        np.zeros(PADDED, np.float32),
+        np.zeros(PADDED, np.float32),
+        np.zeros(PADDED, np.float32),
+        np.zeros(PADDED, np.float32),
+        np.zeros(PADDED, np.float32),
+        np.zeros(PADDED, np.float32),
+    )

@@ -1,0 +1,483 @@
+"""The path tracer against furnaces, closed forms, quadrature and itself: energy, bias, error bars, seeds, threads."""
+
+import dataclasses
+
+import numba
+import numpy as np
+import pytest
+from path_scenes import DARK, ball, deviations, facetted_sphere, traced
+from scenes import (
+    BALL,
+    GOLD_K,
+    GOLD_N,
+    THIRDS,
+    constant_light,
+    fresnel,
+    lobe_integral,
+    material,
+    pixel_rays,
+    plate,
+    sky,
+    smooth_light,
+)
+
+from irodori.brdf import angles_from_directions, reflect
+from irodori.geometry.frames import rotation_x
+from irodori.rendering.reference import Tiles
+from irodori.spectra import light as spectrum_of
+
+SPECTRUM = np.linspace(0.2, 0.9, 61)
+MIRROR = {"n": 0.05, "k": 30.0}
+
+
+# --- furnaces ----------------------------------------------------------------------------------------------------
+
+
+def test_a_white_sphere_vanishes_in_a_white_furnace_in_every_band():
+    light = np.linspace(0.5, 2.0, 61)
+    picture = traced([BALL], [material(1.0)], constant_light(light), 16)
+    assert np.abs(picture.radiance / light - 1).max() <= 1e-5
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3], ids=["1 mm", "1 m", "1 km"])
+def test_a_crowd_of_white_spheres_that_touch_vanishes_at_any_size(size):
+    """Every path between them ends in the light with all it set out with, or light has leaked."""
+    radius = 500.0 * size
+    places = [(x * 2 * radius, y * 2 * radius, radius) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]
+    shapes = [plate(1e5 * size), *[ball(radius)] * 4]
+    picture = traced(shapes, [material(1.0)] * 5, constant_light(), 64, places=[(0, 0, 0), *places], fov=25,
+                     size=(24, 24), position=(0, -8 * radius, 5 * radius), target=(0, 0, radius))  # fmt: skip
+    assert np.abs(picture.radiance - 1).max() <= 1e-3
+    assert picture.cut == 0
+
+
+def test_no_path_slips_through_edges_that_triangles_share():
+    """What slipped through would meet the black back of the other side."""
+    picture = traced([facetted_sphere(20.0, 3)], [material(1.0)], constant_light(), 64, size=(61, 61))
+    assert np.abs(picture.radiance - 1).max() <= 1e-4
+
+
+@pytest.mark.parametrize("mu", [0.005, 0.1, 0.4, 1.2])
+def test_no_energy_is_made(mu):
+    shapes, places = [plate(200.0), BALL, BALL], [(0, 0, 0), (-20, 0, 20.0), (20, 0, 20.0)]
+    materials = [material(0.6, beta=0.1 / (4 * mu**2), mu=mu, mirror=0.3, n=0.1, k=5.0),
+                 material(0.0, mirror=1.0, n=0.05, k=9.0),
+                 material(0.8, beta=0.2 / (4 * mu**2), mu=mu, n=0.1, k=5.0)]  # fmt: skip
+    picture = traced(shapes, materials, constant_light(), 64, places=places, position=(0, -300, 150),
+                     target=(0, 0, 15), fov=25, size=(30, 20))  # fmt: skip
+    assert picture.radiance.min() >= 0 and (deviations(picture, 1.0).max(axis=-1) < 6).all()
+    assert picture.radiance.mean() <= 1.0
+
+
+def test_light_in_a_closed_room_is_the_sum_of_all_its_reflections():
+    """In a sphere every part of the wall lights every other alike: E = E0 / (1 - ρ (1 - r²/R²)) [integrating sphere].
+
+    E0 = π L r²/R² comes from a lamp of radius r in the middle; the lamp itself takes up what falls on it.
+    """
+    room, lamp, radiance = 100.0, 10.0, 3.0
+    reflectance = np.linspace(0.0, 0.95, 61)
+    light = {"kind": "sphere", "spectrum": "D65", "radiance": radiance, "position_mm": [0, 0, 0], "radius_mm": lamp}
+    picture = traced([facetted_sphere(room, 5, inward=True)], [material(reflectance)], DARK, 4096, position=(0, -60, 0),
+                     target=(0, -100, 20), size=(6, 6), fov=40, lights=[light])  # fmt: skip
+    share = (lamp / room) ** 2
+    spectrum = radiance * spectrum_of("D65")
+    expected = reflectance * spectrum * share / (1 - reflectance * (1 - share))
+    mean = picture.radiance.mean(axis=(0, 1))
+    error = np.sqrt((picture.standard_error**2).sum(axis=(0, 1))) / 36
+    assert (error[1:] <= 3e-3 * expected[1:]).all()
+    # The facets stand 2e-4 of the radius inside the sphere.
+    assert (np.abs(mean - expected) <= 5 * error + 1e-3 * expected).all()
+
+
+# --- the terms of equation (5) -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.4)], ids=["lacquer", "metal"])
+@pytest.mark.parametrize("mu", [0.005, 0.05, 0.4, 1.2])
+@pytest.mark.parametrize("theta_deg", [0.0, 45.0, 80.0, 89.0])
+def test_gloss_is_the_lobe_integrated_over_the_light(mu, theta_deg, n, k):
+    """A small part of a plate under light that varies slowly, at every roughness, to grazing view."""
+    theta = np.radians(theta_deg)
+    view = np.array([0.0, -np.sin(theta), np.cos(theta)])
+    beta = 1 / (4 * mu**2)
+    picture = traced([plate(2000.0)], [material(0.0, beta=beta, mu=mu, n=n, k=k)],
+                     sky(lambda d: smooth_light(d)[..., None], 2048, 1024), 8192, position=500 * view, size=(1, 1),
+                     fov=0.1, up=(0.0, np.cos(theta), np.sin(theta)))  # fmt: skip
+    expected = lobe_integral(np.array([0.0, 0.0, 1.0]), view, beta, mu, n, k)
+    assert picture.standard_error[0, 0, 0] <= 5e-3 * expected
+    assert abs(picture.radiance[0, 0, 0] - expected) <= 5 * picture.standard_error[0, 0, 0] + 5e-4 * expected
+
+
+def test_gloss_of_varying_index_agrees_with_each_band_alone():
+    light = sky(lambda d: smooth_light(d)[..., None])
+    n, k = np.array(GOLD_N)[THIRDS], np.array(GOLD_K)[THIRDS]
+    mixed = traced([BALL], [material(beta=10.0, mu=0.15, mirror=0.3, n=n, k=k)], light, 512, size=(9, 9), fov=10)
+    for third in range(3):
+        alone = traced([BALL], [material(beta=10.0, mu=0.15, mirror=0.3, n=GOLD_N[third], k=GOLD_K[third])], light, 512,
+                       size=(9, 9), fov=10, seed=1)  # fmt: skip
+        band = 20 * third + 5
+        error = np.hypot(mixed.standard_error[..., band], alone.standard_error[..., band])
+        off = np.abs(mixed.radiance[..., band] - alone.radiance[..., band])
+        assert (off <= 7 * error + 1e-6).all()
+        assert error.mean() <= 0.01 * alone.radiance[..., band].mean()
+
+
+@pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.4), (3.0, 10.0)])
+@pytest.mark.parametrize("theta_deg", [0.0, 56.3, 80.0, 89.9])
+def test_a_mirror_shows_fresnel_reflectance_to_grazing_angles(theta_deg, n, k):
+    theta = np.radians(theta_deg)
+    view = np.array([0.0, -np.sin(theta), np.cos(theta)])
+    picture = traced([plate(2000.0)], [material(mirror=1.0, n=n, k=k)], constant_light(3.0), 16, position=100 * view,
+                     size=(1, 1), fov=0.001, up=(0.0, np.cos(theta), np.sin(theta)))  # fmt: skip
+    assert np.allclose(picture.radiance, 3.0 * fresnel(np.cos(theta), n, k), rtol=1e-5)
+
+
+def test_the_fresnel_reflectance_of_all_bands_is_that_of_one():
+    from irodori import brdf
+    from irodori.rendering.reference.bands import fill_fresnel, padded
+
+    n, k = np.linspace(0.05, 10, 61), np.linspace(0, 20, 61)[::-1].copy()
+    k[40:] = 0.0
+    found = np.empty(64, np.float32)
+    for cosine in (0.0, 1e-6, 1e-3, 0.1, 0.5, 0.999999, 1.0):
+        fill_fresnel(cosine, padded(n[None], "edge"), padded(k[None], "edge"), 0, found)
+        expected = [brdf.fresnel(cosine, a, b) for a, b in zip(n, k, strict=True)]
+        assert np.allclose(found[:61], expected, atol=2e-6)
+        if cosine == 0.0:
+            assert np.allclose(found, 1.0, atol=1e-6)
+
+
+def test_between_parallel_mirrors_light_loses_one_reflectance_a_bounce():
+    """The eye looks between two plates 20 mm apart at an angle; a ray meets them N times before it leaves."""
+    n, k = 0.2, 3.4
+    slope = np.tan(np.radians(30.0))  # rise over run of the ray
+    picture = traced([plate(400.0)] * 2, [material(mirror=1.0, n=n, k=k)] * 2, constant_light(), 4096, size=(1, 1),
+                     fov=0.02, places=[(0, 0, 0), (0, 0, 20.0)], rotations=[np.eye(3), rotation_x(np.pi)],
+                     position=(0, -199.0, 10.0), target=(0, -199.0 + 10 / slope, 0.0))  # fmt: skip
+    run = 20 / slope
+    first = -199.0 + 10 / slope
+    bounces = int(np.floor((200 - first) / run)) + 1
+    assert bounces == 12
+    expected = fresnel(np.sin(np.radians(30.0)), n, k) ** bounces
+    assert abs(picture.radiance[0, 0, 30] - expected) <= 5 * picture.standard_error[0, 0, 30] + 1e-3 * expected
+    assert picture.standard_error[0, 0, 30] <= 0.02 * expected
+
+
+# --- light from afar ---------------------------------------------------------------------------------------------
+
+
+def test_a_plate_shows_the_irradiance_map_of_the_renderer():
+    """Independent of the path tracer: the map is summed in harmonics of the sphere, to 2e-3 of its largest value."""
+    light = sky(lambda d: np.stack([smooth_light(d), np.exp(20 * (d[..., 2] - 1)), 1 + 0 * d[..., 0]], axis=-1),
+                basis=np.eye(61)[:, :3])  # fmt: skip
+    picture = traced([plate(100.0)], [material(0.7)], light, 4096, position=(0, -0.001, 500), fov=5, size=(4, 4))
+    expected = 0.7 * light.irradiance[0].mean(axis=0) / np.pi
+    mean = picture.radiance[..., :3].mean(axis=(0, 1))
+    error = np.sqrt((picture.standard_error[..., :3] ** 2).sum(axis=(0, 1))) / 16
+    assert (np.abs(mean - expected) <= 5 * error + 2e-3 * expected).all()
+    assert (error <= 2e-3 * expected).all()
+
+
+def one_texel_sun(row=60, column=40, radiance=1e5):
+    """A sun of one texel of 512 x 256, from (0.6, 0.3, 0.75) or so for row 60."""
+    coefficients = np.zeros((256, 512, 1), np.float32)
+    coefficients[row, column] = radiance
+    return dataclasses.replace(constant_light(np.full(61, 0.1)), coefficients=coefficients)
+
+
+def zenith_irradiance(row, radiance=1e5, parts=256) -> float:
+    """Irradiance of a surface that faces up by that sun, as it is interpolated: linearly, and flat at the pole."""
+    step = (np.arange(2 * parts) + 0.5) / parts - 1
+    tent = 1 - np.abs(step)
+    if row == 0:
+        tent = np.where(step < 0, np.where(step < -0.5, 0.0, 1.0), tent)
+    theta = np.pi * (row + 0.5 + step) / 256
+    return 0.1 * radiance * np.sum(tent * np.sin(theta) * np.cos(theta)) * np.pi / 256 / parts * 2 * np.pi / 512
+
+
+@pytest.mark.parametrize("row", [0, 3, 60])
+def test_a_sun_of_one_texel_is_found_and_weighs_what_it_should(row):
+    picture = traced([plate(100.0)], [material(SPECTRUM)], one_texel_sun(row), 256, size=(4, 4), fov=1.0,
+                     position=(100, 0, 100))  # fmt: skip
+    expected = SPECTRUM * zenith_irradiance(row) / np.pi
+    assert (picture.standard_error <= 0.03 * expected).all()
+    mean, error = picture.radiance.mean(axis=(0, 1)), np.sqrt((picture.standard_error**2).sum(axis=(0, 1))) / 16
+    assert (np.abs(mean - expected) <= 5 * error + 1e-4 * expected).all()
+    assert (error <= 5e-3 * expected).all()
+
+
+@pytest.mark.parametrize("place", [(0, 0), (0, 300), (60, 40), (255, 511)])
+def test_directions_are_drawn_with_the_density_that_is_told_for_them(place):
+    """What is drawn, divided by its density, integrates any function over the sphere; poles and seam included."""
+    from irodori.rendering.reference.sky import densities_of_sky, make_sky, sample_sky_at
+
+    rng = np.random.default_rng(3)
+    light = one_texel_sun(*place)
+    light.coefficients[100:140, 200:300, 0] = rng.uniform(0, 4, (40, 100))
+    made = make_sky(light)
+    uv = np.random.default_rng(5).random((400_000, 2))
+    towards, density = np.empty((len(uv), 3)), np.empty(len(uv))
+    sample_sky_at(made, uv, towards, density)
+    assert np.allclose(np.linalg.norm(towards, axis=1), 1)
+    again = np.empty(len(uv))
+    densities_of_sky(made, towards, again)
+    usable = np.hypot(towards[:, 0], towards[:, 1]) > 1e-4
+    assert np.allclose(density[usable], again[usable], rtol=2e-3)
+    # The density integrates to 1: by even directions about the texel and over the rest.
+    theta = np.pi * (np.arange(2048) + 0.5) / 2048
+    azimuth = 2 * np.pi * (np.arange(4096) + 0.5) / 4096
+    total = 0.0
+    for t in theta:
+        row = np.stack([np.sin(t) * np.cos(azimuth), np.sin(t) * np.sin(azimuth), np.full(4096, np.cos(t))], axis=-1)
+        at = np.empty(4096)
+        densities_of_sky(made, row, at)
+        total += at.sum() * np.sin(t) * (np.pi / 2048) * (2 * np.pi / 4096)
+    assert total == pytest.approx(1.0, abs=2e-3)
+
+
+def test_black_light_gives_a_black_picture_and_one_wavelength_stays_one():
+    picture = traced([BALL], [material(0.5, beta=1.0, mirror=0.2)], DARK, 16, size=(5, 5))
+    assert (picture.radiance == 0).all() and (picture.standard_error == 0).all()
+    light = np.zeros(61)
+    light[17] = 2.0
+    picture = traced([BALL], [material(SPECTRUM, beta=1.0, mirror=0.2)], constant_light(light), 16, size=(5, 5))
+    assert (np.delete(picture.radiance, 17, axis=-1) == 0).all() and (picture.radiance[..., 17] > 0).all()
+
+
+# --- lights that stand in the scene ------------------------------------------------------------------------------
+
+
+def lamp(kind, **keys):
+    return {"kind": kind, "spectrum": "D65", **keys}
+
+
+def test_collimated_light_falls_by_the_cosine_and_casts_a_hard_shadow():
+    sun = lamp("collimated", azimuth_deg=0.0, elevation_deg=40.0, irradiance=2.0)
+    picture = traced([plate(400.0), BALL], [material(SPECTRUM), material(0.0)], DARK, 64,
+                     places=[(0, 0, 0), (0, 0, 60)], position=(0, -0.01, 900), fov=18, size=(60, 60),
+                     lights=[sun])  # fmt: skip
+    lit = 2.0 * SPECTRUM * spectrum_of("D65") * np.sin(np.radians(40.0))
+    half = 900 * np.tan(np.radians(9.0))
+    x = (np.arange(60) + 0.5 - 30) / 30 * half
+    y = -x[:, None]
+    # The shadow of a sphere of radius 20 mm at height 60 mm: an ellipse, 20 across the beam and 20 / sin 40° along it.
+    centre = -60 / np.tan(np.radians(40.0))
+    inside = np.hypot((x - centre) * np.sin(np.radians(40.0)), y + 0 * x)
+    behind = np.hypot(x + 0 * y, y + 0 * x) < 26  # the sphere itself hides the plate
+    for region, value in ((inside > 27, lit), (inside < 13, 0 * lit)):
+        region &= ~behind
+        assert region.sum() > 8
+        assert np.allclose(picture.radiance[region], value, rtol=1e-4)
+
+
+def test_a_rectangle_lights_a_plate_by_its_form_factor():
+    """From a corner of a parallel rectangle at distance 1: F = (X/√(1+X²) atan(Y/√(1+X²)) + the same of Y)/2π."""
+    panel = lamp(
+        "rectangle", position_mm=[40, 25, 100], rotation_deg=[180, 0, 0], width_mm=80, height_mm=50, radiance=5
+    )
+    picture = traced([plate(1000.0)], [material(SPECTRUM)], DARK, 4096, position=(-30, 0, 40), size=(1, 1),
+                     fov=0.01, lights=[panel])  # fmt: skip
+    x, y = 80 / 100, 50 / 100
+    rx, ry = np.sqrt(1 + x * x), np.sqrt(1 + y * y)
+    factor = (x / rx * np.arctan(y / rx) + y / ry * np.arctan(x / ry)) / (2 * np.pi)
+    expected = SPECTRUM * factor * 5 * spectrum_of("D65")
+    assert (np.abs(picture.radiance[0, 0] - expected) <= 5 * picture.standard_error[0, 0] + 1e-4 * expected).all()
+    assert (picture.standard_error[0, 0] <= 3e-3 * expected).all()
+    # It shines downwards only, and is seen so.
+    seen = {
+        "position": (40, 25, 50),
+        "target": (40, 25, 100),
+        "fov": 5,
+        "size": (2, 2),
+        "up": (0, 1, 0),
+        "lights": [panel],
+    }
+    from_below = traced([plate(10.0)], [material(0.0)], DARK, 8, **seen)
+    assert np.allclose(from_below.radiance, 5 * spectrum_of("D65"), rtol=1e-5)
+    from_above = traced([plate(10.0)], [material(0.0)], DARK, 8, **(seen | {"position": (40, 25, 150)}))
+    assert (from_above.radiance == 0).all()
+
+
+@pytest.mark.parametrize("radius", [1.0, 30.0, 95.0])
+def test_a_sphere_lights_a_plate_by_its_solid_angle(radius):
+    bulb = lamp("sphere", position_mm=[60, 0, 100], radius_mm=radius, radiance=2)
+    picture = traced([plate(1000.0)], [material(SPECTRUM)], DARK, 4096, position=(-60, 0, 30), size=(1, 1),
+                     fov=0.01, lights=[bulb])  # fmt: skip
+    squared = 60**2 + 100**2
+    expected = SPECTRUM * 2 * spectrum_of("D65") * radius**2 / squared * 100 / np.sqrt(squared)
+    assert (np.abs(picture.radiance[0, 0] - expected) <= 5 * picture.standard_error[0, 0] + 1e-4 * expected).all()
+    assert (picture.standard_error[0, 0] <= 3e-3 * expected).all()
+
+
+@pytest.mark.parametrize("mu", [0.02, 0.1, 0.4, 1.2])
+@pytest.mark.parametrize("theta_deg", [30.0, 80.0])
+def test_a_lamp_is_mirrored_as_broadly_as_the_surface_is_rough(mu, theta_deg):
+    """Quadrature over the lamp with the arrays of `irodori.brdf`, the eye in the mirror direction and beside it."""
+    radius, distance = 12.0, 100.0
+    theta = np.radians(theta_deg)
+    centre = distance * np.array([0.0, np.sin(theta), np.cos(theta)])
+    beta, normal = 1 / (4 * mu**2), np.array([0.0, 0.0, 1.0])
+    nodes, weights = np.polynomial.legendre.leggauss(300)
+    cap = 1 - np.sqrt(1 - (radius / distance) ** 2)
+    rise, around = np.meshgrid((nodes + 1) / 2 * cap, (np.arange(360) + 0.5) * np.pi / 180, indexing="ij")
+    axis = centre / distance
+    across = np.cross(axis, [1.0, 0.0, 0.0])
+    sine = np.sqrt(rise * (2 - rise))[..., None]
+    towards = (1 - rise)[..., None] * axis + sine * (
+        np.cos(around)[..., None] * np.array([1.0, 0.0, 0.0]) + np.sin(around)[..., None] * across
+    )
+    for off_deg in (0.0, 6.0):
+        angle = np.radians(theta_deg - off_deg)
+        view = np.array([0.0, -np.sin(angle), np.cos(angle)])
+        reflected = reflect(0.3, 1.0, beta, mu, angles_from_directions(normal, towards, view), 1.5, 0.2)
+        value = np.sum(reflected / np.pi * (weights * cap / 2)[:, None]) * np.pi / 180
+        expected = 7.0 * value * spectrum_of("D65")[30]
+        picture = traced([plate(50.0)], [material(0.3, beta=beta, mu=mu, n=1.5, k=0.2)], DARK, 16384,
+                         position=300 * view, size=(1, 1), fov=0.001, up=(0.0, np.cos(angle), np.sin(angle)),
+                         lights=[lamp("sphere", position_mm=list(centre), radius_mm=radius, radiance=7.0)])  # fmt: skip
+        error = picture.standard_error[0, 0, 30]
+        assert error <= 0.02 * expected
+        assert abs(picture.radiance[0, 0, 30] - expected) <= 5 * error + 1e-3 * expected
+
+
+def test_lights_add_up():
+    """Which light is chosen is left to chance; what they give together is not."""
+    lights = [
+        lamp("collimated", azimuth_deg=0.0, elevation_deg=40.0, irradiance=0.2),
+        lamp("sphere", position_mm=[60, 0, 100], radius_mm=20, radiance=2),
+        lamp("rectangle", position_mm=[-40, 25, 90], rotation_deg=[180, 0, 0], width_mm=80, height_mm=50, radiance=5),
+    ]
+    room = sky(lambda d: np.exp(9 * (d[..., 2:] - 1)))
+    material_ = material(SPECTRUM, beta=2.0, mu=0.2)
+    view = {"position": (-60, -60, 100), "size": (8, 8), "fov": 5}
+    together = traced([plate(1000.0)], [material_], room, 2048, lights=lights, **view)
+    parts = [traced([plate(1000.0)], [material_], DARK, 2048, lights=[one], seed=1, **view) for one in lights]
+    parts.append(traced([plate(1000.0)], [material_], room, 2048, seed=1, **view))
+    total = sum(p.radiance.astype(float) for p in parts)
+    error = np.sqrt(together.standard_error**2 + sum(p.standard_error**2 for p in parts))
+    z = (together.radiance - total)[..., ::10] / error[..., ::10]
+    assert np.abs(z).max() < 7 and np.abs(z.mean()) < 1.0
+    assert (error <= 0.03 * total).all()
+
+
+def test_light_takes_the_same_paths_both_ways():
+    """What a small lamp at P sends past Q from all sides is what it sends past P from Q: reciprocity of every path."""
+    shapes = [plate(100.0), ball(30.0), ball(20.0)]
+    places = [(0, 0, 0), (-25, 10, 30), (28, 15, 20)]
+    materials = [material(0.6, beta=3.0, mu=0.15, n=1.6), material(0.3, beta=1.0, mu=0.4, n=0.2, k=3.4),
+                 material(0.1, beta=20.0, mu=0.12, n=0.3, k=2.5)]  # fmt: skip
+    ends = np.array([[-70.0, -110.0, 60.0], [80.0, -80.0, 110.0]])
+    fluence, error = [], []
+    for eye, other in (ends, ends[::-1]):
+        small = lamp("sphere", position_mm=list(other), radius_mm=4.0, radiance=250.0)
+        # 80° towards the objects hold every ray that meets one, and not the lamp.
+        picture = traced(shapes, materials, DARK, 512, places=places, position=eye, target=(0, 20, 10), size=(48, 48),
+                         fov=80, lights=[small])  # fmt: skip
+        ray = pixel_rays(eye, (0, 20, 10), (48, 48), 80)
+        forward = np.subtract((0, 20, 10), eye) / np.linalg.norm(np.subtract((0, 20, 10), eye))
+        solid_angle = (ray @ forward) ** 3 * (2 * np.tan(np.radians(40)) / 48) ** 2
+        lit = picture.radiance[..., 30] > 0
+        assert lit.any() and not lit[[0, -1]].any() and not lit[:, [0, -1]].any()
+        fluence.append((picture.radiance[..., 30] * solid_angle).sum(dtype=float))
+        error.append(np.sqrt(((picture.standard_error[..., 30] * solid_angle) ** 2).sum(dtype=float)))
+    assert max(error) <= 5e-3 * fluence[0]
+    assert abs(fluence[0] - fluence[1]) <= 4 * np.hypot(*error)
+
+
+# --- error bars, seeds, threads, tiles ---------------------------------------------------------------------------
+
+
+def still_life(samples, **options):
+    light = sky(
+        lambda d: np.stack([smooth_light(d), np.exp(60 * (d[..., 2] - 1))], axis=-1), basis=np.eye(61)[:, :2] + 0.1
+    )
+    shapes, places = [plate(120.0), BALL, BALL], [(0, 0, 0), (-20, 0, 20), (20, 5, 20)]
+    materials = [
+        material(0.5, beta=1.0, mirror=0.2),
+        material(SPECTRUM, beta=3.0, mu=0.2),
+        material(mirror=1.0, n=0.2, k=3),
+    ]
+    view = {"position": (20, -250, 130), "target": (0, 0, 10), "fov": 14, "size": (24, 18), "places": places}
+    return traced(shapes, materials, light, samples, **view, **options)
+
+
+def test_error_bars_tell_how_far_a_picture_is_from_its_limit():
+    limit = still_life(8192, seed=99)
+    for samples in (128, 1024):
+        picture = still_life(samples)
+        bands = [0, 1, 30]
+        error = np.hypot(picture.standard_error, limit.standard_error)[..., bands]
+        noisy = error > 1e-4 * limit.radiance[..., bands]
+        z = ((picture.radiance - limit.radiance)[..., bands] / np.maximum(error, 1e-30))[noisy]
+        # Student's t of 7 degrees of freedom: variance 1.4, 2.3 % beyond 2.9 on either side together.
+        assert noisy.mean() > 0.3
+        assert 1.0 < np.mean(np.minimum(z * z, 50)) < 2.0
+        assert 0.01 < (np.abs(z) > 2.9).mean() < 0.05
+        assert abs(z.mean()) < 0.15
+
+
+def test_the_error_falls_with_the_samples():
+    coarse, fine = (still_life(samples).standard_error[..., 30] for samples in (32, 2048))
+    assert np.sqrt((fine**2).mean()) <= np.sqrt((coarse**2).mean()) / 8 * 1.3
+
+
+@pytest.fixture
+def threads():
+    before = numba.get_num_threads()
+    yield numba.set_num_threads
+    numba.set_num_threads(before)
+
+
+def test_threads_and_tiles_do_not_change_a_bit_and_seeds_do(threads):
+    if numba.config.NUMBA_NUM_THREADS < 2:
+        pytest.skip("one thread only")
+    pictures = []
+    for count, tile_rows in ((1, 60), (2, 60), (2, 7), (2, 1)):
+        threads(count)
+        pictures.append(still_life(16, tile_rows=tile_rows))
+    for other in pictures[1:]:
+        assert np.array_equal(pictures[0].radiance, other.radiance)
+        assert np.array_equal(pictures[0].standard_error, other.standard_error)
+    assert not np.array_equal(pictures[0].radiance, still_life(16, seed=1).radiance)
+
+
+def test_an_interrupted_picture_goes_on_where_it_stopped(tmp_path, monkeypatch):
+    from irodori.rendering.reference import picture as module
+
+    whole = still_life(16, tile_rows=6)
+    real, made = module.render_rows, []
+
+    def counted(scene, view, numbers, rows):
+        if len(made) == 2:
+            raise KeyboardInterrupt
+        made.append(rows)
+        return real(scene, view, numbers, rows)
+
+    monkeypatch.setattr(module, "render_rows", counted)
+    with pytest.raises(KeyboardInterrupt):
+        still_life(16, tile_rows=6, tiles=Tiles(tmp_path / "t", "a"))
+    assert made == [(0, 6), (6, 12)]
+    made.clear()
+    tiles = Tiles(tmp_path / "t", "a")
+    again = still_life(16, tile_rows=6, tiles=tiles)
+    assert made == [(12, 18)]
+    assert np.array_equal(again.radiance, whole.radiance)
+    assert np.array_equal(again.standard_error, whole.standard_error)
+    # Tiles of another picture are none of this one's.
+    made.clear()
+    with pytest.raises(KeyboardInterrupt):
+        still_life(16, tile_rows=6, tiles=Tiles(tmp_path / "t", "b"))
+    assert made == [(0, 6), (6, 12)]
+    tiles.remove()
+    assert {p.name for p in (tmp_path / "t").iterdir()} == {"b-0-6.npz", "b-6-12.npz"}
+
+
+@pytest.mark.parametrize("samples", [0, 7, 20])
+def test_samples_that_replicates_cannot_share_are_refused(samples):
+    with pytest.raises(ValueError, match="multiple of 8"):
+        still_life(samples)
+
+
+def test_an_unknown_light_lists_the_kinds():
+    with pytest.raises(ValueError, match="accepted: collimated, rectangle, sphere"):
+        traced([BALL], [material(0.5)], DARK, 8, size=(1, 1), lights=[lamp("disc", radius_mm=3.0)])
