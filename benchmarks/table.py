@@ -48,7 +48,12 @@ def arguments_of(description: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--runs", type=_runs, default=7, help=f"timed runs of each variant, at least {_LEAST_RUNS}")
     parser.add_argument("--threads", type=int, default=min(2, numba.config.NUMBA_NUM_THREADS))
-    parser.add_argument("--size", choices=("small", "full"), default="full", help="small is over within a minute")
+    parser.add_argument(
+        "--size",
+        choices=("small", "full"),
+        default="full",
+        help="small is over in some minutes; without effect where a benchmark has one size",
+    )
     parser.add_argument("--output", type=Path, help="CSV to write")
     return parser
 

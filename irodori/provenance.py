@@ -21,9 +21,9 @@ def code_hash(*modules: str, root: Path = _ROOT) -> str:
     Parameters
     ----------
     *modules : str
-        Dotted names, such as ``irodori.fitting``. Local means: of the same top package.
+        Dotted names, such as ``irodori.fitting``. Local means: in the root, whichever its top package.
     root : path
-        Folder of the top package.
+        Folder of the top packages.
 
     Returns
     -------
@@ -93,7 +93,6 @@ def _imports(name: str, file: Path, root: Path) -> list[str]:
 @lru_cache(maxsize=4096)
 def _parsed_imports(name: str, file: Path, root: Path, _modified_ns: int, _size: int) -> tuple[str, ...]:
     # Each rule hashes what its script imports: without the cache a file is parsed for every one of them.
-    top = name.partition(".")[0]
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
     wanted = []
     for node in ast.walk(ast.parse(file.read_bytes(), filename=str(file))):
@@ -107,7 +106,7 @@ def _parsed_imports(name: str, file: Path, root: Path, _modified_ns: int, _size:
                 base = ".".join([*parents, base] if base else parents)
             # What follows "import" may be a submodule or a name inside the module.
             wanted += [base, *(f"{base}.{alias.name}" for alias in node.names)]
-    return tuple(module for module in wanted if module.partition(".")[0] == top and _exists(module, root))
+    return tuple(module for module in wanted if _exists(module, root))
 
 
 def config_hash(obj) -> str:

@@ -33,14 +33,12 @@ from irodori.lanes import (
     store,
     upper_of,
 )
-from irodori.material import Status
 from irodori.native import aligned
 
 NOISY = 0.01  # relative variance of an observation times their number, from which on weights are of the fitted response
 SURE = 4.0  # standard errors of α from zero, from which on a model without diffuse light is not tried
 _CONVERGED = 3e-5  # last Newton step of log μ; nearer than alone, for the first step leaves the second just under that
 _MAX_STEPS = 12  # of Newton; a texel that takes more is fitted alone
-_OK, _AT_BOUND, _OPEN = int(Status.OK), int(Status.AT_BOUND), int(Status.MU_UNIDENTIFIABLE)
 _SINGULAR = 1e-10
 #: Rows of lanes: cosθ_i, F G / cosθ_r, φ², what is not a number, response, weight, variance, weight times cosine and
 #: times response, lobe, and the weights of the texels before.

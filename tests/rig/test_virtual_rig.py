@@ -67,10 +67,10 @@ def standing(shot: Shot) -> Bench:
     return Bench(by_hand_deg=angles, filter=shot.filter, subject=shot.role)
 
 
-def shoot(camera: dict, rig: dict, session: str, shots: list[Shot], folder: Path, subject=None) -> None:
+def shoot(camera: dict, rig: dict, session: str, shots: list[Shot], folder: Path, subject=None, seen=None) -> None:
     """Take all photographs of a session into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    virtual = VirtualCamera(camera, rig, Bench(), session, shots, subject)
+    virtual = VirtualCamera(camera, rig, Bench(), session, shots, subject, seen)
     for shot in shots:
         virtual.bench = standing(shot)
         virtual.capture(shot, folder / shot.file)
@@ -95,6 +95,37 @@ def test_the_centre_of_a_plate_has_the_response_of_equation_5(definitions, perfe
 def test_the_underside_and_the_shadow_of_the_table_are_black(definitions, perfect):
     image, _, _ = photograph(uniform(definitions, "tile-plate"), *perfect, Pose(95.0, 20.0))
     assert image.max() == 0.0
+
+
+@pytest.mark.parametrize("distance_mm", [None, 120.0])
+@pytest.mark.parametrize("pose", [Pose(45.0, 20.0), Pose(100.0, 60.0, 15.0), Pose(100.0, 60.0, 5.0)])
+def test_shadow_rays_are_left_out_only_where_nothing_can_shade(definitions, perfect, pose, distance_mm, monkeypatch):
+    camera, rig = perfect
+    if distance_mm:
+        rig["light"]["distance_mm"] = distance_mm
+    short, _, _ = photograph(definitions["objects"]["vermilion-sphere"], camera, rig, pose)
+    monkeypatch.setattr("irodori.rig.virtual.imaging._is_open", lambda *given: False)
+    traced, _, _ = photograph(definitions["objects"]["vermilion-sphere"], camera, rig, pose)
+    np.testing.assert_array_equal(short, traced)
+
+
+def test_cameras_that_share_what_they_see_take_the_same_pictures(definitions, tmp_path):
+    camera, faulty = definitions["cameras"]["d5100-comb"], definitions["rigs"]["virtual"]
+    subject = uniform(definitions, "tile-plate")
+    still = copy.deepcopy(faulty)
+    for name in ("pose_error", "filter_plate"):
+        still["virtual"]["imperfections"][name]["enabled"] = False
+    shots = object_shots(subject | {"poses": [{"light_deg": [45.0], "camera_deg": [20.0]}]}, camera, ".dng")
+    shots = list({shot.filter: shot for shot in shots}.values())
+    seen: dict = {}
+    for number, rig in enumerate((still, faulty, still)):
+        shared, alone = (tmp_path / f"{kind}-{number}" for kind in ("shared", "alone"))
+        shoot(camera, rig, "plate", shots, shared, subject, seen)
+        shoot(camera, rig, "plate", shots, alone, subject)
+        for shot in shots:
+            assert (shared / shot.file).read_bytes() == (alone / shot.file).read_bytes()
+    # One pose in two filter states, seen straight and with faults; the third camera found both of its own.
+    assert len(seen) == 4
 
 
 def test_the_lamps_mirror_image_saturates_where_the_sphere_reflects_it(definitions, perfect):

@@ -58,6 +58,14 @@ def test_local_imports_are_followed(root, module, wanted):
     assert set(local_sources(module, root)) == wanted
 
 
+def test_imports_of_another_local_package_are_followed(root):
+    (root / "other").mkdir()
+    (root / "other/bench.py").write_text("import os\nfrom pkg.stage import x\n")
+    wanted = {"other.bench", "pkg", "pkg.stage", "pkg.middle", "pkg.leaf"}
+    assert set(local_sources("other.bench", root)) == wanted
+    assert {"irodori.fitting", "irodori.fitting.varpro"} <= set(local_sources("benchmarks.fit"))
+
+
 def test_an_edit_changes_the_hash_of_those_who_import_it(root):
     before = {name: code_hash(f"pkg.{name}", root=root) for name in ("alone", "stage", "named")}
     (root / "pkg" / "leaf.py").write_text("VALUE = 2\n")

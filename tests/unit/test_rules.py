@@ -15,7 +15,7 @@ def imports(script: Path) -> set[str]:
     """Return the modules of the package that a script imports."""
     names = set()
     for node in ast.walk(ast.parse(script.read_text())):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("irodori"):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(("irodori", "benchmarks")):
             names.add(node.module)
     return names - {COMMON}
 
@@ -27,7 +27,7 @@ def hashed() -> dict[str, set[str]]:
         for rule in re.split(r"\n(?=(?:use )?rule )", file.read_text()):
             script = re.search(r'scripts/(\w+\.py)"', rule)
             if script:
-                found[script[1]] = set(re.findall(r'"(irodori[\w.]*)"', rule))
+                found[script[1]] = set(re.findall(r'"((?:irodori|benchmarks)[\w.]*)"', rule))
     return found
 
 

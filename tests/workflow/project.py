@@ -22,9 +22,12 @@ def edit(path: Path, changes: dict) -> None:
     path.write_text(yaml.safe_dump(document, sort_keys=False))
 
 
-def snakemake(folder: Path, *arguments: str, snakefile: Path = ROOT / "Snakefile") -> subprocess.CompletedProcess:
-    """Run Snakemake in a working directory with the repository's Snakefile."""
-    command = [sys.executable, "-m", "snakemake", "--snakefile", str(snakefile), "--cores", "2", *arguments]
+def snakemake(
+    folder: Path, *arguments: str, snakefile: Path = ROOT / "Snakefile", cores: int | None = 2
+) -> subprocess.CompletedProcess:
+    """Run Snakemake in a working directory with the repository's Snakefile; some commands need no number of cores."""
+    number = ["--cores", str(cores)] if cores else []
+    command = [sys.executable, "-m", "snakemake", "--snakefile", str(snakefile), *number, *arguments]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=400)
 
 

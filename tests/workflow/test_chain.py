@@ -7,7 +7,7 @@ import shutil
 import h5py
 import numpy as np
 import yaml
-from project import ROOT, edit, planned, snakemake
+from project import ROOT, edit, planned, small_project, snakemake
 
 from irodori.pictures import read_spectral_exr
 from irodori.report.registration import read_registration, summarise
@@ -41,6 +41,19 @@ def test_one_command_leaves_pictures_report_and_errors(finished):
         found = summarise(read_registration(finished / f"results/{name}/registration.csv"))
         assert found.by_capture + found.by_chart > 0 and found.by_none == 0
         assert f"<td>{name}</td><td>{found.by_capture}</td><td>{found.by_chart}</td>" in page
+
+
+def test_reports_and_clusters_name_no_number_of_cores_and_need_none(tmp_path):
+    folder = small_project(tmp_path / "still-life")
+    run = snakemake(folder, "--summary", cores=None)
+    assert run.returncode == 0 and "results/report.html" in run.stdout, run.stderr[-2000:]
+
+
+def test_what_measuring_speed_takes_is_not_counted_as_time_of_the_results(tmp_path):
+    run = snakemake(small_project(tmp_path / "still-life"), "--dry-run", "benchmark")
+    assert run.returncode == 0, run.stderr[-2000:]
+    kept = [line.split()[1] for line in run.stdout.splitlines() if line.strip().startswith("benchmark: ")]
+    assert len(kept) == 6 and not [path for path in kept if path.startswith("results/benchmarks/")]
 
 
 def test_recovered_materials_are_near_the_truth(finished):

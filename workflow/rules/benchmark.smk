@@ -3,17 +3,19 @@ rule measure_speed:
         table="results/benchmark/stages/{stage}.csv",
     log:
         "results/logs/measure_speed/{stage}.log",
+    # Not beside those of the other rules: the report adds them up as what the results took.
     benchmark:
-        "results/benchmarks/measure_speed/{stage}.tsv"
+        "results/benchmark/jobs/measure_speed/{stage}.tsv"
     conda:
         "../../envs/irodori.yaml"
-    # Alone on the machine: what is timed beside something else is timed wrong.
-    threads: workflow.cores
+    # Alone on the machine: what is timed beside something else is timed wrong. The number is asked for only when this
+    # rule is wanted: a cluster and `snakemake --report` have none.
+    threads: lambda wildcards: workflow.cores
     resources:
         mem_mb=lambda wildcards, attempt: 6000 * attempt,
     params:
         size=lookup(within=config, dpath="benchmark_size"),
-        code=lambda wildcards: code_hash(f"benchmarks.{wildcards.stage}"),
+        code=lambda wildcards: code_hash("benchmarks.table", f"benchmarks.{wildcards.stage}"),
     script:
         "../scripts/measure_speed.py"
 
@@ -24,14 +26,14 @@ rule compare_materials:
     log:
         "results/logs/compare_materials/all.log",
     benchmark:
-        "results/benchmarks/compare_materials/all.tsv"
+        "results/benchmark/jobs/compare_materials/all.tsv"
     conda:
         "../../envs/irodori.yaml"
     threads: 1
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
-        code=code_hash("benchmarks.materials"),
+        code=code_hash("benchmarks.table", "benchmarks.materials"),
     script:
         "../scripts/compare_materials.py"
 
@@ -50,7 +52,7 @@ rule write_speed_report:
     log:
         "results/logs/write_speed_report/all.log",
     benchmark:
-        "results/benchmarks/write_speed_report/all.tsv"
+        "results/benchmark/jobs/write_speed_report/all.tsv"
     conda:
         "../../envs/irodori.yaml"
     threads: 1
