@@ -74,9 +74,8 @@ def _photographed(linear, calibration: Calibration, centre_azimuth_deg: float) -
 
     def read() -> Iterator[np.ndarray]:
         with store.open_file(linear) as file:
-            response = file.dataset("response")
             for rows in bands(len(valid)):
-                weights = calibration.weights(fill_masked(response[rows], ~valid[rows]))
+                weights = calibration.weights(fill_masked(file.read("response", rows), ~valid[rows]))
                 yield from_panorama(weights, centre_azimuth_deg)
 
     basis = calibration.basis * calibration.light[:, None]

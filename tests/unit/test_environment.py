@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import h5py
 import numpy as np
 import pytest
 from compressing import compress
@@ -210,6 +211,21 @@ def test_stage_refuses_pixels_without_a_valid_bracket(tmp_path):
     calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61), ("out",))
     write_inputs(tmp_path, np.ones((8, 16, 3)), valid, calibration)
     with pytest.raises(InputError, match="1 pixels saturated"):
+        stage(tmp_path)
+    assert not (tmp_path / "e.h5").exists()
+
+
+def test_stage_refuses_a_photograph_whose_data_is_damaged(tmp_path):
+    calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61), ("out",))
+    response = np.random.default_rng(2).uniform(0.1, 1, (80, 160, 3))
+    write_inputs(tmp_path, response, np.ones((80, 160), np.uint8), calibration)
+    with h5py.File(tmp_path / "linear.h5") as file:
+        chunk = file["response"].id.get_chunk_info(0)
+    content = bytearray((tmp_path / "linear.h5").read_bytes())
+    middle = chunk.byte_offset + chunk.size // 2
+    content[middle : middle + 64] = bytes(64)
+    (tmp_path / "linear.h5").write_bytes(content)
+    with pytest.raises(InputError, match="response: found unreadable data"):
         stage(tmp_path)
     assert not (tmp_path / "e.h5").exists()
 
