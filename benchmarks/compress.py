@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ from benchmarks.table import COLUMNS, arguments_of, medians_s, own_peak_mb, repo
 from irodori import store
 from irodori.coefficients import read_coefficients
 from irodori.colour import colour_matching_weights, summary, xyz_from_reflectance
-from irodori.principal import Compression, CompressOptions, Tiles, analyse
+from irodori.principal import Compression, CompressOptions, analyse
 from irodori.principal.reflections import colour_error
 from irodori.spectra import spectrum
 from irodori.threads import use_threads
@@ -118,17 +119,22 @@ def pca(folder: Path, variant: str) -> Compression:
     return made
 
 
+def tiles_of(source) -> Iterator[np.ndarray]:
+    """Yield a picture's pixels (n, 61) tile by tile, one after the other in one buffer."""
+    rows = max(1, (16 << 20) // (source.shape[1] * 244))
+    tile = np.empty((rows, *source.shape[1:]), dtype=np.float32)
+    for first in range(0, source.shape[0], rows):
+        last = min(first + rows, source.shape[0])
+        source.read_direct(tile, np.s_[first:last], np.s_[: last - first])
+        yield tile[: last - first].reshape(-1, 61)
+
+
 def read_blas(folder: Path) -> None:
     """Read the picture, tile by tile, and multiply each with itself."""
     with store.open_file(folder / "spectra.h5") as file:
-        source = file.dataset("radiance")
-        rows = max(1, (16 << 20) // (source.shape[1] * 244))
-        tile, total = np.empty((rows, *source.shape[1:]), dtype=np.float32), np.zeros((61, 61))
-        for first in range(0, source.shape[0], rows):
-            last = min(first + rows, source.shape[0])
-            source.read_direct(tile, np.s_[first:last], np.s_[: last - first])
-            flat = tile[: last - first].reshape(-1, 61)
-            total += flat.T @ flat
+        total = np.zeros((61, 61))
+        for tile in tiles_of(file.dataset("radiance")):
+            total += tile.T @ tile
 
 
 def scikit(folder: Path, variant: str):
@@ -138,12 +144,10 @@ def scikit(folder: Path, variant: str):
         if variant == "truncated-svd":
             model = TruncatedSVD(OTHER_BASES, random_state=0)
             return model, model.fit_transform(source[()].reshape(-1, 61))
-        model, tiles = IncrementalPCA(OTHER_BASES), Tiles(source)
-        for _ in tiles.map(lambda rows, first, worker: model.partial_fit(rows)):
-            pass
-        return model, np.concatenate(
-            list(tiles.map(lambda rows, first, worker: model.transform(rows).astype(np.float32)))
-        )
+        model = IncrementalPCA(OTHER_BASES)
+        for tile in tiles_of(source):  # one after the other: a model that learns is no place for two threads
+            model.partial_fit(tile)
+        return model, np.concatenate([model.transform(tile).astype(np.float32) for tile in tiles_of(source)])
 
 
 def decode(folder: Path, variant: str) -> int:
