@@ -117,7 +117,7 @@ def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
     ----------
     path : path
     rows : int
-        Of a band, the last one excepted; a file in tiles is read in whole rows of tiles instead.
+        Of a band at most; a file in tiles is read in whole rows of tiles, of which bands are parts.
 
     Raises
     ------
@@ -127,9 +127,9 @@ def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
     source = _open(path, "an HDR or EXR picture")
     try:
         spec = source.spec()
-        rows = spec.tile_height or rows
-        for first in range(0, spec.height, rows):
-            top, bottom = spec.y + first, spec.y + min(first + rows, spec.height)
+        together = spec.tile_height or rows
+        for first in range(0, spec.height, together):
+            top, bottom = spec.y + first, spec.y + min(first + together, spec.height)
             if spec.tile_height:
                 right = spec.x + spec.width
                 band = source.read_tiles(0, 0, spec.x, right, top, bottom, 0, 1, 0, spec.nchannels, "float")
@@ -138,7 +138,9 @@ def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
             if band is None:
                 found = f"a picture that ends within rows {first} to {bottom - spec.y - 1}"
                 raise InputError(path, "", found, f"a whole picture of {spec.height} rows")
-            yield first, band.reshape(bottom - top, spec.width, spec.nchannels)
+            band = band.reshape(bottom - top, spec.width, spec.nchannels)
+            for start in range(0, len(band), rows):
+                yield first + start, band[start : start + rows]
     finally:
         source.close()
 
