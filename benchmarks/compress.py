@@ -24,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 from sklearn.decomposition import IncrementalPCA, TruncatedSVD
+from threadpoolctl import threadpool_limits
 
 from benchmarks.table import COLUMNS, arguments_of, medians_s, own_peak_mb, report
 from irodori import store
@@ -145,9 +146,12 @@ def scikit(folder: Path, variant: str):
             model = TruncatedSVD(OTHER_BASES, random_state=0)
             return model, model.fit_transform(source[()].reshape(-1, 61))
         model = IncrementalPCA(OTHER_BASES)
-        for tile in tiles_of(source):  # one after the other: a model that learns is no place for two threads
-            model.partial_fit(tile)
-        return model, np.concatenate([model.transform(tile).astype(np.float32) for tile in tiles_of(source)])
+        # One tile after the other: a model that learns is no place for two threads. BLAS has one, too: a second gains
+        # a quarter on an idle machine and takes five times as long where it must wait for its core.
+        with threadpool_limits(1, user_api="blas"):
+            for tile in tiles_of(source):
+                model.partial_fit(tile)
+            return model, np.concatenate([model.transform(tile).astype(np.float32) for tile in tiles_of(source)])
 
 
 def decode(folder: Path, variant: str) -> int:
