@@ -1,91 +1,75 @@
-"""From fitted tiles to the object's material: maps, spectra by equation (4), PCA of this image."""
+"""From fitted tiles to the object's material: maps, spectra by equation (4), PCA of this image.
 
-from dataclasses import replace
+Tiles are read three times and never held: for what is known of the whole texture, for the second moments of its
+spectra, and to write the material's file.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from irodori import store
+from irodori.coefficients import reserve_coefficients
 from irodori.colour import xyz_from_reflectance
-from irodori.errors import InputError
-from irodori.material import Material
+from irodori.fitted_tiles import COLUMNS, FittedTiles
+from irodori.material import COEFFICIENTS, MAPS, QUANTITY, write_constants
 from irodori.principal import WEIGHTINGS, Compression, CompressOptions, choose, drift, second_moments
 from irodori.progress import LOGGER
 from irodori.recovery import Calibration
 from irodori.spectra import refractive_index
 
-_COLUMNS = {
-    "texel": ("1", "1 where a surface lies under the texel's centre"),
-    "alpha_error": ("1", "standard error of alpha"),
-    "beta_error": ("1", "standard error of beta"),
-    "mu_error": ("rad", "standard error of mu"),
-    "residual_rms": ("1", "root mean square residual in response"),
-    "status": ("1", "outcome of the fit"),
-    "relative_residual": ("1", "root mean square residual over root mean square response"),
-    "pooled_from": ("1", "texels that the gloss comes from, 0 where it is the texel's own"),
-    "evaluations": ("1", "evaluations of the objective"),
-    "nlopt_result": ("1", "return code of NLopt, 0 where not called"),
-}
 _GREEN = 1
+_OWN = ("alpha", "beta", "mu")
+_RESPONSE = ("diffuse_response", "diffuse_variance")
 
 
-def assemble(tiles: list, height: int, width: int) -> tuple[dict[str, np.ndarray], list[str], dict]:
-    """Return the maps of an object from its tiles, and the speed of the fit.
+@dataclass(frozen=True)
+class _Reflectance:
+    """The spectra of a texture on the recovery basis, tile by tile; NaN where nothing is known."""
 
-    Returns
-    -------
-    maps : dict of (height, width, ...) arrays
-    filters : list of str
-        Filter states of the bands.
-    speed : dict
-        ``fit_seconds`` without start-up and compilation, and ``texels_fitted``.
+    fitted: FittedTiles
+    calibration: Calibration
+    is_noise_known: bool
 
-    Raises
-    ------
-    InputError
-        If the tiles do not cover the texture exactly.
-    """
-    maps: dict[str, np.ndarray] = {}
-    covered = np.zeros(height, dtype=int)
-    seconds, fitted, filters = 0.0, 0, None
-    for path in tiles:
-        with store.open_file(path) as file:
-            found = file.attribute("filters")
-            if filters not in (None, found):
-                raise InputError(path, "filters", ", ".join(found), f"{', '.join(filters)}, as in the other tiles")
-            filters = found
-            seconds, fitted = seconds + file.attribute("fit_seconds"), fitted + file.attribute("texels_fitted")
-            first, last = file.attribute("rows")
-            covered[first:last] += 1
-            for name in ("alpha", "beta", "mu", "diffuse_response", "diffuse_variance", *_COLUMNS):
-                values = file.read(name)
-                if name not in maps:
-                    maps[name] = np.empty((height, width, *values.shape[1:]), dtype=values.dtype)
-                maps[name][first:last] = values.reshape(last - first, width, *values.shape[1:])
-    if not (covered == 1).all():
-        found = f"{int((covered != 1).sum())} rows missing or doubled"
-        raise InputError(tiles[0], "rows", found, f"tiles that cover {height} rows once")
-    return maps, filters, {"fit_seconds": seconds, "texels_fitted": fitted}
+    def __iter__(self) -> Iterator[np.ndarray]:
+        for _, maps in self.fitted.read(*_RESPONSE, "alpha"):
+            yield self.of(maps)
+
+    def variance(self, maps: dict) -> np.ndarray | None:
+        """Return the variance of the responses of a tile, None where the camera's noise was not measured."""
+        return maps["diffuse_variance"] if self.is_noise_known else None
+
+    def of(self, maps: dict) -> np.ndarray:
+        """Return weights (rows, width, r) of a tile's maps."""
+        weights = self.calibration.weights(maps["diffuse_response"], self.variance(maps))
+        weights[~np.isfinite(maps["alpha"])] = np.nan
+        return weights
 
 
-def typical_gloss(beta: np.ndarray, mu: np.ndarray, mu_error: np.ndarray) -> tuple[float, float]:
-    """Return the medians of β and μ over the better-determined half of the texels; (0, 1) where there are none."""
-    known = np.isfinite(beta) & np.isfinite(mu) & np.isfinite(mu_error)
-    if not known.any():
-        return 0.0, 1.0
-    relative = mu_error[known] / mu[known]
-    best = relative <= np.median(relative)
-    return float(np.median(beta[known][best])), float(np.median(mu[known][best]))
+@dataclass
+class _Gathered:
+    """What the file says of the observed texels of all tiles."""
 
+    observed: int = 0
+    texels: int = 0
+    outside: int = 0
+    error: list = field(default_factory=list)
+    ratio: list = field(default_factory=list)
 
-def known_variance(maps: dict[str, np.ndarray]) -> np.ndarray | None:
-    """Return the variance of the diffuse responses, None where the camera's noise was not measured."""
-    variance = maps["diffuse_variance"]
-    measured = np.isfinite(maps["diffuse_response"]).all(axis=-1)
-    unknown = ~np.isfinite(variance[measured]).all(axis=-1)
-    if not unknown.any():
-        return variance
-    LOGGER.info("noise not measured for %.1f %% of the texels: it has no part in their spectra", 100 * unknown.mean())
-    return None
+    def add(self, maps: dict, values: dict, observed: np.ndarray) -> None:
+        self.observed += int(observed.sum())
+        self.texels += int(maps["texel"].sum())
+        self.outside += int((values["out_of_training"][observed] == 1).sum())
+        self.error.append(values["reflectance_error"][observed])
+        self.ratio.append((values["alpha"][observed] / values["green_response"][observed]).astype(np.float32))
+
+    def errors(self) -> dict:
+        return {
+            "out_of_training_fraction": self.outside / max(self.observed, 1),
+            "reflectance_error_median": float(np.median(np.concatenate(self.error))),
+            "observed_fraction": self.observed / max(self.texels, 1),
+        }
 
 
 def confidence(calibration: Calibration, response, variance) -> dict[str, tuple]:
@@ -142,64 +126,60 @@ def compress_reflectance(
     lights : list of str
         Under each of which the colours are compared.
     """
-    height, width = definition["texels"]["height"], definition["texels"]["width"]
-    maps, filters, speed = assemble(tiles, height, width)
+    fitted = FittedTiles(tiles, definition["texels"]["height"], definition["texels"]["width"])
     calibration = Calibration.load(calibration_file)
-    calibration.require_filters(filters, tiles[0])
-    variance = known_variance(maps)
-    weights = calibration.weights(maps["diffuse_response"], variance)
-    observed = np.isfinite(weights).all(axis=-1) & np.isfinite(maps["alpha"])
-    if not observed.any():
-        raise InputError(tiles[0], "status", "no texel with enough observations", "captures that see the object")
+    calibration.require_filters(fitted.filters, fitted.first)
+    reflectance = _Reflectance(fitted, calibration, fitted.is_noise_known())
     observers = {name: (matrix := xyz_from_reflectance(name), matrix.sum(axis=1)) for name in lights}
-    weights[~observed] = np.nan
-    compression, compared = compress_maps(weights, calibration.basis, observers, options)
-    reliability = confidence(calibration, maps["diffuse_response"], variance)
-    material = _material(definition, maps, weights, compression, reliability)
-    error, _, _ = reliability["reflectance_error"]
-    errors = {
-        "out_of_training_fraction": float((reliability["out_of_training"][0][observed] == 1).mean()),
-        "reflectance_error_median": float(np.median(error[observed])),
-        "delta_e": compression.errors,
-        "negative_fraction": compression.negative.fraction,
-        "compression": compared,
-        "observed_fraction": float(observed.sum() / max(maps["texel"].sum(), 1)),
-        **speed,
-    }
-    material.save(output, provenance, errors, storage=options.storage, codec=options.codec)
-    _log(material, compression, observed)
-
-
-def _material(
-    definition: dict, maps: dict[str, np.ndarray], weights: np.ndarray, compression: Compression, reliability: dict
-) -> Material:
-    """Return the material of an object's maps; ``weights``, (height, width, r), are its reflectance before."""
-    coefficients = np.concatenate([compression.decode(tile) for tile in compression.tiles(weights)])
+    compression, compared = compress_maps(reflectance, calibration.basis, observers, options)
     n, k = refractive_index(definition["refractive_index"])
-    return Material(
-        alpha=maps["alpha"],
-        beta=maps["beta"],
-        mu=maps["mu"],
-        green_response=maps["diffuse_response"][..., _GREEN],
-        coefficients=coefficients.reshape(*weights.shape[:2], -1),
-        basis=compression.basis,
-        n=n,
-        k=k,
-        mirror=float(definition["mirror_weight"]),
-        typical_gloss=typical_gloss(maps["beta"], maps["mu"], maps["mu_error"]),
-        extra={name: (maps[name], units, what) for name, (units, what) in _COLUMNS.items()} | reliability,
+    with store.create(output, provenance) as out:
+        gathered = _write_maps(out, reflectance, compression, options.codec)
+        errors = gathered.errors() | {
+            "delta_e": compression.errors,
+            "negative_fraction": compression.negative.fraction,
+            "compression": compared,
+            **fitted.speed,
+        }
+        mirror, gloss = float(definition["mirror_weight"]), fitted.typical_gloss()
+        write_constants(out, compression.basis, n, k, mirror, gloss, errors)
+    _log(compression, gathered, fitted.height * fitted.width)
+
+
+def _write_maps(out: store.Writer, reflectance: _Reflectance, compression: Compression, codec: str) -> _Gathered:
+    """Write all maps of the material, a tile at a time."""
+    fitted, calibration, gathered = reflectance.fitted, reflectance.calibration, _Gathered()
+    size, half = (fitted.height, fitted.width), compression.storage == "half"
+    shape, scale = (*size, compression.bases), compression.scale if half else None
+    coefficients = reserve_coefficients(
+        out, COEFFICIENTS, shape, quantity=QUANTITY, storage=compression.storage, codec=codec, scale=scale
     )
+    datasets = {}
+    for rows, maps in fitted.read(*_OWN, *_RESPONSE, *COLUMNS):
+        weights, response = reflectance.of(maps), maps["diffuse_response"]
+        stored = compression.encode(weights.reshape(-1, weights.shape[-1]))
+        coefficients[rows] = stored.reshape(*weights.shape[:2], -1)
+        own = {name: maps[name] for name in _OWN} | {"green_response": response[..., _GREEN]}
+        described = {name: (values, *MAPS[name]) for name, values in own.items()}
+        described |= {name: (maps[name], *what) for name, what in COLUMNS.items()}
+        described |= confidence(calibration, response, reflectance.variance(maps))
+        for name, (values, units, quantity) in described.items():
+            if name not in datasets:
+                names = {"units": units, "dims": "row,column", "quantity": quantity}
+                datasets[name] = out.reserve(name, size, values.dtype, **names)
+            datasets[name][rows] = values
+        values = {name: one[0] for name, one in described.items()}
+        gathered.add(maps, values, np.isfinite(weights).all(axis=-1))
+    return gathered
 
 
-def compress_maps(
-    weights: np.ndarray, basis: np.ndarray, observers: dict, options: CompressOptions
-) -> tuple[Compression, dict]:
+def compress_maps(weights, basis: np.ndarray, observers: dict, options: CompressOptions) -> tuple[Compression, dict]:
     """Return the compression of reflectance maps, and what the material's file says of it.
 
     Parameters
     ----------
-    weights : (height, width, r) float32
-        NaN where nothing is known.
+    weights : (height, width, r) float32, or tiles of it
+        NaN where nothing is known; see `irodori.principal.Tiles`.
     basis : (61, r) float
     observers : dict
         See `irodori.principal.analyse`.
@@ -226,13 +206,13 @@ def compress_maps(
     }
 
 
-def _log(material: Material, compression: Compression, observed: np.ndarray) -> None:
-    share, negative = 100 * observed.mean(), 100 * compression.negative.fraction
+def _log(compression: Compression, gathered: _Gathered, texels: int) -> None:
+    share, negative = 100 * gathered.observed / texels, 100 * compression.negative.fraction
     bases, rank = compression.bases, compression.rank
     LOGGER.info("%d bases of %d; observed %.1f %% of texels; negative samples %.3f %%", bases, rank, share, negative)
     if not compression.budget_met:
         LOGGER.warning("the colour error stays above its target with all %d bases in this storage", bases)
-    ratio = material.alpha[observed] / material.green_response[observed]
-    LOGGER.info("alpha / S_G: median %.4f, 5 to 95 %% %.4f to %.4f", *np.percentile(ratio, [50, 5, 95]))
+    ratio = np.percentile(np.concatenate(gathered.ratio), [50, 5, 95])
+    LOGGER.info("alpha / S_G: median %.4f, 5 to 95 %% %.4f to %.4f", *ratio)
     for light, error in compression.errors.items():
         LOGGER.info("CIEDE2000 of the compression under %s: mean %.3f p99 %.3f", light, error["mean"], error["p99"])

@@ -13,12 +13,15 @@ from irodori.irradiance import Integrator, fitted_irradiance_map
 from irodori.light import QUANTITY, Environment
 from irodori.light_files import rgb_picture, spectral_picture
 from irodori.mirror_ball import RIM, unwrapped
-from irodori.omnidirectional import MeanLight, Picture, bands
+from irodori.omnidirectional import MeanLight, Picture, bands, from_panorama
 from irodori.placed_lights import lights_picture
 from irodori.principal import Compression, CompressOptions, Tiles, choose, second_moments
 from irodori.progress import LOGGER
 from irodori.recovery import Calibration
+from irodori.spectra import spectrum
 
+#: Of the test colours of CIE 224 those least alike: light that keeps its colours on them keeps them on others.
+SURFACES = ("TCS2", "TCS56", "TCS77")
 _READERS = {"rgb": rgb_picture, "spectral": spectral_picture}
 
 
@@ -55,8 +58,11 @@ def _read_masks(linear, part=None) -> tuple[np.ndarray, list[str]]:
     return valid, filters
 
 
-def _photographed(linear, calibration: Calibration) -> Picture:
-    """Return the light of an equirectangular photograph; its brackets were merged when it was read in."""
+def _photographed(linear, calibration: Calibration, centre_azimuth_deg: float) -> Picture:
+    """Return the light of an equirectangular photograph, whose brackets were merged when it was read in.
+
+    Its columns run clockwise, as they do in every photograph taken from within.
+    """
     valid, filters = _read_masks(linear)
     calibration.require_filters(filters, linear)
     beside = lost_neighbours(~valid)
@@ -68,9 +74,9 @@ def _photographed(linear, calibration: Calibration) -> Picture:
 
     def read() -> Iterator[np.ndarray]:
         with store.open_file(linear) as file:
-            response = file.dataset("response")
             for rows in bands(len(valid)):
-                yield calibration.weights(fill_masked(response[rows], ~valid[rows]))
+                weights = calibration.weights(fill_masked(file.read("response", rows), ~valid[rows]))
+                yield from_panorama(weights, centre_azimuth_deg)
 
     basis = calibration.basis * calibration.light[:, None]
     return Picture(valid.shape, basis, read, linear, {"kind": "captures"})
@@ -112,7 +118,7 @@ def prepare_environment(
     linear, calibration_file : path
     output, options, irradiance_options, provenance, with_gloss : see `write_environment`
     source : dict, optional
-        Of the environment's definition; of the kind ``captures`` where absent.
+        Of the environment's definition; of the kind ``captures``, its middle at azimuth 0, where absent.
     image : dict, optional
         ``width`` and ``height`` of what a mirror ball is unwrapped to.
 
@@ -127,7 +133,7 @@ def prepare_environment(
     """
     calibration = Calibration.load(calibration_file)
     if source is None or source["kind"] == "captures":
-        picture = _photographed(linear, calibration)
+        picture = _photographed(linear, calibration, source["centre_azimuth_deg"] if source else 0.0)
     else:
         picture = _mirror_ball(linear, calibration, source, image)
     # The colour of the light is judged against the rig's light as white.
@@ -169,6 +175,16 @@ def make_environment(
     write_environment(picture, None, output, options, irradiance_options, provenance, with_gloss)
 
 
+def observers(white: np.ndarray) -> dict:
+    """Return how the colours of a light are judged: seen directly, and on surfaces, for `irodori.principal.choose`.
+
+    Directly seen light has three numbers for the eye; three bases would do, and say little of how it looks on pigments.
+    """
+    matrix = xyz_from_radiance(white)
+    seen = {"light": matrix} | {f"light on {name}": matrix * spectrum(name) for name in SURFACES}
+    return {name: (one, matrix @ white) for name, one in seen.items()}
+
+
 def write_environment(
     picture: Picture,
     white: np.ndarray | None,
@@ -206,8 +222,7 @@ def write_environment(
     if moments.masked:
         raise InputError(picture.file, "", f"{moments.masked} pixels that are not finite", "finite radiance everywhere")
     white = mean.light(picture.basis) if white is None else white
-    matrix = xyz_from_radiance(white)
-    compression = choose(moments, picture.basis, {"light": (matrix, matrix @ white)}, options)
+    compression = choose(moments, picture.basis, observers(white), options)
     coefficients = np.empty((*picture.size, compression.bases), dtype=np.float32)
     with store.create(output, provenance) as out:
         compression.write(

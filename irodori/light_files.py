@@ -6,7 +6,7 @@ import numpy as np
 
 from irodori.errors import InputError
 from irodori.omnidirectional import BAND_ROWS, Picture, from_panorama
-from irodori.pictures import layers_of, picture_bands, picture_header
+from irodori.pictures import Header, layers_of, picture_bands, picture_header
 from irodori.spectra import WAVELENGTH_NM, light
 from irodori.spectra.resampling import resample_picture
 
@@ -14,6 +14,11 @@ _RGB_ASSUMPTION = (
     "linear sRGB primaries; the spectrum of a pixel is R r(λ) + G g(λ) + B b(λ) of Mallett and Yuksel (2019) times "
     "D65, the smooth spectrum that has its colour: what the lights of the place really emit is not in the file"
 )
+
+
+#: Red, green, blue and white of linear sRGB (ITU-R BT.709), x and y of each.
+_SRGB = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+_CHROMATICITY_ROUNDING = 2e-3
 
 
 def mallett_basis() -> np.ndarray:
@@ -25,6 +30,16 @@ def mallett_basis() -> np.ndarray:
 
     columns = [np.interp(WAVELENGTH_NM, functions.wavelengths, column) for column in functions.values.T]
     return np.stack(columns, axis=1) * light("D65")[:, None]
+
+
+def _panorama_header(path) -> Header:
+    """Return the header of a panorama; refuse one that holds a part of its picture."""
+    header = picture_header(path)
+    if header.size != header.shown:
+        (height, width), (whole_height, whole_width) = header.size, header.shown
+        found = f"{width} x {height} pixels of a picture of {whole_width} x {whole_height}"
+        raise InputError(path, "dataWindow", found, "every direction: a whole panorama")
+    return header
 
 
 def _finite(band: np.ndarray, first: int, path) -> np.ndarray:
@@ -70,14 +85,15 @@ def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Pi
     Raises
     ------
     InputError
-        If the file cannot be read, has no R, G and B, or is made for a display; while it is read, if it is truncated or
-        a pixel is not finite.
+        If the file cannot be read, has no R, G and B, states other primaries, is a part of a picture, or is made for a
+        display; while it is read, if it is truncated or a pixel is not finite.
 
     Notes
     -----
     Negative values, which lossy compression and wide gamuts leave, are set to 0 and counted in ``origin``.
     """
-    shape, names, depth = picture_header(path)
+    header = _panorama_header(path)
+    names, depth = header.channels, header.depth
     if depth not in ("half", "float", "double"):
         accepted = "linear light: half or float samples, as EXR and Radiance HDR have"
         raise InputError(path, "", f"{depth} samples, which are made for a display", accepted)
@@ -85,6 +101,10 @@ def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Pi
     if missing:
         found = f"no channel {missing[0]} among {', '.join(names[:6])}"
         raise InputError(path, "channels", found, "the channels R, G and B")
+    stated = header.chromaticities
+    if stated is not None and np.abs(np.subtract(stated, _SRGB)).max() > _CHROMATICITY_ROUNDING:
+        found = ", ".join(f"{value:g}" for value in stated)
+        raise InputError(path, "chromaticities", found, f"those of linear sRGB: {', '.join(map(str, _SRGB))}")
     origin = {"kind": "rgb", "assumption": _RGB_ASSUMPTION}
     not_negative, channels = _NotNegative(origin), [names.index(name) for name in "RGB"]
 
@@ -93,7 +113,7 @@ def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Pi
             rgb = not_negative(_finite(band[..., channels], first, path), first)
             yield from_panorama(rgb * np.float32(scale), centre_azimuth_deg)
 
-    return Picture(shape, mallett_basis(), read, path, origin)
+    return Picture(header.size, mallett_basis(), read, path, origin)
 
 
 def spectral_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Picture:
@@ -110,11 +130,11 @@ def spectral_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) 
     Raises
     ------
     InputError
-        If the file cannot be read, holds no emissive layers (a picture of reflectances is no light), or does not cover
-        the wavelengths; while it is read, if it is truncated or a value is not finite.
+        If the file cannot be read, holds no emissive layers (a picture of reflectances is no light), is a part of a
+        picture, or does not cover the wavelengths; while it is read, if it is truncated or a value is not finite.
     """
-    shape, names, _ = picture_header(path)
-    wavelength_nm, channels = layers_of(names, "S0", path)
+    header = _panorama_header(path)
+    wavelength_nm, channels = layers_of(header.channels, "S0", path)
     resample_picture(wavelength_nm, np.zeros((1, len(wavelength_nm)), np.float32), path)  # refuses before reading
     bounds = [float(wavelength_nm[0]), float(wavelength_nm[-1]), len(wavelength_nm)]
     origin = {"kind": "spectral", "wavelengths_nm": bounds}
@@ -126,4 +146,4 @@ def spectral_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) 
             values = not_negative(resample_picture(wavelength_nm, spectra, path), first)
             yield from_panorama(values * np.float32(scale), centre_azimuth_deg)
 
-    return Picture(shape, np.eye(WAVELENGTH_NM.size), read, path, origin)
+    return Picture(header.size, np.eye(WAVELENGTH_NM.size), read, path, origin)

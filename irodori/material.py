@@ -11,12 +11,14 @@ from irodori.coefficients import read_coefficients, write_coefficients
 from irodori.spectra.grid import SAMPLES
 
 _DARKEST_GREEN = 1e-3
-_MAPS = {
+#: Maps of a material's own file: units and quantity.
+MAPS = {
     "alpha": ("1", "diffuse weight"),
     "beta": ("1", "gloss weight"),
     "mu": ("rad", "roughness"),
     "green_response": ("1", "green-band response of S"),
 }
+COEFFICIENTS, QUANTITY = "reflectance/coefficients", "coefficients of the reflectance factor"
 
 
 class Status(IntEnum):
@@ -106,36 +108,25 @@ class Material:
         ``storage`` and ``codec`` are those of `irodori.coefficients`.
         """
         with store.create(path, provenance) as out:
-            maps = {name: (getattr(self, name), units, what) for name, (units, what) in _MAPS.items()}
+            maps = {name: (getattr(self, name), units, what) for name, (units, what) in MAPS.items()}
             store.write_maps(out, maps | self.extra, "row,column,component")
             write_coefficients(
                 out,
-                "reflectance/coefficients",
+                COEFFICIENTS,
                 self.coefficients,
-                quantity="coefficients of the reflectance factor",
+                quantity=QUANTITY,
                 storage=storage,
                 codec=codec,
             )
-            out.write("reflectance/basis", self.basis, units="1", dims="wavelength,basis", quantity="spectral basis")
-            for name in ("n", "k"):
-                out.write(
-                    f"refractive_index/{name}",
-                    getattr(self, name),
-                    units="1",
-                    dims="wavelength",
-                    quantity="complex refractive index n + ik",
-                )
-            out.attribute("mirror", self.mirror)
-            out.attribute("typical_gloss", list(self.typical_gloss))
-            out.attribute("errors", errors or {})
+            write_constants(out, self.basis, self.n, self.k, self.mirror, self.typical_gloss, errors)
 
     @classmethod
     def load(cls, path) -> "Material":
         """Read ``material.h5``."""
         with store.open_file(path) as file:
             return cls(
-                **{name: file.read(name) for name in _MAPS},
-                coefficients=read_coefficients(file, "reflectance/coefficients"),
+                **{name: file.read(name) for name in MAPS},
+                coefficients=read_coefficients(file, COEFFICIENTS),
                 basis=file.read("reflectance/basis"),
                 n=file.read("refractive_index/n"),
                 k=file.read("refractive_index/k"),
@@ -194,9 +185,22 @@ class Material:
         own = replace(self, alpha=np.where(covered, self.alpha, np.nan))
         inside, _ = own.filled()
         row, column = ndimage.distance_transform_edt(~covered, return_distances=False, return_indices=True)
-        maps = {name: getattr(inside, name)[row, column] for name in (*_MAPS, "coefficients")}
+        maps = {name: getattr(inside, name)[row, column] for name in (*MAPS, "coefficients")}
         return replace(inside, **maps), float(1.0 - observed.sum() / covered.sum())
 
     def spectra(self) -> np.ndarray:
         """Return S(λ) of every texel, (height, width, 61)."""
         return self.coefficients @ self.basis.T
+
+
+def write_constants(
+    out: store.Writer, basis, n, k, mirror: float, typical_gloss: tuple[float, float], errors: dict | None
+) -> None:
+    """Write what a material's file holds beside its maps into an open file; see `Material` and `Material.save`."""
+    out.write("reflectance/basis", basis, units="1", dims="wavelength,basis", quantity="spectral basis")
+    names = {"units": "1", "dims": "wavelength", "quantity": "complex refractive index n + ik"}
+    for name, values in (("n", n), ("k", k)):
+        out.write(f"refractive_index/{name}", values, **names)
+    out.attribute("mirror", mirror)
+    out.attribute("typical_gloss", list(typical_gloss))
+    out.attribute("errors", errors or {})

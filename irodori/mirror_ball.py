@@ -22,6 +22,7 @@ from irodori.spectra import SAMPLES, refractive_index, spectrum
 RIM = 0.98
 _ANGLES = 96
 _RANK_TOLERANCE = 1e-5
+_LEAST_SHARE = 1e-3
 
 
 def ball_reflectance(source: dict, cos_h: np.ndarray) -> np.ndarray:
@@ -87,6 +88,8 @@ def _bilinear(values: np.ndarray, valid: np.ndarray, x: np.ndarray, y: np.ndarra
     """Return pixels looked up between their centres, masked ones left out; refuse where all four are masked."""
     height, width = valid.shape
     x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
+    # The three others count for a little even where a masked pixel's own centre is looked up.
+    x, y = (first + np.clip(at - first, _LEAST_SHARE, 1.0 - _LEAST_SHARE) for at, first in ((x, x0), (y, y0)))
     total, weight = np.zeros((*x.shape, values.shape[-1])), np.zeros(x.shape)
     for dy in (0, 1):
         for dx in (0, 1):
@@ -96,7 +99,7 @@ def _bilinear(values: np.ndarray, valid: np.ndarray, x: np.ndarray, y: np.ndarra
                 valid[row, column, None], values[row, column], 0
             )
             weight += share
-    lost = int((weight <= 1e-6).sum())
+    lost = int((weight == 0.0).sum())
     if lost:
         raise InputError(
             path, "valid", f"{lost} directions whose pixels are all masked", "single masked pixels at most"

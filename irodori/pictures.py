@@ -4,6 +4,7 @@ import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import OpenImageIO as oiio
@@ -83,8 +84,18 @@ def _open(path, accepted: str) -> oiio.ImageInput:
     return source
 
 
-def picture_header(path) -> tuple[tuple[int, int], list[str], str]:
-    """Return (height, width), the names of the channels, and the type of the samples of a picture's file.
+class Header(NamedTuple):
+    """What a picture's file says of itself."""
+
+    size: tuple[int, int]  # (height, width)
+    channels: list[str]
+    depth: str  # type of the samples
+    shown: tuple[int, int]  # (height, width) of the display window, of which the file may hold a part
+    chromaticities: tuple[float, ...] | None  # x, y of red, green, blue and white, where the file states them
+
+
+def picture_header(path) -> Header:
+    """Return what a picture's file says of itself.
 
     Raises
     ------
@@ -94,7 +105,9 @@ def picture_header(path) -> tuple[tuple[int, int], list[str], str]:
     source = _open(path, "an HDR or EXR picture")
     spec = source.spec()
     source.close()
-    return (spec.height, spec.width), list(spec.channelnames), str(spec.format)
+    shown = (spec.full_height, spec.full_width)
+    chromaticities = spec.getattribute("chromaticities")
+    return Header((spec.height, spec.width), list(spec.channelnames), str(spec.format), shown, chromaticities)
 
 
 def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
@@ -104,7 +117,7 @@ def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
     ----------
     path : path
     rows : int
-        Of a band, the last one excepted; a file in tiles is read in whole rows of tiles instead.
+        Of a band at most; a file in tiles is read in whole rows of tiles, of which bands are parts.
 
     Raises
     ------
@@ -114,9 +127,9 @@ def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
     source = _open(path, "an HDR or EXR picture")
     try:
         spec = source.spec()
-        rows = spec.tile_height or rows
-        for first in range(0, spec.height, rows):
-            top, bottom = spec.y + first, spec.y + min(first + rows, spec.height)
+        together = spec.tile_height or rows
+        for first in range(0, spec.height, together):
+            top, bottom = spec.y + first, spec.y + min(first + together, spec.height)
             if spec.tile_height:
                 right = spec.x + spec.width
                 band = source.read_tiles(0, 0, spec.x, right, top, bottom, 0, 1, 0, spec.nchannels, "float")
@@ -125,7 +138,9 @@ def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
             if band is None:
                 found = f"a picture that ends within rows {first} to {bottom - spec.y - 1}"
                 raise InputError(path, "", found, f"a whole picture of {spec.height} rows")
-            yield first, band.reshape(bottom - top, spec.width, spec.nchannels)
+            band = band.reshape(bottom - top, spec.width, spec.nchannels)
+            for start in range(0, len(band), rows):
+                yield first + start, band[start : start + rows]
     finally:
         source.close()
 
@@ -171,8 +186,9 @@ def read_layers(path, kind: str) -> tuple[np.ndarray, np.ndarray]:
     InputError
         If the file is missing, truncated, holds no such layers, or one wavelength twice.
     """
-    (height, _), names, _ = picture_header(path)
-    wavelength_nm, channels = layers_of(names, kind, path)
+    header = picture_header(path)
+    height = header.size[0]
+    wavelength_nm, channels = layers_of(header.channels, kind, path)
     return wavelength_nm, np.concatenate([band[..., channels] for _, band in picture_bands(path, height)])
 
 

@@ -168,10 +168,16 @@ class Reader:
             raise InputError(self.path, name, "no such dataset", f"one of: {', '.join(sorted(self._names()))}")
         return self._file[name]
 
-    def read(self, name: str) -> np.ndarray:
-        """Return a whole dataset."""
+    def read(self, name: str, part=()) -> np.ndarray:
+        """Return a dataset, or a part of it: a slice of its first axis, or several.
+
+        Raises
+        ------
+        InputError
+            If the file has no such dataset, or the data is damaged.
+        """
         try:
-            return self.dataset(name)[()]
+            return self.dataset(name)[part]
         except OSError as error:
             raise InputError(self.path, name, f"unreadable data ({error})", "a complete file") from None
 

@@ -11,7 +11,7 @@ from irodori import store
 from irodori.coefficients import from_half, half_scale, require_storage, reserve_coefficients, rounded_to_half
 from irodori.colour import summary
 from irodori.principal.decomposition import WEIGHTINGS, Decomposition, decompose
-from irodori.principal.moments import SAMPLE_PIXELS, Moments, second_moments
+from irodori.principal.moments import Moments, second_moments
 from irodori.principal.positive import Negative, count_negative
 from irodori.principal.reflections import colour_error
 from irodori.principal.tiles import Tiles
@@ -19,6 +19,7 @@ from irodori.spectra import SAMPLES
 
 _FIRST_LOOK = 8192  # pixels of the sample, which come in no order
 _PIECE = 4096  # pixels whose colours are compared together
+_DEVIATIONS = 2.33  # standard deviations under which a sample's mean or percentile stays in 99 of 100 pictures
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,8 @@ class CompressOptions:
     Parameters
     ----------
     target_delta_e_mean, target_delta_e_p99 : float
-        Bounds on mean and 99th percentile of CIEDE2000 under every light, storage included.
+        Bounds on mean and 99th percentile of CIEDE2000 under every light, storage included; where a sample stands for
+        the picture, on what they are with 99 % confidence.
     align : int
         The number of bases is rounded up to a multiple of this, but not beyond the picture's rank.
     weighting : str
@@ -67,8 +69,9 @@ class Compression:
         By which coefficients are divided in half precision; 1 in single precision.
     storage : str
     errors : dict
-        light -> mean, p95, p99, max of CIEDE2000 between the sample's spectra before and after, storage included, and
-        the count of pixels compared.
+        light -> mean, p95, p99, max of CIEDE2000 between the sample's spectra before and after, storage included, the
+        count of pixels compared, and ``mean_bound`` and ``p99_bound``, under which the whole picture's are with 99 %
+        confidence.
     rmse : float
         Root mean square error of the sample's spectra over all samples.
     budget_met : bool
@@ -175,42 +178,11 @@ class Compression:
             raise ValueError(f"a picture of {row * width + len(rest)} pixels; accepted: {height} rows of {width}")
 
 
-@dataclass(frozen=True)
-class Compressed:
-    """An image on its own principal basis.
-
-    Parameters
-    ----------
-    coefficients : (n, k) float32
-        As they come back from storage.
-    compression : Compression
-    """
-
-    coefficients: np.ndarray
-    compression: Compression
-
-    @property
-    def basis(self) -> np.ndarray:
-        """Orthonormal columns, (61, k) float64."""
-        return self.compression.basis
-
-    @property
-    def errors(self) -> dict:
-        """CIEDE2000 by light."""
-        return self.compression.errors
-
-    @property
-    def negative_fraction(self) -> float:
-        """Share of samples (pixel and wavelength) that are below zero."""
-        return self.compression.negative.fraction
-
-
 def analyse(
     source,
     basis: np.ndarray | None,
     observers: dict,
     options: CompressOptions,
-    weights=None,
     *,
     bases: int | None = None,
 ) -> Compression:
@@ -225,8 +197,6 @@ def analyse(
         light -> ((3, 61) matrix to XYZ, (3,) XYZ of white). Brighter than white is scaled down to it before the
         comparison, because CIELAB is for surfaces.
     options : CompressOptions
-    weights : (pixels,) float, optional
-        Weights of the pixels in the decomposition; the errors are of pixels as they are.
     bases : int, optional
         That many, or the rank if that is less, whatever the target.
 
@@ -235,7 +205,7 @@ def analyse(
     ValueError
         If no pixel is finite, or the pixels' bands are not those of the basis.
     """
-    moments = second_moments(source, weights, SAMPLE_PIXELS)
+    moments = second_moments(source)
     return choose(moments, basis, observers, options, bases=bases)
 
 
@@ -286,9 +256,8 @@ class _Trial:
         """Return the compression with its colour errors."""
         made, options = self._made(count), self._options
         errors = self._errors(made, slice(None))
-        met = all(
-            e["mean"] <= options.target_delta_e_mean and e["p99"] <= options.target_delta_e_p99 for e in errors.values()
-        )
+        mean, p99 = options.target_delta_e_mean, options.target_delta_e_p99
+        met = all(e["mean_bound"] <= mean and e["p99_bound"] <= p99 for e in errors.values())
         return replace(made, errors=errors, budget_met=met)
 
     def finished(self, made: Compression) -> Compression:
@@ -322,20 +291,14 @@ class _Trial:
         with ThreadPoolExecutor(numba.get_num_threads()) as pool:
             pieces = list(pool.map(of_piece, range(0, len(sample), _PIECE)))
         errors = (np.concatenate(of_light) for of_light in zip(*pieces, strict=True))
-        return {light: summary(values) for light, values in zip(self._observers, errors, strict=True)}
+        return {
+            light: summary(values) | self._bounds(values) for light, values in zip(self._observers, errors, strict=True)
+        }
 
-
-def compress(
-    weights: np.ndarray, basis: np.ndarray, observers: dict, options: CompressOptions, *, bases: int | None = None
-) -> Compressed:
-    """Compress an image in memory; see `analyse`.
-
-    Parameters
-    ----------
-    weights : (n, r) float
-        The image on its recovery basis.
-    basis : (61, r) float or None
-    """
-    compression = analyse(weights, basis, observers, options, bases=bases)
-    coefficients = np.concatenate([compression.decode(tile) for tile in compression.tiles(weights)])
-    return Compressed(coefficients, compression)
+    def _bounds(self, values: np.ndarray) -> dict[str, float]:
+        """Return under what the whole picture's mean and 99th percentile are, by the spread of the sample's."""
+        moments, count = self._moments, len(values)
+        deviations = _DEVIATIONS if len(moments.sample) < moments.pixels - moments.masked else 0.0
+        share = min(0.99 + deviations * np.sqrt(0.99 * 0.01 / count), 1.0)
+        mean = values.mean() + deviations * values.std() / np.sqrt(count)
+        return {"mean_bound": float(mean), "p99_bound": float(np.percentile(values, 100 * share))}

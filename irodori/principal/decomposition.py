@@ -103,20 +103,3 @@ def _visual_root(orthonormal: np.ndarray, matrices) -> np.ndarray:
     metric = metric * (size / np.trace(metric)) + _SPECTRAL_SHARE * np.eye(size)
     values, vectors = np.linalg.eigh(metric)
     return (vectors * np.sqrt(values)) @ vectors.T
-
-
-def principal_basis(weights: np.ndarray, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the principal vectors of the spectra ``weights @ basis.T``, without subtracting a mean.
-
-    Parameters
-    ----------
-    weights : (n, r) float
-    basis : (61, r) float
-
-    Returns
-    -------
-    vectors : (61, r) float64, orthonormal, by falling share of the image's energy
-    coefficients_from_weights : (r, r) float64
-    """
-    found = decompose(np.asarray(weights, dtype=np.float64), basis)
-    return found.truncated(basis.shape[1])

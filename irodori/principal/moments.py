@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from irodori.principal.tiles import Tiles, flat_weights
+from irodori.principal.tiles import Tiles
 
 SAMPLE_PIXELS = 1 << 16
 _BLOCK = 64  # pixels that are multiplied together, in the first cache
@@ -30,7 +30,7 @@ class Moments:
     Parameters
     ----------
     root : (m, bands) float64
-        ``root.T @ root`` is the sum of w x xᵀ over the pixels.
+        ``root.T @ root`` is the sum of x xᵀ over the pixels.
     pixels, masked : int
         All pixels, and those that are not finite; the latter are left out of everything.
     largest_norm : float
@@ -77,24 +77,22 @@ def _multiply(block, moment):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _accumulate(rows, weights, first, last, blocks, waiting, moments, totals):
-    """Add pixels ``first`` to ``last``; ``totals`` holds the masked pixels and the largest squared length."""
+def _accumulate(rows, blocks, waiting, moments, totals):
+    """Add pixels; ``totals`` holds the masked pixels and the largest squared length."""
     bands = rows.shape[1]
-    for p in range(first, last):
+    for p in range(rows.shape[0]):
         square = _squared_norm(rows[p])
         if not square < np.inf:
             totals[0] += 1.0
             continue
         totals[1] = max(totals[1], square)
-        scale = math.sqrt(np.float64(weights[p])) if weights.size else 1.0
-        square *= scale * scale
         if square == 0.0:
             continue
         level = (math.frexp(square)[1] - _LOWEST_EXPONENT) // _CLASS_EXPONENTS
         level = min(max(level, 0), moments.shape[0] - 1)
         place = waiting[level]
         for j in range(bands):
-            blocks[level, j, place] = scale * rows[p, j]
+            blocks[level, j, place] = rows[p, j]
         waiting[level] = place + 1
         if place + 1 == _BLOCK:
             _multiply(blocks[level], moments[level])
@@ -119,8 +117,8 @@ class _Sums:
         self.moments = np.zeros((_CLASSES, side, side))
         self._blocks, self._waiting = np.zeros((_CLASSES, side, _BLOCK)), np.zeros(_CLASSES, dtype=np.int64)
 
-    def add(self, rows: np.ndarray, weights: np.ndarray) -> None:
-        _accumulate(rows, weights, 0, len(rows), self._blocks, self._waiting, self.moments, self.totals)
+    def add(self, rows: np.ndarray) -> None:
+        _accumulate(rows, self._blocks, self._waiting, self.moments, self.totals)
 
     def finished(self) -> np.ndarray:
         """Return the moments of every class, (classes, bands, bands)."""
@@ -163,7 +161,6 @@ class _Sampler:
 
 def second_moments(
     source,
-    weights=None,
     sample_pixels: int = SAMPLE_PIXELS,
     seed: int = 0,
     also: Callable[[np.ndarray, int], None] | None = None,
@@ -173,8 +170,6 @@ def second_moments(
     Parameters
     ----------
     source : Tiles, or what `Tiles` takes
-    weights : (pixels,) float, optional
-        Weight of every pixel in the moments, from 0: the solid angle of an environment's pixel, for example.
     sample_pixels : int
     seed : int
         Of the sample.
@@ -189,10 +184,9 @@ def second_moments(
     Raises
     ------
     ValueError
-        If no pixel is finite, tiles differ in their bands, or there are not as many weights as pixels.
+        If no pixel is finite, or tiles differ in their bands.
     """
     tiles = source if isinstance(source, Tiles) else Tiles(source)
-    flat = None if weights is None else flat_weights(weights)
     sums: dict[int, _Sums] = {}
     sampler, lock = _Sampler(sample_pixels, seed), threading.Lock()
 
@@ -202,18 +196,13 @@ def second_moments(
             if rows.shape[1] != sums[min(sums)].bands:
                 found = f"a tile of {rows.shape[1]} bands among others of {sums[min(sums)].bands}"
                 raise ValueError(f"{found}; accepted: the same in all")
-        of_rows = np.empty(0, dtype=np.float32) if flat is None else flat[first : first + len(rows)]
-        if flat is not None and len(of_rows) < len(rows):
-            raise ValueError(f"{flat.size} weights for more pixels; accepted: one each")
-        own.add(rows, of_rows)
+        own.add(rows)
         sampler.add(rows, first)
         if also is not None:
             also(rows, first)
         return len(rows)
 
     pixels = sum(tiles.map(add))
-    if flat is not None and flat.size != pixels:
-        raise ValueError(f"{flat.size} weights for {pixels} pixels; accepted: one each")
     totals = np.array([own.totals for own in sums.values()]).reshape(-1, 2)
     masked = int(totals[:, 0].sum())
     if masked == pixels:

@@ -1,8 +1,8 @@
-"""Spectra below zero: how many, how deep, and a guard that adds no light.
+"""Spectra below zero: how many, how deep, and the light that setting them to zero would add.
 
 A truncated basis, or recovery from a few bands, leaves some samples of dark or vivid spectra below zero. Setting them
-to zero adds light, always of the same sign, and repeated reflections multiply it. `without_negative` also scales the
-rest of the spectrum down until the total is what it was.
+to zero adds light, always of the same sign, and repeated reflections multiply it. They are stored as they are;
+rendering, which decodes them, also scales the rest of a spectrum down until the total is what it was.
 """
 
 from dataclasses import asdict, dataclass
@@ -56,25 +56,3 @@ def count_negative(spectra: np.ndarray) -> Negative:
         depth_max=float(depth.max()) if depth.size else 0.0,
         clipping_bias=added / total if total > 0 else 0.0,
     )
-
-
-def without_negative(spectra: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
-    """Return spectra without negative samples and with the same total.
-
-    Parameters
-    ----------
-    spectra : (..., 61) float
-    weights : (61,) float, optional
-        From 0; the total that is kept is ``spectra @ weights``, of all samples alike where absent.
-
-    Returns
-    -------
-    (..., 61) float; zero where the total is not above zero. A spectrum without a negative sample is as it was.
-    """
-    spectra = np.asarray(spectra)
-    weights = np.ones(spectra.shape[-1]) if weights is None else np.asarray(weights)
-    positive = np.maximum(spectra, 0)
-    before, after = spectra @ weights, positive @ weights
-    factor = np.divide(before, after, out=np.zeros_like(after), where=after > 0)
-    factor = np.where((spectra < 0).any(axis=-1), np.maximum(factor, 0), 1.0)
-    return positive * factor[..., None]

@@ -12,13 +12,7 @@ import numba
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from irodori import store
-from irodori.errors import InputError
-from irodori.spectra import SAMPLES, WAVELENGTH_NM
-from irodori.tables import check_wavelengths
-
 TILE_BYTES = 8 << 20
-_GRID_NM = 1e-3
 
 
 class Tiles:
@@ -126,55 +120,3 @@ class Tiles:
 def _rows(tile) -> np.ndarray:
     tile = np.asarray(tile)
     return np.ascontiguousarray(tile.reshape(-1, tile.shape[-1]), dtype=np.float32)
-
-
-def spectral_tiles(file: store.Reader, name: str, tile_bytes: int = TILE_BYTES) -> Tiles:
-    """Return the tiles of a spectral picture in a file of this project.
-
-    Parameters
-    ----------
-    file : store.Reader
-        Its dataset ``wavelength``, where it has one, is checked.
-    name : str
-        Dataset (height, width, 61) or (pixels, 61).
-
-    Raises
-    ------
-    InputError
-        If the axes are others, or the wavelengths are not those of the grid, each once.
-    """
-    dataset = file.dataset(name)
-    if len(dataset.shape) not in (2, 3) or dataset.shape[-1] != SAMPLES or 0 in dataset.shape:
-        raise InputError(
-            file.path, name, f"shape {dataset.shape}", f"(height, width, {SAMPLES}) or (pixels, {SAMPLES})"
-        )
-    if "wavelength" in file:
-        require_grid(file.read("wavelength"), file.path)
-    return Tiles(dataset, tile_bytes)
-
-
-def require_grid(wavelength_nm: np.ndarray, file, field: str = "wavelength") -> None:
-    """Refuse wavelengths that are not the package's grid: 400 to 700 nm, step 5, increasing, each once.
-
-    Raises
-    ------
-    InputError
-    """
-    wavelength_nm = np.asarray(wavelength_nm, dtype=np.float64).ravel()
-    check_wavelengths(wavelength_nm.tolist(), file, field)
-    if wavelength_nm.size != SAMPLES or np.abs(wavelength_nm - WAVELENGTH_NM).max() > _GRID_NM:
-        found = f"{wavelength_nm.size} wavelengths, {wavelength_nm[0]:g} to {wavelength_nm[-1]:g} nm"
-        raise InputError(file, field, found, f"{SAMPLES} wavelengths, 400 to 700 nm in steps of 5")
-
-
-def flat_weights(weights) -> np.ndarray:
-    """Return weights of pixels, (pixels,) float32; refuse negative ones and those that are not finite.
-
-    Raises
-    ------
-    ValueError
-    """
-    flat = np.ascontiguousarray(np.asarray(weights).reshape(-1), dtype=np.float32)
-    if not (np.isfinite(flat).all() and (flat >= 0).all()):
-        raise ValueError("weights of pixels that are negative or not finite; accepted: finite weights from 0")
-    return flat

@@ -13,6 +13,7 @@ from irodori.config import load_definitions, read_yaml
 from irodori.geometry.frames import rig_from_camera, rig_from_object, to_camera, to_light
 from irodori.geometry.pinhole import Pinhole
 from irodori.mosaic import decode
+from irodori.omnidirectional import from_panorama
 from irodori.rig.plan import camera_shots, object_shots
 from irodori.rig.virtual.bench import Bench
 from irodori.rig.virtual.camera import VirtualCamera
@@ -20,7 +21,7 @@ from irodori.rig.virtual.classroom import room_coefficients, source_spectra, tra
 from irodori.rig.virtual.faults import Faults
 from irodori.rig.virtual.samples import Sample
 from irodori.rig.virtual.sensor import band_weights
-from irodori.rig.virtual.subjects import object_mosaic
+from irodori.rig.virtual.subjects import object_mosaic, room_mosaic
 from irodori.rig.virtual.truth import true_material
 from irodori.spectra import spectrum
 
@@ -281,6 +282,17 @@ def test_the_room_has_windows_lamps_and_floor_where_they_should_be(definitions):
     coefficients = room_coefficients(room, 100, 50)
     # Each pixel's sources are shares of one: shading alone makes them less.
     assert (coefficients.sum(axis=-1) <= 1 + 1e-6).all() and (coefficients >= 0).all()
+
+
+def test_the_room_is_photographed_as_a_panorama_that_turns_to_the_right(definitions):
+    definition = {**definitions["environments"]["classroom"], "image": {"width": 40, "height": 20}}
+    rig_light = spectrum("A")
+    mosaic = room_mosaic(definition, rig_light, np.full((3, 61), 1 / 61))
+    expected = room_coefficients(definition["virtual"], 40, 20) @ (
+        source_spectra(definition["virtual"], rig_light)[1] / rig_light
+    ).mean(axis=1)
+    assert np.allclose(from_panorama(mosaic[::2, ::2, None])[..., 0], expected, rtol=1e-6)
+    assert not np.allclose(mosaic[::2, ::2], expected, rtol=0.1)
 
 
 def test_stray_light_keeps_the_colour_of_the_picture(definitions):

@@ -2,18 +2,22 @@
 
 import dataclasses
 
+import h5py
 import numpy as np
 import pytest
+from compressing import compress
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from irodori import store
-from irodori.colour import xyz_from_radiance
-from irodori.environment import fill_masked, prepare_environment
+from irodori.colour import delta_e, lab_from_xyz, xyz_from_radiance
+from irodori.environment import SURFACES, fill_masked, observers, prepare_environment
 from irodori.errors import InputError
 from irodori.irradiance import irradiance_at, irradiance_map
 from irodori.light import Environment, directions
-from irodori.principal import CompressOptions, compress, principal_basis
+from irodori.omnidirectional import to_panorama
+from irodori.principal import CompressOptions, choose, second_moments
+from irodori.principal.decomposition import decompose
 from irodori.recovery import Calibration
 from irodori.spectra import spectrum
 
@@ -66,7 +70,7 @@ def image(seed: int, pixels: int = 400, rank: int = 6):
 def test_reconstruction_error_is_that_of_the_truncated_svd(seed, count):
     weights, basis = image(seed)
     full = weights @ basis.T
-    vectors, transform = principal_basis(weights, basis)
+    vectors, transform = decompose(weights, basis).truncated(6)
     assert np.abs(vectors.T @ vectors - np.eye(6)).max() <= 1e-10
     decoded = (weights @ transform[:count].T) @ vectors[:, :count].T
     u, s, vt = np.linalg.svd(full, full_matrices=False)
@@ -119,6 +123,25 @@ def test_negative_samples_are_counted():
     assert compress(abs(weights), basis + 0.01, OBSERVERS, options(0.0, 1)).negative_fraction == 0
 
 
+@pytest.mark.parametrize("weighting", ["nothing", "visual"])
+@pytest.mark.parametrize("names", [("D65", "A"), ("D65", "FL11", "HP1")])
+def test_compressed_light_keeps_the_colours_of_what_it_shines_on(names, weighting):
+    rng = np.random.default_rng(4)
+    materials = np.stack([spectrum(f"TCS{i}") for i in range(99)])
+    lights = np.stack([spectrum(name) / spectrum(name).mean() for name in names])
+    first, second = (materials[None] * lights[:, None]).reshape(-1, 61)[rng.integers(99 * len(names), size=(2, 4000))]
+    mix = rng.uniform(size=(4000, 1))
+    radiance = (first * mix + second * (1 - mix)).astype(np.float32)
+    white = radiance.mean(axis=0).astype(float)
+    found = choose(second_moments(radiance), None, observers(white), CompressOptions(weighting=weighting))
+    assert found.budget_met and set(found.errors) == {"light", *(f"light on {name}" for name in SURFACES)}
+    decoded = found.decode(found.encode(radiance)) @ found.basis.T
+    matrix, white = observers(white)["light"]
+    colours = [[lab_from_xyz((light * one) @ matrix.T, white) for light in (radiance, decoded)] for one in materials]
+    errors = np.concatenate([delta_e(*pair) for pair in colours])
+    assert errors.mean() <= 0.1 and np.percentile(errors, 99) <= 0.5
+
+
 # --- the stage ---------------------------------------------------------------------------------------------------
 
 
@@ -150,7 +173,10 @@ def test_stage_recovers_radiance_as_light_times_reflectance(tmp_path):
     matrix = np.linalg.inv(sensitivity @ basis).T  # weights = response @ M for reflectances in the basis
     reflectance = rng.uniform(0.0, 1.0, (40, 80, 6)) @ image(6)[1].T
     write_inputs(
-        tmp_path, reflectance @ sensitivity.T, np.ones((40, 80), np.uint8), Calibration(basis, matrix, light, ("out",))
+        tmp_path,
+        to_panorama(reflectance) @ sensitivity.T,
+        np.ones((40, 80), np.uint8),
+        Calibration(basis, matrix, light, ("out",)),
     )
     environment = stage(tmp_path)
     truth = reflectance * light
@@ -164,12 +190,42 @@ def test_stage_recovers_radiance_as_light_times_reflectance(tmp_path):
     assert errors["height"] == len(environment.irradiance) and errors["max_error"] <= 0.002
 
 
+@pytest.mark.parametrize("centre_azimuth_deg", [0.0, 90.0])
+def test_what_stood_to_the_right_of_a_photographs_middle_has_a_smaller_azimuth(tmp_path, centre_azimuth_deg):
+    response = np.full((8, 16, 3), 0.1)
+    response[4, 11] = 0.9  # 3.5 columns of 22.5 degrees to the right of the middle
+    calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61), ("out",))
+    write_inputs(tmp_path, response, np.ones((8, 16), np.uint8), calibration)
+    source = {"kind": "captures", "centre_azimuth_deg": centre_azimuth_deg}
+    prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "e.h5", options(0.0, 4),
+                        {"max_error": 0.1, "max_height": 32}, store.Provenance("test"), source)  # fmt: skip
+    found = Environment.load(tmp_path / "e.h5").coefficients
+    row, column = np.unravel_index(np.linalg.norm(found, axis=-1).argmax(), (8, 16))
+    x, y, _ = directions(16, 8)[0][row, column]
+    assert np.degrees(np.arctan2(y, x)) == pytest.approx(centre_azimuth_deg - 3.5 * 22.5)
+
+
 def test_stage_refuses_pixels_without_a_valid_bracket(tmp_path):
     valid = np.ones((8, 16), np.uint8)
     valid[3, 4] = 0
     calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61), ("out",))
     write_inputs(tmp_path, np.ones((8, 16, 3)), valid, calibration)
     with pytest.raises(InputError, match="1 pixels saturated"):
+        stage(tmp_path)
+    assert not (tmp_path / "e.h5").exists()
+
+
+def test_stage_refuses_a_photograph_whose_data_is_damaged(tmp_path):
+    calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61), ("out",))
+    response = np.random.default_rng(2).uniform(0.1, 1, (80, 160, 3))
+    write_inputs(tmp_path, response, np.ones((80, 160), np.uint8), calibration)
+    with h5py.File(tmp_path / "linear.h5") as file:
+        chunk = file["response"].id.get_chunk_info(0)
+    content = bytearray((tmp_path / "linear.h5").read_bytes())
+    middle = chunk.byte_offset + chunk.size // 2
+    content[middle : middle + 64] = bytes(64)
+    (tmp_path / "linear.h5").write_bytes(content)
+    with pytest.raises(InputError, match="response: found unreadable data"):
         stage(tmp_path)
     assert not (tmp_path / "e.h5").exists()
 

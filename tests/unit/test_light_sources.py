@@ -34,9 +34,13 @@ OPTIONS = (
 EXACT = CompressOptions(0.0, np.inf, 4, storage="single")
 
 
-def write_exr(path, pixels, names=("R", "G", "B"), kind="float"):
+def write_exr(path, pixels, names=("R", "G", "B"), kind="float", shown=None, chromaticities=None):
     spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], len(names), kind)
     spec.channelnames = tuple(names)
+    if shown is not None:
+        spec.full_height, spec.full_width = shown
+    if chromaticities is not None:
+        spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), chromaticities)
     output = oiio.ImageOutput.create(str(path))
     assert output.open(str(path), spec) and output.write_image(np.ascontiguousarray(pixels, dtype=np.float32))
     output.close()
@@ -117,6 +121,17 @@ def test_pictures_that_are_no_light_are_refused(tmp_path):
     broken[2, 2] = np.inf
     with pytest.raises(InputError, match="1 pixels that are not finite"):
         _ = rgb_picture(write_exr(tmp_path / "inf.exr", broken)).weights
+
+
+def test_a_part_of_a_panorama_and_other_primaries_are_refused(tmp_path):
+    pixels = np.ones((8, 16, 3))
+    with pytest.raises(InputError, match="16 x 8 pixels of a picture of 20 x 10"):
+        rgb_picture(write_exr(tmp_path / "cut.exr", pixels, shown=(10, 20)))
+    acescg = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
+    with pytest.raises(InputError, match=r"0\.713.*linear sRGB"):
+        rgb_picture(write_exr(tmp_path / "acescg.exr", pixels, chromaticities=acescg))
+    srgb = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
+    assert rgb_picture(write_exr(tmp_path / "srgb.exr", pixels, chromaticities=srgb)).size == (8, 16)
 
 
 @pytest.mark.parametrize("name", ["lobby", "hall", "workshop", "museum"])
@@ -208,13 +223,13 @@ def test_another_programs_chart_is_read_and_brought_to_the_grid():
         spectral_picture(path)
 
 
-@pytest.mark.parametrize("tiled", [False, True])
+@pytest.mark.parametrize("tiled", [0, 16, 64])
 def test_a_picture_is_read_in_bands_that_make_it_whole(tmp_path, tiled):
     pixels = np.random.default_rng(6).uniform(0, 1, (75, 150, 3)).astype(np.float32)
     spec = oiio.ImageSpec(150, 75, 3, "float")
     spec.x, spec.y = 7, -20  # a data window of its own
     if tiled:
-        spec.tile_width, spec.tile_height = 64, 16
+        spec.tile_width, spec.tile_height = 64, tiled
     output = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
     assert output.open(str(tmp_path / "a.exr"), spec)
     assert output.write_image(pixels) and output.close()
@@ -407,6 +422,10 @@ def test_a_ball_that_is_not_in_the_picture_or_masked_is_refused():
     one = valid.copy()
     one[90, 100] = False
     picture = unwrapped(BALL, size, weights, one, basis, "ball.h5")
+    assert np.allclose((picture.weights @ picture.basis.T)[..., :3], 1.0)
+    # A direction whose place is the masked pixel's own centre.
+    exact = {**BALL, "centre_px": [100.0, 90.0], "camera_azimuth_deg": 180.0}
+    picture = unwrapped(exact, {"width": 1, "height": 1}, weights, one, basis, "ball.h5")
     assert np.allclose((picture.weights @ picture.basis.T)[..., :3], 1.0)
     one[80:100, 90:110] = False
     with pytest.raises(InputError, match="all masked"):

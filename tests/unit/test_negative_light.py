@@ -1,12 +1,16 @@
 """Spectra below zero, and products of spectra: what compression leaves that its colour error does not show."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
+from compressing import compress
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from irodori.colour import xyz_from_reflectance
-from irodori.principal import CompressOptions, compress, count_negative, drift, without_negative
+from irodori.principal import CompressOptions, count_negative, drift
+from irodori.rendering.shading import add_diffuse, add_spectrum
 from irodori.spectra import spectrum
 
 
@@ -24,25 +28,46 @@ def test_negative_samples_are_counted_with_their_depth_and_what_clipping_would_a
     assert found.clipping_bias == pytest.approx(0.85 / spectra.sum())
 
 
-@given(seed=st.integers(0, 2**32 - 1), weighted=st.booleans())
+class Surfaces(NamedTuple):
+    """One surface whose coefficients are its spectrum, as the renderer's objects have it."""
+
+    bases: np.ndarray
+    basis: np.ndarray
+
+
+WAVELENGTHS = np.eye(61, dtype=np.float32)
+
+
+def guarded(spectra, irradiance=None):
+    """Spectra as rendering decodes them: light, or what surfaces reflect under an irradiance, over π."""
+    out, decoded = np.zeros((len(spectra), 61)), np.empty(61)
+    surfaces = Surfaces(np.array([61]), WAVELENGTHS[None])
+    for row, spectrum_ in zip(out, spectra, strict=True):
+        if irradiance is None:
+            add_spectrum(WAVELENGTHS, spectrum_, decoded, row)
+        else:
+            add_diffuse(surfaces, 0, spectrum_, irradiance, np.pi, decoded, row)
+    return out
+
+
+@given(seed=st.integers(0, 2**32 - 1), reflected=st.booleans())
 @settings(deadline=None, max_examples=40)
-def test_the_guard_leaves_nothing_below_zero_and_adds_no_light(seed, weighted):
+def test_rendering_leaves_nothing_below_zero_and_adds_no_light(seed, reflected):
     rng = np.random.default_rng(seed)
     spectra = rng.normal(0.2, 0.3, (50, 61))
-    weights = rng.uniform(0, 1, 61) if weighted else np.ones(61)
-    guarded = without_negative(spectra, weights)
-    assert (guarded >= 0).all()
-    total = spectra @ weights
-    assert np.allclose(guarded @ weights, np.maximum(total, 0), atol=1e-12)
-    positive = np.abs(spectra)
-    assert np.array_equal(without_negative(positive, weights), positive)
+    irradiance = rng.uniform(0, 1, 61) if reflected else None
+    found = guarded(spectra, irradiance)
+    assert (found >= 0).all()
+    light = spectra * (1.0 if irradiance is None else irradiance)
+    assert np.allclose(found.sum(axis=1), np.maximum(light.sum(axis=1), 0), rtol=1e-9, atol=1e-9)
+    assert np.allclose(guarded(np.abs(spectra), irradiance), np.abs(light), rtol=1e-9)
 
 
-def test_clipping_would_brighten_dark_noise_and_the_guard_does_not():
+def test_clipping_would_brighten_dark_noise_and_rendering_does_not():
     rng = np.random.default_rng(12)
     noisy = 0.02 + 0.02 * rng.standard_normal((4000, 61))
     assert np.maximum(noisy, 0).mean() > 1.05 * noisy.mean()
-    assert without_negative(noisy).mean() == pytest.approx(noisy.mean(), rel=1e-6)
+    assert guarded(noisy).mean() == pytest.approx(noisy.mean(), rel=1e-6)
 
 
 # --- repeated reflection

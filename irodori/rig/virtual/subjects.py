@@ -14,6 +14,7 @@ from irodori.geometry.frames import flat_incidence_rad, rig_from_camera, rig_fro
 from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.shapes import on_table
+from irodori.omnidirectional import to_panorama
 from irodori.rig.virtual.aperture import gather_rows, place_in_cell
 from irodori.rig.virtual.classroom import room_coefficients, source_spectra
 from irodori.rig.virtual.imaging import View, expose_object
@@ -112,7 +113,7 @@ def _patch_at(mosaic_xy, chart: dict, camera: dict, rig: dict, pose: Pose, pinho
 
 
 def room_mosaic(definition: dict, light: np.ndarray, band_weights) -> np.ndarray:
-    """Return the omnidirectional picture of a virtual room.
+    """Return the omnidirectional picture of a virtual room, a panorama as it is photographed, its middle towards +x.
 
     Parameters
     ----------
@@ -128,4 +129,4 @@ def room_mosaic(definition: dict, light: np.ndarray, band_weights) -> np.ndarray
     # Band weights are for reflectances under the rig's light; a radiance is that light times a reflectance.
     bands = coefficients @ (spectra / light @ band_weights.T)
     # A panorama is resampled from many photographs: the four mosaic pixels of a superpixel see the same directions.
-    return in_mosaic(bands.repeat(2, axis=0).repeat(2, axis=1))
+    return in_mosaic(to_panorama(bands).repeat(2, axis=0).repeat(2, axis=1))

@@ -1,0 +1,135 @@
+"""Fitted tiles become one material: every texel in its place, read tile by tile, or refused."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from irodori import store
+from irodori.compression import compress_reflectance
+from irodori.errors import InputError
+from irodori.fitted_tiles import COLUMNS, FittedTiles
+from irodori.material import Material
+from irodori.principal import CompressOptions
+from irodori.recovery import Calibration
+from irodori.spectra import spectrum
+
+PROVENANCE = store.Provenance("test")
+BASIS = np.linalg.svd(np.stack([spectrum(f"TCS{i}") for i in range(99)]), full_matrices=False)[2][:6].T
+FILTERS = ["out", "in"]
+
+
+def write_tile(path, rows, width, seed, filters=FILTERS, noise=1e-6):
+    """A fitted tile of random measured colours; the first texel of each row was not seen."""
+    first, last = rows
+    count = (last - first) * width
+    rng = np.random.default_rng(seed)
+    reflectance = np.stack([spectrum(f"TCS{i}") for i in range(99)])[rng.integers(99, size=count)]
+    response = (reflectance @ BASIS).astype(np.float32)
+    response[::width] = np.nan
+    alpha = np.where(np.isfinite(response[:, 1]), rng.uniform(0.2, 0.8, count), np.nan)
+    values = {"diffuse_response": response, "diffuse_variance": np.full_like(response, noise), "alpha": alpha}
+    values |= {name: rng.uniform(0.1, 0.5, count).astype(np.float32) for name in ("beta", "mu", *COLUMNS)}
+    values["texel"] = np.ones(count, np.uint8)
+    with store.create(path, PROVENANCE) as out:
+        for name, one in values.items():
+            out.write(name, one, units="1", dims=",".join(["texel", "band"][: one.ndim]), quantity=name)
+        out.attribute("filters", filters)
+        out.attribute("rows", list(rows))
+        out.attribute("fit_seconds", 0.5)
+        out.attribute("texels_fitted", count)
+    return {name: one.reshape(last - first, width, *one.shape[1:]) for name, one in values.items()}
+
+
+@pytest.fixture
+def calibration(tmp_path):
+    rng = np.random.default_rng(5)
+    found = Calibration(BASIS, np.eye(6), np.ones(61), tuple(FILTERS), training=rng.uniform(0.1, 1, (24, 6)))
+    with store.create(tmp_path / "calibration.h5", PROVENANCE) as out:
+        found.write(out)
+    return tmp_path / "calibration.h5"
+
+
+def definition(height, width):
+    return {"texels": {"height": height, "width": width}, "refractive_index": {"n": 1.5, "k": 0.0},
+            "mirror_weight": 0.0}  # fmt: skip
+
+
+def compress(tiles, calibration, size, output, **options):
+    compress_reflectance(tiles, calibration, definition(*size), output, CompressOptions(**options), ["D65"], PROVENANCE)
+    return Material.load(output)
+
+
+@pytest.mark.parametrize("storage", ["half", "single"])
+def test_every_texel_of_every_tile_is_in_its_place(tmp_path, calibration, storage):
+    bounds = [(0, 7), (7, 8), (8, 20)]
+    paths = [tmp_path / f"tile-{i}.h5" for i in range(3)]
+    tiles = [write_tile(path, rows, 30, seed) for seed, (path, rows) in enumerate(zip(paths, bounds, strict=True))]
+    whole = {name: np.concatenate([tile[name] for tile in tiles]) for name in tiles[0]}
+    # In any order, as a glob may give them.
+    found = compress([paths[2], paths[0], paths[1]], calibration, (20, 30), tmp_path / "m.h5", storage=storage)
+    for name in ("alpha", "beta", "mu"):
+        assert np.array_equal(getattr(found, name), whole[name], equal_nan=True)
+    assert np.array_equal(found.green_response, whole["diffuse_response"][..., 1], equal_nan=True)
+    truth = whole["diffuse_response"] @ BASIS.T
+    assert np.array_equal(found.observed, np.isfinite(truth[..., 0])) and not found.observed[:, 0].any()
+    error = np.abs(found.spectra() - truth)[found.observed]
+    assert error.max() <= (3e-3 if storage == "half" else 1e-5)
+    better = whole["mu_error"] / whole["mu"] <= np.median(whole["mu_error"] / whole["mu"])
+    assert found.typical_gloss == pytest.approx((np.median(whole["beta"][better]), np.median(whole["mu"][better])))
+    with store.open_file(tmp_path / "m.h5") as file:
+        for name in COLUMNS:
+            assert np.array_equal(file.read(name), whole[name])
+        errors = file.attribute("errors")
+        reliability = file.read("reflectance_error")
+    assert errors["fit_seconds"] == 1.5 and errors["texels_fitted"] == 600
+    assert errors["observed_fraction"] == pytest.approx(29 / 30)
+    assert errors["compression"]["masked_pixels"] == 20 and errors["compression"]["pixels"] == 600
+    assert errors["reflectance_error_median"] == pytest.approx(float(np.median(reliability[found.observed])))
+
+
+def test_noise_that_one_texel_lacks_has_no_part_in_any(tmp_path, calibration):
+    write_tile(tmp_path / "a.h5", (0, 4), 10, 1)
+    assert FittedTiles([tmp_path / "a.h5"], 4, 10).is_noise_known()
+    write_tile(tmp_path / "b.h5", (4, 8), 10, 2, noise=np.nan)
+    assert not FittedTiles([tmp_path / "a.h5", tmp_path / "b.h5"], 8, 10).is_noise_known()
+    compress([tmp_path / "a.h5", tmp_path / "b.h5"], calibration, (8, 10), tmp_path / "m.h5")
+    with store.open_file(tmp_path / "m.h5") as file:
+        assert "cross-validation alone" in file.dataset("reflectance_error").attrs["quantity"]
+
+
+def test_tiles_that_do_not_make_the_texture_are_refused(tmp_path, calibration):
+    write_tile(tmp_path / "a.h5", (0, 4), 10, 1)
+    write_tile(tmp_path / "b.h5", (3, 8), 10, 2)
+    write_tile(tmp_path / "c.h5", (4, 8), 10, 2, filters=["out"])
+    with pytest.raises(InputError, match="1 rows missing or doubled"):
+        FittedTiles([tmp_path / "a.h5", tmp_path / "b.h5"], 8, 10)
+    with pytest.raises(InputError, match="4 rows missing or doubled"):
+        FittedTiles([tmp_path / "a.h5"], 8, 10)
+    with pytest.raises(InputError, match="as in the other tiles"):
+        FittedTiles([tmp_path / "a.h5", tmp_path / "c.h5"], 8, 10)
+    write_tile(tmp_path / "d.h5", (0, 4), 1, 3)  # its only column was not seen
+    with pytest.raises(InputError, match="no texel with enough observations"):
+        compress([tmp_path / "d.h5"], calibration, (4, 1), tmp_path / "m.h5")
+    assert not (tmp_path / "m.h5").exists()
+
+
+def test_memory_is_that_of_a_tile_and_a_sample(tmp_path, calibration):
+    width, rows = 400, 40
+
+    def peak(tiles):
+        paths = [tmp_path / f"{tiles}-{i}.h5" for i in range(tiles)]
+        for i, path in enumerate(paths):
+            write_tile(path, (i * rows, (i + 1) * rows), width, i)
+        size = (tiles * rows, width)
+        tracemalloc.start()
+        compress_reflectance(paths, calibration, definition(*size), tmp_path / "m.h5", CompressOptions(), ["D65"],
+                             PROVENANCE)  # fmt: skip
+        found = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return found
+
+    peak(5)  # the sample is full, what is loaded late is there
+    few, many = peak(5), peak(20)
+    # 15 more tiles of 16000 texels; the maps that a material is made of take 25 numbers a texel, gathered are few.
+    assert many - few <= 15 * rows * width * 4 * 8
