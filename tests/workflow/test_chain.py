@@ -139,7 +139,7 @@ def test_a_scene_edit_renders_and_nothing_more(again):
 def test_a_library_edit_reruns_the_stages_that_use_it(again, tmp_path):
     code = tmp_path / "code"
     code.mkdir()
-    for name in ("Snakefile", "workflow", "irodori", "profiles", "envs"):
+    for name in ("Snakefile", "workflow", "irodori", "benchmarks", "profiles", "envs"):
         source = ROOT / name
         ignored = shutil.ignore_patterns("__pycache__")
         shutil.copytree(source, code / name, ignore=ignored) if source.is_dir() else shutil.copy2(source, code)
