@@ -111,11 +111,18 @@ def _pack_own(problem, first, last, rows):
 def _load(problem, rules, first, last, rows):
     """Fill responses, variances and weights; return the observations used, the floor, and which lanes are ordinary."""
     captures = problem.response.shape[1]
-    for i in range(COUNT):
-        t = min(first + i, last - 1)
+    if first + COUNT <= last:
         for j in range(captures):
-            rows[_place(_R, j, captures) + i] = problem.response[t, j]
-            rows[_place(_W, j, captures) + i] = problem.weight[t, j]
+            for i in range(COUNT):
+                rows[_place(_R, j, captures) + i] = problem.response[first + i, j]
+            for i in range(COUNT):
+                rows[_place(_W, j, captures) + i] = problem.weight[first + i, j]
+    else:  # the last texel stands for those beyond the end
+        for i in range(COUNT):
+            t = min(first + i, last - 1)
+            for j in range(captures):
+                rows[_place(_R, j, captures) + i] = problem.response[t, j]
+                rows[_place(_W, j, captures) + i] = problem.weight[t, j]
     used, total, power, largest = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for j in range(captures):
         given, trust = load(rows, _place(_R, j, captures)), load(rows, _place(_W, j, captures))

@@ -12,6 +12,7 @@ from irodori.fitting import judge, nlopt_loop, texels
 from irodori.fitting.index import fit_index
 from irodori.fitting.index_errors import index_errors
 from irodori.fitting.observations import Rules, camera_noise, pose_variance
+from irodori.fitting.statement import state
 from irodori.fitting.varpro import NODE_STEP
 
 MODEL_PARAMETERS = ("alpha", "beta", "mu")
@@ -177,7 +178,7 @@ def _addresses() -> dict[str, int]:
 
 def _empty_output(count: int) -> texels.Output:
     return texels.Output(
-        table=np.full((count, judge.COLUMNS), np.nan),
+        table=np.empty((count, judge.COLUMNS)),  # each texel is written or given up
         status=np.zeros(count, dtype=np.int8),
         model=np.zeros(count, dtype=np.int8),
         evaluations=np.zeros(count, dtype=np.int32),
@@ -348,33 +349,17 @@ def fit(
 
 
 def _result(out: texels.Output, problem: texels.Problem) -> FitResult:
-    """Put NaN where a parameter is not determined."""
-    table, status = out.table, out.status
-    known = status == judge.Status.OK
-    fitted = np.isfinite(table[:, judge.SQUARES])
-    glossy = fitted & (out.model >= judge.GLOSS_ALONE)
-    mu = np.exp(table[:, judge.LOG_MU])
-    squares, power = table[:, judge.SQUARES], table[:, judge.POWER]
-    rms = np.sqrt(squares)
-    # α is 0 by choice of the model where it has no error, and not told apart from gloss anywhere else.
-    open_alpha = ~np.isfinite(table[:, judge.ALPHA_ERROR]) & (out.model != judge.GLOSS_ALONE)
-    # At a bound of gloss, what the bound does to α is not in its error.
-    alpha_error = np.where(status == judge.Status.AT_BOUND, np.nan, table[:, judge.ALPHA_ERROR])
+    """Return what the fit states."""
+    count = len(out.status)
+    stated, gloss = state(out)
     return FitResult(
-        alpha=np.where(open_alpha, np.nan, table[:, judge.ALPHA]),
-        beta=np.where(known, table[:, judge.BETA], np.nan),
-        mu=np.where(known, mu, np.nan),
-        alpha_error=np.where(np.isfinite(alpha_error), alpha_error, np.nan),
-        beta_error=np.where(known, table[:, judge.BETA_ERROR], np.nan),
-        mu_error=np.where(known, table[:, judge.LOG_MU_ERROR] * mu, np.nan),
-        residual_rms=rms,
-        relative_residual=np.sqrt(np.divide(squares, power, out=np.full_like(power, np.nan), where=power > 0)),
-        status=status,
+        **stated,
+        status=out.status,
         model=out.model,
         evaluations=out.evaluations,
         nlopt_result=out.result,
-        gloss=np.where(glossy[:, None], np.stack([table[:, judge.BETA], mu], axis=1), [0.0, 1.0]),
-        index=np.broadcast_to(problem.n, status.shape).copy(),
-        index_error=np.full(len(status), math.nan),
-        pooled_from=np.zeros(len(status), dtype=np.int32),
+        gloss=gloss,
+        index=np.broadcast_to(problem.n, out.status.shape).copy(),
+        index_error=np.full(count, math.nan),
+        pooled_from=np.zeros(count, dtype=np.int32),
     )

@@ -24,7 +24,7 @@ from irodori.lanes import COUNT
 from irodori.material import Status
 from irodori.native import aligned, run_chunks, uncounted
 
-_CHUNK = 2048  # texels that a thread fits before it asks for more
+_CHUNK = 8192  # texels that a thread fits before it asks for more
 _OK, _UNIDENTIFIABLE = int(Status.OK), int(Status.MU_UNIDENTIFIABLE)
 
 
@@ -196,6 +196,8 @@ def doubt(out, t):
 def give_up(t, used, lost, problem, out):
     """Store the status of a texel with too few observations."""
     out.status[t] = judge.hopeless(used, lost, clipped_of(t, problem))
+    for column in range(judge.COLUMNS):
+        out.table[t, column] = np.nan
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
