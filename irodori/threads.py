@@ -12,3 +12,4 @@ def use_threads(threads: int) -> None:
     numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
     threadpool_limits(limits=threads)
     os.environ["IRODORI_BUILD_THREADS"] = str(threads)
+    os.environ["BLOSC_NTHREADS"] = str(threads)  # read for each chunk that is packed or unpacked
