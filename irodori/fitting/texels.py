@@ -7,7 +7,9 @@ import numba
 import numpy as np
 
 from irodori.fitting import judge
-from irodori.fitting.abreast import NOISY, SURE, fit_abreast, new_abreast, spread_geometry, write_abreast
+from irodori.fitting.abreast import NOISY, fit_abreast, write_abreast
+from irodori.fitting.lane_judge import SURE
+from irodori.fitting.lane_rows import new_abreast, spread_geometry
 from irodori.fitting.lobe import (
     CONSTANT,
     ROWS,

@@ -9,7 +9,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from irodori.brdf import reflect
 from irodori.fitting import FitOptions, judge
-from irodori.fitting.abreast import fit_abreast, new_abreast
+from irodori.fitting.abreast import fit_abreast
+from irodori.fitting.lane_rows import new_abreast
 from irodori.fitting.shared import no_shared
 from irodori.fitting.solvers import SOLVERS, problem_of
 
