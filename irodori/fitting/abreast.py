@@ -6,8 +6,6 @@ anything else it is handed back, to be fitted alone. The rows of observations ar
 filled by `irodori.fitting.lane_rows`, the minimum is found by `lane_scan` and judged by `lane_judge`.
 """
 
-import numba
-
 from irodori.fitting import judge
 from irodori.fitting.lane_judge import judge_lanes
 from irodori.fitting.lane_rows import expect, load_rows, pack_own, tell, weigh_rows
@@ -18,11 +16,12 @@ from irodori.lanes import (
     select,
     store,
 )
+from irodori.native import uncounted
 
 NOISY = 0.01  # relative variance of an observation times their number, from which on weights are of the fitted response
 
 
-@numba.njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def _minimise(problem, shared, rules, rows, sums, ordinary):
     """Return the fixed sums, log μ, α, β, the steps, and which lanes stayed ordinary."""
     captures, nodes = problem.response.shape[1], problem.nodes.size
@@ -38,7 +37,7 @@ def _minimise(problem, shared, rules, rows, sums, ordinary):
     return fixed, t, a, b, steps, converged
 
 
-@numba.njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def fit_abreast(problem, shared, rules, first, last, buffers):
     """Fit texels ``first`` .. ``first + 7``, those before ``last``; return a bit for each that is done.
 
@@ -69,7 +68,7 @@ def fit_abreast(problem, shared, rules, first, last, buffers):
     return int(bits(ordinary)) & _unclipped(problem, first, last)
 
 
-@numba.njit(cache=True)
+@uncounted()
 def _unclipped(problem, first, last):
     """Return a bit for each texel of which no observation clips."""
     found = (1 << min(COUNT, last - first)) - 1
@@ -81,7 +80,7 @@ def _unclipped(problem, first, last):
     return found
 
 
-@numba.njit(cache=True)
+@uncounted()
 def write_abreast(results, done, first, out):
     """Store the results of the lanes that are ``done`` as those of the texels from ``first`` on."""
     for i in range(COUNT):

@@ -3,8 +3,6 @@
 Every step is that of `irodori.fitting.judge` for one texel.
 """
 
-import numba
-
 from irodori.fitting import judge
 from irodori.fitting.lane_rows import L_COSINE, L_GLOSS, L_LOBE, L_RESPONSE, L_SQUARE, L_VARIANCE, L_WEIGHT, row_place
 from irodori.lanes import (
@@ -19,12 +17,13 @@ from irodori.lanes import (
     store,
     upper_of,
 )
+from irodori.native import uncounted
 
 SURE = 4.0  # standard errors of α from zero, from which on a model without diffuse light is not tried
 _SINGULAR = 1e-10
 
 
-@numba.njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def _normal(rows, captures, a, b, log_mu, rules):
     """Return what `irodori.fitting.judge` sums at the minimum, and which lobes are seen where they are high.
 
@@ -57,7 +56,7 @@ def _normal(rows, captures, a, b, log_mu, rules):
     return squares, chi2, (n0, n1, n2, n3, n4, n5), (m0, m1, m2, m3, m4, m5), seen
 
 
-@numba.njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def _scatter(rows, captures, a, b, log_mu, correlation, scale, determinant):
     """Return what `irodori.fitting.judge` does where the variances are not known; after `_normal`."""
     p, q, r = correlation
@@ -80,7 +79,7 @@ def _scatter(rows, captures, a, b, log_mu, correlation, scale, determinant):
     return m0, m1, m2, m3, m4, m5
 
 
-@numba.njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def judge_lanes(rows, captures, fixed, found, used, floor, rules, results):
     """Fill the results of lanes that call for diffuse light and gloss; return which they are."""
     a, b, log_mu = found

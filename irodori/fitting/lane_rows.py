@@ -24,7 +24,7 @@ from irodori.lanes import (
     store,
     upper_of,
 )
-from irodori.native import aligned
+from irodori.native import aligned, uncounted
 
 #: Rows of lanes: cosθ_i, F G / cosθ_r, φ², what is not a number, response, weight, variance, weight times cosine and
 #: times response, lobe, and the weights of the texels before.
@@ -61,7 +61,7 @@ def row_place(row, j, count):
     return (row * count + j) * COUNT
 
 
-@numba.njit(cache=True)
+@uncounted()
 def spread_geometry(common, rows, captures):
     """Fill the rows of the geometry that all texels share."""
     for j in range(captures):
@@ -71,7 +71,7 @@ def spread_geometry(common, rows, captures):
         store(rows, row_place(L_SPOILED, j, captures), spread(common[SPOILED, j]))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def pack_own(problem, first, last, rows):
     """Fill the rows of the geometries of eight texels; the last stands for those beyond the end."""
     captures, many = problem.geometry.shape[1], problem.n.size > 1
@@ -100,7 +100,7 @@ def pack_own(problem, first, last, rows):
         store(rows, row_place(L_COSINE, j, captures), select((cos_i > 0.0) & (cos_r > 0.0), cos_i, 0.0))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def load_rows(problem, rules, first, last, rows):
     """Fill responses, variances and weights; return the observations used, the floor, and which lanes are ordinary."""
     captures = problem.response.shape[1]
@@ -148,7 +148,7 @@ def load_rows(problem, rules, first, last, rows):
     return used, floor / upper_of(used, 1.0), ordinary
 
 
-@numba.njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def tell(rows, captures):
     """Return which lanes have `ENOUGH` geometries that differ."""
     nothing, count = spread(np.nan), spread(0.0)
@@ -175,7 +175,7 @@ def _replaced(mask, now, before):
     return select(mask, now[0], before[0]), select(mask, now[1], before[1]), select(mask, now[2], before[2])
 
 
-@numba.njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def expect(problem, rules, rows, a, b, log_mu, noisy):
     """Weigh the observations of noisy lanes as `irodori.fitting.observations.expect` does."""
     captures = problem.response.shape[1]
@@ -193,7 +193,7 @@ def expect(problem, rules, rows, a, b, log_mu, noisy):
         store(rows, row_place(L_WEIGHT, j, captures), select(noisy, w * v / u, w))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def weigh_rows(rows, captures):
     """Fill the weighted rows; return Σ w c², Σ w c ρ, Σ w ρ², Σ w, and whether weights differ from those before."""
     cc, cr, rr, total = spread(0.0), spread(0.0), spread(0.0), spread(0.0)

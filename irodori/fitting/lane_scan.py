@@ -36,6 +36,7 @@ from irodori.lanes import (
     store,
     upper_of,
 )
+from irodori.native import uncounted
 
 _CONVERGED = 3e-5  # last Newton step of log μ; nearer than alone, for the first step leaves the second just under that
 _MAX_STEPS = 12  # of Newton; a texel that takes more is fitted alone
@@ -44,7 +45,7 @@ _CG, _RG, _GG, _CG1, _RG1, _GG1, _VALUE, _DESCENT = range(8)
 _sum_nodes = lanes_times_tables(GROUP)
 
 
-@numba.njit(cache=True)
+@uncounted()
 def scan_tables(shared, rows, captures, nodes, sums, changed):
     """Fill the sums of all nodes from the tables of a shared geometry; those without the response if ``changed``."""
     blocks, height = shared.nodes.shape[1], shared.nodes.shape[2]
@@ -62,7 +63,7 @@ def scan_tables(shared, rows, captures, nodes, sums, changed):
                        sums, into + _GG * step, (_GG1 - _GG) * step)  # fmt: skip
 
 
-@numba.njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def scan_squares(problem, rows, sums):
     """Fill the sums of all nodes for geometries of their own: from one node of a chain to the next D is squared."""
     captures, count = problem.response.shape[1], problem.nodes.size
@@ -103,7 +104,7 @@ def _sum_node(steepness, rows, captures, sums, i, nodes):
     store(sums, row_place(_GG1, i, padded), 2.0 * steepness * gg1)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def value_nodes(fixed, sums, nodes, box):
     """Fill Φ and Φ' of all nodes; return the least and its node."""
     padded = (nodes + GROUP - 1) // GROUP * GROUP
@@ -121,7 +122,7 @@ def value_nodes(fixed, sums, nodes, box):
     return least, top
 
 
-@numba.njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def best_interval(problem, sums, least, top):
     """Return where the lowest minimum is estimated, its bracket with Φ' at the ends, and which lanes have no other."""
     count = problem.nodes.size
@@ -153,7 +154,7 @@ def best_interval(problem, sums, least, top):
     return place, (low, high, low_slope, high_slope), ordinary_lanes
 
 
-@numba.njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def _moments(rows, captures, log_mu):
     """Return what `irodori.fitting.varpro.moments` does."""
     factor = -exponential(-2.0 * log_mu)
@@ -194,7 +195,7 @@ def _through_ends(slope, curvature, low, high, low_slope, high_slope):
     return x
 
 
-@numba.njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def newton(rows, captures, fixed, box, place, bracket, wanted):
     """Return log μ, α, β and the steps, as `irodori.fitting.varpro.newton` does, and which lanes have converged."""
     t, a, b, steps = place, spread(0.0), spread(0.0), spread(0.0)
