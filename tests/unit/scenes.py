@@ -8,7 +8,7 @@ from irodori.geometry.shapes import Shape
 from irodori.irradiance import irradiance_map
 from irodori.light import Environment, directions
 from irodori.material import Material
-from irodori.rendering.stage import render_image
+from irodori.rendering.integrators import render_image
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 OPTIONS = {"pixel_side": 1, "ambient_samples": 0, "gloss_samples": 0, "max_bounces": 5, "min_throughput": 1e-9}
