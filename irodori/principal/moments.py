@@ -9,14 +9,14 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from irodori.lanes import COUNT, load, spread, store
+from irodori.native import uncounted
 from irodori.principal.tiles import Tiles
 
 SAMPLE_PIXELS = 1 << 16
 _BLOCK = 64  # pixels that are multiplied together, in the first cache
-_SIDE = 4  # entries of the matrix that are held in registers, along each side
 _CLASS_EXPONENTS, _LOWEST_EXPONENT = 20, -400
 _CLASSES = 40
 #: Eigenvalues of a class below this share of its largest are rounding of single-precision pixels.
@@ -46,84 +46,126 @@ class Moments:
     sample: np.ndarray
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"}, error_model="numpy")
-def _squared_norm(row):
+@uncounted(nogil=True, fastmath={"reassoc", "contract"}, error_model="numpy")
+def _take(rows, p, blocks, level, place):
+    """Copy a pixel into the block of a class; return its squared length."""
     total = 0.0
-    for j in range(row.size):
-        value = np.float64(row[j])
+    for j in range(rows.shape[1]):
+        value = np.float64(rows[p, j])
+        blocks[level, place, j] = value
         total += value * value
     return total
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"}, error_model="numpy")
-def _multiply(block, moment):
-    """Add the products of a block's columns (bands, pixels) with one another, upper blocks of 4 x 4."""
-    for i in range(0, block.shape[0], _SIDE):
-        for j in range(i, block.shape[0], _SIDE):
-            s00 = s01 = s02 = s03 = s10 = s11 = s12 = s13 = 0.0
-            s20 = s21 = s22 = s23 = s30 = s31 = s32 = s33 = 0.0
-            for p in range(_BLOCK):
-                x0, x1, x2, x3 = block[i, p], block[i + 1, p], block[i + 2, p], block[i + 3, p]
-                y0, y1, y2, y3 = block[j, p], block[j + 1, p], block[j + 2, p], block[j + 3, p]
-                s00, s01, s02, s03 = s00 + x0 * y0, s01 + x0 * y1, s02 + x0 * y2, s03 + x0 * y3
-                s10, s11, s12, s13 = s10 + x1 * y0, s11 + x1 * y1, s12 + x1 * y2, s13 + x1 * y3
-                s20, s21, s22, s23 = s20 + x2 * y0, s21 + x2 * y1, s22 + x2 * y2, s23 + x2 * y3
-                s30, s31, s32, s33 = s30 + x3 * y0, s31 + x3 * y1, s32 + x3 * y2, s33 + x3 * y3
-            m0, m1, m2, m3 = moment[i], moment[i + 1], moment[i + 2], moment[i + 3]
-            m0[j], m0[j + 1], m0[j + 2], m0[j + 3] = m0[j] + s00, m0[j + 1] + s01, m0[j + 2] + s02, m0[j + 3] + s03
-            m1[j], m1[j + 1], m1[j + 2], m1[j + 3] = m1[j] + s10, m1[j + 1] + s11, m1[j + 2] + s12, m1[j + 3] + s13
-            m2[j], m2[j + 1], m2[j + 2], m2[j + 3] = m2[j] + s20, m2[j + 1] + s21, m2[j + 2] + s22, m2[j + 3] + s23
-            m3[j], m3[j + 1], m3[j + 2], m3[j + 3] = m3[j] + s30, m3[j + 1] + s31, m3[j + 2] + s32, m3[j + 3] + s33
+@uncounted(nogil=True, error_model="numpy")
+def _multiply_two(block, side, i, j, moment):
+    """Add the products of eight columns, from i on, with sixteen, from j on."""
+    a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = spread(0.0)
+    b0 = b1 = b2 = b3 = b4 = b5 = b6 = b7 = spread(0.0)
+    for p in range(0, _BLOCK * side, side):
+        y, z, x = load(block, p + j), load(block, p + j + COUNT), p + i
+        a0, b0 = a0 + block[x] * y, b0 + block[x] * z
+        a1, b1 = a1 + block[x + 1] * y, b1 + block[x + 1] * z
+        a2, b2 = a2 + block[x + 2] * y, b2 + block[x + 2] * z
+        a3, b3 = a3 + block[x + 3] * y, b3 + block[x + 3] * z
+        a4, b4 = a4 + block[x + 4] * y, b4 + block[x + 4] * z
+        a5, b5 = a5 + block[x + 5] * y, b5 + block[x + 5] * z
+        a6, b6 = a6 + block[x + 6] * y, b6 + block[x + 6] * z
+        a7, b7 = a7 + block[x + 7] * y, b7 + block[x + 7] * z
+    _add(moment, side, i * side + j, a0, a1, a2, a3, a4, a5, a6, a7)
+    _add(moment, side, i * side + j + COUNT, b0, b1, b2, b3, b4, b5, b6, b7)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _accumulate(rows, blocks, waiting, moments, totals):
+@uncounted(nogil=True, error_model="numpy")
+def _multiply_one(block, side, i, j, moment):
+    """Add the products of eight columns, from i on, with eight, from j on."""
+    a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = spread(0.0)
+    for p in range(0, _BLOCK * side, side):
+        y, x = load(block, p + j), p + i
+        a0, a1 = a0 + block[x] * y, a1 + block[x + 1] * y
+        a2, a3 = a2 + block[x + 2] * y, a3 + block[x + 3] * y
+        a4, a5 = a4 + block[x + 4] * y, a5 + block[x + 5] * y
+        a6, a7 = a6 + block[x + 6] * y, a7 + block[x + 7] * y
+    _add(moment, side, i * side + j, a0, a1, a2, a3, a4, a5, a6, a7)
+
+
+@uncounted(nogil=True, error_model="numpy")
+def _add(moment, side, place, a0, a1, a2, a3, a4, a5, a6, a7):
+    """Add eight rows of eight to a matrix, the first at a flat place."""
+    store(moment, place, load(moment, place) + a0)
+    store(moment, place + side, load(moment, place + side) + a1)
+    store(moment, place + 2 * side, load(moment, place + 2 * side) + a2)
+    store(moment, place + 3 * side, load(moment, place + 3 * side) + a3)
+    store(moment, place + 4 * side, load(moment, place + 4 * side) + a4)
+    store(moment, place + 5 * side, load(moment, place + 5 * side) + a5)
+    store(moment, place + 6 * side, load(moment, place + 6 * side) + a6)
+    store(moment, place + 7 * side, load(moment, place + 7 * side) + a7)
+
+
+@uncounted(nogil=True, error_model="numpy")
+def _multiply(block, side, moment):
+    """Add the products of a block's columns with one another, upper blocks of 8 x 8; both flat, rows of ``side``."""
+    for i in range(0, side, COUNT):
+        j = i
+        while j + COUNT < side:
+            _multiply_two(block, side, i, j, moment)
+            j += 2 * COUNT
+        if j < side:
+            _multiply_one(block, side, i, j, moment)
+
+
+@uncounted(nogil=True, error_model="numpy")
+def _accumulate(rows, blocks, flat_blocks, waiting, moments, totals):
     """Add pixels; ``totals`` holds the masked pixels and the largest squared length."""
-    bands = rows.shape[1]
+    level = 0
     for p in range(rows.shape[0]):
-        square = _squared_norm(rows[p])
+        # Neighbours are mostly of one class: the pixel goes there while its length is measured.
+        square = _take(rows, p, blocks, level, waiting[level])
         if not square < np.inf:
             totals[0] += 1.0
             continue
         totals[1] = max(totals[1], square)
         if square == 0.0:
             continue
-        level = (math.frexp(square)[1] - _LOWEST_EXPONENT) // _CLASS_EXPONENTS
-        level = min(max(level, 0), moments.shape[0] - 1)
-        place = waiting[level]
-        for j in range(bands):
-            blocks[level, j, place] = rows[p, j]
-        waiting[level] = place + 1
-        if place + 1 == _BLOCK:
-            _multiply(blocks[level], moments[level])
+        own = (math.frexp(square)[1] - _LOWEST_EXPONENT) // _CLASS_EXPONENTS
+        own = min(max(own, 0), moments.shape[0] - 1)
+        if own != level:
+            level = own
+            _take(rows, p, blocks, level, waiting[level])
+        waiting[level] += 1
+        if waiting[level] == _BLOCK:
+            _multiply(flat_blocks[level], blocks.shape[2], moments[level])
             waiting[level] = 0
 
 
-@numba.njit(cache=True, nogil=True)
-def _finish(blocks, waiting, moments):
+@uncounted(nogil=True)
+def _finish(side, blocks, waiting, moments):
     for level in range(len(blocks)):
         if waiting[level]:
-            blocks[level, :, waiting[level] :] = 0.0
-            _multiply(blocks[level], moments[level])
+            block = blocks[level]
+            for place in range(waiting[level] * side, block.size):
+                block[place] = 0.0
+            _multiply(block, side, moments[level])
 
 
 class _Sums:
     """What one worker adds up."""
 
     def __init__(self, bands: int) -> None:
-        side = -(-bands // _SIDE) * _SIDE
-        self.bands = bands
+        self.bands, self._side = bands, -(-bands // COUNT) * COUNT
         self.totals = np.zeros(2)
-        self.moments = np.zeros((_CLASSES, side, side))
-        self._blocks, self._waiting = np.zeros((_CLASSES, side, _BLOCK)), np.zeros(_CLASSES, dtype=np.int64)
+        self._moments = np.zeros((_CLASSES, self._side**2))
+        self._blocks, self._waiting = np.zeros((_CLASSES, _BLOCK, self._side)), np.zeros(_CLASSES, dtype=np.int64)
 
     def add(self, rows: np.ndarray) -> None:
-        _accumulate(rows, self._blocks, self._waiting, self.moments, self.totals)
+        flat = self._blocks.reshape(_CLASSES, -1)
+        _accumulate(rows, self._blocks, flat, self._waiting, self._moments, self.totals)
 
     def finished(self) -> np.ndarray:
         """Return the moments of every class, (classes, bands, bands)."""
-        _finish(self._blocks, self._waiting, self.moments)
-        upper = np.triu(self.moments[:, : self.bands, : self.bands])
+        _finish(self._side, self._blocks.reshape(_CLASSES, -1), self._waiting, self._moments)
+        moments = self._moments.reshape(_CLASSES, self._side, self._side)
+        upper = np.triu(moments[:, : self.bands, : self.bands])
         return upper + np.triu(upper, 1).transpose(0, 2, 1)
 
 

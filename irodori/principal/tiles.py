@@ -3,6 +3,8 @@
 One tile is read while others are worked on; a picture may be read as often as wanted.
 """
 
+import mmap
+import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -35,6 +37,7 @@ class Tiles:
 
     def __init__(self, source, tile_bytes: int = TILE_BYTES) -> None:
         self._source, self._bytes = source, tile_bytes
+        self._place = _place_in_file(source)
         self._is_array = hasattr(source, "shape") and hasattr(source, "dtype")
         if self._is_array:
             if len(source.shape) not in (2, 3) or 0 in source.shape:
@@ -89,6 +92,8 @@ class Tiles:
         source = self._source
         if type(source) is np.ndarray:
             return source[part]
+        if self._place is not None:
+            return _mapped(source, part, self._place)
         shape = (*(s.stop - s.start for s in part), *source.shape[len(part) :])
         size = int(np.prod(shape))
         if buffers[worker].size < size:
@@ -120,3 +125,27 @@ class Tiles:
 def _rows(tile) -> np.ndarray:
     tile = np.asarray(tile)
     return np.ascontiguousarray(tile.reshape(-1, tile.shape[-1]), dtype=np.float32)
+
+
+def _place_in_file(source) -> int | None:
+    """Return where the numbers of an HDF5 dataset begin in its file, bytes, if they stand there as they are used."""
+    plain = hasattr(source, "id") and hasattr(source, "chunks") and source.chunks is None
+    if not plain or source.dtype != np.float32 or source.file.mode != "r":
+        return None
+    return source.id.get_offset()
+
+
+def _mapped(source, part: tuple[slice, ...], place: int) -> np.ndarray:
+    """Return a tile as the system holds the file, without a copy; it is let go with the array."""
+    shape = (*(s.stop - s.start for s in part), *source.shape[len(part) :])
+    strides = [int(np.prod(source.shape[axis + 1 :])) * 4 for axis in range(len(part))]
+    begin = place + sum(s.start * stride for s, stride in zip(part, strides, strict=True))
+    page = begin // mmap.ALLOCATIONGRANULARITY * mmap.ALLOCATIONGRANULARITY
+    count = int(np.prod(shape))
+    file = os.open(source.file.filename, os.O_RDONLY)
+    try:
+        flags = mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0)
+        view = mmap.mmap(file, begin - page + 4 * count, flags=flags, prot=mmap.PROT_READ, offset=page)
+    finally:
+        os.close(file)
+    return np.frombuffer(view, dtype=np.float32, count=count, offset=begin - page).reshape(shape)
