@@ -26,10 +26,6 @@ def test_placed_lights_are_made_without_a_camera_and_light_a_scene(tmp_path):
     assert not [rule for rule, wildcards in jobs if "environment" in wildcards and rule != "prepare_environment"]
     rules = {rule for rule, _ in jobs}
     assert {"prepare_environment", "render_view", "measure_errors", "write_report"} <= rules
-    settings = folder / "config/config.yaml"
-    text = settings.read_text()
-    settings.write_text(yaml.safe_dump(yaml.safe_load(text) | {
-        "environment": yaml.safe_load(text).get("environment", {}) | {"gloss_maps": True}}))  # fmt: skip
     run = snakemake(folder, "results/environments/classroom.h5")
     assert run.returncode == 0, run.stderr[-4000:]
     path = folder / "results/environments/classroom.h5"
@@ -51,10 +47,6 @@ def test_a_panorama_is_an_input_and_its_absence_is_said_before_anything_is_made(
     assert refused.returncode != 0 and "no such file: sky.exr" in refused.stderr + refused.stdout
     (folder / "sky.exr").write_bytes(b"not a picture")
     assert ("prepare_environment", {"environment": "classroom"}) in planned(snakemake(folder, "--dry-run"))
-    settings = folder / "config/config.yaml"
-    text = settings.read_text()
-    settings.write_text(yaml.safe_dump(yaml.safe_load(text) | {
-        "environment": yaml.safe_load(text).get("environment", {}) | {"gloss_maps": True}}))  # fmt: skip
     run = snakemake(folder, "results/environments/classroom.h5")
     assert run.returncode != 0
     assert "sky.exr" in (folder / "results/logs/prepare_environment/classroom.log").read_text()
