@@ -19,6 +19,8 @@ _RGB_ASSUMPTION = (
 #: Red, green, blue and white of linear sRGB (ITU-R BT.709), x and y of each.
 _SRGB = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 _CHROMATICITY_ROUNDING = 2e-3
+#: How far a panorama may be from twice as wide as high, as a share of its width: cut pixels of a rescaled one.
+_ODD_SHARE = 0.01
 
 
 def mallett_basis() -> np.ndarray:
@@ -40,6 +42,15 @@ def _panorama_header(path) -> Header:
         found = f"{width} x {height} pixels of a picture of {whole_width} x {whole_height}"
         raise InputError(path, "dataWindow", found, "every direction: a whole panorama")
     return header
+
+
+def _panorama(size: tuple[int, int], basis: np.ndarray, read, path, origin: dict) -> Picture:
+    """Return the picture of a file; refuse one that cannot be all directions on an equirectangular grid."""
+    height, width = size
+    if abs(width - 2 * height) > _ODD_SHARE * width:
+        accepted = "an equirectangular panorama of all directions, twice as wide as high"
+        raise InputError(path, "", f"{width} x {height} pixels", accepted)
+    return Picture(size, basis, read, path, origin)
 
 
 def _finite(band: np.ndarray, first: int, path) -> np.ndarray:
@@ -85,8 +96,8 @@ def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Pi
     Raises
     ------
     InputError
-        If the file cannot be read, has no R, G and B, states other primaries, is a part of a picture, or is made for a
-        display; while it is read, if it is truncated or a pixel is not finite.
+        If the file cannot be read, has no R, G and B, states other primaries, is a part of a picture, is not twice as
+        wide as high, or is made for a display; while it is read, if it is truncated or a pixel is not finite.
 
     Notes
     -----
@@ -113,7 +124,7 @@ def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Pi
             rgb = not_negative(_finite(band[..., channels], first, path), first)
             yield from_panorama(rgb * np.float32(scale), centre_azimuth_deg)
 
-    return Picture(header.size, mallett_basis(), read, path, origin)
+    return _panorama(header.size, mallett_basis(), read, path, origin)
 
 
 def spectral_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Picture:
@@ -131,7 +142,8 @@ def spectral_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) 
     ------
     InputError
         If the file cannot be read, holds no emissive layers (a picture of reflectances is no light), is a part of a
-        picture, or does not cover the wavelengths; while it is read, if it is truncated or a value is not finite.
+        picture, is not twice as wide as high, or does not cover the wavelengths; while it is read, if it is truncated
+        or a value is not finite.
     """
     header = _panorama_header(path)
     wavelength_nm, channels = layers_of(header.channels, "S0", path)
@@ -146,4 +158,4 @@ def spectral_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) 
             values = not_negative(resample_picture(wavelength_nm, spectra, path), first)
             yield from_panorama(values * np.float32(scale), centre_azimuth_deg)
 
-    return Picture(header.size, np.eye(WAVELENGTH_NM.size), read, path, origin)
+    return _panorama(header.size, np.eye(WAVELENGTH_NM.size), read, path, origin)

@@ -7,22 +7,19 @@ import OpenImageIO as oiio
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import DATA, fresnel
-from test_environment import write_inputs
+from scenes import DATA
 
 from irodori import store
 from irodori.colour import colour_matching_weights, delta_e, lab_from_xyz, spectral_rmse
-from irodori.environment import make_environment, prepare_environment, write_environment
+from irodori.environment import make_environment, write_environment
 from irodori.errors import InputError
 from irodori.irradiance import Integrator
 from irodori.light import Environment, directions
 from irodori.light_files import mallett_basis, rgb_picture, spectral_picture
-from irodori.mirror_ball import RIM, ball_places, inverse_reflectance, unwrapped
 from irodori.omnidirectional import BAND_ROWS, Picture, bands, from_panorama, to_panorama
 from irodori.pictures import read_layers, write_spectral_exr
 from irodori.placed_lights import direction_of, lights_picture, unit_luminance
 from irodori.principal import CompressOptions
-from irodori.recovery import Calibration
 from irodori.spectra import WAVELENGTH_NM, light, spectrum
 from irodori.spectra.resampling import resample_picture
 
@@ -132,6 +129,15 @@ def test_a_part_of_a_panorama_and_other_primaries_are_refused(tmp_path):
         rgb_picture(write_exr(tmp_path / "acescg.exr", pixels, chromaticities=acescg))
     srgb = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
     assert rgb_picture(write_exr(tmp_path / "srgb.exr", pixels, chromaticities=srgb)).size == (8, 16)
+
+
+def test_what_cannot_be_all_directions_is_refused(tmp_path):
+    for size in ((4, 4), (4, 6), (4, 12)):
+        for reader, names in ((rgb_picture, ("R", "G", "B")), (spectral_picture, ("S0.400,0nm", "S0.700,0nm"))):
+            path = write_exr(tmp_path / "p.exr", np.ones((*size, len(names))), names)
+            with pytest.raises(InputError, match=r"p\.exr.*twice as wide as high"):
+                reader(path)
+    assert rgb_picture(write_exr(tmp_path / "p.exr", np.ones((100, 201, 3)))).size == (100, 201)
 
 
 @pytest.mark.parametrize("name", ["lobby", "hall", "workshop", "museum"])
@@ -340,113 +346,3 @@ def test_placed_lights_in_a_file(tmp_path):
     place = np.unravel_index(np.linalg.norm(found.coefficients, axis=-1).argmax(), (32, 64))
     radiance = found.basis @ found.coefficients[place] * directions(64, 32)[1][place]
     assert np.allclose(radiance / np.pi, unit_luminance("FL11"), rtol=1e-4)
-
-
-# --- mirror ball ---------------------------------------------------------------------------------------------------
-
-BALL = {"kind": "mirror_ball", "centre_px": [100.5, 90.0], "radius_px": 85.0, "camera_azimuth_deg": 0.0,
-        "camera_elevation_deg": 0.0, "roll_deg": 0.0, "reflectance_factor": 1.0}  # fmt: skip
-
-
-def photograph(radiance, source, reflectance=None, size=(190, 205)):
-    """A ball's photograph: each pixel shows the radiance in the mirror direction; radiance: (n, 3) -> (n, b)."""
-    rows, columns = size
-    x = (np.arange(columns) - source["centre_px"][0]) / source["radius_px"]
-    y = -(np.arange(rows)[:, None] - source["centre_px"][1]) / source["radius_px"]
-    a, b = np.broadcast_arrays(x, y)
-    c = np.sqrt(np.maximum(1 - a**2 - b**2, 0.0))
-    azimuth, elevation = np.radians([source["camera_azimuth_deg"], source["camera_elevation_deg"]])
-    back = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
-    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-    up = np.array([-np.sin(elevation) * np.cos(azimuth), -np.sin(elevation) * np.sin(azimuth), np.cos(elevation)])
-    normal = a[..., None] * right + b[..., None] * up + c[..., None] * back
-    seen = radiance(2 * c[..., None] * normal - back)
-    on_ball = (a**2 + b**2 <= 1)[..., None]
-    return np.where(on_ball, seen * (1.0 if reflectance is None else reflectance(c)), 0.0)
-
-
-def smooth(unit):
-    return np.stack([2 + unit[..., 0], 1.5 + unit[..., 1] * unit[..., 2], 1 + unit[..., 2] ** 2], axis=-1)
-
-
-@pytest.mark.parametrize("camera", [(0.0, 0.0), (140.0, 0.0), (-60.0, 35.0)])
-def test_a_mirror_ball_shows_the_light_where_it_comes_from(camera):
-    source = {**BALL, "camera_azimuth_deg": camera[0], "camera_elevation_deg": camera[1]}
-    weights = photograph(smooth, source)
-    picture = unwrapped(source, {"width": 64, "height": 32}, weights, np.ones(weights.shape[:2], bool),
-                        np.eye(61)[:, :3], "ball.h5")  # fmt: skip
-    unit = directions(64, 32)[0]
-    seen = ball_places(source, 64, 32)[2] < RIM
-    found = (picture.weights @ picture.basis.T)[..., :3]
-    assert np.abs(found - smooth(unit))[seen].max() <= 0.01
-    assert picture.origin["blind_fraction"] == pytest.approx((1 - np.cos(np.pi - 2 * np.arcsin(RIM))) / 2, abs=0.01)
-    # The blind cone lies behind the ball.
-    towards = direction_of(*camera)
-    assert (unit[~seen] @ towards < -0.9).all()
-
-
-def test_the_balls_own_fresnel_reflectance_is_divided_out():
-    n, k = 3.2, 3.3  # chromium, about
-    source = {key: value for key, value in BALL.items() if key != "reflectance_factor"}
-    source["refractive_index"] = {"n": n, "k": k}
-    weights = photograph(smooth, source, lambda cosine: fresnel(cosine, n, k)[..., None])
-    picture = unwrapped(source, {"width": 64, "height": 32}, weights, np.ones(weights.shape[:2], bool),
-                        np.eye(61)[:, :3], "ball.h5")  # fmt: skip
-    seen = ball_places(source, 64, 32)[2] < RIM
-    found = (picture.weights @ picture.basis.T)[..., :3]
-    assert np.abs(found - smooth(directions(64, 32)[0]))[seen].max() <= 0.015
-
-
-def test_a_coloured_metal_is_divided_out_at_every_wavelength(tmp_path):
-    path = DATA / "refractive_index"
-    tables = sorted(path.glob("*copper*.csv")) + sorted(path.glob("*brass*.csv")) if path.is_dir() else []
-    if not tables:
-        pytest.skip(f"no refractive indices in {path}")
-    source = {**BALL, "refractive_index": {"file": str(tables[0])}}
-    del source["reflectance_factor"]
-    from irodori.spectra import refractive_index
-
-    n, k = refractive_index(source["refractive_index"])
-    cosine = np.linspace(0.21, 1.0, 50)
-    factors, spectra = inverse_reflectance(source, cosine)
-    assert factors.shape[1] <= 6
-    exact = np.array([fresnel(c, n, k) for c in cosine])
-    assert np.abs((factors @ spectra.T) * exact - 1.0).max() <= 2e-3
-
-
-def test_a_ball_that_is_not_in_the_picture_or_masked_is_refused():
-    weights, valid = np.ones((190, 205, 3)), np.ones((190, 205), bool)
-    size, basis = {"width": 32, "height": 16}, np.eye(61)[:, :3]
-    with pytest.raises(InputError, match="beyond the photograph"):
-        unwrapped({**BALL, "radius_px": 120.0}, size, weights, valid, basis, "ball.h5")
-    one = valid.copy()
-    one[90, 100] = False
-    picture = unwrapped(BALL, size, weights, one, basis, "ball.h5")
-    assert np.allclose((picture.weights @ picture.basis.T)[..., :3], 1.0)
-    # A direction whose place is the masked pixel's own centre.
-    exact = {**BALL, "centre_px": [100.0, 90.0], "camera_azimuth_deg": 180.0}
-    picture = unwrapped(exact, {"width": 1, "height": 1}, weights, one, basis, "ball.h5")
-    assert np.allclose((picture.weights @ picture.basis.T)[..., :3], 1.0)
-    one[80:100, 90:110] = False
-    with pytest.raises(InputError, match="all masked"):
-        _ = unwrapped(BALL, size, weights, one, basis, "ball.h5").weights
-
-
-def test_the_stage_unwraps_a_ball_and_minds_saturation_on_it_alone(tmp_path):
-    response = photograph(smooth, BALL).astype(np.float32)
-    calibration = Calibration(np.eye(61)[:, [10, 30, 50]], np.eye(3), np.full(61, 2.0), ("out",))
-    valid = np.ones(response.shape[:2], np.uint8)
-    valid[0, 0] = 0  # beside the ball: clipped, and of no importance
-    write_inputs(tmp_path, response, valid, calibration)
-    size = {"width": 64, "height": 32}
-    prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "e.h5", EXACT,
-                        OPTIONS[1], OPTIONS[2], BALL, size)  # fmt: skip
-    found = Environment.load(tmp_path / "e.h5")
-    seen = ball_places(BALL, 64, 32)[2] < RIM
-    spectra = (found.coefficients @ found.basis.T)[..., [10, 30, 50]]
-    assert np.abs(spectra - 2 * smooth(directions(64, 32)[0]))[seen].max() <= 0.03
-    valid[90, 100] = 0
-    write_inputs(tmp_path, response, valid, calibration)
-    with pytest.raises(InputError, match="saturated in every bracket"):
-        prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "f.h5", EXACT,
-                            OPTIONS[1], OPTIONS[2], BALL, size)  # fmt: skip
