@@ -9,6 +9,7 @@ from irodori import store
 from irodori.material import Material
 from irodori.report.calibration import calibration_section
 from irodori.report.compression import compression_section
+from irodori.report.error_budget import BudgetRow, read_budget
 from irodori.report.errors import read_errors
 from irodori.report.figures import material_figure, planning_figure, spectra_figure
 from irodori.report.imperfections import CostRow, read_costs
@@ -163,6 +164,21 @@ def _imperfections_section(rows: list[CostRow]) -> str:
     )
 
 
+def _budget_section(budgets: dict[str, list[BudgetRow]]) -> str:
+    if not budgets:
+        return ""
+    parts = [
+        "<h2>Error budget</h2><p>CIEDE2000 of the pixels that show an object, in a small picture, when one stage's "
+        "part is as it was measured and everything else is true; predicted is the mean that the stages' own errors "
+        "lead to.</p>"
+    ]
+    header = ["stage", "mean", "p95", "p99", "max", "predicted mean", "predicted by"]
+    for name, rows in budgets.items():
+        lines = [[r.stage, *(number(v) for v in (r.mean, r.p95, r.p99, r.max, r.predicted)), r.by] for r in rows]
+        parts.append(f"<h3>{html.escape(name)}</h3>{table(header, lines)}")
+    return "".join(parts)
+
+
 def _cameras_section(cameras: list[str], references: list) -> str:
     rows = []
     for name, path in zip(cameras, references, strict=True):
@@ -196,7 +212,7 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
     Parameters
     ----------
     inputs : dict
-        Files: errors, planning, imperfections; lists of references, registrations, materials, true_materials,
+        Files: errors, planning, imperfections; lists of budgets, references, registrations, materials, true_materials,
         environments, calibration_errors, pictures, figures, true_pictures.
     names : dict
         objects, virtual_objects, environments, cameras, views, virtual_views, in the order of the files.
@@ -206,10 +222,12 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
     """
     true_views = dict(zip(names["virtual_views"], inputs["true_pictures"], strict=True))
     true_objects = dict(zip(names["virtual_objects"], inputs["true_materials"], strict=True))
+    budgets = {n: read_budget(path) for n, path in zip(names["virtual_views"], inputs["budgets"], strict=True)}
     body = [
         "<h1>Irodori</h1>",
         _views_section(names["views"], inputs["pictures"], inputs["figures"], true_views),
         _errors_section(read_errors(inputs["errors"])),
+        _budget_section(budgets),
         _objects_section(names["objects"], inputs["materials"], true_objects),
         light_section(names["environments"], inputs["environments"]),
         _imperfections_section(read_costs(inputs["imperfections"])),

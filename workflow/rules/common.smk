@@ -341,6 +341,28 @@ def scene_environment(wildcards):
     return f"results/environments/{config['scenes'][wildcards.scene]['environment']}.h5"
 
 
+def scene_true_environment(wildcards):
+    """Return the file of a virtual scene's true light."""
+    return f"results/environments/{config['scenes'][wildcards.scene]['environment']}/truth.h5"
+
+
+def scene_calibrations(wildcards):
+    """Return the calibration of the camera that photographed each object of a scene."""
+    cameras = [config["objects"][name]["camera"] for name in scene_objects(wildcards)]
+    return [f"results/cameras/{camera}/calibration.h5" for camera in cameras]
+
+
+def scene_tiles(wildcards):
+    """Return the fitted tiles of a scene's objects, each object's once."""
+    size = config["rectify"]["tile_texels"]
+    found = []
+    for name in dict.fromkeys(scene_objects(wildcards)):
+        texels = config["objects"][name]["texels"]
+        count = len(tile_rows(texels["height"], texels["width"], size))
+        found += [f"results/{name}/brdf/tile-{number:03d}.h5" for number in range(count)]
+    return found
+
+
 def scene_meshes(wildcards):
     """Return the files of the meshes among a scene's objects."""
     return meshes_of(*dict.fromkeys(scene_objects(wildcards)))

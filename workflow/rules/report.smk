@@ -135,6 +135,45 @@ rule measure_imperfections:
         "../scripts/measure_imperfections.py"
 
 
+rule measure_error_budget:
+    input:
+        materials=scene_materials("results/{object}/material.h5"),
+        true_materials=scene_materials("results/{object}/truth.h5"),
+        calibrations=scene_calibrations,
+        tiles=scene_tiles,
+        environment=scene_environment,
+        true_environment=scene_true_environment,
+        meshes=scene_meshes,
+        tables=scene_tables,
+    output:
+        budget=report(
+            "results/{scene}/error_budget/{view}.csv",
+            caption="../report/error_budget.rst",
+            category="Errors",
+            labels={"scene": "{scene}", "view": "{view}"},
+        ),
+    log:
+        "results/logs/measure_error_budget/{scene}_{view}.log",
+    benchmark:
+        "results/benchmarks/measure_error_budget/{scene}_{view}.tsv"
+    # No stage waits for it, and the loops it shares with them are compiled by then.
+    priority: -10
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 3000 * attempt,
+    params:
+        scene=lookup(within=config, dpath="scenes/{scene}"),
+        shapes=scene_shapes,
+        render=lookup(within=config, dpath="render"),
+        compress=lookup(within=config, dpath="compress"),
+        environment=lookup(within=config, dpath="environment"),
+        code=code_hash("irodori.report.error_budget"),
+    script:
+        "../scripts/measure_error_budget.py"
+
+
 rule measure_registration:
     input:
         linear=linear_files,
@@ -162,6 +201,7 @@ rule write_report:
         errors="results/errors.csv",
         planning="results/planning.csv",
         imperfections="results/imperfections.csv",
+        budgets=views("results/{scene}/error_budget/{view}.csv", virtual_only=True),
         references=expand("results/cameras/{camera}/reference.h5", camera=config["cameras"]),
         registrations=expand("results/{object}/registration.csv", object=config["objects"]),
         materials=expand("results/{object}/material.h5", object=config["objects"]),

@@ -1,0 +1,159 @@
+"""The error budget: parts that sum to the whole, each fault in its own row, known errors predicted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import OPTIONS, plate, sky, smooth_light
+
+from irodori.colour import delta_e_reflectance
+from irodori.material import Material
+from irodori.principal import CompressOptions
+from irodori.recovery import Calibration
+from irodori.report.error_budget import Measured, compressed_light, error_budget, propagated, substitutes
+from irodori.spectra import spectrum
+
+SIDE = 40
+PAINTS = np.stack([spectrum("TCS1"), spectrum("TCS14"), spectrum("TCS56")], axis=1)
+BASIS = np.linalg.svd(np.stack([spectrum(f"TCS{i}") for i in range(99)]), full_matrices=False)[2][:6].T
+#: A camera whose responses are the coefficients themselves.
+CALIBRATION = Calibration(BASIS, np.eye(6), np.ones(61), ("out", "in"))
+
+
+def truth() -> Material:
+    """Three paints side by side."""
+    paint = np.broadcast_to(np.arange(SIDE) * 3 // SIDE, (SIDE, SIDE))
+    green = PAINTS[30][paint]
+    return Material(alpha=green, beta=np.full((SIDE, SIDE), 2.0), mu=np.full((SIDE, SIDE), 0.1), green_response=green,
+                    coefficients=np.eye(3, dtype=np.float32)[paint], basis=PAINTS, n=np.full(61, 1.5), k=np.zeros(61),
+                    mirror=0.0, typical_gloss=(2.0, 0.1))  # fmt: skip
+
+
+def measured(change=0.0, deviation=0.0, unseen=np.s_[:0], gloss=(0.0, 0.0)) -> Measured:
+    """What a chain might find: the truth on the camera's basis, changed and with scatter of a known deviation."""
+    exact = truth()
+    rng = np.random.default_rng(3)
+    response = (exact.coefficients @ PAINTS.T) @ BASIS + change
+    noisy = response + deviation * rng.standard_normal(response.shape)
+    alpha = (noisy @ BASIS.T)[..., 30]
+    alpha[unseen] = np.nan
+    own = replace(exact, alpha=alpha, green_response=alpha, coefficients=noisy.astype(np.float32), basis=BASIS,
+                  beta=exact.beta + gloss[0] * rng.standard_normal(alpha.shape),
+                  mu=exact.mu + gloss[1] * rng.standard_normal(alpha.shape))  # fmt: skip
+    variance = np.full(response.shape, deviation**2)
+    return Measured(own, exact, np.broadcast_to(gloss, (*alpha.shape, 2)), noisy, variance, CALIBRATION, 0.5)
+
+
+def spectra(material: Material) -> np.ndarray:
+    return material.coefficients * material.spectrum_scale[..., None] @ material.basis.T
+
+
+def colour_errors(one: Measured) -> dict[str, float]:
+    """Mean CIEDE2000 of every part's reflectance."""
+    parts = substitutes(one, np.ones((SIDE, SIDE), bool))
+    exact = spectra(one.truth)
+    return {name: float(delta_e_reflectance(exact, spectra(part)).mean()) for name, part in parts.items()}
+
+
+def test_the_parts_sum_to_what_was_measured():
+    one = measured(0.01, 0.01, np.s_[3:9, 5:30])
+    parts = substitutes(one, np.ones((SIDE, SIDE), bool))
+    exact = spectra(one.truth)
+    changes = sum(spectra(parts[name]) - exact for name in ("noise", "calibration", "seams", "unseen"))
+    assert np.abs(exact + changes - spectra(parts["all"])).max() < 1e-5
+
+
+def test_what_is_wrong_alike_is_calibration_and_what_scatters_is_noise():
+    # Six vectors do not hold the paints exactly: what that leaves is calibration in both.
+    floor = colour_errors(measured())
+    assert floor["noise"] < 1e-3 and floor["calibration"] > 0
+    biased, noisy = colour_errors(measured(change=0.02)), colour_errors(measured(deviation=0.02))
+    assert biased["calibration"] > floor["calibration"] + 0.5 and biased["noise"] < 1e-3
+    assert noisy["noise"] > 0.5 and noisy["calibration"] < floor["calibration"] + 0.1
+    assert biased["gloss"] == noisy["gloss"] == 0.0
+
+
+def test_texels_that_nobody_saw_are_a_part_of_their_own():
+    hole = colour_errors(measured(unseen=np.s_[:, 12:28]))
+    assert hole["unseen"] > 1.0
+    assert hole["noise"] < 1e-3
+
+
+@pytest.mark.parametrize("deviation", [0.003, 0.01, 0.03])
+def test_noise_that_is_known_is_predicted(deviation):
+    one = measured(deviation=deviation)
+    found = colour_errors(one)["noise"]
+    drawn = propagated(one, np.random.default_rng(0))["noise"]
+    inside = np.s_[3:-3, :]
+    expected = delta_e_reflectance(spectra(one.truth), spectra(drawn))[inside].mean()
+    # Of 1600 texels about 1100 lie away from seams; the others have no part in what is measured.
+    share = delta_e_reflectance(spectra(one.truth), spectra(substitutes(one, np.ones((SIDE, SIDE), bool))["noise"])) > 0
+    assert found / share.mean() == pytest.approx(expected, rel=0.08)
+
+
+def test_gloss_errors_that_are_known_are_drawn_as_large():
+    drawn = propagated(measured(gloss=(0.1, 0.004)), np.random.default_rng(0))["gloss"]
+    assert (drawn.beta - 2.0).std() == pytest.approx(0.1, rel=0.05)
+    assert (drawn.mu - 0.1).std() == pytest.approx(0.004, rel=0.05)
+    # An error that the fit does not state is not drawn, and no draw leaves a roughness of nothing.
+    wild = replace(measured(), gloss_error=np.stack([np.full((SIDE, SIDE), np.nan), np.full((SIDE, SIDE), 9.0)], -1))
+    assert (propagated(wild, np.random.default_rng(0))["gloss"].beta == 2.0).all()
+    steep = replace(wild, gloss_error=np.full((SIDE, SIDE, 2), 9.0))
+    found = propagated(steep, np.random.default_rng(0))["gloss"]
+    assert found.mu.min() > 0 and found.beta.min() >= 0
+
+
+def light_of_three():
+    return sky(lambda d: np.stack([smooth_light(d), 0.3 + d[..., 2] ** 2, 1.0 + d[..., 0]], axis=-1), 64, 32, PAINTS)
+
+
+def test_light_loses_nothing_to_all_its_bases():
+    exact = light_of_three()
+    light, stated = compressed_light(exact, CompressOptions(0.0, 0.0, storage="single"))
+    assert stated < 1e-3
+    assert np.allclose(light.irradiance @ light.basis.T, exact.irradiance @ exact.basis.T, atol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def rows():
+    scene = {
+        "image": {"width": 24, "height": 16},
+        "objects": [{"object": "a", "position_mm": [0.0, 0.0, 0.0], "rotation_deg": [0.0, 0.0, 0.0], "scale": 1.0}],
+        "views": {"v": {"position_mm": [0.0, -80.0, 150.0], "target_mm": [0.0, 0.0, 0.0], "up": [0.0, 0.0, 1.0],
+                        "field_of_view_deg": 20.0}},
+    }  # fmt: skip
+    names = ("target_delta_e_mean", "target_delta_e_p99", "align", "weighting", "storage", "codec")
+    compress = dict(zip(names, (0.1, 0.5, 4, "nothing", "half", "gzip"), strict=True))
+    options = {"render": OPTIONS | {"ambient_samples": 4, "gloss_samples": 4}, "compress": compress,
+               "environment": compress | {"gloss_maps": False}}  # fmt: skip
+    light = light_of_three()
+    warmer = replace(light, basis=PAINTS * np.linspace(0.9, 1.1, 61)[:, None])
+
+    def budget(one, estimated):
+        return {row.stage.split(":")[0]: row for row in
+                error_budget(scene, "v", [plate(60.0)], [one], (estimated, light), options)}  # fmt: skip
+
+    return budget(measured(0.02, 0.01, gloss=(0.3, 0.01)), light), budget(measured(0.02), warmer)
+
+
+def test_each_fault_stands_in_its_own_row(rows):
+    first, second = rows
+    assert first["light"].max == 0.0 and second["light"].mean > 0.5
+    assert first["gloss of the fit"].mean > 5 * second["gloss of the fit"].mean
+    assert first["RAW noise"].mean > 10 * second["RAW noise"].mean
+    assert second["calibration and fit"].mean > 0.5
+    assert second["calibration and fit"].predicted == second["light"].predicted == 0.5
+
+
+def test_noise_and_gloss_reach_the_picture_as_large_as_predicted(rows):
+    for stage in ("RAW noise", "gloss of the fit"):
+        row = rows[0][stage]
+        # A small picture shows few texels at each pixel; some of them lie at seams.
+        assert row.predicted == pytest.approx(row.mean, rel=0.4), stage
+
+
+def test_the_whole_is_no_more_than_its_parts(rows):
+    for found in rows:
+        parts = [row.mean for stage, row in found.items() if not stage.startswith(("all", "renderer"))]
+        whole = found["all but the renderer"].mean
+        assert max(parts) * 0.5 < whole < sum(parts) + 0.1

@@ -1,0 +1,17 @@
+from irodori.report.error_budget import measure_error_budget
+from irodori.rules import run_rule
+
+with run_rule(snakemake):
+    scene = snakemake.params.scene
+    measure_error_budget(
+        dict(snakemake.input.items()),
+        scene,
+        snakemake.wildcards.view,
+        snakemake.params.shapes,
+        {
+            "render": {**snakemake.params.render, "max_bounces": scene["max_bounces"]},
+            "compress": snakemake.params.compress,
+            "environment": snakemake.params.environment,
+        },
+        snakemake.output.budget,
+    )
