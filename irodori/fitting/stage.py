@@ -165,6 +165,27 @@ def _fresnel(n, k, calibration, bands: int) -> BandGloss:
     return found
 
 
+def _maps(result: FitResult) -> dict[str, tuple]:
+    """Return what a file keeps of a fit: name -> values, unit, quantity."""
+    return {
+        "alpha": (result.alpha, "1", "diffuse weight"),
+        "beta": (result.beta, "1", "gloss weight"),
+        "mu": (result.mu, "rad", "roughness"),
+        "alpha_error": (result.alpha_error, "1", "standard error of alpha"),
+        "beta_error": (result.beta_error, "1", "standard error of beta"),
+        "mu_error": (result.mu_error, "rad", "standard error of mu"),
+        "residual_rms": (result.residual_rms, "1", "root mean square residual in response"),
+        "relative_residual": (result.relative_residual, "1", "residual over root mean square response"),
+        "status": (result.status, "1", ", ".join(f"{s.value} {s.name.lower()}" for s in Status)),
+        "model": (result.model, "1", "0 nothing, 1 diffuse, 2 gloss, 3 both"),
+        "refractive_index": (result.index, "1", "real refractive index; NaN where fitted and not determined"),
+        "refractive_index_error": (result.index_error, "1", "its standard error where it was fitted"),
+        "evaluations": (result.evaluations, "1", "evaluations of the objective"),
+        "pooled_from": (result.pooled_from, "1", "texels that the gloss comes from, 0 where it is the texel's own"),
+        "nlopt_result": (result.nlopt_result, "1", "return code of NLopt, 0 where not called"),
+    }
+
+
 def fit_brdf(observations, output, options: FitOptions, n, k, provenance: store.Provenance, calibration=None) -> None:
     """Fit one tile of observations and write its parameters.
 
@@ -206,23 +227,8 @@ def fit_brdf(observations, output, options: FitOptions, n, k, provenance: store.
     fitted = int((result.evaluations > 0).sum())
     diffuse, variance = diffuse_response(response, geometry, weight, result, fresnel, noise, options.model_error)
     with store.create(output, provenance) as out:
-        maps = {
+        maps = _maps(result) | {
             "texel": (texel, "1", "1 where a surface lies under the texel's centre"),
-            "alpha": (result.alpha, "1", "diffuse weight"),
-            "beta": (result.beta, "1", "gloss weight"),
-            "mu": (result.mu, "rad", "roughness"),
-            "alpha_error": (result.alpha_error, "1", "standard error of alpha"),
-            "beta_error": (result.beta_error, "1", "standard error of beta"),
-            "mu_error": (result.mu_error, "rad", "standard error of mu"),
-            "residual_rms": (result.residual_rms, "1", "root mean square residual in response"),
-            "relative_residual": (result.relative_residual, "1", "residual over root mean square response"),
-            "status": (result.status, "1", ", ".join(f"{s.value} {s.name.lower()}" for s in Status)),
-            "model": (result.model, "1", "0 nothing, 1 diffuse, 2 gloss, 3 both"),
-            "refractive_index": (result.index, "1", "real refractive index; NaN where fitted and not determined"),
-            "refractive_index_error": (result.index_error, "1", "its standard error where it was fitted"),
-            "evaluations": (result.evaluations, "1", "evaluations of the objective"),
-            "pooled_from": (result.pooled_from, "1", "texels that the gloss comes from, 0 where it is the texel's own"),
-            "nlopt_result": (result.nlopt_result, "1", "return code of NLopt, 0 where not called"),
             "diffuse_response": (diffuse, "1", "response to the diffuse reflectance alone"),
             "diffuse_variance": (variance, "1", "variance of diffuse_response from the camera's noise"),
         }
