@@ -10,15 +10,17 @@ from pathlib import Path
 
 import psutil
 from comparison import differences
-from project import ROOT, small_project
+from project import ROOT, edit, small_project
 
 #: Where Snakemake puts the script of a job: what stands in the command line of every worker.
 _SCRIPTS = ".snakemake/scripts/"
 _DEADLINE_S = 3600.0
+#: What every run makes: pictures, and the errors that read all that was recovered and its truth.
+TARGETS = ("results/still-life/front.exr", "results/still-life/front.png", "results/errors.csv")
 
 
 class Run:
-    """Snakemake at work in a folder, in a process group of its own."""
+    """Snakemake at work in a folder, in a process group of its own; without arguments it makes `TARGETS`."""
 
     def __init__(self, folder: Path, *arguments: str) -> None:
         self.folder, self.log = folder, folder / "run.log"
@@ -26,7 +28,11 @@ class Run:
         self._stream = self.log.open("wb")
         self.begun = time.monotonic()
         self.process = subprocess.Popen(
-            [*command, *arguments], cwd=folder, stdout=self._stream, stderr=subprocess.STDOUT, start_new_session=True
+            [*command, *(arguments or TARGETS)],
+            cwd=folder,
+            stdout=self._stream,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
         )
 
     @property
@@ -108,9 +114,12 @@ def unlock(folder: Path) -> None:
 
 
 def fresh_project(folder: Path) -> Path:
-    """Make the small project of the workflow's tests in a new folder."""
+    """Make the small project of the workflow's tests in a new folder, with its sphere alone."""
     folder.mkdir(parents=True)
-    return small_project(folder)
+    project = small_project(folder)
+    sphere = {"object": "leaf-sphere", "position_mm": [0.0, 0.0, 30.1], "rotation_deg": [60.0, 0.0, 0.0]}
+    edit(project / "config/scenes/still-life.yaml", {"objects": [sphere]})
+    return project
 
 
 def judge(folder: Path, expected: Path, partial: bool = False) -> str:
