@@ -36,6 +36,8 @@ class Constants:
         A million texels and a pose.
     brdf_mb, material_mb : float, MB
         A million texels.
+    hash_mb_per_s : float, MB/s
+        One core, of files that are read to be compared with their hash.
     storage_mb_per_s : float, MB/s
         Of the storage that all nodes share, reading and writing together.
     """
@@ -53,6 +55,7 @@ class Constants:
     observations_mb: float
     brdf_mb: float
     material_mb: float
+    hash_mb_per_s: float
     storage_mb_per_s: float
 
 
@@ -171,7 +174,7 @@ def phases(work: Work, cluster: Cluster, constants: Constants) -> list[Phase]:
             work.objects * tile_jobs,
             cluster.nodes * (cluster.cores_per_node // job_cores),
             2 * layers * constants.start_s,
-            layers * tile_poses * (constants.rectify_s + constants.fit_s),
+            layers * (linear_mb / constants.hash_mb_per_s + tile_poses * (constants.rectify_s + constants.fit_s)),
             # Each tile reads all captures whole, to know that they are as they were written.
             work.objects
             * (

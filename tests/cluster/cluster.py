@@ -40,13 +40,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("project", choices=("default", "small"))
-    parser.add_argument("--latency-s", type=float, help="of an empty job, for the table")
     options = parser.parse_args()
     # Statuses come from squeue: this Slurm keeps no accounts.
     on_slurm = make_project(options.folder / "on-slurm", options.project)
     said, slurm_s = snakemake(
         on_slurm, "--profile", str(ROOT / "profiles/slurm"), "--slurm-status-command", "squeue", "--slurm-no-account",
-        "--slurm-init-seconds-before-status-checks", "5",
     )  # fmt: skip
     submitted = said.count("has been submitted with SLURM jobid")
     done = len(list((on_slurm / "results/benchmarks").rglob("*.tsv")))

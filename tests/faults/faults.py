@@ -7,6 +7,7 @@ import argparse
 import csv
 import os
 import shutil
+import signal
 import sys
 import tempfile
 import time
@@ -14,7 +15,7 @@ from pathlib import Path
 
 from damage import damage_finals, damage_results, run_twice
 from kills import kill_often
-from running import fresh_project, judge, last_fault, run
+from running import end_all_under, fresh_project, judge, last_fault, run
 from storage import CannotMountError, fill_disk
 
 CASES = ("kills", "storage", "twice", "damage")
@@ -31,9 +32,12 @@ def main() -> int:
     parser.add_argument("--reference", type=Path, help="finished small project to start from")
     options = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="irodori-faults-"))
+    # A file system mounted here must be gone afterwards, and so must every process, however this ends.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
         rows = run_cases(options, folder)
     finally:
+        end_all_under(folder)
         shutil.rmtree(folder)
     bad = sum(not row["good"] for row in rows)
     print(f"{len(rows)} rows, {bad} not as they should be; seed {options.seed}")

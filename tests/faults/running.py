@@ -93,6 +93,14 @@ def wait_for_workers(folder: Path) -> int:
     return len(found)
 
 
+def end_all_under(folder: Path) -> None:
+    """SIGKILL the processes whose working directory lies under a folder."""
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error):
+            if Path(process.cwd()).is_relative_to(folder):
+                process.kill()
+
+
 def last_fault(said: str) -> str:
     """Return the sentence of a run's output that tells what went wrong: a plain fault's, or the last lines."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]

@@ -10,11 +10,13 @@ from benchmarks.scaling_model import Cluster, Constants, Phase, Work, binds_firs
 
 FREE = Constants(
     start_s=0.0, submit_s=0.0, latency_s=0.0, poll_s=0.0, ingest_s=0.0, rectify_s=0.0, fit_s=0.0, compress_s=0.0,
-    raw_mb=0.0, linear_mb=0.0, observations_mb=0.0, brdf_mb=0.0, material_mb=0.0, storage_mb_per_s=1.0,
+    raw_mb=0.0, linear_mb=0.0, observations_mb=0.0, brdf_mb=0.0, material_mb=0.0, hash_mb_per_s=1e9,
+    storage_mb_per_s=1.0,
 )  # fmt: skip
 COSTS = Constants(
     start_s=3.0, submit_s=0.1, latency_s=1.0, poll_s=10.0, ingest_s=0.05, rectify_s=0.2, fit_s=0.02, compress_s=1.0,
-    raw_mb=4.0, linear_mb=6.0, observations_mb=20.0, brdf_mb=60.0, material_mb=40.0, storage_mb_per_s=1000.0,
+    raw_mb=4.0, linear_mb=6.0, observations_mb=20.0, brdf_mb=60.0, material_mb=40.0, hash_mb_per_s=1000.0,
+    storage_mb_per_s=1000.0,
 )  # fmt: skip
 
 
@@ -48,7 +50,8 @@ def test_the_work_of_one_object_is_cut_as_the_profile_cuts_it():
     assert tiles.slots == 1 and ingest.slots == 6
     # 50 tiles, three abreast: 17 layers, each of a rectification and a fit.
     assert tiles.job_start_s == pytest.approx(17 * 2 * 3.0)
-    assert tiles.job_compute_s == pytest.approx(17 * 0.04 * 48 * 0.22)
+    # Each reads 48 captures of 60 MB to compare them with their hashes.
+    assert tiles.job_compute_s == pytest.approx(17 * (48 * 60.0 / 1000.0 + 0.04 * 48 * 0.22))
     assert ingest.job_compute_s == pytest.approx(8 * 10 * 0.05)
     # Every one of 250 tiles reads the 48 captures.
     assert tiles.moved_mb == pytest.approx(250 * 10 * 48 * 6.0 + 2 * 480 * 20.0 + 10 * 60.0)
