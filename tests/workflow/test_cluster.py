@@ -45,6 +45,12 @@ def test_every_tile_is_fitted_where_it_was_rectified(dry_run):
         assert rectified == fitted and 0 < len(fitted) <= 50
 
 
+def test_the_workflows_own_profile_takes_no_setting_from_the_clusters():
+    # Snakemake loads both and keeps the whole value of the workflow's own where both name a key.
+    own = yaml.safe_load((ROOT / "profiles/default/config.yaml").read_text())
+    assert not set(own) & set(PROFILE)
+
+
 def test_no_job_asks_for_more_memory_than_the_profile_lets_one_have(dry_run):
     asked = [int(number) for number in re.findall(r"mem_mb=(\d+)", dry_run)]
     assert asked and 2 * max(asked) <= PROFILE["resources"]["mem_mb"]
