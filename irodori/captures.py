@@ -169,7 +169,7 @@ def check_unchanged(path, folder, shots) -> None:
     """
     header, *body = (cells for _, cells in _read_rows(path))
     rows = (dict(zip((cell.strip() for cell in header), cells, strict=True)) for cells in body)
-    noted = {row["file"]: row.get("sha256", "").strip() for row in rows}
+    noted = {row["file"]: row.get("sha256", "").strip().lower() for row in rows}
     for shot in shots:
         raw = shot_path(shot, path, folder)
         if noted[shot.file] and noted[shot.file] != file_sha256(raw):
