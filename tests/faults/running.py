@@ -67,13 +67,14 @@ class Run:
         workers = workers_in(self.folder)
         if victim == "worker":
             workers = [choice.choice(workers)] if workers else []
+        # Snakemake first: it would tidy up after workers that it sees die.
+        if victim in ("snakemake", "everything"):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.process.pid, signal.SIGKILL)
         if victim in ("worker", "workers", "everything"):
             for process in workers:
                 with contextlib.suppress(psutil.Error):
                     process.send_signal(signal.SIGKILL)
-        if victim in ("snakemake", "everything"):
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(self.process.pid, signal.SIGKILL)
 
 
 def workers_in(folder: Path) -> list[psutil.Process]:
