@@ -217,7 +217,7 @@ def main() -> None:
     parser.add_argument("--megapixels", type=float, default=2.0, help="of the project that is measured (default 2)")
     parser.add_argument("--poses", type=int, default=12)
     parser.add_argument("--project", type=Path, help="finished project of benchmarks.ten_megapixels of that size")
-    parser.add_argument("--tile-texels", type=int, default=400_000)
+    parser.add_argument("--tile-texels", type=int, default=200_000)
     parser.add_argument("--objects", type=int, default=10)
     parser.add_argument("--nodes", type=int, default=100)
     parser.add_argument("--cores-per-node", type=int, default=16)

@@ -79,7 +79,7 @@ class Work:
     megapixels: float = 10.0
     million_texels: float = 10.0
     poses: int = 48
-    tile_texels: int = 400_000
+    tile_texels: int = 200_000
 
 
 @dataclass(frozen=True)
