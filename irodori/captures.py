@@ -173,7 +173,7 @@ def check_unchanged(path, folder, shots) -> None:
     for shot in shots:
         raw = shot_path(shot, path, folder)
         if noted[shot.file] and noted[shot.file] != file_sha256(raw):
-            accepted = "the photograph as it was taken: put back a copy, or remove its session.json to take it again"
+            accepted = "the photograph as it was taken: a copy, or a new one by --forcerun capture_object (or _camera)"
             raise InputError(raw, "", f"other bytes than the hash in {path} stands for", accepted)
 
 
