@@ -1,4 +1,4 @@
-"""The arithmetic of the scaling model, against hand-made cases and what must hold of any cluster."""
+"""The scaling model and its constants, against hand-made cases and what must hold of any cluster."""
 
 from dataclasses import replace
 
@@ -6,7 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.scaling import Project, chain_constants
 from benchmarks.scaling_model import Cluster, Constants, Phase, Work, binds_first, phases, total_s
+from benchmarks.ten_megapixels import Cost, Size
 
 FREE = Constants(
     start_s=0.0, submit_s=0.0, latency_s=0.0, poll_s=0.0, ingest_s=0.0, rectify_s=0.0, fit_s=0.0, compress_s=0.0,
@@ -86,3 +88,35 @@ def test_more_nodes_never_take_longer_and_more_objects_never_less(nodes, cores, 
     time_s = total_s(phases(work, cluster, COSTS), COSTS)
     assert total_s(phases(work, replace(cluster, nodes=2 * nodes), COSTS), COSTS) <= time_s
     assert total_s(phases(replace(work, objects=2 * objects), cluster, COSTS), COSTS) >= time_s
+
+
+def project(size, start_s=3.0, ingest_s=0.05, rectify_s=0.2, fit_s=0.02, compress_s=1.0, hashed_mb_per_s=1000.0):
+    """Return a project whose jobs took what the constants say, and nothing else."""
+    megatexels, pixels = size.texels_side**2 / 1e6, size.megapixels * size.poses
+    tiles, linear_mb = -(-(size.texels_side**2) // size.tile_texels), 6.0 * pixels
+    work_s = {
+        "ingest_raw": (2, ingest_s * pixels),
+        "rectify_object": (tiles, rectify_s * megatexels * size.poses + tiles * linear_mb / hashed_mb_per_s),
+        "fit_brdf": (tiles, fit_s * megatexels * size.poses),
+        "compress_reflectance": (1, compress_s * megatexels),
+    }
+    found = {rule: Cost(rule, jobs, jobs * start_s + s, s, 500.0) for rule, (jobs, s) in work_s.items()}
+    sizes = (4.0 * pixels, linear_mb, 20.0 * megatexels * size.poses, 60.0 * megatexels, 40.0 * megatexels)
+    return Project(size, found, *sizes)
+
+
+def test_the_constants_of_two_projects_are_those_they_were_made_with_whatever_starting_takes():
+    measured = {key: getattr(COSTS, key) for key in ("start_s", "submit_s", "latency_s", "poll_s", "hash_mb_per_s",
+                                                     "storage_mb_per_s")}  # fmt: skip
+    sizes = (Size(0.48, 6, 200_000), Size(2.0, 12, 200_000))
+    for start_s in (0.5, 30.0):
+        found = chain_constants(*(project(size, start_s) for size in sizes), measured)
+        for name, value in vars(COSTS).items():
+            assert getattr(found, name) == pytest.approx(value, rel=1e-6), name
+
+
+def test_a_machine_too_busy_to_tell_work_from_waiting_is_not_measured():
+    measured = {"hash_mb_per_s": 1000.0}
+    small, large = project(Size(0.48, 6, 200_000), start_s=90.0), project(Size(2.0, 12, 200_000), start_s=3.0)
+    with pytest.raises(ValueError, match="accepted: longer for more work"):
+        chain_constants(small, large, measured)
