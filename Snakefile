@@ -9,6 +9,11 @@ min_version("9.0")
 configfile: "config/config.yaml"
 
 
+# There is one real rig: sessions that move it come one after the other. Limits of a workflow's own profile replace those
+# of the profile that a user names, so that this one stands here.
+workflow.register_resource("rig", 1)
+
+
 include: "workflow/rules/common.smk"
 
 

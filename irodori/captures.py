@@ -15,6 +15,7 @@ import tempfile
 from pathlib import Path
 
 from irodori.errors import InputError
+from irodori.provenance import file_sha256
 from irodori.validation import suggest
 
 ROLES = ("object", "chart", "white", "dark", "environment")
@@ -149,6 +150,31 @@ def read_captures(path, folder=None) -> list[Shot]:
     if not shots.all:
         raise InputError(path, "", "a table without photographs", "one line for each photograph")
     return shots.all
+
+
+def check_unchanged(path, folder, shots) -> None:
+    """Compare photographs with the hashes that their table holds; an empty cell vouches for nothing.
+
+    Parameters
+    ----------
+    path, folder : path
+        Table and the folder of its RAW files.
+    shots : iterable of Shot
+        Those to look at.
+
+    Raises
+    ------
+    InputError
+        For the first photograph whose bytes are not those of the table's hash.
+    """
+    header, *body = (cells for _, cells in _read_rows(path))
+    rows = (dict(zip((cell.strip() for cell in header), cells, strict=True)) for cells in body)
+    noted = {row["file"]: row.get("sha256", "").strip().lower() for row in rows}
+    for shot in shots:
+        raw = shot_path(shot, path, folder)
+        if noted[shot.file] and noted[shot.file] != file_sha256(raw):
+            accepted = "the photograph as it was taken: a copy, or a new one by --forcerun capture_object (or _camera)"
+            raise InputError(raw, "", f"other bytes than the hash in {path} stands for", accepted)
 
 
 def _read_rows(path) -> list[tuple[int, list[str]]]:

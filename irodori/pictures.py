@@ -1,6 +1,5 @@
 """Pictures in files through OpenImageIO: spectral EXR (published layout) and display PNG with its ICC profile."""
 
-import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +10,7 @@ import OpenImageIO as oiio
 
 from irodori.errors import InputError
 from irodori.spectra import WAVELENGTH_NM
+from irodori.whole_files import written_whole
 
 
 def layer_names(kind: str) -> list[str]:
@@ -25,16 +25,12 @@ def channel_names() -> list[str]:
 
 def _write(path, pixels: np.ndarray, spec: oiio.ImageSpec) -> None:
     path = Path(path)
-    temporary = path.with_name(f".{path.stem}.part{path.suffix}")
-    output = oiio.ImageOutput.create(str(temporary))
-    if output is None:
-        raise OSError(f"{path}: {oiio.geterror()}")
-    try:
+    with written_whole(path) as temporary:
+        output = oiio.ImageOutput.create(str(temporary))
+        if output is None:
+            raise OSError(f"{path}: {oiio.geterror()}")
         if not (output.open(str(temporary), spec) and output.write_image(pixels) and output.close()):
             raise OSError(f"{path}: {output.geterror()}")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def write_spectral_exr(path, radiance: np.ndarray, rgb: np.ndarray, attributes: dict[str, str]) -> None:

@@ -3,29 +3,34 @@
 import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from irodori.progress import rule_log
-from irodori.provenance import config_hash, file_sha256
+from irodori.provenance import config_hash
 from irodori.store import Provenance
 from irodori.threads import use_threads
+from irodori.whole_files import verified_sha256, write_digest
 
 
 def _input_sha256(files) -> str:
-    """Return one hash over the contents of the files, in their order."""
+    """Return one hash over the contents of the files, in their order; each must be as its rule left it."""
     total = hashlib.sha256()
     for path in files:
-        total.update(file_sha256(Path(str(path))).encode())
+        total.update(verified_sha256(str(path)).encode())
     return total.hexdigest()
 
 
 @contextmanager
 def run_rule(snakemake) -> Iterator[Provenance]:
-    """Open a rule's log, limit its threads, and yield the provenance of its outputs.
+    """Open a rule's log, limit its threads, yield the provenance of its outputs, and note their hashes at the end.
 
     Parameters
     ----------
     snakemake : the object that Snakemake gives to a script
+
+    Raises
+    ------
+    SystemExit
+        After a plain fault, such as an input that has changed since its rule wrote it.
     """
     with rule_log(snakemake.log[0]):
         use_threads(snakemake.threads)
@@ -36,3 +41,5 @@ def run_rule(snakemake) -> Iterator[Provenance]:
             code_hash=snakemake.params.get("code", ""),
             input_sha256=_input_sha256(snakemake.input),
         )
+        for path in snakemake.output:
+            write_digest(str(path))

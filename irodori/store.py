@@ -6,7 +6,6 @@ whole. Root attributes: ``schema_version``, ``rule``, ``config_hash``, ``code_ha
 """
 
 import json
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import numpy as np
 
 from irodori import __version__
 from irodori.errors import InputError
+from irodori.whole_files import written_whole
 
 SCHEMA_VERSION = 1
 _CHUNK_BYTES = 1 << 20
@@ -133,18 +133,13 @@ def create(path, provenance: Provenance) -> Iterator[Writer]:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with h5py.File(temporary, "w", rdcc_nbytes=_CACHE_BYTES) as file:
-            file.attrs["schema_version"] = SCHEMA_VERSION
-            for key in ("rule", "config_hash", "code_hash", "input_sha256"):
-                file.attrs[key] = getattr(provenance, key)
-            libraries = {name: version(name) for name in ("numpy", "h5py")}
-            file.attrs["created_by"] = _JSON + json.dumps({"irodori": __version__, **libraries})
-            yield Writer(file)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with written_whole(path) as temporary, h5py.File(temporary, "w", rdcc_nbytes=_CACHE_BYTES) as file:
+        file.attrs["schema_version"] = SCHEMA_VERSION
+        for key in ("rule", "config_hash", "code_hash", "input_sha256"):
+            file.attrs[key] = getattr(provenance, key)
+        libraries = {name: version(name) for name in ("numpy", "h5py")}
+        file.attrs["created_by"] = _JSON + json.dumps({"irodori": __version__, **libraries})
+        yield Writer(file)
 
 
 class Reader:

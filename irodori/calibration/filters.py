@@ -6,7 +6,6 @@ them all to a CSV. See `irodori.calibration.ranking` for what is computed.
 
 import argparse
 import csv
-import os
 import sys
 from dataclasses import astuple, fields
 from pathlib import Path
@@ -18,6 +17,7 @@ from irodori.calibration.simulation import EXPOSURES
 from irodori.errors import InputError
 from irodori.spectra import camera_sensitivities, chart_spectra, light, resample, spectrum
 from irodori.spectral_files import SUFFIXES, SpectralTable, spectral_table
+from irodori.whole_files import written_whole
 
 __all__ = ["FilterScore", "main", "rank_filters", "read_filters"]
 
@@ -82,13 +82,11 @@ def write_scores(scores: list[FilterScore], path) -> None:
     path = Path(path)
     if not path.parent.is_dir():
         raise InputError(path, "", "no such folder", "a file in a folder that is there")
-    temporary = path.with_name(f".{path.name}.part")
-    with temporary.open("w", newline="", encoding="utf-8") as stream:
+    with written_whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(["rank", *(field.name for field in fields(FilterScore))])
         for rank, score in enumerate(scores, start=1):
             writer.writerow([rank, score.name, *(f"{value:.5g}" for value in astuple(score)[1:])])
-    os.replace(temporary, path)
 
 
 def _print_scores(scores: list[FilterScore], count: int, max_exposure: float) -> None:

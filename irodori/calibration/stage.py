@@ -2,10 +2,8 @@
 
 import csv
 import math
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -23,6 +21,7 @@ from irodori.errors import InputError
 from irodori.progress import LOGGER
 from irodori.recovery import Calibration
 from irodori.spectra import WAVELENGTH_NM, light
+from irodori.whole_files import written_whole
 
 _MAX_INVALID_SHARE = 0.05  # of a patch, beyond which the report names it
 
@@ -165,11 +164,8 @@ def _write_calibration(output, calibration: Calibration, errors: dict, numbers: 
 @contextmanager
 def _csv_writer(path) -> Iterator:
     """Open a CSV that takes its name when it is complete."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.part")
-    with temporary.open("w", newline="", encoding="utf-8") as stream:
+    with written_whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         yield csv.writer(stream)
-    os.replace(temporary, path)
 
 
 def _write_errors(path, names, errors: dict[str, dict[str, np.ndarray]]) -> None:

@@ -1,6 +1,6 @@
 """The first look at a set of RAW files, before any long work."""
 
-from irodori.captures import read_captures, shot_path, write_captures
+from irodori.captures import check_unchanged, read_captures, shot_path, write_captures
 from irodori.errors import InputError
 from irodori.mosaic import decode
 from irodori.progress import track
@@ -24,10 +24,12 @@ def check_captures(table, folder, output, roles, size_px=None) -> None:
     Raises
     ------
     InputError
-        If a file is missing, truncated, of another size than stated, or its own exposure time, ISO or f-number differ
-        from the table's by more than 5 %; if ISO or f-number are known for a part of the set only.
+        If a file is missing, truncated, changed since the table noted its hash, or of another size than stated; if its
+        own exposure time, ISO or f-number differ from the table's by more than 5 %, or the last two are known for a
+        part of the set only.
     """
     shots = [shot for shot in read_captures(table, folder) if shot.role in roles]
+    check_unchanged(table, folder, shots)
     settled, hashes = [], {}
     wanted = None if size_px is None else tuple(side // 2 * 2 for side in size_px)
     for shot in track(shots, "check"):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from irodori import store
-from irodori.captures import Shot, read_captures, shot_path
+from irodori.captures import Shot, check_unchanged, read_captures, shot_path
 from irodori.errors import InputError
 from irodori.mosaic import decode
 from irodori.progress import LOGGER, track
@@ -101,8 +101,8 @@ def ingest_reference(
     Raises
     ------
     InputError
-        If a white reference is saturated or uneven, the camera is less linear than the options allow, or the chart's
-        two shots cannot be registered.
+        If a file has changed since the table noted its hash, a white reference is saturated or uneven, the camera is
+        less linear than the options allow, or the chart's two shots cannot be registered.
 
     Notes
     -----
@@ -150,7 +150,9 @@ def ingest_reference(
 def _settled_shots(table, folder) -> tuple[list[Shot], tuple[int, int]]:
     """Return a camera's shots with what their files know, and the size of its dark frames or white references, px."""
     settled, size = [], (0, 0)
-    for shot in track([s for s in read_captures(table, folder) if s.role in ("dark", "white", "chart")], "reference"):
+    shots = [shot for shot in read_captures(table, folder) if shot.role in ("dark", "white", "chart")]
+    check_unchanged(table, folder, shots)
+    for shot in track(shots, "reference"):
         mosaic = decode(shot_path(shot, table, folder))
         settled.append(settle(shot, mosaic, table))
         if size == (0, 0) and shot.role in ("dark", "white"):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from irodori import store
-from irodori.captures import Shot, read_captures
+from irodori.captures import Shot, check_unchanged, read_captures
 from irodori.errors import InputError
 from irodori.progress import LOGGER
 from irodori.raw.alignment import Alignment, align_states, move
@@ -36,7 +36,7 @@ def ingest_raw(
     Raises
     ------
     InputError
-        If a file contradicts the table or the reference, or the filter states do not register.
+        If a file contradicts the table, its hash there or the reference, or the filter states do not register.
 
     Notes
     -----
@@ -51,6 +51,7 @@ def ingest_raw(
     shots = [s for s in read_captures(table, folder) if s.capture == capture]
     if not shots:
         raise InputError(table, "capture", repr(capture), "a capture the table holds")
+    check_unchanged(table, folder, shots)
     camera = Reference.load(reference)
     states = filter_states(shots)
     _check_filters(camera, states, capture, table)

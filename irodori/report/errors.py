@@ -1,9 +1,7 @@
 """Errors against ground truth, as everyone here computes them [design, §5]: mean, 95th percentile and maximum."""
 
 import csv
-import os
 from dataclasses import asdict, dataclass, fields
-from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
@@ -23,6 +21,7 @@ from irodori.light import Environment, directions
 from irodori.material import Material, Status
 from irodori.pictures import read_spectral_exr
 from irodori.progress import LOGGER
+from irodori.whole_files import written_whole
 
 
 @dataclass(frozen=True)
@@ -168,9 +167,7 @@ def measure_errors(inputs: dict, names: dict, lights: list[str], output) -> None
 
 
 def _write(rows: list[ErrorRow], output) -> None:
-    output = Path(output)
-    temporary = output.with_name(f".{output.name}.part")
-    with temporary.open("w", newline="", encoding="utf-8") as stream:
+    with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, [f.name for f in fields(ErrorRow)])
         writer.writeheader()
         for row in rows:
@@ -185,7 +182,6 @@ def _write(rows: list[ErrorRow], output) -> None:
                 row.p95,
                 row.max,
             )
-    os.replace(temporary, output)
 
 
 def read_errors(path) -> list[dict]:

@@ -7,7 +7,6 @@ of its own, at half the camera's resolution and in some of its poses, once for e
 import copy
 import csv
 import math
-import os
 import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields
@@ -33,6 +32,7 @@ from irodori.rig.virtual.camera import VirtualCamera
 from irodori.rig.virtual.truth import true_material
 from irodori.spectra import refractive_index
 from irodori.store import Provenance
+from irodori.whole_files import written_whole
 
 _MAX_TEXELS = 64
 _MAX_POSES = 6
@@ -209,18 +209,15 @@ def measure_imperfections(chain: Chain | None, output) -> None:
     chain : Chain or None
     output : path
     """
-    output = Path(output)
-    temporary = output.with_name(f".{output.name}.part")
     variants = list(chain.halved().variants()) if chain is not None else []
     seen: dict[str, dict] = {}  # of each definition: most faults leave alone what the object looks like
-    with temporary.open("w", newline="", encoding="utf-8") as stream:
+    with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, [f.name for f in fields(CostRow)])
         writer.writeheader()
         for label, variant in track(variants, "faults"):
             for row in cost_rows(label, variant, seen.setdefault(config_hash(variant.definition), {})):
                 writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(row).items()})
                 LOGGER.info("%s: CIEDE2000 under %s mean %.3f p95 %.3f", row.faults, row.light, row.mean, row.p95)
-    os.replace(temporary, output)
 
 
 def read_costs(path) -> list[CostRow]:

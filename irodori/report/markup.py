@@ -3,8 +3,9 @@
 import base64
 import html
 import math
-import os
 from pathlib import Path
+
+from irodori.whole_files import written_whole
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1180px; margin: 2rem auto; padding: 0 1rem; color: #222 }
@@ -48,11 +49,9 @@ def data_uri(path) -> str:
 
 def write_page(path, title: str, body: str) -> None:
     """Write a page that needs nothing beside it, whole or not at all."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>'
-        f"<style>{_STYLE}</style><body>{body}</body></html>\n",
-        encoding="utf-8",
-    )
-    os.replace(temporary, path)
+    with written_whole(path) as temporary:
+        temporary.write_text(
+            f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>'
+            f"<style>{_STYLE}</style><body>{body}</body></html>\n",
+            encoding="utf-8",
+        )

@@ -7,9 +7,7 @@ made with takes no part; its expectation is reported beside the outcome.
 
 import csv
 import math
-import os
 from dataclasses import asdict, dataclass, fields, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -20,6 +18,7 @@ from irodori.progress import LOGGER
 from irodori.rig.information import Materials, Weighting
 from irodori.rig.planner import Planner, axis_angles, default_noise
 from irodori.rig.selection import TooFewPoses
+from irodori.whole_files import written_whole
 
 _SEED = 20100401
 _SESSIONS = 200
@@ -283,15 +282,12 @@ def measure_plan(objects: dict[str, dict], fit_options: dict, max_angle_deg: flo
     output : path
     """
     options = FitOptions(**fit_options)
-    output = Path(output)
-    temporary = output.with_name(f".{output.name}.part")
-    with temporary.open("w", newline="", encoding="utf-8") as stream:
+    with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, [f.name for f in fields(PlanRow)])
         writer.writeheader()
         for name, planned in objects.items():
             for row in measure_object(name, planned, options, max_angle_deg, settings):
                 writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(row).items()})
-    os.replace(temporary, output)
 
 
 def read_plan(path) -> list[PlanRow]:

@@ -1,7 +1,6 @@
 """How well the two shots of each capture were laid on each other."""
 
 import csv
-import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -9,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from irodori import store
+from irodori.whole_files import written_whole
 
 #: Whose transform a capture was registered by; see `irodori.raw.alignment.Alignment`.
 SOURCES = ("capture", "chart", "none")
@@ -81,14 +81,11 @@ def measure_registration(linear: Sequence, output) -> None:
                 raise ValueError(f"{path}: registration_source {source!r}; accepted: {', '.join(SOURCES)}")
             residual, sigma = (float(file.attribute(f"registration_{name}_px")) for name in ("residual", "sigma"))
             rows.append(RegistrationRow(path.stem, source, residual, sigma))
-    output = Path(output)
-    temporary = output.with_name(f".{output.name}.part")
-    with temporary.open("w", newline="", encoding="utf-8") as stream:
+    with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, [f.name for f in fields(RegistrationRow)])
         writer.writeheader()
         for row in rows:
             writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(row).items()})
-    os.replace(temporary, output)
 
 
 def read_registration(path) -> list[RegistrationRow]:

@@ -3,13 +3,13 @@
 import csv
 import html
 import math
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from irodori.errors import InputError
 from irodori.report.figures import front_figure
 from irodori.report.markup import figure, number, table, write_page
+from irodori.whole_files import written_whole
 
 #: The variant of each stage that the workflow uses unless it is told otherwise.
 DEFAULTS = {
@@ -131,9 +131,7 @@ def write_speed_report(tables: Sequence, materials, size: str, output, page_file
         )
     parts.append(_materials_section(materials))
     write_page(page_file, "Irodori: speed against error", "<h1>Speed against error</h1>" + "".join(parts))
-    temporary = Path(output).with_suffix(".part")
-    with temporary.open("w", newline="", encoding="utf-8") as stream:
+    with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(row for rows in groups.values() for row in rows)
-    os.replace(temporary, output)

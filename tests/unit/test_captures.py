@@ -13,12 +13,14 @@ from irodori.captures import (
     ROLES,
     Pose,
     Shot,
+    check_unchanged,
     expand_poses,
     read_captures,
     shot_path,
     write_captures,
 )
 from irodori.errors import InputError
+from irodori.provenance import file_sha256
 
 HEADER = ",".join(COLUMNS)
 GOOD = "a.dng,object,45,20,0,0,out,0.02"
@@ -225,6 +227,25 @@ def test_digest_sensitivity_and_aperture_come_back(tmp_path):
         "b.dng,chart,45.0,0.0,0.0,0.0,in,0.02,100.0,5.6,11ff",
     ]
     assert read_captures(path) == shots
+
+
+def test_a_photograph_whose_bytes_are_not_those_of_the_tables_hash_is_refused_by_name(tmp_path):
+    shots = [Shot(f"{name}.dng", "chart", Pose(45.0, 0.0), state, 0.02) for name, state in (("a", "out"), ("b", "in"))]
+    for shot in shots:
+        (tmp_path / shot.file).write_bytes(bytes(range(200)))
+    path = tmp_path / "captures.csv"
+    digest = file_sha256(tmp_path / "a.dng")
+    write_captures(path, shots, {"a.dng": digest.upper(), "b.dng": ""})
+    check_unchanged(path, tmp_path, shots)
+    # The second has no hash that could vouch for it.
+    (tmp_path / "b.dng").write_bytes(b"other")
+    check_unchanged(path, tmp_path, shots)
+    content = bytearray((tmp_path / "a.dng").read_bytes())
+    content[77] ^= 4
+    (tmp_path / "a.dng").write_bytes(content)
+    with pytest.raises(InputError, match=r"a\.dng: .*captures\.csv.*as it was taken"):
+        check_unchanged(path, tmp_path, shots)
+    check_unchanged(path, tmp_path, shots[1:])
 
 
 @pytest.mark.parametrize("cells", ["0,", "-100,", "nan,", "auto,", ",-2"])

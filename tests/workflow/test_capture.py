@@ -96,7 +96,7 @@ def test_sessions_of_a_driven_rig_come_one_after_the_other_and_go_on_after_a_kil
     assert not [name for name in contents(folder) if "part" in name]
     camera = studio / f"photographs/{CAMERA}"
     assert_whole(camera, read_captures(camera / "captures.csv"))
-    # resources: rig: 1 of the profile. Each session has the camera for itself from its first to its last photograph.
+    # The resource rig of the Snakefile. Each session has the camera for itself from its first to its last photograph.
     users = [line for line in log.read_text().splitlines() if line != killed]
     assert len(users) >= 4
     for opened, closed in zip(users[::2], users[1::2], strict=True):

@@ -1,5 +1,6 @@
 """Writing a mosaic as a DNG file that LibRaw decodes like a camera's (Adobe DNG specification 1.4)."""
 
+import io
 import os
 from fractions import Fraction
 from pathlib import Path
@@ -67,7 +68,10 @@ def write_dng(
     path = Path(path)
     temporary = path.with_name(f".{path.name}.part")
     try:
-        tifffile.imwrite(temporary, mosaic, photometric=_CFA_PHOTOMETRIC, extratags=tags, metadata=None, subfiletype=0)
+        # In memory first: numpy writes to files by itself, and does not say that it was a full disk that stopped it.
+        content = io.BytesIO()
+        tifffile.imwrite(content, mosaic, photometric=_CFA_PHOTOMETRIC, extratags=tags, metadata=None, subfiletype=0)
+        temporary.write_bytes(content.getbuffer())
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
