@@ -35,6 +35,7 @@ def refusal(path, name=None):
 # Writing
 
 
+@pytest.mark.stability(stage="store", case="failure while writing")
 @pytest.mark.parametrize("failure", [RuntimeError, KeyboardInterrupt, SystemExit])
 def test_a_block_that_fails_leaves_no_file_and_no_temporary(tmp_path, failure):
     with pytest.raises(failure), store.create(tmp_path / "new" / "out.h5", PROVENANCE) as file:
@@ -43,6 +44,7 @@ def test_a_block_that_fails_leaves_no_file_and_no_temporary(tmp_path, failure):
     assert list((tmp_path / "new").iterdir()) == []
 
 
+@pytest.mark.stability(stage="store", case="failure while writing")
 def test_a_block_that_fails_leaves_the_earlier_file_as_it_was(tmp_path):
     path = write_sample(tmp_path / "out.h5")
     before = path.read_bytes()
@@ -148,6 +150,7 @@ def test_a_missing_file_is_refused_by_name(tmp_path):
     assert refusal(tmp_path)  # a folder is no file
 
 
+@pytest.mark.stability(stage="store", case="truncated file")
 @given(share=st.floats(0.0, 1.0, exclude_max=True))
 @settings(deadline=None, suppress_health_check=FIXTURE_IS_REUSED, max_examples=40)
 def test_a_file_cut_short_anywhere_is_refused(tmp_path, share):
@@ -156,6 +159,7 @@ def test_a_file_cut_short_anywhere_is_refused(tmp_path, share):
     refusal(path, "alpha")
 
 
+@pytest.mark.stability(stage="store", case="damaged data")
 def test_damaged_data_is_refused_on_reading(tmp_path):
     path = write_sample(tmp_path / "damaged.h5", np.random.default_rng(1).random((100, 200)))
     with h5py.File(path) as file:
@@ -167,6 +171,7 @@ def test_damaged_data_is_refused_on_reading(tmp_path):
     assert refusal(path, "alpha").field == "alpha"
 
 
+@pytest.mark.stability(stage="store", case="foreign file")
 @pytest.mark.parametrize("content", [b"", b"not a picture", b"\x89HDF\r\n\x1a\n", bytes(4096)])
 def test_a_file_that_is_no_hdf5_is_refused(tmp_path, content):
     path = tmp_path / "other.h5"
@@ -174,6 +179,7 @@ def test_a_file_that_is_no_hdf5_is_refused(tmp_path, content):
     refusal(path)
 
 
+@pytest.mark.stability(stage="store", case="foreign file")
 @pytest.mark.parametrize(
     "attributes",
     [{}, {"rule": "fit_brdf"}, {"schema_version": 1}, {"schema_version": "draft-7", "rule": "x"}],
@@ -187,6 +193,7 @@ def test_hdf5_of_another_program_is_refused(tmp_path, attributes):
     assert refusal(path).field == "schema_version"
 
 
+@pytest.mark.stability(stage="store", case="newer version")
 def test_a_newer_schema_is_refused_with_both_versions(tmp_path):
     path = write_sample(tmp_path / "newer.h5")
     with h5py.File(path, "a") as file:
