@@ -8,6 +8,7 @@ import os
 from collections import Counter
 from pathlib import Path
 
+import depth
 import pytest
 from hard_cases import HARD_CASES
 
@@ -60,6 +61,8 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
+    selected = config.option.markexpr or "heavy"
+    depth.ask_for_heavy("heavy" in selected and "not heavy" not in selected)
     config.addinivalue_line(
         "markers",
         "stability(stage, case, **parameters): the test tries this hard case of tests/hard_cases.py; of a parametrised "

@@ -33,6 +33,15 @@ _GLOSS_MODEL_ERROR = 0.1
 
 
 _CHUNK = 128  # texels that share their scratch
+#: Datasets of a tile of observations that every fit reads.
+_AXES = {
+    "response": "texel,capture,band",
+    "geometry": "texel,capture,angle",
+    "weight": "texel,capture",
+    "clipped": "texel,capture",
+    "noise_model": "capture,band,coefficient",
+    "texel": "texel",
+}
 
 
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -185,6 +194,7 @@ def fit_brdf(observations, output, options: FitOptions, n, k, provenance: store.
     ``/diffuse_variance``, what the camera's noise gives it; ``/texel``, 0 where the texture shows no surface.
     """
     with store.open_file(observations) as file:
+        file.require_axes(_AXES, angle=4)
         response, geometry, weight = file.read("response"), file.read("geometry"), file.read("weight")
         noise, clipped, texel = file.read("noise_model"), file.read("clipped"), file.read("texel")
         if "light_gain" in file:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from depth import examples
 from hard_scenes import SCENES, brightest_of, hard_scene
 from hypothesis import given, settings
 from studio import picture
@@ -9,7 +10,7 @@ from studio import picture
 
 @pytest.mark.stability(stage="render", case="all of part F together, interactive")
 @given(**SCENES)
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=examples(10))
 def test_a_scene_that_is_hard_in_several_ways_ends_finite_interactively(**scene):
     shapes, materials, light, view = hard_scene(**scene)
     places, position = view.pop("places"), view.pop("position")
