@@ -43,6 +43,7 @@ localrules:
     benchmark,
     calibrate,
     capture,
+    stability,
 
 
 rule all:

@@ -100,7 +100,9 @@ def pytest_runtest_logreport(report):
     _SESSION.note(report)
 
 
-def pytest_terminal_summary(terminalreporter, config):
+def pytest_terminal_summary(terminalreporter, exitstatus, config):
+    if exitstatus not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
+        return  # nothing was tried, or not all
     if MARK in (config.option.markexpr or ""):
         _print(terminalreporter, _SESSION.rows())
     path = config.getoption("--stability-table")

@@ -9,7 +9,8 @@ import pytest
 from hard_cases import HARD_CASES
 from stability_table import MARK, Outcomes, write_table
 
-from irodori.errors import InputError
+from benchmarks.stability import try_hard_cases
+from irodori.errors import InputError, PlainError
 from irodori.report.stability import read_outcomes, write_stability_page
 
 TESTS = Path(__file__).resolve().parents[1]
@@ -82,3 +83,17 @@ def test_another_table_is_refused_by_name(tmp_path):
     (tmp_path / "s.csv").write_text("stage,case\n")
     with pytest.raises(InputError, match=r"s\.csv: columns: found stage, case; accepted: part, stage"):
         read_outcomes(tmp_path / "s.csv")
+
+
+def test_the_table_is_that_of_a_run_of_its_own(tmp_path):
+    rows = try_hard_cases(tmp_path / "s.csv", 0, ["tests/unit/test_store.py"])
+    of_store = [row for row in rows if row["stage"] == "store"]
+    assert of_store and all(row["outcome"] == "as expected" and int(row["tests"]) > 0 for row in of_store)
+    assert {row["outcome"] for row in rows if row["stage"] != "store"} == {"not tried"}
+    assert rows == read_outcomes(tmp_path / "s.csv")
+
+
+def test_tests_that_cannot_be_run_leave_no_table(tmp_path):
+    with pytest.raises(PlainError, match="pytest ended with code 4"):
+        try_hard_cases(tmp_path / "s.csv", 0, ["tests/unit/no_such_test.py"])
+    assert not (tmp_path / "s.csv").exists()
