@@ -72,7 +72,7 @@ class Calibration:
             If it is none, damaged, of an unknown kind, or its datasets do not fit together.
         """
         with store.open_file(path) as file:
-            kind = file.attribute("mapping") if file.has_attribute("mapping") else LinearMapping.kind
+            kind = file.attribute("mapping", str) if file.has_attribute("mapping") else LinearMapping.kind
             if kind not in KINDS:
                 raise InputError(path, "mapping", repr(kind), f"one of: {', '.join(KINDS)}")
             axes = {"basis": "wavelength,basis", "light": "wavelength"}

@@ -166,6 +166,17 @@ def test_a_chart_with_several_faults_is_recovered_from_or_refused(
     assert dead is None and not alike and kept >= 6
 
 
+@pytest.mark.stability(stage="calibrate", case="all of part C together")
+@pytest.mark.parametrize("name", ["kernel", "broad"])
+def test_a_population_whose_spread_rounding_makes_indefinite_is_fitted(name):
+    """Twice 15 patches, all responses too dark by 0.05, no noise: eigenvalues of -1e-7 of their sum."""
+    chart = training(0.0)
+    rows = np.tile(np.random.default_rng(4).permutation(24)[:15], 2)
+    solved = fit(name, Training((chart.response[rows] - 0.05).astype(np.float32), chart.spectra[rows], LIGHT), 3)
+    found = solved.spectra(PROBES @ system().T - 0.05)
+    assert np.isfinite(found).all() and np.abs(found).max() < 2.0
+
+
 # --- compression ---------------------------------------------------------------------------------------------------
 
 SHAPES = ((1, 1), (1, 37), (37, 1), (2, 1), (9, 11))
