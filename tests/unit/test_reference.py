@@ -76,6 +76,7 @@ def test_no_energy_is_made(mu):
     assert picture.radiance.mean() <= 1.0
 
 
+@pytest.mark.heavy
 def test_light_in_a_closed_room_is_the_sum_of_all_its_reflections():
     """In a sphere every part of the wall lights every other alike: E = E0 / (1 - ρ (1 - r²/R²)) [integrating sphere].
 
