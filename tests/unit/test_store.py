@@ -247,3 +247,35 @@ def test_an_unknown_packing_is_refused(tmp_path):
     ):
         out.write("x", np.zeros(100), units="1", dims="a", quantity="x", compression="zip")
     assert not (tmp_path / "a.h5").exists()
+
+
+@pytest.mark.parametrize(
+    ("axes", "lengths", "name", "found"),
+    [
+        ({"alpha": "row,column", "beta": "row"}, {}, "beta", "2 axes"),
+        ({"alpha": "row,column", "beta": "column,row"}, {}, "beta", "4 along the axis column"),
+        ({"alpha": "row,column"}, {"column": 61}, "alpha", "5 along the axis column"),
+        ({"alpha": "row,column", "name": "letter"}, {}, "name", "values of type"),
+        ({"alpha": "row,column", "gamma": "row"}, {}, "gamma", "no such dataset"),
+    ],
+)
+def test_datasets_that_do_not_fit_together_are_refused(tmp_path, axes, lengths, name, found):
+    path = tmp_path / "out.h5"
+    with store.create(path, PROVENANCE) as file:
+        for dataset, values, dims in (("alpha", np.ones((4, 5)), "row,column"), ("beta", np.ones((4, 5)), "row,column"),
+                                      ("name", np.array([b"a", b"b"]), "letter")):  # fmt: skip
+            file.write(dataset, values, units="1", dims=dims, quantity="x")
+    with store.open_file(path) as file:
+        file.require_axes({"alpha": "row,column", "beta": "row,column"}, row=4)
+        with pytest.raises(InputError, match=found) as caught:
+            file.require_axes(axes, **lengths)
+    assert caught.value.field == name
+
+
+def test_an_attribute_of_another_kind_is_refused_with_both_kinds(tmp_path):
+    with store.create(tmp_path / "out.h5", PROVENANCE) as file:
+        file.attribute("rows", [0, 3])
+    with store.open_file(tmp_path / "out.h5") as file:
+        assert file.attribute("rows", list) == [0, 3]
+        with pytest.raises(InputError, match="rows: found a list; accepted: float or int"):
+            file.attribute("rows", (float, int))
