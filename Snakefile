@@ -48,6 +48,7 @@ localrules:
     benchmark,
     calibrate,
     capture,
+    stability,
 
 
 rule all:

@@ -10,6 +10,7 @@ import numpy as np
 
 from irodori import store
 from irodori.coefficients import read_coefficients, write_coefficients
+from irodori.spectra.grid import SAMPLES
 
 #: What the coefficients of an environment are.
 QUANTITY = "coefficients of the radiance"
@@ -73,8 +74,16 @@ class Environment:
 
     @classmethod
     def load(cls, path) -> "Environment":
-        """Read an environment's file."""
+        """Read an environment's file.
+
+        Raises
+        ------
+        InputError
+            If it is none, damaged, or its datasets do not fit together.
+        """
+        axes = {"coefficients": "row,column,basis", "basis": "wavelength,basis", "irradiance": "theta,azimuth,basis"}
         with store.open_file(path) as file:
+            file.require_axes(axes, wavelength=SAMPLES)
             return cls(read_coefficients(file, "coefficients"), file.read("basis"), file.read("irradiance"))
 
     def upward_white(self) -> np.ndarray:

@@ -122,16 +122,30 @@ class Material:
 
     @classmethod
     def load(cls, path) -> "Material":
-        """Read ``material.h5``."""
+        """Read ``material.h5``.
+
+        Raises
+        ------
+        InputError
+            If it is none, damaged, or its datasets do not fit together.
+        """
+        axes = {
+            **dict.fromkeys(MAPS, "row,column"),
+            COEFFICIENTS: "row,column,basis",
+            "reflectance/basis": "wavelength,basis",
+            "refractive_index/n": "wavelength",
+            "refractive_index/k": "wavelength",
+        }
         with store.open_file(path) as file:
+            file.require_axes(axes, wavelength=SAMPLES)
             return cls(
                 **{name: file.read(name) for name in MAPS},
                 coefficients=read_coefficients(file, COEFFICIENTS),
                 basis=file.read("reflectance/basis"),
                 n=file.read("refractive_index/n"),
                 k=file.read("refractive_index/k"),
-                mirror=file.attribute("mirror"),
-                typical_gloss=tuple(file.attribute("typical_gloss")),
+                mirror=file.attribute("mirror", (float, int)),
+                typical_gloss=tuple(file.attribute("typical_gloss", list)),
             )
 
     @property

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import rawpy
-import tifffile
 
+from irodori.dng_levels import black_level_repeats
 from irodori.errors import InputError
 
 #: Demosaicing of LibRaw by the name that the configuration uses; ``superpixel`` is ours and interpolates nothing.
@@ -26,7 +26,6 @@ ALGORITHMS = {
 BAND_LETTERS = "RGB"
 _WHOLE = "a whole RAW file that LibRaw reads"
 _PATTERN_SIDE = 6  # of the X-Trans pattern, the largest that LibRaw knows
-_BLACK_REPEAT_TAG = 50713
 
 
 @dataclass(frozen=True)
@@ -228,7 +227,7 @@ def _pattern(path: Path, raw) -> tuple[str, np.ndarray]:
     side = range(_PATTERN_SIDE)
     seen = np.array([[raw.raw_color(top + row, left + column) for column in side] for row in side])
     names = raw.color_desc.decode()
-    letters = "".join(names[c] for c in seen[:2, :2].ravel())
+    letters = "".join(names[c] if c < len(names) else "?" for c in seen[:2, :2].ravel())
     repeats = np.array_equal(seen, np.tile(seen[:2, :2], (_PATTERN_SIDE // 2, _PATTERN_SIDE // 2)))
     if not repeats or sorted(letters) != ["B", "G", "G", "R"]:
         found = letters if repeats else "a pattern that does not repeat every 2 pixels"
@@ -240,15 +239,9 @@ def _check_black_repeat(path: Path) -> None:
     """Refuse a DNG whose black level repeats over more than 2 x 2 pixels: LibRaw's four levels do not hold it."""
     if path.suffix.lower() != ".dng":
         return
-    try:
-        with tifffile.TiffFile(path) as file:
-            pages = [page for first in file.pages for page in (first, *(first.pages or []))]
-            repeats = [tuple(page.tags[_BLACK_REPEAT_TAG].value) for page in pages if _BLACK_REPEAT_TAG in page.tags]
-    except tifffile.TiffFileError:
-        return  # LibRaw reads files by their content, whatever their name.
-    for repeat in repeats:
-        if max(repeat) > 2:
-            found = f"a black level that repeats every {repeat[0]} x {repeat[1]} pixels"
+    for rows, columns in black_level_repeats(path):
+        if max(rows, columns) > 2:
+            found = f"a black level that repeats every {rows} x {columns} pixels"
             raise InputError(path, "BlackLevelRepeatDim", found, "a repeat of at most 2 x 2 pixels")
 
 

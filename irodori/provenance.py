@@ -74,6 +74,12 @@ def local_sources(module: str, root: Path = _ROOT) -> dict[str, Path]:
     return found
 
 
+def modules_of(package: str, root: Path = _ROOT) -> list[str]:
+    """Return the dotted names of all modules of a package, sorted: for what uses it as a whole, as its tests do."""
+    files = (file.relative_to(root).with_suffix("") for file in sorted(Path(root, package).rglob("*.py")))
+    return [".".join(file.parts).removesuffix(".__init__") for file in files]
+
+
 def _file(module: str, root: Path) -> Path | None:
     base = root.joinpath(*module.split("."))
     return next((file for file in (base / "__init__.py", base.with_name(base.name + ".py")) if file.is_file()), None)

@@ -201,13 +201,15 @@ def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup) -> _Obser
         )
         sight = observe(position, normal, tracer, pose, setup, facet)
         visible = sight.visible
-        dataset, valid, clipped = (file.dataset(name) for name in ("response", "valid", "clipped"))
+        file.require_axes({"response": "row,column,band", "valid": "row,column", "clipped": "row,column"})
+        height, width, bands = file.dataset("response").shape
         xy = samples_from_superpixels(sight.xy, file.attribute("sample_px"))
-        window = _window(xy[visible], *valid.shape)
-        sampled = np.zeros((len(xy), dataset.shape[2]), dtype=np.float32)
+        window = _window(xy[visible], height, width)
+        sampled = np.zeros((len(xy), bands), dtype=np.float32)
         good, clips = np.empty(len(xy), dtype=np.bool_), np.empty(len(xy), dtype=np.uint8)
         corner = np.array([window[0].start, window[1].start])
-        _sample(dataset[window], valid[window], clipped[window], corner, xy, sampled, good, clips)
+        pictures = (file.read(name, window) for name in ("response", "valid", "clipped"))
+        _sample(*pictures, corner, xy, sampled, good, clips)
     # What hides a texel is not its own: without this, the window of a tile would decide what is stored here.
     sampled[~visible], clips[~visible] = 0.0, 0
     gain = np.ones(len(xy))

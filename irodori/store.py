@@ -24,10 +24,16 @@ SCHEMA_VERSION = 1
 _CHUNK_BYTES = 1 << 20
 #: Chunks held open while a dataset is written in pieces, so that one that two pieces share is packed once.
 _CACHE_BYTES = 16 << 20
+#: HDF5 1.10 and later: every structure of a file, and with it what is small, carries a checksum, so that a flipped bit
+#: is found on reading. Chunks have their own (Fletcher's), which costs less than packing them.
+_FORMAT = "v110"
+#: Elements up to which a dataset is stored inside its header.
+_COMPACT = 64
 #: How a dataset is packed. ``small`` is gzip, which every program reads; ``fast`` is Blosc with LZ4, which packs floats
 #: as well at a fifteenth of the time, for what is large and passes from one stage to the next; ``planes`` is Blosc2
 #: with LZ4 over bit planes, which finds in half-precision numbers what shuffled bytes hide; ``none`` lies in one piece,
-#: for what is streamed at the speed of the disk.
+#: for what is streamed at the speed of the disk; it alone
+#: has no checksum.
 _COMPRESSIONS = {
     "small": {"compression": "gzip", "compression_opts": 1, "shuffle": True},
     "fast": dict(hdf5plugin.Blosc(cname="lz4", clevel=5, shuffle=hdf5plugin.Blosc.SHUFFLE)),
@@ -98,17 +104,34 @@ class Writer:
             raise ValueError(f"unknown compression {compression!r}; accepted: {', '.join(_COMPRESSIONS)}")
         if len([d for d in dims.split(",") if d]) != len(shape):
             raise ValueError(f"{name}: {len(shape)} axes but dims {dims!r}")
-        options = {}
-        if np.prod(shape, dtype=np.int64) > 64:
-            chunks = None if compression == "none" else _chunk_shape(shape, np.dtype(dtype).itemsize)
-            options = {"chunks": chunks, **_COMPRESSIONS[compression]}
-        dataset = self._file.create_dataset(name, shape, dtype, **options)
+        dataset = self._file.create_dataset(name, shape, dtype, **_layout(shape, np.dtype(dtype), compression))
         dataset.attrs.update({"units": units, "dims": dims, "quantity": quantity})
         return dataset
 
     def attribute(self, name: str, value) -> None:
         """Write a root attribute; dictionaries and lists are stored as JSON."""
-        self._file.attrs[name] = _JSON + json.dumps(value) if isinstance(value, dict | list) else value
+        _set_attribute(self._file, name, _JSON + json.dumps(value) if isinstance(value, dict | list) else value)
+
+
+def _set_attribute(file: h5py.File, name: str, value) -> None:
+    """Write an attribute; text in a field of its own length, for HDF5 keeps text of any length without a checksum."""
+    if isinstance(value, str) and value and "\0" not in value:
+        content = value.encode()
+        file.attrs.create(name, content, dtype=h5py.string_dtype("utf-8", len(content)))
+    else:
+        file.attrs[name] = value
+
+
+def _layout(shape: tuple[int, ...], dtype: np.dtype, compression: str) -> dict:
+    """Return how h5py shall lay a dataset out."""
+    size = np.prod(shape, dtype=np.int64)
+    if size and size <= _COMPACT and dtype.kind in "fiub":
+        properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        properties.set_layout(h5py.h5d.COMPACT)
+        return {"dcpl": properties}
+    if size <= _COMPACT or compression == "none":
+        return {}
+    return {"chunks": _chunk_shape(shape, dtype.itemsize), "fletcher32": True, **_COMPRESSIONS[compression]}
 
 
 def _chunk_shape(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
@@ -133,13 +156,26 @@ def create(path, provenance: Provenance) -> Iterator[Writer]:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with written_whole(path) as temporary, h5py.File(temporary, "w", rdcc_nbytes=_CACHE_BYTES) as file:
+    with written_whole(path) as temporary, h5py.File(temporary, "w", rdcc_nbytes=_CACHE_BYTES, libver=_FORMAT) as file:
         file.attrs["schema_version"] = SCHEMA_VERSION
+        writer = Writer(file)
         for key in ("rule", "config_hash", "code_hash", "input_sha256"):
-            file.attrs[key] = getattr(provenance, key)
+            writer.attribute(key, getattr(provenance, key))
         libraries = {name: version(name) for name in ("numpy", "h5py")}
-        file.attrs["created_by"] = _JSON + json.dumps({"irodori": __version__, **libraries})
-        yield Writer(file)
+        writer.attribute("created_by", {"irodori": __version__, **libraries})
+        yield writer
+
+
+@contextmanager
+def _whole(path, name: str = "") -> Iterator[None]:
+    """Say of what HDF5 or JSON cannot make sense of that it is damaged; both have errors of many kinds for it."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(path, name, f"unreadable data ({reason})", "a complete file") from None
 
 
 class Reader:
@@ -149,7 +185,8 @@ class Reader:
         self.path, self._file = path, file
 
     def __contains__(self, name: str) -> bool:
-        return name in self._file
+        with _whole(self.path, name):
+            return name in self._file
 
     def dataset(self, name: str) -> h5py.Dataset:
         """Return a dataset for reading in pieces.
@@ -157,11 +194,43 @@ class Reader:
         Raises
         ------
         InputError
-            If the file has no such dataset.
+            If the file has no such dataset, or its description is damaged.
         """
-        if not isinstance(self._file.get(name), h5py.Dataset):
-            raise InputError(self.path, name, "no such dataset", f"one of: {', '.join(sorted(self._names()))}")
-        return self._file[name]
+        with _whole(self.path, name):
+            # Not get(), which takes a damaged description for an absence.
+            found = None
+            if name in self._file:
+                found = self._file[name]
+            if not isinstance(found, h5py.Dataset):
+                raise InputError(self.path, name, "no such dataset", f"one of: {', '.join(sorted(self._names()))}")
+            return found
+
+    def require_axes(self, axes: dict[str, str], **lengths: int) -> None:
+        """Refuse datasets that do not fit together: numbers, with axes that have one length wherever they occur.
+
+        Parameters
+        ----------
+        axes : dict
+            Dataset -> names of its axes, separated by commas.
+        **lengths : int
+            Of axes whose length is known.
+
+        Raises
+        ------
+        InputError
+            For the first dataset that is missing, holds no numbers, or has other axes.
+        """
+        for name, dims in axes.items():
+            dataset = self.dataset(name)
+            if dataset.dtype.kind not in "fiub" or dataset.shape is None:
+                raise InputError(self.path, name, f"values of type {dataset.dtype}", "numbers")
+            expected = [axis for axis in dims.split(",") if axis]
+            if dataset.ndim != len(expected):
+                raise InputError(self.path, name, f"{dataset.ndim} axes", f"{len(expected)}: {', '.join(expected)}")
+            for axis, length in zip(expected, dataset.shape, strict=True):
+                if lengths.setdefault(axis, length) != length:
+                    found, accepted = f"{length} along the axis {axis}", f"{lengths[axis]}, as elsewhere in the file"
+                    raise InputError(self.path, name, found, accepted)
 
     def read(self, name: str, part=()) -> np.ndarray:
         """Return a dataset, or a part of it: a slice of its first axis, or several.
@@ -171,23 +240,36 @@ class Reader:
         InputError
             If the file has no such dataset, or the data is damaged.
         """
-        try:
-            return self.dataset(name)[part]
-        except OSError as error:
-            raise InputError(self.path, name, f"unreadable data ({error})", "a complete file") from None
+        dataset = self.dataset(name)
+        with _whole(self.path, name):
+            return dataset[part]
 
     def has_attribute(self, name: str) -> bool:
         """Whether the file has a root attribute."""
-        return name in self._file.attrs
+        with _whole(self.path, name):
+            return name in self._file.attrs
 
-    def attribute(self, name: str):
-        """Return a root attribute; JSON objects and lists are decoded."""
-        if name not in self._file.attrs:
-            raise InputError(self.path, name, "no such attribute", f"one of: {', '.join(self._file.attrs)}")
-        value = self._file.attrs[name]
-        if isinstance(value, str) and value.startswith(_JSON):
-            return json.loads(value.removeprefix(_JSON))
-        return value.item() if isinstance(value, np.generic) else value
+    def attribute(self, name: str, kind: type | tuple[type, ...] = object):
+        """Return a root attribute; JSON objects and lists are decoded.
+
+        Raises
+        ------
+        InputError
+            If the file has no such attribute, it is damaged, or it is not of the `kind` that is asked for.
+        """
+        with _whole(self.path, name):
+            if name not in self._file.attrs:
+                raise InputError(self.path, name, "no such attribute", f"one of: {', '.join(self._file.attrs)}")
+            value = self._file.attrs[name]
+            value = value.decode() if isinstance(value, bytes) else value
+            if isinstance(value, str) and value.startswith(_JSON):
+                value = json.loads(value.removeprefix(_JSON))
+            elif isinstance(value, np.generic):
+                value = value.item()
+        if not isinstance(value, kind):
+            accepted = " or ".join(one.__name__ for one in (kind if isinstance(kind, tuple) else (kind,)))
+            raise InputError(self.path, name, f"a {type(value).__name__}", accepted)
+        return value
 
     def _names(self) -> list[str]:
         names = []
@@ -212,8 +294,9 @@ def open_file(path) -> Iterator[Reader]:
     except OSError as error:
         raise InputError(path, "", f"a file HDF5 cannot open ({error})", "a complete HDF5 file") from None
     with file:
-        found = file.attrs.get("schema_version")
-        if found is None or "rule" not in file.attrs:
+        with _whole(path):
+            found, ours = file.attrs.get("schema_version"), "rule" in file.attrs
+        if found is None or not ours:
             raise InputError(path, "schema_version", "an HDF5 file of another program", "a file of this project")
         if not isinstance(found, np.integer):
             raise InputError(path, "schema_version", repr(found), f"a number up to {SCHEMA_VERSION}")

@@ -18,6 +18,10 @@ from irodori.errors import InputError
 SCHEMA_FOLDER = Path(__file__).resolve().parents[1] / "workflow" / "schemas"
 SCHEMAS = ("config", "object", "scene", "camera", "environment", "rig")
 
+#: Values of a definition, its aliases unfolded; no written one comes near.
+_MOST_VALUES = 100_000
+_ENDLESS = ("blocks nested too deep, or aliases that unfold without end", "a plain definition")
+
 _TYPE_WORDS = {
     "string": "text",
     "number": "a number",
@@ -55,13 +59,14 @@ def validate(instance: dict, schema_name: str, file: Path | str) -> dict:
     """
     schema = load_schema(schema_name)
     try:
+        _refuse_endless(instance, file)
         _refuse_odd_values(instance, (), file)
         faults = [leaf for error in _validator(schema).iter_errors(instance) for leaf in _leaves(error)]
         if faults:
             raise _input_error(min(faults, key=_rank), schema, instance, file)
         return _complete(schema, instance)
     except RecursionError:
-        raise InputError(file, "", "blocks nested too deep, or an alias of itself", "a plain definition") from None
+        raise InputError(file, "", *_ENDLESS) from None
 
 
 @functools.cache
@@ -121,6 +126,17 @@ def suggest(word: str, valid, label: str = "") -> str:
     if near:
         return f"did you mean {near[0]!r}? ({label or 'accepted here'}: {listing})"
     return f"{label}: {listing}" if label else f"one of {listing}"
+
+
+def _refuse_endless(instance, file) -> None:
+    """Refuse aliases of aliases, which unfold to more values than any walk through them ends in time."""
+    waiting, values = [instance], 0
+    while waiting:
+        value = waiting.pop()
+        values += 1
+        if values > _MOST_VALUES:
+            raise InputError(file, "", *_ENDLESS)
+        waiting += value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
 
 
 def _refuse_odd_values(value, path: tuple, file) -> None:

@@ -5,6 +5,8 @@ import signal
 
 from hypothesis import settings
 
+pytest_plugins = ["stability_table"]
+
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.register_profile("here", deadline=None)  # the first example of a test compiles its loops
 settings.load_profile("ci" if os.environ.get("CI") else "here")

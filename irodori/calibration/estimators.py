@@ -117,13 +117,22 @@ def broad(training: Training) -> PolynomialMapping:
     return _regression(training, training.wide_population)
 
 
+def _root(covariance: np.ndarray) -> np.ndarray:
+    """Return matrices R whose R Rᵀ are these, (n, b, b); what rounding has left below zero counts as zero."""
+    try:
+        return np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(covariance)
+        return vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+
+
 def _regression(training: Training, population: Population) -> PolynomialMapping:
     bands = len(training.scale)
     features, slopes = monomials(population.response)
     weight = population.weight
     spread = population.excess + np.diag(training.pixel_variance)
     # Each member's covariance is split once, and the sum over members becomes one matrix product.
-    half = np.linalg.cholesky(spread + _FLOOR * np.trace(spread, axis1=1, axis2=2)[:, None, None] * np.eye(bands))
+    half = _root(spread + _FLOOR * np.trace(spread, axis1=1, axis2=2)[:, None, None] * np.eye(bands))
     turned = np.sqrt(weight)[:, None, None] * (slopes @ half)
     turned = turned.transpose(1, 0, 2).reshape(features.shape[1], -1)
     moment = (features * weight[:, None]).T @ features + turned @ turned.T

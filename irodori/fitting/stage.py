@@ -33,6 +33,17 @@ _GLOSS_MODEL_ERROR = 0.1
 
 
 _CHUNK = 128  # texels that share their scratch
+#: Datasets of a tile of observations that every fit reads.
+_AXES = {
+    "response": "texel,capture,band",
+    "geometry": "texel,capture,angle",
+    "weight": "texel,capture",
+    "clipped": "texel,capture",
+    "noise_model": "capture,band,coefficient",
+    "texel": "texel",
+}
+#: Attributes of a tile that its fit passes on.
+_CARRIED = {"rows": list, "width": int, "filters": list}
 
 
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -206,13 +217,15 @@ def fit_brdf(observations, output, options: FitOptions, n, k, provenance: store.
     ``/diffuse_variance``, what the camera's noise gives it; ``/texel``, 0 where the texture shows no surface.
     """
     with store.open_file(observations) as file:
+        file.require_axes(_AXES, angle=4, coefficient=2)
         response, geometry, weight = file.read("response"), file.read("geometry"), file.read("weight")
         noise, clipped, texel = file.read("noise_model"), file.read("clipped"), file.read("texel")
         if "light_gain" in file:
+            file.require_axes(_AXES | {"light_gain": "texel,capture"})
             noise = _of_near_light(noise, file.read("light_gain"), weight)
         fresnel = _fresnel(n, k, calibration, response.shape[2])
         n, k = fresnel.n, fresnel.k
-        carried = {name: file.attribute(name) for name in ("rows", "width", "filters")}
+        carried = {name: file.attribute(name, kind) for name, kind in _CARRIED.items()}
     if options.weights == "noise" and not np.isfinite(noise[:, GREEN]).all():
         LOGGER.info("the camera's noise is not known in every capture: observations have equal weights")
     green, of_green = response[..., GREEN], noise[:, GREEN]

@@ -7,6 +7,7 @@ import numpy as np
 from irodori import store
 from irodori.errors import InputError
 from irodori.recovery.mappings import KINDS, LinearMapping, Mapping
+from irodori.spectra.grid import SAMPLES
 
 _TILE = 1 << 16
 _UNITS = {"units": "1", "quantity": "parameter of the mapping from responses to weights"}
@@ -14,9 +15,11 @@ _AXES = {
     "scale": "band",
     "anchors": "anchor,band",
     "levels": "level",
-    "maps": "level,anchor,band,basis",
+    "maps": "interval,anchor,band,basis",  # one more than levels: below, between and above them
     "coefficients": "monomial,basis",
 }
+_MATRIX = "weights_from_response"
+_OPTIONAL = {"chart_response": "patch,band", "band_response": "band,wavelength"}
 
 
 @dataclass(frozen=True)
@@ -61,29 +64,44 @@ class Calibration:
 
     @classmethod
     def load(cls, path) -> "Calibration":
-        """Read a calibration file."""
+        """Read a calibration file.
+
+        Raises
+        ------
+        InputError
+            If it is none, damaged, of an unknown kind, or its datasets do not fit together.
+        """
         with store.open_file(path) as file:
-            kind = file.attribute("mapping") if file.has_attribute("mapping") else LinearMapping.kind
+            kind = file.attribute("mapping", str) if file.has_attribute("mapping") else LinearMapping.kind
             if kind not in KINDS:
                 raise InputError(path, "mapping", repr(kind), f"one of: {', '.join(KINDS)}")
+            axes = {"basis": "wavelength,basis", "light": "wavelength"}
+            axes |= {name: dims for name, dims in _OPTIONAL.items() if name in file}
+            own = fields(KINDS[kind]) if kind != LinearMapping.kind else ()
+            axes |= {f"mapping/{field.name}": _AXES[field.name] for field in own if field.name in _AXES}
+            file.require_axes(axes if own else axes | {_MATRIX: "band,basis"}, wavelength=SAMPLES)
             matrix = mapping = None
-            if kind == LinearMapping.kind:
-                matrix = file.read("weights_from_response")
+            if not own:
+                matrix = file.read(_MATRIX)
             else:
                 values = {}
-                for field in fields(KINDS[kind]):
+                for field in own:
                     name = f"mapping/{field.name}"
-                    values[field.name] = file.read(name) if field.name in _AXES else file.attribute(field.name)
+                    in_dataset = field.name in _AXES
+                    values[field.name] = file.read(name) if in_dataset else file.attribute(field.name, (float, int))
                 mapping = KINDS[kind](**values)
             return cls(
                 file.read("basis"),
                 matrix,
                 file.read("light"),
-                tuple(file.attribute("filters")),
-                file.attribute("estimator") if file.has_attribute("estimator") else "pinv",
+                tuple(file.attribute("filters", list)),
+                file.attribute("estimator", str) if file.has_attribute("estimator") else "pinv",
                 mapping,
                 file.read("chart_response") if "chart_response" in file else None,
-                *(file.attribute(n) if file.has_attribute(n) else 0.0 for n in ("relative_error", "absolute_error")),
+                *(
+                    file.attribute(n, (float, int)) if file.has_attribute(n) else 0.0
+                    for n in ("relative_error", "absolute_error")
+                ),
                 file.read("band_response") if "band_response" in file else None,
             )
 

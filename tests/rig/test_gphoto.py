@@ -208,6 +208,7 @@ def test_a_fault_after_the_file_is_in_hand_does_not_cost_it(bench, tmp_path):
 CALLS = ["get_single_config", "set_single_config", "trigger_capture", "wait_for_event", "file_get", "file_delete"]
 
 
+@pytest.mark.stability(stage="capture", case="camera busy")
 @pytest.mark.parametrize("call", CALLS)
 def test_a_busy_camera_is_asked_again_at_growing_intervals(bench, tmp_path, call):
     with opened(bench) as camera:
@@ -220,6 +221,7 @@ def test_a_busy_camera_is_asked_again_at_growing_intervals(bench, tmp_path, call
     assert waits == sorted(set(waits)) and len(waits) == 3
 
 
+@pytest.mark.stability(stage="capture", case="camera busy")
 def test_a_camera_that_stays_busy_is_given_up_in_gphoto2_s_own_words(bench, tmp_path):
     with opened(bench) as camera:
         bench.script["trigger_capture"] = busy(99)
@@ -249,6 +251,7 @@ def test_a_lost_line_is_opened_again_once_and_the_shot_repeated(bench, tmp_path,
     assert bench.opened == 2 and bench.held == 0
 
 
+@pytest.mark.stability(stage="capture", case="camera unplugged in mid-exposure")
 def test_a_camera_unplugged_in_mid_exposure_and_back_at_another_port_finishes(bench, tmp_path):
     def unplug():
         bench.seen, bench.coming = [], []
@@ -261,6 +264,7 @@ def test_a_camera_unplugged_in_mid_exposure_and_back_at_another_port_finishes(be
     assert (tmp_path / "a.cr2").read_bytes() == RAW and len(bench.releases) == 2
 
 
+@pytest.mark.stability(stage="capture", case="camera unplugged in mid-exposure")
 @pytest.mark.parametrize(
     ("port", "said"), [(None, "not found, is it switched on"), ("usb:001,004", "no such camera at usb")]
 )
@@ -332,6 +336,7 @@ def test_of_two_equal_cameras_the_port_names_one(bench, tmp_path):
         camera.capture(shot(0.02), tmp_path / "a.cr2")
 
 
+@pytest.mark.stability(stage="capture", case="python-gphoto2 absent")
 def test_without_python_gphoto2_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "gphoto2", None)
     with pytest.raises(DeviceError, match=r"pip install -r requirements-rig\.txt"):

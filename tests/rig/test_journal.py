@@ -41,6 +41,7 @@ def retired(folder: Path) -> dict[str, dict]:
 # ---- the table
 
 
+@pytest.mark.stability(stage="capture", case="line of the table torn")
 def test_a_line_torn_at_any_byte_costs_nothing(done):
     before = contents(done)
     whole = before["captures.csv"]
@@ -292,6 +293,7 @@ def test_looking_at_a_table_loses_no_line_without_a_hash(done):
 # ---- the disk, and others at work
 
 
+@pytest.mark.stability(stage="capture", case="disk full")
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.EIO])
 def test_a_disk_that_refuses_is_said_in_one_sentence_and_costs_only_the_last_photograph(tmp_path, number):
     camera = QuickCamera([None, None, OSError(number, os.strerror(number))])
@@ -305,6 +307,7 @@ def test_a_disk_that_refuses_is_said_in_one_sentence_and_costs_only_the_last_pho
     assert_whole(tmp_path, PLAN)
 
 
+@pytest.mark.stability(stage="capture", case="disk full")
 def test_a_disk_that_fills_up_under_the_table_costs_no_photograph(tmp_path, monkeypatch):
     whole, calls = os.fsync, []
 

@@ -72,6 +72,7 @@ def _spoil(path: Path) -> None:
     path.write_bytes(raw)
 
 
+@pytest.mark.stability(stage="capture", case="session killed at random moments")
 @pytest.mark.parametrize("done", [False, True], ids=["before the step", "after the step"])
 @pytest.mark.parametrize("situation", SITUATIONS)
 def test_a_crash_at_any_step_loses_nothing_and_doubles_nothing(tmp_path, situation, done):

@@ -61,6 +61,7 @@ def test_the_ends_of_the_reach_are_reached(opened):
         assert true_position_deg(opened) == pytest.approx(targets, abs=0.005)
 
 
+@pytest.mark.stability(stage="capture", case="target out of limits")
 @pytest.mark.parametrize(
     "targets",
     [
@@ -275,6 +276,7 @@ def test_stop_and_close_may_be_repeated_and_never_raise(peer):
         opened.status()
 
 
+@pytest.mark.stability(stage="capture", case="port in use")
 def test_a_port_in_use_is_refused_by_name_in_this_process_and_in_another(peer):
     rig, simulator = peer
     with open_rig(rig):

@@ -76,6 +76,19 @@ def peer(request):
         yield at_port(rig, simulator.port), simulator
 
 
+@pytest.mark.stability(
+    stage="capture",
+    case="line drops bytes",
+    fault=("drop-output 1", "drop-output 7", "drop-output 60", "drop-input 1", "drop-input 5"),
+    command="move",
+)
+@pytest.mark.stability(stage="capture", case="line garbles a reply", fault="garble", command="move")
+@pytest.mark.stability(
+    stage="capture", case="controller stalls", fault=("stall 0.1", "stall 0.4", "stall"), command="move"
+)
+@pytest.mark.stability(stage="capture", case="controller disconnects", fault="hangup 0.1", command="move")
+@pytest.mark.stability(stage="capture", case="controller resets in mid-move", fault="reset", command="move")
+@pytest.mark.stability(stage="capture", case="alarm in mid-move", fault=("alarm 1", "alarm 3"), command="move")
 @pytest.mark.parametrize("command", [pytest.param(c, marks=[] if c == "move" else pytest.mark.heavy) for c in COMMANDS])
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_in_a_command_ends_in_time_and_leaves_the_rig_still(peer, fault, command, record_property):

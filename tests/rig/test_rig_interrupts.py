@@ -69,6 +69,7 @@ def test_an_exception_from_a_signal_handler_stops_the_rig(peer):
         signal.signal(signal.SIGALRM, before)
 
 
+@pytest.mark.stability(stage="capture", case="interrupt in mid-move")
 @pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_signal_in_mid_move(peer, kill):
     """SIGINT stops the rig. A program that is killed cannot: the rig ends its move, whose target was checked.

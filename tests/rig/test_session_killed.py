@@ -33,6 +33,8 @@ def kill_and_continue(tmp_path: Path, sessions: Killable, kills: int, seed: int)
     return stood
 
 
+@pytest.mark.heavy
+@pytest.mark.stability(stage="capture", case="session killed at random moments")
 def test_a_session_killed_at_twenty_random_moments_loses_nothing_and_doubles_nothing(tmp_path):
     with Killable(motion=False, slow_s=0.01) as sessions:
         stood = kill_and_continue(tmp_path, sessions, kills=20, seed=1)

@@ -113,6 +113,7 @@ def test_no_index_near_airs_reflects_less_than_nothing():
     assert min(map(fresnel, cosine, 1 + above, k)) >= 0.0
 
 
+@pytest.mark.stability(stage="render", case="Fresnel with large k")
 @given(cosine=st.floats(-0.1, 1.1), n=st.floats(1e-3, 100.0), k=st.floats(0.0, 100.0))
 @example(cosine=0.5, n=1.5, k=100.0)
 @example(cosine=0.0, n=0.05, k=100.0)
@@ -130,6 +131,7 @@ def test_fresnel_at_normal_incidence_is_the_textbook_quotient(n, k):
     assert fresnel(1.0, n, k) == pytest.approx(((n - 1) ** 2 + k**2) / ((n + 1) ** 2 + k**2), rel=1e-12, abs=1e-14)
 
 
+@pytest.mark.stability(stage="render", case="Fresnel at 90°")
 @given(n=st.floats(0.02, 100.0), k=st.floats(0.0, 100.0))
 @settings(deadline=None)
 def test_everything_is_a_mirror_at_grazing_incidence(n, k):
@@ -167,6 +169,7 @@ def test_glass_at_45_degrees_reflects_5_percent():
     assert fresnel(math.cos(math.radians(45)), 1.5, 0.0) == pytest.approx(0.0502, abs=5e-5)
 
 
+@pytest.mark.stability(stage="render", case="Fresnel with large k")
 @pytest.mark.parametrize(
     ("n", "k", "reflectance"),
     [(0.20, 3.44, 0.94), (0.47, 2.83, 0.82), (1.44, 5.23, 0.83)],
@@ -221,6 +224,7 @@ def test_shadowing_is_the_v_cavity_factor(light, camera):
 # The whole model
 
 
+@pytest.mark.stability(stage="render", case="reciprocity")
 @given(
     light=directions(),
     camera=directions(),

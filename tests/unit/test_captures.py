@@ -90,6 +90,7 @@ def test_what_is_written_is_read_back(tmp_path_factory, shots):
     assert read_captures(path) == shots
 
 
+@pytest.mark.stability(stage="fuzzing", case="captures.csv")
 @settings(deadline=None, max_examples=300)
 @given(content=st.binary(max_size=300) | st.binary(max_size=200).map(lambda b: f"{HEADER}\n{GOOD}\n".encode() + b))
 def test_any_bytes_give_shots_or_an_input_error(tmp_path_factory, content):
@@ -103,6 +104,7 @@ def test_any_bytes_give_shots_or_an_input_error(tmp_path_factory, content):
         assert shots and all(isinstance(shot, Shot) for shot in shots)
 
 
+@pytest.mark.stability(stage="fuzzing", case="captures.csv")
 @settings(deadline=None, max_examples=300)
 @given(cells=st.lists(st.text(max_size=12) | st.sampled_from(["object", "chart", "in", "1e308", "-0"]),
                       min_size=8, max_size=8))  # fmt: skip

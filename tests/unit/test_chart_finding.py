@@ -39,11 +39,11 @@ def refusal(picture, valid=None) -> str:
     [
         pytest.param(90, 180, 0.0, 0.003, 0, None, 0.0, 0.2, id="upside down"),
         pytest.param(75, 37, 0.3, 0.003, 0, None, 0.0, 0.2, id="turned and tilted"),
-        pytest.param(85, -8, 0.7, 0.003, 0, None, 0.0, 0.2, id="tilted by 45 degrees"),
+        pytest.param(85, -8, 0.7, 0.003, 0, None, 0.0, 0.2, id="tilted by 45 degrees", marks=pytest.mark.heavy),
         pytest.param(90, 183, 0.2, 0.05, 0, None, 0.0, 0.4, id="noise of 5 percent"),
-        pytest.param(90, 3, 0.0, 0.005, 3, None, 0.0, 1.0, id="out of focus"),
-        pytest.param(90, 3, 0.0, 0.003, 0, (0.5, 0.6), 0.0, 0.3, id="uneven light"),
-        pytest.param(95, 3, 0.0, 0.003, 0, None, -0.05, 0.2, id="barrel distortion"),
+        pytest.param(90, 3, 0.0, 0.005, 3, None, 0.0, 1.0, id="out of focus", marks=pytest.mark.heavy),
+        pytest.param(90, 3, 0.0, 0.003, 0, (0.5, 0.6), 0.0, 0.3, id="uneven light", marks=pytest.mark.heavy),
+        pytest.param(95, 3, 0.0, 0.003, 0, None, -0.05, 0.2, id="barrel distortion", marks=pytest.mark.heavy),
         pytest.param(20, 3, 0.0, 0.003, 0, None, 0.0, 0.2, id="small"),
     ],
 )
@@ -73,6 +73,7 @@ def test_six_bands_and_dim_light_and_dead_pixels_do_not_matter():
     assert np.linalg.norm(found.centres - truth(image_from_grid), axis=1).max() < 0.3
 
 
+@pytest.mark.heavy
 def test_an_upright_picture_is_found_as_a_lying_one():
     image_from_grid = view(400, 640, 80, 88)
     found = find(noisy(shot([image_from_grid], 400, 640), np.random.default_rng(3), 0.003))
@@ -132,6 +133,7 @@ def test_a_covered_patch_is_refused():
     assert "patch 8 uneven" in said or "patch edges" in said
 
 
+@pytest.mark.heavy
 def test_a_covered_column_is_refused():
     image_from_grid = view(WIDTH, HEIGHT, 90)
     picture = shot([image_from_grid])
@@ -139,6 +141,7 @@ def test_a_covered_column_is_refused():
     assert "squares" in refusal(noisy(picture, np.random.default_rng(6), 0.003))
 
 
+@pytest.mark.heavy
 def test_squares_of_other_colours_are_refused():
     rng = np.random.default_rng(7)
     responses = rng.uniform(0.15, 0.9, (ROWS * COLUMNS, 3))
@@ -157,10 +160,12 @@ def test_paper_or_noise_or_nothing_holds_no_chart():
     assert "no chart" in refusal(np.zeros((300, 400, 3)), np.zeros((300, 400), dtype=bool))
 
 
+@pytest.mark.heavy
 def test_a_tiny_chart_is_refused():
     assert "no chart" in refusal(shot([view(WIDTH, HEIGHT, 8)]))
 
 
+@pytest.mark.heavy
 def test_light_that_falls_to_a_quarter_is_found_right_or_refused():
     image_from_grid = view(WIDTH, HEIGHT, 90, 3)
     picture = noisy(shot([image_from_grid]) * light_field(WIDTH, HEIGHT, 0.0, 1.4), np.random.default_rng(10), 0.003)

@@ -66,7 +66,7 @@ def test_patches_found_and_by_corners_agree_to_two_superpixels(chart):
     assert found.found["rmse"] < 0.05 < 0.2 < found.found["next_rmse"]
 
 
-@pytest.mark.parametrize("quarters", [1, 2])
+@pytest.mark.parametrize("quarters", [1, pytest.param(2, marks=pytest.mark.heavy)])
 def test_a_photograph_that_lies_on_its_side_or_head_is_read_right(chart, quarters):
     response, valid, _, upright = chart
     found = locate_patches(np.rot90(response, quarters), np.rot90(valid, quarters), FOUND, "chart.crw")
@@ -76,6 +76,7 @@ def test_a_photograph_that_lies_on_its_side_or_head_is_read_right(chart, quarter
     assert np.linalg.norm(found.centres_px - expected[quarters], axis=1).max() < 0.05
 
 
+@pytest.mark.heavy
 def test_a_cut_chart_and_a_box_are_refused():
     with pytest.raises(InputError, match=r"3 x 5 squares.*cut by the picture's edge.*corners as chart\.centres_px"):
         locate_patches(*photograph("powershot_s40_chart_zoom.crw"), FOUND, "zoom.crw")

@@ -149,11 +149,13 @@ def test_jitter_moves_all_patches_to_eight_sides():
     assert moves == {(0, 0)} | {(3 * dx, 3 * dy) for dx, dy in SHIFTS}
 
 
+@pytest.mark.stability(stage="calibrate", case="patches moved by 3 pixels")
 def test_patches_that_hold_the_moved_squares_pass():
     found = jitter(picture(), np.ones((140, 200), bool), located(picture()), np.mean, "x.h5")
     assert found.worst <= 1e-12 and found.passed, "patches of 50 hold squares of 40 moved by 3"
 
 
+@pytest.mark.stability(stage="calibrate", case="patches moved by 3 pixels")
 def test_jitter_tells_patches_read_over_their_edge_and_dirt_beside_them():
     image = picture()
     valid = np.ones((140, 200), bool)

@@ -90,6 +90,7 @@ def test_the_table_counts_where_the_file_rounds(tmp_path):
     assert found == [(640.0, 5.6)]
 
 
+@pytest.mark.stability(stage="ingest", case="file contradicts the table")
 @pytest.mark.parametrize(
     ("column", "own_value", "stated"), [("iso", 100, 126.0), ("iso", 400, 320.0), ("f_number", 8.0, 9.0)]
 )

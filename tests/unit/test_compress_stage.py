@@ -114,6 +114,7 @@ def test_tiles_that_do_not_make_the_texture_are_refused(tmp_path, calibration):
     assert not (tmp_path / "m.h5").exists()
 
 
+@pytest.mark.heavy
 def test_memory_is_that_of_a_tile_and_a_sample(tmp_path, calibration):
     width, rows = 400, 40
 

@@ -190,6 +190,7 @@ def test_the_signs_of_the_bases_are_the_pictures_alone(weighting):
     assert spectral_rmse(spectra, source.reshape(-1, 61)).mean() < 0.02
 
 
+@pytest.mark.stability(stage="compress", case="k larger than rank")
 def test_more_bases_than_the_rank_are_not_to_be_had():
     weights, basis = bands()
     for source, of in ((weights, basis), (weights @ basis.T, None)):
@@ -237,6 +238,7 @@ def test_the_visual_weighting_needs_fewer_bases_for_the_same_colours_and_pays_in
     assert (np.diff(np.diag(moments)) <= 0).all()
 
 
+@pytest.mark.stability(stage="compress", case="spiky lights")
 @pytest.mark.parametrize("weighting", ["nothing", "visual"])
 @pytest.mark.parametrize("light", ["FL11", "HP1", "sodium line"])
 def test_spiky_lights_keep_their_colours(light, weighting):
@@ -252,6 +254,9 @@ def test_spiky_lights_keep_their_colours(light, weighting):
 SHAPES = {"one pixel": (1, 1), "a row": (1, 37), "a column": (29, 1), "fewer pixels than bases": (1, 3)}
 
 
+@pytest.mark.stability(stage="compress", case="one pixel", name="one pixel")
+@pytest.mark.stability(stage="compress", case="fewer pixels than bases", name="fewer pixels than bases")
+@pytest.mark.stability(stage="compress", case="1×N images", name=("a row", "a column"))
 @pytest.mark.parametrize("weighting", ["nothing", "visual"])
 @pytest.mark.parametrize("name", SHAPES)
 def test_small_pictures_come_back(name, weighting):
@@ -264,6 +269,8 @@ def test_small_pictures_come_back(name, weighting):
     assert all(e["count"] == pixels for e in done.errors.values())
 
 
+@pytest.mark.stability(stage="compress", case="constant image", value=0.4)
+@pytest.mark.stability(stage="compress", case="all-black", value=0.0)
 @pytest.mark.parametrize("weighting", ["nothing", "visual"])
 @pytest.mark.parametrize("value", [0.0, 0.4], ids=["black", "grey"])
 def test_a_constant_picture_has_one_basis(value, weighting):
@@ -274,6 +281,7 @@ def test_a_constant_picture_has_one_basis(value, weighting):
     assert done.negative_fraction == 0 and done.compression.negative.clipping_bias == 0
 
 
+@pytest.mark.stability(stage="compress", case="NaN pixels")
 @pytest.mark.parametrize("storage", ["half", "single"])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_pixels_that_are_not_finite_are_counted_and_have_no_part(bad, storage):
@@ -292,6 +300,7 @@ def test_pixels_that_are_not_finite_are_counted_and_have_no_part(bad, storage):
     assert all(e["count"] == (~masked).sum() for e in done.errors.values())
 
 
+@pytest.mark.stability(stage="compress", case="a light of 1e6:1")
 @pytest.mark.parametrize("pixels", [100, 2000])
 @pytest.mark.parametrize("storage", ["half", "single"])
 def test_a_light_a_million_times_its_shadows_leaves_them_their_colours(storage, pixels):
@@ -323,6 +332,7 @@ def test_single_sums_in_one_class_would_lose_what_the_sun_hides():
     assert np.abs(plain[-5:] / exact[-5:] - 1).max() > 0.01
 
 
+@pytest.mark.stability(stage="compress", case="unit of the picture")
 @given(seed=st.integers(0, 2**32 - 1), factor=st.floats(1e-20, 1e20))
 @settings(deadline=None, max_examples=15)
 def test_the_unit_of_a_picture_changes_nothing_but_the_coefficients_unit(seed, factor):

@@ -53,6 +53,7 @@ def test_a_yaml_that_is_not_there(tmp_path):
         read_yaml(tmp_path)
 
 
+@pytest.mark.stability(stage="fuzzing", case="configuration")
 @settings(deadline=None, max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(content=st.binary(max_size=60))
 def test_any_bytes_give_a_block_or_an_input_error(tmp_path, content):

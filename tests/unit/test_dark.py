@@ -88,6 +88,7 @@ def hot_places(rng, count=60):
     return np.stack([2 * rows + rng.integers(2, 4, count), 2 * columns + rng.integers(2, 4, count)], axis=1)
 
 
+@pytest.mark.stability(stage="ingest", case="hot pixels")
 def test_hot_pixels_are_found_counted_and_masked_in_every_capture(tmp_path):
     studio = Studio(tmp_path, seed=54)
     places = hot_places(studio.rng)

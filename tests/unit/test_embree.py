@@ -195,6 +195,7 @@ def test_a_plate_is_seen_from_both_faces():
     assert distance.tolist() == [5.0, 5.0] and shape.tolist() == [0, 0]
 
 
+@pytest.mark.stability(stage="render", case="grazing hits")
 def test_a_ray_along_a_plate_gives_no_nan():
     tracer = Tracer([Placement(Shape(PLATE, (20.0, 20.0)))])
     distance, _ = tracer.intersect(np.array([[-50.0, 0.0, 0.0]]), np.array([[1.0, 0.0, 0.0]]))
@@ -208,6 +209,7 @@ def test_an_empty_scene_and_no_rays_are_no_special_cases():
     assert distance.shape == shape.shape == (0,)
 
 
+@pytest.mark.stability(stage="render", case="hits on shared edges")
 @given(seed=SEEDS)
 @settings(deadline=None, max_examples=20)
 def test_no_ray_leaks_through_the_edge_that_the_two_triangles_share(seed):

@@ -40,6 +40,7 @@ def test_twice_the_light_gives_twice_the_reflectance(solved, name, exponent):
                        atol=1e-10 * gain)  # fmt: skip
 
 
+@pytest.mark.stability(stage="calibrate", case="responses scaled by 1e-6..1e6")
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("gain", [1e-6, 1e6, "mixed"])
 def test_units_of_the_responses_do_not_matter(solved, name, gain):
@@ -53,6 +54,7 @@ def test_units_of_the_responses_do_not_matter(solved, name, gain):
     assert noise_amplification(scaled) == pytest.approx(noise_amplification(solved[name]), rel=1e-4)
 
 
+@pytest.mark.stability(stage="calibrate", case="float32 input")
 @pytest.mark.parametrize("name", NAMES)
 def test_float32_in_is_float32_out_and_the_same(solved, name):
     response = (PROBES @ system().T).astype(np.float32)
@@ -71,6 +73,7 @@ def test_large_pictures_are_recovered_as_small_ones(solved, name):
     assert np.allclose(whole[-50:], solved[name].weights(response[-50:]), rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.stability(stage="calibrate", case="pixels without light or not finite")
 @pytest.mark.parametrize("name", NAMES)
 def test_pixels_without_light_are_black_and_missing_ones_stay_missing(solved, name):
     response = np.zeros((3, 6))
@@ -165,6 +168,15 @@ FAULTS = {
 }
 
 
+@pytest.mark.stability(
+    stage="calibrate", case="rank-deficient responses", fault=("rank of three", "grey chart", "few different patches")
+)
+@pytest.mark.stability(stage="calibrate", case="fewer patches than bands", fault="few patches")
+@pytest.mark.stability(stage="calibrate", case="dead band", fault="dead band")
+@pytest.mark.stability(stage="calibrate", case="two bands alike", fault="bands alike")
+@pytest.mark.stability(stage="calibrate", case="saturated patches", fault=("saturated", "one saturated"))
+@pytest.mark.stability(stage="calibrate", case="negative patches", fault="negative")
+@pytest.mark.stability(stage="calibrate", case="not finite patches", fault=("nan", "inf"))
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("fault", FAULTS)
 def test_charts_that_determine_nothing_are_refused_with_the_reason(name, fault):
@@ -173,6 +185,7 @@ def test_charts_that_determine_nothing_are_refused_with_the_reason(name, fault):
         fit(name, chart, min(6, len(chart.spectra)))
 
 
+@pytest.mark.stability(stage="calibrate", case="duplicate patches")
 @pytest.mark.parametrize("name", NAMES)
 def test_patches_that_occur_twice_do_no_harm(name):
     chart = training()
@@ -189,6 +202,7 @@ def test_bands_are_named_by_their_filters():
         check_responses(chart.response, filters=("out", "in"))
 
 
+@pytest.mark.stability(stage="calibrate", case="negative patches")
 def test_noise_below_zero_is_not_a_fault_where_the_noise_is_known():
     chart = training()
     response = chart.response.copy()

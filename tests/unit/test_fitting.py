@@ -90,6 +90,7 @@ def test_recovers_known_materials_without_noise(solver, n, k):
     assert (result.residual_rms <= 1e-4 * alpha).all()
 
 
+@pytest.mark.stability(stage="fit", case="float32 input")
 def test_recovers_from_single_precision():
     alpha, beta, mu = materials(300, seed=2)
     response = model(alpha, beta, mu).astype(np.float32)
@@ -192,6 +193,7 @@ def test_parameters_stay_within_bounds_whatever_the_data(response, angles, weigh
     assert np.isfinite(result.alpha[told]).all()
 
 
+@pytest.mark.stability(stage="fit", case="β = 0")
 def test_matt_texels_keep_alpha_and_say_that_gloss_is_unknown():
     alpha = np.linspace(0.01, 1.0, 40)
     result = run(model(alpha, 0.0, 0.1))
@@ -211,6 +213,7 @@ def test_noise_is_seldom_taken_for_gloss():
     assert np.abs(result.alpha / alpha - 1).max() <= 4 * noise
 
 
+@pytest.mark.stability(stage="fit", case="F D never sampled near its peak")
 def test_gloss_that_no_observation_comes_near_is_unknown():
     incidence, view = np.array([(5, 50), (10, 60), (50, 5), (60, 15), (70, 25), (15, 55)]).T
     off_specular = np.radians(np.stack([incidence, view, (incidence + view) / 2, abs(incidence - view) / 2], axis=1))
@@ -220,6 +223,7 @@ def test_gloss_that_no_observation_comes_near_is_unknown():
     assert result.alpha == pytest.approx(0.4, abs=1e-3)
 
 
+@pytest.mark.stability(stage="fit", case="2 or 3 observations", observations=(2, 3))
 @pytest.mark.parametrize("observations", [1, 2, 3])
 @pytest.mark.parametrize("solver", ["varpro", "nlopt", "nlopt-reference"])
 def test_three_observations_determine_nothing(solver, observations):
@@ -239,6 +243,7 @@ def test_no_observation_at_all_is_a_status_and_not_an_error():
     assert result.status == Status.TOO_FEW_OBSERVATIONS and np.isnan(result.alpha).all()
 
 
+@pytest.mark.stability(stage="fit", case="NaN and infinity")
 @pytest.mark.parametrize("solver", ["varpro", "nlopt", "nlopt-reference"])
 @pytest.mark.parametrize("fault", ["zero weight", "nan", "inf", "-inf", "nan weight", "nan geometry", "inf geometry"])
 def test_unusable_observations_change_nothing(solver, fault):
@@ -265,6 +270,7 @@ def test_unusable_observations_change_nothing(solver, fault):
         assert np.allclose(getattr(found, name), getattr(expected, name), rtol=1e-9, equal_nan=True)
 
 
+@pytest.mark.stability(stage="fit", case="NaN and infinity")
 def test_a_spoiled_texel_does_not_touch_its_neighbours():
     alpha, beta, mu = materials(100, seed=10)
     response = model(alpha, beta, mu)

@@ -8,6 +8,7 @@ from test_fitting_hard import CAMERA, in_plane, stated
 from irodori.fitting import FitOptions, fit
 
 
+@pytest.mark.stability(stage="fit", case="one gross outlier in 20")
 @pytest.mark.parametrize("factor", [0.0, 0.2, 3.0])
 @pytest.mark.parametrize("weights", ["noise", "equal"])
 def test_huber_withstands_one_gross_outlier_in_twenty(factor, weights):

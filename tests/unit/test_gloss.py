@@ -38,6 +38,7 @@ def looked_up(level, unit):
     return out
 
 
+@pytest.mark.stability(stage="environment", case="poles and seam")
 @pytest.mark.parametrize("place", [None, (0, 5), (63, 0), (32, 127), (20, 64)])
 def test_blurred_light_is_the_sum_over_the_pixels_at_poles_and_seam_too(place):
     rng = np.random.default_rng(1)

@@ -55,6 +55,7 @@ def test_reference_measures_gain_and_read_noise(tmp_path):
     assert abs(dark.signal_dn(0.02)).mean() < 3 * noise / np.sqrt(6)
 
 
+@pytest.mark.stability(stage="ingest", case="saturated pixels")
 def test_saturated_samples_are_invalid_and_only_they(tmp_path):
     studio = Studio(tmp_path, seed=13)
     studio.references()
@@ -128,6 +129,7 @@ def test_ingest_refuses_what_it_cannot_normalise(tmp_path):
         studio.ingest("chart")
 
 
+@pytest.mark.stability(stage="ingest", case="white reference overexposed")
 def test_an_overexposed_white_reference_is_refused(tmp_path):
     studio = Studio(tmp_path, seed=17)
     studio.shoot("white", np.full((SIZE[0] // 2, SIZE[1] // 2, 6), 4.0))
@@ -236,6 +238,7 @@ def test_white_and_captures_are_normalised_alike_or_not_at_all(tmp_path, known):
         )  # fmt: skip
 
 
+@pytest.mark.stability(stage="ingest", case="file contradicts the table")
 def test_a_capture_that_the_table_contradicts_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"iso.*1\.dng"):
         run(tmp_path, [("white", 0.02, 100, 4.0, ()), ("object", 0.02, 100, 4.0, (200.0,))])

@@ -96,6 +96,7 @@ def test_the_filtered_bands_lie_on_the_unfiltered_ones(tmp_path, options):
     assert (missed[:, 3:].std(axis=0) > 2 * error[:, 3:].std(axis=0)).all() and "registration" not in plain
 
 
+@pytest.mark.stability(stage="ingest", case="picture without content")
 def test_a_capture_without_content_takes_the_charts_transform(tmp_path):
     studio = session(tmp_path, contrast=0.0)
     found = ingest(studio, POSE)
@@ -105,6 +106,7 @@ def test_a_capture_without_content_takes_the_charts_transform(tmp_path):
         assert np.array_equal(file.read("registration"), found["registration"])
 
 
+@pytest.mark.stability(stage="ingest", case="picture without content")
 def test_without_a_chart_and_without_content_nothing_is_moved_and_the_file_says_so(tmp_path):
     found = ingest(session(tmp_path, contrast=0.0, chart=False), POSE)
     assert found["registration_source"] == "none" and np.array_equal(found["registration"], [0, 0, 0, 1])
@@ -117,6 +119,7 @@ def test_an_object_that_moved_between_the_shots_is_found_where_it_is(tmp_path):
     assert apart_px(found["registration"], moved) < 0.08
 
 
+@pytest.mark.stability(stage="ingest", case="shots do not register")
 def test_a_residual_above_the_limit_names_the_capture(tmp_path):
     studio = session(tmp_path)
     # Half of the picture moves and half stays: no one transform fits.

@@ -31,6 +31,8 @@ def test_constant_light_gives_pi_everywhere(size):
     assert np.abs(out[..., 0] / np.pi - 1).max() <= 0.0005
 
 
+@pytest.mark.stability(stage="environment", case="one-texel sun")
+@pytest.mark.stability(stage="environment", case="poles and seam")
 @pytest.mark.parametrize(
     "place", [(0, 0), (0, 130), (3, 10), (60, 200), (63, 255), (64, 0), (64, 128), (100, 255), (127, 17)]
 )
@@ -65,6 +67,7 @@ def test_random_light_is_exact_relative_to_each_normals_own_irradiance(seed, hei
     assert error.max() <= 0.0005 * power.max()
 
 
+@pytest.mark.stability(stage="environment", case="1×N images")
 @pytest.mark.parametrize("size", [(1, 300), (300, 1), (1, 1), (7, 5), (9, 8)])
 def test_pictures_of_one_row_or_one_column(size):
     coefficients = np.random.default_rng(3).uniform(0, 1, (*size, 2)).astype(np.float32)
@@ -73,6 +76,7 @@ def test_pictures_of_one_row_or_one_column(size):
     assert np.abs(Integrator(coefficients)(normals) - expected).max() <= 0.0005 * expected.max()
 
 
+@pytest.mark.stability(stage="environment", case="all-black")
 def test_a_black_sky_gives_nothing():
     found, errors = fitted_irradiance_map(np.zeros((16, 32, 2), np.float32), 0.002, 64)
     assert (found == 0).all() and errors["max_error"] == 0.0
@@ -145,6 +149,7 @@ def test_midpoints_are_between_the_normals_and_bounded_in_number():
     assert np.degrees(np.arccos(nearest)).min() > 0.5 * 180 / 8
 
 
+@pytest.mark.stability(stage="environment", case="poles and seam")
 def test_looking_up_is_continuous_over_poles_and_seam():
     picture = np.random.default_rng(5).uniform(0, 1, (16, 32, 2)).astype(np.float32)
     azimuth = np.linspace(0, 2 * np.pi, 7)

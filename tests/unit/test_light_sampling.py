@@ -54,6 +54,8 @@ def test_frequencies_match_the_density(seed):
     assert stats.chisquare(counts[often], expected[often] * counts[often].sum() / expected[often].sum()).pvalue > 1e-3
 
 
+@pytest.mark.stability(stage="environment", case="one-texel sun")
+@pytest.mark.stability(stage="environment", case="poles and seam")
 @pytest.mark.parametrize("place", [(0, 0), (0, 63), (31, 40), (15, 0), (15, 63), (20, 31)])
 def test_a_sun_of_one_texel_gets_every_sample(place):
     power = np.zeros((32, 64))
@@ -82,12 +84,14 @@ def test_light_at_the_ends_of_the_unit_square():
     assert np.isfinite(out).all() and (density > 0).all()
 
 
+@pytest.mark.stability(stage="environment", case="all-black")
 def test_black_light_is_sampled_evenly():
     unit, density = drawn(light_sampler(np.zeros((6, 8))), 20_000)
     assert np.allclose(density, 1 / (4 * np.pi))
     assert stats.kstest(unit[:, 2], stats.uniform(-1, 2).cdf).pvalue > 1e-3
 
 
+@pytest.mark.stability(stage="environment", case="not finite radiance")
 @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
 def test_radiance_that_is_none_is_refused(value):
     power = np.ones((4, 8))

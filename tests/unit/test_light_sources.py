@@ -206,6 +206,7 @@ def test_a_fine_picture_keeps_the_power_of_its_lines():
     assert out.sum() * 5 == pytest.approx(pixels.sum(), rel=0.01)
 
 
+@pytest.mark.stability(stage="environment", case="duplicate wavelengths")
 def test_spectral_pictures_that_are_no_light_are_refused(tmp_path):
     with pytest.raises(InputError, match="kind S0 among T"):
         spectral_picture(write_exr(tmp_path / "t.exr", np.ones((2, 4, 2)), ["T.400,0nm", "T.700,0nm"]))
@@ -229,6 +230,7 @@ def test_another_programs_chart_is_read_and_brought_to_the_grid():
         spectral_picture(path)
 
 
+@pytest.mark.stability(stage="environment", case="a picture cut short")
 @pytest.mark.parametrize("tiled", [0, 16, 64])
 def test_a_picture_is_read_in_bands_that_make_it_whole(tmp_path, tiled):
     pixels = np.random.default_rng(6).uniform(0, 1, (75, 150, 3)).astype(np.float32)
@@ -270,6 +272,8 @@ def test_the_memory_for_an_environment_does_not_grow_with_its_spectra(tmp_path):
     assert spectral_rmse(found.coefficients[::50] @ found.basis.T, expected[::50]).mean() < 0.01
 
 
+@pytest.mark.stability(stage="environment", case="not finite radiance")
+@pytest.mark.stability(stage="environment", case="all-black")
 def test_light_that_is_not_finite_is_refused_and_black_light_is_black(tmp_path):
     def picture(values):
         return Picture(values.shape[:2], np.ones((61, 1)), lambda: iter([values]), "a.h5")
@@ -284,6 +288,7 @@ def test_light_that_is_not_finite_is_refused_and_black_light_is_black(tmp_path):
     assert (found.coefficients == 0).all() and (found.irradiance == 0).all() and (found.upward_white() == 0).all()
 
 
+@pytest.mark.stability(stage="environment", case="a light of 1e6:1")
 @pytest.mark.parametrize("storage", ["half", "single"])
 def test_a_light_of_a_million_to_one_keeps_its_shadows_in_the_file(tmp_path, storage):
     rng = np.random.default_rng(9)

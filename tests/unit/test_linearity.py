@@ -50,6 +50,7 @@ def test_drift_of_the_light_is_not_mistaken_for_a_curve(tmp_path, seed):
     assert found.largest < 0.02
 
 
+@pytest.mark.stability(stage="ingest", case="camera not linear")
 def test_a_curved_camera_is_refused_with_what_was_found(tmp_path):
     studio = series(tmp_path, 68, strength=0.08, drift=0.01)
     with pytest.raises(InputError, match=r"deviates by .*max_nonlinearity"):

@@ -106,6 +106,7 @@ def test_without_known_noise_samples_weigh_by_exposure():
     assert np.allclose(out[..., 0], expected[::2, ::2], rtol=1e-5)
 
 
+@pytest.mark.stability(stage="ingest", case="clipped samples in a bracket")
 def test_samples_at_the_clip_level_are_never_used():
     rng = np.random.default_rng(36)
     frames = photograph(np.full((64, 64), 0.3), [0.002, 0.02], rng)

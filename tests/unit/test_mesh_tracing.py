@@ -100,6 +100,7 @@ def test_a_sphere_of_triangles_is_hit_within_its_sagitta(seed):
     assert (found >= near - 1e-6).all() and (found - near).max() < 1.3 * sagitta / 0.8
 
 
+@pytest.mark.stability(stage="render", case="hits on shared edges")
 @given(seed=SEEDS)
 @settings(deadline=None, max_examples=10)
 def test_no_ray_slips_through_an_edge(seed):
@@ -133,6 +134,7 @@ def test_meshes_spheres_and_plates_hide_each_other():
     assert np.mean(shapes[0] != shapes[1]) < 2e-3  # outlines move by a sagitta
 
 
+@pytest.mark.stability(stage="render", case="self-intersection")
 @given(exponent=st.floats(-4, 4), seed=SEEDS)
 @settings(deadline=None, max_examples=15)
 def test_a_convex_mesh_neither_hides_nor_shadows_itself_at_any_size(exponent, seed):

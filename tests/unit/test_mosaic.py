@@ -71,6 +71,7 @@ CUTS = {
 }  # fmt: skip
 
 
+@pytest.mark.stability(stage="workflow", case="RAW file truncated")
 @pytest.mark.parametrize("cut", CUTS)
 @pytest.mark.parametrize("size", [(64, 96), (600, 800)], ids=["small", "large"])
 def test_a_truncated_dng_is_refused(tmp_path, size, cut):
@@ -120,6 +121,7 @@ def test_any_phase_of_the_mosaic_gives_the_same_bands(tmp_path, pattern):
     assert np.array_equal(decoded.superpixels, np.broadcast_to([400.0, 1400.0, 2400.0], (32, 48, 3)))
 
 
+@pytest.mark.stability(stage="ingest", case="sensor's black level in any pattern")
 @pytest.mark.parametrize("pattern", PATTERNS)
 def test_a_black_level_for_each_place_is_subtracted_at_its_place(tmp_path, pattern):
     black = np.array([[600, 610], [620, 640]])
@@ -130,6 +132,7 @@ def test_a_black_level_for_each_place_is_subtracted_at_its_place(tmp_path, patte
     assert decoded.full_scale == 16383 - 640
 
 
+@pytest.mark.stability(stage="ingest", case="sensor's black level in any pattern")
 def test_a_black_level_that_the_pattern_cannot_hold_is_refused(tmp_path):
     black = np.arange(600, 608).reshape(4, 2)
     path = write_any_dng(tmp_path / "a.dng", np.full((64, 96), 700, np.uint16), black=black)

@@ -73,6 +73,7 @@ def test_clipping_would_brighten_dark_noise_and_rendering_does_not():
 # --- repeated reflection
 
 
+@pytest.mark.stability(stage="compress", case="drift of products")
 def test_errors_of_products_grow_with_the_reflections_as_relative_errors_add():
     truth = np.tile(np.linspace(0.3, 0.6, 61), (50, 1))
     decoded = truth * 1.01
@@ -100,6 +101,7 @@ def test_products_leave_the_span_and_projecting_them_costs_more():
     assert max(row["rmse"] for row in exact) == 0 and max(row["projected_delta_e"]["A"]["max"] for row in exact) < 1e-6
 
 
+@pytest.mark.stability(stage="compress", case="all-black")
 def test_a_black_picture_stays_black_through_all_reflections():
     rows = drift(np.zeros((3, 61)), np.zeros((3, 61)), np.eye(61)[:, :2], observers())
     assert all(row["rmse"] == 0 and row["delta_e"]["D65"]["max"] == 0 for row in rows)

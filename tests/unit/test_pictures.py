@@ -41,6 +41,7 @@ def test_layers_are_named_as_the_published_layout_says(tmp_path):
     assert spec.getattribute("irodori:test") == "yes"
 
 
+@pytest.mark.stability(stage="environment", case="a picture cut short")
 @pytest.mark.parametrize("keep", [0, 4, 300, 0.25, 0.5, 0.9, 0.999])
 def test_a_truncated_exr_is_refused(tmp_path, keep):
     path = tmp_path / "a.exr"

@@ -157,6 +157,7 @@ def test_without_a_radius_nothing_is_pooled_and_what_cannot_be_is_refused():
     assert len(pooled.status) == 0 and pooled.status.dtype == nothing.status.dtype
 
 
+@pytest.mark.stability(stage="fit", case="random data")
 @given(
     response=npst.arrays(np.float32, (12, 9), elements=st.floats(-10, 10, width=32) | st.just(np.nan)),
     angles=npst.arrays(np.float32, (12, 9, 4), elements=st.floats(0.0, 1.75, width=32) | st.just(np.nan)),

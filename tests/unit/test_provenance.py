@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from irodori.provenance import code_hash, config_hash, file_sha256, local_sources
+from irodori.provenance import code_hash, config_hash, file_sha256, local_sources, modules_of
 
 _JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -117,3 +117,10 @@ def test_file_sha256(tmp_path):
     assert file_sha256(path) == hashlib.sha256(b"").hexdigest()
     with pytest.raises(OSError):
         file_sha256(tmp_path / "absent")
+
+
+def test_the_modules_of_a_package_are_all_its_files():
+    names = modules_of("irodori")
+    assert {"irodori", "irodori.store", "irodori.rendering", "irodori.rendering.stage"} <= set(names)
+    assert len(names) == len(set(names)) and not any(name.endswith("__init__") for name in names)
+    assert code_hash(*names)

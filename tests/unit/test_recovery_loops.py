@@ -88,6 +88,7 @@ def test_an_anchor_that_stands_twice_counts_as_two():
         assert np.allclose(weights(twice, response, own), plain(twice, response, own), rtol=0, atol=1e-4)
 
 
+@pytest.mark.stability(stage="calibrate", case="pixels without light or not finite")
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 @pytest.mark.parametrize("stated", [False, True])
 def test_responses_that_are_no_numbers_or_none_spoil_no_neighbour(kind, stated):

@@ -33,12 +33,16 @@ MIRROR = {"n": 0.05, "k": 30.0}
 # --- furnaces ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.stability(stage="render", case="white furnace")
 def test_a_white_sphere_vanishes_in_a_white_furnace_in_every_band():
     light = np.linspace(0.5, 2.0, 61)
     picture = traced([BALL], [material(1.0)], constant_light(light), 16)
     assert np.abs(picture.radiance / light - 1).max() <= 1e-5
 
 
+@pytest.mark.stability(stage="render", case="scene of 1 mm", size=0.001)
+@pytest.mark.stability(stage="render", case="scene of 1 km", size=1000.0)
+@pytest.mark.stability(stage="render", case="touching spheres")
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3], ids=["1 mm", "1 m", "1 km"])
 def test_a_crowd_of_white_spheres_that_touch_vanishes_at_any_size(size):
     """Every path between them ends in the light with all it set out with, or light has leaked."""
@@ -51,12 +55,15 @@ def test_a_crowd_of_white_spheres_that_touch_vanishes_at_any_size(size):
     assert picture.cut == 0
 
 
+@pytest.mark.stability(stage="render", case="hits on shared edges")
 def test_no_path_slips_through_edges_that_triangles_share():
     """What slipped through would meet the black back of the other side."""
     picture = traced([facetted_sphere(20.0, 3)], [material(1.0)], constant_light(), 64, size=(61, 61))
     assert np.abs(picture.radiance - 1).max() <= 1e-4
 
 
+@pytest.mark.stability(stage="render", case="energy")
+@pytest.mark.stability(stage="render", case="roughness at both bounds", mu=(0.005, 1.2))
 @pytest.mark.parametrize("mu", [0.005, 0.1, 0.4, 1.2])
 def test_no_energy_is_made(mu):
     shapes, places = [plate(200.0), BALL, BALL], [(0, 0, 0), (-20, 0, 20.0), (20, 0, 20.0)]
@@ -69,6 +76,7 @@ def test_no_energy_is_made(mu):
     assert picture.radiance.mean() <= 1.0
 
 
+@pytest.mark.heavy
 def test_light_in_a_closed_room_is_the_sum_of_all_its_reflections():
     """In a sphere every part of the wall lights every other alike: E = E0 / (1 - ρ (1 - r²/R²)) [integrating sphere].
 
@@ -92,6 +100,7 @@ def test_light_in_a_closed_room_is_the_sum_of_all_its_reflections():
 # --- the terms of equation (5) -----------------------------------------------------------------------------------
 
 
+@pytest.mark.stability(stage="render", case="roughness at both bounds", mu=(0.005, 1.2))
 @pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.4)], ids=["lacquer", "metal"])
 @pytest.mark.parametrize("mu", [0.005, 0.05, 0.4, 1.2])
 @pytest.mark.parametrize("theta_deg", [0.0, 45.0, 80.0, 89.0])
@@ -122,6 +131,7 @@ def test_gloss_of_varying_index_agrees_with_each_band_alone():
         assert error.mean() <= 0.01 * alone.radiance[..., band].mean()
 
 
+@pytest.mark.stability(stage="render", case="grazing hits")
 @pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.4), (3.0, 10.0)])
 @pytest.mark.parametrize("theta_deg", [0.0, 56.3, 80.0, 89.9])
 def test_a_mirror_shows_fresnel_reflectance_to_grazing_angles(theta_deg, n, k):
@@ -132,6 +142,7 @@ def test_a_mirror_shows_fresnel_reflectance_to_grazing_angles(theta_deg, n, k):
     assert np.allclose(picture.radiance, 3.0 * fresnel(np.cos(theta), n, k), rtol=1e-5)
 
 
+@pytest.mark.stability(stage="render", case="Fresnel at 90°")
 def test_the_fresnel_reflectance_of_all_bands_is_that_of_one():
     from irodori import brdf
     from irodori.rendering.reference.bands import fill_fresnel, padded
@@ -147,6 +158,7 @@ def test_the_fresnel_reflectance_of_all_bands_is_that_of_one():
             assert np.allclose(found, 1.0, atol=1e-6)
 
 
+@pytest.mark.stability(stage="render", case="parallel mirrors")
 def test_between_parallel_mirrors_light_loses_one_reflectance_a_bounce():
     """The eye looks between two plates 20 mm apart at an angle; a ray meets them N times before it leaves."""
     n, k = 0.2, 3.4
@@ -195,6 +207,7 @@ def zenith_irradiance(row, radiance=1e5, parts=256) -> float:
     return 0.1 * radiance * np.sum(tent * np.sin(theta) * np.cos(theta)) * np.pi / 256 / parts * 2 * np.pi / 512
 
 
+@pytest.mark.stability(stage="render", case="one-texel sun")
 @pytest.mark.parametrize("row", [0, 3, 60])
 def test_a_sun_of_one_texel_is_found_and_weighs_what_it_should(row):
     picture = traced([plate(100.0)], [material(SPECTRUM)], one_texel_sun(row), 256, size=(4, 4), fov=1.0,
@@ -235,6 +248,8 @@ def test_directions_are_drawn_with_the_density_that_is_told_for_them(place):
     assert total == pytest.approx(1.0, abs=2e-3)
 
 
+@pytest.mark.stability(stage="render", case="black light")
+@pytest.mark.stability(stage="render", case="monochromatic light")
 def test_black_light_gives_a_black_picture_and_one_wavelength_stays_one():
     picture = traced([BALL], [material(0.5, beta=1.0, mirror=0.2)], DARK, 16, size=(5, 5))
     assert (picture.radiance == 0).all() and (picture.standard_error == 0).all()
@@ -360,6 +375,7 @@ def test_lights_add_up():
     assert (error <= 0.03 * total).all()
 
 
+@pytest.mark.stability(stage="render", case="reciprocity")
 def test_light_takes_the_same_paths_both_ways():
     """What a small lamp at P sends past Q from all sides is what it sends past P from Q: reciprocity of every path."""
     shapes = [plate(100.0), ball(30.0), ball(20.0)]

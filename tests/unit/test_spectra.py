@@ -195,6 +195,7 @@ def test_a_column_table_without_a_number_names_line_and_column(tmp_path, cell):
     assert "line 6" in error.field and re.search(r"\bg\b", error.field)
 
 
+@pytest.mark.stability(stage="calibrate", case="missing wavelengths")
 @pytest.mark.parametrize(("first", "last"), [(410, 720), (380, 690)])
 def test_a_range_that_is_too_short_is_refused_and_not_extrapolated(tmp_path, first, last):
     grid = [w for w in GRID if first <= w <= last]
@@ -203,6 +204,7 @@ def test_a_range_that_is_too_short_is_refused_and_not_extrapolated(tmp_path, fir
     assert f"{first}..{last}" in error.found and "400..700" in error.accepted
 
 
+@pytest.mark.stability(stage="calibrate", case="missing wavelengths")
 def test_a_gap_is_refused_where_it_stands(tmp_path):
     grid = [w for w in GRID if not 500 < w < 540]
     error = refusal(read_wide_csv, wide(tmp_path / "gap.csv", grid))
@@ -210,6 +212,7 @@ def test_a_gap_is_refused_where_it_stands(tmp_path):
     assert "40 nm after 500 nm" in error.found
 
 
+@pytest.mark.stability(stage="environment", case="duplicate wavelengths")
 @pytest.mark.parametrize("swap", [(500, 510), (500, 490)])
 def test_wavelengths_that_do_not_increase_are_refused(tmp_path, swap):
     grid = [swap[1] if w == swap[0] else w for w in GRID]

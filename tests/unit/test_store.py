@@ -35,6 +35,7 @@ def refusal(path, name=None):
 # Writing
 
 
+@pytest.mark.stability(stage="store", case="failure while writing")
 @pytest.mark.parametrize("failure", [RuntimeError, KeyboardInterrupt, SystemExit])
 def test_a_block_that_fails_leaves_no_file_and_no_temporary(tmp_path, failure):
     with pytest.raises(failure), store.create(tmp_path / "new" / "out.h5", PROVENANCE) as file:
@@ -43,6 +44,7 @@ def test_a_block_that_fails_leaves_no_file_and_no_temporary(tmp_path, failure):
     assert list((tmp_path / "new").iterdir()) == []
 
 
+@pytest.mark.stability(stage="store", case="failure while writing")
 def test_a_block_that_fails_leaves_the_earlier_file_as_it_was(tmp_path):
     path = write_sample(tmp_path / "out.h5")
     before = path.read_bytes()
@@ -148,6 +150,7 @@ def test_a_missing_file_is_refused_by_name(tmp_path):
     assert refusal(tmp_path)  # a folder is no file
 
 
+@pytest.mark.stability(stage="store", case="truncated file")
 @given(share=st.floats(0.0, 1.0, exclude_max=True))
 @settings(deadline=None, suppress_health_check=FIXTURE_IS_REUSED, max_examples=40)
 def test_a_file_cut_short_anywhere_is_refused(tmp_path, share):
@@ -156,6 +159,7 @@ def test_a_file_cut_short_anywhere_is_refused(tmp_path, share):
     refusal(path, "alpha")
 
 
+@pytest.mark.stability(stage="store", case="damaged data")
 def test_damaged_data_is_refused_on_reading(tmp_path):
     path = write_sample(tmp_path / "damaged.h5", np.random.default_rng(1).random((100, 200)))
     with h5py.File(path) as file:
@@ -167,6 +171,7 @@ def test_damaged_data_is_refused_on_reading(tmp_path):
     assert refusal(path, "alpha").field == "alpha"
 
 
+@pytest.mark.stability(stage="store", case="foreign file")
 @pytest.mark.parametrize("content", [b"", b"not a picture", b"\x89HDF\r\n\x1a\n", bytes(4096)])
 def test_a_file_that_is_no_hdf5_is_refused(tmp_path, content):
     path = tmp_path / "other.h5"
@@ -174,6 +179,7 @@ def test_a_file_that_is_no_hdf5_is_refused(tmp_path, content):
     refusal(path)
 
 
+@pytest.mark.stability(stage="store", case="foreign file")
 @pytest.mark.parametrize(
     "attributes",
     [{}, {"rule": "fit_brdf"}, {"schema_version": 1}, {"schema_version": "draft-7", "rule": "x"}],
@@ -187,6 +193,7 @@ def test_hdf5_of_another_program_is_refused(tmp_path, attributes):
     assert refusal(path).field == "schema_version"
 
 
+@pytest.mark.stability(stage="store", case="newer version")
 def test_a_newer_schema_is_refused_with_both_versions(tmp_path):
     path = write_sample(tmp_path / "newer.h5")
     with h5py.File(path, "a") as file:
@@ -240,3 +247,35 @@ def test_an_unknown_packing_is_refused(tmp_path):
     ):
         out.write("x", np.zeros(100), units="1", dims="a", quantity="x", compression="zip")
     assert not (tmp_path / "a.h5").exists()
+
+
+@pytest.mark.parametrize(
+    ("axes", "lengths", "name", "found"),
+    [
+        ({"alpha": "row,column", "beta": "row"}, {}, "beta", "2 axes"),
+        ({"alpha": "row,column", "beta": "column,row"}, {}, "beta", "4 along the axis column"),
+        ({"alpha": "row,column"}, {"column": 61}, "alpha", "5 along the axis column"),
+        ({"alpha": "row,column", "name": "letter"}, {}, "name", "values of type"),
+        ({"alpha": "row,column", "gamma": "row"}, {}, "gamma", "no such dataset"),
+    ],
+)
+def test_datasets_that_do_not_fit_together_are_refused(tmp_path, axes, lengths, name, found):
+    path = tmp_path / "out.h5"
+    with store.create(path, PROVENANCE) as file:
+        for dataset, values, dims in (("alpha", np.ones((4, 5)), "row,column"), ("beta", np.ones((4, 5)), "row,column"),
+                                      ("name", np.array([b"a", b"b"]), "letter")):  # fmt: skip
+            file.write(dataset, values, units="1", dims=dims, quantity="x")
+    with store.open_file(path) as file:
+        file.require_axes({"alpha": "row,column", "beta": "row,column"}, row=4)
+        with pytest.raises(InputError, match=found) as caught:
+            file.require_axes(axes, **lengths)
+    assert caught.value.field == name
+
+
+def test_an_attribute_of_another_kind_is_refused_with_both_kinds(tmp_path):
+    with store.create(tmp_path / "out.h5", PROVENANCE) as file:
+        file.attribute("rows", [0, 3])
+    with store.open_file(tmp_path / "out.h5") as file:
+        assert file.attribute("rows", list) == [0, 3]
+        with pytest.raises(InputError, match="rows: found a list; accepted: float or int"):
+            file.attribute("rows", (float, int))

@@ -23,24 +23,28 @@ def refusal(folder, *arguments) -> str:
     return " ".join(text.split())
 
 
+@pytest.mark.stability(stage="workflow", case="unknown key")
 def test_an_unknown_key_names_the_one_that_was_meant(project):
     edit(project / "config/objects/leaf-sphere.yaml", {"mirror_wieght": 0.5})
     said = refusal(project)
     assert "config/objects/leaf-sphere.yaml" in said and "mirror_wieght" in said and "mirror_weight" in said
 
 
+@pytest.mark.stability(stage="workflow", case="object names an unknown camera")
 def test_an_unknown_camera_lists_those_that_exist(project):
     edit(project / "config/objects/leaf-sphere.yaml", {"camera": "d5100-cmb"})
     said = refusal(project)
     assert "leaf-sphere.yaml" in said and "camera" in said and "d5100-cmb" in said and "d5100-comb" in said
 
 
+@pytest.mark.stability(stage="workflow", case="angle out of the rig's range")
 def test_an_angle_out_of_the_rigs_range_says_the_range(project):
     edit(project / "config/objects/leaf-sphere.yaml", {"poses": [{"light_deg": [20.0], "camera_deg": [0.0]}]})
     said = refusal(project)
     assert "leaf-sphere.yaml" in said and "poses[0].light_deg[0]" in said and "20" in said and "35 to 125" in said
 
 
+@pytest.mark.stability(stage="workflow", case="chart file without a wavelength")
 def test_a_chart_with_a_missing_wavelength_is_refused(project):
     rows = [["patch", *map(str, range(400, 701, 10))]] + [[f"p{i}", *["0.5"] * 31] for i in range(24)]
     rows[7][12] = ""
@@ -78,11 +82,13 @@ def real_project(folder, files: dict[str, bytes | None]):
     return folder
 
 
+@pytest.mark.stability(stage="workflow", case="RAW file missing")
 def test_a_missing_raw_file_is_refused_before_anything_runs(project):
     said = refusal(real_project(project, {"a.dng": b"", "b.dng": None}), "calibrate")
     assert "b.dng" in said and "captures.csv" in said
 
 
+@pytest.mark.stability(stage="workflow", case="RAW file truncated")
 def test_a_truncated_raw_file_stops_at_the_first_job(project):
     run = snakemake(real_project(project, {"a.dng": b"", "b.dng": b"x" * 2000}), "calibrate")
     said = " ".join((run.stdout + run.stderr).split())
@@ -91,6 +97,7 @@ def test_a_truncated_raw_file_stops_at_the_first_job(project):
     assert not (project / "results/cameras/own/reference.h5").exists()
 
 
+@pytest.mark.stability(stage="ingest", case="file contradicts the table")
 def test_an_exposure_that_the_file_contradicts_is_refused(project):
     folder = real_project(project, {"a.dng": b""})
     table = folder / "raw/captures.csv"

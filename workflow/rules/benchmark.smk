@@ -68,3 +68,34 @@ rule write_speed_report:
 rule benchmark:
     input:
         "results/benchmark/speed_error.html",
+
+
+rule check_stability:
+    input:
+        tests=sorted(map(str, Path(workflow.basedir, "tests").rglob("*.py"))),
+    output:
+        table="results/benchmark/stability.csv",
+        page=report(
+            "results/benchmark/stability.html",
+            caption="../report/stability.rst",
+            category="Stability",
+        ),
+    log:
+        "results/logs/check_stability/all.log",
+    benchmark:
+        "results/benchmark/jobs/check_stability/all.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    # Some of its tests have deadlines for simulated devices: it runs alone.
+    threads: lambda wildcards: workflow.cores
+    resources:
+        mem_mb=lambda wildcards, attempt: 6000 * attempt,
+    params:
+        code=lambda wildcards: code_hash("benchmarks.stability", "irodori.report.stability", *modules_of("irodori")),
+    script:
+        "../scripts/check_stability.py"
+
+
+rule stability:
+    input:
+        "results/benchmark/stability.html",

@@ -5,7 +5,7 @@ from irodori.captures import read_captures
 from irodori.config import captures_of, is_taken_here, is_virtual, load_definitions
 from irodori.errors import InputError
 from irodori.geometry.files import mesh_files
-from irodori.provenance import code_hash
+from irodori.provenance import code_hash, modules_of
 from irodori.spectral_files import SUFFIXES
 from irodori.tiles import tile_rows
 

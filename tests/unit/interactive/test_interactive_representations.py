@@ -30,6 +30,7 @@ def expected(radiance, representation, white):
     return radiance if representation == "spectral" else radiance @ xyz_from_radiance(white).T
 
 
+@pytest.mark.stability(stage="render", case="white furnace")
 @pytest.mark.parametrize("representation", REPRESENTATIONS)
 @pytest.mark.parametrize("ambient", [False, True])
 def test_white_objects_vanish_in_an_even_light(representation, ambient):
@@ -50,6 +51,7 @@ def test_a_mirror_that_reflects_everything_vanishes_too(representation):
     assert found.max() <= 1.001 * truth.max() and np.abs(found / truth - 1).max() <= 1e-3
 
 
+@pytest.mark.stability(stage="render", case="energy")
 @pytest.mark.parametrize("representation", REPRESENTATIONS)
 def test_a_surface_sends_no_more_than_it_gets(representation):
     """Diffuse albedo and mirror add to one; gloss and its β is such that the lobe's albedo is under what is left."""

@@ -42,6 +42,8 @@ def levels(image, light):
     return image[..., 1] / (xyz_from_radiance(white)[1] @ BASIS[:, 0])
 
 
+@pytest.mark.stability(stage="render", case="grazing hits")
+@pytest.mark.stability(stage="render", case="Fresnel with large k", k=40.0)
 @pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.4), (2.4, 0.0), (1.2, 40.0)])
 def test_a_mirror_shows_fresnel_reflectance_up_to_the_outline(n, k):
     light = even_light()
@@ -74,6 +76,7 @@ def test_a_mirror_shows_the_light_of_the_reflected_direction_and_of_the_turned_o
         assert levels(found, light)[0, 0] == pytest.approx(beside, rel=2e-3)
 
 
+@pytest.mark.stability(stage="render", case="parallel mirrors")
 def test_parallel_mirrors_end_at_the_limit_and_keep_the_energy():
     shapes, places = [plate(100.0), plate(100.0)], [(0, 0, 0), (0, 0, 20.0)]
     over = [np.eye(3), rotation_xyz([180.0, 0.0, 0.0])]
@@ -132,6 +135,8 @@ def test_gloss_is_the_lobe_integrated_over_the_light(mu, tolerance, n, k):
         assert found[y, x] == pytest.approx(lobe_integral(normal[y, x], -ray[y, x], beta, mu, n, k), rel=tolerance)
 
 
+@pytest.mark.stability(stage="render", case="roughness at both bounds", mu=(0.005, 1.2))
+@pytest.mark.stability(stage="render", case="energy")
 @pytest.mark.parametrize("mu", [0.005, 0.05, 0.2, 0.6, 1.2])
 def test_gloss_creates_no_energy_at_any_roughness(mu):
     light = even_light()
@@ -186,6 +191,7 @@ def test_a_ball_throws_the_shadow_of_a_disc():
     assert np.allclose(shadow[radius > 21], truth, rtol=1e-3)
 
 
+@pytest.mark.stability(stage="render", case="black light")
 def test_a_black_lamp_and_lamps_of_no_strength_change_nothing():
     light = even_light()
     plain = picture(CROWD, crowd(), light, view=CROWD_VIEW, places=CROWD_PLACES)
@@ -200,6 +206,8 @@ def test_a_black_lamp_and_lamps_of_no_strength_change_nothing():
         picture(CROWD, crowd(), light, view=CROWD_VIEW, places=CROWD_PLACES, lamps=BEAM)
 
 
+@pytest.mark.stability(stage="render", case="one-texel sun")
+@pytest.mark.stability(stage="render", case="black light")
 def test_a_sun_of_one_texel_stays_finite_and_black_light_black():
     light = sky_of(
         lambda d: np.where((d[..., 2] > 0) & (np.arange(512) == 200) & (np.arange(256) == 60)[:, None], 1e6, 0.0)
@@ -248,6 +256,8 @@ def test_a_mesh_looks_like_the_plate_that_it_is():
     assert different.mean() <= 2e-3  # pixels on an edge
 
 
+@pytest.mark.stability(stage="render", case="scene of 1 mm", scale=1 / 120.0)
+@pytest.mark.stability(stage="render", case="scene of 1 km", scale=1e6 / 120.0)
 @pytest.mark.parametrize("scale", [1 / 120.0, 1e6 / 120.0])
 def test_a_scene_of_a_millimetre_and_one_of_a_kilometre_look_alike(scale):
     light = sky_of(lambda d: 2 + d[..., 0] + d[..., 2])
@@ -261,6 +271,8 @@ def test_a_scene_of_a_millimetre_and_one_of_a_kilometre_look_alike(scale):
     assert different.mean() <= 4e-3
 
 
+@pytest.mark.stability(stage="render", case="self-intersection")
+@pytest.mark.stability(stage="render", case="touching spheres")
 def test_spheres_that_touch_and_plates_of_a_kilometre_throw_no_specks():
     """A lamp straight above a plate of 1 km lights it evenly; touching mirrors show light everywhere."""
     ready = prepared([plate(1e6)], [material(0.5)], DARK, white=np.ones(61), lamps=BEAM)
@@ -313,6 +325,7 @@ def test_kept_visibility_changes_no_bit_and_is_of_its_view():
     assert np.array_equal(render_frame(ready, one, keep_visibility=True, **turned), fresh)
 
 
+@pytest.mark.stability(stage="render", case="random scenes")
 @given(
     balls=st.lists(st.tuples(st.floats(-60, 60), st.floats(-60, 60), st.floats(-10, 50), st.floats(0, 1),
                              st.floats(0.1, 3.0), st.floats(0.0, 30.0), st.floats(0.005, 1.2)), min_size=1, max_size=4),

@@ -1,0 +1,70 @@
+"""Every hard case tried: the tests marked ``stability``, and their table.
+
+``python -m benchmarks.stability`` prints the table; ``snakemake stability`` puts it into the report.
+"""
+
+import argparse
+import importlib.util
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from irodori.errors import PlainError
+from irodori.progress import LOGGER
+from irodori.report.stability import EXPECTED, read_outcomes
+
+_ROOT = Path(__file__).resolve().parents[1]
+#: Of pytest: all passed, some failed. A test that fails is an outcome; anything else leaves no table.
+_RAN = (0, 1)
+
+
+def try_hard_cases(table, threads: int, tests: Sequence[str] = ()) -> list[dict]:
+    """Run the tests marked ``stability`` in a process of their own, write their table and return its rows.
+
+    Parameters
+    ----------
+    table : path
+        CSV of the columns of `irodori.report.stability`.
+    threads : int
+        Tests that run side by side.
+    tests : sequence of str
+        Files or folders of tests, all where empty.
+
+    Raises
+    ------
+    PlainError
+        If pytest is not installed, or could not run the tests.
+    """
+    if importlib.util.find_spec("pytest") is None:
+        raise PlainError("pytest is not installed; install the test packages with pip install -r requirements-dev.txt.")
+    command = [sys.executable, "-m", "pytest", "-m", "stability", "-n", str(threads), "-p", "no:cacheprovider"]
+    command += [f"--stability-table={Path(table).resolve()}", *tests]
+    # Not what a pytest around this one, if there is any, told its own processes.
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")}
+    run = subprocess.run(command, cwd=_ROOT, capture_output=True, text=True, env=environment)
+    LOGGER.info("%s", run.stdout)
+    if run.returncode not in _RAN:
+        last = " ".join((run.stderr or run.stdout).split()[-60:])
+        raise PlainError(f"pytest ended with code {run.returncode}: {last}")
+    rows = read_outcomes(table)
+    for row in rows:
+        if row["outcome"] != EXPECTED:
+            LOGGER.warning("%s, %s: %s", row["stage"], row["case"], row["outcome"])
+    return rows
+
+
+def main() -> None:
+    """Print the table of hard cases."""
+    parser = argparse.ArgumentParser(description="Try every hard case of every stage.")
+    parser.add_argument("--threads", type=int, default=min(2, os.cpu_count() or 1))
+    parser.add_argument("--output", type=Path, default=Path("results/benchmark/stability.csv"), help="CSV to write")
+    arguments = parser.parse_args()
+    rows = try_hard_cases(arguments.output, arguments.threads)
+    for row in rows:
+        print(f"{row['stage']:<14}{row['tests']:>5} tests  {row['outcome']:<14}  {row['case']} ({row['expected']})")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,170 @@
+"""The hard cases of all parts in one place: where each arises, and what must come of it.
+
+A test says which of them it tries by the mark ``stability``; `test_hard_cases` fails where one has no test.
+"""
+
+from typing import NamedTuple
+
+
+class HardCase(NamedTuple):
+    """A hard case: the project's part that names it, the stage it tries, and the outcome in words."""
+
+    part: str
+    stage: str
+    case: str
+    expected: str
+
+
+_SENTENCE = "refused with a sentence that names file and field"
+_STILL = "ends in time with an error of its family, the rig at rest"
+_RIGHT = "recovered"
+_FINITE = "finite or flagged, in bounds, no warning"
+
+#: (part, stage): {case: expected outcome}.
+_TABLE = {
+    ("A", "workflow"): {
+        "RAW file missing": _SENTENCE,
+        "RAW file truncated": _SENTENCE,
+        "chart file without a wavelength": _SENTENCE,
+        "object names an unknown camera": _SENTENCE,
+        "angle out of the rig's range": _SENTENCE,
+        "unknown key": "refused with the key that was probably meant",
+    },
+    ("B", "capture"): {
+        "line drops bytes": _STILL,
+        "line garbles a reply": _STILL,
+        "controller stalls": _STILL,
+        "controller disconnects": _STILL,
+        "controller resets in mid-move": _STILL,
+        "alarm in mid-move": _STILL,
+        "target out of limits": "refused before anything moves",
+        "interrupt in mid-move": "the rig is stopped",
+        "port in use": "refused by name",
+        "camera busy": "asked again until the deadline, then given up in its own words",
+        "camera unplugged in mid-exposure": "found again, or reported with nothing left behind",
+        "python-gphoto2 absent": "refused with what to install",
+        "session killed at random moments": "nothing lost, nothing doubled",
+        "line of the table torn": "costs nothing",
+        "disk full": "one sentence, at most the last photograph lost",
+    },
+    ("B", "ingest"): {
+        "file contradicts the table": _SENTENCE,
+        "saturated pixels": "masked",
+        "hot pixels": "found, counted and masked",
+        "clipped samples in a bracket": "never used",
+        "white reference overexposed": _SENTENCE,
+        "shots do not register": "refused with the capture's name",
+        "picture without content": "takes the chart's transform, or says that nothing was moved",
+        "camera not linear": "refused with the deviation",
+        "sensor's black level in any pattern": _RIGHT + ", or refused where the pattern cannot hold it",
+    },
+    ("C", "calibrate"): {
+        "rank-deficient responses": "refused with what would help",
+        "duplicate patches": "no harm",
+        "fewer patches than bands": "refused with both counts",
+        "dead band": "refused with the band",
+        "two bands alike": "refused with the pair",
+        "saturated patches": "refused with patch and band",
+        "negative patches": "refused, unless the known noise explains them",
+        "not finite patches": "refused with patch and band",
+        "responses scaled by 1e-6..1e6": _RIGHT + " alike",
+        "float32 input": _RIGHT + " alike",
+        "missing wavelengths": _SENTENCE,
+        "patches moved by 3 pixels": "the error moves by no more than its limit, or the chart is flagged",
+        "pixels without light or not finite": "black, or missing; no neighbour spoiled",
+    },
+    ("D", "fit"): {
+        "grazing views": _RIGHT,
+        "back-lit observations": "count as dark and do no harm",
+        "μ from 0.005 to 1.2": _RIGHT + " or flagged",
+        "β = 0": "diffuse-only, β and μ NaN",
+        "α = 0": "gloss alone",
+        "F D never sampled near its peak": "flagged, μ not stated",
+        "all observations at one geometry": "flagged too-few-observations",
+        "2 or 3 observations": "flagged too-few-observations",
+        "zeros": "flagged dark",
+        "negative after dark subtraction": "flagged dark, no bias",
+        "saturated peaks": "flagged saturated, α kept",
+        "NaN and infinity": "left out, neighbours untouched",
+        "amplitude × 1e-6 and × 1e6": "the same decisions",
+        "one gross outlier in 20": _RIGHT + " with the Huber loss",
+        "1 % noise": "no dense scan finds a lower minimum; prediction within the noise",
+        "5 % noise": "no dense scan finds a lower minimum; prediction within the noise",
+        "float32 input": _RIGHT,
+        "random data": _FINITE,
+    },
+    ("E", "compress"): {
+        "constant image": "one basis, exact",
+        "one pixel": "exact within the budget",
+        "fewer pixels than bases": "exact within the budget",
+        "NaN pixels": "masked and counted",
+        "all-black": "one basis, stays black",
+        "1×N images": "exact within the budget",
+        "k larger than rank": "no more bases than the rank",
+        "a light of 1e6:1": "shadows keep their colours",
+        "spiky lights": "within the budget under FL11 and a sodium line",
+        "drift of products": "told for 1 to 5 reflections",
+        "unit of the picture": "changes nothing",
+    },
+    ("E", "environment"): {
+        "duplicate wavelengths": "refused",
+        "a light of 1e6:1": "shadows kept in the file",
+        "poles and seam": "exact",
+        "1×N images": "exact",
+        "all-black": "black, sampled evenly",
+        "one-texel sun": "irradiance within 0.2 %, every sample finds it",
+        "not finite radiance": "refused with the count",
+        "a picture cut short": _SENTENCE,
+    },
+    ("E", "store"): {
+        "truncated file": "refused with a sentence",
+        "foreign file": "refused with a sentence",
+        "newer version": "refused with both versions",
+        "damaged data": "refused with the dataset",
+        "failure while writing": "no file, no temporary, the earlier file kept",
+    },
+    ("F", "render"): {
+        "scene of 1 mm": "the picture of 1 m",
+        "scene of 1 km": "the picture of 1 m",
+        "self-intersection": "no specks",
+        "grazing hits": "Fresnel reflectance up to the outline",
+        "touching spheres": "vanish in a furnace",
+        "hits on shared edges": "no ray slips through",
+        "parallel mirrors": "end at the limit, energy kept",
+        "Fresnel at 90°": "1",
+        "Fresnel with large k": "the textbook's",
+        "roughness at both bounds": "the lobe's integral, no energy made",
+        "one-texel sun": "found, weighs what it should",
+        "black light": "black picture",
+        "monochromatic light": "stays in its band",
+        "white furnace": "every band within 1e-3",
+        "energy": "never created",
+        "reciprocity": "of reflection and of whole paths",
+        "random scenes": "finite, between black and the sky",
+    },
+    ("G", "fit"): {
+        "all of part D together": _FINITE + "; the plain ones among them " + _RIGHT,
+        "all of part D together, random": _FINITE,
+    },
+    ("G", "compress"): {"all of part E together": _FINITE},
+    ("G", "environment"): {"all of part E together": _FINITE + ", light kept where it stands"},
+    ("G", "calibrate"): {"all of part C together": _RIGHT + ", or refused with what is accepted; no warning"},
+    ("G", "render"): {
+        "all of part F together, by paths": "finite, between black and the light that there is, no warning",
+        "all of part F together, interactive": "finite, between black and the light that there is, no warning",
+    },
+    ("G", "fuzzing"): {
+        "configuration": "loaded, or refused with file and field",
+        "configuration that unfolds without end": "refused at once",
+        "captures.csv": "read, or refused with file and line; no output",
+        "HDF5 truncated": "refused with the file; no output",
+        "HDF5 bit-flipped": "refused, or the data as written; no output",
+        "HDF5 of wrong types or shapes": "refused with file and dataset; no output",
+        "RAW truncated": "refused with the file",
+        "RAW header bit-flipped": "decoded, or refused with the file; no crash, no hang",
+    },
+}  # fmt: skip
+
+HARD_CASES = tuple(
+    HardCase(part, stage, case, expected) for (part, stage), cases in _TABLE.items() for case, expected in cases.items()
+)

@@ -1,0 +1,82 @@
+"""RAW files with damaged headers: decoded, or refused by name; never a crash, never a hang."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from depth import examples
+from dng_files import write_any_dng
+from raw_studio import DATA, ROOT, dng, random_mosaic
+
+from irodori.dng_levels import black_level_repeats
+
+_DEADLINE_S = 240.0  # of a process that decodes hundreds of files in seconds
+
+
+def fuzz(source: Path, folder: Path, header: int, count: int, seed: int = 0) -> dict:
+    """Return the outcomes of decoding damaged copies in a process of its own."""
+    command = [sys.executable, Path(__file__).with_name("raw_fuzzer.py"), source, folder, header, count, seed]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    run = subprocess.run(map(str, command), capture_output=True, text=True, timeout=_DEADLINE_S, env=environment)
+    assert run.returncode == 0, f"{folder}: {run.stderr[-2000:]}"
+    return json.loads(run.stdout)
+
+
+def check(found: dict) -> None:
+    assert found.pop("slowest_s") < 30.0
+    assert set(found) <= {"decoded", "refused"}, found
+    assert found["refused"] > 0
+
+
+@pytest.mark.stability(stage="fuzzing", case="RAW header bit-flipped")
+@pytest.mark.stability(stage="fuzzing", case="RAW truncated")
+@pytest.mark.parametrize("kind", ["virtual rig", "with an EXIF block"])
+def test_a_dng_with_a_damaged_header_is_decoded_or_refused(tmp_path, kind):
+    mosaic = random_mosaic(np.random.default_rng(0))
+    path = tmp_path / "whole.dng"
+    if kind == "virtual rig":
+        dng(path, mosaic)
+    else:
+        write_any_dng(path, mosaic, iso=100, f_number=5.6, black=np.full((2, 2), 600))
+    check(fuzz(path, tmp_path, 900, examples(400)))
+
+
+@pytest.mark.stability(stage="fuzzing", case="RAW header bit-flipped")
+@pytest.mark.parametrize(
+    ("name", "header", "count"), [("dc120_chart.kdc", 4000, 40), ("powershot_s40_chart.crw", -4000, 8)]
+)
+def test_a_camera_s_file_with_a_damaged_header_is_decoded_or_refused(tmp_path, name, header, count):
+    if not (DATA / name).is_file():
+        pytest.skip(f"no real photograph at {DATA / name}")
+    found = fuzz(DATA / name, tmp_path, header, examples(count))
+    # A Kodak's data is decoded as far as it goes: LibRaw does not say where it ends.
+    found["decoded"] = found.get("decoded", 0) + found.pop("cut and decoded", 0)
+    found.setdefault("refused", 1)
+    check(found)
+
+
+def test_a_header_that_claims_a_thousand_million_values_costs_no_more_than_its_file(tmp_path):
+    path = write_any_dng(tmp_path / "a.dng", random_mosaic(np.random.default_rng(0)), black=np.full((2, 2), 600))
+    assert black_level_repeats(path) == [(2, 2)]
+    content = bytearray(path.read_bytes())
+    for entry in range(10, 10 + 12 * int.from_bytes(content[8:10], "little"), 12):
+        if int.from_bytes(content[entry : entry + 2], "little") != 50713:
+            content[entry + 4 : entry + 8] = (2**30).to_bytes(4, "little")
+    path.write_bytes(content)
+    assert black_level_repeats(path) == [(2, 2)]
+
+
+@pytest.mark.parametrize("content", [b"", b"II*\0", b"II*\0\xff\xff\xff\xff", b"MM\0*\0\0\0\x08\xff\xff", b"text"])
+def test_a_file_that_is_no_tiff_or_ends_at_once_states_no_repeat(tmp_path, content):
+    (tmp_path / "a.dng").write_bytes(content)
+    assert black_level_repeats(tmp_path / "a.dng") == []
+
+
+def test_directories_that_point_at_each_other_end(tmp_path):
+    # One directory without entries whose next one is itself.
+    (tmp_path / "a.dng").write_bytes(b"II*\0" + (8).to_bytes(4, "little") + bytes(2) + (8).to_bytes(4, "little"))
+    assert black_level_repeats(tmp_path / "a.dng") == []
