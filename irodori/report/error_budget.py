@@ -6,7 +6,6 @@ expected without knowing the truth, from the errors that the stages themselves s
 """
 
 import csv
-import os
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from irodori.recovery import Calibration
 from irodori.rendering.integrators import render_image
 from irodori.rendering.stage import display_white
 from irodori.report.errors import interior, radiance_delta_e
+from irodori.whole_files import written_whole
 
 _WIDTH_PX = 96  # of the pictures that are compared
 _REFERENCE_SHARE = 2  # by which the pictures beside the path tracer's are smaller still
@@ -334,15 +334,12 @@ def measure_error_budget(inputs: dict, scene: dict, view: str, shapes: list[dict
         objects.append(Measured.load(material, truth, tiles, calibration))
     lights = Environment.load(inputs["environment"]), Environment.load(inputs["true_environment"])
     rows = error_budget(scene, view, [Shape.from_definition(s) for s in shapes], objects, lights, options)
-    output = Path(output)
-    temporary = output.with_name(f".{output.name}.part")
-    with temporary.open("w", newline="", encoding="utf-8") as stream:
+    with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, [f.name for f in fields(BudgetRow)])
         writer.writeheader()
         for row in rows:
             writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(row).items()})
             LOGGER.info("%s: mean %.3f p95 %.3f, predicted %.3f", row.stage, row.mean, row.p95, row.predicted)
-    os.replace(temporary, output)
 
 
 def read_budget(path) -> list[BudgetRow]:
