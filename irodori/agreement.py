@@ -191,6 +191,9 @@ class _Checks:
                 found = "a lens, over which the integrator interactive does not sample"
                 raise InputError(file, f"views.{label}.lens", found, "integrator: sampled or reference, or no lens")
 
+        if scene.get("frames", {}).get("turned") in ("lights", "both") and not scene["lights"]:
+            found = f"{scene['frames']['turned']}, of which the scene has none beside its environment"
+            raise InputError(file, "frames.turned", found, "environment, or lights in the scene")
         check_spectra(scene, (), self.root, file)
         for index, body in enumerate(scene["bodies"]):
             field = f"bodies[{index}].material.refractive_index"

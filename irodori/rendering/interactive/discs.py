@@ -80,5 +80,5 @@ def hidden_by_disc(normal, centre, axes, radius):
 
 @numba.njit(cache=True)
 def hidden_by_plane(cosine):
-    """Return the share that an endless plane hides; ``cosine`` is between the normals of the point and of the side seen."""
+    """Return the share that an endless plane hides, by the cosine between the point's normal and its own."""
     return 0.5 * (1.0 - cosine)
