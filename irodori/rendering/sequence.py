@@ -6,6 +6,7 @@ Finished frames stay in a folder beside the final one, so that an interrupted se
 import hashlib
 import json
 import os
+import re
 import shutil
 import time
 from collections.abc import Iterator
@@ -125,7 +126,9 @@ class _Frames:
     def move_to(self, final: Path) -> None:
         """Leave nothing but the pictures, under the final name."""
         for path in self.folder.iterdir():
-            if path.suffix != ".png":
+            if path.is_dir():
+                shutil.rmtree(path)
+            elif not re.fullmatch(r"\d+\.png", path.name):
                 path.unlink()
         if final.is_dir():
             shutil.rmtree(final)

@@ -6,6 +6,7 @@ from path_scenes import DARK, ball
 from scenes import BALL, OPTIONS, constant_light, material, pixel_rays, plate
 
 from irodori.geometry.shapes import Placement
+from irodori.placed_lights import unit_luminance
 from irodori.rendering.cameras import aim
 from irodori.rendering.integrators import render_image
 from irodori.rendering.reference import make_scene, render
@@ -78,16 +79,13 @@ def test_a_point_off_focus_is_a_circle_of_the_thin_lens_formula(depth):
     assert picture[np.hypot(x, y) < blur / 4].sum() / picture.sum() == pytest.approx(0.25, abs=0.05)
 
 
-def test_a_lens_sends_a_point_s_light_where_it_wants_and_loses_none():
-    # A lamp beyond the focus, through lenses of two diameters and none: radiance times pixels is the same.
-    sums = []
-    for lens in (
-        {},
-        {"lens": {"diameter_mm": 6.0, "focus_mm": FOCUS}},
-        {"lens": {"diameter_mm": LENS, "focus_mm": FOCUS}},
-    ):
-        sums.append(lamp_through(EYE | lens, 300.0, samples=2048, radius=2.0).sum(dtype=float))
-    assert np.allclose(sums, sums[0], rtol=5e-3)
+def test_a_lens_spreads_light_and_neither_adds_nor_loses_any():
+    """A ball beyond the focus, through lenses and without: radiance times pixels is that of its disc in the picture."""
+    disc = np.pi * (16 / np.tan(np.radians(FIELD / 2)) * 8.0 / np.sqrt(300.0**2 - 8.0**2)) ** 2
+    for lens in ({}, {"lens": {"diameter_mm": 6.0, "focus_mm": FOCUS}}, THROUGH_LENS):
+        picture = lamp_through(EYE | lens, 300.0, samples=1024, size=(32, 32), radius=8.0)
+        assert picture.sum(dtype=float) == pytest.approx(disc * unit_luminance("E")[30], rel=0.01)
+    assert (picture[0] == 0).all() and (picture[:, 0] == 0).all()
 
 
 @pytest.mark.parametrize("integrator", [INTEGRATORS[0], INTEGRATORS[2]], ids=["sampled", "reference"])

@@ -88,6 +88,11 @@ def test_the_repository_s_own_configuration_loads():
     assert captures_of(definitions, "environments", "classroom") == ["environment"]
 
 
+@pytest.mark.parametrize("name", ["lid", "turntable"])
+def test_scenes_beside_the_default_run_load(name):
+    assert list(load(ROOT, scenes=[name])["scenes"]) == [name]
+
+
 def test_the_real_camera_loads_where_its_data_is_present():
     if not (DATA / "raw" / "powershot_s40_chart.crw").is_file():
         pytest.skip("the real data is not beside this checkout")
