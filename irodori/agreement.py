@@ -187,7 +187,13 @@ class _Checks:
             if across <= 1e-9 * math.hypot(a, b, c) * max(1.0, math.hypot(d, e, f)):
                 found = f"{view['up']}, along the line of sight or of no length"
                 raise InputError(file, f"views.{label}.up", found, "a direction that points up in the picture")
+            if "lens" in view and scene["integrator"]["kind"] == "interactive":
+                found = "a lens, over which the integrator interactive does not sample"
+                raise InputError(file, f"views.{label}.lens", found, "integrator: sampled or reference, or no lens")
 
+        if scene.get("frames", {}).get("turned") in ("lights", "both") and not scene["lights"]:
+            found = f"{scene['frames']['turned']}, of which the scene has none beside its environment"
+            raise InputError(file, "frames.turned", found, "environment, or lights in the scene")
         check_spectra(scene, (), self.root, file)
         for index, body in enumerate(scene["bodies"]):
             field = f"bodies[{index}].material.refractive_index"

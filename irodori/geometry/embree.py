@@ -15,11 +15,11 @@ import numba
 import numpy as np
 from numba import types
 
-from irodori.geometry.shapes import MESH, PLATE, SPHERE, Placement
+from irodori.geometry.shapes import DISC, FLAT, MESH, PLANE, PLANE_RADIUS_MM, PLATE, SPHERE, Placement
 from irodori.native import c_function
 
-_TRIANGLE, _SPHERE_POINT = 0, 50  # enum RTCGeometryType
-_INDEX_BUFFER, _VERTEX_BUFFER = 0, 1  # enum RTCBufferType
+_TRIANGLE, _SPHERE_POINT, _ORIENTED_DISC_POINT = 0, 50, 52  # enum RTCGeometryType
+_INDEX_BUFFER, _VERTEX_BUFFER, _NORMAL_BUFFER = 0, 1, 3  # enum RTCBufferType
 _UINT3, _FLOAT3, _FLOAT4 = 0x5003, 0x9003, 0x9004  # enum RTCFormat
 _ROBUST = 1 << 2  # RTC_SCENE_FLAG_ROBUST: no ray slips between triangles that share an edge
 _HIGH_QUALITY = 2
@@ -186,7 +186,8 @@ class Tracer:
     Parameters
     ----------
     placements : sequence of Placement
-        Shape i gets the identifier i. Spheres are exact primitives, plates are two triangles, meshes their own.
+        Shape i gets the identifier i. Spheres and discs are exact primitives, planes discs whose edge nobody sees,
+        plates are two triangles, meshes their own.
 
     Attributes
     ----------
@@ -223,13 +224,22 @@ class Tracer:
             geometry = self._library.rtcNewGeometry(_device(), _TRIANGLE)
             self._share(geometry, _VERTEX_BUFFER, _FLOAT3, placement.corners(), "f4")
             self._share(geometry, _INDEX_BUFFER, _UINT3, np.array([[0, 1, 2], [0, 2, 3]]), "u4")
+        elif placement.shape.kind in (DISC, PLANE):
+            geometry = self._library.rtcNewGeometry(_device(), _ORIENTED_DISC_POINT)
+            normal, centre = placement.rotation[:, 2], placement.translation_mm
+            radius = placement.shape.reach_mm * placement.scale
+            if placement.shape.kind == PLANE:
+                # About the point that is nearest to the world's origin, from which all places are rounded least.
+                centre, radius = (normal @ centre) * normal, PLANE_RADIUS_MM
+            self._share(geometry, _VERTEX_BUFFER, _FLOAT4, np.append(centre, radius)[None], "f4")
+            self._share(geometry, _NORMAL_BUFFER, _FLOAT3, normal[None], "f4")
         elif placement.shape.kind == MESH:
             geometry = self._library.rtcNewGeometry(_device(), _TRIANGLE)
             mesh = placement.shape.mesh
             self._share(geometry, _VERTEX_BUFFER, _FLOAT3, placement.points(mesh.vertices_mm), "f4")
             self._share(geometry, _INDEX_BUFFER, _UINT3, mesh.faces, "u4")
         else:
-            raise ValueError(f"unknown shape kind {placement.shape.kind}; accepted: plate, sphere, mesh")
+            raise ValueError(f"unknown shape kind {placement.shape.kind}; accepted: plate, sphere, mesh, disc, plane")
         self._library.rtcCommitGeometry(geometry)
         self._library.rtcAttachGeometryByID(self.scene, geometry, identifier)
         self._library.rtcReleaseGeometry(geometry)
@@ -292,7 +302,7 @@ def polish(placement: Placement, origins, directions, distance, triangle=None) -
     """
     local_o = (origins - placement.translation_mm) @ placement.rotation / placement.scale
     local_d = directions @ placement.rotation / placement.scale
-    if placement.shape.kind == PLATE:
+    if placement.shape.kind in FLAT:
         with np.errstate(divide="ignore", invalid="ignore"):
             exact = -local_o[:, 2] / local_d[:, 2]
         return np.where(np.isfinite(exact), exact, distance)

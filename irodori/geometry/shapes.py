@@ -1,9 +1,10 @@
-"""Shapes with a texture parametrisation: plate, sphere and triangle mesh, and where they stand.
+"""Shapes with a texture parametrisation: plate, sphere, triangle mesh, disc and plane, and where they stand.
 
 A texture has `height` rows and `width` columns; texel (row, column) has u = (column + 0.5) / width and
 v = (row + 0.5) / height. Object frame, mm: a plate lies in z = 0 with its face up, u along +x and v along -y (so that
 the texture reads as seen from above); a sphere is centred at the origin, v runs from the pole +z to -z and u is the
-azimuth from +x towards +y over 2π; a mesh has the texture coordinates of its file.
+azimuth from +x towards +y over 2π; a mesh has the texture coordinates of its file. A disc lies as the plate about it,
+and has that one's texture; a plane is all of z = 0, and everywhere the middle of its texture.
 """
 
 import math
@@ -15,7 +16,11 @@ import numpy as np
 from irodori.geometry.atlas import Texels, mesh_texels, rasterise
 from irodori.geometry.mesh import Mesh
 
-PLATE, SPHERE, MESH = 0, 1, 2
+PLATE, SPHERE, MESH, DISC, PLANE = 0, 1, 2, 3, 4
+#: Kinds that lie in z = 0 of their frame and face +z.
+FLAT = (PLATE, DISC, PLANE)
+#: An endless plane is a disc of this radius: its edge is nearer to the horizon than single precision tells.
+PLANE_RADIUS_MM = 1e12
 PLATE_THICKNESS_MM = 2.0
 #: Rays leave a surface this part of the shape's reach above it: some hundred steps of single precision.
 _RAY_OFFSET = 3e-5
@@ -23,14 +28,15 @@ _RAY_OFFSET = 3e-5
 
 @dataclass(frozen=True)
 class Shape:
-    """A plate, a sphere or a mesh.
+    """A plate, a sphere, a mesh, a disc or a plane.
 
     Parameters
     ----------
     kind : int
-        `PLATE`, `SPHERE` or `MESH`.
+        `PLATE`, `SPHERE`, `MESH`, `DISC` or `PLANE`.
     size_mm : (2,) tuple
-        Width and height of a plate; radius twice of a sphere; reach from the origin twice of a mesh.
+        Width and height of a plate; radius twice of a sphere; reach from the origin twice of a mesh; diameter twice of
+        a disc; zeros of a plane.
     mesh : Mesh, optional
         The triangles of a mesh, in the object's frame.
     file : str
@@ -62,7 +68,11 @@ class Shape:
 
             options = {key: shape[key] for key in ("unit", "up", "pivot_mm", "crease_deg") if key in shape}
             return cls.from_mesh(read_mesh(shape["file"], **options), shape["file"])
-        raise ValueError(f"unknown shape {shape['kind']!r}; accepted: plate, sphere, mesh")
+        if shape["kind"] == "disc":
+            return cls(DISC, (2.0 * shape["radius_mm"],) * 2)
+        if shape["kind"] == "plane":
+            return cls(PLANE, (0.0, 0.0))
+        raise ValueError(f"unknown shape {shape['kind']!r}; accepted: plate, sphere, mesh, disc, plane")
 
     @classmethod
     def from_mesh(cls, mesh: Mesh, file: str = "mesh") -> "Shape":
@@ -81,8 +91,10 @@ class Shape:
 
     @property
     def reach_mm(self) -> float:
-        """Largest distance of a point of the shape from the origin of its frame, mm."""
-        return math.hypot(*self.size_mm) / 2.0 if self.kind == PLATE else self.size_mm[0]
+        """Largest distance of a point of the shape from the origin of its frame, mm; 0 of a plane, see `reaches`."""
+        if self.kind == PLATE:
+            return math.hypot(*self.size_mm) / 2.0
+        return self.size_mm[0] / 2.0 if self.kind == DISC else self.size_mm[0]
 
     @property
     def ray_offset_mm(self) -> float:
@@ -109,7 +121,7 @@ class Shape:
         v = (np.arange(first, last) + 0.5) / height
         u, v = np.meshgrid(u, v)
         covered = np.ones(u.shape, dtype=bool)
-        if self.kind == PLATE:
+        if self.kind in FLAT:
             position = np.stack([(u - 0.5) * self.size_mm[0], (0.5 - v) * self.size_mm[1], np.zeros_like(u)], axis=-1)
             normal = np.broadcast_to(np.array([0.0, 0.0, 1.0]), position.shape).copy()
             return Texels(position, normal, normal, covered)
@@ -127,7 +139,9 @@ class Shape:
 @numba.njit(cache=True, error_model="numpy")
 def uv_from_point(kind, size_x, size_y, x, y, z):
     """Return texture coordinates u, v in 0..1 of a point on the surface, object frame, mm."""
-    if kind == PLATE:
+    if kind == PLANE:
+        return 0.5, 0.5
+    if kind in (PLATE, DISC):
         return x / size_x + 0.5, 0.5 - y / size_y
     u = math.atan2(y, x) / (2.0 * math.pi)
     v = math.atan2(math.sqrt(x * x + y * y), z) / math.pi
@@ -160,6 +174,17 @@ class Placement:
         half_x, half_y = self.shape.size_mm[0] / 2, self.shape.size_mm[1] / 2
         signs = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=np.float64)
         return self.points(signs * [half_x, half_y, 0.0])
+
+
+def reaches(placements: list[Placement]) -> np.ndarray:
+    """Return the reach of each placed shape about its own origin, (n,) mm: what lengths at its surface compare to.
+
+    That of a plane is the largest of the others, 1 mm where there is none.
+    """
+    found = np.array([p.shape.reach_mm * p.scale for p in placements])
+    planes = np.array([p.shape.kind == PLANE for p in placements])
+    others = found[~planes]
+    return np.where(planes, others.max() if others.size else 1.0, found)
 
 
 def on_table(shape: Shape, rotation: np.ndarray, table_radius_mm: float) -> list[Placement]:

@@ -1,6 +1,5 @@
 """The paper's ray tracer: irradiance map, sampled gloss, and mirror reflection traced to a limit [eq. 9]."""
 
-import math
 from typing import NamedTuple
 
 import numba
@@ -10,6 +9,7 @@ from irodori.brdf import fresnel
 from irodori.geometry.embree import Tracer, hit_distance, hit_shape, new_ray, trace
 from irodori.geometry.surfaces import Surfaces, face_viewer, make_surfaces
 from irodori.native import run_chunks, uncounted
+from irodori.rendering.cameras import aim
 from irodori.rendering.scene import Light, Objects, View
 from irodori.rendering.shading import (
     BANDS,
@@ -22,12 +22,14 @@ from irodori.rendering.shading import (
     hashed,
     hide_and_reflect,
     new_scratch,
+    stratum,
     surface,
 )
 
 #: Rays start this fraction of the scene's size above the surface they leave.
 OFFSET = 1e-5
 _STREAMS = 32  # more than the bounces that a scene may ask for
+_LENS = -1  # the stream of places on a lens, which no sample of a pixel has
 
 
 class Sampling(NamedTuple):
@@ -131,27 +133,19 @@ def _follow(world, ray, scratch, path, sampling, pixel, out):
     return sampling.max_bounces + 1
 
 
-@numba.njit(cache=True, inline="always")
-def _aim(view, x, y, sample, side, path):
-    """Start a path from the eye through a sample of a pixel."""
-    px = (x + (sample % side + 0.5) / side - 0.5 * view.width) / view.focal_px
-    py = (y + (sample // side + 0.5) / side - 0.5 * view.height) / view.focal_px
-    scale = 1.0 / math.sqrt(px * px + py * py + 1.0)
-    rotation = view.world_from_camera
-    for a in range(3):
-        path.direction[a] = (rotation[a, 0] * px + rotation[a, 1] * py + rotation[a, 2]) * scale
-        path.origin[a] = view.position_mm[a]
-
-
 @uncounted()
 def _render_row(world, ray, scratch, path, total, view, sampling, y, row):
     """Fill a row of the picture; return the number of points shaded."""
-    samples = sampling.pixel_side * sampling.pixel_side
+    side = sampling.pixel_side
+    samples = side * side
     shaded = 0
     for x in range(view.width):
         total[:] = 0.0
+        shift = (hashed(x, y, _LENS, 0), hashed(x, y, _LENS, 1))
         for s in range(samples):
-            _aim(view, x, y, s, sampling.pixel_side, path)
+            u, v = stratum(s, samples, shift)
+            px, py = x + (s % side + 0.5) / side, y + (s // side + 0.5) / side
+            aim(view, px, py, u, v, path.origin, path.direction)
             shaded += _follow(world, ray, scratch, path, sampling, (x, y, s), total)
         for band in range(BANDS):
             row[x, band] = total[band] / samples

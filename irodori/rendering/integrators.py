@@ -9,11 +9,14 @@ from irodori.light import Environment
 from irodori.material import Material
 from irodori.progress import LOGGER, track
 from irodori.rendering.integrator import render_rows
+from irodori.rendering.moments import STILL, Moment, turned_scene
 from irodori.rendering.scene import make_light, make_objects, make_placements, make_tracer, make_view
 from irodori.spectra import refractive_index, spectrum
 
 #: Kinds of `integrator` in a scene.
 INTEGRATORS = ("sampled", "interactive", "reference")
+#: Up to which what rays met is kept between frames, 60 bytes a pixel.
+_KEPT_PIXELS = 1 << 22
 
 
 def render_image(
@@ -54,26 +57,83 @@ def render_image(
     ValueError
         If the integrator is unknown, or cannot render what the scene asks for.
     """
-    scene, shapes, materials = _with_bodies(scene, shapes, materials)
-    integrator = scene.get("integrator", {"kind": "sampled"})
-    if integrator["kind"] not in INTEGRATORS:
-        raise ValueError(f"unknown integrator {integrator['kind']!r}; accepted: {', '.join(INTEGRATORS)}")
-    placements = make_placements(scene, shapes)
-    objects, filled = make_objects(placements, materials)
-    if integrator["kind"] == "sampled":
-        if scene.get("lights"):
-            raise ValueError("lights in a scene of the integrator 'sampled'; accepted: the integrator 'reference'")
-        radiance, figures = _render_sampled(scene, view_name, placements, objects, environment, options, tile_rows)
-    elif integrator["kind"] == "interactive":
-        radiance, figures = _render_interactive(scene, view_name, placements, objects, environment, options)
-    else:
-        radiance, figures = _render_reference(
-            scene, view_name, placements, objects, environment, tile_rows, tiles_folder
-        )
-    figures["pixels_per_second"] = radiance.shape[0] * radiance.shape[1] / figures["seconds"]
-    names = [item["object"] for item in scene["objects"] if "object" in item]
-    figures["filled_fraction"] = dict(zip(names, filled, strict=False))
-    return radiance, {"integrator": integrator["kind"], **figures}
+    renderer = make_renderer(scene, shapes, materials, environment, options, tile_rows)
+    return renderer.picture(view_name, tiles_folder=tiles_folder)
+
+
+def make_renderer(
+    scene: dict,
+    shapes: list[Shape],
+    materials: list[Material],
+    environment: Environment,
+    options: dict,
+    tile_rows: int = 60,
+) -> "Renderer":
+    """Return what renders any view of a scene at any moment; parameters and errors as of `render_image`."""
+    kind = scene.get("integrator", {"kind": "sampled"})["kind"]
+    if kind not in INTEGRATORS:
+        raise ValueError(f"unknown integrator {kind!r}; accepted: {', '.join(INTEGRATORS)}")
+    made = {"sampled": _Sampled, "interactive": _Interactive, "reference": _Reference}[kind]
+    return made(scene, shapes, materials, environment, options, tile_rows)
+
+
+class Renderer:
+    """A scene and an integrator, which keeps from picture to picture what does not change; see `make_renderer`."""
+
+    kind = ""
+
+    def __init__(self, scene, shapes, materials, environment, options, tile_rows) -> None:
+        self.scene, self.shapes, materials = _with_bodies(scene, shapes, materials)
+        self.environment, self.options, self.tile_rows = environment, options, tile_rows
+        self.check()
+        # Textures do not depend on where objects stand.
+        self.objects, filled = make_objects(make_placements(self.scene, self.shapes), materials)
+        names = [item["object"] for item in self.scene["objects"] if "object" in item]
+        self.filled = dict(zip(names, filled, strict=False))
+        self._lit: tuple = ()
+
+    def check(self) -> None:
+        """Refuse what the integrator cannot render.
+
+        Raises
+        ------
+        ValueError
+        """
+
+    def light(self, moment: Moment):
+        """Return the light of a moment as the integrator wants it: made anew only where its colour has changed."""
+        if not self._lit or self._lit[0] != moment.filter:
+            self._lit = moment.filter, self.make_light(moment)
+        return self._lit[1]
+
+    def make_light(self, moment: Moment):
+        """Return what depends on the colour of a moment's light, and on no angle."""
+        raise NotImplementedError
+
+    def render(self, view_name: str, moment: Moment, keep: bool, tiles_folder) -> tuple[np.ndarray, dict]:
+        """Return radiance and the integrator's own figures."""
+        raise NotImplementedError
+
+    def picture(
+        self, view_name: str, moment: Moment = STILL, keep: bool = False, tiles_folder=None
+    ) -> tuple[np.ndarray, dict]:
+        """Render a view.
+
+        Parameters
+        ----------
+        view_name : str
+        moment : Moment
+        keep : bool
+            Whether pictures of the same view, with the same angle between eye and objects, follow.
+        tiles_folder : path, optional
+
+        Returns
+        -------
+        As `render_image`.
+        """
+        radiance, figures = self.render(view_name, moment, keep, tiles_folder)
+        figures["pixels_per_second"] = radiance.shape[0] * radiance.shape[1] / figures["seconds"]
+        return radiance, {"integrator": self.kind, **figures, "filled_fraction": self.filled}
 
 
 def _with_bodies(scene: dict, shapes: list[Shape], materials: list[Material]) -> tuple[dict, list, list]:
@@ -90,101 +150,152 @@ def _with_bodies(scene: dict, shapes: list[Shape], materials: list[Material]) ->
     return scene | {"objects": [*scene["objects"], *bodies]}, shapes, [*materials, *made]
 
 
-def _render_sampled(scene, view_name, placements, objects, environment, options, tile_rows) -> tuple[np.ndarray, dict]:
-    """Render by the irradiance map and few samples a point, see `irodori.rendering.integrator`."""
-    tracer = make_tracer(placements)
-    light = make_light(environment)
-    view = make_view(scene["views"][view_name], scene["image"])
-    render_rows(objects, light, view, tracer, (view.height // 2, view.height // 2 + 1), options)  # compile
-    start, met = time.perf_counter(), 0
-    radiance = np.empty((view.height, view.width, 61), dtype=np.float32)
-    for first in track(range(0, view.height, tile_rows), f"render {view_name}"):
-        last = min(first + tile_rows, view.height)
-        radiance[first:last], shaded = render_rows(objects, light, view, tracer, (first, last), options)
-        met += shaded
-    seconds = time.perf_counter() - start
-    primary = view.width * view.height * options["pixel_side"] ** 2
-    rays = primary + met * (1 + options["ambient_samples"] + options["gloss_samples"])
-    figures = {
-        "seconds": seconds,
-        "rays": rays,
-        "rays_per_second": rays / seconds,
-        "surfaces_shaded": met,
-    }
-    return radiance, figures
+class _Sampled(Renderer):
+    """By the irradiance map and few samples a point, see `irodori.rendering.integrator`."""
+
+    kind = "sampled"
+    compiled = False
+
+    def check(self) -> None:
+        if self.scene.get("lights"):
+            raise ValueError("lights in a scene of the integrator 'sampled'; accepted: the integrator 'reference'")
+
+    def make_light(self, moment: Moment):
+        return make_light(moment.environment(self.environment))
+
+    def render(self, view_name, moment, keep, tiles_folder):
+        scene = turned_scene(self.scene, moment.seen_from("environment"))
+        tracer, light = make_tracer(make_placements(scene, self.shapes)), self.light(moment)
+        view, options = make_view(scene["views"][view_name], scene["image"]), self.options
+        if not self.compiled:
+            render_rows(self.objects, light, view, tracer, (view.height // 2, view.height // 2 + 1), options)
+            self.compiled = True
+        start, met = time.perf_counter(), 0
+        radiance = np.empty((view.height, view.width, 61), dtype=np.float32)
+        for first in track(range(0, view.height, self.tile_rows), f"render {view_name}"):
+            last = min(first + self.tile_rows, view.height)
+            radiance[first:last], shaded = render_rows(self.objects, light, view, tracer, (first, last), options)
+            met += shaded
+        seconds = time.perf_counter() - start
+        primary = view.width * view.height * options["pixel_side"] ** 2
+        rays = primary + met * (1 + options["ambient_samples"] + options["gloss_samples"])
+        return radiance, {
+            "seconds": seconds,
+            "rays": rays,
+            "rays_per_second": rays / seconds,
+            "surfaces_shaded": met,
+        }
 
 
-def _render_interactive(scene, view_name, placements, objects, environment, options) -> tuple[np.ndarray, dict]:
-    """Render by look-ups alone, see `irodori.rendering.interactive`, which is loaded only where it is asked for."""
-    from irodori.gloss import GlossMaps
-    from irodori.rendering import interactive
-    from irodori.rendering.lights import BANDS, make_lights
+class _Interactive(Renderer):
+    """By look-ups alone, see `irodori.rendering.interactive`, which is loaded only where it is asked for."""
 
-    if any(light["kind"] != "collimated" for light in scene.get("lights", [])):
-        raise ValueError("area lights in a scene of the integrator 'interactive'; accepted: collimated lights")
-    lights, _ = make_lights(scene.get("lights", []), 0)
-    lamps = tuple(interactive.Lamp(rotation[:, 2]) for rotation in lights.rotation)
-    start = time.perf_counter()
-    prepared = interactive.prepare_scene(
-        objects,
-        interactive.light_of(environment),
-        GlossMaps.of(environment.coefficients),
-        make_tracer(placements),
-        "spectral",
-        environment.upward_white(),
-        lamps=lights.spectrum[:, :BANDS],
-        max_bounces=options["max_bounces"],
-        least_throughput=options["min_throughput"],
-        half=False,
-        ambient=scene["integrator"]["ambient"],
-    )
-    prepared_s = time.perf_counter() - start
-    side = options["pixel_side"]
-    image = {key: side * size for key, size in scene["image"].items()}
-    view = make_view(scene["views"][view_name], image)
-    interactive.render_frame(prepared, view._replace(width=side, height=side), lamps=lamps, bands=True)  # compile
-    start, counted = time.perf_counter(), {}
-    fine = interactive.render_frame(prepared, view, lamps=lamps, bands=True, figures=counted)
-    radiance = fine.reshape(scene["image"]["height"], side, scene["image"]["width"], side, BANDS).mean(axis=(1, 3))
-    seconds = time.perf_counter() - start
-    rays = counted["rays"]
-    return radiance, {
-        "seconds": seconds,
-        "seconds_to_prepare": prepared_s,
-        "rays": rays,
-        "rays_per_second": rays / seconds,
-    }
+    kind = "interactive"
+    compiled = False
+    prepared_s = 0.0
+
+    def check(self) -> None:
+        if any(light["kind"] != "collimated" for light in self.scene.get("lights", [])):
+            raise ValueError("area lights in a scene of the integrator 'interactive'; accepted: collimated lights")
+
+    def make_light(self, moment: Moment):
+        from irodori.gloss import GlossMaps
+        from irodori.rendering import interactive
+        from irodori.rendering.lights import BANDS, make_lights
+
+        start = time.perf_counter()
+        environment = moment.environment(self.environment)
+        lights = moment.lights(make_lights(self.scene.get("lights", []), 0)[0])
+        prepared = interactive.prepare_scene(
+            self.objects,
+            interactive.light_of(environment),
+            GlossMaps.of(environment.coefficients),
+            make_tracer(make_placements(self.scene, self.shapes)),
+            "spectral",
+            environment.upward_white(),
+            lamps=lights.spectrum[:, :BANDS],
+            max_bounces=self.options["max_bounces"],
+            least_throughput=self.options["min_throughput"],
+            half=False,
+            ambient=self.scene["integrator"]["ambient"],
+        )
+        self.prepared_s = time.perf_counter() - start
+        return prepared
+
+    def render(self, view_name, moment, keep, tiles_folder):
+        from irodori.rendering import interactive
+        from irodori.rendering.lights import BANDS, make_lights
+
+        # Its objects cannot be turned without preparing them anew, all else can.
+        moment = moment.seen_from("objects")
+        scene, prepared = turned_scene(self.scene, moment), self.light(moment)
+        side, size = self.options["pixel_side"], scene["image"]
+        view = make_view(scene["views"][view_name], {key: side * count for key, count in size.items()})
+        lights = make_lights(scene["lights"], 0)[0]
+        frame = {
+            "world_from_light": moment.rotation("environment"),
+            "lamps": tuple(interactive.Lamp(rotation[:, 2]) for rotation in lights.rotation),
+            "bands": True,
+        }
+        if not self.compiled:
+            interactive.render_frame(prepared, view._replace(width=side, height=side), **frame)
+            self.compiled = True
+        keep = keep and view.width * view.height <= _KEPT_PIXELS
+        start, counted = time.perf_counter(), {}
+        fine = interactive.render_frame(prepared, view, **frame, figures=counted, keep_visibility=keep)
+        radiance = fine.reshape(size["height"], side, size["width"], side, BANDS).mean(axis=(1, 3))
+        seconds, rays = time.perf_counter() - start, counted["rays"]
+        return radiance, {
+            "seconds": seconds,
+            "seconds_to_prepare": self.prepared_s,
+            "rays": rays,
+            "rays_per_second": rays / seconds,
+        }
 
 
-def _render_reference(scene, view_name, placements, objects, environment, tile_rows, folder) -> tuple[np.ndarray, dict]:
-    """Render by paths, see `irodori.rendering.reference`, which is loaded only where it is asked for."""
-    from irodori.rendering import reference
+class _Reference(Renderer):
+    """By paths, see `irodori.rendering.reference`, which is loaded only where it is asked for."""
 
-    samples, seed = scene["integrator"]["samples"], scene["integrator"]["seed"]
-    prepared = reference.make_scene(placements, objects, environment, scene.get("lights"))
-    view = make_view(scene["views"][view_name], scene["image"])
-    reference.render(prepared, view._replace(width=1, height=1), reference.REPLICATES)  # compile
-    tiles = None
-    if folder is not None:
-        tiles = reference.Tiles(folder, reference.picture_key(prepared, view, samples, seed))
-    start = time.perf_counter()
-    picture = reference.render(prepared, view, samples, seed, tile_rows, f"render {view_name}", tiles)
-    seconds = time.perf_counter() - start
-    if tiles is not None:
-        tiles.remove()
-    if picture.cut:
-        LOGGER.warning("%d paths were cut: the picture is too dark by what they would have brought", picture.cut)
-    error, mean = picture.standard_error.mean(axis=-1), picture.radiance.mean(axis=-1)
-    relative = np.divide(error, mean, out=np.zeros_like(error), where=mean > 0)
-    figures = {
-        "seconds": seconds,
-        "samples": samples,
-        "paths_per_second": view.width * view.height * samples / seconds,
-        "paths_cut": picture.cut,
-        "relative_standard_error": {
-            "mean": float(relative.mean()),
-            "p95": float(np.percentile(relative, 95)),
-            "max": float(relative.max()),
-        },
-    }
-    return picture.radiance, figures
+    kind = "reference"
+    compiled = False
+
+    def make_light(self, moment: Moment):
+        from irodori.rendering.reference.sky import make_sky
+
+        return make_sky(moment.environment(self.environment))
+
+    def render(self, view_name, moment, keep, tiles_folder):
+        from irodori.rendering import reference
+
+        scene = turned_scene(self.scene, moment.seen_from("environment"))
+        samples, seed = scene["integrator"]["samples"], scene["integrator"]["seed"]
+        placements = make_placements(scene, self.shapes)
+        prepared = reference.make_scene(placements, self.objects, self.light(moment), scene["lights"])
+        prepared = prepared._replace(world=prepared.world._replace(lights=moment.lights(prepared.world.lights)))
+        view = make_view(scene["views"][view_name], scene["image"])
+        if not self.compiled:
+            reference.render(prepared, view._replace(width=1, height=1), reference.REPLICATES)
+            self.compiled = True
+        tiles = None
+        if tiles_folder is not None:
+            tiles = reference.Tiles(tiles_folder, reference.picture_key(prepared, view, samples, seed))
+        start = time.perf_counter()
+        picture = reference.render(prepared, view, samples, seed, self.tile_rows, f"render {view_name}", tiles)
+        seconds = time.perf_counter() - start
+        if tiles is not None:
+            tiles.remove()
+        if picture.cut:
+            LOGGER.warning("%d paths were cut: the picture is too dark by what they would have brought", picture.cut)
+        error, mean = picture.standard_error.mean(axis=-1), picture.radiance.mean(axis=-1)
+        relative = np.divide(error, mean, out=np.zeros_like(error), where=mean > 0)
+        return picture.radiance, {
+            "seconds": seconds,
+            "samples": samples,
+            "paths_per_second": view.width * view.height * samples / seconds,
+            "paths_cut": picture.cut,
+            "relative_standard_error": {
+                "mean": float(relative.mean()),
+                "p95": float(np.percentile(relative, 95)),
+                "max": float(relative.max()),
+            },
+        }

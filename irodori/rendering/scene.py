@@ -9,6 +9,7 @@ from irodori.geometry.frames import look_at, rotation_xyz
 from irodori.geometry.shapes import SPHERE, Placement, Shape
 from irodori.light import Environment, directions
 from irodori.material import Material
+from irodori.rendering.cameras import KINDS, PERSPECTIVE
 
 _COARSEST_ROWS = 4
 
@@ -44,13 +45,16 @@ class Light(NamedTuple):
 
 
 class View(NamedTuple):
-    """A perspective camera of the scene."""
+    """A camera of the scene; x to the right of the picture, y down, z along the line of sight."""
 
-    position_mm: np.ndarray  # (3,)
+    position_mm: np.ndarray  # (3,) the eye, the lens' centre, or the middle of the plane where parallel rays start
     world_from_camera: np.ndarray  # (3, 3)
-    focal_px: float
+    focal_px: float  # of a perspective view; pixels a mm of an orthographic one
     width: int
     height: int
+    kind: int = PERSPECTIVE
+    lens_mm: float = 0.0  # diameter of the lens, 0 for a pinhole
+    focus_mm: float = 1.0  # along the line of sight to the plane in focus; not read without a lens
 
 
 def make_placements(scene: dict, shapes: list[Shape]) -> list[Placement]:
@@ -133,15 +137,39 @@ def make_light(environment: Environment) -> Light:
 
 
 def make_view(view: dict, image: dict) -> View:
-    """Return the camera of a scene's view; the field of view is vertical."""
-    rotation = look_at(view["position_mm"], view["target_mm"], view["up"])
-    focal = 0.5 * image["height"] / np.tan(np.radians(view["field_of_view_deg"]) / 2)
+    """Return the camera of a scene's view.
+
+    Parameters
+    ----------
+    view : dict
+        ``position_mm``, ``target_mm``, ``up`` and ``kind``, ``perspective`` where absent: with ``field_of_view_deg``,
+        from the lower to the upper edge of the picture, and optionally ``lens`` (``diameter_mm`` and ``focus_mm``);
+        ``orthographic`` with ``height_mm`` of what the picture shows.
+    image : dict
+        ``width`` and ``height`` of the picture, px.
+
+    Raises
+    ------
+    ValueError
+        If the kind is unknown.
+    """
+    kind = view.get("kind", "perspective")
+    if kind not in KINDS:
+        raise ValueError(f"unknown view {kind!r}; accepted: {', '.join(KINDS)}")
+    if kind == "orthographic":
+        focal = image["height"] / view["height_mm"]
+    else:
+        focal = 0.5 * image["height"] / np.tan(np.radians(view["field_of_view_deg"]) / 2)
+    lens = view.get("lens", {"diameter_mm": 0.0, "focus_mm": 1.0})
     return View(
         np.asarray(view["position_mm"], dtype=np.float64),
-        np.ascontiguousarray(rotation),
+        np.ascontiguousarray(look_at(view["position_mm"], view["target_mm"], view["up"])),
         float(focal),
         image["width"],
         image["height"],
+        KINDS[kind],
+        float(lens["diameter_mm"]),
+        float(lens["focus_mm"]),
     )
 
 

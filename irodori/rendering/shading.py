@@ -222,7 +222,7 @@ def look_from(world, ray, point, facet, scratch):
 
 
 @numba.njit(cache=True, inline="always")
-def _stratum(sample, samples, shift):
+def stratum(sample, samples, shift):
     """Return a point of an even set in the unit square, moved by a shift."""
     u, v = (sample + 0.5) / samples + shift[0], second_coordinate(sample) + shift[1]
     return u - math.floor(u), v - math.floor(v)
@@ -240,7 +240,7 @@ def hide_and_reflect(world, ray, scratch, point, normal, facet, samples, shift, 
     scratch.radiance[:] = 0.0
     hidden = 0
     for s in range(samples):
-        u, v = _stratum(s, samples, shift)
+        u, v = stratum(s, samples, shift)
         radius, angle = math.sqrt(u), 2.0 * math.pi * v
         a, b, c = radius * math.cos(angle), radius * math.sin(angle), math.sqrt(1.0 - u)
         for axis in range(3):
@@ -313,7 +313,7 @@ def add_gloss(world, ray, scratch, index, point, normal, facet, view, gloss, sam
     inside = 1.0 - math.exp(-((0.5 * math.pi / mu) ** 2))
     scratch.gathered[:] = 0.0
     for s in range(samples):
-        uv = _stratum(s, samples, shift)
+        uv = stratum(s, samples, shift)
         cos_h, weight, solid_angle = _sample_lobe(normal, view, mu, inside, cos_r, uv, scratch)
         if weight <= 0.0:
             continue

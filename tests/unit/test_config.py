@@ -89,6 +89,11 @@ def test_the_repository_s_own_configuration_loads():
     assert captures_of(definitions, "environments", "classroom") == ["environment"]
 
 
+@pytest.mark.parametrize("name", ["lid", "turntable"])
+def test_scenes_beside_the_default_run_load(name):
+    assert list(load(ROOT, scenes=[name])["scenes"]) == [name]
+
+
 def test_the_real_camera_loads_where_its_data_is_present():
     if not (DATA / "raw" / "powershot_s40_chart.crw").is_file():
         pytest.skip("the real data is not beside this checkout")
@@ -190,6 +195,12 @@ def test_an_unknown_name_lists_the_existing_ones(root, file, path, value, named_
          "points up"),
         ("scenes/still-life.yaml", "views.front.up", [0.0, 330.0, -168.0], "views.front.up",
          "line of sight", "up"),
+        ("scenes/still-life.yaml", "frames",
+         {"kind": "light_sweep", "count": 4, "turned": "both", "from_deg": 0.0, "to_deg": 90.0}, "frames.turned",
+         "of which the scene has none", "lights in the scene"),
+        ("scenes/still-life.yaml", "frames",
+         {"kind": "illuminant_change", "from_illuminant": "D65", "illuminants": ["A", "FL22"]}, "frames.illuminants[1]",
+         "'FL22'", "did you mean 'FL2"),
     ],
 )  # fmt: skip
 def test_what_no_schema_sees(root, file, path, value, field, found, accepted):
@@ -199,6 +210,15 @@ def test_what_no_schema_sees(root, file, path, value, field, found, accepted):
     assert error.field == field
     assert found in error.found
     assert accepted in error.accepted
+
+
+def test_a_lens_needs_an_integrator_that_samples(root):
+    scene = "scenes/still-life.yaml"
+    edit(root, scene, "views.front.lens", {"diameter_mm": 8.0, "focus_mm": 380.0})
+    load(root)
+    edit(root, scene, "integrator", {"kind": "interactive"})
+    error = fault(root)
+    assert error.field == "views.front.lens" and "sampled or reference" in error.accepted
 
 
 def test_every_step_within_the_limits_is_on_the_step(root):

@@ -369,9 +369,25 @@ def scene_meshes(wildcards):
 
 
 def scene_tables(wildcards):
-    """Return the tables that a scene's own lights and bodies are made of."""
+    """Return the tables that a scene's own lights, bodies and frames are made of."""
     scene = config["scenes"][wildcards.scene]
-    return named_tables(scene["lights"], scene["bodies"])
+    return named_tables(scene["lights"], scene["bodies"], scene.get("frames"))
+
+
+def scene_with_frames(wildcards):
+    """Return the definition of a scene that has frames."""
+    scene = config["scenes"][wildcards.scene]
+    if "frames" not in scene:
+        raise WorkflowError(f"the scene {wildcards.scene} defines no frames, so there are none to render")
+    return scene
+
+
+def memory_of_frames(wildcards):
+    """Return what the pictures of a sequence take, MB: they are joined in memory."""
+    scene = scene_with_frames(wildcards)
+    frames = scene["frames"]
+    count = frames.get("count", len(frames.get("illuminants", [])) * (1 + frames.get("count_between", 0)))
+    return 8 * scene["image"]["width"] * scene["image"]["height"] * count // 1_000_000
 
 
 def scene_shapes(wildcards):
@@ -402,7 +418,13 @@ def views(pattern, virtual_only=False):
 
 def pictures(wildcards):
     """Return the pictures to make."""
-    return views("results/{scene}/{view}.png") + views("results/{scene}/{view}.exr")
+    frames = [
+        f"results/{scene}/{view}.frames.png"
+        for scene, definition in config["scenes"].items()
+        if "frames" in definition
+        for view in definition["views"]
+    ]
+    return views("results/{scene}/{view}.png") + views("results/{scene}/{view}.exr") + frames
 
 
 def sessions(wildcards):

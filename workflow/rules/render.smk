@@ -49,3 +49,37 @@ use rule render_view as render_truth with:
     priority: 20
     # One core is free long before both are: it renders, and compiles the renderer, beside the stages of the chain.
     threads: 1
+
+
+# One job a sequence: the frames that an interrupted one had finished stay in frames.part, which is no output.
+rule render_frames:
+    input:
+        materials=scene_materials("results/{object}/material.h5"),
+        environment=scene_environment,
+        meshes=scene_meshes,
+        tables=scene_tables,
+    output:
+        frames=directory("results/{scene}/{view}/frames"),
+        animation=report(
+            "results/{scene}/{view}.frames.png",
+            caption="../report/frames.rst",
+            category="Frames",
+            labels={"scene": "{scene}", "view": "{view}"},
+        ),
+        figures="results/{scene}/{view}.frames.json",
+    log:
+        "results/logs/render_frames/{scene}_{view}.log",
+    benchmark:
+        "results/benchmarks/render_frames/{scene}_{view}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 2
+    resources:
+        mem_mb=lambda wildcards, attempt: 3000 * attempt + memory_of_frames(wildcards),
+    params:
+        scene=scene_with_frames,
+        shapes=scene_shapes,
+        render=lookup(within=config, dpath="render"),
+        code=code_hash("irodori.rendering.sequence"),
+    script:
+        "../scripts/render_frames.py"

@@ -1,7 +1,8 @@
 """Light from all sides where other objects stand in its way: contact shadows in closed form.
 
-What a sphere or a plate hides of the cosine-weighted sky is known exactly, the horizon's cut included: the form factor
-of a sphere (Snyder 1996) and Lambert's sum over a polygon's edges. Several objects hide as if they did so on their own,
+What a sphere or a flat shape hides of the cosine-weighted sky is known exactly, the horizon's cut included: the form
+factor of a sphere (Snyder 1996), Lambert's sum over a polygon's edges, and its like for discs and planes
+(`irodori.rendering.interactive.discs`). Several objects hide as if they did so on their own,
 and each sends the diffuse light that its mean colour reflects on the side that faces the point, so that a white object
 on white leaves no shadow in a white furnace. Meshes hide nothing; nor does an object hide anything from itself.
 """
@@ -11,8 +12,9 @@ import math
 import numba
 import numpy as np
 
-from irodori.geometry.shapes import PLATE, SPHERE
+from irodori.geometry.shapes import DISC, MESH, PLANE, SPHERE
 from irodori.rendering.interactive.cube import bilinear, cell_of, face_of
+from irodori.rendering.interactive.discs import hidden_by_disc, hidden_by_plane
 from irodori.rendering.interactive.lanes import lane, load_like, repeated, zeros_like
 from irodori.rendering.interactive.layout import surface_lanes
 from irodori.rendering.interactive.packets import (
@@ -116,9 +118,19 @@ def _plate_corner(table, at, x, y, z, sign_u, sign_v):
     )
 
 
+@numba.njit(cache=True)
+def _axis(table, at, axis):
+    """Return an axis of a shape's frame in the world."""
+    return (
+        np.float64(table[at + TURN + axis]),
+        np.float64(table[at + TURN + 3 + axis]),
+        np.float64(table[at + TURN + 6 + axis]),
+    )
+
+
 @numba.njit(cache=True, error_model="numpy")
 def _hidden(table, shape, point, normal):
-    """Return the share that a shape hides, and the normal that faces the point, zeros for a plate's back."""
+    """Return the share that a shape hides, and the normal that faces the point, zeros for the back of a flat one."""
     at = shape * SHAPE
     x, y, z = table[at + CENTRE] - point[0], table[at + CENTRE + 1] - point[1], table[at + CENTRE + 2] - point[2]
     if table[at + KIND] == SPHERE:
@@ -128,17 +140,24 @@ def _hidden(table, shape, point, normal):
         cosine = (x * normal[0] + y * normal[1] + z * normal[2]) / distance
         share = hidden_by_sphere(cosine, distance, np.float64(table[at + RADIUS]))
         return share, (-x / distance, -y / distance, -z / distance)
-    if table[at + KIND] != PLATE:
+    if table[at + KIND] == MESH:
         return 0.0, (0.0, 0.0, 0.0)
+    axes = (_axis(table, at, 0), _axis(table, at, 1), _axis(table, at, 2))
+    facing = axes[2]
+    behind = x * facing[0] + y * facing[1] + z * facing[2] >= 0.0
+    if table[at + KIND] == PLANE:
+        cosine = normal[0] * facing[0] + normal[1] * facing[1] + normal[2] * facing[2]
+        return hidden_by_plane(-cosine if behind else cosine), ((0.0, 0.0, 0.0) if behind else facing)
+    if behind:
+        facing = (0.0, 0.0, 0.0)
+    if table[at + KIND] == DISC:
+        return hidden_by_disc(normal, (x, y, z), axes, np.float64(table[at + RADIUS])), facing
     corners = (
         _plate_corner(table, at, x, y, z, -1.0, -1.0),
         _plate_corner(table, at, x, y, z, 1.0, -1.0),
         _plate_corner(table, at, x, y, z, 1.0, 1.0),
         _plate_corner(table, at, x, y, z, -1.0, 1.0),
     )
-    facing = (np.float64(table[at + TURN + 2]), np.float64(table[at + TURN + 5]), np.float64(table[at + TURN + 8]))
-    if x * facing[0] + y * facing[1] + z * facing[2] >= 0.0:
-        facing = (0.0, 0.0, 0.0)
     return hidden_by_corners(normal, corners), facing
 
 

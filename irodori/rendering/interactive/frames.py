@@ -9,6 +9,7 @@ from irodori.geometry.embree import Tracer
 from irodori.gloss import GlossMaps
 from irodori.light import Environment
 from irodori.native import run_chunks
+from irodori.rendering.cameras import ORTHOGRAPHIC
 from irodori.rendering.interactive.channels import (
     REPRESENTATIONS,
     Channels,
@@ -133,7 +134,7 @@ def prepare_scene(
     half : bool
         Whether the environment and its blurred light are stored in half precision.
     ambient : bool
-        Whether spheres and plates hide light from all sides from each other, see
+        Whether all shapes but meshes hide light from all sides from each other, see
         `irodori.rendering.interactive.ambient`.
 
     Raises
@@ -175,6 +176,20 @@ def _single(values) -> Memory:
     return Memory(np.asarray(values, dtype=np.float32).ravel())
 
 
+def refuse_lens(view: View) -> None:
+    """Refuse a view through a lens: its places would have to be sampled.
+
+    Raises
+    ------
+    ValueError
+    """
+    if view.lens_mm > 0.0:
+        raise ValueError(
+            f"a lens of {view.lens_mm:g} mm in a view of the integrator 'interactive', which samples nothing; "
+            "accepted: a view without a lens, or the integrators 'sampled' and 'reference'"
+        )
+
+
 def _frame(prepared: Prepared, view: View, world_from_light, lamps) -> Frame:
     rotation = np.eye(3) if world_from_light is None else np.asarray(world_from_light, dtype=np.float64)
     if len(lamps) != prepared.lamps:
@@ -188,6 +203,7 @@ def _frame(prepared: Prepared, view: View, world_from_light, lamps) -> Frame:
         position_mm=_single(view.position_mm),
         world_from_camera=_single(view.world_from_camera),
         pixel=1.0 / view.focal_px,
+        parallel=int(view.kind == ORTHOGRAPHIC),
         width=view.width,
         height=view.height,
         light_from_world=_single(rotation.T),
@@ -201,7 +217,7 @@ def _visibility(prepared: Prepared, view: View, keep: bool, tiles: int) -> Limit
     """Return the limits with what is to be done about hits, and make room for them."""
     if not keep:
         return prepared.limits._replace(visibility=TRACED)
-    seen = (view.position_mm.tobytes(), view.world_from_camera.tobytes(), view.focal_px, view.width, view.height)
+    seen = tuple(value.tobytes() if isinstance(value, np.ndarray) else value for value in view)
     if prepared._seen == seen:
         return prepared.limits._replace(visibility=RECALLED)
     numbers = prepared.limits.kept_bounces * (PATHS // RAYS) * KEPT
@@ -249,8 +265,9 @@ def render_frame(
     Raises
     ------
     ValueError
-        If lamps or bands do not fit the scene, or a lamp has no direction.
+        If lamps or bands do not fit the scene, a lamp has no direction, or the view has a lens.
     """
+    refuse_lens(view)
     if bands and prepared.representation != "spectral":
         raise ValueError(f"bands of the representation {prepared.representation!r}; accepted: spectral")
     frame = _frame(prepared, view, world_from_light, lamps)

@@ -7,7 +7,7 @@ import numpy as np
 from numba import types
 
 from irodori.geometry.embree import Ray
-from irodori.geometry.shapes import MESH, PLATE, SPHERE
+from irodori.geometry.shapes import MESH, PLANE, PLATE, SPHERE
 from irodori.geometry.surfaces import surface_at
 from irodori.native import c_function
 from irodori.rendering.interactive.cube import cell_of, face_of
@@ -43,6 +43,8 @@ _RISE = 2.0**-18
 _OUTLINE = -1e-3
 #: Bounds of shapes are wider by this part of their size and of the distance.
 _SLACK = 1e-4
+#: A height above a plane that is rounding: less than any hit's point rises, so that reflections are not held back.
+_IN_PLANE = 0.25 * _RISE
 
 # RTCRayHit16 as 32-bit words, each field sixteen wide.
 _ORIGIN, _NEAR, _DIRECTION, _TIME, _FAR, _MASK, _FLAGS, _U, _V, _PRIMITIVE, _GEOMETRY, _WORDS = (
@@ -135,17 +137,23 @@ def may_meet(world, paths, base, active):
         load(paths.f, (DIRECTION + 1) * STRIDE + base, 16),
         load(paths.f, (DIRECTION + 2) * STRIDE + base, 16),
     )
+    reach = greatest(absolute(ox), greatest(absolute(oy), absolute(oz)))
     found = active & ~active
     for shape in range(world.bounded):
         at, table = shape * SHAPE, world.shape
         radius = table[at + RADIUS]
         x, y, z = table[at] - ox, table[at + 1] - oy, table[at + 2] - oz
         along = x * dx + y * dy + z * dz
-        if table[at + KIND] == PLATE:
+        if table[at + KIND] == PLATE or table[at + KIND] == PLANE:
             nx, ny, nz = table[at + TURN + 2], table[at + TURN + 5], table[at + TURN + 8]
-            distance = (x * nx + y * ny + z * nz) / (dx * nx + dy * ny + dz * nz)
+            height, steepness = x * nx + y * ny + z * nz, dx * nx + dy * ny + dz * nz
+            distance = height / steepness
+            # A ray that starts in the plane, but for rounding, Embree may let meet it: at no distance.
+            near = (distance >= 0.0) | (absolute(height) <= greatest(reach, radius) * _IN_PLANE)
+            if table[at + KIND] == PLANE:
+                found = found | near
+                continue
             slack = absolute(distance) * _SLACK + radius * _SLACK
-            near = distance > 0.0
             for axis in range(2):
                 a, b, c = table[at + TURN + axis], table[at + TURN + axis + 3], table[at + TURN + axis + 6]
                 across = (distance * dx - x) * a + (distance * dy - y) * b + (distance * dz - z) * c

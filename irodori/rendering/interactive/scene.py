@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.geometry.embree import Tracer
-from irodori.geometry.shapes import MESH, PLATE, SPHERE
+from irodori.geometry.shapes import DISC, MESH, PLANE, PLATE, SPHERE, reaches
 from irodori.geometry.surfaces import Surfaces, make_surfaces
 from irodori.gloss import GlossMaps
 from irodori.rendering.interactive.channels import Channels, mean_spectra
@@ -77,7 +77,8 @@ class Frame(NamedTuple):
 
     position_mm: Memory  # (3,)
     world_from_camera: Memory  # (9,)
-    pixel: float  # of the image plane at distance 1
+    pixel: float  # of the image plane at distance 1; mm where rays are parallel
+    parallel: int  # 1 where rays are parallel and start in the image plane, 0 where they start in the eye
     width: int
     height: int
     light_from_world: Memory  # (9,)
@@ -95,18 +96,21 @@ def padded(rows: np.ndarray, width: int) -> np.ndarray:
 def make_shapes(tracer: Tracer, objects: Objects) -> np.ndarray:
     """Return the numbers of the shapes, (objects * SHAPE,) float32."""
     table = np.zeros((len(tracer.placements), SHAPE), dtype=np.float32)
-    for row, placement, size, mirror in zip(
-        table, tracer.placements, objects.texture_size, objects.mirror, strict=True
+    for row, placement, reach, size, mirror in zip(
+        table, tracer.placements, reaches(tracer.placements), objects.texture_size, objects.mirror, strict=True
     ):
         shape = placement.shape
         row[CENTRE : CENTRE + 3] = placement.translation_mm
-        row[RADIUS] = shape.reach_mm * placement.scale
+        row[RADIUS] = reach
+        if shape.kind == PLANE:
+            # The point nearest to the world's origin, see `Tracer`.
+            row[CENTRE : CENTRE + 3] = (placement.translation_mm @ placement.rotation[:, 2]) * placement.rotation[:, 2]
         row[TURN : TURN + 9] = np.ravel(placement.rotation)
         row[KIND], row[MIRROR] = shape.kind, mirror
         row[COLUMNS], row[ROWS] = size
         if shape.kind == SPHERE:
             row[CURVATURE] = 2.0 / row[RADIUS]
-        elif shape.kind == PLATE:
+        elif shape.kind in (PLATE, DISC):
             row[WIDE], row[HIGH] = 1.0 / (np.asarray(shape.size_mm) * placement.scale)
     return table.ravel()
 

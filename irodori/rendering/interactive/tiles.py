@@ -134,15 +134,18 @@ def start_tile(frame, left, top, paths):
         inside = (x < frame.width) & (y < frame.height)
         px = (as_float(x) + (0.5 - 0.5 * frame.width)) * frame.pixel
         py = (as_float(y) + (0.5 - 0.5 * frame.height)) * frame.pixel
-        scale = 1.0 / root(px * px + py * py + 1.0)
+        # One of the two is 0: either directions differ from pixel to pixel, or origins.
+        a, b = float(1 - frame.parallel), float(frame.parallel)
+        scale = 1.0 / root(a * (px * px + py * py) + 1.0)
         turn = frame.world_from_camera
         for axis in range(3):
-            along = (turn[3 * axis] * px + turn[3 * axis + 1] * py + turn[3 * axis + 2]) * scale
+            across = turn[3 * axis] * px + turn[3 * axis + 1] * py
+            along = (a * across + turn[3 * axis + 2]) * scale
             compress(paths.f, (DIRECTION + axis) * STRIDE + count, inside, along)
-            store(paths.f, (ORIGIN + axis) * STRIDE + count, repeated(frame.position_mm[axis], 16))
+            compress(paths.f, (ORIGIN + axis) * STRIDE + count, inside, b * across + frame.position_mm[axis])
         store(paths.f, THROUGHPUT * STRIDE + count, repeated(np.float32(1.0), 16))
-        store(paths.f, CONE * STRIDE + count, repeated(np.float32(0.0), 16))
-        store(paths.f, SPREAD * STRIDE + count, repeated(np.float32(frame.pixel), 16))
+        store(paths.f, CONE * STRIDE + count, repeated(np.float32(frame.pixel * frame.parallel), 16))
+        store(paths.f, SPREAD * STRIDE + count, repeated(np.float32(frame.pixel * (1 - frame.parallel)), 16))
         compress(paths.slot, count, inside, number + block * RAYS)
         bits = mask_bits(inside)
         while bits:

@@ -12,8 +12,8 @@ import numba
 import numpy as np
 from scipy.stats import qmc
 
-PIXEL = 0
-VERTEX = 2  # first dimension of the first surface
+PIXEL, LENS = 0, 2
+VERTEX = 4  # first dimension of the first surface
 LIGHT, LOBE, CHOICE, PICK, SURVIVAL = 0, 2, 4, 5, 6
 PER_VERTEX = 8
 _VERTICES = 4

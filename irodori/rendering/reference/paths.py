@@ -14,6 +14,7 @@ import numpy as np
 from irodori.brdf import fresnel
 from irodori.geometry.embree import hit_distance, hit_shape, is_blocked, new_ray, trace
 from irodori.geometry.surfaces import face_viewer
+from irodori.rendering.cameras import aim
 from irodori.rendering.lights import COLLIMATED, density_towards, sample_towards, unobstructed
 from irodori.rendering.reference.bands import (
     BANDS,
@@ -32,6 +33,7 @@ from irodori.rendering.reference.bands import (
 from irodori.rendering.reference.lobes import draw_cosine, draw_gloss, gloss_at, gloss_share
 from irodori.rendering.reference.numbers import (
     CHOICE,
+    LENS,
     LIGHT,
     LOBE,
     PER_VERTEX,
@@ -300,17 +302,6 @@ def _follow(world, ray, work, numbers, stream):
 
 
 @numba.njit(cache=True, _nrt=False, forceinline=True)
-def _aim(view, x, y, work):
-    """Start a path from the eye through a place of the picture, px."""
-    px, py = (x - 0.5 * view.width) / view.focal_px, (y - 0.5 * view.height) / view.focal_px
-    size = 1.0 / math.sqrt(px * px + py * py + 1.0)
-    rotation = view.world_from_camera
-    for a in range(3):
-        work.direction[a] = (rotation[a, 0] * px + rotation[a, 1] * py + rotation[a, 2]) * size
-        work.origin[a] = view.position_mm[a]
-
-
-@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _render_pixel(world, ray, work, view, numbers, x, y, mean, spread):
     """Add the means of a pixel's replicates, and their squares; return the number of paths that were cut."""
     cut = 0
@@ -321,7 +312,10 @@ def _render_pixel(world, ray, work, view, numbers, x, y, mean, spread):
         for sample in range(numbers.samples):
             stream = stream_of(numbers, key, replicate, sample)
             u, v = draw(numbers, stream, PIXEL), draw(numbers, stream, PIXEL + 1)
-            _aim(view, x + u, y + v, work)
+            on_lens = (0.0, 0.0)
+            if view.lens_mm > 0.0:
+                on_lens = (draw(numbers, stream, LENS), draw(numbers, stream, LENS + 1))
+            aim(view, x + u, y + v, on_lens[0], on_lens[1], work.origin, work.direction)
             cut += _follow(world, ray, work, numbers, stream)
         for band in range(BANDS):
             value = float(work.total[band]) / numbers.samples

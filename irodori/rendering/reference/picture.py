@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.geometry.embree import Tracer
-from irodori.geometry.shapes import Placement
+from irodori.geometry.shapes import Placement, reaches
 from irodori.geometry.surfaces import make_surfaces
 from irodori.light import Environment
 from irodori.native import run_chunks
@@ -18,7 +18,7 @@ from irodori.rendering.lights import BANDS, make_lights
 from irodori.rendering.reference.bands import padded
 from irodori.rendering.reference.numbers import Numbers, make_numbers
 from irodori.rendering.reference.paths import render_some_rows
-from irodori.rendering.reference.sky import make_sky
+from irodori.rendering.reference.sky import Sky, make_sky
 from irodori.rendering.reference.world import Bands, World
 from irodori.rendering.scene import Objects, View
 
@@ -48,7 +48,7 @@ class Picture(NamedTuple):
 
 
 def make_scene(
-    placements: list[Placement], objects: Objects, environment: Environment, lights: list[dict] | None = None
+    placements: list[Placement], objects: Objects, environment: Environment | Sky, lights: list[dict] | None = None
 ) -> Scene:
     """Return a scene for `render_rows`.
 
@@ -56,7 +56,8 @@ def make_scene(
     ----------
     placements, objects
         Of the objects, one for one, see `irodori.rendering.scene`.
-    environment : Environment
+    environment : Environment or Sky
+        A sky that is made already serves several scenes.
     lights : list of dict, optional
         Definitions, see `irodori.rendering.lights.make_lights`.
     """
@@ -64,9 +65,10 @@ def make_scene(
     tracer = Tracer([*placements, *shapes])
     surfaces = make_surfaces(list(tracer.placements))
     bands = Bands(padded(objects.basis), padded(objects.n, "edge"), padded(objects.k, "edge"))
-    offset = np.array([_OFFSET * p.shape.reach_mm * p.scale for p in tracer.placements])
+    offset = _OFFSET * reaches(tracer.placements)
     addresses = (tracer.intersect_address, tracer.occluded_address, tracer.scene)
-    return Scene(World(surfaces, objects, bands, make_sky(environment), placed, *addresses, offset, _STEPS), tracer)
+    sky = environment if isinstance(environment, Sky) else make_sky(environment)
+    return Scene(World(surfaces, objects, bands, sky, placed, *addresses, offset, _STEPS), tracer)
 
 
 def render_rows(scene: Scene, view: View, numbers: Numbers, rows: tuple[int, int]) -> Picture:

@@ -1,0 +1,228 @@
+"""The stage's frames: turntable, light sweep and change of illuminant; PNG by PNG, then an animated PNG and figures.
+
+Finished frames stay in a folder beside the final one, so that an interrupted sequence goes on where it stopped.
+"""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from irodori.colour import xyz_from_radiance
+from irodori.display import encode_srgb, rgb_from_xyz
+from irodori.errors import InputError
+from irodori.geometry.shapes import Shape
+from irodori.light import Environment
+from irodori.material import Material
+from irodori.pictures import write_png
+from irodori.placed_lights import unit_luminance
+from irodori.progress import LOGGER, track
+from irodori.provenance import code_hash, file_sha256
+from irodori.rendering.integrators import make_renderer
+from irodori.rendering.moments import Moment
+from irodori.rendering.stage import display_white
+from irodori.spectra import WAVELENGTH_NM
+
+#: Kinds of `frames` in a scene.
+KINDS = ("turntable", "light_sweep", "illuminant_change")
+#: An illuminant must have this part of its peak everywhere to be divided by.
+_LEAST_POWER = 1e-4
+_KEY = "key.txt"
+
+
+def make_moments(frames: dict) -> list[tuple[dict, Moment]]:
+    """Return what each frame of a sequence shows, for its figures, and its moment.
+
+    Parameters
+    ----------
+    frames : dict
+        Validated ``frames`` of a scene: ``turntable`` with ``count``, ``turned`` and ``pivot_mm``; ``light_sweep`` with
+        ``count``, ``turned``, ``from_deg`` and ``to_deg``; ``illuminant_change`` with ``from_illuminant``,
+        ``illuminants`` and ``count_between``.
+
+    Raises
+    ------
+    ValueError
+        If the kind is unknown.
+    InputError
+        If an illuminant is to be divided by that is dark somewhere.
+    """
+    if frames["kind"] not in KINDS:
+        raise ValueError(f"unknown frames {frames['kind']!r}; accepted: {', '.join(KINDS)}")
+    if frames["kind"] == "illuminant_change":
+        return list(_illuminants(frames))
+    if frames["kind"] == "turntable":
+        angles = 360.0 * np.arange(frames["count"]) / frames["count"]
+        parts, pivot = [f"{frames['turned']}_deg"], tuple(frames["pivot_mm"])
+    else:
+        angles = np.linspace(frames["from_deg"], frames["to_deg"], frames["count"])
+        names = ("environment", "lights") if frames["turned"] == "both" else (frames["turned"],)
+        parts, pivot = [f"{name}_deg" for name in names], (0.0, 0.0, 0.0)
+    shown = [dict.fromkeys(parts, float(angle)) for angle in angles]
+    return [(turned, Moment(**turned, pivot_mm=pivot)) for turned in shown]
+
+
+def _illuminants(frames: dict) -> Iterator[tuple[dict, Moment]]:
+    """Yield the frames of an illuminant change; between two illuminants their power is mixed."""
+    name = frames["from_illuminant"]
+    source = unit_luminance(name)
+    least = source.argmin()
+    if source[least] < _LEAST_POWER * source.max():
+        found = f"{source[least] / source.max():.1g} of its peak at {WAVELENGTH_NM[least]:g} nm"
+        accepted = f"a spectrum of at least {_LEAST_POWER:g} of its peak everywhere, for light is divided by it"
+        raise InputError("scene", f"frames.from_illuminant {name}", found, accepted)
+    names = frames["illuminants"]
+    filters = [unit_luminance(target) / source for target in names]
+    steps = np.arange(frames["count_between"] + 1) / (frames["count_between"] + 1)
+    for (one, a), (other, b) in pairwise(zip(names, filters, strict=True)):
+        for step in steps:
+            shown = {one: 1.0} if step == 0 else {one: float(1.0 - step), other: float(step)}
+            yield {"illuminants": shown}, Moment(filter=tuple((1.0 - step) * a + step * b))
+    yield {"illuminants": {names[-1]: 1.0}}, Moment(filter=tuple(filters[-1]))
+
+
+def sequence_key(scene: dict, view_name: str, shapes: list[dict], options: dict, inputs: list) -> str:
+    """Return a hash of everything that frames depend on: definition, files and this code."""
+    view = {view_name: scene["views"][view_name]}
+    text = json.dumps([scene | {"views": view}, shapes, options], sort_keys=True)
+    digest = hashlib.blake2b(f"{code_hash(__name__)} {text}".encode(), digest_size=16)
+    for path in inputs:
+        digest.update(file_sha256(Path(path)).encode())
+    return digest.hexdigest()
+
+
+class _Frames:
+    """Finished frames of one sequence in a folder, each a PNG and the figures that were written after it."""
+
+    def __init__(self, folder: Path, key: str) -> None:
+        self.folder = folder
+        note = folder / _KEY
+        if folder.is_dir() and not (note.is_file() and note.read_text(encoding="utf-8") == key):
+            LOGGER.info("%s holds frames of another sequence: they are removed", folder)
+            shutil.rmtree(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        note.write_text(key, encoding="utf-8")
+
+    def picture(self, number: int) -> Path:
+        return self.folder / f"{number:05d}.png"
+
+    def figures(self, number: int) -> Path:
+        return self.folder / f"{number:05d}.json"
+
+    def finish(self, number: int, pixels: np.ndarray, figures: dict) -> None:
+        write_png(self.picture(number), pixels)
+        _write_json(self.figures(number), figures)
+
+    def is_finished(self, number: int) -> bool:
+        return self.figures(number).is_file()
+
+    def move_to(self, final: Path) -> None:
+        """Leave nothing but the pictures, under the final name."""
+        for path in self.folder.iterdir():
+            if path.is_dir():
+                shutil.rmtree(path)
+            elif not re.fullmatch(r"\d+\.png", path.name):
+                path.unlink()
+        if final.is_dir():
+            shutil.rmtree(final)
+        os.replace(self.folder, final)
+
+
+def _write_json(path, content: dict) -> None:
+    temporary = Path(path).with_suffix(".part")
+    temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
+    os.replace(temporary, path)
+
+
+def _encoded(radiance: np.ndarray, white: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the display's pixels of a frame, and the share of them outside its gamut."""
+    matrix = xyz_from_radiance(white)
+    return encode_srgb(radiance @ (rgb_from_xyz(matrix @ white) @ matrix).T.astype(np.float32))
+
+
+class _Pictures:
+    """Pictures in files, read one by one, each closed before the next is read; Pillow goes through them twice."""
+
+    def __init__(self, files: list[Path]) -> None:
+        self.files = files
+
+    def __iter__(self) -> Iterator:
+        from PIL import Image
+
+        for file in self.files:
+            with Image.open(file) as image:
+                yield image
+
+
+def write_animation(path, pictures: list[Path], frames_per_second: float) -> None:
+    """Write PNG pictures as one animated PNG that repeats for ever; every pixel and the profile are theirs."""
+    from PIL import Image
+
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.part")
+    with Image.open(pictures[0]) as first:
+        profile = first.info["icc_profile"]
+        options = {"save_all": True, "append_images": _Pictures(pictures[1:]), "loop": 0, "icc_profile": profile}
+        first.save(temporary, format="PNG", duration=1000.0 / frames_per_second, **options)
+    os.replace(temporary, path)
+
+
+def render_frames(
+    scene: dict,
+    view_name: str,
+    shapes: list[dict],
+    material_files: list,
+    environment_file,
+    inputs: list,
+    folder,
+    animation,
+    figures_file,
+    options: dict,
+    tile_rows: int,
+) -> None:
+    """Render the frames of a view from files into a folder of PNG files, an animated PNG and a JSON of figures.
+
+    Parameters
+    ----------
+    scene : dict
+        Validated definition with ``frames``.
+    inputs : list of path
+        All files that frames depend on; frames that an interrupted run left are used while these are the same.
+    folder, animation, figures_file : path
+        Where the frames go as ``00000.png``, ``00001.png``, ...; what is finished is in ``FOLDER.part`` until all are.
+
+    Other parameters are those of `irodori.rendering.stage.render_view`.
+    """
+    moments = make_moments(scene["frames"])
+    folder = Path(folder)
+    kept = _Frames(folder.with_name(folder.name + ".part"), sequence_key(scene, view_name, shapes, options, inputs))
+    missing = [number for number in range(len(moments)) if not kept.is_finished(number)]
+    if len(missing) < len(moments):
+        LOGGER.info("%d of %d frames are there from an earlier run", len(moments) - len(missing), len(moments))
+    environment = Environment.load(environment_file)
+    made = [Shape.from_definition(shape) for shape in shapes]
+    materials = [Material.load(path) for path in material_files]
+    renderer = make_renderer(scene, made, materials, environment, options, tile_rows)
+    white, exposure = display_white(environment, scene.get("lights", []), scene["display"]["exposure"])
+    stands = scene["frames"]["kind"] == "light_sweep"
+    for number in track(missing, f"frames of {view_name}"):
+        shown, moment = moments[number]
+        start = time.perf_counter()
+        radiance, figures = renderer.picture(view_name, moment, stands, kept.folder / f"{number:05d}.tiles")
+        filtered = moments[0 if scene["frames"].get("white") == "first" else number][1].filter
+        pixels, outside = _encoded(radiance, white if filtered is None else white * np.asarray(filtered))
+        figures |= {"out_of_gamut_fraction": outside, "seconds_in_all": time.perf_counter() - start}
+        kept.finish(number, pixels, shown | figures)
+    numbers = range(len(moments))
+    write_animation(animation, [kept.picture(n) for n in numbers], scene["frames"]["frames_per_second"])
+    of_each = [json.loads(kept.figures(n).read_text(encoding="utf-8")) for n in numbers]
+    rest = {"kind": scene["frames"]["kind"], "frames_from_earlier_runs": len(moments) - len(missing)}
+    _write_json(figures_file, rest | {"exposure": exposure, "frames": of_each})
+    kept.move_to(folder)

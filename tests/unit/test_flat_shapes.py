@@ -1,0 +1,235 @@
+"""Discs and endless planes in the tracer and in all three integrators."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scenes import BALL, OPTIONS, constant_light, material, pixel_rays, plate, sky
+
+from irodori.geometry.embree import NO_HIT, Tracer
+from irodori.geometry.frames import rotation_xyz
+from irodori.geometry.shapes import DISC, PLANE, Placement, Shape
+from irodori.rendering.integrators import render_image
+from irodori.rendering.interactive.discs import hidden_by_disc, hidden_by_plane
+
+FLOOR = Shape.from_definition({"kind": "plane"})
+EVERY = [{"kind": "sampled"}, {"kind": "interactive", "ambient": True}, {"kind": "reference", "samples": 64, "seed": 0}]
+EVERY_ONE = pytest.mark.parametrize("integrator", EVERY, ids=lambda i: i["kind"])
+
+
+def disc(radius_mm):
+    return Shape.from_definition({"kind": "disc", "radius_mm": radius_mm})
+
+
+def seen(shapes, materials, places, integrator, light=None, position=(0.0, -300.0, 120.0), target=(0.0, 0.0, 10.0),
+         size=(48, 32), fov=20.0, turns=None, lights=(), **options):  # fmt: skip
+    turns = turns or [(0.0, 0.0, 0.0)] * len(shapes)
+    scene = {
+        "image": {"width": size[0], "height": size[1]},
+        "objects": [
+            {"object": f"o{i}", "position_mm": list(p), "rotation_deg": list(t), "scale": 1.0}
+            for i, (p, t) in enumerate(zip(places, turns, strict=True))
+        ],
+        "views": {"v": {"position_mm": list(position), "target_mm": list(target), "up": [0.0, 0.0, 1.0],
+                        "field_of_view_deg": fov}},
+        "integrator": integrator,
+        "lights": list(lights),
+    }  # fmt: skip
+    light = constant_light() if light is None else light
+    return render_image(scene, "v", shapes, materials, light, OPTIONS | {"ambient_samples": 64} | options)[0]
+
+
+# --- the tracer --------------------------------------------------------------------------------------------------
+
+
+@given(
+    turn=st.tuples(*[st.floats(-180, 180)] * 3),
+    far=st.sampled_from([0.0, 1e4]),
+    scale=st.sampled_from([0.05, 1.0, 50.0]),
+)
+@settings(deadline=None, max_examples=20)
+def test_a_disc_is_met_within_its_radius_and_nowhere_else(turn, far, scale):
+    placement = Placement(disc(20.0), rotation_xyz(turn), np.array([far, -far, far]), scale)
+    rng = np.random.default_rng(1)
+    radius = 20.0 * scale * np.sqrt(rng.uniform(0, 2, 400))
+    angle = rng.uniform(0, 2 * np.pi, 400)
+    at = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0 * angle], axis=1) @ placement.rotation.T
+    origin = at + placement.translation_mm + 60.0 * scale * rng.normal(size=(400, 3))
+    direction = at + placement.translation_mm - origin
+    length = np.linalg.norm(direction, axis=1)
+    height = np.abs((direction @ placement.rotation[:, 2]) / length)
+    distance, shape = Tracer([placement]).intersect(origin, direction / length[:, None])
+    sure = (np.abs(radius / (20.0 * scale) - 1) > 1e-3 + 3e-7 * far / scale) & (height > 0.05)
+    assert sure.sum() > 200
+    inside = radius < 20.0 * scale
+    assert np.array_equal((shape == 0)[sure], inside[sure])
+    assert np.allclose(distance[sure & inside], length[sure & inside], rtol=1e-9, atol=1e-7)
+    assert (shape[sure & ~inside] == NO_HIT).all()
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
+def test_a_plane_is_met_by_every_ray_that_goes_down_and_by_no_other(scale):
+    """A floor 100 mm under the eye, and a ball of 20 mm on it; scenes from a tenth of a millimetre to a kilometre."""
+    ball = Placement(BALL, scale=scale, translation_mm=scale * np.array([0.0, 200.0, 20.0]))
+    tracer = Tracer([Placement(FLOOR), ball])
+    elevation = np.radians(np.concatenate([-np.geomspace(89.0, 1e-3, 60), np.geomspace(1e-3, 89, 60)]))
+    direction = np.stack([np.cos(elevation), 0 * elevation, np.sin(elevation)], axis=1)
+    origin = np.broadcast_to(scale * np.array([30.0, -10.0, 100.0]), direction.shape)
+    distance, shape = tracer.intersect(origin, direction)
+    assert np.array_equal(shape, np.where(elevation < 0, 0, NO_HIT))
+    down = elevation < 0
+    assert np.allclose(distance[down], -100.0 * scale / np.sin(elevation[down]), rtol=1e-9)
+    # The ball before it is met as ever.
+    towards = np.array([[0.0, 200.0, 20.0]]) - [[30.0, -10.0, 100.0]]
+    distance, shape = tracer.intersect(origin[:1], towards / np.linalg.norm(towards))
+    assert shape[0] == 1 and distance[0] == pytest.approx(scale * (np.linalg.norm(towards) - 20.0), rel=1e-9)
+
+
+def test_unknown_shapes_list_what_there_is():
+    with pytest.raises(ValueError, match="accepted: plate, sphere, mesh, disc, plane"):
+        Shape.from_definition({"kind": "cone"})
+    assert disc(3.0).kind == DISC and disc(3.0).reach_mm == 3.0 and FLOOR.kind == PLANE
+
+
+# --- pictures ----------------------------------------------------------------------------------------------------
+
+
+@EVERY_ONE
+def test_a_white_disc_ball_and_floor_vanish_in_a_white_furnace(integrator):
+    """The disc looks down from above all that is seen: nothing meets its black back."""
+    shapes, white = [FLOOR, BALL, disc(30.0)], [material(1.0)] * 3
+    places, turns = [(0, 0, 0), (-25, 0, 20), (10, 10, 60)], [(0, 0, 0), (0, 0, 0), (180, 0, 0)]
+    picture = seen(shapes, white, places, integrator, turns=turns, position=(0, -300, 40), target=(0, 0, 30))
+    assert np.abs(picture - 1).max() <= 1e-3
+
+
+@EVERY_ONE
+def test_a_floor_ends_at_the_horizon_and_mirrors_the_sky(integrator):
+    """The eye looks level: the upper half of the picture is sky, and the lower its image."""
+    light = sky(lambda d: 2 + d[..., 1:2] + d[..., 2:] ** 2)
+    picture = seen([FLOOR], [material(mirror=1.0, n=0.001, k=60.0)], [(0, 0, 0)], integrator, light,
+                   position=(0, -10, 15), target=(0, 90, 15), size=(24, 32), fov=60, pixel_side=2)[..., 30]  # fmt: skip
+    assert np.allclose(picture[16:], picture[:16][::-1], rtol=0.02)
+    rays = pixel_rays((0, -10, 15), (0, 90, 15), (24, 32), 60)
+    assert np.allclose(picture[:16], (2 + rays[:16, :, 1] + rays[:16, :, 2] ** 2), rtol=0.02)
+
+
+@EVERY_ONE
+def test_the_floor_has_no_specks_under_the_eye_nor_far_away(integrator):
+    """The middle ray meets the world's origin itself, where coordinates tell no height."""
+    for position, fov in (((0.0, -1.0, 500.0), 30), ((0.0, -300.0, 100.0), 60), ((1e5, -300.0, 100.0), 60)):
+        target = (position[0], 0.0, 0.0)
+        paint = material(0.7, beta=1.0, mu=0.2, mirror=0.1)
+        picture = seen([FLOOR], [paint], [(0, 0, 0)], integrator, position=position, target=target,
+                       size=(31, 31), fov=fov, gloss_samples=64)[..., 30]  # fmt: skip
+        below = picture[16:]
+        assert below.min() > 0.7 and below.max() < 1.4
+
+
+@pytest.mark.parametrize("integrator", EVERY[1:], ids=lambda i: i["kind"])
+def test_a_disc_throws_the_shadow_of_an_ellipse_on_the_floor(integrator):
+    """Seen from above; the light from 40° over +x: a level disc's shadow is a circle as wide as the disc, moved."""
+    sun = {"kind": "collimated", "spectrum": "E", "azimuth_deg": 0.0, "elevation_deg": 40.0, "irradiance": 2.0}
+    dark = constant_light(1e-9)
+    picture = seen([FLOOR, disc(20.0)], [material(0.6), material(0.0)], [(0, 0, 0), (0, 0, 60)], integrator, dark,
+                   position=(0, -0.01, 900), target=(0, 0, 0), fov=18, size=(60, 60),
+                   lights=[sun])[..., 30]  # fmt: skip
+    half = 900 * np.tan(np.radians(9.0))
+    x = (np.arange(60) + 0.5 - 30) / 30 * half
+    y = -x[:, None]
+    away = np.hypot(x + 60 / np.tan(np.radians(40.0)), y + 0 * x)
+    clear = np.hypot(x + 0 * y, y + 0 * x) > 20 * 900 / 840 + 5
+    lit = picture[(away > 24) & clear]
+    from irodori.placed_lights import unit_luminance
+
+    assert np.allclose(lit, 2.0 * np.sin(np.radians(40.0)) * 0.6 * unit_luminance("E")[30], rtol=1e-3)
+    assert ((away < 16) & clear).sum() > 20 and (picture[(away < 16) & clear] < 1e-6).all()
+    # The disc itself is black and hides the floor under it.
+    assert (picture[np.hypot(x + 0 * y, y + 0 * x) < 20] < 1e-6).all()
+
+
+@EVERY_ONE
+def test_the_back_of_a_disc_and_of_a_plane_is_black(integrator):
+    for shape in (disc(2000.0), FLOOR):
+        picture = seen([shape], [material(0.8, mirror=0.5)], [(0, 0, 0)], integrator, position=(0, -1, -200.0),
+                       target=(0, 0, 0), size=(3, 3), fov=5)  # fmt: skip
+        assert (picture == 0).all()
+
+
+# --- what they hide from `interactive` ---------------------------------------------------------------------------
+
+
+def cosine_rays(count=40000):
+    i = np.arange(count)
+    square, turn = (i + 0.5) / count, 2 * np.pi * (i * 0.6180339887498949 % 1.0)
+    r = np.sqrt(square)
+    return np.stack([r * np.cos(turn), r * np.sin(turn), np.sqrt(1 - square)], axis=1)
+
+
+@given(
+    centre=st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3)),
+    turn=st.tuples(*[st.floats(-180, 180)] * 2),
+    radius=st.floats(0.1, 6.0),
+)
+@settings(deadline=None, max_examples=60)
+def test_a_disc_hides_what_rays_say(centre, turn, radius):
+    axes, centre = rotation_xyz([*turn, 0.0]), np.array(centre)
+    if abs(centre @ axes[:, 2]) < 0.02:
+        return  # seen edge-on
+    rays = cosine_rays()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = (centre @ axes[:, 2]) / (rays @ axes[:, 2])
+        across = distance[:, None] * rays - centre
+    counted = ((distance > 0) & (np.linalg.norm(across, axis=1) <= radius)).mean()
+    found = hidden_by_disc((0.0, 0.0, 1.0), tuple(centre), tuple(map(tuple, axes.T)), radius)
+    assert found == pytest.approx(counted, abs=2e-3)
+
+
+def test_discs_in_closed_form():
+    """Above the point: R²/(R² + h²). Touched, an endless one is a plane; seen edge-on it hides nothing."""
+    axes = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
+    for radius, height in ((1.0, 1.0), (3.0, 0.5), (0.01, 2.0)):
+        found = hidden_by_disc((0.0, 0.0, 1.0), (0.0, 0.0, height), axes, radius)
+        assert found == pytest.approx(radius**2 / (radius**2 + height**2), rel=1e-12)
+        near = hidden_by_disc((0.0, 0.0, 1.0), (1e-9, 0.0, height), axes, radius)
+        assert near == pytest.approx(found, rel=1e-6)
+    assert hidden_by_disc((0.0, 0.0, 1.0), (3.0, 0.0, 0.0), axes, 1.0) == pytest.approx(0.0, abs=1e-12)
+    assert hidden_by_disc((0.0, 0.0, 1.0), (0.0, 0.0, -1.0), axes, 1.0) == 0.0
+    for cosine in (-1.0, -0.3, 0.0, 0.6, 1.0):
+        normal = (np.sqrt(1 - cosine**2), 0.0, cosine)
+        endless = hidden_by_disc(normal, (0.0, 0.0, -1.0), ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)), 1e7)
+        assert endless == pytest.approx(hidden_by_plane(cosine), abs=1e-6)
+
+
+def test_a_ball_on_a_floor_has_the_contact_shadow_of_its_form_factor_and_the_floor_lights_it():
+    for distance in (12.0, 40.0):
+        hidden = (20.0 / np.hypot(20.0, distance)) ** 3
+        picture = seen([FLOOR, BALL], [material(0.8), material(0.0)], [(0, 0, 0), (0, 0, 20)], EVERY[1],
+                       position=(distance + 400, 0, 150), target=(distance, 0, 0), size=(1, 1), fov=0.05)  # fmt: skip
+        assert np.allclose(picture, 0.8 * (1 - hidden), rtol=2e-3)
+    # From the side a ball high over a grey floor sees half sky and half floor.
+    picture = seen([FLOOR, BALL], [material(0.4), material(1.0)], [(0, 0, 0), (0, 0, 5000.0)], EVERY[1],
+                   position=(0, -400.0, 5000.0), target=(0, 0, 5000.0), size=(1, 1), fov=0.05)  # fmt: skip
+    assert np.allclose(picture, 0.5 + 0.5 * 0.4, rtol=2e-3)
+
+
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (30.0, 20.0, 0.0)])
+@pytest.mark.parametrize("shape", [plate(200.0), FLOOR], ids=["plate", "plane"])
+def test_an_eye_exactly_in_the_plane_of_a_flat_shape_sees_what_the_tracer_says(shape, turn):
+    """Bounds may hold back no ray that the tracer would let meet something."""
+    import dataclasses
+
+    from irodori.gloss import GlossMaps
+    from irodori.rendering.interactive import light_of, prepare_scene, render_frame
+    from irodori.rendering.scene import make_objects, make_tracer, make_view
+
+    placements = [Placement(shape, rotation_xyz(turn)), Placement(BALL, translation_mm=np.array([0.0, 0.0, 30.0]))]
+    objects, _ = make_objects(placements, [material(0.5, mirror=0.2)] * 2)
+    light = constant_light()
+    gloss, white = GlossMaps.of(light.coefficients), light.upward_white()
+    made = prepare_scene(objects, light_of(light), gloss, make_tracer(placements), "spectral", white, half=False)
+    everything = dataclasses.replace(made, world=made.world._replace(bounded=0))
+    eye = rotation_xyz(turn) @ np.array([-30.0, -70.0, 0.0])
+    definition = {"position_mm": eye, "target_mm": [3.0, 5.0, 4.0], "up": [0.0, 0.0, 1.0], "field_of_view_deg": 90.0}
+    view = make_view(definition, {"width": 33, "height": 33})
+    assert np.array_equal(render_frame(made, view, bands=True), render_frame(everything, view, bands=True))
