@@ -17,6 +17,7 @@ from irodori.agreement_captures import (
 )
 from irodori.agreement_environments import check_source, is_photographed
 from irodori.agreement_motion import check_motion
+from irodori.agreement_plans import check_plan
 from irodori.agreement_spectra import check_chart, check_spectra
 from irodori.captures import Shot
 from irodori.errors import InputError
@@ -188,6 +189,7 @@ class _Checks:
                 found = f"{view['up']}, along the line of sight or of no length"
                 raise InputError(file, f"views.{label}.up", found, "a direction that points up in the picture")
 
+        check_plan(scene, file)
         check_spectra(scene, (), self.root, file)
         for index, body in enumerate(scene["bodies"]):
             field = f"bodies[{index}].material.refractive_index"

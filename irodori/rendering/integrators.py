@@ -25,6 +25,8 @@ def render_image(
     options: dict,
     tile_rows: int = 60,
     tiles_folder=None,
+    plan: dict | None = None,
+    check: bool = True,
 ) -> tuple[np.ndarray, dict]:
     """Render a view of a scene.
 
@@ -41,10 +43,14 @@ def render_image(
         Rows rendered between two reports of progress.
     tiles_folder : path, optional
         Where the `reference` integrator keeps finished tiles until the picture is whole.
+    plan : dict, optional
+        What to model, see `irodori.rendering.scene_plan`; everything where absent.
+    check : bool
+        Whether a planned picture is checked against the full model.
 
     Returns
     -------
-    radiance : (height, width, 61) float32
+    radiance : (height, width, 61) float32; by a plan without all bands (height, width, 3) XYZ, Y = 100 its white
     figures : dict
         Integrator, seconds, pixels and rays or paths per second, share of filled texels by object; of the `reference`
         integrator the standard error of the pixels too.
@@ -53,8 +59,10 @@ def render_image(
     ------
     ValueError
         If the integrator is unknown, or cannot render what the scene asks for.
+    irodori.rendering.scene_plan.check.ToleranceError
+        If a planned picture errs by more than the scene tolerates.
     """
-    scene, shapes, materials = _with_bodies(scene, shapes, materials)
+    scene, shapes, materials = with_bodies(scene, shapes, materials)
     integrator = scene.get("integrator", {"kind": "sampled"})
     if integrator["kind"] not in INTEGRATORS:
         raise ValueError(f"unknown integrator {integrator['kind']!r}; accepted: {', '.join(INTEGRATORS)}")
@@ -65,18 +73,30 @@ def render_image(
             raise ValueError("lights in a scene of the integrator 'sampled'; accepted: the integrator 'reference'")
         radiance, figures = _render_sampled(scene, view_name, placements, objects, environment, options, tile_rows)
     elif integrator["kind"] == "interactive":
-        radiance, figures = _render_interactive(scene, view_name, placements, objects, environment, options)
+        if plan is None:
+            radiance, figures = _render_interactive(scene, view_name, placements, objects, environment, options)
+        else:
+            from irodori.rendering.scene_plan.picture import parts_of, render_planned
+
+            parts = parts_of(scene, objects, environment, make_tracer(placements))
+            radiance, figures = render_planned(scene, view_name, parts, options, plan, check)
     else:
+        if plan is not None:
+            scene = scene | {"integrator": scene["integrator"] | {"samples": plan["decisions"]["samples"]["value"]}}
         radiance, figures = _render_reference(
             scene, view_name, placements, objects, environment, tile_rows, tiles_folder
         )
+        if plan is not None and check:
+            from irodori.rendering.scene_plan.reference import check_reference
+
+            figures["plan"] = check_reference(scene, view_name, placements, objects, environment, radiance, plan)
     figures["pixels_per_second"] = radiance.shape[0] * radiance.shape[1] / figures["seconds"]
     names = [item["object"] for item in scene["objects"] if "object" in item]
     figures["filled_fraction"] = dict(zip(names, filled, strict=False))
     return radiance, {"integrator": integrator["kind"], **figures}
 
 
-def _with_bodies(scene: dict, shapes: list[Shape], materials: list[Material]) -> tuple[dict, list, list]:
+def with_bodies(scene: dict, shapes: list[Shape], materials: list[Material]) -> tuple[dict, list, list]:
     """Return a scene, shapes and materials whose last objects are the scene's bodies."""
     bodies = scene.get("bodies", [])
     made = []

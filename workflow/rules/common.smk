@@ -352,6 +352,12 @@ def scene_tables(wildcards):
     return named_tables(scene["lights"], scene["bodies"])
 
 
+def scene_plan(wildcards):
+    """Return the plan of a scene that tolerates an error, as a list; others are rendered in full."""
+    tolerant = "tolerance_delta_e" in config["scenes"][wildcards.scene]
+    return [f"results/{wildcards.scene}/plan.yaml"] if tolerant else []
+
+
 def scene_shapes(wildcards):
     """Return the shapes of a scene's objects."""
     return [config["objects"][name]["shape"] for name in scene_objects(wildcards)]
