@@ -203,7 +203,7 @@ def make_world(
         Whether objects hide light from all sides.
     """
     columns, rows = light.size[0]
-    picture = light.pixels[: columns * rows].reshape(rows, columns, -1)
+    picture = light.pixels[: columns * rows].reshape(rows, columns, light.pixels.shape[1])
     pyramid = environment_pyramid(picture, channels.stored_from_light, channels.light, half)
     channels = _stored_scaled(channels, pyramid.scale)
     texels, first, stride = make_textures(objects, channels)

@@ -14,7 +14,7 @@ from irodori.colour import xyz_from_radiance
 from irodori.gloss import GlossMaps
 from irodori.prefilter import first_level, prefiltered
 from irodori.rendering.interactive import light_of
-from irodori.rendering.interactive.channels import is_grey, reflected_basis
+from irodori.rendering.interactive.channels import reflected_basis
 from irodori.rendering.interactive.quadrature import COUNTS, Quadrature
 from irodori.rendering.scene import Light, View, make_light
 from irodori.rendering.scene_plan.model import (
@@ -25,8 +25,8 @@ from irodori.rendering.scene_plan.model import (
     leading_basis,
     levels_of_lobes,
     look_up_numbers,
-    reduced_objects,
     solved_nodes,
+    stays_grey,
     widths_of,
 )
 from irodori.rendering.scene_plan.probes import Changes, Probes, Scene, radiance, trace_probes
@@ -107,8 +107,6 @@ class Planner:
 
     def fits(self, alone: float, changes: Changes, xyz: Callable | None = None) -> bool:
         """Return whether a decision keeps under its share, and all together under the tolerance."""
-        if alone == 0.0:
-            return True
         if alone > (self.tolerance - self.spent) / self.left:
             return False
         return bound_of_share(self.errors(changes, xyz or self.xyz)) <= self.tolerance
@@ -132,7 +130,8 @@ class Planner:
 
     def met(self, model: Model | None = None) -> dict[str, float]:
         """Return what a ray of the eye meets: surfaces, glossy ones, the environment, and rays traced."""
-        model, changes = model or self.model, self.changes
+        model = model or self.model
+        without = [i for i, (a, b) in enumerate(zip(self.full.mirror, model.mirror, strict=True)) if a and not b]
         found = {"hits": 0.0, "glossy": 0.0, "misses": 0.0}
         for bounce, (hits, misses) in enumerate(zip(self.probes.hits, self.probes.misses, strict=True)):
             if bounce > model.max_bounces:
@@ -140,8 +139,8 @@ class Planner:
             for name, events in (("hits", hits), ("misses", misses)):
                 stays = np.ones(len(events.probe), dtype=bool)
                 if bounce:
-                    stays &= events.throughput.max(axis=1) > changes.least_throughput
-                for index in changes.without_mirror:
+                    stays &= events.throughput.max(axis=1) > model.least_throughput
+                for index in without:
                     stays &= ~(events.passed == index).any(axis=1)
                 found[name] += float(stays.sum())
                 if name == "hits" and stays.any():
@@ -341,9 +340,8 @@ def _decide_light_bases(planner: Planner) -> None:
 
 def _decide_representation(planner: Planner) -> None:
     """Take the cheapest representation that fits; what the others cost goes into the reason."""
-    reduced = reduced_objects(planner.parts.objects, planner.model)
     candidates = [("quadrature", nodes) for nodes in COUNTS] + [("spectral", planner.model.nodes)]
-    if is_grey(reduced):
+    if stays_grey(planner.parts.objects, planner.model):
         candidates.append(("coefficients", 0))
     costs = {c: planner.numbers(replace(planner.model, representation=c[0], nodes=c[1])) for c in candidates}
     candidates.sort(key=lambda c: (c[0] == "spectral", costs[c]))

@@ -10,7 +10,7 @@ from irodori.gloss_cells import PointLights
 from irodori.light import Environment
 from irodori.prefilter import WIDTHS_RAD, first_level, level_height, prefiltered
 from irodori.rendering.interactive import Prepared, light_of, prepare_scene
-from irodori.rendering.interactive.channels import is_grey, reflected_basis
+from irodori.rendering.interactive.channels import reflected_basis
 from irodori.rendering.interactive.cube import FACES, environment_side
 from irodori.rendering.interactive.lanes import width_of
 from irodori.rendering.interactive.lobes import ANGLES, ROUGHNESSES, TAPS, lobe_table, roughness_place
@@ -256,6 +256,12 @@ def prepare(parts: Parts, model: Model, matrix: np.ndarray, ladder: Light | None
     )
 
 
+def stays_grey(objects: Objects, model: Model) -> bool:
+    """Return whether no lobe that a model traces has a colour of its own."""
+    shines = np.array(model.gloss) | (np.array(model.mirror) & (objects.mirror > 0))
+    return bool((objects.grey[shines] == 1).all())
+
+
 @dataclass(frozen=True)
 class Widths:
     """Lanes of a model's texels and of its light, and whether throughput has a colour."""
@@ -268,9 +274,7 @@ class Widths:
 
 def widths_of(parts: Parts, model: Model) -> Widths:
     """Return how many numbers a model's look-ups take."""
-    reduced = reduced_objects(parts.objects, model)
-    light, lamps = model.light_bases, len(parts.lamp_spectra)
-    coloured = not is_grey(reduced)
+    light, lamps, coloured = model.light_bases, len(parts.lamp_spectra), not stays_grey(parts.objects, model)
     if model.representation == "spectral":
         return Widths(width_of(SAMPLES + 2), width_of(light), True, SAMPLES)
     if model.representation == "quadrature":
