@@ -14,7 +14,6 @@ from irodori.material import Material
 from irodori.pictures import write_png, write_spectral_exr, write_xyz_exr
 from irodori.progress import LOGGER
 from irodori.rendering.integrators import render_image
-from irodori.rendering.scene_plan.plan_file import read_plan
 
 
 def display_white(environment: Environment, lights: list[dict], exposure) -> tuple[np.ndarray, float]:
@@ -61,6 +60,11 @@ def render_view(
     The EXR holds spectra, or XYZ where a plan does not carry them. Nothing is written of a picture whose check against
     its plan's tolerance fails.
     """
+    plan = None
+    if plan_file:
+        from irodori.rendering.scene_plan.plan_file import read_plan  # loads the interactive integrator
+
+        plan = read_plan(plan_file)
     materials = [Material.load(path) for path in material_files]
     environment = Environment.load(environment_file)
     radiance, figures = render_image(
@@ -72,7 +76,7 @@ def render_view(
         options,
         tile_rows,
         Path(exr).with_suffix(".tiles"),
-        read_plan(plan_file) if plan_file else None,
+        plan,
         check,
     )
     white, exposure = display_white(environment, scene.get("lights", []), scene["display"]["exposure"])

@@ -5,167 +5,32 @@ the decision's share of what is left of the tolerance, and the picture with all 
 tolerance. What is left over goes to the decisions that follow.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
-from irodori.colour import xyz_from_radiance
-from irodori.gloss import GlossMaps
-from irodori.prefilter import first_level, prefiltered
+from irodori.errors import InputError
+from irodori.prefilter import first_level
 from irodori.rendering.interactive import light_of
 from irodori.rendering.interactive.channels import reflected_basis
-from irodori.rendering.interactive.quadrature import COUNTS, Quadrature
-from irodori.rendering.scene import Light, View, make_light
+from irodori.rendering.interactive.quadrature import COUNTS
+from irodori.rendering.scene import View, make_light
 from irodori.rendering.scene_plan.model import (
-    Model,
     Parts,
     beta_of,
     full_model,
     leading_basis,
     levels_of_lobes,
-    look_up_numbers,
-    solved_nodes,
     stays_grey,
-    widths_of,
 )
-from irodori.rendering.scene_plan.probes import Changes, Probes, Scene, radiance, trace_probes
-from irodori.rendering.scene_plan.tolerance import bound_of_share, differences
+from irodori.rendering.scene_plan.planner import Planner, make_probes
+from irodori.rendering.scene_plan.probes import Changes
+from irodori.rendering.scene_plan.tolerance import bound_of_share
 
-#: Probes of a scene, and the seed of their places; pixels that are checked have another.
-PROBES, SEED = 2000, 1
-#: Rows of the picture whose blurred light weighs the lobes for the planner.
-_SMALL_ROWS = 64
 _THROUGHPUTS = tuple(10.0 ** (-0.5 * n) for n in range(2, 11))
 _LEAST_ROWS = 32
-#: Decisions that may cost colour.
-_LOSSY = 8
 #: Objects at most whose lobes or textures are tried one by one.
 _MOST_TRIED = 32
-
-
-@dataclass(frozen=True)
-class Decision:
-    """One decision of a plan.
-
-    Parameters
-    ----------
-    value, full
-        What is modelled, and what the full model has.
-    predicted_delta_e : float
-        CIEDE2000 that this decision alone costs at most, see `choose`.
-    numbers_per_ray : float
-        Numbers that are multiplied and added for a ray of the eye with this decision and those before it.
-    by : str
-        ``plan`` or ``scene``, whose file overrides the plan.
-    why : str
-    """
-
-    value: object
-    full: object
-    predicted_delta_e: float
-    numbers_per_ray: float
-    by: str
-    why: str
-
-
-@dataclass
-class Planner:
-    """The state of planning: what is decided, and what it costs."""
-
-    parts: Parts
-    probes: Probes
-    model: Model
-    tolerance: float
-    names: list[str]
-    overrides: dict
-    ladder: Light
-    changes: Changes = field(default_factory=Changes)
-    decisions: dict[str, Decision] = field(default_factory=dict)
-    left: int = _LOSSY
-    spent: float = 0.0
-    joint: float = 0.0
-    xyz: Callable | None = None
-    solved: dict[int, Quadrature] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.full, self.matrix = self.model, xyz_from_radiance(self.parts.white)
-        self.white_xyz = self.matrix @ self.parts.white
-        self.truth = radiance(self.probes) @ self.matrix.T
-        self.xyz = lambda spectra: spectra @ self.matrix.T
-
-    def errors(self, changes: Changes, xyz: Callable | None = None) -> np.ndarray:
-        """Return CIEDE2000 of every probe of the picture with changes."""
-        found = (xyz or (lambda spectra: spectra @ self.matrix.T))(radiance(self.probes, changes))
-        return differences(self.truth, found, self.white_xyz)
-
-    def solve(self, nodes: int) -> Quadrature:
-        """Return the quadrature of a number of wavelengths for the paths of the model."""
-        if nodes not in self.solved:
-            self.solved[nodes] = solved_nodes(self.parts, self.model.max_bounces, self.matrix, nodes)
-        return self.solved[nodes]
-
-    def fits(self, alone: float, changes: Changes, xyz: Callable | None = None) -> bool:
-        """Return whether a decision keeps under its share, and all together under the tolerance."""
-        if alone > (self.tolerance - self.spent) / self.left:
-            return False
-        return bound_of_share(self.errors(changes, xyz or self.xyz)) <= self.tolerance
-
-    def decide(self, name: str, alone: float, changes: Changes, why: str, lossy: bool = True, **model) -> None:
-        """Note a decision."""
-        before = {key: getattr(self.full, key) for key in model}
-        self.model, self.changes = replace(self.model, **model), changes
-        value, full = (self._named(name, next(iter(d.values()))) for d in (model, before))
-        self.spent += alone
-        self.left -= int(lossy)
-        by = "scene" if name in self.overrides else "plan"
-        self.decisions[name] = Decision(value, full, alone, self.numbers(), by, why)
-
-    def _named(self, name: str, value):
-        if name in ("gloss", "mirror"):
-            return [n for n, traced in zip(self.names, value, strict=True) if traced]
-        if name == "texture_halvings":
-            return dict(zip(self.names, value, strict=True))
-        return list(value) if isinstance(value, tuple) else value
-
-    def met(self, model: Model | None = None) -> dict[str, float]:
-        """Return what a ray of the eye meets: surfaces, glossy ones, the environment, and rays traced."""
-        model = model or self.model
-        without = [i for i, (a, b) in enumerate(zip(self.full.mirror, model.mirror, strict=True)) if a and not b]
-        found = {"hits": 0.0, "glossy": 0.0, "misses": 0.0}
-        for bounce, (hits, misses) in enumerate(zip(self.probes.hits, self.probes.misses, strict=True)):
-            if bounce > model.max_bounces:
-                break
-            for name, events in (("hits", hits), ("misses", misses)):
-                stays = np.ones(len(events.probe), dtype=bool)
-                if bounce:
-                    stays &= events.throughput.max(axis=1) > model.least_throughput
-                for index in without:
-                    stays &= ~(events.passed == index).any(axis=1)
-                found[name] += float(stays.sum())
-                if name == "hits" and stays.any():
-                    rough = (events.texel[stays, -2] > 0) & np.take(model.gloss, events.points.shape[stays])
-                    found["glossy"] += float(rough.sum())
-        found["rays"] = found["hits"] + found["misses"]
-        return {key: value / self.probes.count for key, value in found.items()}
-
-    def numbers(self, model: Model | None = None) -> float:
-        """Return the numbers that a ray of the eye costs."""
-        model = model or self.model
-        return look_up_numbers(model, widths_of(self.parts, model), self.met(model), len(self.names))
-
-
-def make_probes(parts: Parts, views: list[View], model: Model, ladder: Light) -> Probes:
-    """Return the probes of a scene's views; their lobes see a small picture of the environment."""
-    gloss = None
-    if model.gloss_levels[1] > model.gloss_levels[0]:
-        level = int(np.argmax(ladder.size[:, 1] <= _SMALL_ROWS)) if (ladder.size[:, 1] <= _SMALL_ROWS).any() else 0
-        first, (columns, rows) = ladder.first_pixel[level], ladder.size[level]
-        small = ladder.pixels[first : first + columns * rows].reshape(rows, columns, -1)
-        start, levels = prefiltered(small)
-        gloss = GlossMaps(start, tuple(levels), None)
-    scene = Scene(parts.objects, ladder, gloss, parts.tracer, parts.lamp_towards, parts.lamp_spectra, model.ambient)
-    return trace_probes(scene, views, PROBES, model.max_bounces, SEED)
 
 
 def choose(
@@ -176,6 +41,7 @@ def choose(
     max_bounces: int,
     ambient: bool,
     overrides: dict | None = None,
+    where: str = "scene",
 ) -> Planner:
     """Decide what to model of a scene.
 
@@ -195,6 +61,8 @@ def choose(
         Decisions that the scene's file takes: ``gloss`` and ``mirror`` lists of names, ``max_bounces``,
         ``least_throughput``, ``light_bases``, ``representation``, ``nodes``, ``environment_halvings``,
         ``texture_halvings``.
+    where : str
+        The scene, for messages.
 
     Returns
     -------
@@ -204,12 +72,12 @@ def choose(
 
     Raises
     ------
-    ValueError
+    InputError
         If an override asks for more than there is.
     """
     ladder, model = make_light(parts.environment), full_model(parts, max_bounces, ambient)
     probes = make_probes(parts, views, model, ladder)
-    planner = Planner(parts, probes, model, tolerance, names, overrides or {}, ladder)
+    planner = Planner(parts, probes, model, tolerance, names, overrides or {}, ladder, where)
     _decide_lobes(planner)
     _decide_bounces(planner)
     _decide_light_bases(planner)
@@ -226,13 +94,14 @@ def _traced(planner: Planner, name: str, own: tuple[bool, ...]) -> tuple[bool, .
 
     Raises
     ------
-    ValueError
+    InputError
         If an object is not in the scene, or has no such lobe.
     """
     having = [n for n, there in zip(planner.names, own, strict=True) if there]
     for wanted in planner.overrides[name]:
         if wanted not in having:
-            raise ValueError(f"plan.{name}: {wanted!r}; objects with that lobe: {', '.join(having) or 'none'}")
+            accepted = f"of the objects with that lobe: {', '.join(having) or 'there are none'}"
+            raise InputError(planner.where, f"plan.{name}", repr(wanted), accepted)
     return tuple(there and n in planner.overrides[name] for n, there in zip(planner.names, own, strict=True))
 
 
@@ -277,7 +146,7 @@ def _first_that_fits(planner: Planner, name: str, candidates: list, of) -> tuple
         wanted = planner.overrides[name]
         if wanted not in candidates:
             accepted = ", ".join(f"{c:g}" if isinstance(c, float) else str(c) for c in candidates[:20])
-            raise ValueError(f"plan.{name}: {wanted!r}; accepted: {accepted}")
+            raise InputError(planner.where, f"plan.{name}", repr(wanted), accepted)
         return wanted, of(wanted)
     for candidate in candidates:
         found = of(candidate)
@@ -348,10 +217,8 @@ def _decide_representation(planner: Planner) -> None:
     wanted = planner.overrides.get("representation"), planner.overrides.get("nodes")
     chosen = [c for c in candidates if wanted[0] in (None, c[0]) and wanted[1] in (None, c[1])]
     if not chosen:
-        raise ValueError(
-            f"plan.representation: {wanted[0]!r}; coefficients need a refractive index that does not vary with the "
-            "wavelength where there is gloss or a mirror; accepted: quadrature, spectral"
-        )
+        found = f"{wanted[0]} where gloss or a mirror has a refractive index that varies with the wavelength"
+        raise InputError(planner.where, "plan.representation", found, "quadrature, spectral")
     for candidate in chosen:
         alone, changes, xyz = _error_of(planner, *candidate)
         if candidate == chosen[-1] or planner.fits(alone, changes, xyz):

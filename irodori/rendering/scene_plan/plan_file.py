@@ -8,8 +8,8 @@ import numpy as np
 import yaml
 
 from irodori.rendering.interactive.quadrature import Quadrature
-from irodori.rendering.scene_plan.choices import Decision, Planner
 from irodori.rendering.scene_plan.model import Model, memory_mb, widths_of
+from irodori.rendering.scene_plan.planner import Decision, Planner
 from irodori.rendering.scene_plan.tolerance import SHARE
 
 #: Digits of what is predicted: the last bits of a sum are the library's.

@@ -1,6 +1,5 @@
 """The planner's stage: a scene, its materials and its light in; ``plan.yaml`` out."""
 
-from irodori.errors import InputError
 from irodori.geometry.shapes import Shape
 from irodori.light import Environment
 from irodori.material import Material
@@ -66,27 +65,19 @@ def plan_of(
     objects, _ = make_objects(placements, materials)
     views = [make_view(view, scene["image"]) for view in scene["views"].values()]
     overrides = scene.get("plan", {})
-    try:
-        if kind == "reference":
-            from irodori.rendering.scene_plan.reference import plan_reference
+    if kind == "reference":
+        from irodori.rendering.scene_plan.reference import plan_reference
 
-            return plan_reference(scene_name, scene, placements, objects, environment, views, overrides)
-        parts = parts_of(scene, objects, environment, make_tracer(placements))
-        planner = choose(
-            parts,
-            views,
-            plan_names(scene),
-            scene["tolerance_delta_e"],
-            scene["max_bounces"],
-            scene["integrator"].get("ambient", True),
-            overrides,
-        )
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        field, _, rest = str(error).partition(": ")
-        found, _, accepted = rest.partition("; ")
-        if not field.startswith("plan."):
-            raise
-        raise InputError(f"scene {scene_name}", field, found, accepted) from None
+        return plan_reference(scene_name, scene, placements, objects, environment, views, overrides)
+    parts = parts_of(scene, objects, environment, make_tracer(placements))
+    planner = choose(
+        parts,
+        views,
+        plan_names(scene),
+        scene["tolerance_delta_e"],
+        scene["max_bounces"],
+        scene["integrator"].get("ambient", True),
+        overrides,
+        f"scene {scene_name}",
+    )
     return document_of(scene_name, planner, options["pixel_side"])
