@@ -27,13 +27,13 @@ def check_plan(scene: dict, file) -> None:
     InputError
     """
     kind = scene["integrator"]["kind"]
-    if "tolerance_delta_e" not in scene:
+    if "tolerance_ciede2000" not in scene:
         if scene["plan"]:
-            raise InputError(file, "plan", "overrides of a plan", "tolerance_delta_e beside them, or no plan")
+            raise InputError(file, "plan", "overrides of a plan", "tolerance_ciede2000 beside them, or no plan")
         return
     if kind not in _OF:
-        accepted = f"integrator: {{kind: {'} or {kind: '.join(_OF)}}}, or no tolerance_delta_e"
-        raise InputError(file, "tolerance_delta_e", f"the integrator {kind}, which makes no plan", accepted)
+        accepted = f"integrator: {{kind: {'} or {kind: '.join(_OF)}}}, or no tolerance_ciede2000"
+        raise InputError(file, "tolerance_ciede2000", f"the integrator {kind}, which makes no plan", accepted)
     for key in scene["plan"]:
         if key not in _OF[kind]:
             raise InputError(file, f"plan.{key}", f"an override for the integrator {kind}", ", ".join(_OF[kind]))

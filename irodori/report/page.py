@@ -74,7 +74,10 @@ def _plan_rows(plan: dict | None) -> list[list[str]]:
     if plan is None:
         return []
     rows = [
-        ["tolerance of the plan, and its prediction", f"{plan['tolerance_delta_e']:g}, {plan['predicted_delta_e']:.3g}"]
+        [
+            "tolerance of the plan, and its prediction",
+            f"{plan['tolerance_ciede2000']:g}, {plan['predicted_delta_e']:.3g}",
+        ]
     ]
     if "measured_delta_e" in plan:
         found = plan["measured_delta_e"]

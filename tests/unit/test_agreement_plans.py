@@ -7,13 +7,13 @@ from irodori.errors import InputError
 
 
 def scene(kind, tolerance=1.0, **plan):
-    return {"integrator": {"kind": kind}, "plan": plan} | ({"tolerance_delta_e": tolerance} if tolerance else {})
+    return {"integrator": {"kind": kind}, "plan": plan} | ({"tolerance_ciede2000": tolerance} if tolerance else {})
 
 
 @pytest.mark.parametrize(
     ("definition", "field"),
     [
-        (scene("sampled"), "tolerance_delta_e"),
+        (scene("sampled"), "tolerance_ciede2000"),
         (scene("interactive", None, nodes=6), "plan"),
         (scene("interactive", samples=64), "plan.samples"),
         (scene("reference", max_bounces=2), "plan.max_bounces"),

@@ -354,7 +354,7 @@ def scene_tables(wildcards):
 
 def scene_plan(wildcards):
     """Return the plan of a scene that tolerates an error, as a list; others are rendered in full."""
-    tolerant = "tolerance_delta_e" in config["scenes"][wildcards.scene]
+    tolerant = "tolerance_ciede2000" in config["scenes"][wildcards.scene]
     return [f"results/{wildcards.scene}/plan.yaml"] if tolerant else []
 
 

@@ -52,5 +52,5 @@ def refuse_above(measured: Measured, scene: str, view: str, tolerance: float, pr
             f"scene {scene!r}, view {view!r}: {100 * SHARE:.0f} of 100 pixels differ from the full model by up to "
             f"{measured.p99:.3g} ΔE2000 by {measured.count} pixels computed in full (mean {measured.mean:.3g}, largest "
             f"{measured.max:.3g}); tolerated: {tolerance:g}; the plan predicted {predicted:.3g}; raise "
-            "tolerance_delta_e, or take the scene's overrides under `plan` back."
+            "tolerance_ciede2000, or take the scene's overrides under `plan` back."
         )

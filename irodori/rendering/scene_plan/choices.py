@@ -25,7 +25,6 @@ from irodori.rendering.scene_plan.model import (
 )
 from irodori.rendering.scene_plan.planner import Planner, make_probes
 from irodori.rendering.scene_plan.probes import Changes
-from irodori.rendering.scene_plan.tolerance import bound_of_share
 
 _THROUGHPUTS = tuple(10.0 ** (-0.5 * n) for n in range(2, 11))
 _LEAST_ROWS = 32
@@ -85,7 +84,7 @@ def choose(
     _decide_environment(planner)
     _decide_textures(planner)
     _decide_look_ups(planner)
-    planner.joint = bound_of_share(planner.errors(planner.changes, planner.xyz))
+    planner.joint = planner.bound(planner.errors(planner.changes, planner.xyz))
     return planner
 
 
@@ -179,7 +178,7 @@ def _decide_throughput(planner: Planner) -> None:
     candidates = [*_THROUGHPUTS, 0.0] if lobes else [0.0]
 
     def of_least(least: float):
-        alone = bound_of_share(planner.errors(Changes(least_throughput=least))) if least else 0.0
+        alone = planner.bound(planner.errors(Changes(least_throughput=least))) if least else 0.0
         return alone, replace(planner.changes, least_throughput=least), None
 
     if "least_throughput" in planner.overrides:
@@ -198,7 +197,7 @@ def _decide_light_bases(planner: Planner) -> None:
         if bases == count:
             return 0.0, planner.changes, None
         to, basis = leading_basis(light, bases)
-        alone = bound_of_share(planner.errors(Changes(light_basis=to @ basis)))
+        alone = planner.bound(planner.errors(Changes(light_basis=to @ basis)))
         return alone, replace(planner.changes, light_basis=to @ basis), None
 
     candidates = list(range(1, count + 1)) if planner.model.environment or planner.model.irradiance else [count]
@@ -253,7 +252,7 @@ def _error_of(planner: Planner, representation: str, nodes: int):
         if planner.model.ambient:
             wide = _lit_basis(planner)
             changes, alone = replace(changes, reflected_basis=wide), Changes(reflected_basis=wide)
-    return bound_of_share(planner.errors(alone, xyz)), changes, xyz
+    return planner.bound(planner.errors(alone, xyz)), changes, xyz
 
 
 def _lit_basis(planner: Planner) -> np.ndarray:
@@ -269,7 +268,7 @@ def _decide_environment(planner: Planner) -> None:
     coarsest = max(int((rows >= min(_LEAST_ROWS, rows[0])).sum()) - 1, 0) if planner.model.environment else 0
 
     def of_halvings(halvings: int):
-        alone = bound_of_share(planner.errors(Changes(sky_level=halvings))) if halvings else 0.0
+        alone = planner.bound(planner.errors(Changes(sky_level=halvings))) if halvings else 0.0
         return alone, replace(planner.changes, sky_level=halvings), None
 
     candidates = list(range(coarsest, -1, -1))
@@ -286,7 +285,7 @@ def _decide_textures(planner: Planner) -> None:
         halvings = {i: min(wanted, most[i]) for i in range(count) if min(wanted, most[i])}
     else:
         halvings = _halvings_that_fit(planner, most)
-    alone = bound_of_share(planner.errors(Changes(texture_level=halvings))) if halvings else 0.0
+    alone = planner.bound(planner.errors(Changes(texture_level=halvings))) if halvings else 0.0
     changes = replace(planner.changes, texture_level=halvings)
     why = "as the probes see them; those that none meets stay whole"
     values = tuple(halvings.get(i, 0) for i in range(count))
@@ -302,11 +301,11 @@ def _halvings_that_fit(planner: Planner, most: list[int]) -> dict[int, int]:
     halvings = {}
     for index in tried:
         for level in range(1, most[index] + 1):
-            if bound_of_share(planner.errors(Changes(texture_level={int(index): level}))) > share:
+            if planner.bound(planner.errors(Changes(texture_level={int(index): level}))) > share:
                 break
             halvings[int(index)] = level
     while halvings:
-        alone = bound_of_share(planner.errors(Changes(texture_level=halvings)))
+        alone = planner.bound(planner.errors(Changes(texture_level=halvings)))
         if planner.fits(alone, replace(planner.changes, texture_level=halvings)):
             break
         halvings = {i: level - 1 for i, level in halvings.items() if level > 1}

@@ -66,7 +66,7 @@ def document_of(scene_name: str, planner: Planner, side: int, kind: str = "inter
     document = {
         "scene": scene_name,
         "integrator": kind,
-        "tolerance_delta_e": planner.tolerance,
+        "tolerance_ciede2000": planner.tolerance,
         "pixels_within": SHARE,
         "predicted_delta_e": rounded(max(planner.spent, planner.joint)),
         "predicted_delta_e_together": rounded(planner.joint),

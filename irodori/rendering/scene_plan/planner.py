@@ -20,10 +20,12 @@ from irodori.rendering.scene_plan.model import (
 from irodori.rendering.scene_plan.probes import Changes, Probes, Scene, radiance, trace_probes
 from irodori.rendering.scene_plan.tolerance import bound_of_share, differences
 
-#: Probes of a scene, and the seed of their places; pixels that are checked have another.
+#: Probes of a view, and the seed of their places; pixels that are checked have another.
 PROBES, SEED = 2000, 1
 #: Rows of the picture whose blurred light weighs the lobes for the planner.
 _SMALL_ROWS = 64
+#: Views with so many probes; more of them share these.
+_MOST_VIEWS = 4
 #: Decisions that may cost colour.
 _LOSSY = 8
 
@@ -84,6 +86,11 @@ class Planner:
         found = (xyz or (lambda spectra: spectra @ self.matrix.T))(radiance(self.probes, changes))
         return differences(self.truth, found, self.white_xyz)
 
+    def bound(self, errors: np.ndarray) -> float:
+        """Return the bound of the share of pixels in the view where it is largest: each picture is checked alone."""
+        views = self.probes.views
+        return max(bound_of_share(errors[view::views]) for view in range(min(views, len(errors))))
+
     def solve(self, nodes: int) -> Quadrature:
         """Return the quadrature of a number of wavelengths for the paths of the model."""
         if nodes not in self.solved:
@@ -94,7 +101,7 @@ class Planner:
         """Return whether a decision keeps under its share, and all together under the tolerance."""
         if alone > (self.tolerance - self.spent) / self.left:
             return False
-        return bound_of_share(self.errors(changes, xyz or self.xyz)) <= self.tolerance
+        return self.bound(self.errors(changes, xyz or self.xyz)) <= self.tolerance
 
     def decide(self, name: str, alone: float, changes: Changes, why: str, lossy: bool = True, **model) -> None:
         """Note a decision."""
@@ -150,4 +157,4 @@ def make_probes(parts: Parts, views: list[View], model: Model, ladder: Light) ->
         start, levels = prefiltered(small)
         gloss = GlossMaps(start, tuple(levels), None)
     scene = Scene(parts.objects, ladder, gloss, parts.tracer, parts.lamp_towards, parts.lamp_spectra, model.ambient)
-    return trace_probes(scene, views, PROBES, model.max_bounces, SEED)
+    return trace_probes(scene, views, PROBES * min(len(views), _MOST_VIEWS), model.max_bounces, SEED)

@@ -81,6 +81,7 @@ class Probes(NamedTuple):
     """Probes of a scene."""
 
     count: int
+    views: int  # probe i is of view i modulo this
     scene: Scene
     hits: list[Hits]  # one for each number of mirrors
     misses: list[Misses]
@@ -166,7 +167,7 @@ def trace_probes(scene: Scene, views: list[View], count: int, max_bounces: int, 
         probe, throughput, cone, spread = probe[going], throughput[going], cone[going], spread[going]
         if not probe.size:
             break
-    return Probes(count, scene, hits, misses, mean_spectra(scene.objects), {})
+    return Probes(count, len(views), scene, hits, misses, mean_spectra(scene.objects), {})
 
 
 def _level(light: Light, spread: np.ndarray) -> np.ndarray:

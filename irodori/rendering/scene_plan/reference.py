@@ -74,7 +74,7 @@ def plan_reference(
     # Two pictures differ by √2 times what one errs, and the check's own noise is seen too.
     noise = bound_of_share(differences(first, second, matrix @ white)) / math.sqrt(2.0) * math.sqrt(1.0 + 1.0 / MORE)
     most = scene["integrator"]["samples"]
-    samples = own.get("samples") or _samples_for(noise, scene["tolerance_delta_e"], most)
+    samples = own.get("samples") or _samples_for(noise, scene["tolerance_ciede2000"], most)
     predicted = float(f"{noise * math.sqrt(PILOT_PATHS / samples):.4g}")
     decision = {
         "value": samples,
@@ -87,7 +87,7 @@ def plan_reference(
     return {
         "scene": scene_name,
         "integrator": "reference",
-        "tolerance_delta_e": scene["tolerance_delta_e"],
+        "tolerance_ciede2000": scene["tolerance_ciede2000"],
         "pixels_within": SHARE,
         "predicted_delta_e": predicted,
         "cost": {"paths_per_pixel": samples},
@@ -130,9 +130,9 @@ def check_reference(
     found = radiance[pixels[:, 1], pixels[:, 0]].astype(np.float64) @ matrix.T
     measured = measure(found, truth, matrix @ white)
     LOGGER.info("plan: predicted %.3g, measured %.3g ΔE2000", plan["predicted_delta_e"], measured.p99)
-    refuse_above(measured, plan["scene"], view_name, plan["tolerance_delta_e"], plan["predicted_delta_e"])
+    refuse_above(measured, plan["scene"], view_name, plan["tolerance_ciede2000"], plan["predicted_delta_e"])
     return {
-        "tolerance_delta_e": plan["tolerance_delta_e"],
+        "tolerance_ciede2000": plan["tolerance_ciede2000"],
         "predicted_delta_e": plan["predicted_delta_e"],
         "measured_delta_e": asdict(measured),
     }

@@ -23,7 +23,7 @@ def plan_scene(
     ----------
     scene_name : str
     scene : dict
-        Validated definition, with ``tolerance_delta_e``.
+        Validated definition, with ``tolerance_ciede2000``.
     shapes : list of dict
         One an object.
     material_files, environment_file : paths
@@ -48,7 +48,7 @@ def plan_scene(
     LOGGER.info(
         "predicted %.3g ΔE2000 of %.3g; numbers a pixel %.3g of %.3g",
         document["predicted_delta_e"],
-        document["tolerance_delta_e"],
+        document["tolerance_ciede2000"],
         *(document[key].get("numbers_per_pixel", 0.0) for key in ("cost", "cost_of_full_model")),
     )
 
@@ -74,7 +74,7 @@ def plan_of(
         parts,
         views,
         plan_names(scene),
-        scene["tolerance_delta_e"],
+        scene["tolerance_ciede2000"],
         scene["max_bounces"],
         scene["integrator"].get("ambient", True),
         overrides,

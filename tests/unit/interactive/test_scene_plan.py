@@ -44,7 +44,7 @@ def scene_of(tolerance=1.0, lights=(), overrides=None, **integrator) -> dict:
         "max_bounces": 4,
         "lights": list(lights),
         "display": {"exposure": "auto"},
-        "tolerance_delta_e": tolerance,
+        "tolerance_ciede2000": tolerance,
         "plan": overrides or {},
     }  # fmt: skip
 

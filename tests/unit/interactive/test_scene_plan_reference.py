@@ -26,7 +26,7 @@ def scene_of(tolerance: float, most=4096, **overrides) -> dict:
         "max_bounces": 4,
         "lights": [],
         "display": {"exposure": "auto"},
-        "tolerance_delta_e": tolerance,
+        "tolerance_ciede2000": tolerance,
         "plan": overrides,
     }  # fmt: skip
 
