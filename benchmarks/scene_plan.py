@@ -81,23 +81,26 @@ def measure_scene(name: str, parts: Parts, studio: Studio, arguments) -> list[di
     lamps, matrix = tuple(Lamp(towards) for towards in parts.lamp_towards), xyz_from_radiance(parts.white)
     task = (parts, [view], names, arguments.tolerance, _BOUNCES, True)
     planner = choose(*task)
-    seconds = {"plan": least_s(lambda: choose(*task), 2)}
-    ready = {"planned": prepare(parts, planner.model, matrix), "everything": prepare_all(parts)}
-    seconds["planned, prepare"] = least_s(lambda: prepare(parts, planner.model, matrix), 2)
-    seconds["everything, prepare"] = least_s(lambda: prepare_all(parts), 2)
-    for variant, prepared in ready.items():
+    seconds = {"plan": least_s(lambda: choose(*task), 1)}
+    work = {"planned": lambda: prepare(parts, planner.model, matrix), "everything": lambda: prepare_all(parts)}
+    for variant, make in work.items():
+        prepared = make()
+        seconds[f"{variant}, prepare"] = least_s(make, 1)
         bands = {"bands": variant == "everything"}
         render_frame(prepared, view._replace(width=1, height=1), lamps=lamps, **bands)
         seconds[f"{variant}, frame"] = least_s(
             lambda prepared=prepared, bands=bands: render_frame(prepared, view, lamps=lamps, **bands), arguments.runs
         )
-    picture, pixels = render_frame(ready["planned"], view, lamps=lamps), chosen_pixels(view)
+        if variant == "planned":
+            picture = render_frame(prepared, view, lamps=lamps, bands=planner.model.representation == "spectral")
+    pixels = chosen_pixels(view)
     truth = render_pixels(prepare(parts, planner.full, matrix), view, pixels, 1, lamps)
     found = picture[pixels[:, 1], pixels[:, 0]].astype(np.float64)
+    found = found @ matrix.T if found.shape[1] != 3 else found
     measured = measure(found, truth, matrix @ parts.white)
     decided = {key: decision.value for key, decision in planner.decisions.items()}
     print(f"{name}: predicted {max(planner.spent, planner.joint):.3f} (together {planner.joint:.3f}), measured "
-          f"{asdict(measured)}; {decided}")  # fmt: skip
+          f"{asdict(measured)}; {decided}; {seconds}", flush=True)  # fmt: skip
     rows = []
     for variant, value in seconds.items():
         reference = seconds.get(variant.replace("planned", "everything"), float("nan"))
