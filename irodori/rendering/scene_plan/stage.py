@@ -1,5 +1,6 @@
 """The planner's stage: a scene, its materials and its light in; ``plan.yaml`` out."""
 
+from irodori.errors import InputError
 from irodori.geometry.shapes import Shape
 from irodori.light import Environment
 from irodori.material import Material
@@ -9,6 +10,7 @@ from irodori.rendering.scene import make_objects, make_placements, make_tracer, 
 from irodori.rendering.scene_plan.choices import choose
 from irodori.rendering.scene_plan.picture import parts_of, plan_names
 from irodori.rendering.scene_plan.plan_file import document_of, write_plan
+from irodori.rendering.white import scene_white
 
 #: Integrators whose pictures a plan is made for.
 PLANNED = ("interactive", "reference")
@@ -34,7 +36,7 @@ def plan_scene(
     Raises
     ------
     InputError
-        If an override cannot be met.
+        If an override cannot be met, or there is no light to see colours by.
     """
     document = plan_of(
         scene_name,
@@ -60,6 +62,9 @@ def plan_of(
     kind = scene.get("integrator", {"kind": "sampled"})["kind"]
     if kind not in PLANNED:
         raise ValueError(f"no plans for the integrator {kind!r}; accepted: {', '.join(PLANNED)}")
+    if not scene_white(scene, environment)[0].any():
+        found = "no light on a surface that faces up at the scene's origin"
+        raise InputError(f"scene {scene_name}", "tolerance_ciede2000", found, "a white that colours are seen against")
     scene, shapes, materials = with_bodies(scene, shapes, materials)
     placements = make_placements(scene, shapes)
     objects, _ = make_objects(placements, materials)

@@ -13,6 +13,7 @@ from studio import BASIS, even_light
 from irodori.errors import InputError
 from irodori.light import Environment
 from irodori.material import Material
+from irodori.pictures import read_xyz, write_spectral_exr, write_xyz_exr
 from irodori.rendering.integrators import render_image
 from irodori.rendering.interactive import profiled, render_frame
 from irodori.rendering.interactive.pixels import render_pixels
@@ -263,6 +264,21 @@ def test_textures_are_as_fine_as_the_picture_shows_them():
         found.append(values(document)["texture_halvings"]["table"])
     # Eight times the texels for the same picture: they are halved away.
     assert found[1] >= found[0] + 2
+
+
+def test_a_scene_without_light_has_no_colours_to_tolerate():
+    with pytest.raises(InputError, match="no light"):
+        planned([material(0.5), material(0.5)], black())
+
+
+def test_a_picture_without_spectra_is_read_as_the_xyz_that_it_is(tmp_path):
+    rng = np.random.default_rng(3)
+    matrix, xyz = rng.random((3, 61)), rng.random((4, 5, 3)).astype(np.float32)
+    write_xyz_exr(tmp_path / "planned.exr", xyz, {"irodori:whiteXYZ": "1 1 1"})
+    assert np.array_equal(read_xyz(tmp_path / "planned.exr", matrix), xyz)
+    radiance = rng.random((4, 5, 61)).astype(np.float32)
+    write_spectral_exr(tmp_path / "full.exr", radiance, xyz, {})
+    assert np.allclose(read_xyz(tmp_path / "full.exr", matrix), radiance @ matrix.T, rtol=1e-6)
 
 
 def test_objects_that_stand_twice_and_bodies_have_names_of_their_own():
