@@ -227,7 +227,7 @@ def _decide_representation(planner: Planner) -> None:
     why = f"numbers a ray: {others}"
     if wanted != (None, None):
         planner.overrides = {**planner.overrides, "representation": candidate[0], "nodes": candidate[1]}
-    planner.decide("representation", alone, changes, why, representation=candidate[0])
+    planner.decide("representation", alone, changes, why, representation=candidate[0], nodes=candidate[1])
     quadrature = planner.solve(candidate[1]) if candidate[0] == "quadrature" else None
     why = "wavelengths of a quadrature" if quadrature else "no quadrature"
     planner.decide("nodes", 0.0, changes, why, lossy=False, nodes=candidate[1])
@@ -267,8 +267,10 @@ def _decide_environment(planner: Planner) -> None:
     rows = planner.ladder.size[:, 1]
     coarsest = max(int((rows >= min(_LEAST_ROWS, rows[0])).sum()) - 1, 0) if planner.model.environment else 0
 
+    sky = [misses.probe for misses in planner.probes.misses]
+
     def of_halvings(halvings: int):
-        alone = planner.bound(planner.errors(Changes(sky_level=halvings))) if halvings else 0.0
+        alone = planner.bound_where_seen(planner.errors(Changes(sky_level=halvings)), sky) if halvings else 0.0
         return alone, replace(planner.changes, sky_level=halvings), None
 
     candidates = list(range(coarsest, -1, -1))
@@ -285,29 +287,33 @@ def _decide_textures(planner: Planner) -> None:
         halvings = {i: min(wanted, most[i]) for i in range(count) if min(wanted, most[i])}
     else:
         halvings = _halvings_that_fit(planner, most)
-    alone = planner.bound(planner.errors(Changes(texture_level=halvings))) if halvings else 0.0
+    alone = max((_texture_error(planner, index, level) for index, level in halvings.items()), default=0.0)
     changes = replace(planner.changes, texture_level=halvings)
     why = "as the probes see them; those that none meets stay whole"
     values = tuple(halvings.get(i, 0) for i in range(count))
     planner.decide("texture_halvings", alone, changes, why, texture_halvings=values)
 
 
+def _texture_error(planner: Planner, index: int, level: int) -> float:
+    """Return what a halved texture costs where its object is seen."""
+    met = [hits.probe[hits.points.shape == index] for hits in planner.probes.hits]
+    return planner.bound_where_seen(planner.errors(Changes(texture_level={index: level})), met)
+
+
 def _halvings_that_fit(planner: Planner, most: list[int]) -> dict[int, int]:
-    """Return how often each texture is halved: each object's share of the error is the same."""
+    """Return how often each texture is halved, by what it costs where its object is seen."""
     seen = np.unique(np.concatenate([hits.points.shape for hits in planner.probes.hits]))
     sizes = planner.parts.objects.texture_size.prod(axis=1)
     tried = sorted(sorted(seen, key=lambda i: -sizes[i])[:_MOST_TRIED])
-    share = (planner.tolerance - planner.spent) / planner.left / max(len(tried), 1)
+    share = (planner.tolerance - planner.spent) / planner.left
     halvings = {}
     for index in tried:
         for level in range(1, most[index] + 1):
-            if planner.bound(planner.errors(Changes(texture_level={int(index): level}))) > share:
+            if _texture_error(planner, int(index), level) > share:
                 break
             halvings[int(index)] = level
-    while halvings:
-        alone = planner.bound(planner.errors(Changes(texture_level=halvings)))
-        if planner.fits(alone, replace(planner.changes, texture_level=halvings)):
-            break
+    # Each fits alone; where mirrors show several of them their errors add up.
+    while halvings and not planner.fits(0.0, replace(planner.changes, texture_level=halvings)):
         halvings = {i: level - 1 for i, level in halvings.items() if level > 1}
     return halvings
 

@@ -91,6 +91,11 @@ class Planner:
         views = self.probes.views
         return max(bound_of_share(errors[view::views]) for view in range(min(views, len(errors))))
 
+    def bound_where_seen(self, errors: np.ndarray, events: list) -> float:
+        """Return the bound of the share among the probes that meet something, so that what is small counts too."""
+        meeting = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *events]))
+        return bound_of_share(errors[meeting]) if meeting.size else 0.0
+
     def solve(self, nodes: int) -> Quadrature:
         """Return the quadrature of a number of wavelengths for the paths of the model."""
         if nodes not in self.solved:
