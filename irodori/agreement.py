@@ -17,6 +17,7 @@ from irodori.agreement_captures import (
 )
 from irodori.agreement_environments import check_source, is_photographed
 from irodori.agreement_motion import check_motion
+from irodori.agreement_plans import check_plan
 from irodori.agreement_spectra import check_chart, check_spectra
 from irodori.captures import Shot
 from irodori.errors import InputError
@@ -194,6 +195,7 @@ class _Checks:
         if scene.get("frames", {}).get("turned") in ("lights", "both") and not scene["lights"]:
             found = f"{scene['frames']['turned']}, of which the scene has none beside its environment"
             raise InputError(file, "frames.turned", found, "environment, or lights in the scene")
+        check_plan(scene, file)
         check_spectra(scene, (), self.root, file)
         for index, body in enumerate(scene["bodies"]):
             field = f"bodies[{index}].material.refractive_index"

@@ -204,6 +204,46 @@ def read_spectral_exr(path) -> np.ndarray:
     return pixels[..., [available[round(float(w), 3)] for w in WAVELENGTH_NM]]
 
 
+def write_xyz_exr(path, xyz: np.ndarray, attributes: dict[str, str]) -> None:
+    """Write tristimulus values as an EXR of the channels X, Y and Z.
+
+    Parameters
+    ----------
+    xyz : (height, width, 3) float32
+        CIE 1931 2 degree observer; Y = 100 is the scene's white.
+    attributes : dict of str
+        Text attributes.
+    """
+    spec = oiio.ImageSpec(xyz.shape[1], xyz.shape[0], 3, "float")
+    spec.channelnames = ["X", "Y", "Z"]
+    spec.attribute("compression", "zip")
+    for name, value in attributes.items():
+        spec.attribute(name, value)
+    _write(path, np.ascontiguousarray(xyz, dtype=np.float32), spec)
+
+
+def read_xyz(path, matrix: np.ndarray) -> np.ndarray:
+    """Read a rendered picture's tristimulus values, (height, width, 3) float.
+
+    Parameters
+    ----------
+    path : path
+        Spectral EXR, or one of the channels X, Y, Z, which are taken as they are.
+    matrix : (3, 61) float
+        XYZ from radiance.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or truncated, or holds neither.
+    """
+    header = picture_header(path)
+    if {"X", "Y", "Z"} <= set(header.channels):
+        channels = [header.channels.index(name) for name in "XYZ"]
+        return np.concatenate([band[..., channels] for _, band in picture_bands(path, header.size[0])])
+    return read_spectral_exr(path) @ matrix.T
+
+
 def write_png(path, pixels: np.ndarray) -> None:
     """Write an 8-bit sRGB picture, (height, width, 3) uint8, with its ICC profile."""
     from PIL import ImageCms

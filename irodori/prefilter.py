@@ -145,29 +145,34 @@ def _level(series: np.ndarray, source: np.ndarray, width_rad: float, pool: Threa
     return (fft.irfft(spectrum.view(np.complex64) * turn, n=2 * height, axis=1) * (2 * height)).astype(np.float32)
 
 
-def prefiltered(coefficients: np.ndarray) -> tuple[int, list[np.ndarray]]:
+def prefiltered(coefficients: np.ndarray, levels: tuple[int, int] | None = None) -> tuple[int, list[np.ndarray]]:
     """Return the blurred maps of an environment.
 
     Parameters
     ----------
     coefficients : (height, width, k) float
         Radiance, equirectangular.
+    levels : (int, int), optional
+        First and last-plus-one level of `WIDTHS_RAD` that is wanted; all that the picture fills where absent.
 
     Returns
     -------
     first : int
-        The finest level of `WIDTHS_RAD` that the picture fills.
+        The finest level returned: that which was wanted, or the finest that the picture fills.
     levels : list of (h, 2 h, k) float32
-        From that level to the coarsest; each is the mean radiance under a lobe of its width.
+        From that level on; each is the mean radiance under a lobe of its width.
     """
     height, width = coefficients.shape[:2]
     first = first_level(height, width)
+    last = len(WIDTHS_RAD)
+    if levels is not None:
+        first, last = max(first, levels[0]), max(first + 1, levels[1])
     finest = WIDTHS_RAD[first]
     series = _row_series(coefficients, min(int(np.ceil(6.0 / finest)) + 1, level_height(finest)))
     series, theta = _divided(series, int(np.ceil(_PARTS_PER_WIDTH * np.pi / height / finest)))
     levels = []
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        for width_rad in WIDTHS_RAD[first:]:
+        for width_rad in WIDTHS_RAD[first:last]:
             while np.pi / (len(series) // 2 or 1) <= width_rad / _ROWS_PER_WIDTH:
                 series, theta = _thinned(series, theta)
             levels.append(_level(series, theta, width_rad, pool))

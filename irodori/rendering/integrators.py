@@ -28,6 +28,8 @@ def render_image(
     options: dict,
     tile_rows: int = 60,
     tiles_folder=None,
+    plan: dict | None = None,
+    check: bool = True,
 ) -> tuple[np.ndarray, dict]:
     """Render a view of a scene.
 
@@ -44,10 +46,14 @@ def render_image(
         Rows rendered between two reports of progress.
     tiles_folder : path, optional
         Where the `reference` integrator keeps finished tiles until the picture is whole.
+    plan : dict, optional
+        What to model, see `irodori.rendering.scene_plan`; everything where absent.
+    check : bool
+        Whether a planned picture is checked against the full model.
 
     Returns
     -------
-    radiance : (height, width, 61) float32
+    radiance : (height, width, 61) float32; by a plan without all bands (height, width, 3) XYZ, Y = 100 its white
     figures : dict
         Integrator, seconds, pixels and rays or paths per second, share of filled texels by object; of the `reference`
         integrator the standard error of the pixels too.
@@ -56,9 +62,32 @@ def render_image(
     ------
     ValueError
         If the integrator is unknown, or cannot render what the scene asks for.
+    irodori.rendering.scene_plan.check.ToleranceError
+        If a planned picture errs by more than the scene tolerates.
     """
+    if plan is not None and scene["integrator"]["kind"] == "reference":
+        scene = scene | {"integrator": scene["integrator"] | {"samples": plan["decisions"]["samples"]["value"]}}
     renderer = make_renderer(scene, shapes, materials, environment, options, tile_rows)
-    return renderer.picture(view_name, tiles_folder=tiles_folder)
+    if plan is None:
+        return renderer.picture(view_name, tiles_folder=tiles_folder)
+    return _planned(renderer, view_name, plan, check, tiles_folder)
+
+
+def _planned(renderer: "Renderer", view_name: str, plan: dict, check: bool, folder) -> tuple[np.ndarray, dict]:
+    """Render a view by a plan, see `irodori.rendering.scene_plan`, which is loaded only where it is asked for."""
+    scene, placements = renderer.scene, make_placements(renderer.scene, renderer.shapes)
+    if renderer.kind == "interactive":
+        from irodori.rendering.scene_plan.picture import parts_of, render_planned
+
+        parts = parts_of(scene, renderer.objects, renderer.environment, make_tracer(placements))
+        return renderer.described(*render_planned(scene, view_name, parts, renderer.options, plan, check))
+    picture, figures = renderer.picture(view_name, tiles_folder=folder)
+    if renderer.kind == "reference" and check:
+        from irodori.rendering.scene_plan.reference import check_reference
+
+        own = renderer.objects, renderer.environment
+        figures["plan"] = check_reference(scene, view_name, placements, *own, picture, plan)
+    return picture, figures
 
 
 def make_renderer(
@@ -83,7 +112,7 @@ class Renderer:
     kind = ""
 
     def __init__(self, scene, shapes, materials, environment, options, tile_rows) -> None:
-        self.scene, self.shapes, materials = _with_bodies(scene, shapes, materials)
+        self.scene, self.shapes, materials = with_bodies(scene, shapes, materials)
         self.environment, self.options, self.tile_rows = environment, options, tile_rows
         self.check()
         # Textures do not depend on where objects stand.
@@ -131,12 +160,15 @@ class Renderer:
         -------
         As `render_image`.
         """
-        radiance, figures = self.render(view_name, moment, keep, tiles_folder)
-        figures["pixels_per_second"] = radiance.shape[0] * radiance.shape[1] / figures["seconds"]
-        return radiance, {"integrator": self.kind, **figures, "filled_fraction": self.filled}
+        return self.described(*self.render(view_name, moment, keep, tiles_folder))
+
+    def described(self, picture: np.ndarray, figures: dict) -> tuple[np.ndarray, dict]:
+        """Return a picture and its figures with those that every integrator has."""
+        figures["pixels_per_second"] = picture.shape[0] * picture.shape[1] / figures["seconds"]
+        return picture, {"integrator": self.kind, **figures, "filled_fraction": self.filled}
 
 
-def _with_bodies(scene: dict, shapes: list[Shape], materials: list[Material]) -> tuple[dict, list, list]:
+def with_bodies(scene: dict, shapes: list[Shape], materials: list[Material]) -> tuple[dict, list, list]:
     """Return a scene, shapes and materials whose last objects are the scene's bodies."""
     bodies = scene.get("bodies", [])
     made = []

@@ -11,7 +11,7 @@ from irodori.display import encode_srgb, rgb_from_xyz
 from irodori.geometry.shapes import Shape
 from irodori.light import Environment
 from irodori.material import Material
-from irodori.pictures import write_png, write_spectral_exr
+from irodori.pictures import write_png, write_spectral_exr, write_xyz_exr
 from irodori.progress import LOGGER
 from irodori.rendering.integrators import render_image
 
@@ -52,8 +52,19 @@ def render_view(
     figures_file,
     options: dict,
     tile_rows: int,
+    plan_file=None,
+    check: bool = True,
 ) -> None:
-    """Render a view from files into a spectral EXR, a PNG and a JSON of figures."""
+    """Render a view from files into an EXR, a PNG and a JSON of figures.
+
+    The EXR holds spectra, or XYZ where a plan does not carry them. Nothing is written of a picture whose check against
+    its plan's tolerance fails.
+    """
+    plan = None
+    if plan_file:
+        from irodori.rendering.scene_plan.plan_file import read_plan  # loads the interactive integrator
+
+        plan = read_plan(plan_file)
     materials = [Material.load(path) for path in material_files]
     environment = Environment.load(environment_file)
     radiance, figures = render_image(
@@ -65,14 +76,22 @@ def render_view(
         options,
         tile_rows,
         Path(exr).with_suffix(".tiles"),
+        plan,
+        check,
     )
     white, exposure = display_white(environment, scene.get("lights", []), scene["display"]["exposure"])
     matrix = xyz_from_radiance(white)
     white_xyz = matrix @ white
-    rgb = radiance @ (rgb_from_xyz(white_xyz) @ matrix).T.astype(np.float32)
+    spectral = radiance.shape[-1] != 3
+    to_xyz = matrix if spectral else np.eye(3)
+    rgb = radiance @ (rgb_from_xyz(white_xyz) @ to_xyz).T.astype(np.float32)
     pixels, outside = encode_srgb(rgb)
     attributes = {"irodori:chromaticAdaptation": "CAT16", "irodori:whiteXYZ": " ".join(f"{v:.6g}" for v in white_xyz)}
-    write_spectral_exr(exr, radiance, rgb, attributes)
+    if spectral:
+        write_spectral_exr(exr, radiance, rgb, attributes)
+    else:
+        # XYZ are of the scene: only the display's picture is adapted.
+        write_xyz_exr(exr, radiance, {"irodori:whiteXYZ": attributes["irodori:whiteXYZ"]})
     write_png(png, pixels)
     figures |= {"out_of_gamut_fraction": outside, "exposure": exposure}
     temporary = Path(figures_file).with_suffix(".part")

@@ -19,7 +19,7 @@ from irodori.colour import (
 from irodori.irradiance import irradiance_at
 from irodori.light import Environment, directions
 from irodori.material import Material, Status
-from irodori.pictures import read_spectral_exr
+from irodori.pictures import read_xyz
 from irodori.progress import LOGGER
 from irodori.whole_files import written_whole
 
@@ -74,12 +74,10 @@ def material_errors(name: str, material: Material, truth: Material, lights: list
     return rows
 
 
-def _scaled_lab(radiance: np.ndarray, white: np.ndarray, ceiling: np.ndarray | None = None):
-    """Return CIELAB with what is brighter than white scaled down to it, and the scale used."""
-    matrix = xyz_from_radiance(white)
-    xyz = radiance @ matrix.T
-    scale = np.maximum(xyz[..., 1:2] / 100.0, 1.0) if ceiling is None else ceiling
-    return lab_from_xyz(xyz / scale, matrix @ white), scale
+def xyz_delta_e(truth: np.ndarray, estimate: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
+    """Return CIEDE2000 between two images of XYZ, (..., 3) to (...); parameters as of `radiance_delta_e`."""
+    scale = np.maximum(truth[..., 1:2] / 100.0, 1.0)
+    return delta_e(lab_from_xyz(truth / scale, white_xyz), lab_from_xyz(estimate / scale, white_xyz))
 
 
 def radiance_delta_e(truth: np.ndarray, estimate: np.ndarray, white: np.ndarray) -> np.ndarray:
@@ -91,8 +89,8 @@ def radiance_delta_e(truth: np.ndarray, estimate: np.ndarray, white: np.ndarray)
     white : (61,) float
         Radiance of white. A pixel whose truth is brighter is compared after both are scaled by the same factor.
     """
-    lab_truth, scale = _scaled_lab(truth, white)
-    return delta_e(lab_truth, _scaled_lab(estimate, white, scale)[0])
+    matrix = xyz_from_radiance(white)
+    return xyz_delta_e(truth @ matrix.T, estimate @ matrix.T, matrix @ white)
 
 
 def environment_errors(name: str, environment: Environment, truth: Environment) -> list[ErrorRow]:
@@ -157,8 +155,9 @@ def measure_errors(inputs: dict, names: dict, lights: list[str], output) -> None
     for name, light, path, truth in zip(
         names["views"], names["view_environments"], inputs["views"], inputs["true_views"], strict=True
     ):
-        pair = read_spectral_exr(truth), read_spectral_exr(path)
-        difference = radiance_delta_e(*pair, whites[light])
+        matrix = xyz_from_radiance(whites[light])
+        pair = read_xyz(truth, matrix), read_xyz(path, matrix)
+        difference = xyz_delta_e(*pair, matrix @ whites[light])
         # Light, samples and random numbers are shared: a pixel that shows no object is the same to the bit.
         objects = (pair[0] != pair[1]).any(axis=-1)
         rows.append(_row(name, "picture CIEDE2000 to true materials", difference, light))

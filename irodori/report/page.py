@@ -59,6 +59,7 @@ def _views_section(views: list[str], pictures: list, figures: list, truths: dict
             ["seconds", f"{measured['seconds']:.2f}"],
             ["pixels per second", f"{measured['pixels_per_second']:.0f}"],
             *_integrator_rows(measured),
+            *_plan_rows(measured.get("plan")),
             ["pixels outside the display's gamut", f"{measured['out_of_gamut_fraction']:.2%}"],
         ]
         rows += [
@@ -67,6 +68,23 @@ def _views_section(views: list[str], pictures: list, figures: list, truths: dict
         ]
         parts.append(table(["rendering", ""], rows))
     return "".join(parts)
+
+
+def _plan_rows(plan: dict | None) -> list[list[str]]:
+    """Return what a plan predicted and what the check of its picture found."""
+    if plan is None:
+        return []
+    rows = [
+        [
+            "tolerance of the plan, and its prediction",
+            f"{plan['tolerance_ciede2000']:g}, {plan['predicted_delta_e']:.3g}",
+        ]
+    ]
+    if "measured_delta_e" in plan:
+        found = plan["measured_delta_e"]
+        values = ", ".join(f"{found[key]:.3g}" for key in ("mean", "p95", "p99", "max"))
+        rows.append([f"ΔE2000 to the full model at {found['count']} pixels: mean, p95, p99, max", values])
+    return rows
 
 
 def _integrator_rows(measured: dict) -> list[list[str]]:

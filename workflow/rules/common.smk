@@ -390,6 +390,12 @@ def memory_of_frames(wildcards):
     return 8 * scene["image"]["width"] * scene["image"]["height"] * count // 1_000_000
 
 
+def scene_plan(wildcards):
+    """Return the plan of a scene that tolerates an error, as a list; others are rendered in full."""
+    tolerant = "tolerance_ciede2000" in config["scenes"][wildcards.scene]
+    return [f"results/{wildcards.scene}/plan.yaml"] if tolerant else []
+
+
 def scene_shapes(wildcards):
     """Return the shapes of a scene's objects."""
     return [config["objects"][name]["shape"] for name in scene_objects(wildcards)]

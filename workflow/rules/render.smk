@@ -1,9 +1,36 @@
+rule plan_scene:
+    input:
+        materials=scene_materials("results/{object}/material.h5"),
+        environment=scene_environment,
+        meshes=scene_meshes,
+        tables=scene_tables,
+    output:
+        plan="results/{scene}/plan.yaml",
+    log:
+        "results/logs/plan_scene/{scene}.log",
+    benchmark:
+        "results/benchmarks/plan_scene/{scene}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 2
+    resources:
+        mem_mb=lambda wildcards, attempt: 3000 * attempt,
+    params:
+        scene=lookup(within=config, dpath="scenes/{scene}"),
+        shapes=scene_shapes,
+        render=lookup(within=config, dpath="render"),
+        code=code_hash("irodori.rendering.scene_plan.stage"),
+    script:
+        "../scripts/plan_scene.py"
+
+
 rule render_view:
     input:
         materials=scene_materials("results/{object}/material.h5"),
         environment=scene_environment,
         meshes=scene_meshes,
         tables=scene_tables,
+        plan=scene_plan,
     output:
         exr="results/{scene}/{view}.exr",
         png=report(
@@ -26,6 +53,7 @@ rule render_view:
         scene=lookup(within=config, dpath="scenes/{scene}"),
         shapes=scene_shapes,
         render=lookup(within=config, dpath="render"),
+        check=True,
         code=code_hash("irodori.rendering.stage"),
     script:
         "../scripts/render_view.py"
@@ -38,6 +66,7 @@ use rule render_view as render_truth with:
         environment=scene_environment,
         meshes=scene_meshes,
         tables=scene_tables,
+        plan=scene_plan,
     output:
         exr="results/{scene}/truth/{view}.exr",
         png="results/{scene}/truth/{view}.png",
@@ -49,6 +78,13 @@ use rule render_view as render_truth with:
     priority: 20
     # One core is free long before both are: it renders, and compiles the renderer, beside the stages of the chain.
     threads: 1
+    # The plan is that of the measured materials, whose picture is checked: the same light is seen in both.
+    params:
+        scene=lookup(within=config, dpath="scenes/{scene}"),
+        shapes=scene_shapes,
+        render=lookup(within=config, dpath="render"),
+        check=False,
+        code=code_hash("irodori.rendering.stage"),
 
 
 # One job a sequence: the frames that an interrupted one had finished stay in frames.part, which is no output.

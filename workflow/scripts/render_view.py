@@ -13,4 +13,6 @@ with run_rule(snakemake):
         snakemake.output.figures,
         {**snakemake.params.render, "max_bounces": snakemake.params.scene["max_bounces"]},
         snakemake.params.render["tile_rows"],
+        next(iter(snakemake.input.plan), None),
+        snakemake.params.check,
     )

@@ -163,7 +163,7 @@ def rgb_channels(objects: Objects, light: Light, lamps: np.ndarray, matrix: np.n
     )
 
 
-def _reflected_basis(objects: Objects, basis: np.ndarray) -> np.ndarray:
+def reflected_basis(objects: Objects, basis: np.ndarray) -> np.ndarray:
     """Return the vectors beside the light's basis that what objects reflect of it needs most, (61, up to 3)."""
     spectra = np.concatenate([mean[:, None] * basis for mean in mean_spectra(objects)], axis=1)
     rest = spectra - basis @ (np.linalg.pinv(basis) @ spectra)
@@ -191,7 +191,7 @@ def coefficient_channels(
         )
     basis = light.basis.T
     k = basis.shape[1]
-    wide = np.concatenate([basis, _reflected_basis(objects, basis)], axis=1) if ambient else basis
+    wide = np.concatenate([basis, reflected_basis(objects, basis)], axis=1) if ambient else basis
     lit = wide.shape[1]
     # Lamps are further vectors of the light.
     spectra = np.concatenate([wide, lamps.T], axis=1)

@@ -159,7 +159,7 @@ def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, chan
     Parameters
     ----------
     picture : (height, width, k) float32 or float16
-        Radiance, equirectangular.
+        Radiance, equirectangular; without rows for a map without levels, which nothing may be looked up in.
     stored_from_light : (s, k) float
         What is stored of it.
     channels : int
@@ -168,6 +168,9 @@ def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, chan
         Whether to store half-precision floats, each channel divided by a power of two so that none overflows.
     """
     height, width, k = picture.shape
+    if height == 0:
+        none = np.zeros(0, dtype=np.int64)
+        return Pyramid(np.zeros(0, np.uint16 if half else np.float32), none, none, np.ones(len(stored_from_light)))
     bound = [max(abs(float(picture[..., i].max())), abs(float(picture[..., i].min()))) for i in range(k)]
     largest = np.abs(stored_from_light) @ np.array(bound)
     scale = np.exp2(np.ceil(np.log2(np.where(largest > 0, largest, 1.0))) - 15.0) if half else np.ones(len(largest))

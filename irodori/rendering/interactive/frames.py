@@ -108,6 +108,7 @@ def prepare_scene(
     least_throughput: float = 1e-3,
     half: bool = True,
     ambient: bool = False,
+    quadrature: Quadrature | None = None,
 ) -> Prepared:
     """Prepare a scene for `render_frame`.
 
@@ -136,6 +137,8 @@ def prepare_scene(
     ambient : bool
         Whether all shapes but meshes hide light from all sides from each other, see
         `irodori.rendering.interactive.ambient`.
+    quadrature : Quadrature, optional
+        For the representation of that name; solved for the scene where absent.
 
     Raises
     ------
@@ -146,8 +149,7 @@ def prepare_scene(
         raise ValueError(f"unknown representation {representation!r}; accepted: {', '.join(REPRESENTATIONS)}")
     lamps = np.asarray(lamps, dtype=np.float64).reshape(-1, SAMPLES)
     matrix = xyz_from_radiance(np.asarray(white, dtype=np.float64))
-    quadrature = None
-    if representation == "quadrature":
+    if representation == "quadrature" and quadrature is None:
         spectra = path_spectra(objects, light, lamps, max_bounces)
         quadrature = solve_quadrature(spectra, matrix, white)
     channels = _channels(representation, objects, light, lamps, matrix, white, quadrature, ambient)
@@ -190,7 +192,8 @@ def refuse_lens(view: View) -> None:
         )
 
 
-def _frame(prepared: Prepared, view: View, world_from_light, lamps) -> Frame:
+def frame_of(prepared: Prepared, view: View, world_from_light, lamps) -> Frame:
+    """Return what the kernel reads of a frame; parameters and errors are those of `render_frame`."""
     rotation = np.eye(3) if world_from_light is None else np.asarray(world_from_light, dtype=np.float64)
     if len(lamps) != prepared.lamps:
         raise ValueError(f"{len(lamps)} lamps; accepted: the {prepared.lamps} that the scene was prepared for")
@@ -270,7 +273,7 @@ def render_frame(
     refuse_lens(view)
     if bands and prepared.representation != "spectral":
         raise ValueError(f"bands of the representation {prepared.representation!r}; accepted: spectral")
-    frame = _frame(prepared, view, world_from_light, lamps)
+    frame = frame_of(prepared, view, world_from_light, lamps)
     image = np.empty((view.height, view.width, SAMPLES if bands else 3), np.float32) if out is None else out
     columns, rows = -(-view.width // TILE), -(-view.height // TILE)
     limits = _visibility(prepared, view, keep_visibility, columns * rows)

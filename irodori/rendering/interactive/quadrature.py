@@ -95,9 +95,14 @@ def _select(count: int, moments: np.ndarray, products: np.ndarray) -> list[int]:
 
 
 def solve_quadrature(
-    spectra: np.ndarray, matrix: np.ndarray, white: np.ndarray, target_mean: float = 0.1, target_p99: float = 0.5
+    spectra: np.ndarray,
+    matrix: np.ndarray,
+    white: np.ndarray,
+    target_mean: float = 0.1,
+    target_p99: float = 0.5,
+    counts: tuple[int, ...] = COUNTS,
 ) -> Quadrature:
-    """Return the smallest quadrature of `COUNTS` within targets, the largest where none is.
+    """Return the smallest quadrature of some counts within targets, the largest where none is.
 
     Parameters
     ----------
@@ -108,6 +113,8 @@ def solve_quadrature(
     white : (61,) float
     target_mean, target_p99 : float
         CIEDE2000.
+    counts : tuple of int
+        Growing numbers of wavelengths to try.
     """
     white_xyz = matrix @ white
     luminance = spectra @ matrix[1]
@@ -118,7 +125,7 @@ def solve_quadrature(
     wanted = solved @ matrix.T
     moments, products = solved.T @ solved, solved.T @ wanted
     truth = lab_from_xyz(held @ matrix.T, white_xyz)
-    for count in COUNTS:
+    for count in counts:
         samples = _select(count, moments, products)
         weights, _ = _solve(samples, moments, products)
         difference = delta_e(truth, lab_from_xyz(held[:, samples] @ weights.T, white_xyz))

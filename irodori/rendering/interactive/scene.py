@@ -41,6 +41,7 @@ class World(NamedTuple):
     ambient_inputs: int  # channels of that light; 0 where nothing hides light from all sides
     surfaces: Surfaces
     meshes: int  # how many of the objects are meshes
+    scatters: int  # 1 where any surface has a diffuse or a rough term
     bounded: int  # how many objects' bounds are asked before Embree: all, or none where they are many
     texels: Memory
     texture_first: Memory  # (objects,) int64
@@ -49,7 +50,7 @@ class World(NamedTuple):
     environment: Memory  # uint16 for half precision
     environment_first: Memory  # (levels,) int64
     environment_side: Memory  # (levels,) int32
-    environment_levels: int
+    environment_levels: int  # 0 where no light is looked up in it; so the irradiance's side and the gloss' levels
     texels_per_rad: float
     irradiance: Memory
     irradiance_side: int
@@ -141,8 +142,10 @@ def make_textures(objects: Objects, channels: Channels) -> tuple[np.ndarray, np.
 
 
 def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
-    """Return the irradiance map for the texels' channels, flat, and its side."""
+    """Return the irradiance map for the texels' channels, flat, and its side, 0 where the light has none."""
     width, height = light.irradiance_size
+    if height == 0:
+        return np.zeros(0, dtype=np.float32), 0
     picture = light.irradiance.reshape(height, width, -1)
     side = int(height)
     stored = from_equirectangular(picture, side)
@@ -204,7 +207,7 @@ def make_world(
         Whether objects hide light from all sides.
     """
     columns, rows = light.size[0]
-    picture = light.pixels[: columns * rows].reshape(rows, columns, -1)
+    picture = light.pixels[: columns * rows].reshape(rows, columns, light.pixels.shape[1])
     pyramid = environment_pyramid(picture, channels.stored_from_light, channels.light, half)
     channels = _stored_scaled(channels, pyramid.scale)
     texels, first, stride = make_textures(objects, channels)
@@ -220,9 +223,10 @@ def make_world(
         "shape": make_shapes(tracer, objects),
         "objects": len(tracer.placements),
         "ambient": padded(reflected, channels.surface),
-        "ambient_inputs": reflected.shape[1] if ambient else 0,
+        "ambient_inputs": reflected.shape[1] if ambient and irradiance_side > 0 else 0,
         "surfaces": Surfaces(*(Memory(array) for array in make_surfaces(tracer.placements))),
         "meshes": sum(p.shape.kind == MESH for p in tracer.placements),
+        "scatters": int(texels.reshape(-1, channels.surface)[:, :-1].any()),
         "bounded": len(tracer.placements) if len(tracer.placements) <= _MOST_BOUNDED else 0,
         "texels": texels,
         "texture_first": first,
@@ -232,7 +236,7 @@ def make_world(
         "environment_first": pyramid.first.astype(np.int64),
         "environment_side": pyramid.side.astype(np.int32),
         "environment_levels": len(pyramid.side),
-        "texels_per_rad": float(pyramid.side[0] * np.sqrt(FACES / (4.0 * np.pi))),
+        "texels_per_rad": float(pyramid.side.max(initial=0) * np.sqrt(FACES / (4.0 * np.pi))),
         "irradiance": irradiance,
         "irradiance_side": irradiance_side,
         "gloss": blurred,

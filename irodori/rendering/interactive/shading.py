@@ -145,7 +145,9 @@ def shade_surfaces(world, frame, layout, paths, hits, sums, base, seen, least_po
         store(sums.texel, 0, texel)
         x, y = hits.f[NORMAL_X * RAYS + ray], hits.f[NORMAL_Y * RAYS + ray]
         cell, stride = np.int64(hits.i[NORMAL_CELL * RAYS + ray]), world.irradiance_side + 2
-        light = bilinear(world.irradiance, 0, cell, stride, x, y, texel)
+        light = zeros_like(texel)
+        if world.irradiance_side > 0:
+            light = bilinear(world.irradiance, 0, cell, stride, x, y, texel)
         if world.ambient_inputs > 0:
             light = ambient_light(world, frame, layout, hits, ray, light)
         power, place = sums.texel[width - 2], sums.texel[width - 1]

@@ -195,9 +195,11 @@ def _shade_packet(world, frame, layout, limits, scratch, base, count, after, las
     if frame.lamps > 0:
         light_hits(world, frame, packet, hits, seen)
         since = _count(layout, figures, _TRACE, since)
-    glossy = shade_surfaces(world, frame, layout, paths, hits, sums, base, bits, limits.least_lobe)
+    glossy = 0
+    if world.scatters > 0:
+        glossy = shade_surfaces(world, frame, layout, paths, hits, sums, base, bits, limits.least_lobe)
     since = _count(layout, figures, _SURFACE, since)
-    if glossy:
+    if glossy and world.gloss_levels > 0:
         find_lobes(world, layout, hits.f, hits.i, hits.entries, hits.look, hits.look_i)
         shade_gloss(world, layout, paths, hits, sums, base, glossy, limits.least_lobe)
         since = _count(layout, figures, _GLOSS, since)
@@ -219,7 +221,7 @@ def _follow(world, frame, layout, limits, scratch, count, kept, figures):
             met, missed = _meet(world, limits, scratch, base, bounce, count, kept, packets * KEPT)
             packets += 1
             since = _count(layout, figures, _TRACE, since)
-            if missed:
+            if missed and world.environment_levels > 0:
                 shade_sky(world, frame, layout, scratch.paths, scratch.hits, scratch.sums, base, missed)
                 since = _count(layout, figures, _SKY, since)
             if met:

@@ -1,0 +1,1 @@
+"""What a scene needs modelled within a tolerance, decided, predicted and checked [design, §2]."""

@@ -1,0 +1,294 @@
+"""A plan of a scene: what it leaves out, what it predicts, how it is checked."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scenes import BALL, GOLD_K, GOLD_N, ONES, THIRDS, material, plate, sky
+from studio import BASIS, even_light
+
+from irodori.errors import InputError
+from irodori.light import Environment
+from irodori.material import Material
+from irodori.pictures import read_xyz, write_spectral_exr, write_xyz_exr
+from irodori.rendering.integrators import render_image
+from irodori.rendering.interactive import profiled, render_frame
+from irodori.rendering.interactive.pixels import render_pixels
+from irodori.rendering.scene import make_objects, make_placements, make_tracer, make_view
+from irodori.rendering.scene_plan.check import ToleranceError, chosen_pixels
+from irodori.rendering.scene_plan.model import full_model, prepare
+from irodori.rendering.scene_plan.picture import parts_of, plan_names
+from irodori.rendering.scene_plan.plan_file import model_of, object_names, read_plan, write_plan
+from irodori.rendering.scene_plan.stage import plan_of
+from irodori.rendering.scene_plan.tolerance import bound_of_share
+from irodori.rendering.stage import render_view
+from irodori.store import Provenance
+
+OPTIONS = {"pixel_side": 1, "max_bounces": 4, "min_throughput": 1e-3}
+GREENISH = 0.1 + 0.6 * np.exp(-(((np.arange(61) - 28) / 9.0) ** 2))
+LAMP = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": -60.0, "elevation_deg": 50.0, "irradiance": 1.0}
+TABLE, JAR = plate(90.0), BALL
+PLACES = [(0.0, 0.0, 0.0), (0.0, 0.0, 20.1)]
+
+
+def scene_of(tolerance=1.0, lights=(), overrides=None, **integrator) -> dict:
+    places = [{"position_mm": list(p), "rotation_deg": [0.0, 0.0, 0.0], "scale": 1.0} for p in PLACES]
+    return {
+        "image": {"width": 40, "height": 30},
+        "objects": [{"object": name, **place} for name, place in zip(("table", "jar"), places, strict=True)],
+        "views": {"v": {"position_mm": [0.0, -200.0, 90.0], "target_mm": [0.0, 0.0, 12.0], "up": [0.0, 0.0, 1.0],
+                        "field_of_view_deg": 22.0}},
+        "integrator": {"kind": "interactive", "ambient": True} | integrator,
+        "max_bounces": 4,
+        "lights": list(lights),
+        "display": {"exposure": "auto"},
+        "tolerance_ciede2000": tolerance,
+        "plan": overrides or {},
+    }  # fmt: skip
+
+
+def room() -> Environment:
+    """Light of three spectra that vary over the sphere, soft enough for a small picture."""
+
+    def coefficients(unit):
+        x, y, z = np.moveaxis(unit, -1, 0)
+        return np.stack([1.2 + z + 0.3 * x, 0.5 + 0.4 * y * z, 0.4 - 0.3 * x * z], axis=-1)
+
+    return sky(coefficients, 64, 32, BASIS)
+
+
+def black() -> Environment:
+    light = even_light()
+    return Environment(0 * light.coefficients, light.basis, 0 * light.irradiance)
+
+
+def planned(materials, light, **scene):
+    """The plan's document, and the scene as the renderer has it for that plan."""
+    definition = scene_of(**scene)
+    document = plan_of("table-top", definition, [TABLE, JAR], materials, light, OPTIONS)
+    placements = make_placements(definition, [TABLE, JAR])
+    objects, _ = make_objects(placements, materials)
+    parts = parts_of(definition, objects, light, make_tracer(placements))
+    model = model_of(document, full_model(parts, 4, True), plan_names(definition))
+    return document, parts, model, definition
+
+
+def values(document) -> dict:
+    return {name: decision["value"] for name, decision in document["decisions"].items()}
+
+
+def picture(materials, light, document, definition):
+    return render_image(definition, "v", [TABLE, JAR], materials, light, OPTIONS, plan=document)
+
+
+def test_a_matte_scene_pays_for_no_mirror_and_no_gloss():
+    matte = [material(0.7), material(GREENISH)]
+    shiny = [material(0.7, beta=1.0, mu=0.1, mirror=0.5), material(GREENISH, beta=2.0, mirror=1.0)]
+    document, parts, model, definition = planned(matte, room())
+    found = values(document)
+    assert found["gloss"] == found["mirror"] == [] and found["max_bounces"] == 0 and found["gloss_levels"] == [0, 0]
+    view = make_view(definition["views"]["v"], definition["image"])
+    figures = {}
+    render_frame(profiled(prepare(parts, model, np.ones((3, 61)))), view, figures=figures)
+    assert figures["gloss"] == figures["mirror"] == 0 < figures["sky"]
+    assert figures["rays"] == view.width * view.height
+    _, figures = picture(matte, room(), document, definition)
+    assert figures["plan"]["measured_delta_e"]["max"] <= document["predicted_delta_e"] + 0.02
+    dearer, *_ = planned(shiny, room(), tolerance=0.01)
+    assert document["cost"]["numbers_per_pixel"] < 0.5 * document["cost_of_full_model"]["numbers_per_pixel"]
+    assert document["cost"]["rays_per_pixel"] < dearer["cost"]["rays_per_pixel"]
+
+
+def test_a_scene_of_mirrors_alone_pays_for_no_irradiance_map():
+    gold = {"n": np.array(GOLD_N)[THIRDS], "k": np.array(GOLD_K)[THIRDS]}
+    mirrors = [material(0.0, mirror=1.0, **gold), material(0.0, mirror=0.9)]
+    document, parts, model, definition = planned(mirrors, room())
+    assert values(document)["irradiance"] is False and values(document)["mirror"] == ["table", "jar"]
+    world = prepare(parts, model, np.ones((3, 61))).world
+    assert world.irradiance_side == world.scatters == world.gloss_levels == world.ambient_inputs == 0
+    _, figures = picture(mirrors, room(), document, definition)
+    assert figures["plan"]["measured_delta_e"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
+
+
+def test_a_scene_under_one_lamp_looks_no_environment_up_and_keeps_its_highlights():
+    shiny = [material(0.5), material(GREENISH, beta=3.0, mu=0.15, mirror=0.4)]
+    document, parts, model, definition = planned(shiny, black(), lights=[LAMP])
+    found = values(document)
+    assert found["environment"] is False and found["irradiance"] is False and found["gloss_levels"] == [0, 0]
+    assert "jar" in found["gloss"]
+    world = prepare(parts, model, np.ones((3, 61))).world
+    assert world.environment_levels == world.gloss_levels == world.irradiance_side == 0 < world.scatters
+    image, figures = picture(shiny, black(), document, definition)
+    assert figures["plan"]["measured_delta_e"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
+    dull = [shiny[0], material(GREENISH, mirror=0.4)]
+    plain, *_ = planned(dull, black(), lights=[LAMP])
+    assert (image[..., 1] - picture(dull, black(), plain, definition)[0][..., 1]).max() > 5.0
+
+
+@settings(max_examples=6, deadline=None, derandomize=True)
+@given(st.data())
+def test_no_scene_errs_by_more_than_its_plan_predicts(data):
+    number = st.floats(0.0, 1.0)
+    materials = [
+        material(
+            data.draw(number) * GREENISH + 0.2 * data.draw(number),
+            beta=data.draw(st.sampled_from([0.0, 0.02, 1.0, 4.0])),
+            mu=data.draw(st.floats(0.03, 0.6)),
+            mirror=data.draw(st.sampled_from([0.0, 0.01, 0.3, 1.0])),
+            n=data.draw(st.sampled_from([1.3, 1.5, 2.2])),
+        )
+        for _ in range(2)
+    ]
+    lights = [LAMP] if data.draw(st.booleans()) else []
+    tolerance = data.draw(st.sampled_from([0.2, 1.0, 3.0]))
+    document, _, _, definition = planned(materials, room(), tolerance=tolerance, lights=lights)
+    assert document["predicted_delta_e"] <= tolerance
+    _, figures = picture(materials, room(), document, definition)
+    # What single precision leaves is no part of the prediction.
+    assert figures["plan"]["measured_delta_e"]["p99"] <= document["predicted_delta_e"] + 0.01
+
+
+MIRRORS = [material(0.3, mirror=1.0, n=0.3, k=3.0), material(GREENISH, mirror=1.0, n=0.3, k=3.0)]
+
+
+def test_an_override_that_costs_too_much_is_predicted_and_refused():
+    document, _, _, definition = planned(MIRRORS, room(), overrides={"max_bounces": 0})
+    assert document["decisions"]["max_bounces"]["by"] == "scene" and document["predicted_delta_e"] > 1.0
+    with pytest.raises(ToleranceError, match=r"scene 'table-top', view 'v'.* ΔE2000 .*tolerated: 1;") as caught:
+        picture(MIRRORS, room(), document, definition)
+    assert str(caught.value).count("\n") == 0
+
+
+def test_nothing_is_left_of_a_picture_that_is_refused(tmp_path):
+    origin = Provenance("test", "0", "0", "0")
+    files = [tmp_path / f"{name}.h5" for name in ("table", "jar", "room")]
+    for path, what in zip(files, [*MIRRORS, room()], strict=True):
+        what.save(path, origin)
+    shapes = [{"kind": "plate", "width_mm": 90.0, "height_mm": 90.0}, {"kind": "sphere", "radius_mm": 20.0}]
+    outputs = [tmp_path / name for name in ("v.exr", "v.png", "v.json")]
+    for overrides, made in (({"mirror": []}, False), ({}, True)):
+        document, _, _, definition = planned(MIRRORS, room(), overrides=overrides)
+        write_plan(tmp_path / "plan.yaml", document)
+        before = set(tmp_path.iterdir())
+        job = (definition, "v", shapes, files[:2], files[2], *outputs, OPTIONS, 60, tmp_path / "plan.yaml")
+        if made:
+            render_view(*job)
+            assert all(path.exists() for path in outputs)
+            continue
+        with pytest.raises(ToleranceError):
+            render_view(*job)
+        assert set(tmp_path.iterdir()) == before
+
+
+def test_a_plan_is_the_same_to_the_byte_and_says_all_that_the_renderer_needs(tmp_path):
+    shiny = [material(0.5, beta=0.5, mu=0.2), material(GREENISH, beta=3.0, mu=0.15, mirror=0.4)]
+    texts = []
+    for name in ("a.yaml", "b.yaml"):
+        document, parts, model, _ = planned(shiny, room(), tolerance=0.5)
+        write_plan(tmp_path / name, document)
+        texts.append((tmp_path / name).read_bytes())
+    assert texts[0] == texts[1]
+    assert read_plan(tmp_path / "a.yaml") == document == yaml.safe_load(texts[0])
+    assert dataclasses.replace(model, quadrature=None) != full_model(parts, 4, True)
+    needed = {"value", "full", "predicted_delta_e", "numbers_per_ray", "by", "why"}
+    assert all(set(decision) == needed for decision in document["decisions"].values())
+    own = [decision["predicted_delta_e"] for decision in document["decisions"].values()]
+    assert document["predicted_delta_e"] >= max(own) and document["predicted_delta_e"] <= 0.5
+
+
+def test_a_smaller_tolerance_costs_more():
+    shiny = [material(0.5, beta=0.5, mu=0.2), material(GREENISH, beta=3.0, mu=0.15, mirror=0.4)]
+    costs = [planned(shiny, room(), tolerance=t)[0]["cost"]["numbers_per_pixel"] for t in (20.0, 0.5, 1e-4)]
+    assert costs == sorted(costs) and costs[0] < costs[-1]
+
+
+def test_single_pixels_are_those_of_the_picture():
+    shiny = [material(0.5, mirror=0.3), material(GREENISH, beta=3.0, mu=0.15, mirror=0.4)]
+    _, parts, _, definition = planned(shiny, room())
+    prepared = prepare(parts, full_model(parts, 4, True), np.ones((3, 61)))
+    view = make_view(definition["views"]["v"], definition["image"])
+    pixels = chosen_pixels(view, 300)
+    assert len(np.unique(pixels, axis=0)) == 300
+    fine = view._replace(focal_px=2 * view.focal_px, width=80, height=60)
+    whole = render_frame(prepared, fine).reshape(30, 2, 40, 2, 3).mean(axis=(1, 3))
+    single = render_pixels(prepared, view, pixels, 2)
+    difference = np.abs(single - whole[pixels[:, 1], pixels[:, 0]]) / whole.max()
+    # A ray that grazes an edge may fall on the other side of it.
+    assert np.sort(difference.max(axis=1))[-4] < 1e-4
+
+
+def test_the_gloss_of_an_object_that_nobody_would_miss_is_left_out():
+    faint = [material(0.5, beta=1e-4, mu=0.3), material(GREENISH, beta=3.0, mu=0.3)]
+    document, *_ = planned(faint, room())
+    assert values(document)["gloss"] == ["jar"] and document["decisions"]["gloss"]["predicted_delta_e"] > 0
+
+
+@pytest.mark.parametrize(
+    ("overrides", "field"),
+    [
+        ({"gloss": ["pot"]}, "plan.gloss"),
+        ({"mirror": ["table"]}, "plan.mirror"),
+        ({"light_bases": 9}, "plan.light_bases"),
+        ({"environment_halvings": 19}, "plan.environment_halvings"),
+    ],
+)
+def test_an_override_that_the_scene_cannot_meet_is_refused_with_what_it_can(overrides, field):
+    shiny = [material(0.5), material(GREENISH, beta=3.0, mirror=0.4)]
+    with pytest.raises(InputError) as caught:
+        planned(shiny, room(), overrides=overrides)
+    assert caught.value.field == field and caught.value.accepted
+
+
+def test_coefficients_are_not_offered_where_a_mirror_has_a_colour():
+    gold = [material(0.4), material(0.0, mirror=1.0, n=np.array(GOLD_N)[THIRDS], k=np.array(GOLD_K)[THIRDS])]
+    with pytest.raises(InputError, match="quadrature, spectral"):
+        planned(gold, room(), overrides={"representation": "coefficients"})
+
+
+def test_textures_are_as_fine_as_the_picture_shows_them():
+    def waves(texels):
+        place = 2.0 * np.pi * 3.0 * (np.arange(texels) + 0.5) / texels
+        pattern = 0.25 * (2.0 + np.sin(place)[:, None] + np.cos(place))
+        plain = Material.uniform(0.4 * ONES)
+        whole = {key: np.ones((texels, texels)) for key in ("alpha", "green_response")}
+        coefficients = (0.4 + pattern)[..., None].astype(np.float32)
+        zero = np.zeros((texels, texels))
+        return dataclasses.replace(plain, **whole, beta=zero, mu=zero + 0.1, coefficients=coefficients)
+
+    found = []
+    for texels in (32, 256):
+        document, *_ = planned([waves(texels), material(0.3)], room(), tolerance=2.0)
+        found.append(values(document)["texture_halvings"]["table"])
+    # Eight times the texels for the same picture: they are halved away.
+    assert found[1] >= found[0] + 2
+
+
+def test_a_scene_without_light_has_no_colours_to_tolerate():
+    with pytest.raises(InputError, match="no light"):
+        planned([material(0.5), material(0.5)], black())
+
+
+def test_a_picture_without_spectra_is_read_as_the_xyz_that_it_is(tmp_path):
+    rng = np.random.default_rng(3)
+    matrix, xyz = rng.random((3, 61)), rng.random((4, 5, 3)).astype(np.float32)
+    write_xyz_exr(tmp_path / "planned.exr", xyz, {"irodori:whiteXYZ": "1 1 1"})
+    assert np.array_equal(read_xyz(tmp_path / "planned.exr", matrix), xyz)
+    radiance = rng.random((4, 5, 61)).astype(np.float32)
+    write_spectral_exr(tmp_path / "full.exr", radiance, xyz, {})
+    assert np.allclose(read_xyz(tmp_path / "full.exr", matrix), radiance @ matrix.T, rtol=1e-6)
+
+
+def test_objects_that_stand_twice_and_bodies_have_names_of_their_own():
+    scene = {"objects": [{"object": "jar"}, {"object": "lid"}, {"object": "jar"}], "bodies": [{}, {}]}
+    assert object_names(scene) == ["jar", "lid", "jar#2", "bodies[0]", "bodies[1]"]
+
+
+def test_the_bound_of_a_share_holds_for_the_whole():
+    rng = np.random.default_rng(0)
+    true = -np.log(0.01)
+    bounds = np.array([bound_of_share(rng.exponential(size=2000)) for _ in range(500)])
+    assert (bounds >= true).mean() > 0.99 and np.median(bounds) < 1.4 * true
+    assert bound_of_share(np.arange(10.0)) == 9.0

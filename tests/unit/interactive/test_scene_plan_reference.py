@@ -1,0 +1,75 @@
+"""The plan of the reference integrator: paths for a tolerance, predicted from pairs of pixels and checked."""
+
+import numpy as np
+import pytest
+from scenes import BALL, material, plate, sky, smooth_light
+
+from irodori.rendering.integrators import render_image
+from irodori.rendering.reference import make_scene, render
+from irodori.rendering.scene import make_objects, make_placements, make_view
+from irodori.rendering.scene_plan.check import ToleranceError
+from irodori.rendering.scene_plan.reference import render_pixels
+from irodori.rendering.scene_plan.stage import plan_of
+
+OPTIONS = {"pixel_side": 1, "max_bounces": 4, "min_throughput": 1e-3}
+SHAPES, MATERIALS = [plate(90.0), BALL], [material(0.6), material(0.3, beta=2.0, mu=0.2)]
+
+
+def scene_of(tolerance: float, most=4096, **overrides) -> dict:
+    places = [{"position_mm": [0.0, 0.0, z], "rotation_deg": [0.0, 0.0, 0.0], "scale": 1.0} for z in (0.0, 20.1)]
+    return {
+        "image": {"width": 24, "height": 18},
+        "objects": [{"object": name, **place} for name, place in zip(("table", "jar"), places, strict=True)],
+        "views": {"v": {"position_mm": [0.0, -200.0, 90.0], "target_mm": [0.0, 0.0, 12.0], "up": [0.0, 0.0, 1.0],
+                        "field_of_view_deg": 22.0}},
+        "integrator": {"kind": "reference", "samples": most, "seed": 0},
+        "max_bounces": 4,
+        "lights": [],
+        "display": {"exposure": "auto"},
+        "tolerance_ciede2000": tolerance,
+        "plan": overrides,
+    }  # fmt: skip
+
+
+def light():
+    return sky(lambda unit: smooth_light(unit)[..., None], 64, 32)
+
+
+def plan(definition) -> dict:
+    return plan_of("table-top", definition, SHAPES, MATERIALS, light(), OPTIONS)
+
+
+def test_half_the_tolerance_takes_about_four_times_the_paths_and_the_check_agrees():
+    plans = [plan(scene_of(tolerance)) for tolerance in (4.0, 2.0)]
+    samples = [p["decisions"]["samples"]["value"] for p in plans]
+    assert samples[1] == 4 * samples[0] < 4096
+    for tolerance, document in zip((4.0, 2.0), plans, strict=True):
+        assert tolerance / 2 < document["predicted_delta_e"] <= tolerance
+        _, figures = render_image(scene_of(tolerance), "v", SHAPES, MATERIALS, light(), OPTIONS, plan=document)
+        assert figures["samples"] == document["decisions"]["samples"]["value"]
+        # Sobol points err by less than the root law says, pilots by luck.
+        assert 0.3 * document["predicted_delta_e"] < figures["plan"]["measured_delta_e"]["p99"] <= tolerance
+
+
+def test_too_few_paths_are_refused():
+    definition = scene_of(0.5, samples=8)
+    document = plan(definition)
+    assert document["decisions"]["samples"]["by"] == "scene" and document["predicted_delta_e"] > 0.5
+    with pytest.raises(ToleranceError, match="table-top"):
+        render_image(definition, "v", SHAPES, MATERIALS, light(), OPTIONS, plan=document)
+
+
+def test_single_pixels_converge_to_those_of_the_picture():
+    definition = scene_of(1.0)
+    placements = make_placements(definition, SHAPES)
+    objects, _ = make_objects(placements, MATERIALS)
+    prepared, view = make_scene(placements, objects, light()), make_view(definition["views"]["v"], definition["image"])
+    pixels = np.array([[0, 0], [23, 17], [12, 9], [3, 14], [20, 2]])
+    whole = render(prepared, view, 2048, seed=5)
+    single = render_pixels(prepared, view, pixels, 2048, 7)
+    error = whole.standard_error[pixels[:, 1], pixels[:, 0]]
+    # Both have noise; seven standard errors of eight replicates are out of reach of luck.
+    assert (np.abs(single - whole.radiance[pixels[:, 1], pixels[:, 0]]) <= 7 * np.sqrt(2) * error + 1e-3).all()
+    # No two pixels share their random numbers.
+    same = render_pixels(prepared, view, np.repeat(pixels[:1], 2, axis=0), 8, 7)
+    assert not np.array_equal(same[0], same[1])

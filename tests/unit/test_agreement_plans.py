@@ -1,0 +1,39 @@
+"""What a scene's tolerance and overrides may ask for."""
+
+import pytest
+
+from irodori.agreement_plans import check_plan
+from irodori.errors import InputError
+
+
+def scene(kind, tolerance=1.0, **plan):
+    return {"integrator": {"kind": kind}, "plan": plan} | ({"tolerance_ciede2000": tolerance} if tolerance else {})
+
+
+@pytest.mark.parametrize(
+    ("definition", "field"),
+    [
+        (scene("sampled"), "tolerance_ciede2000"),
+        (scene("interactive", None, nodes=6), "plan"),
+        (scene("interactive", samples=64), "plan.samples"),
+        (scene("reference", max_bounces=2), "plan.max_bounces"),
+        (scene("interactive", nodes=6, representation="coefficients"), "plan.nodes"),
+    ],
+)
+def test_what_nothing_would_read_is_refused(definition, field):
+    with pytest.raises(InputError) as caught:
+        check_plan(definition, "scene.yaml")
+    assert caught.value.field == field and caught.value.accepted
+
+
+@pytest.mark.parametrize(
+    "definition",
+    [
+        scene("sampled", None),
+        scene("interactive", nodes=6),
+        scene("interactive", gloss=[], representation="coefficients"),
+        scene("reference", samples=64),
+    ],
+)
+def test_what_a_plan_reads_is_accepted(definition):
+    check_plan(definition, "scene.yaml")
