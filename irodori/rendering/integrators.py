@@ -131,7 +131,7 @@ def _render_interactive(scene, view_name, placements, objects, environment, opti
         GlossMaps.of(environment.coefficients),
         make_tracer(placements),
         "spectral",
-        environment.upward_white(),
+        np.ones(BANDS),  # bands need no white, and under lamps alone the environment has none
         lamps=lights.spectrum[:, :BANDS],
         max_bounces=options["max_bounces"],
         least_throughput=options["min_throughput"],

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from scenes import BALL, fresnel, material, plate, sphere_hits
+from scenes import BALL, OPTIONS, fresnel, material, plate, sphere_hits
 from studio import BASIS, even_light, picture, prepared, spectrum_of, view_of
 
 from irodori.brdf import angles_from_directions, reflect
@@ -17,6 +17,7 @@ from irodori.geometry.mesh import Mesh
 from irodori.geometry.shapes import Shape
 from irodori.irradiance import irradiance_map
 from irodori.light import Environment, directions
+from irodori.rendering.integrators import render_image
 from irodori.rendering.interactive import Lamp, render_frame
 
 CROWD = [plate(120.0), BALL, BALL]
@@ -198,6 +199,16 @@ def test_a_black_lamp_and_lamps_of_no_strength_change_nothing():
                 frame={"lamps": (Lamp(np.zeros(3)),)})  # fmt: skip
     with pytest.raises(ValueError, match="accepted: the 1 that the scene was prepared for"):
         picture(CROWD, crowd(), light, view=CROWD_VIEW, places=CROWD_PLACES, lamps=BEAM)
+
+
+def test_a_scene_of_lamps_alone_has_a_picture():
+    sun = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": -90.0, "elevation_deg": 20.0, "irradiance": 1.0}
+    seen = {"position_mm": [0, -200, 0], "target_mm": [0, 0, 0], "up": [0, 0, 1], "field_of_view_deg": 13.0}
+    where = {"object": "ball", "position_mm": [0, 0, 0], "rotation_deg": [0, 0, 0], "scale": 1.0}
+    scene = {"integrator": {"kind": "interactive", "ambient": False}, "image": {"width": 8, "height": 6},
+             "objects": [where], "views": {"front": seen}, "lights": [sun]}  # fmt: skip
+    radiance, _ = render_image(scene, "front", [BALL], [material(0.5)], DARK, OPTIONS)
+    assert np.isfinite(radiance).all() and (radiance[2:4, 3:5] > 0).all()
 
 
 def test_a_sun_of_one_texel_stays_finite_and_black_light_black():
