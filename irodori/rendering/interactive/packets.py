@@ -145,7 +145,8 @@ def may_meet(world, paths, base, active):
             nx, ny, nz = table[at + TURN + 2], table[at + TURN + 5], table[at + TURN + 8]
             distance = (x * nx + y * ny + z * nz) / (dx * nx + dy * ny + dz * nz)
             slack = absolute(distance) * _SLACK + radius * _SLACK
-            near = distance > 0.0
+            # 0 where the ray starts in the plate: Embree lets it meet the plate there.
+            near = distance >= 0.0
             for axis in range(2):
                 a, b, c = table[at + TURN + axis], table[at + TURN + axis + 3], table[at + TURN + axis + 6]
                 across = (distance * dx - x) * a + (distance * dy - y) * b + (distance * dz - z) * c
