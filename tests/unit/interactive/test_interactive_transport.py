@@ -120,7 +120,7 @@ def lobe_integral(normal, view, beta, mu, n, k) -> float:
 
 
 @pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.4)], ids=["lacquer", "metal"])
-@pytest.mark.parametrize(("mu", "tolerance"), [(0.05, 0.03), (0.12, 0.03), (0.35, 0.08)])
+@pytest.mark.parametrize(("mu", "tolerance"), [(0.05, 0.01), (0.12, 0.01), (0.35, 0.03), (0.6, 0.04), (1.2, 0.06)])
 def test_gloss_is_the_lobe_integrated_over_the_light(mu, tolerance, n, k):
     """A row of four round lobes: the rougher the surface, the less they follow the horizon's cut."""
     beta = 1 / (4 * mu**2)
@@ -334,7 +334,9 @@ def test_kept_visibility_changes_no_bit_and_is_of_its_view():
 def test_any_spheres_give_finite_light_between_black_and_the_sky(balls, eye, ambient):
     light = even_light()
     truth = xyz_from_radiance(light.upward_white()) @ spectrum_of()
-    materials = [material(1 - m, beta=(1 - m) * 0.0, mu=mu, mirror=m, n=n, k=k) for *_, m, n, k, mu in balls]
+    # A lobe reflects less than β 4 μ² F: with the diffuse half no surface sends back more than it gets.
+    materials = [material(0.5 * (1 - m), beta=0.5 * (1 - m) / (4 * mu**2), mu=mu, mirror=m, n=n, k=k)
+                 for *_, m, n, k, mu in balls]  # fmt: skip
     places = [ball[:3] for ball in balls]
     found = picture([BALL] * len(balls), materials, light, places=places, ambient=ambient,
                     view={"position": eye, "size": (17, 19), "fov": 40})  # fmt: skip
@@ -371,6 +373,16 @@ def test_a_red_ball_colours_its_plate_and_a_grey_one_does_not():
     assert np.allclose(seen["red", "coefficients"], seen["red", "spectral"], atol=0.03)
 
 
+@pytest.mark.parametrize("eye", [(0.0, 0.0, 0.0), (31.0, -12.0, 0.0), (40.0, 0.0, 0.0), (200.0, 0.0, 0.0)])
+def test_an_eye_that_lies_in_a_plate_sees_what_embree_lets_it_see(eye):
+    """In its middle, in its surface, on its edge, and beside it in its plane."""
+    ready = prepared([plate(80.0), BALL], [material(0.5), material(0.7)], even_light(), places=[(0, 0, 0), (0, 0, 60)])
+    everything = dataclasses.replace(ready, world=ready.world._replace(bounded=0))
+    for target in ((0.0, 10.0, 60.0), (5.0, 1.0, -60.0)):
+        view = view_of(eye, target, (24, 24), 40.0)
+        assert np.array_equal(render_frame(ready, view), render_frame(everything, view))
+
+
 @given(
     turns=st.lists(st.tuples(*[st.floats(-180, 180)] * 3), min_size=3, max_size=3),
     eye=st.tuples(st.floats(-60, 60), st.floats(-250, -30), st.floats(-60, 120)),
@@ -380,7 +392,7 @@ def test_a_red_ball_colours_its_plate_and_a_grey_one_does_not():
 def test_bounds_keep_no_ray_from_what_it_meets(turns, eye, far):
     """Every ray that Embree would let meet something is handed to it, far from the origin too.
 
-    Not where the eye lies in a plate: Embree then meets the plate at no distance, the bounds do not.
+    Not where the eye is nearer to a plate than single precision can tell: the two then round to different sides.
     """
     shapes, places = [plate(80.0), BALL, plate(30.0)], [(far, 0, 0), (far - 22, 0, 20), (far + 10, -20, 15)]
     rotations = [rotation_xyz(t) for t in turns]
