@@ -9,6 +9,7 @@ fold, an octahedral map errs with the texel itself: 0.8 % with 128 of them.) Fac
 """
 
 import itertools
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numba
@@ -34,14 +35,17 @@ _COARSEST_SIDE = 4
 _PARTS, _ROWS = 3, 64
 
 
+def _on_face(face: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Return the unit vectors at places (...) of a face, (..., 3)."""
+    axis, sign = face // 2, 1.0 - 2.0 * (face % 2)
+    unit = np.empty((*u.shape, 3))
+    unit[..., axis], unit[..., (axis + 1) % 3], unit[..., (axis + 2) % 3] = sign, u, v
+    return unit / np.linalg.norm(unit, axis=-1, keepdims=True)
+
+
 def _on_faces(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return the unit vectors at places (...) of all faces, (6, ..., 3)."""
-    faces = []
-    for axis, sign in itertools.product(range(3), (1.0, -1.0)):
-        unit = np.empty((*u.shape, 3))
-        unit[..., axis], unit[..., (axis + 1) % 3], unit[..., (axis + 2) % 3] = sign, u, v
-        faces.append(unit / np.linalg.norm(unit, axis=-1, keepdims=True))
-    return np.stack(faces)
+    return np.stack([_on_face(face, u, v) for face in range(FACES)])
 
 
 def _texel_places(side: int, border: int) -> tuple[np.ndarray, np.ndarray]:
@@ -49,9 +53,9 @@ def _texel_places(side: int, border: int) -> tuple[np.ndarray, np.ndarray]:
     return tuple(np.meshgrid(place, place))
 
 
-def cube_directions(side: int, border: int = 0) -> np.ndarray:
-    """Return the unit vectors of the texels' centres, borders included, (6, side, side, 3) float64."""
-    return _on_faces(*_texel_places(side, border))
+def face_directions(face: int, side: int, border: int = 0) -> np.ndarray:
+    """Return the unit vectors of a face's texels' centres, borders included, (side, side, 3) float64."""
+    return _on_face(face, *_texel_places(side, border))
 
 
 def places_of(unit: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -91,12 +95,17 @@ def fill_borders(stored: np.ndarray) -> None:
         stored[face, -row, -column] = look_up_cube(stored, sides, reach=0.0).mean(axis=0)
 
 
-def from_equirectangular(picture: np.ndarray, side: int) -> np.ndarray:
-    """Return an equirectangular picture, (h, w, k), looked up at a map's texels, (6, side + 2, side + 2, k) float32."""
-    unit = cube_directions(side, 1)
-    found = np.empty((unit.size // 3, picture.shape[2]))
-    look_up(np.ascontiguousarray(picture, dtype=np.float32), unit.reshape(-1, 3), found)
-    return found.reshape(*unit.shape[:3], -1).astype(np.float32)
+def from_equirectangular(picture: np.ndarray, side: int) -> Iterator[np.ndarray]:
+    """Yield the faces of an equirectangular picture, (h, w, k), looked up at a map's texels.
+
+    Each is (side + 2, side + 2, k) float64. Of a fine map all faces together would take several times its memory.
+    """
+    picture = np.ascontiguousarray(picture, dtype=np.float32)
+    for face in range(FACES):
+        unit = face_directions(face, side, 1)
+        found = np.empty((unit.size // 3, picture.shape[2]))
+        look_up(picture, unit.reshape(-1, 3), found)
+        yield found.reshape(*unit.shape[:2], -1)
 
 
 class Pyramid(NamedTuple):

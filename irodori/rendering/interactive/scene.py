@@ -141,8 +141,8 @@ def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
     width, height = light.irradiance_size
     picture = light.irradiance.reshape(height, width, -1)
     side = int(height)
-    stored = from_equirectangular(picture, side)
-    return padded(stored @ channels.irradiance_from_light.T, channels.surface), side
+    stored = np.stack([face @ channels.irradiance_from_light.T for face in from_equirectangular(picture, side)])
+    return padded(stored, channels.surface), side
 
 
 def make_gloss(gloss: GlossMaps, channels: Channels, half: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -154,7 +154,8 @@ def make_gloss(gloss: GlossMaps, channels: Channels, half: bool) -> tuple[np.nda
     for number, side in enumerate(sides):
         there = flat[first[number] : first[number + 1]].reshape(FACES, side + 2, side + 2, 2, channels.light)
         for place, level in enumerate((number, min(number + 1, len(sides) - 1))):
-            there[..., place, :stored] = from_equirectangular(gloss.levels[level], side) @ channels.stored_from_light.T
+            for face, found in enumerate(from_equirectangular(gloss.levels[level], side)):
+                there[face, :, :, place, :stored] = found @ channels.stored_from_light.T
     return flat.view(np.uint16) if half else flat, first[:-1].astype(np.int64), np.array(sides, dtype=np.int32)
 
 

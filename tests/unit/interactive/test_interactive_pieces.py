@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scenes import fresnel
 
 from irodori.gloss_fit import lobe_samples
 from irodori.irradiance import irradiance_at
@@ -16,8 +17,8 @@ from irodori.rendering.interactive.ambient import hidden_by_corners, hidden_by_s
 from irodori.rendering.interactive.cube import (
     bilinear,
     cell_of,
-    cube_directions,
     environment_pyramid,
+    face_directions,
     face_of,
     fill_borders,
     from_equirectangular,
@@ -91,7 +92,7 @@ def test_a_map_errs_with_the_square_of_a_texel_over_edges_and_corners_too():
     errors = []
     for side in (16, 32, 64):
         stored = np.zeros((6, side + 2, side + 2, 3), np.float32)
-        stored[:, 1:-1, 1:-1] = smooth(cube_directions(side))
+        stored[:, 1:-1, 1:-1] = smooth(np.stack([face_directions(face, side) for face in range(6)]))
         fill_borders(stored)
         errors.append(np.abs(look_up_cube(stored, unit) - smooth(unit)).max())
     assert errors[0] < 0.02 and errors[2] < errors[0] / 8
@@ -139,7 +140,7 @@ def test_the_power_of_a_one_texel_sun_is_kept(row):
 
 def test_an_irradiance_map_loses_little_by_going_round():
     picture = smooth(directions(128, 64)[0]).astype(np.float32)
-    stored = from_equirectangular(picture, 64)
+    stored = np.stack(list(from_equirectangular(picture, 64)))
     unit = directions_near_edges()
     assert np.abs(look_up_cube(stored, unit) - irradiance_at(picture, unit)).max() <= 1e-3
 
@@ -155,6 +156,18 @@ def test_rows_of_lobes_are_near_the_true_ones_where_these_are_short():
     assert distance[short].max() <= 0.12
     assert distance[np.ix_((mu > 0.1) & (mu < 0.35), theta < 77)].max() <= 0.31
     assert distance[np.ix_(mu > 0.35, theta < 60)].max() <= 0.41
+
+
+@pytest.mark.parametrize("index", [(1.5, 0.0), (2.2, 0.0), (0.2, 3.4)], ids=["lacquer", "zircon", "metal"])
+@pytest.mark.parametrize(("place", "tolerance"), [(6, 5e-3), (10, 1e-2), (12, 1.5e-2), (14, 2e-2), (16, 2e-2)])
+def test_a_row_reflects_even_light_as_its_lobe_does(place, tolerance, index):
+    """At every view angle: what Fresnel makes of a lobe is not what it makes of the lobe's middle."""
+    table, mu = lobe_table()[0][place], float(roughness_at(place))
+    for cosine, entry in zip(np.linspace(0, 1, ANGLES)[4:] ** 2, table[4:], strict=True):
+        _, value, cos_h, solid_angle = lobe_samples(mu, math.acos(min(cosine, math.cos(1e-2))), (110, 45))
+        true = float((value * solid_angle) @ fresnel(cos_h, *index)) / (math.pi * mu**2)
+        weights, incidence = entry[1 : 1 + 3 * TAPS : 3], entry[3 : 1 + 3 * TAPS : 3].astype(np.float64)
+        assert float(weights @ fresnel(incidence, *index)) == pytest.approx(true, rel=tolerance)
 
 
 @given(place=st.floats(0, ROUGHNESSES - 1.001), root=st.floats(0.25, 0.999))
