@@ -1,5 +1,6 @@
 """A scene prepared for the interactive integrator, and its frames."""
 
+import mmap
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -145,6 +146,14 @@ def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
     return padded(stored, channels.surface), side
 
 
+def give_back(array: np.ndarray) -> None:
+    """Give up the memory of an array's file where it is mapped from one; its pages come back when they are read."""
+    while isinstance(array, np.ndarray) and not isinstance(array, np.memmap):
+        array = array.base
+    if isinstance(array, np.memmap) and array._mmap is not None and array.mode in ("r", "r+"):
+        array._mmap.madvise(mmap.MADV_DONTNEED)
+
+
 def make_gloss(gloss: GlossMaps, channels: Channels, half: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the blurred light, flat, with where each level begins and its side."""
     # Texels in the middle of a face are as wide as the maps' rows are high.
@@ -156,6 +165,7 @@ def make_gloss(gloss: GlossMaps, channels: Channels, half: bool) -> tuple[np.nda
         for place, level in enumerate((number, min(number + 1, len(sides) - 1))):
             for face, found in enumerate(from_equirectangular(gloss.levels[level], side)):
                 there[face, :, :, place, :stored] = found @ channels.stored_from_light.T
+            give_back(gloss.levels[level])
     return flat.view(np.uint16) if half else flat, first[:-1].astype(np.int64), np.array(sides, dtype=np.int32)
 
 
@@ -203,6 +213,7 @@ def make_world(
     columns, rows = light.size[0]
     picture = light.pixels[: columns * rows].reshape(rows, columns, -1)
     pyramid = environment_pyramid(picture, channels.stored_from_light, channels.light, half)
+    give_back(picture)
     channels = _stored_scaled(channels, pyramid.scale)
     texels, first, stride = make_textures(objects, channels)
     irradiance, irradiance_side = make_irradiance(light, channels)

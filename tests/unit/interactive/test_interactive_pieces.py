@@ -1,6 +1,7 @@
 """The parts of the interactive integrator by themselves: vectors, cube maps, rows of lobes, what shapes hide."""
 
 import math
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -26,6 +27,7 @@ from irodori.rendering.interactive.cube import (
 )
 from irodori.rendering.interactive.lobes import ANGLES, ROUGHNESSES, TAPS, lobe_table, roughness_at, roughness_place
 from irodori.rendering.interactive.packets import arc_tangent
+from irodori.rendering.interactive.scene import give_back
 
 
 @numba.njit
@@ -143,6 +145,25 @@ def test_an_irradiance_map_loses_little_by_going_round():
     stored = np.stack(list(from_equirectangular(picture, 64)))
     unit = directions_near_edges()
     assert np.abs(look_up_cube(stored, unit) - irradiance_at(picture, unit)).max() <= 1e-3
+
+
+def resident_file_kb():
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return int(status["RssFile"].split()[0])
+
+
+def test_a_mapped_picture_gives_its_memory_back_and_stays_what_it_is(tmp_path):
+    values = np.arange(8_000_000, dtype=np.float32)
+    np.save(tmp_path / "picture.npy", values)
+    mapped = np.load(tmp_path / "picture.npy", mmap_mode="r")
+    view = mapped.reshape(2000, 1000, 4)[:1000]
+    total = float(mapped.sum(dtype=np.float64))
+    before = resident_file_kb()
+    give_back(view)
+    assert before - resident_file_kb() > 25_000
+    assert float(mapped.sum(dtype=np.float64)) == total
+    give_back(values)  # no file: nothing to give
+    assert values[-1] == len(values) - 1
 
 
 # --- lobes -------------------------------------------------------------------------------------------------------
