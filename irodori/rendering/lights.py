@@ -158,9 +158,15 @@ def _cap(lights, light, squared):
 
 
 @numba.njit(cache=True, _nrt=False, forceinline=True)
-def _corner(a, b, p, q):
-    """Return arccos(-a b) with its digits at both ends, from p = 1 - a² and q = 1 - b²."""
-    return math.atan2(math.sqrt(p + a * a * q), -a * b)
+def _corners(a, b, c, p, q, r):
+    """Return arccos(-a b) + arccos(-b c), from 0 to 2π, with its digits at both ends.
+
+    ``p``, ``q``, ``r`` are 1 - a², 1 - b², 1 - c². The angles are those of two complex numbers, added in their product.
+    """
+    x, y = -a * b, math.sqrt(p + a * a * q)
+    u, v = -b * c, math.sqrt(q + b * b * r)
+    angle = math.atan2(x * v + y * u, x * u - y * v)
+    return angle if angle >= 0.0 else angle + 2.0 * math.pi
 
 
 @numba.njit(cache=True, _nrt=False, forceinline=True, error_model="numpy")
@@ -190,8 +196,8 @@ def _rectangle(lights, light, point):
     first, second = -y / math.sqrt(first2), far_y / math.sqrt(second2)
     left, right = -x / math.sqrt(left2), far_x / math.sqrt(right2)
     first2, second2, left2, right2 = z2 / first2, z2 / second2, z2 / left2, z2 / right2
-    rest = 2.0 * math.pi - _corner(second, left, second2, left2) - _corner(left, first, left2, first2)
-    solid_angle = _corner(first, right, first2, right2) + _corner(right, second, right2, second2) - rest
+    rest = 2.0 * math.pi - _corners(second, left, first, second2, left2, first2)
+    solid_angle = _corners(first, right, second, first2, right2, second2) - rest
     return x, y, z, first, second, rest, solid_angle
 
 
