@@ -1,5 +1,6 @@
 """A scene prepared for the interactive integrator, and its frames."""
 
+import math
 import mmap
 from dataclasses import replace
 from typing import NamedTuple
@@ -154,6 +155,24 @@ def give_back(array: np.ndarray) -> None:
         array._mmap.madvise(mmap.MADV_DONTNEED)
 
 
+def needed_gloss(gloss: GlossMaps, objects: Objects) -> GlossMaps:
+    """Return the maps without the finest ones, narrower than any lobe of the scene's materials at any view angle."""
+    smoothest = math.inf
+    for i, start in enumerate(objects.first_texel):
+        texels = objects.texels[start : start + int(np.prod(objects.texture_size[i]))]
+        glossy = texels[(texels[:, -2] > 0) & (texels[:, -1] > 0), -1]
+        # Texels are interpolated: what has no gloss may lend its roughness to a neighbour.
+        if glossy.size:
+            smoothest = min(smoothest, float(texels[texels[:, -1] > 0, -1].min()))
+    last = len(gloss.levels) - 1
+    if smoothest == math.inf:
+        spare = last
+    else:
+        finest = lobe_table()[0][int(roughness_place(smoothest)) :, :, 0].min()
+        spare = min(max(math.floor(finest) - gloss.first, 0), last)
+    return replace(gloss, first=gloss.first + spare, levels=gloss.levels[spare:])
+
+
 def make_gloss(gloss: GlossMaps, channels: Channels, half: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the blurred light, flat, with where each level begins and its side."""
     # Texels in the middle of a face are as wide as the maps' rows are high.
@@ -217,6 +236,7 @@ def make_world(
     channels = _stored_scaled(channels, pyramid.scale)
     texels, first, stride = make_textures(objects, channels)
     irradiance, irradiance_side = make_irradiance(light, channels)
+    gloss = needed_gloss(gloss, objects)
     blurred, gloss_first, gloss_side = make_gloss(gloss, channels, half)
     index = np.concatenate(
         [channels.index, np.repeat(channels.index[..., -1:], channels.surface - channels.count, axis=2)], axis=2

@@ -1,5 +1,6 @@
 """The parts of the interactive integrator by themselves: vectors, cube maps, rows of lobes, what shapes hide."""
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -8,8 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import fresnel
+from scenes import BALL, fresnel, material
 
+from irodori.geometry.shapes import Placement
+from irodori.gloss import GlossMaps
 from irodori.gloss_fit import lobe_samples
 from irodori.irradiance import irradiance_at
 from irodori.light import directions
@@ -27,7 +30,8 @@ from irodori.rendering.interactive.cube import (
 )
 from irodori.rendering.interactive.lobes import ANGLES, ROUGHNESSES, TAPS, lobe_table, roughness_at, roughness_place
 from irodori.rendering.interactive.packets import arc_tangent
-from irodori.rendering.interactive.scene import give_back
+from irodori.rendering.interactive.scene import give_back, needed_gloss
+from irodori.rendering.scene import make_objects
 
 
 @numba.njit
@@ -204,6 +208,21 @@ def test_between_its_entries_the_table_keeps_the_power(place, root):
     power = float(value @ solid_angle) / (math.pi * mu**2)
     assert entry[1 : 1 + 3 * TAPS : 3].sum() == pytest.approx(power, rel=0.03)
     assert roughness_place(mu) == pytest.approx(place, abs=1e-6)
+
+
+@pytest.mark.parametrize(("mu", "dropped"), [(0.005, False), (0.05, True), (0.3, True)])
+def test_blurred_light_that_no_lobe_asks_for_is_left_out(mu, dropped):
+    maps = GlossMaps.of(np.random.default_rng(0).random((128, 256, 1)).astype(np.float32))
+    fine = dataclasses.replace(maps, first=0, levels=(maps.levels[0],) * maps.first + maps.levels)
+    for one in (material(0.5, beta=1.0, mu=mu), material(0.5)):
+        objects, _ = make_objects([Placement(BALL)], [one])
+        kept = needed_gloss(fine, objects)
+        assert kept.first + len(kept.levels) == fine.first + len(fine.levels)
+        if one.beta.max() > 0:
+            assert (kept.first > 0) == dropped
+            assert kept.first <= lobe_table()[0][int(roughness_place(mu)) :, :, 0].min() or kept.first == 0
+        else:
+            assert len(kept.levels) == 1
 
 
 # --- what shapes hide --------------------------------------------------------------------------------------------
