@@ -9,6 +9,7 @@ fold, an octahedral map errs with the texel itself: 0.8 % with 128 of them.) Fac
 """
 
 import itertools
+import mmap
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -154,6 +155,14 @@ def _fill_rows(pixels, height, width, side, face, first, out):
         _fill_row(pixels, height, width, side, face, first + row, out[row], np.empty(out.shape[2]))
 
 
+def give_back(array: np.ndarray) -> None:
+    """Give up the memory of an array's file where it is mapped from one; its pages come back when they are read."""
+    while isinstance(array, np.ndarray) and not isinstance(array, np.memmap):
+        array = array.base
+    if isinstance(array, np.memmap) and array._mmap is not None and array.mode in ("r", "r+"):
+        array._mmap.madvise(mmap.MADV_DONTNEED)
+
+
 def environment_side(height: int) -> int:
     """Return the side of a cube whose texels have the mean solid angle of an equirectangular picture's at its equator.
 
@@ -195,6 +204,8 @@ def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, chan
         rows = np.empty((min(_ROWS, sides[0] - row), sides[0], k), dtype=np.float32)
         _fill_rows(pixels, height, width, sides[0], face, row, rows)
         maps[0][face, 1 + row : 1 + row + len(rows), 1:-1, : len(matrix)] = rows @ matrix.T
+        if row + len(rows) == sides[0]:
+            give_back(picture)  # the next face reads other parts of it
     for finer, coarser in itertools.pairwise(maps):
         for fine, coarse in zip(finer, coarser, strict=True):
             inner = fine[1:-1, 1:-1].astype(np.float32)

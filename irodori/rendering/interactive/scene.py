@@ -1,7 +1,6 @@
 """A scene prepared for the interactive integrator, and its frames."""
 
 import math
-import mmap
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -12,7 +11,7 @@ from irodori.geometry.shapes import MESH, PLATE, SPHERE
 from irodori.geometry.surfaces import Surfaces, make_surfaces
 from irodori.gloss import GlossMaps
 from irodori.rendering.interactive.channels import Channels, mean_spectra
-from irodori.rendering.interactive.cube import FACES, environment_pyramid, from_equirectangular
+from irodori.rendering.interactive.cube import FACES, environment_pyramid, from_equirectangular, give_back
 from irodori.rendering.interactive.lobes import lobe_table, roughness_at, roughness_place
 from irodori.rendering.interactive.memory import Memory
 from irodori.rendering.interactive.packets import (
@@ -147,14 +146,6 @@ def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
     return padded(stored, channels.surface), side
 
 
-def give_back(array: np.ndarray) -> None:
-    """Give up the memory of an array's file where it is mapped from one; its pages come back when they are read."""
-    while isinstance(array, np.ndarray) and not isinstance(array, np.memmap):
-        array = array.base
-    if isinstance(array, np.memmap) and array._mmap is not None and array.mode in ("r", "r+"):
-        array._mmap.madvise(mmap.MADV_DONTNEED)
-
-
 def needed_gloss(gloss: GlossMaps, objects: Objects) -> GlossMaps:
     """Return the maps without the finest ones, narrower than any lobe of the scene's materials at any view angle."""
     smoothest = math.inf
@@ -232,7 +223,6 @@ def make_world(
     columns, rows = light.size[0]
     picture = light.pixels[: columns * rows].reshape(rows, columns, -1)
     pyramid = environment_pyramid(picture, channels.stored_from_light, channels.light, half)
-    give_back(picture)
     channels = _stored_scaled(channels, pyramid.scale)
     texels, first, stride = make_textures(objects, channels)
     irradiance, irradiance_side = make_irradiance(light, channels)

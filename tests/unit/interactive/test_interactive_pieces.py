@@ -26,11 +26,12 @@ from irodori.rendering.interactive.cube import (
     face_of,
     fill_borders,
     from_equirectangular,
+    give_back,
     look_up_cube,
 )
 from irodori.rendering.interactive.lobes import ANGLES, ROUGHNESSES, TAPS, lobe_table, roughness_at, roughness_place
 from irodori.rendering.interactive.packets import arc_tangent
-from irodori.rendering.interactive.scene import give_back, needed_gloss
+from irodori.rendering.interactive.scene import needed_gloss
 from irodori.rendering.scene import make_objects
 
 
