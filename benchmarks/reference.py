@@ -1,15 +1,16 @@
 """The `reference` integrator beside Mitsuba 3: time to the same colour error, and how time grows.
 
-``python -m benchmarks.reference [--size 96x72] [--runs 5] [--output speed_error.csv]``. Two scenes that both renderers
-express alike, in 61 bands: three spheres on a plate (test colours of CIE 224, gold as a mirror) under even D65 and a
-tungsten panel, and the box of five walls with that panel alone. Mitsuba traces four wavelengths a path, drawn anew for
-each; ours carries 61 bands.
+``python -m benchmarks.reference [--pixels 96x72] [--runs 5] [--output speed_error.csv]``. Two scenes that both
+renderers express alike, in 61 bands: three spheres on a plate (test colours of CIE 224, gold as a mirror) under even
+D65 and a tungsten panel, and the box of five walls with that panel alone. Mitsuba traces four wavelengths a path,
+drawn anew for each; ours carries 61 bands.
 
-How the error is matched: each renderer is compared with a converged picture of its own (``--converged`` paths a pixel,
-another seed), by the mean CIEDE2000 over the pixels, white being the same diffuser for both; so neither is charged with
-what the other does differently. The errors of several sample counts, two seeds each, make a line in logarithms; on it
-the samples are read at which the error is ``--target``, and seconds are those samples' (time is linear in them, see
-below). ``converged pictures`` is the mean CIEDE2000 between the two: it tells that the scenes are the same.
+How the error is matched: each renderer is compared with a converged picture of its own (``--converged`` paths a
+pixel, another seed), by the mean CIEDE2000 over the pixels, white being the same diffuser for both; so neither is
+charged with what the other does differently. The errors of several sample counts, two seeds each, make a line in
+logarithms; on it the samples are read at which the error is ``--target``, and seconds are those samples' (time is
+linear in them, see below). ``converged pictures`` is the mean CIEDE2000 between the two: it tells that the scenes are
+the same.
 
 Mitsuba's kernels are compiled before; LLVM is found by DRJIT_LIBLLVM_PATH. Its default sampler is ``independent``;
 ``multijitter``, the default here, is its best. Seconds are processor time of all threads over their number, the least
@@ -233,7 +234,7 @@ def compare(name: str, stage: Stage, arguments) -> list[dict]:
     """Return the rows of a scene."""
     white = unit_luminance("D65")
     white_xyz = xyz_from_radiance(white) @ white
-    size = tuple(map(int, arguments.size.split("x")))
+    size = tuple(map(int, arguments.pixels.split("x")))
     pixels = size[0] * size[1]
     renderers = [(Ours(stage, size, white), OUR_SAMPLES)]
     for variant in arguments.variants:
@@ -302,7 +303,7 @@ def growth(runs: int) -> None:
 def main() -> None:
     """Measure and print; write a CSV if asked."""
     parser = arguments_of(__doc__.splitlines()[0])
-    parser.add_argument("--size", default="96x72", help="pixels, WIDTHxHEIGHT")
+    parser.add_argument("--pixels", default="96x72", help="pixels, WIDTHxHEIGHT")
     parser.add_argument("--converged", type=int, default=8192, help="paths a pixel of the converged pictures")
     parser.add_argument("--target", type=float, default=0.4, help="mean CIEDE2000 at which times are compared")
     parser.add_argument("--sampler", default="multijitter", help="of Mitsuba")

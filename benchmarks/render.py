@@ -3,8 +3,8 @@
 ``python -m benchmarks.render [--environment 6000] [--width 640] [--output render.csv]`` makes its inputs itself: the
 classroom of `config` on four principal vectors of its sources' spectra, and the still life with its true materials.
 Every frame turns the camera and the light by half a degree. Errors are CIEDE2000 of the first frame to the 61-band
-frame whose paths end at the last reflection only. Peak and resident memory are those of a process that loads the
-scene, prepares one variant and renders it. Processor time over threads is what a frame takes on idle cores.
+frame whose paths end at the last reflection only. Peak and resident memory are those of a process that maps the
+light's files, prepares one variant and renders it. Processor time over threads is what a frame takes on idle cores.
 """
 
 import pickle
@@ -69,10 +69,12 @@ def make_inputs(width: int, folder: Path) -> None:
     coefficients = (flat @ (spectra @ basis).astype(np.float32)).reshape(*sources.shape[:2], _BASES)
     irradiance, _ = fitted_irradiance_map(coefficients, max_error=2e-3, max_height=128)
     np.save(folder / "coefficients.npy", np.repeat(np.repeat(coefficients.astype(np.float16), 2, axis=0), 2, axis=1))
+    gloss = GlossMaps.of(coefficients)
+    for number, level in enumerate(gloss.levels):
+        np.save(folder / f"gloss-{number}.npy", level)
+    blurred = (gloss.first, len(gloss.levels), gloss.points)
     with (folder / "scene.pickle").open("wb") as out:
-        pickle.dump(
-            (scene, [o["shape"] for o in objects], materials, basis, irradiance, GlossMaps.of(coefficients)), out
-        )
+        pickle.dump((scene, [o["shape"] for o in objects], materials, basis, irradiance, blurred), out)
 
 
 class Studio:
@@ -80,7 +82,9 @@ class Studio:
 
     def __init__(self, folder: Path, width: int, height: int) -> None:
         with (folder / "scene.pickle").open("rb") as source:
-            self.scene, shapes, materials, basis, irradiance, self.gloss = pickle.load(source)
+            self.scene, shapes, materials, basis, irradiance, (first, count, points) = pickle.load(source)
+        levels = (np.load(folder / f"gloss-{number}.npy", mmap_mode="r") for number in range(count))
+        self.gloss = GlossMaps(first, tuple(levels), points)
         placements = make_placements(self.scene, [Shape.from_definition(shape) for shape in shapes])
         self.tracer = make_tracer(placements)
         self.objects, _ = make_objects(placements, materials)

@@ -244,7 +244,7 @@ class _Interactive(Renderer):
             GlossMaps.of(environment.coefficients),
             make_tracer(make_placements(self.scene, self.shapes)),
             "spectral",
-            environment.upward_white(),
+            np.ones(BANDS),  # bands need no white, and under lamps alone the environment has none
             lamps=lights.spectrum[:, :BANDS],
             max_bounces=self.options["max_bounces"],
             least_throughput=self.options["min_throughput"],

@@ -20,6 +20,8 @@ KINDS = {"collimated": COLLIMATED, "rectangle": RECTANGLE, "sphere": BALL}
 BANDS, PADDED = 61, 64
 #: Cosine at the light under which its share of the choice does not fall: light along its plane is not left to chance.
 _LEAST_COSINE = 0.05
+#: From which a rectangle is drawn by its solid angle, sr; under it, it is too small a difference of angles.
+_LEAST_SOLID_ANGLE = 1e-4
 _PARTS = 64  # along each side of a rectangle, for the white of the picture
 
 
@@ -156,6 +158,68 @@ def _cap(lights, light, squared):
 
 
 @numba.njit(cache=True, _nrt=False, forceinline=True)
+def _corners(a, b, c, p, q, r):
+    """Return arccos(-a b) + arccos(-b c), from 0 to 2π, with its digits at both ends.
+
+    ``p``, ``q``, ``r`` are 1 - a², 1 - b², 1 - c². The angles are those of two complex numbers, added in their product.
+    """
+    x, y = -a * b, math.sqrt(p + a * a * q)
+    u, v = -b * c, math.sqrt(q + b * b * r)
+    angle = math.atan2(x * v + y * u, x * u - y * v)
+    return angle if angle >= 0.0 else angle + 2.0 * math.pi
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True, error_model="numpy")
+def _rectangle(lights, light, point):
+    """Return a rectangle as a point beside its plane sees it.
+
+    Returns
+    -------
+    x, y, z : float, mm
+        Of the corner of least coordinates in the light's frame, from the point; z is not positive.
+    first, second : float
+        Third coordinate of the normals of the planes through the point and the sides of least and of greatest y.
+    rest : float, rad
+        What the angles at the two corners of least x leave of a full turn.
+    solid_angle : float, sr
+    """
+    x, y, z = 0.0, 0.0, 0.0
+    for axis in range(3):
+        away = lights.position_mm[light, axis] - point[axis]
+        x += away * lights.rotation[light, axis, 0]
+        y += away * lights.rotation[light, axis, 1]
+        z += away * lights.rotation[light, axis, 2]
+    width, height = lights.size_mm[light, 0], lights.size_mm[light, 1]
+    x, y, z = x - 0.5 * width, y - 0.5 * height, -abs(z)
+    far_x, far_y, z2 = x + width, y + height, z * z
+    first2, second2, left2, right2 = y * y + z2, far_y * far_y + z2, x * x + z2, far_x * far_x + z2
+    first, second = -y / math.sqrt(first2), far_y / math.sqrt(second2)
+    left, right = -x / math.sqrt(left2), far_x / math.sqrt(right2)
+    first2, second2, left2, right2 = z2 / first2, z2 / second2, z2 / left2, z2 / right2
+    rest = 2.0 * math.pi - _corners(second, left, first, second2, left2, first2)
+    solid_angle = _corners(first, right, second, first2, right2, second2) - rest
+    return x, y, z, first, second, rest, solid_angle
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True, error_model="numpy")
+def _draw_rectangle(v, x, y, z, width, height, first, second, angle):
+    """Return a place on a rectangle, mm from its corner of least coordinates, even in solid angle.
+
+    ``angle`` goes from what `_rectangle` leaves of a turn to that and the solid angle.
+    """
+    sine = math.sin(angle)
+    slope = (math.cos(angle) * first - second) / sine
+    cosine = math.copysign(1.0 / math.sqrt(slope * slope + first * first), slope)
+    cosine = min(max(cosine, -1.0), 1.0)
+    at_x = min(max(-cosine * z / math.sqrt(max(1.0 - cosine * cosine, 1e-30)), x), x + width)
+    squared = at_x * at_x + z * z
+    low, high = y / math.sqrt(squared + y * y), (y + height) / math.sqrt(squared + (y + height) ** 2)
+    rise = low + v * (high - low)
+    at_y = rise * math.sqrt(squared / max(1.0 - rise * rise, 1e-30))
+    return at_x - x, min(max(at_y - y, 0.0), height)
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def density_towards(lights, light, point, direction):
     """Return the density in 1/sr with which `sample_towards` draws a direction that meets the light; 0 from behind."""
     squared, height = _towards(lights, light, point)
@@ -167,13 +231,18 @@ def density_towards(lights, light, point, direction):
         cosine -= direction[axis] * lights.rotation[light, axis, 2]
     if height <= 0.0 or cosine <= 0.0:
         return 0.0
+    solid_angle = _rectangle(lights, light, point)[6]
+    if solid_angle > _LEAST_SOLID_ANGLE:
+        return 1.0 / solid_angle
     distance = height / cosine
     return distance * distance / (lights.size_mm[light, 0] * lights.size_mm[light, 1] * cosine)
 
 
 @numba.njit(cache=True, _nrt=False, forceinline=True)
 def sample_towards(lights, light, point, u, v, direction, tangent, bitangent):
-    """Fill a unit direction from a point to a light: even over a rectangle, even in solid angle over a sphere.
+    """Fill a unit direction from a point to a light, even in solid angle; of a rectangle that looks small, in area.
+
+    A rectangle is drawn as Ureña et al. (2013) do.
 
     Parameters
     ----------
@@ -195,7 +264,7 @@ def sample_towards(lights, light, point, u, v, direction, tangent, bitangent):
         for axis in range(3):
             direction[axis] = turn[light, axis, 2]
         return 1.0
-    squared, _ = _towards(lights, light, point)
+    squared, above = _towards(lights, light, point)
     if lights.kind[light] == BALL:
         radius, distance = lights.size_mm[light, 0], math.sqrt(squared)
         if distance <= radius:
@@ -209,7 +278,15 @@ def sample_towards(lights, light, point, u, v, direction, tangent, bitangent):
         for axis in range(3):
             direction[axis] = (1.0 - rise) * direction[axis] + a * tangent[axis] + b * bitangent[axis]
         return density_towards(lights, light, point, direction)
-    a, b = (u - 0.5) * lights.size_mm[light, 0], (v - 0.5) * lights.size_mm[light, 1]
+    if above <= 0.0:
+        return 0.0
+    width, height, density = lights.size_mm[light, 0], lights.size_mm[light, 1], 0.0
+    x, y, z, first, second, rest, solid_angle = _rectangle(lights, light, point)
+    a, b = u * width, v * height
+    if solid_angle > _LEAST_SOLID_ANGLE:
+        a, b = _draw_rectangle(v, x, y, z, width, height, first, second, rest + u * solid_angle)
+        density = 1.0 / solid_angle
+    a, b = a - 0.5 * width, b - 0.5 * height
     length = 0.0
     for axis in range(3):
         place = lights.position_mm[light, axis] + a * turn[light, axis, 0] + b * turn[light, axis, 1]
@@ -220,4 +297,4 @@ def sample_towards(lights, light, point, u, v, direction, tangent, bitangent):
         return 0.0
     for axis in range(3):
         direction[axis] /= length
-    return density_towards(lights, light, point, direction)
+    return density if density > 0.0 else density_towards(lights, light, point, direction)

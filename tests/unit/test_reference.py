@@ -55,6 +55,20 @@ def test_a_crowd_of_white_spheres_that_touch_vanishes_at_any_size(size):
     assert picture.cut == 0
 
 
+def test_a_ball_on_a_floor_of_a_kilometre_loses_no_light():
+    """A ray that left the floor too high above it would start inside of the ball, whose inner side is black."""
+    picture = traced([plate(1e6), BALL], [material(1.0)] * 2, constant_light(), 64, size=(24, 24), fov=25,
+                     places=[(0, 0, 0), (0, 0, 20.0)], position=(0, -160, 60), target=(0, 0, 10))  # fmt: skip
+    assert np.abs(picture.radiance - 1).mean() <= 1e-4
+    assert (np.abs(picture.radiance[..., 0] - 1) > 1e-3).mean() <= 5e-3
+
+
+def test_a_great_many_samples_add_up():
+    """0.7 is no sum of few powers of two: a total in single precision drifts by 1e-3 over 2¹⁷ of it."""
+    picture = traced([BALL], [material(0.7)], constant_light(), 2**20, size=(1, 1), fov=0.1)
+    assert np.abs(picture.radiance / 0.7 - 1).max() <= 1e-5
+
+
 @pytest.mark.stability(stage="render", case="hits on shared edges")
 def test_no_path_slips_through_edges_that_triangles_share():
     """What slipped through would meet the black back of the other side."""

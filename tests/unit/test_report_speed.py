@@ -1,6 +1,7 @@
 """The page of speed against error: its front, its table, its refusals."""
 
 import csv
+import importlib
 
 import pytest
 from hypothesis import given
@@ -68,3 +69,13 @@ def test_a_table_with_other_columns_is_refused_by_name(tmp_path):
     bad = _write(tmp_path / "fit.csv", [], ("stage", "speed"))
     with pytest.raises(InputError, match=r"fit\.csv: columns: found stage, speed; accepted: stage, variant"):
         read_rows(bad)
+
+
+@pytest.mark.parametrize("name", ["calibrate", "compress", "environment", "fit", "ingest", "reference", "render"])
+def test_every_benchmark_says_what_it_takes(name, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", [name, "--help"])
+    with pytest.raises(SystemExit) as ended:
+        importlib.import_module(f"benchmarks.{name}").main()
+    assert ended.value.code == 0
+    printed = capsys.readouterr().out
+    assert all(option in printed for option in ("--runs", "--threads", "--size", "--output"))

@@ -9,6 +9,8 @@ fold, an octahedral map errs with the texel itself: 0.8 % with 128 of them.) Fac
 """
 
 import itertools
+import mmap
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numba
@@ -34,14 +36,17 @@ _COARSEST_SIDE = 4
 _PARTS, _ROWS = 3, 64
 
 
+def _on_face(face: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Return the unit vectors at places (...) of a face, (..., 3)."""
+    axis, sign = face // 2, 1.0 - 2.0 * (face % 2)
+    unit = np.empty((*u.shape, 3))
+    unit[..., axis], unit[..., (axis + 1) % 3], unit[..., (axis + 2) % 3] = sign, u, v
+    return unit / np.linalg.norm(unit, axis=-1, keepdims=True)
+
+
 def _on_faces(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return the unit vectors at places (...) of all faces, (6, ..., 3)."""
-    faces = []
-    for axis, sign in itertools.product(range(3), (1.0, -1.0)):
-        unit = np.empty((*u.shape, 3))
-        unit[..., axis], unit[..., (axis + 1) % 3], unit[..., (axis + 2) % 3] = sign, u, v
-        faces.append(unit / np.linalg.norm(unit, axis=-1, keepdims=True))
-    return np.stack(faces)
+    return np.stack([_on_face(face, u, v) for face in range(FACES)])
 
 
 def _texel_places(side: int, border: int) -> tuple[np.ndarray, np.ndarray]:
@@ -49,9 +54,9 @@ def _texel_places(side: int, border: int) -> tuple[np.ndarray, np.ndarray]:
     return tuple(np.meshgrid(place, place))
 
 
-def cube_directions(side: int, border: int = 0) -> np.ndarray:
-    """Return the unit vectors of the texels' centres, borders included, (6, side, side, 3) float64."""
-    return _on_faces(*_texel_places(side, border))
+def face_directions(face: int, side: int, border: int = 0) -> np.ndarray:
+    """Return the unit vectors of a face's texels' centres, borders included, (side, side, 3) float64."""
+    return _on_face(face, *_texel_places(side, border))
 
 
 def places_of(unit: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -91,12 +96,17 @@ def fill_borders(stored: np.ndarray) -> None:
         stored[face, -row, -column] = look_up_cube(stored, sides, reach=0.0).mean(axis=0)
 
 
-def from_equirectangular(picture: np.ndarray, side: int) -> np.ndarray:
-    """Return an equirectangular picture, (h, w, k), looked up at a map's texels, (6, side + 2, side + 2, k) float32."""
-    unit = cube_directions(side, 1)
-    found = np.empty((unit.size // 3, picture.shape[2]))
-    look_up(np.ascontiguousarray(picture, dtype=np.float32), unit.reshape(-1, 3), found)
-    return found.reshape(*unit.shape[:3], -1).astype(np.float32)
+def from_equirectangular(picture: np.ndarray, side: int) -> Iterator[np.ndarray]:
+    """Yield the faces of an equirectangular picture, (h, w, k), looked up at a map's texels.
+
+    Each is (side + 2, side + 2, k) float64. Of a fine map all faces together would take several times its memory.
+    """
+    picture = np.ascontiguousarray(picture, dtype=np.float32)
+    for face in range(FACES):
+        unit = face_directions(face, side, 1)
+        found = np.empty((unit.size // 3, picture.shape[2]))
+        look_up(picture, unit.reshape(-1, 3), found)
+        yield found.reshape(*unit.shape[:2], -1)
 
 
 class Pyramid(NamedTuple):
@@ -145,6 +155,14 @@ def _fill_rows(pixels, height, width, side, face, first, out):
         _fill_row(pixels, height, width, side, face, first + row, out[row], np.empty(out.shape[2]))
 
 
+def give_back(array: np.ndarray) -> None:
+    """Give up the memory of an array's file where it is mapped from one; its pages come back when they are read."""
+    while isinstance(array, np.ndarray) and not isinstance(array, np.memmap):
+        array = array.base
+    if isinstance(array, np.memmap) and array._mmap is not None and array.mode in ("r", "r+"):
+        array._mmap.madvise(mmap.MADV_DONTNEED)
+
+
 def environment_side(height: int) -> int:
     """Return the side of a cube whose texels have the mean solid angle of an equirectangular picture's at its equator.
 
@@ -189,6 +207,8 @@ def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, chan
         rows = np.empty((min(_ROWS, sides[0] - row), sides[0], k), dtype=np.float32)
         _fill_rows(pixels, height, width, sides[0], face, row, rows)
         maps[0][face, 1 + row : 1 + row + len(rows), 1:-1, : len(matrix)] = rows @ matrix.T
+        if row + len(rows) == sides[0]:
+            give_back(picture)  # the next face reads other parts of it
     for finer, coarser in itertools.pairwise(maps):
         for fine, coarse in zip(finer, coarser, strict=True):
             inner = fine[1:-1, 1:-1].astype(np.float32)

@@ -3,8 +3,8 @@
 `irodori.gloss_lobes` has up to forty lobes to each entry of a table, of which a look-up mixes four entries. Here the
 lobe D G / cosθ_r is a row of four Gaussians of the sphere in the plane of incidence, of one width and evenly spaced:
 mean, spread along the plane and spread across it are those of the true lobe (where it is very long the row is as long
-as four lobes may be without gaps), the weights are least squares of its shape. All entries have the same form, so the
-parameters of one look-up are interpolated, not its results.
+as four lobes may be without gaps), the weights are least squares of its shape and of its first and second moments. All
+entries have the same form, so the parameters of one look-up are interpolated, not its results.
 """
 
 import math
@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.optimize import nnls
 
-from irodori.brdf import MU_MAX_RAD, MU_MIN_RAD
+from irodori.brdf import MU_MAX_RAD, MU_MIN_RAD, fresnel
 from irodori.gloss_fit import lobe_samples
 from irodori.prefilter import WIDTHS_RAD
 
@@ -23,9 +23,12 @@ ROUGHNESSES, ANGLES = 17, 17
 #: Numbers an entry: level, then for each tap its weight, its place p and cosθ_H; padded to a vector.
 ENTRY = 16
 _LONGEST = 7.0  # variance of the row over that of a lobe in it
-_NODES = (24, 24)
+_NODES = (48, 32)
 _ENERGY_WEIGHT = 3.0
+_MOMENT_WEIGHTS = np.array([5.0, 5.0, 2.5, 2.5, 2.5])  # mean direction; then squares and product of its coordinates
 _EVEN_WEIGHT = 0.02  # keeps the weights of lobes that nearly coincide from being any
+_INDEX = 1.5  # for which the mean Fresnel reflectance of a lobe is kept
+_COSINES = np.linspace(0.0, 1.0, 2001)
 
 
 def roughness_place(mu_rad) -> np.ndarray:
@@ -37,6 +40,25 @@ def roughness_place(mu_rad) -> np.ndarray:
 def roughness_at(place):
     """Return μ, rad, at a place in the table."""
     return MU_MIN_RAD * np.exp(np.asarray(place) * (math.log(MU_MAX_RAD / MU_MIN_RAD) / (ROUGHNESSES - 1)))
+
+
+@lru_cache(maxsize=1)
+def _reflectance() -> np.ndarray:
+    """Return the Fresnel reflectance of the index `_INDEX` at `_COSINES`, falling."""
+    return np.array([fresnel(float(cosine), _INDEX, 0.0) for cosine in _COSINES])
+
+
+def _moments(angle: np.ndarray, kappa: float) -> np.ndarray:
+    """Return the means of x, z, x², z² and x z over lobes of concentration κ, (5, lobes)."""
+    mean = 1.0 / math.tanh(kappa) - 1.0 / kappa
+    even, along = mean / kappa, 1.0 - 3.0 * mean / kappa
+    x, z = np.sin(angle), np.cos(angle)
+    return np.stack([mean * x, mean * z, even + along * x * x, even + along * z * z, along * x * z])
+
+
+def _moments_of(direction: np.ndarray, share: np.ndarray) -> np.ndarray:
+    x, z = direction[:, 0], direction[:, 2]
+    return share @ np.stack([x, z, x * x, z * z, x * z], axis=1)
 
 
 def fit_row(mu: float, theta_r: float) -> tuple[float, np.ndarray, np.ndarray, np.ndarray, float, float]:
@@ -66,17 +88,24 @@ def fit_row(mu: float, theta_r: float) -> tuple[float, np.ndarray, np.ndarray, n
     cosine = direction[:, :1] * np.sin(angle) + direction[:, 2:] * np.cos(angle)
     shapes = kappa / (2 * np.pi * -np.expm1(-2 * kappa)) * np.exp(kappa * (cosine - 1.0))
     scale = np.sqrt(solid_angle) / math.sqrt(float(((value / power) ** 2 * solid_angle).sum()))
+    moments, wanted = _moments(angle, kappa), _moments_of(direction, share)
     rows = [shapes * scale[:, None], np.full((1, TAPS), _ENERGY_WEIGHT), _EVEN_WEIGHT * np.eye(TAPS)]
-    wanted = np.concatenate([value / power * scale, [_ENERGY_WEIGHT], np.zeros(TAPS)])
-    weight = nnls(np.vstack(rows), wanted)[0]
+    rows.append(moments * _MOMENT_WEIGHTS[:, None])
+    targets = [value / power * scale, [_ENERGY_WEIGHT], np.zeros(TAPS), wanted * _MOMENT_WEIGHTS]
+    weight = nnls(np.vstack(rows), np.concatenate(targets))[0]
     weight /= weight.sum()
     parts = shapes * weight
     found = parts.sum(axis=1)
     distance = float((np.abs(found - value / power) * solid_angle).sum())
     parts = parts / np.maximum(found, 1e-300)[:, None] * share[:, None]
-    # Fresnel's rise towards grazing is about (1 - cosθ_H)^5: its mean, not that of the angle, is kept.
-    rise = (parts * ((1.0 - cos_h) ** 5)[:, None]).sum(axis=0) / np.maximum(parts.sum(axis=0), 1e-300)
-    return math.sqrt(variance), angle, weight, 1.0 - rise**0.2, power, distance
+    # The angle at which a lacquer reflects the mean over the part of the lobe that each one stands for, and all
+    # together what the lobe does.
+    lacquer = _reflectance()
+    reflected = np.interp(cos_h, _COSINES, lacquer)
+    mean = parts.T @ reflected / np.maximum(parts.sum(axis=0), 1e-300)
+    mean = np.where(weight > 0.0, mean * float(share @ reflected) / float(weight @ mean), lacquer[-1])
+    incidence = np.interp(mean, lacquer[::-1], _COSINES[::-1])
+    return math.sqrt(variance), angle, weight, incidence, power, distance
 
 
 @lru_cache(maxsize=1)

@@ -1,5 +1,6 @@
 """A scene prepared for the interactive integrator, and its frames."""
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,7 +11,7 @@ from irodori.geometry.shapes import DISC, MESH, PLANE, PLATE, SPHERE, reaches
 from irodori.geometry.surfaces import Surfaces, make_surfaces
 from irodori.gloss import GlossMaps
 from irodori.rendering.interactive.channels import Channels, mean_spectra
-from irodori.rendering.interactive.cube import FACES, environment_pyramid, from_equirectangular
+from irodori.rendering.interactive.cube import FACES, environment_pyramid, from_equirectangular, give_back
 from irodori.rendering.interactive.lobes import lobe_table, roughness_at, roughness_place
 from irodori.rendering.interactive.memory import Memory
 from irodori.rendering.interactive.packets import (
@@ -148,8 +149,26 @@ def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
         return np.zeros(0, dtype=np.float32), 0
     picture = light.irradiance.reshape(height, width, -1)
     side = int(height)
-    stored = from_equirectangular(picture, side)
-    return padded(stored @ channels.irradiance_from_light.T, channels.surface), side
+    stored = np.stack([face @ channels.irradiance_from_light.T for face in from_equirectangular(picture, side)])
+    return padded(stored, channels.surface), side
+
+
+def needed_gloss(gloss: GlossMaps, objects: Objects) -> GlossMaps:
+    """Return the maps without the finest ones, narrower than any lobe of the scene's materials at any view angle."""
+    smoothest = math.inf
+    for i, start in enumerate(objects.first_texel):
+        texels = objects.texels[start : start + int(np.prod(objects.texture_size[i]))]
+        glossy = texels[(texels[:, -2] > 0) & (texels[:, -1] > 0), -1]
+        # Texels are interpolated: what has no gloss may lend its roughness to a neighbour.
+        if glossy.size:
+            smoothest = min(smoothest, float(texels[texels[:, -1] > 0, -1].min()))
+    last = len(gloss.levels) - 1
+    if smoothest == math.inf:
+        spare = last
+    else:
+        finest = lobe_table()[0][int(roughness_place(smoothest)) :, :, 0].min()
+        spare = min(max(math.floor(finest) - gloss.first, 0), last)
+    return replace(gloss, first=gloss.first + spare, levels=gloss.levels[spare:])
 
 
 def make_gloss(gloss: GlossMaps, channels: Channels, half: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -161,7 +180,9 @@ def make_gloss(gloss: GlossMaps, channels: Channels, half: bool) -> tuple[np.nda
     for number, side in enumerate(sides):
         there = flat[first[number] : first[number + 1]].reshape(FACES, side + 2, side + 2, 2, channels.light)
         for place, level in enumerate((number, min(number + 1, len(sides) - 1))):
-            there[..., place, :stored] = from_equirectangular(gloss.levels[level], side) @ channels.stored_from_light.T
+            for face, found in enumerate(from_equirectangular(gloss.levels[level], side)):
+                there[face, :, :, place, :stored] = found @ channels.stored_from_light.T
+            give_back(gloss.levels[level])
     return flat.view(np.uint16) if half else flat, first[:-1].astype(np.int64), np.array(sides, dtype=np.int32)
 
 
@@ -212,6 +233,7 @@ def make_world(
     channels = _stored_scaled(channels, pyramid.scale)
     texels, first, stride = make_textures(objects, channels)
     irradiance, irradiance_side = make_irradiance(light, channels)
+    gloss = needed_gloss(gloss, objects)
     blurred, gloss_first, gloss_side = make_gloss(gloss, channels, half)
     index = np.concatenate(
         [channels.index, np.repeat(channels.index[..., -1:], channels.surface - channels.count, axis=2)], axis=2

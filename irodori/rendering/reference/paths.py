@@ -54,6 +54,8 @@ LONGEST = 20_000
 _GREEN = 30  # the band whose index stands for all where terms are chosen
 _LEAST_REFLECTANCE = 1e-3  # for that choice: another band may reflect where this one does not
 _ROULETTE_FROM = 4  # the fifth surface
+#: Paths summed in single precision: a sum of more grows until each further path is rounded the same way.
+_TOGETHER = 256
 
 
 @numba.njit(cache=True, _nrt=False, forceinline=True)
@@ -302,23 +304,30 @@ def _follow(world, ray, work, numbers, stream):
 
 
 @numba.njit(cache=True, _nrt=False, forceinline=True)
-def _render_pixel(world, ray, work, view, numbers, x, y, mean, spread):
-    """Add the means of a pixel's replicates, and their squares; return the number of paths that were cut."""
+def _render_pixel(world, ray, work, view, numbers, x, y, whole, mean, spread):
+    """Add the means of a pixel's replicates, and their squares; return the number of paths that were cut.
+
+    ``whole`` is a buffer, (61,) float64.
+    """
     cut = 0
     for replicate in range(numbers.replicates):
         key = pixel_key(x, y, replicate, numbers.seed)
-        for band in range(PADDED):
-            work.total[band] = np.float32(0.0)
-        for sample in range(numbers.samples):
-            stream = stream_of(numbers, key, replicate, sample)
-            u, v = draw(numbers, stream, PIXEL), draw(numbers, stream, PIXEL + 1)
-            on_lens = (0.0, 0.0)
-            if view.lens_mm > 0.0:
-                on_lens = (draw(numbers, stream, LENS), draw(numbers, stream, LENS + 1))
-            aim(view, x + u, y + v, on_lens[0], on_lens[1], work.origin, work.direction)
-            cut += _follow(world, ray, work, numbers, stream)
+        whole[:] = 0.0
+        for first in range(0, numbers.samples, _TOGETHER):
+            for band in range(PADDED):
+                work.total[band] = np.float32(0.0)
+            for sample in range(first, min(first + _TOGETHER, numbers.samples)):
+                stream = stream_of(numbers, key, replicate, sample)
+                u, v = draw(numbers, stream, PIXEL), draw(numbers, stream, PIXEL + 1)
+                on_lens = (0.0, 0.0)
+                if view.lens_mm > 0.0:
+                    on_lens = (draw(numbers, stream, LENS), draw(numbers, stream, LENS + 1))
+                aim(view, x + u, y + v, on_lens[0], on_lens[1], work.origin, work.direction)
+                cut += _follow(world, ray, work, numbers, stream)
+            for band in range(BANDS):
+                whole[band] += work.total[band]
         for band in range(BANDS):
-            value = float(work.total[band]) / numbers.samples
+            value = whole[band] / numbers.samples
             mean[band] += value
             spread[band] += value * value
     return cut
@@ -340,13 +349,13 @@ def render_some_rows(world, view, numbers, first_row, image, error, cut, first, 
         Paths that were cut at `LONGEST` surfaces.
     """
     ray, work = new_ray(), new_work(world)
-    mean, spread = np.empty(BANDS), np.empty(BANDS)
+    whole, mean, spread = np.empty(BANDS), np.empty(BANDS), np.empty(BANDS)
     count = numbers.replicates
     for row in range(first, last):
         for x in range(view.width):
             mean[:] = 0.0
             spread[:] = 0.0
-            cut[row] += _render_pixel(world, ray, work, view, numbers, x, first_row + row, mean, spread)
+            cut[row] += _render_pixel(world, ray, work, view, numbers, x, first_row + row, whole, mean, spread)
             for band in range(BANDS):
                 value = mean[band] / count
                 image[row, x, band] = value

@@ -25,7 +25,7 @@ from irodori.rendering.scene import Objects, View
 #: Independent parts of the samples of a pixel, from whose spread the standard error comes.
 REPLICATES = 8
 #: Rays leave a surface this part of its reach above it, and this part of its coordinates: single precision.
-_OFFSET, _STEPS = 1e-5, 1e-6
+_OFFSET, _STEPS = 3e-7, 1e-6
 
 
 class Scene(NamedTuple):

@@ -1,13 +1,18 @@
 """The parts of the interactive integrator by themselves: vectors, cube maps, rows of lobes, what shapes hide."""
 
+import dataclasses
 import math
+from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scenes import BALL, fresnel, material
 
+from irodori.geometry.shapes import Placement
+from irodori.gloss import GlossMaps
 from irodori.gloss_fit import lobe_samples
 from irodori.irradiance import irradiance_at
 from irodori.light import directions
@@ -16,15 +21,18 @@ from irodori.rendering.interactive.ambient import hidden_by_corners, hidden_by_s
 from irodori.rendering.interactive.cube import (
     bilinear,
     cell_of,
-    cube_directions,
     environment_pyramid,
+    face_directions,
     face_of,
     fill_borders,
     from_equirectangular,
+    give_back,
     look_up_cube,
 )
 from irodori.rendering.interactive.lobes import ANGLES, ROUGHNESSES, TAPS, lobe_table, roughness_at, roughness_place
 from irodori.rendering.interactive.packets import arc_tangent
+from irodori.rendering.interactive.scene import needed_gloss
+from irodori.rendering.scene import make_objects
 
 
 @numba.njit
@@ -91,7 +99,7 @@ def test_a_map_errs_with_the_square_of_a_texel_over_edges_and_corners_too():
     errors = []
     for side in (16, 32, 64):
         stored = np.zeros((6, side + 2, side + 2, 3), np.float32)
-        stored[:, 1:-1, 1:-1] = smooth(cube_directions(side))
+        stored[:, 1:-1, 1:-1] = smooth(np.stack([face_directions(face, side) for face in range(6)]))
         fill_borders(stored)
         errors.append(np.abs(look_up_cube(stored, unit) - smooth(unit)).max())
     assert errors[0] < 0.02 and errors[2] < errors[0] / 8
@@ -139,9 +147,28 @@ def test_the_power_of_a_one_texel_sun_is_kept(row):
 
 def test_an_irradiance_map_loses_little_by_going_round():
     picture = smooth(directions(128, 64)[0]).astype(np.float32)
-    stored = from_equirectangular(picture, 64)
+    stored = np.stack(list(from_equirectangular(picture, 64)))
     unit = directions_near_edges()
     assert np.abs(look_up_cube(stored, unit) - irradiance_at(picture, unit)).max() <= 1e-3
+
+
+def resident_file_kb():
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return int(status["RssFile"].split()[0])
+
+
+def test_a_mapped_picture_gives_its_memory_back_and_stays_what_it_is(tmp_path):
+    values = np.arange(8_000_000, dtype=np.float32)
+    np.save(tmp_path / "picture.npy", values)
+    mapped = np.load(tmp_path / "picture.npy", mmap_mode="r")
+    view = mapped.reshape(2000, 1000, 4)[:1000]
+    total = float(mapped.sum(dtype=np.float64))
+    before = resident_file_kb()
+    give_back(view)
+    assert before - resident_file_kb() > 25_000
+    assert float(mapped.sum(dtype=np.float64)) == total
+    give_back(values)  # no file: nothing to give
+    assert values[-1] == len(values) - 1
 
 
 # --- lobes -------------------------------------------------------------------------------------------------------
@@ -157,6 +184,18 @@ def test_rows_of_lobes_are_near_the_true_ones_where_these_are_short():
     assert distance[np.ix_(mu > 0.35, theta < 60)].max() <= 0.41
 
 
+@pytest.mark.parametrize("index", [(1.5, 0.0), (2.2, 0.0), (0.2, 3.4)], ids=["lacquer", "zircon", "metal"])
+@pytest.mark.parametrize(("place", "tolerance"), [(6, 5e-3), (10, 1e-2), (12, 1.5e-2), (14, 2e-2), (16, 2e-2)])
+def test_a_row_reflects_even_light_as_its_lobe_does(place, tolerance, index):
+    """At every view angle: what Fresnel makes of a lobe is not what it makes of the lobe's middle."""
+    table, mu = lobe_table()[0][place], float(roughness_at(place))
+    for cosine, entry in zip(np.linspace(0, 1, ANGLES)[4:] ** 2, table[4:], strict=True):
+        _, value, cos_h, solid_angle = lobe_samples(mu, math.acos(min(cosine, math.cos(1e-2))), (110, 45))
+        true = float((value * solid_angle) @ fresnel(cos_h, *index)) / (math.pi * mu**2)
+        weights, incidence = entry[1 : 1 + 3 * TAPS : 3], entry[3 : 1 + 3 * TAPS : 3].astype(np.float64)
+        assert float(weights @ fresnel(incidence, *index)) == pytest.approx(true, rel=tolerance)
+
+
 @given(place=st.floats(0, ROUGHNESSES - 1.001), root=st.floats(0.25, 0.999))
 @settings(deadline=None, max_examples=40)
 def test_between_its_entries_the_table_keeps_the_power(place, root):
@@ -170,6 +209,21 @@ def test_between_its_entries_the_table_keeps_the_power(place, root):
     power = float(value @ solid_angle) / (math.pi * mu**2)
     assert entry[1 : 1 + 3 * TAPS : 3].sum() == pytest.approx(power, rel=0.03)
     assert roughness_place(mu) == pytest.approx(place, abs=1e-6)
+
+
+@pytest.mark.parametrize(("mu", "dropped"), [(0.005, False), (0.05, True), (0.3, True)])
+def test_blurred_light_that_no_lobe_asks_for_is_left_out(mu, dropped):
+    maps = GlossMaps.of(np.random.default_rng(0).random((128, 256, 1)).astype(np.float32))
+    fine = dataclasses.replace(maps, first=0, levels=(maps.levels[0],) * maps.first + maps.levels)
+    for one in (material(0.5, beta=1.0, mu=mu), material(0.5)):
+        objects, _ = make_objects([Placement(BALL)], [one])
+        kept = needed_gloss(fine, objects)
+        assert kept.first + len(kept.levels) == fine.first + len(fine.levels)
+        if one.beta.max() > 0:
+            assert (kept.first > 0) == dropped
+            assert kept.first <= lobe_table()[0][int(roughness_place(mu)) :, :, 0].min() or kept.first == 0
+        else:
+            assert len(kept.levels) == 1
 
 
 # --- what shapes hide --------------------------------------------------------------------------------------------

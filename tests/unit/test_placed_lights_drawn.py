@@ -1,0 +1,83 @@
+"""Directions drawn towards rectangles and spheres: their density is what is told for them, on both sides of a path."""
+
+import math
+
+import numba
+import numpy as np
+import pytest
+from scipy.stats import qmc
+
+from irodori.rendering.lights import density_towards, make_lights, sample_towards
+
+POINTS = qmc.Sobol(2, seed=1).random_base2(14)
+
+
+@numba.njit
+def _drawn(lights, point, places, towards, density, again, tangent, bitangent):
+    for i in range(len(places)):
+        density[i] = sample_towards(lights, 0, point, places[i, 0], places[i, 1], towards[i], tangent, bitangent)
+        again[i] = density_towards(lights, 0, point, towards[i])
+
+
+def drawn(lights, point):
+    """Return directions drawn from a point, and their densities, which the other side of a path must find too."""
+    towards, density, again = np.empty((len(POINTS), 3)), np.empty(len(POINTS)), np.empty(len(POINTS))
+    _drawn(lights, point, POINTS, towards, density, again, np.empty(3), np.empty(3))
+    assert np.allclose(np.linalg.norm(towards, axis=1), 1)
+    # A direction to the very rim of a light may miss it by rounding.
+    assert (density > 0).all() and np.allclose(again, density, rtol=1e-6)
+    return towards, density
+
+
+def edges_sum(corners) -> np.ndarray:
+    """Vector irradiance of a polygon of radiance 1, seen from the origin: Lambert's sum over its edges."""
+    total = np.zeros(3)
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        across = np.cross(a, b)
+        sine = np.linalg.norm(across)
+        total += 0.5 * math.atan2(sine, a @ b) * across / sine
+    return total
+
+
+@pytest.mark.parametrize("scale", [1e-2, 1.0, 1e4])
+@pytest.mark.parametrize("turn_deg", [[0, 0, 0], [180, 0, 25], [35, -60, 10]])
+@pytest.mark.parametrize(
+    "place",
+    [(0, 0, 50), (0, 0, 1e-2), (29.9, 19, 1e-2), (31, 0, 1e-2), (300, 10, 1.0), (300, 10, 0.05), (3000, 0, 1000),
+     (20, -300, 5.0), (30, 20, 1e-6)],
+)  # fmt: skip
+def test_what_is_drawn_from_a_rectangle_over_its_density_is_its_light(place, turn_deg, scale):
+    """Over it, beside it, far away and all but in its plane."""
+    panel = {"kind": "rectangle", "spectrum": "D65", "radiance": 1.0, "rotation_deg": turn_deg,
+             "position_mm": [scale, 2 * scale, 3 * scale], "width_mm": 60 * scale, "height_mm": 40 * scale}  # fmt: skip
+    lights, _ = make_lights([panel], 0)
+    centre, turn = lights.position_mm[0], lights.rotation[0]
+    point = centre + turn @ (scale * np.array(place, dtype=np.float64))
+    towards, density = drawn(lights, point)
+    corners = [centre - point + turn @ (scale * np.array([30.0 * a, 20.0 * b, 0.0]))
+               for a, b in ((-1, -1), (-1, 1), (1, 1), (1, -1))]  # fmt: skip
+    expected = edges_sum(np.array(corners))
+    assert np.abs((towards / density[:, None]).mean(axis=0) - expected).max() <= 2e-4 * np.linalg.norm(expected)
+
+
+def test_from_behind_and_from_within_its_plane_a_rectangle_gives_nothing():
+    panel = {"kind": "rectangle", "spectrum": "D65", "radiance": 1.0, "rotation_deg": [0, 0, 0],
+             "position_mm": [0, 0, 0], "width_mm": 60, "height_mm": 40}  # fmt: skip
+    lights, _ = make_lights([panel], 0)
+    for point in ([0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [100.0, 0.0, 0.0]):
+        density, towards = np.empty((2, 1)), np.zeros((1, 3))
+        towards[0, 2] = 1.0
+        _drawn(lights, np.array(point), POINTS[5:6], towards, density[0], density[1], np.empty(3), np.empty(3))
+        assert density[0, 0] == 0 and density[1, 0] == 0
+
+
+@pytest.mark.parametrize("distance", [10.0 + 1e-6, 11.0, 100.0, 1e6])
+def test_what_is_drawn_from_a_sphere_over_its_density_is_its_light(distance):
+    bulb = {"kind": "sphere", "spectrum": "D65", "radiance": 1.0, "position_mm": [3, -4, 12], "radius_mm": 10.0}
+    lights, _ = make_lights([bulb], 0)
+    axis = np.array([3.0, -4.0, 12.0]) / 13.0
+    towards, density = drawn(lights, lights.position_mm[0] - distance * axis)
+    expected = math.pi * (10.0 / distance) ** 2 * axis
+    assert np.allclose(
+        (towards / density[:, None]).mean(axis=0), expected, rtol=0, atol=2e-4 * np.linalg.norm(expected)
+    )
