@@ -15,6 +15,7 @@ from irodori.agreement_captures import (
     read_table,
     table_and_folder,
 )
+from irodori.agreement_displays import check_display
 from irodori.agreement_environments import check_source, is_photographed
 from irodori.agreement_motion import check_motion
 from irodori.agreement_spectra import check_chart, check_spectra
@@ -188,6 +189,7 @@ class _Checks:
                 found = f"{view['up']}, along the line of sight or of no length"
                 raise InputError(file, f"views.{label}.up", found, "a direction that points up in the picture")
 
+        check_display(scene["display"]["device"], self.root, file)
         check_spectra(scene, (), self.root, file)
         for index, body in enumerate(scene["bodies"]):
             field = f"bodies[{index}].material.refractive_index"

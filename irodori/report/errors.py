@@ -23,6 +23,7 @@ from irodori.light import Environment, directions
 from irodori.material import Material, Status
 from irodori.pictures import read_spectral_exr
 from irodori.progress import LOGGER
+from irodori.rendering.white import scene_white
 
 
 @dataclass(frozen=True)
@@ -136,9 +137,10 @@ def measure_errors(inputs: dict, names: dict, lights: list[str], output) -> None
     ----------
     inputs : dict
         Lists of files: materials, true_materials, environments, true_environments, calibrations, views, true_views;
-        and view_lights, the environment of each view.
+        and view_lights, the environment's file of each view.
     names : dict
-        Their names: objects, environments, cameras, views; and view_environments, the light of each view.
+        Their names: objects, environments, cameras, views; view_environments, the light of each view; and view_scenes,
+        of each view what `irodori.rendering.white.scene_white` reads of its scene.
     lights : list of str
     output : path
     """
@@ -151,15 +153,19 @@ def measure_errors(inputs: dict, names: dict, lights: list[str], output) -> None
         names["environments"], inputs["environments"], inputs["true_environments"], strict=True
     ):
         rows += environment_errors(name, Environment.load(path), Environment.load(truth))
-    whites = {
-        name: Environment.load(path).upward_white()
-        for name, path in dict(zip(names["view_environments"], inputs["view_lights"], strict=True)).items()
-    }
-    for name, light, path, truth in zip(
-        names["views"], names["view_environments"], inputs["views"], inputs["true_views"], strict=True
+    environments = {path: Environment.load(path) for path in dict.fromkeys(inputs["view_lights"])}
+    for name, light, scene, file, path, truth in zip(
+        names["views"],
+        names["view_environments"],
+        names["view_scenes"],
+        inputs["view_lights"],
+        inputs["views"],
+        inputs["true_views"],
+        strict=True,
     ):
+        white, _ = scene_white(scene, environments[file])
         pair = read_spectral_exr(truth), read_spectral_exr(path)
-        difference = radiance_delta_e(*pair, whites[light])
+        difference = radiance_delta_e(*pair, white)
         # Light, samples and random numbers are shared: a pixel that shows no object is the same to the bit.
         objects = (pair[0] != pair[1]).any(axis=-1)
         rows.append(_row(name, "picture CIEDE2000 to true materials", difference, light))

@@ -58,7 +58,10 @@ def _views_section(views: list[str], pictures: list, figures: list, truths: dict
             ["seconds", f"{measured['seconds']:.2f}"],
             ["pixels per second", f"{measured['pixels_per_second']:.0f}"],
             *_integrator_rows(measured),
+            ["display", measured["display"]],
             ["pixels outside the display's gamut", f"{measured['out_of_gamut_fraction']:.2%}"],
+            ["of them under 0 in a channel", f"{measured['out_of_gamut_below_fraction']:.2%}"],
+            ["of them over 1 in a channel", f"{measured['out_of_gamut_above_fraction']:.2%}"],
         ]
         rows += [
             [f"{name}: texels that no capture determined, filled from their neighbours", f"{share:.1%}"]

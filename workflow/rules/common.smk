@@ -367,20 +367,46 @@ def follows_the_model(name):
     return all(material["kind"] == "paper" for material in config["objects"][name]["virtual"]["materials"])
 
 
+def scene_views(virtual_only):
+    """Yield scene, view and definition of every view, or of those whose objects' truth is known."""
+    known = {name for name in virtual("objects") if follows_the_model(name)}
+    for scene, definition in config["scenes"].items():
+        if not virtual_only or known.issuperset(item["object"] for item in definition["objects"]):
+            for view in definition["views"]:
+                yield scene, view, definition
+
+
 def views(pattern, virtual_only=False):
     """Return a pattern filled for every view of every scene, or of those whose objects' truth is known."""
-    known = {name for name in virtual("objects") if follows_the_model(name)}
     return [
         pattern.format(scene=scene, view=view, environment=definition["environment"])
-        for scene, definition in config["scenes"].items()
-        for view in definition["views"]
-        if not virtual_only or known.issuperset(item["object"] for item in definition["objects"])
+        for scene, view, definition in scene_views(virtual_only)
     ]
+
+
+def view_scenes(virtual_only=False):
+    """Return of each view of `views` what its scene's white follows from."""
+    return [{key: definition[key] for key in ("lights", "display")} for _, _, definition in scene_views(virtual_only)]
+
+
+#: Files that a scene may ask for beside the spectral EXR and the PNG of each view.
+FURTHER_OUTPUTS = {"xyz-exr": "results/{scene}/{view}.xyz.exr", "tiff": "results/{scene}/{view}.tif"}
 
 
 def pictures(wildcards):
     """Return the pictures to make."""
-    return views("results/{scene}/{view}.png") + views("results/{scene}/{view}.exr")
+    further = [
+        FURTHER_OUTPUTS[kind].format(scene=scene, view=view)
+        for scene, view, definition in scene_views(virtual_only=False)
+        for kind in definition["further_outputs"]
+    ]
+    return views("results/{scene}/{view}.png") + views("results/{scene}/{view}.exr") + further
+
+
+def display_file(wildcards):
+    """Return the file that says how a scene's display shows colours, as a list; a standard one needs none."""
+    device = config["scenes"][wildcards.scene]["display"]["device"]
+    return [device["file"]] if "file" in device else []
 
 
 def sessions(wildcards):

@@ -4,6 +4,7 @@ rule render_view:
         environment=scene_environment,
         meshes=scene_meshes,
         tables=scene_tables,
+        display=display_file,
     output:
         exr="results/{scene}/{view}.exr",
         png=report(
@@ -38,6 +39,7 @@ use rule render_view as render_truth with:
         environment=scene_environment,
         meshes=scene_meshes,
         tables=scene_tables,
+        display=display_file,
     output:
         exr="results/{scene}/truth/{view}.exr",
         png="results/{scene}/truth/{view}.png",
@@ -49,3 +51,50 @@ use rule render_view as render_truth with:
     priority: 20
     # One core is free long before both are: it renders, and compiles the renderer, beside the stages of the chain.
     threads: 1
+
+
+rule write_xyz:
+    input:
+        exr="results/{scene}/{view}.exr",
+        environment=scene_environment,
+        tables=scene_tables,
+    output:
+        picture="results/{scene}/{view}.xyz.exr",
+    log:
+        "results/logs/write_xyz/{scene}_{view}.log",
+    benchmark:
+        "results/benchmarks/write_xyz/{scene}_{view}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
+    params:
+        scene=lookup(within=config, dpath="scenes/{scene}"),
+        code=code_hash("irodori.rendering.stage"),
+    script:
+        "../scripts/write_xyz.py"
+
+
+rule write_tiff:
+    input:
+        exr="results/{scene}/{view}.exr",
+        environment=scene_environment,
+        tables=scene_tables,
+        display=display_file,
+    output:
+        picture="results/{scene}/{view}.tif",
+    log:
+        "results/logs/write_tiff/{scene}_{view}.log",
+    benchmark:
+        "results/benchmarks/write_tiff/{scene}_{view}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
+    params:
+        scene=lookup(within=config, dpath="scenes/{scene}"),
+        code=code_hash("irodori.rendering.stage"),
+    script:
+        "../scripts/write_tiff.py"

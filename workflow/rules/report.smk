@@ -70,6 +70,7 @@ rule measure_errors:
         cameras=list(config["cameras"]),
         views=views("{scene}/{view}", virtual_only=True),
         view_environments=views("{environment}", virtual_only=True),
+        view_scenes=view_scenes(virtual_only=True),
         lights=lookup(within=config, dpath="report/lights"),
         code=code_hash("irodori.report.errors"),
     script:
