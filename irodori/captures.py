@@ -17,7 +17,7 @@ from pathlib import Path
 from irodori.errors import InputError
 from irodori.validation import suggest
 
-ROLES = ("object", "chart", "white", "dark", "environment")
+ROLES = ("object", "chart", "white", "dark", "environment", "scene")
 #: A further chart has its name behind the role, such as ``chart-sg``.
 _FURTHER_CHART = "chart-"
 _NAME = re.compile(r"[a-z0-9-]+")

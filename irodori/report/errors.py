@@ -76,12 +76,10 @@ def material_errors(name: str, material: Material, truth: Material, lights: list
     return rows
 
 
-def _scaled_lab(radiance: np.ndarray, white: np.ndarray, ceiling: np.ndarray | None = None):
-    """Return CIELAB with what is brighter than white scaled down to it, and the scale used."""
-    matrix = xyz_from_radiance(white)
-    xyz = radiance @ matrix.T
-    scale = np.maximum(xyz[..., 1:2] / 100.0, 1.0) if ceiling is None else ceiling
-    return lab_from_xyz(xyz / scale, matrix @ white), scale
+def xyz_delta_e(truth: np.ndarray, estimate: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
+    """Return CIEDE2000 between two pictures in XYZ, (..., 3) to (...), Y = 100 for white; see `radiance_delta_e`."""
+    scale = np.maximum(truth[..., 1:2] / 100.0, 1.0)
+    return delta_e(lab_from_xyz(truth / scale, white_xyz), lab_from_xyz(estimate / scale, white_xyz))
 
 
 def radiance_delta_e(truth: np.ndarray, estimate: np.ndarray, white: np.ndarray) -> np.ndarray:
@@ -93,8 +91,8 @@ def radiance_delta_e(truth: np.ndarray, estimate: np.ndarray, white: np.ndarray)
     white : (61,) float
         Radiance of white. A pixel whose truth is brighter is compared after both are scaled by the same factor.
     """
-    lab_truth, scale = _scaled_lab(truth, white)
-    return delta_e(lab_truth, _scaled_lab(estimate, white, scale)[0])
+    matrix = xyz_from_radiance(white)
+    return xyz_delta_e(truth @ matrix.T, estimate @ matrix.T, matrix @ white)
 
 
 def environment_errors(name: str, environment: Environment, truth: Environment) -> list[ErrorRow]:

@@ -71,6 +71,36 @@ def _views_section(views: list[str], pictures: list, figures: list, truths: dict
     return "".join(parts)
 
 
+def _photographs_section(names: list[str], pictures: list, figures: list) -> str:
+    if not names:
+        return ""
+    parts = [
+        "<h2>Beside the real thing</h2><p>Photographs that no material was fitted to, against the same view rendered "
+        "with all its reflections. Noise alone: the difference that the noise of photograph and rendering makes of two "
+        "equal pictures.</p>"
+    ]
+    for name, picture, numbers in zip(names, pictures, figures, strict=True):
+        found = json.loads(Path(numbers).read_text(encoding="utf-8"))
+        parts.append(figure(data_uri(picture), name))
+        lines = [
+            [label, *(number(found[key][of]) for of in ("mean", "p95", "p99", "max"))]
+            for label, key in (
+                ("CIEDE2000", "delta_e"),
+                ("CIEDE2000, objects only", "delta_e_objects"),
+                ("noise alone", "noise_floor"),
+                ("noise alone, objects only", "noise_floor_objects"),
+            )
+        ]
+        parts.append(table(["difference", "mean", "p95", "p99", "max"], lines))
+        parts.append(
+            f"<p>{found['compared_fraction']:.1%} of the pixels are compared; factor on the photograph "
+            f"{found['scale']:.4g}; its luminance over the rendering's, median of the pixels, "
+            f"{found['luminance_ratio']:.4g}; {found['samples']} paths a pixel. "
+            f"In the noise: {', '.join(found['noise_counts'])}.</p>"
+        )
+    return "".join(parts)
+
+
 def _integrator_rows(measured: dict) -> list[list[str]]:
     """Return what only one of the integrators measures."""
     if measured["integrator"] != "reference":
@@ -200,9 +230,9 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
     ----------
     inputs : dict
         Files: errors, planning, imperfections; lists of references, registrations, materials, true_materials,
-        environments, calibration_errors, pictures, figures, true_pictures.
+        environments, calibration_errors, pictures, figures, true_pictures, comparisons, comparison_figures.
     names : dict
-        objects, virtual_objects, environments, cameras, views, virtual_views, in the order of the files.
+        objects, virtual_objects, environments, cameras, views, virtual_views, photographs, in the order of the files.
     benchmarks : path
         Folder of the benchmark files of the run.
     output : path
@@ -212,6 +242,7 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
     body = [
         "<h1>Irodori</h1>",
         _views_section(names["views"], inputs["pictures"], inputs["figures"], true_views),
+        _photographs_section(names["photographs"], inputs["comparisons"], inputs["comparison_figures"]),
         _errors_section(read_errors(inputs["errors"])),
         _objects_section(names["objects"], inputs["materials"], true_objects),
         light_section(names["environments"], inputs["environments"]),

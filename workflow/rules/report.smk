@@ -174,6 +174,8 @@ rule write_report:
         pictures=views("results/{scene}/{view}.png"),
         figures=views("results/{scene}/{view}.json"),
         true_pictures=views("results/{scene}/truth/{view}.png", virtual_only=True),
+        comparisons=photographs("results/{scene}/photographs/{photograph}/comparison.png"),
+        comparison_figures=photographs("results/{scene}/photographs/{photograph}/comparison.json"),
     output:
         page=report("results/report.html", caption="../report/report.rst", category="Errors"),
     log:
@@ -192,6 +194,7 @@ rule write_report:
         cameras=list(config["cameras"]),
         views=views("{scene}/{view}"),
         virtual_views=views("{scene}/{view}", virtual_only=True),
+        photographs=photographs("{scene}/{photograph}"),
         benchmarks="results/benchmarks",
         code=code_hash("irodori.report.page"),
     script:
