@@ -73,13 +73,19 @@ def _check_known(definitions: dict, scene: dict, file, field: str) -> None:
     light = definitions["environments"][scene["environment"]]
     if is_photographed(light) and rigs[cameras[light["camera"]]["rig"]]["kind"] != "virtual":
         found = f"a virtual camera in the real place {scene['environment']!r}"
-        raise InputError(file, f"{field}.camera", found, "a real camera, or an environment whose light is known")
+        raise InputError(
+            file, f"{field}.camera", found, "a real camera, an environment whose light is known, or no such photograph"
+        )
     for item in scene["objects"]:
         known = definitions["objects"][item["object"]]
         if rigs[cameras[known["camera"]]["rig"]]["kind"] != "virtual":
             found = f"a virtual camera before the real object {item['object']!r}"
-            raise InputError(file, f"{field}.camera", found, "a real camera, or virtual objects alone")
+            raise InputError(
+                file, f"{field}.camera", found, "a real camera, virtual objects alone, or no such photograph"
+            )
         other = next((m["kind"] for m in known["virtual"]["materials"] if m["kind"] != "paper"), None)
         if other is not None:
             found = f"a virtual camera before {item['object']!r}, which has materials of kind {other}"
-            raise InputError(file, f"{field}.camera", found, "objects of materials of kind paper, which are rendered")
+            raise InputError(
+                file, f"{field}.camera", found, "materials of kind paper, which are rendered, or no such photograph"
+            )

@@ -84,7 +84,7 @@ class IdealView:
         centre = (np.array([self.width, self.height]) - 1.0) / 2.0
         return direction[..., :2] / direction[..., 2:] * self.focal_px + centre
 
-    def resample(self, picture: np.ndarray, valid: np.ndarray, sample_px: int) -> np.ndarray:
+    def resample(self, picture: np.ndarray, valid: np.ndarray, sample_px: int) -> tuple[np.ndarray, np.ndarray]:
         """Return a camera's picture as this view shows it: the mean over each pixel.
 
         A pixel is looked at in as many places as the camera has samples in it, interpolated between samples.
@@ -98,7 +98,10 @@ class IdealView:
 
         Returns
         -------
-        (height, width, n) float64, NaN where a sample that is not valid, or none, takes part
+        mean : (height, width, n) float64
+            Of the valid samples; NaN where there are none.
+        whole : (height, width) bool
+            Where every sample that takes part is valid.
         """
         side = self.block * 2 // sample_px
         fine = IdealView(self.pinhole, 1, self.focal_px * side, self.width * side, self.height * side)
@@ -112,10 +115,11 @@ class IdealView:
             return found.reshape(self.height, side, self.width, side).mean(axis=(1, 3))
 
         kept = np.where(valid[..., None], picture, 0.0)
-        whole = looked_up(valid.astype(np.float64)) > _VALID
-        out = np.stack([looked_up(kept[..., i].astype(np.float64)) for i in range(picture.shape[2])], axis=-1)
-        out[~whole] = np.nan
-        return out
+        share = looked_up(valid.astype(np.float64))
+        sums = np.stack([looked_up(kept[..., i].astype(np.float64)) for i in range(picture.shape[2])], axis=-1)
+        some = np.broadcast_to(share[..., None] > 1.0 - _VALID, sums.shape)
+        mean = np.divide(sums, share[..., None], out=np.full_like(sums, np.nan), where=some)
+        return mean, share > _VALID
 
     def gathered(self, fine: np.ndarray) -> np.ndarray:
         """Return this view of a finer one of the same camera, one superpixel a pixel, at least as wide: block means."""

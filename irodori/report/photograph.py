@@ -38,14 +38,15 @@ _NOISE_SEED = 20100401
 class Photograph(NamedTuple):
     """A photograph in the pixels of the comparison."""
 
-    response: np.ndarray  # (height, width, bands), NaN where a sample was not valid
+    response: np.ndarray  # (height, width, bands) of the valid samples, NaN where there were none
+    whole: np.ndarray  # (height, width) bool, where all samples were valid
     variance: np.ndarray | None  # (height, width, bands) of the response; None where the noise was not measured
 
 
 class Comparison(NamedTuple):
     """A photograph and the rendering of its view, XYZ with Y = 100 for the scene's white.
 
-    All but the rendering are NaN where a sample of the photograph was not valid.
+    The differences are NaN where a sample of the photograph was not valid, and the photograph where none was.
     """
 
     photograph: np.ndarray  # (height, width, 3)
@@ -77,11 +78,11 @@ def read_photograph(linear, calibration: Calibration, ideal: IdealView) -> Photo
     if any(not 0 <= b - a < 2 for a, b in zip(size, wanted, strict=True)):
         found = f"a photograph of {size[1]} x {size[0]} pixels"
         raise InputError(linear, "response", found, f"{wanted[1]} x {wanted[0]}, as the camera's optics")
-    mean = ideal.resample(response, valid, sample_px)
+    mean, whole = ideal.resample(response, valid, sample_px)
     if not np.isfinite(noise).all():
-        return Photograph(mean, None)
+        return Photograph(mean, whole, None)
     samples = (ideal.block * 2 // sample_px) ** 2
-    return Photograph(mean, (noise[:, 0] + noise[:, 1] * np.maximum(mean, 0.0)) / samples)
+    return Photograph(mean, whole, (noise[:, 0] + noise[:, 1] * np.maximum(mean, 0.0)) / samples)
 
 
 def compare(
@@ -110,16 +111,16 @@ def compare(
     """
     matrix = xyz_from_radiance(white)
     white_xyz = matrix @ white
-    known = np.isfinite(photograph.response).all(axis=-1)
+    known = photograph.whole
     xyz_from_weights = matrix @ (calibration.basis * calibration.light[:, None])
 
     def recovered(response: np.ndarray) -> np.ndarray:
         return calibration.weights(response) @ xyz_from_weights.T
 
-    found = photograph.response[known]
-    seen = recovered(found)
-    whole = rendered @ matrix.T
-    halves = whole[:, known]
+    shown = recovered(photograph.response)
+    found, seen = photograph.response[known], shown[known]
+    rendering = rendered @ matrix.T
+    halves = rendering[:, known]
     made = halves.mean(axis=0)
     lit = made[:, 1] > 0.0
     ratio = float(np.median(seen[lit, 1] / made[lit, 1])) if lit.any() else np.nan
@@ -135,15 +136,13 @@ def compare(
         noise = noise + factor * (recovered(found + draw) - seen)
     apart = xyz_delta_e(made, made + noise, white_xyz)
 
-    def picture(values: np.ndarray) -> np.ndarray:
-        out = np.full((*known.shape, *values.shape[1:]), np.nan)
+    def spread(values: np.ndarray) -> np.ndarray:
+        out = np.full(known.shape, np.nan)
         out[known] = values
         return out
 
     difference = xyz_delta_e(factor * seen, made, white_xyz)
-    return Comparison(
-        picture(factor * seen), whole.mean(axis=0), picture(difference), picture(apart), factor, factor * ratio
-    )
+    return Comparison(factor * shown, rendering.mean(axis=0), spread(difference), spread(apart), factor, factor * ratio)
 
 
 def shows_an_object(ideal: IdealView, placed: dict, placements: list) -> np.ndarray:
