@@ -1,3 +1,74 @@
+def photographs(pattern):
+    """Return a pattern filled for every photograph of a scene that its rendering is compared with."""
+    return [
+        pattern.format(scene=scene, photograph=photograph)
+        for scene, definition in config["scenes"].items()
+        for photograph in definition["photographs"]
+    ]
+
+
+def photograph_of(wildcards):
+    """Return the definition of a photograph of a scene."""
+    return config["scenes"][wildcards.scene]["photographs"][wildcards.photograph]
+
+
+def photograph_camera(wildcards):
+    """Return the definition of the camera of a photograph."""
+    return config["cameras"][photograph_of(wildcards)["camera"]]
+
+
+def is_photograph_virtual(wildcards):
+    """Whether the photograph is computed."""
+    return config["rigs"][photograph_camera(wildcards)["rig"]]["kind"] == "virtual"
+
+
+def photograph_folder(wildcards):
+    """Return the folder of a photograph's RAW files."""
+    if is_photograph_virtual(wildcards):
+        return f"results/{wildcards.scene}/photographs/{wildcards.photograph}/captures"
+    captures = photograph_of(wildcards)["captures"]
+    return captures.get("folder") or str(Path(captures["table"]).parent)
+
+
+def photograph_table(wildcards):
+    """Return the capture table of a photograph: the virtual camera's, or the user's own."""
+    if is_photograph_virtual(wildcards):
+        return f"{photograph_folder(wildcards)}/captures.csv"
+    return photograph_of(wildcards)["captures"]["table"]
+
+
+def photograph_made(wildcards):
+    """Return the files that say that a photograph is there: the session's record, or the user's own files."""
+    if is_photograph_virtual(wildcards):
+        return [f"{photograph_folder(wildcards)}/session.json"]
+    table, folder = photograph_table(wildcards), photograph_folder(wildcards)
+    return [table, *(f"{folder}/{shot.file}" for shot in read_captures(table, folder) if shot.role == "scene")]
+
+
+def photograph_radiance(wildcards):
+    """Return what stood before a virtual camera, as a list; nobody knows it of a real one."""
+    if not is_photograph_virtual(wildcards):
+        return []
+    return [f"results/{wildcards.scene}/photographs/{wildcards.photograph}/radiance.h5"]
+
+
+def part_of_scene(*keys):
+    """Return a function from wildcards to keys of a scene's definition; another key's change reruns nothing."""
+    return lambda wildcards: {key: config["scenes"][wildcards.scene][key] for key in keys}
+
+
+def of_photograph(pattern):
+    """Return a function from wildcards to a file of the camera of a photograph."""
+    return lambda wildcards: pattern.format(camera=photograph_of(wildcards)["camera"])
+
+
+def true_light(wildcards):
+    """Return the file of the light that really falls on a scene; of what no camera photographed it is what was given."""
+    name = config["scenes"][wildcards.scene]["environment"]
+    known = is_virtual(config, "environments", name)
+    return f"results/environments/{name}/truth.h5" if known else f"results/environments/{name}.h5"
+
+
 # A scene beside its photograph. What stands before a virtual camera is rendered from the true materials.
 rule render_photographed:
     input:

@@ -1,3 +1,8 @@
+def view_scenes(virtual_only=False):
+    """Return of each view of `views` what its scene's white follows from."""
+    return [{key: definition[key] for key in ("lights", "display")} for _, _, definition in scene_views(virtual_only)]
+
+
 rule write_truth:
     input:
         mesh=mesh_of,
