@@ -111,6 +111,8 @@ def _read(data: bytes, file) -> Profile:
         raise InputError(file, missing[0], "no such tag", _ACCEPTED)
     colorants = np.column_stack([_read_fixed(tags[name][8:20]) for name in needed[:3]])
     white = _read_fixed(tags[b"wtpt"][8:20])
+    if not (white > 0.0).all() or abs(np.linalg.det(colorants)) < 1e-6:
+        raise ValueError("a display without white, or of primaries that lie on one line")
     # Version 2 without `chad` tells the white itself, and leaves the adaptation open; Bradford is the usual one.
     adapt = _read_fixed(tags[b"chad"][8:44]).reshape(3, 3) if b"chad" in tags else bradford(D50_XYZ, white)
     matrix = np.linalg.inv(adapt) @ colorants

@@ -125,6 +125,23 @@ def test_a_profile_made_by_littlecms_is_read_as_it_means_itself():
     assert found.xyz_from_rgb.sum(axis=1) == pytest.approx(srgb().white_xyz, abs=3e-4)
 
 
+def test_a_profile_of_version_2_tells_its_white_itself():
+    """Without the adaptation's tag, white is what stands there, and Bradford is undone."""
+    display = make_display(WIDE)
+    data = bytearray(display.profile)
+    table = {bytes(data[132 + 12 * i : 136 + 12 * i]): 132 + 12 * i for i in range(11)}
+    offset = int.from_bytes(data[table[b"wtpt"] + 4 : table[b"wtpt"] + 8], "big")
+    data[offset + 8 : offset + 20] = np.rint(display.white_xyz * 65536).astype(">i4").tobytes()
+    data[table[b"chad"] : table[b"chad"] + 4] = b"none"
+    found = read_profile(bytes(data), "old.icc")
+    assert found.xyz_from_rgb == pytest.approx(display.xyz_from_rgb, abs=5 * FIXED_POINT)
+    for dark in (b"wtpt", b"gXYZ"):
+        offset = int.from_bytes(data[table[dark] + 4 : table[dark] + 8], "big")
+        broken = bytes(data[: offset + 8]) + bytes(12) + bytes(data[offset + 20 :])
+        with pytest.raises(InputError, match=r"old\.icc: .*found a display without"):
+            read_profile(broken, "old.icc")
+
+
 def test_sampled_curves_pass_through_a_profile():
     ramp = np.linspace(0, 1, 4096) ** 2.1
     profile = Profile("ramp", standard_display("Display P3").xyz_from_rgb, (SampledCurve(ramp),) * 3)
