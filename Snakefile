@@ -23,6 +23,7 @@ wildcard_constraints:
     environment="[a-z0-9-]+",
     scene="[a-z0-9-]+",
     view="[a-z0-9-]+",
+    photograph="[a-z0-9-]+",
     capture="[a-z0-9-]+",
     tile="[0-9]+",
     stage="[a-z0-9-]+",
@@ -39,6 +40,7 @@ include: "workflow/rules/fit.smk"
 include: "workflow/rules/compress.smk"
 include: "workflow/rules/environment.smk"
 include: "workflow/rules/render.smk"
+include: "workflow/rules/photograph.smk"
 include: "workflow/rules/report.smk"
 include: "workflow/rules/benchmark.smk"
 

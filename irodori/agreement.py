@@ -1,6 +1,5 @@
 """What no schema sees: that definitions agree with each other, and that the files they name are there."""
 
-import math
 import os
 from pathlib import Path
 
@@ -15,8 +14,10 @@ from irodori.agreement_captures import (
     read_table,
     table_and_folder,
 )
+from irodori.agreement_displays import check_display
 from irodori.agreement_environments import check_source, is_photographed
 from irodori.agreement_motion import check_motion
+from irodori.agreement_photographs import check_aim, check_photograph
 from irodori.agreement_plans import check_plan
 from irodori.agreement_spectra import check_chart, check_spectra
 from irodori.captures import Shot
@@ -180,14 +181,7 @@ class _Checks:
     def scene(self, name: str) -> None:
         file, scene = self.file("scenes", name), self.all["scenes"][name]
         for label, view in scene["views"].items():
-            forward = [b - a for a, b in zip(view["position_mm"], view["target_mm"], strict=True)]
-            if not any(forward):
-                raise InputError(file, f"views.{label}.target_mm", "the eye's own position", "another point")
-            (a, b, c), (d, e, f) = forward, view["up"]
-            across = math.hypot(b * f - c * e, c * d - a * f, a * e - b * d)
-            if across <= 1e-9 * math.hypot(a, b, c) * max(1.0, math.hypot(d, e, f)):
-                found = f"{view['up']}, along the line of sight or of no length"
-                raise InputError(file, f"views.{label}.up", found, "a direction that points up in the picture")
+            check_aim(view, file, f"views.{label}")
             if "lens" in view and scene["integrator"]["kind"] == "interactive":
                 found = "a lens, over which the integrator interactive does not sample"
                 raise InputError(file, f"views.{label}.lens", found, "integrator: sampled or reference, or no lens")
@@ -196,6 +190,10 @@ class _Checks:
             found = f"{scene['frames']['turned']}, of which the scene has none beside its environment"
             raise InputError(file, "frames.turned", found, "environment, or lights in the scene")
         check_plan(scene, file)
+        for label, placed in scene["photographs"].items():
+            states = self._states(placed["camera"])
+            check_photograph(self.all, scene, label, states, self.root, lambda kind, which=name: self.file(kind, which))
+        check_display(scene["display"]["device"], self.root, file)
         check_spectra(scene, (), self.root, file)
         for index, body in enumerate(scene["bodies"]):
             field = f"bodies[{index}].material.refractive_index"
@@ -221,6 +219,12 @@ class _Checks:
                         found = f"{path.relative_to(self.root) if path.is_relative_to(self.root) else path}"
                         accepted = f"a {key} of its own: {first} has this one"
                         raise InputError(self.file(kind, name), field, found, accepted)
+
+    def _states(self, camera: str) -> set[str]:
+        """Return the filter states of a camera's chart."""
+        if camera in self.charts:
+            return {shot.filter for shot in self.charts[camera][1]}
+        return set(self.all["cameras"][camera]["exposure_s"])
 
     def _check_index(self, index: dict, field: str, file: Path) -> None:
         """Refuse a table of refractive indices that is not there, or is none."""
@@ -287,11 +291,14 @@ class _Checks:
             check_one_pose(group, table)
 
     def _user_of(self, camera: str) -> Path | None:
-        """Return the file of an object or an environment that a camera photographs, None where there is none."""
+        """Return the file of an object, environment or scene that a camera photographs, None where there is none."""
         for kind in ("objects", "environments"):
             for name, definition in self.all[kind].items():
                 if definition.get("camera") == camera:
                     return self.file(kind, name)
+        for name, scene in self.all["scenes"].items():
+            if any(placed["camera"] == camera for placed in scene["photographs"].values()):
+                return self.file("scenes", name)
         return None
 
     def _check_exposures(self, definition: dict, file) -> None:

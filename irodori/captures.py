@@ -18,7 +18,7 @@ from irodori.errors import InputError
 from irodori.provenance import file_sha256
 from irodori.validation import suggest
 
-ROLES = ("object", "chart", "white", "dark", "environment")
+ROLES = ("object", "chart", "white", "dark", "environment", "scene")
 #: A further chart has its name behind the role, such as ``chart-sg``.
 _FURTHER_CHART = "chart-"
 _NAME = re.compile(r"[a-z0-9-]+")

@@ -68,6 +68,29 @@ def cgats_table(path) -> tuple[list[str], list[float], list[list[float]]]:
     return names, wavelength, values
 
 
+def named_columns(path, names: list[str]) -> list[list[float]]:
+    """Read columns of numbers of a CGATS file by their names.
+
+    Returns
+    -------
+    list of rows, the values of one sample in the order of ``names``
+
+    Raises
+    ------
+    InputError
+        If no table, or more than one, has all of them.
+    """
+    tables = [table for table in _tables(path) if set(names) <= set(table.columns)]
+    if len(tables) != 1:
+        found = f"{len(tables)} tables with the columns {', '.join(names)}"
+        raise InputError(path, "BEGIN_DATA_FORMAT", found, "one table with these columns")
+    places = [(name, tables[0].columns.index(name)) for name in names]
+    return [
+        [number(row[i], path, f"line {line}, {name}") for name, i in places]
+        for line, row in _whole_rows(tables[0], path)
+    ]
+
+
 def _tables(path) -> list[_Table]:
     """Return all tables of a file, those without spectra too."""
     tables, table, section = [], _Table(), ""

@@ -213,6 +213,8 @@ class _Loader:
             self._environment(scene["environment"], file, ("environment",))
             for index, placed in enumerate(scene["objects"]):
                 self._object(placed["object"], file, ("objects", index, "object"))
+            for label, placed in scene["photographs"].items():
+                self.camera(placed["camera"], file, ("photographs", label, "camera"))
 
     def camera(self, name: str, by, path: tuple) -> None:
         for camera, file in self._load("cameras", name, by, path):

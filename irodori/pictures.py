@@ -1,4 +1,4 @@
-"""Pictures in files through OpenImageIO: spectral EXR (published layout) and display PNG with its ICC profile."""
+"""Pictures in files through OpenImageIO: spectral EXR (published layout), XYZ EXR, PNG and TIFF with an ICC profile."""
 
 import re
 from collections.abc import Iterator
@@ -244,12 +244,32 @@ def read_xyz(path, matrix: np.ndarray) -> np.ndarray:
     return read_spectral_exr(path) @ matrix.T
 
 
+def write_display_picture(path, pixels: np.ndarray, profile: bytes, attributes: dict[str, str]) -> None:
+    """Write a picture for a display, PNG or TIFF by the file's suffix.
+
+    Parameters
+    ----------
+    pixels : (height, width, 3) uint8 or uint16, code values
+    profile : bytes
+        ICC profile of the display.
+    attributes : dict of str
+        Text attributes; a TIFF, which has no place for them, holds them in its description.
+    """
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, str(pixels.dtype))
+    spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{len(profile)}]"), np.frombuffer(profile, dtype=np.uint8))
+    # Chunks that would name sRGB beside the profile are left out; the profile alone tells.
+    spec.attribute("oiio:ColorSpace", "unknown")
+    if Path(path).suffix == ".png":
+        for name, value in attributes.items():
+            spec.attribute(name, value)
+    else:
+        spec.attribute("ImageDescription", "; ".join(f"{name} {value}" for name, value in attributes.items()))
+        spec.attribute("compression", "zip")
+    _write(path, np.ascontiguousarray(pixels), spec)
+
+
 def write_png(path, pixels: np.ndarray) -> None:
     """Write an 8-bit sRGB picture, (height, width, 3) uint8, with its ICC profile."""
-    from PIL import ImageCms
+    from irodori.display import srgb
 
-    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, "uint8")
-    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-    spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{len(profile)}]"), np.frombuffer(profile, dtype=np.uint8))
-    spec.attribute("oiio:ColorSpace", "sRGB")
-    _write(path, np.ascontiguousarray(pixels), spec)
+    write_display_picture(path, pixels, srgb().profile, {})

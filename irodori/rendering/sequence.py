@@ -16,18 +16,18 @@ from pathlib import Path
 import numpy as np
 
 from irodori.colour import xyz_from_radiance
-from irodori.display import encode_srgb, rgb_from_xyz
+from irodori.display import make_display
 from irodori.errors import InputError
 from irodori.geometry.shapes import Shape
 from irodori.light import Environment
 from irodori.material import Material
-from irodori.pictures import write_png
 from irodori.placed_lights import unit_luminance
 from irodori.progress import LOGGER, track
 from irodori.provenance import code_hash, file_sha256
 from irodori.rendering.integrators import make_renderer
 from irodori.rendering.moments import Moment
-from irodori.rendering.stage import display_white
+from irodori.rendering.stage import write_picture
+from irodori.rendering.white import scene_white
 from irodori.spectra import WAVELENGTH_NM
 
 #: Kinds of `frames` in a scene.
@@ -116,8 +116,8 @@ class _Frames:
     def figures(self, number: int) -> Path:
         return self.folder / f"{number:05d}.json"
 
-    def finish(self, number: int, pixels: np.ndarray, figures: dict) -> None:
-        write_png(self.picture(number), pixels)
+    def finish(self, number: int, figures: dict) -> None:
+        """Note that a frame's picture is whole."""
         _write_json(self.figures(number), figures)
 
     def is_finished(self, number: int) -> bool:
@@ -139,12 +139,6 @@ def _write_json(path, content: dict) -> None:
     temporary = Path(path).with_suffix(".part")
     temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
     os.replace(temporary, path)
-
-
-def _encoded(radiance: np.ndarray, white: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the display's pixels of a frame, and the share of them outside its gamut."""
-    matrix = xyz_from_radiance(white)
-    return encode_srgb(radiance @ (rgb_from_xyz(matrix @ white) @ matrix).T.astype(np.float32))
 
 
 class _Pictures:
@@ -210,16 +204,18 @@ def render_frames(
     made = [Shape.from_definition(shape) for shape in shapes]
     materials = [Material.load(path) for path in material_files]
     renderer = make_renderer(scene, made, materials, environment, options, tile_rows)
-    white, exposure = display_white(environment, scene.get("lights", []), scene["display"]["exposure"])
+    white, exposure = scene_white(scene, environment)
+    display = make_display(scene["display"]["device"])
     stands = scene["frames"]["kind"] == "light_sweep"
     for number in track(missing, f"frames of {view_name}"):
         shown, moment = moments[number]
         start = time.perf_counter()
         radiance, figures = renderer.picture(view_name, moment, stands, kept.folder / f"{number:05d}.tiles")
         filtered = moments[0 if scene["frames"].get("white") == "first" else number][1].filter
-        pixels, outside = _encoded(radiance, white if filtered is None else white * np.asarray(filtered))
-        figures |= {"out_of_gamut_fraction": outside, "seconds_in_all": time.perf_counter() - start}
-        kept.finish(number, pixels, shown | figures)
+        seen = white if filtered is None else white * np.asarray(filtered)
+        matrix = xyz_from_radiance(seen)
+        figures |= write_picture(kept.picture(number), radiance @ matrix.T.astype(np.float32), matrix @ seen, display)
+        kept.finish(number, shown | figures | {"seconds_in_all": time.perf_counter() - start})
     numbers = range(len(moments))
     write_animation(animation, [kept.picture(n) for n in numbers], scene["frames"]["frames_per_second"])
     of_each = [json.loads(kept.figures(n).read_text(encoding="utf-8")) for n in numbers]

@@ -7,38 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from irodori.colour import xyz_from_radiance
-from irodori.display import encode_srgb, rgb_from_xyz
+from irodori.display import Display, make_display, srgb
 from irodori.geometry.shapes import Shape
 from irodori.light import Environment
 from irodori.material import Material
-from irodori.pictures import write_png, write_spectral_exr, write_xyz_exr
+from irodori.pictures import read_xyz, write_display_picture, write_spectral_exr, write_xyz_exr
 from irodori.progress import LOGGER
 from irodori.rendering.integrators import render_image
-
-
-def display_white(environment: Environment, lights: list[dict], exposure) -> tuple[np.ndarray, float]:
-    """Return the radiance that the display shows as white, and the exposure used.
-
-    Parameters
-    ----------
-    environment : Environment
-    lights : list of dict
-        Of the scene, which that diffuser sees from the scene's origin.
-    exposure : float or ``auto``
-        Factor on the radiance of a perfect diffuser that faces up; ``auto`` is 1, that diffuser is then white.
-
-    Returns
-    -------
-    white : (61,) float64
-    exposure : float
-    """
-    factor = 1.0 if exposure == "auto" else float(exposure)
-    white = environment.upward_white()
-    if lights:
-        from irodori.rendering.lights import make_lights, upward_radiance
-
-        white = white + upward_radiance(make_lights(lights, 0)[0])
-    return white / factor, factor
+from irodori.rendering.white import scene_white
 
 
 def render_view(
@@ -65,6 +41,7 @@ def render_view(
         from irodori.rendering.scene_plan.plan_file import read_plan  # loads the interactive integrator
 
         plan = read_plan(plan_file)
+    display = make_display(scene["display"]["device"])
     materials = [Material.load(path) for path in material_files]
     environment = Environment.load(environment_file)
     radiance, figures = render_image(
@@ -79,27 +56,62 @@ def render_view(
         plan,
         check,
     )
-    white, exposure = display_white(environment, scene.get("lights", []), scene["display"]["exposure"])
+    white, exposure = scene_white(scene, environment)
     matrix = xyz_from_radiance(white)
     white_xyz = matrix @ white
-    spectral = radiance.shape[-1] != 3
-    to_xyz = matrix if spectral else np.eye(3)
-    rgb = radiance @ (rgb_from_xyz(white_xyz) @ to_xyz).T.astype(np.float32)
-    pixels, outside = encode_srgb(rgb)
-    attributes = {"irodori:chromaticAdaptation": "CAT16", "irodori:whiteXYZ": " ".join(f"{v:.6g}" for v in white_xyz)}
-    if spectral:
-        write_spectral_exr(exr, radiance, rgb, attributes)
+    if radiance.shape[-1] == 3:
+        xyz = radiance  # of a plan that does not carry all bands
+        write_xyz_exr(exr, xyz, _xyz_attributes(white_xyz))
     else:
-        # XYZ are of the scene: only the display's picture is adapted.
-        write_xyz_exr(exr, radiance, {"irodori:whiteXYZ": attributes["irodori:whiteXYZ"]})
-    write_png(png, pixels)
-    figures |= {"out_of_gamut_fraction": outside, "exposure": exposure}
+        xyz = radiance @ matrix.T.astype(np.float32)
+        write_spectral_exr(exr, radiance, srgb().linear_rgb(xyz, white_xyz), srgb().attributes(white_xyz))
+    figures |= write_picture(png, xyz, white_xyz, display) | {"display": display.name, "exposure": exposure}
     temporary = Path(figures_file).with_suffix(".part")
     temporary.write_text(json.dumps(figures, indent=1), encoding="utf-8")
     os.replace(temporary, figures_file)
-    LOGGER.info(
-        "%.2f s, %.0f pixels/s; %.1f %% of pixels outside the display's gamut",
-        figures["seconds"],
-        figures["pixels_per_second"],
-        100 * outside,
-    )
+    LOGGER.info("%.2f s, %.0f pixels/s", figures["seconds"], figures["pixels_per_second"])
+
+
+def write_picture(path, xyz: np.ndarray, white_xyz: np.ndarray, display: Display, bits: int = 8) -> dict[str, float]:
+    """Write XYZ (height, width, 3) as a picture for a display; return, and log, what that display cannot show."""
+    pixels, gamut = display.encode(display.linear_rgb(xyz, white_xyz), bits)
+    write_display_picture(path, pixels, display.profile, display.attributes(white_xyz))
+    figures = gamut.figures()
+    text = "%s: %.2f %% of pixels outside the gamut of %s, set to its edge (%.2f %% under 0, %.2f %% over 1)"
+    shares = [100 * figures[f"out_of_gamut_{side}fraction"] for side in ("", "below_", "above_")]
+    LOGGER.info(text, path, shares[0], display.name, *shares[1:])
+    return figures
+
+
+def write_xyz(scene: dict, exr, environment_file, output) -> None:
+    """Write the XYZ of a rendered view, not adapted; Y = 100 is the scene's white.
+
+    Parameters
+    ----------
+    scene : dict
+    exr : path
+        Spectral EXR of the view.
+    environment_file : path
+    output : path
+    """
+    xyz, white_xyz = _view_xyz(scene, exr, environment_file)
+    write_xyz_exr(output, xyz, _xyz_attributes(white_xyz))
+
+
+def _xyz_attributes(white_xyz: np.ndarray) -> dict[str, str]:
+    listed = " ".join(f"{value:.6g}" for value in white_xyz)
+    observer = {"irodori:observer": "CIE 1931 2 degrees", "irodori:chromaticAdaptation": "none"}
+    return observer | {"irodori:whiteXYZ": listed}
+
+
+def write_tiff(scene: dict, exr, environment_file, output) -> None:
+    """Write a rendered view for its display with 16 bits a channel; parameters as of `write_xyz`."""
+    display = make_display(scene["display"]["device"])
+    write_picture(output, *_view_xyz(scene, exr, environment_file), display, bits=16)
+
+
+def _view_xyz(scene: dict, exr, environment_file) -> tuple[np.ndarray, np.ndarray]:
+    """Return the XYZ of a view's EXR, (height, width, 3) float32, and of its white."""
+    white, _ = scene_white(scene, Environment.load(environment_file))
+    matrix = xyz_from_radiance(white)
+    return read_xyz(exr, matrix.astype(np.float32)), matrix @ white

@@ -22,7 +22,7 @@ from irodori.principal import CompressOptions, analyse
 from irodori.progress import LOGGER, track
 from irodori.recovery import Calibration
 from irodori.rendering.integrators import render_image
-from irodori.rendering.stage import display_white
+from irodori.rendering.white import scene_white
 from irodori.report.errors import interior, radiance_delta_e
 from irodori.whole_files import written_whole
 
@@ -291,7 +291,7 @@ def error_budget(
     options : dict
         ``render``: of the integrator; ``compress`` and ``environment``: those keys of the configuration.
     """
-    white = display_white(lights[1], scene.get("lights", []), "auto")[0]
+    white = scene_white(scene, lights[1])[0]
     covered = [s.is_covered(*one.truth.alpha.shape[::-1]) for s, one in zip(shapes, objects, strict=True)]
     budget = _Budget(_Pictures(scene, view, shapes, options["render"]), objects, covered, lights, white)
     left_out = float(np.mean([one.left_out for one in objects]))

@@ -21,6 +21,7 @@ from irodori.light import Environment, directions
 from irodori.material import Material, Status
 from irodori.pictures import read_xyz
 from irodori.progress import LOGGER
+from irodori.rendering.white import scene_white
 from irodori.whole_files import written_whole
 
 
@@ -75,7 +76,7 @@ def material_errors(name: str, material: Material, truth: Material, lights: list
 
 
 def xyz_delta_e(truth: np.ndarray, estimate: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between two images of XYZ, (..., 3) to (...); parameters as of `radiance_delta_e`."""
+    """Return CIEDE2000 between two pictures in XYZ, (..., 3) to (...), Y = 100 for white; see `radiance_delta_e`."""
     scale = np.maximum(truth[..., 1:2] / 100.0, 1.0)
     return delta_e(lab_from_xyz(truth / scale, white_xyz), lab_from_xyz(estimate / scale, white_xyz))
 
@@ -133,9 +134,10 @@ def measure_errors(inputs: dict, names: dict, lights: list[str], output) -> None
     ----------
     inputs : dict
         Lists of files: materials, true_materials, environments, true_environments, calibrations, views, true_views;
-        and view_lights, the environment of each view.
+        and view_lights, the environment's file of each view.
     names : dict
-        Their names: objects, environments, cameras, views; and view_environments, the light of each view.
+        Their names: objects, environments, cameras, views; view_environments, the light of each view; and view_scenes,
+        of each view what `irodori.rendering.white.scene_white` reads of its scene.
     lights : list of str
     output : path
     """
@@ -148,16 +150,20 @@ def measure_errors(inputs: dict, names: dict, lights: list[str], output) -> None
         names["environments"], inputs["environments"], inputs["true_environments"], strict=True
     ):
         rows += environment_errors(name, Environment.load(path), Environment.load(truth))
-    whites = {
-        name: Environment.load(path).upward_white()
-        for name, path in dict(zip(names["view_environments"], inputs["view_lights"], strict=True)).items()
-    }
-    for name, light, path, truth in zip(
-        names["views"], names["view_environments"], inputs["views"], inputs["true_views"], strict=True
+    environments = {path: Environment.load(path) for path in dict.fromkeys(inputs["view_lights"])}
+    for name, light, scene, file, path, truth in zip(
+        names["views"],
+        names["view_environments"],
+        names["view_scenes"],
+        inputs["view_lights"],
+        inputs["views"],
+        inputs["true_views"],
+        strict=True,
     ):
-        matrix = xyz_from_radiance(whites[light])
+        white, _ = scene_white(scene, environments[file])
+        matrix = xyz_from_radiance(white)
         pair = read_xyz(truth, matrix), read_xyz(path, matrix)
-        difference = xyz_delta_e(*pair, matrix @ whites[light])
+        difference = xyz_delta_e(*pair, matrix @ white)
         # Light, samples and random numbers are shared: a pixel that shows no object is the same to the bit.
         objects = (pair[0] != pair[1]).any(axis=-1)
         rows.append(_row(name, "picture CIEDE2000 to true materials", difference, light))

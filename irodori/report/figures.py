@@ -2,6 +2,8 @@
 
 import base64
 import io
+import os
+from pathlib import Path
 
 import matplotlib
 
@@ -153,6 +155,34 @@ def selection_figure(header: list[str], rows: list[list[str]]) -> str:
         ax.set_title(f"{label}, patches left out; numbers of bases beside the points", fontsize=8)
     axes[0].legend(fontsize=7)
     return _finish(figure)
+
+
+def comparison_figure(output, photograph, rendering, difference: np.ndarray, figures: dict) -> None:
+    """Write a photograph, the rendering of its view and the CIEDE2000 between them side by side as a PNG.
+
+    Parameters
+    ----------
+    output, photograph, rendering : path
+        Of PNG files.
+    difference : (height, width) float
+        CIEDE2000, NaN where not compared; the scale ends at its 99th percentile.
+    figures : dict
+        ``delta_e`` and ``noise_floor``, summaries.
+    """
+    figure, axes = plt.subplots(1, 3, figsize=(15, 4.2), layout="constrained")
+    titles = ("photograph", "rendered from the fitted materials")
+    for ax, path, title in zip(axes, (photograph, rendering), titles, strict=False):
+        ax.imshow(plt.imread(path))
+        ax.set_title(title, fontsize=9)
+        ax.axis("off")
+    _map(axes[2], figure, difference, "CIEDE2000", "1")
+    found, noise = figures["delta_e"], figures["noise_floor"]
+    text = "CIEDE2000: mean {mean:.2f}, 95 % {p95:.2f}, 99 % {p99:.2f}, largest {max:.1f}".format(**found)
+    axes[2].set_title(f"{text}\nnoise alone: mean {noise['mean']:.2f}, 95 % {noise['p95']:.2f}", fontsize=9)
+    temporary = Path(output).with_suffix(".part.png")
+    figure.savefig(temporary, dpi=90, metadata={"Software": None})
+    plt.close(figure)
+    os.replace(temporary, output)
 
 
 def front_figure(rows: list[dict], front: list[str], default: str | None, metric: str) -> str:

@@ -60,7 +60,10 @@ def _views_section(views: list[str], pictures: list, figures: list, truths: dict
             ["pixels per second", f"{measured['pixels_per_second']:.0f}"],
             *_integrator_rows(measured),
             *_plan_rows(measured.get("plan")),
+            ["display", measured["display"]],
             ["pixels outside the display's gamut", f"{measured['out_of_gamut_fraction']:.2%}"],
+            ["of them under 0 in a channel", f"{measured['out_of_gamut_below_fraction']:.2%}"],
+            ["of them over 1 in a channel", f"{measured['out_of_gamut_above_fraction']:.2%}"],
         ]
         rows += [
             [f"{name}: texels that no capture determined, filled from their neighbours", f"{share:.1%}"]
@@ -85,6 +88,36 @@ def _plan_rows(plan: dict | None) -> list[list[str]]:
         values = ", ".join(f"{found[key]:.3g}" for key in ("mean", "p95", "p99", "max"))
         rows.append([f"ΔE2000 to the full model at {found['count']} pixels: mean, p95, p99, max", values])
     return rows
+
+
+def _photographs_section(names: list[str], pictures: list, figures: list) -> str:
+    if not names:
+        return ""
+    parts = [
+        "<h2>Beside the real thing</h2><p>Photographs that no material was fitted to, against the same view rendered "
+        "with all its reflections. Noise alone: the difference that the noise of photograph and rendering makes of two "
+        "equal pictures.</p>"
+    ]
+    for name, picture, numbers in zip(names, pictures, figures, strict=True):
+        found = json.loads(Path(numbers).read_text(encoding="utf-8"))
+        parts.append(figure(data_uri(picture), name))
+        lines = [
+            [label, *(number(found[key][of]) for of in ("mean", "p95", "p99", "max"))]
+            for label, key in (
+                ("CIEDE2000", "delta_e"),
+                ("CIEDE2000, objects only", "delta_e_objects"),
+                ("noise alone", "noise_floor"),
+                ("noise alone, objects only", "noise_floor_objects"),
+            )
+        ]
+        parts.append(table(["difference", "mean", "p95", "p99", "max"], lines))
+        parts.append(
+            f"<p>{found['compared_fraction']:.1%} of the pixels are compared; factor on the photograph "
+            f"{found['scale']:.4g}; its luminance over the rendering's, median of the pixels, "
+            f"{found['luminance_ratio']:.4g}; {found['samples']} paths a pixel. "
+            f"In the noise: {', '.join(found['noise_counts'])}.</p>"
+        )
+    return "".join(parts)
 
 
 def _integrator_rows(measured: dict) -> list[list[str]]:
@@ -231,9 +264,10 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
     ----------
     inputs : dict
         Files: errors, planning, imperfections; lists of budgets, references, registrations, materials, true_materials,
-        environments, calibration_errors, pictures, figures, true_pictures.
+        environments, calibration_errors, pictures, figures, true_pictures,
+        comparisons, comparison_figures.
     names : dict
-        objects, virtual_objects, environments, cameras, views, virtual_views, in the order of the files.
+        objects, virtual_objects, environments, cameras, views, virtual_views, photographs, in the order of the files.
     benchmarks : path
         Folder of the benchmark files of the run.
     output : path
@@ -244,6 +278,7 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
     body = [
         "<h1>Irodori</h1>",
         _views_section(names["views"], inputs["pictures"], inputs["figures"], true_views),
+        _photographs_section(names["photographs"], inputs["comparisons"], inputs["comparison_figures"]),
         _errors_section(read_errors(inputs["errors"])),
         _budget_section(budgets),
         _objects_section(names["objects"], inputs["materials"], true_objects),

@@ -35,6 +35,7 @@ _SUBJECT_PHRASES = {
     "chart": "put the colour chart in place",
     "object": "put the object in place",
     "environment": "point the camera at the environment",
+    "scene": "point the camera at the scene",
 }
 _CHART = "chart-"  # before the name of a further chart, see `irodori.captures.chart_capture`
 _YES, _NO = ("", "y", "yes", "ok", "done"), ("q", "quit", "a", "abort", "n", "no", "stop")

@@ -20,7 +20,7 @@ from irodori.rig.paths import shortest_blocks
 from irodori.rig.placing import hand_settings, motor_targets
 
 #: What is photographed first: what calibrates an object comes before it.
-PHASES = ("dark", "white", "chart", "object", "environment")
+PHASES = ("dark", "white", "chart", "object", "environment", "scene")
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def order_shots(
 ) -> list[Shot]:
     """Return the shots in the order of least work by hand, then of least travel.
 
-    Dark frames come first, then the white reference, the chart, the objects and the environment. The exposures of
+    Dark frames come first, then the white reference, the chart, the objects, the environment, scenes. The exposures of
     one bracket (same subject, pose and filter) follow each other, the shortest first, so that no long exposure leaves
     its traces in the next picture. The same input gives the same order.
 

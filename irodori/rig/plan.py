@@ -58,6 +58,11 @@ def environment_shots(definition: dict, camera: dict, suffix: str) -> list[Shot]
     return list(_bracket("environment", _NOWHERE, definition["exposure_s"], _settings(camera), suffix))
 
 
+def scene_shots(definition: dict, camera: dict, suffix: str) -> list[Shot]:
+    """Return the photographs of a scene from one place; parameters as of `object_shots`."""
+    return list(_bracket("scene", _NOWHERE, definition["exposure_s"], _settings(camera), suffix))
+
+
 def camera_shots(camera: dict, suffix: str) -> list[Shot]:
     """Return the photographs that calibrate a camera: dark frames, white references, the chart, further charts.
 

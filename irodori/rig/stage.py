@@ -18,7 +18,7 @@ from irodori.rig.gphoto import RAW_SUFFIXES, GphotoCamera
 from irodori.rig.journal import RETIRED, Journal, claimed, storing
 from irodori.rig.operator import AutoOperator, Operator, Step, make_operator
 from irodori.rig.order import Estimate, estimate_s, order_shots
-from irodori.rig.plan import camera_shots, environment_shots, object_shots
+from irodori.rig.plan import camera_shots, environment_shots, object_shots, scene_shots
 from irodori.rig.session import Session, take_stock
 from irodori.rig.virtual.bench import Bench
 from irodori.rig.virtual.camera import VirtualCamera
@@ -221,3 +221,18 @@ def capture_environment(definition: dict, target: Target, record, provenance: Pr
     """Photograph a virtual room with an omnidirectional camera; see `photograph`."""
     shots = environment_shots(definition, target.camera, target.suffix)
     photograph(shots, target, definition, record, provenance, f"environment {target.name}", on_rig=False)
+
+
+def capture_photograph(definition: dict, radiance, target: Target, record, provenance: Provenance) -> None:
+    """Photograph a scene from one place with a virtual camera; see `photograph`.
+
+    Parameters
+    ----------
+    definition : dict
+        Of the photograph, in the scene's file.
+    radiance : path
+        What stands before the camera, see `irodori.rig.virtual.scene_view`.
+    """
+    shots = scene_shots(definition, target.camera, target.suffix)
+    subject = {"radiance": str(radiance)}
+    photograph(shots, target, subject, record, provenance, f"photograph {target.name}", on_rig=False)

@@ -43,6 +43,7 @@ def studio(root):
     edit(root, ROOM_FILE, "captures", {"table": "room/captures.csv", "folder": "room"})
     edit(root, PLATE_FILE, "captures", {"table": "plate/captures.csv"})
     edit(root, "scenes/still-life.yaml", "objects", [{"object": "tile-plate", "position_mm": [0, 0, 0]}])
+    edit(root, "scenes/still-life.yaml", "photographs", {})
     return root
 
 

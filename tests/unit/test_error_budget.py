@@ -118,6 +118,7 @@ def test_light_loses_nothing_to_all_its_bases():
 def rows():
     scene = {
         "image": {"width": 24, "height": 16},
+        "display": {"exposure": "auto"},
         "objects": [{"object": "a", "position_mm": [0.0, 0.0, 0.0], "rotation_deg": [0.0, 0.0, 0.0], "scale": 1.0}],
         "views": {"v": {"position_mm": [0.0, -80.0, 150.0], "target_mm": [0.0, 0.0, 0.0], "up": [0.0, 0.0, 1.0],
                         "field_of_view_deg": 20.0}},

@@ -11,9 +11,11 @@ from scenes import DATA, OPTIONS, constant_light, material
 from irodori import store
 from irodori.errors import InputError
 from irodori.pictures import channel_names, read_spectral_exr, write_png, write_spectral_exr
-from irodori.rendering.stage import render_view
+from irodori.rendering.stage import render_view, write_tiff, write_xyz
 from irodori.report.page import _views_section
 from irodori.spectra import WAVELENGTH_NM
+
+DISPLAY = {"exposure": "auto", "device": {"kind": "standard", "name": "sRGB"}}
 
 
 def spectral_picture(path, seed=2, size=(24, 32)):
@@ -91,7 +93,7 @@ def test_a_view_in_files_shows_a_white_diffuser_as_white(tmp_path):
         material(reflectance).save(tmp_path / f"{name}.h5", provenance)
     shapes = [{"kind": "plate", "width_mm": 100.0, "height_mm": 100.0}, {"kind": "sphere", "radius_mm": 20.0}]
     scene = {
-        "image": {"width": 31, "height": 31}, "display": {"exposure": "auto"},
+        "image": {"width": 31, "height": 31}, "display": DISPLAY,
         "objects": [{"object": n, "position_mm": [0, 0, z], "rotation_deg": [0, 0, 0], "scale": 1.0}
                     for n, z in (("white", 0.0), ("grey", 40.0))],
         "views": {"v": {"position_mm": [0, -0.01, 500.0], "target_mm": [0, 0, 0], "up": [0, 0, 1],
@@ -109,6 +111,21 @@ def test_a_view_in_files_shows_a_white_diffuser_as_white(tmp_path):
     figures = json.loads((tmp_path / "v.json").read_text())
     assert figures["exposure"] == 1.0 and figures["filled_fraction"] == {"white": 0.0, "grey": 0.0}
     assert WAVELENGTH_NM.size == radiance.shape[2]
+    assert figures["display"] == "sRGB" and figures["out_of_gamut_pixels"] == 0
+    _check_further_outputs(scene, tmp_path, pixels)
+
+
+def _check_further_outputs(scene, folder, pixels):
+    """XYZ and a TIFF of the view's EXR: the grey ball has Y = 20 and the same code as in the PNG, 16 bits of it."""
+    write_xyz(scene, folder / "v.exr", folder / "e.h5", folder / "v.xyz.exr")
+    source = oiio.ImageInput.open(str(folder / "v.xyz.exr"))
+    xyz, white = source.read_image("float"), source.spec().getattribute("irodori:whiteXYZ")
+    source.close()
+    assert xyz[15, 15] == pytest.approx(0.2 * np.array(list(map(float, white.split()))), rel=0.01)
+    write_tiff(scene, folder / "v.exr", folder / "e.h5", folder / "v.tif")
+    source = oiio.ImageInput.open(str(folder / "v.tif"))
+    assert np.abs(source.read_image("uint16") / 257 - pixels).max() <= 0.51
+    source.close()
 
 
 def test_a_view_by_paths_in_files_tells_its_error_and_leaves_no_tiles(tmp_path):
@@ -121,7 +138,7 @@ def test_a_view_by_paths_in_files_tells_its_error_and_leaves_no_tiles(tmp_path):
     panel = {"kind": "rectangle", "spectrum": "D65", "position_mm": [90, 0, 200], "rotation_deg": [180, 20, 0],
              "width_mm": 60.0, "height_mm": 90.0, "radiance": 5.0}  # fmt: skip
     scene = {
-        "image": {"width": 7, "height": 5}, "display": {"exposure": "auto"}, "lights": [sun, lamp, panel],
+        "image": {"width": 7, "height": 5}, "display": DISPLAY, "lights": [sun, lamp, panel],
         "integrator": {"kind": "reference", "samples": 512, "seed": 3},
         "objects": [{"object": "white", "position_mm": [0, 0, 0], "rotation_deg": [0, 0, 0], "scale": 1.0}],
         "views": {"v": {"position_mm": [0, -0.01, 500.0], "target_mm": [0, 0, 0], "up": [0, 0, 1],
@@ -152,7 +169,7 @@ def test_an_interactive_view_in_files_has_the_light_of_its_lamp(tmp_path):
     material(1.0).save(tmp_path / "white.h5", store.Provenance("test"))
     sun = {"kind": "collimated", "spectrum": "A", "azimuth_deg": 0.0, "elevation_deg": 30.0, "irradiance": 4.0}
     scene = {
-        "image": {"width": 7, "height": 5}, "display": {"exposure": "auto"}, "lights": [sun],
+        "image": {"width": 7, "height": 5}, "display": DISPLAY, "lights": [sun],
         "integrator": {"kind": "interactive", "ambient": True},
         "objects": [{"object": "white", "position_mm": [0, 0, 0], "rotation_deg": [0, 0, 0], "scale": 1.0}],
         "views": {"v": {"position_mm": [0, -0.01, 500.0], "target_mm": [0, 0, 0], "up": [0, 0, 1],
@@ -192,7 +209,7 @@ def test_a_body_is_rendered_from_its_names_alone(tmp_path, integrator):
     smooth = {"spectrum": "TCS12", "beta": 0.0, "mu_rad": 0.1, "mirror": 0.0, "refractive_index": {"n": 1.5, "k": 0.0}}
     golden = smooth | {"mirror": 1.0, "refractive_index": {"file": str(index)}}
     scene = {
-        "image": {"width": 3, "height": 1}, "display": {"exposure": "auto"}, "integrator": integrator,
+        "image": {"width": 3, "height": 1}, "display": DISPLAY, "integrator": integrator,
         "objects": [{"object": "plate", "position_mm": [0, 0, -500], "rotation_deg": [0, 0, 0], "scale": 1.0}],
         "bodies": [where | {"position_mm": [-100, 0, 0], "material": smooth},
                    where | {"position_mm": [100, 0, 0], "material": golden}],

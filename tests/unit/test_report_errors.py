@@ -2,9 +2,13 @@
 
 import numpy as np
 import pytest
+from scenes import constant_light
 
+from irodori import store
 from irodori.material import Material
-from irodori.report.errors import interior, radiance_delta_e
+from irodori.pictures import write_spectral_exr
+from irodori.placed_lights import unit_luminance
+from irodori.report.errors import interior, measure_errors, radiance_delta_e, read_errors
 from irodori.spectra import spectrum
 
 
@@ -37,3 +41,30 @@ def test_equal_pictures_differ_by_nothing_and_a_tint_shows_however_bright():
     assert (difference > 0.1).all()
     # Above white both are scaled alike: the same tint is the same difference.
     assert difference[3] == pytest.approx(difference[2], rel=1e-9)
+
+
+def test_a_pictures_error_is_judged_against_a_white_that_counts_the_scenes_lights(tmp_path):
+    """Under a lamp nine times the environment the same difference is that of a darker colour: its ΔE is smaller."""
+    provenance = store.Provenance("test")
+    constant_light(0.5).save(tmp_path / "e.h5", provenance)
+    rng = np.random.default_rng(3)
+    truth = rng.uniform(0.05, 0.4, (6, 8, 61)).astype(np.float32)
+    pictures = {"true": truth, "found": truth * rng.uniform(0.9, 1.1, truth.shape[:2])[..., None].astype(np.float32)}
+    for name, radiance in pictures.items():
+        write_spectral_exr(tmp_path / f"{name}.exr", radiance, radiance[..., :3], {})
+    lamp = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": 0.0, "elevation_deg": 90.0, "irradiance": 4.5}
+    found = {}
+    for label, lights, exposure in (("dark", [], "auto"), ("lit", [lamp], "auto"), ("exposed", [], 2.0)):
+        inputs = {key: [] for key in ("materials", "true_materials", "environments", "true_environments")}
+        inputs |= {"calibrations": [], "view_lights": [tmp_path / "e.h5"]}
+        inputs |= {"views": [tmp_path / "found.exr"], "true_views": [tmp_path / "true.exr"]}
+        names = {"cameras": [], "objects": [], "environments": [], "views": ["s/v"], "view_environments": ["e"]}
+        names["view_scenes"] = [{"lights": lights, "display": {"exposure": exposure}}]
+        measure_errors(inputs, names, ["D65"], tmp_path / "errors.csv")
+        found[label] = float(read_errors(tmp_path / "errors.csv")[0]["mean"])
+    white = 0.5 + 4.5 * unit_luminance("D65")
+    assert found["lit"] == pytest.approx(radiance_delta_e(truth, pictures["found"], white).mean(), rel=1e-4)
+    assert found["exposed"] == pytest.approx(
+        radiance_delta_e(truth, pictures["found"], np.full(61, 0.25)).mean(), rel=1e-3
+    )
+    assert found["lit"] < 0.8 * found["dark"]

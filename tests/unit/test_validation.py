@@ -231,7 +231,7 @@ def test_defaults_are_filled_in_and_the_argument_is_left_alone():
     complete["poses"][0]["tilt_deg"].append(1.0)
     assert validate(plate, "object", "x")["poses"][0]["tilt_deg"] == [0.0]
     scene = validate(put(example(*SCENE), "display", ...), "scene", "x")
-    assert scene["display"] == {"exposure": "auto"}
+    assert scene["display"] == {"exposure": "auto", "device": {"kind": "standard", "name": "sRGB"}}
     assert scene["views"]["front"]["up"] == [0.0, 0.0, 1.0]
     assert scene["objects"][0]["rotation_deg"] == [0.0, 0.0, 0.0]
     assert scene["objects"][1]["scale"] == 1.0

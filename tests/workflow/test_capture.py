@@ -26,7 +26,7 @@ RECORDS = [f"results/{OBJECT}/captures/session.json", f"results/cameras/{CAMERA}
 def studio(tmp_path):
     """Return a working directory whose one scene shows an object of the driven rig."""
     folder = project(tmp_path / "studio")
-    scene = {"objects": [{"object": OBJECT, "position_mm": [0.0, 0.0, 0.0]}]}
+    scene = {"objects": [{"object": OBJECT, "position_mm": [0.0, 0.0, 0.0]}], "photographs": {}}
     edit(folder / "config/scenes/still-life.yaml", scene)
     edit(folder / f"config/objects/{OBJECT}.yaml", {"poses": [{"light_deg": [45.0], "camera_deg": [0.0, 20.0, 40.0]}]})
     return folder

@@ -17,6 +17,7 @@ STAGES_AFTER_FIT = {
     "fit_brdf",
     "compress_reflectance",
     "render_view",
+    "compare_photograph",
     "measure_errors",
     "measure_plan",
     "measure_imperfections",
@@ -54,6 +55,17 @@ def test_what_measuring_speed_takes_is_not_counted_as_time_of_the_results(tmp_pa
     assert run.returncode == 0, run.stderr[-2000:]
     kept = [line.split()[1] for line in run.stdout.splitlines() if line.strip().startswith("benchmark: ")]
     assert len(kept) == 6 and not [path for path in kept if path.startswith("results/benchmarks/")]
+
+
+def test_a_photograph_is_compared_with_its_view_and_the_report_shows_it(finished):
+    folder = finished / "results/still-life/photographs/front"
+    found = json.loads((folder / "comparison.json").read_text())
+    assert found["delta_e"]["count"] > 8000 and found["compared_fraction"] > 0.8
+    difference, noise = found["delta_e"], found["noise_floor"]
+    assert 0 < noise["mean"] < difference["mean"] < difference["p95"] < difference["max"]
+    assert len(found["noise_counts"]) == 3 and 0.9 < found["luminance_ratio"] < 1.1
+    page = (finished / "results/report.html").read_text()
+    assert "Beside the real thing" in page and f"{found['delta_e']['mean']:.4g}" in page
 
 
 def test_recovered_materials_are_near_the_truth(finished):

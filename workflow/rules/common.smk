@@ -411,26 +411,21 @@ def follows_the_model(name):
     return all(material["kind"] == "paper" for material in config["objects"][name]["virtual"]["materials"])
 
 
+def scene_views(virtual_only):
+    """Yield scene, view and definition of every view, or of those whose objects' truth is known."""
+    known = {name for name in virtual("objects") if follows_the_model(name)}
+    for scene, definition in config["scenes"].items():
+        if not virtual_only or known.issuperset(item["object"] for item in definition["objects"]):
+            for view in definition["views"]:
+                yield scene, view, definition
+
+
 def views(pattern, virtual_only=False):
     """Return a pattern filled for every view of every scene, or of those whose objects' truth is known."""
-    known = {name for name in virtual("objects") if follows_the_model(name)}
     return [
         pattern.format(scene=scene, view=view, environment=definition["environment"])
-        for scene, definition in config["scenes"].items()
-        for view in definition["views"]
-        if not virtual_only or known.issuperset(item["object"] for item in definition["objects"])
+        for scene, view, definition in scene_views(virtual_only)
     ]
-
-
-def pictures(wildcards):
-    """Return the pictures to make."""
-    frames = [
-        f"results/{scene}/{view}.frames.png"
-        for scene, definition in config["scenes"].items()
-        if "frames" in definition
-        for view in definition["views"]
-    ]
-    return views("results/{scene}/{view}.png") + views("results/{scene}/{view}.exr") + frames
 
 
 def sessions(wildcards):

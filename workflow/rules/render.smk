@@ -1,3 +1,28 @@
+#: Files that a scene may ask for beside the spectral EXR and the PNG of each view.
+FURTHER_OUTPUTS = {"xyz-exr": "results/{scene}/{view}.xyz.exr", "tiff": "results/{scene}/{view}.tif"}
+
+
+def pictures(wildcards):
+    """Return the pictures to make."""
+    further = [
+        FURTHER_OUTPUTS[kind].format(scene=scene, view=view)
+        for scene, view, definition in scene_views(virtual_only=False)
+        for kind in definition["further_outputs"]
+    ]
+    frames = [
+        f"results/{scene}/{view}.frames.png"
+        for scene, view, definition in scene_views(virtual_only=False)
+        if "frames" in definition
+    ]
+    return views("results/{scene}/{view}.png") + views("results/{scene}/{view}.exr") + further + frames
+
+
+def display_file(wildcards):
+    """Return the file that says how a scene's display shows colours, as a list; a standard one needs none."""
+    device = config["scenes"][wildcards.scene]["display"]["device"]
+    return [device["file"]] if "file" in device else []
+
+
 rule plan_scene:
     input:
         materials=scene_materials("results/{object}/material.h5"),
@@ -31,6 +56,7 @@ rule render_view:
         meshes=scene_meshes,
         tables=scene_tables,
         plan=scene_plan,
+        display=display_file,
     output:
         exr="results/{scene}/{view}.exr",
         png=report(
@@ -67,6 +93,7 @@ use rule render_view as render_truth with:
         meshes=scene_meshes,
         tables=scene_tables,
         plan=scene_plan,
+        display=display_file,
     output:
         exr="results/{scene}/truth/{view}.exr",
         png="results/{scene}/truth/{view}.png",
@@ -94,6 +121,7 @@ rule render_frames:
         environment=scene_environment,
         meshes=scene_meshes,
         tables=scene_tables,
+        display=display_file,
     output:
         frames=directory("results/{scene}/{view}/frames"),
         animation=report(
@@ -119,3 +147,50 @@ rule render_frames:
         code=code_hash("irodori.rendering.sequence"),
     script:
         "../scripts/render_frames.py"
+
+
+rule write_xyz:
+    input:
+        exr="results/{scene}/{view}.exr",
+        environment=scene_environment,
+        tables=scene_tables,
+    output:
+        picture="results/{scene}/{view}.xyz.exr",
+    log:
+        "results/logs/write_xyz/{scene}_{view}.log",
+    benchmark:
+        "results/benchmarks/write_xyz/{scene}_{view}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
+    params:
+        scene=lookup(within=config, dpath="scenes/{scene}"),
+        code=code_hash("irodori.rendering.stage"),
+    script:
+        "../scripts/write_xyz.py"
+
+
+rule write_tiff:
+    input:
+        exr="results/{scene}/{view}.exr",
+        environment=scene_environment,
+        tables=scene_tables,
+        display=display_file,
+    output:
+        picture="results/{scene}/{view}.tif",
+    log:
+        "results/logs/write_tiff/{scene}_{view}.log",
+    benchmark:
+        "results/benchmarks/write_tiff/{scene}_{view}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
+    params:
+        scene=lookup(within=config, dpath="scenes/{scene}"),
+        code=code_hash("irodori.rendering.stage"),
+    script:
+        "../scripts/write_tiff.py"

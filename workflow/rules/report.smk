@@ -1,3 +1,8 @@
+def view_scenes(virtual_only=False):
+    """Return of each view of `views` what its scene's white follows from."""
+    return [{key: definition[key] for key in ("lights", "display")} for _, _, definition in scene_views(virtual_only)]
+
+
 rule write_truth:
     input:
         mesh=mesh_of,
@@ -70,6 +75,7 @@ rule measure_errors:
         cameras=list(config["cameras"]),
         views=views("{scene}/{view}", virtual_only=True),
         view_environments=views("{environment}", virtual_only=True),
+        view_scenes=view_scenes(virtual_only=True),
         lights=lookup(within=config, dpath="report/lights"),
         code=code_hash("irodori.report.errors"),
     script:
@@ -213,6 +219,8 @@ rule write_report:
         pictures=views("results/{scene}/{view}.png"),
         figures=views("results/{scene}/{view}.json"),
         true_pictures=views("results/{scene}/truth/{view}.png", virtual_only=True),
+        comparisons=photographs("results/{scene}/photographs/{photograph}/comparison.png"),
+        comparison_figures=photographs("results/{scene}/photographs/{photograph}/comparison.json"),
     output:
         page=report("results/report.html", caption="../report/report.rst", category="Errors"),
     log:
@@ -231,6 +239,7 @@ rule write_report:
         cameras=list(config["cameras"]),
         views=views("{scene}/{view}"),
         virtual_views=views("{scene}/{view}", virtual_only=True),
+        photographs=photographs("{scene}/{photograph}"),
         benchmarks="results/benchmarks",
         code=code_hash("irodori.report.page"),
     script:

@@ -12,6 +12,7 @@ from irodori.rig.virtual.bench import Bench
 from irodori.rig.virtual.dng import write_dng
 from irodori.rig.virtual.faults import Faults
 from irodori.rig.virtual.samples import Sample
+from irodori.rig.virtual.scene_view import scene_mosaic, scene_radiance
 from irodori.rig.virtual.sensor import Sensor, band_weights
 from irodori.rig.virtual.subjects import chart_mosaic, object_mosaic, room_mosaic, white_mosaic
 from irodori.spectra import light
@@ -31,7 +32,8 @@ class VirtualCamera(Camera):
     shots : sequence of Shot
         All photographs of the session in order: its light drifts along them.
     subject : dict, optional
-        Definition of the object or of the environment that stands before it; a camera's own session has none.
+        Definition of the object or of the environment that stands before it, or ``radiance``, the file of what is seen
+        of a scene; a camera's own session has none.
     seen : dict, optional
         Objects as they look without optics and noise, filled here. Cameras that differ in their faults alone may share
         one: what a fault does not change is then made once.
@@ -60,6 +62,11 @@ class VirtualCamera(Camera):
     def sample(self) -> Sample:
         """What stands on the table."""
         return Sample.from_definition(self.subject)
+
+    @cached_property
+    def _scene(self) -> np.ndarray:
+        """Radiance of the scene before the lens, (rows, columns, 61)."""
+        return scene_radiance(self.subject["radiance"], self.camera["optics"])
 
     @property
     def _charts(self) -> dict[str, dict]:
@@ -106,6 +113,8 @@ class VirtualCamera(Camera):
             response = white_mosaic(self.camera, self.rig, pose, plate, weights)
         elif subject in self._charts:
             response = chart_mosaic(self._charts[subject], self.camera, self.rig, pose, plate, weights)
+        elif subject == "scene":
+            response = scene_mosaic(self._scene, self.light, optics, plate, weights)
         elif subject == "object":
             response = self._object(state, pose, plate)
         else:

@@ -1,0 +1,77 @@
+"""Tone curves of displays: linear light 0..1 of a channel from its code value 0..1, and back."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class ParametricCurve:
+    """A power with a straight piece near black, function type 4 of ICC.1:2022, 10.18.
+
+    Y = (a X + b)^g + e for X >= d, and c X + f below.
+    """
+
+    g: float
+    a: float = 1.0
+    b: float = 0.0
+    c: float = 0.0
+    d: float = 0.0
+    e: float = 0.0
+    f: float = 0.0
+
+    def linear(self, code: np.ndarray) -> np.ndarray:
+        """Return the linear light of code values, any shape, 0..1."""
+        code = np.asarray(code, dtype=np.float64)
+        power = np.maximum(self.a * code + self.b, 0.0) ** self.g + self.e
+        return np.where(code >= self.d, power, self.c * code + self.f)
+
+    def code(self, linear: np.ndarray) -> np.ndarray:
+        """Return the code values of linear light, any shape, 0..1; what is darker than code 0 gives 0."""
+        linear = np.asarray(linear, dtype=np.float64)
+        power = (np.maximum(linear - self.e, 0.0) ** (1.0 / self.g) - self.b) / self.a
+        straight = (linear - self.f) / self.c if self.c > 0.0 else np.zeros_like(linear)
+        joint = max(self.a * self.d + self.b, 0.0) ** self.g + self.e
+        return np.clip(np.where(linear >= joint, power, straight), 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class SampledCurve:
+    """A curve between equally spaced code values, straight from each to the next.
+
+    Parameters
+    ----------
+    values : (n,) float
+        Linear light at the codes 0, 1 / (n - 1), ... 1; n from 2.
+
+    Raises
+    ------
+    ValueError
+        If the curve falls anywhere, or does not rise at all.
+    """
+
+    values: np.ndarray
+
+    def __post_init__(self) -> None:
+        steps = np.diff(self.values)
+        if len(self.values) < 2 or (steps < 0.0).any() or not self.values[-1] > self.values[0]:
+            raise ValueError("a tone curve that falls or is flat; accepted: one that rises from black to white")
+
+    def linear(self, code: np.ndarray) -> np.ndarray:
+        """Return the linear light of code values, any shape, 0..1."""
+        return np.interp(code, np.linspace(0.0, 1.0, len(self.values)), self.values)
+
+    def code(self, linear: np.ndarray) -> np.ndarray:
+        """Return the code values of linear light, any shape; the lowest of those that show the same."""
+        linear = np.clip(linear, self.values[0], self.values[-1])
+        upper = np.searchsorted(self.values, linear, side="left")
+        lower = np.maximum(upper - 1, 0)
+        step = self.values[upper] - self.values[lower]
+        part = np.divide(linear - self.values[lower], step, out=np.zeros_like(linear), where=step > 0.0)
+        return (lower + part) / (len(self.values) - 1)
+
+
+#: IEC 61966-2-1.
+SRGB = ParametricCurve(g=2.4, a=1 / 1.055, b=0.055 / 1.055, c=1 / 12.92, d=0.04045)
+
+Curve = ParametricCurve | SampledCurve

@@ -1,0 +1,190 @@
+def photographs(pattern):
+    """Return a pattern filled for every photograph of a scene that its rendering is compared with."""
+    return [
+        pattern.format(scene=scene, photograph=photograph)
+        for scene, definition in config["scenes"].items()
+        for photograph in definition["photographs"]
+    ]
+
+
+def photograph_of(wildcards):
+    """Return the definition of a photograph of a scene."""
+    return config["scenes"][wildcards.scene]["photographs"][wildcards.photograph]
+
+
+def photograph_camera(wildcards):
+    """Return the definition of the camera of a photograph."""
+    return config["cameras"][photograph_of(wildcards)["camera"]]
+
+
+def is_photograph_virtual(wildcards):
+    """Whether the photograph is computed."""
+    return config["rigs"][photograph_camera(wildcards)["rig"]]["kind"] == "virtual"
+
+
+def photograph_folder(wildcards):
+    """Return the folder of a photograph's RAW files."""
+    if is_photograph_virtual(wildcards):
+        return f"results/{wildcards.scene}/photographs/{wildcards.photograph}/captures"
+    captures = photograph_of(wildcards)["captures"]
+    return captures.get("folder") or str(Path(captures["table"]).parent)
+
+
+def photograph_table(wildcards):
+    """Return the capture table of a photograph: the virtual camera's, or the user's own."""
+    if is_photograph_virtual(wildcards):
+        return f"{photograph_folder(wildcards)}/captures.csv"
+    return photograph_of(wildcards)["captures"]["table"]
+
+
+def photograph_made(wildcards):
+    """Return the files that say that a photograph is there: the session's record, or the user's own files."""
+    if is_photograph_virtual(wildcards):
+        return [f"{photograph_folder(wildcards)}/session.json"]
+    table, folder = photograph_table(wildcards), photograph_folder(wildcards)
+    return [table, *(f"{folder}/{shot.file}" for shot in read_captures(table, folder) if shot.role == "scene")]
+
+
+def photograph_radiance(wildcards):
+    """Return what stood before a virtual camera, as a list; nobody knows it of a real one."""
+    if not is_photograph_virtual(wildcards):
+        return []
+    return [f"results/{wildcards.scene}/photographs/{wildcards.photograph}/radiance.h5"]
+
+
+def part_of_scene(*keys):
+    """Return a function from wildcards to keys of a scene's definition; another key's change reruns nothing."""
+    return lambda wildcards: {key: config["scenes"][wildcards.scene][key] for key in keys}
+
+
+def of_photograph(pattern):
+    """Return a function from wildcards to a file of the camera of a photograph."""
+    return lambda wildcards: pattern.format(camera=photograph_of(wildcards)["camera"])
+
+
+def true_light(wildcards):
+    """Return the file of the light that really falls on a scene; of what no camera photographed it is what was given."""
+    name = config["scenes"][wildcards.scene]["environment"]
+    known = is_virtual(config, "environments", name)
+    return f"results/environments/{name}/truth.h5" if known else f"results/environments/{name}.h5"
+
+
+# A scene beside its photograph. What stands before a virtual camera is rendered from the true materials.
+rule render_photographed:
+    input:
+        materials=scene_materials("results/{object}/truth.h5"),
+        environment=true_light,
+        meshes=scene_meshes,
+        tables=scene_tables,
+    output:
+        radiance="results/{scene}/photographs/{photograph}/radiance.h5",
+    log:
+        "results/logs/render_photographed/{scene}_{photograph}.log",
+    benchmark:
+        "results/benchmarks/render_photographed/{scene}_{photograph}.tsv"
+    # As of render_truth: one core is free early, and compiles what the comparison needs at the end.
+    priority: 20
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
+    params:
+        scene=part_of_scene("objects", "bodies", "lights"),
+        placed=photograph_of,
+        optics=lambda wildcards: photograph_camera(wildcards)["optics"],
+        shapes=scene_shapes,
+        code=code_hash("irodori.rendering.photographed"),
+    script:
+        "../scripts/render_photographed.py"
+
+
+rule capture_photograph:
+    input:
+        radiance="results/{scene}/photographs/{photograph}/radiance.h5",
+        spectra=lambda wildcards: named_tables(
+            photograph_camera(wildcards), config["rigs"][photograph_camera(wildcards)["rig"]]
+        ),
+    output:
+        session="results/{scene}/photographs/{photograph}/captures/session.json",
+    log:
+        "results/logs/capture_photograph/{scene}_{photograph}.log",
+    benchmark:
+        "results/benchmarks/capture_photograph/{scene}_{photograph}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 1500 * attempt,
+    params:
+        placed=photograph_of,
+        camera=photograph_camera,
+        rig=lambda wildcards: config["rigs"][photograph_camera(wildcards)["rig"]],
+        table=photograph_table,
+        code=code_hash("irodori.rig.stage"),
+    script:
+        "../scripts/capture_photograph.py"
+
+
+rule ingest_photograph:
+    input:
+        made=photograph_made,
+        reference=of_photograph("results/cameras/{camera}/reference.h5"),
+    output:
+        linear="results/{scene}/photographs/{photograph}/linear/scene.h5",
+    log:
+        "results/logs/ingest_photograph/{scene}_{photograph}.log",
+    benchmark:
+        "results/benchmarks/ingest_photograph/{scene}_{photograph}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 1500 * attempt,
+    params:
+        table=photograph_table,
+        folder=photograph_folder,
+        options=ingest_options,
+        code=code_hash("irodori.raw"),
+    script:
+        "../scripts/ingest_photograph.py"
+
+
+rule compare_photograph:
+    input:
+        linear="results/{scene}/photographs/{photograph}/linear/scene.h5",
+        calibration=of_photograph("results/cameras/{camera}/calibration.h5"),
+        radiance=photograph_radiance,
+        materials=scene_materials("results/{object}/material.h5"),
+        environment=scene_environment,
+        meshes=scene_meshes,
+        tables=scene_tables,
+        display=display_file,
+    output:
+        comparison=report(
+            "results/{scene}/photographs/{photograph}/comparison.png",
+            caption="../report/photograph.rst",
+            category="Beside the real thing",
+            labels={"scene": "{scene}", "photograph": "{photograph}"},
+        ),
+        photograph="results/{scene}/photographs/{photograph}/photograph.png",
+        rendering="results/{scene}/photographs/{photograph}/rendering.png",
+        difference="results/{scene}/photographs/{photograph}/comparison.h5",
+        figures="results/{scene}/photographs/{photograph}/comparison.json",
+    log:
+        "results/logs/compare_photograph/{scene}_{photograph}.log",
+    benchmark:
+        "results/benchmarks/compare_photograph/{scene}_{photograph}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
+    params:
+        scene=part_of_scene("objects", "bodies", "lights", "display"),
+        placed=photograph_of,
+        optics=lambda wildcards: photograph_camera(wildcards)["optics"],
+        shapes=scene_shapes,
+        code=code_hash("irodori.report.photograph"),
+    script:
+        "../scripts/compare_photograph.py"
