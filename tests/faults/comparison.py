@@ -24,8 +24,8 @@ LEFT_OUT = ("logs/", "benchmarks/", "benchmark/", "report.html")
 CLOCKED_ATTRIBUTES = {"fit_seconds", "pool_seconds", "input_sha256"}
 #: Columns of CSV files that a clock writes.
 CLOCKED_COLUMNS = {"evaluation_ns_per_pixel"}
-#: Keys of JSON files and attributes that a clock or a session's course writes: ``session`` counts what it took, kept and
-#: retried, and ``camera`` is the camera's state after it, empty where a continued session had nothing left to take.
+#: Keys of JSON files and attributes that a clock or a session's course writes: ``session`` counts what it took, kept
+#: and retried, and ``camera`` is the camera's state after it, empty where a continued session had nothing left to take.
 CLOCKED_KEYS = {
     "seconds", "seconds_to_prepare", "rays_per_second", "paths_per_second", "pixels_per_second", "session",
     "camera",

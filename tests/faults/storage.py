@@ -93,4 +93,4 @@ def _lock_disk(project: Path, expected: Path) -> Iterator[dict]:
 def _reason(said: str, wanted: str) -> str:
     """Return the line of a run's output that names the fault."""
     lines = [line.strip() for line in said.splitlines() if wanted in line]
-    return lines[0][:150] if lines else said.strip()[-150:]
+    return lines[0][:200] if lines else last_fault(said)
