@@ -4,7 +4,9 @@ The chain of an object is three phases of jobs, each waiting for the last of the
 and fitted, many to a job), compression. The jobs of all objects stand beside each other. A phase lasts as long as its
 jobs need in as many waves as the nodes' cores allow, or as long as the shared storage needs for what they read and
 write, whichever is longer; before that come the submissions, one after the other, and after it the wait until Snakemake
-asks for the jobs' state. Rendering, calibration and the light are left out: they are a few jobs for all objects.
+asks for the jobs' state. Nodes are taken to keep nothing of what they read in memory, which is the worst case: a tile
+reads all captures of its object, and its neighbours in the same job read them again. Rendering, calibration and the
+light are left out: they are a few jobs for all objects.
 """
 
 import math

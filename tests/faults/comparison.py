@@ -24,13 +24,14 @@ LEFT_OUT = ("logs/", "benchmarks/", "benchmark/", "report.html")
 CLOCKED_ATTRIBUTES = {"fit_seconds", "pool_seconds", "input_sha256"}
 #: Columns of CSV files that a clock writes.
 CLOCKED_COLUMNS = {"evaluation_ns_per_pixel"}
-#: Keys of JSON files that a clock or a session's course writes: ``session`` counts what it took, kept and retried, and
-#: ``camera`` is the state of the camera after it, empty where a continued session had nothing left to take.
+#: Keys of JSON files and attributes that a clock or a session's course writes: ``session`` counts what it took, kept
+#: and retried, and ``camera`` is the camera's state after it, empty where a continued session had nothing left to take.
 CLOCKED_KEYS = {
     "seconds", "seconds_to_prepare", "rays_per_second", "paths_per_second", "pixels_per_second", "session",
     "camera",
 }  # fmt: skip
 _DIGEST = ".sha256"
+_JSON = "json:"  # marks an attribute that holds a dictionary or a list
 
 
 def results(folder: Path) -> dict[str, Path]:
@@ -110,7 +111,8 @@ def _hdf5(path: Path) -> dict:
             content[name] = _bits(item[()])
         for key, value in item.attrs.items():
             if key not in CLOCKED_ATTRIBUTES:
-                content[f"{name}@{key}"] = _bits(value)
+                is_json = isinstance(value, str) and value.startswith(_JSON)
+                content[f"{name}@{key}"] = _kept(json.loads(value.removeprefix(_JSON))) if is_json else _bits(value)
 
     with h5py.File(path, "r") as file:
         note("", file)
@@ -132,12 +134,15 @@ def _picture(path: Path) -> dict:
 
 
 def _json(path: Path) -> dict:
-    def kept(value):
-        if isinstance(value, dict):
-            return {key: kept(item) for key, item in value.items() if key not in CLOCKED_KEYS}
-        return value
+    return _kept(json.loads(path.read_text(encoding="utf-8")))
 
-    return kept(json.loads(path.read_text(encoding="utf-8")))
+
+def _kept(value):
+    """Return a value of a JSON document without what a clock wrote."""
+    if isinstance(value, dict):
+        clocked = CLOCKED_KEYS | CLOCKED_ATTRIBUTES
+        return {key: _kept(item) for key, item in value.items() if key not in clocked}
+    return value
 
 
 def _csv(path: Path) -> dict:

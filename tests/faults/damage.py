@@ -106,7 +106,8 @@ def damage_finals(project: Path, expected: Path, seed: int) -> Iterator[dict]:
 
 def run_twice(project: Path, expected: Path) -> Iterator[dict]:
     """Start a second run beside a first."""
-    shutil.rmtree(project / "results/leaf-sphere")
+    for lost in ("leaf-sphere", "still-life"):
+        shutil.rmtree(project / "results" / lost)
     first = Run(project)
     while not workers_in(project) and not first.is_over:
         time.sleep(0.05)

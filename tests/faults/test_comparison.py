@@ -20,6 +20,7 @@ def make(folder, values=None, seconds=1.0, radiance=0.25, mean="0.5", note="x"):
         out.write("alpha", values, units="1", dims="texel", quantity="diffuse weight")
         out.attribute("fit_seconds", seconds)
         out.attribute("note", note)
+        out.attribute("errors", {"fit_seconds": seconds, "delta_e": {"mean": float(mean)}})
     picture = np.full((2, 3, 61), radiance, np.float32)
     write_spectral_exr(folder / "jar/front.exr", picture, picture[..., :3], {})
     write_png(folder / "jar/front.png", np.zeros((2, 3, 3), np.uint8))
@@ -55,6 +56,11 @@ def test_results_that_only_a_clock_tells_apart_are_the_same(tmp_path, expected):
 )
 def test_one_bit_is_seen_wherever_it_is(tmp_path, expected, change, said):
     assert differences(make(tmp_path / "found", **change), expected) == [said]
+
+
+def test_what_an_attribute_holds_beside_its_seconds_is_compared(tmp_path, expected):
+    found = make(tmp_path / "found", seconds=9.0, mean="0.6")
+    assert differences(found, expected) == ["errors.csv: line 2", "jar/material.h5: @errors"]
 
 
 def test_missing_files_surplus_files_and_unreadable_ones_are_named(tmp_path, expected):
