@@ -168,7 +168,7 @@ def compare_photograph(
     Parameters
     ----------
     inputs : dict
-        Files: linear, calibration, environment; materials, a list; of a virtual photograph radiance too.
+        Files: linear, calibration, environment; lists: materials, and radiance, of a virtual photograph one, else none.
     scene : dict
     placed : dict
         The photograph's definition.
@@ -183,8 +183,8 @@ def compare_photograph(
     ideal = IdealView.covering(Pinhole.from_optics(optics), placed["block"])
     photograph = read_photograph(inputs["linear"], calibration, ideal)
     before = None
-    if inputs.get("radiance"):
-        with store.open_file(inputs["radiance"]) as file:
+    if inputs["radiance"]:
+        with store.open_file(inputs["radiance"][0]) as file:
             before = np.stack([ideal.gathered(half) for half in file.read("radiance")])
     environment = Environment.load(inputs["environment"])
     materials = [Material.load(path) for path in inputs["materials"]]

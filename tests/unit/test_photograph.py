@@ -100,7 +100,7 @@ def studio(tmp_path_factory):
 def compared(studio, out: Path, materials, **placed) -> tuple[dict, dict]:
     """Figures and datasets of a comparison with the rendering of other materials."""
     folder, camera = studio
-    inputs = {"linear": folder / "scene.h5", "calibration": folder / "calibration.h5", "radiance": folder / "seen.h5"}
+    inputs = {"linear": folder / "scene.h5", "calibration": folder / "calibration.h5", "radiance": [folder / "seen.h5"]}
     inputs |= {"environment": folder / "light.h5", "materials": [folder / f"{name}.h5" for name in materials]}
     outputs = {key: out / f"{key}.png" for key in ("comparison", "photograph", "rendering")}
     outputs |= {"difference": out / "difference.h5", "figures": out / "figures.json"}
