@@ -11,7 +11,8 @@ rule fit_brdf:
         "results/benchmarks/fit_brdf/{object}_{tile}.tsv"
     conda:
         "../../envs/irodori.yaml"
-    threads: 2
+    # Tiles are fitted beside each other: a job that wanted two cores would wait for both, and all that needs it too.
+    threads: 1
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
