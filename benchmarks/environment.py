@@ -17,6 +17,7 @@ from irodori.threads import use_threads
 
 MAX_ERROR, MAX_HEIGHT = 0.002, 512
 SUN, SUN_RAD = 5e4, 0.0093
+HEIGHTS = {"small": 500, "full": 3000}
 LOOKUPS, VIEW_RAD = 20_000, 0.9
 LOOKUP_MU_RAD = (0.02, 0.1, 0.3, 0.8)
 
@@ -35,8 +36,9 @@ def sky(height: int, with_sun: bool) -> np.ndarray:
 def main() -> None:
     """Measure and print; write a CSV if asked."""
     parser = arguments_of(__doc__.splitlines()[0])
-    parser.add_argument("--height", type=int, default=3000, help="rows of the panorama, twice as many columns")
+    parser.add_argument("--height", type=int, help="rows of the panorama, twice as many columns; else by the size")
     arguments = parser.parse_args()
+    arguments.height = arguments.height or HEIGHTS[arguments.size]
     use_threads(arguments.threads)
     lights = {"": sky(arguments.height, False), "-sun": sky(arguments.height, True)}
     integrators = {name: Integrator(light) for name, light in lights.items()}

@@ -1,7 +1,7 @@
 """The `reference` integrator beside Mitsuba 3: time to the same colour error, and how time grows.
 
-``python -m benchmarks.reference [--pixels 96x72] [--runs 5] [--output speed_error.csv]``. Two scenes that both
-renderers express alike, in 61 bands: three spheres on a plate (test colours of CIE 224, gold as a mirror) under even
+``python -m benchmarks.reference [--size small] [--pixels 96x72] [--runs 5] [--output speed_error.csv]``. Two scenes
+that both renderers express alike, in 61 bands: three spheres on a plate (test colours of CIE 224, gold as a mirror) under even
 D65 and a tungsten panel, and the box of five walls with that panel alone. Mitsuba traces four wavelengths a path,
 drawn anew for each; ours carries 61 bands.
 
@@ -18,6 +18,8 @@ of the runs, which other work on the machine disturbs less than the clock on the
 """
 
 import os
+import subprocess
+import sys
 import time
 from typing import NamedTuple
 
@@ -46,6 +48,11 @@ PANEL = {"kind": "rectangle", "spectrum": "A", "radiance": 12.0, "rotation_deg":
          "height_mm": 40.0}  # fmt: skip
 # Those of Mitsuba are such as its multijittered sampler takes.
 OUR_SAMPLES, THEIR_SAMPLES = (16, 64, 256), (35, 132, 528)
+#: What is measured where the command line does not say it.
+SIZES = {
+    "small": {"pixels": "48x36", "converged": 1024, "scenes": ["spheres"], "no_growth": True},
+    "full": {"pixels": "96x72", "converged": 8192, "scenes": ["spheres", "box"], "no_growth": False},
+}
 
 
 class Body(NamedTuple):
@@ -222,6 +229,16 @@ class Line(NamedTuple):
         return float(np.exp((np.log(error) - level) / slope))
 
 
+def is_at_hand(variant: str) -> bool:
+    """Whether a variant of Mitsuba works here; those that compile need the library of LLVM. Say so where not."""
+    probe = f"import mitsuba; mitsuba.set_variant({variant!r}); mitsuba.load_dict({{'type': 'sphere'}})"
+    done = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True)
+    if done.returncode:
+        reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        print(f"{variant} is not measured: {reason}")
+    return done.returncode == 0
+
+
 def line_of(renderer, samples: tuple, truth: np.ndarray, white_xyz: np.ndarray, runs: int) -> Line:
     """Measure a renderer."""
     renderer.xyz(samples[0], 1)  # compile
@@ -303,14 +320,17 @@ def growth(runs: int) -> None:
 def main() -> None:
     """Measure and print; write a CSV if asked."""
     parser = arguments_of(__doc__.splitlines()[0])
-    parser.add_argument("--pixels", default="96x72", help="pixels, WIDTHxHEIGHT")
-    parser.add_argument("--converged", type=int, default=8192, help="paths a pixel of the converged pictures")
+    parser.add_argument("--pixels", help="WIDTHxHEIGHT; else by the size")
+    parser.add_argument("--converged", type=int, help="paths a pixel of the converged pictures; else by the size")
     parser.add_argument("--target", type=float, default=0.4, help="mean CIEDE2000 at which times are compared")
     parser.add_argument("--sampler", default="multijitter", help="of Mitsuba")
     parser.add_argument("--variants", nargs="*", default=["llvm_ad_spectral", "scalar_spectral"])
-    parser.add_argument("--scenes", nargs="*", default=list(stages()))
+    parser.add_argument("--scenes", nargs="*", help="by the size where absent")
     parser.add_argument("--no-growth", action="store_true")
     arguments = parser.parse_args()
+    for name, value in SIZES[arguments.size].items():
+        setattr(arguments, name, getattr(arguments, name) or value)
+    arguments.variants = [name for name in arguments.variants if is_at_hand(name)]
     use_threads(arguments.threads)
     rows = [row for name in arguments.scenes for row in compare(name, stages()[name], arguments)]
     report(rows, arguments.threads, arguments.output)

@@ -1,7 +1,7 @@
 """Speed against error of the interactive integrator: the paper's scene, camera and light moving.
 
-``python -m benchmarks.render [--environment 6000] [--width 640] [--output render.csv]`` makes its inputs itself: the
-classroom of `config` on four principal vectors of its sources' spectra, and the still life with its true materials.
+``python -m benchmarks.render [--size small] [--environment 6000] [--width 640] [--output render.csv]`` makes its
+inputs itself: the classroom of `config` on four principal vectors of its sources' spectra, and the still life with its true materials.
 Every frame turns the camera and the light by half a degree. Errors are CIEDE2000 of the first frame to the 61-band
 frame whose paths end at the last reflection only. Peak and resident memory are those of a process that maps the
 light's files, prepares one variant and renders it. Processor time over threads is what a frame takes on idle cores.
@@ -50,6 +50,11 @@ VARIANTS = {
     "quadrature": ("quadrature", {}, {}),
     "spectral": ("spectral", {}, {}),
     "spectral, bands": ("spectral", {}, {"bands": True}),
+}
+#: What is measured where the command line does not say it; every representation compiles loops of its own.
+SIZES = {
+    "small": {"environment": 1000, "width": 320, "height": 240, "variants": ["rgb", "coefficients", "spectral"]},
+    "full": {"environment": 6000, "width": 640, "height": 480, "variants": list(VARIANTS)},
 }
 
 
@@ -164,7 +169,7 @@ def measure(arguments, folder: Path) -> list[dict]:
     studio = Studio(folder, arguments.width, arguments.height)
     white_xyz = xyz_from_radiance(studio.white) @ studio.white
     reference = studio.frame(studio.prepare("spectral", least_throughput=0.0), 0)
-    names = [name for name in VARIANTS if name in arguments.variants] if arguments.variants else list(VARIANTS)
+    names = [name for name in VARIANTS if name in arguments.variants]
     work, errors, shares = {}, {}, {}
     for name in names:
         representation, options, frame = VARIANTS[name]
@@ -214,14 +219,15 @@ def _next_frame(studio: Studio, prepared, options: dict, number: list[int]) -> N
 def main() -> None:
     """Run the benchmark."""
     parser = arguments_of(__doc__.splitlines()[0])
-    parser.add_argument("--environment", type=int, default=6000, help="width of the light's picture, px")
-    parser.add_argument("--width", type=int, default=640, help="of a frame, px")
-    parser.add_argument("--height", type=int, default=480, help="of a frame, px")
-    parser.add_argument("--variants", nargs="*", choices=list(VARIANTS), help="all where absent")
+    for name, help_text in (("environment", "width of the light's picture"), ("width", "of a frame"), ("height", "")):
+        parser.add_argument(f"--{name}", type=int, help=f"{help_text or 'of a frame'}, px; else by the size")
+    parser.add_argument("--variants", nargs="*", choices=list(VARIANTS), help="by the size where absent")
     parser.add_argument("--inputs", type=Path, help="folder of inputs that were made before")
     parser.add_argument("--memory-of", choices=list(VARIANTS), help="print the memory of a variant and end")
     parser.add_argument("--make", action="store_true", help="make the inputs and end")
     arguments = parser.parse_args()
+    for name, value in SIZES[arguments.size].items():
+        setattr(arguments, name, getattr(arguments, name) or value)
     numba.set_num_threads(arguments.threads)
     if arguments.make:
         make_inputs(arguments.environment, arguments.inputs)
