@@ -1,9 +1,9 @@
 """The `reference` integrator beside Mitsuba 3: time to the same colour error, and how time grows.
 
 ``python -m benchmarks.reference [--size small] [--pixels 96x72] [--runs 5] [--output speed_error.csv]``. Two scenes
-that both renderers express alike, in 61 bands: three spheres on a plate (test colours of CIE 224, gold as a mirror) under even
-D65 and a tungsten panel, and the box of five walls with that panel alone. Mitsuba traces four wavelengths a path,
-drawn anew for each; ours carries 61 bands.
+that both renderers express alike, in 61 bands: three spheres on a plate (test colours of CIE 224, gold as a mirror)
+under even D65 and a tungsten panel, and the box of five walls with that panel alone. Mitsuba traces four wavelengths a
+path, drawn anew for each; ours carries 61 bands.
 
 How the error is matched: each renderer is compared with a converged picture of its own (``--converged`` paths a
 pixel, another seed), by the mean CIEDE2000 over the pixels, white being the same diffuser for both; so neither is

@@ -1,9 +1,9 @@
 """Speed against error of the interactive integrator: the paper's scene, camera and light moving.
 
-``python -m benchmarks.render [--size small] [--environment 6000] [--width 640] [--output render.csv]`` makes its
-inputs itself: the classroom of `config` on four principal vectors of its sources' spectra, and the still life with its true materials.
-Every frame turns the camera and the light by half a degree. Errors are CIEDE2000 of the first frame to the 61-band
-frame whose paths end at the last reflection only. Peak and resident memory are those of a process that maps the
+``python -m benchmarks.render [--size small] [--environment 6000] [--width 640] [--output render.csv]`` makes its inputs
+itself: the classroom of `config` on four principal vectors of its sources' spectra, and the still life with its true
+materials. Every frame turns the camera and the light by half a degree. Errors are CIEDE2000 of the first frame to the
+61-band frame whose paths end at the last reflection only. Peak and resident memory are those of a process that maps the
 light's files, prepares one variant and renders it. Processor time over threads is what a frame takes on idle cores.
 """
 
