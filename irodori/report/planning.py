@@ -186,7 +186,8 @@ def fit_errors(sitting: Sitting, poses: list[Pose], count: int, options: FitOpti
     response, geometry, weight = sitting.photograph(poses, materials, min(_SESSIONS, count), rng)
     noise = sitting.planner.noise
     camera = np.tile([noise.read_variance, noise.shot_variance], (len(poses), 1))
-    result = fit(response, geometry, weight, materials.n, materials.k, options, camera)
+    # In the precision of photographs, for which the loops of the fit are compiled by then.
+    result = fit(response.astype(np.float32), geometry, weight, materials.n, materials.k, options, camera)
     out = {}
     for name, relative in _RELATIVE.items():
         truth = getattr(materials, name)

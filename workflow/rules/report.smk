@@ -34,6 +34,8 @@ rule write_true_environment:
         "results/logs/write_true_environment/{environment}.log",
     benchmark:
         "results/benchmarks/write_true_environment/{environment}.tsv"
+    # The photograph of the scene waits for it.
+    priority: 30
     conda:
         "../../envs/irodori.yaml"
     threads: 1
