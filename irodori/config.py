@@ -9,8 +9,8 @@ from pathlib import Path
 
 import yaml
 
-from irodori.agreement import check_agreement, rig_of
-from irodori.agreement_captures import table_and_folder
+from irodori.agreement.captures import table_and_folder
+from irodori.agreement.definitions import check_agreement, rig_of
 from irodori.captures import chart_capture, expand_poses, read_captures
 from irodori.errors import InputError
 from irodori.validation import dotted, suggest, validate

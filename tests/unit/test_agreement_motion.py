@@ -6,7 +6,7 @@ import pytest
 import yaml
 from definitions import ROOT
 
-from irodori.agreement_motion import check_motion
+from irodori.agreement.motion import check_motion
 from irodori.config import read_yaml
 from irodori.errors import InputError
 from irodori.rig.connect import open_rig

@@ -2,7 +2,7 @@
 
 import pytest
 
-from irodori.agreement_plans import check_plan
+from irodori.agreement.plans import check_plan
 from irodori.errors import InputError
 
 

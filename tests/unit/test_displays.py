@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image, ImageCms
 
-from irodori.agreement_displays import check_display
+from irodori.agreement.displays import check_display
 from irodori.display import gamut, make_display, srgb, standard_display
 from irodori.errors import InputError
 from irodori.icc import D50_XYZ, Profile, bradford, read_profile, write_profile

@@ -13,7 +13,7 @@ from scenes import BALL, constant_light, material, plate
 from scipy import ndimage
 
 from irodori import store
-from irodori.agreement_photographs import check_photograph
+from irodori.agreement.photographs import check_photograph
 from irodori.config import load_definitions, read_yaml
 from irodori.errors import InputError
 from irodori.geometry.ideal import IdealView

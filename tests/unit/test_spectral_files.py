@@ -249,7 +249,7 @@ def test_no_text_makes_a_reader_fail_otherwise_than_by_a_refusal(tmp_path_factor
 
 def test_the_readers_load_no_heavy_module():
     code = (
-        "import sys, irodori.spectral_files, irodori.agreement_spectra;"
+        "import sys, irodori.spectral_files, irodori.agreement.spectra;"
         "print([m for m in ('numpy', 'colour', 'h5py', 'numba') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

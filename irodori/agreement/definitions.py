@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from irodori.agreement_captures import (
+from irodori.agreement.captures import (
     Reach,
     by_chart,
     check_incidence,
@@ -14,12 +14,12 @@ from irodori.agreement_captures import (
     read_table,
     table_and_folder,
 )
-from irodori.agreement_displays import check_display
-from irodori.agreement_environments import check_source, is_photographed
-from irodori.agreement_motion import check_motion
-from irodori.agreement_photographs import check_aim, check_photograph
-from irodori.agreement_plans import check_plan
-from irodori.agreement_spectra import check_chart, check_spectra
+from irodori.agreement.displays import check_display
+from irodori.agreement.environments import check_source, is_photographed
+from irodori.agreement.motion import check_motion
+from irodori.agreement.photographs import check_aim, check_photograph
+from irodori.agreement.plans import check_plan
+from irodori.agreement.spectra import check_chart, check_spectra
 from irodori.captures import Shot
 from irodori.errors import InputError
 from irodori.geometry.files import mesh_files

@@ -3,8 +3,8 @@
 import math
 from pathlib import Path
 
-from irodori.agreement_captures import check_states_are, of_role, read_table
-from irodori.agreement_environments import is_photographed
+from irodori.agreement.captures import check_states_are, of_role, read_table
+from irodori.agreement.environments import is_photographed
 from irodori.errors import InputError
 
 
