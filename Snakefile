@@ -15,6 +15,7 @@ workflow.register_resource("rig", 1)
 
 
 include: "workflow/rules/common.smk"
+include: "workflow/rules/common_scenes.smk"
 
 
 wildcard_constraints:

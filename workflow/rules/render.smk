@@ -1,28 +1,3 @@
-#: Files that a scene may ask for beside the spectral EXR and the PNG of each view.
-FURTHER_OUTPUTS = {"xyz-exr": "results/{scene}/{view}.xyz.exr", "tiff": "results/{scene}/{view}.tif"}
-
-
-def pictures(wildcards):
-    """Return the pictures to make."""
-    further = [
-        FURTHER_OUTPUTS[kind].format(scene=scene, view=view)
-        for scene, view, definition in scene_views(virtual_only=False)
-        for kind in definition["further_outputs"]
-    ]
-    frames = [
-        f"results/{scene}/{view}.frames.png"
-        for scene, view, definition in scene_views(virtual_only=False)
-        if "frames" in definition
-    ]
-    return views("results/{scene}/{view}.png") + views("results/{scene}/{view}.exr") + further + frames
-
-
-def display_file(wildcards):
-    """Return the file that says how a scene's display shows colours, as a list; a standard one needs none."""
-    device = config["scenes"][wildcards.scene]["display"]["device"]
-    return [device["file"]] if "file" in device else []
-
-
 rule plan_scene:
     input:
         materials=scene_materials("results/{object}/material.h5"),

@@ -1,8 +1,3 @@
-def view_scenes(virtual_only=False):
-    """Return of each view of `views` what its scene's white follows from."""
-    return [{key: definition[key] for key in ("lights", "display")} for _, _, definition in scene_views(virtual_only)]
-
-
 rule write_truth:
     input:
         mesh=mesh_of,
@@ -150,7 +145,7 @@ rule measure_error_budget:
         calibrations=scene_calibrations,
         tiles=scene_tiles,
         environment=scene_environment,
-        true_environment=scene_true_environment,
+        true_environment=true_light,
         meshes=scene_meshes,
         tables=scene_tables,
     output:
