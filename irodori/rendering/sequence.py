@@ -27,7 +27,7 @@ from irodori.provenance import code_hash, file_sha256
 from irodori.rendering.integrators import make_renderer
 from irodori.rendering.moments import Moment
 from irodori.rendering.stage import write_picture
-from irodori.rendering.white import scene_white
+from irodori.rendering.white import shown_white
 from irodori.spectra import WAVELENGTH_NM
 
 #: Kinds of `frames` in a scene.
@@ -203,8 +203,8 @@ def render_frames(
     environment = Environment.load(environment_file)
     made = [Shape.from_definition(shape) for shape in shapes]
     materials = [Material.load(path) for path in material_files]
+    white, exposure = shown_white(scene, environment, environment_file)
     renderer = make_renderer(scene, made, materials, environment, options, tile_rows)
-    white, exposure = scene_white(scene, environment)
     display = make_display(scene["display"]["device"])
     stands = scene["frames"]["kind"] == "light_sweep"
     for number in track(missing, f"frames of {view_name}"):

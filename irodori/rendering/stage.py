@@ -14,7 +14,7 @@ from irodori.material import Material
 from irodori.pictures import read_xyz, write_display_picture, write_spectral_exr, write_xyz_exr
 from irodori.progress import LOGGER
 from irodori.rendering.integrators import render_image
-from irodori.rendering.white import scene_white
+from irodori.rendering.white import scene_white, shown_white
 
 
 def render_view(
@@ -44,6 +44,7 @@ def render_view(
     display = make_display(scene["display"]["device"])
     materials = [Material.load(path) for path in material_files]
     environment = Environment.load(environment_file)
+    white, exposure = shown_white(scene, environment, environment_file)
     radiance, figures = render_image(
         scene,
         view_name,
@@ -56,7 +57,6 @@ def render_view(
         plan,
         check,
     )
-    white, exposure = scene_white(scene, environment)
     matrix = xyz_from_radiance(white)
     white_xyz = matrix @ white
     if radiance.shape[-1] == 3:

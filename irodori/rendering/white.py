@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from irodori.errors import InputError
 from irodori.light import Environment
 
 
@@ -28,3 +29,18 @@ def scene_white(scene: dict, environment: Environment) -> tuple[np.ndarray, floa
 
         white = white + upward_radiance(make_lights(scene["lights"], 0)[0])
     return white / exposure, exposure
+
+
+def shown_white(scene: dict, environment: Environment, environment_file) -> tuple[np.ndarray, float]:
+    """Return `scene_white`, against which a picture is made.
+
+    Raises
+    ------
+    InputError
+        If nothing lights that diffuser: there is no white, and no picture.
+    """
+    white, exposure = scene_white(scene, environment)
+    if not white.any():
+        found = "no light on a surface that faces up at the scene's origin, nor from lights of the scene"
+        raise InputError(environment_file, "", found, "a white that colours are seen against")
+    return white, exposure

@@ -163,6 +163,22 @@ def test_a_view_by_paths_in_files_tells_its_error_and_leaves_no_tiles(tmp_path):
         render_view(scene | {"integrator": {"kind": "bidirectional"}}, *arguments[1:])
 
 
+def test_a_scene_in_the_dark_is_refused_before_anything_is_written(tmp_path):
+    constant_light(0.0).save(tmp_path / "dark.h5", store.Provenance("test"))
+    material(1.0).save(tmp_path / "white.h5", store.Provenance("test"))
+    scene = {
+        "image": {"width": 3, "height": 3}, "display": DISPLAY,
+        "objects": [{"object": "white", "position_mm": [0, 0, 0], "rotation_deg": [0, 0, 0], "scale": 1.0}],
+        "views": {"v": {"position_mm": [0, -0.01, 500.0], "target_mm": [0, 0, 0], "up": [0, 0, 1],
+                        "field_of_view_deg": 0.1}},
+    }  # fmt: skip
+    outputs = [tmp_path / f"v.{suffix}" for suffix in ("exr", "png", "json")]
+    shapes = [{"kind": "plate", "width_mm": 100.0, "height_mm": 100.0}]
+    with pytest.raises(InputError, match=r"dark\.h5: found no light on a surface that faces up"):
+        render_view(scene, "v", shapes, [tmp_path / "white.h5"], tmp_path / "dark.h5", *outputs, OPTIONS, 2)
+    assert not any(path.exists() for path in outputs)
+
+
 def test_an_interactive_view_in_files_has_the_light_of_its_lamp(tmp_path):
     """A white plate under constant light and a lamp aslant: together they are the picture's white."""
     constant_light(np.linspace(0.3, 3.0, 61)).save(tmp_path / "e.h5", store.Provenance("test"))

@@ -23,7 +23,6 @@ from irodori.geometry.frames import rotation_x
 from irodori.spectra import light as spectrum_of
 
 SPECTRUM = np.linspace(0.2, 0.9, 61)
-MIRROR = {"n": 0.05, "k": 30.0}
 
 
 # --- furnaces ----------------------------------------------------------------------------------------------------
