@@ -12,7 +12,7 @@ import yaml
 from irodori.agreement.captures import table_and_folder
 from irodori.agreement.definitions import check_agreement, rig_of
 from irodori.captures import chart_capture, expand_poses, read_captures
-from irodori.errors import InputError
+from irodori.errors import InputError, is_file
 from irodori.validation import dotted, suggest, validate
 
 __all__ = [
@@ -115,7 +115,7 @@ def load_definitions(config: dict, root: Path, file=_CONFIG_FILE) -> dict:
         For the first fault in any of the files, or between them.
     """
     files = [file] if isinstance(file, str | Path) else list(file) or [_CONFIG_FILE]
-    contents = [read_yaml(Path(root) / path) if (Path(root) / path).is_file() else {} for path in files]
+    contents = [read_yaml(Path(root) / path) if is_file(Path(root) / path) else {} for path in files]
     try:
         return _load_definitions(config, Path(root), files[0])
     except InputError as error:
@@ -234,7 +234,7 @@ class _Loader:
         if name in self.found[kind]:
             return
         file = self.file(kind, name)
-        if not (self.root / file).is_file():
+        if not is_file(self.root / file):
             existing = sorted(other.stem for other in (self.root / self.folder / kind).glob("*.yaml"))
             found = f"{name!r}, for which there is no {file}"
             raise InputError(by, dotted(path), found, suggest(name, existing, f"{kind} that exist"))

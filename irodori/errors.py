@@ -1,5 +1,7 @@
 """What bad input raises, worded for the person who wrote the input."""
 
+from pathlib import Path
+
 
 class PlainError(Exception):
     """A fault that its message tells whole, in one sentence for the person at the machine: a traceback adds nothing."""
@@ -27,3 +29,11 @@ class InputError(PlainError, ValueError):
 
     def __reduce__(self):
         return type(self), (self.file, self.field, self.found, self.accepted)
+
+
+def is_file(path) -> bool:
+    """Whether a name that a definition gives is that of a file; one that no file can have is not."""
+    try:
+        return Path(path).is_file()
+    except (OSError, ValueError):
+        return False

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from irodori.progress import rule_log
 from irodori.provenance import config_hash
@@ -42,4 +43,5 @@ def run_rule(snakemake) -> Iterator[Provenance]:
             input_sha256=_input_sha256(snakemake.input),
         )
         for path in snakemake.output:
-            write_digest(str(path))
+            if not Path(path).is_dir():  # a folder of frames: pictures that no rule reads
+                write_digest(str(path))

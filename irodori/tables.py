@@ -11,7 +11,7 @@ import re
 from itertools import pairwise
 from pathlib import Path
 
-from irodori.errors import InputError
+from irodori.errors import InputError, is_file
 
 FIRST_NM, LAST_NM = 400.0, 700.0
 MAX_GAP_NM = 20.0
@@ -186,7 +186,7 @@ def read_text(path, wanted: str) -> str:
     InputError
     """
     path = Path(path)
-    if not path.is_file():
+    if not is_file(path):
         raise InputError(path, "", "no such file", wanted)
     try:
         return path.read_text(encoding="utf-8-sig")

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from irodori.captures import FILTERS, Shot, chart_capture, expand_poses, read_captures
-from irodori.errors import InputError
+from irodori.errors import InputError, is_file
 
 _ANGLE_TOLERANCE_DEG = 1e-6
 #: The chart and the white reference are divided by cosθ_i, which is nothing near 90 degrees.
@@ -73,7 +73,7 @@ def table_and_folder(definition: dict, root: Path) -> tuple[Path, Path]:
 def read_table(definition: dict, root: Path, file) -> tuple[Path, list[Shot]]:
     """Return the table of a set of photographs and what it lists, all files being there."""
     table, folder = table_and_folder(definition, root)
-    if not table.is_file():
+    if not is_file(table):
         found = f"no such file: {definition['captures']['table']}"
         raise InputError(file, "captures.table", found, "a CSV that lists the photographs")
     return table, read_captures(table, folder)

@@ -21,7 +21,7 @@ from irodori.agreement.photographs import check_aim, check_photograph
 from irodori.agreement.plans import check_plan
 from irodori.agreement.spectra import check_chart, check_spectra
 from irodori.captures import Shot
-from irodori.errors import InputError
+from irodori.errors import InputError, is_file
 from irodori.geometry.files import mesh_files
 from irodori.tables import brdf_table, index_table
 
@@ -229,7 +229,7 @@ class _Checks:
     def _check_index(self, index: dict, field: str, file: Path) -> None:
         """Refuse a table of refractive indices that is not there, or is none."""
         if table := index.get("file"):
-            if not (self.root / table).is_file():
+            if not is_file(self.root / table):
                 raise InputError(file, f"{field}.file", f"no such file: {table}", "a CSV of wavelength_nm, n, k")
             index_table(self.root / table)
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from irodori.errors import InputError
+from irodori.errors import InputError, is_file
 
 _MEASURED = (".csv", ".ti3")
 
@@ -32,7 +32,7 @@ def check_display(device: dict, root: Path, file) -> None:
             raise InputError(file, f"{field}.white_xy", found, "a white within the triangle of red, green and blue")
     if "file" not in device:
         return
-    if not (root / device["file"]).is_file():
+    if not is_file(root / device["file"]):
         wanted = "a table of measured patches" if device["kind"] == "measured" else "the ICC profile of a display"
         raise InputError(file, f"{field}.file", f"no such file: {device['file']}", wanted)
     if device["kind"] == "measured" and not device["file"].lower().endswith(_MEASURED):

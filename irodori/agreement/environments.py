@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from irodori.errors import InputError
+from irodori.errors import InputError, is_file
 from irodori.tables import index_table
 
 _PHOTOGRAPHED = ("captures", "mirror_ball")
@@ -33,7 +33,7 @@ def check_source(environment: dict, root: Path, file) -> None:
         if key in environment:
             found = f"a key that a source of kind {kind} does not use"
             raise InputError(file, key, found, "to leave it out")
-    if "file" in source and not (root / source["file"]).is_file():
+    if "file" in source and not is_file(root / source["file"]):
         raise InputError(file, "source.file", f"no such file: {source['file']}", "a picture of the light")
     if kind == "mirror_ball":
         _check_ball(source, root, file)
@@ -57,7 +57,7 @@ def _check_ball(source: dict, root: Path, file) -> None:
     table = source.get("refractive_index", {}).get("file")
     if table is None:
         return
-    if not (root / table).is_file():
+    if not is_file(root / table):
         found = f"no such file: {table}"
         raise InputError(file, "source.refractive_index.file", found, "a CSV of wavelength_nm, n, k")
     index_table(root / table)

@@ -3,7 +3,7 @@
 import difflib
 from pathlib import Path
 
-from irodori.errors import InputError
+from irodori.errors import InputError, is_file
 from irodori.names import (
     BLACKBODY_K,
     CAMERAS,
@@ -109,7 +109,7 @@ def _check_one(kind: str, value: str, root: Path, file, field: str) -> None:
     if value in names or (kind == "light" and synthetic_light(value)):
         return
     table = root / value
-    if not table.is_file():
+    if not is_file(table):
         if _looks_like_a_path(value):
             accepted = f"the path of a file, or a published name ({words})"
             raise InputError(file, field, f"no such file: {value}", accepted)

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from urllib.parse import unquote
 
-from irodori.errors import InputError
+from irodori.errors import InputError, is_file
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
 
@@ -26,7 +26,7 @@ def mesh_files(path) -> list[str]:
     path = Path(path)
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise InputError(path, "", f"a file of the kind {path.suffix!r}", f"one of {', '.join(MESH_SUFFIXES)}")
-    if not path.is_file():
+    if not is_file(path):
         raise InputError(path, "", "no such file", "a triangle mesh with UV coordinates")
     if path.suffix.lower() != ".gltf":
         return [str(path)]
@@ -40,7 +40,7 @@ def mesh_files(path) -> list[str]:
         if name.startswith("data:"):
             continue
         buffer = path.parent / unquote(name)
-        if not buffer.is_file():
+        if not is_file(buffer):
             raise InputError(path, "buffers", f"the buffer {name}, which does not exist", "a file beside the glTF")
         found.append(str(buffer))
     return found

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from irodori.errors import InputError
+from irodori.errors import InputError, is_file
 from irodori.names import BLACKBODY_K, DAYLIGHT_K, synthetic_light
 from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
 from irodori.spectra.resampling import is_finer_than_grid, resample
@@ -141,7 +141,7 @@ def light(name: str) -> np.ndarray:
     InputError
         If it is dark, or negative by more than a hundredth of its peak.
     """
-    if not Path(name).is_file():
+    if not is_file(name):
         return spectrum(name)
     table = _one_spectrum(name)
     check_power(table, name)

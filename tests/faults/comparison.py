@@ -111,6 +111,7 @@ def _hdf5(path: Path) -> dict:
             content[name] = _bits(item[()])
         for key, value in item.attrs.items():
             if key not in CLOCKED_ATTRIBUTES:
+                value = value.decode() if isinstance(value, bytes) else value
                 is_json = isinstance(value, str) and value.startswith(_JSON)
                 content[f"{name}@{key}"] = _kept(json.loads(value.removeprefix(_JSON))) if is_json else _bits(value)
 

@@ -54,7 +54,8 @@ def test_a_ball_on_a_floor_of_a_kilometre_loses_no_light():
     """A ray that left the floor too high above it would start inside of the ball, whose inner side is black."""
     picture = traced([plate(1e6), BALL], [material(1.0)] * 2, constant_light(), 64, size=(24, 24), fov=25,
                      places=[(0, 0, 0), (0, 0, 20.0)], position=(0, -160, 60), target=(0, 0, 10))  # fmt: skip
-    assert np.abs(picture.radiance - 1).mean() <= 1e-4
+    # 0.031 with rays that left 7 mm above the floor.
+    assert np.abs(picture.radiance - 1).mean() <= 3e-4
     assert (np.abs(picture.radiance[..., 0] - 1) > 1e-3).mean() <= 5e-3
 
 

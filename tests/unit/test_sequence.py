@@ -37,7 +37,8 @@ def room(rolled=0) -> Environment:
 
 def scene_of(integrator, size=(30, 24), frames=None):
     scene = {
-        "image": {"width": size[0], "height": size[1]}, "integrator": integrator, "display": {"exposure": "auto"},
+        "image": {"width": size[0], "height": size[1]}, "integrator": integrator,
+        "display": {"exposure": "auto", "device": {"kind": "standard", "name": "sRGB"}},
         "max_bounces": 2, "lights": [] if integrator is SAMPLED else [SUN],
         "objects": [{"object": "a", "position_mm": [4.0, -3.0, 0.0], "rotation_deg": [0.0, 8.0, 10.0], "scale": 1.0},
                     {"object": "b", "position_mm": [25.0, 10.0, 24.0], "rotation_deg": [0, 0, 0], "scale": 1.0}],

@@ -18,6 +18,7 @@ STAGES_AFTER_FIT = {
     "compress_reflectance",
     "render_view",
     "compare_photograph",
+    "measure_error_budget",
     "measure_errors",
     "measure_plan",
     "measure_imperfections",
@@ -54,7 +55,7 @@ def test_what_measuring_speed_takes_is_not_counted_as_time_of_the_results(tmp_pa
     run = snakemake(small_project(tmp_path / "still-life"), "--dry-run", "benchmark")
     assert run.returncode == 0, run.stderr[-2000:]
     kept = [line.split()[1] for line in run.stdout.splitlines() if line.strip().startswith("benchmark: ")]
-    assert len(kept) == 6 and not [path for path in kept if path.startswith("results/benchmarks/")]
+    assert len(kept) == 9 and not [path for path in kept if path.startswith("results/benchmarks/")]
 
 
 def test_a_photograph_is_compared_with_its_view_and_the_report_shows_it(finished):
@@ -138,14 +139,15 @@ def test_a_finer_texture_does_not_photograph_again(again):
     jobs = planned(snakemake(again, "--dry-run"))
     rules = {rule for rule, _ in jobs}
     assert "rectify_object" in rules and "capture_object" not in rules
-    assert not [rule for rule in rules if rule.startswith("ingest")]
+    # The photograph of the whole scene shows the true texture, at its own size.
+    assert [rule for rule in rules if rule.startswith("ingest")] == ["ingest_photograph"]
     assert {wildcards["object"] for _, wildcards in jobs if "object" in wildcards} == {"tile-plate"}
 
 
 def test_a_scene_edit_renders_and_nothing_more(again):
     edit(again / "config/scenes/still-life.yaml", {"max_bounces": 3})
     rules = {rule for rule, _ in planned(snakemake(again, "--dry-run"))}
-    assert rules == {"render_view", "render_truth", "measure_errors", "write_report", "all"}
+    assert rules == {"render_view", "render_truth", "measure_error_budget", "measure_errors", "write_report", "all"}
 
 
 def test_a_library_edit_reruns_the_stages_that_use_it(again, tmp_path):

@@ -44,7 +44,7 @@ def scene_of(tolerance=1.0, lights=(), overrides=None, **integrator) -> dict:
         "integrator": {"kind": "interactive", "ambient": True} | integrator,
         "max_bounces": 4,
         "lights": list(lights),
-        "display": {"exposure": "auto"},
+        "display": {"exposure": "auto", "device": {"kind": "standard", "name": "sRGB"}},
         "tolerance_ciede2000": tolerance,
         "plan": overrides or {},
     }  # fmt: skip

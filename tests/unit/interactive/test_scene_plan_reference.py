@@ -25,7 +25,7 @@ def scene_of(tolerance: float, most=4096, **overrides) -> dict:
         "integrator": {"kind": "reference", "samples": most, "seed": 0},
         "max_bounces": 4,
         "lights": [],
-        "display": {"exposure": "auto"},
+        "display": {"exposure": "auto", "device": {"kind": "standard", "name": "sRGB"}},
         "tolerance_ciede2000": tolerance,
         "plan": overrides,
     }  # fmt: skip
