@@ -15,6 +15,7 @@ do. ``decode`` reads coefficients back.
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -99,6 +100,7 @@ def make_picture(folder: Path, size: str) -> None:
             if height // 3 <= row < height // 3 + height // 150:
                 line[: width // 300] = SUN * spectra[0]
             out[row], bands[row] = line, line @ basis.astype(np.float32)
+    os.sync()  # what is still on its way to the disk would be timed with what comes next
 
 
 def observers() -> dict:
