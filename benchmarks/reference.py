@@ -20,13 +20,12 @@ of the runs, which other work on the machine disturbs less than the clock on the
 import os
 import subprocess
 import sys
-import time
 from typing import NamedTuple
 
 import numpy as np
 import trimesh
 
-from benchmarks.table import COLUMNS, arguments_of, own_peak_mb, report
+from benchmarks.table import COLUMNS, arguments_of, least_processor_s, own_peak_mb, report
 from irodori.colour import colour_matching_weights, delta_e, lab_from_xyz, xyz_from_radiance
 from irodori.geometry.frames import rotation_x, rotation_xyz, rotation_y
 from irodori.geometry.mesh import Mesh
@@ -206,16 +205,6 @@ def mean_error(picture: np.ndarray, truth: np.ndarray, white_xyz: np.ndarray) ->
     return float(delta_e(lab_from_xyz(truth, white_xyz), lab_from_xyz(picture, white_xyz)).mean())
 
 
-def least_s(work, runs: int) -> float:
-    """Return the least processor time of a function, s, of all threads together."""
-    seconds = []
-    for _ in range(runs):
-        start = time.process_time()
-        work()
-        seconds.append(time.process_time() - start)
-    return min(seconds)
-
-
 class Line(NamedTuple):
     """Error and time of one renderer over its samples."""
 
@@ -243,7 +232,7 @@ def line_of(renderer, samples: tuple, truth: np.ndarray, white_xyz: np.ndarray, 
     """Measure a renderer."""
     renderer.xyz(samples[0], 1)  # compile
     errors = [np.mean([mean_error(renderer.xyz(n, seed), truth, white_xyz) for seed in (11, 12)]) for n in samples]
-    process = least_s(lambda: renderer.xyz(samples[-1], 21), runs)
+    process = least_processor_s(lambda: renderer.xyz(samples[-1], 21), runs)
     return Line(np.array(samples), np.array(errors), process / samples[-1])
 
 
@@ -299,7 +288,7 @@ def growth(runs: int) -> None:
     white = unit_luminance("D65")
     for width, samples in ((48, 64), (96, 64), (192, 64), (96, 16), (96, 256)):
         ours = Ours(stage, (width, width * 3 // 4), white)
-        process = least_s(lambda o=ours, n=samples: o.xyz(n, 1), runs)
+        process = least_processor_s(lambda o=ours, n=samples: o.xyz(n, 1), runs)
         each = 1e9 * process / (width * (width * 3 // 4) * samples)
         print(
             f"{width} x {width * 3 // 4} pixels, {samples} samples: {process:.3f} s, {each:.0f} ns a path", flush=True
@@ -313,7 +302,7 @@ def growth(runs: int) -> None:
         close = stage._replace(field_deg=14.0)
         view = view_of(close, (96, 72))
         reference.render(scene, view, 8)
-        process = least_s(lambda s=scene, v=view: reference.render(s, v, 64, 1), runs)
+        process = least_processor_s(lambda s=scene, v=view: reference.render(s, v, 64, 1), runs)
         print(f"{len(shape.mesh.faces)} triangles: {1e9 * process / (96 * 72 * 64):.0f} ns a path", flush=True)
 
 

@@ -11,14 +11,13 @@ import pickle
 import subprocess
 import sys
 import tempfile
-import time
 from functools import partial
 from pathlib import Path
 
 import numba
 import numpy as np
 
-from benchmarks.table import arguments_of, medians_s, own_peak_mb, report
+from benchmarks.table import arguments_of, least_processor_s, medians_s, own_peak_mb, report
 from irodori.colour import delta_e, lab_from_xyz, summary, xyz_from_radiance
 from irodori.config import load_definitions, read_yaml
 from irodori.geometry.frames import rotation_xyz
@@ -178,7 +177,7 @@ def measure(arguments, folder: Path) -> list[dict]:
         shares[name] = _stages(studio, prepared)
         work[name] = partial(_next_frame, studio, prepared, frame, [0])
     seconds = medians_s(work, arguments.runs)
-    own_s = {name: _least_processor_s(function, arguments.runs) for name, function in work.items()}
+    own_s = {name: least_processor_s(function, arguments.runs) for name, function in work.items()}
     rows = []
     for name in names:
         share, error = shares[name], errors[name]
@@ -199,16 +198,6 @@ def measure(arguments, folder: Path) -> list[dict]:
             }
         )  # fmt: skip
     return rows
-
-
-def _least_processor_s(function, runs: int) -> float:
-    """Return the least processor time of a frame, all threads together, s: others on the machine matter less to it."""
-    found = []
-    for _ in range(runs):
-        start = time.process_time()
-        function()
-        found.append(time.process_time() - start)
-    return min(found)
 
 
 def _next_frame(studio: Studio, prepared, options: dict, number: list[int]) -> None:

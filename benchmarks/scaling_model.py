@@ -70,7 +70,7 @@ class Cluster:
     tiles_per_job: int = 50
     tiles_abreast: int = 3
     captures_per_job: int = 8
-    fit_cores: int = 2
+    fit_cores: int = 1
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ Seconds are the least processor time, all threads together; what is compiled is 
 """
 
 import tempfile
-import time
 from dataclasses import asdict
 from pathlib import Path
 
@@ -15,7 +14,7 @@ import numba
 import numpy as np
 
 from benchmarks.render import Studio, make_inputs
-from benchmarks.table import arguments_of, own_peak_mb, report
+from benchmarks.table import arguments_of, least_processor_s, own_peak_mb, report
 from irodori.colour import xyz_from_radiance
 from irodori.gloss import GlossMaps
 from irodori.light import Environment
@@ -64,16 +63,6 @@ def prepare_all(parts: Parts):
     return prepare_scene(*scene, lamps=parts.lamp_spectra, **options)
 
 
-def least_s(function, runs: int) -> float:
-    """Return the least processor time of a function, all threads together, s."""
-    found = []
-    for _ in range(runs):
-        start = time.process_time()
-        function()
-        found.append(time.process_time() - start)
-    return min(found)
-
-
 def measure_scene(name: str, parts: Parts, studio: Studio, arguments) -> list[dict]:
     """Return the rows of one scene."""
     view = make_view(studio.scene["views"]["front"], studio.image)
@@ -81,14 +70,14 @@ def measure_scene(name: str, parts: Parts, studio: Studio, arguments) -> list[di
     lamps, matrix = tuple(Lamp(towards) for towards in parts.lamp_towards), xyz_from_radiance(parts.white)
     task = (parts, [view], names, arguments.tolerance, _BOUNCES, True)
     planner = choose(*task)
-    seconds = {"plan": least_s(lambda: choose(*task), 1)}
+    seconds = {"plan": least_processor_s(lambda: choose(*task), 1)}
     work = {"planned": lambda: prepare(parts, planner.model, matrix), "everything": lambda: prepare_all(parts)}
     for variant, make in work.items():
         prepared = make()
-        seconds[f"{variant}, prepare"] = least_s(make, 1)
+        seconds[f"{variant}, prepare"] = least_processor_s(make, 1)
         bands = {"bands": variant == "everything"}
         render_frame(prepared, view._replace(width=1, height=1), lamps=lamps, **bands)
-        seconds[f"{variant}, frame"] = least_s(
+        seconds[f"{variant}, frame"] = least_processor_s(
             lambda prepared=prepared, bands=bands: render_frame(prepared, view, lamps=lamps, **bands), arguments.runs
         )
         if variant == "planned":

@@ -1,6 +1,7 @@
 """A scene rendered by the integrator that it names."""
 
 import time
+from abc import ABC, abstractmethod
 
 import numpy as np
 
@@ -106,7 +107,7 @@ def make_renderer(
     return made(scene, shapes, materials, environment, options, tile_rows)
 
 
-class Renderer:
+class Renderer(ABC):
     """A scene and an integrator, which keeps from picture to picture what does not change; see `make_renderer`."""
 
     kind = ""
@@ -121,6 +122,7 @@ class Renderer:
         self.filled = dict(zip(names, filled, strict=False))
         self._lit: tuple = ()
 
+    @abstractmethod
     def check(self) -> None:
         """Refuse what the integrator cannot render.
 
@@ -135,13 +137,13 @@ class Renderer:
             self._lit = moment.filter, self.make_light(moment)
         return self._lit[1]
 
+    @abstractmethod
     def make_light(self, moment: Moment):
         """Return what depends on the colour of a moment's light, and on no angle."""
-        raise NotImplementedError
 
+    @abstractmethod
     def render(self, view_name: str, moment: Moment, keep: bool, tiles_folder) -> tuple[np.ndarray, dict]:
         """Return radiance and the integrator's own figures."""
-        raise NotImplementedError
 
     def picture(
         self, view_name: str, moment: Moment = STILL, keep: bool = False, tiles_folder=None
@@ -290,6 +292,9 @@ class _Reference(Renderer):
 
     kind = "reference"
     compiled = False
+
+    def check(self) -> None:
+        """Refuse nothing: paths render all that a scene may hold."""
 
     def make_light(self, moment: Moment):
         from irodori.rendering.reference.sky import make_sky

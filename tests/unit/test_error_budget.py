@@ -137,6 +137,7 @@ def rows():
     return budget(measured(0.02, 0.01, gloss=(0.3, 0.01)), light), budget(measured(0.02), warmer)
 
 
+@pytest.mark.heavy
 def test_each_fault_stands_in_its_own_row(rows):
     first, second = rows
     assert first["light"].max == 0.0 and second["light"].mean > 0.5
@@ -146,6 +147,7 @@ def test_each_fault_stands_in_its_own_row(rows):
     assert second["calibration and fit"].predicted == second["light"].predicted == 0.5
 
 
+@pytest.mark.heavy
 def test_noise_and_gloss_reach_the_picture_as_large_as_predicted(rows):
     for stage in ("RAW noise", "gloss of the fit"):
         row = rows[0][stage]
@@ -153,6 +155,7 @@ def test_noise_and_gloss_reach_the_picture_as_large_as_predicted(rows):
         assert row.predicted == pytest.approx(row.mean, rel=0.4), stage
 
 
+@pytest.mark.heavy
 def test_the_whole_is_no_more_than_its_parts(rows):
     for found in rows:
         parts = [row.mean for stage, row in found.items() if not stage.startswith(("all", "renderer"))]

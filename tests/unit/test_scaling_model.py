@@ -49,7 +49,7 @@ def test_the_work_of_one_object_is_cut_as_the_profile_cuts_it():
     cluster = Cluster(nodes=1, cores_per_node=6)
     ingest, tiles, compress = phases(work, cluster, COSTS)
     assert (ingest.jobs, tiles.jobs, compress.jobs) == (6, 5, 1)
-    assert tiles.slots == 1 and ingest.slots == 6
+    assert tiles.slots == 2 and ingest.slots == 6
     # 50 tiles, three abreast: 17 layers, each of a rectification and a fit.
     assert tiles.job_start_s == pytest.approx(17 * 2 * 3.0)
     # Each reads 48 captures of 60 MB to compare them with their hashes.
@@ -77,8 +77,8 @@ def test_what_costs_everything_is_what_binds():
 
 
 def test_a_node_too_small_for_a_job_of_tiles_is_refused():
-    with pytest.raises(ValueError, match="a node of 4 cores; accepted: 6 or more"):
-        phases(Work(), Cluster(cores_per_node=4), COSTS)
+    with pytest.raises(ValueError, match="a node of 2 cores; accepted: 3 or more"):
+        phases(Work(), Cluster(cores_per_node=2), COSTS)
 
 
 @given(st.integers(1, 300), st.integers(6, 64), st.integers(1, 40), st.floats(0.5, 40.0))
