@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -37,12 +38,14 @@ class Tiles:
 
     def __init__(self, source, tile_bytes: int = TILE_BYTES) -> None:
         self._source, self._bytes = source, tile_bytes
-        self._place = _place_in_file(source)
         self._is_array = hasattr(source, "shape") and hasattr(source, "dtype")
+        # Asked once: a dataset answers only when no other thread is in HDF5, where writing holds it for a whole chunk.
+        self._shape = tuple(source.shape) if self._is_array else None
+        self._place = _place_in_file(source)
         if self._is_array:
-            if len(source.shape) not in (2, 3) or 0 in source.shape:
+            if len(self._shape) not in (2, 3) or 0 in self._shape:
                 raise ValueError(
-                    f"a picture of shape {source.shape}; accepted: (pixels, bands) or (height, width, bands)"
+                    f"a picture of shape {self._shape}; accepted: (pixels, bands) or (height, width, bands)"
                 )
         elif iter(source) is source:
             raise ValueError(
@@ -86,15 +89,15 @@ class Tiles:
     def _pixels(self, item) -> int:
         if not self._is_array:
             return int(np.prod(np.shape(item)[:-1]))
-        return int(np.prod([s.stop - s.start for s in item] + list(self._source.shape[len(item) : -1])))
+        return int(np.prod([s.stop - s.start for s in item] + list(self._shape[len(item) : -1])))
 
     def _read(self, part: tuple[slice, ...], buffers: list, worker: int) -> np.ndarray:
         source = self._source
         if type(source) is np.ndarray:
             return source[part]
         if self._place is not None:
-            return _mapped(source, part, self._place)
-        shape = (*(s.stop - s.start for s in part), *source.shape[len(part) :])
+            return self._place.mapped(part, self._shape)
+        shape = (*(s.stop - s.start for s in part), *self._shape[len(part) :])
         size = int(np.prod(shape))
         if buffers[worker].size < size:
             buffers[worker] = np.empty(size, dtype=np.float32)
@@ -107,7 +110,7 @@ class Tiles:
 
     def _parts(self) -> Iterator[tuple[slice, ...]]:
         """Yield slices of the leading axes: rows, a multiple of the file's chunks; parts of a row that is long."""
-        shape = self._source.shape
+        shape = self._shape
         row_bytes = int(np.prod(shape[1:])) * 4
         if len(shape) == 3 and row_bytes > self._bytes:
             columns = max(1, self._bytes // (shape[2] * 4))
@@ -127,25 +130,32 @@ def _rows(tile) -> np.ndarray:
     return np.ascontiguousarray(tile.reshape(-1, tile.shape[-1]), dtype=np.float32)
 
 
-def _place_in_file(source) -> int | None:
-    """Return where the numbers of an HDF5 dataset begin in its file, bytes, if they stand there as they are used."""
+class _Place(NamedTuple):
+    """Where the numbers of a dataset stand in its file as they are used, one after the other."""
+
+    file: str
+    first_byte: int
+
+    def mapped(self, part: tuple[slice, ...], shape: tuple[int, ...]) -> np.ndarray:
+        """Return a tile as the system holds the file, without a copy; it is let go with the array."""
+        strides = [int(np.prod(shape[axis + 1 :])) * 4 for axis in range(len(part))]
+        begin = self.first_byte + sum(s.start * stride for s, stride in zip(part, strides, strict=True))
+        page = begin // mmap.ALLOCATIONGRANULARITY * mmap.ALLOCATIONGRANULARITY
+        tile = (*(s.stop - s.start for s in part), *shape[len(part) :])
+        count = int(np.prod(tile))
+        file = os.open(self.file, os.O_RDONLY)
+        try:
+            flags = mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0)
+            view = mmap.mmap(file, begin - page + 4 * count, flags=flags, prot=mmap.PROT_READ, offset=page)
+        finally:
+            os.close(file)
+        return np.frombuffer(view, dtype=np.float32, count=count, offset=begin - page).reshape(tile)
+
+
+def _place_in_file(source) -> _Place | None:
+    """Return the place of a plain HDF5 dataset of single precision, None for any other."""
     plain = hasattr(source, "id") and hasattr(source, "chunks") and source.chunks is None
     if not plain or source.dtype != np.float32 or source.file.mode != "r":
         return None
-    return source.id.get_offset()
-
-
-def _mapped(source, part: tuple[slice, ...], place: int) -> np.ndarray:
-    """Return a tile as the system holds the file, without a copy; it is let go with the array."""
-    shape = (*(s.stop - s.start for s in part), *source.shape[len(part) :])
-    strides = [int(np.prod(source.shape[axis + 1 :])) * 4 for axis in range(len(part))]
-    begin = place + sum(s.start * stride for s, stride in zip(part, strides, strict=True))
-    page = begin // mmap.ALLOCATIONGRANULARITY * mmap.ALLOCATIONGRANULARITY
-    count = int(np.prod(shape))
-    file = os.open(source.file.filename, os.O_RDONLY)
-    try:
-        flags = mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0)
-        view = mmap.mmap(file, begin - page + 4 * count, flags=flags, prot=mmap.PROT_READ, offset=page)
-    finally:
-        os.close(file)
-    return np.frombuffer(view, dtype=np.float32, count=count, offset=begin - page).reshape(shape)
+    first_byte = source.id.get_offset()
+    return None if first_byte is None else _Place(source.file.filename, first_byte)
