@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.table import COLUMNS, arguments_of, medians_s, own_peak_mb, report
 from irodori.gloss import GlossMaps, gloss_radiance
-from irodori.gloss_errors import gloss_errors, places
+from irodori.gloss.errors import gloss_errors, places
 from irodori.irradiance import Integrator, fitted_irradiance_map
 from irodori.threads import use_threads
 

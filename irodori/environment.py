@@ -8,7 +8,7 @@ from irodori import store
 from irodori.colour import xyz_from_radiance
 from irodori.errors import InputError
 from irodori.gloss import GlossMaps
-from irodori.gloss_errors import gloss_errors
+from irodori.gloss.errors import gloss_errors
 from irodori.irradiance import Integrator, fitted_irradiance_map
 from irodori.light import QUANTITY, Environment
 from irodori.light_files import rgb_picture, spectral_picture

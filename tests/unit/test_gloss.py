@@ -13,10 +13,10 @@ from irodori import store
 from irodori.brdf import fresnel
 from irodori.errors import InputError
 from irodori.gloss import GlossMaps, gloss_radiance
-from irodori.gloss_cells import point_lights
-from irodori.gloss_errors import gloss_errors, places, true_gloss
-from irodori.gloss_fit import fit_lobe, gaussians, lobe_samples, unit
-from irodori.gloss_lobes import fitted_lobes
+from irodori.gloss.cells import point_lights
+from irodori.gloss.errors import gloss_errors, places, true_gloss
+from irodori.gloss.fit import fit_lobe, gaussians, lobe_samples, unit
+from irodori.gloss.lobes import fitted_lobes
 from irodori.irradiance import Integrator
 from irodori.light import Environment, directions
 from irodori.prefilter import WIDTHS_RAD, _bessel_series, first_level, prefiltered

@@ -1,6 +1,6 @@
 """The gloss lobe of equation (5) as a row of four round lobes, small enough to be looked up at every hit.
 
-`irodori.gloss_lobes` has up to forty lobes to each entry of a table, of which a look-up mixes four entries. Here the
+`irodori.gloss.lobes` has up to forty lobes to each entry of a table, of which a look-up mixes four entries. Here the
 lobe D G / cosθ_r is a row of four Gaussians of the sphere in the plane of incidence, of one width and evenly spaced:
 mean, spread along the plane and spread across it are those of the true lobe (where it is very long the row is as long
 as four lobes may be without gaps), the weights are least squares of its shape and of its first and second moments. All
@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from irodori.brdf import MU_MAX_RAD, MU_MIN_RAD, fresnel
-from irodori.gloss_fit import lobe_samples
+from irodori.gloss.fit import lobe_samples
 from irodori.prefilter import WIDTHS_RAD
 
 TAPS = 4

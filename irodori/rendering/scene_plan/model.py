@@ -6,7 +6,7 @@ import numpy as np
 
 from irodori.geometry.embree import Tracer
 from irodori.gloss import GlossMaps
-from irodori.gloss_cells import PointLights
+from irodori.gloss.cells import PointLights
 from irodori.light import Environment
 from irodori.prefilter import WIDTHS_RAD, first_level, level_height, prefiltered
 from irodori.rendering.interactive import Prepared, light_of, prepare_scene

@@ -13,7 +13,7 @@ from scenes import BALL, fresnel, material
 
 from irodori.geometry.shapes import Placement
 from irodori.gloss import GlossMaps
-from irodori.gloss_fit import lobe_samples
+from irodori.gloss.fit import lobe_samples
 from irodori.irradiance import irradiance_at
 from irodori.light import directions
 from irodori.rendering.interactive import lanes

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 
 from irodori.brdf import attenuation_over_cosine, facet_distribution, fresnel
-from irodori.gloss import GlossMaps, gloss_radiance
+from irodori.gloss.maps import GlossMaps, gloss_radiance
 from irodori.irradiance import Integrator
 
 #: Roughnesses (rad) and view angles (degrees) of the table.

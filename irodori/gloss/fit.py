@@ -1,4 +1,4 @@
-"""How the table of `irodori.gloss_lobes` is made: ``python -m irodori.gloss_fit``, half a minute of one core.
+"""How the table of `irodori.gloss.lobes` is made: ``python -m irodori.gloss.fit``, half a minute of one core.
 
 For each roughness and view angle the lobe D G / cosθ_r is sampled on a grid over the sphere of light, what lies under
 the horizon included, where it is nothing. Of a few thousand lobes of `irodori.prefilter` the one that explains most of
@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from irodori import store
-from irodori.gloss_lobes import COLUMNS, MU_RAD, PATH, TABLE, THETA_R_RAD
+from irodori.gloss.lobes import COLUMNS, MU_RAD, PATH, TABLE, THETA_R_RAD
 from irodori.prefilter import WIDTHS_RAD
 from irodori.progress import track
 

@@ -4,7 +4,7 @@ The lobe about (θ_r, μ) is neither round nor centred on the mirror direction: 
 narrow across, it leans from the mirror direction, and the horizon cuts it. For a ladder of roughnesses and view angles
 D G / cosθ_r is therefore a sum with positive weights of the lobes of `irodori.prefilter`, on the plane of incidence and
 in pairs on both sides of it. Each keeps the angle θ_H at which its light is reflected, and the Fresnel reflectance
-F(n, k, θ_H) multiplies it at look-up: one table serves every refractive index. `irodori.gloss_fit` makes the table.
+F(n, k, θ_H) multiplies it at look-up: one table serves every refractive index. `irodori.gloss.fit` makes the table.
 """
 
 from functools import lru_cache
@@ -16,13 +16,13 @@ import numpy as np
 from irodori import store
 from irodori.errors import InputError
 
-#: Roughnesses of the ladder, rad, a factor √2 apart; rougher surfaces are for `irodori.gloss_cells`.
+#: Roughnesses of the ladder, rad, a factor √2 apart; rougher surfaces are for `irodori.gloss.cells`.
 MU_RAD = 0.01 * 2.0 ** (0.5 * np.arange(12))
 #: View angles of the ladder, rad.
 THETA_R_RAD = np.radians([0.0, 20.0, 40.0, 50.0, 60.0, 67.5, 75.0, 80.0, 84.0, 87.0, 89.0])
 #: Changes whenever the table is made anew, so that what was made with another is made again.
 TABLE = 1
-PATH = Path(__file__).with_name("gloss_lobes.h5")
+PATH = Path(__file__).with_name("lobes.h5")
 
 
 class Lobes(NamedTuple):
@@ -63,6 +63,6 @@ def fitted_lobes() -> Lobes:
     """
     with store.open_file(PATH) as file:
         if file.attribute("table") != TABLE or not np.allclose(file.read("mu"), MU_RAD):
-            raise InputError(PATH, "table", str(file.attribute("table")), f"{TABLE}, by python -m irodori.gloss_fit")
+            raise InputError(PATH, "table", str(file.attribute("table")), f"{TABLE}, by python -m irodori.gloss.fit")
         columns = [file.read(name).astype(np.int64 if name == "width" else np.float64) for name in COLUMNS]
     return Lobes(MU_RAD, THETA_R_RAD, *columns)

@@ -8,8 +8,8 @@ eye and a roughness, and has the k coefficients of the radiance on the environme
 
 `gloss_radiance` does the same for arrays. Up to a roughness of 0.32 rad an entry of the table asks for at most forty
 bilinear look-ups, and four entries are mixed; from 0.4 rad the true lobe is summed over the light as about 1300 points
-(`irodori.gloss_cells`), so that the horizon cuts it exactly; between the two both are mixed. Errors against the sum of
-the true lobe over the light are those of `irodori.gloss_errors`, and stand in the environment's file and the report.
+(`irodori.gloss.cells`), so that the horizon cuts it exactly; between the two both are mixed. Errors against the sum of
+the true lobe over the light are those of `irodori.gloss.errors`, and stand in the environment's file and the report.
 """
 
 import math
@@ -22,8 +22,8 @@ import numpy as np
 from irodori import store
 from irodori.brdf import fresnel
 from irodori.errors import InputError
-from irodori.gloss_cells import PointLights, add_from_points, point_lights
-from irodori.gloss_lobes import fitted_lobes
+from irodori.gloss.cells import PointLights, add_from_points, point_lights
+from irodori.gloss.lobes import fitted_lobes
 from irodori.prefilter import WIDTHS_RAD, prefiltered
 from irodori.sphere import add_interpolated
 
