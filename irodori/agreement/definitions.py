@@ -184,7 +184,7 @@ class _Checks:
             check_aim(view, file, f"views.{label}")
             if "lens" in view and scene["integrator"]["kind"] == "interactive":
                 found = "a lens, over which the integrator interactive does not sample"
-                raise InputError(file, f"views.{label}.lens", found, "integrator: sampled or reference, or no lens")
+                raise InputError(file, f"views.{label}.lens", found, "integrator: {kind: reference}, or no lens")
 
         if scene.get("frames", {}).get("turned") in ("lights", "both") and not scene["lights"]:
             found = f"{scene['frames']['turned']}, of which the scene has none beside its environment"
@@ -198,11 +198,10 @@ class _Checks:
         for index, body in enumerate(scene["bodies"]):
             field = f"bodies[{index}].material.refractive_index"
             self._check_index(body["material"]["refractive_index"], field, file)
-        traced = {"sampled": (), "interactive": ("collimated",)}.get(scene["integrator"]["kind"])
-        strange = [light["kind"] for light in scene["lights"] if traced is not None and light["kind"] not in traced]
-        if strange:
-            found = f"a {strange[0]} light, which the integrator {scene['integrator']['kind']} does not trace"
-            raise InputError(file, "lights", found, "integrator: {kind: reference, samples: 256}, or no such light")
+        strange = [light["kind"] for light in scene["lights"] if light["kind"] != "collimated"]
+        if strange and scene["integrator"]["kind"] == "interactive":
+            found = f"a {strange[0]} light, which the integrator interactive does not trace"
+            raise InputError(file, "lights", found, "integrator: {kind: reference}, or collimated lights alone")
 
     def folders(self) -> None:
         """Refuse a table or a folder into which two sessions would write: their photographs bear the same names."""

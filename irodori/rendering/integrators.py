@@ -8,14 +8,13 @@ import numpy as np
 from irodori.geometry.shapes import Shape
 from irodori.light import Environment
 from irodori.material import Material
-from irodori.progress import LOGGER, track
-from irodori.rendering.integrator import render_rows
+from irodori.progress import LOGGER
 from irodori.rendering.moments import STILL, Moment, turned_scene
-from irodori.rendering.scene import make_light, make_objects, make_placements, make_tracer, make_view
+from irodori.rendering.scene import make_objects, make_placements, make_tracer, make_view
 from irodori.spectra import refractive_index, spectrum
 
 #: Kinds of `integrator` in a scene.
-INTEGRATORS = ("sampled", "interactive", "reference")
+INTEGRATORS = ("interactive", "reference")
 #: Up to which what rays met is kept between frames, 60 bytes a pixel.
 _KEPT_PIXELS = 1 << 22
 
@@ -37,14 +36,15 @@ def render_image(
     Parameters
     ----------
     scene : dict
-        Validated definition of the scene; without ``integrator`` it is ``sampled``.
+        Validated definition of the scene.
     view_name : str
     shapes, materials : one an object of the scene
     environment : Environment
     options : dict
-        See `irodori.rendering.integrator.render_rows`.
+        Of the `interactive` integrator: ``pixel_side``, rays along each side of a pixel; ``max_bounces``, mirror
+        reflections to follow; ``min_throughput`` under which a path ends.
     tile_rows : int
-        Rows rendered between two reports of progress.
+        Rows that the `reference` integrator renders between two reports of progress.
     tiles_folder : path, optional
         Where the `reference` integrator keeps finished tiles until the picture is whole.
     plan : dict, optional
@@ -83,7 +83,7 @@ def _planned(renderer: "Renderer", view_name: str, plan: dict, check: bool, fold
         parts = parts_of(scene, renderer.objects, renderer.environment, make_tracer(placements))
         return renderer.described(*render_planned(scene, view_name, parts, renderer.options, plan, check))
     picture, figures = renderer.picture(view_name, tiles_folder=folder)
-    if renderer.kind == "reference" and check:
+    if check:
         from irodori.rendering.scene_plan.reference import check_reference
 
         own = renderer.objects, renderer.environment
@@ -100,10 +100,10 @@ def make_renderer(
     tile_rows: int = 60,
 ) -> "Renderer":
     """Return what renders any view of a scene at any moment; parameters and errors as of `render_image`."""
-    kind = scene.get("integrator", {"kind": "sampled"})["kind"]
+    kind = scene["integrator"]["kind"]
     if kind not in INTEGRATORS:
         raise ValueError(f"unknown integrator {kind!r}; accepted: {', '.join(INTEGRATORS)}")
-    made = {"sampled": _Sampled, "interactive": _Interactive, "reference": _Reference}[kind]
+    made = {"interactive": _Interactive, "reference": _Reference}[kind]
     return made(scene, shapes, materials, environment, options, tile_rows)
 
 
@@ -182,43 +182,6 @@ def with_bodies(scene: dict, shapes: list[Shape], materials: list[Material]) -> 
         made.append(Material.uniform(spectrum(body["material"]["spectrum"]), **gloss, n=n, k=k))
     shapes = [*shapes, *(Shape.from_definition(body["shape"]) for body in bodies)]
     return scene | {"objects": [*scene["objects"], *bodies]}, shapes, [*materials, *made]
-
-
-class _Sampled(Renderer):
-    """By the irradiance map and few samples a point, see `irodori.rendering.integrator`."""
-
-    kind = "sampled"
-    compiled = False
-
-    def check(self) -> None:
-        if self.scene.get("lights"):
-            raise ValueError("lights in a scene of the integrator 'sampled'; accepted: the integrator 'reference'")
-
-    def make_light(self, moment: Moment):
-        return make_light(moment.environment(self.environment))
-
-    def render(self, view_name, moment, keep, tiles_folder):
-        scene = turned_scene(self.scene, moment.seen_from("environment"))
-        tracer, light = make_tracer(make_placements(scene, self.shapes)), self.light(moment)
-        view, options = make_view(scene["views"][view_name], scene["image"]), self.options
-        if not self.compiled:
-            render_rows(self.objects, light, view, tracer, (view.height // 2, view.height // 2 + 1), options)
-            self.compiled = True
-        start, met = time.perf_counter(), 0
-        radiance = np.empty((view.height, view.width, 61), dtype=np.float32)
-        for first in track(range(0, view.height, self.tile_rows), f"render {view_name}"):
-            last = min(first + self.tile_rows, view.height)
-            radiance[first:last], shaded = render_rows(self.objects, light, view, tracer, (first, last), options)
-            met += shaded
-        seconds = time.perf_counter() - start
-        primary = view.width * view.height * options["pixel_side"] ** 2
-        rays = primary + met * (1 + options["ambient_samples"] + options["gloss_samples"])
-        return radiance, {
-            "seconds": seconds,
-            "rays": rays,
-            "rays_per_second": rays / seconds,
-            "surfaces_shaded": met,
-        }
 
 
 class _Interactive(Renderer):
@@ -317,13 +280,13 @@ class _Reference(Renderer):
         if tiles_folder is not None:
             tiles = reference.Tiles(tiles_folder, reference.picture_key(prepared, view, samples, seed))
         start = time.perf_counter()
-        picture = reference.render(prepared, view, samples, seed, self.tile_rows, f"render {view_name}", tiles)
+        picture = reference.render(prepared, view, samples, seed, self.tile_rows, f"render {view_name}", tiles, False)
         seconds = time.perf_counter() - start
         if tiles is not None:
             tiles.remove()
         if picture.cut:
             LOGGER.warning("%d paths were cut: the picture is too dark by what they would have brought", picture.cut)
-        error, mean = picture.standard_error.mean(axis=-1), picture.radiance.mean(axis=-1)
+        error, mean = picture.standard_error[..., 0], picture.radiance.mean(axis=-1)
         relative = np.divide(error, mean, out=np.zeros_like(error), where=mean > 0)
         return picture.radiance, {
             "seconds": seconds,

@@ -13,7 +13,7 @@ import numpy as np
 from irodori.geometry.frames import rotation_xyz
 from irodori.geometry.shapes import PLATE, SPHERE, Placement, Shape
 from irodori.placed_lights import direction_of, unit_luminance
-from irodori.rendering.shading import frame
+from irodori.rendering.hits import frame
 
 COLLIMATED, RECTANGLE, BALL = 0, 1, 2
 KINDS = {"collimated": COLLIMATED, "rectangle": RECTANGLE, "sphere": BALL}

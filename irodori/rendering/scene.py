@@ -1,4 +1,4 @@
-"""A scene as the compiled integrator wants it: flat arrays of objects, textures and light."""
+"""A scene as compiled loops want it: flat arrays of objects, textures and light; and the camera."""
 
 from typing import NamedTuple
 

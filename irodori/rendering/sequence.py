@@ -29,6 +29,7 @@ from irodori.rendering.moments import Moment
 from irodori.rendering.stage import write_picture
 from irodori.rendering.white import shown_white
 from irodori.spectra import WAVELENGTH_NM
+from irodori.whole_files import written_whole
 
 #: Kinds of `frames` in a scene.
 KINDS = ("turntable", "light_sweep", "illuminant_change")
@@ -136,9 +137,8 @@ class _Frames:
 
 
 def _write_json(path, content: dict) -> None:
-    temporary = Path(path).with_suffix(".part")
-    temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
-    os.replace(temporary, path)
+    with written_whole(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
 
 
 class _Pictures:
@@ -159,13 +159,10 @@ def write_animation(path, pictures: list[Path], frames_per_second: float) -> Non
     """Write PNG pictures as one animated PNG that repeats for ever; every pixel and the profile are theirs."""
     from PIL import Image
 
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.part")
-    with Image.open(pictures[0]) as first:
+    with written_whole(path) as temporary, Image.open(pictures[0]) as first:
         profile = first.info["icc_profile"]
         options = {"save_all": True, "append_images": _Pictures(pictures[1:]), "loop": 0, "icc_profile": profile}
         first.save(temporary, format="PNG", duration=1000.0 / frames_per_second, **options)
-    os.replace(temporary, path)
 
 
 def render_frames(

@@ -1,7 +1,6 @@
 """The stage: materials, light and a scene in; spectral EXR, PNG and figures out."""
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from irodori.pictures import read_xyz, write_display_picture, write_spectral_exr
 from irodori.progress import LOGGER
 from irodori.rendering.integrators import render_image
 from irodori.rendering.white import scene_white, shown_white
+from irodori.whole_files import written_whole
 
 
 def render_view(
@@ -66,9 +66,8 @@ def render_view(
         xyz = radiance @ matrix.T.astype(np.float32)
         write_spectral_exr(exr, radiance, srgb().linear_rgb(xyz, white_xyz), srgb().attributes(white_xyz))
     figures |= write_picture(png, xyz, white_xyz, display) | {"display": display.name, "exposure": exposure}
-    temporary = Path(figures_file).with_suffix(".part")
-    temporary.write_text(json.dumps(figures, indent=1), encoding="utf-8")
-    os.replace(temporary, figures_file)
+    with written_whole(figures_file) as temporary:
+        temporary.write_text(json.dumps(figures, indent=1), encoding="utf-8")
     LOGGER.info("%.2f s, %.0f pixels/s", figures["seconds"], figures["pixels_per_second"])
 
 

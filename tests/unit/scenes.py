@@ -11,7 +11,7 @@ from irodori.material import Material
 from irodori.rendering.integrators import render_image
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
-OPTIONS = {"pixel_side": 1, "ambient_samples": 0, "gloss_samples": 0, "max_bounces": 5, "min_throughput": 1e-9}
+OPTIONS = {"pixel_side": 1, "max_bounces": 5, "min_throughput": 1e-9}
 ONES = np.ones(61)
 # Gold at about 650, 550 and 450 nm (Johnson and Christy 1972), in thirds of the grid.
 GOLD_N, GOLD_K = (0.16, 0.42, 1.50), (3.80, 2.35, 1.88)
@@ -60,7 +60,8 @@ def plate(side_mm: float) -> Shape:
 
 
 def render(shapes, materials, light, position=(0.0, -200.0, 0.0), target=(0.0, 0.0, 0.0), size=(41, 41), fov=13.0,
-           places=None, tile_rows=60, **options):  # fmt: skip
+           places=None, samples=64) -> np.ndarray:  # fmt: skip
+    """Radiance of a view by the `reference` integrator, (height, width, 61)."""
     places = places or [(0.0, 0.0, 0.0)] * len(shapes)
     scene = {
         "image": {"width": size[0], "height": size[1]},
@@ -70,8 +71,9 @@ def render(shapes, materials, light, position=(0.0, -200.0, 0.0), target=(0.0, 0
         ],
         "views": {"v": {"position_mm": list(position), "target_mm": list(target), "up": [0.0, 0.0, 1.0],
                         "field_of_view_deg": fov}},
+        "integrator": {"kind": "reference", "samples": samples, "seed": 0},
     }  # fmt: skip
-    return render_image(scene, "v", shapes, materials, light, OPTIONS | options, tile_rows)[0]
+    return render_image(scene, "v", shapes, materials, light, OPTIONS)[0]
 
 
 def pixel_rays(position=(0.0, -200.0, 0.0), target=(0.0, 0.0, 0.0), size=(41, 41), fov=13.0):

@@ -13,7 +13,6 @@ def scene(kind, tolerance=1.0, **plan):
 @pytest.mark.parametrize(
     ("definition", "field"),
     [
-        (scene("sampled"), "tolerance_ciede2000"),
         (scene("interactive", None, nodes=6), "plan"),
         (scene("interactive", samples=64), "plan.samples"),
         (scene("reference", max_bounces=2), "plan.max_bounces"),
@@ -29,7 +28,8 @@ def test_what_nothing_would_read_is_refused(definition, field):
 @pytest.mark.parametrize(
     "definition",
     [
-        scene("sampled", None),
+        scene("interactive", None),
+        scene("reference"),
         scene("interactive", nodes=6),
         scene("interactive", gloss=[], representation="coefficients"),
         scene("reference", samples=64),

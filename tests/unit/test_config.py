@@ -184,9 +184,6 @@ def test_an_unknown_name_lists_the_existing_ones(root, file, path, value, named_
          [BODY, BODY | {"material": {"spectrum": "TCS3", "refractive_index": {"file": "gold.csv"}}}],
          "bodies[1].material.refractive_index.file", "no such file", "wavelength_nm, n, k"),
         ("scenes/still-life.yaml", "lights",
-         [{"kind": "collimated", "spectrum": "D65", "azimuth_deg": 0, "elevation_deg": 40, "irradiance": 1}],
-         "lights", "a collimated light, which the integrator sampled does not trace", "reference"),
-        ("scenes/still-life.yaml", "lights",
          [{"kind": "collimated", "spectrum": "D66", "azimuth_deg": 0, "elevation_deg": 40, "irradiance": 1}],
          "lights[0].spectrum", "'D66'", "did you mean 'D65'"),
         ("scenes/still-life.yaml", "views.front.target_mm", [0.0, -330.0, 190.0], "views.front.target_mm",
@@ -218,7 +215,24 @@ def test_a_lens_needs_an_integrator_that_samples(root):
     load(root)
     edit(root, scene, "integrator", {"kind": "interactive"})
     error = fault(root)
-    assert error.field == "views.front.lens" and "sampled or reference" in error.accepted
+    assert error.field == "views.front.lens" and "reference" in error.accepted
+
+
+def test_the_interactive_integrator_takes_collimated_lights_alone(root):
+    scene = "scenes/still-life.yaml"
+    lamp = {"kind": "sphere", "spectrum": "A", "position_mm": [0.0, 0.0, 90.0], "radius_mm": 4.0, "radiance": 5.0}
+    edit(root, scene, "lights", [lamp])
+    load(root)
+    edit(root, scene, "integrator", {"kind": "interactive"})
+    error = fault(root)
+    assert error.field == "lights" and "a sphere light" in error.found and "reference" in error.accepted
+
+
+def test_a_scene_without_an_integrator_is_rendered_by_paths(root):
+    plain = load(root)["scenes"]["still-life"]["integrator"]
+    edit(root, "scenes/still-life.yaml", "integrator", {"kind": "reference"})
+    assert plain == load(root)["scenes"]["still-life"]["integrator"]
+    assert plain["kind"] == "reference" and plain["samples"] % 8 == 0
 
 
 def test_every_step_within_the_limits_is_on_the_step(root):

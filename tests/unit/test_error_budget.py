@@ -118,14 +118,14 @@ def test_light_loses_nothing_to_all_its_bases():
 def rows():
     scene = {
         "image": {"width": 24, "height": 16},
-        "display": {"exposure": "auto"},
+        "display": {"exposure": "auto"}, "integrator": {"kind": "reference", "samples": 256, "seed": 0},
         "objects": [{"object": "a", "position_mm": [0.0, 0.0, 0.0], "rotation_deg": [0.0, 0.0, 0.0], "scale": 1.0}],
         "views": {"v": {"position_mm": [0.0, -80.0, 150.0], "target_mm": [0.0, 0.0, 0.0], "up": [0.0, 0.0, 1.0],
                         "field_of_view_deg": 20.0}},
     }  # fmt: skip
     names = ("target_delta_e_mean", "target_delta_e_p99", "align", "weighting", "storage", "codec")
     compress = dict(zip(names, (0.1, 0.5, 4, "nothing", "half", "gzip"), strict=True))
-    options = {"render": OPTIONS | {"ambient_samples": 4, "gloss_samples": 4}, "compress": compress,
+    options = {"render": OPTIONS, "compress": compress,
                "environment": compress | {"gloss_maps": False}}  # fmt: skip
     light = light_of_three()
     warmer = replace(light, basis=PAINTS * np.linspace(0.9, 1.1, 61)[:, None])

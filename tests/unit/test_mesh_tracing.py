@@ -273,7 +273,7 @@ def smooth(direction):
 
 def test_a_sphere_of_triangles_is_rendered_as_the_sphere():
     light = sky(smooth)
-    options = {"gloss_samples": 64, "ambient_samples": 16, "size": (61, 61), "pixel_side": 2}
+    options = {"size": (61, 61), "samples": 256}
     facets = sphere_of_triangles(20.0)
     exact, found = (render([shape], [textured()], light, **options)[..., 30] for shape in (BALL, facets))
     apart = np.abs(found - exact)
@@ -284,7 +284,7 @@ def test_a_sphere_of_triangles_is_rendered_as_the_sphere():
 
 
 def test_a_white_mesh_vanishes_in_a_white_furnace():
-    picture = render([sphere_of_triangles(20.0)], [material(1.0)], constant_light(), ambient_samples=32)
+    picture = render([sphere_of_triangles(20.0)], [material(1.0)], constant_light(), samples=256)
     # Rays between the plane of a facet and that of its shading normal run into the mesh: some 1e-3 of them.
     assert np.abs(picture - 1).mean() <= 1e-3 and picture.max() <= 1 + 1e-3 and picture.min() > 0.9
 
@@ -294,7 +294,7 @@ def test_a_mesh_casts_its_shadow_on_a_plate_as_the_sphere_does():
     places = [(0, 0, 0), (0, 0, 20.0)]
     view = {"position": (0.0, -300.0, 150.0), "target": (0.0, 0.0, 10.0), "fov": 20.0, "size": (40, 30)}
     exact, found = (
-        render(pair, [material(0.8), material(0.3)], constant_light(), places=places, ambient_samples=64, **view)
+        render(pair, [material(0.8), material(0.3)], constant_light(), places=places, samples=256, **view)
         for pair in shapes
     )
     assert np.abs(found - exact).mean() < 2e-3 and exact.min() < 0.35

@@ -51,7 +51,7 @@ def test_mitsuba_agrees_on_a_diffuse_sphere(lighting):
     reflectance = (0.7, 0.4, 0.15)
     bsdf = {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(reflectance)}}
     theirs = mitsuba_picture(bsdf, light.coefficients, samples=256)
-    ours = render([BALL], [material(np.array(reflectance)[THIRDS])], light, size=(64, 64), fov=16.0, pixel_side=4)
+    ours = render([BALL], [material(np.array(reflectance)[THIRDS])], light, size=(64, 64), fov=16.0, samples=256)
     assert mean_difference(ours, theirs) <= 0.01
 
 
@@ -62,5 +62,5 @@ def test_mitsuba_agrees_on_a_golden_sphere():
             "k": {"type": "rgb", "value": list(GOLD_K)}}  # fmt: skip
     theirs = mitsuba_picture(bsdf, light.coefficients, samples=64)
     gold = material(mirror=1.0, n=np.array(GOLD_N)[THIRDS], k=np.array(GOLD_K)[THIRDS])
-    ours = render([BALL], [gold], light, size=(64, 64), fov=16.0, pixel_side=4)
+    ours = render([BALL], [gold], light, size=(64, 64), fov=16.0, samples=256)
     assert mean_difference(ours, theirs) <= 0.01

@@ -216,6 +216,9 @@ def test_threads_and_tiles_do_not_change_a_bit_and_seeds_do(threads):
         assert np.array_equal(pictures[0].radiance, other.radiance)
         assert np.array_equal(pictures[0].standard_error, other.standard_error)
     assert not np.array_equal(pictures[0].radiance, still_life(16, seed=1).radiance)
+    short = still_life(16, tile_rows=7, error_by_band=False)
+    assert np.array_equal(short.radiance, pictures[0].radiance)
+    assert np.array_equal(short.standard_error, pictures[0].standard_error.mean(axis=-1, keepdims=True))
 
 
 def test_an_interrupted_picture_goes_on_where_it_stopped(tmp_path, monkeypatch):

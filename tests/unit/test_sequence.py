@@ -19,10 +19,9 @@ from irodori.rendering.moments import Moment, turned_scene
 
 BASIS = np.stack([np.linspace(0.6, 1.4, 61), np.linspace(1.5, 0.2, 61)], axis=1)
 SUN = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": 20.0, "elevation_deg": 50.0, "irradiance": 0.015}
-SAMPLED = {"kind": "sampled"}
 INTERACTIVE = {"kind": "interactive", "ambient": True}
 REFERENCE = {"kind": "reference", "samples": 128, "seed": 0}
-EVERY = pytest.mark.parametrize("integrator", [SAMPLED, INTERACTIVE, REFERENCE], ids=lambda i: i["kind"])
+EVERY = pytest.mark.parametrize("integrator", [INTERACTIVE, REFERENCE], ids=lambda i: i["kind"])
 SHAPES = [plate(160.0), BALL]
 PAINTS = [material(np.linspace(0.3, 0.8, 61), mirror=0.3, n=0.2, k=3.0), material(np.linspace(0.9, 0.1, 61))]
 
@@ -39,7 +38,7 @@ def scene_of(integrator, size=(30, 24), frames=None):
     scene = {
         "image": {"width": size[0], "height": size[1]}, "integrator": integrator,
         "display": {"exposure": "auto", "device": {"kind": "standard", "name": "sRGB"}},
-        "max_bounces": 2, "lights": [] if integrator is SAMPLED else [SUN],
+        "max_bounces": 2, "lights": [SUN],
         "objects": [{"object": "a", "position_mm": [4.0, -3.0, 0.0], "rotation_deg": [0.0, 8.0, 10.0], "scale": 1.0},
                     {"object": "b", "position_mm": [25.0, 10.0, 24.0], "rotation_deg": [0, 0, 0], "scale": 1.0}],
         "views": {"v": {"position_mm": [20.0, -250.0, 130.0], "target_mm": [0.0, 0.0, 10.0], "up": [0.0, 0.1, 1.0],
@@ -84,9 +83,8 @@ def quarter(scene, part):
     ("integrator", "part"),
     [
         (integrator, part)
-        for integrator in (SAMPLED, INTERACTIVE, REFERENCE)
+        for integrator in (INTERACTIVE, REFERENCE)
         for part in ("objects", "eye", "lights", "environment")
-        if part != "lights" or integrator is not SAMPLED  # which has none
     ],
     ids=lambda value: value if isinstance(value, str) else value["kind"],
 )
@@ -200,7 +198,7 @@ def pixels(path):
 
 
 def test_frames_in_files_are_those_of_the_animation_and_leave_nothing_else(tmp_path):
-    folder, animation, figures = in_files(tmp_path / "s", scene_of(SAMPLED, frames=turntable(4)))
+    folder, animation, figures = in_files(tmp_path / "s", scene_of(INTERACTIVE, frames=turntable(4)))
     assert sorted(p.name for p in folder.iterdir()) == [f"{n:05d}.png" for n in range(4)]
     assert not (folder.parent / "frames.part").exists()
     single = [pixels(folder / f"{n:05d}.png") for n in range(4)]
@@ -222,7 +220,7 @@ def test_the_display_s_white_is_the_first_illuminant_s_or_each_ones_own(tmp_path
     provenance = store.Provenance("test")
     constant_light(unit_luminance("D65") / unit_luminance("D65")[32]).save(tmp_path / "e.h5", provenance)
     material(1.0).save(tmp_path / "w.h5", provenance)
-    scene = scene_of(SAMPLED, (5, 5), change(["D65", "A"], white=white))
+    scene = scene_of(REFERENCE | {"samples": 8}, (5, 5), change(["D65", "A"], white=white)) | {"lights": []}
     scene["objects"] = [{"object": "w", "position_mm": [0, 0, 0], "rotation_deg": [0, 0, 0], "scale": 1.0}]
     scene["views"]["v"] |= {"position_mm": [0, -1, 300.0], "target_mm": [0, 0, 0], "field_of_view_deg": 5.0}
     shapes, inputs = [{"kind": "plate", "width_mm": 160.0, "height_mm": 160.0}], [tmp_path / "w.h5", tmp_path / "e.h5"]

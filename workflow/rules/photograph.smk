@@ -11,7 +11,7 @@ rule render_photographed:
         "results/logs/render_photographed/{scene}_{photograph}.log",
     benchmark:
         "results/benchmarks/render_photographed/{scene}_{photograph}.tsv"
-    # As of render_truth: one core is free early, and compiles what the comparison needs at the end.
+    # As of render_truth: one core is free early, and compiles what all later renderings need.
     priority: 20
     conda:
         "../../envs/irodori.yaml"

@@ -78,7 +78,7 @@ use rule render_view as render_truth with:
     benchmark:
         "results/benchmarks/render_truth/{scene}_{view}.tsv"
     priority: 20
-    # One core is free long before both are: it renders, and compiles the renderer, beside the stages of the chain.
+    # One core is free long before both are: it renders beside the stages of the chain.
     threads: 1
     # The plan is that of the measured materials, whose picture is checked: the same light is seen in both.
     params:

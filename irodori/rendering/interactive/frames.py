@@ -188,7 +188,7 @@ def refuse_lens(view: View) -> None:
     if view.lens_mm > 0.0:
         raise ValueError(
             f"a lens of {view.lens_mm:g} mm in a view of the integrator 'interactive', which samples nothing; "
-            "accepted: a view without a lens, or the integrators 'sampled' and 'reference'"
+            "accepted: a view without a lens, or the integrator 'reference'"
         )
 
 

@@ -24,7 +24,7 @@ def decode(basis, index, count, coefficients, out):
     """Fill a spectrum from the first ``count`` coefficients on ``basis[index]``.
 
     Samples below zero, left by recovery and compression, are dark, and the others carry so much less that the sum
-    stays, as `irodori.rendering.shading.add_spectrum` has it.
+    stays: setting them to zero alone would add light.
     """
     for band in range(PADDED):
         out[band] = _ZERO

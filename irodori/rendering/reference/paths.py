@@ -2,8 +2,8 @@
 
 At a surface one light is chosen and one direction drawn from it, and one direction drawn from the surface's own
 reflection; both count towards the same light by the power heuristic (Veach and Guibas 1995). The mirror term is a
-single direction, followed as often as its share of the reflected light. Paths of little throughput end by Russian
-roulette, which leaves the mean as it is.
+single direction, followed as often as its share of the reflected light, at the first surface beside the others. Paths
+of little throughput end by Russian roulette, which leaves the mean as it is.
 """
 
 import math
@@ -15,6 +15,7 @@ from irodori.brdf import fresnel
 from irodori.geometry.embree import hit_distance, hit_shape, is_blocked, new_ray, trace
 from irodori.geometry.surfaces import face_viewer
 from irodori.rendering.cameras import aim
+from irodori.rendering.hits import frame, surface
 from irodori.rendering.lights import COLLIMATED, density_towards, sample_towards, unobstructed
 from irodori.rendering.reference.bands import (
     BANDS,
@@ -47,13 +48,15 @@ from irodori.rendering.reference.numbers import (
 )
 from irodori.rendering.reference.sky import look_at_sky, sample_sky
 from irodori.rendering.reference.world import new_work
-from irodori.rendering.shading import frame, surface
 
 #: Surfaces after which a path is cut, which is counted: two perfect mirrors may keep one for ever.
 LONGEST = 20_000
 _GREEN = 30  # the band whose index stands for all where terms are chosen
 _LEAST_REFLECTANCE = 1e-3  # for that choice: another band may reflect where this one does not
 _ROULETTE_FROM = 4  # the fifth surface
+#: At the first surface the mirror term is followed beside the others, and not as a choice among them: a lamp in a faint
+#: mirror, drawn seldom, would be a heap of bright dots. One sample in so many does, of a share under one in so many.
+_MIRRORED = 4
 #: Paths summed in single precision: a sum of more grows until each further path is rounded the same way.
 _TOGETHER = 256
 
@@ -214,6 +217,44 @@ def _shares_of_terms(world, work, index, cos_r):
 
 
 @numba.njit(cache=True, _nrt=False, forceinline=True)
+def _mirror(world, work, index, reflectance, weight, direction, throughput):
+    """Fill the mirror's direction and multiply a throughput by its reflectance; return whether it leads away."""
+    cos_r, above = 0.0, 0.0
+    for axis in range(3):
+        cos_r += work.to_eye[axis] * work.normal[axis]
+    for axis in range(3):
+        direction[axis] = 2.0 * cos_r * work.normal[axis] - work.to_eye[axis]
+        above += direction[axis] * work.facet[axis]
+    weight *= world.objects.mirror[index]
+    if world.objects.grey[index] == 1:
+        scale(throughput, weight * reflectance)
+    else:
+        fill_fresnel(min(cos_r, 1.0), world.bands.n, world.bands.k, index, work.fresnel)
+        scale_by(throughput, work.fresnel, weight)
+    return above > 0.0
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
+def _keep_mirror(world, work, index, terms, seldom):
+    """Keep the mirror's part of a path for later; return the terms without it, and whether there is anything to follow.
+
+    ``seldom`` is what this sample counts where the mirror reflects little, 0 in the samples that leave it out.
+    """
+    diffuse, gloss, mirror, beta, mu, reflectance = terms
+    rough = diffuse + gloss
+    if mirror <= 0.0 or rough <= 0.0:
+        return terms, False
+    weight, follows = 1.0 if mirror * _MIRRORED >= 1.0 else seldom, False
+    if weight > 0.0:
+        for band in range(PADDED):
+            work.kept[band] = work.throughput[band]
+        follows = _mirror(world, work, index, reflectance, weight, work.kept_direction, work.kept)
+        for axis in range(3):
+            work.kept_origin[axis] = work.origin[axis]
+    return (diffuse / rough, gloss / rough, 0.0, beta, mu, reflectance), follows
+
+
+@numba.njit(cache=True, _nrt=False, forceinline=True)
 def _turn(world, work, index, terms, numbers, at):
     """Choose the path's next direction and multiply its throughput.
 
@@ -224,19 +265,7 @@ def _turn(world, work, index, terms, numbers, at):
     choice = draw(numbers, stream, first + CHOICE)
     d, normal = work.direction, work.normal
     if choice < mirror:
-        cos_r, above = 0.0, 0.0
-        for axis in range(3):
-            cos_r += work.to_eye[axis] * normal[axis]
-        for axis in range(3):
-            d[axis] = 2.0 * cos_r * normal[axis] - work.to_eye[axis]
-            above += d[axis] * work.facet[axis]
-        chi = world.objects.mirror[index] / mirror
-        if world.objects.grey[index] == 1:
-            scale(work.throughput, chi * reflectance)
-        else:
-            fill_fresnel(min(cos_r, 1.0), world.bands.n, world.bands.k, index, work.fresnel)
-            scale_by(work.throughput, work.fresnel, chi)
-        return -1.0 if above > 0.0 else 0.0
+        return -1.0 if _mirror(world, work, index, reflectance, 1.0 / mirror, d, work.throughput) else 0.0
     u, v = draw(numbers, stream, first + LOBE), draw(numbers, stream, first + LOBE + 1)
     frame(normal, work.tangent, work.bitangent)
     if choice < mirror + gloss:
@@ -275,32 +304,46 @@ def _survives(work, numbers, at):
 
 
 @numba.njit(cache=True, _nrt=False, forceinline=True)
-def _follow(world, ray, work, numbers, stream):
-    """Add the radiance along one path to ``work.total``; return 1 where it had to be cut, 0 else."""
+def _follow(world, ray, work, numbers, stream, seldom):
+    """Add the radiance along one path to ``work.total``; return how many of its two branches had to be cut.
+
+    ``seldom`` is as of `_keep_mirror`.
+    """
     objects = world.objects.mirror.size
     for band in range(PADDED):
         work.throughput[band] = np.float32(1.0)
-    density = -1.0
-    for vertex in range(LONGEST):
+    density, vertex, cut, kept = -1.0, 0, 0, False
+    while True:
+        goes_on = False
         trace(world.intersect, world.scene, ray, work.origin, work.direction, np.inf)
         index = hit_shape(ray)
         if index < 0 or index >= objects:
             _meet_light(world, work, index, density)
-            return 0
-        cos_r = _arrive(world, work, ray, index)
-        if cos_r <= 0.0:
-            return 0
-        at = (stream, VERTEX + vertex * PER_VERTEX)
-        terms = _shares_of_terms(world, work, index, cos_r)
-        if terms[0] + terms[1] + terms[2] <= 0.0:
-            return 0
-        _leave(world, work, index, work.origin)
-        if terms[0] + terms[1] > 0.0 and _fill_shares(world, work.origin, work.share):
-            _add_chosen_light(world, ray, work, index, (terms[0], terms[1]), (terms[3], terms[4]), numbers, at)
-        density = _turn(world, work, index, terms, numbers, at)
-        if density == 0.0 or (vertex >= _ROULETTE_FROM and not _survives(work, numbers, at)):
-            return 0
-    return 1
+        else:
+            cos_r = _arrive(world, work, ray, index)
+            terms = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            if cos_r > 0.0:
+                terms = _shares_of_terms(world, work, index, cos_r)
+            if terms[0] + terms[1] + terms[2] > 0.0:
+                at = (stream, VERTEX + vertex * PER_VERTEX)
+                _leave(world, work, index, work.origin)
+                if vertex == 0:
+                    terms, kept = _keep_mirror(world, work, index, terms, seldom)
+                if terms[0] + terms[1] > 0.0 and _fill_shares(world, work.origin, work.share):
+                    _add_chosen_light(world, ray, work, index, (terms[0], terms[1]), (terms[3], terms[4]), numbers, at)
+                density = _turn(world, work, index, terms, numbers, at)
+                goes_on = density != 0.0 and (vertex < _ROULETTE_FROM or _survives(work, numbers, at))
+        vertex += 1
+        if goes_on and vertex < LONGEST:
+            continue
+        cut += int(goes_on)
+        if not kept:
+            return cut
+        density, vertex, kept = -1.0, 1, False
+        for axis in range(3):
+            work.origin[axis], work.direction[axis] = work.kept_origin[axis], work.kept_direction[axis]
+        for band in range(PADDED):
+            work.throughput[band] = work.kept[band]
 
 
 @numba.njit(cache=True, _nrt=False, forceinline=True)
@@ -310,6 +353,7 @@ def _render_pixel(world, ray, work, view, numbers, x, y, whole, mean, spread):
     ``whole`` is a buffer, (61,) float64.
     """
     cut = 0
+    mirrored = numbers.samples / ((numbers.samples + _MIRRORED - 1) // _MIRRORED)
     for replicate in range(numbers.replicates):
         key = pixel_key(x, y, replicate, numbers.seed)
         whole[:] = 0.0
@@ -323,7 +367,7 @@ def _render_pixel(world, ray, work, view, numbers, x, y, whole, mean, spread):
                 if view.lens_mm > 0.0:
                     on_lens = (draw(numbers, stream, LENS), draw(numbers, stream, LENS + 1))
                 aim(view, x + u, y + v, on_lens[0], on_lens[1], work.origin, work.direction)
-                cut += _follow(world, ray, work, numbers, stream)
+                cut += _follow(world, ray, work, numbers, stream, mirrored if sample % _MIRRORED == 0 else 0.0)
             for band in range(BANDS):
                 whole[band] += work.total[band]
         for band in range(BANDS):

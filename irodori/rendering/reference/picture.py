@@ -21,6 +21,7 @@ from irodori.rendering.reference.paths import render_some_rows
 from irodori.rendering.reference.sky import Sky, make_sky
 from irodori.rendering.reference.world import Bands, World
 from irodori.rendering.scene import Objects, View
+from irodori.whole_files import written_whole
 
 #: Independent parts of the samples of a pixel, from whose spread the standard error comes.
 REPLICATES = 8
@@ -99,6 +100,7 @@ def render(
     tile_rows: int = 16,
     label: str = "render",
     tiles: "Tiles | None" = None,
+    error_by_band: bool = True,
 ) -> Picture:
     """Render a picture.
 
@@ -115,6 +117,8 @@ def render(
         Of the progress.
     tiles : Tiles, optional
         Where finished tiles are kept and looked for.
+    error_by_band : bool
+        Otherwise the standard error is its mean over the bands, (height, width, 1): half the memory.
 
     Raises
     ------
@@ -124,14 +128,16 @@ def render(
     check_samples(samples)
     numbers = make_numbers(samples, seed, REPLICATES)
     radiance = np.empty((view.height, view.width, BANDS), dtype=np.float32)
-    error, cut = np.empty_like(radiance), 0
+    error, cut = np.empty((view.height, view.width, BANDS if error_by_band else 1), dtype=np.float32), 0
     for first in track(range(0, view.height, tile_rows), label):
         rows = (first, min(first + tile_rows, view.height))
         if tiles is None:
             part = render_rows(scene, view, numbers, rows)
         else:
             part = tiles.get(rows, lambda rows=rows: render_rows(scene, view, numbers, rows))
-        radiance[slice(*rows)], error[slice(*rows)] = part.radiance, part.standard_error
+        radiance[slice(*rows)] = part.radiance
+        spread = part.standard_error
+        error[slice(*rows)] = spread if error_by_band else spread.mean(axis=-1, keepdims=True)
         cut += part.cut
     return Picture(radiance, error, cut)
 
@@ -175,10 +181,8 @@ class Tiles:
             with np.load(path) as kept:
                 return Picture(kept["radiance"], kept["standard_error"], int(kept["cut"]))
         part = make()
-        partial = path.with_suffix(".part")
-        with partial.open("wb") as stream:
-            np.savez(stream, radiance=part.radiance, standard_error=part.standard_error, cut=part.cut)
-        partial.replace(path)
+        with written_whole(path) as temporary:
+            np.savez(temporary, radiance=part.radiance, standard_error=part.standard_error, cut=part.cut)
         return part
 
     def remove(self) -> None:

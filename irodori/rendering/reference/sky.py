@@ -132,7 +132,7 @@ def sample_sky(sky, u, v, direction, coefficients):
 
 @numba.njit(cache=True, _nrt=False, forceinline=True)
 def _look(sky, u, v, sine, coefficients):
-    """Fill the interpolated coefficients as `irodori.rendering.shading.interpolate` does, without its divisions."""
+    """Fill the interpolated coefficients of the pixels about a place; columns wrap, rows end."""
     x, y = u * sky.width - 0.5, min(max(v * sky.height - 0.5, 0.0), sky.height - 1.0)
     left, above = math.floor(x), int(y)
     fx, fy = x - left, y - above

@@ -59,6 +59,9 @@ class Work(NamedTuple):
     radiance: np.ndarray
     mixture: np.ndarray
     total: np.ndarray
+    kept: np.ndarray  # throughput of the branch that waits
+    kept_origin: np.ndarray  # (3,) float64, where it starts
+    kept_direction: np.ndarray  # (3,) float64
 
 
 @numba.njit(cache=True)
@@ -83,4 +86,7 @@ def new_work(world):
         np.zeros(PADDED, np.float32),
         np.zeros(PADDED, np.float32),
         np.zeros(PADDED, np.float32),
+        np.zeros(PADDED, np.float32),
+        np.zeros(3),
+        np.zeros(3),
     )

@@ -40,17 +40,26 @@ def measure(planned: np.ndarray, full: np.ndarray, white_xyz: np.ndarray) -> Mea
     return Measured(**summary(differences(full, planned, white_xyz)))
 
 
-def refuse_above(measured: Measured, scene: str, view: str, tolerance: float, predicted: float) -> None:
+def refuse_above(measured: Measured, plan: dict, view: str, mend: str = "take overrides under `plan` back") -> None:
     """Refuse a picture whose pixels keep a tolerance less often than they have to.
+
+    Parameters
+    ----------
+    measured : Measured
+    plan : dict
+        With ``scene``, ``tolerance_ciede2000`` and ``predicted_delta_e``.
+    view : str
+    mend : str
+        What the scene's author may do beside raising the tolerance.
 
     Raises
     ------
     ToleranceError
     """
-    if not measured.p99 <= tolerance:
+    if not measured.p99 <= plan["tolerance_ciede2000"]:
         raise ToleranceError(
-            f"scene {scene!r}, view {view!r}: {100 * SHARE:.0f} of 100 pixels differ from the full model by up to "
-            f"{measured.p99:.3g} ΔE2000 by {measured.count} pixels computed in full (mean {measured.mean:.3g}, largest "
-            f"{measured.max:.3g}); tolerated: {tolerance:g}; the plan predicted {predicted:.3g}; raise "
-            "tolerance_ciede2000, or take the scene's overrides under `plan` back."
+            f"scene {plan['scene']!r}, view {view!r}: {100 * SHARE:.0f} of 100 pixels differ from the full model by up "
+            f"to {measured.p99:.3g} ΔE2000 by {measured.count} pixels computed in full (mean {measured.mean:.3g}, "
+            f"largest {measured.max:.3g}); tolerated: {plan['tolerance_ciede2000']:g}; the plan predicted "
+            f"{plan['predicted_delta_e']:.3g}; raise tolerance_ciede2000, or {mend}."
         )

@@ -94,7 +94,7 @@ def render_planned(
         measured = measure(found @ matrix.T if bands else found, truth, matrix @ parts.white)
         figures["plan"] |= {"measured_delta_e": asdict(measured), "seconds_to_check": time.perf_counter() - start}
         LOGGER.info("plan: predicted %.3g, measured %.3g ΔE2000", plan["predicted_delta_e"], measured.p99)
-        refuse_above(measured, plan["scene"], view_name, plan["tolerance_ciede2000"], plan["predicted_delta_e"])
+        refuse_above(measured, plan, view_name)
     return picture, figures
 
 

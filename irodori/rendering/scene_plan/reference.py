@@ -130,7 +130,7 @@ def check_reference(
     found = radiance[pixels[:, 1], pixels[:, 0]].astype(np.float64) @ matrix.T
     measured = measure(found, truth, matrix @ white)
     LOGGER.info("plan: predicted %.3g, measured %.3g ΔE2000", plan["predicted_delta_e"], measured.p99)
-    refuse_above(measured, plan["scene"], view_name, plan["tolerance_ciede2000"], plan["predicted_delta_e"])
+    refuse_above(measured, plan, view_name, "the samples of the integrator and of `plan`")
     return {
         "tolerance_ciede2000": plan["tolerance_ciede2000"],
         "predicted_delta_e": plan["predicted_delta_e"],

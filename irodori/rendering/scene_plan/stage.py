@@ -12,9 +12,6 @@ from irodori.rendering.scene_plan.picture import parts_of, plan_names
 from irodori.rendering.scene_plan.plan_file import document_of, write_plan
 from irodori.rendering.white import scene_white
 
-#: Integrators whose pictures a plan is made for.
-PLANNED = ("interactive", "reference")
-
 
 def plan_scene(
     scene_name: str, scene: dict, shapes: list[dict], material_files: list, environment_file, options: dict, output
@@ -59,9 +56,6 @@ def plan_of(
     scene_name: str, scene: dict, shapes: list, materials: list, environment: Environment, options: dict
 ) -> dict:
     """Return the content of the plan of a scene; parameters and errors are those of `plan_scene`."""
-    kind = scene.get("integrator", {"kind": "sampled"})["kind"]
-    if kind not in PLANNED:
-        raise ValueError(f"no plans for the integrator {kind!r}; accepted: {', '.join(PLANNED)}")
     if not scene_white(scene, environment)[0].any():
         found = "no light on a surface that faces up at the scene's origin"
         raise InputError(f"scene {scene_name}", "tolerance_ciede2000", found, "a white that colours are seen against")
@@ -70,7 +64,7 @@ def plan_of(
     objects, _ = make_objects(placements, materials)
     views = [make_view(view, scene["image"]) for view in scene["views"].values()]
     overrides = scene.get("plan", {})
-    if kind == "reference":
+    if scene["integrator"]["kind"] == "reference":
         from irodori.rendering.scene_plan.reference import plan_reference
 
         return plan_reference(scene_name, scene, placements, objects, environment, views, overrides)
