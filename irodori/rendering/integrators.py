@@ -286,7 +286,7 @@ class _Reference(Renderer):
             tiles.remove()
         if picture.cut:
             LOGGER.warning("%d paths were cut: the picture is too dark by what they would have brought", picture.cut)
-        error, mean = picture.standard_error[..., 0], picture.radiance.mean(axis=-1)
+        error, mean = reference.pooled(picture.standard_error[..., 0]), picture.radiance.mean(axis=-1)
         relative = np.divide(error, mean, out=np.zeros_like(error), where=mean > 0)
         return picture.radiance, {
             "seconds": seconds,

@@ -14,7 +14,7 @@ from scenes import (
 )
 
 from irodori.brdf import angles_from_directions, reflect
-from irodori.rendering.reference import Tiles
+from irodori.rendering.reference import Tiles, pooled
 from irodori.spectra import light as spectrum_of
 
 SPECTRUM = np.linspace(0.2, 0.9, 61)
@@ -196,6 +196,24 @@ def test_error_bars_tell_how_far_a_picture_is_from_its_limit():
 def test_the_error_falls_with_the_samples():
     coarse, fine = (still_life(samples).standard_error[..., 30] for samples in (32, 2048))
     assert np.sqrt((fine**2).mean()) <= np.sqrt((coarse**2).mean()) / 8 * 1.3
+
+
+def test_two_sets_need_fewer_samples_than_eight_and_know_their_error():
+    limit = still_life(8192, seed=9).radiance[..., 30].astype(float)
+
+    def errors(replicates):
+        pictures = [still_life(64, seed=seed, replicates=replicates) for seed in range(4)]
+        return np.array([p.radiance[..., 30] - limit for p in pictures]), pictures
+
+    (eight, _), (two, pictures) = errors(8), errors(2)
+    # Of 64 samples those of two sets err as about a hundred of eight do.
+    assert np.sqrt((two**2).mean()) <= 0.85 * np.sqrt((eight**2).mean())
+    stated = np.array([pooled(p.standard_error[..., 30]) for p in pictures])
+    noisy = (stated > 0) & (np.abs(two) > 0)
+    assert 0.8 <= np.sqrt((stated**2).mean() / (two**2).mean()) <= 1.25
+    # What neighbours say holds for single pixels too, where light and shadow change from one to the next.
+    z = (two / np.maximum(stated, 1e-30))[noisy]
+    assert 0.02 < (np.abs(z) > 2.0).mean() < 0.12
 
 
 @pytest.fixture

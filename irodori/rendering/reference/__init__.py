@@ -8,6 +8,7 @@ from irodori.rendering.reference.picture import (
     check_samples,
     make_scene,
     picture_key,
+    pooled,
     render,
     render_rows,
 )
@@ -20,6 +21,7 @@ __all__ = [
     "check_samples",
     "make_scene",
     "picture_key",
+    "pooled",
     "render",
     "render_rows",
 ]

@@ -20,6 +20,8 @@ from irodori.rendering.white import scene_white
 PILOTS, PILOT_PATHS = 400, 64
 #: Pixels of the check, and how many times the plan's paths they get.
 PIXELS, MORE = 600, 4
+#: Paths of a pixel, the fewest of a plan.
+_LEAST = 8
 _PILOT_SEEDS, _CHECK_SEED = (101, 102), 103
 
 
@@ -33,7 +35,7 @@ def render_pixels(prepared: reference.Scene, view: View, pixels: np.ndarray, sam
     pixels : (n, 2) int
         Column and row.
     samples : int
-        Paths a pixel, a multiple of 8.
+        Paths a pixel, an even number.
     seed : int
     """
     numbers = make_numbers(samples, seed, reference.REPLICATES)
@@ -98,7 +100,7 @@ def plan_reference(
 
 def _samples_for(noise: float, tolerance: float, most: int) -> int:
     """Return the least power of two of paths whose noise keeps a tolerance, at most ``most``."""
-    samples = reference.REPLICATES
+    samples = _LEAST
     while samples < most and noise * math.sqrt(PILOT_PATHS / samples) > tolerance:
         samples *= 2
     return min(samples, most)

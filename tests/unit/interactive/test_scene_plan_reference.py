@@ -65,7 +65,7 @@ def test_single_pixels_converge_to_those_of_the_picture():
     objects, _ = make_objects(placements, MATERIALS)
     prepared, view = make_scene(placements, objects, light()), make_view(definition["views"]["v"], definition["image"])
     pixels = np.array([[0, 0], [23, 17], [12, 9], [3, 14], [20, 2]])
-    whole = render(prepared, view, 2048, seed=5)
+    whole = render(prepared, view, 2048, seed=5, replicates=8)
     single = render_pixels(prepared, view, pixels, 2048, 7)
     error = whole.standard_error[pixels[:, 1], pixels[:, 0]]
     # Both have noise; seven standard errors of eight replicates are out of reach of luck.
