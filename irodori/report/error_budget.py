@@ -97,18 +97,21 @@ def substitutes(measured: Measured) -> dict[str, Material]:
     paint, observed = truth.coefficients.argmax(axis=-1), known.material.observed
     inside = away_from_edges(measured) & observed
     means = _paint_means(own, paint, inside)
-    # A paint that has no such texel is as far off as it is found: nothing tells its calibration from the rest.
-    means = np.where(np.isfinite(means), means, own)
-    off = own - means
+    known_paint = np.isfinite(means).all(
+        axis=-1, keepdims=True
+    )  # of another nothing tells its calibration from the rest
+    means = np.where(known_paint, means, 0.0)
 
-    def scattered(at: np.ndarray) -> Material:
-        return with_colours(truth, [(np.where(at[..., None], off, 0.0), basis), (true, true_basis)])
+    def off(at: np.ndarray) -> Material:
+        at = at[..., None]
+        exact = np.where(at & ~known_paint, 0.0, true)
+        return with_colours(truth, [(np.where(at, own - means, 0.0), basis), (exact, true_basis)])
 
     return {
-        "noise": scattered(inside),
-        "calibration": with_colours(truth, [(means, basis)]),
-        "seams": scattered(observed & ~inside),
-        "unseen": scattered(~observed),
+        "noise": off(inside),
+        "calibration": with_colours(truth, [(means, basis), (np.where(known_paint, 0.0, true), true_basis)]),
+        "seams": off(observed & ~inside),
+        "unseen": off(~observed),
         "gloss": replace(truth, beta=estimate.beta, mu=estimate.mu, typical_gloss=estimate.typical_gloss),
         "all": estimate,
     }
