@@ -97,9 +97,8 @@ def substitutes(measured: Measured) -> dict[str, Material]:
     paint, observed = truth.coefficients.argmax(axis=-1), known.material.observed
     inside = away_from_edges(measured) & observed
     means = _paint_means(own, paint, inside)
-    known_paint = np.isfinite(means).all(
-        axis=-1, keepdims=True
-    )  # of another nothing tells its calibration from the rest
+    # Of a paint without such a texel nothing tells calibration from the rest.
+    known_paint = np.isfinite(means).all(axis=-1, keepdims=True)
     means = np.where(known_paint, means, 0.0)
 
     def off(at: np.ndarray) -> Material:
