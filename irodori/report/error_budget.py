@@ -2,19 +2,19 @@
 
 The virtual rig knows the truth, so a stage's contribution is measured by substitution: everything is true but what that
 stage made, and the picture is compared with the one of true materials under true light. Beside it stands what was
-expected without knowing the truth, from the errors that the stages themselves state.
+expected without knowing the truth: how far the picture of the measured materials under the measured light moves by what
+the stages know of their errors, see `irodori.report.error_prediction` and its neighbours.
 """
 
 import csv
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 
-from irodori import store
 from irodori.colour import summary, xyz_from_reflectance
 from irodori.environment import observers
-from irodori.fitted_tiles import FittedTiles
 from irodori.geometry.shapes import Shape
 from irodori.light import Environment
 from irodori.material import Material
@@ -22,22 +22,30 @@ from irodori.principal import CompressOptions, analyse
 from irodori.progress import LOGGER, track
 from irodori.recovery import Calibration
 from irodori.rendering.integrators import render_image
+from irodori.rendering.reference import REPLICATES
 from irodori.rendering.white import scene_white
+from irodori.report import error_prediction as draws
 from irodori.report.errors import interior, radiance_delta_e
+from irodori.report.known_errors import Known, colours, with_colours
+from irodori.report.light_prediction import drawn_lights, family
+from irodori.report.renderer_noise import MORE, Paths, expected_noise, measured_noise, traced_rows
 from irodori.whole_files import written_whole
 
 _WIDTH_PX = 96  # of the pictures that are compared
-_REFERENCE_SHARE = 2  # by which the pictures beside the path tracer's are smaller still
-_REFERENCE_SAMPLES = 256
+_SAMPLES = 64  # of their pixels, by the same paths in all
+_LONG_SHARE, _LONG_SAMPLES = 2, 512  # of the picture that another integrator is compared with: smaller, and its paths
+_SEAM_TEXELS = 2  # on either side, see `irodori.report.errors.interior`
 _LIGHT = "D65"
 _SEED = 8
+_HOLES, _LIGHTS = 2, 3  # draws of what is predicted from few independent ones
 
 
 @dataclass(frozen=True)
 class BudgetRow:
     """One line of ``error_budget.csv``: CIEDE2000 of the pixels that show an object, with one part not true.
 
-    ``predicted`` is the mean that the stages' own errors lead to, NaN where no stage states one; ``by`` says how.
+    ``predicted`` is the mean that what the stages know leads to, NaN where they know nothing; ``by`` says how, or why
+    not.
     """
 
     stage: str
@@ -51,109 +59,61 @@ class BudgetRow:
 
 @dataclass(frozen=True)
 class Measured:
-    """An object as the chain measured it, beside its truth.
+    """An object as the chain measured it, beside its truth over the same texture."""
 
-    Parameters
-    ----------
-    material, truth : Material
-        Over the same texture.
-    gloss_error : (height, width, 2) float
-        Standard errors of β and of μ in rad; NaN where the fit states none.
-    response, variance : (height, width, bands) float
-        Diffuse responses and what the camera's noise gives them; NaN where there is none.
-    calibration : Calibration
-    left_out : float
-        Mean CIEDE2000 of the chart's patches, each left out of the calibration in turn.
-    """
-
-    material: Material
+    known: Known
     truth: Material
-    gloss_error: np.ndarray
-    response: np.ndarray
-    variance: np.ndarray
-    calibration: Calibration
-    left_out: float
-
-    @classmethod
-    def load(cls, material, truth, tiles: list, calibration) -> "Measured":
-        """Read an object's files."""
-        own, true = Material.load(material), Material.load(truth)
-        fitted = FittedTiles(tiles, *own.alpha.shape)
-        parts = [maps for _, maps in fitted.read("diffuse_response", "diffuse_variance", "beta_error", "mu_error")]
-        maps = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-        gloss_error = np.stack([maps["beta_error"], maps["mu_error"]], axis=-1)
-        response, variance = maps["diffuse_response"], maps["diffuse_variance"]
-        with store.open_file(calibration) as file:
-            left_out = float(file.read(f"leave_one_out/delta_e_{_LIGHT.lower()}").mean())
-        return cls(own, true, gloss_error, response, variance, Calibration.load(calibration), left_out)
-
-    def estimate(self, covered: np.ndarray) -> Material:
-        """Return the measured material as it is rendered."""
-        return self.material.filled(covered)[0]
 
 
-def _colours(material: Material) -> tuple[np.ndarray, np.ndarray]:
-    """Return coefficients of α S / S_G and their basis."""
-    return material.coefficients * material.spectrum_scale[..., None], material.basis
+def away_from_edges(measured: Measured) -> np.ndarray:
+    """Return the texels away from seams of two paints and from the edge of the object, (height, width) bool.
 
-
-def _with_colours(truth: Material, parts: list[tuple[np.ndarray, np.ndarray]]) -> Material:
-    """Return the true material with the sum of some spectra as its diffuse reflectance."""
-    one = np.ones(truth.alpha.shape)
-    coefficients = np.concatenate([np.broadcast_to(c, (*one.shape, c.shape[-1])) for c, _ in parts], axis=-1)
-    basis = np.concatenate([b for _, b in parts], axis=1)
-    return replace(truth, alpha=one, green_response=one, coefficients=coefficients.astype(np.float32), basis=basis)
+    At the edge of a flat object a photograph shows a mixture too, with what lies beside it.
+    """
+    inside = interior(measured.truth)
+    if measured.known.spread.border == "black":
+        kept = np.pad(np.ones([n - 2 * _SEAM_TEXELS for n in inside.shape], dtype=bool), _SEAM_TEXELS)
+        inside = inside & kept
+    return inside
 
 
 def _paint_means(values: np.ndarray, paint: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Return at every texel the mean of some values over the chosen texels of its paint, zero where none is chosen."""
+    """Return at every texel the mean of some values over the chosen texels of its paint, NaN where none is chosen."""
     count = np.bincount(paint[chosen], minlength=paint.max() + 1)
     sums = np.stack([np.bincount(paint[chosen], v, minlength=count.size) for v in values[chosen].T], axis=-1)
-    return (sums / np.maximum(count, 1)[:, None])[paint]
+    return np.divide(sums, count[:, None], out=np.full_like(sums, np.nan), where=count[:, None] > 0)[paint]
 
 
-def substitutes(measured: Measured, covered: np.ndarray) -> dict[str, Material]:
+def substitutes(measured: Measured) -> dict[str, Material]:
     """Return the material with one part as it was measured and the rest true, by the stage that made the part.
 
-    A paint's texels away from its seams tell calibration from noise: their mean colour is off by what calibration and
-    fit do to all of them, what is left scatters. Texels at seams see two paints. Those that no capture determined have
-    the colour of the nearest one that is.
+    A paint's texels away from seams and edges tell calibration from noise: their mean colour is off by what calibration
+    and fit do to all of the paint, what is left scatters. What texels at seams and edges, and those that no capture
+    determined, are off beyond that is the part of rectification and of coverage. The four sum to what was measured.
     """
-    truth, estimate = measured.truth, measured.estimate(covered)
-    (own, basis), (true, true_basis) = _colours(estimate), _colours(truth)
-    paint, observed = truth.coefficients.argmax(axis=-1), measured.material.observed
-    inside = interior(truth) & observed
+    truth, known = measured.truth, measured.known
+    estimate = known.estimate()
+    (own, basis), (true, true_basis) = colours(estimate), colours(truth)
+    paint, observed = truth.coefficients.argmax(axis=-1), known.material.observed
+    inside = away_from_edges(measured) & observed
     means = _paint_means(own, paint, inside)
+    # Of a paint without such a texel nothing tells calibration from the rest.
+    known_paint = np.isfinite(means).all(axis=-1, keepdims=True)
+    means = np.where(known_paint, means, 0.0)
 
-    def colours(at: np.ndarray, of_own: np.ndarray, of_true: np.ndarray) -> Material:
+    def off(at: np.ndarray) -> Material:
         at = at[..., None]
-        return _with_colours(truth, [(np.where(at, of_own, 0.0), basis), (np.where(at, of_true, true), true_basis)])
+        exact = np.where(at & ~known_paint, 0.0, true)
+        return with_colours(truth, [(np.where(at, own - means, 0.0), basis), (exact, true_basis)])
 
-    none = np.zeros_like(true)
     return {
-        "noise": colours(inside, own - means, true),
-        "calibration": colours(inside, means, none),
-        "seams": colours(observed & ~inside, own, none),
-        "unseen": colours(~observed, own, none),
+        "noise": off(inside),
+        "calibration": with_colours(truth, [(means, basis), (np.where(known_paint, 0.0, true), true_basis)]),
+        "seams": off(observed & ~inside),
+        "unseen": off(~observed),
         "gloss": replace(truth, beta=estimate.beta, mu=estimate.mu, typical_gloss=estimate.typical_gloss),
         "all": estimate,
     }
-
-
-def propagated(measured: Measured, rng: np.random.Generator) -> dict[str, Material]:
-    """Return the true material with a draw of the errors that the stages state, by stage: noise and gloss."""
-    truth, calibration = measured.truth, measured.calibration
-    known = np.isfinite(measured.variance).all(axis=-1) & np.isfinite(measured.response).all(axis=-1)
-    response, variance = measured.response[known], measured.variance[known]
-    drawn = response + rng.standard_normal(response.shape) * np.sqrt(variance)
-    change = np.zeros((*known.shape, calibration.basis.shape[1]))
-    change[known] = calibration.weights(drawn, variance) - calibration.weights(response, variance)
-    stated = np.isfinite(measured.gloss_error).all(axis=-1)
-    moved = rng.standard_normal((*known.shape, 2)) * np.where(stated[..., None], measured.gloss_error, 0.0)
-    noisy = _with_colours(truth, [_colours(truth), (change, calibration.basis)])
-    lowest = 0.5 * truth.mu  # a draw of many standard errors is no roughness
-    gloss = {"beta": np.maximum(truth.beta + moved[..., 0], 0.0), "mu": np.maximum(truth.mu + moved[..., 1], lowest)}
-    return {"noise": noisy, "gloss": replace(truth, **gloss)}
 
 
 def _compressed(coefficients: np.ndarray, basis: np.ndarray, seen_by: dict, options: CompressOptions):
@@ -167,9 +127,9 @@ def _compressed(coefficients: np.ndarray, basis: np.ndarray, seen_by: dict, opti
 def compressed_material(truth: Material, options: CompressOptions) -> tuple[Material, float]:
     """Return the true material after compression, and the mean CIEDE2000 that it states."""
     matrix = xyz_from_reflectance(_LIGHT)
-    own, basis = _colours(truth)
+    own, basis = colours(truth)
     *kept, stated = _compressed(own.astype(np.float32), basis, {_LIGHT: (matrix, matrix.sum(axis=1))}, options)
-    return _with_colours(truth, [tuple(kept)]), stated
+    return with_colours(truth, [tuple(kept)]), stated
 
 
 def compressed_light(truth: Environment, options: CompressOptions) -> tuple[Environment, float]:
@@ -181,67 +141,110 @@ def compressed_light(truth: Environment, options: CompressOptions) -> tuple[Envi
 
 
 class _Pictures:
-    """Pictures of one view from whatever materials and light, beside the true one."""
+    """Small pictures of one view from whatever materials and light."""
 
     def __init__(self, scene: dict, view: str, shapes: list[Shape], options: dict) -> None:
-        scale = min(1.0, _WIDTH_PX / scene["image"]["width"])
-        size = {side: max(1, round(scale * n)) for side, n in scene["image"].items()}
-        self._scene, self._view, self._shapes, self._options = scene | {"image": size}, view, shapes, options
+        self.scene, self.by_paths = scene, Paths(scene, view, shapes)
+        self._view, self._shapes, self._options = view, shapes, options
 
-    def of(self, materials: list[Material], light: Environment) -> np.ndarray:
-        """Return radiance (height, width, 61), by the scene's own integrator."""
-        return render_image(self._scene, self._view, self._shapes, materials, light, self._options)[0]
+    def _image(self, width_px: float) -> dict[str, int]:
+        scale = min(1.0, width_px / self.scene["image"]["width"])
+        return {side: max(1, round(scale * n)) for side, n in self.scene["image"].items()}
 
-    def traced(self, materials: list[Material], light: Environment, own: bool, seed: int = 0) -> np.ndarray:
-        """Return a smaller picture by the scene's own integrator, or by the path tracer."""
-        small = {side: max(1, n // _REFERENCE_SHARE) for side, n in self._scene["image"].items()}
-        integrator = {"kind": "reference", "samples": _REFERENCE_SAMPLES, "seed": seed}
-        scene = self._scene | {"image": small} | ({} if own else {"integrator": integrator})
+    def paths(self, materials: list[Material], light: Environment, samples=_SAMPLES, width_px=_WIDTH_PX) -> np.ndarray:
+        """Return radiance (height, width, 61) by the integrator `reference`, always with the same random numbers."""
+        return self.by_paths.picture(materials, light, samples, image=self._image(width_px))
+
+    def own(self, materials: list[Material], light: Environment, width_px: float) -> np.ndarray:
+        """Return radiance (height, width, 61) by the scene's own integrator."""
+        scene = self.scene | {"image": self._image(width_px)}
         return render_image(scene, self._view, self._shapes, materials, light, self._options)[0]
 
 
 class _Budget:
-    """The rows of one view, as they are measured."""
+    """The rows of one view: pictures beside the true one, and beside the measured one."""
 
-    def __init__(self, pictures: _Pictures, objects: list[Measured], covered: list[np.ndarray], lights, white) -> None:
-        self._pictures, self._truths, self._white = pictures, [one.truth for one in objects], white
+    def __init__(self, pictures: _Pictures, objects: list[Measured], lights, calibration: Calibration | None) -> None:
+        self._pictures, self._objects, self._calibration = pictures, objects, calibration
+        self._truths = [one.truth for one in objects]
         self._estimated_light, self._true_light = lights
-        self._own = [substitutes(one, on) for one, on in zip(objects, covered, strict=True)]
-        rng = np.random.default_rng(_SEED)
-        self._drawn = [propagated(one, rng) for one in objects]
-        self._true = pictures.of(self._truths, self._true_light)
-        self._seen = (pictures.of(self._parts("all"), self._true_light) != self._true).any(axis=-1)
+        self._white, self._seen_white = (scene_white(pictures.scene, light)[0] for light in lights[::-1])
+        self._parts = [substitutes(one) for one in objects]
+        self._estimates = self._of_stage("all")
+        self._true = pictures.paths(self._truths, self._true_light)
+        self._shown = (pictures.paths(self._estimates, self._true_light) != self._true).any(axis=-1)
+        self._base = pictures.paths(self._estimates, self._estimated_light)
+        self._squares = np.zeros(int(self._shown.sum()))
+        self._rng = np.random.default_rng(_SEED)
         self.rows: list[BudgetRow] = []
 
-    def _parts(self, stage: str) -> list[Material]:
-        return [parts[stage] for parts in self._own]
+    def _of_stage(self, stage: str) -> list[Material]:
+        return [parts[stage] for parts in self._parts]
 
     def _off(self, materials: list[Material], light: Environment) -> np.ndarray:
-        return radiance_delta_e(self._true, self._pictures.of(materials, light), self._white)[self._seen]
+        return radiance_delta_e(self._true, self._pictures.paths(materials, light), self._white)[self._shown]
 
-    def _add(self, stage: str, values: np.ndarray, predicted: float, by: str) -> None:
+    def _moved(self, materials: list[Material], light: Environment | None = None, base=None) -> np.ndarray:
+        """Return how far a picture is from that of the measured materials and light."""
+        picture = self._pictures.paths(materials, self._estimated_light if light is None else light)
+        return radiance_delta_e(self._base if base is None else base, picture, self._seen_white)[self._shown]
+
+    def _drawn(self, draw: Callable) -> list[Material]:
+        return [draw(one.known, estimate) for one, estimate in zip(self._objects, self._estimates, strict=True)]
+
+    def _add(self, stage: str, values: np.ndarray, predicted, by: str) -> None:
+        """Add a row; ``predicted`` is a number, or one of every pixel."""
         figures = {key: value for key, value in summary(values).items() if key != "count"}
-        self.rows.append(BudgetRow(stage, **figures, predicted=float(predicted), by=by))
+        self.rows.append(BudgetRow(stage, **figures, predicted=float(np.mean(predicted)), by=by))
+        if np.isfinite(predicted).all() and len(values) == len(self._squares):
+            self._squares += np.square(predicted)
 
-    def add_materials(self, left_out: float) -> None:
-        """Add noise, calibration, seams and gloss."""
-        drawn = {
-            stage: self._off([parts[stage] for parts in self._drawn], self._true_light).mean()
-            for stage in ("noise", "gloss")
-        }
-        for stage, label, predicted, by in (
-            ("noise", "RAW noise: scatter of the colour within a paint", drawn["noise"], "camera's noise, through M"),
-            ("calibration", "calibration and fit: mean colour of a paint", left_out, "patches left out of the chart"),
-            ("seams", "rectification: texels that see two paints", np.nan, ""),
-            ("unseen", "coverage: texels filled from their neighbours", np.nan, ""),
-            ("gloss", "gloss of the fit", drawn["gloss"], "standard errors of β and μ where stated"),
-        ):
-            self._add(stage=label, values=self._off(self._parts(stage), self._true_light), predicted=predicted, by=by)
+    def _add_part(self, stage: str, label: str, predicted, by: str) -> None:
+        self._add(label, self._off(self._of_stage(stage), self._true_light), predicted, by)
 
-    def add_light(self, left_out: float) -> None:
+    def add_materials(self) -> None:
+        """Add noise, calibration, seams, coverage and gloss."""
+        noisy = self._moved(self._drawn(lambda *one: draws.noisy(*one, self._rng)))
+        by = "camera's noise and the fit's model_error and pose_error_deg of every photograph, through the calibration"
+        self._add_part("noise", "noise: scatter of the colour within a paint", noisy, by)
+        left_out = float(np.mean([one.known.left_out for one in self._objects]))
+        label = "calibration and fit: mean colour of a paint"
+        self._add_part("calibration", label, left_out, "patches left out of the chart")
+        sharper = self._moved(self._drawn(draws.sharper))
+        by = "the measured texture without the blur of the photographs' samples"
+        self._add_part("seams", "rectification: texels at seams and edges", sharper, by)
+        by = "texels with data, filled as those without it are"
+        self._add_part("unseen", "coverage: texels filled from their neighbours", self._holes(), by)
+        gloss = self._moved(self._drawn(lambda one, own: replace(own, **draws.other_gloss(one, own, self._rng))))
+        self._add_part("gloss", "gloss of the fit", gloss, "standard errors of β and μ where stated")
+
+    def _holes(self) -> np.ndarray:
+        """Return what is expected of texels without data, the mean of some draws."""
+        found = []
+        for _ in range(_HOLES):
+            places = [draws.held_out(one.known, self._rng) for one in self._objects]
+            there, filled = (
+                [
+                    draws.moved_texels(one.known, own, place[end])
+                    for one, own, place in zip(self._objects, self._estimates, places, strict=True)
+                ]
+                for end in (0, 1)
+            )
+            found.append(self._moved(filled, base=self._pictures.paths(there, self._estimated_light)))
+        return np.mean(found, axis=0)
+
+    def add_light(self) -> None:
         """Add the recovered light."""
         values = self._off(self._truths, self._estimated_light)
-        self._add("light", values, left_out, "patches left out of the chart")
+        if self._calibration is None:
+            self._add("light", values, np.nan, "none: no camera recovered it")
+            return
+        if self._calibration.band_response is None:
+            self._add("light", values, np.nan, "none: the calibration states no response model")
+            return
+        lights = drawn_lights(self._estimated_light, self._calibration, family(), _LIGHTS, self._rng)
+        predicted = np.mean([self._moved(self._estimates, light) for light in lights], axis=0)
+        self._add("light", values, predicted, "published illuminants that answer alike in the bands")
 
     def add_compression(self, of_materials: CompressOptions, of_light: CompressOptions) -> None:
         """Add the compression of materials and of light."""
@@ -252,22 +255,36 @@ class _Budget:
         light, stated = compressed_light(self._true_light, of_light)
         self._add("compression of the light", self._off(self._truths, light), stated, "error that compression states")
 
-    def add_renderer(self) -> None:
-        """Add what the integrator leaves out, against the path tracer, whose noise is what is predicted."""
-        one, other = (self._pictures.traced(self._truths, self._true_light, False, seed) for seed in (0, 1))
-        traced = (one.astype(np.float64) + other) / 2
-        own = self._pictures.traced(self._truths, self._true_light, True)
-        all_own = self._pictures.traced(self._parts("all"), self._true_light, True)
-        seen = (own != all_own).any(axis=-1)
-        noise = radiance_delta_e(one, other, self._white)[seen].mean() / 2
-        values = radiance_delta_e(traced, own, self._white)[seen]
-        self._add("renderer: what the integrator leaves out", values, noise, "noise of the path tracer, no prediction")
-
     def add_all(self) -> None:
-        """Add everything as measured, and the root of the sum of squares of what was predicted for the parts."""
-        values = self._off(self._parts("all"), self._estimated_light)
-        parts = [row.predicted for row in self.rows if np.isfinite(row.predicted) and "renderer" not in row.stage]
-        self._add("all but the renderer", values, np.sqrt(np.sum(np.square(parts))), "root of the sum of squares")
+        """Add everything as measured; what was predicted for the parts adds by squares, pixel by pixel."""
+        values = self._off(self._estimates, self._estimated_light)
+        self._add("all but the renderer", values, np.sqrt(self._squares), "root of the sum of squares in every pixel")
+
+    def add_renderer(self) -> None:
+        """Add what the scene's integrator is off: of the path tracer its noise, of another its difference to paths."""
+        if self._pictures.scene["integrator"]["kind"] == "reference":
+            self._add_noise()
+            return
+        width_px = _WIDTH_PX / _LONG_SHARE
+        long, own = (
+            picture(self._truths, self._true_light, width_px=width_px, **more)
+            for picture, more in ((self._pictures.paths, {"samples": _LONG_SAMPLES}), (self._pictures.own, {}))
+        )
+        shown = (own != self._pictures.own(self._estimates, self._true_light, width_px)).any(axis=-1)
+        by = "none: what an integrator leaves out is seen beside paths alone"
+        self._add(
+            "renderer: what the integrator leaves out", radiance_delta_e(long, own, self._white)[shown], np.nan, by
+        )
+
+    def _add_noise(self) -> None:
+        paths, samples = self._pictures.by_paths, self._pictures.scene["integrator"]["samples"]
+        rows = traced_rows(self._pictures.scene["image"], samples)
+        pair = (paths.picture(m, self._true_light, REPLICATES, rows=rows) for m in (self._truths, self._estimates))
+        shown = np.not_equal(*pair).any(axis=-1)
+        values = measured_noise(paths, rows, self._truths, self._true_light, self._white)[shown]
+        predicted = expected_noise(paths, rows, self._estimates, self._estimated_light, self._seen_white)[shown]
+        by = f"two pictures of other random numbers; measured beside {MORE} times the paths"
+        self._add(f"renderer: noise of {samples} paths a pixel", values, predicted, by)
 
 
 def error_budget(
@@ -277,6 +294,7 @@ def error_budget(
     objects: list[Measured],
     lights: tuple[Environment, Environment],
     options: dict,
+    calibration: Calibration | None = None,
 ) -> list[BudgetRow]:
     """Return the rows of a view's budget.
 
@@ -290,22 +308,21 @@ def error_budget(
         The measured light and the true one.
     options : dict
         ``render``: of the integrator; ``compress`` and ``environment``: those keys of the configuration.
+    calibration : Calibration, optional
+        Of the camera that photographed the light.
     """
-    white = scene_white(scene, lights[1])[0]
-    covered = [s.is_covered(*one.truth.alpha.shape[::-1]) for s, one in zip(shapes, objects, strict=True)]
-    budget = _Budget(_Pictures(scene, view, shapes, options["render"]), objects, covered, lights, white)
-    left_out = float(np.mean([one.left_out for one in objects]))
     wanted = [f.name for f in fields(CompressOptions)]
     of_materials, of_light = (
         CompressOptions(**{name: options[key][name] for name in wanted}) for key in ("compress", "environment")
     )
+    budget = _Budget(_Pictures(scene, view, shapes, options["render"]), objects, lights, calibration)
     for step in track(
         (
-            lambda: budget.add_materials(left_out),
-            lambda: budget.add_light(left_out),
+            budget.add_materials,
+            budget.add_light,
             lambda: budget.add_compression(of_materials, of_light),
-            budget.add_renderer,
             budget.add_all,
+            budget.add_renderer,
         ),
         f"error budget of {view}",
     ):
@@ -313,27 +330,33 @@ def error_budget(
     return budget.rows
 
 
-def measure_error_budget(inputs: dict, scene: dict, view: str, shapes: list[dict], options: dict, output) -> None:
+def measure_error_budget(inputs: dict, scene: dict, view: str, subjects: list[dict], options: dict, output) -> None:
     """Write ``error_budget.csv`` of a view.
 
     Parameters
     ----------
     inputs : dict
-        Files: lists of materials, true_materials and calibrations, one an object, and ``tiles``, the fitted tiles of
-        all objects; ``environment`` and ``true_environment``.
+        Files: lists of materials, true_materials and calibrations, one an object, and ``tiles`` and ``observations``,
+        those of all objects; ``environment``, ``true_environment`` and ``light_calibration``, a list of one file, or
+        of none where no camera photographed the light.
     scene, view, options : see `error_budget`
-    shapes : list of dict
+        ``options`` has ``fit`` too, that key of the configuration.
+    subjects : list of dict
+        One an object: ``shape``, its definition, and ``sample_mm``, the side of a sample of its photographs on it.
     output : path
     """
+    shapes = [Shape.from_definition(one["shape"]) for one in subjects]
     objects = []
-    for material, truth, calibration in zip(
-        inputs["materials"], inputs["true_materials"], inputs["calibrations"], strict=True
+    for material, truth, calibration, shape, one in zip(
+        *(inputs[name] for name in ("materials", "true_materials", "calibrations")), shapes, subjects, strict=True
     ):
         folder = Path(material).parent
-        tiles = [path for path in inputs["tiles"] if folder in Path(path).parents]
-        objects.append(Measured.load(material, truth, tiles, calibration))
+        own = {name: [p for p in inputs[name] if folder in Path(p).parents] for name in ("tiles", "observations")}
+        files = own | {"material": material, "calibration": calibration}
+        objects.append(Measured(Known.load(files, shape, one["sample_mm"], options["fit"]), Material.load(truth)))
     lights = Environment.load(inputs["environment"]), Environment.load(inputs["true_environment"])
-    rows = error_budget(scene, view, [Shape.from_definition(s) for s in shapes], objects, lights, options)
+    of_light = [Calibration.load(path) for path in inputs["light_calibration"]]
+    rows = error_budget(scene, view, shapes, objects, lights, options, *of_light)
     with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, [f.name for f in fields(BudgetRow)])
         writer.writeheader()

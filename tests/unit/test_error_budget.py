@@ -10,14 +10,16 @@ from irodori.colour import delta_e_reflectance
 from irodori.material import Material
 from irodori.principal import CompressOptions
 from irodori.recovery import Calibration
-from irodori.report.error_budget import Measured, compressed_light, error_budget, propagated, substitutes
+from irodori.report.error_budget import Measured, away_from_edges, compressed_light, error_budget, substitutes
+from irodori.report.error_prediction import noisy, other_gloss
+from irodori.report.known_errors import Known, Photographs, Spread
 from irodori.spectra import spectrum
 
 SIDE = 40
 PAINTS = np.stack([spectrum("TCS1"), spectrum("TCS14"), spectrum("TCS56")], axis=1)
 BASIS = np.linalg.svd(np.stack([spectrum(f"TCS{i}") for i in range(99)]), full_matrices=False)[2][:6].T
 #: A camera whose responses are the coefficients themselves.
-CALIBRATION = Calibration(BASIS, np.eye(6), np.ones(61), ("out", "in"))
+CALIBRATION = Calibration(BASIS, np.eye(6), np.ones(61), ("out", "in"), band_response=BASIS.T)
 
 
 def truth() -> Material:
@@ -29,19 +31,22 @@ def truth() -> Material:
                     mirror=0.0, typical_gloss=(2.0, 0.1))  # fmt: skip
 
 
-def measured(change=0.0, deviation=0.0, unseen=np.s_[:0], gloss=(0.0, 0.0)) -> Measured:
+def measured(change=0.0, deviation=0.0, unseen=np.s_[:0], gloss=(0.0, 0.0), border="unknown") -> Measured:
     """What a chain might find: the truth on the camera's basis, changed and with scatter of a known deviation."""
     exact = truth()
     rng = np.random.default_rng(3)
     response = (exact.coefficients @ PAINTS.T) @ BASIS + change
-    noisy = response + deviation * rng.standard_normal(response.shape)
-    alpha = (noisy @ BASIS.T)[..., 30]
+    noisy_response = response + deviation * rng.standard_normal(response.shape)
+    alpha = (noisy_response @ BASIS.T)[..., 30]
     alpha[unseen] = np.nan
-    own = replace(exact, alpha=alpha, green_response=alpha, coefficients=noisy.astype(np.float32), basis=BASIS,
+    own = replace(exact, alpha=alpha, green_response=alpha, coefficients=noisy_response.astype(np.float32), basis=BASIS,
                   beta=exact.beta + gloss[0] * rng.standard_normal(alpha.shape),
                   mu=exact.mu + gloss[1] * rng.standard_normal(alpha.shape))  # fmt: skip
-    variance = np.full(response.shape, deviation**2)
-    return Measured(own, exact, np.broadcast_to(gloss, (*alpha.shape, 2)), noisy, variance, CALIBRATION, 0.5)
+    every = np.ones((SIDE, SIDE, 1))
+    known = Known(own, np.broadcast_to(gloss, (*alpha.shape, 2)), noisy_response, np.full(response.shape, deviation**2),
+                  CALIBRATION, 0.5, Photographs(every, 0.0 * every, 1.0), Spread(1e-3, 1e-3, border), 0.0, 0.0,
+                  np.ones((SIDE, SIDE), bool))  # fmt: skip
+    return Measured(known, exact)
 
 
 def spectra(material: Material) -> np.ndarray:
@@ -50,14 +55,14 @@ def spectra(material: Material) -> np.ndarray:
 
 def colour_errors(one: Measured) -> dict[str, float]:
     """Mean CIEDE2000 of every part's reflectance."""
-    parts = substitutes(one, np.ones((SIDE, SIDE), bool))
+    parts = substitutes(one)
     exact = spectra(one.truth)
     return {name: float(delta_e_reflectance(exact, spectra(part)).mean()) for name, part in parts.items()}
 
 
 def test_the_parts_sum_to_what_was_measured():
     one = measured(0.01, 0.01, np.s_[3:9, 5:30])
-    parts = substitutes(one, np.ones((SIDE, SIDE), bool))
+    parts = substitutes(one)
     exact = spectra(one.truth)
     changes = sum(spectra(parts[name]) - exact for name in ("noise", "calibration", "seams", "unseen"))
     assert np.abs(exact + changes - spectra(parts["all"])).max() < 1e-5
@@ -79,28 +84,39 @@ def test_texels_that_nobody_saw_are_a_part_of_their_own():
     assert hole["noise"] < 1e-3
 
 
+def test_the_edge_of_a_flat_object_is_a_seam_and_that_of_a_closed_one_is_not():
+    flat, closed = (away_from_edges(measured(border=border)) for border in ("black", "joined"))
+    assert not flat[:2].any() and not flat[-2:].any() and not flat[:, :2].any() and not flat[:, -2:].any()
+    assert closed[:, 0].all() and (flat[2:-2, 2:-2] == closed[2:-2, 2:-2]).all()
+
+
 @pytest.mark.parametrize("deviation", [0.003, 0.01, 0.03])
 def test_noise_that_is_known_is_predicted(deviation):
     one = measured(deviation=deviation)
     found = colour_errors(one)["noise"]
-    drawn = propagated(one, np.random.default_rng(0))["noise"]
-    inside = np.s_[3:-3, :]
-    expected = delta_e_reflectance(spectra(one.truth), spectra(drawn))[inside].mean()
-    # Of 1600 texels about 1100 lie away from seams; the others have no part in what is measured.
-    share = delta_e_reflectance(spectra(one.truth), spectra(substitutes(one, np.ones((SIDE, SIDE), bool))["noise"])) > 0
-    assert found / share.mean() == pytest.approx(expected, rel=0.08)
+    estimate = one.known.estimate()
+    drawn = noisy(one.known, estimate, np.random.default_rng(0))
+    expected = delta_e_reflectance(spectra(estimate), spectra(drawn)).mean()
+    # Texels at seams have no part in what is measured.
+    assert found / away_from_edges(one).mean() == pytest.approx(expected, rel=0.08)
 
 
 def test_gloss_errors_that_are_known_are_drawn_as_large():
-    drawn = propagated(measured(gloss=(0.1, 0.004)), np.random.default_rng(0))["gloss"]
-    assert (drawn.beta - 2.0).std() == pytest.approx(0.1, rel=0.05)
-    assert (drawn.mu - 0.1).std() == pytest.approx(0.004, rel=0.05)
+    def drawn(one):
+        found = other_gloss(one, one.estimate(), np.random.default_rng(0))
+        return found["beta"], found["mu"]
+
+    beta, mu = drawn(measured().known)
+    assert (beta == 2.0).all() and (mu == 0.1).all()
+    sure = measured().known
+    beta, mu = drawn(replace(sure, gloss_error=np.broadcast_to((0.1, 0.004), (SIDE, SIDE, 2))))
+    assert (beta - 2.0).std() == pytest.approx(0.1, rel=0.05)
+    assert (mu - 0.1).std() == pytest.approx(0.004, rel=0.05)
     # An error that the fit does not state is not drawn, and no draw leaves a roughness of nothing.
-    wild = replace(measured(), gloss_error=np.stack([np.full((SIDE, SIDE), np.nan), np.full((SIDE, SIDE), 9.0)], -1))
-    assert (propagated(wild, np.random.default_rng(0))["gloss"].beta == 2.0).all()
-    steep = replace(wild, gloss_error=np.full((SIDE, SIDE, 2), 9.0))
-    found = propagated(steep, np.random.default_rng(0))["gloss"]
-    assert found.mu.min() > 0 and found.beta.min() >= 0
+    half = np.stack([np.full((SIDE, SIDE), np.nan), np.full((SIDE, SIDE), 9.0)], -1)
+    assert (drawn(replace(sure, gloss_error=half))[0] == 2.0).all()
+    beta, mu = drawn(replace(sure, gloss_error=np.full((SIDE, SIDE, 2), 9.0)))
+    assert mu.min() > 0 and beta.min() >= 0
 
 
 def light_of_three():
@@ -114,27 +130,34 @@ def test_light_loses_nothing_to_all_its_bases():
     assert np.allclose(light.irradiance @ light.basis.T, exact.irradiance @ exact.basis.T, atol=1e-4)
 
 
-@pytest.fixture(scope="module")
-def rows():
-    scene = {
+def scene_of(integrator: dict) -> dict:
+    return {
         "image": {"width": 24, "height": 16},
-        "display": {"exposure": "auto"}, "integrator": {"kind": "reference", "samples": 256, "seed": 0},
+        "integrator": integrator,
+        "display": {"exposure": "auto"},
         "objects": [{"object": "a", "position_mm": [0.0, 0.0, 0.0], "rotation_deg": [0.0, 0.0, 0.0], "scale": 1.0}],
         "views": {"v": {"position_mm": [0.0, -80.0, 150.0], "target_mm": [0.0, 0.0, 0.0], "up": [0.0, 0.0, 1.0],
                         "field_of_view_deg": 20.0}},
     }  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def rows():
     names = ("target_delta_e_mean", "target_delta_e_p99", "align", "weighting", "storage", "codec")
     compress = dict(zip(names, (0.1, 0.5, 4, "nothing", "half", "gzip"), strict=True))
-    options = {"render": OPTIONS, "compress": compress,
-               "environment": compress | {"gloss_maps": False}}  # fmt: skip
+    options = {"render": OPTIONS, "compress": compress, "environment": compress}
     light = light_of_three()
     warmer = replace(light, basis=PAINTS * np.linspace(0.9, 1.1, 61)[:, None])
+    scene = scene_of({"kind": "reference", "samples": 16, "seed": 0})
 
-    def budget(one, estimated):
+    def budget(one, estimated, calibration):
         return {row.stage.split(":")[0]: row for row in
-                error_budget(scene, "v", [plate(60.0)], [one], (estimated, light), options)}  # fmt: skip
+                error_budget(scene, "v", [plate(60.0)], [one], (estimated, light), options, calibration)}  # fmt: skip
 
-    return budget(measured(0.02, 0.01, gloss=(0.3, 0.01)), light), budget(measured(0.02), warmer)
+    return (
+        budget(measured(0.02, 0.01, gloss=(0.3, 0.01)), light, None),
+        budget(measured(0.02, unseen=np.s_[4:36, 8:14]), warmer, CALIBRATION),
+    )
 
 
 @pytest.mark.heavy
@@ -142,22 +165,38 @@ def test_each_fault_stands_in_its_own_row(rows):
     first, second = rows
     assert first["light"].max == 0.0 and second["light"].mean > 0.5
     assert first["gloss of the fit"].mean > 5 * second["gloss of the fit"].mean
-    assert first["RAW noise"].mean > 10 * second["RAW noise"].mean
-    assert second["calibration and fit"].mean > 0.5
-    assert second["calibration and fit"].predicted == second["light"].predicted == 0.5
+    assert first["noise"].mean > 10 * second["noise"].mean
+    assert first["coverage"].max == first["coverage"].predicted == 0.0
+    assert second["coverage"].mean > 0.5 and second["coverage"].predicted > 0.1
+    assert second["calibration and fit"].mean > 0.5 and second["calibration and fit"].predicted == 0.5
+
+
+@pytest.mark.heavy
+def test_what_is_not_known_has_a_reason_for_no_prediction(rows):
+    assert np.isnan(rows[0]["light"].predicted) and "no camera" in rows[0]["light"].by
+    assert rows[1]["light"].predicted > 0.0
 
 
 @pytest.mark.heavy
 def test_noise_and_gloss_reach_the_picture_as_large_as_predicted(rows):
-    for stage in ("RAW noise", "gloss of the fit"):
+    for stage in ("noise", "gloss of the fit"):
         row = rows[0][stage]
         # A small picture shows few texels at each pixel; some of them lie at seams.
         assert row.predicted == pytest.approx(row.mean, rel=0.4), stage
 
 
 @pytest.mark.heavy
+def test_the_noise_of_paths_is_predicted(rows):
+    for found in rows:
+        assert found["renderer"].predicted == pytest.approx(found["renderer"].mean, rel=0.3)
+        assert found["renderer"].mean > 0.05
+
+
+@pytest.mark.heavy
 def test_the_whole_is_no_more_than_its_parts(rows):
     for found in rows:
-        parts = [row.mean for stage, row in found.items() if not stage.startswith(("all", "renderer"))]
-        whole = found["all but the renderer"].mean
-        assert max(parts) * 0.5 < whole < sum(parts) + 0.1
+        parts = [row for stage, row in found.items() if not stage.startswith(("all", "renderer"))]
+        whole = found["all but the renderer"]
+        assert max(row.mean for row in parts) * 0.5 < whole.mean < sum(row.mean for row in parts) + 0.1
+        predicted = [row.predicted for row in parts if np.isfinite(row.predicted)]
+        assert max(predicted) <= whole.predicted <= sum(predicted)

@@ -34,6 +34,29 @@ def scene_tiles(wildcards):
     return found
 
 
+def scene_observations(wildcards):
+    """Return what the fitted tiles of a scene's objects were fitted to."""
+    return [path.replace("/brdf/", "/observations/") for path in scene_tiles(wildcards)]
+
+
+def scene_subjects(wildcards):
+    """Return of each object of a scene its shape and the side of two mosaic pixels of its photographs on it, mm."""
+    found = []
+    for name in scene_objects(wildcards):
+        definition = config["objects"][name]
+        camera = config["cameras"][definition["camera"]]
+        optics, rig = camera["optics"], config["rigs"][camera["rig"]]
+        pixel_mm = optics["pixel_pitch_um"] / 1000.0 * rig["camera_distance_mm"] / optics["focal_length_mm"]
+        found.append({"shape": definition["shape"], "sample_mm": 2.0 * pixel_mm})
+    return found
+
+
+def light_calibration(wildcards):
+    """Return the calibration of the camera that photographed a scene's light, as a list; of other light there is none."""
+    definition = config["environments"][config["scenes"][wildcards.scene]["environment"]]
+    return [f"results/cameras/{definition['camera']}/calibration.h5"] if "camera" in definition else []
+
+
 def scene_meshes(wildcards):
     """Return the files of the meshes among a scene's objects."""
     return meshes_of(*dict.fromkeys(scene_objects(wildcards)))

@@ -144,8 +144,10 @@ rule measure_error_budget:
         true_materials=scene_materials("results/{object}/truth.h5"),
         calibrations=scene_calibrations,
         tiles=scene_tiles,
+        observations=scene_observations,
         environment=scene_environment,
         true_environment=true_light,
+        light_calibration=light_calibration,
         meshes=scene_meshes,
         tables=scene_tables,
     output:
@@ -168,8 +170,9 @@ rule measure_error_budget:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
         scene=lookup(within=config, dpath="scenes/{scene}"),
-        shapes=scene_shapes,
+        subjects=scene_subjects,
         render=lookup(within=config, dpath="render"),
+        fit=lookup(within=config, dpath="fit"),
         compress=lookup(within=config, dpath="compress"),
         environment=lookup(within=config, dpath="environment"),
         code=code_hash("irodori.report.error_budget"),

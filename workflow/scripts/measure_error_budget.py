@@ -7,9 +7,10 @@ with run_rule(snakemake):
         dict(snakemake.input.items()),
         scene,
         snakemake.wildcards.view,
-        snakemake.params.shapes,
+        snakemake.params.subjects,
         {
             "render": {**snakemake.params.render, "max_bounces": scene["max_bounces"]},
+            "fit": snakemake.params.fit,
             "compress": snakemake.params.compress,
             "environment": snakemake.params.environment,
         },
