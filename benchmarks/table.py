@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numba
@@ -54,6 +55,21 @@ def own_peak_mb() -> float:
     """Return the peak resident memory of this process, MB; ru_maxrss would count the parent's at the fork."""
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
     return float(status["VmHWM"].split()[0]) / 1024
+
+
+def printed_by(name: str, calls: Sequence[Sequence[str]]) -> list[str]:
+    """Return what a module of this folder prints for each list of arguments, each in a process of its own.
+
+    Two at a time: a process' peak memory is its own whatever runs beside it. Not for what is timed.
+    """
+    root = Path(__file__).resolve().parents[1]
+
+    def printed(arguments: Sequence[str]) -> str:
+        command = [sys.executable, "-m", f"benchmarks.{name}", *arguments]
+        return subprocess.run(command, cwd=root, stdout=subprocess.PIPE, text=True, check=True).stdout
+
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(printed, calls))
 
 
 def arguments_of(description: str) -> argparse.ArgumentParser:
