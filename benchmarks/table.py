@@ -81,7 +81,7 @@ def arguments_of(description: str) -> argparse.ArgumentParser:
         "--size",
         choices=("small", "full"),
         default="full",
-        help="small is over in some minutes; without effect where a benchmark has one size",
+        help="small has smaller inputs and fewer variants; without effect where a benchmark has one size",
     )
     parser.add_argument("--output", type=Path, help="CSV to write")
     return parser
