@@ -5,7 +5,7 @@ life of `benchmarks.render` under its classroom, and three scenes made of it: ma
 alone, and one lamp in a black room. Without a plan (``full``) the integrator `interactive` carries 61 bands, and ends
 paths that bring less than a thousandth, as a workflow's picture has them; the model that errors are measured against
 ends none. Seconds are processor time of all threads over their number, a frame's the least of the runs; what is
-compiled is compiled before. Small: 160 x 120 px under a light 400 px wide.
+compiled is compiled before. Small: 160 x 120 px under a light 256 px wide.
 """
 
 import tempfile
@@ -33,7 +33,7 @@ _LAMP = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": -60.0, "elevati
 _BOUNCES, _LEAST_THROUGHPUT = 5, 1e-3
 #: What is measured where the command line does not say it: widths of the light's picture and of a frame, its height.
 SIZES = {
-    "small": {"environment": 400, "width": 160, "height": 120},
+    "small": {"environment": 256, "width": 160, "height": 120},
     "full": {"environment": 1000, "width": 640, "height": 480},
 }
 
