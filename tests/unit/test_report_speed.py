@@ -72,7 +72,7 @@ def test_a_table_with_other_columns_is_refused_by_name(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["calibrate", "compress", "environment", "fit", "ingest", "reference", "render", "scene_plan"]
+    "name", ["calibrate", "compress", "environment", "fit", "ingest", "plan", "reference", "render"]
 )
 def test_every_benchmark_says_what_it_takes(name, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", [name, "--help"])

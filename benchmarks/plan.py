@@ -1,6 +1,6 @@
 """What a plan saves: preparing and rendering a scene with it and without it, in one run.
 
-``python -m benchmarks.scene_plan [--size small] [--tolerance 1] [--width 640] [--output plan.csv]`` takes the still
+``python -m benchmarks.plan [--size small] [--tolerance 1] [--width 640] [--output plan.csv]`` takes the still
 life of `benchmarks.render` under its classroom, and three scenes made of it: matte (no gloss, no mirror), mirrors
 alone, and one lamp in a black room. Without a plan (``full``) the integrator `interactive` carries 61 bands, and ends
 paths that bring less than a thousandth, as a workflow's picture has them; the model that errors are measured against
