@@ -95,9 +95,10 @@ def measure_scene(name: str, parts: Parts, studio: Studio, arguments) -> list[di
     print(f"{name}: predicted {max(planner.spent, planner.joint):.3f} (together {planner.joint:.3f}), measured "
           f"{asdict(errors['planned'])}; {decided}; processor seconds {processor_s}", flush=True)  # fmt: skip
     seconds = {step: value / arguments.threads for step, value in processor_s.items()}
+    # A unit for each scene: the front of speed against error is among variants of one unit.
     rows = [
-        row(f"{variant} {name}", view.width * view.height, "pixel", seconds[f"{variant}, frame"], f"full {name}",
-            seconds["full, frame"], errors[variant].p99)
+        row(f"{variant} {name}", view.width * view.height, f"pixel of {name}", seconds[f"{variant}, frame"],
+            f"full {name}", seconds["full, frame"], errors[variant].p99)
         for variant in work
     ]  # fmt: skip
     whole = f"full {name}, prepare", seconds["full, prepare"]
