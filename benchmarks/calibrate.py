@@ -1,21 +1,21 @@
 """Estimators of reflectance: speed against error, and the errors on measured spectra, next to the linear bound.
 
-``python -m benchmarks.calibrate [--runs 7] [--output speed_error.csv]`` applies each estimator to a picture of 2
-megapixels of six bands; the reference is a bare BLAS product of the same size in the same run. ``--table`` prints the
-errors of every estimator instead, for all sets, cameras and noises. Both read the measured spectra of
-``../shared/data``. Times exclude compilation, which is reported apart.
+``python -m benchmarks.calibrate [--size small] [--runs 7] [--output speed_error.csv]`` applies each estimator to a
+picture of 2 megapixels of six bands, half a megapixel in small; the reference is a bare BLAS product of the same size
+in the same run. ``--table`` prints the errors of every estimator instead, for all sets, cameras and noises. Both read
+the measured spectra of ``../shared/data``. Times exclude compilation, which is reported apart.
 """
 
 import argparse
-import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.table import COLUMNS, arguments_of, median_s, medians_s, own_peak_mb, report, write
+from benchmarks.table import COLUMNS, arguments_of, median_s, medians_s, own_peak_mb, printed_by, report, write
 from irodori.calibration import ESTIMATORS, Noise, Training, choose, cross_validate, fit
 from irodori.colour import delta_e_reflectance, spectral_rmse
 from irodori.spectra import TRAPEZOID_NM, camera_sensitivities, read_wide_csv, resample, spectrum
@@ -25,7 +25,7 @@ from irodori.threads import use_threads
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
 LIGHT, FILTER = "A", "MIDOPT_NF550"
-PIXELS = 1 << 21
+PIXELS = {"small": 1 << 19, "full": 1 << 21}
 BASES = 6
 NOISES = (0.0, 0.001, 0.003, 0.01)
 SEEDS = (0, 1, 2)
@@ -135,10 +135,10 @@ def _print_row(label: str, values) -> None:
     print(f"  {label:18}" + "".join(f"{m:8.3f} /{p:6.2f} {r:.4f}" for m, p, r in values), flush=True)
 
 
-def picture() -> np.ndarray:
-    """Return responses of the Munsell spectra in turn at 0.3 % noise, (PIXELS, 6) float32."""
+def picture(pixels: int) -> np.ndarray:
+    """Return responses of the Munsell spectra in turn at 0.3 % noise, (pixels, 6) float32."""
     _, seen, _ = Trial.of(CAMERAS[0], "classic", "munsell").responses(0.003, 0)
-    return np.resize(seen.astype(np.float32), (PIXELS, seen.shape[1]))
+    return np.resize(seen.astype(np.float32), (pixels, seen.shape[1]))
 
 
 def name_of(variant: str) -> str:
@@ -147,7 +147,7 @@ def name_of(variant: str) -> str:
 
 
 def variance_of(response: np.ndarray, variant: str) -> np.ndarray | None:
-    """Return what a variant is told of the noise, (PIXELS, 6) float32: read noise and photon noise; mostly None."""
+    """Return what a variant is told of the noise, (pixels, 6) float32: read noise and photon noise; mostly None."""
     return 1e-6 + 1e-4 * np.maximum(response, 0.0) if variant == TOLD else None
 
 
@@ -163,16 +163,15 @@ def bare_product(response: np.ndarray):
     return lambda: np.matmul(response, matrix, out=out)
 
 
-def peak_mb(variant: str, threads: int) -> float:
-    """Return the peak resident memory of a process of its own that does the work once, MB."""
-    command = [sys.executable, "-m", "benchmarks.calibrate", "--child", variant, "--threads", str(threads)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    return float(done.stdout.split()[-1])
+def peaks_mb(variants: Sequence[str], size: str, threads: int) -> list[float]:
+    """Return the peak resident memory of a process of its own that does the work of a variant once, MB."""
+    common = ("--size", size, "--threads", str(threads))
+    return [float(text.split()[-1]) for text in printed_by("calibrate", [("--child", v, *common) for v in variants])]
 
 
-def child(variant: str) -> None:
+def child(variant: str, pixels: int) -> None:
     """Do the work once and print the peak resident memory, MB."""
-    response = picture()
+    response = picture(pixels)
     if variant == "blas":
         bare_product(response)()
     elif variant != "imports":
@@ -180,38 +179,39 @@ def child(variant: str) -> None:
     print(own_peak_mb())
 
 
-def measure(runs: int, threads: int) -> list[dict]:
+def measure(size: str, runs: int, threads: int) -> list[dict]:
     """Return one row a variant, the reference first."""
-    response, trial = picture(), Trial.of(CAMERAS[0], "classic", "munsell")
+    pixels = PIXELS[size]
+    response, trial = picture(pixels), Trial.of(CAMERAS[0], "classic", "munsell")
     work = {"blas": bare_product(response)}
     for variant in VARIANTS:
         solved, variance = calibration(name_of(variant)), variance_of(response, variant)
         start = time.perf_counter()
-        solved.weights(response[: PIXELS // 64], None if variance is None else variance[: PIXELS // 64])
+        solved.weights(response[: pixels // 64], None if variance is None else variance[: pixels // 64])
         print(f"{variant}, first run, compilation included: {time.perf_counter() - start:.2f} s", file=sys.stderr)
         work[variant] = lambda solved=solved, variance=variance: solved.weights(response, variance)
     seconds = medians_s(work, runs)
-    rows = []
-    for variant, median in seconds.items():
+    rows, (imports, *peaks) = [], peaks_mb(("imports", *seconds), size, threads)
+    for (variant, median), peak in zip(seconds.items(), peaks, strict=True):
         error = float("nan")
         if variant != "blas":
             error = errors(trial, 0.003, name_of(variant), BASES, variant == TOLD)[0]
-        rows.append(row(variant, median, seconds["blas"], error, peak_mb(variant, threads)))
+        rows.append(row(variant, pixels, median, seconds["blas"], error, peak))
     training = trial.responses(0.003, 0)[0]
 
     def judge() -> None:
         chart = Training(training.response, training.spectra, training.light, training.noise)
         cross_validate(chart, timed=True)
 
-    seconds = median_s(judge, 5)
+    seconds = median_s(judge, 5 if size == "full" else 1)
     print(f"cross-validation of everything: {seconds:.2f} s", file=sys.stderr)
-    print(f"a process after its imports and its picture: {peak_mb('imports', threads):.0f} MB", file=sys.stderr)
+    print(f"a process after its imports and its picture: {imports:.0f} MB", file=sys.stderr)
     return rows
 
 
-def row(variant: str, seconds: float, reference: float, error: float, peak: float) -> dict:
+def row(variant: str, pixels: int, seconds: float, reference: float, error: float, peak: float) -> dict:
     """Return a line of the table of speed against error."""
-    work = PIXELS * 6 / 1e6
+    work = pixels * 6 / 1e6
     metric = "mean CIEDE2000 under D65, Munsell, 0.3 % noise"
     values = ("calibrate", variant, f"{work:.2f}", "megapixel-bands", f"{seconds:.4f}", f"{work / seconds:.1f}", metric,
               f"{error:.5f}", f"{peak:.0f}", "blas", f"{seconds / reference:.3f}")  # fmt: skip
@@ -232,12 +232,12 @@ def main() -> None:
         write([], arguments.output)
         return
     if arguments.child:
-        child(arguments.child)
+        child(arguments.child, PIXELS[arguments.size])
         return
     if arguments.table:
         print_table()
         return
-    rows = measure(arguments.runs, arguments.threads)
+    rows = measure(arguments.size, arguments.runs, arguments.threads)
     report(rows, arguments.threads, arguments.output)
 
 

@@ -1,10 +1,11 @@
 """The maps of an environment: irradiance, light blurred for rough reflection, its look-up.
 
-``python -m benchmarks.environment [--height 3000] [--runs 5] [--output speed_error.csv]``. The light is a bright sky
-with waves of four bases, with a sun of half a degree, 50000 times as bright, and without; 6000 x 3000 px. ``quadtree``
-sorts the light, ``irradiance`` fits the irradiance map to 0.2 % of its largest value, ``gloss`` blurs the light and
-gathers its points: together the maps of one environment. The look-ups are of random normals and views, on one light.
-The reference is ``irradiance`` without the sun.
+``python -m benchmarks.environment [--size small] [--height 3000] [--runs 5] [--output speed_error.csv]``. The light is
+a bright sky with waves of four bases, with a sun of half a degree, 50000 times as bright, and without; 6000 x 3000 px,
+or small 256 x 128 px. ``quadtree`` sorts the light, ``irradiance`` fits the irradiance map to 0.2 % of its largest
+value, or to what 512 rows hold (128 in small), ``gloss`` blurs the light and gathers its points: together the maps of
+one environment. The look-ups are of random normals and views, on one light. The reference is ``irradiance`` without the
+sun. Full prints how far look-ups are from the sum of the true lobe, too.
 """
 
 import numpy as np
@@ -15,10 +16,10 @@ from irodori.gloss.errors import gloss_errors, places
 from irodori.irradiance import Integrator, fitted_irradiance_map
 from irodori.threads import use_threads
 
-MAX_ERROR, MAX_HEIGHT = 0.002, 512
+MAX_ERROR = 0.002
 SUN, SUN_RAD = 5e4, 0.0093
-HEIGHTS = {"small": 500, "full": 3000}
-LOOKUPS, VIEW_RAD = 20_000, 0.9
+HEIGHTS, MAX_HEIGHTS = {"small": 128, "full": 3000}, {"small": 128, "full": 512}
+LOOKUPS, VIEW_RAD = {"small": 5000, "full": 20_000}, 0.9
 LOOKUP_MU_RAD = (0.02, 0.1, 0.3, 0.8)
 
 
@@ -43,12 +44,13 @@ def main() -> None:
     lights = {"": sky(arguments.height, False), "-sun": sky(arguments.height, True)}
     integrators = {name: Integrator(light) for name, light in lights.items()}
     maps = GlossMaps.of(lights["-sun"])
-    tables, (normal, view) = maps.tables(), places(VIEW_RAD, LOOKUPS)
+    lookups, max_height = LOOKUPS[arguments.size], MAX_HEIGHTS[arguments.size]
+    tables, (normal, view) = maps.tables(), places(VIEW_RAD, lookups)
     work, errors = {}, {}
     for name, light in lights.items():
         work[f"quadtree{name}"] = lambda light=light: Integrator(light)
         work[f"irradiance{name}"] = lambda name=name, light=light: fitted_irradiance_map(
-            light, MAX_ERROR, MAX_HEIGHT, integrators[name]
+            light, MAX_ERROR, max_height, integrators[name]
         )
         work[f"gloss{name}"] = lambda light=light: GlossMaps.of(light)
         errors[f"irradiance{name}"] = work[f"irradiance{name}"]()[1]["max_error"]
@@ -57,15 +59,15 @@ def main() -> None:
     seconds = medians_s(work, arguments.runs)
     rows = []
     for name, median in seconds.items():
-        count = LOOKUPS / 1e6 if name.startswith("look-up") else lights[""].shape[0] * lights[""].shape[1] / 1e6
+        count = lookups / 1e6 if name.startswith("look-up") else lights[""].shape[0] * lights[""].shape[1] / 1e6
         unit = "million look-ups" if name.startswith("look-up") else "megapixels"
         metric = "largest error over the largest irradiance" if name in errors else ""
-        values = ("environment", name, f"{count:.2f}", unit, f"{median:.4f}", f"{count / median:.3f}", metric,
+        values = ("environment", name, f"{count:.4g}", unit, f"{median:.4f}", f"{count / median:.3f}", metric,
                   f"{errors.get(name, float('nan')):.5f}", f"{own_peak_mb():.0f}", "irradiance",
                   f"{median / seconds['irradiance']:.3f}")  # fmt: skip
         rows.append(dict(zip(COLUMNS, values, strict=True)))
     report(rows, arguments.threads, arguments.output)
-    for row in gloss_errors(integrators["-sun"], maps):
+    for row in gloss_errors(integrators["-sun"], maps) if arguments.size == "full" else ():
         print(
             f"gloss, mu {row['mu_rad']:g} rad, view {row['theta_r_deg']:g}: rms {row['rms']:.3f}, max {row['max']:.3f}"
         )

@@ -6,9 +6,9 @@ a curved object or under a near light) and ``shared`` (a flat object under far l
 whose sum of squares exceeds the best of a dense scan over μ in float64 by more than 0.1 %; the largest errors of
 noise-free parameters are printed beside it.
 
-``python -m benchmarks.fit [--size small] [--runs 7] [--output speed_error.csv]``,
-at the top of the repository. Peak memory is that of a
-process that fits the texels once; times exclude compilation.
+``python -m benchmarks.fit [--size small] [--runs 7] [--output speed_error.csv]``, at the top of the repository. Peak
+memory is that of a process that fits the texels once; times exclude compilation. Small has fewer texels and one
+algorithm of NLopt in compiled loops.
 """
 
 import argparse
@@ -16,11 +16,12 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.table import COLUMNS, arguments_of, median_s, own_peak_mb, report
+from benchmarks.table import COLUMNS, arguments_of, median_s, own_peak_mb, printed_by, report
 from irodori.brdf import gloss_factors, reflect
 from irodori.fitting import FitOptions, Status, fit
 from irodori.fitting.solvers import ACCEPTED_ALGORITHMS
@@ -28,10 +29,15 @@ from irodori.threads import use_threads
 
 ROOT = Path(__file__).resolve().parents[1]
 N, K = 1.5, 0.0
+KINDS = ("own", "shared")
 OBSERVATIONS = 48
-TEXELS = {"varpro": 200_000, "nlopt": 20_000, "nlopt-reference": 600}
+TEXELS = {
+    "small": {"varpro": 50_000, "nlopt": 4000, "nlopt-reference": 200},
+    "full": {"varpro": 200_000, "nlopt": 20_000, "nlopt-reference": 600},
+}
 WITHOUT_GRADIENT = ("LN_BOBYQA",)  # a loop in Python that is given no derivatives
-CHECKED = 2000  # texels whose minimum is compared with a dense scan
+CHECKED = {"small": 500, "full": 2000}  # texels whose minimum is compared with a dense scan
+CHECKED_OF_REFERENCE = 200
 MEGAPIXELS, TILE = 10.1, 40_000
 
 
@@ -69,20 +75,24 @@ def brute_force(response: np.ndarray, mus: np.ndarray) -> np.ndarray:
     geometry = angles(response.shape[1]).astype(np.float32).astype(np.float64)
     c, plain = np.cos(geometry[:, 0]), gloss_factors(geometry, N, K)
     rho = response.astype(np.float64)
-    best = np.sum((rho - np.maximum(rho @ c / (c @ c), 0)[:, None] * c) ** 2, axis=1)
+    # At a minimum over α, β the sum of squares is what the fit explains less than the whole: no residual is formed.
+    whole, on_c, cc = np.sum(rho**2, axis=1), rho @ c, c @ c
+    best = whole - np.maximum(on_c, 0) ** 2 / cc
     for mu in mus:
         g = plain * np.exp(-np.square(geometry[:, 3] / mu))
-        if not g @ g > 0:
+        gg, cg, on_g = g @ g, c @ g, rho @ g
+        if not gg > 0:
             continue
-        pair = np.linalg.lstsq(np.stack([c, g], axis=1), rho.T, rcond=None)[0]
-        for a, b in (pair, (0 * pair[0], np.maximum(rho @ g / (g @ g), 0))):
-            squares = np.sum((a[:, None] * c + b[:, None] * g - rho) ** 2, axis=1)
-            best = np.where((a >= 0) & (b >= 0), np.minimum(best, squares), best)
+        best = np.minimum(best, whole - np.maximum(on_g, 0) ** 2 / gg)
+        determinant = cc * gg - cg * cg
+        if determinant > 1e-9 * cc * gg:
+            a, b = (gg * on_c - cg * on_g) / determinant, (cc * on_g - cg * on_c) / determinant
+            best = np.where((a >= 0) & (b >= 0), np.minimum(best, whole - a * on_c - b * on_g), best)
     return best
 
 
-def errors(options: FitOptions, kind: str, best: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the share of texels that miss the minimum, and the largest |Δα|, |Δβ|/β, |Δμ|/μ without noise."""
+def missed_share(options: FitOptions, kind: str, best: np.ndarray) -> float:
+    """Return the share of texels that miss the minimum."""
     count = len(best)
     *_, response = scene(count)
     result = fit(*inputs(response, kind), options)
@@ -91,19 +101,23 @@ def errors(options: FitOptions, kind: str, best: np.ndarray) -> tuple[float, np.
     fitted = reflect(result.alpha[:, None], 1.0, beta, mu, geometry[None], N, K)
     whole = result.model == 3  # a simpler model has a larger sum of squares on purpose
     squares = np.sum((fitted - response) ** 2, axis=1)
-    missed = float((squares > 1.001 * best)[whole].mean())
+    return float((squares > 1.001 * best)[whole].mean())
+
+
+def exact_errors(options: FitOptions, kind: str, count: int) -> np.ndarray:
+    """Return the largest |Δα|, |Δβ|/β, |Δμ|/μ without noise, in double precision."""
     alpha, beta, mu, _ = scene(count)
     clean = reflect(alpha[:, None], 1.0, beta[:, None], mu[:, None], angles()[None], N, K)
     arguments = (clean, angles() if kind == "shared" else np.tile(angles(), (count, 1, 1)), np.ones(clean.shape), N, K)
     exact = fit(*arguments, options)
     known = exact.status == Status.OK
     off = (exact.alpha - alpha, exact.beta / beta - 1, exact.mu / mu - 1)
-    return missed, np.array([np.abs(v[known]).max() for v in off])
+    return np.array([np.abs(v[known]).max() for v in off])
 
 
-def variants(quick: bool) -> dict[str, FitOptions]:
+def variants(size: str) -> dict[str, FitOptions]:
     """Return the options of every variant, the reference first."""
-    algorithms = ("LD_LBFGS",) if quick else ACCEPTED_ALGORITHMS
+    algorithms = ("LD_LBFGS",) if size == "small" else ACCEPTED_ALGORITHMS
     return (
         {"nlopt-reference": FitOptions(solver="nlopt-reference")}
         | {f"nlopt-reference-{name}": FitOptions(solver="nlopt-reference", algorithm=name) for name in WITHOUT_GRADIENT}
@@ -112,35 +126,37 @@ def variants(quick: bool) -> dict[str, FitOptions]:
     )
 
 
-def child(variant: str, kind: str, threads: int) -> float:
-    """Return the peak memory of a process that fits once, MB."""
-    command = [sys.executable, "-m", "benchmarks.fit", "--child", variant, "--kind", kind, "--threads", str(threads)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    return float(done.stdout.split()[-1])
+def peaks_mb(size: str, threads: int) -> Iterator[str]:
+    """Return the peak memory of a process that fits once, MB, for every geometry and variant."""
+    common = ("--size", size, "--threads", str(threads))
+    calls = [("--child", name, "--kind", kind, *common) for kind in KINDS for name in variants(size)]
+    return (text.split()[-1] for text in printed_by("fit", calls))
 
 
-def measure(runs: int, threads: int, quick: bool) -> list[dict]:
-    """Return one row a variant and geometry; a quick one tries one algorithm of NLopt on a tenth of the texels."""
-    checked = CHECKED // 4 if quick else CHECKED
-    best = {count: brute_force(scene(count)[3], np.geomspace(0.005, 1.2, 4000)) for count in (checked, 200)}
-    rows = []
-    for kind in ("own", "shared"):
+def measure(runs: int, threads: int, size: str) -> list[dict]:
+    """Return one row a variant and geometry."""
+    counts, mus = {CHECKED[size], CHECKED_OF_REFERENCE}, np.geomspace(0.005, 1.2, 4000)
+    best = {count: brute_force(scene(count)[3], mus) for count in counts}
+    rows, peaks = [], peaks_mb(size, threads)
+    for kind in KINDS:
         slowest = None
-        for variant, options in variants(quick).items():
-            texels = TEXELS[options.solver] // (10 if quick and options.solver == "nlopt" else 1)
+        for variant, options in variants(size).items():
+            texels = TEXELS[size][options.solver]
             arguments = inputs(scene(texels)[3], kind)
             seconds = median_s(lambda a=arguments, o=options: fit(*a, o), runs)
-            missed, off = errors(options, kind, best[200 if options.solver == "nlopt-reference" else checked])
+            checked = CHECKED_OF_REFERENCE if options.solver == "nlopt-reference" else CHECKED[size]
+            missed = missed_share(options, kind, best[checked])
             slowest = slowest or seconds / texels
             name = variant if kind == "own" else f"{variant}-shared"
             values = ("fit", name, str(texels), "pixels", f"{seconds:.4f}", f"{texels / seconds:.0f}",
-                      "share of pixels 0.1 % above the dense scan", f"{missed:.5f}",
-                      f"{child(variant, kind, threads):.0f}", f"nlopt-reference{name.removeprefix(variant)}",
-                      f"{seconds / texels / slowest:.6f}")  # fmt: skip
+                      "share of pixels 0.1 % above the dense scan", f"{missed:.5f}", f"{float(next(peaks)):.0f}",
+                      f"nlopt-reference{name.removeprefix(variant)}", f"{seconds / texels / slowest:.6f}")  # fmt: skip
             rows.append(dict(zip(COLUMNS, values, strict=True)))
+            noiseless = ""
+            if size == "full":  # double precision is compiled for it alone
+                noiseless = "noise-free errors {:.1e} {:.1e} {:.1e}, ".format(*exact_errors(options, kind, checked))
             print(f"{name:>28} {texels / seconds:>11.0f} pixels/s, {slowest * texels / seconds:>7.1f} x, missed "
-                  f"{missed:.5f}, noise-free errors {off[0]:.1e} {off[1]:.1e} {off[2]:.1e}, "
-                  f"{values[8]} MB, load {os.getloadavg()[0]:.1f}", flush=True)  # fmt: skip
+                  f"{missed:.5f}, {noiseless}{values[8]} MB, load {os.getloadavg()[0]:.1f}", flush=True)  # fmt: skip
     return rows
 
 
@@ -179,11 +195,11 @@ def main() -> None:
         capture()
         return
     if arguments.child:
-        options = variants(False)[arguments.child]
-        fit(*inputs(scene(TEXELS[options.solver])[3], arguments.kind), options)
+        options = variants(arguments.size)[arguments.child]
+        fit(*inputs(scene(TEXELS[arguments.size][options.solver])[3], arguments.kind), options)
         print(own_peak_mb())
         return
-    rows = measure(arguments.runs, arguments.threads, arguments.size == "small")
+    rows = measure(arguments.runs, arguments.threads, arguments.size)
     if arguments.size == "full":
         growth(arguments.runs)
         subprocess.run([sys.executable, "-m", "benchmarks.fit", "--child", "capture"], cwd=ROOT, check=True)

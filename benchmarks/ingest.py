@@ -1,7 +1,8 @@
-"""Ingestion of a 10.1-megapixel pose, two shots, against LibRaw's own decode and the HDF5 write of the same arrays.
+"""Ingestion of a pose, two shots, against LibRaw's own decode and the HDF5 write of the same arrays.
 
-Twice: from DNG files packed by lossless JPEG, as cameras write them (CR2, NEF, ARW), and from DNG files without
-packing, which LibRaw only copies (variants that end in ``-unpacked``). The filtered shot is moved by a plate that the
+Full: 10.1 megapixels, twice: from DNG files packed by lossless JPEG, as cameras write them (CR2, NEF, ARW), and from
+DNG files without packing, which LibRaw only copies (variants that end in ``-unpacked``). Small: 2.5 megapixels, packed.
+The filtered shot is moved by a plate that the
 chart's shots show too, so that without registration the filtered bands belong to other places: the error says so.
 
 ``python -m benchmarks.ingest [--size small] [--runs 7] [--output speed_error.csv]``,
@@ -18,6 +19,7 @@ import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import NamedTuple
 
 import imagecodecs
 import numpy as np
@@ -36,7 +38,7 @@ from irodori.rig.virtual.sensor import Sensor
 from irodori.threads import use_threads
 
 ROOT = Path(__file__).resolve().parents[1]
-WIDTH, HEIGHT = 3888, 2592
+SIZES_PX = {"small": (1944, 1296), "full": (3888, 2592)}  # of the mosaic, width and height
 EXPOSURE_S = {"out": 0.02, "in": 0.05}
 BALANCE = {"out": (0.7, 1.0, 0.5), "in": (0.30, 0.45, 0.2)}
 PLATE = Registration(1.6, -0.9, math.radians(0.03), 1.0015, 0.0, 0.0)
@@ -44,16 +46,24 @@ POSE = Pose(45.0, 20.0)
 PROVENANCE = store.Provenance("benchmark")
 
 
-def scene_mosaic(state: str, moved: bool = True) -> np.ndarray:
-    """Return the responses of the object at each mosaic pixel, (HEIGHT, WIDTH), at the place that the plate shows."""
-    scene = leaves_scene(WIDTH // 2, HEIGHT // 2, np.random.default_rng(1), size_px=(6, 120), cover=2.5)
-    place = PLATE if moved and state == "in" else Registration.identity()
-    return render(scene, WIDTH // 2, HEIGHT // 2, list(EXPOSURE_S).index(state), place)
+class Views(NamedTuple):
+    """Responses of the object at each mosaic pixel, a picture of each filter state, (height, width)."""
+
+    shot: dict[str, np.ndarray]  # at the places that the plate shows
+    still: dict[str, np.ndarray]  # at their own places
 
 
-def true_response() -> np.ndarray:
-    """Return the noiseless six bands on superpixels, (HEIGHT / 2, WIDTH / 2, 6), at their own places."""
-    mosaics = [scene_mosaic(state, moved=False) for state in EXPOSURE_S]
+def views(size_px: tuple[int, int]) -> Views:
+    """Return what the shots see, and what they would see if the plate did not move it."""
+    width, height = size_px[0] // 2, size_px[1] // 2
+    scene = leaves_scene(width, height, np.random.default_rng(1), size_px=(6, 120), cover=2.5)
+    still = {state: render(scene, width, height, i, Registration.identity()) for i, state in enumerate(EXPOSURE_S)}
+    return Views({"out": still["out"], "in": render(scene, width, height, 1, PLATE)}, still)
+
+
+def true_response(seen: Views) -> np.ndarray:
+    """Return the noiseless six bands on superpixels, (height / 2, width / 2, 6), at their own places."""
+    mosaics = [seen.still[state] for state in EXPOSURE_S]
     bands = [(m[::2, ::2], 0.5 * (m[::2, 1::2] + m[1::2, ::2]), m[1::2, 1::2]) for m in mosaics]
     return np.stack([band for state in bands for band in state], axis=-1)
 
@@ -72,13 +82,14 @@ def pack(path: Path) -> None:
                      subfiletype=0)  # fmt: skip
 
 
-def photograph(folder: Path, packed: bool) -> None:
+def photograph(folder: Path, seen: Views, packed: bool) -> None:
     """Write dark frames, white references, a chart and the two shots of one pose, with their tables."""
     camera = yaml.safe_load((ROOT / "config/cameras/d5100-comb.yaml").read_text())
     sensor = Sensor(**camera["virtual"]["sensor"])
     rng = np.random.default_rng(0)
-    y, x = np.indices((HEIGHT, WIDTH), sparse=True)
-    fall = 1.0 - 0.2 * ((x / WIDTH - 0.5) ** 2 + (y / HEIGHT - 0.5) ** 2)
+    height, width = seen.shot["out"].shape
+    y, x = np.indices((height, width), sparse=True)
+    fall = 1.0 - 0.2 * ((x / width - 0.5) ** 2 + (y / height - 0.5) ** 2)
     shots = {"camera": [], "object": []}
 
     def shoot(kind: str, role: str, light, state: str, exposure_s: float) -> None:
@@ -98,8 +109,8 @@ def photograph(folder: Path, packed: bool) -> None:
     for state, exposure_s in EXPOSURE_S.items():
         for _ in range(2):
             shoot("camera", "white", np.full((1, 1), cosine), state, exposure_s)
-        shoot("camera", "chart", scene_mosaic(state), state, exposure_s)
-        shoot("object", "object", scene_mosaic(state), state, exposure_s)
+        shoot("camera", "chart", seen.shot[state], state, exposure_s)
+        shoot("object", "object", seen.shot[state], state, exposure_s)
     for kind, group in shots.items():
         write_captures(folder / f"{kind}.csv", group)
 
@@ -162,16 +173,16 @@ def read_arrays(folder: Path) -> dict:
         return {name: file.read(name) for name in ("response", "valid", "clipped")}
 
 
-def measure(folder: Path, packed: bool, runs: int, threads: int) -> list[dict]:
+def measure(folder: Path, seen: Views, packed: bool, runs: int, threads: int) -> list[dict]:
     """Return one row a variant, the reference first."""
-    photograph(folder, packed)
+    photograph(folder, seen, packed)
     ingest_reference(
         folder / "camera.csv", folder, folder / "reference.h5", PROVENANCE, 1.0, IngestOptions(register=True)
     )
     start = time.perf_counter()
     ingest(folder, VARIANTS["superpixel"])
     print(f"first run, compilation included: {time.perf_counter() - start:.2f} s", file=sys.stderr)
-    arrays, truth = read_arrays(folder), true_response()
+    arrays, truth = read_arrays(folder), true_response(seen)
     work = {"libraw": lambda: libraw(folder, arrays, threads)}
     work |= {name: lambda options=options: ingest(folder, options) for name, options in VARIANTS.items()}
     seconds, suffix, rows = medians_s(work, runs), "" if packed else "-unpacked", []
@@ -180,14 +191,17 @@ def measure(folder: Path, packed: bool, runs: int, threads: int) -> list[dict]:
         if variant in VARIANTS:
             ingest(folder, VARIANTS[variant])
             error = response_error(folder, truth)
-        rows.append(row(variant, suffix, median, seconds["libraw"], error, peak_mb(folder, variant, threads)))
+        megapixels = 2 * seen.shot["out"].size / 1e6
+        figures = (median, seconds["libraw"], error, peak_mb(folder, variant, threads))
+        rows.append(row(variant, suffix, megapixels, *figures))
     print(f"a process after its imports: {peak_mb(folder, 'imports', threads):.0f} MB", file=sys.stderr)
     return rows
 
 
-def row(variant: str, suffix: str, seconds: float, reference: float, error: float, peak: float) -> dict:
+def row(
+    variant: str, suffix: str, megapixels: float, seconds: float, reference: float, error: float, peak: float
+) -> dict:
     """Return a line of the table of speed against error."""
-    megapixels = 2 * WIDTH * HEIGHT / 1e6
     speed, metric = megapixels / seconds, "rms of the response over its own"
     values = ("ingest", variant + suffix, f"{megapixels:.2f}", "megapixels", f"{seconds:.4f}", f"{speed:.1f}", metric,
               f"{error:.5f}", f"{peak:.0f}", "libraw" + suffix, f"{seconds / reference:.3f}")  # fmt: skip
@@ -204,10 +218,10 @@ def main() -> None:
     if arguments.child:
         child(arguments.folder, arguments.child, arguments.threads)
         return
-    rows = []
+    seen, rows = views(SIZES_PX[arguments.size]), []
     for packed in (True, False)[: 1 if arguments.size == "small" else 2]:
         with tempfile.TemporaryDirectory() as folder:
-            rows += measure(Path(folder), packed, arguments.runs, arguments.threads)
+            rows += measure(Path(folder), seen, packed, arguments.runs, arguments.threads)
     report(rows, arguments.threads, arguments.output)
 
 

@@ -5,19 +5,19 @@ itself: the classroom of `config` on four principal vectors of its sources' spec
 materials. Every frame turns the camera and the light by half a degree. Errors are CIEDE2000 of the first frame to the
 61-band frame whose paths end at the last reflection only. Peak and resident memory are those of a process that maps the
 light's files, prepares one variant and renders it. Processor time over threads is what a frame takes on idle cores.
+Full counts the cycles of each stage, too, in loops that are compiled for it.
 """
 
 import pickle
-import subprocess
-import sys
 import tempfile
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 import numba
 import numpy as np
 
-from benchmarks.table import arguments_of, least_processor_s, medians_s, own_peak_mb, report
+from benchmarks.table import arguments_of, least_processor_s, medians_s, own_peak_mb, printed_by, report
 from irodori.colour import delta_e, lab_from_xyz, summary, xyz_from_radiance
 from irodori.config import load_definitions, read_yaml
 from irodori.geometry.frames import rotation_xyz
@@ -130,17 +130,10 @@ def print_memory(name: str, folder: Path, width: int, height: int) -> None:
     print(own_peak_mb(), own_resident_mb())
 
 
-def _in_own_process(*arguments: str) -> str:
-    """Return what this module prints with arguments; the memory that it takes is not this process' own."""
-    command = [sys.executable, "-m", "benchmarks.render", *arguments]
-    return subprocess.run(command, cwd=_ROOT, stdout=subprocess.PIPE, text=True, check=True).stdout
-
-
-def _memory_mb(name: str, arguments, folder: Path) -> tuple[float, float]:
+def _memory_mb(names: Sequence[str], arguments, folder: Path) -> list[tuple[float, float]]:
     size = ("--width", str(arguments.width), "--height", str(arguments.height))
-    out = _in_own_process("--memory-of", name, "--inputs", str(folder), *size)
-    peak, resident = map(float, out.split()[-2:])
-    return peak, resident
+    printed = printed_by("render", [("--memory-of", name, "--inputs", str(folder), *size) for name in names])
+    return [tuple(map(float, text.split()[-2:])) for text in printed]
 
 
 def _error(name: str, image: np.ndarray, reference: np.ndarray, white_xyz: np.ndarray) -> dict:
@@ -151,16 +144,21 @@ def _error(name: str, image: np.ndarray, reference: np.ndarray, white_xyz: np.nd
 
 
 def _stages(studio: Studio, prepared) -> dict[str, float]:
-    """Return each stage's share of the cycles, and the rays of a frame: the quietest of ten frames."""
-    counting, found = profiled(prepared), None
+    """Return each stage's share of the cycles: the quietest of ten frames."""
+    counting, found = profiled(prepared), []
     for _ in range(10):
         figures: dict = {}
         studio.frame(counting, 0, figures=figures)
-        rays = figures.pop("rays")
-        if found is None or sum(figures.values()) < sum(found[0].values()):
-            found = figures, rays
-    total = sum(found[0].values())
-    return {name: count / total for name, count in found[0].items()} | {"rays": found[1]}
+        found.append({name: count for name, count in figures.items() if name != "rays"})
+    quietest = min(found, key=lambda cycles: sum(cycles.values()))
+    return {name: count / sum(quietest.values()) for name, count in quietest.items()}
+
+
+def _rays(studio: Studio, prepared) -> int:
+    """Return the rays of the first frame."""
+    figures: dict = {}
+    studio.frame(prepared, 0, figures=figures)
+    return figures["rays"]
 
 
 def measure(arguments, folder: Path) -> list[dict]:
@@ -169,23 +167,24 @@ def measure(arguments, folder: Path) -> list[dict]:
     white_xyz = xyz_from_radiance(studio.white) @ studio.white
     reference = studio.frame(studio.prepare("spectral", least_throughput=0.0), 0)
     names = [name for name in VARIANTS if name in arguments.variants]
-    work, errors, shares = {}, {}, {}
+    work, errors, rays, shares = {}, {}, {}, {}
     for name in names:
         representation, options, frame = VARIANTS[name]
         prepared = studio.prepare(representation, **options)
         errors[name] = _error(name, studio.frame(prepared, 0, **frame), reference, white_xyz)
-        shares[name] = _stages(studio, prepared)
+        rays[name] = _rays(studio, prepared)
+        if arguments.size == "full":
+            shares[name] = _stages(studio, prepared)
         work[name] = partial(_next_frame, studio, prepared, frame, [0])
     seconds = medians_s(work, arguments.runs)
     own_s = {name: least_processor_s(function, arguments.runs) for name, function in work.items()}
     rows = []
-    for name in names:
-        share, error = shares[name], errors[name]
-        peak, resident = _memory_mb(name, arguments, folder)
-        stages = ", ".join(f"{stage} {100 * part:.0f} %" for stage, part in share.items() if stage != "rays")
+    for name, (peak, resident) in zip(names, _memory_mb(names, arguments, folder), strict=True):
+        error = errors[name]
+        stages = "".join(f", {stage} {100 * part:.0f} %" for stage, part in shares.get(name, {}).items())
         alone = own_s[name] / arguments.threads
-        print(f"{name}: {1 / seconds[name]:.1f} frames/s ({1 / alone:.1f} on idle cores), {share['rays']} rays, "
-              f"{share['rays'] / alone / 1e6:.1f} million rays/s; {stages}; p99 {error['p99']:.3f}, "
+        print(f"{name}: {1 / seconds[name]:.1f} frames/s ({1 / alone:.1f} on idle cores), {rays[name]} rays, "
+              f"{rays[name] / alone / 1e6:.1f} million rays/s{stages}; p99 {error['p99']:.3f}, "
               f"max {error['max']:.2f}; resident {resident:.0f} MB")  # fmt: skip
         rows.append(
             {
@@ -227,7 +226,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = arguments.inputs or Path(temporary)
         if not (folder / "scene.pickle").exists():
-            _in_own_process("--make", "--environment", str(arguments.environment), "--inputs", str(folder))
+            printed_by("render", [("--make", "--environment", str(arguments.environment), "--inputs", str(folder))])
         report(measure(arguments, folder), arguments.threads, arguments.output)
 
 

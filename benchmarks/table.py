@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numba
@@ -56,6 +57,21 @@ def own_peak_mb() -> float:
     return float(status["VmHWM"].split()[0]) / 1024
 
 
+def printed_by(name: str, calls: Sequence[Sequence[str]]) -> list[str]:
+    """Return what a module of this folder prints for each list of arguments, each in a process of its own.
+
+    Two at a time: a process' peak memory is its own whatever runs beside it. Not for what is timed.
+    """
+    root = Path(__file__).resolve().parents[1]
+
+    def printed(arguments: Sequence[str]) -> str:
+        command = [sys.executable, "-m", f"benchmarks.{name}", *arguments]
+        return subprocess.run(command, cwd=root, stdout=subprocess.PIPE, text=True, check=True).stdout
+
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(printed, calls))
+
+
 def arguments_of(description: str) -> argparse.ArgumentParser:
     """Return a parser with what all benchmarks take."""
     parser = argparse.ArgumentParser(description=description)
@@ -65,7 +81,7 @@ def arguments_of(description: str) -> argparse.ArgumentParser:
         "--size",
         choices=("small", "full"),
         default="full",
-        help="small is over in some minutes; without effect where a benchmark has one size",
+        help="small has smaller inputs and fewer variants; without effect where a benchmark has one size",
     )
     parser.add_argument("--output", type=Path, help="CSV to write")
     return parser

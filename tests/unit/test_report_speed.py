@@ -71,7 +71,9 @@ def test_a_table_with_other_columns_is_refused_by_name(tmp_path):
         read_rows(bad)
 
 
-@pytest.mark.parametrize("name", ["calibrate", "compress", "environment", "fit", "ingest", "reference", "render"])
+@pytest.mark.parametrize(
+    "name", ["calibrate", "compress", "environment", "fit", "ingest", "plan", "reference", "render"]
+)
 def test_every_benchmark_says_what_it_takes(name, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", [name, "--help"])
     with pytest.raises(SystemExit) as ended:

@@ -292,7 +292,7 @@ class IngestPart(NamedTuple):
 
 
 #: Stages whose speed and error `snakemake benchmark` measures; each is a module of benchmarks/.
-BENCHMARKS = ["ingest", "calibrate", "fit", "compress", "environment", "render", "reference"]
+BENCHMARKS = ["ingest", "calibrate", "fit", "compress", "environment", "render", "reference", "plan"]
 
 
 def ingest_parts():

@@ -1,20 +1,22 @@
 """What a plan saves: preparing and rendering a scene with it and without it, in one run.
 
-``python -m benchmarks.scene_plan [--tolerance 1] [--width 640] [--output plan.csv]`` takes the still life of
-`benchmarks.render` under its classroom, and three scenes made of it: matte (no gloss, no mirror), mirrors alone, and
-one lamp in a black room. Without a plan the integrator `interactive` carries 61 bands as a workflow's picture has them.
-Seconds are the least processor time, all threads together; what is compiled is compiled before.
+``python -m benchmarks.plan [--size small] [--tolerance 1] [--width 640] [--output plan.csv]`` takes the still
+life of `benchmarks.render` under its classroom, and three scenes made of it: matte (no gloss, no mirror), mirrors
+alone, and one lamp in a black room. Without a plan (``full``) the integrator `interactive` carries 61 bands, and ends
+paths that bring less than a thousandth, as a workflow's picture has them; the model that errors are measured against
+ends none. Seconds are processor time of all threads over their number, a frame's the least of the runs; what is
+compiled is compiled before. Small: 160 x 120 px under a light 256 px wide.
 """
 
 import tempfile
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
-import numba
 import numpy as np
 
 from benchmarks.render import Studio, make_inputs
-from benchmarks.table import arguments_of, least_processor_s, own_peak_mb, report
+from benchmarks.table import COLUMNS, arguments_of, least_processor_s, own_peak_mb, report
 from irodori.colour import xyz_from_radiance
 from irodori.gloss import GlossMaps
 from irodori.light import Environment
@@ -25,9 +27,15 @@ from irodori.rendering.scene import make_view
 from irodori.rendering.scene_plan.check import chosen_pixels, measure
 from irodori.rendering.scene_plan.choices import choose
 from irodori.rendering.scene_plan.model import Parts, prepare
+from irodori.threads import use_threads
 
 _LAMP = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": -60.0, "elevation_deg": 50.0, "irradiance": 1.0}
 _BOUNCES, _LEAST_THROUGHPUT = 5, 1e-3
+#: What is measured where the command line does not say it: widths of the light's picture and of a frame, its height.
+SIZES = {
+    "small": {"environment": 256, "width": 160, "height": 120},
+    "full": {"environment": 1000, "width": 640, "height": 480},
+}
 
 
 def scenes(studio: Studio) -> dict[str, Parts]:
@@ -42,7 +50,7 @@ def scenes(studio: Studio) -> dict[str, Parts]:
     lights, _ = make_lights([_LAMP], 0)
     lamp = lights.rotation[:, :, 2].copy(), lights.spectrum[:, :61].astype(np.float64)
     return {
-        "still life": Parts(objects, room, studio.tracer, *nobody, white),
+        "still-life": Parts(objects, room, studio.tracer, *nobody, white),
         "matte": Parts(objects._replace(texels=matte, mirror=0 * objects.mirror), room, studio.tracer, *nobody, white),
         "mirrors": Parts(
             objects._replace(texels=mirrors, mirror=np.maximum(objects.mirror, 0.9)),
@@ -51,7 +59,7 @@ def scenes(studio: Studio) -> dict[str, Parts]:
             *nobody,
             white,
         ),
-        "one lamp": Parts(objects, black, studio.tracer, *lamp, upward_radiance(lights)),
+        "one-lamp": Parts(objects, black, studio.tracer, *lamp, upward_radiance(lights)),
     }
 
 
@@ -70,53 +78,61 @@ def measure_scene(name: str, parts: Parts, studio: Studio, arguments) -> list[di
     lamps, matrix = tuple(Lamp(towards) for towards in parts.lamp_towards), xyz_from_radiance(parts.white)
     task = (parts, [view], names, arguments.tolerance, _BOUNCES, True)
     planner = choose(*task)
-    seconds = {"plan": least_processor_s(lambda: choose(*task), 1)}
-    work = {"planned": lambda: prepare(parts, planner.model, matrix), "everything": lambda: prepare_all(parts)}
-    for variant, make in work.items():
-        prepared = make()
-        seconds[f"{variant}, prepare"] = least_processor_s(make, 1)
-        bands = {"bands": variant == "everything"}
-        render_frame(prepared, view._replace(width=1, height=1), lamps=lamps, **bands)
-        seconds[f"{variant}, frame"] = least_processor_s(
-            lambda prepared=prepared, bands=bands: render_frame(prepared, view, lamps=lamps, **bands), arguments.runs
-        )
-        if variant == "planned":
-            picture = render_frame(prepared, view, lamps=lamps, bands=planner.model.representation == "spectral")
     pixels = chosen_pixels(view)
     truth = render_pixels(prepare(parts, planner.full, matrix), view, pixels, 1, lamps)
-    found = picture[pixels[:, 1], pixels[:, 0]].astype(np.float64)
-    found = found @ matrix.T if found.shape[1] != 3 else found
-    measured = measure(found, truth, matrix @ parts.white)
+    # The reference first: the rows of the plan are ratios to its.
+    work = {"full": lambda: prepare_all(parts), "planned": lambda: prepare(parts, planner.model, matrix)}
+    processor_s, errors = {"plan": least_processor_s(lambda: choose(*task), 1)}, {}
+    for variant, make in work.items():
+        prepared = make()
+        processor_s[f"{variant}, prepare"] = least_processor_s(make, 1)
+        frame = partial(render_frame, prepared, lamps=lamps, bands=prepared.representation == "spectral")
+        frame(view._replace(width=1, height=1))
+        processor_s[f"{variant}, frame"] = least_processor_s(lambda frame=frame: frame(view), arguments.runs)
+        found = frame(view)[pixels[:, 1], pixels[:, 0]].astype(np.float64)
+        errors[variant] = measure(found if found.shape[1] == 3 else found @ matrix.T, truth, matrix @ parts.white)
     decided = {key: decision.value for key, decision in planner.decisions.items()}
     print(f"{name}: predicted {max(planner.spent, planner.joint):.3f} (together {planner.joint:.3f}), measured "
-          f"{asdict(measured)}; {decided}; {seconds}", flush=True)  # fmt: skip
-    rows = []
-    for variant, value in seconds.items():
-        reference = seconds.get(variant.replace("planned", "everything"), float("nan"))
-        rows.append(
-            {
-                "stage": "plan", "variant": f"{name}: {variant}", "work": f"{view.width * view.height}",
-                "unit": "pixel", "seconds": f"{value:.3f}", "throughput": f"{view.width * view.height / value:.3g}",
-                "error_metric": "CIEDE2000 to the full model, p99",
-                "error": f"{measured.p99:.4f}" if variant == "planned, frame" else "",
-                "peak_mb": f"{own_peak_mb():.0f}", "reference": f"{name}: everything",
-                "ratio": f"{value / reference:.3f}" if np.isfinite(reference) else "",
-            }
-        )  # fmt: skip
+          f"{asdict(errors['planned'])}; {decided}; processor seconds {processor_s}", flush=True)  # fmt: skip
+    seconds = {step: value / arguments.threads for step, value in processor_s.items()}
+    # A unit for each scene: the front of speed against error is among variants of one unit.
+    rows = [
+        row(f"{variant} {name}", view.width * view.height, f"pixel of {name}", seconds[f"{variant}, frame"],
+            f"full {name}", seconds["full, frame"], errors[variant].p99)
+        for variant in work
+    ]  # fmt: skip
+    whole = f"full {name}, prepare", seconds["full, prepare"]
+    rows += [
+        row(f"{variant} {name}, {step}", 1, "scene", seconds[key], *whole, float("nan"))
+        for variant, step, key in (
+            ("full", "prepare", "full, prepare"),
+            ("planned", "prepare", "planned, prepare"),
+            ("planned", "plan", "plan"),
+        )
+    ]
     return rows
+
+
+def row(variant: str, work: int, unit: str, seconds: float, reference: str, reference_s: float, error: float) -> dict:
+    """Return a line of the table of speed against error."""
+    metric = "CIEDE2000 to the full model, p99" if np.isfinite(error) else ""
+    values = ("plan", variant, f"{work}", unit, f"{seconds:.4f}", f"{work / seconds:.3g}", metric, f"{error:.4f}",
+              f"{own_peak_mb():.0f}", reference, f"{seconds / reference_s:.4g}")  # fmt: skip
+    return dict(zip(COLUMNS, values, strict=True))
 
 
 def main() -> None:
     """Run the benchmark."""
     parser = arguments_of(__doc__.splitlines()[0])
     parser.add_argument("--tolerance", type=float, default=1.0, help="CIEDE2000")
-    parser.add_argument("--environment", type=int, default=1000, help="width of the light's picture, px")
-    parser.add_argument("--width", type=int, default=640, help="of a frame, px")
-    parser.add_argument("--height", type=int, default=480, help="of a frame, px")
+    for name, help_text in (("environment", "width of the light's picture"), ("width", "of a frame"), ("height", "")):
+        parser.add_argument(f"--{name}", type=int, help=f"{help_text or 'of a frame'}, px; else by the size")
     parser.add_argument("--scenes", nargs="*", help="all where absent")
     parser.add_argument("--inputs", type=Path, help="folder of inputs of benchmarks.render that were made before")
     arguments = parser.parse_args()
-    numba.set_num_threads(arguments.threads)
+    for name, value in SIZES[arguments.size].items():
+        setattr(arguments, name, getattr(arguments, name) or value)
+    use_threads(arguments.threads)
     with tempfile.TemporaryDirectory() as temporary:
         folder = arguments.inputs or Path(temporary)
         if not (folder / "scene.pickle").exists():
