@@ -4,7 +4,8 @@ What a sphere or a flat shape hides of the cosine-weighted sky is known exactly,
 factor of a sphere (Snyder 1996), Lambert's sum over a polygon's edges, and its like for discs and planes
 (`irodori.rendering.interactive.discs`). Several objects hide as if they did so on their own,
 and each sends the diffuse light that its mean colour reflects on the side that faces the point, so that a white object
-on white leaves no shadow in a white furnace. Meshes hide nothing; nor does an object hide anything from itself.
+on white leaves no shadow in a white furnace. What meshes hide, from themselves too, was found out by rays when the
+scene was prepared (`irodori.rendering.interactive.mesh_shadows`).
 """
 
 import math
@@ -17,6 +18,17 @@ from irodori.rendering.interactive.cube import bilinear, cell_of, face_of
 from irodori.rendering.interactive.discs import hidden_by_disc, hidden_by_plane
 from irodori.rendering.interactive.lanes import lane, load_like, repeated, zeros_like
 from irodori.rendering.interactive.layout import surface_lanes
+from irodori.rendering.interactive.mesh_shadows import (
+    COUNT,
+    HIDDEN,
+    LAYER,
+    LAYERS,
+    LEFT,
+    SEEN,
+    SHAPE_NUMBERS,
+    STRIDE,
+    UNCOVERED,
+)
 from irodori.rendering.interactive.packets import (
     CENTRE,
     HIGH,
@@ -30,8 +42,11 @@ from irodori.rendering.interactive.packets import (
     TURN,
     WIDE,
 )
+from irodori.rendering.interactive.shadow_look_up import mixed, nodes_about
 
 _CORNERS = 4
+#: Squared length of a mean of unit normals under which it points nowhere: they face each other.
+_NO_SIDE = 1e-4
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -180,6 +195,24 @@ def _reflected(world, frame, layout, shape, facing, like):
 
 
 @numba.njit(cache=True)
+def _reflected_by_meshes(world, frame, layout, own, about, normal, like):
+    """Return the light that the meshes about a hit reflect to it, in the channels that texels are multiplied with."""
+    shadows, out = world.shadows, zeros_like(like)
+    for layer in range(shadows.numbers[own * SHAPE_NUMBERS + COUNT]):
+        at = LAYERS + LAYER * layer
+        share = mixed(shadows, own, about, at)
+        if share > 0.0:
+            x = mixed(shadows, own, about, at + 1)
+            y = mixed(shadows, own, about, at + 2)
+            z = mixed(shadows, own, about, at + 3)
+            if x * x + y * y + z * z < _NO_SIDE * share * share:
+                x, y, z = -normal[0], -normal[1], -normal[2]
+            mesh = shadows.numbers[own * SHAPE_NUMBERS + SEEN + layer]
+            out = out + np.float32(share) * _reflected(world, frame, layout, mesh, (x, y, z), like)
+    return out
+
+
+@numba.njit(cache=True)
 def ambient_light(world, frame, layout, hits, ray, light):
     """Return the light of a hit's normal, less what other objects hide, plus what they reflect."""
     hit, table = hits.f, world.shape
@@ -201,6 +234,14 @@ def ambient_light(world, frame, layout, hits, ray, light):
         hidden += share
         if facing[0] != 0.0 or facing[1] != 0.0 or facing[2] != 0.0:
             reflected = reflected + share * _reflected(world, frame, layout, shape, facing, light)
+    if world.shadowed > 0 and world.shadows.numbers[own * SHAPE_NUMBERS + STRIDE] > 0:
+        about = nodes_about(world, hits, ray, own, point)
+        seen *= mixed(world.shadows, own, about, LEFT)
+        uncovered = mixed(world.shadows, own, about, UNCOVERED)
+        hidden = uncovered * hidden + mixed(world.shadows, own, about, HIDDEN)
+        reflected = np.float32(uncovered) * reflected + _reflected_by_meshes(
+            world, frame, layout, own, about, normal, light
+        )
     if hidden > 0.0:
         light = seen * light + ((1.0 - seen) / hidden) * reflected
     return light

@@ -84,9 +84,10 @@ POINT, NORMAL, FACET, TEXTURE_U, TEXTURE_V = 0, 3, 6, 9, 10
 COSINE, REFLECTED, TEXEL_X, TEXEL_Y, NORMAL_X, NORMAL_Y = 11, 12, 15, 16, 17, 18
 LIT_NORMAL, LIT_MIRROR, NEXT, WIDTH = 20, 23, 26, 27
 SIZE, GLOSS, LIT_BY = 29, 30, 31
-HIT_FIELDS = 32
+# The weights of a triangle's second and third corner.
+BARYCENTRIC_B, BARYCENTRIC_C, HIT_FIELDS = 28, 32, 33
 # Whole numbers of a packet's hits.
-OBJECT, TEXEL, NORMAL_CELL, HIT_NUMBERS = 0, 1, 2, 3
+OBJECT, TEXEL, NORMAL_CELL, TRIANGLE, HIT_NUMBERS = 0, 1, 2, 3, 4
 
 
 #: Numbers of float32 and of float64 that a packet takes.
@@ -253,7 +254,7 @@ def _onto_shapes(world, hit, number, shape, px, py, pz):
 
 
 @numba.njit(cache=True)
-def _onto_mesh(world, packet, hit, lane, shape):
+def _onto_mesh(world, packet, hit, number, lane, shape):
     """Do for one ray that met a mesh what `_onto_shapes` does for spheres and planes."""
     ray, at = packet.ray, packet.ray.at
     ray.i[at + 17], ray.i[at + 18] = packet.i[RAYS + _PRIMITIVE + lane], shape
@@ -266,6 +267,11 @@ def _onto_mesh(world, packet, hit, lane, shape):
         hit[(NORMAL + axis) * RAYS + lane] = packet.normal[axis]
         hit[(FACET + axis) * RAYS + lane] = packet.facet[axis]
     hit[TEXTURE_U * RAYS + lane], hit[TEXTURE_V * RAYS + lane] = u, v
+    number[TRIANGLE * RAYS + lane] = packet.i[RAYS + _PRIMITIVE + lane]
+    hit[BARYCENTRIC_B * RAYS + lane], hit[BARYCENTRIC_C * RAYS + lane] = (
+        packet.f[RAYS + _U + lane],
+        packet.f[RAYS + _V + lane],
+    )
 
 
 @numba.njit(cache=True, forceinline=True)
@@ -283,7 +289,7 @@ def place_hits(world, packet, paths, hit, number, base, met):
         on_mesh = mask_bits((kind == float(MESH)) & met)
         for lane in range(RAYS):
             if (on_mesh >> lane) & 1:
-                _onto_mesh(world, packet, hit, lane, number[OBJECT * RAYS + lane])
+                _onto_mesh(world, packet, hit, number, lane, number[OBJECT * RAYS + lane])
     return shape, kind, distance
 
 

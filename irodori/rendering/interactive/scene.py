@@ -14,6 +14,7 @@ from irodori.rendering.interactive.channels import Channels, mean_spectra
 from irodori.rendering.interactive.cube import FACES, environment_pyramid, from_equirectangular, give_back
 from irodori.rendering.interactive.lobes import lobe_table, roughness_at, roughness_place
 from irodori.rendering.interactive.memory import Memory
+from irodori.rendering.interactive.mesh_shadows import MeshShadows, make_mesh_shadows, no_mesh_shadows
 from irodori.rendering.interactive.packets import (
     CENTRE,
     COLUMNS,
@@ -40,6 +41,8 @@ class World(NamedTuple):
     objects: int
     ambient: Memory  # of each object, rows by the channels of the light that it reflects
     ambient_inputs: int  # channels of that light; 0 where nothing hides light from all sides
+    shadows: MeshShadows
+    shadowed: int  # 1 where meshes hide light from all sides
     surfaces: Surfaces
     meshes: int  # how many of the objects are meshes
     scatters: int  # 1 where any surface has a diffuse or a rough term
@@ -241,11 +244,15 @@ def make_world(
     reflected = np.stack([channels.reflected(mean) for mean in mean_spectra(objects)])
     decode = padded(channels.colour_from_light, channels.light).reshape(channels.count, channels.light)
     step = float(np.log(roughness_at(1) / roughness_at(0)))
+    reflects = ambient and irradiance_side > 0
+    shadows = make_mesh_shadows(tracer) if reflects else None
     fields = {
         "shape": make_shapes(tracer, objects),
         "objects": len(tracer.placements),
         "ambient": padded(reflected, channels.surface),
-        "ambient_inputs": reflected.shape[1] if ambient and irradiance_side > 0 else 0,
+        "ambient_inputs": reflected.shape[1] if reflects else 0,
+        "shadows": shadows or no_mesh_shadows(),
+        "shadowed": int(shadows is not None),
         "surfaces": Surfaces(*(Memory(array) for array in make_surfaces(tracer.placements))),
         "meshes": sum(p.shape.kind == MESH for p in tracer.placements),
         "scatters": int(texels.reshape(-1, channels.surface)[:, :-1].any()),

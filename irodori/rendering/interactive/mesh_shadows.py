@@ -1,0 +1,307 @@
+"""What triangle meshes hide of the light from all sides: rays at preparation, a look-up at each hit.
+
+At every node of every shape (`irodori.rendering.interactive.shadow_nodes`) cosine-distributed rays say which share of
+the directions that no other kind of shape hides the meshes leave free, and which share meets the front of each mesh
+first, with the mean of the normals there. The closed forms of `irodori.rendering.interactive.ambient` go on hiding for
+spheres and flat shapes, so their shadows keep their edges; where a mesh and one of them hide the same directions these
+count once. A mesh hides light from itself too.
+
+Objects never move, so the rays are cast once: `make_mesh_shadows` keeps what it found last for the next scene of the
+same shapes in the same places. All of it is deterministic, whatever the number of threads.
+"""
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from irodori.geometry.embree import NO_HIT, Tracer, hit_shape, is_blocked, new_ray, trace
+from irodori.geometry.shapes import MESH, SPHERE, Placement, reaches
+from irodori.native import run_chunks
+from irodori.rendering.interactive.memory import Memory
+from irodori.rendering.interactive.shadow_nodes import GRID, Nodes, make_nodes
+
+#: Rays of a node, a power of two; the least of them, where a scene has more nodes than `_FULL_NODES`.
+RAYS_PER_NODE, _LEAST_RAYS, _FULL_NODES = 512, 64, 1 << 18
+#: Meshes whose reflected light a shape keeps apart: those that may hide most from it. What others hide counts as well,
+#: and sends back what these do on average.
+MOST_MESHES = 4
+#: A node from which this share of rays meets meshes from behind, or spheres from inside, lies within them.
+_ENCLOSED = 0.9
+#: Directions of the hemisphere that lie under a surface of another normal are lifted so far above it.
+_LIFT = 1e-3
+#: Numbers of a node: what meshes leave of the directions that no other shape hides, what they leave to see of other
+#: shapes, the share of all directions in which they are met first; then of each mesh the share that meets its front
+#: and that share's sum of normals.
+LEFT, UNCOVERED, HIDDEN, LAYERS, LAYER = 0, 1, 2, 3, 4
+#: Whole numbers of a shape: numbers a node (0 where meshes hide nothing from it), where its values begin, how many
+#: meshes it sees, and which.
+STRIDE, FIRST, COUNT, SEEN, SHAPE_NUMBERS = 0, 1, 2, 3, 3 + MOST_MESHES
+_CHUNK = 256
+
+
+class MeshShadows(NamedTuple):
+    """What the kernel reads of the meshes' shadows, flat."""
+
+    numbers: Memory  # (objects * SHAPE_NUMBERS,) int64
+    grid: Memory  # (objects * GRID,) float64
+    first_corner: Memory  # (triangles,) int64, of all meshes
+    parts: Memory  # (triangles,) int32
+    corners: Memory  # places' nodes, int32
+    values: Memory  # float32
+
+
+def no_mesh_shadows() -> MeshShadows:
+    """Return what stands for the shadows of a scene without any."""
+    kinds = (np.int64, np.float64, np.int64, np.int32, np.int32, np.float32)
+    return MeshShadows(*(Memory(np.zeros(1, kind)) for kind in kinds))
+
+
+class Bounds(NamedTuple):
+    """Spheres about the meshes, for compiled loops."""
+
+    centre: np.ndarray  # (shapes, 3), mm
+    radius: np.ndarray  # (shapes,), mm; 0 of what is no mesh
+    kind: np.ndarray  # (shapes,)
+
+
+def _bounds(placements: tuple[Placement, ...]) -> Bounds:
+    bounds = Bounds(
+        np.zeros((len(placements), 3)), np.zeros(len(placements)), np.array([p.shape.kind for p in placements])
+    )
+    for number, placement in enumerate(placements):
+        if placement.shape.mesh is not None:
+            points = placement.points(placement.shape.mesh.vertices_mm)
+            bounds.centre[number] = 0.5 * (points.min(axis=0) + points.max(axis=0))
+            bounds.radius[number] = np.linalg.norm(points - bounds.centre[number], axis=1).max()
+    return bounds
+
+
+def _all_meshes(bounds: Bounds) -> tuple[np.ndarray, float]:
+    """Return centre and radius of a sphere about all meshes."""
+    meshes = bounds.kind == MESH
+    centres, radii = bounds.centre[meshes], bounds.radius[meshes]
+    low, high = (centres - radii[:, None]).min(axis=0), (centres + radii[:, None]).max(axis=0)
+    centre = centres[0] if len(centres) == 1 else 0.5 * (low + high)
+    return centre, float((np.linalg.norm(centres - centre, axis=1) + radii).max())
+
+
+def _strongest(nodes: Nodes, bounds: Bounds) -> np.ndarray:
+    """Return the meshes whose bounds hide most from nodes on average, strongest first, at most `MOST_MESHES`."""
+    meshes = np.flatnonzero(bounds.kind == MESH)
+    step = max(len(nodes.origin) // 1024, 1)
+    hidden = np.zeros(len(meshes))
+    for place, mesh in enumerate(meshes):
+        square = ((nodes.origin[::step] - bounds.centre[mesh]) ** 2).sum(axis=1)
+        hidden[place] = np.minimum(bounds.radius[mesh] ** 2 / np.maximum(square, 1e-300), 1.0).mean()
+    return meshes[np.argsort(-hidden, kind="stable")[:MOST_MESHES]]
+
+
+def _points(count: int) -> np.ndarray:
+    """Return the points of Hammersley in the unit square, (count, 2)."""
+    number, mirrored, digit = np.arange(count), np.zeros(count), 0.5
+    while number.any():
+        mirrored += digit * (number & 1)
+        number, digit = number >> 1, 0.5 * digit
+    return np.stack([(np.arange(count) + 0.5) / count, mirrored], axis=1)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _may_see(bounds, origin, normal):
+    """Return whether the bound of any mesh stands above a node's horizon."""
+    for mesh in range(bounds.radius.size):
+        radius = bounds.radius[mesh]
+        if radius <= 0.0:
+            continue
+        x, y, z = (
+            bounds.centre[mesh, 0] - origin[0],
+            bounds.centre[mesh, 1] - origin[1],
+            bounds.centre[mesh, 2] - origin[2],
+        )
+        if x * normal[0] + y * normal[1] + z * normal[2] > -1.001 * radius:
+            return True
+    return False
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _direction(normal, facet, tangent, bitangent, u, v):
+    """Return the direction of a point of the unit square, cosine-distributed about a normal, above the surface."""
+    around, far = 2.0 * np.pi * v, np.sqrt(u)
+    a, b, c = far * np.cos(around), far * np.sin(around), np.sqrt(max(1.0 - u, 0.0))
+    x = a * tangent[0] + b * bitangent[0] + c * normal[0]
+    y = a * tangent[1] + b * bitangent[1] + c * normal[1]
+    z = a * tangent[2] + b * bitangent[2] + c * normal[2]
+    height = x * facet[0] + y * facet[1] + z * facet[2]
+    if height < _LIFT:
+        up = _LIFT - height
+        x, y, z = x + up * facet[0], y + up * facet[1], z + up * facet[2]
+        inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
+        x, y, z = x * inverse, y * inverse, z * inverse
+    return x, y, z
+
+
+@numba.njit(cache=True)
+def _tangents(normal):
+    """Return two unit vectors perpendicular to a normal and to each other (Duff et al. 2017)."""
+    x, y, z = normal
+    sign = 1.0 if z >= 0.0 else -1.0
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    return (1.0 + sign * x * x * a, sign * b, -sign * x), (b, sign + y * y * a, -y)
+
+
+class _Rays(NamedTuple):
+    """Addresses for Embree, and the scene without its meshes."""
+
+    intersect: int
+    occluded: int
+    scene: int
+    others: int
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _add_ray(rays, bounds, layer_of, ray, origin, direction, values, node):
+    """Add a ray to the sums of a node; return whether others leave it free, and whether it meets something's inside."""
+    trace(rays.intersect, rays.scene, ray, origin, direction, np.inf)
+    shape = hit_shape(ray)
+    if shape == NO_HIT:
+        values[node, LEFT] += 1.0
+        return True, False
+    x, y, z = float(ray.f[ray.at + 12]), float(ray.f[ray.at + 13]), float(ray.f[ray.at + 14])
+    front = x * direction[0] + y * direction[1] + z * direction[2] < 0.0
+    if bounds.kind[shape] != MESH:
+        values[node, UNCOVERED] += 1.0
+        return False, bounds.kind[shape] == SPHERE and not front
+    layer = layer_of[shape]
+    if layer >= 0:
+        values[node, HIDDEN] += 1.0
+        length = np.sqrt(x * x + y * y + z * z)
+        if front and length > 0.0:
+            at = LAYERS + LAYER * layer
+            values[node, at] += 1.0
+            values[node, at + 1] += x / length
+            values[node, at + 2] += y / length
+            values[node, at + 3] += z / length
+    trace(rays.occluded, rays.others, ray, origin, direction, np.inf)
+    return not is_blocked(ray), not front
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _cast(rays, bounds, layer_of, ray, nodes, points, number, values):
+    """Fill the values of a node; return whether it lies in the open."""
+    origin = (nodes[0][number, 0], nodes[0][number, 1], nodes[0][number, 2])
+    normal = (nodes[1][number, 0], nodes[1][number, 1], nodes[1][number, 2])
+    facet = (nodes[2][number, 0], nodes[2][number, 1], nodes[2][number, 2])
+    if not _may_see(bounds, origin, normal):
+        values[number, LEFT] = values[number, UNCOVERED] = 1.0
+        return True
+    tangent, bitangent = _tangents(normal)
+    # Every node turns the points in its own way (Roberts' sequence): what is left of the error is noise, not steps.
+    shift_u, shift_v = (number * 0.7548776662466927) % 1.0, (number * 0.5698402909980532) % 1.0
+    free = inside = 0
+    for sample in range(points.shape[0]):
+        u, v = (points[sample, 0] + shift_u) % 1.0, (points[sample, 1] + shift_v) % 1.0
+        direction = _direction(normal, facet, tangent, bitangent, u, v)
+        one = _add_ray(rays, bounds, layer_of, ray, origin, direction, values, number)
+        free += one[0]
+        inside += one[1]
+    others = points.shape[0] - free
+    values[number, LEFT] = values[number, LEFT] / free if free > 0 else 1.0
+    values[number, UNCOVERED] = values[number, UNCOVERED] / others if others > 0 else 1.0
+    for field in range(HIDDEN, values.shape[1]):
+        values[number, field] /= points.shape[0]
+    return inside < _ENCLOSED * points.shape[0] and not _is_cut_off(rays, ray, nodes[3], number, origin)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _is_cut_off(rays, ray, probe, number, origin):
+    """Return whether something stands between a node and its probe."""
+    way = (probe[number, 0] - origin[0], probe[number, 1] - origin[1], probe[number, 2] - origin[2])
+    length = np.sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
+    if length <= 0.0:
+        return False
+    way = (way[0] / length, way[1] / length, way[2] / length)
+    trace(rays.occluded, rays.scene, ray, origin, way, length)
+    return is_blocked(ray)
+
+
+@numba.njit(cache=True, nogil=True)
+def _cast_some(rays, bounds, layer_of, nodes, points, values, is_open, first, last):
+    ray = new_ray()
+    for number in range(first, last):
+        is_open[number] = _cast(rays, bounds, layer_of, ray, nodes, points, number, values)
+
+
+def _extended(values: np.ndarray, is_open: np.ndarray, cells: np.ndarray) -> None:
+    """Give nodes that are not in the open the mean of the open ones that they are interpolated with, where any are."""
+    opens = is_open[cells]
+    mixed = opens.any(axis=1) & ~opens.all(axis=1)
+    cells, opens = cells[mixed], opens[mixed]
+    total, count = np.zeros(values.shape), np.zeros(len(values))
+    mean = np.einsum("ck,ckj->cj", opens.astype(np.float64), values[cells]) / opens.sum(axis=1, keepdims=True)
+    for corner in range(cells.shape[1]):
+        shut = ~opens[:, corner]
+        np.add.at(total, cells[shut, corner], mean[shut])
+        np.add.at(count, cells[shut, corner], 1.0)
+    filled = count > 0.0
+    values[filled] = total[filled] / count[filled, None]
+
+
+def _values(nodes: Nodes, rays: _Rays, bounds: Bounds, layers: np.ndarray, count: int) -> np.ndarray:
+    """Return the numbers of a shape's nodes, (n, LAYERS + LAYER * layers) float32."""
+    layer_of = np.full(len(bounds.kind), -1, dtype=np.int64)
+    layer_of[layers] = np.arange(len(layers))
+    values = np.zeros((len(nodes.origin), LAYERS + LAYER * len(layers)), dtype=np.float32)
+    is_open = np.zeros(len(values), dtype=np.bool_)
+    places = tuple(np.ascontiguousarray(p) for p in (nodes.origin, nodes.normal, nodes.facet, nodes.probe))
+    run_chunks(_cast_some, len(values), _CHUNK, rays, bounds, layer_of, places, _points(count), values, is_open)
+    _extended(values, is_open, nodes.cells)
+    return values
+
+
+_found: list = []
+
+
+def make_mesh_shadows(tracer: Tracer) -> MeshShadows | None:
+    """Return the shadows of a scene's meshes, None where it has none that hides anything.
+
+    What was found last is kept and given again for the same shapes in the same places.
+    """
+    key = [(p.shape, p.rotation.tobytes(), p.translation_mm.tobytes(), p.scale) for p in tracer.placements]
+    if not _found or _found[0] != key:
+        _found[:] = key, _make(tracer)
+    return _found[1]
+
+
+def _make(tracer: Tracer) -> MeshShadows | None:
+    placements = tracer.placements
+    bounds = _bounds(placements)
+    if not (bounds.kind == MESH).any():
+        return None
+    others = Tracer([p for p in placements if p.shape.mesh is None])
+    rays = _Rays(tracer.intersect_address, tracer.occluded_address, tracer.scene, others.scene)
+    everything = _all_meshes(bounds)
+    numbers, grid = np.zeros((len(placements), SHAPE_NUMBERS), np.int64), np.zeros((len(placements), GRID))
+    made = [make_nodes(p, r, everything) for p, r in zip(placements, reaches(placements), strict=True)]
+    total = sum(len(nodes.origin) for nodes in made)
+    count = max(RAYS_PER_NODE >> max(int(np.ceil(np.log2(total / _FULL_NODES))), 0), _LEAST_RAYS)
+    values, parts, corners = [], [], []
+    for shape, nodes in enumerate(made):
+        layers = _strongest(nodes, bounds)
+        found = _values(nodes, rays, bounds, layers, count)
+        seen = np.flatnonzero(found[:, LAYERS::LAYER].any(axis=0))
+        if (found[:, LEFT] < 1.0).any():
+            kept = np.concatenate([np.arange(LAYERS), (LAYERS + LAYER * seen[:, None] + np.arange(LAYER)).ravel()])
+            numbers[shape, STRIDE], numbers[shape, COUNT] = len(kept), len(seen)
+            numbers[shape, FIRST] = sum(part.size for part in values)
+            numbers[shape, SEEN : SEEN + len(seen)] = layers[seen]
+            grid[shape] = nodes.grid
+            values.append(found[:, kept].ravel())
+        parts.append(nodes.parts)
+        corners.append(nodes.corners)
+    if not values:
+        return None
+    parts = np.concatenate(parts)
+    sizes = (parts.astype(np.int64) + 1) * (parts + 2) // 2
+    stored = (numbers.ravel(), grid.ravel(), np.cumsum(sizes) - sizes, parts, np.concatenate(corners))
+    return MeshShadows(*(Memory(array) for array in (*stored, np.concatenate(values))))
