@@ -152,6 +152,16 @@ def test_a_mirror_shows_fresnel_reflectance_to_grazing_angles(theta_deg, n, k):
     assert np.allclose(picture.radiance, 3.0 * fresnel(np.cos(theta), n, k), rtol=1e-5)
 
 
+@pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.4)], ids=["lacquer", "metal"])
+@pytest.mark.parametrize("samples", [8, 16, 40, 64])
+def test_a_mirror_over_a_diffuse_body_adds_its_light_and_no_noise(samples, n, k):
+    """Under even light each branch of a path brings the same every time, however many samples follow the mirror."""
+    picture = traced([plate(2000.0)], [material(SPECTRUM, mirror=0.6, n=n, k=k)], constant_light(3.0), samples,
+                     position=(0, -60, 80), size=(3, 3), fov=0.001)  # fmt: skip
+    assert np.allclose(picture.radiance, 3.0 * (SPECTRUM + 0.6 * fresnel(0.8, n, k)), rtol=2e-5)
+    assert picture.standard_error.max() <= 1e-4
+
+
 @pytest.mark.stability(stage="render", case="Fresnel at 90°")
 def test_the_fresnel_reflectance_of_all_bands_is_that_of_one():
     from irodori import brdf
