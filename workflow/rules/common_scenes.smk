@@ -23,20 +23,20 @@ def scene_calibrations(wildcards):
     return [f"results/cameras/{camera}/calibration.h5" for camera in cameras]
 
 
-def scene_tiles(wildcards):
-    """Return the fitted tiles of a scene's objects, each object's once."""
+def scene_tiles(wildcards, kind="brdf"):
+    """Return the fitted tiles of a scene's objects, each object's once; or another kind of them."""
     size = config["rectify"]["tile_texels"]
     found = []
     for name in dict.fromkeys(scene_objects(wildcards)):
         texels = config["objects"][name]["texels"]
         count = len(tile_rows(texels["height"], texels["width"], size))
-        found += [f"results/{name}/brdf/tile-{number:03d}.h5" for number in range(count)]
+        found += [f"results/{name}/{kind}/tile-{number:03d}.h5" for number in range(count)]
     return found
 
 
 def scene_observations(wildcards):
     """Return what the fitted tiles of a scene's objects were fitted to."""
-    return [path.replace("/brdf/", "/observations/") for path in scene_tiles(wildcards)]
+    return scene_tiles(wildcards, "observations")
 
 
 def scene_subjects(wildcards):

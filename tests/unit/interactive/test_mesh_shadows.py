@@ -192,7 +192,8 @@ def test_a_lid_on_a_plate_is_shaded_as_the_reference_integrator_shades_it(cover,
     shapes, eye, target, size, fov = [plate(100.0), lid()], (0.0, -330.0, 190.0), (0.0, 0.0, 10.0), (40, 30), 14.0
     scene = {
         "image": {"width": size[0], "height": size[1]}, "lights": [],
-        "objects": [{"object": name, "position_mm": [0.0] * 3, "rotation_deg": [0.0] * 3, "scale": 1.0} for name in "ab"],
+        "objects": [{"object": name, "position_mm": [0.0] * 3, "rotation_deg": [0.0] * 3, "scale": 1.0}
+                    for name in "ab"],
         "views": {"v": {"position_mm": eye, "target_mm": target, "up": [0, 0, 1], "field_of_view_deg": fov}},
     }  # fmt: skip
     kinds = [{"kind": "interactive", "ambient": a} for a in (True, False)]
