@@ -5,7 +5,9 @@ itself: the classroom of `config` on four principal vectors of its sources' spec
 materials. Every frame turns the camera and the light by half a degree. Errors are CIEDE2000 of the first frame to the
 61-band frame whose paths end at the last reflection only. Peak and resident memory are those of a process that maps the
 light's files, prepares one variant and renders it. Processor time over threads is what a frame takes on idle cores.
-Full counts the cycles of each stage, too, in loops that are compiled for it.
+``spectral`` carries 61 bands and decodes them from the four coefficients at every look-up; ``spectral, stored`` does
+without compression: light and blurred light are kept in 61 bands, too. Full counts the cycles of each stage, in loops
+that are compiled for it.
 """
 
 import pickle
@@ -49,6 +51,7 @@ VARIANTS = {
     "quadrature": ("quadrature", {}, {}),
     "spectral": ("spectral", {}, {}),
     "spectral, bands": ("spectral", {}, {"bands": True}),
+    "spectral, stored": ("spectral", {"stored": True}, {}),
 }
 #: What is measured where the command line does not say it; every representation compiles loops of its own.
 SIZES = {
@@ -96,12 +99,26 @@ class Studio:
         self.white = self.environment.upward_white()
         self.image = {"width": width, "height": height}
 
-    def prepare(self, representation: str, lamps: int = 0, **options):
-        """Return the scene prepared for a representation."""
+    def prepare(self, representation: str, lamps: int = 0, stored: bool = False, **options):
+        """Return the scene prepared for a representation; its light decoded before where all bands are ``stored``."""
         spectra = np.repeat(2.0 * light("LED-B3")[None] / light("LED-B3").mean(), lamps, axis=0)
-        source = light_of(self.environment)
-        scene = (self.objects, source, self.gloss, self.tracer, representation, self.white)
+        environment, gloss = self._in_bands() if stored else (self.environment, self.gloss)
+        scene = (self.objects, light_of(environment), gloss, self.tracer, representation, self.white)
         return prepare_scene(*scene, lamps=spectra, **options)
+
+    def _in_bands(self) -> tuple[Environment, GlossMaps]:
+        """Return light and blurred light on the bands themselves as their basis."""
+
+        def decoded(pixels: np.ndarray) -> np.ndarray:
+            out = np.empty((*pixels.shape[:2], len(self.environment.basis)), dtype=pixels.dtype)
+            for line, coefficients in zip(out, pixels, strict=True):
+                line[:] = coefficients.astype(np.float32) @ self.environment.basis.T.astype(np.float32)
+            return out
+
+        light_in_bands = decoded(self.environment.coefficients), decoded(self.environment.irradiance)
+        environment = Environment(light_in_bands[0], np.eye(len(self.environment.basis)), light_in_bands[1])
+        levels = tuple(decoded(level) for level in self.gloss.levels)
+        return environment, GlossMaps(self.gloss.first, levels, self.gloss.points)
 
     def frame(self, prepared, number: int, **options) -> np.ndarray:
         """Return a frame; the light always turns, the camera unless it rests."""
