@@ -11,7 +11,7 @@ from irodori.colour import xyz_from_radiance
 from irodori.geometry.embree import Tracer
 from irodori.geometry.frames import rotation_xyz
 from irodori.geometry.lathe import LID_MM, ball, lathe
-from irodori.geometry.mesh import make_mesh
+from irodori.geometry.mesh import Mesh, make_mesh
 from irodori.geometry.shapes import Shape
 from irodori.rendering.integrators import render_image
 from irodori.rendering.interactive import mesh_shadows, render_frame, shadow_nodes
@@ -66,10 +66,15 @@ def box(half: float, outward: bool) -> Shape:
         for sign in (-1.0, 1.0):
             a, b = np.roll([0.0, 1.0, 0.0], axis), np.roll([0.0, 0.0, 1.0], axis)
             centre = sign * np.roll([1.0, 0.0, 0.0], axis)
-            if (sign > 0) != outward:
-                a, b = b, a
+            a, b = (a, b) if sign > 0 else (b, a)
             faces.append([half * (centre + p * a + q * b) for p, q in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-    return squares(*faces)
+    found = squares(*faces)
+    if outward:
+        return found
+    # `make_mesh` refuses closed surfaces that look inward.
+    mesh = found.mesh
+    turned = Mesh(mesh.vertices_mm, mesh.faces[:, ::-1].copy(), mesh.uv[:, ::-1].copy(), -mesh.normals[:, ::-1])
+    return Shape.from_mesh(turned)
 
 
 def lid() -> Shape:
@@ -84,8 +89,8 @@ def shares(shapes, materials, places, view=None, light=LIGHT, **scene):
 
 
 def assert_alike(found, truth, rms, largest):
-    """Assert that shares agree; outlines of triangles, where another shape is seen, are left out."""
-    same = np.abs(found - truth) < 0.35
+    """Assert that shares agree; outlines of triangles, where the sky (1) or a black shape (0) is seen, are left out."""
+    same = ((found > 0.0) == (truth > 0.0)) & ((found > 0.95) == (truth > 0.95))
     assert same.mean() > 0.98
     apart = (found - truth)[same]
     assert np.sqrt(np.mean(apart**2)) <= rms and np.abs(apart).max() <= largest
@@ -111,13 +116,14 @@ def test_a_ball_of_triangles_throws_the_contact_shadow_of_the_exact_ball(receive
     truth = shares([exact, BALL], colours, places)
     bare = shares([exact, BALL], colours, [(0, 0, 0), (0, 0, 1e5)])
     assert np.abs(truth - bare)[truth > 0].max() > 0.5
-    assert_alike(found, truth, 0.004, 0.03)
+    # Large triangles are divided evenly, not more finely at the contact: to 6 mm here.
+    assert_alike(found, truth, 0.004, 0.06 if receiver == "mesh" else 0.03)
 
 
-def test_the_contact_shadow_is_exact_within_half_a_percent(every_node):
-    colours, places = [material(1.0), material(0.0)], [(0, 0, 0), (0, 0, 20.0)]
+def test_the_contact_shadow_is_exact_within_two_parts_in_a_thousand(every_node):
+    colours, places = [material(0.8), material(0.0)], [(0, 0, 0), (0, 0, 20.0)]
     found, truth = (shares([plate(400.0), b], colours, places) for b in (mesh_ball(96), BALL))
-    assert_alike(found, truth, 0.0015, 0.015)
+    assert_alike(found, truth, 0.002, 0.012)
 
 
 @pytest.mark.parametrize("triangles", [False, True])
@@ -192,7 +198,8 @@ def test_a_lid_on_a_plate_is_shaded_as_the_reference_integrator_shades_it(cover,
     shapes, eye, target, size, fov = [plate(100.0), lid()], (0.0, -330.0, 190.0), (0.0, 0.0, 10.0), (40, 30), 14.0
     scene = {
         "image": {"width": size[0], "height": size[1]}, "lights": [],
-        "objects": [{"object": name, "position_mm": [0.0] * 3, "rotation_deg": [0.0] * 3, "scale": 1.0} for name in "ab"],
+        "objects": [{"object": name, "position_mm": [0.0] * 3, "rotation_deg": [0.0] * 3, "scale": 1.0}
+                    for name in "ab"],
         "views": {"v": {"position_mm": eye, "target_mm": target, "up": [0, 0, 1], "field_of_view_deg": fov}},
     }  # fmt: skip
     kinds = [{"kind": "interactive", "ambient": a} for a in (True, False)]
@@ -272,15 +279,19 @@ def test_triangles_without_area_and_needles_among_others_change_nothing():
 
 
 @pytest.mark.parametrize("sunk", [-1e-3, 0.0, 1e-6, 1e-3, 2.0])
-def test_a_mesh_that_stands_on_its_floor_or_in_it_leaks_no_light(sunk):
-    """About a black post the floor sees half of the sky at its foot, more and more of it away from it."""
-    post = Shape.from_mesh(make_mesh(*lathe(np.array([(0.0, 0), (10, 0), (10, 200), (0, 200)]), 48, 1 / 64)))
+def test_a_post_that_stands_on_its_floor_or_in_it_leaks_neither_light_nor_shadow(sunk):
+    """At a distance D from its axis the floor loses arcsin(R / D) / π of the sky to a black post of endless height."""
+    radius, segments, height = 10.0, 48, 4000.0
+    profile = np.array([(0.0, 0), (radius, 0), (radius, height), (0, height)])
+    post = Shape.from_mesh(make_mesh(*lathe(profile, segments, 1 / 64)))
     view = {"position": (0.0, -300.0, 500.0), "target": (0, -22, 0), "size": (1, 80), "fov": 4.0}
-    found = shares([plate(400.0), post], [material(1.0), material(0.0)], [(0, 0, 0), (0, 0, -sunk)], view)[:, 0]
-    ground = found[found > 0.0]
-    # From the far end to the foot, and no step up at the foot.
-    assert ground.size > 40 and (np.diff(ground) >= -0.012).all()
-    assert ground[0] == pytest.approx(0.5, abs=0.06)
+    found = shares([plate(400.0), post], [material(0.8), material(0.0)], [(0, 0, 0), (0, 0, -sunk)], view)[:, 0] / 0.8
+    ray = pixel_rays(view["position"], view["target"], view["size"], view["fov"])[:, 0]
+    away = 300.0 + 500.0 * ray[:, 1] / ray[:, 2]
+    truth = 1.0 - np.arcsin(np.minimum(radius / away, 1.0)) / np.pi
+    ground = away > 1.01 * radius
+    assert ground.sum() > 40
+    assert np.abs(found - truth)[ground].max() <= 0.025
 
 
 def test_a_scene_without_meshes_has_no_shadows_to_look_up():
