@@ -135,8 +135,9 @@ def prepare_scene(
     half : bool
         Whether the environment and its blurred light are stored in half precision.
     ambient : bool
-        Whether all shapes but meshes hide light from all sides from each other, see
-        `irodori.rendering.interactive.ambient`.
+        Whether shapes hide light from all sides from each other, and meshes from themselves, see
+        `irodori.rendering.interactive.ambient`. In a scene with meshes rays are cast for it, once for the same shapes
+        in the same places.
     quadrature : Quadrature, optional
         For the representation of that name; solved for the scene where absent.
 

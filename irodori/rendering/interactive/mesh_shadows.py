@@ -77,15 +77,6 @@ def _bounds(placements: tuple[Placement, ...]) -> Bounds:
     return bounds
 
 
-def _all_meshes(bounds: Bounds) -> tuple[np.ndarray, float]:
-    """Return centre and radius of a sphere about all meshes."""
-    meshes = bounds.kind == MESH
-    centres, radii = bounds.centre[meshes], bounds.radius[meshes]
-    low, high = (centres - radii[:, None]).min(axis=0), (centres + radii[:, None]).max(axis=0)
-    centre = centres[0] if len(centres) == 1 else 0.5 * (low + high)
-    return centre, float((np.linalg.norm(centres - centre, axis=1) + radii).max())
-
-
 def _strongest(nodes: Nodes, bounds: Bounds) -> np.ndarray:
     """Return the meshes whose bounds hide most from nodes on average, strongest first, at most `MOST_MESHES`."""
     meshes = np.flatnonzero(bounds.kind == MESH)
@@ -280,9 +271,9 @@ def _make(tracer: Tracer) -> MeshShadows | None:
         return None
     others = Tracer([p for p in placements if p.shape.mesh is None])
     rays = _Rays(tracer.intersect_address, tracer.occluded_address, tracer.scene, others.scene)
-    everything = _all_meshes(bounds)
+    points = [p.points(p.shape.mesh.vertices_mm) for p in placements if p.shape.mesh is not None]
     numbers, grid = np.zeros((len(placements), SHAPE_NUMBERS), np.int64), np.zeros((len(placements), GRID))
-    made = [make_nodes(p, r, everything) for p, r in zip(placements, reaches(placements), strict=True)]
+    made = [make_nodes(p, r, points) for p, r in zip(placements, reaches(placements), strict=True)]
     total = sum(len(nodes.origin) for nodes in made)
     count = max(RAYS_PER_NODE >> max(int(np.ceil(np.log2(total / _FULL_NODES))), 0), _LEAST_RAYS)
     values, parts, corners = [], [], []

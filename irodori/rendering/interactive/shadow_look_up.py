@@ -91,7 +91,7 @@ def nodes_about(world, hits, ray, own, point):
     across = x * table[place + TURN] + y * table[place + TURN + 3] + z * table[place + TURN + 6]
     along = x * table[place + TURN + 1] + y * table[place + TURN + 4] + z * table[place + TURN + 7]
     column = (warped_place((across - grid[at + MIDDLE]) / grid[at + REACH]) - grid[at + LOW]) * grid[at + DENSITY]
-    row = (warped_place((along - grid[at + MIDDLE + 1]) / grid[at + REACH]) - grid[at + LOW + 1]) * grid[
+    row = (warped_place((along - grid[at + MIDDLE + 1]) / grid[at + REACH + 1]) - grid[at + LOW + 1]) * grid[
         at + DENSITY + 1
     ]
     return _grid_place(column, row, columns, rows, False)

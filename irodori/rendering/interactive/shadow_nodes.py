@@ -1,9 +1,9 @@
 """Points of a scene's surfaces at which what meshes hide is worked out, and how a hit finds those about it.
 
-Flat shapes have a grid whose middle lies under the scene's meshes: even as far as these reach, and from there on ever
-coarser, so that an endless plane has a finite one. Spheres have a grid over their texture coordinates. Triangles of a
-mesh are divided evenly into as many smaller ones as the nodes allow; those of a fine mesh are not, and share nodes at
-their corners. A hit takes the values of the three or four nodes about it.
+Flat shapes have a grid whose middle lies where the scene's meshes stand: even as far as these are near, and from there
+on ever coarser, so that an endless plane has a finite one. Spheres have a grid over their texture coordinates.
+Triangles of a mesh are divided evenly into as many smaller ones as the nodes allow; those of a fine mesh are not, and
+share nodes at their corners. A hit takes the values of the three or four nodes about it.
 """
 
 import math
@@ -59,9 +59,13 @@ class Nodes:
     corners: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
 
 
-#: Numbers of a grid: columns, rows; of a flat one the middle along both axes of its frame, the reach (mm) within which
-#: it is even, and the place of the first node and nodes a unit along both axes, see `warped`.
-COLUMNS, ROWS, MIDDLE, REACH, LOW, DENSITY, GRID = 0, 1, 2, 4, 5, 7, 9
+#: Numbers of a grid: columns, rows; of a flat one, along both axes of its frame, the middle, the reach (mm) within
+#: which it is even, the place of the first node, and nodes a unit of places, see `warped`.
+COLUMNS, ROWS, MIDDLE, REACH, LOW, DENSITY, GRID = 0, 1, 2, 4, 6, 8, 10
+#: Part of a mesh's height, from its lowest point on, by which it stands on something.
+_FOOT = 0.1
+#: Part of a grid's larger reach that the smaller one has at least.
+_LEAST = 0.02
 
 
 def warped(offset: np.ndarray) -> np.ndarray:
@@ -94,7 +98,30 @@ def _quadrangles(number: np.ndarray) -> np.ndarray:
     return np.stack([corner.ravel() for corner in corners], axis=1)
 
 
-def flat_nodes(placement: Placement, reach_mm: float, bound: tuple[np.ndarray, float]) -> Nodes:
+def _middle_and_reach(points: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return middle and reach of a flat shape's grid along both axes, (2,) each, mm.
+
+    The grid is even as far as meshes stand on the shape, as half of what they hang over, and as half of the height of
+    the lowest where none stands on it: what is far above throws soft shadows.
+
+    Parameters
+    ----------
+    points : list of (vertices, 3) float
+        Of each mesh, in the shape's frame, mm.
+    """
+    above = [p for p in points if p[:, 2].max() > 0.0] or points
+    above = [np.column_stack([p[:, :2], np.maximum(p[:, 2], 0.0)]) for p in above]
+    feet = [p[p[:, 2] <= p[:, 2].min() + _FOOT * np.ptp(p[:, 2]), :2] for p in above]
+    low, high = (np.array([end(foot, axis=0) for foot in feet]) for end in (np.min, np.max))
+    low, high = low.min(axis=0), high.max(axis=0)
+    everything = np.concatenate(above)
+    middle = 0.5 * (low + high)
+    away = np.abs(everything[:, :2] - middle).max(axis=0)
+    least = max(0.5 * everything[:, 2].min(), _LEAST * away.max(), np.finfo(np.float32).tiny)
+    return middle, np.maximum(np.maximum(0.5 * (high - low), 0.5 * away), least)
+
+
+def flat_nodes(placement: Placement, reach_mm: float, points: list[np.ndarray]) -> Nodes:
     """Return the nodes of a plate, a disc or a plane.
 
     Parameters
@@ -102,26 +129,25 @@ def flat_nodes(placement: Placement, reach_mm: float, bound: tuple[np.ndarray, f
     placement : Placement
     reach_mm : float
         See `irodori.geometry.shapes.reaches`.
-    bound : ((3,) float, float)
-        Centre and radius of a sphere about the scene's meshes, mm.
+    points : list of (vertices, 3) float
+        Of each of the scene's meshes, in the world, mm.
     """
     turn, origin = placement.rotation, frame_origin(placement)
-    middle = (bound[0] - origin) @ turn
-    reach = bound[1] + 0.5 * abs(middle[2])
+    middle, reach = _middle_and_reach([(p - origin) @ turn for p in points])
     side, places = FLAT_SIDE, []
     for axis in range(2):
         if placement.shape.kind == PLANE:
             ends = np.array([-1.0, 1.0]) * (1.0 - 1.0 / side)
         else:
             half = 0.5 * placement.shape.size_mm[axis] * placement.scale
-            ends = warped((np.array([-half, half]) - middle[axis]) / reach)
+            ends = warped((np.array([-half, half]) - middle[axis]) / reach[axis])
         places.append(np.linspace(*ends, side))
-    x, y = (middle[axis] + reach * _unwarped(places[axis]) for axis in range(2))
+    x, y = (middle[axis] + reach[axis] * _unwarped(places[axis]) for axis in range(2))
     x, y = (values.ravel() for values in np.meshgrid(x, y))
     facet = np.broadcast_to(turn[:, 2], (x.size, 3))
     point = _raised(origin + x[:, None] * turn[:, 0] + y[:, None] * turn[:, 1], facet, reach_mm)
     density = [(side - 1) / (p[-1] - p[0]) for p in places]
-    grid = np.array([side, side, *middle[:2], reach, *(p[0] for p in places), *density])
+    grid = np.array([side, side, *middle, *reach, *(p[0] for p in places), *density])
     cells = _quadrangles(np.arange(side * side).reshape(side, side))
     return Nodes(point, facet, facet, point, cells, grid)
 
@@ -265,10 +291,10 @@ def _divided_nodes(mesh: Mesh, chosen: np.ndarray, parts: int) -> tuple[tuple, n
     return (point, _unit(normal, facet), facet, probe), node
 
 
-def make_nodes(placement: Placement, reach_mm: float, bound: tuple[np.ndarray, float]) -> Nodes:
+def make_nodes(placement: Placement, reach_mm: float, points: list[np.ndarray]) -> Nodes:
     """Return the nodes of any shape; parameters as of `flat_nodes`."""
     if placement.shape.mesh is not None:
         return mesh_nodes(placement)
     if placement.shape.kind == SPHERE:
         return sphere_nodes(placement)
-    return flat_nodes(placement, reach_mm, bound)
+    return flat_nodes(placement, reach_mm, points)
