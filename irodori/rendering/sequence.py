@@ -201,6 +201,8 @@ def render_frames(
     made = [Shape.from_definition(shape) for shape in shapes]
     materials = [Material.load(path) for path in material_files]
     white, exposure = shown_white(scene, environment, environment_file)
+    if "tolerance_ciede2000" in scene:
+        LOGGER.info("frames are rendered in full: a plan is made for the scene's own moment")
     renderer = make_renderer(scene, made, materials, environment, options, tile_rows)
     display = make_display(scene["display"]["device"])
     stands = scene["frames"]["kind"] == "light_sweep"

@@ -12,13 +12,11 @@ import numba
 import numpy as np
 
 from irodori.brdf import fresnel
-from irodori.geometry.embree import hit_distance, hit_shape, is_blocked, new_ray, trace
+from irodori.geometry.embree import hit_distance, hit_shape, is_blocked, trace
 from irodori.geometry.surfaces import face_viewer
-from irodori.rendering.cameras import aim
 from irodori.rendering.hits import frame, surface
 from irodori.rendering.lights import COLLIMATED, density_towards, sample_towards, unobstructed
 from irodori.rendering.reference.bands import (
-    BANDS,
     PADDED,
     add_product,
     decode,
@@ -34,20 +32,15 @@ from irodori.rendering.reference.bands import (
 from irodori.rendering.reference.lobes import draw_cosine, draw_gloss, gloss_at, gloss_share
 from irodori.rendering.reference.numbers import (
     CHOICE,
-    LENS,
     LIGHT,
     LOBE,
     PER_VERTEX,
     PICK,
-    PIXEL,
     SURVIVAL,
     VERTEX,
     draw,
-    pixel_key,
-    stream_of,
 )
 from irodori.rendering.reference.sky import look_at_sky, sample_sky
-from irodori.rendering.reference.world import new_work
 
 #: Surfaces after which a path is cut, which is counted: two perfect mirrors may keep one for ever.
 LONGEST = 20_000
@@ -56,9 +49,7 @@ _LEAST_REFLECTANCE = 1e-3  # for that choice: another band may reflect where thi
 _ROULETTE_FROM = 4  # the fifth surface
 #: At the first surface the mirror term is followed beside the others, and not as a choice among them: a lamp in a faint
 #: mirror, drawn seldom, would be a heap of bright dots. One sample in so many does, of a share under one in so many.
-_MIRRORED = 4
-#: Paths summed in single precision: a sum of more grows until each further path is rounded the same way.
-_TOGETHER = 256
+MIRRORED = 4
 
 
 @numba.njit(cache=True, _nrt=False, forceinline=True)
@@ -244,7 +235,7 @@ def _keep_mirror(world, work, index, terms, seldom):
     rough = diffuse + gloss
     if mirror <= 0.0 or rough <= 0.0:
         return terms, False
-    weight, follows = 1.0 if mirror * _MIRRORED >= 1.0 else seldom, False
+    weight, follows = 1.0 if mirror * MIRRORED >= 1.0 else seldom, False
     if weight > 0.0:
         for band in range(PADDED):
             work.kept[band] = work.throughput[band]
@@ -304,7 +295,7 @@ def _survives(work, numbers, at):
 
 
 @numba.njit(cache=True, _nrt=False, forceinline=True)
-def _follow(world, ray, work, numbers, stream, seldom):
+def follow(world, ray, work, numbers, stream, seldom):
     """Add the radiance along one path to ``work.total``; return how many of its two branches had to be cut.
 
     ``seldom`` is as of `_keep_mirror`.
@@ -344,63 +335,3 @@ def _follow(world, ray, work, numbers, stream, seldom):
             work.origin[axis], work.direction[axis] = work.kept_origin[axis], work.kept_direction[axis]
         for band in range(PADDED):
             work.throughput[band] = work.kept[band]
-
-
-@numba.njit(cache=True, _nrt=False, forceinline=True)
-def _render_pixel(world, ray, work, view, numbers, x, y, whole, mean, spread):
-    """Add the means of a pixel's replicates, and their squares; return the number of paths that were cut.
-
-    ``whole`` is a buffer, (61,) float64.
-    """
-    cut = 0
-    mirrored = numbers.samples / ((numbers.samples + _MIRRORED - 1) // _MIRRORED)
-    for replicate in range(numbers.replicates):
-        key = pixel_key(x, y, replicate, numbers.seed)
-        whole[:] = 0.0
-        for first in range(0, numbers.samples, _TOGETHER):
-            for band in range(PADDED):
-                work.total[band] = np.float32(0.0)
-            for sample in range(first, min(first + _TOGETHER, numbers.samples)):
-                stream = stream_of(numbers, key, replicate, sample)
-                u, v = draw(numbers, stream, PIXEL), draw(numbers, stream, PIXEL + 1)
-                on_lens = (0.0, 0.0)
-                if view.lens_mm > 0.0:
-                    on_lens = (draw(numbers, stream, LENS), draw(numbers, stream, LENS + 1))
-                aim(view, x + u, y + v, on_lens[0], on_lens[1], work.origin, work.direction)
-                cut += _follow(world, ray, work, numbers, stream, mirrored if sample % _MIRRORED == 0 else 0.0)
-            for band in range(BANDS):
-                whole[band] += work.total[band]
-        for band in range(BANDS):
-            value = whole[band] / numbers.samples
-            mean[band] += value
-            spread[band] += value * value
-    return cut
-
-
-@numba.njit(cache=True, nogil=True)
-def render_some_rows(world, view, numbers, first_row, image, error, cut, first, last):
-    """Fill rows ``first`` to ``last`` of a band of the picture that begins at ``first_row``.
-
-    Parameters
-    ----------
-    world : World
-    view : irodori.rendering.scene.View
-    numbers : irodori.rendering.reference.numbers.Numbers
-    first_row : int
-    image, error : (rows, width, 61) float32
-        Mean radiance, and the standard error of that mean by the spread of the replicates.
-    cut : (rows,) int64
-        Paths that were cut at `LONGEST` surfaces.
-    """
-    ray, work = new_ray(), new_work(world)
-    whole, mean, spread = np.empty(BANDS), np.empty(BANDS), np.empty(BANDS)
-    count = numbers.replicates
-    for row in range(first, last):
-        for x in range(view.width):
-            mean[:] = 0.0
-            spread[:] = 0.0
-            cut[row] += _render_pixel(world, ray, work, view, numbers, x, first_row + row, whole, mean, spread)
-            for band in range(BANDS):
-                value = mean[band] / count
-                image[row, x, band] = value
-                error[row, x, band] = math.sqrt(max(spread[band] / count - value * value, 0.0) / (count - 1))

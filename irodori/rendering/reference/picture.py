@@ -18,7 +18,7 @@ from irodori.provenance import code_hash
 from irodori.rendering.lights import BANDS, make_lights
 from irodori.rendering.reference.bands import padded
 from irodori.rendering.reference.numbers import Numbers, make_numbers
-from irodori.rendering.reference.paths import render_some_rows
+from irodori.rendering.reference.rows import render_some_rows
 from irodori.rendering.reference.sky import Sky, make_sky
 from irodori.rendering.reference.world import Bands, World
 from irodori.rendering.scene import Objects, View

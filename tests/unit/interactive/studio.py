@@ -3,9 +3,11 @@
 import numpy as np
 from scenes import fresnel, pixel_rays
 
+from irodori.colour import xyz_from_radiance
 from irodori.geometry.shapes import MESH, SPHERE, Placement
 from irodori.gloss import GlossMaps
-from irodori.light import Environment
+from irodori.irradiance import irradiance_map
+from irodori.light import Environment, directions
 from irodori.rendering.interactive import light_of, prepare_scene, render_frame
 from irodori.rendering.scene import make_objects, make_tracer, make_view
 
@@ -101,3 +103,21 @@ def plain_picture(placements, materials, environment, irradiance, bounces, posit
     origin = np.asarray(position, dtype=np.float64)
     return np.array([[plain_radiance(placements, materials, environment, irradiance, origin, ray, bounces)
                       for ray in row] for row in rays])  # fmt: skip
+
+
+def sky_of(function, height=256) -> Environment:
+    """Light with one number a direction, on the first vector of `BASIS`."""
+    values = function(directions(2 * height, height)[0])
+    coefficients = np.stack([values, 0 * values, 0 * values], axis=-1).astype(np.float32)
+    return Environment(coefficients, BASIS, irradiance_map(coefficients, 128, 64))
+
+
+def levels(image, light):
+    """The coefficient on the first vector that Y shows."""
+    white = light.upward_white()
+    return image[..., 1] / (xyz_from_radiance(white)[1] @ BASIS[:, 0])
+
+
+def smooth_light(direction):
+    x, y, z = np.moveaxis(direction, -1, 0)
+    return 1.0 + 0.5 * x - 0.3 * y + 0.6 * z * z + 0.2 * x * z

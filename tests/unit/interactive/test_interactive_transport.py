@@ -8,15 +8,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scenes import BALL, OPTIONS, fresnel, material, plate, sphere_hits
-from studio import BASIS, even_light, picture, prepared, spectrum_of, view_of
+from studio import even_light, levels, picture, prepared, sky_of, smooth_light, spectrum_of, view_of
 
 from irodori.brdf import angles_from_directions, reflect
 from irodori.colour import xyz_from_radiance
 from irodori.geometry.frames import rotation_xyz
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.shapes import Shape
-from irodori.irradiance import irradiance_map
-from irodori.light import Environment, directions
 from irodori.rendering.integrators import render_image
 from irodori.rendering.interactive import Lamp, render_frame
 
@@ -28,19 +26,6 @@ CROWD_VIEW = {"position": (20, -250, 130), "target": (0, 0, 10), "fov": 24, "siz
 def crowd():
     return [material(0.5, beta=1.0, mirror=0.5), material(0.3, beta=3.0, mu=0.2, mirror=0.6),
             material(mirror=1.0, n=0.2, k=3.0)]  # fmt: skip
-
-
-def sky_of(function, height=256) -> Environment:
-    """Light with one number a direction, on the first vector of `BASIS`."""
-    values = function(directions(2 * height, height)[0])
-    coefficients = np.stack([values, 0 * values, 0 * values], axis=-1).astype(np.float32)
-    return Environment(coefficients, BASIS, irradiance_map(coefficients, 128, 64))
-
-
-def levels(image, light):
-    """The coefficient on the first vector that Y shows."""
-    white = light.upward_white()
-    return image[..., 1] / (xyz_from_radiance(white)[1] @ BASIS[:, 0])
 
 
 @pytest.mark.stability(stage="render", case="grazing hits")
@@ -93,58 +78,6 @@ def test_parallel_mirrors_end_at_the_limit_and_keep_the_energy():
         assert found.max() <= 1.001 * truth.max() and found.min() >= 0
         means.append(found[..., 1].mean() / truth[1])
     assert means == sorted(means) and means[0] < 0.6 and means[-1] > 0.99
-
-
-# --- gloss -------------------------------------------------------------------------------------------------------
-
-
-def smooth_light(direction):
-    x, y, z = np.moveaxis(direction, -1, 0)
-    return 1.0 + 0.5 * x - 0.3 * y + 0.6 * z * z + 0.2 * x * z
-
-
-def lobe_integral(normal, view, beta, mu, n, k) -> float:
-    """Radiance β/π ∫ L F D G / cosθ_r dω of equation (5), Gauss-Legendre over half vectors."""
-    nodes, weights = np.polynomial.legendre.leggauss(120)
-    top = min(6 * mu, np.pi / 2)
-    phi, dphi = (nodes + 1) / 2 * top, weights * top / 2
-    around = (np.arange(128) + 0.5) * 2 * np.pi / 128
-    tangent = np.cross(normal, [0.3, 0.9, -0.2])
-    tangent /= np.linalg.norm(tangent)
-    bitangent = np.cross(normal, tangent)
-    phi, around = np.meshgrid(phi, around, indexing="ij")
-    ring = np.cos(around)[..., None] * tangent + np.sin(around)[..., None] * bitangent
-    half = np.cos(phi)[..., None] * normal + np.sin(phi)[..., None] * ring
-    to_light = 2 * (half @ view)[..., None] * half - view
-    angles = angles_from_directions(normal, to_light, view)
-    value = reflect(0.0, 0.0, beta, mu, angles, n, k) * smooth_light(to_light)
-    solid_angle = np.sin(phi) * dphi[:, None] * 2 * np.pi / 128 * 4 * np.maximum(half @ view, 0.0)
-    return float(np.sum(value * solid_angle) / np.pi)
-
-
-@pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.4)], ids=["lacquer", "metal"])
-@pytest.mark.parametrize(("mu", "tolerance"), [(0.05, 0.01), (0.12, 0.01), (0.35, 0.03), (0.6, 0.04), (1.2, 0.06)])
-def test_gloss_is_the_lobe_integrated_over_the_light(mu, tolerance, n, k):
-    """A row of four round lobes: the rougher the surface, the less they follow the horizon's cut."""
-    beta = 1 / (4 * mu**2)
-    light = sky_of(smooth_light, 128)
-    found = levels(picture([BALL], [material(0.0, beta=beta, mu=mu, n=n, k=k)], light), light)
-    ray, normal = sphere_hits()
-    cosine = -np.sum(ray * normal, axis=-1)
-    for y, x in [(20, 20), (14, 20), (20, 27), (28, 12), (10, 14), (25, 33), (33, 24)]:
-        assert cosine[y, x] > 0.25
-        assert found[y, x] == pytest.approx(lobe_integral(normal[y, x], -ray[y, x], beta, mu, n, k), rel=tolerance)
-
-
-@pytest.mark.stability(stage="render", case="roughness at both bounds", mu=(0.005, 1.2))
-@pytest.mark.stability(stage="render", case="energy")
-@pytest.mark.parametrize("mu", [0.005, 0.05, 0.2, 0.6, 1.2])
-def test_gloss_creates_no_energy_at_any_roughness(mu):
-    light = even_light()
-    glossy = material(0.0, beta=1 / (4 * mu**2), mu=mu, n=0.01, k=20.0)
-    found = picture([BALL], [glossy], light)
-    truth = xyz_from_radiance(light.upward_white()) @ spectrum_of()
-    assert found[20, 20, 1] > 0 and found.max() <= 1.01 * truth.max()
 
 
 # --- lamps -------------------------------------------------------------------------------------------------------
