@@ -52,7 +52,11 @@ def cosine_of(angle):
 
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
 def fresnel_of(c, n, k):
-    """Return `irodori.brdf.fresnel` of a cosine within 0..1, without branches; numbers or lanes."""
+    """Return `irodori.brdf.fresnel` of a cosine up to 1, without branches; numbers or lanes.
+
+    Below zero it is as at zero: what turns away has no gloss, and index 1 would make infinity times nothing of it.
+    """
+    c = upper_of(c, 0.0)
     nk, c2 = n * k, c * c
     s2 = 1.0 - c2
     real = (n - 1.0) * (n + 1.0) - k * k + c2

@@ -131,6 +131,14 @@ def test_back_lit_observations_count_as_dark_and_do_no_harm():
     assert_sound(run(response, geometry))  # even with weight
 
 
+@pytest.mark.parametrize("n", [1.0, 1.5])
+def test_light_and_eye_below_the_surface_at_an_index_of_one_tell_nothing(n):
+    """Angles of 1.6 rad, all alike: index 1 and a facet that turns away once made infinity times nothing."""
+    result = run(np.zeros((9, len(GEOMETRY))), np.full((9, len(GEOMETRY), 4), 1.6), n=n)
+    assert (result.status == Status.TOO_FEW_OBSERVATIONS).all()
+    assert np.isnan(result.alpha).all() and np.isnan(result.beta).all()
+
+
 @pytest.mark.stability(stage="fit", case="μ from 0.005 to 1.2")
 def test_roughness_over_its_whole_range_is_recovered_or_flagged():
     off = np.geomspace(0.05, 20, 16)

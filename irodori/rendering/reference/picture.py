@@ -155,7 +155,8 @@ def pooled(error: np.ndarray) -> np.ndarray:
     Squares of the differences of two sets are right in the mean, and single ones scatter by more than themselves;
     neighbours mostly have like noise.
     """
-    return np.sqrt(uniform_filter(np.square(error, dtype=np.float64), _NEIGHBOURS, mode="nearest"))
+    squares = uniform_filter(np.square(error, dtype=np.float64), _NEIGHBOURS, mode="nearest")
+    return np.sqrt(np.maximum(squares, 0.0))  # the filter's running sum leaves less than nothing of what it took away
 
 
 def picture_key(scene: Scene, view: View, samples: int, seed: int) -> str:
