@@ -156,10 +156,10 @@ def scikit(folder: Path, variant: str):
             return model, np.concatenate([model.transform(tile).astype(np.float32) for tile in tiles_of(source)])
 
 
-def decode(folder: Path, variant: str) -> int:
+def decode(folder: Path, variant: str, rows: slice = slice(None)) -> int:
     """Read coefficients back; return how many."""
     with store.open_file(folder / f"{variant}.h5") as file:
-        return read_coefficients(file, "coefficients").size
+        return read_coefficients(file, "coefficients", rows).size
 
 
 def run(folder: Path, variant: str):
@@ -197,6 +197,8 @@ def measured(folder: Path, variant: str) -> dict:
     if variant in PCA:
         basis = np.eye(61)[:, :6] if PCA[variant][0] == "bands" else None
         analyse(np.ones((100, 61 if basis is None else 6), np.float32), basis, observers(), PCA[variant][1])
+    if variant.startswith("decode-"):  # loads what converts
+        decode(folder, variant.removeprefix("decode-"), slice(1))
     Path("/proc/self/clear_refs").write_text("5")  # the peak starts from what is held now
     start, done = time.perf_counter(), None
     if variant != "imports":

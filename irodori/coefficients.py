@@ -6,6 +6,7 @@ Scales are powers of two: scaling is exact, and what was rounded once is not rou
 """
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
 import h5py
@@ -198,14 +199,27 @@ def read_coefficients(file: store.Reader, name: str, rows: slice = slice(None)) 
     first, last, _ = rows.indices(dataset.shape[0])
     out = np.empty((max(last - first, 0), *dataset.shape[1:]), dtype=np.float32)
     try:
-        for part, tile in _row_tiles(dataset, first, last):
-            if scale is None:
+        if scale is None:
+            for part, tile in _row_tiles(dataset, first, last):
                 dataset.read_direct(out[tile], np.s_[part])
-            else:
-                _decode(dataset[part].reshape(-1, scale.size), scale, out[tile].reshape(-1, scale.size))
+        else:
+            _read_halves(dataset, scale, first, last, out)
     except OSError as error:
         raise InputError(file.path, name, f"unreadable data ({error})", "a complete file") from None
     return out
+
+
+def _read_halves(dataset: h5py.Dataset, scale: np.ndarray, first: int, last: int, out: np.ndarray) -> None:
+    """Fill ``out`` from rows in half precision: a tile is decoded while the next is read and unpacked."""
+    with ThreadPoolExecutor(1, "decode") as pool:
+        waiting = None
+        for part, tile in _row_tiles(dataset, first, last):
+            stored, target = dataset[part].reshape(-1, scale.size), out[tile].reshape(-1, scale.size)
+            if waiting is not None:
+                waiting.result()
+            waiting = pool.submit(_decode, stored, scale, target)
+        if waiting is not None:
+            waiting.result()
 
 
 def _row_tiles(dataset: h5py.Dataset, first: int, last: int) -> Iterator[tuple[slice, slice]]:
