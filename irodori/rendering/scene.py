@@ -78,23 +78,20 @@ def make_objects(placements: list[Placement], materials: list[Material]) -> tupl
         Share of the texels on each object's surface that had no data of their own.
     """
     bases = max(m.basis.shape[1] for m in materials)
-    texels, basis, first, filled = [], [], [0], []
-    for placement, material in zip(placements, materials, strict=True):
-        whole, share = material.filled(placement.shape.is_covered(*material.alpha.shape[::-1]))
-        count = whole.basis.shape[1]
-        rows = np.zeros((whole.alpha.size, bases + 2), dtype=np.float32)
-        rows[:, :count] = (whole.coefficients * whole.spectrum_scale[..., None]).reshape(-1, count)
-        rows[:, bases], rows[:, bases + 1] = whole.beta.ravel(), whole.mu.ravel()
-        texels.append(rows)
-        first.append(first[-1] + len(rows))
-        basis.append(np.pad(whole.basis.T, ((0, bases - count), (0, 0))))
+    first = np.concatenate([[0], np.cumsum([m.alpha.size for m in materials])])
+    # Written in place: a texture of ten megapixels takes half a gigabyte.
+    texels = np.zeros((first[-1], bases + 2), dtype=np.float32)
+    basis, filled = [], []
+    for placement, material, start in zip(placements, materials, first[:-1], strict=True):
+        rows, share = _fill_texels(placement, material, texels[start : start + material.alpha.size])
+        basis.append(np.pad(rows, ((0, bases - len(rows)), (0, 0))))
         filled.append(share)
     n, k = np.stack([m.n for m in materials]), np.stack([m.k for m in materials])
     objects = Objects(
         wraps=np.array([p.shape.kind == SPHERE for p in placements], dtype=np.int64),
-        first_texel=np.array(first[:-1]),
+        first_texel=first[:-1],
         texture_size=np.array([m.alpha.shape[::-1] for m in materials]),
-        texels=np.concatenate(texels),
+        texels=texels,
         basis=np.stack(basis),
         bases=np.array([m.basis.shape[1] for m in materials]),
         mirror=np.array([m.mirror for m in materials], dtype=np.float64),
@@ -103,6 +100,16 @@ def make_objects(placements: list[Placement], materials: list[Material]) -> tupl
         grey=((np.ptp(n, axis=1) == 0) & (np.ptp(k, axis=1) == 0)).astype(np.int64),
     )
     return objects, filled
+
+
+def _fill_texels(placement: Placement, material: Material, texels: np.ndarray) -> tuple[np.ndarray, float]:
+    """Fill an object's texels, (n, bases + 2); return its basis, (k, 61), and the share of texels without data."""
+    whole, share = material.filled(placement.shape.is_covered(*material.alpha.shape[::-1]))
+    count = whole.basis.shape[1]
+    coefficients, scale = whole.coefficients.reshape(-1, count), whole.spectrum_scale.reshape(-1, 1)
+    np.multiply(coefficients, scale, out=texels[:, :count], casting="same_kind")
+    texels[:, -2], texels[:, -1] = whole.beta.ravel(), whole.mu.ravel()
+    return whole.basis.T, share
 
 
 def make_light(environment: Environment) -> Light:
