@@ -6,16 +6,14 @@ in the same run. ``--table`` prints the errors of every estimator instead, for a
 the measured spectra of ``../shared/data``. Times exclude compilation, which is reported apart.
 """
 
-import argparse
 import sys
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.table import COLUMNS, arguments_of, median_s, medians_s, own_peak_mb, printed_by, report, write
+from benchmarks.table import COLUMNS, arguments_of, median_s, medians_s, peak_mb_of, report, write
 from irodori.calibration import ESTIMATORS, Noise, Training, choose, cross_validate, fit
 from irodori.colour import delta_e_reflectance, spectral_rmse
 from irodori.spectra import TRAPEZOID_NM, camera_sensitivities, read_wide_csv, resample, spectrum
@@ -163,23 +161,7 @@ def bare_product(response: np.ndarray):
     return lambda: np.matmul(response, matrix, out=out)
 
 
-def peaks_mb(variants: Sequence[str], size: str, threads: int) -> list[float]:
-    """Return the peak resident memory of a process of its own that does the work of a variant once, MB."""
-    common = ("--size", size, "--threads", str(threads))
-    return [float(text.split()[-1]) for text in printed_by("calibrate", [("--child", v, *common) for v in variants])]
-
-
-def child(variant: str, pixels: int) -> None:
-    """Do the work once and print the peak resident memory, MB."""
-    response = picture(pixels)
-    if variant == "blas":
-        bare_product(response)()
-    elif variant != "imports":
-        calibration(name_of(variant)).weights(response, variance_of(response, variant))
-    print(own_peak_mb())
-
-
-def measure(size: str, runs: int, threads: int) -> list[dict]:
+def measure(size: str, runs: int) -> list[dict]:
     """Return one row a variant, the reference first."""
     pixels = PIXELS[size]
     response, trial = picture(pixels), Trial.of(CAMERAS[0], "classic", "munsell")
@@ -191,12 +173,12 @@ def measure(size: str, runs: int, threads: int) -> list[dict]:
         print(f"{variant}, first run, compilation included: {time.perf_counter() - start:.2f} s", file=sys.stderr)
         work[variant] = lambda solved=solved, variance=variance: solved.weights(response, variance)
     seconds = medians_s(work, runs)
-    rows, (imports, *peaks) = [], peaks_mb(("imports", *seconds), size, threads)
-    for (variant, median), peak in zip(seconds.items(), peaks, strict=True):
+    rows = []
+    for variant, median in seconds.items():
         error = float("nan")
         if variant != "blas":
             error = errors(trial, 0.003, name_of(variant), BASES, variant == TOLD)[0]
-        rows.append(row(variant, pixels, median, seconds["blas"], error, peak))
+        rows.append(row(variant, pixels, median, seconds["blas"], error, peak_mb_of(work[variant])))
     training = trial.responses(0.003, 0)[0]
 
     def judge() -> None:
@@ -205,7 +187,7 @@ def measure(size: str, runs: int, threads: int) -> list[dict]:
 
     seconds = median_s(judge, 5 if size == "full" else 1)
     print(f"cross-validation of everything: {seconds:.2f} s", file=sys.stderr)
-    print(f"a process after its imports and its picture: {imports:.0f} MB", file=sys.stderr)
+    print(f"at rest, the picture and all estimators in memory: {peak_mb_of(lambda: None):.0f} MB", file=sys.stderr)
     return rows
 
 
@@ -222,7 +204,6 @@ def main() -> None:
     """Measure and print; write a CSV if asked."""
     parser = arguments_of(__doc__.splitlines()[0])
     parser.add_argument("--table", action="store_true", help="errors of every estimator, set, camera and noise")
-    parser.add_argument("--child", choices=["blas", "imports", *VARIANTS], help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     use_threads(arguments.threads)
     if not DATA.is_dir():
@@ -231,13 +212,10 @@ def main() -> None:
         print(f"skipped: no measured spectra at {DATA}")
         write([], arguments.output)
         return
-    if arguments.child:
-        child(arguments.child, PIXELS[arguments.size])
-        return
     if arguments.table:
         print_table()
         return
-    rows = measure(arguments.size, arguments.runs, arguments.threads)
+    rows = measure(arguments.size, arguments.runs)
     report(rows, arguments.threads, arguments.output)
 
 

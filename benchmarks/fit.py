@@ -7,7 +7,7 @@ whose sum of squares exceeds the best of a dense scan over μ in float64 by more
 noise-free parameters are printed beside it.
 
 ``python -m benchmarks.fit [--size small] [--runs 7] [--output speed_error.csv]``, at the top of the repository. Peak
-memory is that of a process that fits the texels once; times exclude compilation. Small has fewer texels and one
+memory is that of the process while it fits the texels once; times exclude compilation. Small has fewer texels and one
 algorithm of NLopt in compiled loops.
 """
 
@@ -16,12 +16,12 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.table import COLUMNS, arguments_of, median_s, own_peak_mb, printed_by, report
+from benchmarks.table import COLUMNS, arguments_of, median_s, own_peak_mb, peak_mb_of, report
 from irodori.brdf import gloss_factors, reflect
 from irodori.fitting import FitOptions, Status, fit
 from irodori.fitting.solvers import ACCEPTED_ALGORITHMS
@@ -126,30 +126,24 @@ def variants(size: str) -> dict[str, FitOptions]:
     )
 
 
-def peaks_mb(size: str, threads: int) -> Iterator[str]:
-    """Return the peak memory of a process that fits once, MB, for every geometry and variant."""
-    common = ("--size", size, "--threads", str(threads))
-    calls = [("--child", name, "--kind", kind, *common) for kind in KINDS for name in variants(size)]
-    return (text.split()[-1] for text in printed_by("fit", calls))
-
-
-def measure(runs: int, threads: int, size: str) -> list[dict]:
+def measure(runs: int, size: str) -> list[dict]:
     """Return one row a variant and geometry."""
     counts, mus = {CHECKED[size], CHECKED_OF_REFERENCE}, np.geomspace(0.005, 1.2, 4000)
     best = {count: brute_force(scene(count)[3], mus) for count in counts}
-    rows, peaks = [], peaks_mb(size, threads)
+    rows = []
     for kind in KINDS:
         slowest = None
         for variant, options in variants(size).items():
             texels = TEXELS[size][options.solver]
             arguments = inputs(scene(texels)[3], kind)
-            seconds = median_s(lambda a=arguments, o=options: fit(*a, o), runs)
+            work = partial(fit, *arguments, options)
+            seconds = median_s(work, runs)
             checked = CHECKED_OF_REFERENCE if options.solver == "nlopt-reference" else CHECKED[size]
             missed = missed_share(options, kind, best[checked])
             slowest = slowest or seconds / texels
             name = variant if kind == "own" else f"{variant}-shared"
             values = ("fit", name, str(texels), "pixels", f"{seconds:.4f}", f"{texels / seconds:.0f}",
-                      "share of pixels 0.1 % above the dense scan", f"{missed:.5f}", f"{float(next(peaks)):.0f}",
+                      "share of pixels 0.1 % above the dense scan", f"{missed:.5f}", f"{peak_mb_of(work):.0f}",
                       f"nlopt-reference{name.removeprefix(variant)}", f"{seconds / texels / slowest:.6f}")  # fmt: skip
             rows.append(dict(zip(COLUMNS, values, strict=True)))
             noiseless = ""
@@ -187,19 +181,13 @@ def capture() -> None:
 def main() -> None:
     """Measure and print; write a CSV if asked."""
     parser = arguments_of(__doc__.splitlines()[0])
-    parser.add_argument("--child", help=argparse.SUPPRESS)
-    parser.add_argument("--kind", default="own", help=argparse.SUPPRESS)
+    parser.add_argument("--child", choices=["capture"], help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     use_threads(arguments.threads)
-    if arguments.child == "capture":
+    if arguments.child:
         capture()
         return
-    if arguments.child:
-        options = variants(arguments.size)[arguments.child]
-        fit(*inputs(scene(TEXELS[arguments.size][options.solver])[3], arguments.kind), options)
-        print(own_peak_mb())
-        return
-    rows = measure(arguments.runs, arguments.threads, arguments.size)
+    rows = measure(arguments.runs, arguments.size)
     if arguments.size == "full":
         growth(arguments.runs)
         subprocess.run([sys.executable, "-m", "benchmarks.fit", "--child", "capture"], cwd=ROOT, check=True)
