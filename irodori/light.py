@@ -5,6 +5,7 @@ centres. Radiance is relative: 1 is a perfect diffuser lit at normal incidence b
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -27,11 +28,14 @@ class Environment:
         L(λ) = basis @ coefficients.
     irradiance : (h, w, k) float32
         I_d of equation (8) for normals on the same kind of grid, on the same basis.
+    file : Path, optional
+        Where the coefficients were read from: blurred light that stands there is theirs, whatever the basis.
     """
 
     coefficients: np.ndarray
     basis: np.ndarray
     irradiance: np.ndarray
+    file: Path | None = None
 
     def save(
         self,
@@ -84,7 +88,8 @@ class Environment:
         axes = {"coefficients": "row,column,basis", "basis": "wavelength,basis", "irradiance": "theta,azimuth,basis"}
         with store.open_file(path) as file:
             file.require_axes(axes, wavelength=SAMPLES)
-            return cls(read_coefficients(file, "coefficients"), file.read("basis"), file.read("irradiance"))
+            coefficients = read_coefficients(file, "coefficients")
+            return cls(coefficients, file.read("basis"), file.read("irradiance"), Path(path))
 
     def upward_white(self) -> np.ndarray:
         """Return the radiance of a perfect diffuser that faces up, (61,): the scene's white."""

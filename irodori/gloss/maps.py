@@ -24,6 +24,7 @@ from irodori.brdf import fresnel
 from irodori.errors import InputError
 from irodori.gloss.cells import PointLights, add_from_points, point_lights
 from irodori.gloss.lobes import fitted_lobes
+from irodori.light import Environment
 from irodori.prefilter import WIDTHS_RAD, prefiltered
 from irodori.sphere import add_interpolated
 
@@ -91,8 +92,28 @@ class GlossMaps:
             out.write(f"gloss/{name}", values, units=units, dims=dims, quantity=quantity)
 
     @classmethod
-    def load(cls, path) -> "GlossMaps":
+    def stored(cls, environment: Environment, levels: tuple[int, int] | None = None) -> "GlossMaps | None":
+        """Return the maps that an environment's file has of it; None where it has none, or no file.
+
+        Parameters and errors as of `load`.
+        """
+        if environment.file is None:
+            return None
+        with store.open_file(environment.file) as file:
+            if "gloss/width" not in file:
+                return None
+        return cls.load(environment.file, levels)
+
+    @classmethod
+    def load(cls, path, levels: tuple[int, int] | None = None) -> "GlossMaps":
         """Read ``/gloss`` of an environment's file.
+
+        Parameters
+        ----------
+        path : path
+        levels : (int, int), optional
+            First and last-plus-one level of `irodori.prefilter.WIDTHS_RAD` that is wanted, as of
+            `irodori.prefilter.prefiltered`.
 
         Raises
         ------
@@ -105,8 +126,10 @@ class GlossMaps:
             if first < 0 or not np.allclose(widths, WIDTHS_RAD[first:]):
                 accepted = f"{WIDTHS_RAD[0]:.4g} rad and every factor of √2 to {WIDTHS_RAD[-1]:.4g}"
                 raise InputError(path, "gloss/width", "other widths", accepted)
-            levels = tuple(file.read(f"gloss/level-{n:02d}") for n in range(first, len(WIDTHS_RAD)))
-            return cls(first, levels, PointLights(file.read("gloss/direction"), file.read("gloss/power")))
+            wanted = levels or (first, len(WIDTHS_RAD))
+            first = max(first, wanted[0])
+            maps = tuple(file.read(f"gloss/level-{n:02d}") for n in range(first, max(first + 1, wanted[1])))
+            return cls(first, maps, PointLights(file.read("gloss/direction"), file.read("gloss/power")))
 
     def tables(self) -> GlossTables:
         """Return the maps and the table of lobes flat, for `add_gloss_radiance`."""

@@ -206,7 +206,7 @@ class _Interactive(Renderer):
         prepared = interactive.prepare_scene(
             self.objects,
             interactive.light_of(environment),
-            GlossMaps.of(environment.coefficients),
+            GlossMaps.stored(environment) or GlossMaps.of(environment.coefficients),
             make_tracer(make_placements(self.scene, self.shapes)),
             "spectral",
             np.ones(BANDS),  # bands need no white, and under lamps alone the environment has none

@@ -4,6 +4,7 @@ All turn about one vertical axis, so that only the angles between them are seen:
 grows by as much. An integrator that cannot turn one of the four takes the moment as seen from it.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +39,7 @@ class Moment(NamedTuple):
         if self.filter is None:
             return environment
         basis = environment.basis * np.asarray(self.filter)[:, None]
-        return Environment(environment.coefficients, basis, environment.irradiance)
+        return replace(environment, basis=basis)
 
     def lights(self, lights: Lights) -> Lights:
         """Return lights in this moment's colour, not turned."""

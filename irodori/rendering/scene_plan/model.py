@@ -191,11 +191,20 @@ def _gloss(parts: Parts, model: Model) -> GlossMaps:
     if model.gloss_levels[0] == model.gloss_levels[1]:
         return GlossMaps(0, (), nothing)
     coefficients = parts.environment.coefficients
+    to = None
     if count < coefficients.shape[2]:
         to, _ = leading_basis(light_of(parts.environment), count)
-        coefficients = (coefficients @ to).astype(np.float32)
-    first, levels = prefiltered(coefficients, model.gloss_levels)
+    stored = GlossMaps.stored(parts.environment, model.gloss_levels)
+    if stored is None:
+        first, levels = prefiltered(_on_basis(coefficients, to), model.gloss_levels)
+    else:
+        first, levels = stored.first, (_on_basis(level, to) for level in stored.levels)
     return GlossMaps(first, tuple(levels), nothing)
+
+
+def _on_basis(coefficients: np.ndarray, to: np.ndarray | None) -> np.ndarray:
+    """Return coefficients on other vectors, float32; the same ones where there are none."""
+    return coefficients if to is None else (coefficients @ to).astype(np.float32)
 
 
 def reduced_objects(objects: Objects, model: Model) -> Objects:
