@@ -206,6 +206,62 @@ def make_query(flags: int) -> np.ndarray:
     return query
 
 
+def _light_fields(light: Light, gloss: GlossMaps, pyramid, channels: Channels, half: bool) -> dict:
+    """Return the fields of a `World` that are looked up in light; ``channels`` are those of the scaled pyramid."""
+    irradiance, irradiance_side = make_irradiance(light, channels)
+    blurred, gloss_first, gloss_side = make_gloss(gloss, channels, half)
+    return {
+        "environment": pyramid.texels,
+        "environment_first": pyramid.first.astype(np.int64),
+        "environment_side": pyramid.side.astype(np.int32),
+        "environment_levels": len(pyramid.side),
+        "texels_per_rad": float(pyramid.side.max(initial=0) * np.sqrt(FACES / (4.0 * np.pi))),
+        "irradiance": irradiance,
+        "irradiance_side": irradiance_side,
+        "gloss": blurred,
+        "gloss_first": gloss_first,
+        "gloss_side": gloss_side,
+        "gloss_levels": len(gloss_side),
+        "gloss_level": float(gloss.first),
+        "lobes": lobe_table()[0].ravel(),
+        "roughness_start": float(np.log(roughness_at(0))),
+        "roughness_step": float(np.log(roughness_at(1) / roughness_at(0))),
+    }
+
+
+def _surface_fields(objects: Objects, tracer: Tracer, channels: Channels) -> dict:
+    """Return the fields of a `World` that shapes and materials fill."""
+    texels, first, stride = make_textures(objects, channels)
+    index = np.concatenate(
+        [channels.index, np.repeat(channels.index[..., -1:], channels.surface - channels.count, axis=2)], axis=2
+    )
+    return {
+        "shape": make_shapes(tracer, objects),
+        "objects": len(tracer.placements),
+        "surfaces": Surfaces(*(Memory(array) for array in make_surfaces(tracer.placements))),
+        "meshes": sum(p.shape.kind == MESH for p in tracer.placements),
+        "scatters": int(texels.reshape(-1, channels.surface)[:, :-1].any()),
+        "bounded": len(tracer.placements) if len(tracer.placements) <= _MOST_BOUNDED else 0,
+        "texels": texels,
+        "texture_first": first,
+        "texture_stride": stride,
+        "index": index.astype(np.float32).ravel(),
+        "scene": tracer.scene,
+    }
+
+
+def _colour_fields(channels: Channels) -> dict:
+    """Return the fields of a `World` that lead from what light is stored in to colours."""
+    decode = padded(channels.colour_from_light, channels.light).reshape(channels.count, channels.light)
+    return {
+        "decode": padded(decode.T, channels.surface),
+        "lamp_light": padded(channels.lamp_light, channels.surface),
+        "lamp_colour": padded(channels.lamp_colour, channels.surface),
+        "xyz_from_colour": padded(channels.xyz_from_colour, channels.surface),
+        "xyz_from_light": padded(channels.xyz_from_light, channels.light),
+    }
+
+
 def make_world(
     objects: Objects,
     light: Light,
@@ -234,56 +290,18 @@ def make_world(
     picture = light.pixels[: columns * rows].reshape(rows, columns, light.pixels.shape[1])
     pyramid = environment_pyramid(picture, channels.stored_from_light, channels.light, half)
     channels = _stored_scaled(channels, pyramid.scale)
-    texels, first, stride = make_textures(objects, channels)
-    irradiance, irradiance_side = make_irradiance(light, channels)
-    gloss = needed_gloss(gloss, objects)
-    blurred, gloss_first, gloss_side = make_gloss(gloss, channels, half)
-    index = np.concatenate(
-        [channels.index, np.repeat(channels.index[..., -1:], channels.surface - channels.count, axis=2)], axis=2
-    )
+    fields = _light_fields(light, needed_gloss(gloss, objects), pyramid, channels, half)
+    fields |= _surface_fields(objects, tracer, channels) | _colour_fields(channels)
     reflected = np.stack([channels.reflected(mean) for mean in mean_spectra(objects)])
-    decode = padded(channels.colour_from_light, channels.light).reshape(channels.count, channels.light)
-    step = float(np.log(roughness_at(1) / roughness_at(0)))
-    reflects = ambient and irradiance_side > 0
+    reflects = ambient and fields["irradiance_side"] > 0
     shadows = make_mesh_shadows(tracer) if reflects else None
-    fields = {
-        "shape": make_shapes(tracer, objects),
-        "objects": len(tracer.placements),
+    fields |= {
         "ambient": padded(reflected, channels.surface),
         "ambient_inputs": reflected.shape[1] if reflects else 0,
         "shadows": shadows or no_mesh_shadows(),
         "shadowed": int(shadows is not None),
-        "surfaces": Surfaces(*(Memory(array) for array in make_surfaces(tracer.placements))),
-        "meshes": sum(p.shape.kind == MESH for p in tracer.placements),
-        "scatters": int(texels.reshape(-1, channels.surface)[:, :-1].any()),
-        "bounded": len(tracer.placements) if len(tracer.placements) <= _MOST_BOUNDED else 0,
-        "texels": texels,
-        "texture_first": first,
-        "texture_stride": stride,
-        "index": index.astype(np.float32).ravel(),
-        "environment": pyramid.texels,
-        "environment_first": pyramid.first.astype(np.int64),
-        "environment_side": pyramid.side.astype(np.int32),
-        "environment_levels": len(pyramid.side),
-        "texels_per_rad": float(pyramid.side.max(initial=0) * np.sqrt(FACES / (4.0 * np.pi))),
-        "irradiance": irradiance,
-        "irradiance_side": irradiance_side,
-        "gloss": blurred,
-        "gloss_first": gloss_first,
-        "gloss_side": gloss_side,
-        "gloss_levels": len(gloss_side),
-        "gloss_level": float(gloss.first),
-        "lobes": lobe_table()[0].ravel(),
-        "roughness_start": float(np.log(roughness_at(0))),
-        "roughness_step": step,
-        "decode": padded(decode.T, channels.surface),
-        "lamp_light": padded(channels.lamp_light, channels.surface),
-        "lamp_colour": padded(channels.lamp_colour, channels.surface),
-        "xyz_from_colour": padded(channels.xyz_from_colour, channels.surface),
-        "xyz_from_light": padded(channels.xyz_from_light, channels.light),
         "intersect": functions[0],
         "occluded": functions[1],
-        "scene": tracer.scene,
         "query": functions[2],
     }
     return World(**{name: Memory(v) if isinstance(v, np.ndarray) else v for name, v in fields.items()})
