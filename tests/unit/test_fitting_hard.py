@@ -9,9 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from test_fitting import GEOMETRY, K, N, gloss_over_beta, materials, model, run
 
-from irodori.brdf import gloss_factors
 from irodori.fitting import FitOptions, Status, fit
-from irodori.fitting.lobe import COSINE, GLOSS, ROWS, SPOILED, SQUARE, exp_negative, pack_geometry, padded
 
 CAMERA = np.tile([4e-6, 8e-5], (len(GEOMETRY), 1))  # c0 and c1 of a camera of moderate noise
 FREE = {"alpha": (0.0, 2.0), "beta": (0.0, 1e4), "mu_rad": (0.005, 1.2)}
@@ -53,24 +51,6 @@ def assert_sound(result, bounds=FREE, stating=(Status.OK, Status.DIFFUSE_ONLY, S
     # What is open says so in full.
     assert not np.isfinite(result.alpha_error[np.isnan(result.alpha)]).any()
     assert not np.isinf(np.concatenate([result.alpha, result.alpha_error, result.residual_rms])).any()
-
-
-@pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.2), (1.0001, 0.0)])
-def test_vector_form_of_the_gloss_is_that_of_the_reflection_model(n, k):
-    geometry = np.random.default_rng(0).uniform(0.0, 1.7, (53, 4))
-    block = np.zeros((ROWS, padded(53)))
-    pack_geometry(geometry, n, k, np.zeros((4, padded(53))), block)
-    np.testing.assert_allclose(block[GLOSS, :53], gloss_factors(geometry, n, k), rtol=1e-12, atol=1e-15)
-    seen = (geometry[:, :2] < np.pi / 2).all(axis=1)
-    np.testing.assert_allclose(block[COSINE, :53], np.cos(geometry[:, 0]) * seen, rtol=1e-14, atol=1e-15)
-    np.testing.assert_allclose(block[SQUARE, :53], geometry[:, 3] ** 2, rtol=1e-14)
-    assert (block[SPOILED] == 0).all()
-
-
-@given(st.floats(-160.0, 0.0))
-@settings(deadline=None)
-def test_vector_form_of_the_exponential_is_exact(x):
-    assert exp_negative(x) == pytest.approx(np.exp(x), rel=4e-15)
 
 
 @pytest.mark.stability(stage="fit", case="1 % noise", noise=0.01)
