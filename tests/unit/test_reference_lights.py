@@ -216,6 +216,16 @@ def test_two_sets_need_fewer_samples_than_eight_and_know_their_error():
     assert 0.02 < (np.abs(z) > 2.0).mean() < 0.12
 
 
+def test_the_error_of_dark_pixels_is_theirs_however_bright_others_are():
+    error = np.full((40, 50), 1e-3)
+    error[5:9, 4:9] = np.random.default_rng(0).uniform(0, 1e7, (4, 5))
+    stated = pooled(error)
+    far = np.ones(stated.shape, dtype=bool)
+    far[2:12, 1:12] = False
+    assert np.allclose(stated[far], 1e-3, rtol=1e-9)
+    assert (stated[~far] > 1e3).all()
+
+
 @pytest.fixture
 def threads():
     before = numba.get_num_threads()
