@@ -216,6 +216,31 @@ def test_two_sets_need_fewer_samples_than_eight_and_know_their_error():
     assert 0.02 < (np.abs(z) > 2.0).mean() < 0.12
 
 
+def test_one_error_for_all_bands_is_right_where_they_err_apart_from_each_other(monkeypatch):
+    from irodori.rendering.reference import picture as module
+
+    sigma, rng = np.linspace(0.5, 2.0, 61), np.random.default_rng(0)
+
+    def noise(scene, view, numbers, rows):
+        # As of two sets: half their difference.
+        shape = (rows[1] - rows[0], view.width, 61)
+        return module.Picture(np.zeros(shape, np.float32), np.abs(rng.normal(0, sigma, shape)).astype(np.float32), 0)
+
+    monkeypatch.setattr(module, "render_rows", noise)
+    stated = pooled(still_life(16, error_by_band=False).standard_error[..., 0])
+    assert stated.mean() == pytest.approx(np.sqrt(np.mean(sigma**2)), rel=0.02)
+
+
+def test_the_error_of_dark_pixels_is_theirs_however_bright_others_are():
+    error = np.full((40, 50), 1e-3)
+    error[5:9, 4:9] = np.random.default_rng(0).uniform(0, 1e7, (4, 5))
+    stated = pooled(error)
+    far = np.ones(stated.shape, dtype=bool)
+    far[2:12, 1:12] = False
+    assert np.allclose(stated[far], 1e-3, rtol=1e-9)
+    assert (stated[~far] > 1e3).all()
+
+
 @pytest.fixture
 def threads():
     before = numba.get_num_threads()
@@ -236,7 +261,8 @@ def test_threads_and_tiles_do_not_change_a_bit_and_seeds_do(threads):
     assert not np.array_equal(pictures[0].radiance, still_life(16, seed=1).radiance)
     short = still_life(16, tile_rows=7, error_by_band=False)
     assert np.array_equal(short.radiance, pictures[0].radiance)
-    assert np.array_equal(short.standard_error, pictures[0].standard_error.mean(axis=-1, keepdims=True))
+    whole = np.sqrt((pictures[0].standard_error ** 2).mean(axis=-1, keepdims=True))
+    assert np.allclose(short.standard_error, whole, rtol=1e-6)
 
 
 def test_an_interrupted_picture_goes_on_where_it_stopped(tmp_path, monkeypatch):

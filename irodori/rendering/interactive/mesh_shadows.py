@@ -24,7 +24,7 @@ from irodori.rendering.interactive.shadow_nodes import GRID, Nodes, make_nodes
 #: Rays of a node, a power of two; the least of them, where a scene has more nodes than `_FULL_NODES`.
 RAYS_PER_NODE, _LEAST_RAYS, _FULL_NODES = 512, 64, 1 << 18
 #: Meshes whose reflected light a shape keeps apart: those that may hide most from it. What others hide counts as well,
-#: and sends back what these do on average.
+#: and sends back what the last of these would there.
 MOST_MESHES = 4
 #: A node from which this share of rays meets meshes from behind, or spheres from inside, lies within them.
 _ENCLOSED = 0.9
@@ -83,8 +83,12 @@ def _strongest(nodes: Nodes, bounds: Bounds) -> np.ndarray:
     step = max(len(nodes.origin) // 1024, 1)
     hidden = np.zeros(len(meshes))
     for place, mesh in enumerate(meshes):
-        square = ((nodes.origin[::step] - bounds.centre[mesh]) ** 2).sum(axis=1)
-        hidden[place] = np.minimum(bounds.radius[mesh] ** 2 / np.maximum(square, 1e-300), 1.0).mean()
+        away = bounds.centre[mesh] - nodes.origin[::step]
+        square = (away**2).sum(axis=1)
+        share = np.minimum(bounds.radius[mesh] ** 2 / np.maximum(square, 1e-300), 1.0)
+        # What lies under the horizon, as under the plate that others stand on, hides nothing.
+        rises = (away * nodes.normal[::step]).sum(axis=1) > -bounds.radius[mesh]
+        hidden[place] = np.mean(share * rises)
     return meshes[np.argsort(-hidden, kind="stable")[:MOST_MESHES]]
 
 
@@ -163,16 +167,14 @@ def _add_ray(rays, bounds, layer_of, ray, origin, direction, values, node):
     if bounds.kind[shape] != MESH:
         values[node, UNCOVERED] += 1.0
         return False, bounds.kind[shape] == SPHERE and not front
-    layer = layer_of[shape]
-    if layer >= 0:
-        values[node, HIDDEN] += 1.0
-        length = np.sqrt(x * x + y * y + z * z)
-        if front and length > 0.0:
-            at = LAYERS + LAYER * layer
-            values[node, at] += 1.0
-            values[node, at + 1] += x / length
-            values[node, at + 2] += y / length
-            values[node, at + 3] += z / length
+    values[node, HIDDEN] += 1.0
+    length = np.sqrt(x * x + y * y + z * z)
+    if front and length > 0.0:
+        at = LAYERS + LAYER * layer_of[shape]
+        values[node, at] += 1.0
+        values[node, at + 1] += x / length
+        values[node, at + 2] += y / length
+        values[node, at + 3] += z / length
     trace(rays.occluded, rays.others, ray, origin, direction, np.inf)
     return not is_blocked(ray), not front
 
@@ -240,7 +242,7 @@ def _extended(values: np.ndarray, is_open: np.ndarray, cells: np.ndarray) -> Non
 
 def _values(nodes: Nodes, rays: _Rays, bounds: Bounds, layers: np.ndarray, count: int) -> np.ndarray:
     """Return the numbers of a shape's nodes, (n, LAYERS + LAYER * layers) float32."""
-    layer_of = np.full(len(bounds.kind), -1, dtype=np.int64)
+    layer_of = np.full(len(bounds.kind), len(layers) - 1, dtype=np.int64)
     layer_of[layers] = np.arange(len(layers))
     values = np.zeros((len(nodes.origin), LAYERS + LAYER * len(layers)), dtype=np.float32)
     is_open = np.zeros(len(values), dtype=np.bool_)
@@ -281,7 +283,7 @@ def _make(tracer: Tracer) -> MeshShadows | None:
         layers = _strongest(nodes, bounds)
         found = _values(nodes, rays, bounds, layers, count)
         seen = np.flatnonzero(found[:, LAYERS::LAYER].any(axis=0))
-        if (found[:, LEFT] < 1.0).any():
+        if found[:, HIDDEN].any():
             kept = np.concatenate([np.arange(LAYERS), (LAYERS + LAYER * seen[:, None] + np.arange(LAYER)).ravel()])
             numbers[shape, STRIDE], numbers[shape, COUNT] = len(kept), len(seen)
             numbers[shape, FIRST] = sum(part.size for part in values)

@@ -39,9 +39,10 @@ def _lattice_place(parts, b, c):
     here = j * (parts + 1) - j * (j - 1) // 2 + i
     above = here + parts + 1 - j
     if i + j == parts - 1 and fx + fy > 1.0:
-        # Beyond the triangle's third edge by rounding.
-        fx, fy = fx / (fx + fy), fy / (fx + fy)
-    if fx + fy <= 1.0:
+        # Beyond the triangle's third edge by rounding, where no further places are.
+        fx = fx / (fx + fy)
+        fy = 1.0 - fx
+    if i + j == parts - 1 or fx + fy <= 1.0:
         return (here, here + 1, above, above), (1.0 - fx - fy, fx, fy, 0.0)
     return (above + 1, above, here + 1, here + 1), (fx + fy - 1.0, 1.0 - fx, 1.0 - fy, 0.0)
 

@@ -15,10 +15,12 @@ from irodori.geometry.mesh import Mesh, make_mesh
 from irodori.geometry.shapes import Shape
 from irodori.rendering.integrators import render_image
 from irodori.rendering.interactive import mesh_shadows, render_frame, shadow_nodes
+from irodori.rendering.interactive.shadow_look_up import _lattice_place
 
 LIGHT = even_light()
 WHITE = xyz_from_radiance(LIGHT.upward_white())[1] @ spectrum_of()
 DISC = Shape.from_definition({"kind": "disc", "radius_mm": 15.0})
+FAR_BALL, SMALL_BALL = (Shape.from_definition({"kind": "sphere", "radius_mm": r}) for r in (60.0, 5.0))
 PLANE = Shape.from_definition({"kind": "plane"})
 FLOOR_VIEW = {"position": (0, -400.0, 150.0), "target": (0, 0, 0), "size": (80, 50), "fov": 20}
 
@@ -160,6 +162,17 @@ def test_what_two_shapes_hide_together_counts_once(grey):
     front = shares([plate(400.0), DISC, small], colours, [(0, 0, 0), (0, 0, 20.0), (0, 0, 14.0)], view, **turned)
     disc = shares([plate(400.0), DISC, small], colours, [(0, 0, 0), (0, 0, 20.0), (0, 0, 1e5)], view, **turned)
     assert np.abs(front - disc).max() <= 0.01
+
+
+@pytest.mark.parametrize("grey", [0.0, 0.9])
+def test_what_hangs_in_front_of_a_ceiling_hides_it_although_it_hides_no_sky(grey):
+    """A ball of triangles between a floor and a ceiling so wide that no ray to the sky meets the ball."""
+    ceiling = Shape.from_definition({"kind": "disc", "radius_mm": 4000.0})
+    turns = [np.eye(3), rotation_xyz((180.0, 0.0, 0.0)), np.eye(3)]
+    colours, places = [material(0.8), material(0.9), material(grey)], [(0, 0, 0), (0, 0, 62.0), (0, 0, 40.0)]
+    view = {"position": (0, -300.0, 50.0), "target": (0, 0, 0), "size": (1, 1), "fov": 0.05}
+    found = shares([plate(300.0), ceiling, mesh_ball(24)], colours, places, view, rotations=turns)[0, 0]
+    assert found == pytest.approx(0.8 * (0.75 * 0.9 + 0.25 * grey), abs=0.006)
 
 
 # --- enclosures and hollows -----------------------------------------------------------------------------------------
@@ -305,6 +318,38 @@ def test_a_scene_without_meshes_has_no_shadows_to_look_up():
     assert ready.world.shadowed == 0
     dark = prepared([plate(100.0), lid()], [material(0.5)] * 2, LIGHT, ambient=False)
     assert dark.world.shadowed == 0
+
+
+@pytest.mark.parametrize(
+    ("away", "height", "other", "grey"), [(200, -55, 0, 0), (200, -55, 0.5, 0.5), (10, -80, 0.9, 0)]
+)
+def test_a_fifth_mesh_has_its_shadow_where_four_larger_ones_hide_nothing(away, height, other, grey):
+    """A small ball on a plate; the others hardly rise over the plate's horizon beside it, or are under it."""
+    centres = [(away, 0, height), (-away, 0, height), (0, away, height), (0, -away, height), (0, 0, 5.0)]
+    colours, places = [material(0.8)] + [material(other)] * 4 + [material(grey)], [(0, 0, 0), *centres]
+    view = {"position": (0, -40.0, 200.0), "target": (0, -8.0, 0), "size": (31, 1), "fov": 0.72}
+    found, truth = (
+        shares([plate(100.0), *balls], colours, places, view)[0]
+        for balls in ([mesh_ball(16, 60.0)] * 4 + [mesh_ball(16, 5.0)], [FAR_BALL] * 4 + [SMALL_BALL])
+    )
+    assert truth.min() < 0.7 + 0.1 * grey and truth.max() > 0.78
+    assert np.abs(found - truth).max() <= 0.02
+
+
+@pytest.mark.parametrize("parts", [1, 2, 7, 40])
+def test_a_hit_at_or_just_beyond_a_triangles_edge_has_its_nodes_within_the_triangle(parts):
+    at, rng = shadow_nodes.lattice(parts), np.random.default_rng(4)
+    # Two of those whose shares added up to more than 1 when divided by their sum.
+    pairs = [(1.0929607219267723e-09, 1.0), (2.3243158786545592e-10, 1.0), (1.0, 0.0), (0.0, 1.0), (0.0, 0.0)]
+    pairs += [(x, 1.0) for x in 10.0 ** rng.uniform(-12, -7, 200)] + [
+        (1.0, x) for x in 10.0 ** rng.uniform(-12, -7, 50)
+    ]
+    pairs += [(x, 1.0 - x + 2.0**-24) for x in rng.random(200)]
+    for b, c in np.float32(pairs).astype(float):
+        places, weights = _lattice_place(parts, b, c)
+        assert max(places) < len(at)
+        found = sum(w * at[place] for place, w in zip(places, weights, strict=True))
+        assert np.abs(found - (max(1.0 - b - c, 0.0), b, c)).max() <= 3e-7
 
 
 @pytest.mark.heavy
