@@ -1,17 +1,25 @@
 """Files that appear under their name only when they are complete, and the hash that each result keeps beside it."""
 
 import argparse
+import errno
 import os
+import re
 import secrets
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from irodori.errors import InputError
+from irodori.errors import InputError, PlainError
 from irodori.provenance import file_sha256
 
 _DAMAGED = ".damaged"
+#: Errors that writing alone has: what a block reads is not blamed on its output.
+_OF_THE_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
+
+
+class DiskError(PlainError, OSError):
+    """A disk that is full, or takes nothing."""
 
 
 @contextmanager
@@ -28,8 +36,10 @@ def written_whole(path) -> Iterator[Path]:
 
     Raises
     ------
+    DiskError
+        If the disk is full or takes nothing; nothing is left behind.
     OSError
-        If the folder cannot be written or the disk is full; nothing is left behind.
+        If the folder cannot be written.
     """
     path = Path(path)
     for left in _unfinished(path):
@@ -38,8 +48,20 @@ def written_whole(path) -> Iterator[Path]:
     try:
         yield temporary
         os.replace(temporary, path)
+    except (OSError, RuntimeError) as error:
+        number = _number_of(error)
+        if number not in _OF_THE_DISK:
+            raise
+        reason = os.strerror(number)
+        raise DiskError(f"{path}: cannot be stored: {reason}; what was made before stays") from None
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _number_of(error: OSError | RuntimeError) -> int | None:
+    """Return the system's number of an error; HDF5 has it in its text alone where a file is closed."""
+    told = re.search(r"errno = (\d+)", str(error))
+    return getattr(error, "errno", None) or (int(told[1]) if told else None)
 
 
 def _unfinished(path: Path) -> list[Path]:

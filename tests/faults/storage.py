@@ -11,7 +11,7 @@ from running import fresh_project, judge, last_fault, run
 #: Size of the file system over that of all the results.
 FILLED = (0.15, 0.4, 0.6, 0.75, 0.85, 0.93)
 _MB = 1 << 20
-_FULL, _WRITE_PROTECTED = "No space left on device", "Write-protected output files"
+_FULL, _WRITE_PROTECTED = "cannot be stored: No space left on device", "Write-protected output files"
 
 
 class CannotMountError(Exception):
