@@ -11,6 +11,7 @@ import numpy as np
 
 from irodori.geometry.embree import Tracer
 from irodori.gloss import GlossMaps
+from irodori.rendering.cameras import ORTHOGRAPHIC
 from irodori.rendering.interactive.channels import mean_spectra
 from irodori.rendering.interactive.lobes import TAPS
 from irodori.rendering.scene import Light, Objects, View
@@ -134,15 +135,16 @@ def trace_probes(scene: Scene, views: list[View], count: int, max_bounces: int, 
     seed : int
     """
     rng = np.random.default_rng(seed)
-    origin, direction, spread = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
+    origin, direction = np.empty((2, count, 3))
+    cone, spread = np.zeros((2, count))
     for probe in range(count):
         view = views[probe % len(views)]
         x, y = rng.random(2) * (view.width, view.height)
         seen = pixel_view(view, x, y)
         origin[probe], direction[probe] = seen.position_mm, seen.world_from_camera[:, 2]
-        spread[probe] = 1.0 / view.focal_px
+        (cone if view.kind == ORTHOGRAPHIC else spread)[probe] = 1.0 / view.focal_px
     probe, throughput = np.arange(count), np.ones((count, SAMPLES))
-    passed, cone = np.zeros((count, 0), dtype=np.int64), np.zeros(count)
+    passed = np.zeros((count, 0), dtype=np.int64)
     hits, misses = [], []
     for bounce in range(max_bounces + 1):
         points = meet(scene.tracer, origin, direction)

@@ -13,7 +13,7 @@ from irodori.rendering.reference.numbers import make_numbers
 from irodori.rendering.scene import Objects, View, make_view
 from irodori.rendering.scene_plan.check import chosen_pixels, measure, refuse_above
 from irodori.rendering.scene_plan.tolerance import SHARE, bound_of_share, differences
-from irodori.rendering.single_pixels import pixel_view, same_solid_angle
+from irodori.rendering.single_pixels import sheared_view
 from irodori.rendering.white import scene_white
 
 #: Pixels rendered twice for the plan, and the paths of each time.
@@ -41,7 +41,7 @@ def render_pixels(prepared: reference.Scene, view: View, pixels: np.ndarray, sam
     numbers = make_numbers(samples, seed, reference.REPLICATES)
     found = []
     for number, (x, y) in enumerate(pixels):
-        seen = same_solid_angle(view, pixel_view(view, x + 0.5, y + 0.5))
+        seen = sheared_view(view, x + 0.5, y + 0.5)
         own = numbers._replace(seed=seed * 1_000_003 + number)
         found.append(reference.render_rows(prepared, seen, own, (0, 1)).radiance[0, 0])
     return np.array(found, dtype=np.float64).reshape(len(pixels), -1)

@@ -29,6 +29,8 @@ from irodori.store import Provenance
 
 OPTIONS = {"pixel_side": 1, "max_bounces": 4, "min_throughput": 1e-3}
 GREENISH = 0.1 + 0.6 * np.exp(-(((np.arange(61) - 28) / 9.0) ** 2))
+PARALLEL = {"kind": "orthographic", "position_mm": [0.0, -200.0, 90.0], "target_mm": [0.0, 0.0, 12.0],
+            "up": [0.0, 0.0, 1.0], "height_mm": 80.0}  # fmt: skip
 LAMP = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": -60.0, "elevation_deg": 50.0, "irradiance": 1.0}
 TABLE, JAR = plate(90.0), BALL
 PLACES = [(0.0, 0.0, 0.0), (0.0, 0.0, 20.1)]
@@ -206,9 +208,11 @@ def test_a_smaller_tolerance_costs_more():
     assert costs == sorted(costs) and costs[0] < costs[-1]
 
 
-def test_single_pixels_are_those_of_the_picture():
+@pytest.mark.parametrize("parallel", [False, True])
+def test_single_pixels_are_those_of_the_picture(parallel):
     shiny = [material(0.5, mirror=0.3), material(GREENISH, beta=3.0, mu=0.15, mirror=0.4)]
     _, parts, _, definition = planned(shiny, room())
+    definition |= {"views": {"v": PARALLEL}} if parallel else {}
     prepared = prepare(parts, full_model(parts, 4, True), np.ones((3, 61)))
     view = make_view(definition["views"]["v"], definition["image"])
     pixels = chosen_pixels(view, 300)
@@ -265,6 +269,28 @@ def test_textures_are_as_fine_as_the_picture_shows_them():
         found.append(values(document)["texture_halvings"]["table"])
     # Eight times the texels for the same picture: they are halved away.
     assert found[1] >= found[0] + 2
+
+
+def test_a_view_of_parallel_rays_is_predicted_and_checked_as_it_is_rendered():
+    shiny = [material(0.5, mirror=0.3), material(GREENISH, beta=3.0, mu=0.15, mirror=0.4)]
+    definition = scene_of() | {"views": {"v": PARALLEL}}
+    document = plan_of("table-top", definition, [TABLE, JAR], shiny, room(), OPTIONS)
+    # The table and the jar fill most of the picture, and throw rays at each other.
+    assert document["cost_of_full_model"]["rays_per_pixel"] > 1.5
+    _, figures = picture(shiny, room(), document, definition)
+    assert figures["plan"]["measured_delta_e"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
+
+
+def test_rays_that_all_leave_the_scene_are_planned_for():
+    """A mirror that has nothing to show but the sky, and a view of the sky alone."""
+    mirrors = [material(0.2, beta=1.0, mu=0.2, mirror=1.0)]
+    definition = scene_of() | {"objects": scene_of()["objects"][1:]}
+    away = definition["views"]["v"] | {"target_mm": [0.0, -400.0, 250.0]}
+    for views in ({"v": definition["views"]["v"]}, {"v": away}):
+        definition |= {"views": views}
+        document = plan_of("table-top", definition, [JAR], mirrors, room(), OPTIONS)
+        _, figures = render_image(definition, "v", [JAR], mirrors, room(), OPTIONS, plan=document)
+        assert figures["plan"]["measured_delta_e"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
 
 
 def test_a_scene_without_light_has_no_colours_to_tolerate():

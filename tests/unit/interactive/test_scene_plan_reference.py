@@ -59,8 +59,14 @@ def test_too_few_paths_are_refused():
         render_image(definition, "v", SHAPES, MATERIALS, light(), OPTIONS, plan=document)
 
 
-def test_single_pixels_converge_to_those_of_the_picture():
+LENS = {"lens": {"diameter_mm": 30.0, "focus_mm": 150.0}}
+PARALLEL = {"kind": "orthographic", "height_mm": 90.0}
+
+
+@pytest.mark.parametrize("kind", [{}, LENS, PARALLEL], ids=["pinhole", "lens", "parallel"])
+def test_single_pixels_converge_to_those_of_the_picture(kind):
     definition = scene_of(1.0)
+    definition["views"]["v"] |= kind
     placements = make_placements(definition, SHAPES)
     objects, _ = make_objects(placements, MATERIALS)
     prepared, view = make_scene(placements, objects, light()), make_view(definition["views"]["v"], definition["image"])
@@ -71,5 +77,5 @@ def test_single_pixels_converge_to_those_of_the_picture():
     # Both have noise; seven standard errors of eight replicates are out of reach of luck.
     assert (np.abs(single - whole.radiance[pixels[:, 1], pixels[:, 0]]) <= 7 * np.sqrt(2) * error + 1e-3).all()
     # No two pixels share their random numbers.
-    same = render_pixels(prepared, view, np.repeat(pixels[:1], 2, axis=0), 8, 7)
+    same = render_pixels(prepared, view, np.repeat(pixels[2:3], 2, axis=0), 8, 7)
     assert not np.array_equal(same[0], same[1])
