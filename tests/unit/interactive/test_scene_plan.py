@@ -10,20 +10,24 @@ from hypothesis import strategies as st
 from scenes import BALL, GOLD_K, GOLD_N, ONES, THIRDS, material, plate, sky
 from studio import BASIS, even_light
 
+from irodori.colour import xyz_from_radiance
 from irodori.errors import InputError
+from irodori.geometry.shapes import Shape
 from irodori.light import Environment
 from irodori.material import Material
 from irodori.pictures import read_xyz, write_spectral_exr, write_xyz_exr
 from irodori.rendering.integrators import render_image
 from irodori.rendering.interactive import render_frame
 from irodori.rendering.interactive.pixels import render_pixels
-from irodori.rendering.scene import make_objects, make_placements, make_tracer, make_view
+from irodori.rendering.scene import make_light, make_objects, make_placements, make_tracer, make_view
 from irodori.rendering.scene_plan.check import ToleranceError, chosen_pixels
 from irodori.rendering.scene_plan.model import full_model, prepare
 from irodori.rendering.scene_plan.picture import parts_of, plan_names
 from irodori.rendering.scene_plan.plan_file import model_of, object_names, read_plan, write_plan
+from irodori.rendering.scene_plan.planner import PROBES, SEED, make_probes
+from irodori.rendering.scene_plan.probes import radiance
 from irodori.rendering.scene_plan.stage import plan_of
-from irodori.rendering.scene_plan.tolerance import bound_of_share
+from irodori.rendering.scene_plan.tolerance import bound_of_share, differences
 from irodori.rendering.stage import render_view
 from irodori.store import Provenance
 
@@ -269,6 +273,32 @@ def test_textures_are_as_fine_as_the_picture_shows_them():
         found.append(values(document)["texture_halvings"]["table"])
     # Eight times the texels for the same picture: they are halved away.
     assert found[1] >= found[0] + 2
+
+
+@pytest.mark.parametrize(
+    "ground",
+    [
+        {"kind": "plate", "width_mm": 90.0, "height_mm": 60.0},
+        {"kind": "disc", "radius_mm": 45.0},
+        {"kind": "plane"},
+        {"kind": "sphere", "radius_mm": 19.0},
+    ],
+    ids=lambda shape: shape["kind"],
+)
+def test_probes_see_what_every_kind_of_shape_hides_and_throws(ground):
+    matte, definition = [material(GREENISH), material(0.7)], scene_of()
+    definition["objects"][0] |= {"scale": 1.2, "position_mm": [5.0, 0.0, -3.0], "rotation_deg": [0.0, 0.0, 20.0]}
+    placements = make_placements(definition, [Shape.from_definition(ground), JAR])
+    objects, _ = make_objects(placements, matte)
+    parts = parts_of(definition, objects, room(), make_tracer(placements))
+    full, matrix = full_model(parts, 0, True), xyz_from_radiance(parts.white)
+    view = make_view(definition["views"]["v"], definition["image"])
+    seen = radiance(make_probes(parts, [view], full, make_light(parts.environment))) @ matrix.T
+    place = np.random.default_rng(SEED).random((PROBES, 2)) * (view.width, view.height)
+    rendered = render_pixels(prepare(parts, full, matrix), view, place - 0.5)
+    off = differences(seen, rendered, matrix @ parts.white)
+    # Maps of the renderer are cubes; a ray that grazes an edge may fall on the other side of it.
+    assert np.percentile(off, 99) < 0.1
 
 
 def test_a_view_of_parallel_rays_is_predicted_and_checked_as_it_is_rendered():
