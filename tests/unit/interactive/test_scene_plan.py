@@ -206,6 +206,13 @@ def test_a_plan_is_the_same_to_the_byte_and_says_all_that_the_renderer_needs(tmp
     assert document["predicted_delta_e"] >= max(own) and document["predicted_delta_e"] <= 0.5
 
 
+def test_a_plan_that_cannot_take_its_name_leaves_nothing_behind(tmp_path):
+    (tmp_path / "plan.yaml").mkdir()
+    with pytest.raises(OSError):
+        write_plan(tmp_path / "plan.yaml", {"scene": "table-top"})
+    assert [path.name for path in tmp_path.iterdir()] == ["plan.yaml"]
+
+
 def test_a_smaller_tolerance_costs_more():
     shiny = [material(0.5, beta=0.5, mu=0.2), material(GREENISH, beta=3.0, mu=0.15, mirror=0.4)]
     costs = [planned(shiny, room(), tolerance=t)[0]["cost"]["numbers_per_pixel"] for t in (20.0, 0.5, 1e-4)]
