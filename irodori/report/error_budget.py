@@ -3,7 +3,8 @@
 The virtual rig knows the truth, so a stage's contribution is measured by substitution: everything is true but what that
 stage made, and the picture is compared with the one of true materials under true light. Beside it stands what was
 expected without knowing the truth: how far the picture of the measured materials under the measured light moves by what
-the stages know of their errors, see `irodori.report.error_prediction` and its neighbours.
+the stages know of their errors, see `irodori.report.error_prediction` and its neighbours. Compression alone states its
+error of what is compressed here, which is the truth.
 """
 
 import csv
