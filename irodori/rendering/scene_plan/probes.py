@@ -36,6 +36,8 @@ from irodori.spectra import SAMPLES
 
 #: A path whose mirrors pass less than this is not followed: single precision.
 _NOTHING = 1e-7
+#: Levels by which the probes' sky is finer than their cones: the map of a coarser picture has its texels elsewhere.
+_FINER = 2
 
 
 class Scene(NamedTuple):
@@ -75,7 +77,7 @@ class Misses(NamedTuple):
     throughput: np.ndarray
     passed: np.ndarray
     direction: np.ndarray  # (n, 3)
-    level: np.ndarray  # (n,) of the environment's ladder that is as coarse as the ray's cone
+    level: np.ndarray  # (n,) of the environment's ladder that is finer than the ray's cone
 
 
 class Probes(NamedTuple):
@@ -173,8 +175,9 @@ def trace_probes(scene: Scene, views: list[View], count: int, max_bounces: int, 
 
 
 def _level(light: Light, spread: np.ndarray) -> np.ndarray:
+    """Return the level that is as wide as cones, less `_FINER`."""
     pitch = np.pi / light.size[0, 1]
-    return np.clip(np.log2(np.maximum(spread / pitch, 1.0)).astype(int), 0, len(light.size) - 1)
+    return np.clip(np.log2(np.maximum(spread / pitch, 1.0)).astype(int) - _FINER, 0, len(light.size) - 1)
 
 
 def _curvature(tracer: Tracer) -> np.ndarray:

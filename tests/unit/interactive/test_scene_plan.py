@@ -308,6 +308,22 @@ def test_probes_see_what_every_kind_of_shape_hides_and_throws(ground):
     assert np.percentile(off, 99) < 0.1
 
 
+@pytest.mark.parametrize("side", [1, 2])
+def test_an_environment_of_straight_edges_is_halved_no_further_than_its_check_allows(side):
+    """Panels of two pixels of the picture and more, beside a mirror and in it; ``side`` rays along a pixel."""
+    rng, height = np.random.default_rng(5), 256
+    panels = np.ones((height, 2 * height, 3))
+    for _ in range(60):
+        y, x, rows, columns = *rng.integers(0, [height, 2 * height]), *rng.integers(5, height // 6, 2)
+        panels[y : y + rows, x : x + columns] = rng.uniform(0.1, 4.0, 3)
+    light, mirrors = sky(lambda unit: panels, 2 * height, height, BASIS), [MIRRORS[0], material(GREENISH)]
+    definition, options = scene_of(), OPTIONS | {"pixel_side": side}
+    definition["views"]["v"]["field_of_view_deg"] = 45.0
+    document = plan_of("table-top", definition, [TABLE, JAR], mirrors, light, options)
+    _, figures = render_image(definition, "v", [TABLE, JAR], mirrors, light, options, plan=document)
+    assert figures["plan"]["measured_delta_e"]["p99"] <= document["predicted_delta_e"] + 0.02
+
+
 def test_a_view_of_parallel_rays_is_predicted_and_checked_as_it_is_rendered():
     shiny = [material(0.5, mirror=0.3), material(GREENISH, beta=3.0, mu=0.15, mirror=0.4)]
     definition = scene_of() | {"views": {"v": PARALLEL}}
