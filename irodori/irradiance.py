@@ -253,7 +253,7 @@ class Integrator:
         flat = np.ascontiguousarray(np.reshape(normals, (-1, 3)), dtype=np.float64)
         out = np.zeros((len(flat), self.pixels.values.shape[2]))
         _irradiance(self.cells, self.pixels, self._coarse, flat, out)
-        return out.reshape(*np.shape(normals)[:-1], -1)
+        return out.reshape(*np.shape(normals)[:-1], out.shape[1])
 
 
 def irradiance_map(coefficients: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -278,7 +278,7 @@ def irradiance_at(irradiance: np.ndarray, normals: np.ndarray) -> np.ndarray:
     flat = np.ascontiguousarray(np.reshape(normals, (-1, 3)), dtype=np.float64)
     out = np.empty((len(flat), irradiance.shape[2]))
     look_up(np.ascontiguousarray(irradiance), flat, out)
-    return out.reshape(*np.shape(normals)[:-1], -1)
+    return out.reshape(*np.shape(normals)[:-1], out.shape[1])
 
 
 def midpoints(height: int) -> np.ndarray:

@@ -35,8 +35,11 @@ def aim(view, x, y, u, v, origin, direction):
         radius, angle = 0.5 * view.lens_mm * math.sqrt(u), 2.0 * math.pi * v
         ox, oy = radius * math.cos(angle), radius * math.sin(angle)
         px, py = px - ox / view.focus_mm, py - oy / view.focus_mm
-    size = 1.0 / math.sqrt(px * px + py * py + 1.0)
-    rotation = view.world_from_camera
+    axes, square = view.world_from_camera, 0.0
     for a in range(3):
-        direction[a] = (rotation[a, 0] * px + rotation[a, 1] * py + rotation[a, 2]) * size
-        origin[a] = view.position_mm[a] + rotation[a, 0] * ox + rotation[a, 1] * oy
+        direction[a] = axes[a, 0] * px + axes[a, 1] * py + axes[a, 2]
+        square += direction[a] * direction[a]
+        origin[a] = view.position_mm[a] + axes[a, 0] * ox + axes[a, 1] * oy
+    size = 1.0 / math.sqrt(square)  # the line of sight of a single pixel is sheared
+    for a in range(3):
+        direction[a] *= size

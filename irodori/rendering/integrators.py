@@ -66,12 +66,18 @@ def render_image(
     irodori.rendering.scene_plan.check.ToleranceError
         If a planned picture errs by more than the scene tolerates.
     """
-    if plan is not None and scene["integrator"]["kind"] == "reference":
-        scene = scene | {"integrator": scene["integrator"] | {"samples": plan["decisions"]["samples"]["value"]}}
+    scene = with_planned_samples(scene, plan)
     renderer = make_renderer(scene, shapes, materials, environment, options, tile_rows)
     if plan is None:
         return renderer.picture(view_name, tiles_folder=tiles_folder)
     return _planned(renderer, view_name, plan, check, tiles_folder)
+
+
+def with_planned_samples(scene: dict, plan: dict | None) -> dict:
+    """Return a scene of the integrator `reference` with its plan's paths a pixel, any other as it is."""
+    if plan is None or scene["integrator"]["kind"] != "reference":
+        return scene
+    return scene | {"integrator": scene["integrator"] | {"samples": plan["decisions"]["samples"]["value"]}}
 
 
 def _planned(renderer: "Renderer", view_name: str, plan: dict, check: bool, folder) -> tuple[np.ndarray, dict]:

@@ -2,17 +2,26 @@
 
 import numpy as np
 
+from irodori.rendering.cameras import ORTHOGRAPHIC
 from irodori.rendering.scene import View
 
 
 def pixel_view(view: View, x: float, y: float) -> View:
-    """Return the view of a single pixel.
+    """Return the view of a single pixel, for who sends one ray through its centre.
 
-    Its one ray is that through the point (x, y) of the view's picture, in pixels from the upper left corner, and its
-    cone is as wide as a pixel's of the view. Whoever draws rays over the whole pixel draws them from a square that
-    has, off the view's axis, up to 1 / cos³ of the angle more solid angle than the pixel; `same_solid_angle` mends it.
+    That ray is the one through the point (x, y) of the view's picture, in pixels from the upper left corner, and its
+    cone is as wide as a pixel's of the view.
+
+    Raises
+    ------
+    ValueError
+        If the view has a lens: its rays are many.
     """
-    away = np.array([(x - 0.5 * view.width) / view.focal_px, (y - 0.5 * view.height) / view.focal_px, 1.0])
+    if view.lens_mm > 0.0:
+        raise ValueError(f"one ray of a view with a lens of {view.lens_mm:g} mm; accepted: a view without a lens")
+    if view.kind == ORTHOGRAPHIC:
+        return sheared_view(view, x, y)
+    away = np.array([*_from_axis(view, x, y), 1.0])
     forward = view.world_from_camera @ (away / np.linalg.norm(away))
     # The camera's own sides, turned as little as possible: edges of the pixel stay along the picture's.
     right = view.world_from_camera[:, 0] - forward * (view.world_from_camera[:, 0] @ forward)
@@ -21,7 +30,19 @@ def pixel_view(view: View, x: float, y: float) -> View:
     return View(view.position_mm, np.ascontiguousarray(rotation), view.focal_px, 1, 1)
 
 
-def same_solid_angle(view: View, pixel: View) -> View:
-    """Return the view of a pixel with the solid angle that the pixel has in the view it was taken from."""
-    cosine = float(view.world_from_camera[:, 2] @ pixel.world_from_camera[:, 2])
-    return pixel._replace(focal_px=view.focal_px / cosine**1.5)
+def sheared_view(view: View, x: float, y: float) -> View:
+    """Return the view of the pixel about a point (x, y) of a view's picture, for `irodori.rendering.cameras.aim`.
+
+    All its rays are those of the view: the line of sight is sheared, and the plane of the picture, and of the lens,
+    stays. Parallel rays start beside the view's own.
+    """
+    sides, away = view.world_from_camera[:, :2], _from_axis(view, x, y)
+    if view.kind == ORTHOGRAPHIC:
+        return view._replace(position_mm=view.position_mm + sides @ away, width=1, height=1)
+    axes = np.column_stack([sides, view.world_from_camera[:, 2] + sides @ away])
+    return view._replace(world_from_camera=np.ascontiguousarray(axes), width=1, height=1)
+
+
+def _from_axis(view: View, x: float, y: float) -> np.ndarray:
+    """Return how far a point of the picture lies from its middle: slopes, or mm of parallel rays, (2,)."""
+    return np.array([x - 0.5 * view.width, y - 0.5 * view.height]) / view.focal_px

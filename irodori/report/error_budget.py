@@ -3,7 +3,8 @@
 The virtual rig knows the truth, so a stage's contribution is measured by substitution: everything is true but what that
 stage made, and the picture is compared with the one of true materials under true light. Beside it stands what was
 expected without knowing the truth: how far the picture of the measured materials under the measured light moves by what
-the stages know of their errors, see `irodori.report.error_prediction` and its neighbours.
+the stages know of their errors, see `irodori.report.error_prediction` and its neighbours. Compression alone states its
+error of what is compressed here, which is the truth.
 """
 
 import csv
@@ -21,7 +22,7 @@ from irodori.material import Material
 from irodori.principal import CompressOptions, analyse
 from irodori.progress import LOGGER, track
 from irodori.recovery import Calibration
-from irodori.rendering.integrators import render_image
+from irodori.rendering.integrators import render_image, with_planned_samples
 from irodori.rendering.reference import REPLICATES
 from irodori.rendering.white import scene_white
 from irodori.report import error_prediction as draws
@@ -338,7 +339,7 @@ def measure_error_budget(inputs: dict, scene: dict, view: str, subjects: list[di
     inputs : dict
         Files: lists of materials, true_materials and calibrations, one an object, and ``tiles`` and ``observations``,
         those of all objects; ``environment``, ``true_environment`` and ``light_calibration``, a list of one file, or
-        of none where no camera photographed the light.
+        of none where no camera photographed the light; ``plan``, a list of the scene's plan, or of none.
     scene, view, options : see `error_budget`
         ``options`` has ``fit`` too, that key of the configuration.
     subjects : list of dict
@@ -356,6 +357,10 @@ def measure_error_budget(inputs: dict, scene: dict, view: str, subjects: list[di
         objects.append(Measured(Known.load(files, shape, one["sample_mm"], options["fit"]), Material.load(truth)))
     lights = Environment.load(inputs["environment"]), Environment.load(inputs["true_environment"])
     of_light = [Calibration.load(path) for path in inputs["light_calibration"]]
+    for path in inputs["plan"]:
+        from irodori.rendering.scene_plan.plan_file import read_plan  # loads the interactive integrator
+
+        scene = with_planned_samples(scene, read_plan(path))
     rows = error_budget(scene, view, shapes, objects, lights, options, *of_light)
     with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, [f.name for f in fields(BudgetRow)])

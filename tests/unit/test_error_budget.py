@@ -10,10 +10,20 @@ from irodori.colour import delta_e_reflectance
 from irodori.material import Material
 from irodori.principal import CompressOptions
 from irodori.recovery import Calibration
-from irodori.report.error_budget import Measured, away_from_edges, compressed_light, error_budget, substitutes
+from irodori.rendering.scene_plan.plan_file import write_plan
+from irodori.report import error_budget as module
+from irodori.report.error_budget import (
+    Measured,
+    away_from_edges,
+    compressed_light,
+    error_budget,
+    measure_error_budget,
+    substitutes,
+)
 from irodori.report.error_prediction import noisy, other_gloss
 from irodori.report.known_errors import Known, Photographs, Spread
 from irodori.spectra import spectrum
+from irodori.store import Provenance
 
 SIDE = 40
 PAINTS = np.stack([spectrum("TCS1"), spectrum("TCS14"), spectrum("TCS56")], axis=1)
@@ -200,3 +210,17 @@ def test_the_whole_is_no_more_than_its_parts(rows):
         assert max(row.mean for row in parts) * 0.5 < whole.mean < sum(row.mean for row in parts) + 0.1
         predicted = [row.predicted for row in parts if np.isfinite(row.predicted)]
         assert max(predicted) <= whole.predicted <= sum(predicted)
+
+
+@pytest.mark.parametrize(("samples", "kind"), [(64, "reference"), (None, "reference"), (64, "interactive")])
+def test_the_noise_of_a_planned_scene_is_that_of_the_paths_it_is_rendered_with(tmp_path, monkeypatch, samples, kind):
+    taken = []
+    monkeypatch.setattr(module, "error_budget", lambda scene, *rest: taken.append(scene["integrator"]) or [])
+    light_of_three().save(tmp_path / "light.h5", Provenance("test", "", "", ""))
+    write_plan(tmp_path / "plan.yaml", {"decisions": {"samples": {"value": samples}}})
+    lists = ("materials", "true_materials", "calibrations", "tiles", "observations", "light_calibration")
+    inputs = {key: [] for key in lists} | dict.fromkeys(("environment", "true_environment"), tmp_path / "light.h5")
+    inputs["plan"] = [tmp_path / "plan.yaml"] if samples else []
+    scene = scene_of({"kind": kind, "samples": 512})
+    measure_error_budget(inputs, scene, "v", [], {}, tmp_path / "budget.csv")
+    assert taken[0]["samples"] == (samples if samples and kind == "reference" else 512)

@@ -150,6 +150,7 @@ rule measure_error_budget:
         light_calibration=light_calibration,
         meshes=scene_meshes,
         tables=scene_tables,
+        plan=scene_plan,
     output:
         budget=report(
             "results/{scene}/error_budget/{view}.csv",

@@ -12,11 +12,12 @@ import numpy as np
 
 from irodori.brdf import angles_from_directions, facet_distribution, fresnel, gloss_factor
 from irodori.geometry.embree import Tracer, hit_distance, hit_shape, new_ray, trace
-from irodori.geometry.shapes import PLATE, SPHERE
+from irodori.geometry.shapes import DISC, PLANE, PLATE, SPHERE, Placement
 from irodori.geometry.surfaces import face_viewer, make_surfaces, surface_at
 from irodori.gloss import GlossMaps
 from irodori.irradiance import irradiance_at
 from irodori.rendering.interactive.ambient import hidden_by_corners, hidden_by_sphere
+from irodori.rendering.interactive.discs import hidden_by_disc, hidden_by_plane
 from irodori.rendering.interactive.lobes import ANGLES, ENTRY, ROUGHNESSES, TAPS, lobe_table, roughness_place
 from irodori.rendering.scene import Light, Objects
 from irodori.spectra import SAMPLES
@@ -201,6 +202,36 @@ def _hidden_by_plate(corners, face, point, normal, share, facing):
             facing[r, 0], facing[r, 1], facing[r, 2] = face[0], face[1], face[2]
 
 
+@numba.njit(cache=True)
+def _hidden_by_disc(centre, axes, radius, point, normal, share):
+    e, f, g = (axes[0, 0], axes[1, 0], axes[2, 0]), (axes[0, 1], axes[1, 1], axes[2, 1]), axes[:, 2]
+    for r in range(share.size):
+        way = centre[0] - point[r, 0], centre[1] - point[r, 1], centre[2] - point[r, 2]
+        share[r] = hidden_by_disc((normal[r, 0], normal[r, 1], normal[r, 2]), way, (e, f, (g[0], g[1], g[2])), radius)
+
+
+def _hidden(placement: Placement, points: Points) -> tuple[np.ndarray, np.ndarray]:
+    """Return the share that a shape hides, (n,), and the normal of its side that faces each point, or zeros, (n, 3)."""
+    share, facing = np.zeros(len(points.shape)), np.zeros((len(points.shape), 3))
+    kind, centre = placement.shape.kind, np.asarray(placement.translation_mm, dtype=np.float64)
+    axes, radius = np.ascontiguousarray(placement.rotation, dtype=np.float64), float(placement.shape.reach_mm)
+    radius *= placement.scale
+    if kind == SPHERE:
+        _hidden_by_sphere(centre, radius, points.point, points.normal, share, facing)
+    elif kind == PLATE:
+        face = np.ascontiguousarray(axes[:, 2])
+        _hidden_by_plate(placement.corners(), face, points.point, points.normal, share, facing)
+    elif kind in (DISC, PLANE):
+        before = (points.point - centre) @ axes[:, 2] > 0.0
+        facing[before] = axes[:, 2]
+        if kind == DISC:
+            _hidden_by_disc(centre, axes, radius, points.point, points.normal, share)
+        else:
+            cosine = points.normal @ axes[:, 2]
+            share[:] = hidden_by_plane(np.where(before, cosine, -cosine))
+    return share, facing
+
+
 class Ambient(NamedTuple):
     """Light from all sides where objects hide it; the rows of ``reflected`` are those of points that see an object."""
 
@@ -209,18 +240,11 @@ class Ambient(NamedTuple):
 
 
 def ambient(tracer: Tracer, light: Light, points: Points) -> Ambient:
-    """Return what objects hide of the light from all sides at points, and what they reflect instead."""
+    """Return what objects but meshes hide of the light from all sides at points, and what they reflect instead."""
     count = len(points.shape)
     seen, hidden, found = np.ones(count), np.zeros(count), []
     for shape, placement in enumerate(tracer.placements):
-        share, facing = np.zeros(count), np.zeros((count, 3))
-        if placement.shape.kind == SPHERE:
-            radius = float(placement.shape.size_mm[0] * placement.scale)
-            centre = np.asarray(placement.translation_mm, dtype=np.float64)
-            _hidden_by_sphere(centre, radius, points.point, points.normal, share, facing)
-        elif placement.shape.kind == PLATE:
-            face = np.ascontiguousarray(placement.rotation[:, 2], dtype=np.float64)
-            _hidden_by_plate(placement.corners(), face, points.point, points.normal, share, facing)
+        share, facing = _hidden(placement, points)
         share[(points.shape == shape) | (share <= 0.0)] = 0.0
         seen *= 1.0 - share
         hidden += share

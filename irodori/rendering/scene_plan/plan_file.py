@@ -1,6 +1,5 @@
 """``plan.yaml``: what was decided for a scene, why, and what it is predicted to cost; written and read again."""
 
-import os
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from irodori.rendering.interactive.quadrature import Quadrature
 from irodori.rendering.scene_plan.model import Model, memory_mb, widths_of
 from irodori.rendering.scene_plan.planner import Decision, Planner
 from irodori.rendering.scene_plan.tolerance import SHARE
+from irodori.whole_files import written_whole
 
 #: Digits of what is predicted: the last bits of a sum are the library's.
 _DIGITS = 4
@@ -131,10 +131,9 @@ def object_names(scene: dict) -> list[str]:
 
 def write_plan(path, document: dict) -> None:
     """Write a plan whole or not at all."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(yaml.safe_dump(document, sort_keys=False, width=120, allow_unicode=True), encoding="utf-8")
-    os.replace(temporary, path)
+    text = yaml.safe_dump(document, sort_keys=False, width=120, allow_unicode=True)
+    with written_whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def read_plan(path) -> dict:

@@ -11,6 +11,7 @@ import numpy as np
 
 from irodori.geometry.embree import Tracer
 from irodori.gloss import GlossMaps
+from irodori.rendering.cameras import ORTHOGRAPHIC
 from irodori.rendering.interactive.channels import mean_spectra
 from irodori.rendering.interactive.lobes import TAPS
 from irodori.rendering.scene import Light, Objects, View
@@ -35,6 +36,8 @@ from irodori.spectra import SAMPLES
 
 #: A path whose mirrors pass less than this is not followed: single precision.
 _NOTHING = 1e-7
+#: Levels by which the probes' sky is finer than their cones: the map of a coarser picture has its texels elsewhere.
+_FINER = 2
 
 
 class Scene(NamedTuple):
@@ -74,7 +77,7 @@ class Misses(NamedTuple):
     throughput: np.ndarray
     passed: np.ndarray
     direction: np.ndarray  # (n, 3)
-    level: np.ndarray  # (n,) of the environment's ladder that is as coarse as the ray's cone
+    level: np.ndarray  # (n,) of the environment's ladder that is finer than the ray's cone
 
 
 class Probes(NamedTuple):
@@ -134,15 +137,16 @@ def trace_probes(scene: Scene, views: list[View], count: int, max_bounces: int, 
     seed : int
     """
     rng = np.random.default_rng(seed)
-    origin, direction, spread = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
+    origin, direction = np.empty((2, count, 3))
+    cone, spread = np.zeros((2, count))
     for probe in range(count):
         view = views[probe % len(views)]
         x, y = rng.random(2) * (view.width, view.height)
         seen = pixel_view(view, x, y)
         origin[probe], direction[probe] = seen.position_mm, seen.world_from_camera[:, 2]
-        spread[probe] = 1.0 / view.focal_px
+        (cone if view.kind == ORTHOGRAPHIC else spread)[probe] = 1.0 / view.focal_px
     probe, throughput = np.arange(count), np.ones((count, SAMPLES))
-    passed, cone = np.zeros((count, 0), dtype=np.int64), np.zeros(count)
+    passed = np.zeros((count, 0), dtype=np.int64)
     hits, misses = [], []
     for bounce in range(max_bounces + 1):
         points = meet(scene.tracer, origin, direction)
@@ -171,8 +175,9 @@ def trace_probes(scene: Scene, views: list[View], count: int, max_bounces: int, 
 
 
 def _level(light: Light, spread: np.ndarray) -> np.ndarray:
+    """Return the level that is as wide as cones, less `_FINER`."""
     pitch = np.pi / light.size[0, 1]
-    return np.clip(np.log2(np.maximum(spread / pitch, 1.0)).astype(int), 0, len(light.size) - 1)
+    return np.clip(np.log2(np.maximum(spread / pitch, 1.0)).astype(int) - _FINER, 0, len(light.size) - 1)
 
 
 def _curvature(tracer: Tracer) -> np.ndarray:

@@ -13,10 +13,10 @@ from irodori.rendering.reference.numbers import make_numbers
 from irodori.rendering.scene import Objects, View, make_view
 from irodori.rendering.scene_plan.check import chosen_pixels, measure, refuse_above
 from irodori.rendering.scene_plan.tolerance import SHARE, bound_of_share, differences
-from irodori.rendering.single_pixels import pixel_view, same_solid_angle
+from irodori.rendering.single_pixels import sheared_view
 from irodori.rendering.white import scene_white
 
-#: Pixels rendered twice for the plan, and the paths of each time.
+#: Pixels of each view rendered twice for the plan, and the paths of each time.
 PILOTS, PILOT_PATHS = 400, 64
 #: Pixels of the check, and how many times the plan's paths they get.
 PIXELS, MORE = 600, 4
@@ -41,7 +41,7 @@ def render_pixels(prepared: reference.Scene, view: View, pixels: np.ndarray, sam
     numbers = make_numbers(samples, seed, reference.REPLICATES)
     found = []
     for number, (x, y) in enumerate(pixels):
-        seen = same_solid_angle(view, pixel_view(view, x + 0.5, y + 0.5))
+        seen = sheared_view(view, x + 0.5, y + 0.5)
         own = numbers._replace(seed=seed * 1_000_003 + number)
         found.append(reference.render_rows(prepared, seen, own, (0, 1)).radiance[0, 0])
     return np.array(found, dtype=np.float64).reshape(len(pixels), -1)
@@ -68,13 +68,14 @@ def plan_reference(
     white, _ = scene_white(scene, environment)
     matrix = xyz_from_radiance(white)
     prepared = reference.make_scene(placements, objects, environment, scene.get("lights"))
-    pairs = []
+    found, bounds = 0, []
     for number, view in enumerate(views):
-        pixels = chosen_pixels(view, -(-PILOTS // len(views)), number)
-        pairs.append([render_pixels(prepared, view, pixels, PILOT_PATHS, seed) @ matrix.T for seed in _PILOT_SEEDS])
-    first, second = (np.concatenate(part) for part in zip(*pairs, strict=True))
-    # Two pictures differ by √2 times what one errs, and the check's own noise is seen too.
-    noise = bound_of_share(differences(first, second, matrix @ white)) / math.sqrt(2.0) * math.sqrt(1.0 + 1.0 / MORE)
+        pixels = chosen_pixels(view, PILOTS, number)
+        pair = [render_pixels(prepared, view, pixels, PILOT_PATHS, seed) @ matrix.T for seed in _PILOT_SEEDS]
+        bounds.append(bound_of_share(differences(*pair, matrix @ white)))
+        found += len(pixels)
+    # Each picture is checked alone. Two differ by √2 times what one errs, and the check's own noise is seen too.
+    noise = max(bounds) / math.sqrt(2.0) * math.sqrt(1.0 + 1.0 / MORE)
     most = scene["integrator"]["samples"]
     samples = own.get("samples") or _samples_for(noise, scene["tolerance_ciede2000"], most)
     predicted = float(f"{noise * math.sqrt(PILOT_PATHS / samples):.4g}")
@@ -84,7 +85,7 @@ def plan_reference(
         "predicted_delta_e": predicted,
         "paths_per_pixel": samples,
         "by": "scene" if "samples" in own else "plan",
-        "why": f"{len(first)} pixels of {PILOT_PATHS} paths, twice",
+        "why": f"{found} pixels of {PILOT_PATHS} paths, twice",
     }
     return {
         "scene": scene_name,

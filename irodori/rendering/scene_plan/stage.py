@@ -6,7 +6,7 @@ from irodori.light import Environment
 from irodori.material import Material
 from irodori.progress import LOGGER
 from irodori.rendering.integrators import with_bodies
-from irodori.rendering.scene import make_objects, make_placements, make_tracer, make_view
+from irodori.rendering.scene import View, make_objects, make_placements, make_tracer, make_view
 from irodori.rendering.scene_plan.choices import choose
 from irodori.rendering.scene_plan.picture import parts_of, plan_names
 from irodori.rendering.scene_plan.plan_file import document_of, write_plan
@@ -71,7 +71,7 @@ def plan_of(
     parts = parts_of(scene, objects, environment, make_tracer(placements))
     planner = choose(
         parts,
-        views,
+        [_of_rays(view, options["pixel_side"]) for view in views],
         plan_names(scene),
         scene["tolerance_ciede2000"],
         scene["max_bounces"],
@@ -80,3 +80,8 @@ def plan_of(
         f"scene {scene_name}",
     )
     return document_of(scene_name, planner, options["pixel_side"])
+
+
+def _of_rays(view: View, side: int) -> View:
+    """Return the view whose pixels are the rays of another's, so many along each side of a pixel."""
+    return view._replace(focal_px=side * view.focal_px, width=side * view.width, height=side * view.height)

@@ -10,25 +10,31 @@ from hypothesis import strategies as st
 from scenes import BALL, GOLD_K, GOLD_N, ONES, THIRDS, material, plate, sky
 from studio import BASIS, even_light
 
+from irodori.colour import xyz_from_radiance
 from irodori.errors import InputError
+from irodori.geometry.shapes import Shape
 from irodori.light import Environment
 from irodori.material import Material
 from irodori.pictures import read_xyz, write_spectral_exr, write_xyz_exr
 from irodori.rendering.integrators import render_image
 from irodori.rendering.interactive import render_frame
 from irodori.rendering.interactive.pixels import render_pixels
-from irodori.rendering.scene import make_objects, make_placements, make_tracer, make_view
+from irodori.rendering.scene import make_light, make_objects, make_placements, make_tracer, make_view
 from irodori.rendering.scene_plan.check import ToleranceError, chosen_pixels
 from irodori.rendering.scene_plan.model import full_model, prepare
 from irodori.rendering.scene_plan.picture import parts_of, plan_names
 from irodori.rendering.scene_plan.plan_file import model_of, object_names, read_plan, write_plan
+from irodori.rendering.scene_plan.planner import PROBES, SEED, make_probes
+from irodori.rendering.scene_plan.probes import radiance
 from irodori.rendering.scene_plan.stage import plan_of
-from irodori.rendering.scene_plan.tolerance import bound_of_share
+from irodori.rendering.scene_plan.tolerance import bound_of_share, differences
 from irodori.rendering.stage import render_view
 from irodori.store import Provenance
 
 OPTIONS = {"pixel_side": 1, "max_bounces": 4, "min_throughput": 1e-3}
 GREENISH = 0.1 + 0.6 * np.exp(-(((np.arange(61) - 28) / 9.0) ** 2))
+PARALLEL = {"kind": "orthographic", "position_mm": [0.0, -200.0, 90.0], "target_mm": [0.0, 0.0, 12.0],
+            "up": [0.0, 0.0, 1.0], "height_mm": 80.0}  # fmt: skip
 LAMP = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": -60.0, "elevation_deg": 50.0, "irradiance": 1.0}
 TABLE, JAR = plate(90.0), BALL
 PLACES = [(0.0, 0.0, 0.0), (0.0, 0.0, 20.1)]
@@ -200,15 +206,24 @@ def test_a_plan_is_the_same_to_the_byte_and_says_all_that_the_renderer_needs(tmp
     assert document["predicted_delta_e"] >= max(own) and document["predicted_delta_e"] <= 0.5
 
 
+def test_a_plan_that_cannot_take_its_name_leaves_nothing_behind(tmp_path):
+    (tmp_path / "plan.yaml").mkdir()
+    with pytest.raises(OSError):
+        write_plan(tmp_path / "plan.yaml", {"scene": "table-top"})
+    assert [path.name for path in tmp_path.iterdir()] == ["plan.yaml"]
+
+
 def test_a_smaller_tolerance_costs_more():
     shiny = [material(0.5, beta=0.5, mu=0.2), material(GREENISH, beta=3.0, mu=0.15, mirror=0.4)]
     costs = [planned(shiny, room(), tolerance=t)[0]["cost"]["numbers_per_pixel"] for t in (20.0, 0.5, 1e-4)]
     assert costs == sorted(costs) and costs[0] < costs[-1]
 
 
-def test_single_pixels_are_those_of_the_picture():
+@pytest.mark.parametrize("parallel", [False, True])
+def test_single_pixels_are_those_of_the_picture(parallel):
     shiny = [material(0.5, mirror=0.3), material(GREENISH, beta=3.0, mu=0.15, mirror=0.4)]
     _, parts, _, definition = planned(shiny, room())
+    definition |= {"views": {"v": PARALLEL}} if parallel else {}
     prepared = prepare(parts, full_model(parts, 4, True), np.ones((3, 61)))
     view = make_view(definition["views"]["v"], definition["image"])
     pixels = chosen_pixels(view, 300)
@@ -265,6 +280,70 @@ def test_textures_are_as_fine_as_the_picture_shows_them():
         found.append(values(document)["texture_halvings"]["table"])
     # Eight times the texels for the same picture: they are halved away.
     assert found[1] >= found[0] + 2
+
+
+@pytest.mark.parametrize(
+    "ground",
+    [
+        {"kind": "plate", "width_mm": 90.0, "height_mm": 60.0},
+        {"kind": "disc", "radius_mm": 45.0},
+        {"kind": "plane"},
+        {"kind": "sphere", "radius_mm": 19.0},
+    ],
+    ids=lambda shape: shape["kind"],
+)
+def test_probes_see_what_every_kind_of_shape_hides_and_throws(ground):
+    matte, definition = [material(GREENISH), material(0.7)], scene_of()
+    definition["objects"][0] |= {"scale": 1.2, "position_mm": [5.0, 0.0, -3.0], "rotation_deg": [0.0, 0.0, 20.0]}
+    placements = make_placements(definition, [Shape.from_definition(ground), JAR])
+    objects, _ = make_objects(placements, matte)
+    parts = parts_of(definition, objects, room(), make_tracer(placements))
+    full, matrix = full_model(parts, 0, True), xyz_from_radiance(parts.white)
+    view = make_view(definition["views"]["v"], definition["image"])
+    seen = radiance(make_probes(parts, [view], full, make_light(parts.environment))) @ matrix.T
+    place = np.random.default_rng(SEED).random((PROBES, 2)) * (view.width, view.height)
+    rendered = render_pixels(prepare(parts, full, matrix), view, place - 0.5)
+    off = differences(seen, rendered, matrix @ parts.white)
+    # Maps of the renderer are cubes; a ray that grazes an edge may fall on the other side of it.
+    assert np.percentile(off, 99) < 0.1
+
+
+@pytest.mark.parametrize("side", [1, 2])
+def test_an_environment_of_straight_edges_is_halved_no_further_than_its_check_allows(side):
+    """Panels of two pixels of the picture and more, beside a mirror and in it; ``side`` rays along a pixel."""
+    rng, height = np.random.default_rng(5), 256
+    panels = np.ones((height, 2 * height, 3))
+    for _ in range(60):
+        y, x, rows, columns = *rng.integers(0, [height, 2 * height]), *rng.integers(5, height // 6, 2)
+        panels[y : y + rows, x : x + columns] = rng.uniform(0.1, 4.0, 3)
+    light, mirrors = sky(lambda unit: panels, 2 * height, height, BASIS), [MIRRORS[0], material(GREENISH)]
+    definition, options = scene_of(), OPTIONS | {"pixel_side": side}
+    definition["views"]["v"]["field_of_view_deg"] = 45.0
+    document = plan_of("table-top", definition, [TABLE, JAR], mirrors, light, options)
+    _, figures = render_image(definition, "v", [TABLE, JAR], mirrors, light, options, plan=document)
+    assert figures["plan"]["measured_delta_e"]["p99"] <= document["predicted_delta_e"] + 0.02
+
+
+def test_a_view_of_parallel_rays_is_predicted_and_checked_as_it_is_rendered():
+    shiny = [material(0.5, mirror=0.3), material(GREENISH, beta=3.0, mu=0.15, mirror=0.4)]
+    definition = scene_of() | {"views": {"v": PARALLEL}}
+    document = plan_of("table-top", definition, [TABLE, JAR], shiny, room(), OPTIONS)
+    # The table and the jar fill most of the picture, and throw rays at each other.
+    assert document["cost_of_full_model"]["rays_per_pixel"] > 1.5
+    _, figures = picture(shiny, room(), document, definition)
+    assert figures["plan"]["measured_delta_e"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
+
+
+def test_rays_that_all_leave_the_scene_are_planned_for():
+    """A mirror that has nothing to show but the sky, and a view of the sky alone."""
+    mirrors = [material(0.2, beta=1.0, mu=0.2, mirror=1.0)]
+    definition = scene_of() | {"objects": scene_of()["objects"][1:]}
+    away = definition["views"]["v"] | {"target_mm": [0.0, -400.0, 250.0]}
+    for views in ({"v": definition["views"]["v"]}, {"v": away}):
+        definition |= {"views": views}
+        document = plan_of("table-top", definition, [JAR], mirrors, room(), OPTIONS)
+        _, figures = render_image(definition, "v", [JAR], mirrors, room(), OPTIONS, plan=document)
+        assert figures["plan"]["measured_delta_e"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
 
 
 def test_a_scene_without_light_has_no_colours_to_tolerate():

@@ -51,6 +51,14 @@ def test_half_the_tolerance_takes_about_four_times_the_paths_and_the_check_agree
         assert 0.3 * document["predicted_delta_e"] < figures["plan"]["measured_delta_e"]["p99"] <= tolerance
 
 
+def test_views_without_noise_do_not_thin_out_the_one_that_has_it():
+    definition = scene_of(1.0)
+    alone = plan(definition)
+    sky_alone = definition["views"]["v"] | {"target_mm": [0.0, -400.0, 300.0]}
+    definition["views"] |= {f"sky-{number}": sky_alone for number in range(3)}
+    assert plan(definition)["predicted_delta_e"] == alone["predicted_delta_e"] > 0
+
+
 def test_too_few_paths_are_refused():
     definition = scene_of(0.5, samples=8)
     document = plan(definition)
@@ -59,8 +67,14 @@ def test_too_few_paths_are_refused():
         render_image(definition, "v", SHAPES, MATERIALS, light(), OPTIONS, plan=document)
 
 
-def test_single_pixels_converge_to_those_of_the_picture():
+LENS = {"lens": {"diameter_mm": 30.0, "focus_mm": 150.0}}
+PARALLEL = {"kind": "orthographic", "height_mm": 90.0}
+
+
+@pytest.mark.parametrize("kind", [{}, LENS, PARALLEL], ids=["pinhole", "lens", "parallel"])
+def test_single_pixels_converge_to_those_of_the_picture(kind):
     definition = scene_of(1.0)
+    definition["views"]["v"] |= kind
     placements = make_placements(definition, SHAPES)
     objects, _ = make_objects(placements, MATERIALS)
     prepared, view = make_scene(placements, objects, light()), make_view(definition["views"]["v"], definition["image"])
@@ -71,5 +85,5 @@ def test_single_pixels_converge_to_those_of_the_picture():
     # Both have noise; seven standard errors of eight replicates are out of reach of luck.
     assert (np.abs(single - whole.radiance[pixels[:, 1], pixels[:, 0]]) <= 7 * np.sqrt(2) * error + 1e-3).all()
     # No two pixels share their random numbers.
-    same = render_pixels(prepared, view, np.repeat(pixels[:1], 2, axis=0), 8, 7)
+    same = render_pixels(prepared, view, np.repeat(pixels[2:3], 2, axis=0), 8, 7)
     assert not np.array_equal(same[0], same[1])
