@@ -6,14 +6,15 @@ the end are for callers in Python. Angles are in rad, directions are unit vector
 
 import math
 
-import numba
 import numpy as np
+
+from irodori.native import njit
 
 MU_MIN_RAD = 0.005
 MU_MAX_RAD = 1.2
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def fresnel(cosine, n, k):
     """Return the unpolarised Fresnel reflectance of a surface n + ik in air, exact.
 
@@ -48,14 +49,14 @@ def fresnel(cosine, n, k):
     return 0.5 * rs * (1.0 + max(p_sum - p_cross, 0.0) / (p_sum + p_cross))
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def facet_distribution(phi, mu):
     """Return D = exp(-(φ/μ)²) [eq. 5]; φ and μ in rad."""
     ratio = phi / mu
     return math.exp(-ratio * ratio)
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def attenuation_over_cosine(cos_i, cos_r, cos_phi, cos_h):
     """Return G / cosθ_r [eq. 5], bounded by 2 cosφ / cosθ_H however small cosθ_r becomes.
 
@@ -70,7 +71,7 @@ def attenuation_over_cosine(cos_i, cos_r, cos_phi, cos_h):
     return min(min(1.0, facet * cos_i) / cos_r, facet)
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def gloss_factor(theta_i, theta_r, theta_h, phi, n, k):
     """Return F G / cosθ_r, the gloss term of equation (5) without β D; angles in rad."""
     cos_h = math.cos(theta_h)
@@ -78,7 +79,7 @@ def gloss_factor(theta_i, theta_r, theta_h, phi, n, k):
     return fresnel(cos_h, n, k) * geometric
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def gloss_factors(geometry, n, k):
     """Return F G / cosθ_r for arrays.
 

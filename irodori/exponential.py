@@ -6,10 +6,11 @@ place, and a loop that calls it is vectorised.
 
 import math
 
-import numba
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
+
+from irodori.native import njit
 
 _LOG2_E = 1.4426950408889634
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
@@ -30,7 +31,7 @@ def _power_of_two(typingctx, exponent):
     return signature, codegen
 
 
-@numba.njit(cache=True, fastmath={"contract"}, inline="always")
+@njit(cache=True, fastmath={"contract"}, inline="always")
 def exp_negative(x):
     """Return exp(x) for x <= 0 to 1e-15 of its value; below -170 it stays at 1e-74."""
     bounded = x if x > _SMALLEST_EXPONENT else _SMALLEST_EXPONENT

@@ -12,6 +12,7 @@ import numba
 import numpy as np
 
 from irodori.light import directions
+from irodori.native import njit
 from irodori.progress import LOGGER
 from irodori.sphere import look_up
 
@@ -71,7 +72,7 @@ def make_pixels(coefficients: np.ndarray) -> Pixels:
     )
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _fill_block(pixels, i, j, moment, power_moment):
     values = pixels.values
     height, width, bases = values.shape
@@ -95,7 +96,7 @@ def _fill_block(pixels, i, j, moment, power_moment):
     return power
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _fill_blocks(pixels, columns, power, power_moment, moment):
     for block in numba.prange(power.size):
         power[block] = _fill_block(pixels, block // columns, block % columns, moment[block], power_moment[block])
@@ -149,7 +150,7 @@ def make_cells(pixels: Pixels) -> Cells:
     )
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _lower_bound(cells, level, nx, ny, nz):
     """Return what the cells of a level that are wholly above the horizon give to the irradiance of |L|, and Σ |L|."""
     first = cells.first[level]
@@ -163,7 +164,7 @@ def _lower_bound(cells, level, nx, ny, nz):
     return found, total
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _add_pixels(pixels, i, j, nx, ny, nz, out):
     """Add the pixels of a block by themselves."""
     values = pixels.values
@@ -178,7 +179,7 @@ def _add_pixels(pixels, i, j, nx, ny, nz, out):
                     out[b] += cosine * weight * values[row, column, b]
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _add_irradiance(cells, pixels, coarse, nx, ny, nz, levels, places, out):
     """Add the irradiance of a normal; ``levels`` and ``places`` are the stack of cells to look at."""
     bound, total = _lower_bound(cells, coarse, nx, ny, nz)
@@ -219,14 +220,14 @@ def _add_irradiance(cells, pixels, coarse, nx, ny, nz, levels, places, out):
                 out[b] += nx * m[b, 0] + ny * m[b, 1] + nz * m[b, 2]
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _irradiance_range(cells, pixels, coarse, normals, first, last, out):
     levels, places = np.empty(_STACK, dtype=np.int64), np.empty(_STACK, dtype=np.int64)
     for i in range(first, last):
         _add_irradiance(cells, pixels, coarse, normals[i, 0], normals[i, 1], normals[i, 2], levels, places, out[i])
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _irradiance(cells, pixels, coarse, normals, out):
     chunk = 64
     for part in numba.prange((normals.shape[0] + chunk - 1) // chunk):

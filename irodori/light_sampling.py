@@ -7,10 +7,10 @@ Within a pixel directions are even in solid angle, so that a polar row is sample
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.light import Environment
+from irodori.native import njit
 from irodori.sphere import TWO_PI
 
 
@@ -63,7 +63,7 @@ def sampler_of(environment: Environment) -> LightSampler:
     return light_sampler(np.maximum(environment.coefficients @ environment.basis.sum(axis=0), 0.0))
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _entry(cumulative, u):
     """Return the entry whose share of 0..1 holds u, never one without a share."""
     low, high = 0, cumulative.size - 1
@@ -76,14 +76,14 @@ def _entry(cumulative, u):
     return low
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _density(sampler, row, column):
     of_row = sampler.rows[row + 1] - sampler.rows[row]
     of_column = sampler.columns[row, column + 1] - sampler.columns[row, column]
     return of_row * of_column / sampler.solid_angle[row]
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def sample_light(sampler, u, v, direction):
     """Fill a unit direction (3,) drawn from the light; return its density in 1/sr.
 
@@ -107,7 +107,7 @@ def sample_light(sampler, u, v, direction):
     return _density(sampler, row, column)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def light_density(sampler, direction):
     """Return the density in 1/sr with which `sample_light` draws a unit direction."""
     height, width = sampler.columns.shape[0], sampler.columns.shape[1] - 1
@@ -118,14 +118,14 @@ def light_density(sampler, direction):
     return _density(sampler, row, min(int(azimuth / TWO_PI * width), width - 1))
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def sample_lights(sampler, uv, directions, densities):
     """Fill directions (n, 3) and densities (n,) for points (n, 2) of the unit square."""
     for i in range(uv.shape[0]):
         densities[i] = sample_light(sampler, uv[i, 0], uv[i, 1], directions[i])
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def light_densities(sampler, directions, densities):
     """Fill densities (n,) of unit directions (n, 3)."""
     for i in range(directions.shape[0]):

@@ -1,4 +1,6 @@
-"""What compiled loops need of the machine: its whole vectors, and C libraries.
+"""What compiled loops need: the machine's whole vectors, copies of their own, and C libraries.
+
+Every module takes `njit` from here, so that what is set below holds for all loops of the package.
 
 numba cannot cache code that holds the address of a C function; here the address is an argument, so the compiled
 loops are kept on disk and shared by every process.
@@ -11,7 +13,10 @@ import numpy as np
 from llvmlite import binding, ir
 from numba import types
 from numba.core import cgutils
+from numba.core.codegen import CPUCodeLibrary
 from numba.extending import intrinsic
+
+njit = numba.njit
 
 
 def use_whole_vectors() -> None:
@@ -24,6 +29,26 @@ def use_whole_vectors() -> None:
         features = binding.get_host_cpu_features()
         if features.get("avx512f"):
             numba.config.CPU_FEATURES = f"{features.flatten()},-prefer-256-bit"
+
+
+def keep_copies_apart() -> None:
+    """Let a function that is compiled from now on call the copies of other functions that it was compiled with.
+
+    numba links them as weak symbols: of all copies that a process holds the one loaded first serves every caller, and
+    copies differ in the last place of their results by what was optimised around them. A process that compiles, which
+    holds each function alone as well, then computed other bits than one that reads its loops from the disk.
+    """
+    optimise = CPUCodeLibrary._optimize_final_module
+
+    def optimise_apart(library) -> None:
+        for function in library._final_module.functions:
+            # Functions of numba's runtime keep their names: passes that count references look for them.
+            weak = function.linkage == binding.Linkage.linkonce_odr and not function.is_declaration
+            if weak and function.name.startswith("_ZN"):
+                function.linkage = binding.Linkage.internal
+        optimise(library)
+
+    CPUCodeLibrary._optimize_final_module = optimise_apart
 
 
 def c_function(result, *arguments):
@@ -61,13 +86,13 @@ def c_function(result, *arguments):
 
 
 def uncounted(**options):
-    """Return `numba.njit` for a function that allocates nothing: no references to its arrays are counted.
+    """Return `njit` for a function that allocates nothing: no references to its arrays are counted.
 
     A loop that hands tuples of arrays from function to function otherwise spends most of its time counting. What such
     a function calls for the first time is compiled in the same way, so it may call only what allocates nothing and
     returns numbers: an array that such a function makes is never freed, one that it returns too early elsewhere.
     """
-    return numba.njit(cache=True, _nrt=False, **options)
+    return njit(cache=True, _nrt=False, **options)
 
 
 LANES = 8  # float64 in a vector of 512 bits; shorter ones are used in pairs or fours
@@ -89,7 +114,7 @@ def run_chunks(kernel, count: int, chunk: int, *arguments) -> None:
             done.result()
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def aligned(count):
     """Return ``count`` zeros, (count,) float64, that begin with a line of the cache: no vector of them spans two."""
     room = np.zeros(count + LANES)
@@ -163,3 +188,4 @@ def vector_times_table(width: int, parts: int):
 
 
 use_whole_vectors()
+keep_copies_apart()

@@ -21,6 +21,7 @@ from irodori.geometry.frames import rig_from_camera, rig_from_object, to_camera
 from irodori.geometry.lamp import FAR, Lamp
 from irodori.geometry.pinhole import Pinhole, samples_from_superpixels
 from irodori.geometry.shapes import Shape, on_table
+from irodori.native import njit
 from irodori.progress import LOGGER, track
 
 #: Of a sample's noise power, what bilinear interpolation leaves on average over the places between samples.
@@ -94,7 +95,7 @@ class RigSetup:
         return white / power
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _sample(response, valid, clipped, corner, xy, out, good, clips):
     """Interpolate responses bilinearly; a texel is good where all neighbours with weight are inside and valid.
 

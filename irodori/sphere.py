@@ -4,17 +4,19 @@ import math
 
 import numba
 
+from irodori.native import njit
+
 TWO_PI = 2.0 * math.pi
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def direction_uv(x, y, z):
     """Return equirectangular u, v of a unit direction, both 0..1."""
     u = math.atan2(y, x) / TWO_PI
     return (u if u >= 0.0 else u + 1.0), math.acos(min(max(z, -1.0), 1.0)) / math.pi
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _row_and_shift(row, height, width):
     """Return the row that lies at a row's place and the columns to turn: beyond a pole is the opposite meridian."""
     if row < 0:
@@ -24,7 +26,7 @@ def _row_and_shift(row, height, width):
     return row, 0
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def add_interpolated(pixels, first, width, height, x, y, z, scale, out):
     """Add ``scale`` times the bilinear value of an equirectangular picture in a direction.
 
@@ -55,7 +57,7 @@ def add_interpolated(pixels, first, width, height, x, y, z, scale, out):
         out[i] += wa * pixels[a, i] + wb * pixels[b, i] + wc * pixels[c, i] + wd * pixels[d, i]
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def look_up(picture, directions, out):
     """Fill ``out`` (n, k) with an equirectangular picture (height, width, k) in unit directions (n, 3)."""
     height, width, bases = picture.shape

@@ -5,7 +5,6 @@ The column of n is found by differences: what the gloss of an observation change
 
 import math
 
-import numba
 import numpy as np
 
 from irodori.fitting import judge
@@ -23,7 +22,7 @@ from irodori.fitting.lobe import (
 from irodori.fitting.observations import expect, load
 from irodori.fitting.robust import fill_lobe, reweigh
 from irodori.fitting.texels import new_block
-from irodori.native import run_chunks
+from irodori.native import njit, run_chunks
 
 _STEP = 1e-3  # of n, relative
 _TILT = 1e-3  # of an angle, rad
@@ -31,7 +30,7 @@ _CHUNK = 1024
 UNKNOWNS = 4  # α, β, log μ, n
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _add(block, above, tilt, found, rules, normal, middle):
     """Add an observation's part to Σ w J Jᵀ and Σ w² v J Jᵀ; return χ²."""
     a, b, log_mu, width = found
@@ -55,7 +54,7 @@ def _add(block, above, tilt, found, rules, normal, middle):
     return chi2
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _pack(geometry, index, k, angles, block, above, tilt):
     """Fill the block; ``above`` with the gloss at a larger n, ``tilt`` with its squared slope along θ_i and θ_r.
 
@@ -78,7 +77,7 @@ def _pack(geometry, index, k, angles, block, above, tilt):
     pack_geometry(geometry, index, k, angles, block)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _sums(problem, rules, index, found, normal, middle, excess, first, last):
     block, angles, _ = new_block(problem)
     above, tilt = np.empty(block.shape[1]), np.empty(block.shape[1])

@@ -10,13 +10,13 @@ residual: it is added to α and β in full.
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.fitting.lobe import COSINE, FAST, GLOSS, RESPONSE, SQUARE, TRUST, WEIGHT, exp_negative
 from irodori.fitting.lobe import VARIANCE as EXPECTED
 from irodori.lanes import log, root, select, upper_of
 from irodori.material import Status
+from irodori.native import njit
 
 #: Relative standard error beyond which a parameter is not stated.
 MAX_RELATIVE_ERROR = {"beta": 0.3, "mu": 0.2}
@@ -63,7 +63,7 @@ class Errors(NamedTuple):
     excess: float
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def _normal(block, a, b, log_mu, pose_variance):
     """Return the sum of squares and χ², Σ w J Jᵀ, and Σ w² v J Jᵀ, J along α, β, log μ; six numbers a matrix."""
     factor = -math.exp(-2.0 * log_mu)
@@ -100,13 +100,13 @@ def _normal(block, a, b, log_mu, pose_variance):
     return squares, chi2, (n0, n1, n2, n3, n4, n5), (m0, m1, m2, m3, m4, m5)
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def _sandwich(m, i0, i1, i2):
     """Return i M iᵀ for a symmetric M in six numbers."""
     return i0 * (i0 * m[0] + 2.0 * (i1 * m[1] + i2 * m[3])) + i1 * (i1 * m[2] + 2.0 * i2 * m[4]) + i2 * i2 * m[5]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def excess_of(chi2, degrees):
     """Return by what variances are multiplied: χ² over degrees of freedom where that exceeds 1, with Student's factor.
 
@@ -116,7 +116,7 @@ def excess_of(chi2, degrees):
     return select(chi2 > degrees, chi2 / degrees * student * student, 1.0)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _lone_alpha(normal, middle, told, excess, a, rules):
     """Return the standard error of α where β and μ are open; ``told`` is the part of its column that is theirs."""
     if not (normal > 0.0 and 1.0 - told > _TOLD_APART):
@@ -125,7 +125,7 @@ def _lone_alpha(normal, middle, told, excess, a, rules):
     return math.sqrt(excess * middle / (normal * normal * (1.0 - told)) + common * common)
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def _scatter(block, a, b, log_mu, correlation, scale, determinant):
     """Return Σ w² v J Jᵀ where the variances v are not known: those of the residuals, at least the expected ones.
 
@@ -157,7 +157,7 @@ def _scatter(block, a, b, log_mu, correlation, scale, determinant):
     return m0, m1, m2, m3, m4, m5
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def full_errors(block, a, b, log_mu, used, rules, with_alpha):
     """Return the standard errors of α, β, log μ, or of β and log μ alone."""
     squares, chi2, normal, middle = _normal(block, a, b, log_mu, rules.pose_variance)
@@ -182,7 +182,7 @@ def full_errors(block, a, b, log_mu, used, rules, with_alpha):
     return Errors(alpha if with_alpha else np.inf, beta, along, squares, excess)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def correlations(normal):
     """Return what scales Σ w J Jᵀ to a unit diagonal, its three numbers beside it then, and its determinant.
 
@@ -193,7 +193,7 @@ def correlations(normal):
     return (s0, s1, s2), (p, q, r), 1.0 + 2.0 * p * q * r - p * p - q * q - r * r
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def parameter_errors(middle, scale, correlation, determinant, excess, a, b, rules):
     """Return the standard errors of α, β, log μ from Σ w² v J Jᵀ and what `correlations` says; numbers or lanes."""
     s0, s1, s2 = scale
@@ -214,7 +214,7 @@ def parameter_errors(middle, scale, correlation, determinant, excess, a, b, rule
     )
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def diffuse_errors(block, a, used, rules):
     """Return the standard error of α where there is no gloss, and the sum of squares."""
     normal, middle, squares, chi2 = 0.0, 0.0, 0.0, 0.0
@@ -233,7 +233,7 @@ def diffuse_errors(block, a, used, rules):
     return math.sqrt(variance + (rules.model_error * a) ** 2), squares
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def information_criterion(squares, used, floor, penalty):
     """Return Schwarz's BIC where the variance is unknown but at least the expected one; log(used) an unknown."""
     floor = upper_of(floor, 1e-300)
@@ -241,7 +241,7 @@ def information_criterion(squares, used, floor, penalty):
     return used * select(excess > 1.0, log(upper_of(excess, 1.0)) + 1.0, excess) + penalty
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def lobe_is_seen(block, log_mu):
     """Return whether an observation with weight lies where the lobe is high."""
     limit = -LOG_LEAST_LOBE * math.exp(2.0 * log_mu)
@@ -251,7 +251,7 @@ def lobe_is_seen(block, log_mu):
     return False
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def highlight_clips(block, clipped, log_mu, glossy):
     """Return whether most of the observations within the highlight clip; without a fitted one, whether any does."""
     if glossy:
@@ -269,7 +269,7 @@ def highlight_clips(block, clipped, log_mu, glossy):
     return clips > 0 and clips >= good
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def hopeless(used, lost, clipped):
     """Return the status of a texel with too few observations, by what became of the others."""
     clips = 0
@@ -280,7 +280,7 @@ def hopeless(used, lost, clipped):
     return _NON_FINITE if used + lost > _FEW else _FEW_STATUS
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def diffuse_status(block, clipped, model, diffuse, rules):
     """Return the status of a texel whose data shows no gloss."""
     if highlight_clips(block, clipped, 0.0, False):
@@ -291,14 +291,14 @@ def diffuse_status(block, clipped, model, diffuse, rules):
     return _AT_BOUND if pinned else _DIFFUSE_ONLY
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def shown_dark(a, error, fixed):
     """Return whether α is known to be small: its share of the power, two standard errors up, is under a tenth."""
     high = a + 2.0 * error
     return high * high * fixed[0] < 0.1 * fixed[2]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def gloss_status(block, clipped, a, b, log_mu, errors, rules):
     """Return the status of a texel whose data shows gloss."""
     if highlight_clips(block, clipped, log_mu, True):
@@ -307,7 +307,7 @@ def gloss_status(block, clipped, a, b, log_mu, errors, rules):
     return int(gloss_status_of(a, b, log_mu, (errors.alpha, errors.beta, errors.log_mu), seen, rules))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def gloss_status_of(a, b, log_mu, errors, seen, rules):
     """Return the status of gloss that does not clip; numbers or lanes, ``seen`` says whether the lobe is."""
     edge = (a >= rules.high_alpha * (1.0 - 1e-6)) | (b >= rules.high_beta * (1.0 - 1e-6))

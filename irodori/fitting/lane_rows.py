@@ -6,7 +6,6 @@ Every step is that of `irodori.fitting.lobe` and `irodori.fitting.observations` 
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.fitting import judge
@@ -24,7 +23,7 @@ from irodori.lanes import (
     store,
     upper_of,
 )
-from irodori.native import aligned, uncounted
+from irodori.native import aligned, njit, uncounted
 
 #: Rows of lanes: cosθ_i, F G / cosθ_r, φ², what is not a number, response, weight, variance, weight times cosine and
 #: times response, lobe, and the weights of the texels before.
@@ -45,7 +44,7 @@ class Abreast(NamedTuple):
     results: np.ndarray  # (judge.COLUMNS + 2, COUNT): the columns, status, evaluations
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def new_abreast(captures, nodes):
     """Return buffers for so many photographs and nodes of the scan."""
     groups = (nodes + GROUP - 1) // GROUP
@@ -55,7 +54,7 @@ def new_abreast(captures, nodes):
     return Abreast(rows, aligned(L_SUMS * groups * GROUP * COUNT), np.zeros((judge.COLUMNS + 2, COUNT)))
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def row_place(row, j, count):
     """Return the flat place of item j of a row of so many items of `COUNT` lanes."""
     return (row * count + j) * COUNT
@@ -150,7 +149,7 @@ def load_rows(problem, rules, first, last, rows):
 
 @uncounted(error_model="numpy")
 def tell(rows, captures):
-    """Return which lanes have `ENOUGH` geometries that differ."""
+    """Return which lanes have `ENOUGH` geometries that differ and carry light."""
     nothing, count = spread(np.nan), spread(0.0)
     first, second, third = (nothing, nothing, nothing), (nothing, nothing, nothing), (nothing, nothing, nothing)
     for j in range(captures):
@@ -160,7 +159,8 @@ def tell(rows, captures):
             load(rows, row_place(L_GLOSS, j, captures)),
         )
         known = is_same(now, first) | is_same(now, second) | is_same(now, third)
-        new = (load(rows, row_place(L_WEIGHT, j, captures)) > 0.0) & negated(known)
+        lit = (now[0] > 0.0) | (now[2] > 0.0)
+        new = (load(rows, row_place(L_WEIGHT, j, captures)) > 0.0) & lit & negated(known)
         third = _replaced(new & (count == 2.0), now, third)
         second = _replaced(new & (count == 1.0), now, second)
         first = _replaced(new & (count == 0.0), now, first)
@@ -170,7 +170,7 @@ def tell(rows, captures):
     return count >= float(ENOUGH)
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _replaced(mask, now, before):
     return select(mask, now[0], before[0]), select(mask, now[1], before[1]), select(mask, now[2], before[2])
 

@@ -5,7 +5,6 @@ Every step is that of `irodori.fitting.varpro` for one texel.
 
 import math
 
-import numba
 import numpy as np
 
 from irodori.fitting.lane_rows import (
@@ -36,7 +35,7 @@ from irodori.lanes import (
     store,
     upper_of,
 )
-from irodori.native import uncounted
+from irodori.native import njit, uncounted
 
 _CONVERGED = 3e-5  # last Newton step of log μ; nearer than alone, for the first step leaves the second just under that
 _MAX_STEPS = 12  # of Newton; a texel that takes more is fitted alone
@@ -78,7 +77,7 @@ def scan_squares(problem, rows, sums):
             _sum_node(problem.steepness[i], rows, captures, sums, i, count)
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def _sum_node(steepness, rows, captures, sums, i, nodes):
     """Fill the sums of node i and square the lobe; ``steepness`` is 2 / μ²."""
     cg, rg, gg, cg1, rg1, gg1 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
@@ -177,7 +176,7 @@ def _moments(rows, captures, log_mu):
     )  # fmt: skip
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def _through_ends(slope, curvature, low, high, low_slope, high_slope):
     """Return where the cubic through Φ' and Φ'' at 0 and through Φ' at both ends of the bracket is 0.
 

@@ -8,20 +8,19 @@ The sums over observations come as ``fixed`` = (Σ w c², Σ w c ρ, Σ w ρ², 
 slope and curvature along t of Σ w c g, of Σ w ρ g and of Σ w g², g = F G D / cosθ_r. All may be numbers or lanes.
 """
 
-import numba
-
 from irodori.lanes import lower_of, negated, select, upper_of
+from irodori.native import njit
 
 _PARALLEL = 1e-13  # of 1 - cos² between the columns: under it α and β cannot be told apart
 _TINY = 1e-300
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def _clamp(x, low, high):
     return lower_of(upper_of(x, low), high)
 
 
-@numba.njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy", inline="always")
+@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy", inline="always")
 def best_pair(fixed, cg, rg, gg, box):
     """Return the bounded α, β that minimise the sum of squares, and that sum; without branches.
 
@@ -52,7 +51,7 @@ def best_pair(fixed, cg, rg, gg, box):
     return select(first, a1, a2), select(first, b1, b2), upper_of(select(first, v1, v2), 0.0)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def slope_and_curvature(fixed, moments, box):
     """Return the best α and β at one t, their slopes along t, Φ' and Φ''."""
     cc = fixed[0]

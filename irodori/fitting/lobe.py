@@ -9,10 +9,9 @@ a remainder; each step of the geometry is a loop of its own, because the compile
 
 import math
 
-import numba
-
 from irodori.exponential import exp_negative as exp_negative
 from irodori.lanes import lower_of, magnitude, root, select, upper_of
+from irodori.native import njit
 
 LANES = 8
 #: Rows of a texel's block: cosθ_i, F G / cosθ_r, φ², response, weight, weight times cosine and times response, expected
@@ -31,7 +30,7 @@ LEAST_LOBE = 1e-74
 _HALF_PI_HIGH, _HALF_PI_LOW = 1.5707963267948966, 6.123233995736766e-17
 
 
-@numba.njit(cache=True, fastmath={"contract"}, inline="always")
+@njit(cache=True, fastmath={"contract"}, inline="always")
 def cosine_of(angle):
     """Return cos of an angle in rad, clipped to 0..π, to 1e-16; a number or lanes."""
     x = lower_of(upper_of(angle, 0.0), math.pi)  # NaN becomes 0
@@ -50,7 +49,7 @@ def cosine_of(angle):
     return y + y * s * p
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
+@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
 def fresnel_of(c, n, k):
     """Return `irodori.brdf.fresnel` of a cosine up to 1, without branches; numbers or lanes.
 
@@ -69,7 +68,7 @@ def fresnel_of(c, n, k):
     return 0.5 * s * (1.0 + (p_sum - p_cross) / (p_sum + p_cross + _TINY))
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
+@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
 def attenuation(cos_i, cos_r, cos_h, cos_phi):
     """Return `irodori.brdf.attenuation_over_cosine` without branches: zero unless all four cosines are positive."""
     facet = 2.0 * cos_phi / (cos_h + _TINY)
@@ -80,7 +79,7 @@ def attenuation(cos_i, cos_r, cos_h, cos_phi):
     return select(cos_phi > 0.0, bounded, 0.0)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _gather(geometry, angles, block):
     for j in range(geometry.shape[0]):
         block[SPOILED, j] = 0.0 * (geometry[j, 0] + geometry[j, 1] + (geometry[j, 2] + geometry[j, 3]))
@@ -89,7 +88,7 @@ def _gather(geometry, angles, block):
             angles[i, j] = geometry[j, i]
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def pack_geometry(geometry, n, k, angles, block):
     """Fill cosθ_i, F G / cosθ_r, φ² of a texel's block, and NaN where an observation's angles are not all finite.
 
@@ -119,7 +118,7 @@ def pack_geometry(geometry, n, k, angles, block):
         block[GLOSS, j] = fresnel_of(angles[2, j], n, k) * angles[1, j]
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def padded(observations: int) -> int:
     """Return a row's length: observations, rounded up to a multiple of `LANES`."""
     return (observations + LANES - 1) // LANES * LANES

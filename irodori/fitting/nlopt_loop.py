@@ -33,7 +33,7 @@ from irodori.fitting.robust import robust
 from irodori.fitting.shared import padded_nodes
 from irodori.fitting.texels import clipped_of, conclude, doubt, give_up, is_noisy, write
 from irodori.fitting.varpro import SUMS, find_intervals, pair_at, scan_own, value_nodes
-from irodori.native import c_function
+from irodori.native import c_function, njit
 
 HEADER = 4
 PARAMETERS = 3
@@ -63,7 +63,7 @@ def _as_floats(typingctx, address):
     return signature, codegen
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def objective(alpha, beta, log_mu, block):
     """Return the weighted sum of squares of equation (7) and its derivatives by α, β, log μ."""
     factor = -math.exp(-2.0 * log_mu)
@@ -97,7 +97,7 @@ def nlopt_objective(count, x, gradient_address, data_address):
     return scale * value
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def set_scales(data, block, power_sum, alpha, beta):
     """Store scales: of α and β, their start or a hundredth of the largest response; of the objective.
 
@@ -132,7 +132,7 @@ class Nlopt(NamedTuple):
     max_evaluations: int
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def new_data(problem):
     """Return the data of a texel, its block within, scratch for angles, and for the sums of the scan."""
     p = padded(problem.response.shape[1])
@@ -143,7 +143,7 @@ def new_data(problem):
     return data, block, np.zeros((4, p)), np.zeros((SUMS, padded_nodes(problem.nodes.size)))
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _new_optimiser(nlopt, data):
     optimiser = nlopt_create(nlopt.create, nlopt.algorithm, np.uint32(PARAMETERS))
     nlopt_set_objective(nlopt.set_min_objective, optimiser, nlopt.objective, np.uintp(data.ctypes.data))
@@ -152,14 +152,14 @@ def _new_optimiser(nlopt, data):
     return optimiser
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def first_step(low, high):
     """Return a step that a parameter's bounds have room for; BOBYQA refuses more than half of the range."""
     room = 0.25 * (high - low)
     return min(_FIRST_STEP, room) if room > 0.0 else _FIRST_STEP
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _polish(nlopt, optimiser, data, start, rules, vectors):
     """Run NLopt from a start; return its code, its evaluations and the α, β, log μ that it found."""
     x, low, high, step, value = vectors
@@ -177,7 +177,7 @@ def _polish(nlopt, optimiser, data, start, rules, vectors):
     return code, evaluations, x[0] * data[1], x[1] * data[2], x[2]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def start_of(block, problem, rules, used, floor, sums):
     """Return the sums without lobe, and the best α, β, log μ that the scan knows with their sum of squares."""
     start = _scanned(block, problem, rules, sums)
@@ -187,7 +187,7 @@ def start_of(block, problem, rules, used, floor, sums):
     return start
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _scanned(block, problem, rules, sums):
     box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
     fixed = weigh(block)
@@ -206,7 +206,7 @@ def _scanned(block, problem, rules, sums):
     return fixed, a, b, log_mu, value
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def load_own(t, problem, rules, block, angles):
     """Fill a texel's block."""
     n = problem.n[t if problem.n.size > 1 else 0]
@@ -215,7 +215,7 @@ def load_own(t, problem, rules, block, angles):
     return telling(block, used), lost, floor
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def finish(t, block, fixed, found, used, floor, evaluations, problem, rules, sums, out):
     """Judge α, β, log μ that a solver found, after reweighting if that is asked for, and write the texel."""
     a, b, log_mu = found
@@ -231,7 +231,7 @@ def finish(t, block, fixed, found, used, floor, evaluations, problem, rules, sum
         doubt(out, t)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _fit_chunk(nlopt, problem, rules, out, first, last):
     data, block, angles, sums = new_data(problem)
     vectors = (np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(1))
@@ -252,7 +252,7 @@ def _fit_chunk(nlopt, problem, rules, out, first, last):
     nlopt_destroy(nlopt.destroy, optimiser)
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def fit_nlopt(nlopt, problem, rules, out):
     """Fit every texel: scan, then NLopt from the best of the scan; the better of the two is kept."""
     texels = problem.response.shape[0]

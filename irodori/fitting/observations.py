@@ -3,7 +3,6 @@
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.fitting.lobe import (
@@ -24,6 +23,7 @@ from irodori.fitting.lobe import (
     padded,
 )
 from irodori.lanes import magnitude
+from irodori.native import njit
 
 LEAST_VARIANCE = 1e-8  # of the mean square response: no observation counts ten thousand times another
 TINY = 1e-60
@@ -85,7 +85,7 @@ def camera_noise(model, captures: int) -> tuple[np.ndarray, bool]:
     return out, known
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _rescale(block, largest):
     """Divide weights whose squares would leave the range of numbers by the largest; return Σ w and Σ w ρ²."""
     total, power = 0.0, 0.0
@@ -97,7 +97,7 @@ def _rescale(block, largest):
     return total, power
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def load(response, weight, rules, block):
     """Fill responses, variances and weights of a texel.
 
@@ -140,7 +140,7 @@ def load(response, weight, rules, block):
     return int(used), int(offered - used), floor / max(used, 1.0)
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def expect(block, a, b, log_mu, rules):
     """Weigh observations by the variance that the fitted response calls for, not the one with its noise.
 
@@ -160,15 +160,15 @@ def expect(block, a, b, log_mu, rules):
         block[WEIGHT, j] = block[TRUST, j]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def telling(block, used):
     """Return the number of observations with weight, or of their geometries where these are fewer than `ENOUGH`.
 
-    A repeated geometry adds certainty to what it tells, and nothing else.
+    A repeated geometry adds certainty to what it tells, and nothing else; one that carries no light tells nothing.
     """
     count, first, second, third = 0, 0, 0, 0
     for j in range(block.shape[1]):
-        if not block[WEIGHT, j] > 0.0:
+        if not (block[WEIGHT, j] > 0.0 and (block[COSINE, j] > 0.0 or block[GLOSS, j] > 0.0)):
             continue
         if count > 0 and _same(block, j, first):
             continue
@@ -188,21 +188,21 @@ def telling(block, used):
     return count
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def is_same(one, other):
     """Return whether two geometries, each cosθ_i, φ², F G / cosθ_r, are one; numbers or lanes."""
     near = (magnitude(one[0] - other[0]) <= _SAME) & (magnitude(one[1] - other[1]) <= _SAME)
     return near & (magnitude(one[2] - other[2]) <= _SAME * (1.0 + one[2]))
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def _same(block, i, j):
     return is_same(
         (block[COSINE, i], block[SQUARE, i], block[GLOSS, i]), (block[COSINE, j], block[SQUARE, j], block[GLOSS, j])
     )
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def weigh(block):
     """Fill the weighted rows and return Σ w c², Σ w c ρ, Σ w ρ², Σ w."""
     cc, cr, rr, total = 0.0, 0.0, 0.0, 0.0

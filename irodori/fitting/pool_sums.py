@@ -24,6 +24,7 @@ from irodori.fitting.lobe import (
 )
 from irodori.fitting.observations import load, telling
 from irodori.fitting.texels import new_block
+from irodori.native import njit
 
 PACKED = 5
 _C, _G, _Q, _R, _W = range(PACKED)
@@ -31,7 +32,7 @@ _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 _CHUNK = 128
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _weights(block, beta, mu, used, floor, rules, out):
     """Fill inverse variances: the weights over what the texel's own residual says of them, outliers by Huber's loss."""
     squares, cc, cr, huber = 0.0, 0.0, 0.0, rules.huber
@@ -58,7 +59,7 @@ def _weights(block, beta, mu, used, floor, rules, out):
         out[_W, j] = out[_W, j] / scatter if scatter > 0.0 else 0.0
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def evaluate(block, log_mu):
     """Return A, B, C of one packed texel at one log μ."""
     factor = -math.exp(-2.0 * log_mu)
@@ -77,7 +78,7 @@ def evaluate(block, log_mu):
     return max(rr - cr * cr / cc, 0.0), rg - cr * cg / cc, max(gg - cg * cg / cc, 0.0)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def lowest(a, b, c, low, high):
     """Return the least value of A - 2 B β + C β² within bounds of β, and its β."""
     beta = b / c if c > 0.0 else low
@@ -85,7 +86,7 @@ def lowest(a, b, c, low, high):
     return a + beta * (beta * c - 2.0 * b), beta
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def together(blocks, log_mu, high):
     """Return the least sum of squares of several texels with one β and this μ, and the β."""
     a, b, c = 0.0, 0.0, 0.0
@@ -97,7 +98,7 @@ def together(blocks, log_mu, high):
     return lowest(a, b, c, 0.0, high)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def polish(blocks, left, right, high, steps):
     """Return log μ, β and the sum of squares of the minimum in a bracket: golden section, then a parabola."""
     x1, x2 = right - _GOLDEN * (right - left), left + _GOLDEN * (right - left)
@@ -123,7 +124,7 @@ def polish(blocks, left, right, high, steps):
     return t, beta, value
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _pack_chunk(problem, rules, own, nodes, packed, used, sums, first, last):
     block, angles, _ = new_block(problem)
     for t in range(first, last):
@@ -147,7 +148,7 @@ def _pack_chunk(problem, rules, own, nodes, packed, used, sums, first, last):
         sums[t, 3, 2], _b, sums[t, 3, 1] = polish(packed[t : t + 1], left, right, rules.high_beta, 10)
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def pack(problem, rules, own, nodes, packed, used, sums):
     """Pack all texels and fill their sums at the nodes.
 
@@ -171,7 +172,7 @@ def pack(problem, rules, own, nodes, packed, used, sums):
         _pack_chunk(problem, rules, own, nodes, packed, used, sums, chunk * _CHUNK, min(texels, (chunk + 1) * _CHUNK))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def own_alpha(block, beta, log_mu, low, high):
     """Return a texel's α for given gloss and, along β and log μ, its slopes; then Σ w c²."""
     factor = -math.exp(-2.0 * log_mu)
@@ -187,7 +188,7 @@ def own_alpha(block, beta, log_mu, low, high):
     return min(max((cr - beta * cg) / cc, low), high), -cg / cc, -cs / cc, cc
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def spread_by_pose(blocks, beta, log_mu, rules):
     """Lower the weights by the variance that an error of the pose gives an observation of this gloss."""
     factor = -math.exp(-2.0 * log_mu)
@@ -201,14 +202,14 @@ def spread_by_pose(blocks, beta, log_mu, rules):
             block[_W, j] /= 1.0 + block[_W, j] * rules.pose_variance * pose
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _add(matrix, x, y, weight):
     matrix[0] += weight * x * x
     matrix[1] += weight * x * y
     matrix[2] += weight * y * y
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def covariance(blocks, beta, log_mu, rules, excess):
     """Return the covariance of (β, log μ) as three numbers; infinite where they are not determined.
 
@@ -247,7 +248,7 @@ def covariance(blocks, beta, log_mu, rules, excess):
     return bb + (rules.model_error * beta) ** 2, bt, tt
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def residual(block, alpha, beta, log_mu):
     """Return Σ w r², Σ w ρ² and Σ w of a texel."""
     factor = -math.exp(-2.0 * log_mu)
@@ -261,7 +262,7 @@ def residual(block, alpha, beta, log_mu):
     return squares, power, total
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def top_is_seen(blocks, log_mu):
     """Return whether an observation with weight lies where the lobe is above exp(-2) of its peak."""
     limit = 2.0 * math.exp(2.0 * log_mu)

@@ -20,6 +20,7 @@ from irodori.fitting.judge import MAX_RELATIVE_ERROR
 from irodori.fitting.pool_sums import PACKED, evaluate, lowest, polish
 from irodori.fitting.solvers import FitOptions, FitResult, problem_of
 from irodori.material import Status
+from irodori.native import njit
 from irodori.progress import LOGGER
 
 _BETA, _MU = MAX_RELATIVE_ERROR["beta"], MAX_RELATIVE_ERROR["mu"]
@@ -43,7 +44,7 @@ _ALPHA, _BETA_OUT, _LOG_MU, _ALPHA_ERROR, _BETA_ERROR, _LOG_MU_ERROR, _RMS, _REL
 _COLUMNS = 9
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _valley(members, count, sums, nodes):
     """Return the node of the least joint sum of squares, the gain over no gloss at all."""
     total = np.zeros((2, nodes.size))
@@ -59,7 +60,7 @@ def _valley(members, count, sums, nodes):
     return best, gain
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _agree(t, k, packed, sums, nodes, high):
     """Return whether one gloss explains two texels nearly as well as a gloss each."""
     apart = sums[t, 3, 1] + sums[k, 3, 1] + _PAIR_FOREIGN
@@ -76,7 +77,7 @@ def _agree(t, k, packed, sums, nodes, high):
     return value <= apart
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _around(t, radius, width, rows, used, packed, sums, nodes, high, members, distance):
     """Fill the texel and those around it that agree with it, nearest to farthest not sorted; return their count."""
     members[0], distance[0], count = t, 0, 1
@@ -92,7 +93,7 @@ def _around(t, radius, width, rows, used, packed, sums, nodes, high, members, di
     return count
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _misfit(block, own_log_mu, beta, log_mu, high):
     """Return by how much χ² of a texel exceeds its own least with the pool's gloss."""
     a, b, c = evaluate(block, own_log_mu)
@@ -101,7 +102,7 @@ def _misfit(block, own_log_mu, beta, log_mu, high):
     return a + beta * (beta * c - 2.0 * b) - own
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _fit_members(members, packed, sums, nodes, rules):
     """Return the members' blocks with weights that know the pose error, log μ, β and the sum of squares."""
     best, _ = _valley(members, members.size, sums, nodes)
@@ -115,7 +116,7 @@ def _fit_members(members, packed, sums, nodes, rules):
     return blocks, log_mu, beta, value
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _sift(members, blocks, log_mu, beta, sums, excess, high):
     """Return to which members the gloss is foreign, whether to too many, how many see it, and the first's misfit."""
     foreign = np.zeros(members.size, dtype=np.bool_)
@@ -132,7 +133,7 @@ def _sift(members, blocks, log_mu, beta, sums, excess, high):
     return foreign, wrong > max(1.0, _FOREIGN_SHARE * able), able - wrong, first
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _conclude(members, blocks, log_mu, beta, value, used, nodes, rules, block, row):
     """Fill the outcome of a pool that agrees with itself, if it determines the gloss; return whether it does."""
     observations = 0
@@ -160,7 +161,7 @@ def _conclude(members, blocks, log_mu, beta, value, used, nodes, rules, block, r
     return True
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _vary(t, radius, width, rows, own, column):
     """Return the variance between the values around a texel beyond what their errors explain (method of moments).
 
@@ -185,7 +186,7 @@ def _vary(t, radius, width, rows, own, column):
     return max((scatter - (count - 1)) / (weight - inverse / weight), 0.0)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _widen(t, radius, width, rows, own, row):
     """Add to the errors how much gloss varies around a texel; forget the outcome where that leaves it open."""
     by_beta, by_mu = _vary(t, radius, width, rows, own, 0), _vary(t, radius, width, rows, own, 1)
@@ -195,7 +196,7 @@ def _widen(t, radius, width, rows, own, row):
         row[:] = np.nan
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _pool_texel(t, radius, width, rows, status, own, packed, used, sums, nodes, rules, row):
     """Fill the outcome of one texel in need; leave it as it is where the neighbourhood says nothing."""
     size, reach = (2 * radius + 1) ** 2, radius
@@ -229,7 +230,7 @@ def _pool_texel(t, radius, width, rows, status, own, packed, used, sums, nodes, 
         radius -= max(1, radius // 3)
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _pool_all(targets, radius, width, status, own, packed, used, sums, nodes, rules, out):
     rows = status.size // width
     for i in numba.prange(targets.size):

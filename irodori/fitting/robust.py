@@ -6,20 +6,20 @@ minima over the whole range of μ, because least squares may have been led to an
 
 import math
 
-import numba
 import numpy as np
 
 from irodori.fitting.linear import best_pair
 from irodori.fitting.lobe import COSINE, FAST, GLOSS, LOBE, RESPONSE, SQUARE, TRUST, VARIANCE, WEIGHT, exp_negative
 from irodori.fitting.observations import expect, weigh
 from irodori.fitting.varpro import NODE_STEP, newton
+from irodori.native import njit
 
 _AT_NODE = 8  # weighted least squares at a node of the scan
 _SETTLING = 100  # at most, from the best node on
 _SETTLED = 1e-6  # change of log μ, and of α and β relative to themselves
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def fill_lobe(block, log_mu):
     """Fill the gloss of every observation for β = 1."""
     factor = -math.exp(-2.0 * log_mu)
@@ -27,7 +27,7 @@ def fill_lobe(block, log_mu):
         block[LOBE, j] = block[GLOSS, j] * exp_negative(block[SQUARE, j] * factor)
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def reweigh(block, a, b, huber):
     """Give observations beyond ``huber`` deviations the weight that makes their loss linear; return the loss."""
     loss = 0.0
@@ -40,7 +40,7 @@ def reweigh(block, a, b, huber):
     return loss
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def _pair(block, box):
     """Return the best α and β for the lobe and the weights at hand."""
     cc, cr, rr, cg, rg, gg = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -56,7 +56,7 @@ def _pair(block, box):
     return a, b
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _least_loss(block, nodes, box, rules):
     """Return log μ of the node with the least Huber loss, and α and β there."""
     best, log_mu, a, b = np.inf, nodes[0], 0.0, 0.0
@@ -73,7 +73,7 @@ def _least_loss(block, nodes, box, rules):
     return log_mu, a, b
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def robust(block, nodes, rules):
     """Return the sums without lobe, α, β, log μ of the least Huber loss, the evaluations, and whether it settled.
 

@@ -5,11 +5,10 @@ At the nodes the lobes of all observations are a matrix, and a texel's sums are 
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.fitting.lobe import GLOSS, LEAST_LOBE, SQUARE, WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE
-from irodori.native import aligned, vector_times_table
+from irodori.native import aligned, njit, vector_times_table
 
 WIDTH = 24  # nodes that are summed together
 _times_nodes = vector_times_table(WIDTH, 2)
@@ -27,7 +26,7 @@ class Shared(NamedTuple):
     nodes: np.ndarray
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def no_shared():
     """Return what texels with geometries of their own share: nothing."""
     return Shared(np.zeros((4, 0, 0, WIDTH)))
@@ -60,20 +59,20 @@ def tabulate(block: np.ndarray, nodes: np.ndarray) -> Shared:
     return Shared(_table(at_nodes))
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def padded_nodes(nodes):
     """Return the length of a row of sums: the number of nodes, rounded up to a multiple of `WIDTH`."""
     return (nodes + WIDTH - 1) // WIDTH * WIDTH
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _node_sums(shared, kind, block, row, sums, into):
     blocks, size = shared.nodes.shape[1], shared.nodes.shape[2] * WIDTH
     for b in range(blocks):
         _times_nodes(block, row, shared.nodes, (kind * blocks + b) * size, sums, into * sums.shape[1] + b * WIDTH)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def scan_shared(block, shared, sums, changed):
     """Fill the sums of all nodes; those without the response stay as they are unless ``changed``."""
     _node_sums(shared, 0, block, WEIGHTED_RESPONSE, sums, 1)

@@ -24,6 +24,7 @@ from irodori.fitting.lobe import (
 from irodori.fitting.pooling import pool
 from irodori.fitting.solvers import FitOptions, FitResult, fit
 from irodori.material import Status
+from irodori.native import njit
 from irodori.progress import LOGGER
 
 GREEN = 1  # green without the filter, the band of equation (7)
@@ -46,14 +47,14 @@ _AXES = {
 _CARRIED = {"rows": list, "width": int, "filters": list}
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def _lobe(block, beta, mu):
     """Fill the gloss of every observation of a texel."""
     for j in range(block.shape[1]):
         block[LOBE, j] = beta * block[GLOSS, j] * exp_negative(-block[SQUARE, j] / (mu * mu))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _expected(noise, j, b, gloss, fitted, model_error):
     """Return the variance of an observation: of noise and light at the ``fitted`` response, else of an even camera."""
     own = noise[j, b, 0] + noise[j, b, 1] * max(fitted, 0.0) + (model_error * fitted) ** 2
@@ -61,7 +62,7 @@ def _expected(noise, j, b, gloss, fitted, model_error):
     return own + (_GLOSS_MODEL_ERROR * gloss) ** 2
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _combine_texel(response, weight, noise, model_error, theta_h, ratio, block, out, variance):
     step = 0.5 * math.pi / (ratio.shape[1] - 1)
     for b in range(response.shape[1]):
@@ -85,7 +86,7 @@ def _combine_texel(response, weight, noise, model_error, theta_h, ratio, block, 
         variance[b] = spread / bottom**2 if bottom > 0.0 else np.nan
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _combine_chunk(response, geometry, weight, gloss, n, k, ratio, noise, model_error, out, variance, first, last):
     p = padded(response.shape[1])
     block, angles = np.zeros((ROWS, p)), np.zeros((4, p))
@@ -95,7 +96,7 @@ def _combine_chunk(response, geometry, weight, gloss, n, k, ratio, noise, model_
         _combine_texel(response[t], weight[t], noise, model_error, geometry[t, :, 2], ratio, block, out[t], variance[t])
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _combine(response, geometry, weight, gloss, n, k, ratio, noise, model_error, out, variance):
     texels = response.shape[0]
     for c in numba.prange((texels + _CHUNK - 1) // _CHUNK):

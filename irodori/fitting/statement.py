@@ -2,12 +2,11 @@
 
 import math
 
-import numba
 import numpy as np
 
 from irodori.fitting import judge
 from irodori.fitting.texels import Output
-from irodori.native import run_chunks
+from irodori.native import njit, run_chunks
 
 _ALPHA, _BETA, _MU, _ALPHA_ERROR, _BETA_ERROR, _MU_ERROR, _RMS, _RELATIVE = range(8)
 _NAMES = (
@@ -17,7 +16,7 @@ _CHUNK = 16384  # texels that a thread states before it asks for more
 _IS_OK, _AT_BOUND = int(judge.Status.OK), int(judge.Status.AT_BOUND)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _state_some(out, stated, gloss, first, last):
     """Fill what a fit states of some texels: NaN where a parameter is not determined."""
     for t in range(first, last):

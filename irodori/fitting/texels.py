@@ -3,7 +3,6 @@
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.fitting import judge
@@ -24,7 +23,7 @@ from irodori.fitting.shared import no_shared, padded_nodes, scan_shared, tabulat
 from irodori.fitting.varpro import SUMS, minimise, scan_own
 from irodori.lanes import COUNT
 from irodori.material import Status
-from irodori.native import aligned, run_chunks, uncounted
+from irodori.native import aligned, njit, run_chunks, uncounted
 
 _CHUNK = 8192  # texels that a thread fits before it asks for more
 _OK, _UNIDENTIFIABLE = int(Status.OK), int(Status.MU_UNIDENTIFIABLE)
@@ -72,7 +71,7 @@ class Output(NamedTuple):
     result: np.ndarray  # (texels,) int8, NLopt's return code
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def new_block(problem):
     """Return an empty block for one texel, scratch for angles, and for the sums of the scan."""
     p, nodes = padded(problem.response.shape[1]), padded_nodes(problem.nodes.size)
@@ -82,7 +81,7 @@ def new_block(problem):
     return block, aligned(4 * p).reshape((4, p)), aligned(SUMS * nodes).reshape((SUMS, nodes))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def conclude(block, fixed, a, b, log_mu, used, floor, clipped, nodes, sums, rules):
     """Choose the model by BIC, state errors and status; the scan's sums are those of the block."""
     diffuse = fixed[1] / fixed[0] if fixed[0] > 0.0 else 0.0
@@ -121,7 +120,7 @@ def conclude(block, fixed, a, b, log_mu, used, floor, clipped, nodes, sums, rule
     )
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def write(out, t, verdict, fixed, evaluations):
     """Store a verdict."""
     out.status[t], out.model[t] = verdict.status, verdict.model
@@ -133,13 +132,13 @@ def write(out, t, verdict, fixed, evaluations):
     row[judge.POWER], row[judge.VARIANCE] = fixed[2] / fixed[3], verdict.variance / fixed[3]
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def clipped_of(t, problem):
     """Return which observations of a texel clip; empty where that is not known."""
     return problem.clipped[t if problem.clipped.shape[0] > 1 else 0]
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _weights_changed(block, before):
     changed = False
     for j in range(before.size):
@@ -148,7 +147,7 @@ def _weights_changed(block, before):
     return changed
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _scan(block, shared, problem, sums, before):
     if shared.nodes.shape[1] == 0:
         scan_own(block, problem.nodes, problem.steepness, problem.chains, sums)
@@ -156,7 +155,7 @@ def _scan(block, shared, problem, sums, before):
         scan_shared(block, shared, sums, _weights_changed(block, before))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _fit_texel(t, block, shared, used, floor, problem, rules, sums, before, out):
     """Scan, polish and judge one loaded texel."""
     box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
@@ -181,20 +180,20 @@ def _fit_texel(t, block, shared, used, floor, problem, rules, sums, before, out)
         doubt(out, t)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def is_noisy(used, floor, fixed, rules):
     """Return whether weights of noisy responses would pull α by more than a fifth of its standard error."""
     return rules.weighted and used * used * floor > NOISY * fixed[2]
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def doubt(out, t):
     """Take back that the gloss of a texel is determined."""
     if out.status[t] == _OK:
         out.status[t] = _UNIDENTIFIABLE
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def give_up(t, used, lost, problem, out):
     """Store the status of a texel with too few observations."""
     out.status[t] = judge.hopeless(used, lost, clipped_of(t, problem))
@@ -202,7 +201,7 @@ def give_up(t, used, lost, problem, out):
         out.table[t, column] = np.nan
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _fit_chunk(problem, shared, rules, common, out, first, last):
     """Fit some texels, each with a geometry of its own unless there is something ``shared``."""
     block, angles, sums = new_block(problem)
@@ -228,7 +227,7 @@ def _fit_range(problem, shared, rules, block, angles, sums, before, buffers, out
                 _fit_alone(batch + i, block, angles, shared, problem, rules, sums, before, out)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _fit_alone(t, block, angles, shared, problem, rules, sums, before, out):
     """Load, fit and judge one texel."""
     if shared.nodes.shape[1] == 0:
@@ -242,7 +241,7 @@ def _fit_alone(t, block, angles, shared, problem, rules, sums, before, out):
         _fit_texel(t, block, shared, used, floor, problem, rules, sums, before, out)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _common_block(problem):
     """Return a block with the geometry that all texels share."""
     block, angles, _ = new_block(problem)

@@ -8,7 +8,6 @@ where; the best is polished, and any other that may come as low. Texels that sha
 
 import math
 
-import numba
 import numpy as np
 
 from irodori.fitting.linear import best_pair, slope_and_curvature
@@ -24,6 +23,7 @@ from irodori.fitting.lobe import (
     exp_negative,
 )
 from irodori.lanes import lower_of, root, select, upper_of
+from irodori.native import njit
 
 NODE_STEP = 0.5 * math.log(2.0)  # of log μ
 RIVAL = 1.05  # an interval whose estimate is below this multiple of the best is polished too
@@ -34,7 +34,7 @@ _MAX_STEPS = 24
 SUMS = 10
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def moments(block, log_mu):
     """Return value, slope and curvature along log μ of Σ w c g, Σ w ρ g and Σ w g²."""
     factor = -math.exp(-2.0 * log_mu)
@@ -65,14 +65,14 @@ def moments(block, log_mu):
     )  # fmt: skip
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def _first_lobe(block, log_mu):
     factor = -math.exp(-2.0 * log_mu)
     for j in range(block.shape[1]):
         block[LOBE, j] = exp_negative(block[SQUARE, j] * factor)
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def _node(block, factor, sums, i):
     """Fill the sums of node i and square the lobe; ``factor`` is 2 / μ²."""
     cg, rg, gg, cg1, rg1, gg1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -95,7 +95,7 @@ def _node(block, factor, sums, i):
         block[LOBE, j] = block[LOBE, j] * block[LOBE, j] + LEAST_LOBE
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def scan_own(block, nodes, steepness, chains, sums):
     """Fill the sums of all nodes.
 
@@ -118,7 +118,7 @@ def scan_own(block, nodes, steepness, chains, sums):
     _node(block, steepness[count - 1], sums, count - 1)
 
 
-@numba.njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
+@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
 def value_nodes(fixed, sums, box):
     """Fill Φ and Φ' of all nodes."""
     for i in range(sums.shape[1]):
@@ -127,7 +127,7 @@ def value_nodes(fixed, sums, box):
         sums[7, i] = b * (b * sums[5, i] + 2.0 * (a * sums[3, i] - sums[4, i]))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def cubic_minimum(width, f0, f1, d0, d1):
     """Return where in an interval, from 0 to its width, the cubic through values and slopes is least, and its value.
 
@@ -143,7 +143,7 @@ def cubic_minimum(width, f0, f1, d0, d1):
     return s * width, h00 * f0 + h01 * f1 + width * (h10 * d0 + h11 * d1)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _dips(width, f0, f1, d0, d1):
     """Return whether the cubic through values and slopes of one sign has a minimum inside all the same."""
     # All times the width, for a division in every interval would cost as much as the rest.
@@ -152,7 +152,7 @@ def _dips(width, f0, f1, d0, d1):
     return both > 0.0 and u * d0 > 0.0 and u * u > both
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def find_intervals(nodes, sums):
     """Fill the estimated minimum of every interval, infinite where it holds none; return the best node."""
     value, slope, estimate, place = sums[6], sums[7], sums[8], sums[9]
@@ -175,7 +175,7 @@ def find_intervals(nodes, sums):
     return best
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _mark_beside(nodes, value, slope, estimate, place, best):
     """Mark the interval to which Φ falls from the best node: its far end is higher, so it holds a minimum."""
     if slope[best] > 0.0 and best + 1 < nodes.size and estimate[best] == np.inf:
@@ -186,7 +186,7 @@ def _mark_beside(nodes, value, slope, estimate, place, best):
         place[best - 1] = 0.8 * nodes[best] + 0.2 * nodes[best - 1]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def newton(block, fixed, box, log_mu, low, high, flat_above):
     """Return log μ, α and β of the minimum in a bracket, and the evaluations it took.
 
@@ -216,14 +216,14 @@ def newton(block, fixed, box, log_mu, low, high, flat_above):
     return t, min(max(a + change * da, box[0]), box[1]), min(max(b + change * db, box[2]), box[3]), steps
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def pair_at(block, fixed, box, log_mu):
     """Return the best α and β at one log μ, and the sum of squares."""
     m = moments(block, log_mu)
     return best_pair(fixed, m[0], m[3], m[6], box)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def minimise(block, fixed, box, nodes, sums):
     """Return log μ, α and β of the lowest minimum of Φ, and the evaluations; the nodes' sums are filled already."""
     value_nodes(fixed, sums, box)

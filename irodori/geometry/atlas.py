@@ -7,11 +7,11 @@ it is a top or a left edge, so that each centre inside a chart belongs to one tr
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from irodori.errors import InputError
 from irodori.geometry.mesh import Mesh
+from irodori.native import njit
 
 NO_FACE = -1
 #: Neighbours whose common edge was rounded apart may both own a centre this near to it, texels; they do not overlap.
@@ -38,7 +38,7 @@ class Texels:
     covered: np.ndarray
 
 
-@numba.njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, inline="always", error_model="numpy")
 def _edge(ax, ay, bx, by, x, y):
     """Return twice the signed area of a, b, p: the same number with the other sign from b to a."""
     if ax < bx or (ax == bx and ay < by):
@@ -46,7 +46,7 @@ def _edge(ax, ay, bx, by, x, y):
     return -((ax - bx) * (y - by) - (ay - by) * (x - bx))
 
 
-@numba.njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, inline="always", error_model="numpy")
 def _holds(xy, face, x, y):
     """Return whether a triangle owns a point, and how far inside its nearest edge the point lies, texels."""
     ax, ay, bx, by = xy[face, 0, 0], xy[face, 0, 1], xy[face, 1, 0], xy[face, 1, 1]
@@ -67,7 +67,7 @@ def _holds(xy, face, x, y):
     return owned, depth
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _overlap(xy, face, other, depth, x, y):
     """Whether two triangles that both own a point cover each other there."""
     if depth > _ROUNDING or _holds(xy, other, x, y)[1] > _ROUNDING:
@@ -78,7 +78,7 @@ def _overlap(xy, face, other, depth, x, y):
     return _holds(xy, other, x + 1e-2 * (cx - x), y + 1e-2 * (cy - y))[1] > 0.0
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _rasterise(xy, face_of, overlaps):
     """Fill the triangle of each texel centre and mark those that two triangles hold; xy counts texels from centre 0."""
     height, width = face_of.shape
@@ -105,7 +105,7 @@ def _rasterise(xy, face_of, overlaps):
                     overlaps[row, column] = 1
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _locate(xy, face_of, first_row, vertices, faces, normals, facets, position, normal, facet):
     for row in range(face_of.shape[0]):
         for column in range(face_of.shape[1]):

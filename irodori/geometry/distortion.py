@@ -14,6 +14,8 @@ import math
 import numba
 import numpy as np
 
+from irodori.native import njit
+
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _STEPS = 60
 _TOLERANCE = 1e-13  # of coordinates at unit distance; a pixel is some 1e-4
@@ -42,7 +44,7 @@ def fold_radius(coefficients) -> float:
     return 1.0 / math.sqrt(nearest) if nearest > 1e-12 else math.inf
 
 
-@numba.njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, inline="always", error_model="numpy")
 def _forward(c, x, y):
     """Return x'', y'' and the Jacobian xx, xy, yx, yy."""
     s = x * x + y * y
@@ -62,7 +64,7 @@ def _forward(c, x, y):
     )
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def distort(coefficients, fold, x, y):
     """Return where a point at unit distance is seen; NaN where the map folds.
 
@@ -82,7 +84,7 @@ def distort(coefficients, fold, x, y):
     return u, v
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def undistort(coefficients, fold, u, v):
     """Return the point at unit distance that is seen at u, v; NaN where the map folds.
 
@@ -116,14 +118,14 @@ def undistort(coefficients, fold, u, v):
     return math.nan, math.nan
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def distort_all(coefficients, fold, points, out):
     """Fill (n, 2) by `distort`."""
     for i in numba.prange(points.shape[0]):
         out[i, 0], out[i, 1] = distort(coefficients, fold, points[i, 0], points[i, 1])
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def undistort_all(coefficients, fold, points, out):
     """Fill (n, 2) by `undistort`."""
     for i in numba.prange(points.shape[0]):

@@ -16,7 +16,7 @@ import numpy as np
 from numba import types
 
 from irodori.geometry.shapes import DISC, FLAT, MESH, PLANE, PLANE_RADIUS_MM, PLATE, SPHERE, Placement
-from irodori.native import c_function
+from irodori.native import c_function, njit
 
 _TRIANGLE, _SPHERE_POINT, _ORIENTED_DISC_POINT = 0, 50, 52  # enum RTCGeometryType
 _INDEX_BUFFER, _VERTEX_BUFFER, _NORMAL_BUFFER = 0, 1, 3  # enum RTCBufferType
@@ -92,7 +92,7 @@ class Ray(NamedTuple):
     at: int
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def new_ray():
     """Return a ray whose words are aligned to 64 bytes."""
     f = np.empty(_WORDS, np.float32)
@@ -100,7 +100,7 @@ def new_ray():
     return Ray(f, f.view(np.int32), np.uintp(f.ctypes.data + skip), skip // 4)
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def trace(function, scene, ray, origin, direction, far):
     """Call rtcIntersect1 or rtcOccluded1; `hit_shape`, `hit_distance` and `is_blocked` read the answer."""
     f, i, at = ray.f, ray.i, ray.at
@@ -112,31 +112,31 @@ def trace(function, scene, ray, origin, direction, far):
     _call(function, scene, ray.address, np.uintp(0))
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def hit_shape(ray):
     """Return the identifier of the shape that was hit, or `NO_HIT`."""
     return ray.i[ray.at + 18]
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def hit_distance(ray):
     """Return the distance of the hit, mm; infinite where nothing was hit."""
     return ray.f[ray.at + 8]
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def hit_primitive(ray):
     """Return the index of the triangle that was hit within its shape."""
     return ray.i[ray.at + 17]
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def hit_barycentric(ray):
     """Return the weights of a hit triangle's second and third corner."""
     return ray.f[ray.at + 15], ray.f[ray.at + 16]
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def is_blocked(ray):
     """Return whether rtcOccluded1 found anything on the ray."""
     return ray.f[ray.at + 8] < 0.0
@@ -145,7 +145,7 @@ def is_blocked(ray):
 # The body of a parallel loop is one call: numba frees the arrays of a tuple too early inside the loop itself.
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _intersect_some(function, scene, origins, directions, distance, shape, triangle):
     ray = new_ray()
     for r in range(origins.shape[0]):
@@ -155,7 +155,7 @@ def _intersect_some(function, scene, origins, directions, distance, shape, trian
         distance[r] = hit_distance(ray)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _occluded_some(function, scene, origins, directions, far, out):
     ray = new_ray()
     for r in range(origins.shape[0]):
@@ -163,7 +163,7 @@ def _occluded_some(function, scene, origins, directions, far, out):
         out[r] = is_blocked(ray)
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _intersect(function, scene, origins, directions, distance, shape, triangle):
     count = origins.shape[0]
     for chunk in numba.prange((count + _CHUNK - 1) // _CHUNK):
@@ -172,7 +172,7 @@ def _intersect(function, scene, origins, directions, distance, shape, triangle):
         _intersect_some(function, scene, origins[a:b], directions[a:b], some[0], some[1], some[2])
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _occluded(function, scene, origins, directions, far, out):
     count = origins.shape[0]
     for chunk in numba.prange((count + _CHUNK - 1) // _CHUNK):

@@ -5,11 +5,12 @@ Weights: Thürmer and Wüthrich, *Computing vertex normals from polygonal facets
 
 import math
 
-import numba
 import numpy as np
 
+from irodori.native import njit
 
-@numba.njit(cache=True, inline="always")
+
+@njit(cache=True, inline="always")
 def _corner_angle(vertices, faces, face, corner):
     """Return the angle of a triangle at one of its corners, rad."""
     a, b, c = faces[face, corner], faces[face, (corner + 1) % 3], faces[face, (corner + 2) % 3]
@@ -23,14 +24,14 @@ def _corner_angle(vertices, faces, face, corner):
     return math.atan2(sine, ab[0] * ac[0] + ab[1] * ac[1] + ab[2] * ac[2])
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _angles(vertices, faces, out):
     for face in range(faces.shape[0]):
         for corner in range(3):
             out[face, corner] = _corner_angle(vertices, faces, face, corner)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _gather(first, members, facets, angle, cosine, out):
     """Fill the corners' normals; ``members`` lists the corners of vertex i from ``first[i]`` on."""
     total = np.empty(3)

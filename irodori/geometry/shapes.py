@@ -10,11 +10,11 @@ and has that one's texture; a plane is all of z = 0, and everywhere the middle o
 import math
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 
 from irodori.geometry.atlas import Texels, mesh_texels, rasterise
 from irodori.geometry.mesh import Mesh
+from irodori.native import njit
 
 PLATE, SPHERE, MESH, DISC, PLANE = 0, 1, 2, 3, 4
 #: Kinds that lie in z = 0 of their frame and face +z.
@@ -136,7 +136,7 @@ class Shape:
         return rasterise(self.mesh, width, height, self.file) >= 0
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def uv_from_point(kind, size_x, size_y, x, y, z):
     """Return texture coordinates u, v in 0..1 of a point on the surface, object frame, mm."""
     if kind == PLANE:

@@ -3,11 +3,11 @@
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.geometry.embree import hit_barycentric, hit_primitive
 from irodori.geometry.shapes import MESH, SPHERE, Placement, uv_from_point
+from irodori.native import njit
 
 
 class Surfaces(NamedTuple):
@@ -57,7 +57,7 @@ def _joined(arrays: list[np.ndarray], *shape: int, dtype=np.float64) -> np.ndarr
 # Fields are indexed in full: a view of an array counts its owners, and two threads would fight over the count.
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _on_mesh(surfaces, index, ray, point, normal, facet):
     """Fill point and normals of a hit on a mesh from its barycentric coordinates; return u, v."""
     face = surfaces.first_face[index] + hit_primitive(ray)
@@ -98,7 +98,7 @@ def _on_mesh(surfaces, index, ray, point, normal, facet):
     return u, v
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def surface_at(surfaces, index, ray, point, normal, facet):
     """Move a hit point onto its surface, fill its normals, and return its texture coordinates.
 
@@ -146,7 +146,7 @@ def surface_at(surfaces, index, ray, point, normal, facet):
     return uv_from_point(kind, surfaces.size_mm[index, 0], surfaces.size_mm[index, 1], ox, oy, oz)
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def face_viewer(normal, facet, direction):
     """Return the cosine between the shading normal and the way back to the viewer; not positive seen from behind.
 

@@ -9,11 +9,11 @@ import math
 from itertools import pairwise
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.brdf import attenuation_over_cosine, facet_distribution, fresnel
 from irodori.irradiance import make_pixels
+from irodori.native import njit
 
 _ROWS = 32
 _REACH = 3.0  # roughnesses from the normal beyond which facets count for nothing, 1e-4 of the straight ones
@@ -58,7 +58,7 @@ def _band(pixels, rows: slice) -> tuple[np.ndarray, np.ndarray]:
     return moment[lit] / length[lit, None], power[lit]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def add_from_points(lights, normal, view, mu, n, k, scale, out):
     """Add ``scale`` times Σ F D G / cosθ_r L dω [eq. 5] over the points; arguments as of `irodori.gloss`."""
     cos_r = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]

@@ -8,6 +8,7 @@ import numpy as np
 from irodori.brdf import attenuation_over_cosine, facet_distribution, fresnel
 from irodori.gloss.maps import GlossMaps, gloss_radiance
 from irodori.irradiance import Integrator
+from irodori.native import njit
 
 #: Roughnesses (rad) and view angles (degrees) of the table.
 MU_RAD = (0.01, 0.02, 0.05, 0.1, 0.2, 0.36, 0.8, 1.2)
@@ -19,7 +20,7 @@ _PARTS_PER_WIDTH, _MOST_PARTS = 4.0, 8
 _INDEX = (1.5, 0.0)
 
 
-@numba.njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, inline="always", error_model="numpy")
 def lobe(normal, view, x, y, z, mu, n, k):
     """Return F D G / cosθ_r [eq. 5] for light from a unit direction."""
     cos_i = normal[0] * x + normal[1] * y + normal[2] * z
@@ -35,7 +36,7 @@ def lobe(normal, view, x, y, z, mu, n, k):
     return fresnel(cos_h, n, k) * facet_distribution(phi, mu) * geometric
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _reach(normal, view, mu):
     """Return the mirror direction and the angle about it beyond which the lobe is nothing: φ moves light by twice φ."""
     cos_r = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
@@ -45,7 +46,7 @@ def _reach(normal, view, mu):
     return mirror, min(2.0 * _REACH * mu, math.pi)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _mean_lobe(pixels, row, column, parts, normal, view, mu, n, k):
     """Return the mean of the lobe over a pixel, ``parts`` points along each side."""
     height, width = pixels.values.shape[:2]
@@ -59,7 +60,7 @@ def _mean_lobe(pixels, row, column, parts, normal, view, mu, n, k):
     return total / parts**2
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _add_from_pixels(pixels, parts, normal, view, mu, n, k, out):
     mirror, reach = _reach(normal, view, mu)
     height, width, bases = pixels.values.shape
@@ -78,7 +79,7 @@ def _add_from_pixels(pixels, parts, normal, view, mu, n, k, out):
                 out[b] += value * pixels.values[row, column, b]
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _add_from_cells(cells, level, normal, view, mu, n, k, out):
     first = cells.first[level]
     mirror, reach = _reach(normal, view, mu)
@@ -98,7 +99,7 @@ def _add_from_cells(cells, level, normal, view, mu, n, k, out):
             out[b] += value * (x * cells.moment[j, b, 0] + y * cells.moment[j, b, 1] + z * cells.moment[j, b, 2])
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _references(pixels, cells, level, parts, normal, view, mu, n, k, out):
     for i in numba.prange(normal.shape[0]):
         if level < 0:

@@ -25,6 +25,7 @@ from irodori.errors import InputError
 from irodori.gloss.cells import PointLights, add_from_points, point_lights
 from irodori.gloss.lobes import fitted_lobes
 from irodori.light import Environment
+from irodori.native import njit
 from irodori.prefilter import WIDTHS_RAD, prefiltered
 from irodori.sphere import add_interpolated
 
@@ -141,7 +142,7 @@ class GlossMaps:
         return GlossTables(pixels, starts[of_width], sizes[of_width], *fitted_lobes(), *self.points)
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _between(ladder, value):
     """Return the entry of a growing ladder below a value and the part of the way to the next; ends are held."""
     last = ladder.size - 2
@@ -150,7 +151,7 @@ def _between(ladder, value):
     return i, min(max(part, 0.0), 1.0)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _across(normal, view, cos_r):
     """Return the unit vectors in the plane of incidence, away from the view, and across it; and the view angle, rad."""
     tx, ty, tz = cos_r * normal[0] - view[0], cos_r * normal[1] - view[1], cos_r * normal[2] - view[2]
@@ -165,14 +166,14 @@ def _across(normal, view, cos_r):
     return tx, ty, tz, bx, by, bz, math.atan2(sin_r, cos_r)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _add_lobe(maps, width, x, y, z, scale, out):
     add_interpolated(
         maps.pixels, maps.first_pixel[width], maps.size[width, 0], maps.size[width, 1], x, y, z, scale, out
     )
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _add_entry(maps, i, j, share, normal, frame, n, k, out):
     """Add what one entry of the table looks up, times ``share``."""
     tx, ty, tz, bx, by, bz, theta_r = frame
@@ -194,7 +195,7 @@ def _add_entry(maps, i, j, share, normal, frame, n, k, out):
         _add_lobe(maps, width, x - s * bx, y - s * by, z - s * bz, scale, out)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _add_from_maps(maps, normal, view, cos_r, mu, n, k, scale, out):
     """Add ``scale`` times ∫ L F D G / cosθ_r dω [eq. 5] by look-ups in blurred light."""
     frame = _across(normal, view, cos_r)
@@ -211,7 +212,7 @@ def _add_from_maps(maps, normal, view, cos_r, mu, n, k, scale, out):
             _add_entry(maps, i + corner // 2, j + corner % 2, share * scale, normal, frame, n, k, out)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def add_gloss_radiance(maps, normal, view, beta, mu, n, k, out):
     """Add the coefficients of the gloss radiance β/π ∫ L F D G / cosθ_r dω [eq. 5, 9].
 
@@ -239,7 +240,7 @@ def add_gloss_radiance(maps, normal, view, beta, mu, n, k, out):
         _add_from_maps(maps, normal, view, cos_r, mu, n, k, (1.0 - rough) * beta / math.pi, out)
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _gloss_radiance(maps, normal, view, beta, mu, n, k, out):
     for i in numba.prange(normal.shape[0]):
         add_gloss_radiance(maps, normal[i], view[i], beta[i], mu[i], n, k, out[i])

@@ -8,6 +8,7 @@ import numpy as np
 from irodori.captures import Shot, shot_path
 from irodori.errors import InputError
 from irodori.mosaic import decode
+from irodori.native import njit
 from irodori.progress import LOGGER, track
 
 _HOT_SIGMAS = 8.0
@@ -49,7 +50,7 @@ class Dark:
         return signal if self.offset is None else signal + np.float32(self.offset_step_dn) * self.offset
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _add_row(values, black, total, squares):
     for column in range(values.size):
         signal = np.float32(values[column]) - black[column % 2]
@@ -57,7 +58,7 @@ def _add_row(values, black, total, squares):
         squares[column] += signal * signal
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _add(values, black, total, squares):
     for row in numba.prange(values.shape[0]):
         _add_row(values[row], black[row % 2], total[row], squares[row])

@@ -7,6 +7,8 @@ noise and dust do not enter the object, and 15 numbers a band replace a picture.
 import numba
 import numpy as np
 
+from irodori.native import njit
+
 DEGREE = 4
 POWERS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]  # of x, of y
 _MAX_RESIDUAL = 0.05  # of the mean; pixel noise of a white reference is far below
@@ -77,7 +79,7 @@ def axis(size: int) -> np.ndarray:
     return np.linspace(-1.0, 1.0, size) if size > 1 else np.zeros(1)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _moments_of_row(image, valid, x, moments, products, squares):
     count = 0
     for column in range(valid.size):
@@ -96,7 +98,7 @@ def _moments_of_row(image, valid, x, moments, products, squares):
     return count
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _sum_rows(image, valid, x, moments, products, squares, counts):
     for row in numba.prange(valid.shape[0]):
         counts[row] = _moments_of_row(image[row], valid[row], x, moments[row], products[row], squares[row])

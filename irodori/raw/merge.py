@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from irodori.native import njit
 from irodori.raw import flat as flat_field
 
 _BLOCK = 8  # samples along the side of a block
@@ -75,7 +76,7 @@ class Planes:
     steps: tuple[float, float]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True)
 def _single_row(samples, offset, rate, steps, black, clip, scale, total, excess):
     """Add the scaled samples of one exposure of one place to a row; note by how much the largest passes its clip."""
     for x in range(samples.size):
@@ -91,7 +92,7 @@ def _single_row(samples, offset, rate, steps, black, clip, scale, total, excess)
             total[x] -= step * np.float32(offset[x])
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _block_moments(values, first, last, left, right):
     """Return mean and variance of a block."""
     origin, total, square = float(values[first, left]), 0.0, 0.0
@@ -105,7 +106,7 @@ def _block_moments(values, first, last, left, right):
     return origin + mean, square / count - mean * mean
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _weigh_block(means, variances, exposure, gain, read, room, weights, predicted):
     """Set each exposure's inverse variance of the rate from the block's common signal, and the level predicted for it.
 
@@ -130,7 +131,7 @@ def _weigh_block(means, variances, exposure, gain, read, room, weights, predicte
             bottom += weights[k]
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _weigh_row(first, last, samples, offset, rate, steps, black, clip, exposures, weights, predicted):
     """Fill weights and predictions of a row of blocks, (blocks, K)."""
     exposure, dark_s, gain, read = exposures
@@ -145,7 +146,7 @@ def _weigh_row(first, last, samples, offset, rate, steps, black, clip, exposures
         _weigh_block(means, variances, exposure, gain, read, room, weights[block], predicted[block])
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _dark_row(offset, rate, step, slope, dark):
     """Set the dark signal of a row, DN."""
     dark[:] = 0.0
@@ -157,7 +158,7 @@ def _dark_row(offset, rate, step, slope, dark):
             dark[x] += slope * rate[x]
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _add_exposure(k, samples, dark, black, clip, exposure, weights, predicted, top, bottom):
     """Add exposure k of a row to the sums of weighted rates and of weights; return the sum of its fades."""
     used = 0.0
@@ -181,7 +182,7 @@ def _add_exposure(k, samples, dark, black, clip, exposure, weights, predicted, t
     return used
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _merge_place(first, last, samples, offset, rate, steps, black, clip, exposures, scale, total, excess, counts):
     """Merge one place's samples in the rows of one row of blocks and add them, scaled, to the band's total."""
     exposure, dark_s, _, _ = exposures
@@ -205,13 +206,13 @@ def _merge_place(first, last, samples, offset, rate, steps, black, clip, exposur
                 excess[y - first, x] = 0.0
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _row(values, y):
     """Return a row of a dark frame; one that is absent has few rows, and a step of 0."""
     return values[min(y, values.shape[0] - 1)]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True)
 def _flat_row(surface, y, x_start, x_step, row):
     """Divide a row of one band by the flat field's polynomial, ``surface`` (power of x, power of y)."""
     a = np.zeros(surface.shape[0])
@@ -225,7 +226,7 @@ def _flat_row(surface, y, x_start, x_step, row):
         row[column] /= a0 + x * (a1 + x * (a2 + x * (a3 + x * a4)))
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _store_row(total, excess, out, clipped):
     """Write one row of three bands; what clipped is 0."""
     for x in range(excess.size):
@@ -236,7 +237,7 @@ def _store_row(total, excess, out, clipped):
             out[x, 0], out[x, 1], out[x, 2] = total[0, x], total[1, x], total[2, x]
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _block_row(first, last, samples, offset, rate, steps, levels, exposures, surface, axes, out, clipped, counts):
     """Compute the three bands of one row of blocks."""
     bands, black, clip = levels
@@ -269,7 +270,7 @@ def _block_row(first, last, samples, offset, rate, steps, levels, exposures, sur
         _store_row(total[:, y - first], excess[y - first], out[y], clipped[y])
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _merge(samples, offset, rate, steps, levels, exposures, surface, axes, out, clipped, counts):
     height = out.shape[0]
     for block in numba.prange((height + _BLOCK - 1) // _BLOCK):

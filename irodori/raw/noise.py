@@ -8,11 +8,11 @@ does. [J. R. Janesick, Photon Transfer, SPIE 2007]
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from irodori.captures import Shot, shot_path
 from irodori.mosaic import Mosaic, decode
+from irodori.native import njit
 from irodori.progress import LOGGER, track
 
 ROUNDING_DN2 = 1 / 12
@@ -62,7 +62,7 @@ class Noise:
         return self.gain_e_per_dn / iso_ratio, read
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _tile_point(a, b, ratio, sound):
     """Return count, mean of a, and the variance of a - ratio b within one tile."""
     count, mean, level, square = 0, 0.0, 0.0, 0.0
@@ -81,7 +81,7 @@ def _tile_point(a, b, ratio, sound):
     return count, level / count, square / (count - 1)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _points(a, b, ratio, sound, tile, out):
     at = 0
     for y in range(0, a.shape[0], tile):

@@ -9,6 +9,7 @@ import math
 import numba
 import numpy as np
 
+from irodori.native import njit
 from irodori.recovery.loops import BLOCK, FAST, LANES, SERIAL, load, store
 from irodori.recovery.vectors import OUTPUTS, TILE, any_above_zero, blend_tile, decaying, logarithm
 
@@ -32,7 +33,7 @@ def columns_of(matrix: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(whole.reshape(*before, rows, columns, OUTPUTS).swapaxes(-2, -3))
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _product(rows, members, count, table, sums):
     """Fill sums with the transpose of a table (`columns_of`) of members times as many rows (count, LANES)."""
     flat = table.ravel()
@@ -41,7 +42,7 @@ def _product(rows, members, count, table, sums):
             blend_tile(rows, j, members, count, flat, column * table.shape[1] * OUTPUTS, sums, column * OUTPUTS)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _load_variance(variance, first, count, inverse_square, own):
     """Fill own (LANES,) with the mean over bands of the variances of scaled responses; one row serves all pixels."""
     bands = variance.shape[1]
@@ -55,7 +56,7 @@ def _load_variance(variance, first, count, inverse_square, own):
         own[j] = total / bands
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _place_levels(own, bands, levels, spread, width, length, position, inverse):
     """Fill where each pixel's relative variance lies among the levels, and one over its squared width.
 
@@ -81,7 +82,7 @@ def _place_levels(own, bands, levels, spread, width, length, position, inverse):
         inverse[j] = 1.0 / (width * width + spread * ratio)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _shares(count, inverse, share, largest, total):
     """Turn cosines to anchors, share (count.., LANES), into how much of each anchor's matrices a pixel takes, sum one.
 
@@ -110,7 +111,7 @@ def _shares(count, inverse, share, largest, total):
             share[a, j] = value if value > least_share else zero
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _pack(share, count, members):
     """Move the rows of share that are not zero throughout to the front; return how many, and whose in members."""
     taken = 0
@@ -127,7 +128,7 @@ def _pack(share, count, members):
     return taken
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _apply(blend, x, values):
     """Add to values (k, LANES) what blended matrices, all bands of one output together, make of x (bands, LANES)."""
     bands = x.shape[0]
@@ -137,7 +138,7 @@ def _apply(blend, x, values):
                 values[k, j] += x[b, j] * blend[k * bands + b, j]
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _local_block(first, last, response, variance, scale, anchors, width, levels, spread, maps, out):
     """Blend the matrices of the anchors, see `LocalMapping`."""
     bands, bases, count = scale.size, out.shape[1], maps.shape[2]
@@ -190,7 +191,7 @@ def local_weights(response, variance, scale, anchors, width, levels, spread, map
         _local_parallel(response, variance, scale, anchors, width, levels, spread, maps, out)
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _local_parallel(response, variance, scale, anchors, width, levels, spread, maps, out):
     blocks = (response.shape[0] + BLOCK - 1) // BLOCK
     for block in numba.prange(blocks):

@@ -9,6 +9,8 @@ import math
 import numba
 import numpy as np
 
+from irodori.native import njit
+
 LANES = 64
 BLOCK = 16 * LANES  # pixels that a thread takes at a time
 SERIAL = 4 * BLOCK  # pixels that are not worth waking threads for
@@ -16,13 +18,13 @@ _ROWS = 8  # that are summed at a time
 FAST = {"contract", "reassoc", "nsz", "arcp"}  # infinities and NaN keep their meaning
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _rows(count):
     """Return a number of rows that can be summed: the count, rounded up to a multiple of 8."""
     return (count + _ROWS - 1) // _ROWS * _ROWS
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def load(response, first, count, inverse_scale, x, c, length):
     """Fill x (bands, LANES) with scaled responses, the first rows of c with their directions, and length (LANES,).
 
@@ -49,7 +51,7 @@ def load(response, first, count, inverse_scale, x, c, length):
             c[b, j] = x[b, j] * inverse[j]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _combine(rows, count, weight, total):
     """Fill total (LANES,) with the weighted sum of the first rows; `count` is a multiple of 8."""
     for j in range(LANES):
@@ -64,7 +66,7 @@ def _combine(rows, count, weight, total):
             )  # fmt: skip
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def store(values, length, first, count, out):
     """Write rows (k, LANES) into out, NaN where the length is not finite."""
     for k in range(out.shape[1]):
@@ -72,7 +74,7 @@ def store(values, length, first, count, out):
             out[first + j, k] = values[k, j] if math.isfinite(length[j]) else np.nan
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _monomials(x, c, terms):
     """Fill terms (monomials, LANES): x_i, x_i c_j and x_i c_j c_k with i ≤ j ≤ k."""
     bands = x.shape[0]
@@ -94,7 +96,7 @@ def _monomials(x, c, terms):
             product += 1
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _polynomial_block(first, last, response, scale, coefficients, out):
     """Sum homogeneous monomials of degree one to three; coefficients are (k, monomials)."""
     bands, (bases, count) = scale.size, coefficients.shape
@@ -120,7 +122,7 @@ def polynomial_weights(response, scale, coefficients, out):
         _polynomial_parallel(response, scale, coefficients, out)
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _polynomial_parallel(response, scale, coefficients, out):
     blocks = (response.shape[0] + BLOCK - 1) // BLOCK
     for block in numba.prange(blocks):

@@ -6,7 +6,6 @@ in float64. The polynomials here are vectorised, in single precision with twice 
 
 import math
 
-import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
@@ -14,6 +13,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic, overload
 
 from irodori.exponential import exp_negative
+from irodori.native import njit
 
 TILE = 32  # pixels that `blend_tile` takes: two vectors of 512 bits in single precision, four in double
 OUTPUTS = 6  # sums that it keeps in registers
@@ -83,7 +83,7 @@ def _decaying(x):
     return None
 
 
-@numba.njit(cache=True, fastmath={"contract"}, inline="always")
+@njit(cache=True, fastmath={"contract"}, inline="always")
 def logarithm(x):
     """Return log(x) of a normal positive float64 to 1e-10."""
     whole, fraction = _exponent(x), _fraction(x)

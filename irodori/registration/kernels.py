@@ -12,11 +12,13 @@ import math
 import numba
 import numpy as np
 
+from irodori.native import njit
+
 TAPS = 6
 _SUMS = 4 + 16 + 5
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _cubic(t):
     """Return the weights of the cubic B-spline for the taps -1..2 around a fraction t."""
     s = 1.0 - t
@@ -25,7 +27,7 @@ def _cubic(t):
     return c0, c1, 1.0 - c0 - c1 - c3, c3
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _quintic(t):
     """Return the weights of the quintic B-spline and of its derivative for the taps -2..3 around a fraction t."""
     c0, c1, c2, c3 = _cubic(t)
@@ -38,7 +40,7 @@ def _quintic(t):
     return (w0, w1, w2, w3, w4, w5), (-q0, q0 - q1, q1 - q2, q2 - q3, q3 - q4, q4)
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _second(t):
     """Return the weights of the quintic's second derivative: second differences of the cubic."""
     c0, c1, c2, c3 = _cubic(t)
@@ -51,7 +53,7 @@ def spline_power() -> tuple[float, float, float]:
     return tuple(float(np.square(weights).sum()) for weights in (value, first, _second(0.0)))
 
 
-@numba.njit(cache=True, inline="always", fastmath={"contract"})
+@njit(cache=True, inline="always", fastmath={"contract"})
 def _row(values, p, w):
     """Return the weighted sum of six pixels of a row of a level in the band where ``p`` lies."""
     four = np.uint64(4)
@@ -63,13 +65,13 @@ def _row(values, p, w):
     return (a + w[4] * values[p]) + (b + w[5] * values[p + four])
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _less(a, b):
     # One instruction for eight numbers; min() has more to say about NaN.
     return a if a < b else b
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _least_along_row(level, y, out):
     """Fill the least share of valid pixels among the taps -2..3 along a row."""
     share = level[y, :, 3].copy()
@@ -78,13 +80,13 @@ def _least_along_row(level, y, out):
         out[i + 2] = _less(_less(a, b), _less(share[i + 4], share[i + 5]))
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _least_of_rows(r0, r1, r2, r3, r4, r5, out):
     for i in range(out.size):
         out[i] = _less(_less(_less(r0[i], r1[i]), _less(r2[i], r3[i])), _less(r4[i], r5[i]))
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def least_share(level):
     """Return the least share of valid pixels under the spline's 6 x 6 taps around each pixel, (h, w); 0 at borders."""
     along, out = np.zeros(level.shape[:2], dtype=np.float32), np.zeros(level.shape[:2], dtype=np.float32)
@@ -95,7 +97,7 @@ def least_share(level):
     return out
 
 
-@numba.njit(cache=True, fastmath={"contract"})
+@njit(cache=True, fastmath={"contract"})
 def _template_cell(values, least, places, count, offsets, gradient, curvature, weight):
     height, width = least.shape
     line = np.uint64(4 * width)
@@ -125,7 +127,7 @@ def _template_cell(values, least, places, count, offsets, gradient, curvature, w
             curvature[n, c, 0], curvature[n, c, 1], curvature[n, c, 2] = gxx, gxy, gyy
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def template(level, least, places, counts, offsets):
     """Return gradients and second derivatives of the fixed picture at chosen places.
 
@@ -152,7 +154,7 @@ def template(level, least, places, counts, offsets):
     return gradient, curvature, weight
 
 
-@numba.njit(cache=True, fastmath={"contract"})
+@njit(cache=True, fastmath={"contract"})
 def _sample_cell(values, least, places, count, offsets, affine, fixed_weight, gradient, weight):
     height, width = least.shape
     line = np.uint64(4 * width)
@@ -183,7 +185,7 @@ def _sample_cell(values, least, places, count, offsets, affine, fixed_weight, gr
             gradient[n, c, 1] = affine[0, 1] * gx + affine[1, 1] * gy
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _moments_cell(fixed, moving, weight, valid, count, out):
     for n in range(count):
         w = weight[n] * valid[n]
@@ -196,13 +198,13 @@ def _moments_cell(fixed, moving, weight, valid, count, out):
                     out[1, i, j] += w * moving[n, i, a] * fixed[n, j, a]
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _sample_and_sum(values, least, places, count, offsets, affine, fixed_weight, fixed, weight, moving, valid, out):
     _sample_cell(values, least, places, count, offsets, affine, fixed_weight, moving, valid)
     _moments_cell(fixed, moving, weight, valid, count, out)
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def sample(level, least, places, counts, offsets, affine, fixed_weight, fixed, weight):
     """Return gradients of the moving picture, along the fixed picture's axes, at the images of chosen places.
 
@@ -239,7 +241,7 @@ def sample(level, least, places, counts, offsets, affine, fixed_weight, fixed, w
     return gradient, valid, moments
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def residuals(fixed, moving, colour, chosen):
     """Return what the colour map predicts and what it leaves at some places.
 
@@ -267,7 +269,7 @@ def residuals(fixed, moving, colour, chosen):
     return predicted, residual
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _score_cell(places, moving, fixed, curvature, colour, valid, count, sigma, slope, geometry, weight, out):
     """Sum score and information of one cell; ``weight`` receives the weights of its places."""
     scale, cx, cy, reach = geometry
@@ -322,7 +324,7 @@ def _score_cell(places, moving, fixed, curvature, colour, valid, count, sigma, s
         out[19] += u * u * ayy - 2.0 * u * v * axy + v * v * axx
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def scores(places, moving, fixed, curvature, colour, valid, counts, sigma, slope, geometry):
     """Return sums of score and information of each cell, in superpixels, and the weights of the places.
 

@@ -9,12 +9,13 @@ import math
 import numba
 import numpy as np
 
+from irodori.native import njit
 from irodori.registration.layout import flatten
 
 _LEAST_NOISE = 1e-9
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _halve_row(out, source, y):
     for x in range(out.shape[1]):
         total, r, g, b = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
@@ -29,7 +30,7 @@ def _halve_row(out, source, y):
         out[y, x, 3] = np.float32(0.25) * total
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def halve(source):
     """Return the mean of the valid pixels of each 2 x 2, (h, w, 4) to (h // 2, w // 2, 4)."""
     out = np.empty((source.shape[0] // 2, source.shape[1] // 2, 4), dtype=np.float32)
@@ -38,7 +39,7 @@ def halve(source):
     return out
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _weight(image, at, valid):
     """Return 1 for a valid and finite pixel, else 0."""
     one = np.uint64(1)
@@ -47,7 +48,7 @@ def _weight(image, at, valid):
     return np.float32(1.0) if good else np.float32(0.0)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _pack_row(out, image, step, valid, y):
     zero = np.float32(0.0)
     for x in range(out.shape[1]):
@@ -58,7 +59,7 @@ def _pack_row(out, image, step, valid, y):
         out[y, x, 3] = weight
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _pack(image, step, valid):
     out = np.empty((*valid.shape, 4), dtype=np.float32)
     for y in numba.prange(out.shape[0]):
@@ -71,7 +72,7 @@ def pack(image, valid):
     return _pack(*flatten(image), valid)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _pack_halve_row(out, image, step, valid, y):
     width = valid.shape[1]
     quarter, zero = np.float32(0.25), np.float32(0.0)
@@ -90,7 +91,7 @@ def _pack_halve_row(out, image, step, valid, y):
         out[y, x, 0], out[y, x, 1], out[y, x, 2], out[y, x, 3] = r * share, g * share, b * share, quarter * total
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _pack_halve(image, step, valid):
     out = np.empty((valid.shape[0] // 2, valid.shape[1] // 2, 4), dtype=np.float32)
     for y in numba.prange(out.shape[0]):
@@ -103,7 +104,7 @@ def pack_halve(image, valid):
     return _pack_halve(*flatten(image), valid)
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _energy(level, noise, y, x):
     """Return the squared central differences of all bands over their noise, 0 beside an invalid pixel."""
     left, right, up, down = level[y, x - 1], level[y, x + 1], level[y - 1, x], level[y + 1, x]
@@ -115,7 +116,7 @@ def _energy(level, noise, y, x):
     return total * weight * weight
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _all_energies(level, inverse):
     out = np.zeros(level.shape[:2], dtype=np.float32)
     for y in numba.prange(1, level.shape[0] - 1):
@@ -144,7 +145,7 @@ def gradient_energy(level, noise) -> np.ndarray:
     return _all_energies(level, (noise**-2.0).astype(np.float32))
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _choose(energy, places, counts, cell, columns, height, width, quota, gate):
     """Fill the places of the ``quota`` largest energies of one cell."""
     y0, x0 = (cell // columns) * height, (cell % columns) * width
@@ -166,7 +167,7 @@ def _choose(energy, places, counts, cell, columns, height, width, quota, gate):
     counts[cell] = n
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def choose(energy, height, width, quota, gate):
     """Return the places of each cell with the largest gradients, all of at least the energy ``gate``.
 

@@ -5,10 +5,11 @@ import math
 import numba
 import numpy as np
 
+from irodori.native import njit
 from irodori.registration.layout import flatten
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _keys(t):
     """Return the weights of Keys' cubic, a = -1/2, for the taps -1..2 around a fraction t."""
     return (
@@ -19,7 +20,7 @@ def _keys(t):
     )
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _reached_row(reached, valid, y):
     """Mark in a row the pixels whose 4 x 4 neighbours -1..2 are all in the picture and valid."""
     width = valid.shape[1]
@@ -30,7 +31,7 @@ def _reached_row(reached, valid, y):
         reached[y, x] = column[x - 1] & column[x] & column[x + 1] & column[x + 2]
 
 
-@numba.njit(cache=True, inline="always", fastmath={"contract"})
+@njit(cache=True, inline="always", fastmath={"contract"})
 def _four(image, p, step, w):
     """Return the weighted sum of four pixels of a row in one band."""
     return (
@@ -38,7 +39,7 @@ def _four(image, p, step, w):
     )
 
 
-@numba.njit(cache=True, inline="always", fastmath={"contract"})
+@njit(cache=True, inline="always", fastmath={"contract"})
 def _cubic(image, p, step, line, wx, wy):
     """Return one band of the cubic of 4 x 4 pixels, the first of which lies at ``p``; rows are ``line`` apart."""
     top = wy[0] * _four(image, p, step, wx) + wy[1] * _four(image, p + line, step, wx)
@@ -46,7 +47,7 @@ def _cubic(image, p, step, line, wx, wy):
     return top + wy[2] * _four(image, p, step, wx) + wy[3] * _four(image, p + line, step, wx)
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _linear(image, at, step, line, tx, ty, band):
     p = at + band
     top = (1.0 - tx) * image[p] + tx * image[p + step]
@@ -54,7 +55,7 @@ def _linear(image, at, step, line, tx, ty, band):
     return np.float32((1.0 - ty) * top + ty * bottom)
 
 
-@numba.njit(cache=True, fastmath={"contract"})
+@njit(cache=True, fastmath={"contract"})
 def _resample_row(out, out_step, out_valid, image, step, valid, reached, affine, y):
     height, width = valid.shape
     line = width * step
@@ -83,7 +84,7 @@ def _resample_row(out, out_step, out_valid, image, step, valid, reached, affine,
         out_valid[y, x] = good
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _resample(out, out_step, out_valid, image, step, valid, affine):
     reached = np.zeros(valid.shape, dtype=np.bool_)
     for y in numba.prange(1, valid.shape[0] - 2):
@@ -121,7 +122,7 @@ def resample_affine(image, valid, affine, out=None) -> tuple[np.ndarray, np.ndar
     return out, out_valid
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _marked_row(out, mask, valid, affine, y):
     height, width = mask.shape
     for x in range(width):
@@ -135,7 +136,7 @@ def _marked_row(out, mask, valid, affine, y):
             out[y, x] = mask[max(iy - 2, 0) : iy + 3, max(ix - 2, 0) : ix + 3].any()
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def marked_affine(mask, valid, affine):
     """Return where a resampled picture is not valid and within two samples of a marked one, (height, width) bool."""
     out = np.empty(mask.shape, dtype=np.bool_)

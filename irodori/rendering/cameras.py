@@ -8,13 +8,13 @@ the mean radiance over the lens: no fall-off towards the corners is added.
 
 import math
 
-import numba
+from irodori.native import njit
 
 PERSPECTIVE, ORTHOGRAPHIC = 0, 1
 KINDS = {"perspective": PERSPECTIVE, "orthographic": ORTHOGRAPHIC}
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def aim(view, x, y, u, v, origin, direction):
     """Fill where the ray through a place of the picture starts, and its unit direction.
 

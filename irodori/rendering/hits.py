@@ -2,12 +2,11 @@
 
 import math
 
-import numba
-
 from irodori.geometry.surfaces import surface_at
+from irodori.native import njit
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def frame(normal, tangent, bitangent):
     """Fill two unit vectors perpendicular to a normal (Duff et al. 2017, without a branch at the pole)."""
     sign = math.copysign(1.0, normal[2])
@@ -17,7 +16,7 @@ def frame(normal, tangent, bitangent):
     bitangent[0], bitangent[1], bitangent[2] = b, sign + normal[1] ** 2 * a, -normal[1]
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _interpolate(pixels, first, width, height, u, v, out):
     """Fill the bilinear value of a picture at u, v in 0..1; columns wrap, rows end."""
     x, y = u * width - 0.5, min(max(v * height - 0.5, 0.0), height - 1.0)
@@ -32,7 +31,7 @@ def _interpolate(pixels, first, width, height, u, v, out):
         out[i] = wa * pixels[a, i] + wb * pixels[b, i] + wc * pixels[c, i] + wd * pixels[d, i]
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def surface(world, index, ray, point, normal, facet, texel):
     """Move a hit point onto its surface; fill its normals and its interpolated texel.
 

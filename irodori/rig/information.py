@@ -19,6 +19,7 @@ from irodori.captures import Pose
 from irodori.geometry.embree import Tracer
 from irodori.geometry.frames import rig_from_object, to_camera, to_light
 from irodori.geometry.shapes import Shape, on_table
+from irodori.native import njit
 
 PARAMETERS = 3
 _OFFSET_MM = 1e-3
@@ -266,7 +267,7 @@ def observe(
     return out
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _rough(alpha, beta, mu, cosine, gloss, phi):
     """Return the gloss and the sum of the rough terms of equation (5)."""
     ratio = phi / mu
@@ -274,7 +275,7 @@ def _rough(alpha, beta, mu, cosine, gloss, phi):
     return lobe, alpha * cosine + lobe
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _fill_pose(cosine, gloss, phi, seen, parameters, spread, expected, jacobian, variance, response, weight):
     read, shot, relative, saturation = spread
     materials = parameters.shape[0]
@@ -299,7 +300,7 @@ def _fill_pose(cosine, gloss, phi, seen, parameters, spread, expected, jacobian,
             weight[case] = 1.0 / (read + shot * total + (expected * total) ** 2) if expected >= 0.0 else 1.0
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _fill(cosine, gloss, phi, seen, parameters, spread, expected, jacobian, variance, response, weight):
     for p in numba.prange(seen.shape[0]):
         _fill_pose(

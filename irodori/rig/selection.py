@@ -19,6 +19,7 @@ import math
 import numba
 import numpy as np
 
+from irodori.native import njit
 from irodori.rig.information import PARAMETERS, Observations
 
 CRITERIA = ("determinant", "variance", "fit-determinant", "fit-variance")
@@ -32,7 +33,7 @@ class TooFewPoses(ValueError):
     """The rig has fewer poses than a design wants."""
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _adjugate(a):
     """Return determinant and adjugate of a symmetric matrix; six numbers 00, 01, 02, 11, 12, 22."""
     c00 = a[3] * a[5] - a[4] * a[4]
@@ -45,7 +46,7 @@ def _adjugate(a):
     return determinant, (c00, c01, c02, c11, c12, c22)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _with_row(a, row, weight):
     """Return a symmetric matrix plus weight row rowᵀ."""
     x, y, z = row[0], row[1], row[2]
@@ -59,19 +60,19 @@ def _with_row(a, row, weight):
     )
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _score(precision, by_determinant):
     determinant, adjugate = _adjugate(precision)
     return math.log(determinant) if by_determinant else -(adjugate[0] + adjugate[3] + adjugate[5]) / determinant
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _times(a, x, y, z):
     """Return a symmetric matrix times a column."""
     return a[0] * x + a[1] * y + a[2] * z, a[1] * x + a[3] * y + a[4] * z, a[2] * x + a[4] * y + a[5] * z
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _fit_precision(prior, normal, middle, count):
     """Return the prior plus N M⁻¹ N; the prior alone where the fit has too few observations."""
     determinant, m = _adjugate(middle)
@@ -93,12 +94,12 @@ def _fit_precision(prior, normal, middle, count):
     )
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _six(a):
     return (a[0], a[1], a[2], a[3], a[4], a[5])
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _judge_fisher(jacobian, variance, state, by_determinant):
     total = 0.0
     for c in range(variance.size):
@@ -109,7 +110,7 @@ def _judge_fisher(jacobian, variance, state, by_determinant):
     return total / variance.size
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _judge_fit(jacobian, variance, weight, state, prior, by_determinant):
     total = 0.0
     for c in range(variance.size):
@@ -122,7 +123,7 @@ def _judge_fit(jacobian, variance, weight, state, prior, by_determinant):
     return total / variance.size
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _judge_all(jacobian, variance, weight, state, prior, allowed, of_fit, by_determinant, out):
     """Fill in the criterion of the design with each candidate added."""
     for p in numba.prange(allowed.size):

@@ -41,12 +41,11 @@ def main() -> int:
     parser.add_argument("folder", type=Path)
     parser.add_argument("project", choices=("default", "small"))
     options = parser.parse_args()
-    # Statuses come from squeue: this Slurm keeps no accounts.
-    # A process that compiles a kernel rounds differently from one that finds it compiled: compile first.
-    compiling = make_project(options.folder / "compiling", options.project)
-    _, compiling_s = snakemake(compiling, "--cores", "2")
-    print(f"locally, compiling what is not compiled yet: {compiling_s:.0f} s", flush=True)
+    locally = make_project(options.folder / "locally", options.project)
+    _, local_s = snakemake(locally, "--cores", "2")
+    print(f"locally, compiling what is not compiled yet: {local_s:.0f} s", flush=True)
     on_slurm = make_project(options.folder / "on-slurm", options.project)
+    # Statuses come from squeue: this Slurm keeps no accounts.
     said, slurm_s = snakemake(
         on_slurm, "--profile", str(ROOT / "profiles/slurm"), "--slurm-status-command", "squeue", "--slurm-no-account",
     )  # fmt: skip
@@ -55,9 +54,6 @@ def main() -> int:
     print(f"on Slurm: {slurm_s:.0f} s, {submitted} Slurm jobs for {done} of the workflow")
     if not submitted:
         raise SystemExit("nothing was submitted to Slurm")
-    locally = make_project(options.folder / "locally", options.project)
-    _, local_s = snakemake(locally, "--cores", "2")
-    print(f"locally: {local_s:.0f} s")
     wrong = differences(on_slurm / "results", locally / "results")
     compared = len(results(locally / "results"))
     print(f"{compared} files compared, {len(wrong)} differ")

@@ -119,6 +119,18 @@ def test_light_and_eye_below_the_surface_at_an_index_of_one_tell_nothing(n):
     assert np.isnan(result.alpha).all() and np.isnan(result.beta).all()
 
 
+@pytest.mark.stability(stage="fit", case="back-lit observations")
+@pytest.mark.parametrize("lit", [0, 3])
+def test_geometries_that_carry_no_light_are_none_to_fit_by(lit):
+    """However many they are: three that are lit, besides, stay three."""
+    geometry = in_plane(np.linspace(95.0, 120.0, len(GEOMETRY)), np.linspace(30.0, 60.0, len(GEOMETRY)))
+    geometry[:lit] = in_plane(np.linspace(10.0, 40.0, lit), 20.0)
+    response = np.where(np.arange(len(GEOMETRY)) < lit, 0.3, 0.0)
+    for own in (geometry, np.tile(geometry, (9, 1, 1))):
+        result = run(np.tile(response, (9, 1)), own)
+        assert (result.status == Status.TOO_FEW_OBSERVATIONS).all() and np.isnan(result.alpha).all()
+
+
 @pytest.mark.stability(stage="fit", case="μ from 0.005 to 1.2")
 def test_roughness_over_its_whole_range_is_recovered_or_flagged():
     off = np.geomspace(0.05, 20, 16)

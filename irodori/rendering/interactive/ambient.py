@@ -10,10 +10,10 @@ scene was prepared (`irodori.rendering.interactive.mesh_shadows`).
 
 import math
 
-import numba
 import numpy as np
 
 from irodori.geometry.shapes import DISC, MESH, PLANE, SPHERE
+from irodori.native import njit
 from irodori.rendering.interactive.cube import bilinear, cell_of, face_of
 from irodori.rendering.interactive.discs import hidden_by_disc, hidden_by_plane
 from irodori.rendering.interactive.lanes import lane, load_like, repeated, zeros_like
@@ -49,7 +49,7 @@ _CORNERS = 4
 _NO_SIDE = 1e-4
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def hidden_by_sphere(cosine, distance, radius):
     """Return the share of the cosine-weighted hemisphere that a sphere hides.
 
@@ -75,7 +75,7 @@ def hidden_by_sphere(cosine, distance, radius):
     return max(part / math.pi, 0.0)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _edge(normal, a, b):
     """Return an edge's part of Lambert's sum: the angle that it spans times the cosine of its plane with the normal."""
     cx, cy, cz = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
@@ -86,7 +86,7 @@ def _edge(normal, a, b):
     return angle * (normal[0] * cx + normal[1] * cy + normal[2] * cz) / sine
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def hidden_by_corners(normal, corners):
     """Return the share of the cosine-weighted hemisphere that a flat polygon hides.
 
@@ -123,7 +123,7 @@ def hidden_by_corners(normal, corners):
     return abs(found) / (2.0 * math.pi)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _plate_corner(table, at, x, y, z, sign_u, sign_v):
     u, v = sign_u * 0.5 / table[at + WIDE], sign_v * 0.5 / table[at + HIGH]
     return (
@@ -133,7 +133,7 @@ def _plate_corner(table, at, x, y, z, sign_u, sign_v):
     )
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _axis(table, at, axis):
     """Return an axis of a shape's frame in the world."""
     return (
@@ -143,7 +143,7 @@ def _axis(table, at, axis):
     )
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _hidden(table, shape, point, normal):
     """Return the share that a shape hides, and the normal that faces the point, zeros for the back of a flat one."""
     at = shape * SHAPE
@@ -176,7 +176,7 @@ def _hidden(table, shape, point, normal):
     return hidden_by_corners(normal, corners), facing
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _reflected(world, frame, layout, shape, facing, like):
     """Return the light that a shape's side reflects, in the channels that texels are multiplied with."""
     turn = frame.light_from_world
@@ -194,7 +194,7 @@ def _reflected(world, frame, layout, shape, facing, like):
     return out
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _reflected_by_meshes(world, frame, layout, own, about, normal, like):
     """Return the light that the meshes about a hit reflect to it, in the channels that texels are multiplied with."""
     shadows, out = world.shadows, zeros_like(like)
@@ -212,7 +212,7 @@ def _reflected_by_meshes(world, frame, layout, own, about, normal, like):
     return out
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def ambient_light(world, frame, layout, hits, ray, light):
     """Return the light of a hit's normal, less what other objects hide, plus what they reflect."""
     hit, table = hits.f, world.shape

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from irodori.native import njit
 from irodori.rendering.interactive.lanes import (
     absolute,
     as_float,
@@ -118,13 +119,13 @@ class Pyramid(NamedTuple):
     scale: np.ndarray  # (s,) numbers are values divided by this
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _add_pixel(pixels, index, weight, out):
     for channel in range(out.size):
         out[channel] += weight * lane(load(pixels, index * out.size + channel, 1), 0)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _fill_row(pixels, height, width, side, face, row, out, total):
     """Fill a row of texels with the means of the bilinear picture at even points of the face."""
     sign = 1.0 - 2.0 * (face % 2)
@@ -149,7 +150,7 @@ def _fill_row(pixels, height, width, side, face, row, out, total):
             out[column, channel] = total[channel] / (_PARTS * _PARTS)
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _fill_rows(pixels, height, width, side, face, first, out):
     for row in numba.prange(out.shape[0]):
         _fill_row(pixels, height, width, side, face, first + row, out[row], np.empty(out.shape[2]))
@@ -222,7 +223,7 @@ def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, chan
 # --- in compiled code ----------------------------------------------------------------------------------------------
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def face_of(x, y, z):
     """Return faces, as float, and places on them, -1..1, of directions of any length; vectors of rays."""
     ax, ay, az = absolute(x), absolute(y), absolute(z)
@@ -236,7 +237,7 @@ def face_of(x, y, z):
     return axis + select(main < 0.0, absolute(x) * 0.0 + 1.0, 0.0), a * inverse, b * inverse
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def cell_of(face, u, v, side):
     """Return where the four texels about places begin (their number), and the ways to the next.
 
@@ -250,7 +251,7 @@ def cell_of(face, u, v, side):
     return (start + row) * stride + column, x - as_float(column), y - as_float(row)
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def bilinear(texels, first, cell, stride, fx, fy, like):
     """Return the bilinear value at a cell of a flat map.
 

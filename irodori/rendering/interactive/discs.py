@@ -6,13 +6,13 @@ integral of n · (r × dr) / |r|²: a quotient of first-order trigonometric poly
 
 import math
 
-import numba
+from irodori.native import njit
 
 #: Relative variation of |r|² over the circle under which it counts as constant.
 _CENTRED = 1e-7
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _primitive(tau, a, b, s, k, swing, root, ratio):
     """Return ∫ (a + b cos τ + s sin τ) / (k + swing cos τ) dτ from 0 to τ, which is within ±2π.
 
@@ -25,7 +25,7 @@ def _primitive(tau, a, b, s, k, swing, root, ratio):
     return b / swing * tau + (a - b * k / swing) * plain - s / swing * rise
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def hidden_by_disc(normal, centre, axes, radius):
     """Return the share of the cosine-weighted hemisphere that a disc hides.
 
@@ -78,7 +78,7 @@ def hidden_by_disc(normal, centre, axes, radius):
     return min(abs(found) / (2.0 * math.pi), 1.0)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def hidden_by_plane(cosine):
     """Return the share that an endless plane hides, by the cosine between the point's normal and its own."""
     return 0.5 * (1.0 - cosine)

@@ -1,10 +1,9 @@
 """Collimated lights: which of a packet's hits they reach, by hard shadows."""
 
-import numba
 import numpy as np
 from numba import types
 
-from irodori.native import c_function
+from irodori.native import c_function, njit
 from irodori.rendering.interactive.lanes import greatest, load, mask_bits, repeated, select, store
 from irodori.rendering.interactive.packets import FACET, NORMAL, RAYS, raised
 
@@ -13,7 +12,7 @@ _occluded = c_function(types.void, types.uintp, types.uintp, types.uintp, types.
 _ORIGIN, _DIRECTION, _FAR = 0, 64, 128
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def light_hits(world, frame, packet, hits, seen):
     """Fill ``hits.lit`` with the cosine of each hit with each lamp, 0 where the hit looks away or is in shadow."""
     f, i, hit = packet.f, packet.i, hits.f

@@ -1,8 +1,8 @@
 """Look-ups of a packet's light: the sky that rays meet, and the four lobes of each hit in the blurred light."""
 
-import numba
 import numpy as np
 
+from irodori.native import njit
 from irodori.rendering.interactive.cube import bilinear, cell_of, face_of
 from irodori.rendering.interactive.lanes import (
     as_float,
@@ -49,7 +49,7 @@ _CELL, _LEVEL, _NUMBERS = 0, 1, 2
 LOOK_FIELDS, LOOK_NUMBERS = TAPS * _FIELDS, TAPS * _NUMBERS
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def fresnel(cosine, n, k):
     """Return the unpolarised Fresnel reflectance of n + ik in air, exact, as `irodori.brdf.fresnel`; vectors."""
     c2 = cosine * cosine
@@ -68,7 +68,7 @@ def fresnel(cosine, n, k):
     return select(total > 0.0, found, 1.0)
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def decoded(world, layout, light):
     """Return stored light as a colour of the surface's lanes."""
     out = surface_black(layout)
@@ -78,7 +78,7 @@ def decoded(world, layout, light):
     return out
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def logarithm(x):
     """Return the binary logarithm of positive vectors within 0.01."""
     bits = bits_as_int(x)
@@ -87,7 +87,7 @@ def logarithm(x):
     return exponent + (mantissa * (2.0 - mantissa * (1.0 / 3.0)) - 5.0 / 3.0)
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def find_sky(world, frame, paths, base, look, number):
     """Fill where the directions of the paths from ``base`` on are looked up, at the two levels about their cones."""
     dx, dy, dz = (
@@ -113,7 +113,7 @@ def find_sky(world, frame, paths, base, look, number):
         store(look, (step * _FIELDS + _Y) * RAYS, y)
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def sky_at(world, layout, look, number, ray):
     """Return the stored light that one ray of the packet meets."""
     like = light_black(layout)
@@ -131,7 +131,7 @@ def sky_at(world, layout, look, number, ray):
     return found
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def find_lobes(world, layout, hit, numbers, entries, look, number):
     """Fill where the lobes of a packet's hits are looked up, from their entries of the table."""
     cosine = load(hit, COSINE * RAYS, 16)
@@ -173,7 +173,7 @@ def find_lobes(world, layout, hit, numbers, entries, look, number):
         store(look, (tap * _FIELDS + _COS_H) * RAYS, cos_h)
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def lobe_at(world, layout, look, number, ray, tap):
     """Return the blurred light of one lobe of one hit, as it is stored, without its weight."""
     level = number[_LEVEL * RAYS + ray]
@@ -184,13 +184,13 @@ def lobe_at(world, layout, look, number, ray, tap):
     return pair_mixed(found, look[_MIX * RAYS + ray])
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def lobe_weight(look, ray, tap):
     """Return the weight of one lobe of one hit, with its Fresnel reflectance unless paths are coloured."""
     return look[(tap * _FIELDS + _WEIGHT) * RAYS + ray]
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def lobe_incidence(look, ray, tap):
     """Return cosθ_H of one lobe of one hit."""
     return look[(tap * _FIELDS + _COS_H) * RAYS + ray]

@@ -12,12 +12,11 @@ same shapes in the same places. All of it is deterministic, whatever the number 
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.geometry.embree import NO_HIT, Tracer, hit_shape, is_blocked, new_ray, trace
 from irodori.geometry.shapes import MESH, SPHERE, Placement, reaches
-from irodori.native import run_chunks
+from irodori.native import njit, run_chunks
 from irodori.rendering.interactive.memory import Memory
 from irodori.rendering.interactive.shadow_nodes import GRID, Nodes, make_nodes
 
@@ -101,7 +100,7 @@ def _points(count: int) -> np.ndarray:
     return np.stack([(np.arange(count) + 0.5) / count, mirrored], axis=1)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _may_see(bounds, origin, normal):
     """Return whether the bound of any mesh stands above a node's horizon."""
     for mesh in range(bounds.radius.size):
@@ -118,7 +117,7 @@ def _may_see(bounds, origin, normal):
     return False
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _direction(normal, facet, tangent, bitangent, u, v):
     """Return the direction of a point of the unit square, cosine-distributed about a normal, above the surface."""
     around, far = 2.0 * np.pi * v, np.sqrt(u)
@@ -135,7 +134,7 @@ def _direction(normal, facet, tangent, bitangent, u, v):
     return x, y, z
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _tangents(normal):
     """Return two unit vectors perpendicular to a normal and to each other (Duff et al. 2017)."""
     x, y, z = normal
@@ -154,7 +153,7 @@ class _Rays(NamedTuple):
     others: int
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _add_ray(rays, bounds, layer_of, ray, origin, direction, values, node):
     """Add a ray to the sums of a node; return whether others leave it free, and whether it meets something's inside."""
     trace(rays.intersect, rays.scene, ray, origin, direction, np.inf)
@@ -179,7 +178,7 @@ def _add_ray(rays, bounds, layer_of, ray, origin, direction, values, node):
     return not is_blocked(ray), not front
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _cast(rays, bounds, layer_of, ray, nodes, points, number, values):
     """Fill the values of a node; return whether it lies in the open."""
     origin = (nodes[0][number, 0], nodes[0][number, 1], nodes[0][number, 2])
@@ -206,7 +205,7 @@ def _cast(rays, bounds, layer_of, ray, nodes, points, number, values):
     return inside < _ENCLOSED * points.shape[0] and not _is_cut_off(rays, ray, nodes[3], number, origin)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _is_cut_off(rays, ray, probe, number, origin):
     """Return whether something stands between a node and its probe."""
     way = (probe[number, 0] - origin[0], probe[number, 1] - origin[1], probe[number, 2] - origin[2])
@@ -218,7 +217,7 @@ def _is_cut_off(rays, ray, probe, number, origin):
     return is_blocked(ray)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _cast_some(rays, bounds, layer_of, nodes, points, values, is_open, first, last):
     ray = new_ray()
     for number in range(first, last):

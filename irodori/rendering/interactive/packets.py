@@ -2,14 +2,13 @@
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numba import types
 
 from irodori.geometry.embree import Ray
 from irodori.geometry.shapes import MESH, PLANE, PLATE, SPHERE
 from irodori.geometry.surfaces import surface_at
-from irodori.native import c_function
+from irodori.native import c_function, njit
 from irodori.rendering.interactive.cube import cell_of, face_of
 from irodori.rendering.interactive.lanes import (
     absolute,
@@ -94,7 +93,7 @@ OBJECT, TEXEL, NORMAL_CELL, TRIANGLE, HIT_NUMBERS = 0, 1, 2, 3, 4
 PACKET_SINGLES, PACKET_DOUBLES = _WORDS + RAYS + 32, 9
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def packet_in(singles, doubles):
     """Return a packet in zeroed memory that begins with a line of the cache; its constant words are set."""
     i = as_integers(singles)
@@ -109,7 +108,7 @@ def packet_in(singles, doubles):
     return Packet(singles, i, rays, address, ray, doubles, moved(doubles, 3), moved(doubles, 6))
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def trace_packet(world, packet, paths, base, active):
     """Let Embree meet the rays of the paths from ``base`` on; ``active`` is a mask."""
     f, i = packet.f, packet.i
@@ -122,7 +121,7 @@ def trace_packet(world, packet, paths, base, active):
     _trace(world.intersect, packet.valid, world.scene, packet.rays, world.query)
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def may_meet(world, paths, base, active):
     """Return the mask of the paths that may meet anything, by the bounds of the shapes; Embree decides.
 
@@ -168,13 +167,13 @@ def may_meet(world, paths, base, active):
     return active & found
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def meet_nothing(packet):
     """Note that no ray of a packet met anything."""
     store(packet.i, RAYS + _GEOMETRY, repeated(-1, 16))
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def keep_packet(packet, kept, at):
     """Write what a packet met to ``kept`` from ``at`` on."""
     store(kept, at, load(packet.f, RAYS + _FAR, 16))
@@ -184,7 +183,7 @@ def keep_packet(packet, kept, at):
     store(kept, at + 64, bits_as_float(load(packet.i, RAYS + _GEOMETRY, 16)))
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def recall_packet(packet, kept, at):
     """Read what a packet met from ``kept``."""
     store(packet.f, RAYS + _FAR, load(kept, at, 16))
@@ -194,19 +193,19 @@ def recall_packet(packet, kept, at):
     store(packet.i, RAYS + _GEOMETRY, bits_as_int(load(kept, at + 64, 16)))
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def shapes_met(packet):
     """Return the identifiers of the shapes that the rays met, `NO_HIT` where none."""
     return load(packet.i, RAYS + _GEOMETRY, 16)
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def distances(packet):
     """Return the distances of the hits, mm."""
     return load(packet.f, RAYS + _FAR, 16)
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def arc_tangent(y, x):
     """Return atan2 of vectors within 1e-5 rad."""
     ax, ay = absolute(x), absolute(y)
@@ -220,7 +219,7 @@ def arc_tangent(y, x):
     return with_sign(angle, y)
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def _onto_shapes(world, hit, number, shape, px, py, pz):
     """Move traced points onto spheres and planes; fill points, normals, and places in the textures."""
     table, at = world.shape, shape * SHAPE
@@ -253,7 +252,7 @@ def _onto_shapes(world, hit, number, shape, px, py, pz):
     return kind
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _onto_mesh(world, packet, hit, number, lane, shape):
     """Do for one ray that met a mesh what `_onto_shapes` does for spheres and planes."""
     ray, at = packet.ray, packet.ray.at
@@ -274,7 +273,7 @@ def _onto_mesh(world, packet, hit, number, lane, shape):
     )
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def place_hits(world, packet, paths, hit, number, base, met):
     """Fill points, normals and texture places of the hits that the mask ``met`` chooses; return their shapes."""
     distance = select(met, distances(packet), 0.0)
@@ -293,13 +292,13 @@ def place_hits(world, packet, paths, hit, number, base, met):
     return shape, kind, distance
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def turned(rotation, row, x, y, z):
     """Return one coordinate of vectors turned by a flat (9,) matrix."""
     return rotation[3 * row] * x + rotation[3 * row + 1] * y + rotation[3 * row + 2] * z
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def prepare_hits(world, frame, paths, hit, number, base, met, placed):
     """Fill what shading looks up at the hits; return the mask of those seen from their front."""
     shape, kind, distance = placed
@@ -352,7 +351,7 @@ def prepare_hits(world, frame, paths, hit, number, base, met, placed):
     return seen
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def raised(hit, axis):
     """Return one coordinate of the hits' points, raised from the surface by what single precision needs."""
     facet = load(hit, (FACET + axis) * RAYS, 16)
@@ -361,7 +360,7 @@ def raised(hit, axis):
     return load(hit, (POINT + axis) * RAYS, 16) + reach * _RISE * facet
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def active_lanes(count, base):
     """Return the mask of the paths from ``base`` on that there are."""
     return numbered(16) + base < count

@@ -3,10 +3,10 @@
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.brdf import attenuation_over_cosine, facet_distribution
+from irodori.native import njit
 from irodori.rendering.interactive.ambient import ambient_light
 from irodori.rendering.interactive.cube import bilinear
 from irodori.rendering.interactive.lanes import (
@@ -85,7 +85,7 @@ class Hits(NamedTuple):
     lit: Memory  # (lamps * RAYS,) cosine with each lamp, 0 where it is hidden
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def shade_sky(world, frame, layout, paths, hits, sums, base, missed):
     """Add the environment to the pixels of the rays whose bits are set."""
     find_sky(world, frame, paths, base, hits.look, hits.look_i)
@@ -101,7 +101,7 @@ def shade_sky(world, frame, layout, paths, hits, sums, base, missed):
                 store(sums.light, at, load_like(sums.light, at, light) + throughput * light)
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def _add_coloured(layout, sums, slot, colour):
     """Add a colour times a path's throughput to its pixel."""
     at = slot * surface_lanes(layout)
@@ -109,7 +109,7 @@ def _add_coloured(layout, sums, slot, colour):
     store(sums.colour, at, load_like(sums.colour, at, colour) + passed)
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def _add_colour(layout, paths, sums, base, ray, slot, colour):
     if is_coloured(layout):
         _add_coloured(layout, sums, slot, colour)
@@ -119,7 +119,7 @@ def _add_colour(layout, paths, sums, base, ray, slot, colour):
         store(sums.colour, at, load_like(sums.colour, at, colour) + throughput * colour)
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def _lobe_entry(world, hits, ray, power, place):
     """Fill the entry of a hit's lobe from its place in the table of roughnesses, and its power β / π times π μ²."""
     cosine = hits.f[COSINE * RAYS + ray]
@@ -130,7 +130,7 @@ def _lobe_entry(world, hits, ray, power, place):
     hits.f[GLOSS * RAYS + ray] = power
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def shade_surfaces(world, frame, layout, paths, hits, sums, base, seen, least_power):
     """Add the diffuse light of the hits whose bits are set; look up their lobes. Returns the bits of glossy hits."""
     glossy = 0
@@ -166,7 +166,7 @@ def shade_surfaces(world, frame, layout, paths, hits, sums, base, seen, least_po
     return glossy
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _add_highlight(world, frame, layout, paths, hits, sums, base, ray, lamp):
     """Add β F D G / cosθ_r of a lamp to a pixel."""
     width = surface_lanes(layout)
@@ -194,7 +194,7 @@ def _add_highlight(world, frame, layout, paths, hits, sums, base, ray, lamp):
     _add_colour(layout, paths, sums, base, ray, np.int64(paths.slot[base + ray]), colour)
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def shade_gloss(world, layout, paths, hits, sums, base, glossy, least_weight):
     """Add the blurred light of the glossy hits' lobes; those with too little weight are left."""
     width = surface_lanes(layout)
@@ -222,7 +222,7 @@ def shade_gloss(world, layout, paths, hits, sums, base, glossy, least_weight):
             store(sums.light, at, load_like(sums.light, at, light) + throughput * light)
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def reflect_packet(world, layout, paths, hits, sums, base, seen):
     """Fill the throughput with which the hits' paths go on."""
     width = surface_lanes(layout)
@@ -248,7 +248,7 @@ def reflect_packet(world, layout, paths, hits, sums, base, seen):
             hits.f[NEXT * RAYS + ray] = 0.0
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def advance(world, paths, hits, base, seen, least_throughput, after):
     """Write the paths that go on close together from ``after`` on; return where they end."""
     throughput = load(hits.f, NEXT * RAYS, 16)
@@ -273,7 +273,7 @@ def advance(world, paths, hits, base, seen, least_throughput, after):
     return after + count
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def _bits(mask):
     """Return how many bits of a mask of sixteen are set."""
     mask = mask - ((mask >> 1) & 0x5555)

@@ -1,9 +1,9 @@
 """What meshes hide of the light at a hit, from the nodes about it; see `irodori.rendering.interactive.mesh_shadows`."""
 
-import numba
 import numpy as np
 
 from irodori.geometry.shapes import MESH, SPHERE
+from irodori.native import njit
 from irodori.rendering.interactive.mesh_shadows import FIRST, SHAPE_NUMBERS, STRIDE
 from irodori.rendering.interactive.packets import (
     BARYCENTRIC_B,
@@ -20,7 +20,7 @@ from irodori.rendering.interactive.packets import (
 from irodori.rendering.interactive.shadow_nodes import COLUMNS, DENSITY, GRID, LOW, MIDDLE, REACH, ROWS
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def warped_place(offset):
     """Return the place of an offset in units of a grid's reach, see `shadow_nodes.warped`."""
     away = abs(offset)
@@ -29,7 +29,7 @@ def warped_place(offset):
     return 1.0 - 0.5 / away if offset > 0.0 else 0.5 / away - 1.0
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _lattice_place(parts, b, c):
     """Return the three places about a point of a triangle, the last of them twice, and their weights."""
     x, y = min(max(b, 0.0), 1.0) * parts, min(max(c, 0.0), 1.0) * parts
@@ -47,7 +47,7 @@ def _lattice_place(parts, b, c):
     return (above + 1, above, here + 1, here + 1), (fx + fy - 1.0, 1.0 - fx, 1.0 - fy, 0.0)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _grid_place(column, row, columns, rows, wraps):
     """Return the four nodes about a place of a grid, and their weights."""
     y = min(max(row, 0.0), rows - 1.0)
@@ -61,7 +61,7 @@ def _grid_place(column, row, columns, rows, wraps):
     return (at + left, at + right, below + left, below + right), weights
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def nodes_about(world, hits, ray, own, point):
     """Return the nodes about a hit of a shape, (4,) int, and their weights, (4,) float, which add up to 1."""
     shadows = world.shadows
@@ -98,7 +98,7 @@ def nodes_about(world, hits, ray, own, point):
     return _grid_place(column, row, columns, rows, False)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def mixed(shadows, own, about, number):
     """Return a number of the nodes about a hit, by their weights."""
     nodes, weights = about

@@ -2,9 +2,9 @@
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from irodori.native import njit
 from irodori.rendering.interactive.lamps import light_hits
 from irodori.rendering.interactive.lanes import (
     as_float,
@@ -94,7 +94,7 @@ class Scratch(NamedTuple):
     sums: Sums
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _singles(layout, lamps):
     """Return how many float32 a thread's buffers take."""
     fixed = PACKET_SINGLES + (PATH_FIELDS + 1) * STRIDE + (HIT_FIELDS + HIT_NUMBERS + ENTRY + LOOK_FIELDS) * RAYS
@@ -102,7 +102,7 @@ def _singles(layout, lamps):
     return fixed + (LOOK_NUMBERS + max(lamps, 1)) * RAYS + lanes
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def scratch_in(layout, lamps, singles, doubles):
     """Return one thread's buffers in zeroed memory that begins with a line of the cache."""
     packet = packet_in(singles, doubles)
@@ -124,7 +124,7 @@ def scratch_in(layout, lamps, singles, doubles):
     return Scratch(packet, paths, hits, sums)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def start_tile(frame, left, top, paths):
     """Start a path at each pixel of a tile that lies in the picture; return how many."""
     count = 0
@@ -154,7 +154,7 @@ def start_tile(frame, left, top, paths):
     return count
 
 
-@numba.njit(cache=True, forceinline=True)
+@njit(cache=True, forceinline=True)
 def _count(layout, figures, stage, since):
     """Add the cycles since a count to a stage; return the count now."""
     if is_profiled(layout):
@@ -164,7 +164,7 @@ def _count(layout, figures, stage, since):
     return since
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _meet(world, limits, scratch, base, bounce, count, kept, at):
     """Let a packet meet the scene, or recall what it met in an earlier frame."""
     active = active_lanes(count, base)
@@ -182,7 +182,7 @@ def _meet(world, limits, scratch, base, bounce, count, kept, at):
     return mask_bits(met), mask_bits(active & ~met)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _shade_packet(world, frame, layout, limits, scratch, base, count, after, last, figures):
     """Shade a packet's hits; return where the paths that go on end."""
     packet, paths, hits, sums = scratch.packet, scratch.paths, scratch.hits, scratch.sums
@@ -210,7 +210,7 @@ def _shade_packet(world, frame, layout, limits, scratch, base, count, after, las
     return after
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _follow(world, frame, layout, limits, scratch, count, kept, figures):
     """Follow the paths of a tile until none is left."""
     packets = 0
@@ -233,7 +233,7 @@ def _follow(world, frame, layout, limits, scratch, count, kept, figures):
             break
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _finish_tile(world, frame, layout, sums, left, top, image, channels):
     """Turn what a tile's pixels have gathered into the picture's channels, and clear it."""
     surface, light = surface_lanes(layout), light_lanes(layout)
@@ -260,7 +260,7 @@ def _finish_tile(world, frame, layout, sums, left, top, image, channels):
                 image[at + channel] = value
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _render_tile(world, frame, layout, limits, scratch, tile, image, channels, kept, figures):
     columns = (frame.width + TILE - 1) // TILE
     left, top = (tile % columns) * TILE, (tile // columns) * TILE
@@ -274,7 +274,7 @@ def _render_tile(world, frame, layout, limits, scratch, tile, image, channels, k
     _count(layout, figures, _COLOUR, since)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def render_tiles(world, frame, layout, limits, image, channels, kept, figures, first, last):
     """Render the tiles ``first``..``last``, numbered row by row.
 

@@ -2,9 +2,9 @@
 
 import math
 
-import numba
 import numpy as np
 
+from irodori.native import njit
 from irodori.rendering.lights import BANDS, PADDED
 
 #: Sums over bands may be taken in any order, or each addition waits for the one before.
@@ -19,7 +19,7 @@ def padded(values: np.ndarray, fill: str = "zero") -> np.ndarray:
     return np.ascontiguousarray(np.pad(values, width, mode=mode), dtype=np.float32)
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True, fastmath=_SUMS)
+@njit(cache=True, _nrt=False, forceinline=True, fastmath=_SUMS)
 def decode(basis, index, count, coefficients, out):
     """Fill a spectrum from the first ``count`` coefficients on ``basis[index]``.
 
@@ -43,7 +43,7 @@ def decode(basis, index, count, coefficients, out):
         out[band] = share * max(out[band], _ZERO)
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True, fastmath=_SUMS)
+@njit(cache=True, _nrt=False, forceinline=True, fastmath=_SUMS)
 def summed_product(a, b):
     """Return the sum of the product of two spectra."""
     total = _ZERO
@@ -52,7 +52,7 @@ def summed_product(a, b):
     return float(total)
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True, fastmath=_SUMS)
+@njit(cache=True, _nrt=False, forceinline=True, fastmath=_SUMS)
 def summed(a):
     """Return the sum of a spectrum over the 61 bands."""
     total = _ZERO
@@ -61,7 +61,7 @@ def summed(a):
     return float(total)
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def largest(a):
     """Return the largest of the 61 bands."""
     found = a[0]
@@ -70,7 +70,7 @@ def largest(a):
     return float(found)
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def scale(a, factor):
     """Multiply a spectrum by a number."""
     factor = np.float32(factor)
@@ -78,7 +78,7 @@ def scale(a, factor):
         a[band] *= factor
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def scale_by(a, b, factor):
     """Multiply a spectrum by another times a number."""
     factor = np.float32(factor)
@@ -86,7 +86,7 @@ def scale_by(a, b, factor):
         a[band] *= b[band] * factor
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
+@njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
 def add_product(a, b, factor, out):
     """Add the product of two spectra times a number."""
     factor = np.float32(factor)
@@ -94,7 +94,7 @@ def add_product(a, b, factor, out):
         out[band] += a[band] * b[band] * factor
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
+@njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
 def fill_mixture(diffuse, a, gloss, b, out):
     """Fill ``out`` with one spectrum times a number plus another times a number."""
     a, b = np.float32(a), np.float32(b)
@@ -102,7 +102,7 @@ def fill_mixture(diffuse, a, gloss, b, out):
         out[band] = diffuse[band] * a + gloss[band] * b
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
+@njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
 def fill_mixture_grey(diffuse, a, b, out):
     """Fill ``out`` with a spectrum times a number plus a number."""
     a, b = np.float32(a), np.float32(b)
@@ -110,7 +110,7 @@ def fill_mixture_grey(diffuse, a, b, out):
         out[band] = diffuse[band] * a + b
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True, error_model="numpy", fastmath={"contract"})
+@njit(cache=True, _nrt=False, forceinline=True, error_model="numpy", fastmath={"contract"})
 def fill_fresnel(cosine, n, k, index, out):
     """Fill the Fresnel reflectance of every band; `irodori.brdf.fresnel` without its branches, so that it vectorises.
 

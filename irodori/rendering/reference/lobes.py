@@ -2,18 +2,17 @@
 
 import math
 
-import numba
-
 from irodori.brdf import attenuation_over_cosine
+from irodori.native import njit
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def inside(mu):
     """Return 1 - exp(-(π/2μ)²), the share of the facets' law that lies within a quarter turn."""
     return -math.expm1(-((0.5 * math.pi / mu) ** 2))
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def gloss_share(beta, mu, fresnel_towards_viewer):
     """Return about the light that the gloss term reflects: β F ∫ D G / (π cosθ_r) dω for a smooth surface seen steeply.
 
@@ -22,7 +21,7 @@ def gloss_share(beta, mu, fresnel_towards_viewer):
     return 4.0 * beta * mu * mu * fresnel_towards_viewer
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True, error_model="numpy")
+@njit(cache=True, _nrt=False, forceinline=True, error_model="numpy")
 def gloss_at(normal, view, light, cos_i, cos_r, beta, mu):
     """Return the gloss term without its Fresnel reflectance, the density of its own drawing, and V·H.
 
@@ -61,7 +60,7 @@ def gloss_at(normal, view, light, cos_i, cos_r, beta, mu):
     return factor, density, cos_h
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True, error_model="numpy")
+@njit(cache=True, _nrt=False, forceinline=True, error_model="numpy")
 def draw_gloss(normal, tangent, bitangent, view, mu, u, v, out):
     """Fill the direction of light that mirrors the view in a drawn half vector; return whether it is of any use.
 
@@ -82,7 +81,7 @@ def draw_gloss(normal, tangent, bitangent, view, mu, u, v, out):
     return True
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def draw_cosine(normal, tangent, bitangent, u, v, out):
     """Fill a direction with the density cosθ / π about a normal."""
     radius, angle = math.sqrt(u), 2.0 * math.pi * v

@@ -8,12 +8,12 @@ of little throughput end by Russian roulette, which leaves the mean as it is.
 
 import math
 
-import numba
 import numpy as np
 
 from irodori.brdf import fresnel
 from irodori.geometry.embree import hit_distance, hit_shape, is_blocked, trace
 from irodori.geometry.surfaces import face_viewer
+from irodori.native import njit
 from irodori.rendering.hits import frame, surface
 from irodori.rendering.lights import COLLIMATED, density_towards, sample_towards, unobstructed
 from irodori.rendering.reference.bands import (
@@ -52,7 +52,7 @@ _ROULETTE_FROM = 4  # the fifth surface
 MIRRORED = 4
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def _fill_shares(world, point, share):
     """Fill the probabilities by which lights are chosen at a point, about their irradiance; return whether any is."""
     total = 0.0
@@ -67,13 +67,13 @@ def _fill_shares(world, point, share):
     return total > 0.0
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def _weight(own, other):
     """Return the weight of a direction by the densities of both drawings, 1/sr; below 0 there is no other."""
     return 1.0 / (1.0 + (other / own) ** 2) if own > 0.0 else 1.0
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def _meet_light(world, work, index, density):
     """Add what a path meets beside the objects; ``density`` is that of its drawing, below 0 of a single direction."""
     count = world.lights.kind.size
@@ -94,7 +94,7 @@ def _meet_light(world, work, index, density):
             add_product(work.throughput, work.radiance, weight, work.total)
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def _reflect(world, work, index, direction, probability, gloss):
     """Fill ``work.mixture`` with the rough terms towards a direction of light; return the density of its drawing.
 
@@ -124,7 +124,7 @@ def _reflect(world, work, index, direction, probability, gloss):
     return density + probability[1] * of_gloss
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def _leave(world, work, index, origin):
     """Fill the origin of a ray that leaves the surface."""
     p = work.point
@@ -133,7 +133,7 @@ def _leave(world, work, index, origin):
         origin[axis] = p[axis] + height * work.facet[axis]
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def _add_chosen_light(world, ray, work, index, probability, gloss, numbers, at):
     """Add what one chosen light sends over the surface towards the eye.
 
@@ -182,7 +182,7 @@ def _add_chosen_light(world, ray, work, index, probability, gloss, numbers, at):
     add_product(work.throughput, work.mixture, 1.0, work.total)
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def _shares_of_terms(world, work, index, cos_r):
     """Return the shares of diffuse, gloss and mirror term in the light that is reflected, about; and β, μ.
 
@@ -207,7 +207,7 @@ def _shares_of_terms(world, work, index, cos_r):
     return diffuse / whole, gloss / whole, mirror / whole, beta, mu, reflectance
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def _mirror(world, work, index, reflectance, weight, direction, throughput):
     """Fill the mirror's direction and multiply a throughput by its reflectance; return whether it leads away."""
     cos_r, above = 0.0, 0.0
@@ -225,7 +225,7 @@ def _mirror(world, work, index, reflectance, weight, direction, throughput):
     return above > 0.0
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def _keep_mirror(world, work, index, terms, seldom):
     """Keep the mirror's part of a path for later; return the terms without it, and whether there is anything to follow.
 
@@ -245,7 +245,7 @@ def _keep_mirror(world, work, index, terms, seldom):
     return (diffuse / rough, gloss / rough, 0.0, beta, mu, reflectance), follows
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def _turn(world, work, index, terms, numbers, at):
     """Choose the path's next direction and multiply its throughput.
 
@@ -270,7 +270,7 @@ def _turn(world, work, index, terms, numbers, at):
     return density
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def _arrive(world, work, ray, index):
     """Fill what is known of the surface that a path met; return the cosine towards the viewer."""
     distance, d = hit_distance(ray), work.direction
@@ -281,7 +281,7 @@ def _arrive(world, work, ray, index):
     return face_viewer(work.normal, work.facet, d)
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def _survives(work, numbers, at):
     """Play Russian roulette; return whether the path goes on."""
     stream, first = at
@@ -294,7 +294,7 @@ def _survives(work, numbers, at):
     return True
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def follow(world, ray, work, numbers, stream, seldom):
     """Add the radiance along one path to ``work.total``; return how many of its two branches had to be cut.
 

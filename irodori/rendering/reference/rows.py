@@ -2,10 +2,10 @@
 
 import math
 
-import numba
 import numpy as np
 
 from irodori.geometry.embree import new_ray
+from irodori.native import njit
 from irodori.rendering.cameras import aim
 from irodori.rendering.reference.bands import BANDS, PADDED
 from irodori.rendering.reference.numbers import LENS, PIXEL, draw, pixel_key, stream_of
@@ -16,7 +16,7 @@ from irodori.rendering.reference.world import new_work
 _TOGETHER = 256
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def _render_pixel(world, ray, work, view, numbers, x, y, whole, mean, spread):
     """Add the means of a pixel's replicates, and their squares; return the number of paths that were cut.
 
@@ -47,7 +47,7 @@ def _render_pixel(world, ray, work, view, numbers, x, y, whole, mean, spread):
     return cut
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def render_some_rows(world, view, numbers, first_row, image, error, cut, first, last):
     """Fill rows ``first`` to ``last`` of a band of the picture that begins at ``first_row``.
 

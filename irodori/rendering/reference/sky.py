@@ -10,11 +10,11 @@ surface's own reflection serve the even part better, and serve it alone where th
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.light import Environment, directions
 from irodori.light_sampling import light_sampler
+from irodori.native import njit
 from irodori.rendering.reference.bands import padded
 from irodori.sphere import direction_uv
 
@@ -78,7 +78,7 @@ def _guides(cumulative: np.ndarray) -> np.ndarray:
     return np.clip(found, 0, count - 1)
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def _entry(cumulative, guides, row, u):
     """Return the entry of a row whose share of 0..1 holds u, never one without a share."""
     count = cumulative.shape[1] - 1
@@ -93,13 +93,13 @@ def _entry(cumulative, guides, row, u):
     return low
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def _under_tent(r):
     """Return a place from -1 to 1 with a density that falls from 1 at 0 to 0 at both ends."""
     return math.sqrt(2.0 * r) - 1.0 if r < 0.5 else 1.0 - math.sqrt(2.0 * (1.0 - r))
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def sample_sky(sky, u, v, direction, coefficients):
     """Fill a drawn direction and the coefficients of its radiance; return the density in 1/sr, 0 for a useless one.
 
@@ -130,7 +130,7 @@ def sample_sky(sky, u, v, direction, coefficients):
     return _look(sky, u, v, sine, coefficients)
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def _look(sky, u, v, sine, coefficients):
     """Fill the interpolated coefficients of the pixels about a place; columns wrap, rows end."""
     x, y = u * sky.width - 0.5, min(max(v * sky.height - 0.5, 0.0), sky.height - 1.0)
@@ -148,7 +148,7 @@ def _look(sky, u, v, sine, coefficients):
     return coefficients[coefficients.size - 1] / sine if sine > 1e-12 else 0.0
 
 
-@numba.njit(cache=True, _nrt=False, forceinline=True)
+@njit(cache=True, _nrt=False, forceinline=True)
 def look_at_sky(sky, direction, coefficients):
     """Fill the coefficients of the radiance from a direction; return the density with which it is drawn, 1/sr."""
     u, v = direction_uv(direction[0], direction[1], direction[2])
@@ -156,7 +156,7 @@ def look_at_sky(sky, direction, coefficients):
     return _look(sky, u, v, sine, coefficients)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def sample_sky_at(sky, uv, out_directions, densities):
     """Fill directions (n, 3) and densities (n,) of points (n, 2) of the unit square."""
     coefficients = np.empty(sky.pixels.shape[1])
@@ -164,7 +164,7 @@ def sample_sky_at(sky, uv, out_directions, densities):
         densities[i] = sample_sky(sky, uv[i, 0], uv[i, 1], out_directions[i], coefficients)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def densities_of_sky(sky, towards, densities):
     """Fill the densities (n,) with which unit directions (n, 3) are drawn."""
     coefficients = np.empty(sky.pixels.shape[1])

@@ -6,10 +6,10 @@ are inlined (``forceinline``) and count nothing (``_nrt=False``), or most of the
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.geometry.surfaces import Surfaces
+from irodori.native import njit
 from irodori.rendering.lights import PADDED, Lights
 from irodori.rendering.reference.sky import Sky
 from irodori.rendering.scene import Objects
@@ -64,7 +64,7 @@ class Work(NamedTuple):
     kept_direction: np.ndarray  # (3,) float64
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def new_work(world):
     """Return the buffers of one thread."""
     return Work(

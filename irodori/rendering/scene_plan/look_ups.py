@@ -7,7 +7,6 @@ that each can be left out.
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.brdf import angles_from_directions, facet_distribution, fresnel, gloss_factor
@@ -16,6 +15,7 @@ from irodori.geometry.shapes import DISC, PLANE, PLATE, SPHERE, Placement
 from irodori.geometry.surfaces import face_viewer, make_surfaces, surface_at
 from irodori.gloss import GlossMaps
 from irodori.irradiance import irradiance_at
+from irodori.native import njit
 from irodori.rendering.interactive.ambient import hidden_by_corners, hidden_by_sphere
 from irodori.rendering.interactive.discs import hidden_by_disc, hidden_by_plane
 from irodori.rendering.interactive.lobes import ANGLES, ENTRY, ROUGHNESSES, TAPS, lobe_table, roughness_place
@@ -38,7 +38,7 @@ class Points(NamedTuple):
     cosine: np.ndarray  # (n,) with the way back
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _meet(surfaces, intersect, scene, origin, direction, shape, distance, point, normal, facet, uv, cosine):
     ray = new_ray()
     for r in range(shape.size):
@@ -76,7 +76,7 @@ def raised(points: Points) -> np.ndarray:
     return points.point + _RISE * reach * points.facet
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _fresnel_rows(cosine, which, n, k, out):
     for r in range(cosine.size):
         for band in range(n.shape[1]):
@@ -171,7 +171,7 @@ def lobes(
     return light, weight, np.clip(cos_h, 0.0, 1.0)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _hidden_by_sphere(centre, radius, point, normal, share, facing):
     for r in range(share.size):
         x, y, z = centre[0] - point[r, 0], centre[1] - point[r, 1], centre[2] - point[r, 2]
@@ -183,12 +183,12 @@ def _hidden_by_sphere(centre, radius, point, normal, share, facing):
         facing[r, 0], facing[r, 1], facing[r, 2] = -x / distance, -y / distance, -z / distance
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _corner(corners, number, point, r):
     return corners[number, 0] - point[r, 0], corners[number, 1] - point[r, 1], corners[number, 2] - point[r, 2]
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _hidden_by_plate(corners, face, point, normal, share, facing):
     for r in range(share.size):
         four = (
@@ -202,7 +202,7 @@ def _hidden_by_plate(corners, face, point, normal, share, facing):
             facing[r, 0], facing[r, 1], facing[r, 2] = face[0], face[1], face[2]
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _hidden_by_disc(centre, axes, radius, point, normal, share):
     e, f, g = (axes[0, 0], axes[1, 0], axes[2, 0]), (axes[0, 1], axes[1, 1], axes[2, 1]), axes[:, 2]
     for r in range(share.size):
@@ -273,7 +273,7 @@ def sky_of(light: Light, direction: np.ndarray, level: np.ndarray) -> np.ndarray
     return out
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _highlights(angles, mu, cosine_free, which, n, k, out):
     for r in range(mu.size):
         if not cosine_free[r]:

@@ -1,8 +1,9 @@
 """What a pixel of the virtual camera gathers: light over its area, widened by the optical low-pass filter."""
 
-import numba
 import numpy as np
 from numba.extending import register_jitable
+
+from irodori.native import njit
 
 #: Irrational steps of the rays' places from row to row and from column to column: the golden and the silver ratio.
 _ROW_STEP, _COLUMN_STEP = (np.sqrt(5.0) - 1.0) / 2.0, np.sqrt(2.0) - 1.0
@@ -30,7 +31,7 @@ def place_in_cell(row, column):
     return 0.5 * (column + across - np.floor(across)), 0.5 * (row + down - np.floor(down))
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def gather_rows(points, first, image):
     """Fill rows of an RGGB mosaic from what is seen in quarters of pixels.
 

@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.geometry.distortion import undistort
@@ -13,14 +12,14 @@ from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.shapes import MESH, PLATE
 from irodori.geometry.surfaces import Surfaces, face_viewer, make_surfaces, surface_at
-from irodori.native import run_chunks, uncounted
+from irodori.native import njit, run_chunks, uncounted
 from irodori.rig.virtual.aperture import gather_rows, place_in_cell
 from irodori.rig.virtual.reflection import MEASURED, gloss_lobe, measured_lobe
 
 _BLOCK_ROWS = 16
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _lookup(table, cosine, band):
     position = min(max(cosine, 0.0), 1.0) * (table.shape[0] - 1)
     node = min(int(position), table.shape[0] - 2)
@@ -28,7 +27,7 @@ def _lookup(table, cosine, band):
     return (1.0 - part) * table[node, band] + part * table[node + 1, band]
 
 
-@numba.njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, inline="always", error_model="numpy")
 def _response(out, sample, material, setup, point, ci):
     """Fill the responses of one point, lit at the cosine `ci` and seen from its front, in the state's three bands."""
     normal, view, light, power = point.normal, point.back, point.light, point.lamp[0]
@@ -90,7 +89,7 @@ class _Point(NamedTuple):
     origin: np.ndarray  # of the shadow ray
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _new_point():
     return _Point(
         np.empty(3),
@@ -119,7 +118,7 @@ class _Subject(NamedTuple):
     fresnel: np.ndarray  # (nodes, 3)
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _aim(setup, x, y, direction):
     """Fill the direction in which the camera sees a point of the mosaic."""
     m = setup.ideal_from_seen
@@ -133,7 +132,7 @@ def _aim(setup, x, y, direction):
         direction[a] = (axes[a, 0] * px + axes[a, 1] * py + axes[a, 2]) * scale
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _may_hit(setup, direction):
     """Whether a ray from the camera meets the sphere about the sample; most of a picture does not."""
     eye = setup.camera_mm
@@ -141,7 +140,7 @@ def _may_hit(setup, direction):
     return eye[0] ** 2 + eye[1] ** 2 + eye[2] ** 2 - along**2 <= setup.reach_mm**2
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _is_seen(setup, surfaces, ray, point):
     """Whether a ray from the camera sees the front of the sample; fills its point, its normals and the way back."""
     trace(setup.intersect, setup.scene, ray, setup.camera_mm, point.direction, np.inf)
@@ -154,7 +153,7 @@ def _is_seen(setup, surfaces, ray, point):
     return face_viewer(point.normal, point.facet, point.direction) > 0.0
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _face_lamp(setup, point):
     """Fill the way to the lamp and its power at a point; return the cosine with the normal, 0 behind the surface."""
     if math.isinf(setup.light_distance_mm):
@@ -177,7 +176,7 @@ def _face_lamp(setup, point):
     return cosine if front > 0.0 else 0.0
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _is_lit(setup, ray, point):
     """Whether nothing stands between a point and the light."""
     for a in range(3):
@@ -186,7 +185,7 @@ def _is_lit(setup, ray, point):
     return not is_blocked(ray)
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _material_at(sample, point):
     """Return the material of a point of the surface."""
     column = min(max(int(point.uv[0] * sample.checks[0]), 0), sample.checks[0] - 1)
@@ -194,7 +193,7 @@ def _material_at(sample, point):
     return (row * sample.checks[0] + column) % sample.beta.size
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _expose(setup, sample, surfaces, image, first, last):
     """Fill a block of rows: look through each quarter of a pixel, then let the pixels gather theirs."""
     points = np.empty((2 * (last - first) + 2, 2 * image.shape[1] + 2, 3))

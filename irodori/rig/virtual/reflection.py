@@ -7,11 +7,11 @@ one follows a table of BRDF samples. Both show what the fit makes of a material 
 
 import math
 
-import numba
 import numpy as np
 
 from irodori.brdf import attenuation_over_cosine, facet_distribution
 from irodori.errors import InputError
+from irodori.native import njit
 from irodori.spectra import resample
 from irodori.tables import brdf_table
 
@@ -23,7 +23,7 @@ _DIFFERENCE_NODES = 10
 _MAX_ANGLE_RAD = math.radians(80.0)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def gloss_lobe(model, mu, cos_i, cos_r, cos_phi, cos_h):
     """Return the gloss term of a surface over β F: 1 at normal incidence and reflection for either model.
 
@@ -47,7 +47,7 @@ def gloss_lobe(model, mu, cos_i, cos_r, cos_phi, cos_h):
     return distribution * 2.0 * cos_i / (smith_i + smith_r)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def measured_lobe(table, cos_phi, cos_h, band):
     """Return π times a tabulated BRDF, linear between nodes of the half and the difference angle.
 
