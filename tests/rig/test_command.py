@@ -261,9 +261,9 @@ MOVE, JOG, HOME = ["move", "turn_deg=359.5"], ["jog", "turn_deg=359.5"], ["home"
     ("arguments", "number", "code", "message"),
     [
         (MOVE, signal.SIGINT, 130, ["stopped; the rig stands still, and what was taken stays"]),
-        (MOVE, signal.SIGTERM, 143, []),
-        (JOG, signal.SIGHUP, 129, []),
-        (HOME, signal.SIGTERM, 143, []),
+        pytest.param(MOVE, signal.SIGTERM, 143, [], marks=pytest.mark.heavy),
+        pytest.param(JOG, signal.SIGHUP, 129, [], marks=pytest.mark.heavy),
+        pytest.param(HOME, signal.SIGTERM, 143, [], marks=pytest.mark.heavy),
     ],
 )
 def test_what_ends_a_command_from_outside_stops_the_rig_in_mid_move(bench, board, arguments, number, code, message):

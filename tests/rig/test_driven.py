@@ -95,6 +95,7 @@ def test_a_session_that_the_person_stops_goes_on_where_it_was(bench, studio, per
     assert read_captures("photos/jar.csv", "photos/jar") == plan
 
 
+@pytest.mark.heavy
 def test_a_camera_that_is_unplugged_in_mid_session_is_said_and_costs_one_photograph(bench, studio, person, capsys):
     studio.bench.script["file_get"] = [None, None, fault("GP_ERROR_IO_USB_FIND")]
     studio.bench.script["init"] = [None, *[fault("GP_ERROR_IO_USB_FIND")] * 50]
@@ -108,6 +109,7 @@ def test_a_camera_that_is_unplugged_in_mid_session_is_said_and_costs_one_photogr
     assert read_captures("photos/jar.csv", "photos/jar") == planned()[1]
 
 
+@pytest.mark.heavy
 def test_a_changed_bracket_keeps_what_still_belongs_to_the_plan(bench, studio, person):
     assert main(["capture", OBJECT]) == 0
     edit(bench / f"config/objects/{OBJECT}.yaml", exposure_s={"out": [0.02, 0.005], "in": [0.05]})
@@ -121,6 +123,7 @@ def test_a_changed_bracket_keeps_what_still_belongs_to_the_plan(bench, studio, p
     assert len(retired) == 4 and all((bench / "photos/jar" / name).is_file() for name in retired)
 
 
+@pytest.mark.heavy
 def test_another_sensitivity_photographs_all_again_and_keeps_the_old_files(bench, studio, person):
     assert main(["capture", OBJECT]) == 0
     edit(bench / f"config/cameras/{CAMERA}.yaml", driver__iso=200)
@@ -130,6 +133,7 @@ def test_another_sensitivity_photographs_all_again_and_keeps_the_old_files(bench
     assert len(list(Path("photos/jar").glob("*-retired-*.cr2"))) == 8
 
 
+@pytest.mark.heavy
 def test_a_complete_session_needs_neither_rig_nor_camera(bench, studio, person):
     assert main(["capture", OBJECT]) == 0
     studio.bench.seen.clear()
@@ -138,6 +142,7 @@ def test_a_complete_session_needs_neither_rig_nor_camera(bench, studio, person):
     assert studio.bench.opened == opened
 
 
+@pytest.mark.heavy
 def test_a_confirmation_file_over_ssh_is_all_the_session_waits_for(bench, studio, capsys, monkeypatch):
     folder, end = bench / "results/rig/gonio-grbl", threading.Event()
     said: list[str] = []
@@ -180,6 +185,7 @@ def test_a_prompt_without_a_terminal_says_what_to_do(bench, studio, capsys, monk
     assert "start it on a terminal, or give the rig operator: file" in capsys.readouterr().err
 
 
+@pytest.mark.heavy
 def test_two_sessions_do_not_move_one_rig(bench, studio, person, capsys):
     """The lock of the port says so in words, and nothing is photographed."""
     rig = load_one("rigs", "gonio-grbl")["rigs"]["gonio-grbl"]

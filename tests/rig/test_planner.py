@@ -180,6 +180,7 @@ def test_more_poses_and_more_manual_settings_promise_no_worse_design():
     assert sum(v[0] ** 2 for v in three.expected.values()) <= sum(v[0] ** 2 for v in one.expected.values())
 
 
+@pytest.mark.heavy
 def test_a_plan_for_a_sphere_turns_the_table_and_determines_more_than_one_side_does():
     planner = Planner(SPHERE_OBJECT, RIG, materials=MaterialRange(mu_rad=(0.1, 0.3)))
     plan = planner.best(16)

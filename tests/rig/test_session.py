@@ -268,6 +268,7 @@ def expected_steps() -> int:
     return aim.estimate(aim.ordered(object_shots(definition, camera, ".dng"))).steps
 
 
+@pytest.mark.heavy
 def test_a_session_waits_for_the_file_that_its_message_names(tmp_path):
     with python(tmp_path, ASKING % "file", stderr=subprocess.PIPE) as run:
         questions = []
@@ -345,7 +346,9 @@ stage.capture_object(definition, aim, folder / "session.json", MADE)
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, *(pytest.param(s, marks=pytest.mark.heavy) for s in (signal.SIGINT, signal.SIGHUP))]
+)
 def test_an_interrupted_session_leaves_the_rig_stopped_and_the_table_whole(tmp_path, number):
     """Ctrl-C, the end of a batch job, and a lost ssh connection, each while the arm swings."""
     with python(tmp_path, INTERRUPTED, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:

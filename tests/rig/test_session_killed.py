@@ -48,6 +48,7 @@ def test_a_session_of_a_moving_rig_killed_at_twenty_random_moments_loses_nothing
     assert len(stood) > 4, "the kills fell between different photographs"
 
 
+@pytest.mark.heavy
 def test_one_session_killed_again_and_again_ends_the_same(tmp_path):
     """Each continuation is killed in its turn, before it has gone far."""
     rng = random.Random(3)

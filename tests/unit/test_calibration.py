@@ -83,6 +83,7 @@ def test_basis_is_orthonormal_and_best(seed, count):
 @pytest.mark.stability(stage="calibrate", case="responses scaled by 1e-6..1e6")
 @given(seed=st.integers(0, 2**32 - 1), exponents=st.lists(st.floats(-6, 6), min_size=6, max_size=6))
 @settings(deadline=None, max_examples=60)
+@pytest.mark.heavy
 def test_units_of_the_bands_do_not_matter(seed, exponents):
     rng = np.random.default_rng(seed)
     chart = smooth_spectra(24, 9, rng)

@@ -63,6 +63,7 @@ def test_a_chart_is_found_whichever_way_it_lies(
     assert found.edges >= 80 and found.rmse < 0.5 * found.next_rmse
 
 
+@pytest.mark.heavy
 def test_six_bands_and_dim_light_and_dead_pixels_do_not_matter():
     rng = np.random.default_rng(2)
     image_from_grid = view(WIDTH, HEIGHT, 80, 181, 0.2)
@@ -94,10 +95,12 @@ def test_a_saturated_white_patch_does_not_hide_the_chart():
 # ---- refused
 
 
+@pytest.mark.heavy
 def test_a_mirrored_chart_is_refused():
     assert "mirrored" in refusal(shot([view(WIDTH, HEIGHT, 90, 2)])[:, ::-1])
 
 
+@pytest.mark.heavy
 def test_opencv_that_does_not_start_stops_nothing_but_the_finding():
     """A bare machine has no libGL: every stage must run there, and finding must say what is missing."""
     program = (
@@ -112,12 +115,14 @@ def test_opencv_that_does_not_start_stops_nothing_but_the_finding():
     assert "libgl1" in done.stdout and "find: edges" in done.stdout
 
 
+@pytest.mark.heavy
 def test_two_charts_are_refused_with_their_places():
     maps = [view(WIDTH, HEIGHT, 50, 2, centre=(180, 150)), view(WIDTH, HEIGHT, 45, 175, centre=(520, 370))]
     said = refusal(noisy(shot(maps), np.random.default_rng(4), 0.003))
     assert "2 charts" in said and "(180, 150)" in said and "(520, 370)" in said
 
 
+@pytest.mark.heavy
 def test_a_chart_cut_by_the_picture_s_edge_is_refused():
     picture = shot([view(WIDTH, HEIGHT, 90, 2)])
     assert "cut by the picture" in refusal(picture[130:])
@@ -148,6 +153,7 @@ def test_squares_of_other_colours_are_refused():
     assert "do not answer" in refusal(noisy(shot([view(WIDTH, HEIGHT, 90)], responses=responses), rng, 0.003))
 
 
+@pytest.mark.heavy
 def test_spectra_of_another_order_are_refused():
     with pytest.raises(InputError, match="do not answer"):
         find(shot([view(WIDTH, HEIGHT, 90)]), np.random.default_rng(8).permutation(SPECTRA))

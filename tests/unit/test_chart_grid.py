@@ -136,6 +136,7 @@ def test_corners_alone_are_taken_as_they_are(barrel):
 
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(deadline=None, max_examples=3)
+@pytest.mark.heavy
 def test_the_fit_does_not_depend_on_where_it_starts(barrel, seed):
     picture, expected = barrel
     start = expected + 6.0 * np.random.default_rng(seed).normal(size=(24, 2)).clip(-1.5, 1.5)

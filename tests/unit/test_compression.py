@@ -335,6 +335,7 @@ def test_single_sums_in_one_class_would_lose_what_the_sun_hides():
 @pytest.mark.stability(stage="compress", case="unit of the picture")
 @given(seed=st.integers(0, 2**32 - 1), factor=st.floats(1e-20, 1e20))
 @settings(deadline=None, max_examples=15)
+@pytest.mark.heavy
 def test_the_unit_of_a_picture_changes_nothing_but_the_coefficients_unit(seed, factor):
     source = picture(seed, 5, 20)
     scaled = {name: (m / factor, w) for name, (m, w) in observers().items()}

@@ -92,7 +92,7 @@ def test_the_larger_chart_reaches_the_bound_of_another_camera():
 
 
 @pytest.mark.parametrize("test", ["munsell", "vrhel"])
-@pytest.mark.parametrize("camera", CAMERAS)
+@pytest.mark.parametrize("camera", [CAMERAS[0], *(pytest.param(c, marks=pytest.mark.heavy) for c in CAMERAS[1:])])
 def test_the_choice_is_the_best_estimator_at_the_noise_of_the_pixels(camera, test):
     names = (camera, "classic", test)
     for stated in (False, True):

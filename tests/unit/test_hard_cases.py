@@ -85,6 +85,7 @@ def test_another_table_is_refused_by_name(tmp_path):
         read_outcomes(tmp_path / "s.csv")
 
 
+@pytest.mark.heavy
 def test_the_table_is_that_of_a_run_of_its_own(tmp_path):
     rows = try_hard_cases(tmp_path / "s.csv", 0, ["tests/unit/test_store.py"])
     of_store = [row for row in rows if row["stage"] == "store"]

@@ -252,6 +252,7 @@ def test_a_picture_is_read_in_bands_that_make_it_whole(tmp_path, tiled):
         _ = rgb_picture(tmp_path / "a.exr").weights
 
 
+@pytest.mark.heavy
 def test_the_memory_for_an_environment_does_not_grow_with_its_spectra(tmp_path):
     size, spectra = (1200, 1200), np.stack([spectrum(f"TCS{i}") for i in range(99)]).astype(np.float32)
 

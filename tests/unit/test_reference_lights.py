@@ -198,6 +198,7 @@ def test_the_error_falls_with_the_samples():
     assert np.sqrt((fine**2).mean()) <= np.sqrt((coarse**2).mean()) / 8 * 1.3
 
 
+@pytest.mark.heavy
 def test_two_sets_need_fewer_samples_than_eight_and_know_their_error():
     limit = still_life(8192, seed=9).radiance[..., 30].astype(float)
 

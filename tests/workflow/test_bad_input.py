@@ -98,6 +98,7 @@ def test_a_truncated_raw_file_stops_at_the_first_job(project):
 
 
 @pytest.mark.stability(stage="ingest", case="file contradicts the table")
+@pytest.mark.heavy
 def test_an_exposure_that_the_file_contradicts_is_refused(project):
     folder = real_project(project, {"a.dng": b""})
     table = folder / "raw/captures.csv"

@@ -69,6 +69,7 @@ class Run:
         self.end()
 
 
+@pytest.mark.heavy
 def test_sessions_of_a_driven_rig_come_one_after_the_other_and_go_on_after_a_kill(studio):
     run = Run(studio, *RECORDS)
     table, folder = studio / "photos/jar.csv", studio / "photos/jar"
@@ -104,6 +105,7 @@ def test_sessions_of_a_driven_rig_come_one_after_the_other_and_go_on_after_a_kil
     assert not planned(snakemake(studio, "--dry-run", *RECORDS))
 
 
+@pytest.mark.heavy
 def test_a_prompt_inside_snakemake_says_what_to_do_in_one_sentence(studio):
     edit(studio / "config/rigs/gonio-grbl.yaml", {"operator": "prompt"})
     run = Run(studio, RECORDS[0])

@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 import yaml
 from project import planned, small_project, snakemake
 
@@ -40,6 +41,7 @@ def test_placed_lights_are_made_without_a_camera_and_light_a_scene(tmp_path):
     assert {"delta_e", "negative_fraction", "irradiance", "gloss"} <= set(errors)
 
 
+@pytest.mark.heavy
 def test_a_panorama_is_an_input_and_its_absence_is_said_before_anything_is_made(tmp_path):
     folder = small_project(tmp_path)
     environment(folder, source={"kind": "rgb", "file": "sky.exr"})

@@ -4,6 +4,7 @@ import json
 import sys
 
 import numpy as np
+import pytest
 import yaml
 from PIL import Image
 from project import ROOT, edit, planned, small_project, snakemake
@@ -15,6 +16,7 @@ from irodori import store
 FRAMES = {"kind": "turntable", "count": 3, "turned": "eye"}
 
 
+@pytest.mark.heavy
 def test_only_a_scene_that_defines_frames_has_them_and_one_job_makes_them(tmp_path):
     from scenes import constant_light, material
 

@@ -137,6 +137,7 @@ def test_a_scene_under_one_lamp_looks_no_environment_up_and_keeps_its_highlights
 
 @settings(max_examples=6, deadline=None, derandomize=True)
 @given(st.data())
+@pytest.mark.heavy
 def test_no_scene_errs_by_more_than_its_plan_predicts(data):
     number = st.floats(0.0, 1.0)
     materials = [
