@@ -3,7 +3,8 @@
 ``python -m benchmarks.calibrate [--size small] [--runs 7] [--output speed_error.csv]`` applies each estimator to a
 picture of 2 megapixels of six bands, half a megapixel in small; the reference is a bare BLAS product of the same size
 in the same run. ``--table`` prints the errors of every estimator instead, for all sets, cameras and noises. Both read
-the measured spectra of ``../shared/data``. Times exclude compilation, which is reported apart.
+the measured spectra of ``../shared/data``. Times exclude compilation, which is reported apart;
+peak memory is that of this process while a variant runs, with the picture and all estimators in it.
 """
 
 import sys
