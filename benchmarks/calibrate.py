@@ -15,11 +15,15 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.table import COLUMNS, arguments_of, median_s, medians_s, peak_mb_of, report, write
-from irodori.calibration import ESTIMATORS, Noise, Training, choose, cross_validate, fit
-from irodori.colour import delta_e_reflectance, spectral_rmse
-from irodori.spectra import TRAPEZOID_NM, camera_sensitivities, read_wide_csv, resample, spectrum
-from irodori.tables import wide_table
-from irodori.threads import use_threads
+from irodori.calibration.estimator_choice import choose, cross_validate
+from irodori.calibration.estimators import ESTIMATORS, fit
+from irodori.calibration.training import Noise, Training
+from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
+from irodori.core.threads import use_threads
+from irodori.spectra.grid import TRAPEZOID_NM
+from irodori.spectra.published import camera_sensitivities, read_wide_csv, spectrum
+from irodori.spectra.resampling import resample
+from irodori.spectra.tables import wide_table
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"

@@ -28,13 +28,13 @@ from sklearn.decomposition import IncrementalPCA, TruncatedSVD
 from threadpoolctl import threadpool_limits
 
 from benchmarks.table import COLUMNS, arguments_of, medians_s, own_peak_mb, report
-from irodori import store
-from irodori.coefficients import read_coefficients
-from irodori.colour import colour_matching_weights, summary, xyz_from_reflectance
-from irodori.principal import Compression, CompressOptions, analyse
-from irodori.principal.reflections import colour_error
-from irodori.spectra import spectrum
-from irodori.threads import use_threads
+from irodori.colour.colorimetry import colour_matching_weights, summary, xyz_from_reflectance
+from irodori.core import store
+from irodori.core.threads import use_threads
+from irodori.material.coefficients import read_coefficients
+from irodori.material.principal_components.basis_count import Compression, CompressOptions, analyse
+from irodori.material.principal_components.repeated_reflection import colour_error
+from irodori.spectra.published import spectrum
 
 ROOT = Path(__file__).resolve().parents[1]
 PROVENANCE = store.Provenance("benchmark")

@@ -11,10 +11,10 @@ sun. Full prints how far look-ups are from the sum of the true lobe, too.
 import numpy as np
 
 from benchmarks.table import COLUMNS, arguments_of, medians_s, own_peak_mb, report
-from irodori.gloss import GlossMaps, gloss_radiance
-from irodori.gloss.errors import gloss_errors, places
-from irodori.irradiance import Integrator, fitted_irradiance_map
-from irodori.threads import use_threads
+from irodori.core.threads import use_threads
+from irodori.light.gloss.gloss_maps import GlossMaps, gloss_radiance
+from irodori.light.gloss.look_up_errors import gloss_errors, places
+from irodori.light.irradiance import Integrator, fitted_irradiance_map
 
 MAX_ERROR = 0.002
 SUN, SUN_RAD = 5e4, 0.0093

@@ -22,10 +22,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.table import COLUMNS, arguments_of, median_s, own_peak_mb, peak_mb_of, report
-from irodori.brdf import gloss_factors, reflect
-from irodori.fitting import FitOptions, Status, fit
-from irodori.fitting.solvers import ACCEPTED_ALGORITHMS
-from irodori.threads import use_threads
+from irodori.core.threads import use_threads
+from irodori.fitting.solvers import ACCEPTED_ALGORITHMS, FitOptions, fit
+from irodori.material.material_file import Status
+from irodori.reflection.equation5 import gloss_factors, reflect
 
 ROOT = Path(__file__).resolve().parents[1]
 N, K = 1.5, 0.0

@@ -29,13 +29,15 @@ import yaml
 
 from benchmarks.plate_pictures import leaves_scene, render
 from benchmarks.table import COLUMNS, arguments_of, medians_s, own_peak_mb, report
-from irodori import store
-from irodori.captures import Pose, Shot, write_captures
-from irodori.raw import IngestOptions, ingest_raw, ingest_reference
-from irodori.registration import Registration
-from irodori.rig.virtual.dng import write_dng
-from irodori.rig.virtual.sensor import Sensor
-from irodori.threads import use_threads
+from irodori.config.capture_table import Pose, Shot, write_captures
+from irodori.core import store
+from irodori.core.threads import use_threads
+from irodori.ingest.camera_reference import ingest_reference
+from irodori.ingest.ingest_options import IngestOptions
+from irodori.ingest.registration.similarity import Registration
+from irodori.ingest.stage import ingest_raw
+from irodori.simulation.virtual_rig.dng_writer import write_dng
+from irodori.simulation.virtual_rig.sensor import Sensor
 
 ROOT = Path(__file__).resolve().parents[1]
 SIZES_PX = {"small": (1944, 1296), "full": (3888, 2592)}  # of the mosaic, width and height

@@ -22,8 +22,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
-from irodori.brdf import angles_from_directions, gloss_factors, reflect
-from irodori.fitting import FitOptions, fit
+from irodori.fitting.solvers import FitOptions, fit
+from irodori.reflection.equation5 import angles_from_directions, gloss_factors, reflect
 
 DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 CORNELL = ("cornell_acryl_blue", "cornell_garnet_red", "cornell_krylon_blue")

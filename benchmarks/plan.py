@@ -17,17 +17,17 @@ import numpy as np
 
 from benchmarks.render import Studio, make_inputs
 from benchmarks.table import COLUMNS, arguments_of, least_processor_s, own_peak_mb, report
-from irodori.colour import xyz_from_radiance
-from irodori.gloss import GlossMaps
-from irodori.light import Environment
-from irodori.rendering.interactive import Lamp, light_of, prepare_scene, render_frame
-from irodori.rendering.interactive.pixels import render_pixels
-from irodori.rendering.lights import make_lights, upward_radiance
-from irodori.rendering.scene import make_view
-from irodori.rendering.scene_plan.check import chosen_pixels, measure
-from irodori.rendering.scene_plan.choices import choose
-from irodori.rendering.scene_plan.model import Parts, prepare
-from irodori.threads import use_threads
+from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.core.threads import use_threads
+from irodori.light.environment_file import Environment
+from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.rendering.interactive.frame_renderer import Lamp, light_of, prepare_scene, render_frame
+from irodori.rendering.interactive.pixel_rays import render_pixels
+from irodori.rendering.planning.choices import choose
+from irodori.rendering.planning.modelled_scene import Parts, prepare
+from irodori.rendering.planning.planned_check import chosen_pixels, measure
+from irodori.rendering.scene_arrays import make_view
+from irodori.rendering.scene_lights import make_lights, upward_radiance
 
 _LAMP = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": -60.0, "elevation_deg": 50.0, "irradiance": 1.0}
 _BOUNCES, _LEAST_THROUGHPUT = 5, 1e-3

@@ -14,10 +14,11 @@ import numba
 import numpy as np
 import yaml
 
-from irodori.registration import Registration
-from irodori.rig.virtual.aperture import gather_rows, place_in_cell
-from irodori.rig.virtual.sensor import Sensor, band_weights
-from irodori.spectra import SAMPLES, spectrum
+from irodori.ingest.registration.similarity import Registration
+from irodori.simulation.virtual_rig.aperture import gather_rows, place_in_cell
+from irodori.simulation.virtual_rig.sensor import Sensor, band_weights
+from irodori.spectra.grid import SAMPLES
+from irodori.spectra.published import spectrum
 
 CAMERA = yaml.safe_load((Path(__file__).resolve().parents[1] / "config/cameras/d5100-comb.yaml").read_text())
 SATURATION = 0.98

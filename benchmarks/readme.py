@@ -12,8 +12,8 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from irodori.errors import InputError
-from irodori.report.speed import DEFAULTS, front, read_rows
+from irodori.core.errors import InputError
+from irodori.report.speed_page import DEFAULTS, front, read_rows
 
 ROOT = Path(__file__).resolve().parents[1]
 FIGURES = ROOT / "docs" / "figures"

@@ -26,17 +26,17 @@ import numpy as np
 import trimesh
 
 from benchmarks.table import COLUMNS, arguments_of, least_processor_s, own_peak_mb, report
-from irodori.colour import colour_matching_weights, delta_e, lab_from_xyz, xyz_from_radiance
-from irodori.geometry.frames import rotation_x, rotation_xyz, rotation_y
+from irodori.colour.colorimetry import colour_matching_weights, delta_e, lab_from_xyz, xyz_from_radiance
+from irodori.core.threads import use_threads
 from irodori.geometry.mesh import Mesh
+from irodori.geometry.rig_frame import rotation_x, rotation_xyz, rotation_y
 from irodori.geometry.shapes import Placement, Shape
-from irodori.light import Environment
-from irodori.material import Material
-from irodori.placed_lights import unit_luminance
-from irodori.rendering import reference
-from irodori.rendering.scene import View, make_objects, make_view
-from irodori.spectra import spectrum
-from irodori.threads import use_threads
+from irodori.light.environment_file import Environment
+from irodori.light.placed_lights import unit_luminance
+from irodori.material.material_file import Material
+from irodori.rendering.reference.converging_picture import make_scene, render
+from irodori.rendering.scene_arrays import View, make_objects, make_view
+from irodori.spectra.published import spectrum
 
 # Gold (Johnson and Christy 1972) at 400, 450 ... 700 nm.
 GOLD_NM = np.array([400, 450, 500, 550, 600, 650, 700])
@@ -130,13 +130,13 @@ class Ours:
         placements = [Placement(shape_of(b), b.turn, np.array(b.place_mm, float)) for b in stage.bodies]
         objects, _ = make_objects(placements, [uniform(b.reflectance) for b in stage.bodies])
         lights = [PANEL | {"position_mm": list(stage.panel_mm)}]
-        self.scene = reference.make_scene(placements, objects, even_light(stage.sky), lights)
+        self.scene = make_scene(placements, objects, even_light(stage.sky), lights)
         self.view = view_of(stage, size)
         self.matrix = xyz_from_radiance(white)
 
     def xyz(self, samples: int, seed: int) -> np.ndarray:
         """Return a picture, (height, width, 3), white Y = 100."""
-        return reference.render(self.scene, self.view, samples, seed).radiance @ self.matrix.T
+        return render(self.scene, self.view, samples, seed).radiance @ self.matrix.T
 
 
 def view_of(stage: Stage, size: tuple[int, int]) -> View:
@@ -298,11 +298,11 @@ def growth(runs: int) -> None:
         bodies = [stage.bodies[0]]
         placements = [Placement(shape_of(bodies[0])), Placement(shape, np.eye(3), np.array([0.0, 0.0, 30.0]))]
         objects, _ = make_objects(placements, [uniform(bodies[0].reflectance), uniform(spectrum("TCS3"))])
-        scene = reference.make_scene(placements, objects, even_light(stage.sky), [PANEL | {"position_mm": [0, 0, 180]}])
+        scene = make_scene(placements, objects, even_light(stage.sky), [PANEL | {"position_mm": [0, 0, 180]}])
         close = stage._replace(field_deg=14.0)
         view = view_of(close, (96, 72))
-        reference.render(scene, view, 8)
-        process = least_processor_s(lambda s=scene, v=view: reference.render(s, v, 64, 1), runs)
+        render(scene, view, 8)
+        process = least_processor_s(lambda s=scene, v=view: render(s, v, 64, 1), runs)
         print(f"{len(shape.mesh.faces)} triangles: {1e9 * process / (96 * 72 * 64):.0f} ns a path", flush=True)
 
 

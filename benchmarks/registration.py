@@ -15,7 +15,8 @@ import numpy as np
 
 from benchmarks.plate_pictures import errors_px, leaves_scene, photograph, random_truth, render
 from benchmarks.table import COLUMNS
-from irodori.registration import Registration, bayer_offsets_px, register, resample, similarity
+from irodori.ingest.registration import similarity
+from irodori.ingest.registration.similarity import Registration, bayer_offsets_px, register, resample
 
 WIDTH, HEIGHT, RUNS = 1944, 1296, 5
 # name -> finest level's pixels, places compared there, elsewhere and in the search, whether the bands' places are given

@@ -20,18 +20,18 @@ import numba
 import numpy as np
 
 from benchmarks.table import arguments_of, least_processor_s, medians_s, own_peak_mb, printed_by, report
-from irodori.colour import delta_e, lab_from_xyz, summary, xyz_from_radiance
-from irodori.config import load_definitions, read_yaml
-from irodori.geometry.frames import rotation_xyz
+from irodori.colour.colorimetry import delta_e, lab_from_xyz, summary, xyz_from_radiance
+from irodori.config.definitions import load_definitions, read_yaml
+from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes import Shape
-from irodori.gloss import GlossMaps
-from irodori.irradiance import fitted_irradiance_map
-from irodori.light import Environment
-from irodori.rendering.interactive import Lamp, light_of, prepare_scene, profiled, render_frame
-from irodori.rendering.scene import make_objects, make_placements, make_tracer, make_view
-from irodori.rig.virtual.classroom import room_coefficients, source_spectra
-from irodori.rig.virtual.truth import true_material
-from irodori.spectra import light
+from irodori.light.environment_file import Environment
+from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.light.irradiance import fitted_irradiance_map
+from irodori.rendering.interactive.frame_renderer import Lamp, light_of, prepare_scene, profiled, render_frame
+from irodori.rendering.scene_arrays import make_objects, make_placements, make_tracer, make_view
+from irodori.simulation.virtual_rig.classroom import room_coefficients, source_spectra
+from irodori.simulation.virtual_rig.ground_truth import true_material
+from irodori.spectra.published import light
 
 _ROOT = Path(__file__).resolve().parents[1]
 _BASES = 4

@@ -37,8 +37,8 @@ from benchmarks.ten_megapixels import (
     photograph,
     working_folder,
 )
-from irodori.fitting import FitOptions, fit
-from irodori.threads import use_threads
+from irodori.core.threads import use_threads
+from irodori.fitting.solvers import FitOptions, fit
 
 _TEXELS, _IMAGE_PX, _ENVIRONMENT_PX = 200_000, (320, 240), 500
 _SMALL_MEGAPIXELS = 0.48

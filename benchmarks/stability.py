@@ -11,9 +11,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from irodori.errors import PlainError
-from irodori.progress import LOGGER
-from irodori.report.stability import EXPECTED, read_outcomes
+from irodori.core.errors import PlainError
+from irodori.core.progress import LOGGER
+from irodori.report.stability_page import EXPECTED, read_outcomes
 
 _ROOT = Path(__file__).resolve().parents[1]
 #: Of pytest: all passed, some failed. A test that fails is an outcome; anything else leaves no table.
@@ -26,7 +26,7 @@ def try_hard_cases(table, threads: int, tests: Sequence[str] = ()) -> list[dict]
     Parameters
     ----------
     table : path
-        CSV of the columns of `irodori.report.stability`.
+        CSV of the columns of `irodori.report.stability_page`.
     threads : int
         Tests that run side by side.
     tests : sequence of str

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numba
 
-from irodori.progress import LOGGER
+from irodori.core.progress import LOGGER
 
 COLUMNS = ("stage", "variant", "work", "unit", "seconds", "throughput", "error_metric", "error", "peak_mb", "reference",
            "ratio")  # fmt: skip

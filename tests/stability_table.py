@@ -12,7 +12,7 @@ import depth
 import pytest
 from hard_cases import HARD_CASES
 
-from irodori.report.stability import COLUMNS, EXPECTED, UNEXPECTED
+from irodori.report.stability_page import COLUMNS, EXPECTED, UNEXPECTED
 
 MARK = "stability"
 

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from irodori.calibration.chart_grid import even_picture, fit_to_edges, homography, nodes, pitch_px, project
 from irodori.calibration.detection import COLUMNS, ROWS, find_chart
-from irodori.calibration.grid import even_picture, fit_to_edges, homography, nodes, pitch_px, project
 from irodori.calibration.patches import ChartReading, read_squares
-from irodori.errors import InputError
+from irodori.core.errors import InputError
 from irodori.geometry.pinhole import samples_from_superpixels, superpixels_from_samples
-from irodori.spectra import chart_spectra
+from irodori.spectra.published import chart_spectra
 
 FINDS = ("nothing", "edges", "chart")
 _CORNERS = ("first", "row_end", "column_end", "last")

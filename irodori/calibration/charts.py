@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
+from irodori.calibration.chart_reading import ChartPhotograph
+from irodori.calibration.conditioning import PatchError
 from irodori.calibration.jitter import Jitter
-from irodori.calibration.numerics import PatchError
-from irodori.calibration.order import check_order
+from irodori.calibration.patch_order import check_order
 from irodori.calibration.patches import ChartReading
-from irodori.calibration.reading import ChartPhotograph
 from irodori.calibration.training import Noise
-from irodori.captures import chart_capture
-from irodori.errors import InputError
-from irodori.progress import LOGGER
-from irodori.spectra import chart_spectra
+from irodori.config.capture_table import chart_capture
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
+from irodori.spectra.published import chart_spectra
 
 _LEVEL_BASES = 6
 _LEVEL_TOLERANCE = 0.02

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage, stats
 
-from irodori.calibration.grid import FittedGrid, even_picture, fit_to_edges, nodes, pitch_px, project
-from irodori.calibration.lattice import Lattice, lattices
-from irodori.calibration.order import readings, rmse_of_unseen
+from irodori.calibration.chart_grid import FittedGrid, even_picture, fit_to_edges, nodes, pitch_px, project
+from irodori.calibration.patch_order import readings, rmse_of_unseen
 from irodori.calibration.patches import read_squares
-from irodori.errors import InputError, PlainError
+from irodori.calibration.square_lattice import Lattice, lattices
+from irodori.core.errors import InputError, PlainError
 
 ROWS, COLUMNS = 4, 6
 _WORKING_WIDTH_PX = 1440  # the library's own, to which its thresholds are set

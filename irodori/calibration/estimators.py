@@ -10,12 +10,18 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from irodori.calibration.linear import calibrate, spectral_basis
-from irodori.calibration.numerics import Limits, check_brightest, check_responses
+from irodori.calibration.conditioning import Limits, check_brightest, check_responses
+from irodori.calibration.paper_estimator import calibrate, spectral_basis
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.recovery.mappings import (
+    LinearMapping,
+    LocalMapping,
+    Mapping,
+    PolynomialMapping,
+    polynomial_count,
+)
 from irodori.calibration.response_model import smooth_covariance
 from irodori.calibration.training import Population, Training
-from irodori.recovery import Calibration, LinearMapping, LocalMapping, Mapping, PolynomialMapping
-from irodori.recovery.mappings import polynomial_count
 
 _RIDGES = 10.0 ** np.arange(-12.0, 0.5, 0.5)  # of the mean square of a scaled band
 _FLOOR = 1e-12  # of a moment matrix's trace, added to its diagonal against rounding

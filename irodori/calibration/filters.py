@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from irodori.calibration.ranking import NO_FILTER, FilterScore, rank_filters
-from irodori.calibration.simulation import EXPOSURES
-from irodori.errors import InputError
-from irodori.spectra import camera_sensitivities, chart_spectra, light, resample, spectrum
-from irodori.spectral_files import SUFFIXES, SpectralTable, spectral_table
-from irodori.whole_files import written_whole
+from irodori.calibration.simulated_responses import EXPOSURES
+from irodori.core.atomic_files import written_whole
+from irodori.core.errors import InputError
+from irodori.spectra.published import camera_sensitivities, chart_spectra, light, spectrum
+from irodori.spectra.resampling import resample
+from irodori.spectra.spectral_files import SUFFIXES, SpectralTable, spectral_table
 
 __all__ = ["FilterScore", "main", "rank_filters", "read_filters"]
 

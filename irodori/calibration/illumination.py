@@ -13,7 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from irodori.calibration.chart import Located, read_located
-from irodori.calibration.grid import pitch_px
+from irodori.calibration.chart_grid import pitch_px
 
 _SHARE = 0.75  # of a patch's side: the square whose slope is taken, clear of blurred edges
 _DEGREES = (0, 1, 2)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from irodori.errors import InputError
+from irodori.core.errors import InputError
 
 TRIM = 0.1  # share of a patch's pixels left out at each end
 #: Variance of the middle 80 % of a normal distribution, relative to the whole: 1 - 2 z φ(z) / 0.8, z = 1.2816.

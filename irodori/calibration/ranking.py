@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irodori.calibration.simulation import band_weights
-from irodori.colour import delta_e, lab_from_xyz, xyz_from_reflectance
-from irodori.spectra import SAMPLES
+from irodori.calibration.simulated_responses import band_weights
+from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_reflectance
+from irodori.spectra.grid import SAMPLES
 
 #: Directions of H K Hᵀ below this fraction of the largest carry no signal, which matters without noise only.
 _RANK_TOLERANCE = 1e-12
@@ -74,9 +74,9 @@ def rank_filters(
     noise : float
         Standard deviation of a pixel as a fraction of full scale.
     exposure : str
-        How the shots are exposed, see `irodori.calibration.simulation.band_weights`. By default each is exposed for its
-        own brightest band, so that a filter is charged for the bands that it darkens against the others, and the longer
-        exposure is told as `exposure_ratio`.
+        How the shots are exposed, see `irodori.calibration.simulated_responses.band_weights`. By default each is
+        exposed for its own brightest band, so that a filter is charged for the bands that it darkens against the
+        others, and the longer exposure is told as `exposure_ratio`.
     viewing_light : str
         Light under which colours are compared.
     draws : int, 1 or more

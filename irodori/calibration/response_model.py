@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irodori.spectra import WAVELENGTH_NM
+from irodori.spectra.grid import WAVELENGTH_NM
 
 #: Correlation lengths of a sensitivity behind its filter, nm, and prior variances tried, in that of the data.
 _LENGTHS_NM = (10.0, 15.0, 20.0, 30.0, 40.0)

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import nnls
 
-from irodori.calibration.estimators import ESTIMATORS, fit_checked
-from irodori.calibration.numerics import (
+from irodori.calibration.conditioning import (
     Limits,
     check_amplification,
     check_brightest,
@@ -14,10 +13,11 @@ from irodori.calibration.numerics import (
     condition_number,
     noise_amplification,
 )
-from irodori.calibration.selection import BASES, ON_REQUEST, SelectionRow, choose, cross_validate
+from irodori.calibration.estimator_choice import BASES, ON_REQUEST, SelectionRow, choose, cross_validate
+from irodori.calibration.estimators import ESTIMATORS, fit_checked
+from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.training import Training
-from irodori.progress import LOGGER
-from irodori.recovery import Calibration
+from irodori.core.progress import LOGGER
 
 _AUTO = "auto"
 

@@ -8,20 +8,21 @@ from contextlib import contextmanager
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from irodori import store
 from irodori.calibration.charts import Charts
+from irodori.calibration.estimator_choice import KINDS, SelectionRow, best_of
 from irodori.calibration.jitter import LIMIT, STEP_PX
-from irodori.calibration.selection import KINDS, SelectionRow, best_of
+from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.solution import Solution, solve
 from irodori.calibration.training import Noise, Training
-from irodori.calibration.unseen import error_of_unseen
+from irodori.calibration.unseen_patches import error_of_unseen
 from irodori.calibration.verdict import judge
-from irodori.colour import delta_e_reflectance, goodness_of_fit, spectral_rmse, summary
-from irodori.errors import InputError
-from irodori.progress import LOGGER
-from irodori.recovery import Calibration
-from irodori.spectra import WAVELENGTH_NM, light
-from irodori.whole_files import written_whole
+from irodori.colour.colorimetry import delta_e_reflectance, goodness_of_fit, spectral_rmse, summary
+from irodori.core import store
+from irodori.core.atomic_files import written_whole
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
+from irodori.spectra.grid import WAVELENGTH_NM
+from irodori.spectra.published import light
 
 _MAX_INVALID_SHARE = 0.05  # of a patch, beyond which the report names it
 

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irodori.colour import delta_e, lab_from_xyz, xyz_from_reflectance
+from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_reflectance
 
 LIGHT = "D50"
 

@@ -8,7 +8,9 @@ import math
 import numpy as np
 
 from irodori.fitting import judge
-from irodori.fitting.lobe import (
+from irodori.fitting.huber import fill_lobe, reweigh
+from irodori.fitting.observations import expect, load
+from irodori.fitting.texel_rows import (
     COSINE,
     GLOSS,
     RESPONSE,
@@ -19,10 +21,8 @@ from irodori.fitting.lobe import (
     exp_negative,
     pack_geometry,
 )
-from irodori.fitting.observations import expect, load
-from irodori.fitting.robust import fill_lobe, reweigh
 from irodori.fitting.texels import new_block
-from irodori.native import njit, run_chunks
+from irodori.jit.native import njit, run_chunks
 
 _STEP = 1e-3  # of n, relative
 _TILT = 1e-3  # of an angle, rad

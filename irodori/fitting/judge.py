@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.fitting.lobe import COSINE, FAST, GLOSS, RESPONSE, SQUARE, TRUST, WEIGHT, exp_negative
-from irodori.fitting.lobe import VARIANCE as EXPECTED
-from irodori.lanes import log, root, select, upper_of
-from irodori.material import Status
-from irodori.native import njit
+from irodori.fitting.texel_rows import COSINE, FAST, GLOSS, RESPONSE, SQUARE, TRUST, WEIGHT, exp_negative
+from irodori.fitting.texel_rows import VARIANCE as EXPECTED
+from irodori.jit.lanes import log, root, select, upper_of
+from irodori.jit.native import njit
+from irodori.material.material_file import Status
 
 #: Relative standard error beyond which a parameter is not stated.
 MAX_RELATIVE_ERROR = {"beta": 0.3, "mu": 0.2}

@@ -14,7 +14,10 @@ from numba import types
 from numba.extending import intrinsic
 
 from irodori.fitting import judge
-from irodori.fitting.lobe import (
+from irodori.fitting.huber import robust
+from irodori.fitting.observations import expect, load, telling, weigh
+from irodori.fitting.shared_geometry import padded_nodes
+from irodori.fitting.texel_rows import (
     CONSTANT,
     COSINE,
     FAST,
@@ -28,12 +31,9 @@ from irodori.fitting.lobe import (
     pack_geometry,
     padded,
 )
-from irodori.fitting.observations import expect, load, telling, weigh
-from irodori.fitting.robust import robust
-from irodori.fitting.shared import padded_nodes
 from irodori.fitting.texels import clipped_of, conclude, doubt, give_up, is_noisy, write
 from irodori.fitting.varpro import SUMS, find_intervals, pair_at, scan_own, value_nodes
-from irodori.native import c_function, njit
+from irodori.jit.native import c_function, njit
 
 HEADER = 4
 PARAMETERS = 3

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.fitting.lobe import (
+from irodori.fitting.texel_rows import (
     CONSTANT,
     COSINE,
     FAST,
@@ -22,8 +22,8 @@ from irodori.fitting.lobe import (
     exp_negative,
     padded,
 )
-from irodori.lanes import magnitude
-from irodori.native import njit
+from irodori.jit.lanes import magnitude
+from irodori.jit.native import njit
 
 LEAST_VARIANCE = 1e-8  # of the mean square response: no observation counts ten thousand times another
 TINY = 1e-60

@@ -10,7 +10,8 @@ import math
 import numba
 import numpy as np
 
-from irodori.fitting.lobe import (
+from irodori.fitting.observations import load, telling
+from irodori.fitting.texel_rows import (
     COSINE,
     FAST,
     GLOSS,
@@ -22,9 +23,8 @@ from irodori.fitting.lobe import (
     exp_negative,
     pack_geometry,
 )
-from irodori.fitting.observations import load, telling
 from irodori.fitting.texels import new_block
-from irodori.native import njit
+from irodori.jit.native import njit
 
 PACKED = 5
 _C, _G, _Q, _R, _W = range(PACKED)

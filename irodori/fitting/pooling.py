@@ -15,13 +15,13 @@ from dataclasses import replace
 import numba
 import numpy as np
 
+from irodori.core.progress import LOGGER
 from irodori.fitting import pool_sums
 from irodori.fitting.judge import MAX_RELATIVE_ERROR
 from irodori.fitting.pool_sums import PACKED, evaluate, lowest, polish
 from irodori.fitting.solvers import FitOptions, FitResult, problem_of
-from irodori.material import Status
-from irodori.native import njit
-from irodori.progress import LOGGER
+from irodori.jit.native import njit
+from irodori.material.material_file import Status
 
 _BETA, _MU = MAX_RELATIVE_ERROR["beta"], MAX_RELATIVE_ERROR["mu"]
 _DIFFUSE_ONLY = int(Status.DIFFUSE_ONLY)

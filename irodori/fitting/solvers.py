@@ -9,10 +9,10 @@ import nlopt
 import numpy as np
 
 from irodori.fitting import judge, nlopt_loop, texels
-from irodori.fitting.index import fit_index
 from irodori.fitting.index_errors import index_errors
+from irodori.fitting.index_search import fit_index
 from irodori.fitting.observations import Rules, camera_noise, pose_variance
-from irodori.fitting.statement import state
+from irodori.fitting.reported_parameters import state
 from irodori.fitting.varpro import NODE_STEP
 
 MODEL_PARAMETERS = ("alpha", "beta", "mu")

@@ -6,10 +6,13 @@ import time
 import numba
 import numpy as np
 
-from irodori import store
-from irodori.errors import InputError
-from irodori.fitting.bands import BandGloss, band_gloss, uniform, varies
-from irodori.fitting.lobe import (
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
+from irodori.fitting.band_fresnel import BandGloss, band_gloss, uniform, varies
+from irodori.fitting.pooling import pool
+from irodori.fitting.solvers import FitOptions, FitResult, fit
+from irodori.fitting.texel_rows import (
     COSINE,
     FAST,
     GLOSS,
@@ -21,11 +24,8 @@ from irodori.fitting.lobe import (
     pack_geometry,
     padded,
 )
-from irodori.fitting.pooling import pool
-from irodori.fitting.solvers import FitOptions, FitResult, fit
-from irodori.material import Status
-from irodori.native import njit
-from irodori.progress import LOGGER
+from irodori.jit.native import njit
+from irodori.material.material_file import Status
 
 GREEN = 1  # green without the filter, the band of equation (7)
 _RESPONSE_NOISE = 0.01  # where the camera's is not known

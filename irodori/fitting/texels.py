@@ -6,24 +6,17 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.fitting import judge
-from irodori.fitting.abreast import NOISY, fit_abreast, write_abreast
-from irodori.fitting.lane_judge import SURE
-from irodori.fitting.lane_rows import new_abreast, spread_geometry
-from irodori.fitting.lobe import (
-    CONSTANT,
-    ROWS,
-    SLOPE,
-    WEIGHT,
-    pack_geometry,
-    padded,
-)
+from irodori.fitting.huber import robust
 from irodori.fitting.observations import Rules, expect, load, telling, weigh
-from irodori.fitting.robust import robust
-from irodori.fitting.shared import no_shared, padded_nodes, scan_shared, tabulate
+from irodori.fitting.shared_geometry import no_shared, padded_nodes, scan_shared, tabulate
+from irodori.fitting.texel_rows import CONSTANT, ROWS, SLOPE, WEIGHT, pack_geometry, padded
 from irodori.fitting.varpro import SUMS, minimise, scan_own
-from irodori.lanes import COUNT
-from irodori.material import Status
-from irodori.native import aligned, njit, run_chunks, uncounted
+from irodori.fitting.vectorised_judge import SURE
+from irodori.fitting.vectorised_rows import new_abreast, spread_geometry
+from irodori.fitting.vectorised_texels import NOISY, fit_abreast, write_abreast
+from irodori.jit.lanes import COUNT
+from irodori.jit.native import aligned, njit, run_chunks, uncounted
+from irodori.material.material_file import Status
 
 _CHUNK = 8192  # texels that a thread fits before it asks for more
 _OK, _UNIDENTIFIABLE = int(Status.OK), int(Status.MU_UNIDENTIFIABLE)

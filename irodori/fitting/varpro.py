@@ -3,15 +3,15 @@
 From one roughness of the scan to the next, smaller by √2, the lobe D = exp(-(φ/μ)²) is squared: a scan costs one
 exponential an observation. Value and slope at every node tell which intervals hold a minimum, and a cubic through them
 where; the best is polished, and any other that may come as low. Texels that share one geometry share tables of lobes
-(`irodori.fitting.shared`), and where their weights agree too, the scan's sums but those with the response.
+(`irodori.fitting.shared_geometry`), and where their weights agree too, the scan's sums but those with the response.
 """
 
 import math
 
 import numpy as np
 
-from irodori.fitting.linear import best_pair, slope_and_curvature
-from irodori.fitting.lobe import (
+from irodori.fitting.closed_form import best_pair, slope_and_curvature
+from irodori.fitting.texel_rows import (
     FAST,
     GLOSS,
     LEAST_LOBE,
@@ -22,8 +22,8 @@ from irodori.fitting.lobe import (
     WEIGHTED_RESPONSE,
     exp_negative,
 )
-from irodori.lanes import lower_of, root, select, upper_of
-from irodori.native import njit
+from irodori.jit.lanes import lower_of, root, select, upper_of
+from irodori.jit.native import njit
 
 NODE_STEP = 0.5 * math.log(2.0)  # of log μ
 RIVAL = 1.05  # an interval whose estimate is below this multiple of the best is polished too

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irodori.errors import InputError
+from irodori.core.errors import InputError
 from irodori.geometry.mesh import Mesh
-from irodori.native import njit
+from irodori.jit.native import njit
 
 NO_FACE = -1
 #: Neighbours whose common edge was rounded apart may both own a centre this near to it, texels; they do not overlap.

@@ -14,7 +14,7 @@ import math
 import numba
 import numpy as np
 
-from irodori.native import njit
+from irodori.jit.native import njit
 
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _STEPS = 60

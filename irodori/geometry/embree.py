@@ -16,7 +16,7 @@ import numpy as np
 from numba import types
 
 from irodori.geometry.shapes import DISC, FLAT, MESH, PLANE, PLANE_RADIUS_MM, PLATE, SPHERE, Placement
-from irodori.native import c_function, njit
+from irodori.jit.native import c_function, njit
 
 _TRIANGLE, _SPHERE_POINT, _ORIENTED_DISC_POINT = 0, 50, 52  # enum RTCGeometryType
 _INDEX_BUFFER, _VERTEX_BUFFER, _NORMAL_BUFFER = 0, 1, 3  # enum RTCBufferType

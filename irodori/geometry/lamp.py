@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irodori.captures import Pose
-from irodori.errors import InputError
-from irodori.geometry.frames import rig_from_camera, rig_from_object, to_camera, to_light
+from irodori.config.capture_table import Pose
+from irodori.core.errors import InputError
 from irodori.geometry.pinhole import Pinhole
+from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera, to_light
 
 
 @dataclass(frozen=True)

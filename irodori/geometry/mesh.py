@@ -9,9 +9,9 @@ from functools import cached_property
 
 import numpy as np
 
-from irodori.errors import InputError
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
 from irodori.geometry.normals import corner_normals
-from irodori.progress import LOGGER
 
 #: A triangle whose double area is under this part of the mesh's squared extent has no normal.
 _NO_AREA = 1e-15

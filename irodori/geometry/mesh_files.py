@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from irodori.errors import InputError
-from irodori.geometry.files import mesh_files
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
 from irodori.geometry.mesh import ACCEPTED_UV, Mesh, make_mesh
-from irodori.progress import LOGGER
+from irodori.geometry.mesh_sources import mesh_files
 
 MM_IN = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 _Z_FROM = {"z": np.eye(3), "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])}

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from irodori.native import njit
+from irodori.jit.native import njit
 
 
 @njit(cache=True, inline="always")

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from irodori.errors import InputError
+from irodori.core.errors import InputError
 from irodori.geometry.distortion import COEFFICIENTS, coefficients_of, distort_all, fold_radius, undistort_all
 
 #: Beyond its edge the picture must have directions too: pixels gather light about them, plates shift it.

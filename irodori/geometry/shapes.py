@@ -14,7 +14,7 @@ import numpy as np
 
 from irodori.geometry.atlas import Texels, mesh_texels, rasterise
 from irodori.geometry.mesh import Mesh
-from irodori.native import njit
+from irodori.jit.native import njit
 
 PLATE, SPHERE, MESH, DISC, PLANE = 0, 1, 2, 3, 4
 #: Kinds that lie in z = 0 of their frame and face +z.

@@ -7,7 +7,7 @@ import numpy as np
 
 from irodori.geometry.embree import hit_barycentric, hit_primitive
 from irodori.geometry.shapes import MESH, SPHERE, Placement, uv_from_point
-from irodori.native import njit
+from irodori.jit.native import njit
 
 
 class Surfaces(NamedTuple):

@@ -5,13 +5,13 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
+from irodori.core.progress import LOGGER
 from irodori.geometry.shapes import Shape
-from irodori.light import Environment
-from irodori.material import Material
-from irodori.progress import LOGGER
-from irodori.rendering.moments import STILL, Moment, turned_scene
-from irodori.rendering.scene import make_objects, make_placements, make_tracer, make_view
-from irodori.spectra import refractive_index, spectrum
+from irodori.light.environment_file import Environment
+from irodori.material.material_file import Material
+from irodori.rendering.frame_state import STILL, Moment, turned_scene
+from irodori.rendering.scene_arrays import make_objects, make_placements, make_tracer, make_view
+from irodori.spectra.published import refractive_index, spectrum
 
 #: Kinds of `integrator` in a scene.
 INTEGRATORS = ("interactive", "reference")
@@ -48,7 +48,7 @@ def render_image(
     tiles_folder : path, optional
         Where the `reference` integrator keeps finished tiles until the picture is whole.
     plan : dict, optional
-        What to model, see `irodori.rendering.scene_plan`; everything where absent.
+        What to model, see `irodori.rendering.planning`; everything where absent.
     check : bool
         Whether a planned picture is checked against the full model.
 
@@ -63,7 +63,7 @@ def render_image(
     ------
     ValueError
         If the integrator is unknown, or cannot render what the scene asks for.
-    irodori.rendering.scene_plan.check.ToleranceError
+    irodori.rendering.planning.planned_check.ToleranceError
         If a planned picture errs by more than the scene tolerates.
     """
     scene = with_planned_samples(scene, plan)
@@ -81,16 +81,16 @@ def with_planned_samples(scene: dict, plan: dict | None) -> dict:
 
 
 def _planned(renderer: "Renderer", view_name: str, plan: dict, check: bool, folder) -> tuple[np.ndarray, dict]:
-    """Render a view by a plan, see `irodori.rendering.scene_plan`, which is loaded only where it is asked for."""
+    """Render a view by a plan, see `irodori.rendering.planning`, which is loaded only where it is asked for."""
     scene, placements = renderer.scene, make_placements(renderer.scene, renderer.shapes)
     if renderer.kind == "interactive":
-        from irodori.rendering.scene_plan.picture import parts_of, render_planned
+        from irodori.rendering.planning.planned_picture import parts_of, render_planned
 
         parts = parts_of(scene, renderer.objects, renderer.environment, make_tracer(placements))
         return renderer.described(*render_planned(scene, view_name, parts, renderer.options, plan, check))
     picture, figures = renderer.picture(view_name, tiles_folder=folder)
     if check:
-        from irodori.rendering.scene_plan.reference import check_reference
+        from irodori.rendering.planning.paths_per_pixel import check_reference
 
         own = renderer.objects, renderer.environment
         figures["plan"] = check_reference(scene, view_name, placements, *own, picture, plan)
@@ -202,16 +202,16 @@ class _Interactive(Renderer):
             raise ValueError("area lights in a scene of the integrator 'interactive'; accepted: collimated lights")
 
     def make_light(self, moment: Moment):
-        from irodori.gloss import GlossMaps
-        from irodori.rendering import interactive
-        from irodori.rendering.lights import BANDS, make_lights
+        from irodori.light.gloss.gloss_maps import GlossMaps
+        from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene
+        from irodori.rendering.scene_lights import BANDS, make_lights
 
         start = time.perf_counter()
         environment = moment.environment(self.environment)
         lights = moment.lights(make_lights(self.scene.get("lights", []), 0)[0])
-        prepared = interactive.prepare_scene(
+        prepared = prepare_scene(
             self.objects,
-            interactive.light_of(environment),
+            light_of(environment),
             GlossMaps.stored(environment) or GlossMaps.of(environment.coefficients),
             make_tracer(make_placements(self.scene, self.shapes)),
             "spectral",
@@ -226,8 +226,8 @@ class _Interactive(Renderer):
         return prepared
 
     def render(self, view_name, moment, keep, tiles_folder):
-        from irodori.rendering import interactive
-        from irodori.rendering.lights import BANDS, make_lights
+        from irodori.rendering.interactive.frame_renderer import Lamp, render_frame
+        from irodori.rendering.scene_lights import BANDS, make_lights
 
         # Its objects cannot be turned without preparing them anew, all else can.
         moment = moment.seen_from("objects")
@@ -237,15 +237,15 @@ class _Interactive(Renderer):
         lights = make_lights(scene["lights"], 0)[0]
         frame = {
             "world_from_light": moment.rotation("environment"),
-            "lamps": tuple(interactive.Lamp(rotation[:, 2]) for rotation in lights.rotation),
+            "lamps": tuple(Lamp(rotation[:, 2]) for rotation in lights.rotation),
             "bands": True,
         }
         if not self.compiled:
-            interactive.render_frame(prepared, view._replace(width=side, height=side), **frame)
+            render_frame(prepared, view._replace(width=side, height=side), **frame)
             self.compiled = True
         keep = keep and view.width * view.height <= _KEPT_PIXELS
         start, counted = time.perf_counter(), {}
-        fine = interactive.render_frame(prepared, view, **frame, figures=counted, keep_visibility=keep)
+        fine = render_frame(prepared, view, **frame, figures=counted, keep_visibility=keep)
         radiance = fine.reshape(size["height"], side, size["width"], side, BANDS).mean(axis=(1, 3))
         seconds, rays = time.perf_counter() - start, counted["rays"]
         return radiance, {
@@ -266,33 +266,40 @@ class _Reference(Renderer):
         """Refuse nothing: paths render all that a scene may hold."""
 
     def make_light(self, moment: Moment):
-        from irodori.rendering.reference.sky import make_sky
+        from irodori.rendering.reference.sky_sampling import make_sky
 
         return make_sky(moment.environment(self.environment))
 
     def render(self, view_name, moment, keep, tiles_folder):
-        from irodori.rendering import reference
+        from irodori.rendering.reference.converging_picture import (
+            REPLICATES,
+            Tiles,
+            make_scene,
+            picture_key,
+            pooled,
+            render,
+        )
 
         scene = turned_scene(self.scene, moment.seen_from("environment"))
         samples, seed = scene["integrator"]["samples"], scene["integrator"]["seed"]
         placements = make_placements(scene, self.shapes)
-        prepared = reference.make_scene(placements, self.objects, self.light(moment), scene["lights"])
+        prepared = make_scene(placements, self.objects, self.light(moment), scene["lights"])
         prepared = prepared._replace(world=prepared.world._replace(lights=moment.lights(prepared.world.lights)))
         view = make_view(scene["views"][view_name], scene["image"])
         if not self.compiled:
-            reference.render(prepared, view._replace(width=1, height=1), reference.REPLICATES)
+            render(prepared, view._replace(width=1, height=1), REPLICATES)
             self.compiled = True
         tiles = None
         if tiles_folder is not None:
-            tiles = reference.Tiles(tiles_folder, reference.picture_key(prepared, view, samples, seed))
+            tiles = Tiles(tiles_folder, picture_key(prepared, view, samples, seed))
         start = time.perf_counter()
-        picture = reference.render(prepared, view, samples, seed, self.tile_rows, f"render {view_name}", tiles, False)
+        picture = render(prepared, view, samples, seed, self.tile_rows, f"render {view_name}", tiles, False)
         seconds = time.perf_counter() - start
         if tiles is not None:
             tiles.remove()
         if picture.cut:
             LOGGER.warning("%d paths were cut: the picture is too dark by what they would have brought", picture.cut)
-        error, mean = reference.pooled(picture.standard_error[..., 0]), picture.radiance.mean(axis=-1)
+        error, mean = pooled(picture.standard_error[..., 0]), picture.radiance.mean(axis=-1)
         relative = np.divide(error, mean, out=np.zeros_like(error), where=mean > 0)
         return picture.radiance, {
             "seconds": seconds,

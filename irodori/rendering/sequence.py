@@ -15,21 +15,21 @@ from pathlib import Path
 
 import numpy as np
 
-from irodori.colour import xyz_from_radiance
-from irodori.display import make_display
-from irodori.errors import InputError
+from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.colour.display import make_display
+from irodori.core.atomic_files import written_whole
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER, track
+from irodori.core.provenance import code_hash, file_sha256
 from irodori.geometry.shapes import Shape
-from irodori.light import Environment
-from irodori.material import Material
-from irodori.placed_lights import unit_luminance
-from irodori.progress import LOGGER, track
-from irodori.provenance import code_hash, file_sha256
+from irodori.light.environment_file import Environment
+from irodori.light.placed_lights import unit_luminance
+from irodori.material.material_file import Material
+from irodori.rendering.frame_state import Moment
 from irodori.rendering.integrators import make_renderer
-from irodori.rendering.moments import Moment
+from irodori.rendering.scene_white import shown_white
 from irodori.rendering.stage import write_picture
-from irodori.rendering.white import shown_white
-from irodori.spectra import WAVELENGTH_NM
-from irodori.whole_files import written_whole
+from irodori.spectra.grid import WAVELENGTH_NM
 
 #: Kinds of `frames` in a scene.
 KINDS = ("turntable", "light_sweep", "illuminant_change")

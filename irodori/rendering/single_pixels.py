@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from irodori.rendering.cameras import ORTHOGRAPHIC
-from irodori.rendering.scene import View
+from irodori.rendering.scene_arrays import View
+from irodori.rendering.view_cameras import ORTHOGRAPHIC
 
 
 def pixel_view(view: View, x: float, y: float) -> View:
@@ -31,7 +31,7 @@ def pixel_view(view: View, x: float, y: float) -> View:
 
 
 def sheared_view(view: View, x: float, y: float) -> View:
-    """Return the view of the pixel about a point (x, y) of a view's picture, for `irodori.rendering.cameras.aim`.
+    """Return the view of the pixel about a point (x, y) of a view's picture, for `irodori.rendering.view_cameras.aim`.
 
     All its rays are those of the view: the line of sight is sheared, and the plane of the picture, and of the lens,
     stays. Parallel rays start beside the view's own.

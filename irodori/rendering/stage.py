@@ -5,16 +5,16 @@ from pathlib import Path
 
 import numpy as np
 
-from irodori.colour import xyz_from_radiance
-from irodori.display import Display, make_display, srgb
+from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.colour.display import Display, make_display, srgb
+from irodori.core.atomic_files import written_whole
+from irodori.core.progress import LOGGER
+from irodori.export.pictures import read_xyz, write_display_picture, write_spectral_exr, write_xyz_exr
 from irodori.geometry.shapes import Shape
-from irodori.light import Environment
-from irodori.material import Material
-from irodori.pictures import read_xyz, write_display_picture, write_spectral_exr, write_xyz_exr
-from irodori.progress import LOGGER
+from irodori.light.environment_file import Environment
+from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
-from irodori.rendering.white import scene_white, shown_white
-from irodori.whole_files import written_whole
+from irodori.rendering.scene_white import scene_white, shown_white
 
 
 def render_view(
@@ -38,7 +38,7 @@ def render_view(
     """
     plan = None
     if plan_file:
-        from irodori.rendering.scene_plan.plan_file import read_plan  # loads the interactive integrator
+        from irodori.rendering.planning.plan_file import read_plan  # loads the interactive integrator
 
         plan = read_plan(plan_file)
     display = make_display(scene["display"]["device"])

@@ -13,10 +13,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import BoundaryNorm, ListedColormap
 
-from irodori.colour import delta_e_reflectance, xyz_from_reflectance
-from irodori.display import encode_srgb, rgb_from_xyz
-from irodori.material import Material, Status
-from irodori.spectra import WAVELENGTH_NM
+from irodori.colour.colorimetry import delta_e_reflectance, xyz_from_reflectance
+from irodori.colour.display import encode_srgb, rgb_from_xyz
+from irodori.material.material_file import Material, Status
+from irodori.spectra.grid import WAVELENGTH_NM
 
 _UNSEEN_GREY = 208
 _STATUS_COLOURS = ("#4c9f70", "#e0b050", "#9b6fb0", "#d0d0d0", "#c04040", "#4a90c4", "#f0e442", "#303030", "#a5d6a7")
@@ -100,7 +100,7 @@ def planning_figure(rows) -> str:
 
     Parameters
     ----------
-    rows : list of irodori.report.planning.PlanRow
+    rows : list of irodori.evaluation.pose_planning.PlanRow
         Of one object. Solid lines are medians, dashed ones 95th percentiles.
     """
     labels = {"alpha": "|Δα|", "beta": "|Δβ| / β", "mu": "|Δμ| / μ"}

@@ -5,7 +5,7 @@ import html
 import math
 from pathlib import Path
 
-from irodori.whole_files import written_whole
+from irodori.core.atomic_files import written_whole
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1180px; margin: 2rem auto; padding: 0 1rem; color: #222 }

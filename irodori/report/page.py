@@ -5,19 +5,19 @@ import html
 import json
 from pathlib import Path
 
-from irodori import store
-from irodori.material import Material
-from irodori.report.calibration import calibration_section
-from irodori.report.compression import compression_section
-from irodori.report.error_budget import BudgetRow, read_budget
-from irodori.report.errors import read_errors
+from irodori.core import store
+from irodori.evaluation.coefficient_storage import storage_sentence
+from irodori.evaluation.error_budget import BudgetRow, read_budget
+from irodori.evaluation.imperfection_costs import CostRow, read_costs
+from irodori.evaluation.pose_planning import PlanRow, read_plan
+from irodori.evaluation.registration_errors import read_registration, summarise
+from irodori.evaluation.truth_errors import read_errors
+from irodori.material.material_file import Material
+from irodori.report.calibration_part import calibration_section
+from irodori.report.compression_part import compression_section
 from irodori.report.figures import material_figure, planning_figure, spectra_figure
-from irodori.report.imperfections import CostRow, read_costs
-from irodori.report.light import light_section
+from irodori.report.light_part import light_section
 from irodori.report.markup import data_uri, figure, number, table, write_page
-from irodori.report.planning import PlanRow, read_plan
-from irodori.report.registration import read_registration, summarise
-from irodori.report.storage import storage_sentence
 
 #: What the report says of a camera: attribute of its reference file, and what it is.
 _CAMERA_FIGURES = {

@@ -1,5 +1,5 @@
 """The rig from the command line: ``python -m irodori.rig --help``."""
 
-from irodori.rig.command import main
+from irodori.capture.command import main
 
 raise SystemExit(main())

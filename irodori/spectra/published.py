@@ -5,19 +5,19 @@ from pathlib import Path
 
 import numpy as np
 
-from irodori.errors import InputError, is_file
-from irodori.names import BLACKBODY_K, DAYLIGHT_K, synthetic_light
+from irodori.core.errors import InputError, is_file
 from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
+from irodori.spectra.published_names import BLACKBODY_K, DAYLIGHT_K, synthetic_light
 from irodori.spectra.resampling import is_finer_than_grid, resample
-from irodori.spectral_files import SpectralTable, check_power, check_reflectance, spectral_table
-from irodori.tables import MAX_INDEX_GAP_NM, column_table, index_table, wide_table
+from irodori.spectra.spectral_files import SpectralTable, check_power, check_reflectance, spectral_table
+from irodori.spectra.tables import MAX_INDEX_GAP_NM, column_table, index_table, wide_table
 
 _TCS_NAME = re.compile(r"TCS(\d{1,2})")
 _PATCH_NAME = re.compile(r"[A-Z]\d+")
 
 
 def read_spectra(path) -> tuple[list[str], np.ndarray]:
-    """Read reflectances, transmittances or sensitivities from a file of any kind of `irodori.spectral_files`.
+    """Read reflectances, transmittances or sensitivities from a file of any kind of `irodori.spectra.spectral_files`.
 
     Returns
     -------
@@ -29,7 +29,7 @@ def read_spectra(path) -> tuple[list[str], np.ndarray]:
 
 
 def read_wide_csv(path) -> tuple[list[str], np.ndarray]:
-    """Read spectra from a wide CSV, see `irodori.tables.wide_table`.
+    """Read spectra from a wide CSV, see `irodori.spectra.tables.wide_table`.
 
     Returns
     -------
@@ -41,7 +41,7 @@ def read_wide_csv(path) -> tuple[list[str], np.ndarray]:
 
 
 def read_columns_csv(path) -> tuple[list[str], np.ndarray]:
-    """Read spectra from a CSV of columns, see `irodori.tables.column_table`.
+    """Read spectra from a CSV of columns, see `irodori.spectra.tables.column_table`.
 
     Returns
     -------
@@ -100,7 +100,8 @@ def spectrum(name: str) -> np.ndarray:
         A CIE illuminant of colour-science (``D65``, ``A``, ``FL11``, ``LED-B3``); ``D<n>``, daylight of the CIE of a
         correlated colour temperature of 4000 to 25000 K (``D5500``; CIE 15:2018, 4.1.2; note that ``D65`` is 6504 K);
         ``P<n>``, Planck's radiator of 1000 to 20000 K (``P2856``; c₂ = 1.4388e-2 m K); ``TCS0``..``TCS98`` (the
-        measured materials of CIE 224:2017, reflectance 0..1); or the path of a file, see `irodori.spectral_files`.
+        measured materials of CIE 224:2017, reflectance 0..1); or the path of a file, see
+        `irodori.spectra.spectral_files`.
 
     Returns
     -------
@@ -149,7 +150,7 @@ def light(name: str) -> np.ndarray:
 
 
 def chart_spectra(name: str) -> tuple[list[str], np.ndarray]:
-    """Return the patches of a colour chart: a chart of colour-science, or a file, see `irodori.spectral_files`.
+    """Return the patches of a colour chart: a chart of colour-science, or a file, see `irodori.spectra.spectral_files`.
 
     Returns
     -------

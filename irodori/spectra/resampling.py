@@ -18,10 +18,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from irodori.errors import InputError
-from irodori.progress import LOGGER
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
 from irodori.spectra.grid import SAMPLES, STEP_NM, WAVELENGTH_NM
-from irodori.tables import MAX_GAP_NM, check_wavelengths
+from irodori.spectra.tables import MAX_GAP_NM, check_wavelengths
 
 METHODS = ("auto", "average", "linear", "sprague")
 #: Largest difference of steps that still counts as uniform, nm: wavelengths are written with a few decimals.

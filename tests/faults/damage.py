@@ -9,7 +9,7 @@ from pathlib import Path
 
 from running import TARGETS, Run, judge, last_fault, run, workers_in
 
-from irodori.whole_files import damaged_results
+from irodori.core.atomic_files import damaged_results
 
 #: An intermediate result of every kind, and the result that reads it.
 _READ_BY = (

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from comparison import differences, results
 
-from irodori.pictures import write_png, write_spectral_exr
-from irodori.store import Provenance, create
-from irodori.whole_files import write_digest
+from irodori.core.atomic_files import write_digest
+from irodori.core.store import Provenance, create
+from irodori.export.pictures import write_png, write_spectral_exr
 
 
 def make(folder, values=None, seconds=1.0, radiance=0.25, mean="0.5", note="x"):

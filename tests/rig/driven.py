@@ -13,9 +13,9 @@ import yaml
 from sessions import ROOT, definitions
 from simulated_gphoto2 import Bench
 
-from irodori.captures import Pose, Shot
-from irodori.rig.virtual import bench as virtual
-from irodori.rig.virtual.camera import VirtualCamera
+from irodori.config.capture_table import Pose, Shot
+from irodori.simulation.virtual_rig import bench as virtual
+from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
 
 CAMERA, OBJECT = "eos-40d-comb", "jar"
 POSES = [{"light_deg": [45.0, 60.0], "camera_deg": [0.0, 20.0]}]

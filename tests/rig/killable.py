@@ -14,7 +14,7 @@ from pathlib import Path
 
 from sessions import MADE, ROOT, definitions, target
 
-from irodori.rig.stage import capture_object
+from irodori.capture.stage import capture_object
 
 
 class Killable:

@@ -3,10 +3,10 @@
 import copy
 import time
 
-from irodori.rig.connect import start_simulator
-from irodori.rig.devices import DeviceError
-from irodori.rig.peer.client import Simulator
-from irodori.validation import validate
+from irodori.capture.rig.connect import start_simulator
+from irodori.capture.rig.devices import DeviceError
+from irodori.config.validation import validate
+from irodori.simulation.controllers.peer_client import Simulator
 
 TIMEOUT_S = 0.25
 

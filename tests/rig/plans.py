@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from irodori.captures import Pose, expand_poses
+from irodori.capture.shot_planner.fisher_information import Subject
+from irodori.config.capture_table import Pose, expand_poses
 from irodori.geometry.shapes import PLATE, Shape
-from irodori.rig.information import Subject
 
 RIG = {
     "kind": "files",

@@ -8,17 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from irodori.captures import Pose, Shot, read_captures
-from irodori.config import load_definitions, read_yaml
-from irodori.mosaic import decode
-from irodori.rig.devices import Camera
-from irodori.rig.journal import Journal
-from irodori.rig.operator import AutoOperator
-from irodori.rig.plan import object_shots
-from irodori.rig.session import Session, take_stock
-from irodori.rig.stage import Target, capture_object
-from irodori.rig.virtual.dng import write_dng
-from irodori.store import Provenance
+from irodori.capture.journal import Journal
+from irodori.capture.operator import AutoOperator
+from irodori.capture.rig.devices import Camera
+from irodori.capture.session import Session, take_stock
+from irodori.capture.shot_list import object_shots
+from irodori.capture.stage import Target, capture_object
+from irodori.config.capture_table import Pose, Shot, read_captures
+from irodori.config.definitions import load_definitions, read_yaml
+from irodori.core.store import Provenance
+from irodori.ingest.mosaic import decode
+from irodori.simulation.virtual_rig.dng_writer import write_dng
 
 ROOT = Path(__file__).resolve().parents[2]
 POSES = [{"light_deg": [45.0], "camera_deg": [0.0, 20.0], "tilt_deg": [0.0, 10.0]}]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from irodori.rig.virtual.aperture import gather_rows, place_in_cell
+from irodori.simulation.virtual_rig.aperture import gather_rows, place_in_cell
 
 SIZE_PX = 64
 

@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 from simulated_gphoto2 import MODEL, Bench, make_module
 
-from irodori.captures import Pose, Shot
-from irodori.rig.devices import Camera, DeviceError
-from irodori.rig.gphoto import GphotoCamera
-from irodori.rig.gphoto_settings import WIDGETS
+from irodori.capture.camera.gphoto_camera import GphotoCamera
+from irodori.capture.camera.gphoto_settings import WIDGETS
+from irodori.capture.rig.devices import Camera, DeviceError
+from irodori.config.capture_table import Pose, Shot
 
 RAW = bytes(range(256)) * 64
 STATUS_KEYS = {"model", "battery", "storage", "settings"}

@@ -14,12 +14,12 @@ from driven import CAMERA, Studio, project
 from sessions import ROOT, assert_whole
 from simulated_gphoto2 import make_module
 
-from irodori.captures import read_captures
-from irodori.config import load_one
-from irodori.rig import command, stage
-from irodori.rig.command import main
-from irodori.rig.connect import open_rig, start_simulator, true_position_deg
-from irodori.rig.devices import DeviceError
+from irodori.capture import command, stage
+from irodori.capture.command import main
+from irodori.capture.rig.connect import open_rig, start_simulator, true_position_deg
+from irodori.capture.rig.devices import DeviceError
+from irodori.config.capture_table import read_captures
+from irodori.config.definitions import load_one
 
 
 @pytest.fixture(autouse=True)

@@ -12,15 +12,15 @@ import pytest
 from driven import CAMERA, OBJECT, Studio, edit, project
 from simulated_gphoto2 import fault, make_module
 
-from irodori.captures import read_captures
-from irodori.config import load_one
-from irodori.mosaic import decode
-from irodori.rig import operator, stage
-from irodori.rig.command import main
-from irodori.rig.connect import start_simulator
-from irodori.rig.operator import Operator
-from irodori.rig.plan import object_shots
-from irodori.rig.serial_link import SerialLink
+from irodori.capture import operator, stage
+from irodori.capture.command import main
+from irodori.capture.operator import Operator
+from irodori.capture.rig.connect import start_simulator
+from irodori.capture.rig.serial_link import SerialLink
+from irodori.capture.shot_list import object_shots
+from irodori.config.capture_table import read_captures
+from irodori.config.definitions import load_one
+from irodori.ingest.mosaic import decode
 
 
 class Person(Operator):

@@ -11,8 +11,8 @@ import simulated_gphoto2
 from simulated_gphoto2 import MODEL, Bench, CameraStorageInformation, fault, make_module
 from test_camera_contract import DRIVER, RAW, shot
 
-from irodori.rig.devices import CommandError, DeadlineError, DeviceError, LinkError
-from irodori.rig.gphoto import GphotoCamera
+from irodori.capture.camera.gphoto_camera import GphotoCamera
+from irodori.capture.rig.devices import CommandError, DeadlineError, DeviceError, LinkError
 
 ARRIVES_S = 1.5
 FILE = (ARRIVES_S, "capt{}.cr2", RAW)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from simulated_gphoto2 import SHUTTER
 
-from irodori.rig.gphoto_settings import NUMERIC, TOLERANCE, WIDGETS, find_choice, means, parse_number
+from irodori.capture.camera.gphoto_settings import NUMERIC, TOLERANCE, WIDGETS, find_choice, means, parse_number
 
 
 @pytest.mark.parametrize(

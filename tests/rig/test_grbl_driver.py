@@ -3,15 +3,15 @@
 import pytest
 from motion_rigs import TIMEOUT_S, at_port, definition, start_simulator
 
-from irodori.rig.connect import grbl_settings, open_rig, true_position_deg
-from irodori.rig.devices import AlarmError, CommandError, DeadlineError, LimitError, LinkError, SettingError
-from irodori.rig.drives import drives_of
-from irodori.rig.grbl.checks import check_settings
-from irodori.rig.grbl.driver import GrblRig
-from irodori.rig.grbl.machine import DEFAULTS
-from irodori.rig.grbl.simulator import simulate
-from irodori.rig.peer.client import run_simulator
-from irodori.rig.serial_link import SerialLink
+from irodori.capture.rig.connect import grbl_settings, open_rig, true_position_deg
+from irodori.capture.rig.devices import AlarmError, CommandError, DeadlineError, LimitError, LinkError, SettingError
+from irodori.capture.rig.drives import drives_of
+from irodori.capture.rig.grbl.driver import GrblRig
+from irodori.capture.rig.grbl.settings_check import check_settings
+from irodori.capture.rig.serial_link import SerialLink
+from irodori.simulation.controllers.grbl_machine import DEFAULTS
+from irodori.simulation.controllers.grbl_simulator import simulate
+from irodori.simulation.controllers.peer_client import run_simulator
 
 RIG = definition("grbl")
 DRIVES = drives_of(RIG)
@@ -150,7 +150,7 @@ def test_ports_that_cannot_be_opened_are_named(tmp_path):
 
 
 def test_a_line_without_an_end_and_bytes_that_are_no_text():
-    with run_simulator("irodori.rig.grbl.simulator", []) as simulator:
+    with run_simulator("irodori.simulation.controllers.grbl_simulator", []) as simulator:
         link = SerialLink(simulator.port)
         link.discard_input()
         link.write(b"$G\n")

@@ -7,12 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from irodori.rig.devices import DeadlineError, DeviceError, GarbledError, Link, LinkError
-from irodori.rig.drives import along, straight_s
-from irodori.rig.grbl.codes import ALARMS, ERRORS, alarm_text, error_text
-from irodori.rig.grbl.conversation import Conversation
-from irodori.rig.grbl.gcode import GcodeError, Modes, parse_block
-from irodori.rig.grbl.protocol import (
+from irodori.capture.rig.devices import DeadlineError, DeviceError, GarbledError, Link, LinkError
+from irodori.capture.rig.drives import along, straight_s
+from irodori.capture.rig.grbl.codes import ALARMS, ERRORS, alarm_text, error_text
+from irodori.capture.rig.grbl.conversation import Conversation
+from irodori.capture.rig.grbl.protocol import (
     STATES,
     Alarm,
     Banner,
@@ -26,6 +25,7 @@ from irodori.rig.grbl.protocol import (
     motion_line,
     parse_line,
 )
+from irodori.simulation.controllers.grbl_gcode import GcodeError, Modes, parse_block
 
 # ---- examples of the interface's documentation
 

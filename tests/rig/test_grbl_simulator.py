@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from irodori.rig.grbl.machine import GrblMachine
-from irodori.rig.peer.faults import KINDS, parse_fault
-from irodori.rig.peer.motion import Block, Stage
+from irodori.simulation.controllers.grbl_machine import GrblMachine
+from irodori.simulation.controllers.line_faults import KINDS, parse_fault
+from irodori.simulation.controllers.trapezoidal_motion import Block, Stage
 
 SETTINGS = {130: 100.0, 131: 100.0, 132: 100.0, 110: 600.0, 111: 600.0, 112: 600.0, 120: 50.0, 121: 50.0, 122: 50.0}
 

@@ -8,11 +8,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plans import PLATE_OBJECT, POSES, RIG, SPHERE_OBJECT, flat_angles, texel
 
-from irodori.brdf import MU_MAX_RAD, MU_MIN_RAD, reflect
-from irodori.captures import Pose
-from irodori.fitting import FitOptions, Status, fit
-from irodori.rig.information import Materials, Noise, Weighting, information, observe, standard_errors
-from irodori.rig.planner import subject_of
+from irodori.capture.shot_planner.fisher_information import (
+    Materials,
+    Noise,
+    Weighting,
+    information,
+    observe,
+    standard_errors,
+)
+from irodori.capture.shot_planner.planner import subject_of
+from irodori.config.capture_table import Pose
+from irodori.fitting.solvers import FitOptions, fit
+from irodori.material.material_file import Status
+from irodori.reflection.equation5 import MU_MAX_RAD, MU_MIN_RAD, reflect
 
 SHOT = Noise(read_variance=6e-8, shot_variance=4e-5, relative=0.0, pose_rms_deg=0.0)
 

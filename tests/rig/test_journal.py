@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from sessions import ROOT, QuickCamera, assert_whole, contents, hold, shots
 
-from irodori.captures import Pose, Shot, read_captures
-from irodori.errors import InputError
-from irodori.rig.devices import DeviceError
-from irodori.rig.journal import RETIRED, Journal, StorageError, claimed
+from irodori.capture.journal import RETIRED, Journal, StorageError, claimed
+from irodori.capture.rig.devices import DeviceError
+from irodori.config.capture_table import Pose, Shot, read_captures
+from irodori.core.errors import InputError
 
 PLAN = shots(4)
 
@@ -345,7 +345,7 @@ def test_a_file_in_the_place_of_a_folder_is_named(tmp_path):
 HOLDING = """
 import sys
 from pathlib import Path
-from irodori.rig.journal import claimed
+from irodori.capture.journal import claimed
 folder = Path(sys.argv[1])
 with claimed(folder / "captures.csv", folder, "object jar"):
     print("held", flush=True)

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from sessions import QuickCamera, assert_whole, contents, hold, shots
 
-from irodori.rig.journal import Journal
-from irodori.rig.operator import AutoOperator
-from irodori.rig.session import Session, take_stock
+from irodori.capture.journal import Journal
+from irodori.capture.operator import AutoOperator
+from irodori.capture.session import Session, take_stock
 
 PLAN = shots(4)
 

@@ -9,24 +9,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from irodori import store
-from irodori.captures import Pose
-from irodori.config import load_definitions, read_yaml
-from irodori.errors import InputError
-from irodori.fitting import FitOptions, fit_brdf
+from irodori.config.capture_table import Pose
+from irodori.config.definitions import load_definitions, read_yaml
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.fitting.solvers import FitOptions
+from irodori.fitting.stage import fit_brdf
 from irodori.geometry.embree import Tracer
-from irodori.geometry.frames import rig_from_object, to_light
 from irodori.geometry.lamp import Lamp
 from irodori.geometry.lathe import ball, write_obj
 from irodori.geometry.pinhole import Pinhole
+from irodori.geometry.rig_frame import rig_from_object, to_light
 from irodori.geometry.shapes import Placement, Shape
-from irodori.raw.flat import smooth_flat
-from irodori.rectification import RigSetup, observe, rectify_object
-from irodori.rig.virtual.samples import Sample
-from irodori.rig.virtual.sensor import band_weights
-from irodori.rig.virtual.subjects import object_mosaic, white_mosaic
-from irodori.rig.virtual.truth import true_material
-from irodori.spectra import spectrum
+from irodori.ingest.flat_field import smooth_flat
+from irodori.rectification.stage import RigSetup, observe, rectify_object
+from irodori.simulation.virtual_rig.ground_truth import true_material
+from irodori.simulation.virtual_rig.samples import Sample
+from irodori.simulation.virtual_rig.sensor import band_weights
+from irodori.simulation.virtual_rig.subjects import object_mosaic, white_mosaic
+from irodori.spectra.published import spectrum
 
 ROOT = Path(__file__).resolve().parents[2]
 PROVENANCE = store.Provenance("test")

@@ -10,9 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from irodori.captures import FILTERS, ROLES, Pose, Shot
-from irodori.rig.devices import DeadlineError, DeviceError
-from irodori.rig.operator import (
+from irodori.capture.operator import (
     SETTINGS,
     AutoOperator,
     FileOperator,
@@ -23,7 +21,9 @@ from irodori.rig.operator import (
     Step,
     make_operator,
 )
-from irodori.rig.placing import hand_settings, motor_targets
+from irodori.capture.rig.devices import DeadlineError, DeviceError
+from irodori.capture.setup_steps import hand_settings, motor_targets
+from irodori.config.capture_table import FILTERS, ROLES, Pose, Shot
 
 STEP = Step.between({"light_deg": 65.0, "filter": "out"}, {"light_deg": 45.0, "filter": "in"})
 
@@ -271,7 +271,7 @@ def test_the_command_that_the_message_names_confirms_and_the_file_goes(monkeypat
 def test_files_from_before_the_question_do_not_count(monkeypatch, tmp_path):
     (tmp_path / "confirm-1").touch()
     (tmp_path / "confirm-1-0000").touch()
-    monkeypatch.setattr("irodori.rig.operator.secrets.token_hex", lambda _: "0000")
+    monkeypatch.setattr("irodori.capture.operator.secrets.token_hex", lambda _: "0000")
     Bystander(monkeypatch, lambda command: None)
     with pytest.raises(DeadlineError, match=r"confirm-1-0000 did not appear in 0\.05 s"):
         FileOperator(tmp_path, deadline_s=0.05, poll_s=0.01).ask(STEP)

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from irodori.captures import ROLES, Pose, Shot, expand_poses
-from irodori.rig.devices import Axis
-from irodori.rig.order import PHASES, estimate_s, order_shots
-from irodori.rig.placing import hand_settings, motor_targets
+from irodori.capture.rig.devices import Axis
+from irodori.capture.setup_steps import hand_settings, motor_targets
+from irodori.capture.shot_order import PHASES, estimate_s, order_shots
+from irodori.config.capture_table import ROLES, Pose, Shot, expand_poses
 
 CAMERA = Axis("camera_deg", 0.0, 140.0, 0.1, 10.0, 20.0)
 TURN = Axis("turn_deg", 0.0, 359.5, 0.5, 20.0, 40.0)

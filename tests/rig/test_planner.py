@@ -9,11 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plans import PLATE_OBJECT, POSES, RIG, SPHERE_OBJECT, texel
 
-from irodori.captures import Pose
-from irodori.fitting import solvers
-from irodori.geometry.frames import to_camera, to_light
-from irodori.rig.information import Materials, Noise, Weighting, information, observe, standard_errors
-from irodori.rig.planner import (
+from irodori.capture.shot_planner.exchange import CRITERIA, Selection, TooFewPoses, choose
+from irodori.capture.shot_planner.fisher_information import (
+    Materials,
+    Noise,
+    Weighting,
+    information,
+    observe,
+    standard_errors,
+)
+from irodori.capture.shot_planner.planner import (
     KNOWN_RELATIVE_ERROR,
     MaterialRange,
     Planner,
@@ -23,7 +28,9 @@ from irodori.rig.planner import (
     plan_best,
     subject_of,
 )
-from irodori.rig.selection import CRITERIA, Selection, TooFewPoses, choose
+from irodori.config.capture_table import Pose
+from irodori.fitting import solvers
+from irodori.geometry.rig_frame import to_camera, to_light
 
 PRIOR = 1.0
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from benchmarks.plate_pictures import photograph
-from irodori.captures import Pose
-from irodori.config import load_definitions, read_yaml
-from irodori.registration import Registration, bayer_offsets_px, register
-from irodori.rig.virtual.samples import Sample
-from irodori.rig.virtual.sensor import band_weights
-from irodori.rig.virtual.subjects import object_mosaic
-from irodori.spectra import spectrum
+from irodori.config.capture_table import Pose
+from irodori.config.definitions import load_definitions, read_yaml
+from irodori.ingest.registration.similarity import Registration, bayer_offsets_px, register
+from irodori.simulation.virtual_rig.samples import Sample
+from irodori.simulation.virtual_rig.sensor import band_weights
+from irodori.simulation.virtual_rig.subjects import object_mosaic
+from irodori.spectra.published import spectrum
 
 ROOT = Path(__file__).resolve().parents[2]
 

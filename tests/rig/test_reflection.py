@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from irodori.brdf import angles_from_directions
-from irodori.errors import InputError
-from irodori.rig.virtual.reflection import GGX, PAPER, gloss_lobe, measured_lobe, read_measured
+from irodori.core.errors import InputError
+from irodori.reflection.equation5 import angles_from_directions
+from irodori.simulation.virtual_rig.sample_reflection import GGX, PAPER, gloss_lobe, measured_lobe, read_measured
 
 DATA = Path(__file__).resolve().parents[3] / "shared/data/brdf"
 ANGLES = st.floats(0.0, 1.5)

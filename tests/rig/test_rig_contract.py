@@ -9,8 +9,8 @@ import time
 import pytest
 from motion_rigs import at_port, definition, start_simulator
 
-from irodori.rig.connect import open_rig, true_position_deg
-from irodori.rig.devices import AlarmError, Axis, CommandError, HeldError, LimitError, LinkError, Rig, RigStatus
+from irodori.capture.rig.connect import open_rig, true_position_deg
+from irodori.capture.rig.devices import AlarmError, Axis, CommandError, HeldError, LimitError, LinkError, Rig, RigStatus
 
 PEERS = {
     "grbl-send-response": ("grbl", "send-response"),
@@ -283,7 +283,8 @@ def test_a_port_in_use_is_refused_by_name_in_this_process_and_in_another(peer):
         with pytest.raises(LinkError, match=f"{simulator.port}: in use"), open_rig(rig):
             pass
         code = (
-            "import sys\nfrom irodori.rig.serial_link import SerialLink\nfrom irodori.rig.devices import LinkError\n"
+            "import sys\nfrom irodori.capture.rig.serial_link import SerialLink\n"
+            "from irodori.capture.rig.devices import LinkError\n"
             "try:\n    SerialLink(sys.argv[1])\nexcept LinkError as error:\n    print(error)\n"
         )
         run = subprocess.run(

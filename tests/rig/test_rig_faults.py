@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from motion_rigs import TIMEOUT_S, at_port, definition, failure, start_simulator, wait_until_still
 
-from irodori.rig.connect import open_rig, true_position_deg
-from irodori.rig.devices import AlarmError, CommandError, DeadlineError, HeldError, LimitError, LinkError
-from irodori.rig.drives import drives_of
-from irodori.rig.grbl.checks import homing_s
+from irodori.capture.rig.connect import open_rig, true_position_deg
+from irodori.capture.rig.devices import AlarmError, CommandError, DeadlineError, HeldError, LimitError, LinkError
+from irodori.capture.rig.drives import drives_of
+from irodori.capture.rig.grbl.settings_check import homing_s
 
 PEERS = {
     "grbl": ("grbl", "send-response"),

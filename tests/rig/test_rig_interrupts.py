@@ -9,9 +9,9 @@ import time
 import pytest
 from motion_rigs import at_port, definition, start_simulator, wait_until_still
 
-from irodori.rig.connect import open_rig
-from irodori.rig.devices import AlarmError, DeviceError
-from irodori.rig.drives import drives_of
+from irodori.capture.rig.connect import open_rig
+from irodori.capture.rig.devices import AlarmError, DeviceError
+from irodori.capture.rig.drives import drives_of
 
 #: The rig of the program: it is slow, so that a signal meets it in mid-move. Its whole reach takes 3.5 s.
 TIME_SCALE = 0.1
@@ -19,7 +19,7 @@ PROGRAM = """
 import sys
 sys.path.insert(0, "tests/rig")
 from motion_rigs import at_port, definition
-from irodori.rig.connect import open_rig
+from irodori.capture.rig.connect import open_rig
 rig = definition(sys.argv[1])
 rig["motion"]["timeout_s"] = 60.0  # deadlines are of the axes' own speed, and the simulated ones are slowed down
 with open_rig(at_port(rig, sys.argv[2])) as rig:

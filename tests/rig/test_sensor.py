@@ -8,10 +8,11 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from irodori import store
-from irodori.rig.virtual.dng import write_dng
-from irodori.rig.virtual.sensor import Sensor, band_weights, comb_transmittance
-from irodori.spectra import WAVELENGTH_NM, camera_sensitivities, spectrum
+from irodori.core import store
+from irodori.simulation.virtual_rig.dng_writer import write_dng
+from irodori.simulation.virtual_rig.sensor import Sensor, band_weights, comb_transmittance
+from irodori.spectra.grid import WAVELENGTH_NM
+from irodori.spectra.published import camera_sensitivities, spectrum
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data" / "raw"

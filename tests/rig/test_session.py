@@ -25,16 +25,16 @@ from sessions import (
     target,
 )
 
-from irodori.captures import Pose, Shot
-from irodori.errors import InputError
-from irodori.rig import stage
-from irodori.rig.connect import open_rig, true_position_deg
-from irodori.rig.devices import DeviceError, LimitError
-from irodori.rig.journal import Journal
-from irodori.rig.operator import AutoOperator, Operator
-from irodori.rig.plan import object_shots
-from irodori.rig.session import Session, take_stock
-from irodori.rig.stage import Target, capture_camera, capture_environment, capture_object, photograph
+from irodori.capture import stage
+from irodori.capture.journal import Journal
+from irodori.capture.operator import AutoOperator, Operator
+from irodori.capture.rig.connect import open_rig, true_position_deg
+from irodori.capture.rig.devices import DeviceError, LimitError
+from irodori.capture.session import Session, take_stock
+from irodori.capture.shot_list import object_shots
+from irodori.capture.stage import Target, capture_camera, capture_environment, capture_object, photograph
+from irodori.config.capture_table import Pose, Shot
+from irodori.core.errors import InputError
 
 # ---- what a session leaves
 
@@ -253,7 +253,7 @@ ASKING = """
 import sys
 from pathlib import Path
 from sessions import MADE, target
-from irodori.rig.stage import capture_object
+from irodori.capture.stage import capture_object
 folder = Path(sys.argv[1])
 definition, aim = target(folder, poses=[{"light_deg": [45.0, 60.0], "camera_deg": [0.0]}])
 aim.rig["operator"] = "%s"

@@ -7,7 +7,7 @@ import pytest
 from killable import Killable
 from sessions import assert_whole, capture, contents, target
 
-from irodori.rig.plan import object_shots
+from irodori.capture.shot_list import object_shots
 
 
 def kill_and_continue(tmp_path: Path, sessions: Killable, kills: int, seed: int) -> set[int]:

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import pytest
 from sessions import QuickCamera, assert_whole, definitions, hold
 
-from irodori.captures import Pose, Shot
-from irodori.rig import session
-from irodori.rig.connect import open_rig
-from irodori.rig.devices import DeviceError
-from irodori.rig.journal import Journal
-from irodori.rig.operator import AutoOperator
-from irodori.rig.session import Session, take_stock
+from irodori.capture import session
+from irodori.capture.journal import Journal
+from irodori.capture.operator import AutoOperator
+from irodori.capture.rig.connect import open_rig
+from irodori.capture.rig.devices import DeviceError
+from irodori.capture.session import Session, take_stock
+from irodori.config.capture_table import Pose, Shot
 
 
 @pytest.fixture

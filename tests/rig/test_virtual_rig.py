@@ -6,24 +6,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from irodori.brdf import angles_from_directions, reflect
-from irodori.calibration import patch_centres
-from irodori.captures import Pose, Shot
-from irodori.config import load_definitions, read_yaml
-from irodori.geometry.frames import rig_from_camera, rig_from_object, to_camera, to_light
+from irodori.calibration.chart import patch_centres
+from irodori.capture.shot_list import camera_shots, object_shots
+from irodori.config.capture_table import Pose, Shot
+from irodori.config.definitions import load_definitions, read_yaml
 from irodori.geometry.pinhole import Pinhole
-from irodori.mosaic import decode
-from irodori.omnidirectional import from_panorama
-from irodori.rig.plan import camera_shots, object_shots
-from irodori.rig.virtual.bench import Bench
-from irodori.rig.virtual.camera import VirtualCamera
-from irodori.rig.virtual.classroom import room_coefficients, source_spectra, trace_room
-from irodori.rig.virtual.faults import Faults
-from irodori.rig.virtual.samples import Sample
-from irodori.rig.virtual.sensor import band_weights
-from irodori.rig.virtual.subjects import object_mosaic, room_mosaic
-from irodori.rig.virtual.truth import true_material
-from irodori.spectra import spectrum
+from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera, to_light
+from irodori.ingest.mosaic import decode
+from irodori.light.omnidirectional import from_panorama
+from irodori.reflection.equation5 import angles_from_directions, reflect
+from irodori.simulation.virtual_rig.bench import Bench
+from irodori.simulation.virtual_rig.classroom import room_coefficients, source_spectra, trace_room
+from irodori.simulation.virtual_rig.ground_truth import true_material
+from irodori.simulation.virtual_rig.imperfections import Faults
+from irodori.simulation.virtual_rig.samples import Sample
+from irodori.simulation.virtual_rig.sensor import band_weights
+from irodori.simulation.virtual_rig.subjects import object_mosaic, room_mosaic
+from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
+from irodori.spectra.published import spectrum
 
 ROOT = Path(__file__).resolve().parents[2]
 NO_FAULTS = ("light_drift", "vignetting", "stray_light", "pose_error", "filter_plate", "hot_pixels")
@@ -105,7 +105,7 @@ def test_shadow_rays_are_left_out_only_where_nothing_can_shade(definitions, perf
     if distance_mm:
         rig["light"]["distance_mm"] = distance_mm
     short, _, _ = photograph(definitions["objects"]["vermilion-sphere"], camera, rig, pose)
-    monkeypatch.setattr("irodori.rig.virtual.imaging._is_open", lambda *given: False)
+    monkeypatch.setattr("irodori.simulation.virtual_rig.imaging._is_open", lambda *given: False)
     traced, _, _ = photograph(definitions["objects"]["vermilion-sphere"], camera, rig, pose)
     np.testing.assert_array_equal(short, traced)
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import ndimage
 
-from irodori.spectra import chart_spectra, spectrum
+from irodori.spectra.published import chart_spectra, spectrum
 
 ROWS, COLUMNS = 4, 6
 NAME = "BabelColor Average"

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.principal import Compression, analyse
+from irodori.material.principal_components.basis_count import Compression, analyse
 
 
 class Compressed(NamedTuple):

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from irodori.config import load_definitions, read_yaml
-from irodori.errors import InputError
+from irodori.config.definitions import load_definitions, read_yaml
+from irodori.core.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
 PLATE_FILE, CAMERA_FILE, ROOM_FILE = (

@@ -18,7 +18,7 @@ def _rational(value):
 
 def write_any_dng(path, mosaic, *, pattern="RGGB", black=600, white=16383, exposure_s=0.02, iso=0, f_number=0.0,
                   orientation=1):  # fmt: skip
-    """Write a mosaic with tags that `irodori.rig.virtual.dng` does not need.
+    """Write a mosaic with tags that `irodori.simulation.virtual_rig.dng_writer` does not need.
 
     ``black`` is a number or a (rows, columns) array that repeats; ISO stands in an EXIF block, as cameras write it.
     """

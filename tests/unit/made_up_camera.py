@@ -4,8 +4,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from irodori.calibration import Noise, Training
-from irodori.spectra import TRAPEZOID_NM, WAVELENGTH_NM, chart_spectra, spectrum
+from irodori.calibration.training import Noise, Training
+from irodori.spectra.grid import TRAPEZOID_NM, WAVELENGTH_NM
+from irodori.spectra.published import chart_spectra, spectrum
 
 LIGHT = spectrum("A")
 

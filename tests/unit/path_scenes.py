@@ -6,8 +6,8 @@ from scenes import constant_light
 
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.shapes import Placement, Shape
-from irodori.rendering.reference import Picture, make_scene, render
-from irodori.rendering.scene import make_objects, make_view
+from irodori.rendering.reference.converging_picture import Picture, make_scene, render
+from irodori.rendering.scene_arrays import make_objects, make_view
 
 DARK = constant_light(0.0)
 

@@ -11,8 +11,8 @@ import sys
 import time
 from pathlib import Path
 
-from irodori.errors import InputError
-from irodori.mosaic import decode
+from irodori.core.errors import InputError
+from irodori.ingest.mosaic import decode
 
 
 def damaged(content: bytes, header: int, chance: random.Random) -> bytes:

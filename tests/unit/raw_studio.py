@@ -5,10 +5,13 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from irodori import raw, store
-from irodori.captures import Pose, Shot, write_captures
-from irodori.rig.virtual.dng import write_dng
-from irodori.rig.virtual.sensor import Sensor
+from irodori.config.capture_table import Pose, Shot, write_captures
+from irodori.core import store
+from irodori.ingest.camera_reference import ingest_reference
+from irodori.ingest.ingest_options import IngestOptions
+from irodori.ingest.stage import ingest_raw
+from irodori.simulation.virtual_rig.dng_writer import write_dng
+from irodori.simulation.virtual_rig.sensor import Sensor
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data" / "raw"
@@ -19,7 +22,7 @@ PROVENANCE = store.Provenance("test")
 SIZE = (160, 240)
 BALANCE = np.array([[0.7, 1.0, 0.5], [0.30, 0.45, 0.2]])  # of a perfect diffuser's bands, without and with filter
 REFLECTANCE, ANGLE = 0.95, 40.0
-SUPERPIXELS = raw.IngestOptions(register=False)
+SUPERPIXELS = IngestOptions(register=False)
 
 
 def dng(path, mosaic, black=BLACK, white=WHITE, exposure_s=0.02):
@@ -90,12 +93,12 @@ class Studio:
 
     def reference(self, options=SUPERPIXELS) -> Path:
         path = self.folder / "reference.h5"
-        raw.ingest_reference(self.table(), self.folder, path, PROVENANCE, REFLECTANCE, options)
+        ingest_reference(self.table(), self.folder, path, PROVENANCE, REFLECTANCE, options)
         return path
 
     def linear(self, capture: str, options=SUPERPIXELS) -> Path:
         reference, output = self.reference(options), self.folder / "linear.h5"
-        raw.ingest_raw(self.table(), self.folder, capture, reference, output, PROVENANCE, options)
+        ingest_raw(self.table(), self.folder, capture, reference, output, PROVENANCE, options)
         return output
 
     def ingest(self, capture: str, options=SUPERPIXELS):

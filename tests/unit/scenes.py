@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from irodori.geometry.shapes import Shape
-from irodori.irradiance import irradiance_map
-from irodori.light import Environment, directions
-from irodori.material import Material
+from irodori.light.environment_file import Environment, directions
+from irodori.light.irradiance import irradiance_map
+from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from definitions import CAMERA_FILE, PLATE_FILE, ROOM_FILE, ROOT, edit, fault, load
 
-from irodori.captures import COLUMNS
-from irodori.config import captures_of, is_virtual, read_yaml
-from irodori.errors import InputError
+from irodori.config.capture_table import COLUMNS
+from irodori.config.definitions import captures_of, is_virtual, read_yaml
+from irodori.core.errors import InputError
 
 DATA = ROOT.parent / "shared" / "data"
 POSE = "l0450-c0000-t000-r0000"

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from definitions import CAMERA_FILE, PLATE_FILE, ROOM_FILE, edit, fault, load
 
-from irodori.captures import COLUMNS
-from irodori.config import captures_of, is_taken_here, is_virtual, load_one
-from irodori.errors import InputError
+from irodori.config.capture_table import COLUMNS
+from irodori.config.definitions import captures_of, is_taken_here, is_virtual, load_one
+from irodori.core.errors import InputError
 
 DRIVER = {"kind": "gphoto2", "model": "Canon EOS 40D (PTP mode)", "iso": 100, "f_number": 8.0}
 ONLY_PLATE = [{"object": "tile-plate", "position_mm": [0, 0, 0]}]
@@ -82,7 +82,7 @@ def test_a_driven_rig_needs_its_white_pose_and_its_motors(bench):
 
 @pytest.mark.parametrize("file", [CAMERA_FILE, PLATE_FILE, ROOM_FILE])
 def test_a_driven_rig_refuses_what_only_the_virtual_one_reads(bench, root, file):
-    from irodori.config import read_yaml
+    from irodori.config.definitions import read_yaml
 
     edit(bench, file, "virtual", read_yaml(Path(__file__).resolve().parents[2] / "config" / file)["virtual"])
     error = fault(bench)

@@ -6,11 +6,11 @@ import pytest
 import yaml
 from definitions import ROOT
 
-from irodori.agreement.motion import check_motion
-from irodori.config import read_yaml
-from irodori.errors import InputError
-from irodori.rig.connect import open_rig
-from irodori.validation import validate
+from irodori.capture.rig.connect import open_rig
+from irodori.config.cross_checks.rig_motion import check_motion
+from irodori.config.definitions import read_yaml
+from irodori.config.validation import validate
+from irodori.core.errors import InputError
 
 
 def examples() -> dict[str, dict]:

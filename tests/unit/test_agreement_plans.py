@@ -2,8 +2,8 @@
 
 import pytest
 
-from irodori.agreement.plans import check_plan
-from irodori.errors import InputError
+from irodori.config.cross_checks.plan_overrides import check_plan
+from irodori.core.errors import InputError
 
 
 def scene(kind, tolerance=1.0, **plan):

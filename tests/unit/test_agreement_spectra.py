@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 from definitions import CAMERA_FILE, PLATE_FILE, ROOM_FILE, ROOT, edit, fault, load
 
-from irodori import names, spectra
-from irodori.errors import InputError
+from irodori.core.errors import InputError
+from irodori.spectra import published_names
+from irodori.spectra.published import spectrum
 
 DATA = ROOT.parent / "shared" / "data"
 POSE = "l0450-c0000-t000-r0000"
@@ -113,10 +114,10 @@ def test_published_names_are_those_of_colour_science():
     import colour
     from colour.characterisation import SDS_COLOURCHECKERS
 
-    assert sorted(names.ILLUMINANTS) == sorted(colour.SDS_ILLUMINANTS)
-    assert {name: len(chart) for name, chart in SDS_COLOURCHECKERS.items()} == names.CHART_PATCHES
-    assert sorted(names.CAMERAS) == sorted(colour.MSDS_CAMERA_SENSITIVITIES)
-    for name in (*names.ILLUMINANTS, names.TEST_COLOURS[0], names.TEST_COLOURS[-1]):
-        assert spectra.spectrum(name).shape == (61,)
+    assert sorted(published_names.ILLUMINANTS) == sorted(colour.SDS_ILLUMINANTS)
+    assert {name: len(chart) for name, chart in SDS_COLOURCHECKERS.items()} == published_names.CHART_PATCHES
+    assert sorted(published_names.CAMERAS) == sorted(colour.MSDS_CAMERA_SENSITIVITIES)
+    for name in (*published_names.ILLUMINANTS, published_names.TEST_COLOURS[0], published_names.TEST_COLOURS[-1]):
+        assert spectrum(name).shape == (61,)
     with pytest.raises(InputError, match="TCS0 to TCS98"):
-        spectra.spectrum(f"TCS{len(names.TEST_COLOURS)}")
+        spectrum(f"TCS{len(published_names.TEST_COLOURS)}")

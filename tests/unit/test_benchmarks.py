@@ -8,7 +8,7 @@ from scipy.optimize import nnls
 
 from benchmarks.fit import K, N, angles, brute_force, scene
 from benchmarks.table import printed_by
-from irodori.brdf import gloss_factors
+from irodori.reflection.equation5 import gloss_factors
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.3])

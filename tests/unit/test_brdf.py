@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from irodori.brdf import (
+from irodori.reflection.equation5 import (
     MU_MAX_RAD,
     MU_MIN_RAD,
     angles_from_directions,

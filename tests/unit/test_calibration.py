@@ -9,13 +9,15 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from irodori import calibration, store
-from irodori.calibration import calibrate, leave_one_out, patch_centres, read_chart, spectral_basis
-from irodori.colour import spectral_rmse
-from irodori.errors import InputError
-from irodori.mosaic import decode
-from irodori.recovery import Calibration
-from irodori.spectra import chart_spectra, spectrum
+from irodori.calibration.chart import patch_centres, read_chart
+from irodori.calibration.paper_estimator import calibrate, leave_one_out, spectral_basis
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.stage import calibrate_camera
+from irodori.colour.colorimetry import spectral_rmse
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.ingest.mosaic import decode
+from irodori.spectra.published import chart_spectra, spectrum
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
@@ -250,9 +252,7 @@ def test_stage_writes_the_calibration_and_honest_errors(tmp_path):
     rng = np.random.default_rng(9)
     picture, definition, spectra = whole_chart("BabelColor Average", rng, light_deg=40.0)
     linear = write_linear(tmp_path / "chart.h5", picture, pose=(40.0, 0.0, 0.0, 0.0))
-    calibration.calibrate_camera(
-        linear, definition, "D65", tmp_path / "c.h5", tmp_path / "c.csv", store.Provenance("test")
-    )
+    calibrate_camera(linear, definition, "D65", tmp_path / "c.h5", tmp_path / "c.csv", store.Provenance("test"))
     loaded = Calibration.load(tmp_path / "c.h5")
     # The light's angle is not the paint's colour: at normal incidence the same matrix must hold.
     direct = calibrate(picture[5::10, 5::10].reshape(24, 3) / np.cos(np.radians(40)), spectra, 3, spectrum("D65"))
@@ -277,7 +277,7 @@ def test_stage_refuses_as_input_error(tmp_path, fault):
     linear = write_linear(tmp_path / "chart.h5", picture)
     outputs = tmp_path / "c.h5", tmp_path / "c.csv"
     with pytest.raises(InputError):
-        calibration.calibrate_camera(linear, definition, "A", *outputs, store.Provenance("test"))
+        calibrate_camera(linear, definition, "A", *outputs, store.Provenance("test"))
     assert not any(path.exists() for path in outputs)
 
 
@@ -307,9 +307,7 @@ def test_real_photograph_recovers_its_chart(real_chart):
 def test_stage_matches_the_patches_of_a_real_photograph_with_their_spectra(real_chart, tmp_path):
     mosaic, definition = real_chart
     linear = write_linear(tmp_path / "chart.h5", mosaic.superpixels / mosaic.full_scale)
-    calibration.calibrate_camera(
-        linear, definition, "A", tmp_path / "c.h5", tmp_path / "c.csv", store.Provenance("test")
-    )
+    calibrate_camera(linear, definition, "A", tmp_path / "c.h5", tmp_path / "c.csv", store.Provenance("test"))
     mean = {row[0]: row[1] for row in read_table(tmp_path / "c.csv")}["mean"]
     assert float(mean) <= 0.06
 

@@ -6,11 +6,11 @@ from path_scenes import DARK, ball
 from scenes import BALL, OPTIONS, constant_light, material, pixel_rays, plate
 
 from irodori.geometry.shapes import Placement
-from irodori.placed_lights import unit_luminance
-from irodori.rendering.cameras import aim
+from irodori.light.placed_lights import unit_luminance
 from irodori.rendering.integrators import render_image
-from irodori.rendering.reference import make_scene, render
-from irodori.rendering.scene import make_objects, make_view
+from irodori.rendering.reference.converging_picture import make_scene, render
+from irodori.rendering.scene_arrays import make_objects, make_view
+from irodori.rendering.view_cameras import aim
 
 FOCUS, LENS, FIELD, SIDE = 200.0, 30.0, 13.0, 64
 FOCAL = SIDE / 2 / np.tan(np.radians(FIELD / 2))

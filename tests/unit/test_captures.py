@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from irodori.captures import (
+from irodori.config.capture_table import (
     COLUMNS,
     FILTERS,
     ROLES,
@@ -19,8 +19,8 @@ from irodori.captures import (
     shot_path,
     write_captures,
 )
-from irodori.errors import InputError
-from irodori.provenance import file_sha256
+from irodori.core.errors import InputError
+from irodori.core.provenance import file_sha256
 
 HEADER = ",".join(COLUMNS)
 GOOD = "a.dng,object,45,20,0,0,out,0.02"

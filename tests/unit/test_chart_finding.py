@@ -9,7 +9,7 @@ import pytest
 from chart_pictures import COLUMNS, PAPER, ROWS, SPECTRA, light_field, noisy, sensitivities, shot, truth, view
 
 from irodori.calibration.detection import find_chart
-from irodori.errors import InputError
+from irodori.core.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
 WIDTH, HEIGHT = 720, 520
@@ -105,9 +105,9 @@ def test_opencv_that_does_not_start_stops_nothing_but_the_finding():
     """A bare machine has no libGL: every stage must run there, and finding must say what is missing."""
     program = (
         "import sys; sys.modules['cv2'] = None; sys.modules['colour_checker_detection'] = None\n"
-        "import irodori.calibration, irodori.report.imperfections, irodori.report.page\n"
+        "import irodori.calibration, irodori.evaluation.imperfection_costs, irodori.report.page\n"
         "from irodori.calibration.detection import _library\n"
-        "from irodori.errors import PlainError\n"
+        "from irodori.core.errors import PlainError\n"
         "try: _library()\n"
         "except PlainError as error: print(error)\n"
     )

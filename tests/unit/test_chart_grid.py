@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from irodori.calibration.chart import locate_patches, read_located
-from irodori.calibration.grid import even_picture, fit_to_edges, homography, nodes, project
-from irodori.calibration.lattice import lattices
-from irodori.errors import InputError
+from irodori.calibration.chart_grid import even_picture, fit_to_edges, homography, nodes, project
+from irodori.calibration.square_lattice import lattices
+from irodori.core.errors import InputError
 
 WIDTH, HEIGHT = 720, 520
 

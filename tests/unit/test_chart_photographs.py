@@ -9,11 +9,11 @@ from definitions import ROOT
 from irodori.calibration.chart import locate_patches, read_located
 from irodori.calibration.illumination import illumination
 from irodori.calibration.jitter import jitter
-from irodori.calibration.linear import leave_one_out
-from irodori.colour import delta_e_reflectance, spectral_rmse
-from irodori.errors import InputError
-from irodori.mosaic import decode
-from irodori.spectra import chart_spectra
+from irodori.calibration.paper_estimator import leave_one_out
+from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
+from irodori.core.errors import InputError
+from irodori.ingest.mosaic import decode
+from irodori.spectra.published import chart_spectra
 
 DATA = ROOT.parent / "shared" / "data"
 TABLE = DATA / "reflectance" / "colorchecker_classic_24.csv"

@@ -9,7 +9,7 @@ from scipy import stats
 
 from irodori.calibration.chart import Located, read_chart, read_patches
 from irodori.calibration.jitter import SHIFTS, jitter
-from irodori.errors import InputError
+from irodori.core.errors import InputError
 
 SIDE, PITCH = 40, 60
 CORNERS = {"first": [40, 40], "row_end": [160, 40], "column_end": [40, 100], "last": [160, 100]}

@@ -8,16 +8,16 @@ import pytest
 from dng_files import write_any_dng
 from raw_studio import SIZE, Studio, dng
 
-from irodori import raw
-from irodori.captures import ROLES, Pose, Shot, read_captures, write_captures
-from irodori.errors import InputError
+from irodori.config.capture_table import ROLES, Pose, Shot, read_captures, write_captures
+from irodori.core.errors import InputError
+from irodori.ingest.first_look import check_captures
 
 
 def test_check_captures_notes_the_hash_of_every_file(tmp_path):
     studio = Studio(tmp_path, seed=18)
     studio.references()
     table, output = studio.table(), tmp_path / "checked.csv"
-    raw.check_captures(table, tmp_path, output, ROLES)
+    check_captures(table, tmp_path, output, ROLES)
     assert read_captures(output, tmp_path) == read_captures(table, tmp_path)
     lines = output.read_text().splitlines()
     assert lines[0].split(",")[-1] == "sha256"
@@ -42,7 +42,7 @@ def test_check_captures_refuses(tmp_path, fault):
         (tmp_path / culprit).unlink()
     table, output = studio.table(), tmp_path / "checked.csv"
     with pytest.raises(InputError, match=culprit):
-        raw.check_captures(table, tmp_path, output, ROLES)
+        check_captures(table, tmp_path, output, ROLES)
     assert not output.exists()
 
 
@@ -50,16 +50,16 @@ def test_check_captures_holds_files_to_the_stated_size(tmp_path):
     studio = Studio(tmp_path, seed=25)
     studio.references()
     table = studio.table()
-    raw.check_captures(table, tmp_path, tmp_path / "a.csv", ROLES, (SIZE[1], SIZE[0]))
+    check_captures(table, tmp_path, tmp_path / "a.csv", ROLES, (SIZE[1], SIZE[0]))
     with pytest.raises(InputError, match="9000 x 6000"):
-        raw.check_captures(table, tmp_path, tmp_path / "b.csv", ROLES, (9000, 6000))
+        check_captures(table, tmp_path, tmp_path / "b.csv", ROLES, (9000, 6000))
 
 
 def test_check_captures_keeps_the_shots_of_its_own_set(tmp_path):
     studio = Studio(tmp_path, seed=26)
     studio.references()
     studio.shoot("object", np.full((SIZE[0] // 2, SIZE[1] // 2, 6), 0.3))
-    raw.check_captures(studio.table(), tmp_path, tmp_path / "object.csv", ["object"])
+    check_captures(studio.table(), tmp_path, tmp_path / "object.csv", ["object"])
     assert [shot.role for shot in read_captures(tmp_path / "object.csv")] == ["object"]
 
 
@@ -76,7 +76,7 @@ def set_of(tmp_path, files, table=()):
         stated = dict(table[number]) if number < len(table) else {}
         shots.append(Shot(f"{number}.dng", "white", Pose(45.0, 0.0), "out", 0.02, **stated))
     write_captures(tmp_path / "captures.csv", shots)
-    raw.check_captures(tmp_path / "captures.csv", tmp_path, tmp_path / "checked.csv", ROLES)
+    check_captures(tmp_path / "captures.csv", tmp_path, tmp_path / "checked.csv", ROLES)
     return [(s.iso, s.f_number) for s in read_captures(tmp_path / "checked.csv")]
 
 

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from irodori import store
-from irodori.coefficients import (
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.material.coefficients import (
     _converters,
     from_half,
     half_scale,
@@ -19,7 +20,6 @@ from irodori.coefficients import (
     to_half,
     write_coefficients,
 )
-from irodori.errors import InputError
 
 PROVENANCE = store.Provenance("test")
 REUSED = [HealthCheck.function_scoped_fixture]

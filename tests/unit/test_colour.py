@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from irodori.colour import (
+from irodori.colour.colorimetry import (
     colour_matching_weights,
     delta_e,
     delta_e_reflectance,
@@ -18,7 +18,8 @@ from irodori.colour import (
     xyz_from_radiance,
     xyz_from_reflectance,
 )
-from irodori.spectra import WAVELENGTH_NM, chart_spectra, spectrum
+from irodori.spectra.grid import WAVELENGTH_NM
+from irodori.spectra.published import chart_spectra, spectrum
 
 OBSERVER = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
 FULL = colour.SpectralShape(360, 830, 1)

@@ -5,14 +5,14 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from irodori import store
-from irodori.compression import compress_reflectance
-from irodori.errors import InputError
-from irodori.fitted_tiles import COLUMNS, FittedTiles
-from irodori.material import Material
-from irodori.principal import CompressOptions
-from irodori.recovery import Calibration
-from irodori.spectra import spectrum
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.material.fitted_tiles import COLUMNS, FittedTiles
+from irodori.material.material_file import Material
+from irodori.material.principal_components.basis_count import CompressOptions
+from irodori.material.stage import compress_reflectance
+from irodori.spectra.published import spectrum
 
 PROVENANCE = store.Provenance("test")
 BASIS = np.linalg.svd(np.stack([spectrum(f"TCS{i}") for i in range(99)]), full_matrices=False)[2][:6].T

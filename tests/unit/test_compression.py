@@ -10,19 +10,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import subspace_angles
 
-from irodori import store
-from irodori.coefficients import read_coefficients
-from irodori.colour import spectral_rmse, xyz_from_reflectance
-from irodori.compression import compress_maps
-from irodori.principal import (
-    CompressOptions,
-    Tiles,
-    analyse,
-    choose,
-    second_moments,
-)
-from irodori.report.compression import compression_section
-from irodori.spectra import WAVELENGTH_NM, spectrum
+from irodori.colour.colorimetry import spectral_rmse, xyz_from_reflectance
+from irodori.core import store
+from irodori.material.coefficients import read_coefficients
+from irodori.material.principal_components.basis_count import CompressOptions, analyse, choose
+from irodori.material.principal_components.pixel_tiles import Tiles
+from irodori.material.principal_components.second_moments import second_moments
+from irodori.material.stage import compress_maps
+from irodori.report.compression_part import compression_section
+from irodori.spectra.grid import WAVELENGTH_NM
+from irodori.spectra.published import spectrum
 
 PROVENANCE = store.Provenance("test")
 REUSED = [HealthCheck.function_scoped_fixture]

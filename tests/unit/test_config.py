@@ -8,7 +8,7 @@ import pytest
 import yaml
 from definitions import CAMERA_FILE, PLATE_FILE, ROOM_FILE, ROOT, edit, fault, load
 
-from irodori.config import captures_of, is_virtual, read_yaml
+from irodori.config.definitions import captures_of, is_virtual, read_yaml
 
 DATA = ROOT.parent / "shared" / "data"
 POSE = "l0450-c0000-t000-r0000"
@@ -19,7 +19,7 @@ BODY = {"shape": {"kind": "sphere", "radius_mm": 5}, "position_mm": [0, 0, 5], "
 
 
 def test_nothing_heavy_is_imported():
-    code = "import sys, irodori.config, irodori.provenance; print({'numpy', 'numba'} & {*sys.modules})"
+    code = "import sys, irodori.config.definitions, irodori.core.provenance; print({'numpy', 'numba'} & {*sys.modules})"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
 

@@ -8,8 +8,8 @@ from definitions import ROOT, edit
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from irodori.config import load_definitions, read_yaml
-from irodori.errors import InputError
+from irodori.config.definitions import load_definitions, read_yaml
+from irodori.core.errors import InputError
 
 DATA = ROOT.parent / "shared" / "data"
 POSE = "l0450-c0000-t000-r0000"

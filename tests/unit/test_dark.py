@@ -6,9 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from raw_studio import ANGLE, BALANCE, SENSOR, SIZE, SUPERPIXELS, WHITE, Studio
 
-from irodori import raw, store
-from irodori.captures import Pose
-from irodori.raw.dark import hot_pixels
+from irodori.config.capture_table import Pose
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.ingest.camera_reference import Reference, ingest_reference
+from irodori.ingest.dark_frames import hot_pixels
+from irodori.ingest.ingest_options import IngestOptions
 
 DARKNESS = np.zeros((SIZE[0] // 2, SIZE[1] // 2, 6))
 POSE = Pose(ANGLE, 0.0).name
@@ -26,8 +29,8 @@ def with_pattern(studio, offset, rate):
     ).astype(np.uint16)
 
 
-def dark_of(studio) -> raw.Reference:
-    return raw.Reference.load(studio.reference()).dark
+def dark_of(studio) -> Reference:
+    return Reference.load(studio.reference()).dark
 
 
 def test_offset_and_rate_of_each_pixel_come_from_two_exposure_times(tmp_path):
@@ -108,7 +111,7 @@ def test_hot_pixels_are_found_counted_and_masked_in_every_capture(tmp_path):
     for state, exposure_s in (("out", 0.02), ("in", 0.05)):
         studio.shoot("object", truth, state, exposure_s)
     path = studio.linear(POSE)
-    found = {tuple(p) for p in raw.Reference.load(tmp_path / "reference.h5").dark.hot_px}
+    found = {tuple(p) for p in Reference.load(tmp_path / "reference.h5").dark.hot_px}
     assert {tuple(p) for p in bright} <= found
     assert len(found & {tuple(p) for p in restless}) >= 0.9 * len(restless)
     assert len(found - {tuple(p) for p in places}) <= 1
@@ -140,7 +143,7 @@ def test_hot_pixels_do_not_lean_the_white_reference(tmp_path):
                 mosaic,
             ).astype(np.uint16)
         studio.references(darks=4)
-        means.append(raw.Reference.load(studio.reference()).flat("out").mean(axis=(0, 1)))
+        means.append(Reference.load(studio.reference()).flat("out").mean(axis=(0, 1)))
     assert np.allclose(means[1], means[0], rtol=1e-3)
 
 
@@ -168,7 +171,7 @@ def test_an_environment_keeps_its_balance_and_none_of_the_sensors_faults(tmp_pat
         y, x = np.indices(level.shape)
         balance = BALANCE[("out", "in").index(state)][y % 2 + x % 2]
         studio.expose("environment", level * balance, state, exposure_s)
-    response, valid, _, _ = studio.ingest("environment", raw.IngestOptions())
+    response, valid, _, _ = studio.ingest("environment", IngestOptions())
     assert valid.all() and np.allclose(response.mean(axis=(0, 1)), 0.5, rtol=0.01)
 
 
@@ -178,5 +181,5 @@ def test_dark_frames_of_two_isos_are_refused(tmp_path, iso):
     studio.references()
     shots = [s.__class__(**{**s.__dict__, "iso": iso if n == 0 else 100.0}) for n, s in enumerate(studio.shots)]
     studio.shots = shots
-    with pytest.raises(raw.check.InputError, match="dark frames of ISO 100, 200"):
-        raw.ingest_reference(studio.table(), tmp_path, tmp_path / "r.h5", store.Provenance("t"), 1.0, SUPERPIXELS)
+    with pytest.raises(InputError, match="dark frames of ISO 100, 200"):
+        ingest_reference(studio.table(), tmp_path, tmp_path / "r.h5", store.Provenance("t"), 1.0, SUPERPIXELS)

@@ -6,24 +6,27 @@ from dng_files import write_any_dng
 from raw_studio import ANGLE, DATA, PROVENANCE, SENSOR, SIZE, WHITE, Studio
 from scipy import ndimage
 
-from irodori import raw, store
-from irodori.captures import Pose, Shot, write_captures
-from irodori.mosaic import ALGORITHMS, decode, demosaic
-from irodori.raw.develop import REACH_PX
+from irodori.config.capture_table import Pose, Shot, write_captures
+from irodori.core import store
+from irodori.ingest.camera_reference import ingest_reference
+from irodori.ingest.develop import REACH_PX
+from irodori.ingest.ingest_options import IngestOptions
+from irodori.ingest.mosaic import ALGORITHMS, decode, demosaic
+from irodori.ingest.stage import ingest_raw
 
 POSE = Pose(ANGLE, 0.0).name
 NAMES = tuple(ALGORITHMS)
 
 
 def full(name):
-    return raw.IngestOptions(demosaic=name, register=False)
+    return IngestOptions(demosaic=name, register=False)
 
 
 def test_algorithms_are_those_of_the_options():
     for name in (*NAMES, "superpixel"):
-        assert raw.IngestOptions(demosaic=name).sample_px == (2 if name == "superpixel" else 1)
+        assert IngestOptions(demosaic=name).sample_px == (2 if name == "superpixel" else 1)
     with pytest.raises(ValueError, match="accepted: superpixel, linear"):
-        raw.IngestOptions(demosaic="amaze")
+        IngestOptions(demosaic="amaze")
     with pytest.raises(ValueError, match="accepted: linear"):
         demosaic("a.dng", "amaze")
 
@@ -119,8 +122,8 @@ def test_a_real_camera_file_is_ingested_either_way(tmp_path):
     pictures = []
     for name in ("superpixel", "ahd"):
         options = full(name)
-        raw.ingest_reference(table, DATA, tmp_path / "r.h5", PROVENANCE, 1.0, options)
-        raw.ingest_raw(table, DATA, "chart", tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE, options)
+        ingest_reference(table, DATA, tmp_path / "r.h5", PROVENANCE, 1.0, options)
+        ingest_raw(table, DATA, "chart", tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE, options)
         with store.open_file(tmp_path / "l.h5") as file:
             pictures.append(file.read("response"))
             assert file.attribute("sample_px") == options.sample_px
@@ -140,9 +143,9 @@ def test_an_eight_bit_camera_file_is_ingested(tmp_path):
         pytest.skip(f"no real photograph at {source}")
     table = tmp_path / "captures.csv"
     write_captures(table, [Shot(source.name, "chart", Pose(0.0, 0.0), "out", 0.00376)])
-    options = raw.IngestOptions()
-    raw.ingest_reference(table, DATA, tmp_path / "r.h5", PROVENANCE, 1.0, options)
-    raw.ingest_raw(table, DATA, "chart", tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE, options)
+    options = IngestOptions()
+    ingest_reference(table, DATA, tmp_path / "r.h5", PROVENANCE, 1.0, options)
+    ingest_raw(table, DATA, "chart", tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE, options)
     with store.open_file(tmp_path / "l.h5") as file:
         assert file.read("response").shape == (488, 424, 3) and file.read("valid").mean() > 0.99
 

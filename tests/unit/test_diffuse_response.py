@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 from test_fitting import GEOMETRY, K, N, gloss_over_beta, materials, run
 
-from irodori import store
+from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.solution import solve
-from irodori.errors import InputError
-from irodori.fitting import Status, fit
-from irodori.fitting.bands import band_gloss, uniform
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.fitting.band_fresnel import band_gloss, uniform
+from irodori.fitting.solvers import fit
 from irodori.fitting.stage import _fresnel, _of_near_light, diffuse_response
-from irodori.recovery import Calibration
-from irodori.spectra import WAVELENGTH_NM
+from irodori.material.material_file import Status
+from irodori.spectra.grid import WAVELENGTH_NM
 
 FRESNEL = uniform(N, K, 6)
 NOISE = np.tile([1e-6, 2e-5], (len(GEOMETRY), 6, 1))  # c0 and c1 of each capture and band

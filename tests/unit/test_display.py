@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from irodori.colour import xyz_from_reflectance
-from irodori.display import encode_srgb, rgb_from_xyz
+from irodori.colour.colorimetry import xyz_from_reflectance
+from irodori.colour.display import encode_srgb, rgb_from_xyz
 
 #: IEC 61966-2-1 prints matrix and white with four decimals: half a unit of the last place of the matrix times the sum
 #: of white's XYZ (3.04), and half a unit of white times the absolute row sum of the matrix (5.28).

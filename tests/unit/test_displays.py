@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image, ImageCms
 
-from irodori.agreement.displays import check_display
-from irodori.display import gamut, make_display, srgb, standard_display
-from irodori.errors import InputError
-from irodori.icc import D50_XYZ, Profile, bradford, read_profile, write_profile
-from irodori.pictures import write_display_picture, write_xyz_exr
-from irodori.tone import SRGB, ParametricCurve, SampledCurve
+from irodori.colour.display import gamut, make_display, srgb, standard_display
+from irodori.colour.icc import D50_XYZ, Profile, bradford, read_profile, write_profile
+from irodori.colour.tone_curves import SRGB, ParametricCurve, SampledCurve
+from irodori.config.cross_checks.display_files import check_display
+from irodori.core.errors import InputError
+from irodori.export.pictures import write_display_picture, write_xyz_exr
 
 #: Two roundings of the profile's numbers, 2^-16 each.
 FIXED_POINT = 3.1e-5

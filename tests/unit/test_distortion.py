@@ -7,9 +7,9 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from irodori.captures import Pose
-from irodori.errors import InputError
-from irodori.geometry import frames
+from irodori.config.capture_table import Pose
+from irodori.core.errors import InputError
+from irodori.geometry import rig_frame
 from irodori.geometry.distortion import COEFFICIENTS, coefficients_of, distort, fold_radius, undistort
 from irodori.geometry.pinhole import Pinhole
 
@@ -108,7 +108,7 @@ def test_coefficients_come_by_name_and_are_zero_where_absent():
 def test_a_pixels_ray_projects_back_to_the_pixel_through_a_lens(k1, k2, p1, p2, mosaic, distance):
     lens = {"k1": k1, "k2": k2, "p1": p1, "p2": p2}
     camera = Pinhole.from_optics({**OPTICS, "distortion": lens})
-    rotation, position = frames.rig_from_camera(Pose(45.0, 30.0)), np.array([10.0, -20.0, 500.0])
+    rotation, position = rig_frame.rig_from_camera(Pose(45.0, 30.0)), np.array([10.0, -20.0, 500.0])
     direction = camera.directions(np.array(mosaic), rotation)
     assert np.linalg.norm(direction) == pytest.approx(1.0, abs=1e-14)
     seen = camera.project(position + distance * direction, position, rotation)

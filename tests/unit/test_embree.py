@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from irodori.geometry.embree import NO_HIT, Tracer
-from irodori.geometry.frames import rotation_xyz
+from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes import PLATE, SPHERE, Placement, Shape
 
 #: Embree traces in single precision: a silhouette is known to a few 6e-8 of the coordinates, 1e-5 with a wide margin.

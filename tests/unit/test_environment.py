@@ -9,17 +9,18 @@ from compressing import compress
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from irodori import store
-from irodori.colour import delta_e, lab_from_xyz, xyz_from_radiance
-from irodori.environment import SURFACES, fill_masked, observers, prepare_environment
-from irodori.errors import InputError
-from irodori.irradiance import irradiance_at, irradiance_map
-from irodori.light import Environment, directions
-from irodori.omnidirectional import to_panorama
-from irodori.principal import CompressOptions, choose, second_moments
-from irodori.principal.decomposition import decompose
-from irodori.recovery import Calibration
-from irodori.spectra import spectrum
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_radiance
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.light.environment_file import Environment, directions
+from irodori.light.irradiance import irradiance_at, irradiance_map
+from irodori.light.omnidirectional import to_panorama
+from irodori.light.stage import SURFACES, fill_masked, observers, prepare_environment
+from irodori.material.principal_components.basis_count import CompressOptions, choose
+from irodori.material.principal_components.decomposition import decompose
+from irodori.material.principal_components.second_moments import second_moments
+from irodori.spectra.published import spectrum
 
 OBSERVERS = {"light": (xyz_from_radiance(spectrum("A")), xyz_from_radiance(spectrum("A")) @ spectrum("A"))}
 

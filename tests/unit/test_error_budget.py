@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from scenes import OPTIONS, plate, sky, smooth_light
 
-from irodori.colour import delta_e_reflectance
-from irodori.material import Material
-from irodori.principal import CompressOptions
-from irodori.recovery import Calibration
-from irodori.rendering.scene_plan.plan_file import write_plan
-from irodori.report import error_budget as module
-from irodori.report.error_budget import (
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.colour.colorimetry import delta_e_reflectance
+from irodori.core.store import Provenance
+from irodori.evaluation import error_budget as module
+from irodori.evaluation.error_budget import (
     Measured,
     away_from_edges,
     compressed_light,
@@ -20,10 +18,12 @@ from irodori.report.error_budget import (
     measure_error_budget,
     substitutes,
 )
-from irodori.report.error_prediction import noisy, other_gloss
-from irodori.report.known_errors import Known, Photographs, Spread
-from irodori.spectra import spectrum
-from irodori.store import Provenance
+from irodori.evaluation.error_prediction import noisy, other_gloss
+from irodori.evaluation.known_errors import Known, Photographs, Spread
+from irodori.material.material_file import Material
+from irodori.material.principal_components.basis_count import CompressOptions
+from irodori.rendering.planning.plan_file import write_plan
+from irodori.spectra.published import spectrum
 
 SIDE = 40
 PAINTS = np.stack([spectrum("TCS1"), spectrum("TCS14"), spectrum("TCS56")], axis=1)

@@ -8,18 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
-from irodori import store
-from irodori.colour import delta_e_reflectance
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.colour.colorimetry import delta_e_reflectance
+from irodori.core import store
+from irodori.evaluation.error_budget import Measured, substitutes
+from irodori.evaluation.error_prediction import held_out, moved_texels, noisy, sharper, sources
+from irodori.evaluation.known_errors import Known, Photographs, Spread
+from irodori.evaluation.light_prediction import drawn_lights, family, posterior, responses_from_light, sensitivity
+from irodori.evaluation.truth_errors import radiance_delta_e
 from irodori.geometry.shapes import Shape
-from irodori.light import Environment
-from irodori.material import Material
-from irodori.recovery import Calibration
-from irodori.report.error_budget import Measured, substitutes
-from irodori.report.error_prediction import held_out, moved_texels, noisy, sharper, sources
-from irodori.report.errors import radiance_delta_e
-from irodori.report.known_errors import Known, Photographs, Spread
-from irodori.report.light_prediction import drawn_lights, family, posterior, responses_from_light, sensitivity
-from irodori.spectra import camera_sensitivities, chart_spectra, light, spectrum
+from irodori.light.environment_file import Environment
+from irodori.material.material_file import Material
+from irodori.spectra.published import camera_sensitivities, chart_spectra, light, spectrum
 
 SIDE = 32
 TCS = np.stack([spectrum(f"TCS{i}") for i in range(99)])

@@ -8,14 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_up_camera import LIGHT, patches, system, training
 
-from irodori import store
-from irodori.calibration import ESTIMATORS, Noise, Training, calibrate, fit, noise_amplification
-from irodori.calibration.estimators import monomials
-from irodori.calibration.numerics import check_amplification, check_responses
+from irodori.calibration.conditioning import check_amplification, check_responses, noise_amplification
+from irodori.calibration.estimators import ESTIMATORS, fit, monomials
+from irodori.calibration.paper_estimator import calibrate
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.recovery.mappings import LinearMapping, LocalMapping, PolynomialMapping
 from irodori.calibration.response_model import fit_response_model, smooth_covariance, smooth_priors
-from irodori.calibration.training import mix_paints
-from irodori.colour import delta_e_reflectance, spectral_rmse
-from irodori.recovery import Calibration, LinearMapping, LocalMapping, PolynomialMapping
+from irodori.calibration.training import Noise, Training, mix_paints
+from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
+from irodori.core import store
 
 NAMES = list(ESTIMATORS)
 PROBES = mix_paints(patches(), limit=60)[:50]

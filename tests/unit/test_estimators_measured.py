@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from benchmarks.calibrate import CAMERAS, DATA, NOISES, Trial, errors
-from irodori.calibration import Noise, Training, cross_validate, fit
+from irodori.calibration.estimator_choice import cross_validate
+from irodori.calibration.estimators import fit
 from irodori.calibration.solution import own_error
-from irodori.colour import spectral_rmse
+from irodori.calibration.training import Noise, Training
+from irodori.colour.colorimetry import spectral_rmse
 
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured spectra at {DATA}")
 #: What the best estimator must reach on the first camera, mean CIEDE2000 under D65 at each noise.

@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 from made_up_camera import patches, system, training
 
-from irodori import store
-from irodori.calibration import ESTIMATORS, Training, calibrate_camera, choose, cross_validate, fit, leave_one_out
-from irodori.calibration.selection import BASES, ON_REQUEST, SelectionRow
-from irodori.calibration.unseen import error_of_unseen, folds
-from irodori.colour import delta_e_reflectance, spectral_rmse
-from irodori.errors import InputError
-from irodori.recovery import Calibration
+from irodori.calibration.estimator_choice import BASES, ON_REQUEST, SelectionRow, choose, cross_validate
+from irodori.calibration.estimators import ESTIMATORS, fit
+from irodori.calibration.paper_estimator import leave_one_out
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.stage import calibrate_camera
+from irodori.calibration.training import Training
+from irodori.calibration.unseen_patches import error_of_unseen, folds
+from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
+from irodori.core import store
+from irodori.core.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -6,14 +6,15 @@ import pytest
 from scenes import material
 from spectral.io import envi
 
-from irodori import store
-from irodori.errors import InputError
-from irodori.export import export, main
-from irodori.light import Environment
-from irodori.light_files import spectral_picture
-from irodori.omnidirectional import from_panorama
-from irodori.pictures import layer_names, read_layers
-from irodori.spectra import WAVELENGTH_NM, spectrum
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.export.material_pictures import export, main
+from irodori.export.pictures import layer_names, read_layers
+from irodori.light.environment_file import Environment
+from irodori.light.light_files import spectral_picture
+from irodori.light.omnidirectional import from_panorama
+from irodori.spectra.grid import WAVELENGTH_NM
+from irodori.spectra.published import spectrum
 
 
 def read(path):

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from irodori.calibration import rank_filters
 from irodori.calibration.filters import main, read_filters
-from irodori.calibration.ranking import NO_FILTER, wiener_estimator
-from irodori.calibration.simulation import EXPOSURES, band_weights, responses
-from irodori.colour import delta_e_reflectance
-from irodori.errors import InputError
-from irodori.spectra import TRAPEZOID_NM, WAVELENGTH_NM, camera_sensitivities, chart_spectra, light, spectrum
+from irodori.calibration.ranking import NO_FILTER, rank_filters, wiener_estimator
+from irodori.calibration.simulated_responses import EXPOSURES, band_weights, responses
+from irodori.colour.colorimetry import delta_e_reflectance
+from irodori.core.errors import InputError
+from irodori.spectra.grid import TRAPEZOID_NM, WAVELENGTH_NM
+from irodori.spectra.published import camera_sensitivities, chart_spectra, light, spectrum
 
 DATA = Path("../shared/data")
 CAMERA = camera_sensitivities("Nikon 5100 (NPL)")

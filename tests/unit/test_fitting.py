@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from scipy.optimize import nnls
 
-from irodori.fitting import FitOptions, Status, fit
+from irodori.fitting.solvers import FitOptions, fit
+from irodori.material.material_file import Status
 
 ROOT = Path(__file__).resolve().parents[2]
 N, K = 1.5, 0.0

@@ -7,12 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from irodori.brdf import reflect
-from irodori.fitting import FitOptions, judge
-from irodori.fitting.abreast import fit_abreast
-from irodori.fitting.lane_rows import new_abreast
-from irodori.fitting.shared import no_shared
-from irodori.fitting.solvers import SOLVERS, problem_of
+from irodori.fitting import judge
+from irodori.fitting.shared_geometry import no_shared
+from irodori.fitting.solvers import SOLVERS, FitOptions, problem_of
+from irodori.fitting.vectorised_rows import new_abreast
+from irodori.fitting.vectorised_texels import fit_abreast
+from irodori.reflection.equation5 import reflect
 
 LIGHT = np.radians(np.array([25.0, 45.0, 65.0]))[np.arange(24) % 3]
 CAMERA = LIGHT + np.radians(np.linspace(-22.0, 12.0, 24))

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from test_fitting import GEOMETRY, K, N, gloss_over_beta, materials, model, run
 
-from irodori.fitting import FitOptions, Status, fit
+from irodori.fitting.solvers import FitOptions, fit
+from irodori.material.material_file import Status
 
 CAMERA = np.tile([4e-6, 8e-5], (len(GEOMETRY), 1))  # c0 and c1 of a camera of moderate noise
 FREE = {"alpha": (0.0, 2.0), "beta": (0.0, 1e4), "mu_rad": (0.005, 1.2)}

@@ -4,7 +4,8 @@ import numpy as np
 from test_fitting import GEOMETRY, K, N, model, run
 from test_fitting_hard import in_plane, stated
 
-from irodori.fitting import FitOptions, Status, fit
+from irodori.fitting.solvers import FitOptions, fit
+from irodori.material.material_file import Status
 
 
 def test_a_fitted_index_is_that_of_the_material():

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from irodori.brdf import gloss_factors
-from irodori.fitting.lobe import COSINE, GLOSS, ROWS, SPOILED, SQUARE, exp_negative, pack_geometry, padded
+from irodori.fitting.texel_rows import COSINE, GLOSS, ROWS, SPOILED, SQUARE, exp_negative, pack_geometry, padded
+from irodori.reflection.equation5 import gloss_factors
 
 
 @pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.2), (1.0001, 0.0)])

@@ -5,7 +5,7 @@ import pytest
 from test_fitting import GEOMETRY, K, N, gloss_over_beta, materials, model
 from test_fitting_hard import CAMERA, in_plane, stated
 
-from irodori.fitting import FitOptions, fit
+from irodori.fitting.solvers import FitOptions, fit
 
 
 @pytest.mark.stability(stage="fit", case="one gross outlier in 20")

@@ -7,12 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from irodori.brdf import reflect
-from irodori.fitting import FitOptions, Status, fit
-from irodori.fitting.lobe import ROWS, WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE, pack_geometry, padded
-from irodori.fitting.shared import padded_nodes, scan_shared, tabulate
+from irodori.fitting.shared_geometry import padded_nodes, scan_shared, tabulate
+from irodori.fitting.solvers import FitOptions, fit
+from irodori.fitting.texel_rows import ROWS, WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE, pack_geometry, padded
 from irodori.fitting.varpro import SUMS, moments
-from irodori.native import LANES, aligned, vector_times_table
+from irodori.jit.native import LANES, aligned, vector_times_table
+from irodori.material.material_file import Status
+from irodori.reflection.equation5 import reflect
 
 NODES = FitOptions().nodes()
 _times_16 = vector_times_table(2 * LANES, 2)

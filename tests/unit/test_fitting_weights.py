@@ -5,7 +5,8 @@ import pytest
 from test_fitting import GEOMETRY, K, N, materials, model, run
 from test_fitting_hard import CAMERA, stated
 
-from irodori.fitting import FitOptions, Status, fit
+from irodori.fitting.solvers import FitOptions, fit
+from irodori.material.material_file import Status
 
 
 def test_weights_of_noisy_readings_do_not_pull_alpha():

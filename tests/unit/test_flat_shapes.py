@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from scenes import BALL, OPTIONS, constant_light, material, pixel_rays, plate, sky
 
 from irodori.geometry.embree import NO_HIT, Tracer
-from irodori.geometry.frames import rotation_xyz
+from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes import DISC, PLANE, Placement, Shape
 from irodori.rendering.integrators import render_image
-from irodori.rendering.interactive.discs import hidden_by_disc, hidden_by_plane
+from irodori.rendering.interactive.disc_occlusion import hidden_by_disc, hidden_by_plane
 
 FLOOR = Shape.from_definition({"kind": "plane"})
 EVERY = [{"kind": "interactive", "ambient": True}, {"kind": "reference", "samples": 64, "seed": 0}]
@@ -140,7 +140,7 @@ def test_a_disc_throws_the_shadow_of_an_ellipse_on_the_floor(integrator):
     away = np.hypot(x + 60 / np.tan(np.radians(40.0)), y + 0 * x)
     clear = np.hypot(x + 0 * y, y + 0 * x) > 20 * 900 / 840 + 5
     lit = picture[(away > 24) & clear]
-    from irodori.placed_lights import unit_luminance
+    from irodori.light.placed_lights import unit_luminance
 
     assert np.allclose(lit, 2.0 * np.sin(np.radians(40.0)) * 0.6 * unit_luminance("E")[30], rtol=1e-3)
     assert ((away < 16) & clear).sum() > 20 and (picture[(away < 16) & clear] < 1e-6).all()
@@ -219,9 +219,9 @@ def test_an_eye_exactly_in_the_plane_of_a_flat_shape_sees_what_the_tracer_says(s
     """Bounds may hold back no ray that the tracer would let meet something."""
     import dataclasses
 
-    from irodori.gloss import GlossMaps
-    from irodori.rendering.interactive import light_of, prepare_scene, render_frame
-    from irodori.rendering.scene import make_objects, make_tracer, make_view
+    from irodori.light.gloss.gloss_maps import GlossMaps
+    from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene, render_frame
+    from irodori.rendering.scene_arrays import make_objects, make_tracer, make_view
 
     placements = [Placement(shape, rotation_xyz(turn)), Placement(BALL, translation_mm=np.array([0.0, 0.0, 30.0]))]
     objects, _ = make_objects(placements, [material(0.5, mirror=0.2)] * 2)

@@ -7,9 +7,9 @@ from depth import examples
 from hypothesis import given, settings
 from raw_studio import dng, random_mosaic
 
-from irodori.captures import Pose, Shot, read_captures, write_captures
-from irodori.errors import InputError
-from irodori.raw.check import check_captures
+from irodori.config.capture_table import Pose, Shot, read_captures, write_captures
+from irodori.core.errors import InputError
+from irodori.ingest.first_look import check_captures
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ from depth import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from irodori.config import captures_of, load_definitions, read_yaml, validate
-from irodori.errors import InputError
+from irodori.config.definitions import captures_of, load_definitions, read_yaml, validate
+from irodori.core.errors import InputError
 
 FILES = (
     "config.yaml", "objects/tile-plate.yaml", "objects/leaf-sphere.yaml", "scenes/still-life.yaml",

@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from made_up_camera import training
 from scenes import material, sky
 
-from irodori import store
-from irodori.calibration import fit
-from irodori.errors import InputError
-from irodori.fitting import FitOptions
+from irodori.calibration.estimators import fit
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import fit_brdf
-from irodori.light import Environment
-from irodori.material import Material
-from irodori.recovery import Calibration
+from irodori.light.environment_file import Environment
+from irodori.material.material_file import Material
 
 PROVENANCE = store.Provenance("test")
 TEXELS, CAPTURES, BANDS = 12, 17, 6

@@ -12,7 +12,7 @@ from depth import examples
 from dng_files import write_any_dng
 from raw_studio import DATA, ROOT, dng, random_mosaic
 
-from irodori.dng_levels import black_level_repeats
+from irodori.ingest.dng_levels import black_level_repeats
 
 _DEADLINE_S = 240.0  # of a process that decodes hundreds of files in seconds
 

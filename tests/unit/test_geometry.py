@@ -8,8 +8,8 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from irodori.captures import Pose
-from irodori.geometry import frames
+from irodori.config.capture_table import Pose
+from irodori.geometry import rig_frame
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.shapes import PLATE, PLATE_THICKNESS_MM, SPHERE, Placement, Shape, on_table, uv_from_point
 
@@ -38,8 +38,8 @@ def angle_between(a, b):
 
 @given(x=ANGLE, y=ANGLE, z=ANGLE)
 def test_rotations_keep_lengths_and_handedness(x, y, z):
-    assert is_rotation(frames.rotation_xyz((x, y, z)))
-    for rotation in (frames.rotation_x, frames.rotation_y, frames.rotation_z):
+    assert is_rotation(rig_frame.rotation_xyz((x, y, z)))
+    for rotation in (rig_frame.rotation_x, rig_frame.rotation_y, rig_frame.rotation_z):
         assert is_rotation(rotation(math.radians(x)))
         assert rotation(math.radians(x)) @ rotation(math.radians(-x)) == pytest.approx(np.eye(3), abs=1e-15)
 
@@ -47,17 +47,17 @@ def test_rotations_keep_lengths_and_handedness(x, y, z):
 def test_quarter_turns_send_axes_where_the_right_hand_says():
     x, y, z = np.eye(3)
     quarter = math.pi / 2
-    assert frames.rotation_x(quarter) @ y == pytest.approx(z, abs=1e-15)
-    assert frames.rotation_y(quarter) @ z == pytest.approx(x, abs=1e-15)
-    assert frames.rotation_z(quarter) @ x == pytest.approx(y, abs=1e-15)
-    assert frames.rotation_xyz((90, 90, 0)) @ y == pytest.approx(x, abs=1e-15)  # y to z about x, then z to x about y
-    assert frames.rotation_xyz((90, 0, 90)) @ y == pytest.approx(z, abs=1e-15)
+    assert rig_frame.rotation_x(quarter) @ y == pytest.approx(z, abs=1e-15)
+    assert rig_frame.rotation_y(quarter) @ z == pytest.approx(x, abs=1e-15)
+    assert rig_frame.rotation_z(quarter) @ x == pytest.approx(y, abs=1e-15)
+    assert rig_frame.rotation_xyz((90, 90, 0)) @ y == pytest.approx(x, abs=1e-15)  # y to z about x, then z to x about y
+    assert rig_frame.rotation_xyz((90, 0, 90)) @ y == pytest.approx(z, abs=1e-15)
 
 
 @given(pose=POSE)
 def test_rig_frames_are_rotations(pose):
-    assert is_rotation(frames.rig_from_object(pose))
-    assert is_rotation(frames.rig_from_camera(pose))
+    assert is_rotation(rig_frame.rig_from_object(pose))
+    assert is_rotation(rig_frame.rig_from_camera(pose))
 
 
 @given(pose=POSE)
@@ -65,44 +65,44 @@ def test_rig_frames_are_rotations(pose):
 @example(pose=Pose(35.0, 140.0, 45.0, 90.0))
 def test_a_flat_sample_sees_light_minus_tilt_and_camera_plus_tilt(pose):
     # Design §4. Tilt is towards the light, so it closes the angle to the light and opens that to the camera.
-    normal = frames.rig_from_object(pose)[:, 2]
+    normal = rig_frame.rig_from_object(pose)[:, 2]
     theta_i, theta_r = math.radians(pose.light_deg - pose.tilt_deg), math.radians(pose.camera_deg + pose.tilt_deg)
-    assert normal @ frames.to_light(pose) == pytest.approx(math.cos(theta_i), abs=1e-14)
-    assert normal @ frames.to_camera(pose) == pytest.approx(math.cos(theta_r), abs=1e-14)
-    assert frames.flat_incidence_rad(pose) == pytest.approx(theta_i, abs=1e-14)
-    assert angle_between(frames.to_light(pose), frames.to_camera(pose)) == pytest.approx(
+    assert normal @ rig_frame.to_light(pose) == pytest.approx(math.cos(theta_i), abs=1e-14)
+    assert normal @ rig_frame.to_camera(pose) == pytest.approx(math.cos(theta_r), abs=1e-14)
+    assert rig_frame.flat_incidence_rad(pose) == pytest.approx(theta_i, abs=1e-14)
+    assert angle_between(rig_frame.to_light(pose), rig_frame.to_camera(pose)) == pytest.approx(
         math.radians(min(pose.light_deg + pose.camera_deg, 360 - pose.light_deg - pose.camera_deg)), abs=1e-13
     )
 
 
 @given(pose=POSE)
 def test_light_camera_and_normal_stay_in_one_plane_of_incidence(pose):
-    for vector in (frames.to_light(pose), frames.to_camera(pose), frames.rig_from_object(pose)[:, 2]):
+    for vector in (rig_frame.to_light(pose), rig_frame.to_camera(pose), rig_frame.rig_from_object(pose)[:, 2]):
         assert vector[1] == pytest.approx(0.0, abs=1e-15)
         assert np.linalg.norm(vector) == pytest.approx(1.0, abs=1e-15)
 
 
 def test_light_stands_at_plus_x_camera_at_minus_x_and_zero_looks_straight_down():
     pose = Pose(90.0, 90.0)
-    assert frames.to_light(pose) == pytest.approx([1, 0, 0], abs=1e-15)
-    assert frames.to_camera(pose) == pytest.approx([-1, 0, 0], abs=1e-15)
-    assert frames.rig_from_camera(Pose(45.0, 0.0))[:, 2] == pytest.approx([0, 0, -1], abs=1e-15)
-    assert frames.rig_from_object(Pose(45.0, 0.0, 30.0))[0, 2] > 0
+    assert rig_frame.to_light(pose) == pytest.approx([1, 0, 0], abs=1e-15)
+    assert rig_frame.to_camera(pose) == pytest.approx([-1, 0, 0], abs=1e-15)
+    assert rig_frame.rig_from_camera(Pose(45.0, 0.0))[:, 2] == pytest.approx([0, 0, -1], abs=1e-15)
+    assert rig_frame.rig_from_object(Pose(45.0, 0.0, 30.0))[0, 2] > 0
 
 
 @given(pose=POSE, turn=st.floats(0.0, 360.0))
 def test_the_turn_moves_the_texture_and_not_the_normal(pose, turn):
     turned = Pose(pose.light_deg, pose.camera_deg, pose.tilt_deg, turn)
-    assert frames.rig_from_object(turned)[:, 2] == pytest.approx(frames.rig_from_object(pose)[:, 2], abs=1e-15)
-    relative = frames.rig_from_object(pose).T @ frames.rig_from_object(turned)
-    expected = frames.rotation_z(math.radians(turn - pose.turn_deg))
+    assert rig_frame.rig_from_object(turned)[:, 2] == pytest.approx(rig_frame.rig_from_object(pose)[:, 2], abs=1e-15)
+    relative = rig_frame.rig_from_object(pose).T @ rig_frame.rig_from_object(turned)
+    expected = rig_frame.rotation_z(math.radians(turn - pose.turn_deg))
     assert relative == pytest.approx(expected, abs=1e-13)
 
 
 @given(pose=POSE, distance=st.floats(10.0, 5000.0))
 def test_the_rig_camera_looks_at_the_origin_with_y_up(pose, distance):
-    camera = frames.look_at(distance * frames.to_camera(pose), np.zeros(3), np.array([0.0, 1.0, 0.0]))
-    assert frames.rig_from_camera(pose) == pytest.approx(camera, abs=1e-13)
+    camera = rig_frame.look_at(distance * rig_frame.to_camera(pose), np.zeros(3), np.array([0.0, 1.0, 0.0]))
+    assert rig_frame.rig_from_camera(pose) == pytest.approx(camera, abs=1e-13)
 
 
 # Looking
@@ -112,7 +112,7 @@ def test_the_rig_camera_looks_at_the_origin_with_y_up(pose, distance):
 def test_look_at_points_forward_and_keeps_up_up(position, target, up):
     forward = target - position
     assume(np.linalg.norm(forward) > 1e-3 and np.linalg.norm(np.cross(forward, up)) > 1e-3 * np.linalg.norm(forward))
-    matrix = frames.look_at(position, target, up)
+    matrix = rig_frame.look_at(position, target, up)
     assert np.allclose(matrix.T @ matrix, np.eye(3), atol=1e-9) and np.linalg.det(matrix) > 0
     assert matrix[:, 2] == pytest.approx(forward / np.linalg.norm(forward), abs=1e-12)
     assert matrix[:, 1] @ up < 0.0  # image y runs down
@@ -121,9 +121,9 @@ def test_look_at_points_forward_and_keeps_up_up(position, target, up):
 
 def test_look_at_refuses_views_without_a_direction_or_an_up():
     with pytest.raises(ValueError, match="coincide"):
-        frames.look_at([1, 2, 3], [1, 2, 3], [0, 0, 1])
+        rig_frame.look_at([1, 2, 3], [1, 2, 3], [0, 0, 1])
     with pytest.raises(ValueError, match="up"):
-        frames.look_at([0, 0, 5], [0, 0, 0], [0, 0, 1])
+        rig_frame.look_at([0, 0, 5], [0, 0, 0], [0, 0, 1])
 
 
 # Pinhole
@@ -146,7 +146,7 @@ CAMERA = st.builds(
 )
 @settings(deadline=None)
 def test_a_pixels_ray_projects_back_to_the_pixel(camera, mosaic, distance, position, angles):
-    rotation = frames.rotation_xyz(angles)
+    rotation = rig_frame.rotation_xyz(angles)
     direction = camera.directions(np.array(mosaic), rotation)
     assert np.linalg.norm(direction) == pytest.approx(1.0, abs=1e-14)
     seen = camera.project(position + distance * direction, position, rotation)
@@ -159,7 +159,7 @@ def test_a_pixels_ray_projects_back_to_the_pixel(camera, mosaic, distance, posit
 @given(camera=CAMERA, point=POINT, position=POINT, angles=st.tuples(ANGLE, ANGLE, ANGLE))
 @settings(deadline=None)
 def test_the_ray_of_a_projected_point_passes_through_it(camera, point, position, angles):
-    rotation = frames.rotation_xyz(angles)
+    rotation = rig_frame.rotation_xyz(angles)
     offset = point - position
     distance = np.linalg.norm(offset)
     assume(distance > 1.0)
@@ -178,7 +178,7 @@ def test_magnification_is_focal_length_over_distance():
     camera = Pinhole.from_optics({**optics, "height_px": 400})
     pose = Pose(45.0, 0.0)
     points = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]])
-    centre, right, up = camera.project(points, [0.0, 0.0, 1000.0], frames.rig_from_camera(pose))
+    centre, right, up = camera.project(points, [0.0, 0.0, 1000.0], rig_frame.rig_from_camera(pose))
     assert centre == pytest.approx([149.5, 99.5])
     assert right - centre == pytest.approx([50.0, 0.0])
     assert up - centre == pytest.approx([0.0, -50.0])
@@ -187,7 +187,7 @@ def test_magnification_is_focal_length_over_distance():
 def test_a_plate_seen_from_above_reads_like_its_texture():
     position, _ = Shape(PLATE, (60.0, 40.0)).texels(6, 4)
     camera = Pinhole(10000.0, (3000.0, 2000.0), 6000, 4000)
-    seen = camera.project(position, [0.0, 0.0, 500.0], frames.rig_from_camera(Pose(45.0, 0.0)))
+    seen = camera.project(position, [0.0, 0.0, 500.0], rig_frame.rig_from_camera(Pose(45.0, 0.0)))
     assert (np.diff(seen[..., 0], axis=1) > 0).all() and (np.diff(seen[..., 1], axis=0) > 0).all()
 
 
@@ -249,7 +249,7 @@ def test_configured_shapes_are_the_named_ones_and_others_are_refused():
 @given(angles=st.tuples(ANGLE, ANGLE, ANGLE), translation=POINT, scale=st.floats(0.1, 10.0), size=st.tuples(SIZE, SIZE))
 @settings(deadline=None)
 def test_placed_plates_keep_their_shape_and_face(angles, translation, scale, size):
-    rotation = frames.rotation_xyz(angles)
+    rotation = rig_frame.rotation_xyz(angles)
     a, b, c, d = Placement(Shape(PLATE, size), rotation, translation, scale).corners()
     tolerance = 1e-9
     assert np.linalg.norm(b - a) == pytest.approx(scale * size[0], abs=tolerance)
@@ -262,7 +262,7 @@ def test_placed_plates_keep_their_shape_and_face(angles, translation, scale, siz
 
 @given(pose=POSE, radius=st.floats(1.0, 200.0), table=st.floats(1.0, 500.0))
 def test_a_sphere_rests_on_the_table_at_any_tilt(pose, radius, table):
-    rotation = frames.rig_from_object(pose)
+    rotation = rig_frame.rig_from_object(pose)
     ball, top = on_table(Shape(SPHERE, (radius, radius)), rotation, table)
     assert ball.translation_mm == pytest.approx(np.zeros(3), abs=0.0)
     normal = rotation[:, 2]
@@ -273,7 +273,7 @@ def test_a_sphere_rests_on_the_table_at_any_tilt(pose, radius, table):
 
 @given(pose=POSE)
 def test_a_plate_lies_its_thickness_above_the_table(pose):
-    rotation = frames.rig_from_object(pose)
+    rotation = rig_frame.rig_from_object(pose)
     plate, top = on_table(Shape(PLATE, (50.0, 40.0)), rotation, 100.0)
     assert plate.corners() @ rotation[:, 2] == pytest.approx(np.zeros(4), abs=1e-12)
     assert top.corners() @ rotation[:, 2] == pytest.approx(np.full(4, -PLATE_THICKNESS_MM), abs=1e-12)

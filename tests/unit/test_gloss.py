@@ -9,18 +9,18 @@ from hypothesis import strategies as st
 from scenes import DATA
 from scipy.special import ive
 
-from irodori import store
-from irodori.brdf import fresnel
-from irodori.errors import InputError
-from irodori.gloss import GlossMaps, gloss_radiance
-from irodori.gloss.cells import point_lights
-from irodori.gloss.errors import gloss_errors, places, true_gloss
-from irodori.gloss.fit import fit_lobe, gaussians, lobe_samples, unit
-from irodori.gloss.lobes import fitted_lobes
-from irodori.irradiance import Integrator
-from irodori.light import Environment, directions
-from irodori.prefilter import WIDTHS_RAD, _bessel_series, first_level, prefiltered
-from irodori.sphere import look_up
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.light.blurred_light import WIDTHS_RAD, _bessel_series, first_level, prefiltered
+from irodori.light.environment_file import Environment, directions
+from irodori.light.equirectangular import look_up
+from irodori.light.gloss.gloss_maps import GlossMaps, gloss_radiance
+from irodori.light.gloss.lobe_table import fitted_lobes
+from irodori.light.gloss.look_up_errors import gloss_errors, places, true_gloss
+from irodori.light.gloss.make_lobe_table import fit_lobe, gaussians, lobe_samples, unit
+from irodori.light.gloss.point_sources import point_lights
+from irodori.light.irradiance import Integrator
+from irodori.reflection.equation5 import fresnel
 
 
 def blurred(coefficients, unit, width_rad):

@@ -10,8 +10,8 @@ from hard_cases import HARD_CASES
 from stability_table import MARK, Outcomes, write_table
 
 from benchmarks.stability import try_hard_cases
-from irodori.errors import InputError, PlainError
-from irodori.report.stability import read_outcomes, write_stability_page
+from irodori.core.errors import InputError, PlainError
+from irodori.report.stability_page import read_outcomes, write_stability_page
 
 TESTS = Path(__file__).resolve().parents[1]
 

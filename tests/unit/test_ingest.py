@@ -10,11 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from raw_studio import ANGLE, BALANCE, BLACK, PROVENANCE, ROOT, SENSOR, SIZE, SUPERPIXELS, WHITE, Studio, dng, scene
 
-from irodori import raw, store
-from irodori.captures import Pose, Shot, read_captures, write_captures
-from irodori.errors import InputError
-from irodori.mosaic import ALGORITHMS
-from irodori.raw.flat import smooth_flat
+from irodori.config.capture_table import Pose, Shot, read_captures, write_captures
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.ingest.camera_reference import Reference, ingest_reference
+from irodori.ingest.flat_field import smooth_flat
+from irodori.ingest.ingest_options import IngestOptions
+from irodori.ingest.mosaic import ALGORITHMS
+from irodori.ingest.stage import ingest_raw
 
 
 def test_responses_are_the_truth_within_their_noise(tmp_path):
@@ -46,12 +49,12 @@ def test_reference_measures_gain_and_read_noise(tmp_path):
         studio.shoot("dark", np.zeros(superpixels))
     for _ in range(2):
         studio.shoot("white", np.full(superpixels, 0.9))
-    raw.ingest_reference(studio.table(), tmp_path, tmp_path / "r.h5", PROVENANCE, 0.95, SUPERPIXELS)
+    ingest_reference(studio.table(), tmp_path, tmp_path / "r.h5", PROVENANCE, 0.95, SUPERPIXELS)
     with store.open_file(tmp_path / "r.h5") as file:
         assert file.attribute("gain_e_per_dn") == pytest.approx(SENSOR.electrons_per_dn, rel=0.03)
         noise = np.hypot(SENSOR.read_noise_e / SENSOR.electrons_per_dn, np.sqrt(1 / 12))
         assert file.attribute("read_noise_dn") == pytest.approx(noise, rel=0.03)
-    dark = raw.Reference.load(tmp_path / "r.h5").dark
+    dark = Reference.load(tmp_path / "r.h5").dark
     assert abs(dark.signal_dn(0.02)).mean() < 3 * noise / np.sqrt(6)
 
 
@@ -89,8 +92,8 @@ def test_a_picture_without_white_reference_is_in_full_scales_per_second(tmp_path
     dng(tmp_path / "a.dng", mosaic, exposure_s=0.25)
     write_captures(tmp_path / "captures.csv", [Shot("a.dng", "chart", Pose(0.0, 0.0), "out", 0.25)])
     table = tmp_path / "captures.csv"
-    raw.ingest_reference(table, tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
-    raw.ingest_raw(table, tmp_path, "chart", tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE, SUPERPIXELS)
+    ingest_reference(table, tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+    ingest_raw(table, tmp_path, "chart", tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE, SUPERPIXELS)
     with store.open_file(tmp_path / "l.h5") as file:
         assert file.read("response").shape == (32, 32, 3)
         assert np.allclose(file.read("response"), 5000 / (WHITE - BLACK) / 0.25, rtol=1e-6)
@@ -134,7 +137,7 @@ def test_an_overexposed_white_reference_is_refused(tmp_path):
     studio = Studio(tmp_path, seed=17)
     studio.shoot("white", np.full((SIZE[0] // 2, SIZE[1] // 2, 6), 4.0))
     with pytest.raises(InputError, match="saturated"):
-        raw.ingest_reference(studio.table(), tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+        ingest_reference(studio.table(), tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
     assert not (tmp_path / "r.h5").exists()
 
 
@@ -172,7 +175,7 @@ def test_a_white_reference_that_does_not_fill_the_picture_is_refused(tmp_path):
     white[rows:-rows, columns:-columns] = 0.9
     studio.shoot("white", white)
     with pytest.raises(InputError, match="fills the picture"):
-        raw.ingest_reference(studio.table(), tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+        ingest_reference(studio.table(), tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
 
 
 def test_identical_frames_tell_no_gain(tmp_path):
@@ -181,7 +184,7 @@ def test_identical_frames_tell_no_gain(tmp_path):
     twin = dataclasses.replace(studio.shots[0], file="twin.dng")
     (tmp_path / "twin.dng").write_bytes((tmp_path / studio.shots[0].file).read_bytes())
     studio.shots.append(twin)
-    raw.ingest_reference(studio.table(), tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+    ingest_reference(studio.table(), tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
     with store.open_file(tmp_path / "r.h5") as file:
         assert np.isnan(file.attribute("gain_e_per_dn"))
 
@@ -201,9 +204,9 @@ def own_dng(folder, shots):
 
 def run(folder, shots):
     table = own_dng(folder, shots)
-    raw.ingest_reference(table, folder, folder / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+    ingest_reference(table, folder, folder / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
     capture = Pose(0.0, 0.0).name
-    raw.ingest_raw(table, folder, capture, folder / "r.h5", folder / "l.h5", PROVENANCE, SUPERPIXELS)
+    ingest_raw(table, folder, capture, folder / "r.h5", folder / "l.h5", PROVENANCE, SUPERPIXELS)
     with store.open_file(folder / "l.h5") as file:
         return file.read("response")
 
@@ -231,8 +234,8 @@ def test_white_and_captures_are_normalised_alike_or_not_at_all(tmp_path, known):
         objects = [s for s in read_captures(own) if s.role == "object"]
         write_captures(tmp_path / "white.csv", whites)
         write_captures(tmp_path / "object.csv", objects)
-        raw.ingest_reference(tmp_path / "white.csv", tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
-        raw.ingest_raw(
+        ingest_reference(tmp_path / "white.csv", tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+        ingest_raw(
             tmp_path / "object.csv", tmp_path, Pose(0.0, 0.0).name, tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE,
             SUPERPIXELS,
         )  # fmt: skip
@@ -267,7 +270,7 @@ def test_the_noise_model_follows_the_exposures_that_were_merged(tmp_path):
 def test_options_default_to_the_shipped_configuration():
     shipped = yaml.safe_load((ROOT / "config/config.yaml").read_text())["ingest"]
     del shipped["captures_per_job"]  # of the workflow: it changes no picture
-    assert raw.IngestOptions(**shipped) == raw.IngestOptions()
-    schema = yaml.safe_load((ROOT / "workflow/schemas/config.schema.yaml").read_text())["properties"]["ingest"]
+    assert IngestOptions(**shipped) == IngestOptions()
+    schema = yaml.safe_load((ROOT / "irodori/config/schemas/config.schema.yaml").read_text())["properties"]["ingest"]
     accepted = schema["properties"]["demosaic"]["enum"]
-    assert [raw.IngestOptions(demosaic=name).demosaic for name in accepted] == ["superpixel", *ALGORITHMS]
+    assert [IngestOptions(demosaic=name).demosaic for name in accepted] == ["superpixel", *ALGORITHMS]

@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 from raw_studio import ANGLE, BALANCE, PROVENANCE, REFLECTANCE, Studio, vignetting
 
-from irodori import raw, store
-from irodori.captures import Pose, write_captures
-from irodori.errors import InputError
+from irodori.config.capture_table import Pose, write_captures
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.ingest.ingest_options import IngestOptions
+from irodori.ingest.stage import ingest_raw
 
 HEIGHT, WIDTH = 480, 640  # mosaic pixels
 SHIFT_PX, ROTATION_RAD, SCALE = np.array([2.3, -1.4]), 0.002, 1.003  # of the filtered picture, superpixels
 POSE = Pose(ANGLE, 0.0).name
-OPTIONS = raw.IngestOptions()
+OPTIONS = IngestOptions()
 
 
 def coordinates(state, shift_px=SHIFT_PX, sample_px=1):
@@ -77,7 +79,7 @@ def apart_px(transform, shift_px=SHIFT_PX):
     return np.abs(found - SCALE * np.exp(1j * ROTATION_RAD) * p - complex(*shift_px)).max()
 
 
-@pytest.mark.parametrize("options", [OPTIONS, raw.IngestOptions(demosaic="linear")], ids=["superpixel", "linear"])
+@pytest.mark.parametrize("options", [OPTIONS, IngestOptions(demosaic="linear")], ids=["superpixel", "linear"])
 def test_the_filtered_bands_lie_on_the_unfiltered_ones(tmp_path, options):
     found = ingest(session(tmp_path), POSE, options)
     assert apart_px(found["registration"]) < 0.08 and found["registration_source"] == "capture"
@@ -91,7 +93,7 @@ def test_the_filtered_bands_lie_on_the_unfiltered_ones(tmp_path, options):
     error = (found["response"] - truth)[inside]
     assert np.abs(error.mean(axis=0)).max() < 0.005
     # Unregistered, the filtered bands miss by several times their noise.
-    plain = ingest(session(tmp_path), POSE, raw.IngestOptions(demosaic=options.demosaic, register=False))
+    plain = ingest(session(tmp_path), POSE, IngestOptions(demosaic=options.demosaic, register=False))
     missed = (plain["response"] - truth)[inside]
     assert (missed[:, 3:].std(axis=0) > 2 * error[:, 3:].std(axis=0)).all() and "registration" not in plain
 
@@ -132,7 +134,7 @@ def test_a_residual_above_the_limit_names_the_capture(tmp_path):
     write_captures(tmp_path / "captures.csv", studio.shots)
     reference = studio.reference(OPTIONS)
     with pytest.raises(InputError, match=rf"{POSE}.*max_registration_px"):
-        raw.ingest_raw(tmp_path / "captures.csv", tmp_path, POSE, reference, tmp_path / "l.h5", PROVENANCE, OPTIONS)
+        ingest_raw(tmp_path / "captures.csv", tmp_path, POSE, reference, tmp_path / "l.h5", PROVENANCE, OPTIONS)
     assert not (tmp_path / "l.h5").exists()
 
 

@@ -5,8 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from irodori.irradiance import Integrator, fitted_irradiance_map, irradiance_at, irradiance_map, midpoints
-from irodori.light import directions
+from irodori.light.environment_file import directions
+from irodori.light.irradiance import (
+    Integrator,
+    fitted_irradiance_map,
+    irradiance_at,
+    irradiance_map,
+    midpoints,
+)
 
 
 def exact(coefficients, normals):

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from irodori import lanes
+from irodori.jit import lanes
 
 EIGHT = st.lists(st.floats(1e-150, 1e150), min_size=8, max_size=8).map(np.array)
 

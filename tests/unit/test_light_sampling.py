@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from irodori.light import Environment, directions
-from irodori.light_sampling import light_densities, light_sampler, sample_lights, sampler_of
+from irodori.light.environment_file import Environment, directions
+from irodori.light.light_sampling import light_densities, light_sampler, sample_lights, sampler_of
 
 
 def densities(sampler, unit):

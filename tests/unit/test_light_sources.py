@@ -9,18 +9,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import DATA
 
-from irodori import store
-from irodori.colour import colour_matching_weights, delta_e, lab_from_xyz, spectral_rmse
-from irodori.environment import make_environment, write_environment
-from irodori.errors import InputError
-from irodori.irradiance import Integrator
-from irodori.light import Environment, directions
-from irodori.light_files import mallett_basis, rgb_picture, spectral_picture
-from irodori.omnidirectional import BAND_ROWS, Picture, bands, from_panorama, to_panorama
-from irodori.pictures import read_layers, write_spectral_exr
-from irodori.placed_lights import direction_of, lights_picture, unit_luminance
-from irodori.principal import CompressOptions
-from irodori.spectra import WAVELENGTH_NM, light, spectrum
+from irodori.colour.colorimetry import colour_matching_weights, delta_e, lab_from_xyz, spectral_rmse
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.export.pictures import read_layers, write_spectral_exr
+from irodori.light.environment_file import Environment, directions
+from irodori.light.irradiance import Integrator
+from irodori.light.light_files import mallett_basis, rgb_picture, spectral_picture
+from irodori.light.omnidirectional import BAND_ROWS, Picture, bands, from_panorama, to_panorama
+from irodori.light.placed_lights import direction_of, lights_picture, unit_luminance
+from irodori.light.stage import make_environment, write_environment
+from irodori.material.principal_components.basis_count import CompressOptions
+from irodori.spectra.grid import WAVELENGTH_NM
+from irodori.spectra.published import light, spectrum
 from irodori.spectra.resampling import resample_picture
 
 OPTIONS = (

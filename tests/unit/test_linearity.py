@@ -6,9 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from raw_studio import SIZE, SUPERPIXELS, Studio
 
-from irodori import raw, store
-from irodori.errors import InputError
-from irodori.raw.linearity import exposure_series, linear_fit, measure_linearity
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.ingest.camera_reference import ingest_reference
+from irodori.ingest.linearity import exposure_series, linear_fit, measure_linearity
 
 WHITE = np.full((SIZE[0] // 2, SIZE[1] // 2, 6), 0.9)
 EXPOSURES = (0.002, 0.006, 0.02, 0.035)
@@ -99,7 +100,7 @@ def test_the_reference_stores_the_series(tmp_path):
         studio.shoot("white", WHITE, exposure_s=exposure_s)
     studio.shots = studio.shots[-4:] * 1
     with pytest.raises(InputError, match="max_nonlinearity"):
-        raw.ingest_reference(studio.table(), tmp_path, tmp_path / "b.h5", store.Provenance("t"), 0.95, SUPERPIXELS)
+        ingest_reference(studio.table(), tmp_path, tmp_path / "b.h5", store.Provenance("t"), 0.95, SUPERPIXELS)
 
 
 @given(

@@ -9,8 +9,8 @@ from scenes import (
     material,
 )
 
-from irodori import store
-from irodori.material import Material
+from irodori.core import store
+from irodori.material.material_file import Material
 
 
 def test_gaps_take_the_nearest_observed_texel_around_the_seam():

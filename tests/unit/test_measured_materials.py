@@ -6,7 +6,7 @@ from test_fitting import gloss_over_beta
 from test_fitting_hard import in_plane
 
 from benchmarks import materials
-from irodori.brdf import gloss_factors
+from irodori.reflection.equation5 import gloss_factors
 
 needs_data = pytest.mark.skipif(
     not (materials.DATA / "brdf").is_dir(), reason="no measured materials beside the repository"

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from raw_studio import SENSOR
 
-from irodori.raw.develop import empty_response
-from irodori.raw.flat import evaluate_flat
-from irodori.raw.merge import ABSENT, Bracket, Planes, merge
+from irodori.ingest.develop import empty_response
+from irodori.ingest.flat_field import evaluate_flat
+from irodori.ingest.merge import ABSENT, Bracket, Planes, merge
 
 GAIN = SENSOR.electrons_per_dn
 READ_DN2 = (SENSOR.read_noise_e / GAIN) ** 2 + 1 / 12

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from scenes import BALL, constant_light, material, plate, render, sky
 from test_rectification import PLATE_POSES, pixel_of, rectify, setup_of
 
-from irodori.captures import Pose
+from irodori.config.capture_table import Pose
 from irodori.geometry.embree import NO_HIT, Tracer
-from irodori.geometry.frames import rig_from_object, rotation_xyz
 from irodori.geometry.lathe import LID_MM, ball, lathe, write_obj
 from irodori.geometry.mesh import make_mesh
+from irodori.geometry.rig_frame import rig_from_object, rotation_xyz
 from irodori.geometry.shapes import PLATE, SPHERE, Placement, Shape, on_table
-from irodori.rectification import observe
+from irodori.rectification.stage import observe
 
 trimesh = pytest.importorskip("trimesh")
 SEEDS = st.integers(0, 2**32 - 1)
@@ -346,7 +346,7 @@ def test_an_untraced_ray_of_a_mesh_scene_meets_nothing():
 
 
 def test_poses_are_planned_for_the_points_of_a_mesh_as_for_those_of_the_sphere(facets):
-    from irodori.rig.planner import subject_of
+    from irodori.capture.shot_planner.planner import subject_of
 
     rig = {"camera_distance_mm": 900.0, "table_radius_mm": 40.0}
     exact, found = (subject_of({"shape": definition["shape"]}, rig) for definition in (EXACT, facets))

@@ -6,12 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
-from irodori.errors import InputError
+from irodori.core.errors import InputError
 from irodori.geometry.atlas import NO_FACE, mesh_texels, rasterise
-from irodori.geometry.files import mesh_files
 from irodori.geometry.lathe import ball, lathe, write_lid, write_obj
 from irodori.geometry.mesh import make_mesh
 from irodori.geometry.mesh_files import MM_IN, read_mesh
+from irodori.geometry.mesh_sources import mesh_files
 from irodori.geometry.shapes import Shape, on_table
 
 trimesh = pytest.importorskip("trimesh")

@@ -5,15 +5,15 @@ import pytest
 from scenes import DATA, fresnel
 from test_environment import write_inputs
 
-from irodori import store
-from irodori.environment import prepare_environment
-from irodori.errors import InputError
-from irodori.light import Environment, directions
-from irodori.mirror_ball import RIM, ball_places, inverse_reflectance, unwrapped
-from irodori.placed_lights import direction_of
-from irodori.principal import CompressOptions
-from irodori.recovery import Calibration
-from irodori.spectra import refractive_index
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.light.environment_file import Environment, directions
+from irodori.light.mirror_ball import RIM, ball_places, inverse_reflectance, unwrapped
+from irodori.light.placed_lights import direction_of
+from irodori.light.stage import prepare_environment
+from irodori.material.principal_components.basis_count import CompressOptions
+from irodori.spectra.published import refractive_index
 
 OPTIONS = (
     CompressOptions(0.0, np.inf, 4, storage="single"),

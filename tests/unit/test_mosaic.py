@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from raw_studio import BLACK, DATA, WHITE, dng, random_mosaic
 
-from irodori.errors import InputError
-from irodori.mosaic import decode
+from irodori.core.errors import InputError
+from irodori.ingest.mosaic import decode
 
 
 @pytest.mark.parametrize(

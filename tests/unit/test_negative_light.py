@@ -6,10 +6,12 @@ from compressing import compress
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from irodori.colour import xyz_from_reflectance
-from irodori.principal import CompressOptions, count_negative, drift
-from irodori.rendering.reference.bands import BANDS, decode, padded
-from irodori.spectra import spectrum
+from irodori.colour.colorimetry import xyz_from_reflectance
+from irodori.material.principal_components.basis_count import CompressOptions
+from irodori.material.principal_components.negative_spectra import count_negative
+from irodori.material.principal_components.repeated_reflection import drift
+from irodori.rendering.reference.band_loops import BANDS, decode, padded
+from irodori.spectra.published import spectrum
 
 
 def observers() -> dict:

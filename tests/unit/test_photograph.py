@@ -12,20 +12,21 @@ from PIL import Image
 from scenes import BALL, constant_light, material, plate
 from scipy import ndimage
 
-from irodori import store
-from irodori.agreement.photographs import check_photograph
-from irodori.config import load_definitions, read_yaml
-from irodori.errors import InputError
-from irodori.geometry.ideal import IdealView
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.capture.stage import Target, capture_camera, capture_photograph
+from irodori.config.cross_checks.scene_photographs import check_photograph
+from irodori.config.definitions import load_definitions, read_yaml
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.evaluation.photograph_comparison import compare, compare_photograph, read_photograph
+from irodori.geometry.ideal_camera import IdealView
 from irodori.geometry.pinhole import Pinhole
-from irodori.raw import IngestOptions, ingest_raw
-from irodori.raw.reference import ingest_reference
-from irodori.recovery import Calibration
-from irodori.rendering.photographed import render_photographed
-from irodori.report.photograph import compare, compare_photograph, read_photograph
-from irodori.rig.stage import Target, capture_camera, capture_photograph
-from irodori.rig.virtual.sensor import band_weights
-from irodori.spectra import light, spectrum
+from irodori.ingest.camera_reference import ingest_reference
+from irodori.ingest.ingest_options import IngestOptions
+from irodori.ingest.stage import ingest_raw
+from irodori.rendering.photographed_view import render_photographed
+from irodori.simulation.virtual_rig.sensor import band_weights
+from irodori.spectra.published import light, spectrum
 
 MADE = store.Provenance("test", "config", "code")
 SCENE = {
@@ -150,7 +151,7 @@ def test_a_changed_material_shows_at_its_own_pixels(studio, tmp_path):
 
 
 def _axes():
-    from irodori.geometry.frames import look_at
+    from irodori.geometry.rig_frame import look_at
 
     return look_at(PLACED["position_mm"], PLACED["target_mm"], PLACED["up"])
 
@@ -172,7 +173,7 @@ def test_the_noise_floor_is_that_of_a_second_draw():
     every = np.ones(size, bool)
     response = (flat @ basis) + rng.normal(0, 0.02, (*size, 3))
     halves = (flat @ basis @ basis.T) * (1 + rng.normal(0, 0.03, (2, *size, 1)))
-    from irodori.report.photograph import Photograph
+    from irodori.evaluation.photograph_comparison import Photograph
 
     found = compare(Photograph(response, every, np.full((*size, 3), 0.02**2)), calibration, halves, np.ones(61))
     assert found.delta_e.mean() == pytest.approx(found.noise.mean(), rel=0.05)
@@ -309,8 +310,8 @@ def test_a_users_photograph_needs_its_files_in_the_filter_states_of_the_chart(tm
 
 
 def test_a_plate_seen_straight_is_where_the_shapes_say():
+    from irodori.evaluation.photograph_comparison import shows_an_object
     from irodori.geometry.shapes import Placement
-    from irodori.report.photograph import shows_an_object
 
     ideal = IdealView.covering(Pinhole(1000.0, (100.0, 100.0), 200, 200), 1)
     placed = {"position_mm": [0.0, 0.0, 1000.0], "target_mm": [0.0, 0.0, 0.0], "up": [0.0, 1.0, 0.0]}

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from raw_studio import SENSOR, SUPERPIXELS, Studio
 
-from irodori.captures import Pose, Shot
-from irodori.mosaic import Mosaic
-from irodori.raw.noise import Noise, equal_pairs, fit_transfer, transfer_points
-from irodori.raw.reference import Reference
+from irodori.config.capture_table import Pose, Shot
+from irodori.ingest.camera_reference import Reference
+from irodori.ingest.mosaic import Mosaic
+from irodori.ingest.photon_transfer import Noise, equal_pairs, fit_transfer, transfer_points
 
 NO_HOT = np.zeros((0, 2), np.int32)
 HEIGHT, WIDTH = 400, 560

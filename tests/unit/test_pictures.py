@@ -8,12 +8,12 @@ import pytest
 from PIL import Image
 from scenes import DATA, OPTIONS, constant_light, material
 
-from irodori import store
-from irodori.errors import InputError
-from irodori.pictures import channel_names, read_spectral_exr, write_png, write_spectral_exr
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.export.pictures import channel_names, read_spectral_exr, write_png, write_spectral_exr
 from irodori.rendering.stage import render_view, write_tiff, write_xyz
 from irodori.report.page import _views_section
-from irodori.spectra import WAVELENGTH_NM
+from irodori.spectra.grid import WAVELENGTH_NM
 
 DISPLAY = {"exposure": "auto", "device": {"kind": "standard", "name": "sRGB"}}
 
@@ -192,7 +192,7 @@ def test_an_interactive_view_in_files_has_the_light_of_its_lamp(tmp_path):
     outputs = [tmp_path / f"v.{suffix}" for suffix in ("exr", "png", "json")]
     shapes = [{"kind": "plate", "width_mm": 100.0, "height_mm": 100.0}]
     render_view(scene, "v", shapes, [tmp_path / "white.h5"], tmp_path / "e.h5", *outputs, OPTIONS, 2)
-    from irodori.placed_lights import unit_luminance
+    from irodori.light.placed_lights import unit_luminance
 
     expected = np.linspace(0.3, 3.0, 61) + 4.0 * 0.5 * unit_luminance("A")
     np.testing.assert_allclose(read_spectral_exr(outputs[0])[2, 3], expected, rtol=3e-3)
@@ -211,7 +211,7 @@ def test_an_interactive_view_in_files_has_the_light_of_its_lamp(tmp_path):
 )
 def test_a_body_is_rendered_from_its_names_alone(tmp_path, integrator):
     """A photographed plate, a ball of a test colour and one that mirrors too, under constant light."""
-    from irodori.spectra import spectrum
+    from irodori.spectra.published import spectrum
 
     light = constant_light(2.0)
     light.save(tmp_path / "e.h5", store.Provenance("test"))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from irodori.rendering.lights import density_towards, make_lights, sample_towards
+from irodori.rendering.scene_lights import density_towards, make_lights, sample_towards
 
 POINTS = qmc.Sobol(2, seed=1).random_base2(14)
 

@@ -10,9 +10,10 @@ from hypothesis.extra import numpy as npst
 from test_fitting import K, N, model
 from test_fitting_hard import in_plane
 
-from irodori.brdf import angles_from_directions
-from irodori.fitting import FitOptions, Status, fit
 from irodori.fitting.pooling import pool
+from irodori.fitting.solvers import FitOptions, fit
+from irodori.material.material_file import Status
+from irodori.reflection.equation5 import angles_from_directions
 
 SIDE = 20
 RADIUS = 3

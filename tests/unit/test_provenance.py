@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from irodori.provenance import code_hash, config_hash, file_sha256, local_sources, modules_of
+from irodori.core.provenance import code_hash, config_hash, file_sha256, local_sources, modules_of
 
 _JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -87,8 +87,10 @@ def test_an_unknown_module_lists_the_known_ones(root):
 
 
 def test_the_package_itself():
-    sources = local_sources("irodori.config")
-    assert {"irodori", "irodori.captures", "irodori.errors", "irodori.validation"} <= set(sources)
+    sources = local_sources("irodori.config.definitions")
+    assert {"irodori", "irodori.config.capture_table", "irodori.core.errors", "irodori.config.validation"} <= set(
+        sources
+    )
 
 
 @given(value=_JSON)
@@ -121,6 +123,6 @@ def test_file_sha256(tmp_path):
 
 def test_the_modules_of_a_package_are_all_its_files():
     names = modules_of("irodori")
-    assert {"irodori", "irodori.store", "irodori.rendering", "irodori.rendering.stage"} <= set(names)
+    assert {"irodori", "irodori.core.store", "irodori.rendering", "irodori.rendering.stage"} <= set(names)
     assert len(names) == len(set(names)) and not any(name.endswith("__init__") for name in names)
     assert code_hash(*names)

@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks.readme import BLOCKS, FIGURES, ROOT, _number, speed_block, written
-from irodori.errors import InputError
+from irodori.core.errors import InputError
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 

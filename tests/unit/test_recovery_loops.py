@@ -6,10 +6,10 @@ import numba
 import numpy as np
 import pytest
 
-from irodori.exponential import exp_negative
-from irodori.recovery import Calibration, LocalMapping, PolynomialMapping
-from irodori.recovery.mappings import polynomial_count
-from irodori.recovery.vectors import decaying, logarithm
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.recovery.mappings import LocalMapping, PolynomialMapping, polynomial_count
+from irodori.jit.exponential import exp_negative
+from irodori.jit.vectorised import decaying, logarithm
 
 
 def local(bands: int, anchors: int, bases: int, seed: int = 0) -> LocalMapping:

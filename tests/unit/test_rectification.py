@@ -10,12 +10,12 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from irodori import store
-from irodori.captures import Pose
+from irodori.config.capture_table import Pose
+from irodori.core import store
 from irodori.geometry.embree import Tracer
-from irodori.geometry.frames import rig_from_object
+from irodori.geometry.rig_frame import rig_from_object
 from irodori.geometry.shapes import Placement, Shape
-from irodori.rectification import RigSetup, _sample, observe, rectify_object
+from irodori.rectification.stage import RigSetup, _sample, observe, rectify_object
 
 ROOT = Path(__file__).resolve().parents[2]
 OPTICS = yaml.safe_load((ROOT / "config/cameras/d5100-comb.yaml").read_text())["optics"]

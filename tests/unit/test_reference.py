@@ -19,8 +19,8 @@ from scenes import (
     smooth_light,
 )
 
-from irodori.geometry.frames import rotation_x
-from irodori.spectra import light as spectrum_of
+from irodori.geometry.rig_frame import rotation_x
+from irodori.spectra.published import light as spectrum_of
 
 SPECTRUM = np.linspace(0.2, 0.9, 61)
 
@@ -164,15 +164,15 @@ def test_a_mirror_over_a_diffuse_body_adds_its_light_and_no_noise(samples, n, k)
 
 @pytest.mark.stability(stage="render", case="Fresnel at 90°")
 def test_the_fresnel_reflectance_of_all_bands_is_that_of_one():
-    from irodori import brdf
-    from irodori.rendering.reference.bands import fill_fresnel, padded
+    from irodori.reflection import equation5
+    from irodori.rendering.reference.band_loops import fill_fresnel, padded
 
     n, k = np.linspace(0.05, 10, 61), np.linspace(0, 20, 61)[::-1].copy()
     k[40:] = 0.0
     found = np.empty(64, np.float32)
     for cosine in (0.0, 1e-6, 1e-3, 0.1, 0.5, 0.999999, 1.0):
         fill_fresnel(cosine, padded(n[None], "edge"), padded(k[None], "edge"), 0, found)
-        expected = [brdf.fresnel(cosine, a, b) for a, b in zip(n, k, strict=True)]
+        expected = [equation5.fresnel(cosine, a, b) for a, b in zip(n, k, strict=True)]
         assert np.allclose(found[:61], expected, atol=2e-6)
         if cosine == 0.0:
             assert np.allclose(found, 1.0, atol=1e-6)
@@ -242,7 +242,7 @@ def test_a_sun_of_one_texel_is_found_and_weighs_what_it_should(row):
 @pytest.mark.parametrize("place", [(0, 0), (0, 300), (60, 40), (255, 511)])
 def test_directions_are_drawn_with_the_density_that_is_told_for_them(place):
     """What is drawn, divided by its density, integrates any function over the sphere; poles and seam included."""
-    from irodori.rendering.reference.sky import densities_of_sky, make_sky, sample_sky_at
+    from irodori.rendering.reference.sky_sampling import densities_of_sky, make_sky, sample_sky_at
 
     rng = np.random.default_rng(3)
     light = one_texel_sun(*place)

@@ -13,9 +13,9 @@ from scenes import (
     smooth_light,
 )
 
-from irodori.brdf import angles_from_directions, reflect
-from irodori.rendering.reference import Tiles, pooled
-from irodori.spectra import light as spectrum_of
+from irodori.reflection.equation5 import angles_from_directions, reflect
+from irodori.rendering.reference.converging_picture import Tiles, pooled
+from irodori.spectra.published import light as spectrum_of
 
 SPECTRUM = np.linspace(0.2, 0.9, 61)
 
@@ -88,7 +88,7 @@ def test_a_sphere_lights_a_plate_by_its_solid_angle(radius):
 @pytest.mark.parametrize("mu", [0.02, 0.1, 0.4, 1.2])
 @pytest.mark.parametrize("theta_deg", [30.0, 80.0])
 def test_a_lamp_is_mirrored_as_broadly_as_the_surface_is_rough(mu, theta_deg):
-    """Quadrature over the lamp with the arrays of `irodori.brdf`, the eye in the mirror direction and beside it."""
+    """Quadrature over the lamp with `irodori.reflection.equation5`, the eye in the mirror direction and beside it."""
     radius, distance = 12.0, 100.0
     theta = np.radians(theta_deg)
     centre = distance * np.array([0.0, np.sin(theta), np.cos(theta)])
@@ -218,7 +218,7 @@ def test_two_sets_need_fewer_samples_than_eight_and_know_their_error():
 
 
 def test_one_error_for_all_bands_is_right_where_they_err_apart_from_each_other(monkeypatch):
-    from irodori.rendering.reference import picture as module
+    from irodori.rendering.reference import converging_picture as module
 
     sigma, rng = np.linspace(0.5, 2.0, 61), np.random.default_rng(0)
 
@@ -267,7 +267,7 @@ def test_threads_and_tiles_do_not_change_a_bit_and_seeds_do(threads):
 
 
 def test_an_interrupted_picture_goes_on_where_it_stopped(tmp_path, monkeypatch):
-    from irodori.rendering.reference import picture as module
+    from irodori.rendering.reference import converging_picture as module
 
     whole = still_life(16, tile_rows=6)
     real, made = module.render_rows, []

@@ -12,8 +12,8 @@ import pytest
 from path_scenes import DARK, ball, traced
 from scenes import GOLD_K, GOLD_N, THIRDS, constant_light, material, plate
 
-from irodori.geometry.frames import rotation_x, rotation_xyz, rotation_y
-from irodori.spectra import light as spectrum_of
+from irodori.geometry.rig_frame import rotation_x, rotation_xyz, rotation_y
+from irodori.spectra.published import light as spectrum_of
 
 mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba 3 is not installed: nothing to compare with")
 

@@ -17,7 +17,7 @@ from benchmarks.plate_pictures import (
     render,
     white_weights,
 )
-from irodori.registration import Registration, bayer_offsets_px, register, resample
+from irodori.ingest.registration.similarity import Registration, bayer_offsets_px, register, resample
 
 STILL = Registration.identity()
 WIDTH, HEIGHT = 200, 150

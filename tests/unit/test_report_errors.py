@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scenes import constant_light
 
-from irodori import store
-from irodori.material import Material
-from irodori.pictures import write_spectral_exr
-from irodori.placed_lights import unit_luminance
-from irodori.report.errors import interior, measure_errors, radiance_delta_e, read_errors
-from irodori.spectra import spectrum
+from irodori.core import store
+from irodori.evaluation.truth_errors import interior, measure_errors, radiance_delta_e, read_errors
+from irodori.export.pictures import write_spectral_exr
+from irodori.light.placed_lights import unit_luminance
+from irodori.material.material_file import Material
+from irodori.spectra.published import spectrum
 
 
 def checks(height: int, width: int, side: int) -> Material:

@@ -5,12 +5,12 @@ import re
 import numpy as np
 import pytest
 
-from irodori import store
-from irodori.coefficients import write_coefficients
-from irodori.environment import make_environment
-from irodori.principal import CompressOptions
-from irodori.report.light import light_section
-from irodori.report.storage import storage_sentence
+from irodori.core import store
+from irodori.evaluation.coefficient_storage import storage_sentence
+from irodori.light.stage import make_environment
+from irodori.material.coefficients import write_coefficients
+from irodori.material.principal_components.basis_count import CompressOptions
+from irodori.report.light_part import light_section
 
 LIGHTS = [{"spectrum": "A", "azimuth_deg": 20.0, "elevation_deg": 50.0, "diameter_deg": 30.0, "irradiance": 1.0}]
 

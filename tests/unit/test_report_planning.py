@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from definitions import ROOT, load
 
-from irodori.fitting import FitOptions
+from irodori.capture.shot_planner.exchange import TooFewPoses
+from irodori.capture.shot_planner.fisher_information import observe
+from irodori.capture.shot_planner.planner import Planner, default_noise
+from irodori.evaluation.pose_planning import Sitting, even_poses, measure_plan, random_poses, read_plan
+from irodori.fitting.solvers import FitOptions
 from irodori.report.figures import planning_figure
-from irodori.report.planning import Sitting, even_poses, measure_plan, random_poses, read_plan
-from irodori.rig.information import observe
-from irodori.rig.planner import Planner, default_noise
-from irodori.rig.selection import TooFewPoses
 
 COUNTS = [6, 8, 16]
 

@@ -5,10 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from irodori import store
-from irodori.raw.alignment import UNMOVED, Alignment
+from irodori.core import store
+from irodori.evaluation.registration_errors import (
+    RegistrationSummary,
+    measure_registration,
+    read_registration,
+    summarise,
+)
+from irodori.ingest.shot_alignment import UNMOVED, Alignment
 from irodori.report.page import _registration_section
-from irodori.report.registration import RegistrationSummary, measure_registration, read_registration, summarise
 
 MADE = store.Provenance("test", "config", "code")
 

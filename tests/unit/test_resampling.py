@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from irodori.registration import Registration, meets_marked, resample
-from irodori.registration.resampling import frequency_response
+from irodori.ingest.registration.shifted_picture import frequency_response
+from irodori.ingest.registration.similarity import Registration, meets_marked, resample
 
 HEIGHT, WIDTH = 60, 80
 

@@ -4,11 +4,11 @@ import ast
 import re
 from pathlib import Path
 
-from irodori.provenance import local_sources
+from irodori.core.provenance import local_sources
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Log, threads and provenance: what every script uses and no result depends on.
-COMMON = "irodori.rules"
+COMMON = "irodori.core.run_rule"
 
 
 def imports(script: Path) -> set[str]:
@@ -47,9 +47,20 @@ def test_every_script_is_thin():
 
 
 def test_stages_import_the_ground_and_never_each_other():
-    stages = ("raw", "calibration", "rectification", "fitting", "compression", "environment", "rendering")
-    for stage in stages:
-        others = {f"irodori.{other}" for other in stages if other != stage}
-        sources = local_sources(f"irodori.{stage}")
-        assert not {name for name in sources if name in others}, stage
-        assert not {name for name in sources if name.startswith(("irodori.rig", "irodori.report"))}, stage
+    stages = ("ingest", "calibration", "rectification", "fitting", "material", "light", "rendering")
+    modules = {stage: f"irodori.{stage}.stage" for stage in stages}
+    for stage, module in modules.items():
+        sources = local_sources(module)
+        assert not {name for name in sources if name in modules.values() and name != module}, stage
+        assert not {name for name in sources if name.startswith(("irodori.capture", "irodori.evaluation"))}, stage
+        assert not {name for name in sources if name.startswith(("irodori.simulation", "irodori.report"))}, stage
+
+
+def test_no_two_modules_share_a_name_and_rooms_hold_nothing_but_modules():
+    files = sorted((ROOT / "irodori").rglob("*.py"))
+    names = [file.stem for file in files if file.stem not in ("__init__", "__main__", "stage")]
+    assert sorted({name for name in names if names.count(name) > 1}) == []
+    for file in files:
+        if file.name == "__init__.py" and file.parent != ROOT / "irodori":
+            assert len(ast.parse(file.read_text()).body) == 1, f"{file}: more than a docstring"
+    assert {file.name for file in (ROOT / "irodori").glob("*.py")} <= {"__init__.py", "__main__.py", "command_line.py"}

@@ -9,13 +9,13 @@ import pytest
 from PIL import Image
 from scenes import BALL, OPTIONS, constant_light, material, plate, sky
 
-from irodori import store
-from irodori.errors import InputError
-from irodori.light import Environment
-from irodori.placed_lights import unit_luminance
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.light.environment_file import Environment
+from irodori.light.placed_lights import unit_luminance
 from irodori.rendering import sequence
+from irodori.rendering.frame_state import Moment, turned_scene
 from irodori.rendering.integrators import make_renderer, render_image
-from irodori.rendering.moments import Moment, turned_scene
 
 BASIS = np.stack([np.linspace(0.6, 1.4, 61), np.linspace(1.5, 0.2, 61)], axis=1)
 SUN = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": 20.0, "elevation_deg": 50.0, "irradiance": 0.015}

@@ -8,20 +8,24 @@ import numpy as np
 import pytest
 from definitions import CAMERA_FILE, ROOT, edit, fault, load
 
-from irodori import store
-from irodori.calibration import Training, calibrate_camera, choose, cross_validate, fit
-from irodori.calibration.selection import ON_REQUEST, scores_of
+from irodori.calibration.estimator_choice import ON_REQUEST, choose, cross_validate, scores_of
+from irodori.calibration.estimators import fit
+from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.solution import solve
-from irodori.captures import Pose, Shot, read_captures, write_captures
-from irodori.config import captures_of
-from irodori.errors import InputError
-from irodori.raw import IngestOptions, ingest_raw, ingest_reference
-from irodori.recovery import Calibration
-from irodori.report.calibration import calibration_section
-from irodori.rig.plan import camera_shots
-from irodori.rig.virtual.bench import Bench
-from irodori.rig.virtual.camera import VirtualCamera
-from irodori.spectra import chart_spectra, spectrum
+from irodori.calibration.stage import calibrate_camera
+from irodori.calibration.training import Training
+from irodori.capture.shot_list import camera_shots
+from irodori.config.capture_table import Pose, Shot, read_captures, write_captures
+from irodori.config.definitions import captures_of
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.ingest.camera_reference import ingest_reference
+from irodori.ingest.ingest_options import IngestOptions
+from irodori.ingest.stage import ingest_raw
+from irodori.report.calibration_part import calibration_section
+from irodori.simulation.virtual_rig.bench import Bench
+from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
+from irodori.spectra.published import chart_spectra, spectrum
 
 CLASSIC, PMC = (chart_spectra(name)[1] for name in ("BabelColor Average", "PMC"))
 #: Centres of the corner patches of charts of four and five rows in a picture of 400 x 300 mosaic pixels, superpixels.

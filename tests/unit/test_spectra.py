@@ -9,20 +9,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from irodori.colour import delta_e_reflectance
-from irodori.errors import InputError
-from irodori.spectra import (
-    TRAPEZOID_NM,
-    WAVELENGTH_NM,
+from irodori.colour.colorimetry import delta_e_reflectance
+from irodori.core.errors import InputError
+from irodori.spectra.grid import TRAPEZOID_NM, WAVELENGTH_NM
+from irodori.spectra.published import (
     camera_sensitivities,
     chart_spectra,
     read_columns_csv,
     read_wide_csv,
     refractive_index,
-    resample,
     spectrum,
 )
-from irodori.tables import wide_table
+from irodori.spectra.resampling import resample
+from irodori.spectra.tables import wide_table
 
 COEFFICIENT = st.floats(-10.0, 10.0)
 GRID = list(range(380, 721, 10))

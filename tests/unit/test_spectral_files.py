@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from irodori.errors import InputError
-from irodori.spectra import WAVELENGTH_NM, chart_spectra, light, read_spectra, spectrum
-from irodori.spectral_files import SUFFIXES, spectral_table
+from irodori.core.errors import InputError
+from irodori.spectra.grid import WAVELENGTH_NM
+from irodori.spectra.published import chart_spectra, light, read_spectra, spectrum
+from irodori.spectra.spectral_files import SUFFIXES, spectral_table
 
 GRID = [float(w) for w in range(380, 731, 10)]
 VALUES = st.lists(st.floats(0.0, 1.0), min_size=len(GRID), max_size=len(GRID))
@@ -249,7 +250,7 @@ def test_no_text_makes_a_reader_fail_otherwise_than_by_a_refusal(tmp_path_factor
 
 def test_the_readers_load_no_heavy_module():
     code = (
-        "import sys, irodori.spectral_files, irodori.agreement.spectra;"
+        "import sys, irodori.spectra.spectral_files, irodori.config.cross_checks.named_spectra;"
         "print([m for m in ('numpy', 'colour', 'h5py', 'numba') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -20,17 +20,19 @@ from test_estimators import PROBES
 from test_fitting import GEOMETRY, K, N, model
 from test_fitting_hard import assert_sound, in_plane, stated
 
-from irodori import store
-from irodori.calibration import ESTIMATORS, Training, fit
-from irodori.environment import write_environment
-from irodori.fitting import FitOptions, Status
-from irodori.fitting import fit as fit_texels
-from irodori.irradiance import Integrator
-from irodori.light import Environment, directions
-from irodori.light_sampling import light_densities, sampler_of
-from irodori.omnidirectional import Picture
-from irodori.principal import CompressOptions
-from irodori.spectra import spectrum
+from irodori.calibration.estimators import ESTIMATORS, fit
+from irodori.calibration.training import Training
+from irodori.core import store
+from irodori.fitting.solvers import FitOptions
+from irodori.fitting.solvers import fit as fit_texels
+from irodori.light.environment_file import Environment, directions
+from irodori.light.irradiance import Integrator
+from irodori.light.light_sampling import light_densities, sampler_of
+from irodori.light.omnidirectional import Picture
+from irodori.light.stage import write_environment
+from irodori.material.material_file import Status
+from irodori.material.principal_components.basis_count import CompressOptions
+from irodori.spectra.published import spectrum
 
 # --- fit -----------------------------------------------------------------------------------------------------------
 

@@ -9,8 +9,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from irodori import store
-from irodori.errors import InputError
+from irodori.core import store
+from irodori.core.errors import InputError
 
 PROVENANCE = store.Provenance("fit_brdf", config_hash="c0ffee", code_hash="beef", input_sha256="abc")
 DIMS = ["", "row", "row,column", "row,column,band"]

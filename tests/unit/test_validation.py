@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from irodori.config import KINDS, read_yaml
-from irodori.errors import InputError
+from irodori.config.definitions import KINDS, read_yaml
+from irodori.config.validation import SCHEMA_FOLDER, SCHEMAS, load_schema, validate
+from irodori.core.errors import InputError
 from irodori.fitting.solvers import _ALGORITHMS
-from irodori.validation import SCHEMA_FOLDER, SCHEMAS, load_schema, validate
 
 ROOT = Path(__file__).resolve().parents[2]
 

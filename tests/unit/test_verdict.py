@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from irodori.calibration.verdict import TOLERANCES, colour_differences, differences_of_lab, judge, levels_reached
-from irodori.spectra import chart_spectra
+from irodori.spectra.published import chart_spectra
 
 GREYS = np.linspace(0.05, 0.9, 30)[:, None] * np.ones(61)
 LAB = st.tuples(st.floats(0.0, 100.0), st.floats(-80.0, 80.0), st.floats(-80.0, 80.0))

@@ -9,11 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from raw_studio import CAMERA, PROVENANCE, SUPERPIXELS, Studio
 
-from irodori import raw, store
-from irodori.captures import Pose
-from irodori.errors import InputError
-from irodori.rig.virtual.subjects import white_mosaic
-from irodori.spectra import TRAPEZOID_NM, camera_sensitivities, spectrum, white_reflectance
+from irodori.config.capture_table import Pose
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.ingest.camera_reference import ingest_reference
+from irodori.simulation.virtual_rig.subjects import white_mosaic
+from irodori.spectra.grid import TRAPEZOID_NM
+from irodori.spectra.published import camera_sensitivities, spectrum
+from irodori.spectra.white_reference import white_reflectance
 
 GRID = range(380, 731, 10)
 WEIGHTS = camera_sensitivities("Nikon 5100 (NPL)") * spectrum("A") * TRAPEZOID_NM
@@ -88,7 +91,7 @@ def test_the_reference_of_a_camera_takes_the_mean_of_the_tiles_spectrum_and_stat
     factor, uncertainty = white_reflectance(file)
     white = []
     for name, definition in (("file", file), ("number", float(factor))):
-        raw.ingest_reference(table, tmp_path, tmp_path / f"{name}.h5", PROVENANCE, definition, SUPERPIXELS)
+        ingest_reference(table, tmp_path, tmp_path / f"{name}.h5", PROVENANCE, definition, SUPERPIXELS)
         with store.open_file(tmp_path / f"{name}.h5") as stored:
             white.append(stored.read("white"))
             assert stored.attribute("white_factor") == pytest.approx(factor)

@@ -6,8 +6,7 @@ import sys
 
 import pytest
 
-from irodori.errors import InputError
-from irodori.whole_files import (
+from irodori.core.atomic_files import (
     DiskError,
     damaged_results,
     digest_path,
@@ -16,6 +15,7 @@ from irodori.whole_files import (
     write_digest,
     written_whole,
 )
+from irodori.core.errors import InputError
 
 
 @pytest.fixture

@@ -5,8 +5,8 @@ import pytest
 import yaml
 from project import edit, small_project, snakemake
 
-from irodori.captures import Pose, Shot, write_captures
-from irodori.rig.virtual.dng import write_dng
+from irodori.config.capture_table import Pose, Shot, write_captures
+from irodori.simulation.virtual_rig.dng_writer import write_dng
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ sys.path.insert(0, str(ROOT / "tests/rig"))
 from driven import CAMERA, OBJECT, project
 from sessions import assert_whole, contents
 
-from irodori.captures import read_captures
+from irodori.config.capture_table import read_captures
 
 RECORDS = [f"results/{OBJECT}/captures/session.json", f"results/cameras/{CAMERA}/captures/session.json"]
 

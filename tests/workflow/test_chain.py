@@ -9,9 +9,9 @@ import numpy as np
 import yaml
 from project import ROOT, edit, planned, small_project, snakemake
 
-from irodori.pictures import read_spectral_exr
-from irodori.report.registration import read_registration, summarise
-from irodori.store import open_file
+from irodori.core.store import open_file
+from irodori.evaluation.registration_errors import read_registration, summarise
+from irodori.export.pictures import read_spectral_exr
 
 STAGES_AFTER_FIT = {
     "fit_brdf",

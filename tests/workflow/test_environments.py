@@ -7,8 +7,8 @@ import pytest
 import yaml
 from project import planned, small_project, snakemake
 
-from irodori.light import Environment, directions
-from irodori.store import open_file
+from irodori.core.store import open_file
+from irodori.light.environment_file import Environment, directions
 
 LIGHTS = [
     {"spectrum": "D65", "azimuth_deg": 180.0, "elevation_deg": 30.0, "diameter_deg": 40.0, "radiance": 5.0},

@@ -11,7 +11,7 @@ from project import ROOT, edit, planned, small_project, snakemake
 
 sys.path.insert(0, str(ROOT / "tests" / "unit"))
 
-from irodori import store
+from irodori.core import store
 
 FRAMES = {"kind": "turntable", "count": 3, "turned": "eye"}
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from project import edit, small_project, snakemake
 
-from irodori.colour import delta_e_reflectance
-from irodori.material import Material
-from irodori.report.errors import interior
+from irodori.colour.colorimetry import delta_e_reflectance
+from irodori.evaluation.truth_errors import interior
+from irodori.material.material_file import Material
 
 #: Like gold's: nm, n, k.
 INDEX = (

@@ -3,8 +3,8 @@
 import numpy as np
 from project import edit, planned, small_project, snakemake
 
-from irodori.icc import Profile, write_profile
-from irodori.tone import SRGB
+from irodori.colour.icc import Profile, write_profile
+from irodori.colour.tone_curves import SRGB
 
 
 def test_further_files_and_the_displays_profile_are_planned(tmp_path):

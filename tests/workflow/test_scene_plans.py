@@ -7,10 +7,10 @@ import pytest
 import yaml
 from project import edit, planned, small_project, snakemake
 
-from irodori.irradiance import irradiance_map
-from irodori.light import Environment, directions
-from irodori.material import Material
-from irodori.store import Provenance
+from irodori.core.store import Provenance
+from irodori.light.environment_file import Environment, directions
+from irodori.light.irradiance import irradiance_map
+from irodori.material.material_file import Material
 
 SCENE = "config/scenes/still-life.yaml"
 #: What is made up counts as made: no other rule may run.

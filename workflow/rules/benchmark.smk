@@ -60,7 +60,7 @@ rule write_speed_report:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         size=lookup(within=config, dpath="benchmark_size"),
-        code=code_hash("irodori.report.speed"),
+        code=code_hash("irodori.report.speed_page"),
     script:
         "../scripts/write_speed_report.py"
 
@@ -91,7 +91,7 @@ rule check_stability:
     resources:
         mem_mb=lambda wildcards, attempt: 6000 * attempt,
     params:
-        code=lambda wildcards: code_hash("benchmarks.stability", "irodori.report.stability", *modules_of("irodori")),
+        code=lambda wildcards: code_hash("benchmarks.stability", "irodori.report.stability_page", *modules_of("irodori")),
     script:
         "../scripts/check_stability.py"
 

@@ -38,6 +38,6 @@ rule calibrate_camera:
         calibration=lookup(within=config, dpath="cameras/{camera}/calibration"),
         light=of_rig("light/spectrum"),
         lights=lookup(within=config, dpath="report/lights"),
-        code=code_hash("irodori.calibration"),
+        code=code_hash("irodori.calibration.stage"),
     script:
         "../scripts/calibrate_camera.py"

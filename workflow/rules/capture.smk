@@ -23,7 +23,7 @@ rule capture_object:
         rig_name=rig_of,
         table=captures_table,
         folder=captures_folder,
-        code=code_hash("irodori.rig.stage"),
+        code=code_hash("irodori.capture.stage"),
     script:
         "../scripts/capture_object.py"
 
@@ -51,7 +51,7 @@ rule capture_camera:
         rig_name=rig_of,
         table=captures_table,
         folder=captures_folder,
-        code=code_hash("irodori.rig.stage"),
+        code=code_hash("irodori.capture.stage"),
     script:
         "../scripts/capture_camera.py"
 
@@ -76,7 +76,7 @@ rule capture_environment:
         camera=definition_of("cameras"),
         rig=definition_of("rigs"),
         table=captures_table,
-        code=code_hash("irodori.rig.stage"),
+        code=code_hash("irodori.capture.stage"),
     script:
         "../scripts/capture_environment.py"
 

@@ -1,13 +1,13 @@
 from dataclasses import asdict
 from typing import NamedTuple
 
-from irodori.captures import read_captures
-from irodori.config import captures_of, is_taken_here, is_virtual, load_definitions
-from irodori.errors import InputError
-from irodori.geometry.files import mesh_files
-from irodori.provenance import code_hash, modules_of
-from irodori.spectral_files import SUFFIXES
-from irodori.tiles import tile_rows
+from irodori.config.capture_table import read_captures
+from irodori.config.definitions import captures_of, is_taken_here, is_virtual, load_definitions
+from irodori.core.errors import InputError
+from irodori.geometry.mesh_sources import mesh_files
+from irodori.core.provenance import code_hash, modules_of
+from irodori.spectra.spectral_files import SUFFIXES
+from irodori.rectification.texture_tiles import tile_rows
 
 try:
     # The repository's own file first, then those of the command line, which override it.

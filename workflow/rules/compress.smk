@@ -22,6 +22,6 @@ rule compress_reflectance:
         mirror_weight=lookup(within=config, dpath="objects/{object}/mirror_weight"),
         compress=lookup(within=config, dpath="compress"),
         lights=lookup(within=config, dpath="report/lights"),
-        code=code_hash("irodori.compression"),
+        code=code_hash("irodori.material.stage"),
     script:
         "../scripts/compress_reflectance.py"

@@ -19,6 +19,6 @@ rule prepare_environment:
         source=lookup(within=config, dpath="environments/{environment}/source"),
         image=lookup(within=config, dpath="environments/{environment}/image", default=None),
         photographed=photographed_environment,
-        code=code_hash("irodori.environment"),
+        code=code_hash("irodori.light.stage"),
     script:
         "../scripts/prepare_environment.py"

@@ -18,6 +18,6 @@ rule fit_brdf:
     params:
         fit=lookup(within=config, dpath="fit"),
         refractive_index=lookup(within=config, dpath="objects/{object}/refractive_index"),
-        code=code_hash("irodori.fitting.stage", "irodori.spectra"),
+        code=code_hash("irodori.fitting.stage", "irodori.spectra.published"),
     script:
         "../scripts/fit_brdf.py"

@@ -20,7 +20,7 @@ rule check_captures:
         folder=captures_folder,
         roles=roles_of,
         size_px=mosaic_size,
-        code=code_hash("irodori.raw"),
+        code=code_hash("irodori.ingest.first_look"),
     script:
         "../scripts/check_captures.py"
 
@@ -64,7 +64,7 @@ rule ingest_reference:
         folder=captures_folder,
         options=ingest_options,
         white_reflectance=of_camera("white/reflectance_factor", default=1.0),
-        code=code_hash("irodori.raw"),
+        code=code_hash("irodori.ingest.camera_reference"),
     script:
         "../scripts/ingest_reference.py"
 
@@ -89,7 +89,7 @@ rule ingest_chart:
     params:
         folder=captures_folder,
         options=ingest_options,
-        code=code_hash("irodori.raw"),
+        code=code_hash("irodori.ingest.stage"),
     script:
         "../scripts/ingest_raw.py"
 
@@ -129,6 +129,6 @@ for part in ingest_parts():
         params:
             folder=captures_folder,
             options=ingest_options,
-            code=code_hash("irodori.raw"),
+            code=code_hash("irodori.ingest.stage"),
         script:
             "../scripts/ingest_raw.py"

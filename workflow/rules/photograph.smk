@@ -23,7 +23,7 @@ rule render_photographed:
         placed=photograph_of,
         optics=lambda wildcards: photograph_camera(wildcards)["optics"],
         shapes=scene_shapes,
-        code=code_hash("irodori.rendering.photographed"),
+        code=code_hash("irodori.rendering.photographed_view"),
     script:
         "../scripts/render_photographed.py"
 
@@ -50,7 +50,7 @@ rule capture_photograph:
         camera=photograph_camera,
         rig=lambda wildcards: config["rigs"][photograph_camera(wildcards)["rig"]],
         table=photograph_table,
-        code=code_hash("irodori.rig.stage"),
+        code=code_hash("irodori.capture.stage"),
     script:
         "../scripts/capture_photograph.py"
 
@@ -74,7 +74,7 @@ rule ingest_photograph:
         table=photograph_table,
         folder=photograph_folder,
         options=ingest_options,
-        code=code_hash("irodori.raw"),
+        code=code_hash("irodori.ingest.stage"),
     script:
         "../scripts/ingest_photograph.py"
 
@@ -114,6 +114,6 @@ rule compare_photograph:
         placed=photograph_of,
         optics=lambda wildcards: photograph_camera(wildcards)["optics"],
         shapes=scene_shapes,
-        code=code_hash("irodori.report.photograph"),
+        code=code_hash("irodori.evaluation.photograph_comparison"),
     script:
         "../scripts/compare_photograph.py"

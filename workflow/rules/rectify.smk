@@ -25,6 +25,6 @@ rule rectify_object:
             "light": light_place(wildcards),
         },
         max_angle_deg=lookup(within=config, dpath="rectify/max_angle_deg"),
-        code=code_hash("irodori.rectification"),
+        code=code_hash("irodori.rectification.stage"),
     script:
         "../scripts/rectify_object.py"

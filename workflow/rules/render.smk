@@ -19,7 +19,7 @@ rule plan_scene:
         scene=lookup(within=config, dpath="scenes/{scene}"),
         shapes=scene_shapes,
         render=lookup(within=config, dpath="render"),
-        code=code_hash("irodori.rendering.scene_plan.stage"),
+        code=code_hash("irodori.rendering.planning.stage"),
     script:
         "../scripts/plan_scene.py"
 

@@ -17,7 +17,7 @@ rule write_truth:
         definition=lookup(within=config, dpath="objects/{object}"),
         camera=definition_of("cameras"),
         rig=definition_of("rigs"),
-        code=code_hash("irodori.rig.virtual.truth"),
+        code=code_hash("irodori.simulation.virtual_rig.ground_truth"),
     script:
         "../scripts/write_truth.py"
 
@@ -40,7 +40,7 @@ rule write_true_environment:
         definition=lookup(within=config, dpath="environments/{environment}"),
         rig=definition_of("rigs"),
         irradiance=lookup(within=config, dpath="environment/irradiance"),
-        code=code_hash("irodori.rig.virtual.truth"),
+        code=code_hash("irodori.simulation.virtual_rig.ground_truth"),
     script:
         "../scripts/write_true_environment.py"
 
@@ -74,7 +74,7 @@ rule measure_errors:
         view_environments=views("{environment}", virtual_only=True),
         view_scenes=view_scenes(virtual_only=True),
         lights=lookup(within=config, dpath="report/lights"),
-        code=code_hash("irodori.report.errors"),
+        code=code_hash("irodori.evaluation.truth_errors"),
     script:
         "../scripts/measure_errors.py"
 
@@ -100,7 +100,7 @@ rule measure_plan:
         fit=lookup(within=config, dpath="fit"),
         max_angle_deg=lookup(within=config, dpath="rectify/max_angle_deg"),
         planning=lookup(within=config, dpath="report/planning"),
-        code=code_hash("irodori.report.planning"),
+        code=code_hash("irodori.evaluation.pose_planning"),
     script:
         "../scripts/measure_plan.py"
 
@@ -133,7 +133,7 @@ rule measure_imperfections:
         fit=lookup(within=config, dpath="fit"),
         compress=lookup(within=config, dpath="compress"),
         lights=lookup(within=config, dpath="report/lights"),
-        code=code_hash("irodori.report.imperfections"),
+        code=code_hash("irodori.evaluation.imperfection_costs"),
     script:
         "../scripts/measure_imperfections.py"
 
@@ -176,7 +176,7 @@ rule measure_error_budget:
         fit=lookup(within=config, dpath="fit"),
         compress=lookup(within=config, dpath="compress"),
         environment=lookup(within=config, dpath="environment"),
-        code=code_hash("irodori.report.error_budget"),
+        code=code_hash("irodori.evaluation.error_budget"),
     script:
         "../scripts/measure_error_budget.py"
 
@@ -198,7 +198,7 @@ rule measure_registration:
     resources:
         mem_mb=lambda wildcards, attempt: 500 * attempt,
     params:
-        code=code_hash("irodori.report.registration"),
+        code=code_hash("irodori.evaluation.registration_errors"),
     script:
         "../scripts/measure_registration.py"
 

@@ -1,5 +1,5 @@
-from irodori.calibration import calibrate_camera
-from irodori.rules import run_rule
+from irodori.calibration.stage import calibrate_camera
+from irodori.core.run_rule import run_rule
 
 with run_rule(snakemake) as provenance:
     calibrate_camera(

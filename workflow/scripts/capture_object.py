@@ -1,5 +1,5 @@
-from irodori.rig.stage import Target, capture_object
-from irodori.rules import run_rule
+from irodori.capture.stage import Target, capture_object
+from irodori.core.run_rule import run_rule
 
 with run_rule(snakemake) as provenance:
     capture_object(

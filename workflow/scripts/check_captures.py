@@ -1,5 +1,5 @@
-from irodori.raw import check_captures
-from irodori.rules import run_rule
+from irodori.core.run_rule import run_rule
+from irodori.ingest.first_look import check_captures
 
 with run_rule(snakemake):
     check_captures(

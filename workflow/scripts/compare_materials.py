@@ -1,5 +1,5 @@
 from benchmarks.table import run_benchmark
-from irodori.rules import run_rule
+from irodori.core.run_rule import run_rule
 
 with run_rule(snakemake):
     run_benchmark("materials", snakemake.output.table)

@@ -1,5 +1,5 @@
-from irodori.report.photograph import compare_photograph
-from irodori.rules import run_rule
+from irodori.core.run_rule import run_rule
+from irodori.evaluation.photograph_comparison import compare_photograph
 
 with run_rule(snakemake) as provenance:
     compare_photograph(

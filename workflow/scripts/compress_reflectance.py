@@ -1,6 +1,6 @@
-from irodori.compression import compress_reflectance
-from irodori.principal import CompressOptions
-from irodori.rules import run_rule
+from irodori.core.run_rule import run_rule
+from irodori.material.principal_components.basis_count import CompressOptions
+from irodori.material.stage import compress_reflectance
 
 with run_rule(snakemake) as provenance:
     compress_reflectance(

@@ -1,6 +1,7 @@
-from irodori.fitting import FitOptions, fit_brdf
-from irodori.rules import run_rule
-from irodori.spectra import refractive_index
+from irodori.core.run_rule import run_rule
+from irodori.fitting.solvers import FitOptions
+from irodori.fitting.stage import fit_brdf
+from irodori.spectra.published import refractive_index
 
 with run_rule(snakemake) as provenance:
     fit_brdf(

@@ -1,5 +1,6 @@
-from irodori.raw import IngestOptions, ingest_raw
-from irodori.rules import run_rule
+from irodori.core.run_rule import run_rule
+from irodori.ingest.ingest_options import IngestOptions
+from irodori.ingest.stage import ingest_raw
 
 with run_rule(snakemake) as provenance:
     ingest_raw(

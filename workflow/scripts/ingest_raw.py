@@ -1,8 +1,9 @@
 from pathlib import Path
 
-from irodori.progress import track
-from irodori.raw import IngestOptions, ingest_raw
-from irodori.rules import run_rule
+from irodori.core.progress import track
+from irodori.core.run_rule import run_rule
+from irodori.ingest.ingest_options import IngestOptions
+from irodori.ingest.stage import ingest_raw
 
 with run_rule(snakemake) as provenance:
     for linear in track(list(snakemake.output), "ingest"):

@@ -1,5 +1,6 @@
-from irodori.raw import IngestOptions, ingest_reference
-from irodori.rules import run_rule
+from irodori.core.run_rule import run_rule
+from irodori.ingest.camera_reference import ingest_reference
+from irodori.ingest.ingest_options import IngestOptions
 
 with run_rule(snakemake) as provenance:
     ingest_reference(

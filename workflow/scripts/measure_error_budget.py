@@ -1,5 +1,5 @@
-from irodori.report.error_budget import measure_error_budget
-from irodori.rules import run_rule
+from irodori.core.run_rule import run_rule
+from irodori.evaluation.error_budget import measure_error_budget
 
 with run_rule(snakemake):
     scene = snakemake.params.scene

@@ -1,5 +1,5 @@
-from irodori.report.errors import measure_errors
-from irodori.rules import run_rule
+from irodori.core.run_rule import run_rule
+from irodori.evaluation.truth_errors import measure_errors
 
 with run_rule(snakemake):
     measure_errors(

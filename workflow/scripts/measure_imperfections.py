@@ -1,5 +1,5 @@
-from irodori.report.imperfections import Chain, measure_imperfections
-from irodori.rules import run_rule
+from irodori.core.run_rule import run_rule
+from irodori.evaluation.imperfection_costs import Chain, measure_imperfections
 
 with run_rule(snakemake):
     settings = {key: snakemake.params[key] for key in ("ingest", "rectify", "fit", "compress", "lights")}

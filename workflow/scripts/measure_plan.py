@@ -1,5 +1,5 @@
-from irodori.report.planning import measure_plan
-from irodori.rules import run_rule
+from irodori.core.run_rule import run_rule
+from irodori.evaluation.pose_planning import measure_plan
 
 with run_rule(snakemake):
     measure_plan(

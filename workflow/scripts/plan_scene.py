@@ -1,5 +1,5 @@
-from irodori.rendering.scene_plan.stage import plan_scene
-from irodori.rules import run_rule
+from irodori.core.run_rule import run_rule
+from irodori.rendering.planning.stage import plan_scene
 
 with run_rule(snakemake):
     plan_scene(

@@ -1,6 +1,6 @@
-from irodori.environment import make_environment, prepare_environment
-from irodori.principal import CompressOptions
-from irodori.rules import run_rule
+from irodori.core.run_rule import run_rule
+from irodori.light.stage import make_environment, prepare_environment
+from irodori.material.principal_components.basis_count import CompressOptions
 
 with run_rule(snakemake) as provenance:
     options = dict(snakemake.params.compress)

@@ -1,5 +1,5 @@
-from irodori.rectification import RigSetup, rectify_object
-from irodori.rules import run_rule
+from irodori.core.run_rule import run_rule
+from irodori.rectification.stage import RigSetup, rectify_object
 
 with run_rule(snakemake) as provenance:
     rectify_object(

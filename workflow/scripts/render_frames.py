@@ -1,5 +1,5 @@
+from irodori.core.run_rule import run_rule
 from irodori.rendering.sequence import render_frames
-from irodori.rules import run_rule
 
 with run_rule(snakemake):
     render_frames(

@@ -1,5 +1,5 @@
-from irodori.rendering.photographed import render_photographed
-from irodori.rules import run_rule
+from irodori.core.run_rule import run_rule
+from irodori.rendering.photographed_view import render_photographed
 
 with run_rule(snakemake) as provenance:
     render_photographed(

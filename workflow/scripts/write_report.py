@@ -1,5 +1,5 @@
+from irodori.core.run_rule import run_rule
 from irodori.report.page import write_report
-from irodori.rules import run_rule
 
 with run_rule(snakemake):
     write_report(

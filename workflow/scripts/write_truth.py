@@ -1,5 +1,5 @@
-from irodori.rig.virtual.truth import write_true_material
-from irodori.rules import run_rule
+from irodori.core.run_rule import run_rule
+from irodori.simulation.virtual_rig.ground_truth import write_true_material
 
 with run_rule(snakemake) as provenance:
     write_true_material(

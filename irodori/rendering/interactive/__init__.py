@@ -8,7 +8,3 @@ A scene is prepared once for a representation of colour and then rendered frame 
 Light from all sides comes from an irradiance map for the diffuse term and from blurred light for gloss; mirrors are
 followed ray by ray; collimated lamps have hard shadows.
 """
-
-from irodori.rendering.interactive.frames import Lamp, Prepared, light_of, prepare_scene, profiled, render_frame
-
-__all__ = ["Lamp", "Prepared", "light_of", "prepare_scene", "profiled", "render_frame"]

@@ -2,7 +2,7 @@
 
 What a sphere or a flat shape hides of the cosine-weighted sky is known exactly, the horizon's cut included: the form
 factor of a sphere (Snyder 1996), Lambert's sum over a polygon's edges, and its like for discs and planes
-(`irodori.rendering.interactive.discs`). Several objects hide as if they did so on their own,
+(`irodori.rendering.interactive.disc_occlusion`). Several objects hide as if they did so on their own,
 and each sends the diffuse light that its mean colour reflects on the side that faces the point, so that a white object
 on white leaves no shadow in a white furnace. What meshes hide, from themselves too, was found out by rays when the
 scene was prepared (`irodori.rendering.interactive.mesh_shadows`).
@@ -13,11 +13,10 @@ import math
 import numpy as np
 
 from irodori.geometry.shapes import DISC, MESH, PLANE, SPHERE
-from irodori.native import njit
-from irodori.rendering.interactive.cube import bilinear, cell_of, face_of
-from irodori.rendering.interactive.discs import hidden_by_disc, hidden_by_plane
-from irodori.rendering.interactive.lanes import lane, load_like, repeated, zeros_like
-from irodori.rendering.interactive.layout import surface_lanes
+from irodori.jit.native import njit
+from irodori.jit.ray_vectors import lane, load_like, repeated, zeros_like
+from irodori.rendering.interactive.cube_maps import bilinear, cell_of, face_of
+from irodori.rendering.interactive.disc_occlusion import hidden_by_disc, hidden_by_plane
 from irodori.rendering.interactive.mesh_shadows import (
     COUNT,
     HIDDEN,
@@ -42,6 +41,7 @@ from irodori.rendering.interactive.packets import (
     TURN,
     WIDE,
 )
+from irodori.rendering.interactive.representation_layout import surface_lanes
 from irodori.rendering.interactive.shadow_look_up import mixed, nodes_about
 
 _CORNERS = 4

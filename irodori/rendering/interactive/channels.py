@@ -23,10 +23,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irodori.rendering.interactive.lanes import width_of
+from irodori.jit.ray_vectors import width_of
 from irodori.rendering.interactive.quadrature import Quadrature
-from irodori.rendering.scene import Light, Objects
-from irodori.spectra import SAMPLES
+from irodori.rendering.scene_arrays import Light, Objects
+from irodori.spectra.grid import SAMPLES
 
 REPRESENTATIONS = ("spectral", "coefficients", "quadrature", "rgb")
 #: Vectors for the light that objects reflect on each other, beside those of the light.
@@ -46,7 +46,7 @@ class Channels:
     count : int
         Numbers of a texel that are multiplied with light.
     surface, light : int
-        Lanes of a texel and of stored light, see `irodori.rendering.interactive.layout.Layout`.
+        Lanes of a texel and of stored light, see `irodori.rendering.interactive.representation_layout.Layout`.
     coloured : bool
     texel_from_weights : tuple of (count, k) float64
         For each object, from its coefficients of S(λ).

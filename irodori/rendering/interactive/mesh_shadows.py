@@ -16,8 +16,8 @@ import numpy as np
 
 from irodori.geometry.embree import NO_HIT, Tracer, hit_shape, is_blocked, new_ray, trace
 from irodori.geometry.shapes import MESH, SPHERE, Placement, reaches
-from irodori.native import njit, run_chunks
-from irodori.rendering.interactive.memory import Memory
+from irodori.jit.array_views import Memory
+from irodori.jit.native import njit, run_chunks
 from irodori.rendering.interactive.shadow_nodes import GRID, Nodes, make_nodes
 
 #: Rays of a node, a power of two; the least of them, where a scene has more nodes than `_FULL_NODES`.

@@ -8,9 +8,9 @@ from numba import types
 from irodori.geometry.embree import Ray
 from irodori.geometry.shapes import MESH, PLANE, PLATE, SPHERE
 from irodori.geometry.surfaces import surface_at
-from irodori.native import c_function, njit
-from irodori.rendering.interactive.cube import cell_of, face_of
-from irodori.rendering.interactive.lanes import (
+from irodori.jit.array_views import Memory, address_of, as_integers, moved
+from irodori.jit.native import c_function, njit
+from irodori.jit.ray_vectors import (
     absolute,
     as_float,
     bits_as_float,
@@ -28,7 +28,7 @@ from irodori.rendering.interactive.lanes import (
     truncated,
     with_sign,
 )
-from irodori.rendering.interactive.memory import Memory, address_of, as_integers, moved
+from irodori.rendering.interactive.cube_maps import cell_of, face_of
 
 RAYS = 16
 TILE = 16  # pixels along a side

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irodori.colour import delta_e, lab_from_xyz
-from irodori.rendering.scene import Light, Objects
+from irodori.colour.colorimetry import delta_e, lab_from_xyz
+from irodori.rendering.scene_arrays import Light, Objects
 
 #: Numbers of wavelengths that fill a vector of 8, 16, 32, 64 with the two numbers of gloss beside them.
 COUNTS = (6, 14, 30)

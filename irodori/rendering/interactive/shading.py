@@ -5,28 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.brdf import attenuation_over_cosine, facet_distribution
-from irodori.native import njit
+from irodori.jit.array_views import Memory
+from irodori.jit.native import njit
+from irodori.jit.ray_vectors import compress, gather, largest, load, load_like, mask_bits, store, zeros_like
+from irodori.reflection.equation5 import attenuation_over_cosine, facet_distribution
 from irodori.rendering.interactive.ambient import ambient_light
-from irodori.rendering.interactive.cube import bilinear
-from irodori.rendering.interactive.lanes import (
-    compress,
-    gather,
-    largest,
-    load,
-    load_like,
-    mask_bits,
-    store,
-    zeros_like,
-)
-from irodori.rendering.interactive.layout import (
-    is_coloured,
-    light_black,
-    light_lanes,
-    surface_black,
-    surface_lanes,
-)
-from irodori.rendering.interactive.light import (
+from irodori.rendering.interactive.cube_maps import bilinear
+from irodori.rendering.interactive.look_ups import (
     decoded,
     find_sky,
     fresnel,
@@ -35,8 +20,6 @@ from irodori.rendering.interactive.light import (
     lobe_weight,
     sky_at,
 )
-from irodori.rendering.interactive.lobes import ANGLES, ENTRY, ROUGHNESSES, TAPS
-from irodori.rendering.interactive.memory import Memory
 from irodori.rendering.interactive.packets import (
     CONE,
     COSINE,
@@ -63,6 +46,14 @@ from irodori.rendering.interactive.packets import (
     WIDTH,
     raised,
 )
+from irodori.rendering.interactive.representation_layout import (
+    is_coloured,
+    light_black,
+    light_lanes,
+    surface_black,
+    surface_lanes,
+)
+from irodori.rendering.interactive.round_lobes import ANGLES, ENTRY, ROUGHNESSES, TAPS
 
 
 class Sums(NamedTuple):

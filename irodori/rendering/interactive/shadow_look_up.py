@@ -3,7 +3,7 @@
 import numpy as np
 
 from irodori.geometry.shapes import MESH, SPHERE
-from irodori.native import njit
+from irodori.jit.native import njit
 from irodori.rendering.interactive.mesh_shadows import FIRST, SHAPE_NUMBERS, STRIDE
 from irodori.rendering.interactive.packets import (
     BARYCENTRIC_B,

@@ -10,13 +10,11 @@ import math
 
 import numpy as np
 
-from irodori.brdf import fresnel
 from irodori.geometry.embree import hit_distance, hit_shape, is_blocked, trace
 from irodori.geometry.surfaces import face_viewer
-from irodori.native import njit
-from irodori.rendering.hits import frame, surface
-from irodori.rendering.lights import COLLIMATED, density_towards, sample_towards, unobstructed
-from irodori.rendering.reference.bands import (
+from irodori.jit.native import njit
+from irodori.reflection.equation5 import fresnel
+from irodori.rendering.reference.band_loops import (
     PADDED,
     add_product,
     decode,
@@ -29,18 +27,11 @@ from irodori.rendering.reference.bands import (
     summed,
     summed_product,
 )
-from irodori.rendering.reference.lobes import draw_cosine, draw_gloss, gloss_at, gloss_share
-from irodori.rendering.reference.numbers import (
-    CHOICE,
-    LIGHT,
-    LOBE,
-    PER_VERTEX,
-    PICK,
-    SURVIVAL,
-    VERTEX,
-    draw,
-)
-from irodori.rendering.reference.sky import look_at_sky, sample_sky
+from irodori.rendering.reference.lobe_sampling import draw_cosine, draw_gloss, gloss_at, gloss_share
+from irodori.rendering.reference.random_numbers import CHOICE, LIGHT, LOBE, PER_VERTEX, PICK, SURVIVAL, VERTEX, draw
+from irodori.rendering.reference.sky_sampling import look_at_sky, sample_sky
+from irodori.rendering.scene_lights import COLLIMATED, density_towards, sample_towards, unobstructed
+from irodori.rendering.surface_hits import frame, surface
 
 #: Surfaces after which a path is cut, which is counted: two perfect mirrors may keep one for ever.
 LONGEST = 20_000

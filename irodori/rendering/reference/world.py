@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.geometry.surfaces import Surfaces
-from irodori.native import njit
-from irodori.rendering.lights import PADDED, Lights
-from irodori.rendering.reference.sky import Sky
-from irodori.rendering.scene import Objects
+from irodori.jit.native import njit
+from irodori.rendering.reference.sky_sampling import Sky
+from irodori.rendering.scene_arrays import Objects
+from irodori.rendering.scene_lights import PADDED, Lights
 
 
 class Bands(NamedTuple):

@@ -3,13 +3,13 @@
 import numpy as np
 from scenes import fresnel, pixel_rays
 
-from irodori.colour import xyz_from_radiance
+from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.geometry.shapes import MESH, SPHERE, Placement
-from irodori.gloss import GlossMaps
-from irodori.irradiance import irradiance_map
-from irodori.light import Environment, directions
-from irodori.rendering.interactive import light_of, prepare_scene, render_frame
-from irodori.rendering.scene import make_objects, make_tracer, make_view
+from irodori.light.environment_file import Environment, directions
+from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.light.irradiance import irradiance_map
+from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene, render_frame
+from irodori.rendering.scene_arrays import make_objects, make_tracer, make_view
 
 REPRESENTATIONS = ("spectral", "coefficients", "quadrature", "rgb")
 BANDS = np.arange(61)

@@ -5,8 +5,8 @@ import pytest
 from scenes import BALL, material, sphere_hits
 from studio import even_light, levels, picture, sky_of, smooth_light, spectrum_of
 
-from irodori.brdf import angles_from_directions, reflect
-from irodori.colour import xyz_from_radiance
+from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.reflection.equation5 import angles_from_directions, reflect
 
 
 def lobe_integral(normal, view, beta, mu, n, k) -> float:

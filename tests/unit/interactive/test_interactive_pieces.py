@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from scenes import BALL, fresnel, material
 
 from irodori.geometry.shapes import Placement
-from irodori.gloss import GlossMaps
-from irodori.gloss.fit import lobe_samples
-from irodori.irradiance import irradiance_at
-from irodori.light import directions
-from irodori.rendering.interactive import lanes
+from irodori.jit import ray_vectors
+from irodori.light.environment_file import directions
+from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.light.gloss.make_lobe_table import lobe_samples
+from irodori.light.irradiance import irradiance_at
 from irodori.rendering.interactive.ambient import hidden_by_corners, hidden_by_sphere
-from irodori.rendering.interactive.cube import (
+from irodori.rendering.interactive.cube_maps import (
     bilinear,
     cell_of,
     environment_pyramid,
@@ -29,22 +29,31 @@ from irodori.rendering.interactive.cube import (
     give_back,
     look_up_cube,
 )
-from irodori.rendering.interactive.lobes import ANGLES, ROUGHNESSES, TAPS, lobe_table, roughness_at, roughness_place
 from irodori.rendering.interactive.packets import arc_tangent
-from irodori.rendering.interactive.scene import needed_gloss
-from irodori.rendering.scene import make_objects
+from irodori.rendering.interactive.prepared_scene import needed_gloss
+from irodori.rendering.interactive.round_lobes import (
+    ANGLES,
+    ROUGHNESSES,
+    TAPS,
+    lobe_table,
+    roughness_at,
+    roughness_place,
+)
+from irodori.rendering.scene_arrays import make_objects
 
 
 @numba.njit
 def _exercise(a, b, numbers, out):
-    x, y = lanes.load(a, 0, 16), lanes.load(b, 0, 16)
+    x, y = ray_vectors.load(a, 0, 16), ray_vectors.load(b, 0, 16)
     mask = (x > y) & ~(y < 0.25)
-    lanes.store(out, 0, lanes.select(mask, x * 2.0 - y, lanes.root(lanes.absolute(y)) / (1.0 + x)))
-    lanes.store(out, 16, lanes.gather(a, lanes.load(numbers, 0, 16)))
-    lanes.store(out, 32, arc_tangent(y, x))
-    lanes.store(out, 48, lanes.with_sign(lanes.least(lanes.greatest(x, 0.1), 0.6), -y))
-    lanes.compress(out, 64, mask, x)
-    return lanes.mask_bits(mask), lanes.total(x), lanes.largest(x)
+    ray_vectors.store(
+        out, 0, ray_vectors.select(mask, x * 2.0 - y, ray_vectors.root(ray_vectors.absolute(y)) / (1.0 + x))
+    )
+    ray_vectors.store(out, 16, ray_vectors.gather(a, ray_vectors.load(numbers, 0, 16)))
+    ray_vectors.store(out, 32, arc_tangent(y, x))
+    ray_vectors.store(out, 48, ray_vectors.with_sign(ray_vectors.least(ray_vectors.greatest(x, 0.1), 0.6), -y))
+    ray_vectors.compress(out, 64, mask, x)
+    return ray_vectors.mask_bits(mask), ray_vectors.total(x), ray_vectors.largest(x)
 
 
 def test_vectors_compute_what_numpy_computes():
@@ -70,7 +79,7 @@ def test_halves_are_read_as_the_numbers_that_they_are():
 
     @numba.njit
     def read(halves, out):
-        lanes.store(out, 0, lanes.load(halves, 0, 4))
+        ray_vectors.store(out, 0, ray_vectors.load(halves, 0, 4))
 
     read(values.view(np.uint16), out)
     assert np.array_equal(out, values.astype(np.float32))
@@ -108,11 +117,15 @@ def test_a_map_errs_with_the_square_of_a_texel_over_edges_and_corners_too():
 @numba.njit
 def _compiled_look_up(texels, side, unit, out):
     for i in range(0, unit.shape[1], 16):
-        face, u, v = face_of(lanes.load(unit[0], i, 16), lanes.load(unit[1], i, 16), lanes.load(unit[2], i, 16))
-        cell, x, y = cell_of(face, u, v, lanes.repeated(np.float32(side), 16))
+        face, u, v = face_of(
+            ray_vectors.load(unit[0], i, 16), ray_vectors.load(unit[1], i, 16), ray_vectors.load(unit[2], i, 16)
+        )
+        cell, x, y = cell_of(face, u, v, ray_vectors.repeated(np.float32(side), 16))
         for ray in range(16):
-            place, fx, fy = np.int64(lanes.lane(cell, ray)), lanes.lane(x, ray), lanes.lane(y, ray)
-            lanes.store(out, (i + ray) * 4, bilinear(texels, 0, place, side + 2, fx, fy, lanes.load(texels, 0, 4)))
+            place, fx, fy = np.int64(ray_vectors.lane(cell, ray)), ray_vectors.lane(x, ray), ray_vectors.lane(y, ray)
+            ray_vectors.store(
+                out, (i + ray) * 4, bilinear(texels, 0, place, side + 2, fx, fy, ray_vectors.load(texels, 0, 4))
+            )
 
 
 def test_compiled_look_up_is_that_of_numpy():

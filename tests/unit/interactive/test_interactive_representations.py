@@ -18,10 +18,10 @@ from studio import (
     view_of,
 )
 
-from irodori.colour import delta_e, lab_from_xyz, summary, xyz_from_radiance
-from irodori.irradiance import irradiance_at, irradiance_map
-from irodori.light import Environment, directions
-from irodori.rendering.interactive import render_frame
+from irodori.colour.colorimetry import delta_e, lab_from_xyz, summary, xyz_from_radiance
+from irodori.light.environment_file import Environment, directions
+from irodori.light.irradiance import irradiance_at, irradiance_map
+from irodori.rendering.interactive.frame_renderer import render_frame
 from irodori.rendering.interactive.quadrature import solve_quadrature
 
 

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from scenes import BALL, OPTIONS, fresnel, material, plate, sphere_hits
 from studio import even_light, levels, picture, prepared, sky_of, smooth_light, spectrum_of, view_of
 
-from irodori.brdf import angles_from_directions, reflect
-from irodori.colour import xyz_from_radiance
-from irodori.geometry.frames import rotation_xyz
+from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.geometry.mesh import Mesh
+from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes import Shape
+from irodori.reflection.equation5 import angles_from_directions, reflect
 from irodori.rendering.integrators import render_image
-from irodori.rendering.interactive import Lamp, render_frame
+from irodori.rendering.interactive.frame_renderer import Lamp, render_frame
 
 CROWD = [plate(120.0), BALL, BALL]
 CROWD_PLACES = [(0, 0, 0), (-22, 0, 20), (22, 5, 20)]

@@ -7,14 +7,15 @@ from scenes import BALL, OPTIONS, constant_light, material, pixel_rays, plate
 from studio import even_light, picture, placed, prepared, spectrum_of, view_of
 from test_interactive_representations import uneven_light
 
-from irodori.colour import xyz_from_radiance
+from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.geometry.embree import Tracer
-from irodori.geometry.frames import rotation_xyz
 from irodori.geometry.lathe import LID_MM, ball, lathe
 from irodori.geometry.mesh import Mesh, make_mesh
+from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes import Shape
 from irodori.rendering.integrators import render_image
-from irodori.rendering.interactive import mesh_shadows, render_frame, shadow_nodes
+from irodori.rendering.interactive import mesh_shadows, shadow_nodes
+from irodori.rendering.interactive.frame_renderer import render_frame
 from irodori.rendering.interactive.shadow_look_up import _lattice_place
 
 LIGHT = even_light()

@@ -10,26 +10,26 @@ from hypothesis import strategies as st
 from scenes import BALL, GOLD_K, GOLD_N, ONES, THIRDS, material, plate, sky
 from studio import BASIS, even_light
 
-from irodori.colour import xyz_from_radiance
-from irodori.errors import InputError
+from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.core.errors import InputError
+from irodori.core.store import Provenance
+from irodori.export.pictures import read_xyz, write_spectral_exr, write_xyz_exr
 from irodori.geometry.shapes import Shape
-from irodori.light import Environment
-from irodori.material import Material
-from irodori.pictures import read_xyz, write_spectral_exr, write_xyz_exr
+from irodori.light.environment_file import Environment
+from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
-from irodori.rendering.interactive import render_frame
-from irodori.rendering.interactive.pixels import render_pixels
-from irodori.rendering.scene import make_light, make_objects, make_placements, make_tracer, make_view
-from irodori.rendering.scene_plan.check import ToleranceError, chosen_pixels
-from irodori.rendering.scene_plan.model import full_model, prepare
-from irodori.rendering.scene_plan.picture import parts_of, plan_names
-from irodori.rendering.scene_plan.plan_file import model_of, object_names, read_plan, write_plan
-from irodori.rendering.scene_plan.planner import PROBES, SEED, make_probes
-from irodori.rendering.scene_plan.probes import radiance
-from irodori.rendering.scene_plan.stage import plan_of
-from irodori.rendering.scene_plan.tolerance import bound_of_share, differences
+from irodori.rendering.interactive.frame_renderer import render_frame
+from irodori.rendering.interactive.pixel_rays import render_pixels
+from irodori.rendering.planning.modelled_scene import full_model, prepare
+from irodori.rendering.planning.plan_file import model_of, object_names, read_plan, write_plan
+from irodori.rendering.planning.planned_check import ToleranceError, chosen_pixels
+from irodori.rendering.planning.planned_picture import parts_of, plan_names
+from irodori.rendering.planning.probes import radiance
+from irodori.rendering.planning.scene_planner import PROBES, SEED, make_probes
+from irodori.rendering.planning.stage import plan_of
+from irodori.rendering.planning.tolerance import bound_of_share, differences
+from irodori.rendering.scene_arrays import make_light, make_objects, make_placements, make_tracer, make_view
 from irodori.rendering.stage import render_view
-from irodori.store import Provenance
 
 OPTIONS = {"pixel_side": 1, "max_bounces": 4, "min_throughput": 1e-3}
 GREENISH = 0.1 + 0.6 * np.exp(-(((np.arange(61) - 28) / 9.0) ** 2))

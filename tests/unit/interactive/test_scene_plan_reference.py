@@ -5,11 +5,11 @@ import pytest
 from scenes import BALL, material, plate, sky, smooth_light
 
 from irodori.rendering.integrators import render_image
-from irodori.rendering.reference import make_scene, render
-from irodori.rendering.scene import make_objects, make_placements, make_view
-from irodori.rendering.scene_plan.check import ToleranceError
-from irodori.rendering.scene_plan.reference import render_pixels
-from irodori.rendering.scene_plan.stage import plan_of
+from irodori.rendering.planning.paths_per_pixel import render_pixels
+from irodori.rendering.planning.planned_check import ToleranceError
+from irodori.rendering.planning.stage import plan_of
+from irodori.rendering.reference.converging_picture import make_scene, render
+from irodori.rendering.scene_arrays import make_objects, make_placements, make_view
 
 OPTIONS = {"pixel_side": 1, "max_bounces": 4, "min_throughput": 1e-3}
 SHAPES, MATERIALS = [plate(90.0), BALL], [material(0.6), material(0.3, beta=2.0, mu=0.2)]

@@ -7,12 +7,12 @@ import pytest
 from scenes import BALL, OPTIONS, material, sky
 from studio import BASIS
 
-from irodori.gloss import GlossMaps
-from irodori.light import Environment
+from irodori.core.store import Provenance
+from irodori.light.environment_file import Environment
+from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.rendering.frame_state import STILL
 from irodori.rendering.integrators import render_image
-from irodori.rendering.moments import STILL
-from irodori.rendering.scene_plan.stage import plan_of
-from irodori.store import Provenance
+from irodori.rendering.planning.stage import plan_of
 
 SHINY = [material(0.3, beta=3.0, mu=0.15)]
 SCENE = {

@@ -1,0 +1,115 @@
+"""From the linear responses of a chart's photograph to what a calibration is trained on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori.calibration.chart import Located, locate_patches, read_located
+from irodori.calibration.illumination import Illumination, illumination
+from irodori.calibration.jitter import Jitter, jitter
+from irodori.calibration.patches import ChartReading
+from irodori.calibration.training import Noise
+from irodori.core import store
+from irodori.core.errors import InputError
+
+
+@dataclass(frozen=True)
+class ChartPhotograph:
+    """A chart's photograph with its patches located.
+
+    Parameters
+    ----------
+    path : path
+    response : (height, width, bands) float32
+    valid : (height, width) uint8
+    sample_px : int
+        Mosaic pixels along the side of a sample.
+    cosine : float
+        Of the angle at which the light falls on the chart.
+    filters : tuple of str
+    noise_model : (bands, 2) float64 or None
+        c0 and c1 of a sample's variance c0 + c1 ρ; None where it was not measured.
+    located : Located
+    light : Illumination or None
+        Uneven light, told from the chart itself; None where a white reference has taken it out already.
+    """
+
+    path: object
+    response: np.ndarray
+    valid: np.ndarray
+    sample_px: int
+    cosine: float
+    filters: tuple[str, ...]
+    noise_model: np.ndarray | None
+    located: Located
+    light: Illumination | None
+
+    @classmethod
+    def load(cls, path, chart: dict, count: int) -> "ChartPhotograph":
+        """Read a chart's linear responses and find its patches.
+
+        Parameters
+        ----------
+        path : path
+        chart : dict
+            Definition of the chart.
+        count : int
+            Spectra of the chart.
+
+        Raises
+        ------
+        InputError
+            If the layout does not have one patch a spectrum, or the patches cannot be read.
+        """
+        if count != chart["rows"] * chart["columns"]:
+            found = f"{count} spectra for {chart['rows']} x {chart['columns']} patches"
+            raise InputError(chart["spectra"], "chart", found, "one spectrum a patch, row by row")
+        with store.open_file(path) as file:
+            response, valid = file.read("response"), file.read("valid")
+            # Ingestion writes a rate, 1/s, where no white reference has evened the light.
+            even = file.dataset("response").attrs["units"] == "1"
+            light_deg, _, tilt_deg, _ = file.attribute("pose_deg")
+            sample_px = file.attribute("sample_px")
+            model = file.read("noise_model") if "noise_model" in file else None
+            filters = tuple(file.attribute("filters"))
+        if model is not None and not np.isfinite(model).all():
+            model = None
+        located = locate_patches(response, valid, chart, path, sample_px)
+        light = None if even else illumination(response, valid, located, path, sample_px)
+        cosine = float(np.cos(np.radians(light_deg - tilt_deg)))
+        return cls(path, response, valid, sample_px, cosine, filters, model, located, light)
+
+    def read(self) -> ChartReading:
+        """Return the statistics of every patch, in even light where that could be told."""
+        reading = read_located(self.response, self.valid, self.located, self.path, self.sample_px)
+        return reading if self._field is None else reading.divided(self._field)
+
+    def responses(self, reading: ChartReading) -> np.ndarray:
+        """Return responses as if lit at normal incidence, (patches, bands)."""
+        return reading.mean / self.cosine
+
+    def noise(self, reading: ChartReading) -> Noise:
+        """Return the noise of patch means and of a pixel at the chart's mean level, as if lit at normal incidence.
+
+        That of a pixel is the camera's noise model, where there is one; otherwise, and for the means, the scatter
+        within the patches says it, their own texture included. An estimator knows one noise, that of a picture's
+        typical pixel.
+        """
+        pixel, patch = np.median(reading.pixel_variance, axis=0), np.median(reading.mean_variance, axis=0)
+        if self.noise_model is not None:
+            pixel = np.maximum(self.noise_model[:, 0] + self.noise_model[:, 1] * reading.mean.mean(axis=0), 0.0)
+        return Noise(patch / self.cosine**2, pixel / self.cosine**2)
+
+    def jitter(self, error) -> Jitter:
+        """Return what becomes of an error as the patches are moved.
+
+        ``error`` is a callable from responses as if lit at normal incidence, (patches, bands), to a number.
+        """
+        field = self.cosine if self._field is None else self.cosine * self._field
+        return jitter(
+            self.response, self.valid, self.located, lambda mean: error(mean / field), self.path, self.sample_px
+        )
+
+    @property
+    def _field(self) -> np.ndarray | None:
+        return self.light.field if self.light is not None and self.light.correctable else None

@@ -1,0 +1,66 @@
+"""The paper's estimator: a basis of principal vectors and the pseudo-inverse of the chart's responses [eq. 2 to 4]."""
+
+import numpy as np
+
+from irodori.calibration.conditioning import Limits, check_responses
+from irodori.calibration.recovery.calibration_file import Calibration
+
+
+def spectral_basis(spectra: np.ndarray, bases: int) -> np.ndarray:
+    """Return the first principal vectors of measured spectra, without subtracting a mean [eq. 2].
+
+    Parameters
+    ----------
+    spectra : (m, 61) float, Λ
+    bases : int, 1..m
+
+    Returns
+    -------
+    (61, bases) float64, orthonormal columns, the sum of each positive or zero
+    """
+    if not 1 <= bases <= min(spectra.shape):
+        raise ValueError(f"{bases} bases; accepted: 1 to {min(spectra.shape)} for {len(spectra)} spectra")
+    rows = np.linalg.svd(spectra, full_matrices=False)[2][:bases]
+    return (rows * np.where(rows.sum(axis=1, keepdims=True) < 0, -1.0, 1.0)).T
+
+
+def calibrate(
+    response: np.ndarray,
+    spectra: np.ndarray,
+    bases: int,
+    light: np.ndarray,
+    max_condition: float = Limits.condition,
+) -> Calibration:
+    """Solve equations (3) and (4).
+
+    Parameters
+    ----------
+    response : (m, bands) float, P
+    spectra : (m, 61) float, Λ
+    bases : int
+    light : (61,) float
+    max_condition : float
+        Of P, every band divided by its largest patch.
+
+    Raises
+    ------
+    ValueError
+        If P determines no calibration, see `irodori.calibration.conditioning.check_responses`.
+    """
+    response = np.asarray(response, dtype=np.float64)
+    check_responses(response, max_condition)
+    peak = np.abs(response).max(axis=0)
+    basis = spectral_basis(spectra, bases)
+    weights = np.linalg.pinv(basis) @ spectra.T
+    # Bands are scaled to a common size first, so that the pseudo-inverse cuts none of them off for its unit.
+    weights_from_response = (np.linalg.pinv(response / peak) @ weights.T) / peak[:, None]
+    return Calibration(basis, weights_from_response, np.asarray(light, dtype=np.float64), training=response)
+
+
+def leave_one_out(response: np.ndarray, spectra: np.ndarray, bases: int, light: np.ndarray) -> np.ndarray:
+    """Return each patch's spectrum recovered by a calibration on all the others, (m, 61)."""
+    recovered = np.empty_like(spectra)
+    for patch in range(len(spectra)):
+        others = np.arange(len(spectra)) != patch
+        recovered[patch] = calibrate(response[others], spectra[others], bases, light).spectra(response[patch])
+    return recovered

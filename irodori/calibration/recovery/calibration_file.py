@@ -1,0 +1,259 @@
+"""A calibration as later stages load and apply it."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from irodori.calibration.recovery.mappings import KINDS, LinearMapping, Mapping
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.spectra.grid import SAMPLES
+
+_TILE = 1 << 16
+_UNITS = {"units": "1", "quantity": "parameter of the mapping from responses to weights"}
+_AXES = {
+    "scale": "band",
+    "anchors": "anchor,band",
+    "levels": "level",
+    "maps": "interval,anchor,band,basis",  # one more than levels: below, between and above them
+    "coefficients": "monomial,basis",
+}
+_MATRIX = "weights_from_response"
+_OPTIONAL = {"chart_response": "patch,band", "band_response": "band,wavelength"}
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What turns responses into spectra; for linear estimators s = B' Mᵀ ρ [eq. 2, 4].
+
+    Parameters
+    ----------
+    basis : (61, k) float, B', orthonormal columns
+    weights_from_response : (bands, k) float, M; None where the estimator is not linear
+    light : (61,) float
+        E(λ) under which the responses were calibrated.
+    filters : tuple of str
+        Filter states of the bands, three bands each, in order.
+    estimator : str
+        Name of the estimator.
+    mapping : Mapping, optional
+        What takes the place of M where the estimator is not linear.
+    training : (m, bands) float, optional
+        Responses of the chart, for `distance`.
+    relative_error, absolute_error : float
+        Root mean square of the reflectance's cross-validation error: in proportion to the length of the scaled
+        response, and whatever it is, for `standard_deviation`.
+    band_response : (bands, 61) float, optional
+        Response per unit reflectance at each wavelength, as the chart tells it.
+    """
+
+    basis: np.ndarray
+    weights_from_response: np.ndarray | None
+    light: np.ndarray
+    filters: tuple[str, ...] = ()
+    estimator: str = "pinv"
+    mapping: Mapping | None = None
+    training: np.ndarray | None = None
+    relative_error: float = 0.0
+    absolute_error: float = 0.0
+    band_response: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        if self.mapping is None:
+            object.__setattr__(self, "mapping", LinearMapping(np.asarray(self.weights_from_response)))
+
+    @classmethod
+    def load(cls, path) -> "Calibration":
+        """Read a calibration file.
+
+        Raises
+        ------
+        InputError
+            If it is none, damaged, of an unknown kind, or its datasets do not fit together.
+        """
+        with store.open_file(path) as file:
+            kind = file.attribute("mapping", str) if file.has_attribute("mapping") else LinearMapping.kind
+            if kind not in KINDS:
+                raise InputError(path, "mapping", repr(kind), f"one of: {', '.join(KINDS)}")
+            axes = {"basis": "wavelength,basis", "light": "wavelength"}
+            axes |= {name: dims for name, dims in _OPTIONAL.items() if name in file}
+            own = fields(KINDS[kind]) if kind != LinearMapping.kind else ()
+            axes |= {f"mapping/{field.name}": _AXES[field.name] for field in own if field.name in _AXES}
+            file.require_axes(axes if own else axes | {_MATRIX: "band,basis"}, wavelength=SAMPLES)
+            matrix = mapping = None
+            if not own:
+                matrix = file.read(_MATRIX)
+            else:
+                values = {}
+                for field in own:
+                    name = f"mapping/{field.name}"
+                    in_dataset = field.name in _AXES
+                    values[field.name] = file.read(name) if in_dataset else file.attribute(field.name, (float, int))
+                mapping = KINDS[kind](**values)
+            return cls(
+                file.read("basis"),
+                matrix,
+                file.read("light"),
+                tuple(file.attribute("filters", list)),
+                file.attribute("estimator", str) if file.has_attribute("estimator") else "pinv",
+                mapping,
+                file.read("chart_response") if "chart_response" in file else None,
+                *(
+                    file.attribute(n, (float, int)) if file.has_attribute(n) else 0.0
+                    for n in ("relative_error", "absolute_error")
+                ),
+                file.read("band_response") if "band_response" in file else None,
+            )
+
+    def write(self, out: store.Writer) -> None:
+        """Write what `load` reads into an open file."""
+        out.write("basis", self.basis, units="1", dims="wavelength,basis", quantity="spectral basis B'")
+        if self.weights_from_response is not None:
+            matrix = self.weights_from_response
+            out.write(
+                "weights_from_response", matrix, units="1", dims="band,basis", quantity="matrix M of equation (4)"
+            )
+        else:
+            for field in fields(self.mapping):
+                value = getattr(self.mapping, field.name)
+                if field.name in _AXES:
+                    out.write(f"mapping/{field.name}", value, dims=_AXES[field.name], **_UNITS)
+                else:
+                    out.attribute(field.name, float(value))
+        out.write("light", self.light, units="1", dims="wavelength", quantity="relative power of the light")
+        if self.training is not None:
+            out.write(
+                "chart_response", self.training, units="1", dims="patch,band", quantity="responses P of the chart"
+            )
+        if self.band_response is not None:
+            quantity = "response per unit reflectance at each wavelength"
+            out.write("band_response", self.band_response, units="1", dims="band,wavelength", quantity=quantity)
+        out.attribute("filters", list(self.filters))
+        out.attribute("estimator", self.estimator)
+        out.attribute("mapping", self.mapping.kind)
+        out.attribute("relative_error", float(self.relative_error))
+        out.attribute("absolute_error", float(self.absolute_error))
+
+    def require_filters(self, filters, path) -> None:
+        """Refuse responses whose bands are not those of the chart.
+
+        Raises
+        ------
+        InputError
+            Naming the file of the responses, its filter states and those of the calibration.
+        """
+        if tuple(filters) != self.filters:
+            found = ", ".join(filters) or "none"
+            raise InputError(path, "filters", found, f"{', '.join(self.filters)}, as in the chart's photographs")
+
+    def weights(self, response: np.ndarray, response_variance: np.ndarray | None = None) -> np.ndarray:
+        """Return basis weights of responses.
+
+        Positively homogeneous of degree 1 in the response; where a variance is given, in the response and its standard
+        deviation together. Only ``local`` makes use of the variance.
+
+        Parameters
+        ----------
+        response : (..., bands) float32 or float64
+        response_variance : (..., bands) or (bands,) float, optional
+
+        Returns
+        -------
+        (..., k), float32 for float32 responses, otherwise float64; NaN where the response is not finite, and with
+        ``local`` where the variance is NaN or negative
+        """
+        response = np.asarray(response)
+        dtype = np.float32 if response.dtype == np.float32 else np.float64
+        flat = response.reshape(-1, response.shape[-1]).astype(dtype, copy=False)
+        variance = self._flat_variance(response_variance, response.shape)
+        out = np.empty((len(flat), self.basis.shape[1]), dtype=dtype)
+        self.mapping.weights(flat, variance, out)
+        return out.reshape((*response.shape[:-1], out.shape[1]))
+
+    @staticmethod
+    def _flat_variance(variance, shape) -> np.ndarray | None:
+        if variance is None:
+            return None
+        return np.broadcast_to(np.asarray(variance), shape).reshape(-1, shape[-1])
+
+    def spectra(self, response: np.ndarray, response_variance: np.ndarray | None = None) -> np.ndarray:
+        """Return recovered reflectance spectra of responses, (..., bands) to (..., 61)."""
+        return self.weights(response, response_variance) @ self.basis.T
+
+    def standard_deviation(
+        self, response: np.ndarray, response_variance: np.ndarray, stated: bool = False
+    ) -> np.ndarray:
+        """Return the standard deviation of the recovered reflectance, root mean square over wavelengths.
+
+        The noise of the bands, taken as independent, goes through the estimator's derivative; the estimator's own
+        error, as cross-validation on the chart found it, is added in square, a part of it in proportion to the
+        response.
+
+        Parameters
+        ----------
+        response, response_variance : (..., bands) float
+        stated : bool
+            Whether the variance is given to `weights` too.
+
+        Returns
+        -------
+        (...) float64
+        """
+        response = np.asarray(response, dtype=np.float64)
+        flat = response.reshape(-1, response.shape[-1])
+        variance = self._flat_variance(response_variance, response.shape)
+        squared = np.empty(len(flat))
+        for first in range(0, len(flat), _TILE):
+            part = slice(first, first + _TILE)
+            gain = self.mapping.gain(flat[part], variance[part] if stated else None)
+            squared[part] = (gain * variance[part]).sum(axis=1) / len(self.basis)
+        if self.relative_error > 0.0:
+            squared += self.relative_error**2 * ((flat / self.band_scale()) ** 2).sum(axis=1)
+        return np.sqrt(squared + self.absolute_error**2).reshape(response.shape[:-1])
+
+    def band_scale(self) -> np.ndarray:
+        """Return the largest response of the chart in every band, (bands,); bands are compared in these units.
+
+        Raises
+        ------
+        ValueError
+            If the calibration carries no responses of its chart.
+        """
+        if self.training is None:
+            raise ValueError("a calibration without the responses of its chart; accepted: one that the stage wrote")
+        return np.abs(self.training).max(axis=0)
+
+    def distance(self, response: np.ndarray) -> np.ndarray:
+        """Return how far responses lie from the chart's, whatever their exposure.
+
+        The angle between directions in response space (bands scaled by the chart's largest response) to the nearest
+        patch, over that which nine tenths of the patches have at most to the nearest other. A short distance does not
+        promise a small error: spectra that differ may answer alike.
+
+        Parameters
+        ----------
+        response : (..., bands) float
+
+        Returns
+        -------
+        (...) float64, 1 = as far as the chart's lonelier patches from all others; NaN where there is no direction
+        """
+        response = np.asarray(response, dtype=np.float64)
+        scale = self.band_scale()
+        known = self.training / scale
+        known = known / np.linalg.norm(known, axis=1, keepdims=True)
+        among = np.linalg.norm(known[:, None] - known[None], axis=2)
+        np.fill_diagonal(among, np.inf)
+        largest = 2.0 * np.arcsin(np.clip(np.quantile(among.min(axis=1), 0.9) / 2.0, 0.0, 1.0))
+        flat = response.reshape(-1, response.shape[-1]) / scale
+        found = np.empty(len(flat))
+        for first in range(0, len(flat), _TILE):
+            part = flat[first : first + _TILE]
+            length = np.linalg.norm(part, axis=1, keepdims=True)
+            # The chord keeps small angles exact where the cosine would lose them.
+            direction = np.divide(part, length, out=np.full_like(part, np.nan), where=length > 0)
+            squared = np.full(len(part), np.inf)
+            for row in known:
+                squared = np.minimum(squared, ((direction - row) ** 2).sum(axis=1))
+            found[first : first + _TILE] = 2.0 * np.arcsin(np.minimum(np.sqrt(squared) / 2.0, 1.0))
+        return (found / largest).reshape(response.shape[:-1])

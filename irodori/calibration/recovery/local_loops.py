@@ -1,0 +1,201 @@
+"""Compiled loops of `LocalMapping`: matrices of anchors, blended pixel by pixel.
+
+A group of `LANES` pixels shares one product of shares and matrices for each level of noise that occurs in it. What a
+pixel does not take counts as an exact zero, so that its bits do not depend on its neighbours.
+"""
+
+import math
+
+import numba
+import numpy as np
+
+from irodori.calibration.recovery.mapping_loops import BLOCK, FAST, LANES, SERIAL, load, store
+from irodori.jit.native import njit
+from irodori.jit.vectorised import OUTPUTS, TILE, any_above_zero, blend_tile, decaying, logarithm
+
+_LEAST_EXPONENT = -16.5  # of an anchor's share
+_LEAST_SHARE = 1e-7  # of an anchor in a pixel's map; less would not show in float32
+_LEAST_SIGNAL = 1e-3  # of the squared length of a response, where its noise is larger than itself
+_LEAST_RATIO, _LARGEST_RATIO = 1e-300, 1e300  # of noise to signal, whose logarithm is taken
+
+
+def columns_of(matrix: np.ndarray) -> np.ndarray:
+    """Return matrices (..., rows, n) in the order in which `blend_tile` reads them.
+
+    Returns
+    -------
+    (..., columns, rows, `OUTPUTS`), the last column filled up with zeros
+    """
+    *before, rows, count = matrix.shape
+    columns = -(-count // OUTPUTS)
+    whole = np.zeros((*before, rows, columns * OUTPUTS), matrix.dtype)
+    whole[..., :count] = matrix
+    return np.ascontiguousarray(whole.reshape(*before, rows, columns, OUTPUTS).swapaxes(-2, -3))
+
+
+@njit(cache=True, nogil=True)
+def _product(rows, members, count, table, sums):
+    """Fill sums with the transpose of a table (`columns_of`) of members times as many rows (count, LANES)."""
+    flat = table.ravel()
+    for column in range(table.shape[0]):
+        for j in range(0, LANES, TILE):
+            blend_tile(rows, j, members, count, flat, column * table.shape[1] * OUTPUTS, sums, column * OUTPUTS)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _load_variance(variance, first, count, inverse_square, own):
+    """Fill own (LANES,) with the mean over bands of the variances of scaled responses; one row serves all pixels."""
+    bands = variance.shape[1]
+    for j in range(LANES):
+        own[j] = 0.0
+    for j in range(count):
+        row = first + j if variance.shape[0] > 1 else 0
+        total = 0.0
+        for b in range(bands):
+            total += variance[row, b] * inverse_square[b]
+        own[j] = total / bands
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _place_levels(own, bands, levels, spread, width, length, position, inverse):
+    """Fill where each pixel's relative variance lies among the levels, and one over its squared width.
+
+    A variance of zero, or below the lowest level, counts as the lowest level, an infinite one as the highest. Where the
+    variance is negative or NaN, the length becomes NaN, and so does the pixel.
+    """
+    last = levels.size - 1
+    step = levels[1] - levels[0]
+    least, largest = math.exp(levels[0]), math.exp(levels[last])
+    for j in range(LANES):
+        squared = length[j] * length[j]
+        signal = max(squared - bands * own[j], _LEAST_SIGNAL * squared)
+        ratio = own[j] / signal
+        # Comparisons are so that 0 / 0 and NaN give the lowest level.
+        ratio = ratio if ratio > _LEAST_RATIO else _LEAST_RATIO
+        ratio = ratio if ratio < _LARGEST_RATIO else _LARGEST_RATIO
+        length[j] = length[j] if own[j] >= 0.0 else np.nan
+        place = (logarithm(ratio) - levels[0]) / step
+        place = place if place > 0.0 else 0.0
+        position[j] = place if place < last else last
+        ratio = ratio if ratio > least else least
+        ratio = ratio if ratio < largest else largest
+        inverse[j] = 1.0 / (width * width + spread * ratio)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _shares(count, inverse, share, largest, total):
+    """Turn cosines to anchors, share (count.., LANES), into how much of each anchor's matrices a pixel takes, sum one.
+
+    Least shares are zero.
+    """
+    least_exponent, least_share = share.dtype.type(_LEAST_EXPONENT), share.dtype.type(_LEAST_SHARE)
+    zero, one = share.dtype.type(0.0), share.dtype.type(1.0)
+    for j in range(LANES):
+        largest[j] = share[0, j]
+        total[j] = zero
+    for a in range(1, count):
+        for j in range(LANES):
+            largest[j] = share[a, j] if share[a, j] > largest[j] else largest[j]
+    for a in range(count):
+        for j in range(LANES):
+            exponent = (share[a, j] - largest[j]) * inverse[j]
+            value = decaying(exponent)
+            share[a, j] = value if exponent > least_exponent else zero
+        for j in range(LANES):
+            total[j] += share[a, j]
+    for j in range(LANES):
+        total[j] = one / total[j]
+    for a in range(count):
+        for j in range(LANES):
+            value = share[a, j] * total[j]
+            share[a, j] = value if value > least_share else zero
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _pack(share, count, members):
+    """Move the rows of share that are not zero throughout to the front; return how many, and whose in members."""
+    taken = 0
+    for a in range(count):
+        some = False
+        for j in range(0, LANES, TILE):
+            some |= any_above_zero(share, a, j)
+        if some:
+            if taken < a:
+                for j in range(LANES):
+                    share[taken, j] = share[a, j]
+            members[taken] = a
+            taken += 1
+    return taken
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _apply(blend, x, values):
+    """Add to values (k, LANES) what blended matrices, all bands of one output together, make of x (bands, LANES)."""
+    bands = x.shape[0]
+    for k in range(values.shape[0]):
+        for b in range(bands):
+            for j in range(LANES):
+                values[k, j] += x[b, j] * blend[k * bands + b, j]
+
+
+@njit(cache=True, nogil=True)
+def _local_block(first, last, response, variance, scale, anchors, width, levels, spread, maps, out):
+    """Blend the matrices of the anchors, see `LocalMapping`."""
+    bands, bases, count = scale.size, out.shape[1], maps.shape[2]
+    kind = maps.dtype
+    x, c, length = np.empty((bands, LANES)), np.empty((bands, LANES)), np.empty(LANES)
+    own, position, inverse = np.empty(LANES), np.zeros(LANES), np.empty(LANES)
+    inverse[:] = 1.0 / (width * width)
+    # What follows from these is of the type of the response.
+    direction, faded = np.empty((bands, LANES), kind), np.empty((bands, LANES), kind)
+    sharpness, largest, total = np.empty(LANES, kind), np.empty(LANES, kind), np.empty(LANES, kind)
+    share, blend = np.empty((anchors.shape[0] * OUTPUTS, LANES), kind), np.empty((maps.shape[1] * OUTPUTS, LANES), kind)
+    values, every, members = np.empty((bases, LANES), kind), np.arange(bands), np.empty(count, np.int64)
+    inverse_scale = 1.0 / scale
+    inverse_square = inverse_scale**2
+    for start in range(first, last, LANES):
+        pixels = min(LANES, last - start)
+        load(response, start, pixels, inverse_scale, x, c, length)
+        lowest, highest = 0, 1
+        if variance.size > 0:
+            _load_variance(variance, start, pixels, inverse_square, own)
+            _place_levels(own, bands, levels, spread, width, length, position, inverse)
+            lowest, highest = int(position.min()) + 1, min(int(position.max()) + 2, levels.size) + 1
+        direction[:], sharpness[:] = c, inverse
+        _product(direction, every, bands, anchors, share)
+        _shares(count, sharpness, share, largest, total)
+        taken = _pack(share, count, members)
+        values[:] = 0.0
+        faded[:] = x
+        for level in range(lowest, highest):
+            if variance.size > 0:
+                # Matrices are interpolated between levels: each of the group's counts where it is less than one away.
+                for b in range(bands):
+                    for j in range(LANES):
+                        faded[b, j] = x[b, j] * max(0.0, 1.0 - abs(position[j] - (level - 1)))
+            _product(share, members, taken, maps[level], blend)
+            _apply(blend, faded, values)
+        store(values, length, start, pixels, out)
+
+
+def local_weights(response, variance, scale, anchors, width, levels, spread, maps, out):
+    """Fill out (n, k) for responses (n, bands).
+
+    Variances are (n, bands), (1, bands) for all, or (0, bands) where not known. anchors are the `columns_of` their
+    transpose, (bands, a), maps those of (levels + 1, a, k bands), both of the type of the response. All arrays are
+    C-contiguous.
+    """
+    if len(response) <= SERIAL:
+        _local_block(0, len(response), response, variance, scale, anchors, width, levels, spread, maps, out)
+    else:
+        _local_parallel(response, variance, scale, anchors, width, levels, spread, maps, out)
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _local_parallel(response, variance, scale, anchors, width, levels, spread, maps, out):
+    blocks = (response.shape[0] + BLOCK - 1) // BLOCK
+    for block in numba.prange(blocks):
+        _local_block(
+            block * BLOCK, min((block + 1) * BLOCK, response.shape[0]),
+            response, variance, scale, anchors, width, levels, spread, maps, out,
+        )  # fmt: skip

@@ -1,0 +1,103 @@
+"""Responses of a camera of known sensitivities, with noise [eq. 1]: what a calibration may be tried on beforehand."""
+
+import numpy as np
+
+from irodori.spectra.grid import SAMPLES, TRAPEZOID_NM
+
+EXPOSURES = ("per_band", "per_shot", "same_time")
+#: A band whose white signal is this fraction of the camera's brightest or less sees nothing.
+_DARK = 1e-9
+
+
+def band_weights(
+    sensitivities: np.ndarray, light: np.ndarray, transmittance: np.ndarray | None = None, exposure: str = "per_band"
+) -> np.ndarray:
+    """Return weights that turn reflectances into responses on the scale of the sensor, 1 = full scale [eq. 1].
+
+    Parameters
+    ----------
+    sensitivities : (3, 61) float, R_b(λ), relative
+    light : (61,) float, E(λ), relative
+    transmittance : (61,) float or None
+        Of the filter before the lens in a second shot; without it there is one shot of three bands.
+    exposure : str
+        What puts a perfect diffuser at full scale. ``per_band``: every band by itself, as if each were exposed alone
+        (the ideal that tables of noise against error assume); ``per_shot``: the brightest band of each shot, the second
+        being exposed longer by what the filter takes away; ``same_time``: the brightest band of the first shot, the
+        second having the same exposure time.
+
+    Returns
+    -------
+    (3 or 6, 61) float64; the sum of a row is the response of a perfect diffuser, 0 for a band that sees nothing
+
+    Raises
+    ------
+    ValueError
+        For an unknown exposure, wrong shapes, negative or non-finite values, and a camera that sees nothing.
+    """
+    if exposure not in EXPOSURES:
+        raise ValueError(f"the exposure {exposure!r}; accepted: {', '.join(EXPOSURES)}")
+    first = _checked(sensitivities, "sensitivities", 2) * _checked(light, "light", 1) * TRAPEZOID_NM
+    shots = [first] if transmittance is None else [first, first * _checked(transmittance, "transmittance", 1)]
+    whites = [shot.sum(axis=1) for shot in shots]
+    brightest = whites[0].max()
+    if not brightest > 0.0:
+        raise ValueError("a camera that sees nothing of the light; accepted: sensitivities and light that overlap")
+    scales = {
+        "per_band": whites,
+        "per_shot": [np.full_like(white, white.max()) for white in whites],
+        "same_time": [np.full_like(white, brightest) for white in whites],
+    }[exposure]
+    scale = np.concatenate(scales)[:, None]
+    weights = np.concatenate(shots)
+    return np.divide(weights, scale, out=np.zeros_like(weights), where=scale > _DARK * brightest)
+
+
+def responses(
+    reflectance: np.ndarray,
+    sensitivities: np.ndarray,
+    light: np.ndarray,
+    transmittance: np.ndarray | None = None,
+    noise: float = 0.0,
+    exposure: str = "per_band",
+    seed: int = 0,
+) -> np.ndarray:
+    """Return simulated responses of reflectances, divided by those of a perfect diffuser.
+
+    Parameters
+    ----------
+    reflectance : (..., 61) float
+    sensitivities, light, transmittance, exposure : as of `band_weights`
+    noise : float
+        Standard deviation of a response as a fraction of the sensor's full scale, the same for dark and bright ones:
+        read noise and quantisation are so, photon noise is smaller in the dark.
+    seed : int
+        Of the noise.
+
+    Returns
+    -------
+    (..., 3 or 6) float64, ρ; 1 = perfect diffuser; bands without the filter, then those with it
+
+    Raises
+    ------
+    ValueError
+        As `band_weights`, for noise below 0, and for a band that sees nothing.
+    """
+    if not (np.isfinite(noise) and noise >= 0.0):
+        raise ValueError(f"noise of {noise}; accepted: a fraction of full scale from 0")
+    weights = band_weights(sensitivities, light, transmittance, exposure)
+    white = weights.sum(axis=1)
+    if not (white > 0.0).all():
+        raise ValueError(f"band {int(np.argmin(white))} sees nothing of the light; accepted: a filter that passes some")
+    exact = _checked(reflectance, "reflectance", None) @ weights.T
+    drawn = exact + noise * np.random.default_rng(seed).standard_normal(exact.shape) if noise else exact
+    return drawn / white
+
+
+def _checked(values, name: str, dimensions: int | None) -> np.ndarray:
+    values = np.asarray(values, dtype=np.float64)
+    if values.shape[-1:] != (SAMPLES,) or (dimensions is not None and values.ndim != dimensions):
+        raise ValueError(f"{name} of shape {values.shape}; accepted: {SAMPLES} wavelengths on the last axis")
+    if not np.isfinite(values).all() or (values < -0.01 * np.abs(values).max()).any():
+        raise ValueError(f"{name} that are negative or not finite; accepted: finite values from 0")
+    return values

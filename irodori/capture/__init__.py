@@ -1,0 +1,1 @@
+"""Capture sessions: the rig, its camera, the person at the bench and the journal."""

@@ -1,0 +1,1 @@
+"""Cameras on a USB cable, through gphoto2."""

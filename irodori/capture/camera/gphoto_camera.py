@@ -1,0 +1,293 @@
+"""A real camera on a USB cable, through python-gphoto2: RAW files straight to the computer.
+
+libgphoto2 speaks to the camera; this module sets exposure, aperture, sensitivity, white balance and file format,
+releases the shutter and waits for the file. `gphoto_line` repeats what a busy camera or a bad line refused.
+Source: the documentation of libgphoto2 2.5 and of its PTP driver.
+"""
+
+import os
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+
+from irodori.capture.camera.gphoto_line import FIRST_WAIT_S, GphotoLine
+from irodori.capture.camera.gphoto_settings import WIDGETS, find_choice, means, offer
+from irodori.capture.rig.devices import Camera, CommandError, DeadlineError, DeviceError
+from irodori.config.capture_table import Shot
+from irodori.core.progress import LOGGER
+
+#: Ends of the names of RAW files, by maker as libgphoto2 begins its models; the first is expected before a photograph.
+RAW_SUFFIXES = {
+    "Canon": (".cr2", ".cr3", ".crw"),
+    "Nikon": (".nef", ".nrw"),
+    "Sony": (".arw",),
+    "Fuji": (".raf",),
+    "Olympus": (".orf",),
+    "Panasonic": (".rw2",),
+    "Pentax": (".pef", ".dng"),
+}
+_ANY_RAW = (".dng", *(suffix for suffixes in RAW_SUFFIXES.values() for suffix in suffixes))
+#: What a camera says of itself: names of the widget, the first that it has.
+_REPORTS = {
+    "serial_number": ("eosserialnumber", "serialnumber"),
+    "battery": ("batterylevel",),
+    "lens": ("lensname",),
+}
+_RAM = "Internal RAM"
+_NOT_REPORTED = "not reported"
+_EVENT_S = 0.5
+#: A camera without news for so long has delivered all files of a photograph; other news is heard so long at most.
+_QUIET_S, _SETTLE_S = 0.2, 2.0
+_LOW_BATTERY_PERCENT = 25.0
+
+
+class GphotoCamera(Camera):
+    """One camera that libgphoto2 knows. Opened when made; used by one thread.
+
+    Parameters
+    ----------
+    driver : dict
+        The block ``driver`` of a camera's definition, validated: ``model``, ``port``, ``iso``, ``f_number`` (a number,
+        or ``manual`` for a lens with a ring), ``white_balance``, ``image_format``, ``deadline_s``, ``retries``.
+    sleep, now : callable
+        Waiting and time, s; handed over so that a simulated camera need not be waited for.
+
+    Raises
+    ------
+    DeviceError
+        If python-gphoto2 is missing, the model is unknown, or the camera is absent or in use by another program.
+
+    Notes
+    -----
+    `suffix` is a guess from the maker until the first photograph, then that of the camera's own file name.
+    """
+
+    #: Names of the widget of each setting. A setting without widgets here is left alone.
+    widgets: Mapping[str, tuple[str, ...]] = WIDGETS
+    #: Ends of the names of files that are RAW.
+    raw_suffixes: tuple[str, ...] = _ANY_RAW
+
+    def __init__(
+        self, driver: dict, sleep: Callable[[float], None] = time.sleep, now: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.model = driver["model"]
+        self._line = GphotoLine(
+            self.model, driver.get("port"), driver["deadline_s"], driver["retries"], sleep=sleep, now=now
+        )
+        self._gp, self._driver = self._line.gp, driver
+        self.suffix = next((s[0] for maker, s in RAW_SUFFIXES.items() if self.model.startswith(maker)), ".raw")
+        #: Whether a photograph of an earlier attempt may still arrive.
+        self._unsettled = False
+        try:
+            self._line.insist(self._begin)
+        except BaseException:
+            self.close()
+            raise
+
+    # ---- the contract
+
+    def capture(self, shot: Shot, path: Path) -> None:
+        """Take one photograph and store the RAW file at `path`, whole; a second file (JPEG) is thrown away."""
+        path = Path(path)
+        name, data = self._line.insist(lambda end: self._photograph(shot, end), shot.exposure_s)
+        suffix = PurePosixPath(name).suffix.lower()
+        if suffix != self.suffix:
+            LOGGER.warning("%s: its RAW files end in %s, not %s", self.model, suffix, self.suffix)
+            self.suffix = suffix
+        temporary = path.with_name(f".{path.name}.part")
+        try:
+            temporary.write_bytes(data)
+            os.replace(temporary, path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+
+    def status(self) -> dict[str, str]:
+        """Return ``model``, ``serial_number``, ``battery``, ``lens``, ``storage`` and ``settings``, as text."""
+        return self._line.insist(self._report)
+
+    def close(self) -> None:
+        """Let go of the camera; harmless when repeated."""
+        self._line.close()
+
+    def _begin(self, end: float) -> None:
+        self._keep_awake(end)
+        level = self._read(_REPORTS["battery"], end)
+        with suppress(ValueError):
+            if level.lower() == "low" or float(level.rstrip("% ")) <= _LOW_BATTERY_PERCENT:
+                LOGGER.warning("%s: battery %s; charge it before a long session", self.model, level)
+
+    # ---- settings
+
+    def _put(self, setting: str, wanted: float | str, end: float) -> None:
+        """Set one setting and see that the camera took it."""
+        name = self._widget_name(setting)
+        widget = self._line.ask(end, "get_single_config", name)
+        stands = str(widget.get_value())
+        if means(setting, stands, wanted):
+            return
+        if widget.get_readonly():
+            ring = ", or f_number: manual for a lens with a ring" if setting == "f_number" else ""
+            raise CommandError(
+                f"{self.model}: {name} {wanted} cannot be set, it stands at {stands} and is read-only now; "
+                f"turn the mode dial to M{ring}"
+            )
+        choices = [str(choice) for choice in widget.get_choices()]
+        choice = find_choice(setting, wanted, choices)
+        if choice is None:
+            raise CommandError(f"{self.model}: {name} {wanted} is not on offer; {offer(setting, wanted, choices)}")
+        widget.set_value(choice)
+        self._line.ask(end, "set_single_config", name, widget)
+        wait, limit = FIRST_WAIT_S, min(end, self._line.now() + _SETTLE_S)
+        # A camera may report the old value until its own event has arrived.
+        while (stands := str(self._line.ask(end, "get_single_config", name).get_value())) != choice:
+            if self._line.now() + wait > limit:
+                raise CommandError(f"{self.model}: told {name} {choice}, it stands at {stands}")
+            self._line.sleep(wait)
+            wait *= 2.0
+
+    def _widget_name(self, setting: str) -> str:
+        name = next((name for name in self.widgets[setting] if name in self._line.names), None)
+        if name is None:
+            accepted = " or ".join(self.widgets[setting])
+            raise CommandError(f"{self.model}: no setting {accepted} among those that gphoto2 lists")
+        return name
+
+    def _set_all(self, shot: Shot, end: float) -> None:
+        wanted = {
+            "capture_target": _RAM,
+            "image_format": self._driver["image_format"],
+            "white_balance": self._driver["white_balance"],
+            "iso": shot.iso or self._driver["iso"],
+            "f_number": shot.f_number or self._driver["f_number"],
+            "exposure_s": shot.exposure_s,
+        }
+        if self._driver["f_number"] == "manual":
+            del wanted["f_number"]
+        if not self._line.names.intersection(self.widgets["capture_target"]):
+            del wanted["capture_target"]  # where the file lies does not matter: it is fetched and then deleted
+        for setting, value in wanted.items():
+            if setting in self.widgets:
+                self._put(setting, value, end)
+
+    def _keep_awake(self, end: float) -> None:
+        """Ask the camera not to switch itself off between photographs."""
+        if "autopoweroff" not in self._line.names:
+            return
+        widget = self._line.ask(end, "get_single_config", "autopoweroff")
+        if widget.get_readonly() or str(widget.get_value()) == "0":
+            return
+        widget.set_value("0")
+        try:
+            self._line.ask(end, "set_single_config", "autopoweroff", widget)
+        except self._gp.GPhoto2Error as error:
+            if self._line.is_loss(error):
+                raise
+            LOGGER.warning("%s: keeps its automatic power off; gphoto2 says %s", self.model, error)
+
+    # ---- one photograph
+
+    def _photograph(self, shot: Shot, end: float) -> tuple[str, bytes]:
+        """Return name and content of the RAW file of one photograph."""
+        if self._unsettled:
+            # An earlier photograph may still arrive; taken for this one, it would be a wrong measurement.
+            self._settle(end, _QUIET_S + shot.exposure_s)
+        self._set_all(shot, end)
+        self._settle(end, _QUIET_S / 2.0)
+        self._unsettled = True
+        self._line.ask(end, "trigger_capture")
+        others: list[str] = []
+        while (left := end - self._line.now()) > 0.0:
+            folder, name = self._next_file(end, min(left, _EVENT_S))
+            if name and not self._is_raw(name):
+                others.append(name)
+                self._delete(folder, name, end)
+            elif name:
+                data = self._fetch(folder, name, end)
+                self._finish(folder, name, end)
+                return name, data
+        found = f"only {', '.join(others)}, is image_format a RAW format?" if others else "no file"
+        waited = self._driver["deadline_s"] + shot.exposure_s
+        self._line.let_go()
+        raise DeadlineError(f"{self.model}: {found} in {waited:g} s after the shutter was released")
+
+    def _next_file(self, end: float, wait_s: float) -> tuple[str, str]:
+        """Return folder and name of a file that has appeared on the camera, empty where none did in that time."""
+        kind, data = self._line.ask(end, "wait_for_event", max(1, round(1000.0 * wait_s)))
+        return (data.folder, data.name) if kind == self._gp.GP_EVENT_FILE_ADDED else ("", "")
+
+    def _is_raw(self, name: str) -> bool:
+        return PurePosixPath(name).suffix.lower() in self.raw_suffixes
+
+    def _fetch(self, folder: str, name: str, end: float) -> bytes:
+        file = self._line.ask(end, "file_get", folder, name, self._gp.GP_FILE_TYPE_NORMAL)
+        data = bytes(memoryview(file.get_data_and_size()))
+        if not data:
+            raise CommandError(f"{self.model}: delivered {name} without content")
+        return data
+
+    def _delete(self, folder: str, name: str, end: float) -> None:
+        """Delete a file on the camera; one in its memory may be gone by itself."""
+        try:
+            self._line.ask(end, "file_delete", folder, name)
+        except self._gp.GPhoto2Error as error:
+            if self._line.is_loss(error):
+                raise
+            if error.code not in (self._gp.GP_ERROR_FILE_NOT_FOUND, self._gp.GP_ERROR_DIRECTORY_NOT_FOUND):
+                LOGGER.warning("%s: keeps %s/%s; gphoto2 says %s", self.model, folder, name, error)
+
+    def _finish(self, folder: str, name: str, end: float) -> None:
+        """Clear the camera after a photograph that is already in hand: no fault here may cost it."""
+        try:
+            self._delete(folder, name, end)
+            self._settle(end, _QUIET_S)
+            self._unsettled = False
+        except (DeviceError, self._gp.GPhoto2Error) as error:
+            LOGGER.warning("%s: has delivered %s; clearing up: %s", self.model, name, error)
+            self._line.let_go()
+
+    def _settle(self, end: float, quiet_s: float) -> None:
+        """Throw away files until the camera has no news for a time."""
+        limit = min(end, self._line.now() + _SETTLE_S + quiet_s)
+        while self._line.now() < limit:
+            kind, data = self._line.ask(end, "wait_for_event", max(1, round(1000.0 * quiet_s)))
+            if kind == self._gp.GP_EVENT_FILE_ADDED:
+                LOGGER.info("%s: %s is thrown away", self.model, data.name)
+                self._delete(data.folder, data.name, end)
+            elif kind == self._gp.GP_EVENT_TIMEOUT:
+                return
+
+    # ---- what the camera says of itself
+
+    def _report(self, end: float) -> dict[str, str]:
+        said = {"model": self.model}
+        said |= {key: self._read(names, end) for key, names in _REPORTS.items()}
+        said["storage"] = self._storage(end)
+        shown = {setting: self._read(names, end) for setting, names in self.widgets.items()}
+        said["settings"] = ", ".join(f"{setting} {value}" for setting, value in shown.items())
+        return said
+
+    def _read(self, names: tuple[str, ...], end: float) -> str:
+        name = next((name for name in names if name in self._line.names), None)
+        if name is None:
+            return _NOT_REPORTED
+        return str(self._line.ask(end, "get_single_config", name).get_value()).strip() or _NOT_REPORTED
+
+    def _storage(self, end: float) -> str:
+        gp = self._gp
+        try:
+            stores = list(self._line.ask(end, "get_storageinfo"))
+        except gp.GPhoto2Error as error:
+            if self._line.is_loss(error):
+                raise
+            return _NOT_REPORTED
+        parts = []
+        for store in stores:
+            words = []
+            if store.fields & gp.GP_STORAGEINFO_FREESPACEKBYTES:
+                words.append(f"{store.freekbytes / 1024:.0f} MB free")
+            if store.fields & gp.GP_STORAGEINFO_FREESPACEIMAGES:
+                words.append(f"room for {store.freeimages} pictures")
+            parts.append(f"{store.basedir}: {', '.join(words) or _NOT_REPORTED}")
+        return "; ".join(parts) or "no card"

@@ -1,0 +1,226 @@
+"""The line to a camera on a USB cable: opened through python-gphoto2, asked again while busy, opened again when lost.
+
+python-gphoto2 is imported when a camera is opened, since only the bench needs it (``requirements-rig.txt``).
+Source: the documentation of libgphoto2 2.5.
+"""
+
+import difflib
+import time
+from collections.abc import Callable
+from contextlib import suppress
+
+from irodori.capture.rig.devices import CommandError, DeadlineError, DeviceError, LinkError
+from irodori.core.progress import LOGGER
+
+FIRST_WAIT_S, LONGEST_WAIT_S = 0.1, 5.0
+
+
+class _AbsentError(LinkError):
+    """The camera is not on the cable, or not switched on."""
+
+
+class GphotoLine:
+    """The line to one camera; nothing is opened before the first call of `insist`.
+
+    Parameters
+    ----------
+    model : str
+        As libgphoto2 names it.
+    port : str or None
+        Such as ``usb:001,004``; None for the only camera of the model.
+    deadline_s : float
+        Time that an action may take with all its repetitions.
+    retries : int
+        Repetitions of what was refused (count).
+    sleep, now : callable
+        Waiting and time, s; handed over so that a simulated camera need not be waited for.
+
+    Raises
+    ------
+    DeviceError
+        If python-gphoto2 is missing.
+    """
+
+    def __init__(
+        self,
+        model: str,
+        port: str | None,
+        deadline_s: float,
+        retries: int,
+        sleep: Callable[[float], None] = time.sleep,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.gp = gp = _library()
+        self.model, self.port, self.deadline_s, self.retries = model, port, deadline_s, retries
+        self.sleep, self.now = sleep, now
+        #: Names of the settings that the camera has.
+        self.names: frozenset[str] = frozenset()
+        self._camera = None
+        self._closed = self._was_open = False
+        self._lost_codes = {
+            gp.GP_ERROR_IO,
+            gp.GP_ERROR_IO_INIT,
+            gp.GP_ERROR_IO_READ,
+            gp.GP_ERROR_IO_WRITE,
+            gp.GP_ERROR_IO_UPDATE,
+            gp.GP_ERROR_IO_USB_FIND,
+            gp.GP_ERROR_IO_USB_CLEAR_HALT,
+            gp.GP_ERROR_TIMEOUT,
+            gp.GP_ERROR_MODEL_NOT_FOUND,
+        }
+
+    def insist(self, action: Callable, allowance_s: float = 0.0):
+        """Return ``action(end)``; a lost line is opened again and the action repeated, until a number or a time.
+
+        Parameters
+        ----------
+        action : callable
+            Takes the time at which it must have ended.
+        allowance_s : float
+            What the action may take beyond `deadline_s`, such as an exposure.
+
+        Raises
+        ------
+        DeviceError
+            With gphoto2's own words.
+        """
+        if self._closed:
+            raise DeviceError(f"{self.model}: closed; open it again before using it")
+        end = self.now() + self.deadline_s + allowance_s
+        wait, tries = FIRST_WAIT_S, 0
+        while True:
+            tries += 1
+            try:
+                self._open(end)
+                return action(end)
+            except _AbsentError as error:
+                if not self._was_open:
+                    raise
+                said = str(error)
+            except self.gp.GPhoto2Error as error:
+                self._raise_unless_lost(error)
+                said = f"{self.model}: gphoto2 says {error}"
+            self.let_go()
+            if tries > self.retries or self.now() + wait >= end:
+                raise LinkError(f"{said} (tried {tries} times)")
+            LOGGER.warning("%s; trying again in %.1f s", said, wait)
+            self.sleep(wait)
+            wait = min(2.0 * wait, LONGEST_WAIT_S)
+
+    def ask(self, end: float, method: str, *arguments):
+        """Return what a method of gphoto2's camera returns; a busy camera is asked again, at growing intervals.
+
+        Raises
+        ------
+        DeadlineError
+            If the camera stays busy to the last repetition or to `end`.
+        GPhoto2Error
+            For every other fault; `insist` words it.
+        """
+        wait, tries = FIRST_WAIT_S, 0
+        while True:
+            tries += 1
+            try:
+                return getattr(self._camera, method)(*arguments)
+            except self.gp.GPhoto2Error as error:
+                if error.code != self.gp.GP_ERROR_CAMERA_BUSY:
+                    raise
+                if tries > self.retries or self.now() + wait >= end:
+                    said = f"{self.model}: still busy with {method} (tried {tries} times); gphoto2 says {error}"
+                    raise DeadlineError(said) from error
+            self.sleep(wait)
+            wait = min(2.0 * wait, LONGEST_WAIT_S)
+
+    def is_loss(self, error) -> bool:
+        """Return whether an error of gphoto2 means that the line is lost."""
+        return error.code in self._lost_codes
+
+    def let_go(self) -> None:
+        """Let go of the camera until the next `insist`."""
+        camera, self._camera = self._camera, None
+        if camera is not None:
+            with suppress(self.gp.GPhoto2Error):  # the line may be the very thing that is lost
+                camera.exit()
+
+    def close(self) -> None:
+        """Let go of the camera for good; harmless when repeated."""
+        self._closed = True
+        self.let_go()
+
+    def _open(self, end: float) -> None:
+        if self._camera is not None:
+            return
+        gp = self.gp
+        models = gp.CameraAbilitiesList()
+        models.load()
+        abilities = models.get_abilities(self._index_in(models))
+        port = self.port or self._find_port()
+        self._camera = gp.Camera()
+        try:
+            self._camera.set_abilities(abilities)
+            self._init_at(port, end)
+            self.names = frozenset(_leaves(self.ask(end, "get_config")))
+        except BaseException:
+            self.let_go()
+            raise
+        self._was_open = True
+
+    def _init_at(self, port: str, end: float) -> None:
+        gp, ports = self.gp, self.gp.PortInfoList()
+        # What libgphoto2 says of a port where nothing stands, or something else.
+        absent = (gp.GP_ERROR_UNKNOWN_PORT, gp.GP_ERROR_BAD_PARAMETERS, gp.GP_ERROR_MODEL_NOT_FOUND)
+        try:
+            ports.load()
+            self._camera.set_port_info(ports.get_info(ports.lookup_path(port)))
+            self.ask(end, "init")
+        except gp.GPhoto2Error as error:
+            if error.code not in (*absent, gp.GP_ERROR_IO_USB_FIND):
+                raise
+            raise _AbsentError(f"{self.model}: no such camera at {port}; gphoto2 says {error}") from error
+
+    def _index_in(self, models) -> int:
+        try:
+            return models.lookup_model(self.model)
+        except self.gp.GPhoto2Error:
+            known = [models.get_abilities(index).model for index in range(models.count())]
+            near = ", ".join(difflib.get_close_matches(self.model, known, n=3)) or "none"
+            raise DeviceError(f"libgphoto2 knows no camera {self.model!r}; nearest names: {near}") from None
+
+    def _find_port(self) -> str:
+        """Return the port of the one camera of the model on the bus."""
+        found = self.gp.Camera.autodetect()
+        seen = [(found.get_name(index), found.get_value(index)) for index in range(found.count())]
+        ports = [port for model, port in seen if model == self.model]
+        if not ports:
+            listed = ", ".join(f"{model} at {port}" for model, port in seen) or "no camera"
+            raise _AbsentError(f"{self.model}: not found, is it switched on and plugged in? gphoto2 sees {listed}")
+        if len(ports) > 1:
+            raise DeviceError(f"{self.model}: more than one, at {', '.join(ports)}; name one as driver.port")
+        return ports[0]
+
+    def _raise_unless_lost(self, error) -> None:
+        """Word an error that opening the camera again does not mend."""
+        if error.code in (self.gp.GP_ERROR_IO_USB_CLAIM, self.gp.GP_ERROR_IO_LOCK):
+            raise LinkError(
+                f"{self.model}: another program holds the camera, on a desktop most often the file manager's gvfs; "
+                f"run `gio mount -s gphoto2` or close that program (gphoto2 says {error})"
+            ) from error
+        if not self.is_loss(error):
+            raise CommandError(f"{self.model}: gphoto2 says {error}") from error
+
+
+def _library():
+    """Return python-gphoto2."""
+    try:
+        import gphoto2
+    except ImportError as error:
+        raise DeviceError(
+            f"the camera's driver needs python-gphoto2 ({error}): pip install -r requirements-rig.txt"
+        ) from error
+    return gphoto2
+
+
+def _leaves(widget) -> list[str]:
+    """Return the names of the settings in a tree of widgets."""
+    children = [widget.get_child(index) for index in range(widget.count_children())]
+    return [name for child in children for name in _leaves(child)] if children else [widget.get_name()]

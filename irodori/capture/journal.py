@@ -1,0 +1,318 @@
+"""The table of a session as it grows: one line a photograph, on the disk before the next is taken."""
+
+import contextlib
+import csv
+import fcntl
+import io
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from irodori.capture.rig.devices import DeviceError
+from irodori.config.capture_table import COLUMNS, EXTRA_COLUMNS, Shot, read_captures, shot_cells
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER, track
+from irodori.core.provenance import file_sha256
+
+_HEADER = ",".join((*COLUMNS, *EXTRA_COLUMNS)) + "\n"
+#: Photographs that a changed plan no longer asks for; their files stay.
+RETIRED = "captures-retired.csv"
+
+
+class StorageError(DeviceError):
+    """A disk that is full, or a folder that takes no files."""
+
+
+@contextlib.contextmanager
+def storing(path) -> Iterator[None]:
+    """Say in one sentence what the disk refused.
+
+    Raises
+    ------
+    StorageError
+    """
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error) or type(error).__name__
+        raise StorageError(f"{path}: cannot be stored: {reason}; what was taken before stays") from None
+
+
+@contextlib.contextmanager
+def claimed(table, folder, owner: str) -> Iterator[None]:
+    """Keep a table and a folder to one session at a time, and to the photographs of one thing for good.
+
+    File names follow from pose and exposure: in one folder, the photographs of two objects would pass for each other.
+
+    Parameters
+    ----------
+    table, folder : path
+    owner : str
+        What is photographed, such as ``object jar``.
+
+    Raises
+    ------
+    DeviceError
+        If another session is at work there.
+    InputError
+        If the folder or the table belongs to something else.
+    StorageError
+    """
+    table, folder = Path(table), Path(folder)
+    marks = [folder / ".session"]
+    if table.parent.absolute() != folder.absolute():
+        marks.append(table.with_name(f".{table.name}.session"))
+    with contextlib.ExitStack() as stack:
+        for mark in marks:
+            with storing(mark):
+                mark.parent.mkdir(parents=True, exist_ok=True)
+                file = stack.enter_context(open(mark, "a+", encoding="utf-8"))
+                try:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    raise DeviceError(f"{mark.parent}: another session is at work there; let it end first") from None
+                file.seek(0)
+                known = file.read().strip()
+                if not known:
+                    file.write(f"{owner}\n")
+                    file.flush()
+            if known not in ("", owner):
+                found = f"the photographs of the {known}"
+                accepted = f"a folder and a table for the {owner} alone, or {mark} removed where it was renamed"
+                raise InputError(mark.parent, "", found, accepted)
+        yield
+
+
+def _sync_folder(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _lines(rows: Iterable[Sequence]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
+
+
+def _cells(shot: Shot, sha256: str) -> list[str]:
+    return [str(cell) for cell in shot_cells(shot, sha256)]
+
+
+def _temporary(path: Path) -> Path:
+    return path.with_name(f".{path.name}.part")
+
+
+def _write_table(path: Path, rows: Iterable[Sequence]) -> None:
+    """Write a table; it appears under its name only when it is on the disk."""
+    temporary = _temporary(path)
+    with storing(path):
+        with open(temporary, "w", encoding="utf-8", newline="") as out:
+            out.write(_HEADER + _lines(rows))
+            out.flush()
+            os.fsync(out.fileno())
+        os.replace(temporary, path)
+        _sync_folder(path.parent)
+
+
+class Journal:
+    """A capture table to which lines are appended.
+
+    Parameters
+    ----------
+    table : path
+        ``captures.csv``. An existing table is continued: a line that a crash tore is removed, lines whose file is gone
+        or has changed are dropped, so that the photograph is taken again. A changed file is set aside, not removed.
+        A line without a hash, which a person wrote, waits for `retire`.
+    folder : path, optional
+        Folder of the RAW files; that of the table where None.
+
+    Raises
+    ------
+    InputError
+        If the table exists and is no capture table, or if not one of its photographs is there (a disk that is not
+        mounted, a folder that was moved).
+    StorageError
+    """
+
+    def __init__(self, table, folder=None) -> None:
+        self.table = Path(table)
+        self.folder = self.table.parent if folder is None else Path(folder)
+        self.retired = self.table.with_name(RETIRED)
+        self.shots: dict[str, Shot] = {}
+        self.sha256: dict[str, str] = {}
+        self._unhashed: dict[str, Shot] = {}
+        with storing(self.table):
+            for needed in (self.table.parent, self.folder):
+                needed.mkdir(parents=True, exist_ok=True)
+            for table_file in (self.table, self.retired):
+                _temporary(table_file).unlink(missing_ok=True)
+            content = self.table.read_bytes() if self.table.exists() else b""
+        self._continue(content)
+
+    def _continue(self, content: bytes) -> None:
+        whole = content[: content.rfind(b"\n") + 1]
+        first = (whole or content).decode("utf-8-sig", errors="replace").splitlines()[:1]
+        if first and not (first[0] == _HEADER.strip() or (not whole and _HEADER.startswith(first[0]))):
+            raise InputError(self.table, "line 1", "another header", f"the table of a session: {_HEADER.strip()}")
+        if not whole:
+            self._rewrite()
+            return
+        if whole != content:
+            with storing(self.table):
+                os.truncate(self.table, len(whole))
+        listed = list(csv.DictReader(io.StringIO(whole.decode("utf-8-sig", errors="replace"))))
+        if not listed:
+            return
+        digests = {row["file"]: row["sha256"] for row in listed}
+        if len(digests) > 1 and not any((self.folder / file).exists() for file in digests):
+            found = f"none of the {len(digests)} photographs of {self.table}"
+            raise InputError(self.folder, "", found, "the folder of its RAW files; to begin anew, remove the table")
+        for shot in track(read_captures(self.table), f"{self.table}: looking at the files"):
+            if not (self.folder / shot.file).is_file():
+                LOGGER.warning("%s is gone; it is taken again where it is asked for", self.folder / shot.file)
+            elif not digests[shot.file]:
+                self._unhashed[shot.file] = shot
+            elif self._is_unchanged(shot, digests[shot.file]):
+                self.shots[shot.file], self.sha256[shot.file] = shot, digests[shot.file]
+        if len(self.shots) + len(self._unhashed) < len(digests):
+            self._rewrite()
+
+    def _is_unchanged(self, shot: Shot, digest: str) -> bool:
+        path = self.folder / shot.file
+        found = file_sha256(path)
+        if found != digest:
+            # Left under its name, it would be taken for a photograph whose line a crash has cost.
+            aside = self.set_aside(shot.file, "changed", found)
+            LOGGER.warning("%s has changed on the disk; it is kept as %s and taken again", path, aside)
+        return found == digest
+
+    def set_aside(self, file: str, why: str, sha256: str) -> str:
+        """Rename a file so that it passes for no photograph of a plan, and return its new name."""
+        aside = _aside(file, why, sha256)
+        with storing(self.folder / aside):
+            os.replace(self.folder / file, self.folder / aside)
+            _sync_folder(self.folder)
+        return aside
+
+    def _rewrite(self) -> None:
+        lines = {**self.shots, **self._unhashed}
+        _write_table(self.table, (_cells(shot, self.sha256.get(file, "")) for file, shot in lines.items()))
+
+    def _retired_rows(self) -> dict[str, list[str]]:
+        """Return the lines of ``captures-retired.csv`` by file; a log, in which plans of several days may differ."""
+        if not self.retired.exists():
+            return {}
+        with open(self.retired, encoding="utf-8", newline="") as file:
+            return {row[0]: row for row in list(csv.reader(file))[1:] if row}
+
+    def retire(self, planned: Sequence[Shot]) -> list[Shot]:
+        """Take out the photographs that a plan does not ask for; they go to ``captures-retired.csv``, the files stay.
+
+        A file whose name the plan wants for another photograph (another sensitivity, another pose of the chart) is
+        renamed, and listed under its new name. A line without a hash that agrees with the plan is taken out as well,
+        and its file left to `stray`: what the line says of it is nobody's measurement.
+
+        Returns
+        -------
+        list of Shot
+            Those taken out.
+        """
+        wanted = {shot.file: shot for shot in planned}
+        retired = [shot for shot in self.shots.values() if wanted.get(shot.file) != shot]
+        retired += [shot for shot in self._unhashed.values() if not _agrees(shot, wanted.get(shot.file))]
+        if not retired and not self._unhashed:
+            return []
+        rows, renamed = self._retired_rows(), []
+        for shot in retired:
+            digest = self.sha256.get(shot.file) or self._hash(shot.file)
+            name = _aside(shot.file, "retired", digest) if shot.file in wanted else shot.file
+            rows[name] = _cells(replace(shot, file=name), digest)
+            if name != shot.file:
+                renamed.append((shot.file, digest))
+        # Listed first: a crash before the rename finds them in the table, one after it misses only the file there.
+        if retired:
+            _write_table(self.retired, rows.values())
+        for file, digest in renamed:
+            self.set_aside(file, "retired", digest)
+        for shot in retired:
+            self.shots.pop(shot.file, None)
+            self.sha256.pop(shot.file, None)
+        self._unhashed.clear()
+        self._rewrite()
+        return retired
+
+    def _hash(self, file: str) -> str:
+        with storing(self.folder / file):
+            return file_sha256(self.folder / file)
+
+    def stray(self, shot: Shot) -> Path | None:
+        """Return the file that has a photograph's name but no line, None where there is none or it is another's.
+
+        A retired photograph comes back where the plan asks for exactly it; another one of that name is set aside.
+        """
+        path = self.folder / shot.file
+        if not path.is_file():
+            return None
+        rows = self._retired_rows()
+        if shot.file in rows:
+            digest = file_sha256(path)
+            if rows[shot.file] != _cells(shot, digest):
+                name = _aside(shot.file, "retired", digest)
+                rows[name] = [name, *rows[shot.file][1:]]
+                _write_table(self.retired, rows.values())
+                self.set_aside(shot.file, "retired", digest)
+                return None
+        return path
+
+    def append(self, shot: Shot, sha256: str) -> None:
+        """Note a photograph whose file stands under its name; the line is on the disk when this returns."""
+        with storing(self.table):
+            _sync_folder(self.folder)
+            # Not "a": a table that somebody removed would begin again without its header.
+            with open(self.table, "r+b") as out:
+                out.seek(0, os.SEEK_END)
+                out.write(_lines([_cells(shot, sha256)]).encode())
+                out.flush()
+                os.fsync(out.fileno())
+        self.shots[shot.file], self.sha256[shot.file] = shot, sha256
+
+    def missing(self, planned: Sequence[Shot]) -> list[Shot]:
+        """Return the photographs of a plan that are not there, in its order."""
+        return [shot for shot in planned if shot.file not in self.shots]
+
+    def finish(self, planned: Sequence[Shot]) -> None:
+        """Put the table into the order of the plan, as if nothing had ever broken it off.
+
+        Raises
+        ------
+        ValueError
+            If a photograph is missing.
+        """
+        if missing := self.missing(planned):
+            raise ValueError(f"{len(missing)} photographs are missing, the first {missing[0].file}")
+        if list(self.shots) != [shot.file for shot in planned]:
+            self.shots = {shot.file: shot for shot in planned}
+            self._rewrite()
+        rows = self._retired_rows()
+        if left := [row for file, row in rows.items() if file not in self.shots]:
+            if len(left) < len(rows):
+                _write_table(self.retired, left)
+        else:
+            self.retired.unlink(missing_ok=True)
+
+
+def _agrees(line: Shot, wanted: Shot | None) -> bool:
+    """Return whether a person's line is of a photograph that a plan wants; what the line leaves open says nothing."""
+    if wanted is None:
+        return False
+    settings = {name: getattr(line, name) or getattr(wanted, name) for name in ("iso", "f_number")}
+    return replace(line, **settings) == wanted
+
+
+def _aside(file: str, why: str, sha256: str) -> str:
+    path = Path(file)
+    return f"{path.stem}-{why}-{sha256[:8]}{path.suffix}"

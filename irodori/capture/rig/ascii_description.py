@@ -1,0 +1,127 @@
+"""A controller's own command set, as the rig's file describes it: templates to send, patterns to expect."""
+
+import itertools
+import re
+import string
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from irodori.capture.rig.devices import GarbledError
+
+LINE_ENDS = {"lf": b"\n", "cr": b"\r", "crlf": b"\r\n"}
+#: Command: placeholders that it must have, and those that it may have.
+COMMANDS = {
+    "home": ((), ("axis",)),
+    "move": (("target",), ("axis",)),
+    "stop": ((), ()),
+    "position": ((), ("axis",)),
+    "status": ((), ("axis",)),
+}
+#: Commands that a controller may lack.
+OPTIONAL = {"resume": ((), ())}
+#: Reply: groups that its pattern must have.
+REPLIES = {"accepted": (), "position": ("position",), "status": ("state",), "refused": ()}
+#: Keys that list the words of a state.
+STATES = ("idle", "busy", "hold", "alarm")
+#: What stands for a placeholder where a template is tried.
+SAMPLES = {"axis": "A", "target": 12.5, "position": 12.5, "state": "X", "message": "why"}
+_NUMBER = r"[-+]?\d{1,9}(?:\.\d{0,9})?"
+
+
+def placeholders(template: str) -> list[str]:
+    """Return the names between a template's braces.
+
+    Raises
+    ------
+    ValueError
+        If it is no template, or a placeholder has no name.
+    """
+    found = []
+    for _, name, _, _ in string.Formatter().parse(template):
+        if name is not None:
+            if not name.isidentifier():
+                raise ValueError(f"a placeholder {{{name}}} without a plain name")
+            found.append(name)
+    return found
+
+
+def template_pattern(template: str) -> re.Pattern:
+    """Return the pattern of what a template can become; ``axis`` and ``target`` are groups of it."""
+    text = ""
+    for literal, name, _, _ in string.Formatter().parse(template):
+        text += re.escape(literal)
+        if name is not None:
+            text += f"(?P<{name}>{_NUMBER})" if name == "target" else rf"(?P<{name}>\S+?)"
+    return re.compile(text, re.ASCII)
+
+
+@dataclass(frozen=True)
+class Description:
+    """The block ``motion.ascii`` of a rig's file.
+
+    Parameters
+    ----------
+    line_end : bytes
+    commands : dict
+        Name of a command: template. Those of `OPTIONAL` may be absent.
+    replies : dict
+        Name of a reply: pattern of a whole line. ``refused`` may be absent.
+    idle, busy, hold, alarm : tuple of str
+        Words of the state, as the pattern of the status finds them.
+    """
+
+    line_end: bytes
+    commands: Mapping[str, str]
+    replies: Mapping[str, re.Pattern]
+    idle: tuple[str, ...]
+    busy: tuple[str, ...]
+    hold: tuple[str, ...]
+    alarm: tuple[str, ...]
+
+    @classmethod
+    def of(cls, block: Mapping) -> "Description":
+        """Return the description that a validated block gives."""
+        return cls(
+            LINE_ENDS[block["line_end"]],
+            {name: block[name] for name in (*COMMANDS, *OPTIONAL) if name in block},
+            {name: re.compile(text, re.ASCII) for name, text in block["replies"].items()},
+            *(tuple(block[state]) for state in STATES),
+        )
+
+    def line(self, command: str, **values) -> bytes:
+        """Return the bytes of a command."""
+        return self.commands[command].format(**values).encode("ascii") + self.line_end
+
+    def per_axis(self, command: str) -> bool:
+        """Return whether a command is for one axis."""
+        return "axis" in placeholders(self.commands[command])
+
+    def match(self, reply: str, line: str) -> re.Match:
+        """Return what a line says as a reply.
+
+        Raises
+        ------
+        GarbledError
+            If it is no such reply.
+        """
+        found = self.replies[reply].fullmatch(line)
+        if not found:
+            raise GarbledError(
+                f"the controller sent {line[:60]!r}, which is no reply {reply!r} of motion.ascii.replies"
+            )
+        return found
+
+    def state(self, word: str) -> str:
+        """Return ``idle``, ``run``, ``hold`` or ``alarm`` for a word of the controller.
+
+        Raises
+        ------
+        GarbledError
+            If it is none of those in the rig's file.
+        """
+        words = {"idle": self.idle, "run": self.busy, "hold": self.hold, "alarm": self.alarm}
+        for state, own in words.items():
+            if word in own:
+                return state
+        known = ", ".join(itertools.chain(*words.values()))
+        raise GarbledError(f"the controller says {word[:60]!r}; words of its state in the rig's file: {known}")

@@ -1,0 +1,261 @@
+"""A rig on a controller with its own command set, which the rig's file describes."""
+
+import contextlib
+import time
+from collections.abc import Mapping
+
+from irodori.capture.rig.ascii_description import Description
+from irodori.capture.rig.controlled_rig import MARGIN, POLL_S, START_S, ControlledRig
+from irodori.capture.rig.deadline import Deadline
+from irodori.capture.rig.devices import (
+    AlarmError,
+    CommandError,
+    DeadlineError,
+    DeviceError,
+    GarbledError,
+    HeldError,
+    Link,
+    RigStatus,
+)
+from irodori.capture.rig.drives import Drive
+
+#: Homing: way that it may take, as a multiple of the reach, at the speed of the axis.
+_HOMING_REACH = 3.0
+_STOP_TRIES = 3
+
+
+class AsciiRig(ControlledRig):
+    """A rig whose commands and replies are a description.
+
+    One question is on its way at a time. The controller is taken to lose its position with its power: where the rig has
+    limit switches, it must be homed once each time that it is opened, and a position that changes between two commands
+    counts as lost. Homing is done twice, for the same reason.
+
+    Parameters
+    ----------
+    link : Link
+        Closed by `close`; where this constructor raises, it is the caller's to close.
+    drives : dict
+        Angle of a pose: drive.
+    description : Description
+    timeout_s : float
+        Time that an answer may take, s.
+    homing : bool
+        Whether the axes have limit switches.
+
+    Raises
+    ------
+    DeadlineError, LinkError, CommandError
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        drives: Mapping[str, Drive],
+        description: Description,
+        *,
+        timeout_s: float = 3.0,
+        homing: bool = True,
+    ) -> None:
+        super().__init__(drives, timeout_s, homing)
+        self._link, self._words = link, description
+        self._in_step, self._homed = True, not homing
+        # Where the axes were left, and where a move that is under way takes them, controller units.
+        self._last: dict[str, float] = {}
+        self._goal: dict[str, float] = {}
+        self._last = self._wake()
+
+    def move(self, targets_deg: Mapping[str, float]) -> None:
+        """Move axes, each at its own speed, and wait until they stand there; see `Rig.move`."""
+        self.check(targets_deg)
+        if not targets_deg:
+            return
+        with self._stopping_on_failure():
+            places = self._ready()
+            targets = {**places, **{name: self.drives[name].to_units(angle) for name, angle in targets_deg.items()}}
+            start = {name: self.drives[name].to_deg(places[name]) for name in places}
+            deadline = Deadline(self.travel_s(start, targets_deg) * (1 + MARGIN) + self._timeout_s)
+            self._goal = targets
+            for name in targets_deg:
+                self._order("move", axis=self.drives[name].channel, target=targets[name])
+            self._await_arrival([places, targets], deadline)
+            self._last, self._goal = targets, {}
+
+    def status(self) -> RigStatus:
+        """Return what the controller says of itself; see `Rig.status`."""
+        self._get_in_step()
+        state, places = self._states(), self._places()
+        if state == "alarm" or (state == "idle" and self._strayed(places)):
+            self._homed = False
+        named = {name: self.drives[name].to_deg(place) for name, place in places.items()}
+        return RigStatus(state, named, self._homed)
+
+    def close(self) -> None:
+        """Let go of the line."""
+        self._link.close()
+
+    # ---- steps of the above
+
+    def _wake(self) -> dict[str, float]:
+        """Bring a controller in whatever state to rest, and return where its axes stand, controller units."""
+        # Replies to whoever spoke to it last may still be on their way.
+        self._settle()
+        knocking = Deadline(self._timeout_s)
+        while True:
+            try:
+                if self._states() in ("run", "hold"):
+                    self._halt()
+                return self._places()
+            except (DeadlineError, GarbledError):
+                if knocking.passed:
+                    raise
+                self._settle()
+
+    def _halt(self) -> None:
+        """Stop the axes and wait until they stand."""
+        for left in reversed(range(_STOP_TRIES)):
+            self._link.write(self._words.line("stop"))
+            try:
+                self._settle()
+                still = Deadline(self._brake_s * (1 + MARGIN) + self._timeout_s / _STOP_TRIES)
+                while self._states() == "run":
+                    if still.passed:
+                        raise DeadlineError("the rig does not stop")
+                    time.sleep(POLL_S / 3)
+                break
+            except (DeadlineError, GarbledError, CommandError):
+                if not left:
+                    raise
+        places, self._in_step = self._places(), True
+        for name, drive in self.drives.items():
+            left = self._last.get(name, places[name])
+            ends, slack = (left, self._goal.get(name, left)), self._tolerance(drive)
+            if not min(ends) - slack <= places[name] <= max(ends) + slack:
+                self._homed = False
+        self._last, self._goal = places, {}
+
+    def _settle(self) -> None:
+        """Read on until nothing comes."""
+        deadline = Deadline(self._timeout_s / _STOP_TRIES)
+        with contextlib.suppress(DeadlineError):
+            while not deadline.passed:
+                with contextlib.suppress(GarbledError):
+                    self._link.read_line(2 * POLL_S)
+
+    def _get_in_step(self) -> None:
+        if not self._in_step:
+            self._halt()
+
+    def _find_switches(self) -> None:
+        self._get_in_step()
+        # Twice: a controller whose power drops out on the way counts from 0 wherever that was, and looks homed.
+        for _ in range(2):
+            self._home_once()
+        self._last = self._places()
+
+    def _home_once(self) -> None:
+        for drive in self.drives.values():
+            self._order("home", axis=drive.channel)
+            if not self._words.per_axis("home"):
+                break
+        ways = [(high - low) / drive.speed for drive in self.drives.values() for low, high in [drive.reach]]
+        deadline = Deadline(_HOMING_REACH * max(ways) + 2 * self._brake_s + self._timeout_s)
+        began, seen = Deadline(START_S), False
+        while (state := self._look()[0]) == "run" or not (seen or began.passed):
+            seen = seen or state == "run"
+            if state == "hold":
+                raise HeldError("the rig was held while it was homed: clear the cause, then home it again")
+            if deadline.passed:
+                raise DeadlineError(f"the switches were not found within {deadline.seconds:.3g} s")
+            time.sleep(POLL_S)
+
+    def _send_resume(self) -> None:
+        self._order("resume")
+
+    def _check_resume(self) -> None:
+        if "resume" not in self._words.commands:
+            raise CommandError(
+                "the rig's file has no motion.ascii.resume: a feed hold of this controller is ended by its own buttons"
+            )
+
+    def _astray(self, what: str) -> DeviceError:
+        return AlarmError(f"{what}: do not trust its position, home it")
+
+    def _look(self) -> tuple[str, dict[str, float]]:
+        state, places = self._states(), self._places()
+        if state == "alarm":
+            raise AlarmError("the controller is in alarm: it stopped by itself; find the cause, then home it")
+        return state, places
+
+    def _check_places(self, places: Mapping[str, float]) -> None:
+        if name := self._strayed(places):
+            now, before = (self.drives[name].to_deg(at[name]) for at in (places, self._last))
+            raise AlarmError(
+                f"{name} is at {now:.6g} degrees and was left at {before:.6g}: "
+                "its controller has started anew or was moved by hand; home it first"
+            )
+
+    def _strayed(self, places: Mapping[str, float]) -> str:
+        """Return an axis that is not where it was left, empty where there is none."""
+        for name, drive in self.drives.items():
+            if abs(places[name] - self._last[name]) > self._tolerance(drive):
+                return name
+        return ""
+
+    def _tolerance(self, drive: Drive) -> float:
+        """Return how far from a target an axis may come to rest: half of its smallest step."""
+        return 0.5 * drive.axis.step_deg * abs(drive.units_per_deg)
+
+    def _order(self, command: str, **values) -> None:
+        """Send a command and wait until it is accepted."""
+        try:
+            self._words.match("accepted", self._ask(command, **values))
+        except CommandError as refusal:
+            if self._states() == "alarm":
+                raise AlarmError(f"{refusal}; it is in alarm: find the cause, then home it") from None
+            raise
+
+    def _ask(self, command: str, **values) -> str:
+        """Send a command and return its reply.
+
+        Raises
+        ------
+        CommandError
+            If it is refused.
+        """
+        # A reply that came too late for the question before is no reply to this one.
+        self._link.discard_input()
+        self._link.write(self._words.line(command, **values))
+        deadline = Deadline(self._timeout_s)
+        while not (line := self._link.read_line(deadline.remaining_s).strip()):
+            if deadline.passed:
+                raise DeadlineError(f"the controller sent nothing but empty lines for {deadline.seconds:.2g} s")
+        refused = self._words.replies.get("refused")
+        if refused and (found := refused.fullmatch(line)):
+            said = found.groupdict().get("message") or line
+            raise CommandError(f"the controller refused {self._words.commands[command]!r}: {said}")
+        return line
+
+    def _states(self) -> str:
+        """Return ``alarm`` where an axis is, else ``run`` where one is, else ``hold``, else ``idle``."""
+        found = set()
+        for drive in self.drives.values():
+            line = self._ask("status", axis=drive.channel)
+            found.add(self._words.state(self._words.match("status", line)["state"]))
+            if not self._words.per_axis("status"):
+                break
+        return next(state for state in ("alarm", "run", "hold", "idle") if state in found)
+
+    def _places(self) -> dict[str, float]:
+        """Return where the axes stand, controller units."""
+        places = {}
+        for name, drive in self.drives.items():
+            line = self._ask("position", axis=drive.channel)
+            found = self._words.match("position", line)
+            if found.groupdict().get("axis", drive.channel) != drive.channel:
+                raise GarbledError(f"the controller sent {line!r} when asked for its axis {drive.channel}")
+            try:
+                places[name] = float(found["position"])
+            except ValueError:
+                raise GarbledError(f"the controller sent {line!r}, in which the position is not a number") from None
+        return places

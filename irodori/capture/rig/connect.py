@@ -1,0 +1,118 @@
+"""The rig that a definition describes, opened: a controller on its port, or a simulator started for the purpose."""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+
+from irodori.capture.rig.ascii_description import Description
+from irodori.capture.rig.ascii_rig import AsciiRig
+from irodori.capture.rig.devices import Link, Rig, SettingError
+from irodori.capture.rig.drives import Drive, drives_of
+from irodori.capture.rig.grbl.driver import GrblRig
+from irodori.capture.rig.grbl.settings_check import ACCELERATION, RATE, STEPS, TRAVEL, number
+from irodori.capture.rig.serial_link import SerialLink
+from irodori.simulation.controllers import ascii_simulator
+from irodori.simulation.controllers import grbl_simulator as grbl_simulator
+from irodori.simulation.controllers.peer_client import Simulator
+
+SIMULATOR = "simulator"
+_HOMING_SEARCH = 4.0
+
+
+@contextmanager
+def open_rig(rig: Mapping) -> Iterator[Rig]:
+    """Open the rig of a definition; stop it on an exception, and let go of its line at the end.
+
+    Parameters
+    ----------
+    rig : dict
+        Validated, with the blocks ``limits`` and ``motion``. The port ``simulator`` starts a simulated controller.
+
+    Yields
+    ------
+    Rig
+        Its ``simulator`` is an `irodori.simulation.controllers.peer_client.Simulator` on the port ``simulator``, else
+        None: what a virtual camera asks where the axes truly stand (see `true_position_deg`).
+
+    Raises
+    ------
+    DeviceError
+    """
+    motion = rig.get("motion")
+    if motion is None:
+        raise SettingError("the rig's file has no block motion: nothing of this rig is driven")
+    with ExitStack() as stack:
+        simulator = stack.enter_context(start_simulator(rig)) if motion["port"] == SIMULATOR else None
+        link = SerialLink(
+            simulator.port if simulator else motion["port"],
+            motion["baud"],
+            write_timeout_s=motion["timeout_s"],
+            line_end=b"\n" if motion["protocol"] == "grbl" else Description.of(motion["ascii"]).line_end,
+        )
+        stack.callback(link.close)
+        opened = _DRIVERS[motion["protocol"]](link, drives_of(rig), motion)
+        opened.simulator = simulator
+        yield stack.enter_context(opened)
+
+
+@contextmanager
+def start_simulator(rig: Mapping) -> Iterator[Simulator]:
+    """Start the simulated controller of a definition, set up as the definition wants it; see `open_rig`."""
+    motion = rig["motion"]
+    given = motion["simulator"]
+    how = {"time_scale": given["time_scale"], "seed": given["seed"], "homing_rms": given["homing_rms_units"]}
+    if motion["protocol"] == "grbl":
+        running = grbl_simulator.simulate(grbl_settings(drives_of(rig), motion["homing"]), **how)
+    else:
+        running = ascii_simulator.simulate(rig, **how)
+    with running as simulator:
+        yield simulator
+
+
+def grbl_settings(drives: Mapping[str, Drive], homing: bool) -> dict[int, float]:
+    """Return the ``$`` settings that fit drives: what a person at the bench would set for such a rig.
+
+    The pull-off ends where machine position and reach begin, so that the axis stands within its limits after homing.
+    """
+    pull_off = min([1.0, *(-drive.reach[1] for drive in drives.values() if drive.reach[1] < 0.0)])
+    settings: dict[int, float] = {20: int(homing), 22: int(homing), 26: 25, 27: round(pull_off, 3)}
+    # Axes of the controller that are not the rig's are homed with the others, and must not hold them up.
+    others = {TRAVEL: 10.0, ACCELERATION: max(drive.acceleration for drive in drives.values())}
+    settings |= {first + index: value for first, value in others.items() for index in range(3)}
+    for drive in drives.values():
+        finest = min(drive.axis.step_deg, 0.1) * abs(drive.units_per_deg)
+        settings[number(STEPS, drive)] = max(100.0, round(10.0 / finest, 3))
+        settings[number(RATE, drive)] = round(drive.speed * 60.0 + 5e-4, 3)
+        settings[number(ACCELERATION, drive)] = round(drive.acceleration + 5e-4, 3)
+        settings[number(TRAVEL, drive)] = round(pull_off - drive.reach[0] + 5e-4, 3)
+    settings[25] = round(max(drive.speed for drive in drives.values()) * 60.0, 3)
+    settings[24] = round(settings[25] / _HOMING_SEARCH, 3)
+    return settings
+
+
+def true_position_deg(rig: Rig) -> dict[str, float]:
+    """Return where the axes of a simulated rig truly stand, degrees: what a camera before it would see.
+
+    The mechanics are counted from the limit switches: after an ideal homing this is what the controller reports, and it
+    stays true when the controller loses count.
+
+    Raises
+    ------
+    ValueError
+        If the rig is not simulated.
+    """
+    if rig.simulator is None:
+        raise ValueError("only a simulated rig knows where it truly stands")
+    places = rig.simulator.true_position()
+    return {name: drive.to_deg(places[drive.channel]) for name, drive in rig.drives.items()}
+
+
+def _open_grbl(link: Link, drives: Mapping[str, Drive], motion: Mapping) -> Rig:
+    return GrblRig(link, drives, timeout_s=motion["timeout_s"], flow=motion["flow"], homing=motion["homing"])
+
+
+def _open_ascii(link: Link, drives: Mapping[str, Drive], motion: Mapping) -> Rig:
+    words = Description.of(motion["ascii"])
+    return AsciiRig(link, drives, words, timeout_s=motion["timeout_s"], homing=motion["homing"])
+
+
+_DRIVERS: dict[str, Callable[[Link, Mapping[str, Drive], Mapping], Rig]] = {"grbl": _open_grbl, "ascii": _open_ascii}

@@ -1,0 +1,103 @@
+"""Motorised axes as a controller sees them: channels, units, and straight moves of several at once."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from irodori.capture.rig.devices import Axis
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One axis and the channel of the controller that moves it.
+
+    Parameters
+    ----------
+    axis : Axis
+    channel : str
+        Letter or name by which the controller knows it.
+    units_per_deg : float
+        Controller units in a degree; negative where they count the other way.
+    zero_deg : float
+        Angle at the controller's position 0, degrees.
+    """
+
+    axis: Axis
+    channel: str
+    units_per_deg: float
+    zero_deg: float = 0.0
+
+    def to_units(self, angle_deg: float) -> float:
+        """Return the controller's position for an angle in degrees."""
+        return (angle_deg - self.zero_deg) * self.units_per_deg
+
+    def to_deg(self, position: float) -> float:
+        """Return the angle in degrees for a controller's position."""
+        return self.zero_deg + position / self.units_per_deg
+
+    @property
+    def speed(self) -> float:
+        """Largest speed, units/s."""
+        return self.axis.speed_deg_per_s * abs(self.units_per_deg)
+
+    @property
+    def acceleration(self) -> float:
+        """Largest acceleration, units/s^2."""
+        return self.axis.acceleration_deg_per_s2 * abs(self.units_per_deg)
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Smallest and largest position, units."""
+        ends = self.to_units(self.axis.min_deg), self.to_units(self.axis.max_deg)
+        return min(ends), max(ends)
+
+
+def drives_of(rig: Mapping) -> dict[str, Drive]:
+    """Return the drives of a rig's definition by the name of their angle.
+
+    Parameters
+    ----------
+    rig : dict
+        Validated, with the blocks ``limits`` and ``motion``.
+    """
+    drives = {}
+    for name, given in rig["motion"]["axes"].items():
+        limit = rig["limits"][name]
+        rates = given["speed_deg_per_s"], given["acceleration_deg_per_s2"]
+        axis = Axis(name, limit["min"], limit["max"], limit["step"], *rates)
+        drives[name] = Drive(axis, given["channel"], given["units_per_deg"], given["zero_deg"])
+    return drives
+
+
+def along(move: list[float], speeds: list[float], accelerations: list[float]) -> tuple[float, float]:
+    """Return speed and acceleration along a straight move whose axes each keep to their own.
+
+    Parameters
+    ----------
+    move, speeds, accelerations : list of float
+        For each axis: distance with its sign (units), units/s and units/s^2.
+
+    Returns
+    -------
+    speed, acceleration : float
+        Infinite for a move of no length.
+    """
+    length = math.hypot(*move)
+    if not length:
+        return math.inf, math.inf
+    parts = [(abs(d) / length, v, a) for d, v, a in zip(move, speeds, accelerations, strict=True)]
+    # A share so small that it underflows holds nothing up.
+    return (
+        min((v / part for part, v, _ in parts if part), default=math.inf),
+        min((a / part for part, _, a in parts if part), default=math.inf),
+    )
+
+
+def straight_s(move: list[float], speeds: list[float], accelerations: list[float]) -> float:
+    """Return the time of a straight move with a trapezoidal profile of speed, s; see `along`."""
+    length = math.hypot(*move)
+    if not length:
+        return 0.0
+    speed, acceleration = along(move, speeds, accelerations)
+    ramp = speed / acceleration
+    return length / speed + ramp if length >= speed * ramp else 2.0 * math.sqrt(length / acceleration)

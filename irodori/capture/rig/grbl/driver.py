@@ -1,0 +1,340 @@
+"""A rig whose axes a Grbl 1.1 controller moves."""
+
+import contextlib
+import time
+from collections.abc import Iterator, Mapping, Sequence
+
+from irodori.capture.rig.controlled_rig import MARGIN, POLL_S, ControlledRig
+from irodori.capture.rig.deadline import Deadline
+from irodori.capture.rig.devices import (
+    AlarmError,
+    CommandError,
+    DeadlineError,
+    DeviceError,
+    GarbledError,
+    HeldError,
+    Link,
+    LinkError,
+    RigStatus,
+)
+from irodori.capture.rig.drives import Drive, along, straight_s
+from irodori.capture.rig.grbl.codes import alarm_text
+from irodori.capture.rig.grbl.conversation import RESTARTED, Conversation
+from irodori.capture.rig.grbl.protocol import (
+    HOLD,
+    JOG_CANCEL,
+    LETTERS,
+    RESUME,
+    Feedback,
+    Report,
+    Setting,
+    jog_line,
+    motion_line,
+)
+from irodori.capture.rig.grbl.settings_check import RATE, STEPS, check_settings, home_position, homing_s, number
+
+#: How often the controller is asked while it may still be starting, s.
+_KNOCK_S = 0.3
+#: Positions are sent and reported with three decimals.
+_ROUNDING = 1.5e-3
+_HOW_TO_CLEAR = "find the cause, then home it"
+
+
+class GrblRig(ControlledRig):
+    """A rig on a Grbl controller.
+
+    The controller is woken and reset (motion in progress is brought to rest first), and its settings are compared
+    with the drives. With homing, Grbl locks itself when its power comes back and after everything that may have cost it
+    its position; a controller that is not locked is taken to know where it stands.
+
+    Parameters
+    ----------
+    link : Link
+        Closed by `close`; where this constructor raises, it is the caller's to close.
+    drives : dict
+        Angle of a pose: drive.
+    timeout_s : float
+        Time that an answer may take, s. A board that starts anew when its port is opened needs about 2 s.
+    flow : {"send-response", "character-counting"}
+    homing : bool
+        Whether the axes have limit switches. Without, the controller counts from where it was switched on.
+
+    Raises
+    ------
+    SettingError, DeadlineError, LinkError
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        drives: Mapping[str, Drive],
+        *,
+        timeout_s: float = 3.0,
+        flow: str = "send-response",
+        homing: bool = True,
+    ) -> None:
+        super().__init__(drives, timeout_s, homing)
+        self._talk, self._is_homing = Conversation(link, timeout_s, flow), False
+        report = self._wake()
+        self._options = ""
+        self._settings = self._read_settings()
+        check_settings(self._settings, self._options, self.drives, homing)
+        # L: a build that does not lock itself when its power comes back, so that being unlocked says nothing.
+        self._homed = not homing or (report.state != "Alarm" and "L" not in self._options)
+
+    _without_switches = "put it where it was switched on and start anew, or unlock it"
+
+    # ---- what every rig does
+
+    def move(self, targets_deg: Mapping[str, float]) -> None:
+        """Move axes in a straight line and wait until they stand there; see `Rig.move`."""
+        self.path([targets_deg])
+
+    def path(self, waypoints_deg: Sequence[Mapping[str, float]]) -> None:
+        """Move through several places, all of them sent ahead under flow control; see `Rig.move`.
+
+        Parameters
+        ----------
+        waypoints_deg : sequence of dict
+            Axes that one does not name stay where the one before left them.
+        """
+        for targets in waypoints_deg:
+            self.check(targets)
+        if not any(waypoints_deg):
+            return
+        with self._stopping_on_failure():
+            places = self._ready()
+            lines, seconds, longest, corners = [], 0.0, 0.0, [places]
+            for targets in filter(None, waypoints_deg):
+                after = {**places, **{name: self.drives[name].to_units(angle) for name, angle in targets.items()}}
+                line, travel = self._motion(places, after)
+                lines.append(line)
+                seconds, longest = seconds + travel, max(longest, travel)
+                corners.append(after)
+                places = after
+            arrival = Deadline(seconds * (1 + MARGIN) + self._timeout_s)
+            self._talk.stream(lines, longest * (1 + MARGIN) + self._timeout_s, self._refuse_alarm)
+            self._await_arrival(corners, arrival)
+
+    def jog(self, name: str, by_deg: float) -> None:
+        """Move one axis by an angle, with a command that a stop cancels without leaving anything behind."""
+        self.check({name: self.axes[name].min_deg if name in self.axes else by_deg})
+        with self._stopping_on_failure(JOG_CANCEL):
+            places, drive = self._ready(), self.drives[name]
+            target_deg = drive.to_deg(places[name]) + by_deg
+            self.check({name: target_deg})
+            after = {**places, name: drive.to_units(target_deg)}
+            seconds = self._travel([after[n] - places[n] for n in places])
+            arrival = Deadline(seconds * (1 + MARGIN) + self._timeout_s)
+            self._talk.command(jog_line({drive.channel: after[name]}, drive.speed * 60.0))
+            self._await_arrival([places, after], arrival)
+
+    def status(self) -> RigStatus:
+        """Return what the controller says of itself; see `Rig.status`."""
+        self._get_in_step()
+        report = self._talk.ask_report()
+        if report.state == "Alarm" or self._talk.restarted:
+            self._homed = False
+        places = {name: drive.to_deg(self._place(report, drive)) for name, drive in self.drives.items()}
+        words = [self._talk.message]
+        if self._talk.restarted:
+            words = [RESTARTED]
+        elif report.state == "Alarm" and self._talk.alarm is not None:
+            words = [alarm_text(self._talk.alarm)]
+        if report.pins:
+            words.append(f"active inputs: {report.pins}")
+        return RigStatus(report.state.lower(), places, self._homed, "; ".join(filter(None, words)))
+
+    def close(self) -> None:
+        """Let go of the line."""
+        self._talk.link.close()
+
+    def travel_s(self, from_deg: Mapping[str, float], to_deg: Mapping[str, float]) -> float:
+        """Return the time of a straight move, s."""
+        moves = {name: (to_deg[name] - from_deg[name]) * self.drives[name].units_per_deg for name in to_deg}
+        return self._travel([moves.get(name, 0.0) for name in self.drives])
+
+    # ---- what only this one does
+
+    def settings(self) -> dict[int, float]:
+        """Return the controller's ``$`` settings by number, as it reports them now.
+
+        Raises
+        ------
+        CommandError
+            If it is not at rest.
+        HeldError
+            If it is held: Grbl then reads no line.
+        DeadlineError, LinkError
+        """
+        self._get_in_step()
+        try:
+            if self._talk.ask_report().state == "Hold":
+                raise HeldError("the rig is held, and answers no question: clear the cause, then let it go on")
+            return self._read_settings()
+        except (LinkError, DeadlineError):
+            self._in_step = False
+            raise
+
+    def unlock(self) -> None:
+        """Declare that the controller's position is right although it is locked (``$X``): the operator's word for it.
+
+        Raises
+        ------
+        CommandError, DeadlineError, LinkError
+        """
+        with self._stopping_on_failure():
+            self._halt()
+            self._talk.command("$X")
+            self._talk.alarm, self._homed = None, True
+
+    # ---- steps of the above
+
+    def _wake(self) -> Report:
+        """Bring a controller in whatever state to rest, reset it, and return how it is then."""
+        knocking, report = Deadline(self._timeout_s), None
+        while report is None and not knocking.passed:
+            with contextlib.suppress(DeadlineError, GarbledError, CommandError):
+                report = self._talk.ask_report(min(_KNOCK_S, self._timeout_s))
+        if report is not None and report.moving:
+            self._halt()
+        else:
+            try:
+                self._talk.soft_reset()
+            except DeadlineError:
+                raise DeadlineError(
+                    f"no Grbl controller answers within {self._timeout_s:g} s: is it on, are port and baud right?"
+                ) from None
+        report = self._talk.ask_report()
+        self._in_step = True
+        return report
+
+    def _halt(self) -> None:
+        """Bring the axes to rest and reset the controller, which then holds no line and no move."""
+        talk, still = self._talk, Deadline(self._brake_s * (1 + MARGIN) + self._timeout_s)
+        try:
+            # Homing hears nothing but a reset.
+            while not self._is_homing:
+                talk.link.write(HOLD)
+                try:
+                    report = talk.ask_report(min(self._timeout_s, still.remaining_s))
+                    if not report.moving:
+                        break
+                except (GarbledError, CommandError):
+                    pass
+                if still.passed:
+                    break
+                time.sleep(POLL_S / 3)
+        except DeadlineError:
+            pass
+        self._is_homing = False
+        talk.soft_reset()
+        self._in_step = True
+
+    @contextlib.contextmanager
+    def _stopping_on_failure(self, first: bytes = b"") -> Iterator[None]:
+        """Stop the rig whatever ends the block before its time, Ctrl-C included."""
+        try:
+            yield
+        except BaseException as error:
+            if isinstance(error, AlarmError) or self._talk.restarted:
+                self._homed = False
+            with contextlib.suppress(DeviceError):
+                self._talk.link.write(first or HOLD)
+            self.stop()
+            raise
+
+    def _get_in_step(self) -> None:
+        if not self._in_step:
+            self._wake()
+
+    def _find_switches(self) -> None:
+        self._halt()
+        self._talk.alarm, self._is_homing = None, True
+        self._talk.command("$H", homing_s(self._settings, self.drives) + self._timeout_s)
+        self._is_homing = False
+        report = self._talk.ask_report()
+        self._refuse_unless_idle(report)
+        for drive in self.drives.values():
+            at, wanted = self._place(report, drive), home_position(self._settings, self._options, drive)
+            if abs(at - wanted) > self._tolerance(drive):
+                raise LinkError(
+                    f"{drive.axis.name}: homing ended at {drive.channel} {at:g} instead of {wanted:g}: "
+                    "the command was garbled on its way, or $23 or $27 is not what the controller does"
+                )
+        self._talk.message = ""  # what it said while it was locked
+
+    def _send_resume(self) -> None:
+        self._talk.link.write(RESUME)
+
+    def _astray(self, what: str) -> DeviceError:
+        return LinkError(f"{what}; a command was garbled on its way")
+
+    def _look(self) -> tuple[str, dict[str, float]]:
+        report = self._talk.ask_report()
+        self._refuse_alarm(report)
+        if report.state in ("Door", "Sleep", "Check"):
+            self._refuse_unless_idle(report)
+        places = {name: self._place(report, drive) for name, drive in self.drives.items()}
+        # A hold whose axes still slow down is motion: until they stand, Grbl does not take the end of it.
+        return "run" if report.moving else report.state.lower(), places
+
+    def _refuse_unless_idle(self, report: Report) -> None:
+        self._refuse_alarm(report)
+        if report.state != "Idle":
+            why = {"Door": "close the safety door", "Sleep": "switch it off and on", "Check": "end its check mode ($C)"}
+            what = why.get(report.state, "another program or its buttons move it")
+            raise CommandError(f"the controller is not idle but says {report.state}: {what}")
+
+    def _refuse_alarm(self, report: Report | None = None) -> None:
+        if self._talk.restarted:
+            self._homed = False
+            raise AlarmError(RESTARTED)
+        if self._talk.alarm is not None and (report is None or report.state == "Alarm"):
+            self._homed = False
+            raise AlarmError(f"the controller stopped by itself: {alarm_text(self._talk.alarm)}; {_HOW_TO_CLEAR}")
+        if report is not None and report.state == "Alarm":
+            self._homed = False
+            raise AlarmError("the controller is locked, as it is after switching on or an alarm: home it first")
+
+    def _motion(self, places: Mapping[str, float], after: Mapping[str, float]) -> tuple[str, float]:
+        """Return the line of a straight move and its time, s."""
+        way = {name: after[name] - places[name] for name in places}
+        named = {self.drives[n].channel: after[n] for n in way if abs(way[n]) > self._tolerance(self.drives[n]) / 4}
+        moved = [n for n in way if self.drives[n].channel in named]
+        if not moved:
+            return "", 0.0
+        drives = [self.drives[n] for n in moved]
+        rapid = all(abs(d.speed * 60.0 / self._settings[number(RATE, d)] - 1.0) < 1e-3 for d in drives)
+        speed, _ = along([way[n] for n in moved], [d.speed for d in drives], [d.acceleration for d in drives])
+        return motion_line(named, None if rapid else speed * 60.0), self._travel([way[n] for n in self.drives])
+
+    def _travel(self, way: list[float]) -> float:
+        drives = list(self.drives.values())
+        return straight_s(way, [d.speed for d in drives], [d.acceleration for d in drives])
+
+    def _place(self, report: Report, drive: Drive) -> float:
+        """Return where a drive stands, controller units."""
+        places, index = report.position(), LETTERS.index(drive.channel)
+        if places is None or len(places) <= index:
+            raise GarbledError(f"the controller reports no machine position of its axis {drive.channel}")
+        return places[index]
+
+    def _tolerance(self, drive: Drive) -> float:
+        """Return how far from a target a drive may come to rest: a step of the motor, and what the decimals leave."""
+        return 1.0 / self._settings[number(STEPS, drive)] + _ROUNDING
+
+    def _read_settings(self) -> dict[int, float]:
+        """Return the ``$`` settings: read twice, for nothing else would show a digit that was lost on the way."""
+        self._options = ""
+        for message in self._talk.command("$I"):
+            if isinstance(message, Feedback) and message.kind == "OPT":
+                self._options, *sizes = message.text.split(",")
+                if len(sizes) >= 2 and sizes[1].isdecimal() and int(sizes[1]) > 0:
+                    self._talk.buffer_bytes = min(int(sizes[1]), self._talk.buffer_bytes)
+        first, second = (
+            {m.number: m.value for m in self._talk.command("$$") if isinstance(m, Setting)} for _ in range(2)
+        )
+        if first != second:
+            raise GarbledError("the controller's settings read differently twice in a row: the line is garbled")
+        return second

@@ -1,0 +1,223 @@
+"""The lines that Grbl 1.1 sends, parsed; and the single bytes and lines that it takes.
+
+Nothing here waits or writes. Positions are in the controller's own units, which Grbl calls mm.
+Source: gnea/grbl, doc/markdown/interface.md.
+"""
+
+import re
+from dataclasses import dataclass
+
+from irodori.capture.rig.devices import GarbledError
+
+STATUS, HOLD, RESUME, SOFT_RESET, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x85"
+#: Bytes that the controller's serial buffer holds, and the longest line with its end.
+RX_BUFFER_BYTES, LINE_BYTES = 128, 80
+LETTERS = "XYZABC"
+STATES = ("Idle", "Run", "Hold", "Jog", "Home", "Alarm", "Check", "Door", "Sleep")
+#: States with a number behind a colon, and the largest.
+_SUBSTATES = {"Hold": 1, "Door": 3}
+
+_COORDINATE = r"-?\d{1,7}\.\d{3,4}"
+_COORDINATES = re.compile(rf"{_COORDINATE}(?:,{_COORDINATE}){{0,5}}", re.ASCII)
+_NUMBER = re.compile(r"-?\d{1,9}(?:\.\d{1,6})?", re.ASCII)
+_SETTING = re.compile(r"\$(\d{1,3})=(-?\d{1,9}(?:\.\d{1,6})?)(?: \(.*\))?", re.ASCII)
+_STARTUP = re.compile(r"\$N\d=.*|>.*:(?:ok|error:\d{1,3})", re.ASCII)
+_BANNER = re.compile(r"Grbl (\d{1,3}\.\d{1,3}[a-z]?) \[.*\]", re.ASCII)
+_CODE = re.compile(r"(error|ALARM):(\d{1,3})", re.ASCII)
+_FEEDBACK = re.compile(r"\[([A-Za-z0-9.]{1,8}):(.*)\]", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Report:
+    """A status report ``<Idle|MPos:0.000,0.000,0.000|...>``.
+
+    Parameters
+    ----------
+    state : str
+        One of `STATES`.
+    substate : int, optional
+        Hold: 0 complete, 1 still slowing down. Door: 0 closed, 1 open, 2 opening while slowing down, 3 resuming.
+    machine, work, offset : tuple of float, optional
+        ``MPos``, ``WPos`` and ``WCO``, in the controller's units; a report holds one of the first two.
+    free_blocks, free_bytes : int, optional
+        ``Bf``: room in the planner and in the serial buffer.
+    pins : str
+        ``Pn``: letters of the inputs that are active.
+    overrides_percent : tuple of int, optional
+        ``Ov``: feed, rapid and spindle.
+    feed : float, optional
+        ``F`` or ``FS``, units/min.
+    """
+
+    state: str
+    substate: int | None = None
+    machine: tuple[float, ...] | None = None
+    work: tuple[float, ...] | None = None
+    offset: tuple[float, ...] | None = None
+    free_blocks: int | None = None
+    free_bytes: int | None = None
+    pins: str = ""
+    overrides_percent: tuple[int, ...] | None = None
+    feed: float | None = None
+
+    def position(self, offset: tuple[float, ...] | None = None) -> tuple[float, ...] | None:
+        """Return the machine position, from the work position and an offset where need be; None where unknown."""
+        if self.machine is not None:
+            return self.machine
+        offset = self.offset or offset
+        if self.work is None or offset is None or len(offset) != len(self.work):
+            return None
+        return tuple(w + o for w, o in zip(self.work, offset, strict=True))
+
+    @property
+    def moving(self) -> bool:
+        """Whether the axes may be in motion."""
+        slowing = (self.state == "Hold" and self.substate != 0) or (self.state == "Door" and self.substate in (2, 3))
+        return self.state in ("Run", "Jog", "Home") or slowing
+
+
+@dataclass(frozen=True)
+class Ok:
+    """``ok``: the oldest line that was not answered is done, or is in the planner."""
+
+
+@dataclass(frozen=True)
+class Error:
+    """``error:N``: the oldest line that was not answered is refused."""
+
+    code: int
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """``ALARM:N``: the controller stopped by itself."""
+
+    code: int
+
+
+@dataclass(frozen=True)
+class Setting:
+    """``$N=value``."""
+
+    number: int
+    value: float
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """``[MSG:...]`` and the other bracketed answers (``GC``, ``VER``, ``OPT``, ``G54``, ``HLP``, ...)."""
+
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Banner:
+    """``Grbl 1.1h ['$' for help]``: the controller has just started, or was reset."""
+
+    version: str
+
+
+@dataclass(frozen=True)
+class Startup:
+    """A start-up line of the user, listed or executed."""
+
+    text: str
+
+
+Message = Report | Ok | Error | Alarm | Setting | Feedback | Banner | Startup
+
+
+def parse_line(line: str) -> Message:
+    """Return what a line says.
+
+    Parameters
+    ----------
+    line : str
+        Without its end; not empty.
+
+    Raises
+    ------
+    GarbledError
+        If Grbl 1.1 sends no such line.
+    """
+    if line == "ok":
+        return Ok()
+    if line.startswith("<"):
+        return _report(line)
+    if found := _CODE.fullmatch(line):
+        return (Error if found[1] == "error" else Alarm)(int(found[2]))
+    if found := _SETTING.fullmatch(line):
+        return Setting(int(found[1]), float(found[2]))
+    if found := _BANNER.fullmatch(line):
+        return Banner(found[1])
+    if found := _FEEDBACK.fullmatch(line):
+        return Feedback(found[1], found[2])
+    if _STARTUP.fullmatch(line):
+        return Startup(line)
+    raise garbled(line)
+
+
+def garbled(line: str) -> GarbledError:
+    """Return the error for a line that Grbl does not send."""
+    shown = line if len(line) <= 60 else line[:57] + "..."
+    return GarbledError(f"the controller sent {shown!r}, which Grbl 1.1 does not send: the line is garbled")
+
+
+def _report(line: str) -> Report:
+    state, *fields = line[1:-1].split("|") if line.endswith(">") and len(line) > 2 else [""]
+    name, colon, number = state.partition(":")
+    if name not in STATES or (colon and not (name in _SUBSTATES and number in map(str, range(_SUBSTATES[name] + 1)))):
+        raise garbled(line)
+    found: dict = {"state": name, "substate": int(number) if colon else None}
+    for field in fields:
+        key, colon, text = field.partition(":")
+        if not colon:
+            raise garbled(line)
+        _read_field(found, key, text, line)
+    if found.get("machine") is None and found.get("work") is None:
+        raise garbled(line)
+    return Report(**found)
+
+
+def _read_field(found: dict, key: str, text: str, line: str) -> None:
+    """Add a field of a report; fields of other builds are passed over."""
+    places = {"MPos": "machine", "WPos": "work", "WCO": "offset"}
+    if key in places:
+        if places[key] in found or not _COORDINATES.fullmatch(text):
+            raise garbled(line)
+        found[places[key]] = tuple(map(float, text.split(",")))
+    elif key in ("Bf", "Ov", "F", "FS"):
+        numbers = text.split(",")
+        if len(numbers) != {"Bf": 2, "Ov": 3, "F": 1, "FS": 2}[key] or not all(map(_NUMBER.fullmatch, numbers)):
+            raise garbled(line)
+        values = [float(number) for number in numbers]
+        if key == "Bf":
+            found["free_blocks"], found["free_bytes"] = map(int, values)
+        elif key == "Ov":
+            found["overrides_percent"] = tuple(map(int, values))
+        else:
+            found["feed"] = values[0]
+    elif key == "Pn":
+        found["pins"] = text
+
+
+def motion_line(targets: dict[str, float], feed: float | None) -> str:
+    """Return the line that moves axes in a straight line in machine coordinates, without its end.
+
+    It depends on no state of the controller: units, mode and coordinates are part of it.
+
+    Parameters
+    ----------
+    targets : dict
+        Letter: machine coordinate, units.
+    feed : float or None
+        Speed along the line, units/min; None moves as fast as the controller's settings allow (``G0``).
+    """
+    words = "".join(f"{letter}{target:.3f}" for letter, target in targets.items())
+    return f"G21G90G53G0{words}" if feed is None else f"G21G90G94G53G1{words}F{feed:.3f}"
+
+
+def jog_line(targets: dict[str, float], feed: float) -> str:
+    """Return the line of a jog in machine coordinates; see `motion_line`."""
+    return "$J=G21G90G53" + "".join(f"{letter}{target:.3f}" for letter, target in targets.items()) + f"F{feed:.3f}"

@@ -1,0 +1,205 @@
+"""A sitting at the rig: every missing photograph of a plan is taken, verified, hashed and noted, one by one.
+
+A photograph is stored under a temporary name, decoded, given its own name and then noted in the table. Whatever
+breaks the session off, the next one finds whole files and whole lines, and takes what is missing.
+"""
+
+import math
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from irodori.capture.journal import Journal, storing
+from irodori.capture.operator import HandSettings, Operator
+from irodori.capture.rig.devices import Camera, Rig
+from irodori.capture.setup_steps import hand_settings, motor_targets
+from irodori.config.capture_table import Shot
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER, track
+from irodori.core.provenance import file_sha256
+from irodori.ingest.mosaic import decode
+
+_TRIES = 3
+#: Cameras round what they write into their files.
+_TOLERANCE = 0.05
+_TEMPORARY = ".part-"
+#: What a session that was killed leaves: its own temporary file, and that of the camera or of the DNG writer.
+_LEFT_OVER = (f"{_TEMPORARY}*", f".{_TEMPORARY}*.part")
+
+
+@dataclass
+class Tally:
+    """What a session did.
+
+    ``kept`` photographs stood in the table before, ``adopted`` ones stood in the folder without a line, ``retired``
+    ones are no longer asked for.
+    """
+
+    taken: int = 0
+    kept: int = 0
+    adopted: int = 0
+    retired: int = 0
+    retries: int = 0
+    operator_steps: int = 0
+    seconds: float = 0.0
+
+
+class Session:
+    """One sitting.
+
+    Parameters
+    ----------
+    camera : Camera
+    operator : Operator
+        Sets by hand what no motor drives.
+    journal : Journal
+    rig : Rig, optional
+        None where nothing stands on the rig, as for an environment.
+    tally : Tally, optional
+        Of `take_stock`, to be continued.
+    clock : callable
+        Seconds, monotonic.
+    settle_s : float
+        Time from the arrival of the motors to the shutter, s; a step by hand in between counts.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        operator: Operator,
+        journal: Journal,
+        rig: Rig | None,
+        tally: Tally | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        settle_s: float = 0.0,
+    ) -> None:
+        self.camera, self.journal, self.rig = camera, journal, rig
+        self.tally = tally or Tally()
+        self._hand, self._clock = HandSettings(operator), clock
+        self._settle_s, self._settled_at = settle_s, -math.inf
+        self._stands: dict[str, float] = {}
+        if rig is not None:
+            # A feed hold is a person's, and so is its end.
+            rig.on_hold = operator.confirm
+
+    def run(self, planned: Sequence[Shot], label: str) -> Tally:
+        """Take what is missing of a plan, in its order; a rig that does not know where it stands is homed first.
+
+        Raises
+        ------
+        DeviceError
+            If rig, camera or disk is at fault; what was taken before stands in the table.
+        InputError
+            If a photograph is broken or shot otherwise than asked for, `_TRIES` times in a row.
+        """
+        begun = self._clock()
+        if self.rig is not None:
+            self._check_reach(planned)
+            if not self.rig.status().homed:
+                LOGGER.info("%s: homing the rig", label)
+                self.rig.home()
+        for shot in track(self.journal.missing(planned), f"capture {label}"):
+            self._take(shot)
+        self.journal.finish(planned)
+        self.tally.seconds = self._clock() - begun
+        return self.tally
+
+    def _check_reach(self, planned: Sequence[Shot]) -> None:
+        """Refuse a plan that leaves the rig's limits before anything moves."""
+        for shot in planned:
+            self.rig.check(motor_targets(shot, self.rig.axes))
+
+    def _take(self, shot: Shot) -> None:
+        motorised = self.rig.axes if self.rig is not None else {}
+        # Motors first: nobody has a hand at the lens while the arm swings.
+        if targets := motor_targets(shot, motorised):
+            self.rig.move(targets)
+            if targets != self._stands:
+                self._stands, self._settled_at = targets, self._clock() + self._settle_s
+        if self._hand.set(hand_settings(shot, motorised)):
+            self.tally.operator_steps += 1
+        time.sleep(max(0.0, self._settled_at - self._clock()))
+        path = self.journal.folder / shot.file
+        temporary = path.with_name(_TEMPORARY + path.name)
+        try:
+            self._photograph(shot, path, temporary)
+            with storing(path):
+                _sync(temporary)
+                digest = file_sha256(temporary)
+                os.replace(temporary, path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        self.journal.append(shot, digest)
+        self.tally.taken += 1
+
+    def _photograph(self, shot: Shot, path: Path, temporary: Path) -> None:
+        """Have a photograph stand verified under a temporary name; faults name the file that it was to be."""
+        for attempt in range(1, _TRIES + 1):
+            try:
+                with storing(path):
+                    self.camera.capture(shot, temporary)
+                verify(temporary, shot)
+                return
+            except InputError as error:
+                fault = InputError(path, error.field, error.found, error.accepted)
+                if attempt == _TRIES:
+                    raise fault from None
+                LOGGER.warning("%s Once more.", fault)
+                self.tally.retries += 1
+
+
+def take_stock(journal: Journal, planned: Sequence[Shot]) -> Tally:
+    """Find out what of a plan is there: nothing that a session left is lost, and nothing of another plan is kept.
+
+    Leftovers of a session that was killed are removed. A photograph that has its name but no line is noted once it is
+    verified (the line was lost in a crash); a broken one is set aside and taken again.
+
+    Raises
+    ------
+    StorageError
+    """
+    tally = Tally(retired=len(journal.retire(planned)))
+    missing = journal.missing(planned)
+    tally.kept = len(planned) - len(missing)
+    with storing(journal.folder):
+        for pattern in _LEFT_OVER:
+            for path in journal.folder.glob(pattern):
+                path.unlink()
+    for shot in missing:
+        path = journal.stray(shot)
+        if path is None:
+            continue
+        try:
+            verify(path, shot)
+        except InputError as error:
+            aside = journal.set_aside(shot.file, "broken", file_sha256(path))
+            LOGGER.warning("%s It is kept as %s and taken again.", error, aside)
+            continue
+        with storing(path):
+            _sync(path)
+            digest = file_sha256(path)
+        journal.append(shot, digest)
+        tally.adopted += 1
+    return tally
+
+
+def verify(path: Path, shot: Shot) -> None:
+    """Decode a photograph and compare its own exposure time, sensitivity and aperture with what was asked for.
+
+    Raises
+    ------
+    InputError
+    """
+    mosaic = decode(path)
+    for name, what, unit in (("exposure_s", "exposure time", " s"), ("iso", "ISO", ""), ("f_number", "f-number", "")):
+        found, told = getattr(mosaic, name), getattr(shot, name)
+        if found and told and abs(found / told - 1) > _TOLERANCE:
+            raise InputError(path, what, f"{found:g}{unit}", f"{told:g}{unit}, as the camera was told")
+
+
+def _sync(path: Path) -> None:
+    with open(path, "rb") as file:
+        os.fsync(file.fileno())

@@ -1,0 +1,294 @@
+"""Short ways: through places that motors reach, and through blocks of places between which a person sets something.
+
+Few points are solved exactly (dynamic programming over subsets, Held and Karp 1962), one axis is swept from end to
+end, many points take the best of several boustrophedon orders and of a nearest-neighbour order bettered by 2-opt and
+Or-opt (moving up to three neighbours elsewhere).
+Costs are tuples that compare from the left: settings changed by hand, travel in s, then what keeps the session calm.
+"""
+
+import functools
+import itertools
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
+
+from irodori.capture.rig.devices import Axis
+
+#: A place is the angle of each axis, degrees; the empty place is any, for a shot whose pose does not matter.
+Place = tuple
+#: A block is its phase, its settings by hand, and its places.
+Block = tuple[int, dict, list[Place]]
+
+#: More points than these are not moved singly, and not searched at all but swept: it would take longer than it saves.
+_MOVED_POINTS, _SEARCH_POINTS = 120, 400
+_EXACT_POINTS, _FRONTIER = 6, 12
+_EXACT_WORK = 200_000
+
+
+def shortest_blocks(
+    blocks: Sequence[Block], axes: Sequence[Axis], start: Place, hand: Mapping[str, float | str]
+) -> list[tuple[tuple[int, dict], list[Place]]]:
+    """Return the blocks in the order of least cost, each with the way through its places.
+
+    Parameters
+    ----------
+    blocks : sequence of (phase, settings, places)
+        Phases run in order. The blocks of one phase have the same settings' names and differ in their values.
+    axes : sequence of Axis
+        Of which a place gives the angles.
+    start : tuple
+        Angle of each axis, degrees, or None where it is unknown.
+    hand : mapping
+        Settings that stand; what is not there is unknown.
+    """
+    travel = _Travel(axes)
+    ways = functools.cache(lambda places: _ways(list(places), axes, travel))  # most blocks have the same places
+    frontier = [((0, 0.0, 0.0), dict(hand), start, [])]
+    for _, group in itertools.groupby(sorted(blocks, key=lambda block: block[0]), key=lambda block: block[0]):
+        phase = [(block, ways(tuple(block[2]))) for block in group]
+        ends: dict[Hashable, tuple] = {}
+        for cost, stands, place, done in frontier:
+            for more, order in _phase(phase, stands, place, travel):
+                block, way = order[-1]
+                after = ({**stands, **block[1]}, way[-1] or place)
+                key = (tuple(sorted(after[0].items())), after[1])
+                candidate = (_sum(cost, more), *after, [*done, *order])
+                if key not in ends or _rounded(candidate[0]) < _rounded(ends[key][0]):
+                    ends[key] = candidate
+        frontier = sorted(ends.values(), key=lambda end: _rounded(end[0]))[:_FRONTIER]
+    return [((block[0], block[1]), way) for block, way in frontier[0][3]]
+
+
+class _Travel:
+    """Time from place to place, s, remembered. Axes run together; an unknown angle costs nothing."""
+
+    def __init__(self, axes: Sequence[Axis]) -> None:
+        self._axes, self._known = axes, {}
+
+    def __call__(self, here: Place, there: Place) -> float:
+        key = (here, there)
+        if key not in self._known:
+            legs = zip(self._axes, here, there, strict=False)  # an empty place has no angles and costs nothing
+            self._known[key] = max((axis.travel_s(a, b) for axis, a, b in legs if a is not None), default=0.0)
+        return self._known[key]
+
+    def along(self, way: Sequence[Place]) -> float:
+        return sum(self(a, b) for a, b in itertools.pairwise(way))
+
+
+# ---- the way through one block
+
+
+def _ways(places: list[Place], axes: Sequence[Axis], travel: _Travel) -> list[tuple[list[Place], float]]:
+    """Return good ways through places, with their travel in s, for different first and last places."""
+    varying = [i for i in range(len(axes)) if len({place[i] for place in places if place}) > 1]
+    if len(places) <= 1 or len(varying) == 1:
+        ways = [sorted(places)]
+    elif len(places) <= _EXACT_POINTS:
+        ways = list(_exact_ways(places, travel))
+    else:
+        ways = [snake for order in itertools.permutations(varying) for snake in _snakes(places, order)]
+        if len(places) <= _SEARCH_POINTS:
+            ways.append(_bettered(places, travel, lambda a: 0.0))
+        ways = sorted(ways, key=travel.along)[:_EXACT_POINTS]
+    ways += [way[::-1] for way in ways if len(way) > 1]
+    return [(way, travel.along(way)) for way in ways]
+
+
+def _exact_ways(places: list[Place], travel: _Travel) -> Iterator[list[Place]]:
+    """Yield the shortest way for each pair of a first and a last place (each pair in one direction)."""
+    best: dict[tuple, tuple[float, tuple]] = {}
+    for way in itertools.permutations(places):
+        if way[0] < way[-1]:
+            key, length = (way[0], way[-1]), travel.along(way)
+            if key not in best or length < best[key][0] - 1e-9:
+                best[key] = (length, way)
+    return (list(way) for _, way in best.values())
+
+
+def _snakes(points: Collection[tuple], order: Sequence[int]) -> Iterator[list[tuple]]:
+    """Yield boustrophedon orders of points, ``order[0]`` the slowest coordinate, from the corners."""
+    corners = itertools.product((False, True), repeat=len(order))
+    if len(points) > _MOVED_POINTS:
+        corners = ((flip,) * len(order) for flip in (False, True))
+    for flips in corners:
+        yield _snake(list(points), list(zip(order, flips, strict=True)))[0]
+
+
+def _snake(points: list[tuple], order: list[tuple[int, bool]]) -> tuple[list[tuple], list[tuple[int, bool]]]:
+    """Return the points, and the directions in which the coordinates would go on."""
+    if not order:
+        return points, order
+    (axis, flip), inner = order[0], order[1:]
+    done = []
+    for value in sorted({point[axis] for point in points}, reverse=flip):
+        part, inner = _snake([point for point in points if point[axis] == value], inner)
+        done += part
+    return done, [(axis, not flip), *inner]
+
+
+def _bettered(points: Sequence, distance: Callable, entry: Callable) -> list:
+    """Return an open way through points: nearest neighbours first, then bettered until nothing helps.
+
+    Parameters
+    ----------
+    points : sequence
+    distance, entry : callable
+        From point to point, and into the first; symmetric numbers.
+    """
+    left = list(points)
+    way = [left.pop(min(range(len(left)), key=lambda i: entry(left[i])))]
+    while left:
+        way.append(left.pop(min(range(len(left)), key=lambda i: distance(way[-1], left[i]))))
+    few = len(way) <= _MOVED_POINTS
+    while _reversed_better(way, distance, entry) or (few and _moved_better(way, distance, entry)):
+        pass
+    return way
+
+
+def _reversed_better(way: list, distance: Callable, entry: Callable) -> bool:
+    """Reverse parts of a way wherever that shortens it (2-opt), in place; return whether one did."""
+    found = False
+    for i, j in itertools.combinations(range(len(way)), 2):
+        before = distance(way[i - 1], way[i]) if i else entry(way[i])
+        after = distance(way[i - 1], way[j]) if i else entry(way[j])
+        if j + 1 < len(way):
+            before, after = before + distance(way[j], way[j + 1]), after + distance(way[i], way[j + 1])
+        if after < before - 1e-9:
+            way[i : j + 1] = way[i : j + 1][::-1]
+            found = True
+    return found
+
+
+def _moved_better(way: list, distance: Callable, entry: Callable) -> bool:
+    """Move up to three neighbours elsewhere where that shortens a way (Or-opt), in place; return whether one did."""
+
+    def gap(a, b) -> float:
+        """Return the step between two neighbours; None is the outside."""
+        return 0.0 if b is None else entry(b) if a is None else distance(a, b)
+
+    for size, i in itertools.product((1, 2, 3), range(len(way))):
+        part, rest = way[i : i + size], way[:i] + way[i + size :]
+        if len(part) < size or not rest:
+            continue
+        edge = [None, *rest, None]
+        gain = gap(edge[i], part[0]) + gap(part[-1], edge[i + 1]) - gap(edge[i], edge[i + 1])
+        for at, turned in itertools.product(range(len(rest) + 1), (False, True)):
+            first, last = (part[-1], part[0]) if turned else (part[0], part[-1])
+            loss = gap(edge[at], first) + gap(last, edge[at + 1]) - gap(edge[at], edge[at + 1])
+            if loss < gain - 1e-9:
+                way[:] = rest[:at] + (part[::-1] if turned else part) + rest[at:]
+                return True
+    return False
+
+
+# ---- the order of the blocks of one phase
+
+
+def _phase(phase: list[tuple], hand: dict, place: Place, travel: _Travel) -> Iterator[tuple]:
+    """Yield (cost, list of (block, way)) of good orders of a phase, for different ends."""
+    if len(phase) == 1 and 1 < len(phase[0][0][2]) <= _SEARCH_POINTS:
+        # One block is entered from where the motors stand, and from nowhere else.
+        block, ways = phase[0]
+        way = _bettered(block[2], travel, lambda a: travel(place, a))
+        phase = [(block, [*ways, (way, travel.along(way))])]
+    ways = max(len(ways) for _, ways in phase)
+    if len(phase) ** 2 * 2 ** len(phase) * ways**2 <= _EXACT_WORK:
+        yield from _exact_order(phase, hand, place, travel)
+        return
+    costs = [(_hand_cost_along([block for block, _ in order], hand), order) for order in _orders(phase, hand)]
+    fewest = min(cost[0] for cost, _ in costs)
+    seen = set()
+    for cost, order in sorted((pair for pair in costs if pair[0][0] == fewest), key=lambda pair: pair[0]):
+        key = tuple(id(block) for block, _ in order)
+        if key not in seen and len(seen) < 4 * _FRONTIER:
+            seen.add(key)
+            yield from ((_sum(cost, more), chosen) for more, chosen in _choose_ways(order, place, travel))
+
+
+def _exact_order(phase: list[tuple], hand: dict, place: Place, travel: _Travel) -> Iterator[tuple]:
+    """Yield the best order for each last block and way: dynamic programming over the subsets done."""
+    count, ways = len(phase), max(len(ways) for _, ways in phase)
+    best: dict[tuple, tuple] = {}
+    for i, (block, ways_of_block) in enumerate(phase):
+        for k, (way, length) in enumerate(ways_of_block):
+            cost = _sum(_hand_cost(hand, block[1]), (0, travel(place, way[0]) + length, 0.0))
+            best[1 << i, i, k] = (cost, None)
+    for mask in range(1, 1 << count):
+        for i, k in [key[1:] for key in itertools.product([mask], range(count), range(ways)) if key in best]:
+            cost, stands, end = best[mask, i, k][0], phase[i][0][1], phase[i][1][k][0][-1]
+            for j in (j for j in range(count) if not mask >> j & 1):
+                by_hand = _hand_cost(stands, phase[j][0][1])
+                for m, (way, length) in enumerate(phase[j][1]):
+                    total = _sum(_sum(cost, by_hand), (0, travel(end, way[0]) + length, 0.0))
+                    key = (mask | 1 << j, j, m)
+                    if key not in best or _rounded(total) < _rounded(best[key][0]):
+                        best[key] = (total, (mask, i, k))
+    full = (1 << count) - 1
+    for key in [key for key in best if key[0] == full]:
+        order, step = [], key
+        while step is not None:
+            order.append((phase[step[1]][0], phase[step[1]][1][step[2]][0]))
+            step = best[step][1]
+        yield best[key][0], order[::-1]
+
+
+def _orders(phase: list[tuple], hand: dict) -> Iterator[list[tuple]]:
+    """Yield orders of blocks that promise few changes by hand."""
+    names = sorted(phase[0][0][1])
+    points = {tuple(block[1][name] for name in names): (block, ways) for block, ways in phase}
+    varying = [i for i in range(len(names)) if len({point[i] for point in points}) > 1]
+    for order in itertools.permutations(varying):
+        for snake in _snakes(points, order):
+            yield [points[point] for point in snake]
+    if len(points) <= _SEARCH_POINTS:
+
+        def weight(cost: tuple) -> float:
+            return cost[0] + 1e-3 * cost[2]
+
+        def between(a: tuple, b: tuple) -> float:
+            return weight(_hand_cost(a[0][1], b[0][1]))
+
+        yield _bettered(phase, between, lambda a: weight(_hand_cost(hand, a[0][1])))
+
+
+def _choose_ways(order: list[tuple], place: Place, travel: _Travel) -> Iterator[tuple]:
+    """Yield, for each way through the last block, the least travel through all blocks in their order."""
+    reached = [(0.0, place, [])]
+    for block, ways in order:
+        following = []
+        for way, length in ways:
+            options = [(cost + travel(end, way[0]) + length, done) for cost, end, done in reached]
+            cost, done = min(options, key=lambda option: round(option[0], 6))
+            following.append((cost, way[-1] or place, (done, block, way)))
+        reached = following
+    for cost, _, done in reached:
+        chosen = []
+        while done:
+            done, block, way = done
+            chosen.append((block, way))
+        yield (0, cost, 0.0), chosen[::-1]
+
+
+def _hand_cost(stands: Mapping, wanted: Mapping) -> tuple[int, float, float]:
+    """Return (settings changed, 0 s of travel, unrest): the filter is quicker to change than an angle far away."""
+    changed = [name for name, value in wanted.items() if stands.get(name) != value]
+    unrest = 0.0
+    for name in changed:
+        if name != "filter":
+            old, new = stands.get(name), wanted[name]
+            far = abs(new - old) / 360.0 if isinstance(new, float) and isinstance(old, float) else 0.0
+            unrest += 1.0 + 1e-3 * far
+    return len(changed), 0.0, unrest
+
+
+def _hand_cost_along(order: list[Block], hand: Mapping) -> tuple[int, float, float]:
+    costs = [_hand_cost(a, b) for a, b in itertools.pairwise([hand, *(block[1] for block in order)])]
+    return sum(c[0] for c in costs), 0.0, sum(c[2] for c in costs)
+
+
+def _sum(a: tuple, b: tuple) -> tuple:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def _rounded(cost: tuple) -> tuple:
+    """Return a cost whose rounding errors decide nothing."""
+    return cost[0], round(cost[1], 6), round(cost[2], 9)

@@ -1,0 +1,1 @@
+"""Choice of the poses that tell most about a material."""

@@ -1,0 +1,288 @@
+"""Choice of K observations out of many by what they tell together: greedy, then exchange (Fedorov).
+
+A design is judged by the precision P of (ln α, ln β, ln μ) of each case, prior included; every criterion is a mean over
+the cases, larger for the better design:
+
+``determinant``      ln det P, where P is the Fisher information: D-optimality, the volume of what remains possible
+``variance``         minus the trace of P⁻¹: A-optimality, the sum of the relative variances
+``fit-determinant``, ``fit-variance``
+                     the same for the precision that the fit reaches with the weights that it gives
+
+Fisher information grows by a matrix of rank one with each observation, so that a candidate is judged without a new
+inversion (the matrix determinant lemma; Sherman and Morrison). The precision of the fit, N (Σ w² v J Jᵀ)⁻¹ N with
+N = Σ w J Jᵀ, is computed anew for each candidate; it may fall with one more observation, if that weighs more than it
+should.
+"""
+
+import math
+
+import numba
+import numpy as np
+
+from irodori.capture.shot_planner.fisher_information import PARAMETERS, Observations
+from irodori.jit.native import njit
+
+CRITERIA = ("determinant", "variance", "fit-determinant", "fit-variance")
+_MIN_GAIN = 1e-9
+_MAX_PASSES = 20
+_SETTINGS_TRIED = 4
+_SINGULAR = 1e-10  # determinant over the product of the diagonal
+
+
+class TooFewPoses(ValueError):
+    """The rig has fewer poses than a design wants."""
+
+
+@njit(cache=True)
+def _adjugate(a):
+    """Return determinant and adjugate of a symmetric matrix; six numbers 00, 01, 02, 11, 12, 22."""
+    c00 = a[3] * a[5] - a[4] * a[4]
+    c01 = a[2] * a[4] - a[1] * a[5]
+    c02 = a[1] * a[4] - a[2] * a[3]
+    determinant = a[0] * c00 + a[1] * c01 + a[2] * c02
+    c11 = a[0] * a[5] - a[2] * a[2]
+    c12 = a[1] * a[2] - a[0] * a[4]
+    c22 = a[0] * a[3] - a[1] * a[1]
+    return determinant, (c00, c01, c02, c11, c12, c22)
+
+
+@njit(cache=True)
+def _with_row(a, row, weight):
+    """Return a symmetric matrix plus weight row rowᵀ."""
+    x, y, z = row[0], row[1], row[2]
+    return (
+        a[0] + weight * x * x,
+        a[1] + weight * x * y,
+        a[2] + weight * x * z,
+        a[3] + weight * y * y,
+        a[4] + weight * y * z,
+        a[5] + weight * z * z,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _score(precision, by_determinant):
+    determinant, adjugate = _adjugate(precision)
+    return math.log(determinant) if by_determinant else -(adjugate[0] + adjugate[3] + adjugate[5]) / determinant
+
+
+@njit(cache=True)
+def _times(a, x, y, z):
+    """Return a symmetric matrix times a column."""
+    return a[0] * x + a[1] * y + a[2] * z, a[1] * x + a[3] * y + a[4] * z, a[2] * x + a[4] * y + a[5] * z
+
+
+@njit(cache=True, error_model="numpy")
+def _fit_precision(prior, normal, middle, count):
+    """Return the prior plus N M⁻¹ N; the prior alone where the fit has too few observations."""
+    determinant, m = _adjugate(middle)
+    enough = count > PARAMETERS and determinant > _SINGULAR * middle[0] * middle[3] * middle[5]
+    if not (enough and _adjugate(normal)[0] > _SINGULAR * normal[0] * normal[3] * normal[5]):
+        return prior
+    n00, n01, n02, n11, n12, n22 = normal
+    # Columns of M⁻¹ N, times the determinant of M.
+    a0, a1, a2 = _times(m, n00, n01, n02)
+    b0, b1, b2 = _times(m, n01, n11, n12)
+    c0, c1, c2 = _times(m, n02, n12, n22)
+    return (
+        prior[0] + (n00 * a0 + n01 * a1 + n02 * a2) / determinant,
+        prior[1] + (n01 * a0 + n11 * a1 + n12 * a2) / determinant,
+        prior[2] + (n02 * a0 + n12 * a1 + n22 * a2) / determinant,
+        prior[3] + (n01 * b0 + n11 * b1 + n12 * b2) / determinant,
+        prior[4] + (n02 * b0 + n12 * b1 + n22 * b2) / determinant,
+        prior[5] + (n02 * c0 + n12 * c1 + n22 * c2) / determinant,
+    )
+
+
+@njit(cache=True)
+def _six(a):
+    return (a[0], a[1], a[2], a[3], a[4], a[5])
+
+
+@njit(cache=True)
+def _judge_fisher(jacobian, variance, state, by_determinant):
+    total = 0.0
+    for c in range(variance.size):
+        precision = _six(state[c])
+        if variance[c] < np.inf:
+            precision = _with_row(precision, jacobian[c], 1.0 / variance[c])
+        total += _score(precision, by_determinant)
+    return total / variance.size
+
+
+@njit(cache=True)
+def _judge_fit(jacobian, variance, weight, state, prior, by_determinant):
+    total = 0.0
+    for c in range(variance.size):
+        normal, middle, count = _six(state[c]), _six(state[c, 6:]), state[c, 12]
+        if variance[c] < np.inf:
+            normal = _with_row(normal, jacobian[c], weight[c])
+            middle = _with_row(middle, jacobian[c], weight[c] * weight[c] * variance[c])
+            count += 1.0
+        total += _score(_fit_precision(prior, normal, middle, count), by_determinant)
+    return total / variance.size
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _judge_all(jacobian, variance, weight, state, prior, allowed, of_fit, by_determinant, out):
+    """Fill in the criterion of the design with each candidate added."""
+    for p in numba.prange(allowed.size):
+        if not allowed[p]:
+            out[p] = -np.inf
+        elif of_fit:
+            out[p] = _judge_fit(jacobian[p], variance[p], weight[p], state, prior, by_determinant)
+        else:
+            out[p] = _judge_fisher(jacobian[p], variance[p], state, by_determinant)
+
+
+_UPPER = np.triu_indices(PARAMETERS)
+
+
+def _sums(weight, jacobian) -> np.ndarray:
+    """Return Σ weight j jᵀ over the poses, (cases, 6)."""
+    return np.einsum("pc,pci,pcj->cij", weight, jacobian, jacobian)[:, *_UPPER]
+
+
+class Selection:
+    """The search for the best design among candidates.
+
+    Parameters
+    ----------
+    seen : Observations
+        What each candidate shows of each case.
+    prior : float
+        Precision of each parameter before the first observation, above 0.
+    setting : (candidates,) int
+        What a person sets by hand for a candidate; equal numbers need no step in between.
+    max_manual : int
+        How many different settings a design may have.
+    criterion : str
+        One of CRITERIA.
+
+    Raises
+    ------
+    ValueError
+        For an unknown criterion.
+    """
+
+    def __init__(self, seen: Observations, prior: float, setting, max_manual: int, criterion: str) -> None:
+        if criterion not in CRITERIA:
+            raise ValueError(f"criterion {criterion!r}; accepted: {', '.join(CRITERIA)}")
+        self.jacobian = np.ascontiguousarray(seen.jacobian)
+        self.variance = np.ascontiguousarray(seen.variance)
+        self.weight = np.ascontiguousarray(seen.weight)
+        self.prior = tuple(prior * np.eye(PARAMETERS)[_UPPER])
+        self.setting = np.asarray(setting)
+        self.max_manual = max_manual
+        self.of_fit = criterion.startswith("fit-")
+        self.by_determinant = criterion.endswith("determinant")
+
+    def _state(self, chosen: list[int]) -> np.ndarray:
+        """Return the sums of a design, (cases, 13): Fisher information with prior, or N, Σ w² v J Jᵀ, and the count."""
+        jacobian, variance, weight = self.jacobian[chosen], self.variance[chosen], self.weight[chosen]
+        seen = np.isfinite(variance)
+        state = np.zeros((self.variance.shape[1], 13))
+        if self.of_fit:
+            state[:, :6] = _sums(weight, jacobian)
+            state[:, 6:12] = _sums(weight**2 * np.where(seen, variance, 0.0), jacobian)
+            state[:, 12] = seen.sum(axis=0)
+        else:
+            state[:, :6] = _sums(1.0 / variance, jacobian) + self.prior
+        return state
+
+    def value(self, chosen: list[int]) -> float:
+        """Return the criterion of a design."""
+        nothing = np.full(self.variance.shape[1], np.inf)
+        state = self._state(list(chosen))
+        if self.of_fit:
+            return _judge_fit(self.jacobian[0], nothing, self.weight[0], state, self.prior, self.by_determinant)
+        return _judge_fisher(self.jacobian[0], nothing, state, self.by_determinant)
+
+    def _additions(self, chosen: list[int]) -> np.ndarray:
+        """Return the criterion with each candidate added, (candidates,); minus infinity where that is not allowed."""
+        allowed = np.ones(len(self.variance), dtype=np.bool_)
+        allowed[chosen] = False
+        used = np.unique(self.setting[chosen]) if chosen else np.empty(0, dtype=int)
+        if len(used) >= self.max_manual:
+            allowed &= np.isin(self.setting, used)
+        if not allowed.any():
+            raise TooFewPoses(
+                f"more than {len(chosen)} poses in {self.max_manual} manual settings; accepted: as many as the rig has"
+            )
+        out = np.empty(len(self.variance))
+        state = self._state(chosen)
+        _judge_all(
+            self.jacobian, self.variance, self.weight, state, self.prior, allowed, self.of_fit, self.by_determinant, out
+        )
+        return out
+
+    def _fill(self, chosen: list[int], count: int) -> tuple[list[int], float]:
+        """Return a design of `count` with the best additions, the first of equals, and its criterion."""
+        chosen = list(chosen)
+        while len(chosen) < count:
+            chosen.append(int(np.argmax(self._additions(chosen))))
+        return chosen, self.value(chosen)
+
+    def greedy(self, count: int) -> list[int]:
+        """Return a design of `count` candidates, each the best addition to those before it."""
+        return self._fill([], count)[0]
+
+    def improve(self, chosen: list[int]) -> list[int]:
+        """Return a design of the same size that no exchange tried improves.
+
+        Exchanged are each candidate for any other, and all candidates of one setting for those of the settings whose
+        best candidate would add most.
+        """
+        best, value = list(chosen), self.value(chosen)
+        for _ in range(_MAX_PASSES):
+            before = value
+            for leave in [{index} for index in best] + self._by_setting(best):
+                if not leave <= set(best):
+                    continue
+                kept = [index for index in best if index not in leave]
+                for start in self._starts(kept) if len(leave) > 1 else [kept]:
+                    try:
+                        trial, gained = self._fill(start, len(best))
+                    except TooFewPoses:  # this setting has fewer candidates than the one that left
+                        continue
+                    if gained > value + _MIN_GAIN:
+                        best, value = trial, gained
+            if value <= before + _MIN_GAIN:
+                break
+        return best
+
+    def _by_setting(self, chosen: list[int]) -> list[set[int]]:
+        groups: dict[int, set[int]] = {}
+        for index in chosen:
+            groups.setdefault(int(self.setting[index]), set()).add(index)
+        return list(groups.values())
+
+    def _starts(self, kept: list[int]) -> list[list[int]]:
+        """Return designs with one candidate more: the best of each of the most promising settings."""
+        additions = self._additions(kept)
+        starts: dict[int, list[int]] = {}
+        for index in np.argsort(-additions, kind="stable"):
+            if additions[index] == -np.inf or len(starts) == _SETTINGS_TRIED:
+                break
+            starts.setdefault(int(self.setting[index]), [*kept, int(index)])
+        return list(starts.values())
+
+
+def choose(seen: Observations, prior: float, setting, count: int, max_manual: int, criterion: str) -> list[int]:
+    """Return the indices of `count` candidates, none twice; parameters as in `Selection`.
+
+    Greedy forward selection by Fisher information, which alone says something of fewer than four observations; then
+    exchange by the criterion asked for.
+
+    Raises
+    ------
+    ValueError
+        For an unknown criterion.
+    TooFewPoses
+        If there are fewer candidates than `count` within `max_manual` settings.
+    """
+    selection = Selection(seen, prior, setting, max_manual, criterion)
+    if not selection.of_fit:
+        return selection.improve(selection.greedy(count))
+    fisher = Selection(seen, prior, setting, max_manual, criterion.removeprefix("fit-"))
+    return selection.improve(fisher.improve(fisher.greedy(count)))

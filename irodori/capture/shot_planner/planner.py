@@ -1,0 +1,381 @@
+"""The poses that tell most about α, β and μ of an object's expected materials, within what the rig can do."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from irodori.capture.shot_planner.exchange import TooFewPoses, choose
+from irodori.capture.shot_planner.fisher_information import (
+    PARAMETERS,
+    WEIGHTING,
+    Materials,
+    Noise,
+    Observations,
+    Subject,
+    Weighting,
+    observe,
+    standard_errors,
+)
+from irodori.config.capture_table import Pose
+from irodori.geometry.rig_frame import to_camera, to_light
+from irodori.geometry.shapes import PLATE, Shape
+from irodori.spectra.published import refractive_index_at
+
+AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
+#: Largest distance between candidates along each axis, degrees; the rig's own step where that is larger.
+COARSE_DEG = {"light_deg": 5.0, "camera_deg": 2.0, "tilt_deg": 15.0, "turn_deg": 45.0}
+#: A sphere shows all its normals at once: neighbouring poses differ little, and there are turns to try.
+SPHERE_COARSE_DEG = {"light_deg": 15.0, "camera_deg": 10.0, "tilt_deg": 15.0, "turn_deg": 45.0}
+_SPHERE_TEXELS = 64
+_FLAT_MATERIALS, _SPHERE_MATERIALS = 40, 16
+_PRIOR_RELATIVE_ERROR = 1.0  # of each parameter before any photograph: known to a factor of e
+_TOLERANCE_DEG = 1e-6
+DEFAULT_CRITERION = "fit-variance"
+#: Relative standard errors from which on the fit states β and μ as not known.
+KNOWN_RELATIVE_ERROR = {"beta": 0.3, "mu": 0.2}
+
+
+@dataclass(frozen=True)
+class MaterialRange:
+    """The materials that an object may show.
+
+    Parameters
+    ----------
+    alpha, beta, mu_rad : (2,) tuple of float
+        Smallest and largest value; α evenly spread in between, β and μ (rad) evenly in their logarithm.
+    n, k : float
+        Complex refractive index in the green band.
+    """
+
+    alpha: tuple[float, float] = (0.02, 0.9)
+    beta: tuple[float, float] = (0.5, 8.0)
+    mu_rad: tuple[float, float] = (0.05, 0.3)
+    n: float = 1.5
+    k: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("alpha", "beta", "mu_rad"):
+            low, high = getattr(self, name)
+            if not 0.0 < low <= high:
+                raise ValueError(f"plan.{name} [{low:g}, {high:g}]; accepted: two numbers above 0, the smaller first")
+
+    @classmethod
+    def from_definition(cls, definition: dict) -> "MaterialRange":
+        """Return the range of an object's validated definition: its ``plan`` and ``refractive_index`` blocks."""
+        n, k = refractive_index_at(definition["refractive_index"])
+        return cls(**{key: tuple(definition["plan"][key]) for key in ("alpha", "beta", "mu_rad")}, n=n, k=k)
+
+    def at(self, unit: np.ndarray) -> Materials:
+        """Return the materials at points of the unit cube, (m, 3)."""
+        (a0, a1), (b0, b1), (m0, m1) = self.alpha, self.beta, self.mu_rad
+        return Materials(
+            alpha=a0 + unit[:, 0] * (a1 - a0),
+            beta=b0 * (b1 / b0) ** unit[:, 1],
+            mu=m0 * (m1 / m0) ** unit[:, 2],
+            n=self.n,
+            k=self.k,
+        )
+
+    def spread(self, count: int) -> Materials:
+        """Return materials that fill the range evenly: a Halton sequence, the same every time."""
+        return self.at(qmc.Halton(3, scramble=False).random(count + 1)[1:])
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Chosen poses and what a fit of their photographs is expected to reach.
+
+    Parameters
+    ----------
+    poses : list of Pose
+        In the order of their manual steps: by light angle and tilt, then turn, then camera angle.
+    expected : dict
+        Parameter -> (median, 95th percentile) of the standard error over the determined cases of the range: ``alpha``
+        absolute, ``beta`` and ``mu`` relative.
+    determined_fraction : float
+        Cases (materials on texels) whose β and μ a fit would state as known, see KNOWN_RELATIVE_ERROR; of a sphere's
+        texels few are seen in enough poses, and its underside in none.
+    candidates : int
+        Poses that were open to choice.
+    manual_settings : int
+        Different light angles and tilts, which a person sets.
+    """
+
+    poses: list[Pose]
+    expected: dict[str, tuple[float, float]]
+    determined_fraction: float
+    candidates: int
+    manual_settings: int
+
+    def lines(self) -> list[str]:
+        """Return the plan in words, one line for each group of a manual setting and one for each expected error."""
+        groups: dict[tuple, list[str]] = {}
+        for pose in self.poses:
+            groups.setdefault((pose.light_deg, pose.tilt_deg, pose.turn_deg), []).append(f"{pose.camera_deg:g}")
+        out = [
+            f"light {light:g}, tilt {tilt:g}, turn {turn:g}: camera {', '.join(cameras)} degrees"
+            for (light, tilt, turn), cameras in groups.items()
+        ]
+        for name, (median, p95) in self.expected.items():
+            kind = "absolute" if name == "alpha" else "relative"
+            out.append(f"expected standard error of {name}, {kind}: median {median:.2g}, 95th percentile {p95:.2g}")
+        return [*out, f"{self.determined_fraction:.0%} of materials and texels determined"]
+
+
+def subject_of(definition: dict, rig: dict) -> Subject:
+    """Return the texels that stand for an object: centre and corners of a plate; points all around the others.
+
+    A plate has one normal, but the camera is near: its corners are seen up to some degrees apart, and what is good for
+    the centre alone may lie beyond the largest angle for them.
+
+    Parameters
+    ----------
+    definition : dict
+        Validated definition of the object.
+    rig : dict
+        Validated definition of the rig.
+    """
+    shape = Shape.from_definition(definition["shape"])
+    if shape.kind == PLATE:
+        signs = np.array([[0, 0, 0], [-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
+        position = signs * [shape.size_mm[0] / 2, shape.size_mm[1] / 2, 0.0]
+        normal = np.tile([0.0, 0.0, 1.0], (len(position), 1))
+    elif shape.mesh is not None:
+        position, normal = shape.mesh.samples(_SPHERE_TEXELS)
+    else:
+        index = np.arange(_SPHERE_TEXELS) + 0.5
+        z, azimuth = 1.0 - 2.0 * index / _SPHERE_TEXELS, np.pi * (1.0 + math.sqrt(5.0)) * index
+        radius = np.sqrt(1.0 - z**2)
+        normal = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=-1)
+        position = shape.size_mm[0] * normal
+    return Subject(shape, position, normal, rig["camera_distance_mm"], rig["table_radius_mm"])
+
+
+def axis_angles(limit: Mapping[str, float], coarse_deg: float) -> np.ndarray:
+    """Return angles of an axis from its smallest on, on its steps, about `coarse_deg` apart, degrees.
+
+    Parameters
+    ----------
+    limit : dict
+        ``min``, ``max``, ``step`` of the rig's definition, degrees.
+    coarse_deg : float
+        Largest distance between two angles; one step where that is larger.
+    """
+    step = limit["step"] * max(1, math.floor(coarse_deg / limit["step"] + _TOLERANCE_DEG))
+    count = math.floor((limit["max"] - limit["min"]) / step + _TOLERANCE_DEG) + 1
+    # Sums of steps such as 0.1 leave digits that no one set.
+    return np.round(limit["min"] + step * np.arange(count), 9)
+
+
+def candidate_poses(limits: Mapping[str, Mapping], coarse_deg: Mapping[str, float], clearance_deg: float) -> list[Pose]:
+    """Return the poses of a rig on a coarse grid of its steps where the camera does not stand in the light's way.
+
+    Parameters
+    ----------
+    limits : dict
+        ``limits`` of the rig's definition.
+    coarse_deg : dict
+        Distance of the candidates along each axis of AXES, degrees.
+    clearance_deg : float
+        Smallest angle between the directions to the light and to the camera, degrees. A rig's definition does not say
+        how large its camera is.
+
+    Raises
+    ------
+    ValueError
+        If `coarse_deg` lacks an axis or has one more, listing the axes.
+    """
+    if set(coarse_deg) != set(AXES):
+        raise ValueError(f"coarse_deg for {', '.join(coarse_deg) or 'nothing'}; accepted: {', '.join(AXES)}")
+    light, camera, tilt, turn = (axis_angles(limits[axis], coarse_deg[axis]) for axis in AXES)
+    away = math.cos(math.radians(clearance_deg)) + 1e-12
+    free = [(a, b) for a in light for b in camera if float(to_light(Pose(a, b)) @ to_camera(Pose(a, b))) <= away]
+    return [Pose(float(a), float(b), float(c), float(d)) for a, b in free for c in tilt for d in turn]
+
+
+def open_poses(
+    shape: Shape, limits: Mapping[str, Mapping], clearance_deg: float = 5.0, coarse_deg: Mapping | None = None
+) -> list[Pose]:
+    """Return the candidates for a shape: `candidate_poses` on its default grid; a plate's table does not turn."""
+    if shape.kind != PLATE:
+        return candidate_poses(limits, coarse_deg or SPHERE_COARSE_DEG, clearance_deg)
+    still = {**limits["turn_deg"], "max": limits["turn_deg"]["min"]}
+    return candidate_poses({**limits, "turn_deg": still}, coarse_deg or COARSE_DEG, clearance_deg)
+
+
+def default_noise(rig: dict, sensor: dict | None = None, exposures_s=(), fit: dict | None = None) -> Noise:
+    """Return the noise of a rig and of its camera where their definitions state it, else what the fit reckons with.
+
+    Parameters
+    ----------
+    rig : dict
+        Validated definition; ``virtual.imperfections`` gives light drift and pose error.
+    sensor : dict, optional
+        ``virtual.sensor`` of the camera's definition.
+    exposures_s : sequence of float
+        Bracket of the unfiltered photographs, s.
+    fit : dict, optional
+        ``fit`` block of the configuration: ``model_error`` and ``pose_error_deg``, where the rig's own are not stated.
+    """
+    faults = rig.get("virtual", {}).get("imperfections", {})
+    names = {"relative": "model_error", "pose_rms_deg": "pose_error_deg"}
+    own = {field: fit[key] for field, key in names.items() if fit and key in fit}
+    for field, fault, key in (("relative", "light_drift", "relative_rms"), ("pose_rms_deg", "pose_error", "rms_deg")):
+        if fault in faults:
+            own[field] = faults[fault][key] if faults[fault]["enabled"] else 0.0
+    return Noise(**own) if sensor is None else Noise.of_sensor(sensor, exposures_s, **own)
+
+
+class Planner:
+    """An object on a rig, its candidates looked at once, for plans of any number of poses.
+
+    Parameters
+    ----------
+    definition : dict
+        Validated definition of the object: ``shape``, ``refractive_index``, ``plan``.
+    rig : dict
+        Validated definition of the rig: ``limits``, distances, imperfections.
+    materials : MaterialRange, optional
+        The object's own where absent.
+    noise : Noise, optional
+        `default_noise` of the rig where absent.
+    max_angle_deg : float
+        ``rectify.max_angle_deg``: beyond it an observation tells nothing, degrees.
+    clearance_deg : float
+        See `candidate_poses`, degrees.
+    coarse_deg : dict, optional
+        See `candidate_poses`; finer grids cost time in proportion.
+    weighting : Weighting
+        How the fit will weigh the observations.
+
+    Attributes
+    ----------
+    poses : list of Pose
+        Candidates in which something of the object is lit and seen.
+    """
+
+    def __init__(
+        self,
+        definition: dict,
+        rig: dict,
+        materials: MaterialRange | None = None,
+        noise: Noise | None = None,
+        max_angle_deg: float = 80.0,
+        clearance_deg: float = 5.0,
+        coarse_deg: Mapping[str, float] | None = None,
+        weighting: Weighting = WEIGHTING,
+    ) -> None:
+        self.subject = subject_of(definition, rig)
+        self.max_manual = definition["plan"]["max_manual"]
+        flat = self.subject.shape.kind == PLATE
+        poses = open_poses(self.subject.shape, rig["limits"], clearance_deg, coarse_deg)
+        if not poses:
+            raise TooFewPoses(
+                f"a rig whose camera never stands {clearance_deg:g} degrees from the light; accepted: some poses"
+            )
+        self.range = materials or MaterialRange.from_definition(definition)
+        self.sample = self.range.spread(_FLAT_MATERIALS if flat else _SPHERE_MATERIALS)
+        self.noise = noise or default_noise(rig)
+        self.max_angle_deg, self.weighting = max_angle_deg, weighting
+        seen = self._observe(poses)
+        useful = np.flatnonzero(np.isfinite(seen.variance).any(axis=1))
+        self.poses, self.seen = [poses[i] for i in useful], seen.of(useful)
+
+    def best(self, count: int, max_manual: int | None = None, criterion: str = DEFAULT_CRITERION) -> Plan:
+        """Choose poses; parameters, result and errors as in `plan_best`."""
+        max_manual = self.max_manual if max_manual is None else max_manual
+        if count <= PARAMETERS:
+            raise ValueError(f"{count} poses; accepted: {PARAMETERS + 1} or more, for {PARAMETERS} parameters")
+        if max_manual < 1:
+            raise ValueError(f"{max_manual} manual settings; accepted: 1 or more")
+        if len(self.poses) < count:
+            raise TooFewPoses(
+                f"{count} poses; accepted: at most the {len(self.poses)} in which the rig sees the object"
+            )
+        setting = np.unique([_hand(p) for p in self.poses], axis=0, return_inverse=True)[1].reshape(-1)
+        chosen = choose(self.seen, _PRIOR_RELATIVE_ERROR**-2, setting, count, max_manual, criterion)
+        order = sorted(chosen, key=lambda i: (*_hand(self.poses[i]), self.poses[i].turn_deg, i))
+        expected, fraction = expected_errors(self.seen.of(order), self.sample)
+        return Plan([self.poses[i] for i in order], expected, fraction, len(self.poses), len(set(setting[order])))
+
+    def expected(self, poses: list[Pose]) -> dict[str, tuple[float, float]]:
+        """Return what a fit of any poses is expected to reach, as in `Plan`."""
+        return expected_errors(self._observe(poses), self.sample)[0]
+
+    def _observe(self, poses: list[Pose]) -> Observations:
+        return observe(self.subject, poses, self.sample, self.noise, self.max_angle_deg, self.weighting)
+
+
+def plan_best(
+    definition: dict,
+    rig: dict,
+    count: int | None = None,
+    max_manual: int | None = None,
+    criterion: str = DEFAULT_CRITERION,
+    **others,
+) -> Plan:
+    """Choose the poses that tell most about α, β, μ over a range of materials.
+
+    Parameters
+    ----------
+    definition, rig : dict
+        Validated definitions of the object and the rig.
+    count : int, optional
+        How many poses, at least 4: three parameters and one observation more. ``plan.count`` where absent.
+    max_manual : int, optional
+        How many different settings of light angle and tilt a person is willing to make; ``plan.max_manual`` where
+        absent.
+    criterion : str
+        See `irodori.capture.shot_planner.exchange`. The default gave the smallest errors of simulated fits: it knows
+        what the fit's weights do not, and counts observations that saturate.
+    **others
+        Further parameters of `Planner`: ``materials``, ``noise``, ``max_angle_deg``, ``clearance_deg``, ``coarse_deg``,
+        ``weighting``.
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    ValueError
+        For a count under 4, less than one manual setting or an unknown criterion.
+    TooFewPoses
+        Where the rig has fewer poses than wanted.
+    """
+    planner = Planner(definition, rig, **others)
+    return planner.best(definition["plan"]["count"] if count is None else count, max_manual, criterion)
+
+
+def expected_errors(seen: Observations, materials: Materials) -> tuple[dict[str, tuple[float, float]], float]:
+    """Return median and 95th percentile of the standard errors of a fit, and the share of cases that are determined.
+
+    Parameters
+    ----------
+    seen : Observations
+        Of the poses of a design.
+    materials : Materials
+        Those of the observations.
+
+    Returns
+    -------
+    expected : dict
+        As in `Plan`; NaN where no case is determined.
+    determined_fraction : float
+    """
+    errors = standard_errors(seen)
+    known = (errors[:, 1] < KNOWN_RELATIVE_ERROR["beta"]) & (errors[:, 2] < KNOWN_RELATIVE_ERROR["mu"])
+    names = ("alpha", "beta", "mu")
+    if not known.any():
+        return dict.fromkeys(names, (math.nan, math.nan)), 0.0
+    errors[:, 0] *= np.tile(materials.alpha, len(errors) // len(materials.alpha))
+    quantiles = np.percentile(errors[known], [50, 95], axis=0)
+    return {name: tuple(map(float, quantiles[:, i])) for i, name in enumerate(names)}, float(known.mean())
+
+
+def _hand(pose: Pose) -> tuple[float, float]:
+    """Return what a person sets for a pose: light angle and tilt, degrees."""
+    return pose.light_deg, pose.tilt_deg

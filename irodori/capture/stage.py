@@ -1,0 +1,238 @@
+"""The captures of a workflow: an object, a camera's own photographs, an environment, on whatever rig they name."""
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+
+from irodori.capture.camera.gphoto_camera import RAW_SUFFIXES, GphotoCamera
+from irodori.capture.journal import RETIRED, Journal, claimed, storing
+from irodori.capture.operator import AutoOperator, Operator, Step, make_operator
+from irodori.capture.rig.connect import open_rig, true_position_deg
+from irodori.capture.rig.devices import Axis, Camera, Rig
+from irodori.capture.rig.drives import drives_of
+from irodori.capture.session import Session, take_stock
+from irodori.capture.shot_list import camera_shots, environment_shots, object_shots, scene_shots
+from irodori.capture.shot_order import Estimate, estimate_s, order_shots
+from irodori.config.capture_table import Shot
+from irodori.core.progress import LOGGER
+from irodori.core.provenance import file_sha256
+from irodori.core.store import Provenance
+from irodori.core.termination import ending_in_order
+from irodori.simulation.virtual_rig.bench import Bench
+from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
+
+#: What a hand step costs against travel when photographs are ordered; the virtual rig's hands are quick.
+_STEP_S = {"prompt": 30.0, "file": 30.0, "auto": 0.0}
+#: Time of a photograph beyond its exposure: mirror, read-out, the file over the cable, the check.
+_READ_OUT_S = 4.0
+#: Says from which definition a virtual session's photographs come; others would pass for them.
+_MADE_FROM = ".made-from"
+
+
+@dataclass(frozen=True)
+class Target:
+    """What a session photographs, with what, and where the photographs go.
+
+    Parameters
+    ----------
+    name : str
+        Of the object, the camera or the environment.
+    camera, rig : dict
+        Validated definitions.
+    rig_name : str
+        Names the folder of the operator's confirmation files.
+    table : path
+        ``captures.csv``.
+    folder : path, optional
+        Folder of the RAW files; that of the table where None.
+    """
+
+    name: str
+    camera: dict
+    rig: dict
+    rig_name: str = ""
+    table: str | Path = "captures.csv"
+    folder: str | Path | None = None
+
+    @property
+    def is_virtual(self) -> bool:
+        """Whether the photographs are computed."""
+        return self.rig["kind"] == "virtual"
+
+    @property
+    def suffix(self) -> str:
+        """End of the names of the RAW files, with the dot."""
+        if self.is_virtual:
+            return VirtualCamera.suffix
+        model = self.camera["driver"]["model"]
+        return next((known[0] for maker, known in RAW_SUFFIXES.items() if model.startswith(maker)), ".raw")
+
+    @property
+    def settle_s(self) -> float:
+        """Time from the arrival of the motors to the shutter, s."""
+        return self.rig["motion"]["settle_s"] if "motion" in self.rig else 0.0
+
+    def axes(self) -> dict[str, Axis]:
+        """Return the motorised axes; those of the pose that are not here are set by hand."""
+        return {name: drive.axis for name, drive in drives_of(self.rig).items()} if "motion" in self.rig else {}
+
+    def ordered(self, shots: Sequence[Shot]) -> list[Shot]:
+        """Return photographs in the order in which they are taken."""
+        return order_shots(shots, self.axes(), {}, _STEP_S[self.rig["operator"]])
+
+    def estimate(self, shots: Sequence[Shot]) -> Estimate:
+        """Return the time that photographs take in their order; nothing is known of where things stand."""
+        overhead_s = 0.0 if self.is_virtual else _READ_OUT_S
+        return estimate_s(shots, self.axes(), {}, _STEP_S[self.rig["operator"]], overhead_s, self.settle_s)
+
+
+class _VirtualHands(Operator):
+    """Asks whoever is to be asked, then sets the virtual bench as a person would have set a real one."""
+
+    def __init__(self, inner: Operator, bench: Bench) -> None:
+        self.inner, self.bench = inner, bench
+
+    def ask(self, step: Step) -> None:
+        self.inner.ask(step)
+        self.bench.set(step.new)
+
+    def confirm(self, request: str) -> None:
+        self.inner.confirm(request)
+
+
+@contextmanager
+def _equipment(
+    target: Target, planned: Sequence[Shot], subject: dict | None, on_rig: bool
+) -> Iterator[tuple[Rig | None, Camera, Operator]]:
+    """Open the rig, the camera and the operator of a session."""
+    rig = target.rig
+    moved = open_rig(rig) if on_rig and "motion" in rig else nullcontext()
+    with moved as opened:
+        folder = Path("results/rig") / target.rig_name
+        if not target.is_virtual:
+            with GphotoCamera(target.camera["driver"]) as camera:
+                LOGGER.info("camera: %s", ", ".join(f"{key} {value}" for key, value in camera.status().items()))
+                yield opened, camera, make_operator(rig["operator"], folder, rig.get("operator_deadline_s"))
+            return
+        bench = Bench(motors_deg=lambda: true_position_deg(opened) if opened is not None else {})
+        operator = make_operator(rig["operator"], folder, rig.get("operator_deadline_s"), set_bench=bench.set)
+        if not isinstance(operator, AutoOperator):
+            operator = _VirtualHands(operator, bench)
+        yield opened, VirtualCamera(target.camera, rig, bench, target.name, planned, subject), operator
+
+
+def photograph(
+    shots: Sequence[Shot],
+    target: Target,
+    subject: dict | None,
+    record,
+    provenance: Provenance,
+    owner: str,
+    on_rig: bool = True,
+) -> None:
+    """Hold a session, or continue one, and write its record.
+
+    Nothing is opened, and nothing moves, where no photograph is missing.
+
+    Parameters
+    ----------
+    shots : sequence of Shot
+        In any order.
+    target : Target
+    subject : dict or None
+        Definition of the object or the environment, for a virtual camera.
+    record : path
+        JSON to write when the session is complete: what was done, the hash of the table.
+    provenance : Provenance
+        Of a virtual session: photographs of another definition or of other code are taken again. Those of a real
+        rig are kept as long as the plan asks for them.
+    owner : str
+        What the folder's photographs belong to, such as ``object jar``.
+    on_rig : bool
+        Whether it stands on the rig at all.
+
+    Raises
+    ------
+    DeviceError, InputError
+        What was taken before stays and is not taken again.
+    """
+    table = Path(target.table)
+    folder = table.parent if target.folder is None else Path(target.folder)
+    planned, status = target.ordered(shots), {}
+    with claimed(table, folder, owner), ending_in_order():
+        if target.is_virtual:
+            _start_over_if_changed(table, provenance)
+        journal = Journal(table, folder)
+        tally = take_stock(journal, planned)
+        missing = journal.missing(planned)
+        needs = target.estimate(missing)
+        LOGGER.info("%s: %d of %d photographs to take; %s", target.name, len(missing), len(planned), needs)
+        if missing:
+            with _equipment(target, planned, subject, on_rig) as (rig, camera, operator):
+                Session(camera, operator, journal, rig, tally, settle_s=target.settle_s).run(planned, target.name)
+                status = camera.status()
+        journal.finish(planned)
+        LOGGER.info("%s: %s", target.name, ", ".join(f"{key} {value:g}" for key, value in vars(tally).items()))
+        content = {
+            "photographs": len(planned),
+            "table_sha256": file_sha256(table),
+            "session": vars(tally),
+            "camera": status,
+        }
+        _write_record(Path(record), content)
+
+
+def _start_over_if_changed(table: Path, provenance: Provenance) -> None:
+    """Remove a virtual session's photographs where their definition or the code that made them has changed."""
+    mark = table.with_name(_MADE_FROM)
+    wanted = f"{provenance.config_hash} {provenance.code_hash} {provenance.input_sha256}\n"
+    if mark.is_file() and mark.read_text(encoding="utf-8") == wanted:
+        return
+    with storing(table.parent):
+        for path in (table, table.with_name(RETIRED), *table.parent.glob(f"*{VirtualCamera.suffix}")):
+            path.unlink(missing_ok=True)
+        mark.write_text(wanted, encoding="utf-8")
+
+
+def _write_record(path: Path, content: Mapping) -> None:
+    temporary = path.with_name(f".{path.name}.part")
+    with storing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        os.replace(temporary, path)
+
+
+def capture_object(definition: dict, target: Target, record, provenance: Provenance) -> None:
+    """Photograph an object in all its poses, without and with the comb filter; see `photograph`."""
+    shots = object_shots(definition, target.camera, target.suffix)
+    photograph(shots, target, definition, record, provenance, f"object {target.name}")
+
+
+def capture_camera(target: Target, record, provenance: Provenance) -> None:
+    """Photograph dark frames, the white reference and the chart that calibrate a camera; see `photograph`."""
+    shots = camera_shots(target.camera, target.suffix)
+    photograph(shots, target, None, record, provenance, f"camera {target.name}")
+
+
+def capture_environment(definition: dict, target: Target, record, provenance: Provenance) -> None:
+    """Photograph a virtual room with an omnidirectional camera; see `photograph`."""
+    shots = environment_shots(definition, target.camera, target.suffix)
+    photograph(shots, target, definition, record, provenance, f"environment {target.name}", on_rig=False)
+
+
+def capture_photograph(definition: dict, radiance, target: Target, record, provenance: Provenance) -> None:
+    """Photograph a scene from one place with a virtual camera; see `photograph`.
+
+    Parameters
+    ----------
+    definition : dict
+        Of the photograph, in the scene's file.
+    radiance : path
+        What stands before the camera, see `irodori.simulation.virtual_rig.scene_view`.
+    """
+    shots = scene_shots(definition, target.camera, target.suffix)
+    subject = {"radiance": str(radiance)}
+    photograph(shots, target, subject, record, provenance, f"photograph {target.name}", on_rig=False)

@@ -1,0 +1,1 @@
+"""Tristimulus values, chromatic adaptation, displays and their ICC profiles."""

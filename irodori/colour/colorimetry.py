@@ -1,0 +1,138 @@
+"""From spectra to tristimulus values, CIELAB and CIEDE2000 [eq. 6].
+
+The absolute import of ``colour`` below is the colour-science library; this module holds only what that library does
+not: weights for the 61 samples with the tails folded in, so that a picture is one matrix product.
+"""
+
+from functools import lru_cache
+
+import colour
+import numpy as np
+
+from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
+from irodori.spectra.published import light
+
+_OBSERVER = "CIE 1931 2 Degree Standard Observer"
+_FINE_NM = np.arange(360.0, 831.0, 1.0)
+
+
+@lru_cache(maxsize=1)
+def colour_matching_weights() -> np.ndarray:
+    """Return weights that integrate a spectrum on the grid against the colour-matching functions.
+
+    The spectrum is taken as piecewise linear between samples and held at its end values outside 400..700 nm
+    [design, §3]; the functions are the observer's 1 nm table, 360..830 nm.
+
+    Returns
+    -------
+    (3, 61) float64, nm
+    """
+    observer = colour.MSDS_CMFS[_OBSERVER]
+    functions = np.stack([np.interp(_FINE_NM, observer.wavelengths, c) for c in observer.values.T])
+    hat = np.stack([np.interp(_FINE_NM, WAVELENGTH_NM, row) for row in np.eye(SAMPLES)])
+    return functions @ hat.T
+
+
+def xyz_from_radiance(white: np.ndarray) -> np.ndarray:
+    """Return the matrix from spectral radiance to XYZ, scaled so that a white has Y = 100 [eq. 6].
+
+    Parameters
+    ----------
+    white : (61,) float
+        Radiance of white, on the scale of the radiances to be converted.
+
+    Returns
+    -------
+    (3, 61) float64
+    """
+    weights = colour_matching_weights()
+    return weights * (100.0 / (weights[1] @ white))
+
+
+@lru_cache(maxsize=16)
+def xyz_from_reflectance(light_name: str) -> np.ndarray:
+    """Return the matrix from reflectance factor to XYZ under a light; a perfect diffuser has Y = 100 [eq. 6].
+
+    The light is used at its tabulated wavelengths (1 nm, interpolated) so that the tails beyond 400..700 nm carry
+    their real power while the reflectance is held at its end values.
+
+    Returns
+    -------
+    (3, 61) float64
+    """
+    observer = colour.MSDS_CMFS[_OBSERVER]
+    functions = np.stack([np.interp(_FINE_NM, observer.wavelengths, c) for c in observer.values.T])
+    if light_name in colour.SDS_ILLUMINANTS:
+        table = colour.SDS_ILLUMINANTS[light_name]
+        power = np.interp(_FINE_NM, table.wavelengths, table.values)
+    else:
+        power = np.interp(_FINE_NM, WAVELENGTH_NM, light(light_name))
+    hat = np.stack([np.interp(_FINE_NM, WAVELENGTH_NM, row) for row in np.eye(SAMPLES)])
+    weights = (functions * power) @ hat.T
+    return weights * (100.0 / (functions[1] @ power))
+
+
+def lab_from_xyz(xyz: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
+    """Return CIELAB of tristimulus values.
+
+    Parameters
+    ----------
+    xyz : (..., 3) float, any scale
+    white_xyz : (3,) float, same scale
+    """
+    ratio = np.asarray(xyz, dtype=np.float64) / np.asarray(white_xyz, dtype=np.float64)
+    linear = ratio <= (6 / 29) ** 3
+    f = np.where(linear, ratio * (29 / 6) ** 2 / 3 + 4 / 29, np.cbrt(ratio))
+    return np.stack(
+        [116 * f[..., 1] - 16, 500 * (f[..., 0] - f[..., 1]), 200 * (f[..., 1] - f[..., 2])],
+        axis=-1,
+    )
+
+
+def delta_e(lab_a: np.ndarray, lab_b: np.ndarray) -> np.ndarray:
+    """Return CIEDE2000 between two (..., 3) arrays of CIELAB."""
+    return colour.delta_E(lab_a, lab_b, method="CIE 2000")
+
+
+def delta_e_reflectance(truth: np.ndarray, estimate: np.ndarray, light_name: str = "D65") -> np.ndarray:
+    """Return CIEDE2000 between reflectance factors under a light, 2° observer.
+
+    Parameters
+    ----------
+    truth, estimate : (..., 61) float
+
+    Returns
+    -------
+    (...) float64
+    """
+    matrix = xyz_from_reflectance(light_name)
+    white = matrix.sum(axis=1)
+    return delta_e(lab_from_xyz(truth @ matrix.T, white), lab_from_xyz(estimate @ matrix.T, white))
+
+
+def summary(values: np.ndarray) -> dict[str, float]:
+    """Return mean, 95th and 99th percentile and maximum of the finite values, with their count."""
+    finite = np.asarray(values, dtype=np.float64)
+    finite = finite[np.isfinite(finite)]
+    if finite.size == 0:
+        return {"count": 0, "mean": np.nan, "p95": np.nan, "p99": np.nan, "max": np.nan}
+    return {
+        "count": int(finite.size),
+        "mean": float(finite.mean()),
+        "p95": float(np.percentile(finite, 95)),
+        "p99": float(np.percentile(finite, 99)),
+        "max": float(finite.max()),
+    }
+
+
+def spectral_rmse(truth: np.ndarray, estimate: np.ndarray) -> np.ndarray:
+    """Return the root mean square difference over the last axis [design, §5]."""
+    difference = np.asarray(truth, dtype=np.float64) - np.asarray(estimate, dtype=np.float64)
+    return np.sqrt(np.mean(difference**2, axis=-1))
+
+
+def goodness_of_fit(truth: np.ndarray, estimate: np.ndarray) -> np.ndarray:
+    """Return GFC, the cosine of the angle between spectra; NaN where one of them is zero."""
+    norms = np.linalg.norm(truth, axis=-1) * np.linalg.norm(estimate, axis=-1)
+    dot = np.sum(np.asarray(truth) * np.asarray(estimate), axis=-1)
+    return np.divide(np.abs(dot), norms, out=np.full(np.shape(dot), np.nan), where=norms > 0)

@@ -1,0 +1,237 @@
+"""From tristimulus values to a display picture: adaptation to the scene's white, primaries and tone curves.
+
+A display is known by its primaries, white and tone curve, by colour measurements of it, or by its ICC profile; sRGB
+stands for one of which nothing is known.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import colour
+import numpy as np
+
+from irodori.colour.icc import Profile, read_profile, write_profile
+from irodori.colour.measured_display import measured_display
+from irodori.colour.tone_curves import SRGB, Curve, ParametricCurve
+from irodori.core.errors import InputError
+
+ADAPTATION = "CAT16"
+#: Linear light this far outside 0..1 is rounding.
+_TOLERANCE = 1e-4
+#: Displays that have a name: their primaries and white in colour-science, and their tone curve.
+STANDARD = {
+    "sRGB": ("sRGB", SRGB),
+    "Display P3": ("Display P3", SRGB),
+    "Adobe RGB (1998)": ("Adobe RGB (1998)", ParametricCurve(563 / 256)),
+}
+
+
+@dataclass(frozen=True)
+class Display:
+    """A display of three channels whose light adds up.
+
+    Parameters
+    ----------
+    name : str
+    xyz_from_rgb : (3, 3) float
+        XYZ of linear RGB above black; white, with the black under it, has Y = 1.
+    curves : three tone curves, red, green, blue
+    white_xyz : (3,) float
+        The light of white, Y = 1; of sRGB the standard's, from which its rounded matrix differs in the fourth digit.
+    black_xyz : (3,) float
+        What the display gives at code 0; 0 where nobody measured it.
+    profile : bytes
+        ICC profile for its pictures. One of a matrix and curves cannot tell of black.
+    """
+
+    name: str
+    xyz_from_rgb: np.ndarray
+    curves: tuple[Curve, Curve, Curve]
+    white_xyz: np.ndarray
+    black_xyz: np.ndarray
+    profile: bytes
+
+    def linear_rgb(self, xyz: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
+        """Return linear RGB that shows colours of a scene to an eye adapted to the display's white (CAT16).
+
+        Parameters
+        ----------
+        xyz : (..., 3) float
+        white_xyz : (3,) float
+            The scene's white, on the same scale; it becomes R = G = B = 1.
+
+        Returns
+        -------
+        (..., 3), of the type of ``xyz``; outside 0..1 where the display cannot show the colour
+        """
+        matrix, offset = self._rgb_from_xyz(white_xyz)
+        return xyz @ matrix.T.astype(xyz.dtype) - offset.astype(xyz.dtype)
+
+    def _rgb_from_xyz(self, white_xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        white = np.asarray(white_xyz, dtype=np.float64)
+        adapt = colour.adaptation.matrix_chromatic_adaptation_VonKries(
+            white / white[1], self.white_xyz, transform=ADAPTATION
+        )
+        rgb_from_xyz = np.linalg.inv(self.xyz_from_rgb)
+        return rgb_from_xyz @ adapt / white[1], rgb_from_xyz @ self.black_xyz
+
+    def encode(self, linear: np.ndarray, bits: int = 8) -> tuple[np.ndarray, "Gamut"]:
+        """Return code values of linear RGB, (..., 3) uint8 or uint16, and what of it the display cannot show.
+
+        What is outside takes the nearest value in each channel, and is counted.
+        """
+        codes = np.stack(
+            [curve.code(np.clip(linear[..., i], 0.0, 1.0)) for i, curve in enumerate(self.curves)], axis=-1
+        )
+        top = 2**bits - 1
+        return np.rint(codes * top).astype(np.uint16 if bits > 8 else np.uint8), gamut(linear)
+
+    def attributes(self, white_xyz: np.ndarray) -> dict[str, str]:
+        """Return what a picture's file says of its adaptation to this display."""
+        return {
+            "irodori:chromaticAdaptation": ADAPTATION,
+            "irodori:whiteXYZ": _listed(white_xyz),
+            "irodori:display": self.name,
+            "irodori:displayWhiteXYZ": _listed(self.white_xyz),
+        }
+
+
+class Gamut(NamedTuple):
+    """Pixels that a display cannot show; one may be both too dark in a channel and too bright in another."""
+
+    pixels: int
+    outside: int
+    below: int  # of a colour too saturated, or darker than black: a channel under 0
+    above: int  # brighter than white in a channel
+
+    def figures(self) -> dict[str, float]:
+        """Return count and shares for the figures of a picture."""
+        shares = {name: getattr(self, name) / self.pixels for name in ("outside", "below", "above")}
+        return {
+            "out_of_gamut_pixels": self.outside,
+            "out_of_gamut_fraction": shares["outside"],
+            "out_of_gamut_below_fraction": shares["below"],
+            "out_of_gamut_above_fraction": shares["above"],
+        }
+
+
+def gamut(linear: np.ndarray) -> Gamut:
+    """Return how many pixels (..., 3) of linear RGB lie outside 0..1 in a channel."""
+    below, above = (linear < -_TOLERANCE).any(axis=-1), (linear > 1 + _TOLERANCE).any(axis=-1)
+    return Gamut(below.size, int((below | above).sum()), int(below.sum()), int(above.sum()))
+
+
+def _listed(values) -> str:
+    return " ".join(f"{value:.6g}" for value in values)
+
+
+def make_display(definition: dict) -> Display:
+    """Return the display of a scene's ``display.device``.
+
+    Parameters
+    ----------
+    definition : dict
+        ``kind`` ``standard`` with ``name``; ``primaries`` with ``red_xy``, ``green_xy``, ``blue_xy``, ``white_xy`` and
+        ``tone``; ``measured`` with ``file``, see `irodori.colour.measured_display`; ``profile`` with ``file``.
+
+    Raises
+    ------
+    InputError
+        If a file is at fault.
+    ValueError
+        If the kind is unknown, or primaries do not enclose their white.
+    """
+    makers = {"standard": _standard, "primaries": _primaries, "measured": _measured, "profile": _profile}
+    if definition["kind"] not in makers:
+        raise ValueError(f"unknown kind of display {definition['kind']!r}; accepted: {', '.join(makers)}")
+    return makers[definition["kind"]](definition)
+
+
+def standard_display(name: str) -> Display:
+    """Return a display of ``STANDARD``.
+
+    Raises
+    ------
+    ValueError
+        If it is none of these.
+    """
+    if name not in STANDARD:
+        raise ValueError(f"unknown display {name!r}; accepted: {', '.join(STANDARD)}")
+    space, curve = STANDARD[name]
+    known = colour.RGB_COLOURSPACES[space]
+    if name != "sRGB":
+        return _made(name, known.matrix_RGB_to_XYZ, (curve,) * 3)
+    from PIL import ImageCms  # slow to import
+
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    matrix, white = np.linalg.inv(known.matrix_XYZ_to_RGB), colour.xy_to_XYZ(known.whitepoint)
+    return Display(name, matrix, (curve,) * 3, white, np.zeros(3), profile)
+
+
+def _made(name: str, matrix: np.ndarray, curves, profile: bytes | None = None, black=(0.0, 0.0, 0.0)) -> Display:
+    if profile is None:
+        profile = write_profile(Profile(name, matrix, curves))
+    black = np.asarray(black, dtype=np.float64)
+    return Display(name, matrix, curves, matrix.sum(axis=1) + black, black, profile)
+
+
+def _standard(definition: dict) -> Display:
+    return standard_display(definition["name"])
+
+
+def _primaries(definition: dict) -> Display:
+    corners = np.array([definition[f"{name}_xy"] for name in ("red", "green", "blue", "white")])
+    xyz = np.column_stack([corners[:, 0], corners[:, 1], 1.0 - corners.sum(axis=1)]).T
+    white = xyz[:, 3] / xyz[1, 3]
+    amounts = np.linalg.solve(xyz[:, :3], white)
+    if (amounts <= 0.0).any():
+        raise ValueError(f"the white {definition['white_xy']}; accepted: one within the triangle of the primaries")
+    tone = definition["tone"]
+    curve = SRGB if tone["kind"] == "srgb" else ParametricCurve(tone["gamma"])
+    return _made("display of given primaries", xyz[:, :3] * amounts, (curve,) * 3)
+
+
+def _measured(definition: dict) -> Display:
+    matrix, curves, black = measured_display(definition["file"])
+    return _made(Path(definition["file"]).stem, matrix, curves, black=black)
+
+
+def _profile(definition: dict) -> Display:
+    path = Path(definition["file"])
+    if not path.is_file():
+        raise InputError(path, "", "no such file", "the ICC profile of a display")
+    data = path.read_bytes()
+    found = read_profile(data, path)
+    return _made(found.description, found.xyz_from_rgb, found.curves, data)
+
+
+@lru_cache(maxsize=1)
+def srgb() -> Display:
+    """Return the sRGB display."""
+    return standard_display("sRGB")
+
+
+def rgb_from_xyz(white_xyz: np.ndarray) -> np.ndarray:
+    """Return the matrix from XYZ in a scene to linear sRGB.
+
+    Parameters
+    ----------
+    white_xyz : (3,) float
+        The scene's white, Y = 100; it becomes R = G = B = 1 by chromatic adaptation (CAT16).
+
+    Returns
+    -------
+    (3, 3) float64
+    """
+    return srgb()._rgb_from_xyz(white_xyz)[0]
+
+
+def encode_srgb(linear: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return 8-bit sRGB of linear values, and the share of pixels outside 0..1 in some channel.
+
+    Out-of-range values are clipped; the share is for the report.
+    """
+    encoded, found = srgb().encode(linear)
+    return encoded, found.outside / found.pixels

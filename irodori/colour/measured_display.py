@@ -1,0 +1,119 @@
+"""A display as a colorimeter measured it: tristimulus values of patches of known code values.
+
+Two tables are read: a CSV of the columns red, green, blue (code values from 0 to 1), X, Y, Z (any one unit), and
+Argyll's .ti3 of ``dispread`` (RGB_R, RGB_G, RGB_B from 0 to 100, XYZ_X, XYZ_Y, XYZ_Z). Wanted are black and a ramp of
+each channel alone, its full value included; other patches tell how well the light of the channels adds up.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from irodori.colour.tone_curves import SampledCurve
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
+from irodori.spectra.cgats import named_columns
+from irodori.spectra.tables import check_length, csv_rows, number
+
+_COLUMNS = ["red", "green", "blue", "X", "Y", "Z"]
+_ARGYLL = ["RGB_R", "RGB_G", "RGB_B", "XYZ_X", "XYZ_Y", "XYZ_Z"]
+_CHANNELS = ("red", "green", "blue")
+_CODES = 4096
+#: Under this many levels of a channel, black and full value included, its curve is not known.
+_LEAST_LEVELS = 5
+#: Sum of the channels against the measured white, relative in Y, beyond which light does not add up.
+_MAX_NON_ADDITIVITY = 0.05
+
+
+def measured_display(path) -> tuple[np.ndarray, tuple[SampledCurve, ...], np.ndarray]:
+    """Read a measured display.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    xyz_from_rgb : (3, 3) float64
+        XYZ above black; white, black included, has Y = 1.
+    curves : three SampledCurve
+        Straight lines through the measured levels in the code value's power that suits the ramp best.
+    black_xyz : (3,) float64
+
+    Raises
+    ------
+    InputError
+        If the file is no such table, black or a full channel is missing, a channel has fewer than five levels or gets
+        darker as its code grows, or the channels do not add up to the measured white within 5 %.
+    """
+    code, xyz = _read(path)
+    dark = (code == 0.0).all(axis=1)
+    if not dark.any():
+        raise InputError(path, "", "no patch of code 0, 0, 0", "black among the patches")
+    black = xyz[dark].mean(axis=0)
+    above = xyz - black
+    primaries, curves = [], []
+    for channel, name in enumerate(_CHANNELS):
+        alone = (np.delete(code, channel, axis=1) == 0.0).all(axis=1)
+        level = code[alone, channel]
+        if level.max(initial=0.0) != 1.0 or len(np.unique(level)) < _LEAST_LEVELS:
+            found = f"{len(np.unique(level))} levels of {name} alone, up to {level.max(initial=0.0):g}"
+            raise InputError(path, name, found, f"{_LEAST_LEVELS} levels or more from 0 to 1, the others at 0")
+        primary = above[alone][level == 1.0].mean(axis=0)
+        amount = above[alone] @ primary / (primary @ primary)
+        primaries.append(primary)
+        curves.append(_curve(level, amount, path, name))
+    matrix = np.column_stack(primaries)
+    _check_sum(code, above, matrix, path)
+    white = matrix.sum(axis=1)[1] + black[1]
+    if abs(np.linalg.det(matrix / white)) < 1e-6:
+        raise InputError(path, "X", "primaries that lie on one line", "three primaries of different colours")
+    return matrix / white, tuple(curves), black / white
+
+
+def _read(path) -> tuple[np.ndarray, np.ndarray]:
+    """Return code values 0..1 and XYZ of the patches, (n, 3) each."""
+    if Path(path).suffix.lower() == ".ti3":
+        rows = np.array(named_columns(path, _ARGYLL))
+        code = rows[:, :3] / 100.0
+    else:
+        table = csv_rows(path)
+        header = [cell.strip() for cell in table[0][1]]
+        if header != _COLUMNS:
+            raise InputError(path, "line 1", ", ".join(header), f"the columns {', '.join(_COLUMNS)}")
+        values = []
+        for line, row in table[1:]:
+            check_length(row, header, path, line)
+            values.append([number(c, path, f"line {line}, {h}") for c, h in zip(row, header, strict=True)])
+        rows = np.array(values)
+        code = rows[:, :3]
+    if (code < 0.0).any() or (code > 1.0 + 1e-9).any():
+        raise InputError(path, "red, green, blue", f"code values from {code.min():g} to {code.max():g}", "0 to 1")
+    return code, rows[:, 3:]
+
+
+def _curve(level: np.ndarray, amount: np.ndarray, path, name: str) -> SampledCurve:
+    levels, inverse = np.unique(level, return_inverse=True)
+    mean = np.bincount(inverse, amount) / np.bincount(inverse)
+    if (np.diff(mean) < 0.0).any():
+        at = levels[1:][np.diff(mean) < 0.0][0]
+        raise InputError(path, f"{name} = {at:g}", "less light than at the level before", "light that grows")
+    # Between levels the curve is a power rather than a line: interpolated along the code's power it is nearly straight.
+    inner = (levels > 0.0) & (levels < 1.0) & (mean > 0.0)
+    power = float(np.median(np.log(mean[inner]) / np.log(levels[inner]))) if inner.any() else 1.0
+    codes = np.linspace(0.0, 1.0, _CODES)
+    return SampledCurve(np.interp(codes**power, levels**power, mean - mean[0]))
+
+
+def _check_sum(code: np.ndarray, above: np.ndarray, matrix: np.ndarray, path) -> None:
+    full = (code == 1.0).all(axis=1)
+    if not full.any():
+        LOGGER.warning("%s: no patch of code 1, 1, 1; white is taken as the sum of the channels", path)
+        return
+    white, total = above[full].mean(axis=0), matrix.sum(axis=1)
+    off = float(np.abs(total - white).max() / white[1])
+    LOGGER.info("%s: the channels add up to the measured white within %.2f %%", path, 100 * off)
+    if off > _MAX_NON_ADDITIVITY:
+        found = f"channels whose sum is {100 * off:.1f} % off the measured white"
+        accepted = f"a display whose channels add up within {100 * _MAX_NON_ADDITIVITY:g} %"
+        raise InputError(path, "white", found, accepted)

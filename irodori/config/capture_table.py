@@ -1,0 +1,352 @@
+"""Tables of photographs: which RAW file shows what, from which side, with which filter and exposure time.
+
+A table is a CSV with one photograph a line. Angles are in degrees [design, §4], exposure times in seconds.
+"""
+
+import csv
+import dataclasses
+import io
+import itertools
+import math
+import os
+import posixpath
+import re
+import tempfile
+from pathlib import Path
+
+from irodori.config.validation import suggest
+from irodori.core.errors import InputError
+from irodori.core.provenance import file_sha256
+
+ROLES = ("object", "chart", "white", "dark", "environment", "scene")
+#: A further chart has its name behind the role, such as ``chart-sg``.
+_FURTHER_CHART = "chart-"
+_NAME = re.compile(r"[a-z0-9-]+")
+FILTERS = ("out", "in")
+COLUMNS = ("file", "role", "light_deg", "camera_deg", "tilt_deg", "turn_deg", "filter", "exposure_s")
+
+_ANGLES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
+#: Columns that a table may do without; it has them where the camera's own values are to be checked.
+EXTRA_COLUMNS = ("iso", "f_number", "sha256")
+_OPTIONAL = ("tilt_deg", "turn_deg", *EXTRA_COLUMNS)
+#: Roles whose repeated frames are averaged, so that equal exposure times are no mistake.
+_AVERAGED = ("dark", "white")
+
+
+@dataclasses.dataclass(frozen=True)
+class Pose:
+    """Where light, camera and table stand, in degrees."""
+
+    light_deg: float
+    camera_deg: float
+    tilt_deg: float = 0.0
+    turn_deg: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Name in tenths of a degree, such as ``l0450-c0200-t000-r0000``."""
+        light, camera, tilt, turn = (round(10 * getattr(self, angle)) for angle in _ANGLES)
+        return f"l{light:04d}-c{camera:04d}-t{tilt:03d}-r{turn:04d}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Shot:
+    """One photograph: ``file`` as the table writes it, ``role`` of ROLES, ``filter`` of FILTERS.
+
+    ``iso`` (sensitivity, ISO 12232) and ``f_number`` (relative aperture) are 0 where the table does not state them.
+    ``chart`` is the name of a further chart, empty for the camera's first and for all other roles.
+    """
+
+    file: str
+    role: str
+    pose: Pose
+    filter: str
+    exposure_s: float
+    iso: float = 0.0
+    f_number: float = 0.0
+    chart: str = ""
+
+    @property
+    def subject(self) -> str:
+        """What stands before the lens: the role, of a further chart with the chart's name (``chart-sg``)."""
+        return chart_capture(self.chart) if self.role == "chart" else self.role
+
+    @property
+    def capture(self) -> str:
+        """Name of the capture that this photograph belongs to: its pose for an object, else its subject."""
+        return self.pose.name if self.role == "object" else self.subject
+
+
+def chart_capture(name: str) -> str:
+    """Return the name of a chart's capture: ``chart`` of the camera's first (no name), ``chart-NAME`` of another."""
+    return _FURTHER_CHART + name if name else "chart"
+
+
+def expand_poses(groups) -> list[Pose]:
+    """Return every combination of the lists of each group, in order.
+
+    Parameters
+    ----------
+    groups : iterable of dict
+        Lists in degrees: ``light_deg``, ``camera_deg``, and ``tilt_deg``, ``turn_deg``, [0.0] where absent.
+
+    Raises
+    ------
+    ValueError
+        If a pose comes twice; poses that agree to a tenth of a degree share a name and count as one.
+    """
+    poses, seen = [], set()
+    for group in groups:
+        lists = [
+            group["light_deg"],
+            group["camera_deg"],
+            group.get("tilt_deg", [0.0]),
+            group.get("turn_deg", [0.0]),
+        ]
+        for angles in itertools.product(*lists):
+            pose = Pose(*map(float, angles))
+            if pose.name in seen:
+                raise ValueError(f"the pose {pose.name} twice")
+            seen.add(pose.name)
+            poses.append(pose)
+    return poses
+
+
+def shot_path(shot: Shot, table, folder=None) -> Path:
+    """Return the path of a photograph: under `folder`, or beside the table where `folder` is None."""
+    return Path(table).parent / shot.file if folder is None else Path(folder) / shot.file
+
+
+def read_captures(path, folder=None) -> list[Shot]:
+    """Read a table of photographs.
+
+    Parameters
+    ----------
+    path : path
+        CSV in UTF-8 with a header; the order of its columns is free. Degrees and seconds.
+    folder : path, optional
+        Folder of the RAW files. Where given, each file must stand there and hold something.
+
+    Returns
+    -------
+    list of Shot
+        In the order of the table.
+
+    Raises
+    ------
+    InputError
+        For the first fault, with its line and column.
+    """
+    rows = _read_rows(path)
+    if not rows:
+        raise InputError(path, "", "an empty file", "a header and one line for each photograph")
+    (line, cells), *body = rows
+    header = _check_header([cell.strip() for cell in cells], path, line)
+    shots = _Shots(path, folder)
+    for line, cells in body:
+        if len(cells) != len(header):
+            raise InputError(path, f"line {line}", f"{len(cells)} cells", f"{len(header)}, as in the header")
+        shots.add(line, dict(zip(header, cells, strict=True)))
+    if not shots.all:
+        raise InputError(path, "", "a table without photographs", "one line for each photograph")
+    return shots.all
+
+
+def check_unchanged(path, folder, shots) -> None:
+    """Compare photographs with the hashes that their table holds; an empty cell vouches for nothing.
+
+    Parameters
+    ----------
+    path, folder : path
+        Table and the folder of its RAW files.
+    shots : iterable of Shot
+        Those to look at.
+
+    Raises
+    ------
+    InputError
+        For the first photograph whose bytes are not those of the table's hash.
+    """
+    header, *body = (cells for _, cells in _read_rows(path))
+    rows = (dict(zip((cell.strip() for cell in header), cells, strict=True)) for cells in body)
+    noted = {row["file"]: row.get("sha256", "").strip().lower() for row in rows}
+    for shot in shots:
+        raw = shot_path(shot, path, folder)
+        if noted[shot.file] and noted[shot.file] != file_sha256(raw):
+            accepted = "the photograph as it was taken: a copy, or a new one by --forcerun capture_object (or _camera)"
+            raise InputError(raw, "", f"other bytes than the hash in {path} stands for", accepted)
+
+
+def _read_rows(path) -> list[tuple[int, list[str]]]:
+    """Return (line number, cells) of each line that holds something."""
+    try:
+        text = Path(path).read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(path, "", "no such file", "a CSV that lists the photographs") from None
+    except OSError as error:
+        raise InputError(path, "", error.strerror or str(error), "a CSV that can be read") from None
+    except UnicodeDecodeError as error:
+        raise InputError(path, f"byte {error.start}", "bytes that are not UTF-8", "a CSV saved as UTF-8") from None
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    rows = []
+    try:
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                rows.append((reader.line_num, cells))
+    except csv.Error as error:
+        raise InputError(path, f"line {reader.line_num}", str(error), "cells parted by commas") from None
+    return rows
+
+
+def _check_header(header: list[str], path, line: int) -> list[str]:
+    known = (*COLUMNS, *EXTRA_COLUMNS)
+    for name in header:
+        if name not in known:
+            raise InputError(path, f"line {line}, {name}", f"the unknown column {name!r}", suggest(name, known))
+        if header.count(name) > 1:
+            raise InputError(path, f"line {line}, {name}", "the column twice", "each column once")
+    for name in COLUMNS:
+        if name not in header and name not in _OPTIONAL:
+            raise InputError(path, f"line {line}, {name}", "no such column", f"the columns {', '.join(COLUMNS)}")
+    return header
+
+
+class _Shots:
+    """The photographs of a table so far, and what they must not contradict."""
+
+    def __init__(self, path, folder) -> None:
+        self.path, self.folder = path, folder
+        self.all: list[Shot] = []
+        self._lines: dict[str, int] = {}
+        self._poses: dict[str, Pose] = {}
+        self._brackets: dict[tuple, int] = {}
+
+    def add(self, line: int, row: dict[str, str]) -> None:
+        file = row["file"]
+        if not file.strip() or any(ord(letter) < 32 or ord(letter) == 127 for letter in file):
+            raise self._error(line, "file", repr(file), "the name of a RAW file")
+        role, chart = self._role(line, row)
+        state = self._choice(line, row, "filter", FILTERS)
+        pose = Pose(*(self._number(line, angle, row.get(angle, "0")) for angle in _ANGLES))
+        exposure = self._number(line, "exposure_s", row["exposure_s"])
+        if not 0 < exposure <= 3600:
+            raise self._error(line, "exposure_s", row["exposure_s"].strip(), "above 0 and up to 3600 s")
+        for angle in _ANGLES:
+            if abs(getattr(pose, angle)) > 360:
+                raise self._error(line, angle, row[angle].strip(), "an angle from -360 to 360 degrees")
+        iso, f_number = (self._optional(line, column, row.get(column, "")) for column in ("iso", "f_number"))
+        shot = Shot(file, role, pose, state, exposure, iso, f_number, chart)
+        self._check_against_others(line, shot)
+        self._check_file(line, shot)
+        self.all.append(shot)
+
+    def _check_against_others(self, line: int, shot: Shot) -> None:
+        first = self._lines.setdefault(posixpath.normpath(shot.file), line)
+        if first != line:
+            raise self._error(line, "file", f"{shot.file!r} again, as in line {first}", "each file once")
+        if shot.role == "object" and self._poses.setdefault(shot.pose.name, shot.pose) != shot.pose:
+            raise self._error(
+                line,
+                "light_deg",
+                "a pose less than 0.1 degrees from another",
+                "the same angles, or angles further apart",
+            )
+        bracket = (shot.capture, shot.filter, shot.exposure_s)
+        first = self._brackets.setdefault(bracket, line)
+        if first != line and shot.role not in _AVERAGED:
+            raise self._error(
+                line,
+                "exposure_s",
+                f"the capture {shot.capture}, filter {shot.filter}, with the exposure time of line {first}",
+                "another exposure time for each photograph of a bracket",
+            )
+
+    def _check_file(self, line: int, shot: Shot) -> None:
+        if self.folder is None:
+            return
+        raw = shot_path(shot, self.path, self.folder)
+        try:
+            empty = not raw.is_file() or raw.stat().st_size == 0
+        except OSError:
+            empty = True
+        if empty:
+            found = "an empty file" if raw.is_file() else "no such file"
+            raise self._error(line, "file", f"{found}: {raw}", "a RAW file of the camera")
+
+    def _role(self, line: int, row: dict[str, str]) -> tuple[str, str]:
+        """Return the role and, of a further chart, the chart's name."""
+        role, _, chart = row["role"].strip().partition("-")
+        if role == "chart" and _NAME.fullmatch(chart):
+            return role, chart
+        return self._choice(line, row, "role", ROLES), ""
+
+    def _choice(self, line: int, row: dict[str, str], column: str, valid: tuple) -> str:
+        value = row[column].strip()
+        if value not in valid:
+            raise self._error(line, column, repr(value), suggest(value, valid))
+        return value
+
+    def _number(self, line: int, column: str, text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        # float() also takes 1_000, which no spreadsheet writes.
+        if not math.isfinite(value) or "_" in text:
+            raise self._error(line, column, repr(text.strip()), "a finite number")
+        return value
+
+    def _optional(self, line: int, column: str, text: str) -> float:
+        """Return a positive number, 0 for an empty cell."""
+        if not text.strip():
+            return 0.0
+        value = self._number(line, column, text)
+        if value <= 0:
+            raise self._error(line, column, text.strip(), "a number above 0, or an empty cell")
+        return value
+
+    def _error(self, line: int, column: str, found: str, accepted: str) -> InputError:
+        return InputError(self.path, f"line {line}, {column}", found, accepted)
+
+
+def shot_cells(shot: Shot, sha256: str) -> list:
+    """Return a photograph's line of a table, in the order of COLUMNS and EXTRA_COLUMNS; unknown values are empty."""
+    angles = [getattr(shot.pose, angle) for angle in _ANGLES]
+    row = [shot.file, shot.subject, *angles, shot.filter, shot.exposure_s]
+    return [*row, shot.iso or "", shot.f_number or "", sha256]
+
+
+def write_captures(path, shots, sha256=None) -> None:
+    """Write a table of photographs; it appears under its name only when it is complete.
+
+    Parameters
+    ----------
+    path : path
+        CSV to write; its folder must exist.
+    shots : iterable of Shot
+    sha256 : dict, optional
+        Hexadecimal digest of each file, by ``Shot.file``; the cells stay empty without it.
+
+    Raises
+    ------
+    KeyError
+        If `sha256` lacks a file.
+    """
+    path = Path(path)
+    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with open(handle, "w", encoding="utf-8", newline="") as out:
+            writer = csv.writer(out, lineterminator="\n")
+            writer.writerow((*COLUMNS, *EXTRA_COLUMNS))
+            for shot in shots:
+                writer.writerow(shot_cells(shot, "" if sha256 is None else sha256[shot.file]))
+            out.flush()
+            os.fsync(out.fileno())
+        # mkstemp makes files that only their owner can read; a table is for everyone the umask allows.
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise

@@ -1,0 +1,147 @@
+"""Poses and tables of photographs against the rig that they are taken on and the camera that takes them."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from irodori.config.capture_table import FILTERS, Shot, chart_capture, expand_poses, read_captures
+from irodori.core.errors import InputError, is_file
+
+_ANGLE_TOLERANCE_DEG = 1e-6
+#: The chart and the white reference are divided by cosθ_i, which is nothing near 90 degrees.
+_MAX_INCIDENCE_DEG = 80.0
+_AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
+
+
+class Reach:
+    """What a rig can reach.
+
+    Parameters
+    ----------
+    limits : dict
+        ``limits`` of the rig's definition.
+    file : path
+        That definition, for the error message.
+    """
+
+    def __init__(self, limits: dict, file) -> None:
+        self.limits, self.file = limits, file
+
+    def check_angle(self, axis: str, angle: float, file, field: str, step: bool = True) -> None:
+        """Refuse an angle outside the limits or, where `step` is set, off the steps."""
+        limit = self.limits[axis]
+        low, high, unit = limit["min"], limit["max"], limit["step"]
+        off = abs((angle - low) - round((angle - low) / unit) * unit)
+        inside = low - _ANGLE_TOLERANCE_DEG <= angle <= high + _ANGLE_TOLERANCE_DEG
+        if not inside or (step and off > _ANGLE_TOLERANCE_DEG):
+            steps = f" in steps of {unit:g}" if step else ""
+            accepted = f"{low:g} to {high:g} degrees{steps} ({self.file}, limits.{axis})"
+            raise InputError(file, field, f"{angle:.10g}", accepted)
+
+    def check_shots(self, shots: list[Shot], table) -> None:
+        """Refuse photographs outside the limits."""
+        for shot in shots:
+            for axis in _AXES:
+                # Angles of a real rig are read, not set: they need not stand on its steps.
+                self.check_angle(axis, getattr(shot.pose, axis), table, f"{axis} of {shot.file}", step=False)
+
+    def check_poses(self, groups: list[dict], file) -> None:
+        """Refuse poses of an object that the virtual rig cannot take, or that come twice."""
+        for index, group in enumerate(groups):
+            for axis, angles in group.items():
+                for item, angle in enumerate(angles):
+                    self.check_angle(axis, angle, file, f"poses[{index}].{axis}[{item}]")
+        try:
+            expand_poses(groups)
+        except ValueError as error:
+            raise InputError(file, "poses", str(error), "each pose once, at least 0.1 degrees apart") from None
+
+
+def check_incidence(light_deg: float, tilt_deg: float, file, field: str) -> None:
+    """Refuse a pose in which the light does not reach a chart or a white reference from its front."""
+    incidence = light_deg - tilt_deg
+    if not -_ANGLE_TOLERANCE_DEG <= incidence < _MAX_INCIDENCE_DEG:
+        found = f"light {light_deg:g} less tilt {tilt_deg:g}, the light at {incidence:g} degrees"
+        raise InputError(file, field, found, f"an angle of incidence from 0 to below {_MAX_INCIDENCE_DEG:g} degrees")
+
+
+def table_and_folder(definition: dict, root: Path) -> tuple[Path, Path]:
+    """Return the table of a set of photographs of a real rig and the folder of its RAW files."""
+    table = root / definition["captures"]["table"]
+    return table, root / definition["captures"].get("folder", table.parent)
+
+
+def read_table(definition: dict, root: Path, file) -> tuple[Path, list[Shot]]:
+    """Return the table of a set of photographs and what it lists, all files being there."""
+    table, folder = table_and_folder(definition, root)
+    if not is_file(table):
+        found = f"no such file: {definition['captures']['table']}"
+        raise InputError(file, "captures.table", found, "a CSV that lists the photographs")
+    return table, read_captures(table, folder)
+
+
+def of_role(shots: list[Shot], role: str, table: Path) -> list[Shot]:
+    """Return the photographs of a role: one or more, each capture with the filter out as well."""
+    wanted = [shot for shot in shots if shot.role == role]
+    if not wanted:
+        roles = ", ".join(sorted({shot.role for shot in shots}))
+        raise InputError(table, "role", f"only {roles}", f"one photograph or more of the role {role}")
+    for capture, states in _states_of_captures(wanted).items():
+        if "out" not in states:
+            found = f"the capture {capture} only with the filter in"
+            raise InputError(table, "filter", found, "each capture with the filter out as well")
+    return wanted
+
+
+def by_chart(shots: list[Shot], further: Iterable[str], table: Path, file) -> list[list[Shot]]:
+    """Return the photographs of each chart, the first chart's first; refuse charts that only one side knows."""
+    wanted = ["", *further]
+    groups: dict[str, list[Shot]] = {name: [] for name in wanted}
+    for shot in shots:
+        if shot.chart not in groups:
+            known = ", ".join(chart_capture(name) for name in wanted)
+            found = f"{shot.subject}, for which {file} has no further_charts.{shot.chart}"
+            raise InputError(table, f"role of {shot.file}", found, known)
+        groups[shot.chart].append(shot)
+    for name, group in groups.items():
+        if not group:
+            found = f"no photograph of the role {chart_capture(name)}"
+            raise InputError(table, "role", found, f"each chart of {file} photographed")
+    return list(groups.values())
+
+
+def check_states(shots: list[Shot], table: Path, chart: list[Shot], chart_table: Path) -> None:
+    """Refuse a capture in other filter states than the chart's, for which alone the calibration holds."""
+    check_states_are(shots, table, {shot.filter for shot in chart}, chart_table)
+
+
+def check_states_are(shots: list[Shot], table: Path, wanted: set[str], chart_file: Path) -> None:
+    """Refuse a capture in other filter states than those of the chart, which `chart_file` tells."""
+    for capture, states in _states_of_captures(shots).items():
+        if states != wanted:
+            accepted = f"the filter states {_listed(wanted)}, as the chart has in {chart_file}"
+            raise InputError(
+                table, f"filter of the capture {capture}", f"the filter states {_listed(states)}", accepted
+            )
+
+
+def check_one_pose(shots: list[Shot], table: Path) -> None:
+    """Refuse photographs of the chart or of the white reference in several poses, or in one that light misses."""
+    first = shots[0]
+    for shot in shots:
+        check_incidence(shot.pose.light_deg, shot.pose.tilt_deg, table, f"light_deg of {shot.file}")
+        for axis in _AXES:
+            here, there = getattr(shot.pose, axis), getattr(first.pose, axis)
+            if here != there:
+                accepted = f"{there:g}, as of {first.file}: one pose for all photographs of the role {shot.subject}"
+                raise InputError(table, f"{axis} of {shot.file}", f"{here:g}", accepted)
+
+
+def _states_of_captures(shots: list[Shot]) -> dict[str, set[str]]:
+    states: dict[str, set[str]] = {}
+    for shot in shots:
+        states.setdefault(shot.capture, set()).add(shot.filter)
+    return states
+
+
+def _listed(states: set[str]) -> str:
+    return ", ".join(state for state in FILTERS if state in states)

@@ -1,0 +1,347 @@
+"""What no schema sees: that definitions agree with each other, and that the files they name are there."""
+
+import os
+from pathlib import Path
+
+from irodori.config.capture_table import Shot
+from irodori.config.cross_checks.captures_on_rig import (
+    Reach,
+    by_chart,
+    check_incidence,
+    check_one_pose,
+    check_states,
+    check_states_are,
+    of_role,
+    read_table,
+    table_and_folder,
+)
+from irodori.config.cross_checks.display_files import check_display
+from irodori.config.cross_checks.environment_sources import check_source, is_photographed
+from irodori.config.cross_checks.named_spectra import check_chart, check_spectra
+from irodori.config.cross_checks.plan_overrides import check_plan
+from irodori.config.cross_checks.rig_motion import check_motion
+from irodori.config.cross_checks.scene_photographs import check_aim, check_photograph
+from irodori.core.errors import InputError, is_file
+from irodori.geometry.mesh_sources import mesh_files
+from irodori.spectra.tables import brdf_table, index_table
+
+#: Folders that stand in results/ beside those of objects and scenes.
+_RESERVED = ("benchmark", "benchmarks", "cameras", "environments", "logs", "rig")
+_BANDS_OF_A_STATE = 3
+#: Keys that not every kind of rig reads: which of them a definition must give, and which it may.
+_TAKEN_HERE = ("poses", "exposure_s", "dark_frames", "white_frames", "linearity_exposure_s")
+_ONLY_SOME = (*_TAKEN_HERE, "virtual", "driver", "captures")
+_NEEDED = {
+    "virtual": {
+        "cameras": ("virtual", "optics", "white", "poses", "exposure_s"),
+        "environments": ("virtual", "exposure_s"),
+        "objects": ("virtual", "poses", "exposure_s"),
+    },
+    "driven": {
+        "cameras": ("driver", "captures", "white", "poses", "exposure_s"),
+        "environments": ("captures",),
+        "objects": ("captures", "poses", "exposure_s"),
+    },
+    "files": dict.fromkeys(("cameras", "environments", "objects"), ("captures",)),
+}
+
+
+def _accepted_keys(rig_kind: str, kind: str) -> tuple[str, ...]:
+    """Return which of ``_ONLY_SOME`` a definition may give."""
+    needed = _NEEDED[rig_kind][kind]
+    return needed if "exposure_s" not in needed else (*needed, *_TAKEN_HERE)
+
+
+def check_agreement(definitions: dict, root: Path, config_file, file) -> None:
+    """Check a configuration and its definitions against each other.
+
+    Parameters
+    ----------
+    definitions : dict
+        Validated, of the layout that `irodori.config.definitions.load_definitions` returns.
+    root : path
+        Where relative paths start.
+    config_file : path
+        Where the configuration came from, for the error message.
+    file : callable
+        ``file(kind, name)`` is the path of a definition, for the error message.
+
+    Raises
+    ------
+    InputError
+        For the first fault.
+    """
+    _check_bounds(definitions, config_file)
+    _check_names(definitions, file)
+    check_spectra(definitions["report"], ("report",), root, config_file)
+    checks = _Checks(definitions, root, file)
+    order = {
+        "rigs": checks.rig,
+        "cameras": checks.camera,
+        "environments": checks.environment,
+        "objects": checks.object,
+        "scenes": checks.scene,
+    }
+    for kind, check in order.items():
+        for name in definitions[kind]:
+            check(name)
+    checks.folders()
+
+
+def rig_of(definitions: dict, kind: str, name: str) -> str:
+    """Return the name of the rig that photographs an object, an environment or a camera's chart."""
+    definition = definitions[kind][name]
+    camera = definition if kind == "cameras" else definitions["cameras"][definition["camera"]]
+    return camera["rig"]
+
+
+class _Checks:
+    """One check for each kind of definition."""
+
+    def __init__(self, definitions: dict, root: Path, file) -> None:
+        self.all, self.root, self.file = definitions, root, file
+        #: Table and chart photographs of each camera of a real rig.
+        self.charts: dict[str, tuple[Path, list[Shot]]] = {}
+
+    def rig(self, name: str) -> None:
+        file, rig = self.file("rigs", name), self.all["rigs"][name]
+        for axis, limit in rig["limits"].items():
+            if limit["min"] > limit["max"]:
+                found = f"{limit['min']:g}, above max {limit['max']:g}"
+                raise InputError(file, f"limits.{axis}.min", found, "a smallest angle below the largest")
+        check_motion(rig, file)
+        if rig["operator"] == "auto" and rig["kind"] != "virtual":
+            raise InputError(file, "operator", "auto, for which a virtual rig alone has hands", "prompt or file")
+        check_spectra(rig, (), self.root, file)
+
+    def camera(self, name: str) -> None:
+        file, camera = self.file("cameras", name), self.all["cameras"][name]
+        self._check_keys("cameras", name)
+        if self._is_taken_here("cameras", name):
+            self._check_session(camera, file)
+            states = set(camera["exposure_s"])
+        else:
+            self._check_chart_and_white(name, camera, file)
+            states = {shot.filter for shot in self.charts[name][1]}
+        bands, calibration = _BANDS_OF_A_STATE * len(states), camera["calibration"]
+        bases = calibration["bases"]
+        # The other estimators know more than the responses: their weights may outnumber the bands.
+        if calibration["estimator"] == "pinv" and bases != "auto" and bases > bands:
+            listed = ", ".join(sorted(states))
+            accepted = f"1 to {bands}, {_BANDS_OF_A_STATE} for each filter state of the chart ({listed})"
+            raise InputError(file, "calibration.bases", str(bases), accepted)
+        check_spectra(camera, (), self.root, file)
+        check_chart(camera["chart"], self.root, file)
+        for chart, definition in camera["further_charts"].items():
+            check_chart(definition, self.root, file, f"further_charts.{chart}")
+
+    def environment(self, name: str) -> None:
+        file, environment = self.file("environments", name), self.all["environments"][name]
+        check_source(environment, self.root, file)
+        if not is_photographed(environment):
+            check_spectra(environment, (), self.root, file)
+            return
+        ball = environment["source"]["kind"] == "mirror_ball"
+        if ball and self._rig_of("environments", name)["kind"] == "virtual":
+            accepted = "captures: the virtual rig photographs its room from every direction itself"
+            raise InputError(file, "source.kind", "mirror_ball on a rig of kind virtual", accepted)
+        self._check_keys("environments", name)
+        if self._is_taken_here("environments", name):
+            self._check_exposures(environment, file)
+        else:
+            self._check_photographs(environment, file, "environment")
+        check_spectra(environment, (), self.root, file)
+
+    def object(self, name: str) -> None:
+        file, definition = self.file("objects", name), self.all["objects"][name]
+        camera = self.all["cameras"][definition["camera"]]
+        if "optics" not in camera:
+            found = f"the camera {definition['camera']!r} without optics"
+            accepted = f"a camera whose file gives optics ({self.file('cameras', definition['camera'])})"
+            raise InputError(file, "camera", found, accepted)
+        self._check_keys("objects", name)
+        if self._is_taken_here("objects", name):
+            self._check_exposures(definition, file)
+            self._reach(camera).check_poses(definition["poses"], file)
+            for material in definition.get("virtual", {}).get("materials", ()):
+                if "file" in material:
+                    brdf_table(self.root / material["file"])
+        else:
+            table, shots = self._check_photographs(definition, file, "object")
+            self._reach(camera).check_shots(shots, table)
+        if definition["shape"]["kind"] == "mesh":
+            mesh_files(self.root / definition["shape"]["file"])
+        self._check_index(definition["refractive_index"], "refractive_index", file)
+        for key in ("alpha", "beta", "mu_rad"):
+            low, high = definition["plan"][key]
+            if low > high:
+                raise InputError(file, f"plan.{key}", f"[{low:g}, {high:g}]", "the smaller value first")
+        check_spectra(definition, (), self.root, file)
+
+    def scene(self, name: str) -> None:
+        file, scene = self.file("scenes", name), self.all["scenes"][name]
+        for label, view in scene["views"].items():
+            check_aim(view, file, f"views.{label}")
+            if "lens" in view and scene["integrator"]["kind"] == "interactive":
+                found = "a lens, over which the integrator interactive does not sample"
+                raise InputError(file, f"views.{label}.lens", found, "integrator: {kind: reference}, or no lens")
+
+        if scene.get("frames", {}).get("turned") in ("lights", "both") and not scene["lights"]:
+            found = f"{scene['frames']['turned']}, of which the scene has none beside its environment"
+            raise InputError(file, "frames.turned", found, "environment, or lights in the scene")
+        check_plan(scene, file)
+        for label, placed in scene["photographs"].items():
+            states = self._states(placed["camera"])
+            check_photograph(self.all, scene, label, states, self.root, lambda kind, which=name: self.file(kind, which))
+        check_display(scene["display"]["device"], self.root, file)
+        check_spectra(scene, (), self.root, file)
+        for index, body in enumerate(scene["bodies"]):
+            field = f"bodies[{index}].material.refractive_index"
+            self._check_index(body["material"]["refractive_index"], field, file)
+        strange = [light["kind"] for light in scene["lights"] if light["kind"] != "collimated"]
+        if strange and scene["integrator"]["kind"] == "interactive":
+            found = f"a {strange[0]} light, which the integrator interactive does not trace"
+            raise InputError(file, "lights", found, "integrator: {kind: reference}, or collimated lights alone")
+
+    def folders(self) -> None:
+        """Refuse a table or a folder into which two sessions would write: their photographs bear the same names."""
+        taken: dict[tuple[str, Path], Path] = {}
+        for kind in ("cameras", "objects"):
+            for name, definition in self.all[kind].items():
+                if not self._is_taken_here(kind, name) or "captures" not in definition:
+                    continue
+                places = zip(("table", "folder"), table_and_folder(definition, self.root), strict=True)
+                for key, path in places:
+                    first = taken.setdefault((key, Path(os.path.normpath(path))), self.file(kind, name))
+                    if first != self.file(kind, name):
+                        field = f"captures.{key}" if key in definition["captures"] else "captures.table"
+                        found = f"{path.relative_to(self.root) if path.is_relative_to(self.root) else path}"
+                        accepted = f"a {key} of its own: {first} has this one"
+                        raise InputError(self.file(kind, name), field, found, accepted)
+
+    def _states(self, camera: str) -> set[str]:
+        """Return the filter states of a camera's chart."""
+        if camera in self.charts:
+            return {shot.filter for shot in self.charts[camera][1]}
+        return set(self.all["cameras"][camera]["exposure_s"])
+
+    def _check_index(self, index: dict, field: str, file: Path) -> None:
+        """Refuse a table of refractive indices that is not there, or is none."""
+        if table := index.get("file"):
+            if not is_file(self.root / table):
+                raise InputError(file, f"{field}.file", f"no such file: {table}", "a CSV of wavelength_nm, n, k")
+            index_table(self.root / table)
+
+    def _rig_of(self, kind: str, name: str) -> dict:
+        return self.all["rigs"][rig_of(self.all, kind, name)]
+
+    def _is_taken_here(self, kind: str, name: str) -> bool:
+        """Whether the workflow itself takes the photographs, as against reading what somebody took."""
+        return "exposure_s" in _NEEDED[self._rig_of(kind, name)["kind"]][kind]
+
+    def _reach(self, camera: dict) -> Reach:
+        return Reach(self.all["rigs"][camera["rig"]]["limits"], self.file("rigs", camera["rig"]))
+
+    def _check_keys(self, kind: str, name: str) -> None:
+        """Refuse a definition without the keys that its rig's kind needs, or with keys that it never reads."""
+        file, definition, rig = self.file(kind, name), self.all[kind][name], self._rig_of(kind, name)["kind"]
+        for key in _NEEDED[rig][kind]:
+            _require(definition, key, file, rig)
+        accepted = _accepted_keys(rig, kind)
+        for key in _ONLY_SOME:
+            if key in definition and key not in accepted:
+                rig_file = self.file("rigs", rig_of(self.all, kind, name))
+                found = f"a key that a rig of kind {rig} does not use"
+                raise InputError(file, key, found, f"to leave it out ({rig_file} is of kind {rig})")
+
+    def _check_session(self, camera: dict, file) -> None:
+        """Check the photographs that calibrate a camera, which the workflow takes itself."""
+        _require(camera["poses"], "white", file, self.all["rigs"][camera["rig"]]["kind"], "poses.white")
+        if "virtual" in camera:
+            black, bits = camera["virtual"]["sensor"]["black_level"], camera["virtual"]["sensor"]["bits"]
+            if black >= 2**bits - 1:
+                raise InputError(file, "virtual.sensor.black_level", str(black), f"below {2**bits - 1} for {bits} bits")
+        reach = self._reach(camera)
+        for role, pose in camera["poses"].items():
+            for axis, angle in pose.items():
+                reach.check_angle(axis, angle, file, f"poses.{role}.{axis}")
+            check_incidence(pose["light_deg"], pose["tilt_deg"], file, f"poses.{role}.light_deg")
+
+    def _check_chart_and_white(self, name: str, camera: dict, file) -> None:
+        """Check the photographs that calibrate a camera of a real rig; what it photographs is divided by its white."""
+        table, shots = read_table(camera, self.root, file)
+        photographed = of_role(shots, "chart", table)
+        charts = by_chart(photographed, camera["further_charts"], table, file)
+        chart = charts[0]
+        self.charts[name] = table, chart
+        check_states(photographed, table, chart, table)
+        user = self._user_of(name)
+        whites = [shot for shot in shots if shot.role == "white"]
+        if user and not whites:
+            found = f"no photograph of the role white, though {user} is photographed with this camera"
+            raise InputError(table, "role", found, "the white reference in every filter state of the chart")
+        if whites:
+            check_states(whites, table, chart, table)
+            if "white" not in camera:
+                found = f"no such key, though {table} lists photographs of the role white"
+                raise InputError(file, "white", found, "white: {reflectance_factor: ...} of the white reference")
+        for group in filter(None, ([shot for chart in charts for shot in chart], whites)):
+            self._reach(camera).check_shots(group, table)
+            check_one_pose(group, table)
+
+    def _user_of(self, camera: str) -> Path | None:
+        """Return the file of an object, environment or scene that a camera photographs, None where there is none."""
+        for kind in ("objects", "environments"):
+            for name, definition in self.all[kind].items():
+                if definition.get("camera") == camera:
+                    return self.file(kind, name)
+        for name, scene in self.all["scenes"].items():
+            if any(placed["camera"] == camera for placed in scene["photographs"].values()):
+                return self.file("scenes", name)
+        return None
+
+    def _check_exposures(self, definition: dict, file) -> None:
+        """Refuse other filter states than those of the chart, for which alone the calibration holds."""
+        camera = definition["camera"]
+        given, wanted = set(definition["exposure_s"]), set(self.all["cameras"][camera]["exposure_s"])
+        if given != wanted:
+            found, accepted = ", ".join(sorted(given)), ", ".join(sorted(wanted))
+            accepted += f", as in {self.file('cameras', camera)}"
+            raise InputError(file, "exposure_s", f"the filter states {found}", accepted)
+
+    def _check_photographs(self, definition: dict, file, role: str) -> tuple[Path, list[Shot]]:
+        """Return the table of an object or an environment of a real rig and its photographs of a role."""
+        table, shots = read_table(definition, self.root, file)
+        wanted = of_role(shots, role, table)
+        camera = definition["camera"]
+        if camera in self.charts:
+            check_states(wanted, table, *reversed(self.charts[camera]))
+        else:
+            accepted = set(self.all["cameras"][camera]["exposure_s"])
+            check_states_are(wanted, table, accepted, self.file("cameras", camera))
+        return table, wanted
+
+
+def _require(block: dict, key: str, file, kind: str, field: str = "") -> None:
+    if key not in block:
+        raise InputError(file, field or key, "no such key", f"this key, because the rig is of kind {kind}")
+
+
+def _check_bounds(config: dict, file) -> None:
+    for name, (low, high) in config["fit"]["bounds"].items():
+        if not low < high:
+            raise InputError(file, f"fit.bounds.{name}", f"[{low:g}, {high:g}]", "the smaller value first")
+
+
+def _check_names(definitions: dict, file) -> None:
+    """Refuse objects and scenes whose folders in results/ would be those of something else."""
+    for kind in ("objects", "scenes"):
+        for name in definitions[kind]:
+            if name in _RESERVED:
+                accepted = f"another name of the file: results/{name} serves all (so do {', '.join(_RESERVED)})"
+                raise InputError(file(kind, name), "", f"the reserved name {name!r}", accepted)
+    for name in definitions["scenes"]:
+        if name in definitions["objects"]:
+            found = f"the name {name!r}, which {file('objects', name)} has as well"
+            accepted = f"another name of one of the files: both write into results/{name}"
+            raise InputError(file("scenes", name), "", found, accepted)

@@ -1,0 +1,45 @@
+"""The display of a scene: files that are there, primaries that enclose their white; without numpy."""
+
+from pathlib import Path
+
+from irodori.core.errors import InputError, is_file
+
+_MEASURED = (".csv", ".ti3")
+
+
+def check_display(device: dict, root: Path, file) -> None:
+    """Refuse a display whose file is not there, or whose white its primaries cannot mix.
+
+    Parameters
+    ----------
+    device : dict
+        ``display.device`` of a scene.
+    root : path
+        Where relative paths start.
+    file : path
+        The scene's definition, for the error message.
+
+    Raises
+    ------
+    InputError
+    """
+    field = "display.device"
+    if device["kind"] == "primaries":
+        corners = [device[f"{name}_xy"] for name in ("red", "green", "blue")]
+        sides = [_side(device["white_xy"], a, b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
+        if not (min(sides) > 0.0 or max(sides) < 0.0):
+            found = f"{device['white_xy']}, which the primaries do not enclose"
+            raise InputError(file, f"{field}.white_xy", found, "a white within the triangle of red, green and blue")
+    if "file" not in device:
+        return
+    if not is_file(root / device["file"]):
+        wanted = "a table of measured patches" if device["kind"] == "measured" else "the ICC profile of a display"
+        raise InputError(file, f"{field}.file", f"no such file: {device['file']}", wanted)
+    if device["kind"] == "measured" and not device["file"].lower().endswith(_MEASURED):
+        accepted = f"a name that ends in {' or '.join(_MEASURED)}"
+        raise InputError(file, f"{field}.file", device["file"], accepted)
+
+
+def _side(point, a, b) -> float:
+    """Return on which side of the line from a to b a point lies, by the sign."""
+    return (b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0])

@@ -1,0 +1,144 @@
+"""Spectra that definitions name: published under that name, or a whole table of the right quantity."""
+
+import difflib
+from pathlib import Path
+
+from irodori.config.validation import dotted
+from irodori.core.errors import InputError, is_file
+from irodori.spectra.published_names import (
+    BLACKBODY_K,
+    CAMERAS,
+    CHART_PATCHES,
+    DAYLIGHT_K,
+    ILLUMINANTS,
+    TEST_COLOURS,
+    synthetic_light,
+)
+from irodori.spectra.spectral_files import SUFFIXES, check_power, check_reflectance, spectral_table
+
+#: Rows and columns of the chart that can be found by itself.
+FOUND_LAYOUT = (4, 6)
+_BANDS = (("r", "red"), ("g", "green"), ("b", "blue"))
+
+#: Kind of spectrum: the names that are published, and the same in words.
+_PUBLISHED = {
+    "light": (
+        ILLUMINANTS,
+        f"the illuminants {', '.join(ILLUMINANTS)}, D{DAYLIGHT_K[0]} to D{DAYLIGHT_K[1]} for daylight and "
+        f"P{BLACKBODY_K[0]} to P{BLACKBODY_K[1]} for a blackbody of that many kelvin",
+    ),
+    "reflectance": (TEST_COLOURS, f"the test colours {TEST_COLOURS[0]} to {TEST_COLOURS[-1]}"),
+    "chart": (tuple(CHART_PATCHES), f"the charts {', '.join(CHART_PATCHES)}"),
+    "sensitivities": (CAMERAS, f"the cameras {', '.join(CAMERAS)}"),
+}
+
+
+def check_spectra(value, path: tuple, root: Path, file) -> None:
+    """Refuse a spectrum that is neither published nor a table that holds what its key asks for.
+
+    Parameters
+    ----------
+    value : dict, list or scalar
+        A definition, or a part of one.
+    path : tuple of str and int
+        Where `value` stands in its definition.
+    root : path
+        Where relative paths start.
+    file : path
+        The definition, for the error message.
+
+    Raises
+    ------
+    InputError
+        For the first fault.
+    """
+    if isinstance(value, dict):
+        for key, item in value.items():
+            check_spectra(item, (*path, key), root, file)
+    elif isinstance(value, list):
+        for index, item in enumerate(value):
+            check_spectra(item, (*path, index), root, file)
+    elif isinstance(value, str) and (kind := _kind(path)):
+        _check_one(kind, value, root, file, dotted(path))
+
+
+def check_chart(chart: dict, root: Path, file, key: str = "chart") -> None:
+    """Refuse a chart whose rows and columns do not hold as many patches as its spectra."""
+    name, patches = chart["spectra"], chart["rows"] * chart["columns"]
+    count = CHART_PATCHES[name] if name in CHART_PATCHES else len(spectral_table(root / name).names)
+    if patches != count:
+        found = f"{chart['rows']} rows of {chart['columns']} patches, {patches} in all"
+        raise InputError(file, f"{key}.rows", found, f"rows and columns that make {count} patches, as in {name}")
+    _check_places(chart, file, key)
+
+
+def _check_places(chart: dict, file, key: str) -> None:
+    """Refuse a chart whose patches are placed twice, or nowhere."""
+    find, given = chart["find"], "centres_px" in chart
+    if find == "chart":
+        if given:
+            accepted = "either centres_px, or find: chart, which needs none"
+            raise InputError(file, f"{key}.centres_px", "corners of a chart that is to be found", accepted)
+        if (chart["rows"], chart["columns"]) != FOUND_LAYOUT:
+            found = f"chart, for {chart['rows']} x {chart['columns']} patches"
+            accepted = "4 x 6 patches, a ColorChecker Classic; for other layouts centres_px with nothing or edges"
+            raise InputError(file, f"{key}.find", found, accepted)
+        return
+    if not given:
+        found = f"no corners where {key}.find is {find}"
+        raise InputError(file, f"{key}.centres_px", found, "the centres of the four corner patches, or find: chart")
+    if find == "nothing" and "patch_px" not in chart:
+        raise InputError(
+            file, f"{key}.patch_px", "no side of the patches", "a side in superpixels, or find: edges or chart"
+        )
+
+
+def _kind(path: tuple) -> str | None:
+    """Return what the value at a path is a spectrum of; None where it is no spectrum."""
+    keys = [part for part in path if isinstance(part, str)]
+    if keys[-1] in ("ambient_light", "lights", "illuminants", "from_illuminant"):
+        return "light"
+    if keys[-1] == "spectrum":
+        return "reflectance" if {"materials", "surfaces", "bodies"} & set(keys) else "light"
+    kinds = {"spectra": "chart", "sensitivities": "sensitivities", "reflectance_factor": "reflectance"}
+    return kinds.get(keys[-1])
+
+
+def _check_one(kind: str, value: str, root: Path, file, field: str) -> None:
+    names, words = _PUBLISHED[kind]
+    if value in names or (kind == "light" and synthetic_light(value)):
+        return
+    table = root / value
+    if not is_file(table):
+        if _looks_like_a_path(value):
+            accepted = f"the path of a file, or a published name ({words})"
+            raise InputError(file, field, f"no such file: {value}", accepted)
+        raise InputError(file, field, repr(value), f"{_nearest(value, names)}{words}, or the path of a file")
+    if not table.suffix:
+        accepted = f"a file whose name ends in {', '.join(SUFFIXES)}"
+        raise InputError(file, field, f"a file without a suffix: {value}", accepted)
+    _check_table(kind, table)
+
+
+def _check_table(kind: str, path: Path) -> None:
+    table = spectral_table(path)
+    if kind == "sensitivities":
+        names = [name.lower() for name in table.names]
+        if len(names) != len(_BANDS) or any(n not in band for n, band in zip(names, _BANDS, strict=True)):
+            found = ", ".join(["wavelength_nm", *names])
+            raise InputError(path, "line 1", found, "the columns wavelength_nm, r, g, b in this order")
+        return
+    if kind != "chart" and len(table.names) != 1:
+        raise InputError(path, "", f"{len(table.names)} spectra", "one spectrum")
+    (check_power if kind == "light" else check_reflectance)(table, path)
+
+
+def _looks_like_a_path(text: str) -> bool:
+    return text.lower().endswith(SUFFIXES) or "/" in text or "\\" in text
+
+
+def _nearest(word: str, names: tuple[str, ...]) -> str:
+    """Return ``did you mean 'D65' or 'D60'? Accepted are ``, or nothing where no name is near."""
+    by_small = {name.lower(): name for name in names}
+    near = [repr(by_small[small]) for small in difflib.get_close_matches(word.lower(), by_small, n=5)]
+    return f"did you mean {' or '.join(near)}? Accepted are " if near else ""

@@ -1,0 +1,312 @@
+"""The definitions that a run needs, read, validated and checked against each other before anything is made.
+
+Light enough for the Snakefile: nothing but the standard library, PyYAML and jsonschema is imported.
+"""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import yaml
+
+from irodori.config.capture_table import chart_capture, expand_poses, read_captures
+from irodori.config.cross_checks.captures_on_rig import table_and_folder
+from irodori.config.cross_checks.consistency import check_agreement, rig_of
+from irodori.config.validation import dotted, suggest, validate
+from irodori.core.errors import InputError, is_file
+
+__all__ = [
+    "KINDS",
+    "captures_of",
+    "is_taken_here",
+    "is_virtual",
+    "load_definitions",
+    "load_one",
+    "read_yaml",
+    "validate",
+]
+
+#: Kind of definition (the folder and the key of the result): its schema.
+KINDS = {
+    "scenes": "scene",
+    "objects": "object",
+    "environments": "environment",
+    "cameras": "camera",
+    "rigs": "rig",
+}
+
+_CONFIG_FILE = "config/config.yaml"
+#: What a session takes where a camera's file does not say; where others take the photographs the keys are refused.
+_SESSION_DEFAULTS = {"dark_frames": 0, "white_frames": 2, "linearity_exposure_s": []}
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """A safe loader that refuses a key given twice, where YAML would let the last one win in silence."""
+
+    def construct_mapping(self, node, deep=False):
+        seen = set()
+        for key_node, _ in node.value if isinstance(node, yaml.MappingNode) else ():
+            if not isinstance(key_node, yaml.ScalarNode) or key_node.tag == "tag:yaml.org,2002:merge":
+                continue
+            if key_node.value in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"the key {key_node.value!r} twice", key_node.start_mark
+                )
+            seen.add(key_node.value)
+        return super().construct_mapping(node, deep)
+
+    def construct_object(self, node, deep=False):
+        try:
+            return super().construct_object(node, deep)
+        except (ValueError, OverflowError, KeyError) as error:  # such as the date 2010-13-45
+            raise yaml.constructor.ConstructorError(None, None, str(error), node.start_mark) from None
+
+
+def read_yaml(path) -> dict:
+    """Read one YAML file that holds a block of keys.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, is not YAML (with the line), gives a key twice or holds something else.
+    """
+    try:
+        content = yaml.load(Path(path).read_bytes(), Loader=_UniqueKeyLoader)
+    except FileNotFoundError:
+        raise InputError(path, "", "no such file", "a YAML file") from None
+    except OSError as error:
+        raise InputError(path, "", error.strerror or str(error), "a YAML file that can be read") from None
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = f"line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        raise InputError(path, place, error.problem or error.context or "a fault", "YAML, each key once") from None
+    except yaml.YAMLError as error:
+        raise InputError(path, "", " ".join(str(error).split()), "YAML saved as UTF-8") from None
+    except RecursionError:
+        raise InputError(path, "", "blocks nested too deep", "a plain definition") from None
+    if not isinstance(content, dict):
+        found = "an empty file" if content is None else f"a {type(content).__name__}"
+        raise InputError(path, "", found, "a block of keys")
+    return content
+
+
+def load_definitions(config: dict, root: Path, file=_CONFIG_FILE) -> dict:
+    """Validate a configuration and load every definition that it needs.
+
+    Parameters
+    ----------
+    config : dict
+        Content of ``config.yaml``, as Snakemake merged it.
+    root : path
+        Working directory of the workflow; relative paths in all files start here.
+    file : path, or sequence of paths
+        Where `config` came from: one file, or all that were merged, in order. A fault is reported for the last that
+        gives the key at fault. Each that exists is read, to refuse keys given twice.
+
+    Returns
+    -------
+    dict
+        The validated configuration and, under each key of ``KINDS``, {name: validated definition} of those
+        that `config` names, directly or not.
+
+    Raises
+    ------
+    InputError
+        For the first fault in any of the files, or between them.
+    """
+    files = [file] if isinstance(file, str | Path) else list(file) or [_CONFIG_FILE]
+    contents = [read_yaml(Path(root) / path) if is_file(Path(root) / path) else {} for path in files]
+    try:
+        return _load_definitions(config, Path(root), files[0])
+    except InputError as error:
+        if error.file != str(files[0]):
+            raise
+        source = _source(error.field, files, contents)
+        raise InputError(source, error.field, error.found, error.accepted) from None
+
+
+def load_one(kind: str, name: str, root: Path = Path(), file=_CONFIG_FILE) -> dict:
+    """Load one definition and what it needs, for the person at the bench; nothing else is asked for.
+
+    Parameters
+    ----------
+    kind : {"objects", "cameras", "environments", "rigs"}
+    name : str
+    root : path
+        Where relative paths start.
+    file : path
+        The configuration, which says where definitions stand.
+
+    Returns
+    -------
+    dict
+        As `load_definitions` returns it.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind.
+    InputError
+        For the first fault.
+    """
+    wanted = {"scenes": [], "cameras": []}
+    return _load_definitions({**read_yaml(Path(root) / file), "make": wanted}, Path(root), file, (kind, name))
+
+
+def _load_definitions(config: dict, root: Path, file, also: tuple[str, str] | None = None) -> dict:
+    config = validate(config, "config", file)
+    loader = _Loader(root, Path(config["definitions"]), file)
+    for index, name in enumerate(config["make"]["scenes"]):
+        loader.scene(name, file, ("make", "scenes", index))
+    for index, name in enumerate(config["make"]["cameras"]):
+        loader.camera(name, file, ("make", "cameras", index))
+    if also is not None:
+        loader.load(*also)
+    definitions = {**config, **loader.found}
+    check_agreement(definitions, root, file, loader.file)
+    for camera in definitions["cameras"].values():
+        if "exposure_s" in camera:
+            camera.update({key: value for key, value in _SESSION_DEFAULTS.items() if key not in camera})
+    return definitions
+
+
+def _source(field: str, files: list, contents: list[dict]):
+    """Return the last of the files that gives most of a dotted path of keys; the first where none gives any."""
+    best, most = files[0], 1
+    for file, block in zip(files, contents, strict=True):
+        depth = 0
+        for key in re.findall(r"[^.\[\]]+", field):
+            if not isinstance(block, dict) or key not in block:
+                break
+            block, depth = block[key], depth + 1
+        if depth >= most:
+            best, most = file, depth
+    return best
+
+
+class _Loader:
+    """Follows the names from the configuration down to the rigs."""
+
+    def __init__(self, root: Path, folder: Path, config_file) -> None:
+        self.root, self.folder, self.config_file = root, folder, config_file
+        self.found: dict[str, dict] = {kind: {} for kind in KINDS}
+
+    def file(self, kind: str, name: str) -> Path:
+        return self.folder / kind / f"{name}.yaml"
+
+    def load(self, kind: str, name: str) -> None:
+        """Load one definition of a kind and what it needs.
+
+        Raises
+        ------
+        ValueError
+            If there is no such kind.
+        """
+        loaders = {"objects": self._object, "cameras": self.camera, "environments": self._environment}
+        loaders["rigs"] = lambda name, by, path: list(self._load("rigs", name, by, path))
+        if kind not in loaders:
+            raise ValueError(f"no definitions of {kind!r}; {suggest(kind, loaders, 'kinds')}")
+        loaders[kind](name, self.config_file, (kind,))
+
+    def scene(self, name: str, by, path: tuple) -> None:
+        for scene, file in self._load("scenes", name, by, path):
+            self._environment(scene["environment"], file, ("environment",))
+            for index, placed in enumerate(scene["objects"]):
+                self._object(placed["object"], file, ("objects", index, "object"))
+            for label, placed in scene["photographs"].items():
+                self.camera(placed["camera"], file, ("photographs", label, "camera"))
+
+    def camera(self, name: str, by, path: tuple) -> None:
+        for camera, file in self._load("cameras", name, by, path):
+            list(self._load("rigs", camera["rig"], file, ("rig",)))
+
+    def _object(self, name: str, by, path: tuple) -> None:
+        for definition, file in self._load("objects", name, by, path):
+            self.camera(definition["camera"], file, ("camera",))
+
+    def _environment(self, name: str, by, path: tuple) -> None:
+        for definition, file in self._load("environments", name, by, path):
+            if "camera" in definition:
+                self.camera(definition["camera"], file, ("camera",))
+
+    def _load(self, kind: str, name: str, by, path: tuple) -> Iterator[tuple[dict, Path]]:
+        """Yield the definition of a name, once: nothing where it is loaded already."""
+        if name in self.found[kind]:
+            return
+        file = self.file(kind, name)
+        if not is_file(self.root / file):
+            existing = sorted(other.stem for other in (self.root / self.folder / kind).glob("*.yaml"))
+            found = f"{name!r}, for which there is no {file}"
+            raise InputError(by, dotted(path), found, suggest(name, existing, f"{kind} that exist"))
+        self.found[kind][name] = validate(read_yaml(self.root / file), KINDS[kind], file)
+        yield self.found[kind][name], file
+
+
+def captures_of(definitions: dict, kind: str, name: str, root=".") -> list[str]:
+    """Return the names of the captures of a set of photographs.
+
+    Parameters
+    ----------
+    definitions : dict
+        Result of `load_definitions`.
+    kind : {"objects", "cameras", "environments"}
+    name : str
+    root : path
+        Working directory of the workflow, where the table's relative path starts.
+
+    Returns
+    -------
+    list of str
+        Of an object its poses, sorted, each once; of a camera ``chart`` and ``chart-NAME`` of each further chart; of an
+        environment ``environment``, and none where no camera photographed it.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind or name.
+    InputError
+        If the table of a real rig is at fault.
+    """
+    definition = _definition(definitions, kind, name)
+    if kind == "environments":
+        return ["environment"] if "camera" in definition else []
+    if kind == "cameras":
+        return [chart_capture(chart) for chart in ["", *definition.get("further_charts", {})]]
+    if is_taken_here(definitions, kind, name):
+        return sorted(pose.name for pose in expand_poses(definition["poses"]))
+    table, _ = table_and_folder(definition, Path(root))
+    return sorted({shot.capture for shot in read_captures(table) if shot.role == "object"})
+
+
+def is_virtual(definitions: dict, kind: str, name: str) -> bool:
+    """Whether the virtual rig takes the photographs of an object, a camera or an environment.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind or name.
+    """
+    if kind == "environments" and "camera" not in _definition(definitions, kind, name):
+        return False
+    _definition(definitions, kind, name)
+    return definitions["rigs"][rig_of(definitions, kind, name)]["kind"] == "virtual"
+
+
+def is_taken_here(definitions: dict, kind: str, name: str) -> bool:
+    """Whether the workflow itself takes the photographs, on the virtual rig or on one that it drives.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind or name.
+    """
+    return "exposure_s" in _definition(definitions, kind, name)
+
+
+def _definition(definitions: dict, kind: str, name: str) -> dict:
+    kinds = ("objects", "cameras", "environments")
+    if kind not in kinds:
+        raise ValueError(f"no photographs of {kind!r}; {suggest(kind, kinds, 'kinds')}")
+    if name not in definitions[kind]:
+        raise ValueError(f"no {name!r} in {kind}; {suggest(name, definitions[kind], 'loaded')}")
+    return definitions[kind][name]

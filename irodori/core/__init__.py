@@ -1,0 +1,1 @@
+"""Errors, atomic files, the HDF5 store, provenance, progress and threads."""

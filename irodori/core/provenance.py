@@ -1,0 +1,156 @@
+"""Hashes that say from which code, configuration and files a result came."""
+
+import ast
+import functools
+import hashlib
+import json
+from functools import lru_cache
+from pathlib import Path
+
+_ROOT = Path(__file__).resolve().parents[2]
+_DIGITS = 16
+
+
+@functools.cache
+def code_hash(*modules: str, root: Path = _ROOT) -> str:
+    """Return the hash of modules' sources and of everything local that they import, directly or not.
+
+    Nothing is imported: the sources are parsed. The result is remembered, for the code does not change while
+    a workflow is being planned.
+
+    Parameters
+    ----------
+    *modules : str
+        Dotted names, such as ``irodori.fitting``. Local means: in the root, whichever its top package.
+    root : path
+        Folder of the top packages.
+
+    Returns
+    -------
+    str
+        16 hexadecimal digits.
+
+    Raises
+    ------
+    ValueError
+        If there is no such module.
+    """
+    digest = hashlib.sha256()
+    sources = {name: file for module in modules for name, file in local_sources(module, root).items()}
+    for name, file in sorted(sources.items()):
+        digest.update(f"{name}\0{hashlib.sha256(file.read_bytes()).hexdigest()}\n".encode())
+    return digest.hexdigest()[:_DIGITS]
+
+
+def local_sources(module: str, root: Path = _ROOT) -> dict[str, Path]:
+    """Return {dotted name: file} of a module and of its local imports, direct or not.
+
+    Raises
+    ------
+    ValueError
+        If there is no such module.
+    """
+    root = Path(root)
+    if not _exists(module, root):
+        top = module.partition(".")[0]
+        known = sorted(".".join(file.relative_to(root).with_suffix("").parts) for file in root.glob(f"{top}/**/*.py"))
+        known = [name.removesuffix(".__init__") for name in known]
+        raise ValueError(f"no module {module!r}; modules: {', '.join(known) or 'none'}")
+    found: dict[str, Path] = {}
+    seen: set[str] = set()
+    waiting = [module]
+    while waiting:
+        name = waiting.pop()
+        if name in seen:
+            continue
+        seen.add(name)
+        # Importing a submodule runs the __init__ of the packages around it.
+        if "." in name:
+            waiting.append(name.rpartition(".")[0])
+        file = _file(name, root)
+        if file is not None:
+            found[name] = file
+            waiting += _imports(name, file, root)
+    return found
+
+
+def modules_of(package: str, root: Path = _ROOT) -> list[str]:
+    """Return the dotted names of all modules of a package, sorted: for what uses it as a whole, as its tests do."""
+    files = (file.relative_to(root).with_suffix("") for file in sorted(Path(root, package).rglob("*.py")))
+    return [".".join(file.parts).removesuffix(".__init__") for file in files]
+
+
+def _file(module: str, root: Path) -> Path | None:
+    base = root.joinpath(*module.split("."))
+    return next((file for file in (base / "__init__.py", base.with_name(base.name + ".py")) if file.is_file()), None)
+
+
+def _exists(module: str, root: Path) -> bool:
+    """Whether there is such a module or package; a package may do without __init__."""
+    return _file(module, root) is not None or (bool(module) and root.joinpath(*module.split(".")).is_dir())
+
+
+def _imports(name: str, file: Path, root: Path) -> list[str]:
+    """Return the local modules that a file imports, wherever in the file the import stands."""
+    status = file.stat()
+    return list(_parsed_imports(name, file, root, status.st_mtime_ns, status.st_size))
+
+
+@lru_cache(maxsize=4096)
+def _parsed_imports(name: str, file: Path, root: Path, _modified_ns: int, _size: int) -> tuple[str, ...]:
+    # Each rule hashes what its script imports: without the cache a file is parsed for every one of them.
+    package = name if file.name == "__init__.py" else name.rpartition(".")[0]
+    wanted = []
+    for node in ast.walk(ast.parse(file.read_bytes(), filename=str(file))):
+        if isinstance(node, ast.Import):
+            wanted += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                parents = package.split(".")
+                parents = parents[: len(parents) - node.level + 1]
+                base = ".".join([*parents, base] if base else parents)
+            # What follows "import" may be a submodule or a name inside the module.
+            wanted += [base, *(f"{base}.{alias.name}" for alias in node.names)]
+    return tuple(module for module in wanted if _exists(module, root))
+
+
+def config_hash(obj) -> str:
+    """Return the hash of a configuration: 16 hexadecimal digits of its canonical JSON.
+
+    The order of keys, a list or a tuple, and 45 or 45.0 make no difference. Paths count as their text.
+
+    Raises
+    ------
+    TypeError
+        If a value has no place in JSON.
+    ValueError
+        If a number is not finite.
+    """
+    text = json.dumps(_canonical(obj), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()[:_DIGITS]
+
+
+def _canonical(value):
+    if isinstance(value, dict):
+        for key in value:
+            if not isinstance(key, str):
+                raise TypeError(f"the key {key!r} is not text")
+        return {key: _canonical(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_canonical(item) for item in value]
+    if isinstance(value, float) and value.is_integer():
+        return int(value)
+    return str(value) if isinstance(value, Path) else value
+
+
+def file_sha256(path) -> str:
+    """Return the SHA-256 of a file's bytes: 64 hexadecimal digits.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    """
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

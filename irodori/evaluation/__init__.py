@@ -1,0 +1,1 @@
+"""Errors against ground truth, photographs and converged references, and their prediction."""

@@ -1,0 +1,376 @@
+"""The error budget of a view: what each stage adds to the final pixel, from RAW noise to the renderer.
+
+The virtual rig knows the truth, so a stage's contribution is measured by substitution: everything is true but what that
+stage made, and the picture is compared with the one of true materials under true light. Beside it stands what was
+expected without knowing the truth: how far the picture of the measured materials under the measured light moves by what
+the stages know of their errors, see `irodori.evaluation.error_prediction` and its neighbours. Compression alone states
+its error of what is compressed here, which is the truth.
+"""
+
+import csv
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.colour.colorimetry import summary, xyz_from_reflectance
+from irodori.core.atomic_files import written_whole
+from irodori.core.progress import LOGGER, track
+from irodori.evaluation import error_prediction as draws
+from irodori.evaluation.known_errors import Known, colours, with_colours
+from irodori.evaluation.light_prediction import drawn_lights, family
+from irodori.evaluation.renderer_noise import MORE, Paths, expected_noise, measured_noise, traced_rows
+from irodori.evaluation.truth_errors import interior, radiance_delta_e
+from irodori.geometry.shapes import Shape
+from irodori.light.environment_file import Environment
+from irodori.light.stage import observers
+from irodori.material.material_file import Material
+from irodori.material.principal_components.basis_count import CompressOptions, analyse
+from irodori.rendering.integrators import render_image, with_planned_samples
+from irodori.rendering.reference.converging_picture import REPLICATES
+from irodori.rendering.scene_white import scene_white
+
+_WIDTH_PX = 96  # of the pictures that are compared
+_SAMPLES = 64  # of their pixels, by the same paths in all
+_LONG_SHARE, _LONG_SAMPLES = 2, 512  # of the picture that another integrator is compared with: smaller, and its paths
+_SEAM_TEXELS = 2  # on either side, see `irodori.evaluation.truth_errors.interior`
+_LIGHT = "D65"
+_SEED = 8
+_HOLES, _LIGHTS = 2, 3  # draws of what is predicted from few independent ones
+
+
+@dataclass(frozen=True)
+class BudgetRow:
+    """One line of ``error_budget.csv``: CIEDE2000 of the pixels that show an object, with one part not true.
+
+    ``predicted`` is the mean that what the stages know leads to, NaN where they know nothing; ``by`` says how, or why
+    not.
+    """
+
+    stage: str
+    mean: float
+    p95: float
+    p99: float
+    max: float
+    predicted: float
+    by: str
+
+
+@dataclass(frozen=True)
+class Measured:
+    """An object as the chain measured it, beside its truth over the same texture."""
+
+    known: Known
+    truth: Material
+
+
+def away_from_edges(measured: Measured) -> np.ndarray:
+    """Return the texels away from seams of two paints and from the edge of the object, (height, width) bool.
+
+    At the edge of a flat object a photograph shows a mixture too, with what lies beside it.
+    """
+    inside = interior(measured.truth)
+    if measured.known.spread.border == "black":
+        kept = np.pad(np.ones([n - 2 * _SEAM_TEXELS for n in inside.shape], dtype=bool), _SEAM_TEXELS)
+        inside = inside & kept
+    return inside
+
+
+def _paint_means(values: np.ndarray, paint: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Return at every texel the mean of some values over the chosen texels of its paint, NaN where none is chosen."""
+    count = np.bincount(paint[chosen], minlength=paint.max() + 1)
+    sums = np.stack([np.bincount(paint[chosen], v, minlength=count.size) for v in values[chosen].T], axis=-1)
+    return np.divide(sums, count[:, None], out=np.full_like(sums, np.nan), where=count[:, None] > 0)[paint]
+
+
+def substitutes(measured: Measured) -> dict[str, Material]:
+    """Return the material with one part as it was measured and the rest true, by the stage that made the part.
+
+    A paint's texels away from seams and edges tell calibration from noise: their mean colour is off by what calibration
+    and fit do to all of the paint, what is left scatters. What texels at seams and edges, and those that no capture
+    determined, are off beyond that is the part of rectification and of coverage. The four sum to what was measured.
+    """
+    truth, known = measured.truth, measured.known
+    estimate = known.estimate()
+    (own, basis), (true, true_basis) = colours(estimate), colours(truth)
+    paint, observed = truth.coefficients.argmax(axis=-1), known.material.observed
+    inside = away_from_edges(measured) & observed
+    means = _paint_means(own, paint, inside)
+    # Of a paint without such a texel nothing tells calibration from the rest.
+    known_paint = np.isfinite(means).all(axis=-1, keepdims=True)
+    means = np.where(known_paint, means, 0.0)
+
+    def off(at: np.ndarray) -> Material:
+        at = at[..., None]
+        exact = np.where(at & ~known_paint, 0.0, true)
+        return with_colours(truth, [(np.where(at, own - means, 0.0), basis), (exact, true_basis)])
+
+    return {
+        "noise": off(inside),
+        "calibration": with_colours(truth, [(means, basis), (np.where(known_paint, 0.0, true), true_basis)]),
+        "seams": off(observed & ~inside),
+        "unseen": off(~observed),
+        "gloss": replace(truth, beta=estimate.beta, mu=estimate.mu, typical_gloss=estimate.typical_gloss),
+        "all": estimate,
+    }
+
+
+def _compressed(coefficients: np.ndarray, basis: np.ndarray, seen_by: dict, options: CompressOptions):
+    """Return coefficients and basis after compression, and the mean colour error that it states."""
+    made = analyse(coefficients, basis, seen_by, options)
+    rows = made.decode(made.encode(coefficients.reshape(-1, coefficients.shape[-1])))
+    stated = max(errors["mean"] for errors in made.errors.values())
+    return rows.reshape(*coefficients.shape[:2], -1), made.basis, stated
+
+
+def compressed_material(truth: Material, options: CompressOptions) -> tuple[Material, float]:
+    """Return the true material after compression, and the mean CIEDE2000 that it states."""
+    matrix = xyz_from_reflectance(_LIGHT)
+    own, basis = colours(truth)
+    *kept, stated = _compressed(own.astype(np.float32), basis, {_LIGHT: (matrix, matrix.sum(axis=1))}, options)
+    return with_colours(truth, [tuple(kept)]), stated
+
+
+def compressed_light(truth: Environment, options: CompressOptions) -> tuple[Environment, float]:
+    """Return the true light after compression, and the mean CIEDE2000 that it states."""
+    *kept, stated = _compressed(truth.coefficients, truth.basis, observers(truth.upward_white()), options)
+    # The map is linear in the light: its coefficients go where those of the picture go.
+    irradiance = truth.irradiance @ (np.linalg.pinv(kept[1]) @ truth.basis).T
+    return Environment(kept[0], kept[1], irradiance.astype(np.float32)), stated
+
+
+class _Pictures:
+    """Small pictures of one view from whatever materials and light."""
+
+    def __init__(self, scene: dict, view: str, shapes: list[Shape], options: dict) -> None:
+        self.scene, self.by_paths = scene, Paths(scene, view, shapes)
+        self._view, self._shapes, self._options = view, shapes, options
+
+    def _image(self, width_px: float) -> dict[str, int]:
+        scale = min(1.0, width_px / self.scene["image"]["width"])
+        return {side: max(1, round(scale * n)) for side, n in self.scene["image"].items()}
+
+    def paths(self, materials: list[Material], light: Environment, samples=_SAMPLES, width_px=_WIDTH_PX) -> np.ndarray:
+        """Return radiance (height, width, 61) by the integrator `reference`, always with the same random numbers."""
+        return self.by_paths.picture(materials, light, samples, image=self._image(width_px))
+
+    def own(self, materials: list[Material], light: Environment, width_px: float) -> np.ndarray:
+        """Return radiance (height, width, 61) by the scene's own integrator."""
+        scene = self.scene | {"image": self._image(width_px)}
+        return render_image(scene, self._view, self._shapes, materials, light, self._options)[0]
+
+
+class _Budget:
+    """The rows of one view: pictures beside the true one, and beside the measured one."""
+
+    def __init__(self, pictures: _Pictures, objects: list[Measured], lights, calibration: Calibration | None) -> None:
+        self._pictures, self._objects, self._calibration = pictures, objects, calibration
+        self._truths = [one.truth for one in objects]
+        self._estimated_light, self._true_light = lights
+        self._white, self._seen_white = (scene_white(pictures.scene, light)[0] for light in lights[::-1])
+        self._parts = [substitutes(one) for one in objects]
+        self._estimates = self._of_stage("all")
+        self._true = pictures.paths(self._truths, self._true_light)
+        self._shown = (pictures.paths(self._estimates, self._true_light) != self._true).any(axis=-1)
+        self._base = pictures.paths(self._estimates, self._estimated_light)
+        self._squares = np.zeros(int(self._shown.sum()))
+        self._rng = np.random.default_rng(_SEED)
+        self.rows: list[BudgetRow] = []
+
+    def _of_stage(self, stage: str) -> list[Material]:
+        return [parts[stage] for parts in self._parts]
+
+    def _off(self, materials: list[Material], light: Environment) -> np.ndarray:
+        return radiance_delta_e(self._true, self._pictures.paths(materials, light), self._white)[self._shown]
+
+    def _moved(self, materials: list[Material], light: Environment | None = None, base=None) -> np.ndarray:
+        """Return how far a picture is from that of the measured materials and light."""
+        picture = self._pictures.paths(materials, self._estimated_light if light is None else light)
+        return radiance_delta_e(self._base if base is None else base, picture, self._seen_white)[self._shown]
+
+    def _drawn(self, draw: Callable) -> list[Material]:
+        return [draw(one.known, estimate) for one, estimate in zip(self._objects, self._estimates, strict=True)]
+
+    def _add(self, stage: str, values: np.ndarray, predicted, by: str) -> None:
+        """Add a row; ``predicted`` is a number, or one of every pixel."""
+        figures = {key: value for key, value in summary(values).items() if key != "count"}
+        self.rows.append(BudgetRow(stage, **figures, predicted=float(np.mean(predicted)), by=by))
+        if np.isfinite(predicted).all() and len(values) == len(self._squares):
+            self._squares += np.square(predicted)
+
+    def _add_part(self, stage: str, label: str, predicted, by: str) -> None:
+        self._add(label, self._off(self._of_stage(stage), self._true_light), predicted, by)
+
+    def add_materials(self) -> None:
+        """Add noise, calibration, seams, coverage and gloss."""
+        noisy = self._moved(self._drawn(lambda *one: draws.noisy(*one, self._rng)))
+        by = "camera's noise and the fit's model_error and pose_error_deg of every photograph, through the calibration"
+        self._add_part("noise", "noise: scatter of the colour within a paint", noisy, by)
+        left_out = float(np.mean([one.known.left_out for one in self._objects]))
+        label = "calibration and fit: mean colour of a paint"
+        self._add_part("calibration", label, left_out, "patches left out of the chart")
+        sharper = self._moved(self._drawn(draws.sharper))
+        by = "the measured texture without the blur of the photographs' samples"
+        self._add_part("seams", "rectification: texels at seams and edges", sharper, by)
+        by = "texels with data, filled as those without it are"
+        self._add_part("unseen", "coverage: texels filled from their neighbours", self._holes(), by)
+        gloss = self._moved(self._drawn(lambda one, own: replace(own, **draws.other_gloss(one, own, self._rng))))
+        self._add_part("gloss", "gloss of the fit", gloss, "standard errors of β and μ where stated")
+
+    def _holes(self) -> np.ndarray:
+        """Return what is expected of texels without data, the mean of some draws."""
+        found = []
+        for _ in range(_HOLES):
+            places = [draws.held_out(one.known, self._rng) for one in self._objects]
+            there, filled = (
+                [
+                    draws.moved_texels(one.known, own, place[end])
+                    for one, own, place in zip(self._objects, self._estimates, places, strict=True)
+                ]
+                for end in (0, 1)
+            )
+            found.append(self._moved(filled, base=self._pictures.paths(there, self._estimated_light)))
+        return np.mean(found, axis=0)
+
+    def add_light(self) -> None:
+        """Add the recovered light."""
+        values = self._off(self._truths, self._estimated_light)
+        if self._calibration is None:
+            self._add("light", values, np.nan, "none: no camera recovered it")
+            return
+        if self._calibration.band_response is None:
+            self._add("light", values, np.nan, "none: the calibration states no response model")
+            return
+        lights = drawn_lights(self._estimated_light, self._calibration, family(), _LIGHTS, self._rng)
+        predicted = np.mean([self._moved(self._estimates, light) for light in lights], axis=0)
+        self._add("light", values, predicted, "published illuminants that answer alike in the bands")
+
+    def add_compression(self, of_materials: CompressOptions, of_light: CompressOptions) -> None:
+        """Add the compression of materials and of light."""
+        made = [compressed_material(truth, of_materials) for truth in self._truths]
+        materials, stated = zip(*made, strict=True)
+        by = "errors that compression states, the worst object's"
+        self._add("compression of the materials", self._off(list(materials), self._true_light), max(stated), by)
+        light, stated = compressed_light(self._true_light, of_light)
+        self._add("compression of the light", self._off(self._truths, light), stated, "error that compression states")
+
+    def add_all(self) -> None:
+        """Add everything as measured; what was predicted for the parts adds by squares, pixel by pixel."""
+        values = self._off(self._estimates, self._estimated_light)
+        self._add("all but the renderer", values, np.sqrt(self._squares), "root of the sum of squares in every pixel")
+
+    def add_renderer(self) -> None:
+        """Add what the scene's integrator is off: of the path tracer its noise, of another its difference to paths."""
+        if self._pictures.scene["integrator"]["kind"] == "reference":
+            self._add_noise()
+            return
+        width_px = _WIDTH_PX / _LONG_SHARE
+        long, own = (
+            picture(self._truths, self._true_light, width_px=width_px, **more)
+            for picture, more in ((self._pictures.paths, {"samples": _LONG_SAMPLES}), (self._pictures.own, {}))
+        )
+        shown = (own != self._pictures.own(self._estimates, self._true_light, width_px)).any(axis=-1)
+        by = "none: what an integrator leaves out is seen beside paths alone"
+        self._add(
+            "renderer: what the integrator leaves out", radiance_delta_e(long, own, self._white)[shown], np.nan, by
+        )
+
+    def _add_noise(self) -> None:
+        paths, samples = self._pictures.by_paths, self._pictures.scene["integrator"]["samples"]
+        rows = traced_rows(self._pictures.scene["image"], samples)
+        pair = (paths.picture(m, self._true_light, REPLICATES, rows=rows) for m in (self._truths, self._estimates))
+        shown = np.not_equal(*pair).any(axis=-1)
+        values = measured_noise(paths, rows, self._truths, self._true_light, self._white)[shown]
+        predicted = expected_noise(paths, rows, self._estimates, self._estimated_light, self._seen_white)[shown]
+        by = f"two pictures of other random numbers; measured beside {MORE} times the paths"
+        self._add(f"renderer: noise of {samples} paths a pixel", values, predicted, by)
+
+
+def error_budget(
+    scene: dict,
+    view: str,
+    shapes: list[Shape],
+    objects: list[Measured],
+    lights: tuple[Environment, Environment],
+    options: dict,
+    calibration: Calibration | None = None,
+) -> list[BudgetRow]:
+    """Return the rows of a view's budget.
+
+    Parameters
+    ----------
+    scene : dict
+        Validated definition.
+    view : str
+    shapes, objects : one an object of the scene
+    lights : (Environment, Environment)
+        The measured light and the true one.
+    options : dict
+        ``render``: of the integrator; ``compress`` and ``environment``: those keys of the configuration.
+    calibration : Calibration, optional
+        Of the camera that photographed the light.
+    """
+    wanted = [f.name for f in fields(CompressOptions)]
+    of_materials, of_light = (
+        CompressOptions(**{name: options[key][name] for name in wanted}) for key in ("compress", "environment")
+    )
+    budget = _Budget(_Pictures(scene, view, shapes, options["render"]), objects, lights, calibration)
+    for step in track(
+        (
+            budget.add_materials,
+            budget.add_light,
+            lambda: budget.add_compression(of_materials, of_light),
+            budget.add_all,
+            budget.add_renderer,
+        ),
+        f"error budget of {view}",
+    ):
+        step()
+    return budget.rows
+
+
+def measure_error_budget(inputs: dict, scene: dict, view: str, subjects: list[dict], options: dict, output) -> None:
+    """Write ``error_budget.csv`` of a view.
+
+    Parameters
+    ----------
+    inputs : dict
+        Files: lists of materials, true_materials and calibrations, one an object, and ``tiles`` and ``observations``,
+        those of all objects; ``environment``, ``true_environment`` and ``light_calibration``, a list of one file, or
+        of none where no camera photographed the light; ``plan``, a list of the scene's plan, or of none.
+    scene, view, options : see `error_budget`
+        ``options`` has ``fit`` too, that key of the configuration.
+    subjects : list of dict
+        One an object: ``shape``, its definition, and ``sample_mm``, the side of a sample of its photographs on it.
+    output : path
+    """
+    shapes = [Shape.from_definition(one["shape"]) for one in subjects]
+    objects = []
+    for material, truth, calibration, shape, one in zip(
+        *(inputs[name] for name in ("materials", "true_materials", "calibrations")), shapes, subjects, strict=True
+    ):
+        folder = Path(material).parent
+        own = {name: [p for p in inputs[name] if folder in Path(p).parents] for name in ("tiles", "observations")}
+        files = own | {"material": material, "calibration": calibration}
+        objects.append(Measured(Known.load(files, shape, one["sample_mm"], options["fit"]), Material.load(truth)))
+    lights = Environment.load(inputs["environment"]), Environment.load(inputs["true_environment"])
+    of_light = [Calibration.load(path) for path in inputs["light_calibration"]]
+    for path in inputs["plan"]:
+        from irodori.rendering.planning.plan_file import read_plan  # loads the interactive integrator
+
+        scene = with_planned_samples(scene, read_plan(path))
+    rows = error_budget(scene, view, shapes, objects, lights, options, *of_light)
+    with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, [f.name for f in fields(BudgetRow)])
+        writer.writeheader()
+        for row in rows:
+            writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(row).items()})
+            LOGGER.info("%s: mean %.3f p95 %.3f, predicted %.3f", row.stage, row.mean, row.p95, row.predicted)
+
+
+def read_budget(path) -> list[BudgetRow]:
+    """Return the rows of a budget's file."""
+    with open(path, newline="", encoding="utf-8") as stream:
+        return [BudgetRow(**{f.name: f.type(row[f.name]) for f in fields(BudgetRow)}) for row in csv.DictReader(stream)]

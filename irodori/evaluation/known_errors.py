@@ -1,0 +1,248 @@
+"""What the stages know of their own errors in an object, without its truth: nothing here reads one."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import ndtr
+
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.core import store
+from irodori.geometry.shapes import FLAT, SPHERE, Shape
+from irodori.material.fitted_tiles import FittedTiles
+from irodori.material.material_file import Material
+
+_LIGHT = "D65"
+#: Variance of the place that a sample of a rectified picture sees along an axis, in samples: light is gathered evenly
+#: over its own side (1/12), and samples are interpolated linearly between centres (1/6 over all places between them).
+_SAMPLE_VARIANCE = 1.0 / 12.0 + 1.0 / 6.0
+_GREEN = 1
+#: Van Cittert's iteration ends after so many steps, and a blur is cut off at so many standard deviations.
+_STEPS, _REACH = 12, 4.0
+
+
+def colours(material: Material) -> tuple[np.ndarray, np.ndarray]:
+    """Return coefficients of α S / S_G, (height, width, k), and their basis, (61, k)."""
+    return material.coefficients * material.spectrum_scale[..., None], material.basis
+
+
+def with_colours(material: Material, parts: list[tuple[np.ndarray, np.ndarray]]) -> Material:
+    """Return a material with the sum of some spectra as its diffuse reflectance.
+
+    Parameters
+    ----------
+    material : Material
+    parts : list of (coefficients, basis)
+        Coefficients that can be broadcast to (height, width, k), and (61, k).
+    """
+    one = np.ones(material.alpha.shape)
+    coefficients = np.concatenate([np.broadcast_to(c, (*one.shape, c.shape[-1])) for c, _ in parts], axis=-1)
+    basis = np.concatenate([b for _, b in parts], axis=1)
+    return replace(material, alpha=one, green_response=one, coefficients=coefficients.astype(np.float32), basis=basis)
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """The part that each of J photographs has in the texels' diffuse responses.
+
+    Parameters
+    ----------
+    share : (height, width, J) float
+        Sums to 1 in a texel with data, 0 elsewhere.
+    tangent : (height, width, J) float
+        tan θ_i: the relative change of cos θ_i by a radian.
+    stretch : float
+        Mean of (1 + 1/cos²θ_r) / 2: by what the camera's slant widens the variance of the place that a sample sees.
+    """
+
+    share: np.ndarray
+    tangent: np.ndarray
+    stretch: float
+
+    @classmethod
+    def load(cls, tiles: list, response: np.ndarray, model_error: float) -> "Photographs":
+        """Read the observations of an object whose green diffuse response, (height, width), is known."""
+        parts = []
+        for path in tiles:
+            with store.open_file(path) as file:
+                first, last = file.attribute("rows")
+                maps = [file.read(name) for name in ("weight", "geometry", "noise_model")]
+            parts.append((first, last, *maps))
+        shares, tangents, weights, slants = [], [], 0.0, 0.0
+        for first, last, weight, geometry, noise in sorted(parts, key=lambda part: part[0]):
+            diffuse = response[first:last].reshape(-1)
+            used = (weight > 0.0) & np.isfinite(diffuse)[:, None]
+            cosine = np.where(used, np.cos(geometry[..., 0]), 1.0)
+            share = np.where(used, weight * cosine**2 / _variance(diffuse, cosine, noise[:, _GREEN], model_error), 0.0)
+            total = share.sum(axis=1, keepdims=True)
+            share = np.divide(share, total, out=np.zeros_like(share), where=total > 0.0)
+            weights += share.sum()
+            slants += (share / np.where(used, np.cos(geometry[..., 1]), 1.0) ** 2).sum()
+            size = last - first, response.shape[1], weight.shape[1]
+            shares.append(share.reshape(size))
+            tangents.append(np.where(used, np.tan(geometry[..., 0]), 0.0).reshape(size))
+        stretch = 0.5 * (1.0 + slants / weights) if weights > 0.0 else 1.0
+        return cls(np.concatenate(shares), np.concatenate(tangents), float(stretch))
+
+    def gains(self, model_error: float, pose_error_rad: float, rng: np.random.Generator) -> np.ndarray:
+        """Return a draw of the relative change of the texels' responses, (height, width), without its mean.
+
+        Every photograph has a light and a pose of its own, alike in all texels. What all texels of an object have in
+        common is its scale, not scatter.
+        """
+        light, pose = rng.standard_normal((2, self.share.shape[-1]))
+        change = self.share @ (model_error * light) + (self.share * self.tangent) @ (pose_error_rad * pose)
+        seen = self.share.any(axis=-1)
+        return np.where(seen, change - change[seen].mean(), 0.0) if seen.any() else change
+
+
+def _variance(diffuse, cosine, noise, model_error: float) -> np.ndarray:
+    """Return the variance of every observation's green response, (texels, J), as the fit expects it; 1 if unknown."""
+    expected = np.where(np.isfinite(diffuse), diffuse, 0.0)[:, None] * cosine
+    found = noise[:, 0] + noise[:, 1] * np.maximum(expected, 0.0) + (model_error * expected) ** 2
+    return np.where(found > 0.0, found, 1.0)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """By what the pictures' sharpness blurs a texture.
+
+    Parameters
+    ----------
+    rows, columns : float
+        Standard deviation along either axis, texels.
+    border : str
+        What is beyond the texture's sides: ``joined`` (columns; rows end at the poles), ``black`` or ``unknown``.
+    """
+
+    rows: float
+    columns: float
+    border: str
+
+    @classmethod
+    def of(cls, shape: Shape, size: tuple[int, int], sample_mm: float, stretch: float) -> "Spread":
+        """Return the spread of samples of some side, mm on the object, seen at a slant, see `Photographs`.
+
+        Parameters
+        ----------
+        shape : Shape
+        size : (2,) int
+            Height and width of the texture, texels.
+        sample_mm, stretch : float
+        """
+        atlas = shape.atlas(size[1], size[0])
+        position = np.where(atlas.covered[..., None], atlas.position, np.nan)
+        sides = [np.nanmedian(np.linalg.norm(np.diff(position, axis=axis), axis=-1)) for axis in (0, 1)]
+        deviation = sample_mm * np.sqrt(_SAMPLE_VARIANCE * stretch)
+        border = "joined" if shape.kind == SPHERE else "black" if shape.kind in FLAT else "unknown"
+        return cls(float(deviation / sides[0]), float(deviation / sides[1]), border)
+
+    def blurred(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
+        """Return a texture, (height, width, k), as samples see it: means over what is known of it, zero elsewhere."""
+        reach = [int(np.ceil(_REACH * deviation + 0.5)) for deviation in (self.rows, self.columns)]
+        top, bottom = _padded(values * known[..., None], reach, self.border), _padded(known, reach, self.border)
+        if self.border == "black":  # what lies beside the object is known: nothing shines there
+            bottom = np.pad(known.astype(np.float64), [(n, n) for n in reach], constant_values=1.0)
+        top, bottom = top, bottom[..., None]
+        for axis, deviation, extent in zip((0, 1), (self.rows, self.columns), reach, strict=True):
+            top, bottom = (_blurred_along(v, axis, deviation, extent) for v in (top, bottom))
+        return np.where(known[..., None], np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0.0), 0.0)
+
+    def undone(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
+        """Return the texture that is blurred to this one, by Van Cittert's iteration; what is not known stays."""
+        found = values.copy()
+        for _ in range(_STEPS):
+            found += np.where(known[..., None], values - self.blurred(found, known), 0.0)
+        return found
+
+
+def _padded(values: np.ndarray, reach: list[int], border: str) -> np.ndarray:
+    values = np.asarray(values, dtype=np.float64)
+    rows, columns = ((n, n) for n in reach)
+    rest = [(0, 0)] * (values.ndim - 2)
+    if border != "joined":
+        return np.pad(values, [rows, columns, *rest])
+    return np.pad(np.pad(values, [rows, (0, 0), *rest], mode="edge"), [(0, 0), columns, *rest], mode="wrap")
+
+
+def _blurred_along(values: np.ndarray, axis: int, deviation: float, reach: int) -> np.ndarray:
+    """Return values at the inner texels along an axis: a texel is even over its side, the blur is Gaussian."""
+    steps = np.arange(-reach, reach + 1)
+    edges = (np.concatenate([steps - 0.5, [reach + 0.5]])) / max(deviation, 1e-9)
+    weights = np.diff(ndtr(edges))
+    weights /= weights.sum()
+    count = values.shape[axis] - 2 * reach
+    return sum(w * values.take(np.arange(n, n + count), axis=axis) for n, w in enumerate(weights))
+
+
+@dataclass(frozen=True)
+class Known:
+    """An object as the chain measured it, with what the chain knows of its errors.
+
+    Parameters
+    ----------
+    material : Material
+    gloss_error : (height, width, 2) float
+        Standard errors of β and of μ in rad; NaN where the fit states none.
+    response, variance : (height, width, bands) float
+        Diffuse responses and what the camera's noise gives them; NaN where there is none.
+    calibration : Calibration
+    left_out : float
+        Mean CIEDE2000 of the chart's patches, each left out of the calibration in turn.
+    photographs : Photographs
+    spread : Spread
+    model_error, pose_error_rad : float
+        What the fit takes a photograph's light, relative, and an angle of its pose to be off by.
+    covered : (height, width) bool
+        Texels that lie on the surface.
+    """
+
+    material: Material
+    gloss_error: np.ndarray
+    response: np.ndarray
+    variance: np.ndarray
+    calibration: Calibration
+    left_out: float
+    photographs: Photographs
+    spread: Spread
+    model_error: float
+    pose_error_rad: float
+    covered: np.ndarray
+
+    @classmethod
+    def load(cls, files: dict, shape: Shape, sample_mm: float, fit: dict) -> "Known":
+        """Read an object's files.
+
+        Parameters
+        ----------
+        files : dict
+            ``material``, ``calibration`` and lists of ``tiles`` and ``observations``.
+        shape : Shape
+        sample_mm : float
+            Side of a sample of the photographs on the object.
+        fit : dict
+            That key of the configuration.
+        """
+        own = Material.load(files["material"])
+        fitted = FittedTiles(files["tiles"], *own.alpha.shape)
+        parts = [maps for _, maps in fitted.read("diffuse_response", "diffuse_variance", "beta_error", "mu_error")]
+        maps = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        with store.open_file(files["calibration"]) as file:
+            left_out = float(file.read(f"leave_one_out/delta_e_{_LIGHT.lower()}").mean())
+        photographs = Photographs.load(files["observations"], maps["diffuse_response"][..., _GREEN], fit["model_error"])
+        return cls(
+            material=own,
+            gloss_error=np.stack([maps["beta_error"], maps["mu_error"]], axis=-1),
+            response=maps["diffuse_response"],
+            variance=maps["diffuse_variance"],
+            calibration=Calibration.load(files["calibration"]),
+            left_out=left_out,
+            photographs=photographs,
+            spread=Spread.of(shape, own.alpha.shape, sample_mm, photographs.stretch),
+            model_error=float(fit["model_error"]),
+            pose_error_rad=float(np.radians(fit["pose_error_deg"])),
+            covered=shape.is_covered(*own.alpha.shape[::-1]),
+        )
+
+    def estimate(self) -> Material:
+        """Return the measured material as it is rendered."""
+        return self.material.filled(self.covered)[0]

@@ -1,0 +1,246 @@
+"""Beside the real thing: a photograph of a scene, the same view rendered, and how far their colours are apart.
+
+The photograph is one that the materials were not fitted to. Its responses become spectra by the camera's calibration as
+those of an environment do. The rendering has every reflection, by converging paths, from the fitted materials under
+the recovered light. What noise alone would make of two equal pictures is drawn beside the difference.
+"""
+
+import json
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.colour.colorimetry import summary, xyz_from_radiance
+from irodori.colour.display import make_display
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
+from irodori.evaluation.truth_errors import xyz_delta_e
+from irodori.geometry.embree import NO_HIT, Tracer
+from irodori.geometry.ideal_camera import IdealView
+from irodori.geometry.pinhole import Pinhole
+from irodori.geometry.rig_frame import look_at
+from irodori.geometry.shapes import Shape
+from irodori.light.environment_file import Environment
+from irodori.material.material_file import Material
+from irodori.rendering.photographed_view import HALVES, render_halves
+from irodori.rendering.scene_arrays import make_placements
+from irodori.rendering.scene_white import scene_white
+from irodori.rendering.stage import write_picture
+from irodori.report.figures import comparison_figure
+
+_NOISE_SEED = 20100401
+
+
+class Photograph(NamedTuple):
+    """A photograph in the pixels of the comparison."""
+
+    response: np.ndarray  # (height, width, bands) of the valid samples, NaN where there were none
+    whole: np.ndarray  # (height, width) bool, where all samples were valid
+    variance: np.ndarray | None  # (height, width, bands) of the response; None where the noise was not measured
+
+
+class Comparison(NamedTuple):
+    """A photograph and the rendering of its view, XYZ with Y = 100 for the scene's white.
+
+    The differences are NaN where a sample of the photograph was not valid, and the photograph where none was.
+    """
+
+    photograph: np.ndarray  # (height, width, 3)
+    rendering: np.ndarray  # (height, width, 3)
+    delta_e: np.ndarray  # (height, width) CIEDE2000
+    noise: np.ndarray  # (height, width) CIEDE2000 that noise alone makes, one draw
+    scale: float  # factor on the photograph
+    luminance_ratio: float  # median over the pixels of the photograph's luminance, so scaled, over the rendering's
+
+
+def read_photograph(linear, calibration: Calibration, ideal: IdealView) -> Photograph:
+    """Read the linear responses of a photograph in the pixels of an ideal view.
+
+    Raises
+    ------
+    InputError
+        If its bands or its size are not those of the camera, or it was not divided by a white reference.
+    """
+    with store.open_file(linear) as file:
+        calibration.require_filters(file.attribute("filters"), linear)
+        response, valid = file.read("response"), file.read("valid").astype(bool)
+        unit, sample_px = file.dataset("response").attrs["units"], file.attribute("sample_px")
+        noise = file.read("noise_model")
+    if unit != "1":
+        accepted = "responses divided by those of a white reference: the camera needs photographs of the role white"
+        raise InputError(linear, "response", f"responses in {unit}", accepted)
+    size = tuple(side * sample_px for side in valid.shape)
+    wanted = (ideal.pinhole.height_px, ideal.pinhole.width_px)
+    if any(not 0 <= b - a < 2 for a, b in zip(size, wanted, strict=True)):
+        found = f"a photograph of {size[1]} x {size[0]} pixels"
+        raise InputError(linear, "response", found, f"{wanted[1]} x {wanted[0]}, as the camera's optics")
+    mean, whole = ideal.resample(response, valid, sample_px)
+    if not np.isfinite(noise).all():
+        return Photograph(mean, whole, None)
+    samples = (ideal.block * 2 // sample_px) ** 2
+    return Photograph(mean, whole, (noise[:, 0] + noise[:, 1] * np.maximum(mean, 0.0)) / samples)
+
+
+def compare(
+    photograph: Photograph,
+    calibration: Calibration,
+    rendered: np.ndarray,
+    white: np.ndarray,
+    scale: float | str = 1.0,
+    paths_before: np.ndarray | None = None,
+) -> Comparison:
+    """Compare a photograph with the rendering of its view.
+
+    Parameters
+    ----------
+    photograph : Photograph
+    calibration : Calibration
+        Its light is the rig's: a radiance is recovered as that light times the reflectance of the same responses.
+    rendered : (2, height, width, 61) float
+        Radiance, two halves of the paths.
+    white : (61,) float
+        Radiance of the scene's white.
+    scale : float or ``auto``
+        Factor on the photograph; ``auto`` makes the median ratio of their luminances 1.
+    paths_before : (2, height, width, 61) float, optional
+        Of a virtual photograph, the two halves of what stood before the camera: their noise is in the photograph.
+    """
+    matrix = xyz_from_radiance(white)
+    white_xyz = matrix @ white
+    known = photograph.whole
+    xyz_from_weights = matrix @ (calibration.basis * calibration.light[:, None])
+
+    def recovered(response: np.ndarray) -> np.ndarray:
+        return calibration.weights(response) @ xyz_from_weights.T
+
+    shown = recovered(photograph.response)
+    found, seen = photograph.response[known], shown[known]
+    rendering = rendered @ matrix.T
+    halves = rendering[:, known]
+    made = halves.mean(axis=0)
+    lit = made[:, 1] > 0.0
+    ratio = float(np.median(seen[lit, 1] / made[lit, 1])) if lit.any() else np.nan
+    if scale == "auto" and not ratio > 0.0:
+        raise ValueError("a photograph or a rendering without light; accepted: both lit, or a scale that is a number")
+    factor = 1.0 / ratio if scale == "auto" else float(scale)
+    # Half the difference of two halves scatters as their mean does.
+    noise = (halves[0] - halves[1]) / HALVES
+    if paths_before is not None:
+        noise = noise + factor * (paths_before[0] - paths_before[1])[known] @ matrix.T / HALVES
+    if photograph.variance is not None:
+        draw = np.random.default_rng(_NOISE_SEED).normal(size=found.shape) * np.sqrt(photograph.variance[known])
+        noise = noise + factor * (recovered(found + draw) - seen)
+    apart = xyz_delta_e(made, made + noise, white_xyz)
+
+    def spread(values: np.ndarray) -> np.ndarray:
+        out = np.full(known.shape, np.nan)
+        out[known] = values
+        return out
+
+    difference = xyz_delta_e(factor * seen, made, white_xyz)
+    return Comparison(factor * shown, rendering.mean(axis=0), spread(difference), spread(apart), factor, factor * ratio)
+
+
+def shows_an_object(ideal: IdealView, placed: dict, placements: list) -> np.ndarray:
+    """Return which pixels show one of the placed shapes at their centre, (height, width) bool."""
+    axes = look_at(placed["position_mm"], placed["target_mm"], placed["up"])
+    rays = (ideal.rays() @ axes.T).reshape(-1, 3)
+    origins = np.broadcast_to(np.asarray(placed["position_mm"], dtype=np.float64), rays.shape)
+    _, shape = Tracer(placements).intersect(origins, rays)
+    return (shape != NO_HIT).reshape(ideal.height, ideal.width)
+
+
+def compare_photograph(
+    inputs: dict,
+    scene: dict,
+    placed: dict,
+    optics: dict,
+    shapes: list[dict],
+    outputs: dict,
+    provenance: store.Provenance,
+) -> None:
+    """Write a photograph of a scene beside the rendering of its view, their difference and what noise makes of it.
+
+    Parameters
+    ----------
+    inputs : dict
+        Files: linear, calibration, environment; lists: materials, and radiance, of a virtual photograph one, else none.
+    scene : dict
+    placed : dict
+        The photograph's definition.
+    optics : dict
+        Of the camera.
+    shapes : list of dict
+    outputs : dict
+        Files: comparison, photograph and rendering (PNG), difference (HDF5), figures (JSON).
+    """
+    display = make_display(scene["display"]["device"])
+    calibration = Calibration.load(inputs["calibration"])
+    ideal = IdealView.covering(Pinhole.from_optics(optics), placed["block"])
+    photograph = read_photograph(inputs["linear"], calibration, ideal)
+    before = None
+    if inputs["radiance"]:
+        with store.open_file(inputs["radiance"][0]) as file:
+            before = np.stack([ideal.gathered(half) for half in file.read("radiance")])
+    environment = Environment.load(inputs["environment"])
+    materials = [Material.load(path) for path in inputs["materials"]]
+    solids = [Shape.from_definition(shape) for shape in shapes]
+    samples = placed["samples"] * placed["block"] ** 2
+    # Other random numbers than those of a virtual photograph.
+    rendered = render_halves(scene, placed, ideal, solids, materials, environment, samples, placed["seed"] + HALVES)
+    white, _ = scene_white(scene, environment)
+    found = compare(photograph, calibration, rendered, white, placed["scale"], before)
+    all_shapes = [*solids, *(Shape.from_definition(body["shape"]) for body in scene["bodies"])]
+    placements = make_placements({"objects": [*scene["objects"], *scene["bodies"]]}, all_shapes)
+    objects = shows_an_object(ideal, placed, placements)
+    figures = _figures(found, objects, photograph, before is not None)
+    white_xyz = xyz_from_radiance(white) @ white
+    for key in ("photograph", "rendering"):
+        picture = np.nan_to_num(getattr(found, key))
+        figures[f"{key}_out_of_gamut"] = write_picture(outputs[key], picture, white_xyz, display)
+    _write(found, objects, outputs, figures | {"samples": samples, "display": display.name}, provenance)
+
+
+def _figures(found: Comparison, objects: np.ndarray, photograph: Photograph, is_virtual: bool) -> dict:
+    known = np.isfinite(found.delta_e)
+    parts = {"": known, "_objects": known & objects}
+    figures = {
+        "compared_fraction": float(known.mean()),
+        "scale": found.scale,
+        "luminance_ratio": found.luminance_ratio,
+        "noise_counts": ["paths of the rendering"]
+        + ["paths of the photograph"] * is_virtual
+        + ["camera"] * (photograph.variance is not None),
+    }
+    for name, chosen in parts.items():
+        figures[f"delta_e{name}"] = summary(found.delta_e[chosen])
+        figures[f"noise_floor{name}"] = summary(found.noise[chosen])
+        LOGGER.info(
+            "CIEDE2000 to the photograph%s: mean %.2f p95 %.2f p99 %.2f max %.2f; by noise alone %.2f, %.2f, %.2f",
+            name.replace("_", ", "),
+            *(figures[f"delta_e{name}"][key] for key in ("mean", "p95", "p99", "max")),
+            *(figures[f"noise_floor{name}"][key] for key in ("mean", "p95", "p99")),
+        )
+    if photograph.variance is None:
+        LOGGER.warning("the camera's noise was not measured: it is not in the noise floor")
+    return figures
+
+
+def _write(found: Comparison, objects: np.ndarray, outputs: dict, figures: dict, provenance: store.Provenance) -> None:
+    with store.create(outputs["difference"], provenance) as out:
+        pixels = "row,column"
+        out.write("delta_e", found.delta_e, units="1", dims=pixels, quantity="CIEDE2000, rendering to photograph")
+        out.write("noise", found.noise, units="1", dims=pixels, quantity="CIEDE2000 of noise alone, one draw")
+        out.write("objects", objects.astype(np.uint8), units="1", dims=pixels, quantity="1 where an object is seen")
+        for name in ("photograph", "rendering"):
+            quantity = "XYZ, Y = 100 for the scene's white"
+            out.write(name, getattr(found, name), units="1", dims=f"{pixels},value", quantity=quantity)
+        out.attribute("figures", figures)
+    comparison_figure(outputs["comparison"], outputs["photograph"], outputs["rendering"], found.delta_e, figures)
+    temporary = Path(outputs["figures"]).with_suffix(".part")
+    temporary.write_text(json.dumps(figures, indent=1), encoding="utf-8")
+    os.replace(temporary, outputs["figures"])

@@ -1,0 +1,298 @@
+"""Fit error against the number of photographs: planned poses, an even grid, and random poses.
+
+The photographs are simulated with equation (5) itself, at poses that are off by the pose error, under a light that
+drifts, with shot and read noise, and are fitted at the poses that were asked for. The linearisation that the plan was
+made with takes no part; its expectation is reported beside the outcome.
+"""
+
+import csv
+import math
+from dataclasses import asdict, dataclass, fields, replace
+
+import numpy as np
+
+from irodori.capture.shot_planner.exchange import TooFewPoses
+from irodori.capture.shot_planner.fisher_information import Materials, Weighting
+from irodori.capture.shot_planner.planner import Planner, axis_angles, default_noise
+from irodori.config.capture_table import Pose
+from irodori.core.atomic_files import written_whole
+from irodori.core.progress import LOGGER
+from irodori.fitting.solvers import FitOptions, fit
+from irodori.reflection.equation5 import reflect
+
+_SEED = 20100401
+_SESSIONS = 200
+_RANDOM_DRAWS = 8
+_RELATIVE = {"alpha": False, "beta": True, "mu": True}
+
+
+@dataclass(frozen=True)
+class Sitting:
+    """How photographs are simulated.
+
+    Parameters
+    ----------
+    planner : Planner
+        What stands on the rig, its materials, the noise, the largest angle.
+    correlation_shots : float
+        Photographs after which the light's drift has forgotten itself to 1/e.
+    shots_per_pose : int
+        Photographs of a pose, both filter states and brackets together.
+    """
+
+    planner: Planner
+    correlation_shots: float = 60.0
+    shots_per_pose: int = 2
+
+    def light(self, sessions: int, poses: int, rng: np.random.Generator) -> np.ndarray:
+        """Return the relative power of the light, (sessions, poses): a drift of first order about 1."""
+        memory = math.exp(-self.shots_per_pose / self.correlation_shots)
+        out = np.empty((sessions, poses))
+        state = rng.normal(size=sessions)
+        for j in range(poses):
+            out[:, j] = state
+            state = memory * state + math.sqrt(1.0 - memory**2) * rng.normal(size=sessions)
+        return 1.0 + self.planner.noise.relative * out
+
+    def photograph(self, poses: list[Pose], materials: Materials, sessions: int, rng: np.random.Generator):
+        """Return responses, geometry and weights of texels, as rectification would hand them to the fit.
+
+        Parameters
+        ----------
+        poses : list of Pose
+        materials : Materials
+            As many as a multiple of `sessions`; each session photographs its share on random texels.
+        sessions : int
+            Sittings, each with pose errors and a drift of its own.
+        rng : numpy Generator
+
+        Returns
+        -------
+        response : (m, J) float64
+        geometry : (m, J, 4) float64, rad, of the poses asked for
+        weight : (m, J) float64
+        """
+        count = len(materials.alpha)
+        session = np.arange(count) % sessions
+        texel = rng.integers(len(self.planner.subject.position), size=count)
+        off = rng.normal(scale=self.planner.noise.pose_rms_deg, size=(sessions, len(poses), 2))
+        real = [
+            replace(pose, light_deg=pose.light_deg + a, camera_deg=pose.camera_deg + b)
+            for row in off
+            for pose, (a, b) in zip(poses, row, strict=True)
+        ]
+        true_geometry = self.planner.subject.geometry(real).reshape(sessions, len(poses), -1, 4)[session, :, texel]
+        alpha, beta, mu = (np.asarray(v)[:, None] for v in (materials.alpha, materials.beta, materials.mu))
+        light = self.light(sessions, len(poses), rng)[session]
+        mean = light * reflect(alpha, 1.0, beta, mu, true_geometry, materials.n, materials.k)
+        electrons = rng.poisson(mean / self.planner.noise.shot_variance)
+        response = electrons * self.planner.noise.shot_variance
+        response = response + rng.normal(scale=math.sqrt(self.planner.noise.read_variance), size=response.shape)
+        geometry = self.planner.subject.geometry(poses)
+        frontal = (geometry[..., :2] <= np.radians(self.planner.max_angle_deg) + 1e-9).all(axis=-1)
+        frontal &= self.planner.subject.unobstructed(poses)
+        weight = frontal[:, texel].T & (response < self.planner.noise.saturation_response)
+        return response, geometry[:, texel].swapaxes(0, 1), weight.astype(np.float64)
+
+
+@dataclass(frozen=True)
+class PlanRow:
+    """One line of ``planning.csv``: the error of one parameter after fits of photographs in one design.
+
+    Parameters
+    ----------
+    object : str
+    poses : int
+    design : str
+        ``planned``; ``planned-determinant``, the criterion ``determinant``; ``even-grid`` of as many light angles as
+        a plan may have; ``even-one-light``; ``random``, poses of random settings, pooled over some draws.
+    parameter : str
+        ``alpha``, whose error is absolute; ``beta``, ``mu``, whose errors are relative.
+    median, p95 : float
+        Of the absolute value of the error where the fit states the parameter.
+    identified_fraction : float
+        Share of the fits that state it.
+    expected_standard_error : float
+        Median of what the information promises.
+    """
+
+    object: str
+    poses: int
+    design: str
+    parameter: str
+    median: float
+    p95: float
+    identified_fraction: float
+    expected_standard_error: float
+
+
+def even_poses(limits: dict, count: int, lights: int, max_angle_deg: float) -> list[Pose]:
+    """Return poses on an even grid: light angles and camera angles at the centres of equal parts of their reach.
+
+    Parameters
+    ----------
+    limits : dict
+        ``limits`` of the rig's definition; the table is level where it can be.
+    count : int
+        Poses in all, shared out among the light angles.
+    lights : int
+        Light angles, at most `count`.
+    max_angle_deg : float
+        No light and no camera stands lower than this, degrees.
+
+    Raises
+    ------
+    TooFewPoses
+        If the rig's steps are so coarse that two of the poses are one.
+    """
+
+    def centres(axis: str, parts: int) -> list[float]:
+        reach = axis_angles({**limits[axis], "max": min(limits[axis]["max"], max_angle_deg)}, limits[axis]["step"])
+        wanted = reach[0] + (reach[-1] - reach[0]) * (np.arange(parts) + 0.5) / parts
+        return [float(reach[np.abs(reach - angle).argmin()]) for angle in wanted]
+
+    lights = min(lights, count)
+    tilt, turn = limits["tilt_deg"]["min"], limits["turn_deg"]["min"]
+    poses = [
+        Pose(light, camera, tilt, turn)
+        for index, light in enumerate(centres("light_deg", lights))
+        for camera in centres("camera_deg", len(range(index, count, lights)))
+    ]
+    if len(set(poses)) < count:
+        raise TooFewPoses(f"an even grid of {count} poses; accepted: at most the steps of the rig")
+    return poses
+
+
+def random_poses(candidates: list[Pose], count: int, max_manual: int, rng: np.random.Generator) -> list[Pose]:
+    """Return random poses within as many random settings of light and tilt as a plan may have.
+
+    Raises
+    ------
+    TooFewPoses
+        If the settings drawn have fewer poses.
+    """
+    settings = sorted({(pose.light_deg, pose.tilt_deg) for pose in candidates})
+    drawn = rng.choice(len(settings), size=min(max_manual, len(settings)), replace=False)
+    chosen = {settings[i] for i in drawn}
+    within = [pose for pose in candidates if (pose.light_deg, pose.tilt_deg) in chosen]
+    if len(within) < count:
+        raise TooFewPoses(f"{count} random poses; accepted: at most {len(within)}")
+    return [within[i] for i in sorted(rng.choice(len(within), size=count, replace=False))]
+
+
+def fit_errors(sitting: Sitting, poses: list[Pose], count: int, options: FitOptions, rng) -> dict[str, np.ndarray]:
+    """Return the error of each parameter over random materials, (count,) each; NaN where the fit does not state it."""
+    materials = sitting.planner.range.at(rng.random((count, 3)))
+    response, geometry, weight = sitting.photograph(poses, materials, min(_SESSIONS, count), rng)
+    noise = sitting.planner.noise
+    camera = np.tile([noise.read_variance, noise.shot_variance], (len(poses), 1))
+    # In the precision of photographs, for which the loops of the fit are compiled by then.
+    result = fit(response.astype(np.float32), geometry, weight, materials.n, materials.k, options, camera)
+    out = {}
+    for name, relative in _RELATIVE.items():
+        truth = getattr(materials, name)
+        out[name] = np.abs(getattr(result, name) - truth) / (truth if relative else 1.0)
+    return out
+
+
+def measure_design(name: str, design: str, drawn: list, sitting: Sitting, count: int, options, rng) -> list[PlanRow]:
+    """Return the rows of one design; several draws of it share the materials and are pooled."""
+    share = max(count // len(drawn), 1)
+    errors = [fit_errors(sitting, poses, share, options, rng) for poses in drawn]
+    expected = [sitting.planner.expected(poses) for poses in drawn]
+    rows = []
+    for parameter in _RELATIVE:
+        pooled = np.concatenate([e[parameter] for e in errors])
+        known = pooled[np.isfinite(pooled)]
+        median, p95 = np.percentile(known, [50, 95]) if known.size else (np.nan, np.nan)
+        promised = [e[parameter][0] for e in expected if np.isfinite(e[parameter][0])]
+        rows.append(
+            PlanRow(
+                name,
+                len(drawn[0]),
+                design,
+                parameter,
+                float(median),
+                float(p95),
+                known.size / pooled.size,
+                float(np.median(promised)) if promised else math.nan,
+            )
+        )
+        LOGGER.info("%s, %d poses, %s, %s: median %.4g p95 %.4g known %.1f%%", name, len(drawn[0]), design, parameter,
+                    median, p95, 100 * rows[-1].identified_fraction)  # fmt: skip
+    return rows
+
+
+def measure_object(name: str, planned: dict, options: FitOptions, max_angle_deg: float, settings: dict):
+    """Yield the rows of one plate.
+
+    Parameters
+    ----------
+    name : str
+    planned : dict
+        ``definition`` of the object (shape, refractive_index, plan), ``rig``, ``sensor`` (None where it is not known),
+        ``exposures_s`` of the unfiltered bracket, ``shots_per_pose``.
+    options : FitOptions
+    max_angle_deg : float
+    settings : dict
+        ``poses``, numbers to compare; ``materials``, how many.
+    """
+    definition, rig = planned["definition"], planned["rig"]
+    planner = Planner(
+        definition,
+        rig,
+        noise=default_noise(rig, planned["sensor"], planned["exposures_s"], asdict(options)),
+        max_angle_deg=max_angle_deg,
+        weighting=Weighting(options.weights, options.model_error),
+    )
+    drift = rig.get("virtual", {}).get("imperfections", {}).get("light_drift", {})
+    memory = drift.get("correlation_shots", Sitting.correlation_shots)
+    sitting = Sitting(planner, memory, planned["shots_per_pose"])
+    rng = np.random.default_rng(_SEED)
+    limits, manual = rig["limits"], planner.max_manual
+    designs = {
+        "planned": lambda count: [planner.best(count).poses],
+        "planned-determinant": lambda count: [planner.best(count, criterion="determinant").poses],
+        "even-grid": lambda count: [even_poses(limits, count, manual, max_angle_deg)],
+        "even-one-light": lambda count: [even_poses(limits, count, 1, max_angle_deg)],
+        "random": lambda count: [random_poses(planner.poses, count, manual, rng) for _ in range(_RANDOM_DRAWS)],
+    }
+    for count in settings["poses"]:
+        for design, draw in designs.items():
+            try:
+                drawn = draw(count)
+            except TooFewPoses as error:
+                LOGGER.warning("%s, %d poses, %s: left out, %s", name, count, design, error)
+                continue
+            yield from measure_design(name, design, drawn, sitting, settings["materials"], options, rng)
+
+
+def measure_plan(objects: dict[str, dict], fit_options: dict, max_angle_deg: float, settings: dict, output) -> None:
+    """Write ``planning.csv``: fit errors against the number of poses for every plate.
+
+    Parameters
+    ----------
+    objects : dict
+        Name -> as in `measure_object`. Without a plate the table has a header alone.
+    fit_options : dict
+        ``fit`` block of the configuration.
+    max_angle_deg : float
+        ``rectify.max_angle_deg``.
+    settings : dict
+        ``report.planning`` block of the configuration.
+    output : path
+    """
+    options = FitOptions(**fit_options)
+    with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, [f.name for f in fields(PlanRow)])
+        writer.writeheader()
+        for name, planned in objects.items():
+            for row in measure_object(name, planned, options, max_angle_deg, settings):
+                writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(row).items()})
+
+
+def read_plan(path) -> list[PlanRow]:
+    """Return the rows of ``planning.csv``."""
+    with open(path, newline="", encoding="utf-8") as stream:
+        kinds = {f.name: f.type for f in fields(PlanRow)}
+        return [PlanRow(**{key: kinds[key](text) for key, text in row.items()}) for row in csv.DictReader(stream)]

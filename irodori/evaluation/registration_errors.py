@@ -1,0 +1,107 @@
+"""How well the two shots of each capture were laid on each other."""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from irodori.core import store
+from irodori.core.atomic_files import written_whole
+
+#: Whose transform a capture was registered by; see `irodori.ingest.shot_alignment.Alignment`.
+SOURCES = ("capture", "chart", "none")
+
+
+@dataclass(frozen=True)
+class RegistrationRow:
+    """One line of an object's ``registration.csv``: one capture that has both filter states.
+
+    Parameters
+    ----------
+    capture : str
+    source : str
+        ``capture`` for its own transform; ``chart`` where it had too little content; ``none`` where the chart had too.
+    residual_px : float
+        Rms of what local blocks still find, superpixels; with the source ``chart`` it is the chart's.
+    sigma_px : float
+        Predicted standard error of the capture's own transform, superpixels.
+    """
+
+    capture: str
+    source: str
+    residual_px: float
+    sigma_px: float
+
+
+@dataclass(frozen=True)
+class RegistrationSummary:
+    """An object's captures by `SOURCES`, and the residuals of those with a transform of their own.
+
+    Parameters
+    ----------
+    by_capture, by_chart, by_none : int
+        Captures.
+    median_px, max_px : float
+        Superpixels; NaN where there is no such capture.
+    worst : str
+        Name of the capture with the largest residual, empty where there is none.
+    """
+
+    by_capture: int
+    by_chart: int
+    by_none: int
+    median_px: float
+    max_px: float
+    worst: str
+
+
+def measure_registration(linear: Sequence, output) -> None:
+    """Write ``registration.csv`` of one object; a header alone where nothing was registered.
+
+    Parameters
+    ----------
+    linear : sequence of path
+        Files of `irodori.ingest.stage.ingest_raw`, each named after its capture.
+    output : path
+
+    Raises
+    ------
+    ValueError
+        If a file names a source that is none of `SOURCES`.
+    """
+    rows = []
+    for path in map(Path, linear):
+        with store.open_file(path) as file:
+            if not file.has_attribute("registration_source"):
+                continue
+            source = file.attribute("registration_source")
+            if source not in SOURCES:
+                raise ValueError(f"{path}: registration_source {source!r}; accepted: {', '.join(SOURCES)}")
+            residual, sigma = (float(file.attribute(f"registration_{name}_px")) for name in ("residual", "sigma"))
+            rows.append(RegistrationRow(path.stem, source, residual, sigma))
+    with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, [f.name for f in fields(RegistrationRow)])
+        writer.writeheader()
+        for row in rows:
+            writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(row).items()})
+
+
+def read_registration(path) -> list[RegistrationRow]:
+    """Return the rows of a ``registration.csv``."""
+    with open(path, newline="", encoding="utf-8") as stream:
+        kinds = {f.name: f.type for f in fields(RegistrationRow)}
+        rows = list(csv.DictReader(stream))
+    return [RegistrationRow(**{key: kinds[key](text) for key, text in row.items()}) for row in rows]
+
+
+def summarise(rows: Sequence[RegistrationRow]) -> RegistrationSummary:
+    """Return what the report says of an object's captures."""
+    counts = [sum(row.source == source for row in rows) for source in SOURCES]
+    own = [row for row in rows if row.source == "capture"]
+    if not own:
+        return RegistrationSummary(*counts, float("nan"), float("nan"), "")
+    worst = max(own, key=lambda row: row.residual_px)
+    median = float(np.median([row.residual_px for row in own]))
+    return RegistrationSummary(*counts, median, worst.residual_px, worst.capture)

@@ -1,0 +1,195 @@
+"""Errors against ground truth, as everyone here computes them [design, §5]: mean, 95th percentile and maximum."""
+
+import csv
+from dataclasses import asdict, dataclass, fields
+
+import numpy as np
+from scipy import ndimage
+
+from irodori.colour.colorimetry import (
+    delta_e,
+    delta_e_reflectance,
+    goodness_of_fit,
+    lab_from_xyz,
+    spectral_rmse,
+    summary,
+    xyz_from_radiance,
+)
+from irodori.core import store
+from irodori.core.atomic_files import written_whole
+from irodori.core.progress import LOGGER
+from irodori.export.pictures import read_xyz
+from irodori.light.environment_file import Environment, directions
+from irodori.light.irradiance import irradiance_at
+from irodori.material.material_file import Material, Status
+from irodori.rendering.scene_white import scene_white
+
+
+@dataclass(frozen=True)
+class ErrorRow:
+    """One line of ``errors.csv``."""
+
+    subject: str
+    quantity: str
+    light: str
+    count: int
+    mean: float
+    p95: float
+    p99: float
+    max: float
+
+
+def _row(subject: str, quantity: str, values, light: str = "") -> ErrorRow:
+    return ErrorRow(subject, quantity, light, **summary(values))
+
+
+def interior(truth: Material) -> np.ndarray:
+    """Return the texels whose neighbourhood (5 x 5) is of one true material, (height, width) bool.
+
+    At a seam between two paints a picture shows their mixture, which is no error of colour recovery.
+    """
+    index = truth.coefficients.argmax(axis=-1)
+    # The texture's own border is no seam: beyond it the border repeats.
+    return ndimage.maximum_filter(index, 5, mode="nearest") == ndimage.minimum_filter(index, 5, mode="nearest")
+
+
+def material_errors(name: str, material: Material, truth: Material, lights: list[str]) -> list[ErrorRow]:
+    """Return the errors of one object: reflectance over all observed texels and away from seams, and parameters."""
+    rows = []
+    inside = interior(truth)
+    for label, chosen in (("", material.observed), (" away from seams", material.observed & inside)):
+        estimate, exact = material.coefficients[chosen] @ material.basis.T, truth.coefficients[chosen] @ truth.basis.T
+        rows += [
+            _row(name, f"reflectance CIEDE2000{label}", delta_e_reflectance(exact, estimate, light), light)
+            for light in lights
+        ]
+        rows.append(_row(name, f"reflectance spectral RMSE{label}", spectral_rmse(exact, estimate)))
+        rows.append(_row(name, f"reflectance 1 - GFC{label}", 1.0 - goodness_of_fit(exact, estimate)))
+    known = np.isfinite(material.mu) & inside
+    rows += [
+        _row(name, "alpha absolute away from seams", np.abs(material.alpha - truth.alpha)[material.observed & inside]),
+        _row(name, "beta relative away from seams, where known", np.abs(material.beta / truth.beta - 1)[known]),
+        _row(name, "mu relative away from seams, where known", np.abs(material.mu / truth.mu - 1)[known]),
+        _row(name, "alpha / S_G - 1", np.abs(material.spectrum_scale - 1)[material.observed]),
+    ]
+    return rows
+
+
+def xyz_delta_e(truth: np.ndarray, estimate: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
+    """Return CIEDE2000 between two pictures in XYZ, (..., 3) to (...), Y = 100 for white; see `radiance_delta_e`."""
+    scale = np.maximum(truth[..., 1:2] / 100.0, 1.0)
+    return delta_e(lab_from_xyz(truth / scale, white_xyz), lab_from_xyz(estimate / scale, white_xyz))
+
+
+def radiance_delta_e(truth: np.ndarray, estimate: np.ndarray, white: np.ndarray) -> np.ndarray:
+    """Return CIEDE2000 between two radiance images, (..., 61) to (...).
+
+    Parameters
+    ----------
+    truth, estimate : (..., 61) float
+    white : (61,) float
+        Radiance of white. A pixel whose truth is brighter is compared after both are scaled by the same factor.
+    """
+    matrix = xyz_from_radiance(white)
+    return xyz_delta_e(truth @ matrix.T, estimate @ matrix.T, matrix @ white)
+
+
+def environment_errors(name: str, environment: Environment, truth: Environment) -> list[ErrorRow]:
+    """Return the errors of recovered light: of the picture and of its irradiance map."""
+    white = truth.upward_white()
+    step = 4
+    picture = [e.coefficients[::step, ::step] @ e.basis.T for e in (truth, environment)]
+    # The maps are as fine as their own light needs.
+    normals = directions(128, 64)[0]
+    irradiance = [irradiance_at(e.irradiance, normals) @ e.basis.T / np.pi for e in (truth, environment)]
+    return [
+        _row(name, "light CIEDE2000", radiance_delta_e(*picture, white)),
+        _row(name, "irradiance CIEDE2000", radiance_delta_e(*irradiance, white)),
+    ]
+
+
+def outcome(name: str, path) -> list[ErrorRow]:
+    """Return the relative residual of an object's fit, and the share of its texels with each outcome."""
+    with store.open_file(path) as file:
+        residual, status = file.read("relative_residual"), file.read("status")
+    rows = [_row(name, "residual over response", residual)]
+    return rows + [_row(name, f"share of texels: {s.name.lower().replace('_', ' ')}", status == s) for s in Status]
+
+
+def calibration_errors(name: str, path, lights: list[str]) -> list[ErrorRow]:
+    """Return the leave-one-patch-out errors that a calibration file holds."""
+    with store.open_file(path) as file:
+        rows = [_row(name, "leave-one-patch-out spectral RMSE", file.read("leave_one_out/rmse"))]
+        for light in lights:
+            key = f"leave_one_out/delta_e_{light.lower()}"
+            if key in file:
+                rows.append(_row(name, "leave-one-patch-out CIEDE2000", file.read(key), light))
+    return rows
+
+
+def measure_errors(inputs: dict, names: dict, lights: list[str], output) -> None:
+    """Write ``errors.csv``.
+
+    Parameters
+    ----------
+    inputs : dict
+        Lists of files: materials, true_materials, environments, true_environments, calibrations, views, true_views;
+        and view_lights, the environment's file of each view.
+    names : dict
+        Their names: objects, environments, cameras, views; view_environments, the light of each view; and view_scenes,
+        of each view what `irodori.rendering.scene_white.scene_white` reads of its scene.
+    lights : list of str
+    output : path
+    """
+    rows: list[ErrorRow] = []
+    for name, path in zip(names["cameras"], inputs["calibrations"], strict=True):
+        rows += calibration_errors(name, path, lights)
+    for name, path, truth in zip(names["objects"], inputs["materials"], inputs["true_materials"], strict=True):
+        rows += material_errors(name, Material.load(path), Material.load(truth), lights) + outcome(name, path)
+    for name, path, truth in zip(
+        names["environments"], inputs["environments"], inputs["true_environments"], strict=True
+    ):
+        rows += environment_errors(name, Environment.load(path), Environment.load(truth))
+    environments = {path: Environment.load(path) for path in dict.fromkeys(inputs["view_lights"])}
+    for name, light, scene, file, path, truth in zip(
+        names["views"],
+        names["view_environments"],
+        names["view_scenes"],
+        inputs["view_lights"],
+        inputs["views"],
+        inputs["true_views"],
+        strict=True,
+    ):
+        white, _ = scene_white(scene, environments[file])
+        matrix = xyz_from_radiance(white)
+        pair = read_xyz(truth, matrix), read_xyz(path, matrix)
+        difference = xyz_delta_e(*pair, matrix @ white)
+        # Light, samples and random numbers are shared: a pixel that shows no object is the same to the bit.
+        objects = (pair[0] != pair[1]).any(axis=-1)
+        rows.append(_row(name, "picture CIEDE2000 to true materials", difference, light))
+        rows.append(_row(name, "picture CIEDE2000 to true materials, objects only", difference[objects], light))
+    _write(rows, output)
+
+
+def _write(rows: list[ErrorRow], output) -> None:
+    with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, [f.name for f in fields(ErrorRow)])
+        writer.writeheader()
+        for row in rows:
+            values = asdict(row)
+            writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in values.items()})
+            LOGGER.info(
+                "%s, %s %s: mean %.4g p95 %.4g max %.4g",
+                row.subject,
+                row.quantity,
+                row.light,
+                row.mean,
+                row.p95,
+                row.max,
+            )
+
+
+def read_errors(path) -> list[dict]:
+    """Return the rows of ``errors.csv`` as dictionaries of text."""
+    with open(path, newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))

@@ -1,0 +1,1 @@
+"""Pictures and material maps for other programs."""

@@ -1,0 +1,60 @@
+"""ENVI files, a text header beside a flat file of numbers, through Spectral Python; a band of rows at a time."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from irodori.spectra.grid import WAVELENGTH_NM
+
+INTERLEAVES = ("bsq", "bil", "bip")
+_ROWS = 32
+
+
+def write_envi(
+    path, size: tuple[int, int], names: list[str], rows: Callable[[slice], np.ndarray], *, interleave: str, units: str
+) -> None:
+    """Write a picture of 32-bit floats; header and data take their names when they are whole.
+
+    Parameters
+    ----------
+    path : path
+        Of the data, ``.img``; the header has the same name and ``.hdr``.
+    size : (height, width)
+    names : list of str
+        Of the bands. As many as there are wavelengths: they are spectra, and the header gives the wavelengths in nm.
+    rows : callable
+        Returns the pixels of some rows, (rows, width, bands).
+    interleave : str
+        ``bsq``: band after band; ``bil``: row after row, of each the bands; ``bip``: pixel after pixel.
+    units : str
+
+    Raises
+    ------
+    ValueError
+        For an unknown interleave.
+    """
+    if interleave not in INTERLEAVES:
+        raise ValueError(f"unknown interleave {interleave!r}; accepted: {', '.join(INTERLEAVES)}")
+    from spectral.io import envi
+
+    path = Path(path)
+    header = {"description": units, "band names": names, "data ignore value": "nan"}
+    if len(names) == WAVELENGTH_NM.size:
+        header |= {"wavelength": [f"{w:g}" for w in WAVELENGTH_NM], "wavelength units": "Nanometers"}
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part.hdr")
+    try:
+        image = envi.create_image(
+            str(temporary), header, dtype=np.float32, shape=(*size, len(names)), interleave=interleave, force=True
+        )
+        pixels = image.open_memmap(interleave="bip", writable=True)
+        for first in range(0, size[0], _ROWS):
+            part = slice(first, min(first + _ROWS, size[0]))
+            pixels[part] = rows(part)
+        pixels.flush()
+        os.replace(temporary.with_suffix(".img"), path)
+        os.replace(temporary, path.with_suffix(".hdr"))
+    finally:
+        temporary.unlink(missing_ok=True)
+        temporary.with_suffix(".img").unlink(missing_ok=True)

@@ -1,0 +1,201 @@
+"""Export of materials and environments as pictures that other programs read.
+
+``python -m irodori.export.material_pictures material.h5 out.exr``.
+
+Spectral EXR in the published layout (Fichet et al. 2021), or TIFF of 32-bit floats with a channel a wavelength, both
+through OpenImageIO, or ENVI, flat numbers with a header, through Spectral Python (OpenImageIO has no writer for it);
+spectra are decoded a band of rows at a time. A material has layers ``T.<λ>nm`` (reflectance) and
+α, β, μ; an environment has ``S0.<λ>nm``, a panorama as other programs have it: clockwise, azimuth 0 in the middle.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+
+from irodori.colour.colorimetry import xyz_from_radiance, xyz_from_reflectance
+from irodori.colour.display import rgb_from_xyz
+from irodori.core import store
+from irodori.core.errors import InputError, PlainError
+from irodori.export.envi import INTERLEAVES, write_envi
+from irodori.export.pictures import layer_names
+from irodori.light.environment_file import Environment
+from irodori.light.omnidirectional import to_panorama
+from irodori.material.material_file import Material
+from irodori.spectra.grid import WAVELENGTH_NM
+
+SUFFIXES = (".exr", ".tif", ".tiff", ".img")
+_ROWS = 32
+_ENVI_BANDS = [f"{wavelength:g} nm" for wavelength in WAVELENGTH_NM]  # a comma would part the list
+
+
+def _bands(height: int, rows: Callable[[slice], np.ndarray]) -> Iterator[tuple[int, int, np.ndarray]]:
+    for first in range(0, height, _ROWS):
+        last = min(first + _ROWS, height)
+        yield first, last, np.ascontiguousarray(rows(slice(first, last)), dtype=np.float32)
+
+
+def _write(path: Path, size: tuple[int, int], names: list[str], attributes: dict, rows: Callable) -> None:
+    """Write a picture whose channels come a band of rows at a time; it takes its name when it is whole."""
+    height, width = size
+    spec = oiio.ImageSpec(width, height, len(names), "float")
+    spec.channelnames = tuple(names)
+    spec.attribute("compression", "zip")
+    spec.attribute("oiio:RowsPerStrip", _ROWS)
+    for name, value in attributes.items():
+        spec.attribute(name, value)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    output = oiio.ImageOutput.create(str(temporary))
+    if output is None:
+        raise OSError(f"{path}: {oiio.geterror()}")
+    try:
+        done = output.open(str(temporary), spec)
+        for first, last, values in _bands(height, rows):
+            done = done and output.write_scanlines(first, last, 0, values)
+        if not (done and output.close()):
+            raise OSError(f"{path}: {output.geterror()}")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _attributes(units: str, names: list[str]) -> dict:
+    return {
+        "spectralLayoutVersion": "1.0",
+        "irodori:units": units,
+        "irodori:channels": " ".join(names),
+        # TIFF has no names of channels: the description tells them in order.
+        "ImageDescription": f"channels: {' '.join(names)}; {units}",
+    }
+
+
+def export_material(source, path, interleave: str = "bsq") -> None:
+    """Write a material's reflectance factor and the maps α, β, μ.
+
+    Parameters
+    ----------
+    source : path
+        ``material.h5``. Texels that nothing determined stay NaN.
+    path : path
+        ``.exr`` or ``.tif``, where RGB is linear sRGB under D65; or ``.img`` of ENVI, which has wavelengths for all its
+        bands or none: α, β and μ are in a second one, ``<name>-maps.img``.
+    interleave : str
+        Of ENVI, see `irodori.export.envi.write_envi`.
+    """
+    material = Material.load(source)
+    names = ["R", "G", "B", *layer_names("T"), "alpha", "beta", "mu"]
+    to_xyz = xyz_from_reflectance("D65")
+    to_rgb = rgb_from_xyz(to_xyz.sum(axis=1)) @ to_xyz
+
+    def decoded(part: slice) -> np.ndarray:
+        return material.coefficients[part] @ material.basis.T
+
+    def maps(part: slice) -> np.ndarray:
+        return np.stack([material.alpha[part], material.beta[part], material.mu[part]], axis=-1)
+
+    def rows(part: slice) -> np.ndarray:
+        spectra = decoded(part)
+        return np.concatenate([spectra @ to_rgb.T, spectra, maps(part)], axis=-1)
+
+    reflectance, ratios = "reflectance factor, 1 = perfect diffuser", "alpha and beta are ratios, mu is in rad"
+    if _is_envi(path):
+        size, beside = material.alpha.shape, Path(path).with_name(f"{Path(path).stem}-maps.img")
+        write_envi(path, size, _ENVI_BANDS, decoded, interleave=interleave, units=reflectance)
+        write_envi(beside, size, names[-3:], maps, interleave=interleave, units=ratios)
+        return
+    units = f"{reflectance}; {ratios}"
+    _write(Path(path), material.alpha.shape, names, _attributes(units, names), rows)
+
+
+def export_environment(source, path, interleave: str = "bsq") -> None:
+    """Write an environment's radiance as a panorama.
+
+    Parameters
+    ----------
+    source : path
+        An environment's file.
+    path : path
+        ``.exr`` or ``.tif``, where RGB is linear sRGB with a perfect diffuser that faces up as white; or ``.img`` of
+        ENVI.
+    interleave : str
+        Of ENVI, see `irodori.export.envi.write_envi`.
+    """
+    environment = Environment.load(source)
+    names = ["R", "G", "B", *layer_names("S0")]
+    white = environment.upward_white()
+    matrix = xyz_from_radiance(white) if (white > 0).any() else np.zeros((3, WAVELENGTH_NM.size))
+    to_rgb = rgb_from_xyz(matrix @ white) @ matrix if matrix.any() else matrix
+
+    def decoded(part: slice) -> np.ndarray:
+        return to_panorama(environment.coefficients[part].astype(np.float32)) @ environment.basis.T
+
+    def rows(part: slice) -> np.ndarray:
+        spectra = decoded(part)
+        return np.concatenate([spectra @ to_rgb.T, spectra], axis=-1)
+
+    units = "relative spectral radiance"
+    if _is_envi(path):
+        size = environment.coefficients.shape[:2]
+        write_envi(path, size, _ENVI_BANDS, decoded, interleave=interleave, units=units)
+        return
+    attributes = _attributes(units, names) | {"emissiveUnits": units}
+    _write(Path(path), environment.coefficients.shape[:2], names, attributes, rows)
+
+
+def _is_envi(path) -> bool:
+    return Path(path).suffix.lower() == ".img"
+
+
+def export(source, path, interleave: str | None = None) -> None:
+    """Write a material or an environment in the format that the suffix of ``path`` names.
+
+    Parameters
+    ----------
+    source, path : path
+    interleave : str, optional
+        Of ENVI, ``bsq`` where absent; see `irodori.export.envi.write_envi`.
+
+    Raises
+    ------
+    InputError
+        For another suffix, a file that is neither material nor environment, or an interleave that is unknown or asked
+        of another format.
+    """
+    if interleave is not None and not (_is_envi(path) and interleave in INTERLEAVES):
+        raise InputError(path, "interleave", interleave, f"one of {', '.join(INTERLEAVES)}, with the suffix .img")
+    interleave = interleave or INTERLEAVES[0]
+    if Path(path).suffix.lower() not in SUFFIXES:
+        raise InputError(path, "", f"the suffix {Path(path).suffix!r}", f"one of {', '.join(SUFFIXES)}")
+    with store.open_file(source) as file:
+        is_material, is_environment = "reflectance/coefficients" in file, "irradiance" in file
+    if is_material:
+        export_material(source, path, interleave)
+    elif is_environment:
+        export_environment(source, path, interleave)
+    else:
+        raise InputError(source, "", "neither a material nor an environment", "material.h5 or an environment's file")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; return 0, or 2 after a fault said in one sentence."""
+    parser = argparse.ArgumentParser(
+        prog="python -m irodori.export.material_pictures", description=__doc__.partition(":")[0]
+    )
+    parser.add_argument("source", help="material.h5 or an environment's file")
+    parser.add_argument("output", help=f"picture to write, {', '.join(SUFFIXES)}")
+    parser.add_argument("--interleave", help=f"of ENVI (.img): {', '.join(INTERLEAVES)}; the first where absent")
+    given = parser.parse_args(arguments)
+    try:
+        export(given.source, given.output, given.interleave)
+    except PlainError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

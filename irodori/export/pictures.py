@@ -1,0 +1,275 @@
+"""Pictures in files through OpenImageIO: spectral EXR (published layout), XYZ EXR, PNG and TIFF with an ICC profile."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import OpenImageIO as oiio
+
+from irodori.core.atomic_files import written_whole
+from irodori.core.errors import InputError
+from irodori.spectra.grid import WAVELENGTH_NM
+
+
+def layer_names(kind: str) -> list[str]:
+    """Return the layers of a kind, S0 (emissive) or T (reflective), as the layout prescribes: S0.400,000000nm."""
+    return [f"{kind}." + f"{wavelength:.6f}nm".replace(".", ",") for wavelength in WAVELENGTH_NM]
+
+
+def channel_names() -> list[str]:
+    """Return the channels of an emissive spectral EXR."""
+    return layer_names("S0")
+
+
+def _write(path, pixels: np.ndarray, spec: oiio.ImageSpec) -> None:
+    path = Path(path)
+    with written_whole(path) as temporary:
+        output = oiio.ImageOutput.create(str(temporary))
+        if output is None:
+            raise OSError(f"{path}: {oiio.geterror()}")
+        if not (output.open(str(temporary), spec) and output.write_image(pixels) and output.close()):
+            raise OSError(f"{path}: {output.geterror()}")
+
+
+def write_spectral_exr(path, radiance: np.ndarray, rgb: np.ndarray, attributes: dict[str, str]) -> None:
+    """Write a spectral radiance image (Fichet et al. 2021, *An OpenEXR Layout for Spectral Images*).
+
+    Parameters
+    ----------
+    radiance : (height, width, 61) float32, relative radiance
+    rgb : (height, width, 3) float
+        Linear sRGB for viewers that know no spectra.
+    attributes : dict of str
+        Further text attributes.
+    """
+    height, width = radiance.shape[:2]
+    names = ["R", "G", "B", *channel_names()]
+    spec = oiio.ImageSpec(width, height, len(names), "float")
+    spec.channelnames = names
+    spec.attribute("compression", "zip")
+    spec.attribute("spectralLayoutVersion", "1.0")
+    spec.attribute("emissiveUnits", "relative spectral radiance")
+    for name, value in attributes.items():
+        spec.attribute(name, value)
+    _write(path, np.ascontiguousarray(np.concatenate([rgb, radiance], axis=-1), dtype=np.float32), spec)
+
+
+_LAYER = re.compile(r"(S0|T)\.(\d*,?\d+(?:[eE][+-]?\d+)?)(Y|Z|E|P|T|G|M|k|h|da|d|c|m|u|n|p)?(m|Hz)")
+_PREFIX = {"Y": 24, "Z": 21, "E": 18, "P": 15, "T": 12, "G": 9, "M": 6, "k": 3, "h": 2, "da": 1, "": 0, "d": -1,
+           "c": -2, "m": -3, "u": -6, "n": -9, "p": -12}  # fmt: skip
+_LIGHT_NM_PER_S = 299_792_458e9
+
+
+def _wavelength_nm(name: str, kind: str) -> float | None:
+    """Return the wavelength of a layer of a kind in nm, given as a wavelength or a frequency; None for others."""
+    match = _LAYER.fullmatch(name)
+    if match is None or match[1] != kind:
+        return None
+    value = float(match[2].replace(",", ".")) * 10.0 ** _PREFIX[match[3] or ""]
+    if value <= 0.0:
+        return None
+    return round(value * 1e9 if match[4] == "m" else _LIGHT_NM_PER_S / value, 6)
+
+
+def _open(path, accepted: str) -> oiio.ImageInput:
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        raise InputError(path, "", f"a file OpenImageIO cannot open ({oiio.geterror()})", accepted)
+    return source
+
+
+class Header(NamedTuple):
+    """What a picture's file says of itself."""
+
+    size: tuple[int, int]  # (height, width)
+    channels: list[str]
+    depth: str  # type of the samples
+    shown: tuple[int, int]  # (height, width) of the display window, of which the file may hold a part
+    chromaticities: tuple[float, ...] | None  # x, y of red, green, blue and white, where the file states them
+
+
+def picture_header(path) -> Header:
+    """Return what a picture's file says of itself.
+
+    Raises
+    ------
+    InputError
+        If OpenImageIO cannot open it.
+    """
+    source = _open(path, "an HDR or EXR picture")
+    spec = source.spec()
+    source.close()
+    shown = (spec.full_height, spec.full_width)
+    chromaticities = spec.getattribute("chromaticities")
+    return Header((spec.height, spec.width), list(spec.channelnames), str(spec.format), shown, chromaticities)
+
+
+def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield the number of the first row, and the pixels (rows, width, channels) float32, of bands of a picture's file.
+
+    Parameters
+    ----------
+    path : path
+    rows : int
+        Of a band at most; a file in tiles is read in whole rows of tiles, of which bands are parts.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be opened or ends early.
+    """
+    source = _open(path, "an HDR or EXR picture")
+    try:
+        spec = source.spec()
+        together = spec.tile_height or rows
+        for first in range(0, spec.height, together):
+            top, bottom = spec.y + first, spec.y + min(first + together, spec.height)
+            if spec.tile_height:
+                right = spec.x + spec.width
+                band = source.read_tiles(0, 0, spec.x, right, top, bottom, 0, 1, 0, spec.nchannels, "float")
+            else:
+                band = source.read_scanlines(0, 0, top, bottom, 0, 0, spec.nchannels, "float")
+            if band is None:
+                found = f"a picture that ends within rows {first} to {bottom - spec.y - 1}"
+                raise InputError(path, "", found, f"a whole picture of {spec.height} rows")
+            band = band.reshape(bottom - top, spec.width, spec.nchannels)
+            for start in range(0, len(band), rows):
+                yield first + start, band[start : start + rows]
+    finally:
+        source.close()
+
+
+def layers_of(names: list[str], kind: str, path) -> tuple[np.ndarray, list[int]]:
+    """Return the wavelengths (nm, increasing) of the layers of one kind among channels, and the channels' numbers.
+
+    Raises
+    ------
+    InputError
+        If there are none, or one wavelength twice.
+    """
+    found = [(wavelength, index) for index, name in enumerate(names) if (wavelength := _wavelength_nm(name, kind))]
+    if not found:
+        others = sorted({name.partition(".")[0] for name in names})
+        accepted = f"layers {kind}.<wavelength>nm of the published spectral layout"
+        missing = f"no layer for 400 nm or another wavelength of the kind {kind} among {', '.join(others)}"
+        raise InputError(path, "channels", missing, accepted)
+    found.sort()
+    wavelength_nm = np.array([wavelength for wavelength, _ in found])
+    twice = np.flatnonzero(np.diff(wavelength_nm) < 1e-6)
+    if twice.size:
+        raise InputError(path, "channels", f"{wavelength_nm[twice[0]]:g} nm twice", "each wavelength once")
+    return wavelength_nm, [index for _, index in found]
+
+
+def read_layers(path, kind: str) -> tuple[np.ndarray, np.ndarray]:
+    """Read the layers of one kind of a spectral EXR (Fichet et al. 2021), whatever their wavelengths.
+
+    Parameters
+    ----------
+    path : path
+    kind : {"S0", "T"}
+        Emissive radiance without polarisation, or reflectance.
+
+    Returns
+    -------
+    wavelength_nm : (n,) float64, increasing
+    pixels : (height, width, n) float32
+
+    Raises
+    ------
+    InputError
+        If the file is missing, truncated, holds no such layers, or one wavelength twice.
+    """
+    header = picture_header(path)
+    height = header.size[0]
+    wavelength_nm, channels = layers_of(header.channels, kind, path)
+    return wavelength_nm, np.concatenate([band[..., channels] for _, band in picture_bands(path, height)])
+
+
+def read_spectral_exr(path) -> np.ndarray:
+    """Read the S0 layers of a spectral EXR on the 61 wavelengths, (height, width, 61) float32.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, truncated, or lacks a wavelength; `read_layers` reads files of other wavelengths.
+    """
+    wavelength_nm, pixels = read_layers(path, "S0")
+    available = {round(float(w), 3): index for index, w in enumerate(wavelength_nm)}
+    missing = [w for w in WAVELENGTH_NM if round(float(w), 3) not in available]
+    if missing:
+        raise InputError(path, "channels", f"no layer for {missing[0]:g} nm", "layers S0.400nm to S0.700nm, step 5")
+    return pixels[..., [available[round(float(w), 3)] for w in WAVELENGTH_NM]]
+
+
+def write_xyz_exr(path, xyz: np.ndarray, attributes: dict[str, str]) -> None:
+    """Write tristimulus values as an EXR of the channels X, Y and Z.
+
+    Parameters
+    ----------
+    xyz : (height, width, 3) float32
+        CIE 1931 2 degree observer; Y = 100 is the scene's white.
+    attributes : dict of str
+        Text attributes.
+    """
+    spec = oiio.ImageSpec(xyz.shape[1], xyz.shape[0], 3, "float")
+    spec.channelnames = ["X", "Y", "Z"]
+    spec.attribute("compression", "zip")
+    for name, value in attributes.items():
+        spec.attribute(name, value)
+    _write(path, np.ascontiguousarray(xyz, dtype=np.float32), spec)
+
+
+def read_xyz(path, matrix: np.ndarray) -> np.ndarray:
+    """Read a rendered picture's tristimulus values, (height, width, 3) float.
+
+    Parameters
+    ----------
+    path : path
+        Spectral EXR, or one of the channels X, Y, Z, which are taken as they are.
+    matrix : (3, 61) float
+        XYZ from radiance.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or truncated, or holds neither.
+    """
+    header = picture_header(path)
+    if {"X", "Y", "Z"} <= set(header.channels):
+        channels = [header.channels.index(name) for name in "XYZ"]
+        return np.concatenate([band[..., channels] for _, band in picture_bands(path, header.size[0])])
+    return read_spectral_exr(path) @ matrix.T
+
+
+def write_display_picture(path, pixels: np.ndarray, profile: bytes, attributes: dict[str, str]) -> None:
+    """Write a picture for a display, PNG or TIFF by the file's suffix.
+
+    Parameters
+    ----------
+    pixels : (height, width, 3) uint8 or uint16, code values
+    profile : bytes
+        ICC profile of the display.
+    attributes : dict of str
+        Text attributes; a TIFF, which has no place for them, holds them in its description.
+    """
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, str(pixels.dtype))
+    spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{len(profile)}]"), np.frombuffer(profile, dtype=np.uint8))
+    # Chunks that would name sRGB beside the profile are left out; the profile alone tells.
+    spec.attribute("oiio:ColorSpace", "unknown")
+    if Path(path).suffix == ".png":
+        for name, value in attributes.items():
+            spec.attribute(name, value)
+    else:
+        spec.attribute("ImageDescription", "; ".join(f"{name} {value}" for name, value in attributes.items()))
+        spec.attribute("compression", "zip")
+    _write(path, np.ascontiguousarray(pixels), spec)
+
+
+def write_png(path, pixels: np.ndarray) -> None:
+    """Write an 8-bit sRGB picture, (height, width, 3) uint8, with its ICC profile."""
+    from irodori.colour.display import srgb
+
+    write_display_picture(path, pixels, srgb().profile, {})

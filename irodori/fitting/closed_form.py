@@ -1,0 +1,71 @@
+"""For one roughness μ the best α and β have a closed form; what is left is a function of t = log μ [eq. 7].
+
+The sum of squares with the best bounded pair (α, β) is Φ(t). By the envelope theorem its slope is the partial
+derivative at the pair, and its curvature is the Schur complement of the full Hessian over the variables that no bound
+holds (variable projection: Golub and Pereyra 1973).
+
+The sums over observations come as ``fixed`` = (Σ w c², Σ w c ρ, Σ w ρ², Σ w), c = cosθ_i, and as ``moments``: value,
+slope and curvature along t of Σ w c g, of Σ w ρ g and of Σ w g², g = F G D / cosθ_r. All may be numbers or lanes.
+"""
+
+from irodori.jit.lanes import lower_of, negated, select, upper_of
+from irodori.jit.native import njit
+
+_PARALLEL = 1e-13  # of 1 - cos² between the columns: under it α and β cannot be told apart
+_TINY = 1e-300
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _clamp(x, low, high):
+    return lower_of(upper_of(x, low), high)
+
+
+@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy", inline="always")
+def best_pair(fixed, cg, rg, gg, box):
+    """Return the bounded α, β that minimise the sum of squares, and that sum; without branches.
+
+    Where the free minimum lies outside the box, the bounded one lies on an edge that the free one violates: one of
+    two candidates, each optimal on its edge.
+
+    Parameters
+    ----------
+    fixed : tuple
+    cg, rg, gg : float
+        Σ w c g, Σ w ρ g, Σ w g².
+    box : (4,) tuple
+        Bounds of α, then of β.
+    """
+    cc, cr, rr, _ = fixed
+    determinant = cc * gg - cg * cg
+    regular = determinant > _PARALLEL * cc * gg
+    scale = 1.0 / select(regular, determinant, 1.0)
+    free_a = select(regular, (cr * gg - rg * cg) * scale, box[0])
+    free_b = select(regular, (rg * cc - cr * cg) * scale, box[2])
+    b1 = _clamp(free_b, box[2], box[3])
+    a1 = _clamp((cr - b1 * cg) / (cc + _TINY), box[0], box[1])
+    a2 = _clamp(free_a, box[0], box[1])
+    b2 = _clamp((rg - a2 * cg) / (gg + _TINY), box[2], box[3])
+    v1 = rr + a1 * (a1 * cc - 2.0 * cr) + b1 * (b1 * gg + 2.0 * (a1 * cg - rg))
+    v2 = rr + a2 * (a2 * cc - 2.0 * cr) + b2 * (b2 * gg + 2.0 * (a2 * cg - rg))
+    first = v1 <= v2
+    return select(first, a1, a2), select(first, b1, b2), upper_of(select(first, v1, v2), 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def slope_and_curvature(fixed, moments, box):
+    """Return the best α and β at one t, their slopes along t, Φ' and Φ''."""
+    cc = fixed[0]
+    cg, cg1, cg2, rg, rg1, rg2, gg, gg1, gg2 = moments
+    a, b, _ = best_pair(fixed, cg, rg, gg, box)
+    cross = a * cg1 - rg1
+    slope = b * (b * gg1 + 2.0 * cross)
+    curvature = b * (b * gg2 + 2.0 * (a * cg2 - rg2))
+    at, bt = 2.0 * b * cg1, 2.0 * (b * gg1 + cross)
+    free_a, free_b = (a > box[0]) & (a < box[1]), (b > box[2]) & (b < box[3])
+    both, determinant = free_a & free_b, cc * gg - cg * cg
+    regular = determinant > _PARALLEL * cc * gg
+    scale = 0.5 / select(regular, determinant, 1.0)
+    da = select(both, (cg * bt - gg * at) * scale, select(free_a, -0.5 * at / (cc + _TINY), 0.0))
+    db = select(both, (cg * at - cc * bt) * scale, select(free_b, -0.5 * bt / (gg + _TINY), 0.0))
+    da, db = select(both & negated(regular), 0.0, da), select(both & negated(regular), 0.0, db)
+    return a, b, da, db, slope, curvature + at * da + bt * db

@@ -1,0 +1,49 @@
+"""What a fit states of each texel: what its data determines, and nothing else."""
+
+import math
+
+import numpy as np
+
+from irodori.fitting import judge
+from irodori.fitting.texels import Output
+from irodori.jit.native import njit, run_chunks
+
+_ALPHA, _BETA, _MU, _ALPHA_ERROR, _BETA_ERROR, _MU_ERROR, _RMS, _RELATIVE = range(8)
+_NAMES = (
+    "alpha", "beta", "mu", "alpha_error", "beta_error", "mu_error", "residual_rms", "relative_residual",
+)  # fmt: skip
+_CHUNK = 16384  # texels that a thread states before it asks for more
+_IS_OK, _AT_BOUND = int(judge.Status.OK), int(judge.Status.AT_BOUND)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _state_some(out, stated, gloss, first, last):
+    """Fill what a fit states of some texels: NaN where a parameter is not determined."""
+    for t in range(first, last):
+        status, model, nan = out.status[t], out.model[t], np.nan
+        known = status == _IS_OK
+        alpha_error, mu = out.table[t, judge.ALPHA_ERROR], math.exp(out.table[t, judge.LOG_MU])
+        sure = math.isfinite(alpha_error)
+        # α is 0 by choice of the model where it has no error, and not told apart from gloss anywhere else.
+        stated[_ALPHA, t] = out.table[t, judge.ALPHA] if sure or model == judge.GLOSS_ALONE else nan
+        stated[_BETA, t], stated[_MU, t] = out.table[t, judge.BETA] if known else nan, mu if known else nan
+        # At a bound of gloss, what the bound does to α is not in its error.
+        stated[_ALPHA_ERROR, t] = alpha_error if sure and status != _AT_BOUND else nan
+        stated[_BETA_ERROR, t] = out.table[t, judge.BETA_ERROR] if known else nan
+        stated[_MU_ERROR, t] = out.table[t, judge.LOG_MU_ERROR] * mu if known else nan
+        squares, power = out.table[t, judge.SQUARES], out.table[t, judge.POWER]
+        stated[_RMS, t] = math.sqrt(squares)
+        stated[_RELATIVE, t] = math.sqrt(squares / power) if power > 0.0 else nan
+        glossy = math.isfinite(squares) and model >= judge.GLOSS_ALONE
+        gloss[t, 0], gloss[t, 1] = out.table[t, judge.BETA] if glossy else 0.0, mu if glossy else 1.0
+
+
+def state(out: Output) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Return parameters, errors and residuals by name, (texels,) each, and the best β and μ, (texels, 2).
+
+    Names and meaning are those of `irodori.fitting.solvers.FitResult`.
+    """
+    count = len(out.status)
+    stated, gloss = np.empty((len(_NAMES), count)), np.empty((count, 2))
+    run_chunks(_state_some, count, _CHUNK, out, stated, gloss)
+    return dict(zip(_NAMES, stated, strict=True)), gloss

@@ -1,0 +1,46 @@
+"""The files that make up a mesh: light enough for the Snakefile, nothing but the standard library is imported."""
+
+import json
+from pathlib import Path
+from urllib.parse import unquote
+
+from irodori.core.errors import InputError, is_file
+
+MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
+
+
+def mesh_files(path) -> list[str]:
+    """Return a mesh's file and the buffers that it refers to, all of which decide its shape.
+
+    Parameters
+    ----------
+    path : path
+        OBJ, PLY, GLB or glTF. Only a glTF refers to others that hold geometry; pictures and material libraries are
+        not read by the project.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, its kind is not known, or a glTF or one of its buffers cannot be read.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise InputError(path, "", f"a file of the kind {path.suffix!r}", f"one of {', '.join(MESH_SUFFIXES)}")
+    if not is_file(path):
+        raise InputError(path, "", "no such file", "a triangle mesh with UV coordinates")
+    if path.suffix.lower() != ".gltf":
+        return [str(path)]
+    try:
+        buffers = json.loads(path.read_text(encoding="utf-8")).get("buffers", [])
+        names = [buffer["uri"] for buffer in buffers if "uri" in buffer]
+    except (ValueError, AttributeError, TypeError, KeyError) as error:
+        raise InputError(path, "buffers", f"{type(error).__name__}: {error}", "glTF 2.0") from None
+    found = [str(path)]
+    for name in names:
+        if name.startswith("data:"):
+            continue
+        buffer = path.parent / unquote(name)
+        if not is_file(buffer):
+            raise InputError(path, "buffers", f"the buffer {name}, which does not exist", "a file beside the glTF")
+        found.append(str(buffer))
+    return found

@@ -1,0 +1,85 @@
+"""Rotations and the gonio rig's frame [design, §4].
+
+The rig's plane of incidence is x-z, z up. Light and camera angles are measured from +z, the light toward +x and the
+camera toward -x. The table tilts about y towards the light and turns about its own normal; both axes pass through
+the origin, at which the camera looks.
+"""
+
+import math
+
+import numpy as np
+
+
+def rotation_x(angle_rad: float) -> np.ndarray:
+    """Return the (3, 3) rotation about x."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def rotation_y(angle_rad: float) -> np.ndarray:
+    """Return the (3, 3) rotation about y; it turns +z towards +x."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def rotation_z(angle_rad: float) -> np.ndarray:
+    """Return the (3, 3) rotation about z; it turns +x towards +y."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def rotation_xyz(angles_deg) -> np.ndarray:
+    """Return the (3, 3) rotation about x, then y, then z, by angles in degrees."""
+    ax, ay, az = (math.radians(a) for a in angles_deg)
+    return rotation_z(az) @ rotation_y(ay) @ rotation_x(ax)
+
+
+def to_light(pose) -> np.ndarray:
+    """Return L, the (3,) unit vector to the light of a pose (`irodori.config.capture_table.Pose`)."""
+    angle = math.radians(pose.light_deg)
+    return np.array([math.sin(angle), 0.0, math.cos(angle)])
+
+
+def to_camera(pose) -> np.ndarray:
+    """Return the (3,) unit vector from the origin to the camera of a pose."""
+    angle = math.radians(pose.camera_deg)
+    return np.array([-math.sin(angle), 0.0, math.cos(angle)])
+
+
+def rig_from_object(pose) -> np.ndarray:
+    """Return the (3, 3) rotation that the table's turn and tilt give the object."""
+    return rotation_y(math.radians(pose.tilt_deg)) @ rotation_z(math.radians(pose.turn_deg))
+
+
+def rig_from_camera(pose) -> np.ndarray:
+    """Return the (3, 3) rotation from camera axes (x right, y down, z forward) to the rig."""
+    angle = math.radians(pose.camera_deg)
+    right = np.array([math.cos(angle), 0.0, math.sin(angle)])
+    forward = -to_camera(pose)
+    return np.stack([right, np.cross(forward, right), forward], axis=1)
+
+
+def flat_incidence_rad(pose) -> float:
+    """Return θ_i of a flat sample on the table, rad: light angle minus tilt."""
+    return math.radians(pose.light_deg - pose.tilt_deg)
+
+
+def look_at(position, target, up) -> np.ndarray:
+    """Return the (3, 3) rotation from camera axes (x right, y down, z forward) of a camera looking at a target.
+
+    Raises
+    ------
+    ValueError
+        If position and target coincide, or the view runs along ``up``.
+    """
+    forward = np.asarray(target, dtype=np.float64) - np.asarray(position, dtype=np.float64)
+    distance = np.linalg.norm(forward)
+    if distance < 1e-9:
+        raise ValueError("position and target of the view coincide")
+    forward /= distance
+    right = np.cross(forward, np.asarray(up, dtype=np.float64))
+    length = np.linalg.norm(right)
+    if length < 1e-9:
+        raise ValueError("the view runs along its own up direction")
+    right /= length
+    return np.stack([right, np.cross(forward, right), forward], axis=1)

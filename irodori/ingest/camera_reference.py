@@ -1,0 +1,219 @@
+"""What normalises a camera's captures: dark signal, hot pixels, white reference, noise, linearity."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori.config.capture_table import Shot, check_unchanged, read_captures, shot_path
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER, track
+from irodori.ingest.dark_frames import Dark, measure_dark
+from irodori.ingest.develop import develop
+from irodori.ingest.exposure_settings import filter_states, known_settings, settle, settle_set
+from irodori.ingest.flat_field import evaluate_flat, fit_flat
+from irodori.ingest.ingest_options import IngestOptions
+from irodori.ingest.linearity import measure_linearity
+from irodori.ingest.mosaic import decode
+from irodori.ingest.photon_transfer import Noise, measure_noise
+from irodori.ingest.shot_alignment import Alignment, nominal_alignment
+from irodori.spectra.white_reference import white_reflectance
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A camera's reference, as `ingest_reference` writes it.
+
+    Parameters
+    ----------
+    dark : Dark or None
+    white : dict
+        Filter state -> (3, 15) coefficients of the response rate of a perfect diffuser lit at normal incidence, full
+        scales per second of relative exposure; empty without white reference.
+    noise : Noise
+    size_px : (width, height)
+        Of the mosaic; (0, 0) where there is neither dark frame nor white reference.
+    known : list of str
+        Which of iso and f_number are part of the relative exposure.
+    alignment : Alignment or None
+        The filter's nominal transform, from the chart.
+    """
+
+    dark: Dark | None
+    white: dict[str, np.ndarray]
+    noise: Noise
+    size_px: tuple[int, int]
+    known: list[str]
+    alignment: Alignment | None
+
+    @classmethod
+    def load(cls, path) -> "Reference":
+        """Read a file of `ingest_reference`."""
+        with store.open_file(path) as file:
+            dark = _load_dark(file)
+            states = file.attribute("filters")
+            white = file.read("white") if "white" in file else np.zeros((0, 3, 15))
+            fields = ("gain_e_per_dn", "gain_error", "read_noise_dn", "read_noise_error")
+            noise = Noise(
+                *(file.attribute(name) for name in fields),
+                tuple(file.read("gain")[:, 0]),
+                tuple(file.read("gain")[:, 1]),
+                file.attribute("gain_iso"),
+            )
+            alignment = Alignment.read(file) if "registration" in file else None
+            size = tuple(file.attribute("size_px"))
+            return cls(dark, dict(zip(states, white, strict=True)), noise, size, file.attribute("known"), alignment)
+
+    def flat(self, state: str) -> np.ndarray:
+        """Return the flat field of a filter state on superpixels, (height, width, 3) float32."""
+        width, height = self.size_px
+        return evaluate_flat(self.white[state], height // 2, width // 2)
+
+
+def _load_dark(file: store.Reader) -> Dark | None:
+    if "dark_rate" not in file:
+        return None
+    return Dark(
+        offset=file.read("dark_offset") if "dark_offset" in file else None,
+        rate=file.read("dark_rate"),
+        offset_step_dn=file.attribute("dark_offset_step_dn"),
+        rate_step_dn_per_s=file.attribute("dark_rate_step_dn_per_s"),
+        iso=file.attribute("dark_iso"),
+        exposures_s=tuple(file.attribute("dark_exposures_s")),
+        hot_px=file.read("hot_px"),
+    )
+
+
+def ingest_reference(
+    table, folder, output, provenance: store.Provenance, white_factor: float | str, options: IngestOptions
+) -> None:
+    """Turn a camera's dark frames, white references and chart into the file that normalises its captures.
+
+    Parameters
+    ----------
+    table, folder : path
+        Capture table of the camera and the folder of its files.
+    white_factor : float or str
+        Reflectance factor of the white reference, or its measured spectrum, whose mean is taken: the bands'
+        sensitivities are not known here. How far it varies is the attribute ``white_factor_uncertainty``.
+    options : IngestOptions
+
+    Raises
+    ------
+    InputError
+        If a file has changed since the table noted its hash, a white reference is saturated or uneven, the camera is
+        less linear than the options allow, or the chart's two shots cannot be registered.
+
+    Notes
+    -----
+    Datasets, absent where the table has no such shots: ``/dark_offset`` and ``/dark_rate`` (H, W) int16 over the
+    mosaic, in the steps that the attributes give, DN and DN/s above the black level; ``/hot_px`` (n, 2) row and column
+    of hot mosaic pixels; ``/white`` (filters, 3, 15) coefficients of x^i y^j over the picture
+    [`irodori.ingest.flat_field`],
+    full scales per second of relative exposure; ``/gain`` (3, 2) electrons per DN of red, green and blue and their
+    standard errors; ``/linearity`` (n, 2) relative exposure and deviation; ``/registration`` (4). Attributes of the
+    noise are NaN where it is not measurable.
+    """
+    shots, size = _settled_shots(table, folder)
+    whites = [s for s in shots if s.role == "white"]
+    dark = measure_dark(shots, table, folder)
+    hot_px = np.zeros((0, 2), np.int32) if dark is None else dark.hot_px
+    noise = measure_noise(shots, table, folder, hot_px)
+    linearity = measure_linearity(shots, table, folder, dark, options.max_nonlinearity)
+    factor, factor_uncertainty = white_reflectance(white_factor)
+    partial = Reference(dark, {}, noise, size, known_settings(shots), None)
+    white = {
+        state: _white(partial, [s for s in whites if s.filter == state], table, folder, float(factor), options)
+        for state in filter_states(whites)
+    }
+    alignment = nominal_alignment(partial, white, [s for s in shots if s.capture == "chart"], table, folder, options)
+    with store.create(output, provenance) as out:
+        _write_dark(out, dark)
+        if white:
+            coefficients = np.stack(list(white.values()))
+            quantity = "coefficients of the response rate of a perfect diffuser at normal incidence"
+            out.write("white", coefficients, units="1/s", dims="filter,band,term", quantity=quantity)
+        _write_noise(out, noise)
+        if linearity is not None:
+            series = np.stack([linearity.exposure_s, linearity.deviation], axis=1)
+            out.write("linearity", series, units="s,1", dims="exposure,value", quantity="exposure, deviation")
+            out.attribute("max_nonlinearity", linearity.largest)
+            out.attribute("linearity_repeatability", linearity.repeatability)
+        if alignment is not None:
+            alignment.write(out)
+        out.attribute("filters", filter_states(whites))
+        out.attribute("white_factor", float(factor))
+        out.attribute("white_factor_uncertainty", factor_uncertainty)
+        out.attribute("size_px", list(size))
+        out.attribute("known", partial.known)
+
+
+def _settled_shots(table, folder) -> tuple[list[Shot], tuple[int, int]]:
+    """Return a camera's shots with what their files know, and the size of its dark frames or white references, px."""
+    settled, size = [], (0, 0)
+    shots = [shot for shot in read_captures(table, folder) if shot.role in ("dark", "white", "chart")]
+    check_unchanged(table, folder, shots)
+    for shot in track(shots, "reference"):
+        mosaic = decode(shot_path(shot, table, folder))
+        settled.append(settle(shot, mosaic, table))
+        if size == (0, 0) and shot.role in ("dark", "white"):
+            size = mosaic.size
+    return settle_set(settled, table), size
+
+
+def _write_dark(out: store.Writer, dark: Dark | None) -> None:
+    if dark is None:
+        return
+    if dark.offset is not None:
+        out.write("dark_offset", dark.offset, units="step", dims="row,column", quantity="dark signal at no exposure",
+                  compression="fast")  # fmt: skip
+    out.write("dark_rate", dark.rate, units="step", dims="row,column", quantity="dark signal a second",
+              compression="fast")  # fmt: skip
+    out.write("hot_px", dark.hot_px, units="px", dims="pixel,axis", quantity="row and column of hot mosaic pixels")
+    out.attribute("dark_offset_step_dn", dark.offset_step_dn)
+    out.attribute("dark_rate_step_dn_per_s", dark.rate_step_dn_per_s)
+    out.attribute("dark_iso", dark.iso)
+    out.attribute("dark_exposures_s", list(dark.exposures_s))
+    out.attribute("hot_pixels", len(dark.hot_px))
+
+
+def _write_noise(out: store.Writer, noise: Noise) -> None:
+    gains = np.stack([noise.gain_by_colour, noise.gain_error_by_colour], axis=1)
+    out.write("gain", gains, units="1/DN", dims="band,value", quantity="electrons per DN, standard error")
+    for name in ("gain_e_per_dn", "gain_error", "read_noise_dn", "read_noise_error", "read_noise_e"):
+        out.attribute(name, getattr(noise, name))
+    out.attribute("gain_iso", noise.iso)
+
+
+def _repeats(group: list[Shot]) -> list[list[Shot]]:
+    """Return brackets of distinct exposures: the first shot of each exposure, then the second of each, and so on."""
+    rounds: list[list[Shot]] = []
+    seen: dict[tuple, int] = {}
+    for shot in group:
+        key = (shot.exposure_s, shot.iso, shot.f_number)
+        seen[key] = seen.get(key, -1) + 1
+        if seen[key] == len(rounds):
+            rounds.append([])
+        rounds[seen[key]].append(shot)
+    return rounds
+
+
+def _white(reference: Reference, group: list[Shot], table, folder, reflectance: float, options: IngestOptions):
+    """Return the coefficients of a perfect diffuser's response rate from the white reference of one filter state."""
+    cosine = np.cos(np.radians(group[0].pose.light_deg - group[0].pose.tilt_deg))
+    path = shot_path(group[0], table, folder)
+    coefficients = []
+    for bracket in _repeats(group):
+        # The white reference itself is needed as it lies on the sensor, whatever the captures' demosaicing.
+        state = develop(reference, bracket, table, folder, options.superpixels(), white=None)
+        valid = ~(state.clipped | state.hot)
+        if valid.mean() < 0.5:
+            found = f"a white reference saturated over {state.clipped.mean():.0%} of the picture"
+            raise InputError(path, "exposure_s", found, "a shorter exposure of the white reference")
+        try:
+            coefficients.append(fit_flat(state.response, valid))
+        except ValueError as error:
+            accepted = "a white reference that fills the picture and is evenly lit"
+            raise InputError(path, "white", str(error), accepted) from None
+    LOGGER.info("white reference, filter %s: %d rounds of frames", group[0].filter, len(coefficients))
+    return np.mean(coefficients, axis=0) / (cosine * reflectance)

@@ -1,0 +1,176 @@
+"""Dark frames: what each mosaic pixel gives without light, and which pixels cannot be trusted."""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from irodori.config.capture_table import Shot, shot_path
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER, track
+from irodori.ingest.mosaic import decode
+from irodori.jit.native import njit
+
+_HOT_SIGMAS = 8.0
+_HOT_CHANCE = 1e-9  # of a sound pixel to show such a variance
+_SAMPLES = 1_000_000  # pixels that suffice for a median
+_STEPS = 32_767
+
+
+@dataclass(frozen=True)
+class Dark:
+    """Signal without light, above the black level: offset + rate x exposure time.
+
+    Parameters
+    ----------
+    offset : (height, width) int16 or None
+        In steps of `offset_step_dn`; None where all dark frames have one exposure time.
+    rate : (height, width) int16
+        In steps of `rate_step_dn_per_s`.
+    offset_step_dn, rate_step_dn_per_s : float
+    iso : float
+        ISO of the dark frames, 0 where unknown; the rate grows in proportion to it.
+    exposures_s : tuple of float
+        Exposure times of the frames, ascending, s.
+    hot_px : (n, 2) int32
+        Row and column of hot mosaic pixels; offset and rate are 0 there.
+    """
+
+    offset: np.ndarray | None
+    rate: np.ndarray
+    offset_step_dn: float
+    rate_step_dn_per_s: float
+    iso: float
+    exposures_s: tuple[float, ...]
+    hot_px: np.ndarray
+
+    def signal_dn(self, exposure_s: float) -> np.ndarray:
+        """Return the dark signal above black, (height, width) float32, DN."""
+        signal = np.float32(self.rate_step_dn_per_s * exposure_s) * self.rate
+        return signal if self.offset is None else signal + np.float32(self.offset_step_dn) * self.offset
+
+
+@njit(cache=True, nogil=True)
+def _add_row(values, black, total, squares):
+    for column in range(values.size):
+        signal = np.float32(values[column]) - black[column % 2]
+        total[column] += signal
+        squares[column] += signal * signal
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _add(values, black, total, squares):
+    for row in numba.prange(values.shape[0]):
+        _add_row(values[row], black[row % 2], total[row], squares[row])
+
+
+def hot_pixels(level_dn: np.ndarray, variance_dn2: np.ndarray | None, freedom: int) -> np.ndarray:
+    """Return which pixels are hot: too bright in the dark, or too restless.
+
+    Parameters
+    ----------
+    level_dn : (height, width) float
+        Dark signal, mean of the frames.
+    variance_dn2 : (height, width) float, optional
+        Sample variance between equal frames, with `freedom` degrees of freedom.
+
+    Returns
+    -------
+    (height, width) bool
+
+    Notes
+    -----
+    Too bright: more than 8 standard deviations above the median of all pixels, the standard deviation taken from the
+    median absolute deviation (and at least that of rounding). Too restless: a variance that a sound pixel shows with
+    a chance of 1e-9, by the chi-square distribution scaled to the median variance. Median and median absolute
+    deviation do not move while hot pixels are a minority.
+    """
+    from scipy import special  # slow to import; captures only read what is measured here
+
+    sample = level_dn.ravel()[:: max(1, level_dn.size // _SAMPLES)]
+    median = np.median(sample)
+    sigma = max(1.4826 * float(np.median(np.abs(sample - median))), np.sqrt(1 / 12))
+    hot = level_dn > median + _HOT_SIGMAS * sigma
+    if variance_dn2 is not None:
+        sample = variance_dn2.ravel()[:: max(1, variance_dn2.size // _SAMPLES)]
+        typical = max(float(np.median(sample)) / (2.0 * special.gammaincinv(freedom / 2.0, 0.5) / freedom), 1 / 12)
+        hot |= variance_dn2 > typical * special.chdtri(freedom, _HOT_CHANCE) / freedom
+    return hot
+
+
+def measure_dark(shots: list[Shot], table, folder) -> Dark | None:
+    """Return the dark signal of a camera from its dark frames, or None where there are none.
+
+    A straight line in exposure time is fitted to each pixel. Dark frames of one exposure time fix its slope alone: the
+    file's black level then counts as the signal at no exposure.
+
+    Raises
+    ------
+    InputError
+        If the frames differ in size or in ISO.
+    """
+    shots = sorted((s for s in shots if s.role == "dark"), key=lambda s: s.exposure_s)
+    if not shots:
+        return None
+    isos = {s.iso for s in shots}
+    if len(isos) > 1:
+        found = f"dark frames of ISO {', '.join(f'{iso:g}' for iso in sorted(isos))}"
+        raise InputError(table, "iso", found, "dark frames of one ISO")
+    times = sorted({s.exposure_s for s in shots})
+    frames = np.array([sum(s.exposure_s == t for s in shots) for t in times])
+    sums = None
+    for time_s in track(times, "dark frames"):
+        group = [s for s in shots if s.exposure_s == time_s]
+        total, squares = _sum_frames(group, table, folder, sums)
+        if sums is None:
+            sums = {name: np.zeros_like(total) for name in ("plain", "by_time", "within")}
+        sums["plain"] += total
+        sums["by_time"] += np.float32(time_s) * total
+        sums["within"] += np.maximum(squares - total * total / np.float32(len(group)), 0.0)
+    freedom = int((frames - 1).sum())
+    variance = sums["within"] / np.float32(freedom) if freedom else None
+    hot = hot_pixels(sums["plain"] / np.float32(frames.sum()), variance, freedom)
+    offset, rate = _line(sums, np.array(times), frames)
+    if offset is None:
+        LOGGER.info(
+            "dark frames of %g s alone: their signal above black is taken to grow in proportion to exposure time",
+            times[0],
+        )
+    LOGGER.info("%d hot pixels of %d (%.4f %%)", hot.sum(), hot.size, 100 * hot.mean())
+    rate, rate_step = _in_steps(rate, hot)
+    offset, offset_step = (None, 0.0) if offset is None else _in_steps(offset, hot)
+    return Dark(offset, rate, offset_step, rate_step, isos.pop(), tuple(times), np.argwhere(hot).astype(np.int32))
+
+
+def _sum_frames(group: list[Shot], table, folder, sums) -> tuple[np.ndarray, np.ndarray]:
+    """Return sum and sum of squares of the signals above black of equal frames, float32."""
+    total = squares = None
+    for shot in group:
+        path = shot_path(shot, table, folder)
+        mosaic = decode(path)
+        if total is None:
+            total, squares = (np.zeros(mosaic.values.shape, dtype=np.float32) for _ in range(2))
+        before = total if sums is None else sums["plain"]
+        if mosaic.values.shape != before.shape:
+            height, width = before.shape
+            found = f"{mosaic.size[0]} x {mosaic.size[1]} pixels"
+            raise InputError(path, "size", found, f"{width} x {height}, as the first dark frame")
+        _add(mosaic.values, mosaic.black, total, squares)
+    return total, squares
+
+
+def _line(sums: dict, times: np.ndarray, frames: np.ndarray):
+    """Return each pixel's offset (None with one exposure time) and rate by least squares over all frames."""
+    count, t1, t2 = frames.sum(), (frames * times).sum(), (frames * times**2).sum()
+    if len(times) == 1:
+        return None, sums["plain"] / np.float32(t1)
+    determinant = count * t2 - t1 * t1
+    rate = (count * sums["by_time"] - t1 * sums["plain"]) / determinant
+    return (sums["plain"] - t1 * rate) / count, rate
+
+
+def _in_steps(values: np.ndarray, hot: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return values as whole steps, and the step; hot pixels, which would make it coarse, are 0."""
+    values = np.where(hot, 0.0, values)
+    step = max(float(np.abs(values).max()) / _STEPS, np.finfo(np.float32).tiny)
+    return np.rint(values / step).astype(np.int16), step

@@ -1,0 +1,259 @@
+"""The photographs of one filter state, decoded and merged into responses."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from irodori.config.capture_table import Shot, shot_path
+from irodori.core.errors import InputError
+from irodori.ingest.exposure_settings import iso_ratio, relative_exposure_s, settle
+from irodori.ingest.ingest_options import IngestOptions
+from irodori.ingest.merge import ABSENT, Bracket, Planes, merge
+from irodori.ingest.mosaic import Mosaic, decode, demosaic
+
+_PEDESTAL = 512  # digital numbers that stand for black in a demosaiced picture
+#: How far, in mosaic pixels, an algorithm carries a pixel's value (measured with single outliers on noise). DCB and DHT
+#: choose directions over more than that; hot pixels are replaced before, so that no outlier steers the choice.
+REACH_PX = {"linear": 1, "vng": 2, "ppg": 4, "ahd": 5, "dcb": 5, "dht": 5}
+_MERGED_SHARE = 0.5  # of the samples that an exposure must give to count in the noise model
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One decoded photograph: its shot with ISO and aperture settled, its mosaic, its demosaiced bands if asked for.
+
+    ``black`` and ``clip`` are the digital numbers of no light and of the clip level in the demosaiced bands.
+    """
+
+    shot: Shot
+    mosaic: Mosaic
+    bands: np.ndarray | None
+    black: tuple[float, ...] = ()
+    clip: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Developed:
+    """Responses of one filter state.
+
+    Parameters
+    ----------
+    response : (height, width, 3) float32
+        0 where clipped.
+    clipped : (height, width) bool
+        Where a band is at or above the clip level in every exposure.
+    hot : (height, width) bool
+        Where a hot pixel takes part.
+    noise : (3, 2) float64
+        Variance of the response c0 + c1 x response at the centre, NaN where not known.
+    pattern : str
+        Colours of the mosaic's first 2 x 2 pixels.
+    """
+
+    response: np.ndarray
+    clipped: np.ndarray
+    hot: np.ndarray
+    noise: np.ndarray
+    pattern: str
+
+    @property
+    def valid(self) -> np.ndarray:
+        """Where all three bands were measured, (height, width) bool."""
+        return ~(self.clipped | self.hot)
+
+
+def load_frames(reference, shots: list[Shot], table, folder, options: IngestOptions) -> list[Frame]:
+    """Decode photographs, as many at a time as there are threads.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be decoded, contradicts the table, or has another size than the camera's reference.
+    """
+
+    def load(shot: Shot) -> Frame:
+        path = shot_path(shot, table, folder)
+        mosaic = decode(path)
+        shot = settle(shot, mosaic, table)
+        _check_size(reference, shot, mosaic, path)
+        if options.sample_px == 2:
+            return Frame(shot, mosaic, None)
+        return _demosaiced(reference, shot, mosaic, path, options)
+
+    with ThreadPoolExecutor(max(1, min(len(shots), numba.get_num_threads()))) as pool:
+        return list(pool.map(load, shots))
+
+
+def _is_sensor(reference, shot: Shot, mosaic: Mosaic) -> bool:
+    """Whether a picture lies on the sensor as it is; a stitched panorama does not."""
+    return shot.role != "environment" or mosaic.size == tuple(reference.size_px)
+
+
+def _check_size(reference, shot: Shot, mosaic: Mosaic, path) -> None:
+    wanted = tuple(reference.size_px)
+    if _is_sensor(reference, shot, mosaic) and wanted != (0, 0) and mosaic.size != wanted:
+        found = f"{mosaic.size[0]} x {mosaic.size[1]} pixels"
+        raise InputError(path, "size", found, f"{wanted[0]} x {wanted[1]}, as the camera's dark frames and white")
+
+
+def _dark_seconds(reference, shot: Shot) -> float:
+    """Return the exposure time that counts for the dark signal, with the amplification relative to the dark frames'."""
+    return shot.exposure_s * iso_ratio(shot, reference.dark.iso if reference.dark else 0.0)
+
+
+def _demosaiced(reference, shot: Shot, mosaic: Mosaic, path, options: IngestOptions) -> Frame:
+    """Return a frame interpolated to full resolution; what clipping reaches stands at the clip level."""
+    height, width = mosaic.values.shape
+    offset = np.tile(mosaic.black.astype(np.float32), (height // 2, width // 2))
+    if reference.dark is not None:
+        if _is_sensor(reference, shot, mosaic):
+            offset += reference.dark.signal_dn(_dark_seconds(reference, shot))
+        else:
+            offset += reference.dark.signal_dn(_dark_seconds(reference, shot)).mean()
+    whole = np.rint(offset).astype(np.int32)
+    hot_px = None
+    if reference.dark is not None and _is_sensor(reference, shot, mosaic):
+        hot_px = reference.dark.hot_px
+    bands = demosaic(path, options.demosaic, whole, _PEDESTAL, hot_px)
+    clip = mosaic.black + options.saturation * (mosaic.white - mosaic.black)
+    rest, level = np.zeros(3), np.full(3, np.inf)
+    for row, column, band in mosaic.places():
+        share = 0.5 if band == 1 else 1.0
+        mean = float(np.mean(offset[row::2, column::2], dtype=np.float64))
+        # LibRaw counts in whole numbers: what rounding the offset left is subtracted as the mean of each colour.
+        rest[band] += share * (mean - float(np.mean(whole[row::2, column::2], dtype=np.float64)))
+        level[band] = min(level[band], np.ceil(_PEDESTAL + clip[row, column] - mean))
+    clipped = mosaic.values >= np.tile(clip, (height // 2, width // 2))
+    bands[_reached(clipped, options)] = level.astype(np.uint16)
+    return Frame(shot, mosaic, bands, tuple(_PEDESTAL + rest), tuple(level))
+
+
+def _reached(mask: np.ndarray, options: IngestOptions) -> np.ndarray:
+    """Return where marked mosaic pixels take part in the interpolation."""
+    from scipy import ndimage  # slow to import, and superpixels never need it
+
+    reach = REACH_PX[options.demosaic]
+    return ndimage.binary_dilation(mask, np.ones((2 * reach + 1,) * 2, bool)) if mask.any() else mask
+
+
+def merge_frames(reference, frames: list[Frame], options: IngestOptions, white, out=None) -> Developed:
+    """Merge the frames of one filter state.
+
+    Parameters
+    ----------
+    reference : irodori.ingest.camera_reference.Reference
+    frames : list of Frame
+    options : IngestOptions
+    white : (3, 15) float64 or None
+        Flat field; a panorama takes the level at its centre.
+    out : (height, width, 3) float32, optional
+        Receives the responses.
+    """
+    frames = sorted(frames, key=lambda f: relative_exposure_s(f.shot))
+    first = frames[0].mosaic
+    for frame in frames[1:]:
+        if frame.mosaic.values.shape != first.values.shape or frame.mosaic.pattern != first.pattern:
+            found = f"{frame.mosaic.size} pixels, {frame.mosaic.pattern}"
+            raise InputError(frame.shot.file, "size", found, f"{first.size}, {first.pattern}, as {frames[0].shot.file}")
+    on_sensor = _is_sensor(reference, frames[0].shot, first)
+    if white is not None and not on_sensor:
+        white = white[:, 0]  # at the centre both coordinates are 0
+    shape = tuple(2 * side // options.sample_px // 2 for side in first.values.shape)
+    out = empty_response(*shape, 1) if out is None else out
+    clipped = np.zeros(shape, dtype=np.bool_)
+    bracket = _bracket(reference, frames)
+    shares = merge(_planes(reference, frames, options, on_sensor), bracket, white, options.sample_px, out, clipped)
+    hot = _hot(reference, first.values.shape, options) if on_sensor else np.zeros(shape, dtype=np.bool_)
+    return Developed(out, clipped, hot, _noise_model(bracket, white, shares, options), first.pattern)
+
+
+def empty_response(height: int, width: int, states: int) -> np.ndarray:
+    """Return room for the responses of some filter states, (height, width, 3 states) float32.
+
+    The bands of one state are never contiguous in it: the loops are compiled for strided pictures alone.
+    """
+    bands = 3 * states
+    return np.empty((height, width, max(bands, 4)), dtype=np.float32)[..., :bands]
+
+
+def develop(reference, shots: list[Shot], table, folder, options: IngestOptions, white) -> Developed:
+    """Decode and merge the photographs of one filter state; see `load_frames` and `merge_frames`."""
+    return merge_frames(reference, load_frames(reference, shots, table, folder, options), options, white)
+
+
+def _bracket(reference, frames: list[Frame]) -> Bracket:
+    noise = [reference.noise.at(iso_ratio(f.shot, reference.noise.iso)) for f in frames]
+    return Bracket(
+        exposure_dn=np.array([relative_exposure_s(f.shot) * f.mosaic.full_scale for f in frames]),
+        dark_s=np.array([_dark_seconds(reference, f.shot) for f in frames]),
+        electrons_per_dn=np.array([n[0] for n in noise]),
+        read_dn2=np.array([n[1] for n in noise]),
+    )
+
+
+def _planes(reference, frames: list[Frame], options: IngestOptions, on_sensor: bool) -> Planes:
+    if options.sample_px == 1:
+        stack = frames[0].bands[None] if len(frames) == 1 else np.stack([f.bands for f in frames])
+        # Green stands twice, like its two places in a mosaic, so that the loops are compiled for four places only.
+        bands = np.array([0, 1, 1, 2])
+        black, clip = (
+            np.ascontiguousarray(np.array([getattr(f, n) for f in frames]).T[bands]) for n in ("black", "clip")
+        )
+        absent = (ABSENT,) * 4
+        samples = tuple(stack[..., band] for band in bands)
+        return Planes(samples, bands, black, clip, absent, absent, (0.0, 0.0))
+    places = frames[0].mosaic.places()
+    stack = frames[0].mosaic.values[None] if len(frames) == 1 else np.stack([f.mosaic.values for f in frames])
+    samples = tuple(stack[:, row::2, column::2] for row, column, _ in places)
+    bands = np.array([band for *_, band in places])
+    black = np.array([[float(f.mosaic.black[row, column]) for f in frames] for row, column, _ in places])
+    white = np.array([[float(f.mosaic.white[row, column]) for f in frames] for row, column, _ in places])
+    clip = black + options.saturation * (white - black)
+    dark = reference.dark
+    absent = (ABSENT,) * len(places)
+    if dark is None or not on_sensor:
+        level = 0.0 if dark is None else np.array([_mean_dark(dark, _dark_seconds(reference, f.shot)) for f in frames])
+        return Planes(samples, bands, black + level, clip, absent, absent, (0.0, 0.0))
+    views = [
+        absent if values is None else tuple(values[row::2, column::2] for row, column, _ in places)
+        for values in (dark.offset, dark.rate)
+    ]
+    return Planes(samples, bands, black, clip, *views, (dark.offset_step_dn, dark.rate_step_dn_per_s))
+
+
+def _mean_dark(dark, seconds: float) -> float:
+    level = dark.rate_step_dn_per_s * seconds * float(dark.rate.mean(dtype=np.float64))
+    return level if dark.offset is None else level + dark.offset_step_dn * float(dark.offset.mean(dtype=np.float64))
+
+
+def _hot(reference, shape, options: IngestOptions) -> np.ndarray:
+    """Return where hot mosaic pixels take part in a sample."""
+    side = options.sample_px
+    hot_px = np.zeros((0, 2), int) if reference.dark is None else reference.dark.hot_px
+    mask = np.zeros((shape[0] // side, shape[1] // side), dtype=np.bool_)
+    mask[hot_px[:, 0] // side, hot_px[:, 1] // side] = True
+    return mask if side == 2 else _reached(mask, options)
+
+
+def _noise_model(bracket: Bracket, white, shares: np.ndarray, options: IngestOptions) -> np.ndarray:
+    """Return c0 and c1 of each band at the centre of the picture for the exposures merged there, (3, 2).
+
+    An exposure counts where it gave at least half of a band's samples; the shortest always does.
+    """
+    unknown = (
+        white is None or not np.isfinite(bracket.electrons_per_dn).all() or not np.isfinite(bracket.read_dn2).all()
+    )
+    # Interpolation averages neighbours by a rule of its own: its noise is not that of a sample.
+    if unknown or options.sample_px == 1:
+        return np.full((3, 2), np.nan)
+    merged = shares >= _MERGED_SHARE
+    merged[:, 0] = True
+    level = white if white.ndim == 1 else white[:, 0]
+    dn_per_response = merged * level[:, None] * bracket.exposure_dn
+    read = np.sum(dn_per_response**2 / bracket.read_dn2, axis=1)
+    shot = np.sum(dn_per_response * bracket.electrons_per_dn, axis=1)
+    # Green is the mean of two mosaic pixels in a superpixel.
+    samples = np.array([1.0, 2.0, 1.0])
+    return np.stack([1.0 / read / samples, 1.0 / shot / samples], axis=-1)

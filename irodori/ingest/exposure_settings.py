@@ -1,0 +1,78 @@
+"""What exposed a photograph: exposure time, ISO and aperture, from the capture table and from the file itself."""
+
+import dataclasses
+from collections.abc import Iterable
+
+from irodori.config.capture_table import FILTERS, Shot
+from irodori.core.errors import InputError
+from irodori.ingest.mosaic import Mosaic
+
+#: Relative difference up to which a file agrees with its table. Cameras round: 1/50 s stands as 0.01976, ISO 640 as
+#: 635, f/5.6 as 5.66; the nearest other setting is a third of a stop away, which is 26 % in time and ISO, 12 % in f.
+TOLERANCE = 0.05
+_COLUMNS = ("exposure_s", "iso", "f_number")
+_OPTIONAL = ("iso", "f_number")
+
+
+def settle(shot: Shot, mosaic: Mosaic, table) -> Shot:
+    """Return a shot with the file's own ISO and aperture where its table is silent.
+
+    Raises
+    ------
+    InputError
+        If the file's exposure time, ISO or f-number differ from the table's by more than 5 %.
+    """
+    found = {}
+    for column in _COLUMNS:
+        stated, own = getattr(shot, column), getattr(mosaic, column)
+        if stated and own and abs(own / stated - 1) > TOLERANCE:
+            raise InputError(table, column, f"{column} {stated:g} for {shot.file}", f"{own:g} as the file itself says")
+        found[column] = stated or own
+    return dataclasses.replace(shot, **found)
+
+
+def settle_set(shots: list[Shot], table) -> list[Shot]:
+    """Return the shots of one set with ISO and f-number known for all of them, or for none.
+
+    Where some shots know a setting and others do not, those that do must agree within 5 %; the others are taken to
+    have the same. A dark frame's aperture lets no light in and does not count.
+
+    Raises
+    ------
+    InputError
+        If shots without a setting stand beside shots that differ in it.
+    """
+    for column in _OPTIONAL:
+        concerned = [s for s in shots if column == "iso" or s.role != "dark"]
+        known = [getattr(s, column) for s in concerned if getattr(s, column)]
+        silent = [s for s in concerned if not getattr(s, column)]
+        if not known or not silent:
+            continue
+        if max(known) > (1 + TOLERANCE) * min(known):
+            found = f"no {column} for {silent[0].file}, while others have {min(known):g} to {max(known):g}"
+            raise InputError(table, column, found, "the value for every photograph whose file does not hold it")
+        fill = {column: known[0]}
+        shots = [dataclasses.replace(s, **fill) if s in silent else s for s in shots]
+    return shots
+
+
+def relative_exposure_s(shot: Shot) -> float:
+    """Return exposure time x ISO / 100 / f-number², with 1 for what is not known, s."""
+    return shot.exposure_s * (shot.iso / 100.0 if shot.iso else 1.0) / (shot.f_number**2 if shot.f_number else 1.0)
+
+
+def iso_ratio(shot: Shot, iso: float) -> float:
+    """Return the amplification of a shot relative to that at another ISO, 1 where either is not known."""
+    return shot.iso / iso if shot.iso and iso else 1.0
+
+
+def known_settings(shots: Iterable[Shot]) -> list[str]:
+    """Return which of iso and f_number the shots know, after `settle_set`."""
+    lit = [s for s in shots if s.role != "dark"]
+    return [column for column in _OPTIONAL if any(getattr(s, column) for s in lit)]
+
+
+def filter_states(shots: Iterable[Shot]) -> list[str]:
+    """Return the filter states of shots in the order of the bands, whatever the order of the table's lines."""
+    shots = list(shots)
+    return [state for state in FILTERS if any(shot.filter == state for shot in shots)]

@@ -1,0 +1,44 @@
+"""The first look at a set of RAW files, before any long work."""
+
+from irodori.config.capture_table import check_unchanged, read_captures, shot_path, write_captures
+from irodori.core.errors import InputError
+from irodori.core.progress import track
+from irodori.core.provenance import file_sha256
+from irodori.ingest.exposure_settings import settle, settle_set
+from irodori.ingest.mosaic import decode
+
+
+def check_captures(table, folder, output, roles, size_px=None) -> None:
+    """Decode every RAW file of a set once and write its table with the files' hashes, ISO and f-number.
+
+    Parameters
+    ----------
+    table, folder : path
+    output : path
+        Table of the set's own shots; ISO and f-number are those of the files where `table` does not state them.
+    roles : sequence of str
+        The roles that the set uses; a table may serve several sets.
+    size_px : (width, height), optional
+        Size of the mosaic that the definition states; otherwise that of the first file counts.
+
+    Raises
+    ------
+    InputError
+        If a file is missing, truncated, changed since the table noted its hash, or of another size than stated; if its
+        own exposure time, ISO or f-number differ from the table's by more than 5 %, or the last two are known for a
+        part of the set only.
+    """
+    shots = [shot for shot in read_captures(table, folder) if shot.role in roles]
+    check_unchanged(table, folder, shots)
+    settled, hashes = [], {}
+    wanted = None if size_px is None else tuple(side // 2 * 2 for side in size_px)
+    for shot in track(shots, "check"):
+        path = shot_path(shot, table, folder)
+        mosaic = decode(path)
+        wanted = wanted or mosaic.size
+        if mosaic.size != wanted:
+            found = f"a mosaic of {mosaic.size[0]} x {mosaic.size[1]} pixels"
+            raise InputError(path, "size", found, f"{wanted[0]} x {wanted[1]} pixels, as its set states")
+        settled.append(settle(shot, mosaic, table))
+        hashes[shot.file] = file_sha256(path)
+    write_captures(output, settle_set(settled, table), hashes)

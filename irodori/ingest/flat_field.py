@@ -1,0 +1,113 @@
+"""The flat field: a smooth surface through a picture of the white reference.
+
+The surface is a polynomial of degree 4 in x and y, each from -1 to 1 over the picture, so that the white reference's
+noise and dust do not enter the object, and 15 numbers a band replace a picture.
+"""
+
+import numba
+import numpy as np
+
+from irodori.jit.native import njit
+
+DEGREE = 4
+POWERS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]  # of x, of y
+_MAX_RESIDUAL = 0.05  # of the mean; pixel noise of a white reference is far below
+
+
+def fit_flat(image: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Return the polynomial surface nearest to a flat-field picture.
+
+    Parameters
+    ----------
+    image : (height, width, bands) float
+    valid : (height, width) bool
+
+    Returns
+    -------
+    (bands, 15) float64
+        Coefficients of x^i y^j in the order of POWERS.
+
+    Raises
+    ------
+    ValueError
+        If the picture is not that of an even surface that fills it.
+    """
+    if not valid.any():
+        raise ValueError("a picture without a single valid pixel")
+    valid = np.ascontiguousarray(valid, dtype=np.bool_)
+    moments, products, squares, counts = _row_moments(image, valid)
+    y = axis(image.shape[0])
+    # The normal equations of 15 terms on [-1, 1] are well conditioned and need one pass over the picture.
+    y_powers = y[:, None] ** np.arange(2 * DEGREE + 1)
+    by_power = moments.T @ y_powers  # power of x, power of y
+    normal = np.array([[by_power[i + k, j + m] for k, m in POWERS] for i, j in POWERS])
+    sums = np.einsum("rbi,rj->bij", products, y_powers[:, : DEGREE + 1])
+    right = np.array([sums[:, i, j] for i, j in POWERS])
+    coefficients = np.linalg.solve(normal, right).T
+    # Sum of squares about the fit, from the same moments.
+    residual = squares.sum(axis=0) - np.einsum("bt,tb->b", coefficients, right)
+    count = counts.sum()
+    spread = np.sqrt(np.maximum(residual, 0.0) / count) / (sums[:, 0, 0] / count)
+    corners = evaluate_flat(coefficients, min(64, image.shape[0]), min(64, image.shape[1]))
+    if not (corners > 0).all() or not (np.abs(spread) < _MAX_RESIDUAL).all():
+        raise ValueError(f"a picture that varies by {np.max(np.abs(spread)):.0%} about a smooth surface")
+    return coefficients
+
+
+def evaluate_flat(coefficients: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Return the surface of a flat field, (height, width, bands) float32."""
+    x_powers = axis(width)[:, None] ** np.arange(DEGREE + 1)
+    y_powers = axis(height)[:, None] ** np.arange(DEGREE + 1)
+    return np.einsum("yj,xi,bij->yxb", y_powers, x_powers, grid(coefficients), optimize=True).astype(np.float32)
+
+
+def smooth_flat(image: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Return the surface nearest to a flat-field picture, (height, width, bands) float32; see `fit_flat`."""
+    return evaluate_flat(fit_flat(image, valid), *valid.shape)
+
+
+def grid(coefficients: np.ndarray) -> np.ndarray:
+    """Return coefficients as (bands, power of x, power of y), 0 beyond the degree."""
+    out = np.zeros((len(coefficients), DEGREE + 1, DEGREE + 1))
+    for term, (i, j) in enumerate(POWERS):
+        out[:, i, j] = coefficients[:, term]
+    return out
+
+
+def axis(size: int) -> np.ndarray:
+    """Return the coordinates of a picture's columns or rows, -1 to 1."""
+    return np.linspace(-1.0, 1.0, size) if size > 1 else np.zeros(1)
+
+
+@njit(cache=True, nogil=True)
+def _moments_of_row(image, valid, x, moments, products, squares):
+    count = 0
+    for column in range(valid.size):
+        if not valid[column]:
+            continue
+        count += 1
+        power = 1.0
+        for i in range(2 * DEGREE + 1):
+            moments[i] += power
+            if i <= DEGREE:
+                for band in range(image.shape[1]):
+                    products[band, i] += power * image[column, band]
+            power *= x[column]
+        for band in range(image.shape[1]):
+            squares[band] += float(image[column, band]) ** 2
+    return count
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _sum_rows(image, valid, x, moments, products, squares, counts):
+    for row in numba.prange(valid.shape[0]):
+        counts[row] = _moments_of_row(image[row], valid[row], x, moments[row], products[row], squares[row])
+
+
+def _row_moments(image, valid):
+    """Return, for each row, sums of x^i, of image x^i, of image², and the number of valid pixels."""
+    height, _, bands = image.shape
+    moments, products = np.zeros((height, 2 * DEGREE + 1)), np.zeros((height, bands, DEGREE + 1))
+    squares, counts = np.zeros((height, bands)), np.zeros(height, dtype=np.int64)
+    _sum_rows(image, valid, axis(image.shape[1]), moments, products, squares, counts)
+    return moments, products, squares, counts

@@ -1,0 +1,250 @@
+"""A camera's RAW file decoded by LibRaw: digital numbers in the sensor's own frame, and superpixels of them.
+
+The orientation tag never turns the data: a camera that looks down sets it at random from its level sensor, and a
+picture that turns between two shots of one pose fits neither the other nor the camera's optics.
+"""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rawpy
+
+from irodori.core.errors import InputError
+from irodori.ingest.dng_levels import black_level_repeats
+
+#: Demosaicing of LibRaw by the name that the configuration uses; ``superpixel`` is ours and interpolates nothing.
+ALGORITHMS = {
+    "linear": rawpy.DemosaicAlgorithm.LINEAR,
+    "vng": rawpy.DemosaicAlgorithm.VNG,
+    "ppg": rawpy.DemosaicAlgorithm.PPG,
+    "ahd": rawpy.DemosaicAlgorithm.AHD,
+    "dcb": rawpy.DemosaicAlgorithm.DCB,
+    "dht": rawpy.DemosaicAlgorithm.DHT,
+}
+BAND_LETTERS = "RGB"
+_WHOLE = "a whole RAW file that LibRaw reads"
+_PATTERN_SIDE = 6  # of the X-Trans pattern, the largest that LibRaw knows
+
+
+@dataclass(frozen=True)
+class Mosaic:
+    """A decoded RAW file.
+
+    Parameters
+    ----------
+    values : (height, width) uint16
+        Digital numbers of the visible area as the file holds them, in the sensor's own frame; even sides.
+    pattern : str
+        Colours of the first 2 x 2 pixels row by row, such as ``RGGB``.
+    black, white : (2, 2) float32
+        Digital numbers of no light and of saturation at the four places of the pattern.
+    full_scale : float
+        White level of the file minus its largest black level, digital numbers.
+    exposure_s, iso, f_number : float
+        Exposure time in s, sensitivity (ISO 12232) and relative aperture as the file states them; 0 where it does not.
+    orientation : int
+        The file's orientation by LibRaw's code (0 none, 3 half a turn, 5 a quarter counter-clockwise, 6 clockwise).
+    """
+
+    values: np.ndarray
+    pattern: str
+    black: np.ndarray
+    white: np.ndarray
+    full_scale: float
+    exposure_s: float
+    iso: float
+    f_number: float
+    orientation: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, mosaic pixels."""
+        return self.values.shape[1], self.values.shape[0]
+
+    def places(self) -> list[tuple[int, int, int]]:
+        """Return (row, column, band) of the four places of the pattern; band 0 is red, 1 green, 2 blue."""
+        return [(at // 2, at % 2, BAND_LETTERS.index(letter)) for at, letter in enumerate(self.pattern)]
+
+    @property
+    def superpixels(self) -> np.ndarray:
+        """Red, mean of the greens, blue of each 2 x 2 pixels, (height / 2, width / 2, 3) float32, DN above black."""
+        height, width = self.values.shape
+        out = np.zeros((height // 2, width // 2, 3), dtype=np.float32)
+        for row, column, band in self.places():
+            share = np.float32(0.5 if band == 1 else 1.0)
+            out[..., band] += share * (self.values[row::2, column::2] - self.black[row, column])
+        return out
+
+    @property
+    def largest(self) -> np.ndarray:
+        """Largest of each 2 x 2 pixels as a fraction of the range from black to white, (height / 2, width / 2)."""
+        level = [
+            (self.values[r::2, c::2] - self.black[r, c]) / (self.white[r, c] - self.black[r, c])
+            for r, c, _ in self.places()
+        ]
+        return np.maximum(np.maximum(level[0], level[1]), np.maximum(level[2], level[3]))
+
+
+def decode(path) -> Mosaic:
+    """Decode a RAW file with LibRaw.
+
+    Parameters
+    ----------
+    path : path
+        A file of any format that LibRaw reads and any phase of the red-green-blue mosaic.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, truncated, unknown to LibRaw, or not a 2 x 2 red-green-blue mosaic.
+    """
+    return _read(path, lambda raw, mosaic: mosaic)
+
+
+def demosaic(
+    path, algorithm: str, offset: np.ndarray | None = None, pedestal: int = 0, masked_px: np.ndarray | None = None
+) -> np.ndarray:
+    """Interpolate a RAW file to full resolution by LibRaw, linearly in the sense of the light.
+
+    Black is not subtracted and nothing is clipped below it, there is no white balance, colour conversion, tone curve,
+    automatic brightness or rotation.
+
+    Parameters
+    ----------
+    path : path
+    algorithm : str
+        A key of ALGORITHMS.
+    offset : (height, width) int, optional
+        Digital numbers subtracted from the mosaic first: black level and dark frame.
+    pedestal : int
+        Digital number that stands for `offset`, so that noise below it survives.
+    masked_px : (n, 2) int, optional
+        Row and column of pixels not to be trusted. They take the median of their neighbours of the same colour, only so
+        that they do not spread; the caller masks what they reach.
+
+    Returns
+    -------
+    (height, width, 3) uint16, digital numbers; even sides
+
+    Raises
+    ------
+    ValueError
+        For an unknown algorithm.
+    InputError
+        As `decode`.
+    """
+    if algorithm not in ALGORITHMS:
+        raise ValueError(f"unknown demosaicing {algorithm!r}; accepted: {', '.join(ALGORITHMS)}")
+
+    def interpolate(raw, mosaic: Mosaic) -> np.ndarray:
+        height, width = mosaic.values.shape
+        if offset is not None:
+            shifted = mosaic.values.astype(np.int32) - offset + pedestal
+            raw.raw_image_visible[:height, :width] = np.clip(shifted, 0, 65535)
+        if masked_px is not None and len(masked_px):
+            _replace_masked(raw.raw_image_visible[:height, :width], masked_px)
+        picture = raw.postprocess(
+            demosaic_algorithm=ALGORITHMS[algorithm],
+            user_black=0,
+            user_cblack=[0, 0, 0, 0],
+            user_sat=65535,
+            no_auto_scale=True,
+            no_auto_bright=True,
+            adjust_maximum_thr=0.0,
+            user_wb=[1.0, 1.0, 1.0, 1.0],
+            output_color=rawpy.ColorSpace.raw,
+            output_bps=16,
+            gamma=(1, 1),
+            user_flip=0,
+        )
+        return picture[:height, :width]
+
+    return _read(path, interpolate)
+
+
+def _replace_masked(values: np.ndarray, masked_px: np.ndarray) -> None:
+    """Set pixels to the median of the eight nearest of the same colour, mirrored at the picture's edge."""
+    height, width = values.shape
+    steps = [(dy, dx) for dy in (-2, 0, 2) for dx in (-2, 0, 2) if (dy, dx) != (0, 0)]
+    rows, columns = masked_px[:, 0], masked_px[:, 1]
+    near = []
+    for dy, dx in steps:
+        r, c = rows + dy, columns + dx
+        r, c = np.where((r < 0) | (r >= height), rows - dy, r), np.where((c < 0) | (c >= width), columns - dx, c)
+        near.append(values[r, c])
+    values[rows, columns] = np.median(near, axis=0)
+
+
+def _read(path, use):
+    """Return what `use` makes of the open file and its mosaic."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "", "no such file", "a RAW file that LibRaw reads")
+    try:
+        with rawpy.imread(str(path)) as raw:
+            if raw.raw_type != rawpy.RawType.Flat:
+                raise InputError(path, "mosaic", "several values at each pixel", "a 2 x 2 mosaic of one colour a pixel")
+            return use(raw, _mosaic(path, raw))
+    except InputError:
+        raise
+    except (rawpy.LibRawError, AttributeError, TypeError, ValueError) as error:
+        reason = f"a file LibRaw cannot decode ({str(error) or type(error).__name__})"
+        raise InputError(path, "", reason, _WHOLE) from None
+
+
+def _mosaic(path: Path, raw) -> Mosaic:
+    height, width = (side // 2 * 2 for side in raw.raw_image_visible.shape)
+    pattern, colours = _pattern(path, raw)
+    _check_black_repeat(path)
+    white_level = float(raw.white_level)
+    black = np.asarray(raw.black_level_per_channel, dtype=np.float32)[colours]
+    stated = raw.camera_white_level_per_channel
+    white = np.full(4, white_level, dtype=np.float32) if stated is None else np.asarray(stated, dtype=np.float32)
+    # Some makers leave the value of a channel empty, or state one that the file never reaches.
+    white = np.where((white > black.max()) & (white <= white_level), white, np.float32(white_level))[colours]
+    if height < 2 or width < 2 or not (white > black).all():
+        found = f"{width} x {height} pixels, black {black.max():g}, white {white_level:g}"
+        raise InputError(path, "levels", found, _WHOLE)
+    other = raw.other
+    return Mosaic(
+        values=np.array(raw.raw_image_visible[:height, :width], order="C"),
+        pattern=pattern,
+        black=black,
+        white=white,
+        full_scale=white_level - float(black.max()),
+        exposure_s=_stated(other.shutter_speed),
+        iso=_stated(other.iso_speed),
+        f_number=_stated(other.aperture),
+        orientation=int(raw.sizes.flip),
+    )
+
+
+def _pattern(path: Path, raw) -> tuple[str, np.ndarray]:
+    """Return the letters of the pattern and LibRaw's colour index at its four places, (2, 2)."""
+    top, left = raw.sizes.top_margin, raw.sizes.left_margin
+    side = range(_PATTERN_SIDE)
+    seen = np.array([[raw.raw_color(top + row, left + column) for column in side] for row in side])
+    names = raw.color_desc.decode()
+    letters = "".join(names[c] if c < len(names) else "?" for c in seen[:2, :2].ravel())
+    repeats = np.array_equal(seen, np.tile(seen[:2, :2], (_PATTERN_SIDE // 2, _PATTERN_SIDE // 2)))
+    if not repeats or sorted(letters) != ["B", "G", "G", "R"]:
+        found = letters if repeats else "a pattern that does not repeat every 2 pixels"
+        raise InputError(path, "mosaic", found, "a 2 x 2 pattern of one red, two greens and one blue")
+    return letters, seen[:2, :2]
+
+
+def _check_black_repeat(path: Path) -> None:
+    """Refuse a DNG whose black level repeats over more than 2 x 2 pixels: LibRaw's four levels do not hold it."""
+    if path.suffix.lower() != ".dng":
+        return
+    for rows, columns in black_level_repeats(path):
+        if max(rows, columns) > 2:
+            found = f"a black level that repeats every {rows} x {columns} pixels"
+            raise InputError(path, "BlackLevelRepeatDim", found, "a repeat of at most 2 x 2 pixels")
+
+
+def _stated(value: float) -> float:
+    """Return what a file says, 0 for what is no positive number."""
+    return float(value) if math.isfinite(value) and value > 0 else 0.0

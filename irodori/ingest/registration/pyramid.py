@@ -1,0 +1,202 @@
+"""Pyramids of pictures with invalid pixels, and the places in them that show gradients.
+
+A level is (height, width, 4) float32: three bands and the share of valid pixels. Each halving takes the mean of the
+valid pixels of 2 x 2.
+"""
+
+import math
+
+import numba
+import numpy as np
+
+from irodori.ingest.registration.band_layout import flatten
+from irodori.jit.native import njit
+
+_LEAST_NOISE = 1e-9
+
+
+@njit(cache=True)
+def _halve_row(out, source, y):
+    for x in range(out.shape[1]):
+        total, r, g, b = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
+        for s in range(4):
+            p = source[2 * y + s // 2, 2 * x + s % 2]
+            total += p[3]
+            r += p[3] * p[0]
+            g += p[3] * p[1]
+            b += p[3] * p[2]
+        share = np.float32(1.0) / total if total > 0.0 else np.float32(0.0)
+        out[y, x, 0], out[y, x, 1], out[y, x, 2] = r * share, g * share, b * share
+        out[y, x, 3] = np.float32(0.25) * total
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def halve(source):
+    """Return the mean of the valid pixels of each 2 x 2, (h, w, 4) to (h // 2, w // 2, 4)."""
+    out = np.empty((source.shape[0] // 2, source.shape[1] // 2, 4), dtype=np.float32)
+    for y in numba.prange(out.shape[0]):
+        _halve_row(out, source, y)
+    return out
+
+
+@njit(cache=True, inline="always")
+def _weight(image, at, valid):
+    """Return 1 for a valid and finite pixel, else 0."""
+    one = np.uint64(1)
+    r, g, b = image[at], image[at + one], image[at + one + one]
+    good = valid and math.isfinite(r) and math.isfinite(g) and math.isfinite(b)
+    return np.float32(1.0) if good else np.float32(0.0)
+
+
+@njit(cache=True)
+def _pack_row(out, image, step, valid, y):
+    zero = np.float32(0.0)
+    for x in range(out.shape[1]):
+        at = np.uint64((y * out.shape[1] + x) * step)
+        weight = _weight(image, at, valid[y, x])
+        for c in range(3):
+            out[y, x, c] = image[at + np.uint64(c)] if weight > zero else zero
+        out[y, x, 3] = weight
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _pack(image, step, valid):
+    out = np.empty((*valid.shape, 4), dtype=np.float32)
+    for y in numba.prange(out.shape[0]):
+        _pack_row(out, image, step, valid, y)
+    return out
+
+
+def pack(image, valid):
+    """Return level 0, (h, w, 4): invalid and non-finite pixels are zero and have no weight."""
+    return _pack(*flatten(image), valid)
+
+
+@njit(cache=True)
+def _pack_halve_row(out, image, step, valid, y):
+    width = valid.shape[1]
+    quarter, zero = np.float32(0.25), np.float32(0.0)
+    for x in range(out.shape[1]):
+        total = r = g = b = zero
+        for s in range(4):
+            row, column = 2 * y + s // 2, 2 * x + s % 2
+            at = np.uint64((row * width + column) * step)
+            weight = _weight(image, at, valid[row, column])
+            if weight > zero:
+                total += weight
+                r += image[at]
+                g += image[at + np.uint64(1)]
+                b += image[at + np.uint64(2)]
+        share = np.float32(1.0) / total if total > zero else zero
+        out[y, x, 0], out[y, x, 1], out[y, x, 2], out[y, x, 3] = r * share, g * share, b * share, quarter * total
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _pack_halve(image, step, valid):
+    out = np.empty((valid.shape[0] // 2, valid.shape[1] // 2, 4), dtype=np.float32)
+    for y in numba.prange(out.shape[0]):
+        _pack_halve_row(out, image, step, valid, y)
+    return out
+
+
+def pack_halve(image, valid):
+    """Return level 1 without building level 0."""
+    return _pack_halve(*flatten(image), valid)
+
+
+@njit(cache=True, inline="always")
+def _energy(level, noise, y, x):
+    """Return the squared central differences of all bands over their noise, 0 beside an invalid pixel."""
+    left, right, up, down = level[y, x - 1], level[y, x + 1], level[y - 1, x], level[y + 1, x]
+    total = np.float32(0.0)
+    for c in range(3):
+        gx, gy = right[c] - left[c], down[c] - up[c]
+        total += (gx * gx + gy * gy) * noise[c]
+    weight = min(min(left[3], right[3]), min(up[3], down[3]))
+    return total * weight * weight
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _all_energies(level, inverse):
+    out = np.zeros(level.shape[:2], dtype=np.float32)
+    for y in numba.prange(1, level.shape[0] - 1):
+        for x in range(1, level.shape[1] - 1):
+            out[y, x] = _energy(level, inverse, y, x)
+    return out
+
+
+def noise_of(level) -> np.ndarray:
+    """Return the standard deviation of a pixel's noise in each band, (3,) float64, or the little texture above it.
+
+    From the lower quartile of the differences between pixels two apart, which edges do not reach.
+    """
+    rows, step = level[:: max(1, level.shape[0] // 64)], max(1, level.shape[1] // 256)
+    right, left = rows[:, 2::step], rows[:, :-2:step]
+    differences = np.abs(right[..., :3] - left[..., :3])[np.minimum(right[..., 3], left[..., 3]) > 0.5]
+    if len(differences) == 0:
+        return np.full(3, _LEAST_NOISE)
+    floor = 1e-3 * np.sqrt(np.square(differences, dtype=np.float64).mean())
+    # 0.3186: lower quartile of |x| of a standard normal variable; the difference of two has twice the variance.
+    return np.maximum(np.quantile(differences, 0.25, axis=0) / (0.3186 * math.sqrt(2.0)), max(floor, _LEAST_NOISE))
+
+
+def gradient_energy(level, noise) -> np.ndarray:
+    """Return squared gradients in units of the bands' noise, summed over the bands, (h, w) float32; border 0."""
+    return _all_energies(level, (noise**-2.0).astype(np.float32))
+
+
+@njit(cache=True)
+def _choose(energy, places, counts, cell, columns, height, width, quota, gate):
+    """Fill the places of the ``quota`` largest energies of one cell."""
+    y0, x0 = (cell // columns) * height, (cell % columns) * width
+    bottom, right = min(y0 + height, energy.shape[0]), min(x0 + width, energy.shape[1])
+    limit, passed, values = np.float32(gate), 0, np.empty(height * width, dtype=np.float32)
+    for y in range(y0, bottom):
+        for x in range(x0, right):
+            if energy[y, x] > 0.0 and energy[y, x] >= limit:
+                values[passed] = energy[y, x]
+                passed += 1
+    if passed > quota:
+        limit = np.partition(values[:passed], passed - quota)[passed - quota]
+    n = 0
+    for y in range(y0, bottom):
+        for x in range(x0, right):
+            if energy[y, x] > 0.0 and energy[y, x] >= limit and n < quota:
+                places[cell, n, 0], places[cell, n, 1] = x, y
+                n += 1
+    counts[cell] = n
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def choose(energy, height, width, quota, gate):
+    """Return the places of each cell with the largest gradients, all of at least the energy ``gate``.
+
+    Returns
+    -------
+    places : (cells, quota, 2) int32, x then y
+    counts : (cells,) int64
+        Cells run along the rows; two neighbours in a row are consecutive and their number in a row is even.
+    """
+    columns = 2 * max(1, energy.shape[1] // (2 * width))
+    rows = max(1, energy.shape[0] // height)
+    places = np.zeros((rows * columns, quota, 2), dtype=np.int32)
+    counts = np.zeros(rows * columns, dtype=np.int64)
+    for cell in numba.prange(rows * columns):
+        _choose(energy, places, counts, cell, columns, height, width, quota, gate)
+    return places, counts
+
+
+class Pyramid:
+    """Levels of a picture, made when asked for."""
+
+    def __init__(self, image, valid) -> None:
+        self._image, self._valid = np.asarray(image, dtype=np.float32), np.ascontiguousarray(valid, dtype=bool)
+        self._levels: dict[int, np.ndarray] = {}
+
+    def __getitem__(self, n: int) -> np.ndarray:
+        if n not in self._levels:
+            if n > 1:
+                self._levels[n] = halve(self[n - 1])
+            else:
+                self._levels[n] = (pack if n == 0 else pack_halve)(self._image, self._valid)
+        return self._levels[n]

@@ -1,0 +1,158 @@
+"""Resampling a picture under a similarity, with its invalid pixels."""
+
+import math
+
+import numba
+import numpy as np
+
+from irodori.ingest.registration.band_layout import flatten
+from irodori.jit.native import njit
+
+
+@njit(cache=True, inline="always")
+def _keys(t):
+    """Return the weights of Keys' cubic, a = -1/2, for the taps -1..2 around a fraction t."""
+    return (
+        np.float32(((-0.5 * t + 1.0) * t - 0.5) * t),
+        np.float32((1.5 * t - 2.5) * t * t + 1.0),
+        np.float32(((-1.5 * t + 2.0) * t + 0.5) * t),
+        np.float32((0.5 * t - 0.5) * t * t),
+    )
+
+
+@njit(cache=True)
+def _reached_row(reached, valid, y):
+    """Mark in a row the pixels whose 4 x 4 neighbours -1..2 are all in the picture and valid."""
+    width = valid.shape[1]
+    column = np.empty(width, dtype=np.bool_)
+    for x in range(width):
+        column[x] = (valid[y - 1, x] != 0) & (valid[y, x] != 0) & (valid[y + 1, x] != 0) & (valid[y + 2, x] != 0)
+    for x in range(1, width - 2):
+        reached[y, x] = column[x - 1] & column[x] & column[x + 1] & column[x + 2]
+
+
+@njit(cache=True, inline="always", fastmath={"contract"})
+def _four(image, p, step, w):
+    """Return the weighted sum of four pixels of a row in one band."""
+    return (
+        w[0] * image[p] + w[1] * image[p + step] + w[2] * image[p + step + step] + w[3] * image[p + step + step + step]
+    )
+
+
+@njit(cache=True, inline="always", fastmath={"contract"})
+def _cubic(image, p, step, line, wx, wy):
+    """Return one band of the cubic of 4 x 4 pixels, the first of which lies at ``p``; rows are ``line`` apart."""
+    top = wy[0] * _four(image, p, step, wx) + wy[1] * _four(image, p + line, step, wx)
+    p += line + line
+    return top + wy[2] * _four(image, p, step, wx) + wy[3] * _four(image, p + line, step, wx)
+
+
+@njit(cache=True, inline="always")
+def _linear(image, at, step, line, tx, ty, band):
+    p = at + band
+    top = (1.0 - tx) * image[p] + tx * image[p + step]
+    bottom = (1.0 - tx) * image[p + line] + tx * image[p + line + step]
+    return np.float32((1.0 - ty) * top + ty * bottom)
+
+
+@njit(cache=True, fastmath={"contract"})
+def _resample_row(out, out_step, out_valid, image, step, valid, reached, affine, y):
+    height, width = valid.shape
+    line = width * step
+    for x in range(width):
+        fx = affine[0, 0] * x + affine[0, 1] * y + affine[0, 2]
+        fy = affine[1, 0] * x + affine[1, 1] * y + affine[1, 2]
+        r = g = b = np.float32(0.0)
+        good = False
+        if 0.0 <= fx <= width - 1.0 and 0.0 <= fy <= height - 1.0:
+            ix, iy = min(int(fx), width - 2), min(int(fy), height - 2)
+            tx, ty, at = fx - ix, fy - iy, iy * line + ix * step
+            if reached[iy, ix]:
+                wx, wy, good = _keys(tx), _keys(ty), True
+                # Indices without a sign: numba would look for negative ones.
+                first, right, down, one = np.uint64(at - line - step), np.uint64(step), np.uint64(line), np.uint64(1)
+                r = _cubic(image, first, right, down, wx, wy)
+                g = _cubic(image, first + one, right, down, wx, wy)
+                b = _cubic(image, first + one + one, right, down, wx, wy)
+            elif valid[iy, ix] and valid[iy, ix + 1] and valid[iy + 1, ix] and valid[iy + 1, ix + 1]:
+                good = True
+                r = _linear(image, at, step, line, tx, ty, 0)
+                g = _linear(image, at, step, line, tx, ty, 1)
+                b = _linear(image, at, step, line, tx, ty, 2)
+        to = (y * width + x) * out_step
+        out[to], out[to + 1], out[to + 2] = r, g, b
+        out_valid[y, x] = good
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _resample(out, out_step, out_valid, image, step, valid, affine):
+    reached = np.zeros(valid.shape, dtype=np.bool_)
+    for y in numba.prange(1, valid.shape[0] - 2):
+        _reached_row(reached, valid, y)
+    for y in numba.prange(valid.shape[0]):
+        _resample_row(out, out_step, out_valid, image, step, valid, reached, affine, y)
+
+
+def resample_affine(image, valid, affine, out=None) -> tuple[np.ndarray, np.ndarray]:
+    """Return a picture at the places that a map gives, and where it is valid.
+
+    Parameters
+    ----------
+    image : (height, width, 3) float32
+        At least 2 x 2; see `irodori.ingest.registration.band_layout` for what is read without a copy.
+    valid : (height, width) bool
+    affine : (2, 3) float64
+        Source from destination coordinates, x then y.
+    out : (height, width, 3) float32, optional
+        Receives the picture; neighbouring bands of a contiguous picture, apart from ``image``.
+
+    Returns
+    -------
+    image : (height, width, 3) float32, 0 where invalid
+    valid : (height, width) bool
+    """
+    out = np.empty(image.shape, dtype=np.float32) if out is None else out
+    flat_out, out_step = flatten(out)
+    if not out.flags.writeable or np.shares_memory(out, image):
+        raise ValueError("room that is read-only or holds the picture itself; accepted: room apart from the picture")
+    if out.shape != image.shape or not np.may_share_memory(flat_out, out):
+        raise ValueError(f"room for {out.shape}, strides {out.strides}; accepted: bands of a contiguous {image.shape}")
+    out_valid = np.empty(valid.shape, dtype=np.bool_)
+    _resample(flat_out, out_step, out_valid, *flatten(image), valid, affine)
+    return out, out_valid
+
+
+@njit(cache=True)
+def _marked_row(out, mask, valid, affine, y):
+    height, width = mask.shape
+    for x in range(width):
+        out[y, x] = False
+        if valid[y, x]:
+            continue
+        fx = affine[0, 0] * x + affine[0, 1] * y + affine[0, 2]
+        fy = affine[1, 0] * x + affine[1, 1] * y + affine[1, 2]
+        if 0.0 <= fx <= width - 1.0 and 0.0 <= fy <= height - 1.0:
+            ix, iy = int(fx + 0.5), int(fy + 0.5)
+            out[y, x] = mask[max(iy - 2, 0) : iy + 3, max(ix - 2, 0) : ix + 3].any()
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def marked_affine(mask, valid, affine):
+    """Return where a resampled picture is not valid and within two samples of a marked one, (height, width) bool."""
+    out = np.empty(mask.shape, dtype=np.bool_)
+    for y in numba.prange(mask.shape[0]):
+        _marked_row(out, mask, valid, affine, y)
+    return out
+
+
+def frequency_response(frequency, fraction) -> np.ndarray:
+    """Return |gain| of the cubic for a sine of a frequency, sampled at a fraction between two pixels.
+
+    Parameters
+    ----------
+    frequency : float or array, cycles per pixel, 0..0.5
+    fraction : float, 0..1
+    """
+    weights = np.array(_keys(float(fraction)))
+    phase = np.exp(2j * math.pi * np.multiply.outer(np.asarray(frequency, dtype=np.float64), np.arange(-1, 3)))
+    return np.abs(phase @ weights.astype(np.float64))

@@ -1,0 +1,368 @@
+"""Registration of two pictures of one object, taken without and with a comb-filter plate before the lens.
+
+The plate moves, turns and scales the picture by little and changes its colours by much: an edge may weaken, vanish or
+change its sign in a band. So intensities are not compared. The gradients of the moving picture, looked up at the
+transformed places, are explained as a linear colour map of the fixed picture's gradients; the map follows in closed
+form from each trial transform (variable projection: Golub, Pereyra, Inverse Problems 19, 2003), and what remains
+drives a Gauss-Newton step of the transform. Steps are taken in the fixed picture's frame (inverse composition: Baker,
+Matthews, Int. J. Computer Vision 56(3), 2004), so that the derivatives come from one picture, the residual's noise
+at the new places from the other, and noise does not pull towards half or whole pixels.
+
+* The colour map varies from cell to cell of some dozen pixels, held to the whole picture's map where a cell tells
+  little: two edges of different paints do not follow one matrix.
+* It maps a band to the same band, unless the places of the bands inside a superpixel are given. The red, green and
+  blue samples of a mosaic lie half a mosaic pixel apart, so a map that mixed bands without knowing their places
+  would shift the result by some hundredths of a superpixel.
+* Only the places with the largest gradients of each cell are compared; derivatives are those of a quintic B-spline
+  (`irodori.ingest.registration.gradient_sums`).
+* Residuals are weighted by their spread in each band, which grows with the gradient; outliers (metamers, highlights,
+  dust) by Huber's weight squared.
+* The first shift comes from the masked normalised correlation of gradient magnitudes at a coarse level of a pyramid
+  (Padfield, IEEE Trans. Image Processing 21(5), 2012); magnitudes do not depend on the sign of an edge.
+* Superpixels alias. An edge exactly along the rows or columns is displaced by a little that depends on where it lies
+  in its superpixel. Where few such edges alone are the content (a plate of squares that stands upright in the
+  picture), the result is off by up to 0.03 superpixel, without noise 0.05, and by up to 0.09 on a sensor without an
+  optical low-pass filter; ``sigma_px`` tells about half of that. A coarser level is no remedy: the displacement is a
+  share of its pixel.
+* Weak priors as wide as a plate's effect (8 superpixels, 0.5 degrees, 1 %) hold what the content leaves open.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori.ingest.registration.gradient_sums import spline_power
+from irodori.ingest.registration.pyramid import Pyramid
+from irodori.ingest.registration.shifted_picture import marked_affine, resample_affine
+from irodori.ingest.registration.similarity_fit import (
+    Fit,
+    Level,
+    affine_of_level,
+    align,
+    information_of,
+    make_level,
+    search,
+)
+
+_COARSEST_PX = 160  # longest side at which the search runs
+_SHORTEST_PX = 24  # no level gets a shorter side than this
+_FINEST_PIXELS = 800_000  # the finest level has no more, unless the error asks for it
+_PLACES = (30_000, 8_000, 4_000)  # compared at the finest level, at the others, in the search
+_GOOD_PX = 0.02  # a predicted error with which no finer level is tried
+_STEP, _LAST_STEP = 1e-2, 1e-3  # at which the iteration ends, pixels of the level; a step leaves a fifth of itself
+_UNDETERMINED_PX = 1.0
+_SURE_COHERENCE = 0.25  # a fit from the start alone that is less coherent, or less certain, is not believed
+_SURE_PX = 0.05
+_NOISE_RATIO = 1.5  # information, in its weakest direction, over that which noise alone seems to hold
+_CLUSTERS = 6  # along each side
+_FLOOR_PX = 0.05  # blocks that know better than this count alike in the residual
+_LEAST_COHERENCE = 0.1
+
+
+def bayer_offsets_px(pattern: str) -> np.ndarray:
+    """Return where red, green and blue lie in a superpixel, (3, 2), x then y, superpixels from its centre.
+
+    Parameters
+    ----------
+    pattern : str
+        The 2 x 2 mosaic row by row, such as ``RGGB``; the two greens are averaged.
+
+    Raises
+    ------
+    ValueError
+        If it is not made of one red, two greens and one blue.
+    """
+    if sorted(pattern) != ["B", "G", "G", "R"]:
+        raise ValueError(f"mosaic pattern {pattern!r}; accepted: one R, two G, one B, such as 'RGGB'")
+    places = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]])
+    return np.stack([places[[letter == band for letter in pattern]].mean(axis=0) for band in "RGB"])
+
+
+@dataclass(frozen=True)
+class Registration:
+    """The similarity that leads from the fixed to the moving picture: c + scale R(rotation) (p - c) + (dx, dy).
+
+    Superpixel coordinates, x right, y down; the centre of a superpixel is an integer. A positive rotation turns x
+    towards y.
+
+    Parameters
+    ----------
+    dx_px, dy_px : float, superpixels
+    rotation_rad : float, rad
+    scale : float
+    residual_px : float, superpixels
+        Displacement (rms over local blocks, weighted with what each block can tell, without its noise) that the
+        similarity leaves unexplained. It comes out some 10 to 40 % too small, because one linear step finds it and
+        corners tell least. NaN where nothing could be measured.
+    sigma_px : float, superpixels
+        Predicted standard error of the alignment, rms over the picture; inf where the content does not determine it.
+    centre_px : (2,) tuple of float, superpixels
+        Centre c of the picture, x then y: ((W - 1) / 2, (H - 1) / 2).
+    """
+
+    dx_px: float
+    dy_px: float
+    rotation_rad: float
+    scale: float
+    residual_px: float
+    sigma_px: float
+    centre_px: tuple[float, float] = (0.0, 0.0)
+
+    @classmethod
+    def identity(cls) -> "Registration":
+        """Return the map that moves nothing, taken as exact; it needs no centre."""
+        return cls(0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+
+    def affine(self, centre_px=None) -> np.ndarray:
+        """Return the (2, 3) matrix moving_from_fixed, about another centre if one is given."""
+        centre = complex(*(self.centre_px if centre_px is None else centre_px))
+        return affine_of_level(*self.complex_parts(), centre, 1.0)
+
+    def moving_from_fixed(self, xy) -> np.ndarray:
+        """Return where places of the fixed picture lie in the moving one, (..., 2) to (..., 2), superpixels."""
+        matrix = self.affine()
+        return np.asarray(xy, dtype=np.float64) @ matrix[:, :2].T + matrix[:, 2]
+
+    def complex_parts(self) -> tuple[complex, complex]:
+        """Return scale and rotation as one complex number, and the shift as another."""
+        turn = complex(math.cos(self.rotation_rad), math.sin(self.rotation_rad))
+        return self.scale * turn, complex(self.dx_px, self.dy_px)
+
+
+def register(
+    fixed, moving, fixed_valid, moving_valid, start: Registration | None = None, *, band_offsets_px=None
+) -> Registration:
+    """Find the similarity that leads from one picture to another of the same object in other colours.
+
+    Parameters
+    ----------
+    fixed, moving : (H, W, 3) float32
+        Responses without and with the filter, 1 = perfect diffuser.
+    fixed_valid, moving_valid : (H, W) bool or uint8
+        0 where a sample is saturated or hot. Non-finite samples count as invalid.
+    start : Registration, optional
+        A guess. The search (which reaches 12 superpixels) is left out where the fit that begins there is certain;
+        otherwise the guess is tried beside the shifts that the search proposes.
+    band_offsets_px : (3, 2) float, optional
+        Where the bands lie in a superpixel, see `bayer_offsets_px`; the colour map then mixes bands.
+
+    Returns
+    -------
+    Registration
+        The identity with ``sigma_px`` inf and ``residual_px`` NaN where the pictures have nothing in common. With
+        ``sigma_px`` inf otherwise, what the content leaves open is held by the prior of a plate that does nothing.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ or are not pictures of three bands.
+    """
+    shape = np.shape(fixed)[:2]
+    if np.shape(fixed) != (*shape, 3) or np.shape(moving) != (*shape, 3):
+        raise ValueError(f"pictures of shape {np.shape(fixed)} and {np.shape(moving)}; accepted: two of (H, W, 3)")
+    if np.shape(fixed_valid) != shape or np.shape(moving_valid) != shape:
+        raise ValueError(f"masks of shape {np.shape(fixed_valid)} and {np.shape(moving_valid)}; accepted: {shape}")
+    nothing = Registration(0.0, 0.0, 0.0, 1.0, math.nan, math.inf, ((shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0))
+    if min(shape) < _SHORTEST_PX // 2:
+        return nothing
+    pair = _Pair(Pyramid(fixed, fixed_valid), Pyramid(moving, moving_valid), shape, band_offsets_px)
+    if start is not None:
+        # From the coarsest level, where a weave or a halftone that would hold a wrong period is averaged away.
+        found, coherence = pair.from_start(start, nothing)
+        if coherence >= _SURE_COHERENCE and found.sigma_px <= _SURE_PX:
+            return found
+    fit = pair.first(start)
+    return nothing if fit is None else pair.descend(pair.coarsest, fit.turn, fit.shift, nothing)[0]
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Two pyramids that are registered, and the levels at which that happens."""
+
+    fixed: Pyramid
+    moving: Pyramid
+    shape: tuple[int, int]
+    band_offsets_px: np.ndarray | None
+
+    @property
+    def coarsest(self) -> int:
+        """The level of the search."""
+        level, shortest = math.ceil(math.log2(max(max(self.shape) / _COARSEST_PX, 1.0))), min(self.shape)
+        return min(level, max(0, int(math.log2(shortest / _SHORTEST_PX))) if shortest > _SHORTEST_PX else 0)
+
+    @property
+    def finest(self) -> int:
+        """The finest level that is tried unless the error asks for a finer one."""
+        pixels = self.shape[0] * self.shape[1]
+        return min(self.coarsest, math.ceil(math.log(max(pixels / _FINEST_PIXELS, 1.0), 4.0)))
+
+    def level(self, n: int, places: int, local: bool) -> Level:
+        scale = float(2**n)
+        return make_level(self.fixed[n], self.moving[n], scale, self.shape, places, self.band_offsets_px, local)
+
+    def first(self, start: Registration | None) -> Fit | None:
+        """Return the most coherent fit at the coarsest level from all starting points."""
+        n = self.coarsest
+        shifts, level = search(self.fixed[n], self.moving[n], float(2**n)), self.level(n, _PLACES[2], False)
+        starts = [(1.0 + 0.0j, d) for d in shifts] + ([] if start is None else [start.complex_parts()])
+        fits = [_settled(level, turn, shift) for turn, shift in starts]
+        return max((fit for fit in fits if fit is not None), key=lambda fit: fit.coherence, default=None)
+
+    def from_start(self, start: Registration, nothing: Registration) -> tuple[Registration, float]:
+        """Return the registration that begins at ``start`` at the coarsest level, and its coherence."""
+        fit = _settled(self.level(self.coarsest, _PLACES[2], False), *start.complex_parts())
+        return (nothing, 0.0) if fit is None else self.descend(self.coarsest, fit.turn, fit.shift, nothing)
+
+    def descend(self, top: int, turn: complex, shift: complex, nothing: Registration) -> tuple[Registration, float]:
+        """Return the best registration from level ``top`` down, and the coherence of its fit."""
+        best, coherence = nothing, 0.0
+        for n in range(top, -1, -1):
+            if n < self.finest and best.sigma_px <= _GOOD_PX:
+                break
+            level = self.level(n, _PLACES[0 if n <= self.finest else 1], True)
+            last = n <= self.finest
+            fit = align(level, turn, shift, 8 if last else 3, _LAST_STEP if last else _STEP)
+            if fit is None:
+                break
+            turn, shift = fit.turn, fit.shift
+            if n <= self.finest and _has_content(fit):
+                found = _report(level, fit)
+                if found.sigma_px <= best.sigma_px:
+                    best, coherence = found, fit.coherence
+        return best, coherence
+
+
+def _settled(level: Level, turn: complex, shift: complex) -> Fit | None:
+    """Return the fit at the coarsest level from one starting point, the shift before the rest."""
+    fit = align(level, turn, shift, 3, _STEP, (0, 1))
+    return fit and align(level, fit.turn, fit.shift, 5, _STEP)
+
+
+def _has_content(fit: Fit) -> bool:
+    return fit.coherence > _LEAST_COHERENCE + 4.0 / math.sqrt(fit.places)
+
+
+def _report(level: Level, fit: Fit) -> Registration:
+    return Registration(
+        dx_px=fit.shift.real,
+        dy_px=fit.shift.imag,
+        rotation_rad=math.atan2(fit.turn.imag, fit.turn.real),
+        scale=abs(fit.turn),
+        residual_px=_residual_px(level, fit),
+        sigma_px=_sigma_px(level, fit),
+        centre_px=(float(level.geometry[1]), float(level.geometry[2])),
+    )
+
+
+def _noise_information(level: Level, fit: Fit) -> np.ndarray:
+    """Return the information that gradients of noise alone would seem to hold with these weights, (4, 4).
+
+    The ratio of white noise's variance in a curvature to that in a gradient is the kernel's.
+    """
+    value, first, second = spline_power()
+    share = fit.noise_share * (second / first + first / value) / level.scale**2
+    scale, cx, cy, reach = level.geometry
+    u, v = (((level.places + 0.5) * scale - 0.5 - (cx, cy)) / reach).transpose(2, 0, 1)
+    w = fit.weight.astype(np.float64)
+    n, nu, nv, nr = w.sum(), (w * u).sum(), (w * v).sum(), (w * (u * u + v * v)).sum()
+    return share * np.array([[n, 0, nu, -nv], [0, n, nv, nu], [nu, nv, nr, 0], [-nv, nu, 0, nr]])
+
+
+def _sigma_px(level: Level, fit: Fit) -> float:
+    """Return the predicted rms error over the picture: the larger of model and scatter between parts of the picture."""
+    information, noise = information_of(fit.sums), _noise_information(level, fit)
+    root = np.linalg.cholesky(noise + 1e-12 * np.trace(noise) * np.eye(4))
+    white = np.linalg.solve(root, np.linalg.solve(root, information).T)
+    if np.linalg.eigvalsh(white)[0] < _NOISE_RATIO:
+        return math.inf
+    covariance = np.linalg.inv(information - noise)
+    if np.linalg.eigvalsh(covariance)[-1] > _UNDETERMINED_PX**2:
+        return math.inf
+    # Errors of neighbouring cells hang together where one edge runs through both, so scores are summed over parts
+    # before they are squared (the cluster-robust covariance: Liang, Zeger, Biometrika 73(1), 1986). Parts are blocks,
+    # and strips along rows and columns: all samples of an axis-parallel edge alias alike.
+    row, column = np.divmod(np.arange(level.counts.size), level.columns)
+    rows = level.counts.size // level.columns
+    block = row * _CLUSTERS // rows * _CLUSTERS + column * _CLUSTERS // level.columns
+    spreads = [_spread(covariance, fit.sums[:, :4], part) for part in (block, row, column // 2)]
+    return math.sqrt(max(np.trace(covariance), *spreads))
+
+
+def _spread(covariance, cell_scores, part) -> float:
+    """Return the trace of the covariance that the scatter of the scores of ``part`` implies."""
+    scores = np.zeros((int(part.max()) + 1, 4))
+    np.add.at(scores, part, cell_scores)
+    parts = np.count_nonzero(np.abs(scores).sum(axis=1))
+    moved = scores @ covariance
+    return float((moved**2).sum()) * parts / max(parts - 4, 1)
+
+
+def _residual_px(level: Level, fit: Fit) -> float:
+    """Return the rms displacement that cells still find.
+
+    What the two halves of a block find is multiplied: a deformation is alike in both, noise is not, so its variance
+    does not enter. A half's displacement is information⁻¹ score; both are damped, lest a few strong blocks decide
+    alone.
+    """
+    xx, xy, yy = fit.sums[:, 20:23].T
+    information = np.stack([xx, xy, xy, yy], axis=-1).reshape(-1, 2, 2)
+    damping = np.linalg.inv(np.eye(2) + _FLOOR_PX**2 * information)
+    weight, found = damping @ information, (damping @ fit.sums[:, :2, None])[..., 0]
+    bottom = (weight[0::2] * weight[1::2]).sum()
+    return math.sqrt(max(0.0, 2.0 * (found[0::2] * found[1::2]).sum() / bottom)) if bottom > 0.0 else math.nan
+
+
+def resample(image, valid, registration: Registration, out=None) -> tuple[np.ndarray, np.ndarray]:
+    """Bring the moving picture onto the fixed one's grid.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float32
+    valid : (H, W) bool or uint8
+    registration : Registration
+        Taken about this picture's centre.
+    out : (H, W, 3) float32, optional
+        Receives the picture; not where ``image`` lies.
+
+    Returns
+    -------
+    image : (H, W, 3) float32
+        0 where invalid.
+    valid : (H, W) bool
+
+    Notes
+    -----
+    Keys' cubic with a = -1/2 (IEEE Trans. Acoustics, Speech, Signal Processing 29(6), 1981), the one of its family
+    exact for parabolas. Half-way between two pixels its gain is 0.997 at 0.1, 0.949 at 0.2, 0.780 at 0.3, 0.449 at
+    0.4 and 0 at 0.5 cycles per superpixel (`irodori.ingest.registration.shifted_picture`); a step overshoots by at most
+    7 % of its height. A sample with an invalid pixel among its 16 is bilinear of 4, and invalid where one of these is.
+    """
+    image, valid = np.asarray(image, dtype=np.float32), np.ascontiguousarray(valid, dtype=bool)
+    height, width = valid.shape
+    if image.shape != (height, width, 3) or min(height, width) < 2:
+        raise ValueError(
+            f"picture {image.shape} with mask {valid.shape}; accepted: (H, W, 3) and (H, W), 2 x 2 or more"
+        )
+    return resample_affine(image, valid, registration.affine(((width - 1) / 2.0, (height - 1) / 2.0)), out)
+
+
+def meets_marked(mask, valid, registration: Registration) -> np.ndarray:
+    """Return where a resampled picture is not valid and a marked sample lies near the place it shows.
+
+    Parameters
+    ----------
+    mask : (H, W) bool
+        Samples of the picture before it was resampled.
+    valid : (H, W) bool
+        Of the resampled picture, see `resample`.
+    registration : Registration
+
+    Returns
+    -------
+    (H, W) bool
+        Near is within two samples of the nearest one, along rows and columns: the cubic's reach, and rounding.
+    """
+    height, width = np.shape(mask)
+    affine = registration.affine(((width - 1) / 2.0, (height - 1) / 2.0))
+    return marked_affine(np.ascontiguousarray(mask, dtype=bool), np.ascontiguousarray(valid, dtype=bool), affine)

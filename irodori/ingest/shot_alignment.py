@@ -1,0 +1,145 @@
+"""The two shots of one pose on one grid: a filter plate shifts and magnifies the picture."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from irodori.config.capture_table import Shot
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
+from irodori.ingest.develop import Developed, develop
+from irodori.ingest.exposure_settings import filter_states
+from irodori.ingest.ingest_options import IngestOptions
+from irodori.ingest.registration.similarity import Registration, bayer_offsets_px, meets_marked, register, resample
+
+#: Predicted standard error of a registration, superpixels, above which the picture has too little content for it.
+MAX_SIGMA_PX = 0.1
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Where the filtered picture lies on the unfiltered one.
+
+    Parameters
+    ----------
+    transform : (4,) tuple of float
+        dx and dy in superpixels, rotation in rad, scale, about the picture's centre.
+    residual_px : float
+        Rms of what local blocks still find, superpixels; NaN where not measured.
+    sigma_px : float
+        Predicted standard error, superpixels.
+    source : str
+        ``capture``, or ``chart`` where the capture had too little content; ``none`` where the chart had too.
+    """
+
+    transform: tuple[float, float, float, float]
+    residual_px: float
+    sigma_px: float
+    source: str
+
+    def write(self, out: store.Writer) -> None:
+        """Write ``/registration`` (4) and its attributes."""
+        out.write("registration", np.array(self.transform), units="superpixel,superpixel,rad,1", dims="parameter",
+                  quantity="dx, dy, rotation, scale from the unfiltered to the filtered picture")  # fmt: skip
+        out.attribute("registration_residual_px", self.residual_px)
+        out.attribute("registration_sigma_px", self.sigma_px)
+        out.attribute("registration_source", self.source)
+
+    @classmethod
+    def read(cls, file: store.Reader) -> "Alignment":
+        """Read what `write` wrote."""
+        names = ("registration_residual_px", "registration_sigma_px", "registration_source")
+        return cls(tuple(file.read("registration").tolist()), *(file.attribute(name) for name in names))
+
+
+UNMOVED = Alignment((0.0, 0.0, 0.0, 1.0), float("nan"), float("inf"), "none")
+
+
+def _align(fixed: Developed, moving: Developed, start: Alignment | None, sample_px: int) -> Alignment:
+    """Register two filter states by the module `irodori.ingest.registration`."""
+    pictures = [_superpixels(state.response, state.valid, sample_px) for state in (fixed, moving)]
+    (image_a, valid_a), (image_b, valid_b) = pictures
+    # The colours of a superpixel lie apart; what LibRaw interpolated lies on one place.
+    offsets = bayer_offsets_px(fixed.pattern) if sample_px == 2 else None
+    guess = None if start is None else _registration(start)
+    found = register(image_a, image_b, valid_a, valid_b, guess, band_offsets_px=offsets)
+    transform = (found.dx_px, found.dy_px, found.rotation_rad, found.scale)
+    return Alignment(tuple(map(float, transform)), float(found.residual_px), float(found.sigma_px), "capture")
+
+
+def _registration(alignment: Alignment, scale: float = 1.0) -> Registration:
+    """Return the transform in samples of 1 / scale superpixels."""
+    dx, dy, rotation, magnification = alignment.transform
+    return Registration(scale * dx, scale * dy, rotation, magnification, alignment.residual_px, alignment.sigma_px)
+
+
+def _superpixels(image: np.ndarray, valid: np.ndarray, sample_px: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return a picture and its mask on superpixels."""
+    if sample_px == 2:
+        return image, valid
+    blocks = [image[row::2, column::2] for row in (0, 1) for column in (0, 1)]
+    masks = [valid[row::2, column::2] for row in (0, 1) for column in (0, 1)]
+    return np.mean(blocks, axis=0, dtype=np.float32), np.logical_and.reduce(masks)
+
+
+def align_states(
+    fixed: Developed, moving: Developed, nominal: Alignment | None, options: IngestOptions, file, capture: str
+) -> Alignment:
+    """Return where the filtered picture of a capture lies on the unfiltered one.
+
+    Parameters
+    ----------
+    fixed, moving : Developed
+        Without and with the filter.
+    nominal : Alignment or None
+        The filter's transform from the chart: the start, and the answer where the capture has too little content.
+    file : path
+        Table of the capture, for the error message.
+    capture : str
+
+    Raises
+    ------
+    InputError
+        If local blocks still find a residual above the limit: something moved between the shots.
+    """
+    found = _align(fixed, moving, nominal, options.sample_px)
+    # Judged before the content is: what moved between the shots makes the fit uncertain too, and would pass for a lack
+    # of content. Noise does not enter the residual.
+    if found.residual_px > options.max_registration_px:
+        text = f"shots of the capture {capture} that differ by {found.residual_px:.2f} superpixels after registration"
+        accepted = f"at most {options.max_registration_px:g} superpixels (ingest.max_registration_px); nothing may move"
+        raise InputError(file, "capture", text, accepted)
+    if not found.sigma_px <= MAX_SIGMA_PX:
+        if nominal is None:
+            LOGGER.warning("%s: too little content to register its filter states; they stay as they are", capture)
+            return replace(UNMOVED, sigma_px=found.sigma_px)
+        LOGGER.info("%s: too little content to register (%.2g px); the chart's transform", capture, found.sigma_px)
+        return replace(nominal, sigma_px=found.sigma_px, source="chart")
+    return found
+
+
+def move(state: Developed, alignment: Alignment, sample_px: int, out: np.ndarray) -> Developed:
+    """Return a filtered picture on the grid of the unfiltered one, its responses in ``out``."""
+    registration = _registration(alignment, 2.0 / sample_px)
+    response, valid = resample(state.response, state.valid, registration, out)
+    clipped = meets_marked(state.clipped, valid, registration) if state.clipped.any() else state.clipped
+    return replace(state, response=response, clipped=clipped, hot=~(valid | clipped))
+
+
+def nominal_alignment(reference, white: dict, shots: list[Shot], table, folder, options: IngestOptions):
+    """Return the filter's nominal transform from the chart's two shots, None where there is nothing to register."""
+    states = filter_states(shots)
+    if not options.register or len(states) < 2:
+        return None
+    on_superpixels = options.superpixels()
+    pictures = [
+        develop(reference, [s for s in shots if s.filter == state], table, folder, on_superpixels, white.get(state))
+        for state in states
+    ]
+    alignment = align_states(*pictures, None, on_superpixels, table, "chart")
+    LOGGER.info(
+        "filter's transform from the chart: shift %.3f, %.3f superpixels, rotation %.5f rad, scale %.6f, residual %.3f",
+        *alignment.transform, alignment.residual_px,
+    )  # fmt: skip
+    return alignment if alignment.source == "capture" else None

@@ -1,0 +1,123 @@
+"""The stage: the RAW files of one capture in, linear responses out."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from irodori.config.capture_table import Shot, check_unchanged, read_captures
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
+from irodori.ingest.camera_reference import Reference
+from irodori.ingest.develop import Developed, empty_response, load_frames, merge_frames
+from irodori.ingest.exposure_settings import filter_states, known_settings, settle_set
+from irodori.ingest.ingest_options import IngestOptions
+from irodori.ingest.shot_alignment import Alignment, align_states, move
+
+_BANDS = 3
+_ENVIRONMENT = "environment"
+
+
+def ingest_raw(
+    table, folder, capture: str, reference, output, provenance: store.Provenance, options: IngestOptions
+) -> None:
+    """Turn the RAW files of one capture into linear responses.
+
+    Parameters
+    ----------
+    table, folder : path
+        Capture table and the folder of its files.
+    capture : str
+        Name of the capture in the table: all its filter states and brackets are merged.
+    reference : path
+        File of `ingest_reference`, made with the same camera.
+    options : IngestOptions
+
+    Raises
+    ------
+    InputError
+        If a file contradicts the table, its hash there or the reference, or the filter states do not register.
+
+    Notes
+    -----
+    Datasets: ``/response`` (H, W, bands) float32, 1 = a perfect diffuser lit at normal incidence (full scales per
+    second of relative exposure where there is no white reference), 0 where not valid; ``/valid`` (H, W) uint8, 1 where
+    every band was measured; ``/clipped`` (H, W) uint8, 1 where a band is at or above the clip level in every exposure
+    of its bracket, so that what is neither valid nor clipped is hot or out of the picture; ``/noise_model`` (bands, 2),
+    variance of the response = c0 + c1 * response at the picture's centre for the exposures merged, NaN where the
+    camera's noise was not measured; ``/registration`` (4), see `irodori.ingest.shot_alignment`, where there are two
+    filter states. ``sample_px`` is the number of mosaic pixels along the side of a sample.
+    """
+    shots = [s for s in read_captures(table, folder) if s.capture == capture]
+    if not shots:
+        raise InputError(table, "capture", repr(capture), "a capture the table holds")
+    check_unchanged(table, folder, shots)
+    camera = Reference.load(reference)
+    states = filter_states(shots)
+    _check_filters(camera, states, capture, table)
+    frames = load_frames(camera, shots, table, folder, options)
+    settled = settle_set([f.shot for f in frames], table)
+    _check_settings(camera, settled, table)
+    frames = [replace(f, shot=shot) for f, shot in zip(frames, settled, strict=True)]
+    height, width = (side // options.sample_px for side in frames[0].mosaic.values.shape)
+    response = empty_response(height, width, len(states))
+    align = options.register and len(states) > 1 and capture != _ENVIRONMENT
+    developed = []
+    for number, state in enumerate(states):
+        group = [f for f in frames if f.shot.filter == state]
+        if group[0].mosaic.values.shape != frames[0].mosaic.values.shape:
+            found = f"{group[0].mosaic.size} pixels"
+            raise InputError(group[0].shot.file, "size", found, f"{frames[0].mosaic.size}, as the other filter state")
+        # What will be moved is resampled from room of its own into the response.
+        out = None if align and number else response[..., _BANDS * number : _BANDS * (number + 1)]
+        developed.append(merge_frames(camera, group, options, camera.white.get(state), out))
+    alignment = None
+    if align:
+        alignment = align_states(developed[0], developed[1], camera.alignment, options, table, capture)
+        developed[1] = move(developed[1], alignment, options.sample_px, response[..., _BANDS:])
+    _write(output, provenance, response, developed, alignment, bool(camera.white), options, settled, frames)
+
+
+def _check_filters(camera: Reference, states: list[str], capture: str, table) -> None:
+    for state in states:
+        if camera.white and state not in camera.white:
+            found = f"{capture} shot with the filter {state!r}"
+            raise InputError(table, "filter", found, f"filters of the white reference: {', '.join(camera.white)}")
+
+
+def _check_settings(camera: Reference, shots: list[Shot], table) -> None:
+    """Refuse ISO or aperture known here but not for the white reference, or the other way round."""
+    known = known_settings(shots)
+    if camera.white and set(known) != set(camera.known):
+        column = sorted(set(known) ^ set(camera.known))[0]
+        found = f"{column} {'known' if column in known else 'unknown'} for {shots[0].file}"
+        accepted = f"{column} {'unknown' if column in known else 'known'}, as for the camera's white reference"
+        raise InputError(table, column, found, accepted)
+
+
+def _write(output, provenance, response, developed: list[Developed], alignment: Alignment | None, white: bool,
+           options: IngestOptions, shots: list[Shot], frames) -> None:  # fmt: skip
+    valid = np.logical_and.reduce([state.valid for state in developed])
+    clipped = np.logical_or.reduce([state.clipped for state in developed])
+    LOGGER.info(
+        "%s: %.3f %% clipped, %.3f %% masked otherwise", shots[0].capture, 100 * clipped.mean(),
+        100 * (1.0 - (valid | clipped).mean()),
+    )  # fmt: skip
+    with store.create(output, provenance) as out:
+        unit, dims = "1" if white else "1/s", "row,column"
+        out.write("response", response, units=unit, dims=f"{dims},band", quantity="response", compression="fast")
+        for name, mask, quantity in (
+            ("valid", valid, "1 where every band is measured"),
+            ("clipped", clipped, "1 where a band clips in every exposure"),
+        ):
+            out.write(name, mask.view(np.uint8), units="1", dims=dims, quantity=quantity, compression="fast")
+        noise = np.concatenate([state.noise for state in developed])
+        out.write("noise_model", noise, units="1", dims="band,term", quantity="variance c0 + c1 rho")
+        if alignment is not None:
+            alignment.write(out)
+        pose = shots[0].pose
+        out.attribute("pose_deg", [pose.light_deg, pose.camera_deg, pose.tilt_deg, pose.turn_deg])
+        out.attribute("filters", filter_states(shots))
+        out.attribute("sample_px", options.sample_px)
+        out.attribute("demosaic", options.demosaic)
+        out.attribute("orientation", frames[0].mosaic.orientation)

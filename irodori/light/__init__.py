@@ -1,0 +1,1 @@
+"""Light from all directions: recovery, irradiance, blurred light and sampling."""

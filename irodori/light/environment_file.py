@@ -1,0 +1,116 @@
+"""Light from all directions, as it stands in an environment's file and as the renderer wants it.
+
+Equirectangular: rows are the angle from the zenith (+z), columns the azimuth from +x towards +y, both at pixel
+centres. Radiance is relative: 1 is a perfect diffuser lit at normal incidence by the rig's light.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from irodori.core import store
+from irodori.material.coefficients import read_coefficients, write_coefficients
+from irodori.spectra.grid import SAMPLES
+
+#: What the coefficients of an environment are.
+QUANTITY = "coefficients of the radiance"
+
+
+@dataclass(frozen=True)
+class Environment:
+    """Spectral light on a basis.
+
+    Parameters
+    ----------
+    coefficients : (height, width, k) float32
+    basis : (61, k) float
+        L(λ) = basis @ coefficients.
+    irradiance : (h, w, k) float32
+        I_d of equation (8) for normals on the same kind of grid, on the same basis.
+    file : Path, optional
+        Where the coefficients were read from: blurred light that stands there is theirs, whatever the basis.
+    """
+
+    coefficients: np.ndarray
+    basis: np.ndarray
+    irradiance: np.ndarray
+    file: Path | None = None
+
+    def save(
+        self,
+        path,
+        provenance: store.Provenance,
+        errors: dict | None = None,
+        gloss=None,
+        origin: dict | None = None,
+        *,
+        storage: str = "single",
+        codec: str = "gzip",
+    ) -> None:
+        """Write an environment's file.
+
+        Parameters
+        ----------
+        path : path
+        provenance : Provenance
+        errors : dict, optional
+        gloss : irodori.light.gloss.gloss_maps.GlossMaps, optional
+            Blurred light for rough reflection.
+        origin : dict, optional
+            Where the light came from and what was assumed about it.
+        storage, codec : str
+            See `irodori.material.coefficients`.
+        """
+        with store.create(path, provenance) as out:
+            write_coefficients(out, "coefficients", self.coefficients, quantity=QUANTITY, storage=storage, codec=codec)
+            self.write_rest(out, errors, gloss, origin)
+
+    def write_rest(self, out: store.Writer, errors: dict | None = None, gloss=None, origin: dict | None = None) -> None:
+        """Write all but the coefficients into an open file; see `save`."""
+        out.write("basis", self.basis, units="1", dims="wavelength,basis", quantity="spectral basis of the light")
+        names = {"units": "sr", "dims": "row,column,basis", "quantity": "coefficients of the irradiance map"}
+        out.write("irradiance", self.irradiance, **names)
+        if gloss is not None:
+            gloss.write(out)
+        out.attribute("errors", errors or {})
+        out.attribute("origin", origin or {})
+
+    @classmethod
+    def load(cls, path) -> "Environment":
+        """Read an environment's file.
+
+        Raises
+        ------
+        InputError
+            If it is none, damaged, or its datasets do not fit together.
+        """
+        axes = {"coefficients": "row,column,basis", "basis": "wavelength,basis", "irradiance": "theta,azimuth,basis"}
+        with store.open_file(path) as file:
+            file.require_axes(axes, wavelength=SAMPLES)
+            coefficients = read_coefficients(file, "coefficients")
+            return cls(coefficients, file.read("basis"), file.read("irradiance"), Path(path))
+
+    def upward_white(self) -> np.ndarray:
+        """Return the radiance of a perfect diffuser that faces up, (61,): the scene's white."""
+        return self.basis @ self.irradiance[0].astype(np.float64).mean(axis=0) / np.pi
+
+
+def directions(width: int, height: int, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+    """Return the unit vector (height, width, 3) and the solid angle in sr (height, width) of every pixel, or of rows.
+
+    Solid angles are exact: the difference of the cosines of a row's edges times its width in azimuth.
+    """
+    edges = np.linspace(0.0, np.pi, height + 1)
+    theta = 0.5 * (edges[1:] + edges[:-1])[rows]
+    azimuth = 2 * np.pi * (np.arange(width) + 0.5) / width
+    unit = np.stack(
+        [
+            np.outer(np.sin(theta), np.cos(azimuth)),
+            np.outer(np.sin(theta), np.sin(azimuth)),
+            np.repeat(np.cos(theta)[:, None], width, axis=1),
+        ],
+        axis=-1,
+    )
+    of_row = (np.cos(edges[:-1]) - np.cos(edges[1:]))[rows] * (2 * np.pi / width)
+    return unit, np.repeat(of_row[:, None], width, axis=1)

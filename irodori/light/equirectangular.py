@@ -1,0 +1,67 @@
+"""Look-up in equirectangular pictures that closes at the seam and over the poles; for compiled loops."""
+
+import math
+
+import numba
+
+from irodori.jit.native import njit
+
+TWO_PI = 2.0 * math.pi
+
+
+@njit(cache=True, inline="always")
+def direction_uv(x, y, z):
+    """Return equirectangular u, v of a unit direction, both 0..1."""
+    u = math.atan2(y, x) / TWO_PI
+    return (u if u >= 0.0 else u + 1.0), math.acos(min(max(z, -1.0), 1.0)) / math.pi
+
+
+@njit(cache=True, inline="always")
+def _row_and_shift(row, height, width):
+    """Return the row that lies at a row's place and the columns to turn: beyond a pole is the opposite meridian."""
+    if row < 0:
+        return 0, width // 2
+    if row >= height:
+        return height - 1, width // 2
+    return row, 0
+
+
+@njit(cache=True)
+def add_interpolated(pixels, first, width, height, x, y, z, scale, out):
+    """Add ``scale`` times the bilinear value of an equirectangular picture in a direction.
+
+    Parameters
+    ----------
+    pixels : (all pixels, k) float
+        Pictures after each other, rows from the zenith.
+    first, width, height : int
+        First pixel of the picture and its size; an even width closes exactly over the poles.
+    x, y, z : float
+        Unit direction.
+    scale : float
+    out : (k,) float
+    """
+    u, v = direction_uv(x, y, z)
+    column, row = u * width - 0.5, v * height - 0.5
+    c0, r0 = math.floor(column), math.floor(row)
+    fx, fy = column - c0, row - r0
+    upper, upper_shift = _row_and_shift(r0, height, width)
+    lower, lower_shift = _row_and_shift(r0 + 1, height, width)
+    a = first + upper * width + (c0 + upper_shift) % width
+    b = first + upper * width + (c0 + 1 + upper_shift) % width
+    c = first + lower * width + (c0 + lower_shift) % width
+    d = first + lower * width + (c0 + 1 + lower_shift) % width
+    wa, wb = scale * (1.0 - fx) * (1.0 - fy), scale * fx * (1.0 - fy)
+    wc, wd = scale * (1.0 - fx) * fy, scale * fx * fy
+    for i in range(out.size):
+        out[i] += wa * pixels[a, i] + wb * pixels[b, i] + wc * pixels[c, i] + wd * pixels[d, i]
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def look_up(picture, directions, out):
+    """Fill ``out`` (n, k) with an equirectangular picture (height, width, k) in unit directions (n, 3)."""
+    height, width, bases = picture.shape
+    pixels = picture.reshape(height * width, bases)
+    for i in numba.prange(directions.shape[0]):
+        out[i] = 0.0
+        add_interpolated(pixels, 0, width, height, directions[i, 0], directions[i, 1], directions[i, 2], 1.0, out[i])

@@ -1,0 +1,270 @@
+"""Rough reflection of the environment by look-up: blurred light and the table of lobes [eq. 5, 9].
+
+A compiled loop takes `GlossMaps.tables` once and calls `add_gloss_radiance` with them, a normal, the direction to the
+eye and a roughness, and has the k coefficients of the radiance on the environment's basis:
+
+    tables = GlossMaps.load("results/environments/room.h5").tables()  # a NamedTuple of arrays
+    add_gloss_radiance(tables, normal, to_eye, beta, mu, n, k, coefficients)  # adds to (bases,) float64
+
+`gloss_radiance` does the same for arrays. Up to a roughness of 0.32 rad an entry of the table asks for at most forty
+bilinear look-ups, and four entries are mixed; from 0.4 rad the true lobe is summed over the light as about 1300 points
+(`irodori.light.gloss.point_sources`), so that the horizon cuts it exactly; between the two both are mixed. Errors
+against the sum of the true lobe over the light are those of `irodori.light.gloss.look_up_errors`, and stand in the
+environment's file and the report.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.jit.native import njit
+from irodori.light.blurred_light import WIDTHS_RAD, prefiltered
+from irodori.light.environment_file import Environment
+from irodori.light.equirectangular import add_interpolated
+from irodori.light.gloss.lobe_table import fitted_lobes
+from irodori.light.gloss.point_sources import PointLights, add_from_points, point_lights
+from irodori.reflection.equation5 import fresnel
+
+#: Up to the first roughness, rad, blurred light is looked up; from the second the light is points; both between.
+_SMOOTH_RAD, _ROUGH_RAD = 0.32, 0.4
+
+
+class GlossTables(NamedTuple):
+    """Gloss maps as compiled loops want them; from ``mu`` on as `Lobes`, from ``direction`` on as `PointLights`."""
+
+    pixels: np.ndarray  # (all pixels, k) float32
+    first_pixel: np.ndarray  # (widths,) of the map of a width; the finest there is for finer ones
+    size: np.ndarray  # (widths, 2) columns, rows
+    mu: np.ndarray  # (m,) rad
+    theta_r: np.ndarray  # (t,) rad
+    width: np.ndarray  # (m, t, lobes)
+    offset: np.ndarray  # (m, t, lobes) rad
+    across: np.ndarray  # (m, t, lobes) rad
+    weight: np.ndarray  # (m, t, lobes) sr
+    incidence: np.ndarray  # (m, t, lobes) rad
+    direction: np.ndarray  # (n, 3) of the light as points
+    power: np.ndarray  # (n, k) float64
+
+
+@dataclass(frozen=True)
+class GlossMaps:
+    """Blurred light of an environment, on its basis.
+
+    Parameters
+    ----------
+    first : int
+        Level of `irodori.light.blurred_light.WIDTHS_RAD` that the finest map has.
+    levels : tuple of (h, 2 h, k) float32
+        Mean radiance under lobes of growing width.
+    points : PointLights
+        The light for very rough surfaces.
+    """
+
+    first: int
+    levels: tuple[np.ndarray, ...]
+    points: PointLights
+
+    @classmethod
+    def of(cls, coefficients: np.ndarray) -> "GlossMaps":
+        """Return the maps of an equirectangular picture, (height, width, k)."""
+        first, levels = prefiltered(coefficients)
+        return cls(first, tuple(levels), point_lights(coefficients))
+
+    def write(self, out) -> None:
+        """Write ``/gloss`` into an open file of `irodori.core.store`."""
+        widths = WIDTHS_RAD[self.first :]
+        out.write("gloss/width", widths, units="rad", dims="level", quantity="width 1/√κ of the blurring lobe")
+        for number, level in enumerate(self.levels, start=self.first):
+            out.write(
+                f"gloss/level-{number:02d}",
+                level,
+                units="1",
+                dims="row,column,basis",
+                quantity="coefficients of the radiance blurred by a von Mises-Fisher lobe",
+                compression="fast",
+            )
+        names = {"direction": ("1", "point,axis", "centre of power of a part of the sphere"),
+                 "power": ("sr", "point,basis", "coefficients of its radiance times its solid angle")}  # fmt: skip
+        for (name, (units, dims, quantity)), values in zip(names.items(), self.points, strict=True):
+            out.write(f"gloss/{name}", values, units=units, dims=dims, quantity=quantity)
+
+    @classmethod
+    def stored(cls, environment: Environment, levels: tuple[int, int] | None = None) -> "GlossMaps | None":
+        """Return the maps that an environment's file has of it; None where it has none, or no file.
+
+        Parameters and errors as of `load`.
+        """
+        if environment.file is None:
+            return None
+        with store.open_file(environment.file) as file:
+            if "gloss/width" not in file:
+                return None
+        return cls.load(environment.file, levels)
+
+    @classmethod
+    def load(cls, path, levels: tuple[int, int] | None = None) -> "GlossMaps":
+        """Read ``/gloss`` of an environment's file.
+
+        Parameters
+        ----------
+        path : path
+        levels : (int, int), optional
+            First and last-plus-one level of `irodori.light.blurred_light.WIDTHS_RAD` that is wanted, as of
+            `irodori.light.blurred_light.prefiltered`.
+
+        Raises
+        ------
+        InputError
+            If the file has none, or has the ladder of another version.
+        """
+        with store.open_file(path) as file:
+            widths = file.read("gloss/width")
+            first = len(WIDTHS_RAD) - len(widths)
+            if first < 0 or not np.allclose(widths, WIDTHS_RAD[first:]):
+                accepted = f"{WIDTHS_RAD[0]:.4g} rad and every factor of √2 to {WIDTHS_RAD[-1]:.4g}"
+                raise InputError(path, "gloss/width", "other widths", accepted)
+            wanted = levels or (first, len(WIDTHS_RAD))
+            first = max(first, wanted[0])
+            maps = tuple(file.read(f"gloss/level-{n:02d}") for n in range(first, max(first + 1, wanted[1])))
+            return cls(first, maps, PointLights(file.read("gloss/direction"), file.read("gloss/power")))
+
+    def tables(self) -> GlossTables:
+        """Return the maps and the table of lobes flat, for `add_gloss_radiance`."""
+        sizes = np.array([level.shape[1::-1] for level in self.levels])
+        starts = np.concatenate([[0], np.cumsum(sizes.prod(axis=1))[:-1]])
+        pixels = np.concatenate([level.reshape(-1, level.shape[2]) for level in self.levels])
+        # A width finer than the picture is looked up in the finest map there is.
+        of_width = np.maximum(np.arange(len(WIDTHS_RAD)) - self.first, 0)
+        return GlossTables(pixels, starts[of_width], sizes[of_width], *fitted_lobes(), *self.points)
+
+
+@njit(cache=True, inline="always")
+def _between(ladder, value):
+    """Return the entry of a growing ladder below a value and the part of the way to the next; ends are held."""
+    last = ladder.size - 2
+    i = min(max(np.searchsorted(ladder, value) - 1, 0), last)
+    part = (value - ladder[i]) / (ladder[i + 1] - ladder[i])
+    return i, min(max(part, 0.0), 1.0)
+
+
+@njit(cache=True)
+def _across(normal, view, cos_r):
+    """Return the unit vectors in the plane of incidence, away from the view, and across it; and the view angle, rad."""
+    tx, ty, tz = cos_r * normal[0] - view[0], cos_r * normal[1] - view[1], cos_r * normal[2] - view[2]
+    sin_r = math.sqrt(tx * tx + ty * ty + tz * tz)
+    if sin_r > 1e-9:
+        tx, ty, tz = tx / sin_r, ty / sin_r, tz / sin_r
+    else:  # any direction across the normal
+        sign = math.copysign(1.0, normal[2])
+        a = -1.0 / (sign + normal[2])
+        tx, ty, tz = 1.0 + sign * normal[0] ** 2 * a, sign * normal[0] * normal[1] * a, -sign * normal[0]
+    bx, by, bz = normal[1] * tz - normal[2] * ty, normal[2] * tx - normal[0] * tz, normal[0] * ty - normal[1] * tx
+    return tx, ty, tz, bx, by, bz, math.atan2(sin_r, cos_r)
+
+
+@njit(cache=True)
+def _add_lobe(maps, width, x, y, z, scale, out):
+    add_interpolated(
+        maps.pixels, maps.first_pixel[width], maps.size[width, 0], maps.size[width, 1], x, y, z, scale, out
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _add_entry(maps, i, j, share, normal, frame, n, k, out):
+    """Add what one entry of the table looks up, times ``share``."""
+    tx, ty, tz, bx, by, bz, theta_r = frame
+    for lobe in range(maps.weight.shape[2]):
+        weight = maps.weight[i, j, lobe]
+        if weight <= 0.0:
+            break
+        facet = min(max(theta_r + maps.incidence[i, j, lobe], 0.0), 0.5 * math.pi)
+        scale = share * weight * fresnel(math.cos(facet), n, k)
+        angle, across, width = theta_r + maps.offset[i, j, lobe], maps.across[i, j, lobe], maps.width[i, j, lobe]
+        c, s = math.cos(angle), math.sin(angle)
+        x, y, z = c * normal[0] + s * tx, c * normal[1] + s * ty, c * normal[2] + s * tz
+        if across == 0.0:
+            _add_lobe(maps, width, x, y, z, scale, out)
+            continue
+        c, s = math.cos(across), math.sin(across)
+        x, y, z, scale = c * x, c * y, c * z, 0.5 * scale
+        _add_lobe(maps, width, x + s * bx, y + s * by, z + s * bz, scale, out)
+        _add_lobe(maps, width, x - s * bx, y - s * by, z - s * bz, scale, out)
+
+
+@njit(cache=True, error_model="numpy")
+def _add_from_maps(maps, normal, view, cos_r, mu, n, k, scale, out):
+    """Add ``scale`` times ∫ L F D G / cosθ_r dω [eq. 5] by look-ups in blurred light."""
+    frame = _across(normal, view, cos_r)
+    lowest, highest = maps.mu[0], maps.mu[-1]
+    held = min(max(mu, lowest), highest)
+    scale *= (min(mu, lowest) / lowest) ** 2
+    i, _ = _between(maps.mu, held)
+    # Between two Gaussians of squared widths a and b, parts of a line in the square keep both peak and power.
+    part_i = (held**2 - maps.mu[i] ** 2) / (maps.mu[i + 1] ** 2 - maps.mu[i] ** 2)
+    j, part_j = _between(maps.theta_r, frame[6])
+    for corner in range(4):
+        share = (part_i if corner // 2 else 1.0 - part_i) * (part_j if corner % 2 else 1.0 - part_j)
+        if share > 1e-6:
+            _add_entry(maps, i + corner // 2, j + corner % 2, share * scale, normal, frame, n, k, out)
+
+
+@njit(cache=True, error_model="numpy")
+def add_gloss_radiance(maps, normal, view, beta, mu, n, k, out):
+    """Add the coefficients of the gloss radiance β/π ∫ L F D G / cosθ_r dω [eq. 5, 9].
+
+    Parameters
+    ----------
+    maps : GlossTables
+    normal, view : (3,) float, unit
+    beta, mu : float
+        Weight and roughness (rad); NaN or 0 gives nothing.
+    n, k : float
+        Refractive index at one wavelength; where it varies call once for each.
+    out : (bases,) float
+
+    Notes
+    -----
+    Under the smallest roughness of the ladder, 0.01 rad, the light is as blurred as there, its power exact.
+    """
+    cos_r = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
+    if not (beta > 0.0 and mu > 0.0 and cos_r > 0.0):
+        return
+    rough = min(max((mu - _SMOOTH_RAD) / (_ROUGH_RAD - _SMOOTH_RAD), 0.0), 1.0)
+    if rough > 0.0:
+        add_from_points(maps, normal, view, mu, n, k, rough * beta / math.pi, out)
+    if rough < 1.0:
+        _add_from_maps(maps, normal, view, cos_r, mu, n, k, (1.0 - rough) * beta / math.pi, out)
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _gloss_radiance(maps, normal, view, beta, mu, n, k, out):
+    for i in numba.prange(normal.shape[0]):
+        add_gloss_radiance(maps, normal[i], view[i], beta[i], mu[i], n, k, out[i])
+
+
+def gloss_radiance(maps: GlossTables, normal, view, beta, mu, n: float, k: float) -> np.ndarray:
+    """Return coefficients of the gloss radiance, see `add_gloss_radiance`.
+
+    Parameters
+    ----------
+    maps : GlossTables
+    normal, view : (..., 3) float, unit; broadcast against each other
+    beta, mu : (...) float
+    n, k : float
+
+    Returns
+    -------
+    (..., bases) float64
+    """
+    normal, view = np.broadcast_arrays(np.asarray(normal, dtype=np.float64), np.asarray(view, dtype=np.float64))
+    shape = normal.shape[:-1]
+    beta, mu = (np.ascontiguousarray(np.broadcast_to(v, shape), dtype=np.float64).ravel() for v in (beta, mu))
+    out = np.zeros((beta.size, maps.pixels.shape[1]))
+    normal, view = (np.ascontiguousarray(v).reshape(-1, 3) for v in (normal, view))
+    _gloss_radiance(maps, normal, view, beta, mu, float(n), float(k), out)
+    return out.reshape(*shape, -1)

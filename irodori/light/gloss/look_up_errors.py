@@ -1,0 +1,183 @@
+"""What looking up rough reflection costs, against the sum of the true lobe of equation (5) over the light."""
+
+import math
+
+import numba
+import numpy as np
+
+from irodori.jit.native import njit
+from irodori.light.gloss.gloss_maps import GlossMaps, gloss_radiance
+from irodori.light.irradiance import Integrator
+from irodori.reflection.equation5 import attenuation_over_cosine, facet_distribution, fresnel
+
+#: Roughnesses (rad) and view angles (degrees) of the table.
+MU_RAD = (0.01, 0.02, 0.05, 0.1, 0.2, 0.36, 0.8, 1.2)
+THETA_R_DEG = (0.0, 30.0, 60.0, 75.0, 80.0, 85.0)
+_PLACES = 3
+_CELLS_PER_WIDTH = 10.0  # light is summed in cells that are small against the lobe
+_REACH = 3.3
+_PARTS_PER_WIDTH, _MOST_PARTS = 4.0, 8
+_INDEX = (1.5, 0.0)
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def lobe(normal, view, x, y, z, mu, n, k):
+    """Return F D G / cosθ_r [eq. 5] for light from a unit direction."""
+    cos_i = normal[0] * x + normal[1] * y + normal[2] * z
+    hx, hy, hz = x + view[0], y + view[1], z + view[2]
+    length = math.sqrt(hx * hx + hy * hy + hz * hz)
+    if cos_i <= 0.0 or length < 1e-9:
+        return 0.0
+    cos_phi = (normal[0] * hx + normal[1] * hy + normal[2] * hz) / length
+    cos_h = (view[0] * hx + view[1] * hy + view[2] * hz) / length
+    cos_r = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
+    phi = math.acos(min(max(cos_phi, -1.0), 1.0))
+    geometric = attenuation_over_cosine(cos_i, cos_r, cos_phi, cos_h)
+    return fresnel(cos_h, n, k) * facet_distribution(phi, mu) * geometric
+
+
+@njit(cache=True)
+def _reach(normal, view, mu):
+    """Return the mirror direction and the angle about it beyond which the lobe is nothing: φ moves light by twice φ."""
+    cos_r = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
+    mirror = np.empty(3)
+    for axis in range(3):
+        mirror[axis] = 2.0 * cos_r * normal[axis] - view[axis]
+    return mirror, min(2.0 * _REACH * mu, math.pi)
+
+
+@njit(cache=True)
+def _mean_lobe(pixels, row, column, parts, normal, view, mu, n, k):
+    """Return the mean of the lobe over a pixel, ``parts`` points along each side."""
+    height, width = pixels.values.shape[:2]
+    total = 0.0
+    for a in range(parts):
+        theta = math.pi * (row + (a + 0.5) / parts) / height
+        s, z = math.sin(theta), math.cos(theta)
+        for b in range(parts):
+            azimuth = 2.0 * math.pi * (column + (b + 0.5) / parts) / width
+            total += lobe(normal, view, s * math.cos(azimuth), s * math.sin(azimuth), z, mu, n, k)
+    return total / parts**2
+
+
+@njit(cache=True)
+def _add_from_pixels(pixels, parts, normal, view, mu, n, k, out):
+    mirror, reach = _reach(normal, view, mu)
+    height, width, bases = pixels.values.shape
+    margin = math.pi / height + math.pi / width
+    least, middle = math.cos(min(reach + margin, math.pi)), math.acos(min(max(mirror[2], -1.0), 1.0))
+    first = max(int((middle - reach) / math.pi * height) - 1, 0)
+    last = min(int((middle + reach) / math.pi * height) + 2, height)
+    for row in range(first, last):
+        s, z, weight = pixels.sin_theta[row], pixels.cos_theta[row], pixels.solid_angle[row]
+        for column in range(width):
+            x, y = s * pixels.cos_azimuth[column], s * pixels.sin_azimuth[column]
+            if mirror[0] * x + mirror[1] * y + mirror[2] * z < least:
+                continue
+            value = weight * _mean_lobe(pixels, row, column, parts, normal, view, mu, n, k)
+            for b in range(bases):
+                out[b] += value * pixels.values[row, column, b]
+
+
+@njit(cache=True)
+def _add_from_cells(cells, level, normal, view, mu, n, k, out):
+    first = cells.first[level]
+    mirror, reach = _reach(normal, view, mu)
+    for j in range(first, first + cells.rows[level] * cells.columns[level]):
+        c = cells.centre[j]
+        away = mirror[0] * c[0] + mirror[1] * c[1] + mirror[2] * c[2]
+        if reach + cells.radius[j] < math.pi and away < math.cos(reach + cells.radius[j]):
+            continue
+        m = cells.power_moment[j]
+        length = math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
+        if length <= 0.0:
+            continue
+        x, y, z = m[0] / length, m[1] / length, m[2] / length
+        value = lobe(normal, view, x, y, z, mu, n, k)
+        # Σ L dΩ of a small cell is the length of Σ L ω dΩ.
+        for b in range(out.size):
+            out[b] += value * (x * cells.moment[j, b, 0] + y * cells.moment[j, b, 1] + z * cells.moment[j, b, 2])
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _references(pixels, cells, level, parts, normal, view, mu, n, k, out):
+    for i in numba.prange(normal.shape[0]):
+        if level < 0:
+            _add_from_pixels(pixels, parts, normal[i], view[i], mu, n, k, out[i])
+        else:
+            _add_from_cells(cells, level, normal[i], view[i], mu, n, k, out[i])
+
+
+def true_gloss(integrator: Integrator, normal: np.ndarray, view: np.ndarray, mu: float, index=_INDEX) -> np.ndarray:
+    """Return β/π ∫ L F D G / cosθ_r dω for β = 1 summed over the light, (n, bases) float64.
+
+    The light is taken in cells of at most a tenth of the roughness, each at its centre of power, or pixel by pixel,
+    where a pixel shines evenly and is sampled up to 8 x 8 times so that a narrow lobe is not missed.
+    """
+    cells, pixels = integrator.cells, integrator.pixels
+    height, width = pixels.values.shape[:2]
+    pixel = max(np.pi / height, 2 * np.pi / width)
+    fine = np.flatnonzero(pixel * 8.0 * 2.0 ** np.arange(len(cells.first)) <= mu / _CELLS_PER_WIDTH)
+    narrow = mu * float((normal * view).sum(axis=-1).min())
+    parts = int(np.clip(np.ceil(_PARTS_PER_WIDTH * pixel / narrow), 1, _MOST_PARTS))
+    out = np.zeros((len(normal), pixels.values.shape[2]))
+    normal, view = np.ascontiguousarray(normal), np.ascontiguousarray(view)
+    _references(pixels, cells, int(fine[-1]) if fine.size else -1, parts, normal, view, mu, *index, out)
+    return out / np.pi
+
+
+def places(theta_r: float, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Return random normals and views at an angle (rad) between them, (count, 3) each."""
+    rng = np.random.default_rng(seed)
+    normal, other = rng.normal(size=(2, count, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    across = np.cross(normal, other)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return normal, np.cos(theta_r) * normal + np.sin(theta_r) * across
+
+
+def lit_places(cells, mu: float, theta_r: float, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Return normals and views, (count, 3) each, that mirror within about a roughness (rad) of the light's power."""
+    rng = np.random.default_rng(seed)
+    blocks = cells.rows[0] * cells.columns[0]
+    power = cells.power[:blocks]
+    if not power.any():
+        return places(theta_r, count, seed)
+    chosen = rng.choice(blocks, count, p=power / power.sum())
+    mirror = cells.power_moment[:blocks][chosen]
+    mirror = mirror / np.linalg.norm(mirror, axis=1, keepdims=True) + mu * rng.normal(size=(count, 3))
+    mirror /= np.linalg.norm(mirror, axis=1, keepdims=True)
+    across = np.cross(mirror, rng.normal(size=(count, 3)))
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    normal = np.cos(theta_r) * mirror + np.sin(theta_r) * across
+    return normal, 2.0 * np.cos(theta_r) * normal - mirror
+
+
+def gloss_errors(integrator: Integrator, maps: GlossMaps) -> list[dict]:
+    """Return the errors of the look-up by roughness and view angle, for n = 1.5.
+
+    Returns
+    -------
+    list of dict
+        ``mu_rad``, ``theta_r_deg``; ``rms``: root mean square error over that of the radiance, at 3 random normals and
+        views and at 3 that mirror about where light comes from; ``max``: the largest error over the largest radiance.
+    """
+    tables, rows = maps.tables(), []
+    for mu in MU_RAD:
+        for theta_r in THETA_R_DEG:
+            angle = math.radians(theta_r)
+            pairs = places(angle, _PLACES), lit_places(integrator.cells, mu, angle, _PLACES)
+            normal, view = (np.concatenate(both) for both in zip(*pairs, strict=True))
+            truth = true_gloss(integrator, normal, view, mu)
+            error = np.linalg.norm(gloss_radiance(tables, normal, view, 1.0, mu, *_INDEX) - truth, axis=1)
+            size = np.linalg.norm(truth, axis=1)
+            rms, largest = math.sqrt(float((size**2).mean())), float(size.max())
+            rows.append(
+                {
+                    "mu_rad": mu,
+                    "theta_r_deg": theta_r,
+                    "rms": math.sqrt(float((error**2).mean())) / (rms or 1.0),
+                    "max": float(error.max()) / (largest or 1.0),
+                }
+            )
+    return rows

@@ -1,0 +1,79 @@
+"""Very rough reflection: the light as a thousand point sources, the lobe of equation (5) summed over them as it is.
+
+From a roughness of 0.4 rad the lobe is so wide, and cut so hard by the horizon, that blurred light would need more
+look-ups than there are parts of the sphere worth telling apart. The sphere is divided into cells of a tenth of a
+radian; each is a point at its centre of power, so that a small sun stands where it stands.
+"""
+
+import math
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from irodori.jit.native import njit
+from irodori.light.irradiance import make_pixels
+from irodori.reflection.equation5 import attenuation_over_cosine, facet_distribution, fresnel
+
+_ROWS = 32
+_REACH = 3.0  # roughnesses from the normal beyond which facets count for nothing, 1e-4 of the straight ones
+_FEWEST_ROWS = 64  # of the picture; coarser pixels are divided, for they shine evenly
+
+
+class PointLights(NamedTuple):
+    """Light as points."""
+
+    direction: np.ndarray  # (n, 3) unit
+    power: np.ndarray  # (n, k) float64, radiance unit times sr
+
+
+def point_lights(coefficients: np.ndarray) -> PointLights:
+    """Return the points of an equirectangular picture, (height, width, k)."""
+    for axis, least in enumerate((_FEWEST_ROWS, 2 * _FEWEST_ROWS)):
+        if coefficients.shape[axis] < least:
+            coefficients = coefficients.repeat(-(-least // coefficients.shape[axis]), axis=axis)
+    pixels = make_pixels(coefficients)
+    edges = np.round(np.linspace(0, len(pixels.values), _ROWS + 1)).astype(int)
+    found = [_band(pixels, slice(*rows)) for rows in pairwise(edges)]
+    return PointLights(*(np.concatenate(column) for column in zip(*found, strict=True)))
+
+
+def _band(pixels, rows: slice) -> tuple[np.ndarray, np.ndarray]:
+    """Return directions and powers of the cells of some rows; those without light are left out."""
+    width = pixels.values.shape[1]
+    sine, parts = pixels.sin_theta[rows], (pixels.values, pixels.solid_angle, pixels.sin_theta, pixels.cos_theta)
+    power = np.zeros((width, pixels.values.shape[2]))
+    across, along = np.zeros(width), np.zeros(width)
+    for row, solid_angle, s, z in zip(*(part[rows] for part in parts), strict=True):
+        light = row * solid_angle
+        length = np.sqrt(np.einsum("wk,wk->w", light, light))
+        power += light
+        across += length * s
+        along += length * z
+    columns = np.round(np.linspace(0, width, max(4, math.ceil(2 * _ROWS * sine.max())) + 1)).astype(int)[:-1]
+    moment = np.stack([across * pixels.cos_azimuth, across * pixels.sin_azimuth, along], axis=-1)
+    moment, power = np.add.reduceat(moment, columns), np.add.reduceat(power, columns)
+    length = np.linalg.norm(moment, axis=1)
+    lit = length > 0.0
+    return moment[lit] / length[lit, None], power[lit]
+
+
+@njit(cache=True, error_model="numpy")
+def add_from_points(lights, normal, view, mu, n, k, scale, out):
+    """Add ``scale`` times Σ F D G / cosθ_r L dω [eq. 5] over the points; arguments as of `irodori.light.gloss`."""
+    cos_r = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
+    least = math.cos(min(_REACH * mu, 0.5 * math.pi))
+    for i in range(lights.power.shape[0]):
+        x, y, z = lights.direction[i, 0], lights.direction[i, 1], lights.direction[i, 2]
+        cos_i = normal[0] * x + normal[1] * y + normal[2] * z
+        if cos_i <= 0.0:
+            continue
+        # |L + V|² = 2 (1 + L·V), and V·H is half of |L + V|.
+        length = math.sqrt(max(2.0 + 2.0 * (view[0] * x + view[1] * y + view[2] * z), 1e-18))
+        cos_h, cos_phi = 0.5 * length, min((cos_i + cos_r) / length, 1.0)
+        if cos_phi < least:
+            continue
+        geometric = attenuation_over_cosine(cos_i, cos_r, cos_phi, cos_h)
+        value = scale * fresnel(cos_h, n, k) * facet_distribution(math.acos(cos_phi), mu) * geometric
+        for b in range(out.size):
+            out[b] += value * lights.power[i, b]

@@ -1,0 +1,338 @@
+"""The irradiance map I_d(N) = Σ cosθ L(ω) dΩ of equation (8), on the coefficients.
+
+The picture is kept as a quadtree of cells of constant size in angle, each with Σ L ω dΩ. For a normal N a cell wholly
+above the horizon gives N · Σ L ω dΩ exactly, one wholly below gives nothing, one that the horizon cuts is divided, down
+to the pixel, until what it may err is a small part of the irradiance.
+"""
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from irodori.core.progress import LOGGER
+from irodori.jit.native import njit
+from irodori.light.environment_file import directions
+from irodori.light.equirectangular import look_up
+
+_BLOCK = 8  # pixels along each side of the smallest cell that is stored
+_TOP_CELLS = 32
+_COARSE_CELLS = 1024  # cells by which the irradiance is bounded from below before the tolerance is set
+_TOLERANCE = 2e-4  # power times angular radius of a cut cell that is not divided, over the irradiance
+_SPREAD = 0.55  # half the extent of a cell's heights over the horizon, over its angular radius
+_DARKEST = 1e-7  # irradiance over power under which the tolerance sinks no further
+_STACK = 1024
+_SMALLEST_HEIGHT = 32
+_MIDPOINTS = 1 << 15
+
+
+class Cells(NamedTuple):
+    """The quadtree; cells of all levels one after the other, finest level first.
+
+    ``power`` of a cell is Σ |L| dΩ, with |L| the length of a pixel's coefficients.
+    """
+
+    first: np.ndarray  # (levels,)
+    rows: np.ndarray  # (levels,)
+    columns: np.ndarray  # (levels,)
+    centre: np.ndarray  # (cells, 3)
+    sine: np.ndarray  # (cells,) sine of the angular radius that holds the cell's pixels, 2 from 90 degrees on
+    radius: np.ndarray  # (cells,) rad
+    power: np.ndarray  # (cells,)
+    power_moment: np.ndarray  # (cells, 3)
+    moment: np.ndarray  # (cells, k, 3)
+
+
+class Pixels(NamedTuple):
+    """The picture with the directions and solid angles of its rows and columns."""
+
+    values: np.ndarray  # (height, width, k)
+    sin_theta: np.ndarray  # (height,)
+    cos_theta: np.ndarray  # (height,)
+    cos_azimuth: np.ndarray  # (width,)
+    sin_azimuth: np.ndarray  # (width,)
+    solid_angle: np.ndarray  # (height,)
+
+
+def make_pixels(coefficients: np.ndarray) -> Pixels:
+    """Return a picture, (height, width, k), with its tables; directions are those of the pixels' centres."""
+    height, width = coefficients.shape[:2]
+    edges = np.linspace(0.0, np.pi, height + 1)
+    theta = 0.5 * (edges[1:] + edges[:-1])
+    azimuth = 2 * np.pi * (np.arange(width) + 0.5) / width
+    return Pixels(
+        np.ascontiguousarray(coefficients, dtype=np.float32),
+        np.sin(theta),
+        np.cos(theta),
+        np.cos(azimuth),
+        np.sin(azimuth),
+        # The difference of cosines without its cancellation at the poles.
+        2.0 * np.sin(theta) * np.sin(0.5 * np.pi / height) * (2 * np.pi / width),
+    )
+
+
+@njit(cache=True)
+def _fill_block(pixels, i, j, moment, power_moment):
+    values = pixels.values
+    height, width, bases = values.shape
+    power = 0.0
+    for row in range(i * _BLOCK, min(height, (i + 1) * _BLOCK)):
+        s, z, weight = pixels.sin_theta[row], pixels.cos_theta[row], pixels.solid_angle[row]
+        for column in range(j * _BLOCK, min(width, (j + 1) * _BLOCK)):
+            x, y = s * pixels.cos_azimuth[column], s * pixels.sin_azimuth[column]
+            square = 0.0
+            for b in range(bases):
+                value = values[row, column, b] * weight
+                square += value * value
+                moment[b, 0] += value * x
+                moment[b, 1] += value * y
+                moment[b, 2] += value * z
+            length = math.sqrt(square)
+            power += length
+            power_moment[0] += length * x
+            power_moment[1] += length * y
+            power_moment[2] += length * z
+    return power
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _fill_blocks(pixels, columns, power, power_moment, moment):
+    for block in numba.prange(power.size):
+        power[block] = _fill_block(pixels, block // columns, block % columns, moment[block], power_moment[block])
+
+
+def _halved(values: np.ndarray) -> np.ndarray:
+    rows, columns = ((n + 1) // 2 for n in values.shape[:2])
+    sums = np.add.reduceat(values, 2 * np.arange(rows), axis=0)
+    return np.add.reduceat(sums, 2 * np.arange(columns), axis=1)
+
+
+def _geometry(rows: int, columns: int, side: int, height: int, width: int):
+    """Return centres (cells, 3) and angular radii (cells,) of the cells of a level, ``side`` pixels square."""
+    top, left = np.arange(rows) * side, np.arange(columns) * side
+    theta = np.stack([top, np.minimum(top + side, height)]) * (np.pi / height)
+    azimuth = np.stack([left, np.minimum(left + side, width)]) * (2 * np.pi / width)
+    middle, turn = theta.mean(axis=0), azimuth.mean(axis=0)
+    centre = np.empty((rows, columns, 3))
+    centre[..., 0], centre[..., 1] = np.outer(np.sin(middle), np.cos(turn)), np.outer(np.sin(middle), np.sin(turn))
+    centre[..., 2] = np.cos(middle)[:, None]
+    widest = np.where((theta[0] < np.pi / 2) & (theta[1] > np.pi / 2), 1.0, np.sin(theta).max(axis=0))
+    # From the middle along the meridian, then along the parallel: no pixel is farther.
+    radius = 0.5 * np.ptp(theta, axis=0)[:, None] + widest[:, None] * (0.5 * np.ptp(azimuth, axis=0))[None]
+    return centre.reshape(-1, 3), radius.ravel()
+
+
+def make_cells(pixels: Pixels) -> Cells:
+    """Return the quadtree of a picture."""
+    height, width, bases = pixels.values.shape
+    rows, columns = -(-height // _BLOCK), -(-width // _BLOCK)
+    power, power_moment = np.zeros(rows * columns), np.zeros((rows * columns, 3))
+    moment = np.zeros((rows * columns, bases, 3))
+    _fill_blocks(pixels, columns, power, power_moment, moment)
+    levels = [(power.reshape(rows, columns), power_moment.reshape(rows, columns, 3),
+               moment.reshape(rows, columns, bases, 3))]  # fmt: skip
+    while levels[-1][0].size > _TOP_CELLS:
+        levels.append(tuple(_halved(values) for values in levels[-1]))
+    sizes = np.array([level[0].shape for level in levels])
+    shapes = [_geometry(r, c, _BLOCK << i, height, width) for i, (r, c) in enumerate(sizes)]
+    radius = np.concatenate([shape[1] for shape in shapes])
+    return Cells(
+        first=np.concatenate([[0], np.cumsum(sizes.prod(axis=1))[:-1]]),
+        rows=sizes[:, 0].copy(),
+        columns=sizes[:, 1].copy(),
+        centre=np.concatenate([shape[0] for shape in shapes]),
+        sine=np.where(radius < np.pi / 2, np.sin(np.minimum(radius, np.pi / 2)), 2.0),
+        radius=radius,
+        power=np.concatenate([level[0].ravel() for level in levels]),
+        power_moment=np.concatenate([level[1].reshape(-1, 3) for level in levels]),
+        moment=np.concatenate([level[2].reshape(-1, bases, 3) for level in levels]),
+    )
+
+
+@njit(cache=True)
+def _lower_bound(cells, level, nx, ny, nz):
+    """Return what the cells of a level that are wholly above the horizon give to the irradiance of |L|, and Σ |L|."""
+    first = cells.first[level]
+    found, total = 0.0, 0.0
+    for j in range(first, first + cells.rows[level] * cells.columns[level]):
+        total += cells.power[j]
+        height = nx * cells.centre[j, 0] + ny * cells.centre[j, 1] + nz * cells.centre[j, 2]
+        if height >= cells.sine[j]:
+            m = cells.power_moment[j]
+            found += nx * m[0] + ny * m[1] + nz * m[2]
+    return found, total
+
+
+@njit(cache=True)
+def _add_pixels(pixels, i, j, nx, ny, nz, out):
+    """Add the pixels of a block by themselves."""
+    values = pixels.values
+    height, width, bases = values.shape
+    for row in range(i * _BLOCK, min(height, (i + 1) * _BLOCK)):
+        s, weight = pixels.sin_theta[row], pixels.solid_angle[row]
+        z = nz * pixels.cos_theta[row]
+        for column in range(j * _BLOCK, min(width, (j + 1) * _BLOCK)):
+            cosine = s * (nx * pixels.cos_azimuth[column] + ny * pixels.sin_azimuth[column]) + z
+            if cosine > 0.0:
+                for b in range(bases):
+                    out[b] += cosine * weight * values[row, column, b]
+
+
+@njit(cache=True)
+def _add_irradiance(cells, pixels, coarse, nx, ny, nz, levels, places, out):
+    """Add the irradiance of a normal; ``levels`` and ``places`` are the stack of cells to look at."""
+    bound, total = _lower_bound(cells, coarse, nx, ny, nz)
+    limit = _TOLERANCE * max(bound, _DARKEST * total)
+    top = cells.first.size - 1
+    waiting = cells.rows[top] * cells.columns[top]
+    for place in range(waiting):
+        levels[place], places[place] = top, place
+    while waiting > 0:
+        waiting -= 1
+        level, place = levels[waiting], places[waiting]
+        j = cells.first[level] + place
+        height = nx * cells.centre[j, 0] + ny * cells.centre[j, 1] + nz * cells.centre[j, 2]
+        if height <= -cells.sine[j] or cells.power[j] == 0.0:
+            continue
+        cut = height < cells.sine[j]
+        if cut and cells.power[j] * cells.radius[j] > limit:
+            columns = cells.columns[level]
+            i, k = place // columns, place % columns
+            if level == 0:
+                _add_pixels(pixels, i, k, nx, ny, nz, out)
+                continue
+            below_rows, below_columns = cells.rows[level - 1], cells.columns[level - 1]
+            for row in range(2 * i, min(2 * i + 2, below_rows)):
+                for column in range(2 * k, min(2 * k + 2, below_columns)):
+                    levels[waiting], places[waiting] = level - 1, row * below_columns + column
+                    waiting += 1
+            continue
+        m, c = cells.moment[j], cells.centre[j]
+        spread = _SPREAD * cells.radius[j]
+        if abs(height) < spread:
+            # Light even over the heights from the centre's less to the centre's plus the spread.
+            mean = (height + spread) ** 2 / (4.0 * spread)
+            for b in range(out.size):
+                out[b] += mean * (c[0] * m[b, 0] + c[1] * m[b, 1] + c[2] * m[b, 2])
+        elif height > 0.0:
+            for b in range(out.size):
+                out[b] += nx * m[b, 0] + ny * m[b, 1] + nz * m[b, 2]
+
+
+@njit(cache=True)
+def _irradiance_range(cells, pixels, coarse, normals, first, last, out):
+    levels, places = np.empty(_STACK, dtype=np.int64), np.empty(_STACK, dtype=np.int64)
+    for i in range(first, last):
+        _add_irradiance(cells, pixels, coarse, normals[i, 0], normals[i, 1], normals[i, 2], levels, places, out[i])
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _irradiance(cells, pixels, coarse, normals, out):
+    chunk = 64
+    for part in numba.prange((normals.shape[0] + chunk - 1) // chunk):
+        _irradiance_range(cells, pixels, coarse, normals, part * chunk, min((part + 1) * chunk, normals.shape[0]), out)
+
+
+class Integrator:
+    """Irradiance of any normal under one environment.
+
+    Parameters
+    ----------
+    coefficients : (height, width, k) float
+        Radiance, equirectangular.
+    """
+
+    def __init__(self, coefficients: np.ndarray) -> None:
+        self.pixels = make_pixels(coefficients)
+        self.cells = make_cells(self.pixels)
+        counts = self.cells.rows * self.cells.columns
+        self._coarse = int(np.argmax(counts <= max(_COARSE_CELLS, counts[-1])))
+
+    def __call__(self, normals: np.ndarray) -> np.ndarray:
+        """Return the irradiance, (..., k) float64 in radiance unit times sr, of unit normals (..., 3)."""
+        flat = np.ascontiguousarray(np.reshape(normals, (-1, 3)), dtype=np.float64)
+        out = np.zeros((len(flat), self.pixels.values.shape[2]))
+        _irradiance(self.cells, self.pixels, self._coarse, flat, out)
+        return out.reshape(*np.shape(normals)[:-1], out.shape[1])
+
+
+def irradiance_map(coefficients: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Return the irradiance map I_d of equation (8) on the coefficients.
+
+    Parameters
+    ----------
+    coefficients : (H, W, k) float
+        Radiance, equirectangular.
+    width, height : int
+        Size of the map over the normals.
+
+    Returns
+    -------
+    (height, width, k) float32, radiance unit times sr
+    """
+    return Integrator(coefficients)(directions(width, height)[0]).astype(np.float32)
+
+
+def irradiance_at(irradiance: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return an irradiance map, (h, w, k), looked up at unit normals (..., 3), as (..., k) float64."""
+    flat = np.ascontiguousarray(np.reshape(normals, (-1, 3)), dtype=np.float64)
+    out = np.empty((len(flat), irradiance.shape[2]))
+    look_up(np.ascontiguousarray(irradiance), flat, out)
+    return out.reshape(*np.shape(normals)[:-1], out.shape[1])
+
+
+def midpoints(height: int) -> np.ndarray:
+    """Return the normals farthest from those of a map of a height and twice that width, and the poles, (n, 3).
+
+    Of more than 32768 an even choice.
+    """
+    theta = np.pi * np.arange(1, height) / height
+    azimuth = np.pi * np.arange(2 * height) / height
+    theta, azimuth = (grid.ravel() for grid in np.meshgrid(theta, azimuth, indexing="ij"))
+    if theta.size > _MIDPOINTS:
+        # Multiples of the golden ratio: no row and no column is preferred.
+        chosen = np.unique((np.arange(_MIDPOINTS) * 0.6180339887498949 % 1.0 * theta.size).astype(int))
+        theta, azimuth = theta[chosen], azimuth[chosen]
+    unit = np.stack([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1)
+    return np.concatenate([[[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], unit])
+
+
+def fitted_irradiance_map(
+    coefficients: np.ndarray, max_error: float, max_height: int, integrate: Integrator | None = None
+) -> tuple[np.ndarray, dict]:
+    """Return the smallest irradiance map that looks up between its normals well enough.
+
+    Parameters
+    ----------
+    coefficients : (H, W, k) float
+        Radiance, equirectangular.
+    max_error : float
+        Largest error of the look-up at the midpoints between the map's normals, relative to the largest irradiance.
+    max_height : int
+        Rows at which the map stops growing, px; columns are twice as many. Heights are 32, 64, 128...
+    integrate : Integrator, optional
+        Of the same picture, where there is one already.
+
+    Returns
+    -------
+    map : (height, 2 * height, k) float32, radiance unit times sr
+    errors : dict
+        ``height`` of the map, ``max_error`` and ``mean_error`` at the midpoints, relative to the largest irradiance.
+    """
+    integrate = Integrator(coefficients) if integrate is None else integrate
+    height = min(_SMALLEST_HEIGHT, max_height)
+    while True:
+        found = integrate(directions(2 * height, height)[0]).astype(np.float32)
+        between = midpoints(height)
+        exact = integrate(between)
+        largest = np.linalg.norm(exact, axis=-1).max()
+        difference = np.linalg.norm(irradiance_at(found, between) - exact, axis=-1) / (largest or 1.0)
+        error = float(difference.max())
+        if error <= max_error or height >= max_height:
+            break
+        height = min(2 * height, max_height)
+    if error > max_error:
+        LOGGER.info("the irradiance map of %d rows errs by %.2g between its normals, more than asked", height, error)
+    LOGGER.info("irradiance map %d x %d, error between its normals up to %.2g", 2 * height, height, error)
+    return found, {"height": height, "max_error": error, "mean_error": float(difference.mean())}

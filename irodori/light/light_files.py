@@ -1,0 +1,162 @@
+"""Environments from the files of other programs: RGB pictures of high dynamic range and spectral EXR."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from irodori.core.errors import InputError
+from irodori.export.pictures import Header, layers_of, picture_bands, picture_header
+from irodori.light.omnidirectional import BAND_ROWS, Picture, from_panorama
+from irodori.spectra.grid import WAVELENGTH_NM
+from irodori.spectra.published import light
+from irodori.spectra.resampling import resample_picture
+
+_RGB_ASSUMPTION = (
+    "linear sRGB primaries; the spectrum of a pixel is R r(λ) + G g(λ) + B b(λ) of Mallett and Yuksel (2019) times "
+    "D65, the smooth spectrum that has its colour: what the lights of the place really emit is not in the file"
+)
+
+
+#: Red, green, blue and white of linear sRGB (ITU-R BT.709), x and y of each.
+_SRGB = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+_CHROMATICITY_ROUNDING = 2e-3
+#: How far a panorama may be from twice as wide as high, as a share of its width: cut pixels of a rescaled one.
+_ODD_SHARE = 0.01
+
+
+def mallett_basis() -> np.ndarray:
+    """Return the spectra of the linear sRGB primaries (Mallett and Yuksel 2019), (61, 3), times D65, 100 at 560 nm.
+
+    Their sum is D65, and an RGB of linear sRGB relative to D65 = (1, 1, 1) has its own colour.
+    """
+    from colour.recovery import MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019 as functions
+
+    columns = [np.interp(WAVELENGTH_NM, functions.wavelengths, column) for column in functions.values.T]
+    return np.stack(columns, axis=1) * light("D65")[:, None]
+
+
+def _panorama_header(path) -> Header:
+    """Return the header of a panorama; refuse one that holds a part of its picture."""
+    header = picture_header(path)
+    if header.size != header.shown:
+        (height, width), (whole_height, whole_width) = header.size, header.shown
+        found = f"{width} x {height} pixels of a picture of {whole_width} x {whole_height}"
+        raise InputError(path, "dataWindow", found, "every direction: a whole panorama")
+    return header
+
+
+def _panorama(size: tuple[int, int], basis: np.ndarray, read, path, origin: dict) -> Picture:
+    """Return the picture of a file; refuse one that cannot be all directions on an equirectangular grid."""
+    height, width = size
+    if abs(width - 2 * height) > _ODD_SHARE * width:
+        accepted = "an equirectangular panorama of all directions, twice as wide as high"
+        raise InputError(path, "", f"{width} x {height} pixels", accepted)
+    return Picture(size, basis, read, path, origin)
+
+
+def _finite(band: np.ndarray, first: int, path) -> np.ndarray:
+    """Return a band of a picture; refuse one with a pixel that is not finite."""
+    bad = int((~np.isfinite(band)).any(axis=-1).sum())
+    if bad:
+        found = f"{bad} pixels that are not finite in rows {first} to {first + len(band) - 1}"
+        raise InputError(path, "", found, "finite radiance everywhere")
+    return band
+
+
+class _NotNegative:
+    """Bands of a picture with what is negative set to 0 and counted; the counts are those of one reading."""
+
+    def __init__(self, origin: dict) -> None:
+        self._origin, self._counts = origin, {}
+        origin |= {"negative_pixels": 0, "negative_sum_over_positive": 0.0}
+
+    def __call__(self, band: np.ndarray, first: int) -> np.ndarray:
+        """Return a band (rows, width, n) of which the first row has a number."""
+        out = np.maximum(band, 0.0)
+        removed = out - band
+        self._counts[first] = (
+            int(removed.any(axis=-1).sum()), removed.sum(dtype=np.float64), out.sum(dtype=np.float64)
+        )  # fmt: skip
+        pixels, below, above = (sum(column) for column in zip(*self._counts.values(), strict=True))
+        self._origin |= {"negative_pixels": pixels, "negative_sum_over_positive": float(below / max(above, 1e-30))}
+        return out
+
+
+def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Picture:
+    """Return the light of an RGB panorama, spectra by Mallett and Yuksel (2019), an assumption.
+
+    Parameters
+    ----------
+    path : path
+        EXR, Radiance HDR or TIFF of half or float samples; linear sRGB primaries; clockwise, the zenith on top.
+    scale : float
+        Radiance of RGB (1, 1, 1), relative: 1 has the luminance of D65 as tabulated, 100 at 560 nm.
+    centre_azimuth_deg : float, degrees
+        Azimuth of the middle of the picture.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, has no R, G and B, states other primaries, is a part of a picture, is not twice as
+        wide as high, or is made for a display; while it is read, if it is truncated or a pixel is not finite.
+
+    Notes
+    -----
+    Negative values, which lossy compression and wide gamuts leave, are set to 0 and counted in ``origin``.
+    """
+    header = _panorama_header(path)
+    names, depth = header.channels, header.depth
+    if depth not in ("half", "float", "double"):
+        accepted = "linear light: half or float samples, as EXR and Radiance HDR have"
+        raise InputError(path, "", f"{depth} samples, which are made for a display", accepted)
+    missing = [name for name in "RGB" if name not in names]
+    if missing:
+        found = f"no channel {missing[0]} among {', '.join(names[:6])}"
+        raise InputError(path, "channels", found, "the channels R, G and B")
+    stated = header.chromaticities
+    if stated is not None and np.abs(np.subtract(stated, _SRGB)).max() > _CHROMATICITY_ROUNDING:
+        found = ", ".join(f"{value:g}" for value in stated)
+        raise InputError(path, "chromaticities", found, f"those of linear sRGB: {', '.join(map(str, _SRGB))}")
+    origin = {"kind": "rgb", "assumption": _RGB_ASSUMPTION}
+    not_negative, channels = _NotNegative(origin), [names.index(name) for name in "RGB"]
+
+    def read() -> Iterator[np.ndarray]:
+        for first, band in picture_bands(path, BAND_ROWS):
+            rgb = not_negative(_finite(band[..., channels], first, path), first)
+            yield from_panorama(rgb * np.float32(scale), centre_azimuth_deg)
+
+    return _panorama(header.size, mallett_basis(), read, path, origin)
+
+
+def spectral_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Picture:
+    """Return the light of a spectral EXR in the published layout, brought to the 61 wavelengths.
+
+    Parameters
+    ----------
+    path : path
+        Emissive layers ``S0.<wavelength>`` of any wavelengths that cover 400 to 700 nm; clockwise, the zenith on top.
+    scale : float
+        Factor on the file's radiance.
+    centre_azimuth_deg : float, degrees
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, holds no emissive layers (a picture of reflectances is no light), is a part of a
+        picture, is not twice as wide as high, or does not cover the wavelengths; while it is read, if it is truncated
+        or a value is not finite.
+    """
+    header = _panorama_header(path)
+    wavelength_nm, channels = layers_of(header.channels, "S0", path)
+    resample_picture(wavelength_nm, np.zeros((1, len(wavelength_nm)), np.float32), path)  # refuses before reading
+    bounds = [float(wavelength_nm[0]), float(wavelength_nm[-1]), len(wavelength_nm)]
+    origin = {"kind": "spectral", "wavelengths_nm": bounds}
+    not_negative = _NotNegative(origin)
+
+    def read() -> Iterator[np.ndarray]:
+        for first, band in picture_bands(path, BAND_ROWS):
+            spectra = _finite(band[..., channels], first, path)
+            values = not_negative(resample_picture(wavelength_nm, spectra, path), first)
+            yield from_panorama(values * np.float32(scale), centre_azimuth_deg)
+
+    return _panorama(header.size, np.eye(WAVELENGTH_NM.size), read, path, origin)

@@ -1,0 +1,157 @@
+"""An omnidirectional picture from the photograph of a mirror ball, the ball's own reflectance divided out.
+
+The camera is far away: all its rays are parallel (orthographic), and the ball shows, at the distance s·radius from its
+centre, what lies at 2 asin(s) from the direction back to the camera. Near its rim a ball squeezes a whole circle of
+directions about the point opposite the camera into few pixels; those beyond `RIM` are taken from the rim.
+"""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
+from irodori.light.environment_file import directions
+from irodori.light.omnidirectional import Picture, bands
+from irodori.light.placed_lights import direction_of
+from irodori.reflection.equation5 import fresnel
+from irodori.spectra.grid import SAMPLES
+from irodori.spectra.published import refractive_index, spectrum
+
+#: Part of the ball's radius that is used; beyond it a pixel spans many degrees.
+RIM = 0.98
+_ANGLES = 96
+_RANK_TOLERANCE = 1e-5
+_LEAST_SHARE = 1e-3
+
+
+def ball_reflectance(source: dict, cos_h: np.ndarray) -> np.ndarray:
+    """Return the reflectance of the ball at cosines of its angle of incidence, (n, 61).
+
+    Parameters
+    ----------
+    source : dict
+        ``reflectance_factor``, a number or a spectrum, the same at all angles; or ``refractive_index``, of which the
+        exact Fresnel reflectance is taken.
+    cos_h : (n,) float
+    """
+    if "reflectance_factor" in source:
+        given = source["reflectance_factor"]
+        values = spectrum(given) if isinstance(given, str) else np.full(SAMPLES, float(given))
+        return np.broadcast_to(values, (len(cos_h), SAMPLES))
+    n, k = refractive_index(source["refractive_index"])
+    return np.array([[fresnel(c, a, b) for a, b in zip(n, k, strict=True)] for c in cos_h])
+
+
+def inverse_reflectance(source: dict, cos_h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return 1 / F over angle and wavelength as a short sum: factors (n, t) of the angle, spectra (61, t)."""
+    angles = np.linspace(math.sqrt(1.0 - RIM**2), 1.0, _ANGLES)
+    reflectance = ball_reflectance(source, angles)
+    if (reflectance <= 1e-3).any():
+        raise ValueError("a ball that reflects less than a thousandth at some wavelength; accepted: a mirror")
+    u, s, vt = np.linalg.svd(1.0 / reflectance, full_matrices=False)
+    count = int((s > _RANK_TOLERANCE * s[0]).sum())
+    factors = [np.interp(cos_h, angles, u[:, i] * s[i]) for i in range(count)]
+    return np.stack(factors, axis=-1), vt[:count].T
+
+
+def ball_places(
+    source: dict, width: int, height: int, rows: slice = slice(None)
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return where an equirectangular picture's directions, all or those of rows, are seen in the ball's photograph.
+
+    Returns
+    -------
+    x_px, y_px : (height, width) float64
+        Pixel coordinates, 0 at the centre of the first pixel, y down.
+    sine : (height, width) float64
+        Distance from the ball's centre over its radius, before it is held at `RIM`.
+    """
+    to_camera = direction_of(source["camera_azimuth_deg"], source["camera_elevation_deg"])
+    # The upright camera's frame, turned by its roll about the line of sight.
+    azimuth, roll = np.radians([source["camera_azimuth_deg"], source["roll_deg"]])
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    up = np.cross(to_camera, right)
+    right, up = np.cos(roll) * right + np.sin(roll) * up, np.cos(roll) * up - np.sin(roll) * right
+    unit = directions(width, height, rows)[0]
+    half = unit + to_camera
+    length = np.linalg.norm(half, axis=-1, keepdims=True)
+    half = np.divide(half, length, out=np.broadcast_to(right, half.shape).copy(), where=length > 1e-9)
+    a, b = half @ right, half @ up
+    sine = np.hypot(a, b)
+    held = np.minimum(sine, RIM) / np.maximum(sine, 1e-12) * source["radius_px"]
+    x, y = source["centre_px"]
+    return x + a * held, y - b * held, sine
+
+
+def _bilinear(values: np.ndarray, valid: np.ndarray, x: np.ndarray, y: np.ndarray, path) -> np.ndarray:
+    """Return pixels looked up between their centres, masked ones left out; refuse where all four are masked."""
+    height, width = valid.shape
+    x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
+    # The three others count for a little even where a masked pixel's own centre is looked up.
+    x, y = (first + np.clip(at - first, _LEAST_SHARE, 1.0 - _LEAST_SHARE) for at, first in ((x, x0), (y, y0)))
+    total, weight = np.zeros((*x.shape, values.shape[-1])), np.zeros(x.shape)
+    for dy in (0, 1):
+        for dx in (0, 1):
+            row, column = np.clip(y0 + dy, 0, height - 1), np.clip(x0 + dx, 0, width - 1)
+            share = np.abs(1 - dx - (x - x0)) * np.abs(1 - dy - (y - y0)) * valid[row, column]
+            total += np.where(share > 0, share, 0.0)[..., None] * np.where(
+                valid[row, column, None], values[row, column], 0
+            )
+            weight += share
+    lost = int((weight == 0.0).sum())
+    if lost:
+        raise InputError(
+            path, "valid", f"{lost} directions whose pixels are all masked", "single masked pixels at most"
+        )
+    return total / weight[..., None]
+
+
+def unwrapped(source: dict, image: dict, weights, valid, basis: np.ndarray, path) -> Picture:
+    """Return the light around a mirror ball; the photograph is held whole, for its pixels are wanted in no order.
+
+    Parameters
+    ----------
+    source : dict
+        ``centre_px`` (x, y), ``radius_px``, ``camera_azimuth_deg``, ``camera_elevation_deg`` (from the ball to the
+        camera), ``roll_deg``, and what `ball_reflectance` takes.
+    image : dict
+        ``width`` and ``height`` of the equirectangular picture, px.
+    weights : (rows, columns, r) float
+        The photograph, radiance on a basis.
+    valid : (rows, columns) bool
+    basis : (61, r) float
+    path : path
+        The photograph, for the error message.
+
+    Raises
+    ------
+    InputError
+        If the ball does not lie within the photograph; while it is read, if masked pixels stand together.
+    """
+    rows, columns = valid.shape
+    (x, y), radius = source["centre_px"], source["radius_px"]
+    if min(x, y) - radius < -0.5 or x + radius > columns - 0.5 or y + radius > rows - 0.5:
+        found = f"a ball about {x:g}, {y:g} of radius {radius:g}, beyond the photograph"
+        raise InputError(path, "response", found, f"a ball within {columns} x {rows} pixels")
+    # The directions beyond the rim are a cone about the line of sight, of half the angle π - 2 asin(RIM).
+    blind = 1.0 - RIM**2
+    LOGGER.info("mirror ball: %.1f %% of the sphere lies behind it and takes the values of its rim", 100 * blind)
+    size = image["height"], image["width"]
+    full = np.einsum("lt,lr->ltr", inverse_reflectance(source, np.ones(1))[1], basis).reshape(len(basis), -1)
+
+    def read() -> Iterator[np.ndarray]:
+        for part in bands(size[0]):
+            x_px, y_px, sine = ball_places(source, size[1], size[0], part)
+            seen = _bilinear(weights, valid, x_px, y_px, path)
+            factors, _ = inverse_reflectance(source, np.sqrt(1.0 - np.minimum(sine, RIM) ** 2).ravel())
+            out = seen.reshape(-1, 1, seen.shape[-1]) * factors[:, :, None]
+            yield out.reshape(*x_px.shape, -1).astype(np.float32)
+
+    origin = {
+        "kind": "mirror_ball",
+        "assumption": "an orthographic camera: it stands far from the ball against the ball's radius",
+        "blind_fraction": blind,
+    }
+    return Picture(size, full, read, path, origin)

@@ -1,0 +1,117 @@
+"""Environments made of lights of known spectrum in given directions, each a disc or a single texel."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from irodori.colour.colorimetry import colour_matching_weights
+from irodori.light.environment_file import directions
+from irodori.light.omnidirectional import Picture, bands
+from irodori.spectra.published import light
+
+_PARTS = 16  # points along each side of a pixel that a disc's edge crosses
+
+
+def unit_luminance(name: str) -> np.ndarray:
+    """Return the spectrum of a light with the luminance of D65 as tabulated (100 at 560 nm): radiance 1, (61,)."""
+    luminance = colour_matching_weights()[1]
+    spectrum = light(name)
+    return spectrum * (luminance @ light("D65")) / (luminance @ spectrum)
+
+
+def direction_of(azimuth_deg: float, elevation_deg: float) -> np.ndarray:
+    """Return a unit vector, (3,): azimuth from +x towards +y, elevation from the horizon up, degrees."""
+    azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
+    return np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+
+
+def _texel(towards: np.ndarray, width: int, height: int) -> tuple[int, int]:
+    theta = np.arctan2(np.hypot(towards[0], towards[1]), towards[2])
+    turn = np.arctan2(towards[1], towards[0]) % (2 * np.pi) / (2 * np.pi)
+    return min(int(theta / np.pi * height), height - 1), min(int(turn * width), width - 1)
+
+
+def _coverage(towards: np.ndarray, radius: float, size: tuple[int, int], rows: slice) -> np.ndarray:
+    """Return the share of every pixel of some rows that lies in a disc of an angular radius (rad), (rows, width)."""
+    height, width = size
+    reach = 0.5 * np.hypot(np.pi / height, 2 * np.pi / width)
+    theta = np.pi * (np.arange(height)[rows] + 0.5) / height
+    if np.abs(theta - np.arccos(np.clip(towards[2], -1.0, 1.0))).min() > radius + 2 * reach:
+        return np.zeros((len(theta), width))
+    cosine = directions(width, height, rows)[0] @ towards
+    covered = (cosine > np.cos(max(radius - reach, 0.0))).astype(np.float64)
+    row, columns = np.nonzero((cosine > np.cos(min(radius + reach, np.pi))) & (covered == 0.0))
+    steps = (np.arange(_PARTS) + 0.5) / _PARTS
+    theta = np.pi * (np.arange(height)[rows][row][:, None, None] + steps[:, None]) / height
+    azimuth = 2 * np.pi * (columns[:, None, None] + steps) / width
+    inside = np.sin(theta) * (np.cos(azimuth) * towards[0] + np.sin(azimuth) * towards[1]) + np.cos(theta) * towards[2]
+    weight = np.broadcast_to(np.sin(theta), inside.shape)
+    share = ((inside > np.cos(radius)) * weight).sum(axis=(1, 2)) / weight.sum(axis=(1, 2))
+    covered[row, columns] = share
+    return covered
+
+
+def raster(definition: dict, size: tuple[int, int]) -> Callable[[slice], np.ndarray]:
+    """Return what gives the radiance of one light over rows of a picture, (rows, width) float64, its energy kept.
+
+    Parameters
+    ----------
+    definition : dict
+        ``azimuth_deg``, ``elevation_deg``, ``diameter_deg``, and either ``radiance`` or ``irradiance``: of a surface
+        that faces the light, 1 where a perfect diffuser there has radiance 1.
+    size : (height, width)
+        A disc smaller than a pixel is one pixel with its energy.
+    """
+    height, width = size
+    towards = direction_of(definition["azimuth_deg"], definition["elevation_deg"])
+    radius = 0.5 * np.radians(definition["diameter_deg"])
+
+    def disc(rows: slice) -> np.ndarray:
+        return _coverage(towards, radius, size, rows)
+
+    def texel(rows: slice) -> np.ndarray:
+        shape = np.zeros((len(range(height)[rows]), width))
+        if rows.start <= row < rows.stop:
+            shape[row - rows.start, column] = 1.0
+        return shape
+
+    row, column = _texel(towards, width, height)
+    is_disc = radius >= 0.5 * max(np.pi / height, 2 * np.pi / width) and any(disc(r).any() for r in bands(height))
+    shape = disc if is_disc else texel
+    if not is_disc:
+        towards = directions(width, height, slice(row, row + 1))[0][0, column]
+    power = facing = 0.0
+    for rows in bands(height):
+        part = shape(rows)
+        if not part.any():
+            continue
+        unit, solid_angle = directions(width, height, rows)
+        part = part * solid_angle
+        power, facing = power + part.sum(), facing + (part * np.maximum(unit @ towards, 0.0)).sum()
+    if "irradiance" in definition:
+        # Σ L cosψ dΩ of a surface that faces the light is π times the radiance of a perfect diffuser.
+        factor = np.pi * definition["irradiance"] / facing
+    else:
+        factor = definition["radiance"] * 4.0 * np.pi * np.sin(0.5 * radius) ** 2 / power
+    return lambda rows: factor * shape(rows)
+
+
+def lights_picture(lights: list[dict], width: int, height: int) -> Picture:
+    """Return the light of placed lights, one basis vector a light.
+
+    Parameters
+    ----------
+    lights : list of dict
+        See `raster`; and ``spectrum``.
+    width, height : int
+        Size of the picture, px.
+    """
+    size = height, width
+    shapes = [raster(one, size) for one in lights]
+    basis = np.stack([unit_luminance(one["spectrum"]) for one in lights], axis=1)
+
+    def read() -> Iterator[np.ndarray]:
+        for rows in bands(height):
+            yield np.stack([shape(rows) for shape in shapes], axis=-1).astype(np.float32)
+
+    return Picture(size, basis, read, "the placed lights", {"kind": "lights", "count": len(lights)})

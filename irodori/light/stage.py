@@ -1,0 +1,262 @@
+"""From an omnidirectional picture to compressed light, its irradiance map and gloss maps: equations (4), (8), (9)."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
+from irodori.light.environment_file import QUANTITY, Environment
+from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.light.gloss.look_up_errors import gloss_errors
+from irodori.light.irradiance import Integrator, fitted_irradiance_map
+from irodori.light.light_files import rgb_picture, spectral_picture
+from irodori.light.mirror_ball import RIM, unwrapped
+from irodori.light.omnidirectional import MeanLight, Picture, bands, from_panorama
+from irodori.light.placed_lights import lights_picture
+from irodori.material.principal_components.basis_count import Compression, CompressOptions, choose
+from irodori.material.principal_components.pixel_tiles import Tiles
+from irodori.material.principal_components.second_moments import second_moments
+from irodori.spectra.published import spectrum
+
+#: Of the test colours of CIE 224 those least alike: light that keeps its colours on them keeps them on others.
+SURFACES = ("TCS2", "TCS56", "TCS77")
+_READERS = {"rgb": rgb_picture, "spectral": spectral_picture}
+
+
+def lost_neighbours(masked: np.ndarray) -> int:
+    """Return how many masked pixels have a masked neighbour in their row, which closes on itself: (height, width)."""
+    return int((masked & (np.roll(masked, 1, axis=1) | np.roll(masked, -1, axis=1))).sum())
+
+
+def fill_masked(response: np.ndarray, masked: np.ndarray) -> np.ndarray:
+    """Return rows of a panorama, (rows, width, bands), whose masked pixels take the mean of their two neighbours."""
+    filled = response.copy()
+    rows, columns = np.nonzero(masked)
+    width = response.shape[1]
+    filled[rows, columns] = 0.5 * (response[rows, columns - 1] + response[rows, (columns + 1) % width])
+    return filled
+
+
+def _read_masks(linear, part=None) -> tuple[np.ndarray, list[str]]:
+    """Return where a photograph is valid and its filter states; refuse one that is saturated where it is used.
+
+    Parameters
+    ----------
+    linear : path
+    part : callable, optional
+        (height, width) -> (height, width) bool, the pixels that are used; all where absent.
+    """
+    with store.open_file(linear) as file:
+        valid, clipped = file.read("valid").astype(bool), file.read("clipped").astype(bool)
+        filters = file.attribute("filters")
+    used = clipped if part is None else clipped & part(*valid.shape)
+    if used.any():
+        found = f"{int(used.sum())} pixels saturated in every bracket"
+        raise InputError(linear, "exposure_s", found, "a shorter bracket of the environment")
+    return valid, filters
+
+
+def _photographed(linear, calibration: Calibration, centre_azimuth_deg: float) -> Picture:
+    """Return the light of an equirectangular photograph, whose brackets were merged when it was read in.
+
+    Its columns run clockwise, as they do in every photograph taken from within.
+    """
+    valid, filters = _read_masks(linear)
+    calibration.require_filters(filters, linear)
+    beside = lost_neighbours(~valid)
+    if beside:
+        found, accepted = f"{beside} masked pixels beside each other in a row", "masked pixels that stand alone"
+        raise InputError(linear, "valid", found, f"{accepted}, or a stitched panorama")
+    if not valid.all():
+        LOGGER.info("%d masked pixels filled from their neighbours along the row", int((~valid).sum()))
+
+    def read() -> Iterator[np.ndarray]:
+        with store.open_file(linear) as file:
+            for rows in bands(len(valid)):
+                weights = calibration.weights(fill_masked(file.read("response", rows), ~valid[rows]))
+                yield from_panorama(weights, centre_azimuth_deg)
+
+    basis = calibration.basis * calibration.light[:, None]
+    return Picture(valid.shape, basis, read, linear, {"kind": "captures"})
+
+
+def _mirror_ball(linear, calibration: Calibration, source: dict, image: dict) -> Picture:
+    """Return the light around a photographed mirror ball."""
+    (x, y), radius = source["centre_px"], source["radius_px"]
+
+    def ball(height: int, width: int) -> np.ndarray:
+        return np.hypot(np.arange(width) - x, np.arange(height)[:, None] - y) <= RIM * radius + 1.0
+
+    valid, filters = _read_masks(linear, ball)
+    calibration.require_filters(filters, linear)
+    with store.open_file(linear) as file:
+        response = file.read("response")
+    weights = calibration.weights(np.where(valid[..., None], response, 0.0))
+    return unwrapped(source, image, weights, valid, calibration.basis * calibration.light[:, None], linear)
+
+
+def prepare_environment(
+    linear,
+    calibration_file,
+    output,
+    options: CompressOptions,
+    irradiance_options: dict,
+    provenance: store.Provenance,
+    source: dict | None = None,
+    image: dict | None = None,
+    with_gloss: bool = False,
+) -> None:
+    """Write an environment's file from the linear responses of its omnidirectional picture or of a mirror ball.
+
+    The camera was calibrated on reflectances under the rig's light E; a radiance is recovered as E(λ) times the
+    reflectance that would have given the same responses.
+
+    Parameters
+    ----------
+    linear, calibration_file : path
+    output, options, irradiance_options, provenance, with_gloss : see `write_environment`
+    source : dict, optional
+        Of the environment's definition; of the kind ``captures``, its middle at azimuth 0, where absent.
+    image : dict, optional
+        ``width`` and ``height`` of what a mirror ball is unwrapped to.
+
+    Raises
+    ------
+    InputError
+        If a pixel is saturated in every bracket, or masked pixels stand beside each other.
+
+    Notes
+    -----
+    A single masked pixel, hot in the camera, is filled from its neighbours along the row; the log says how many.
+    """
+    calibration = Calibration.load(calibration_file)
+    if source is None or source["kind"] == "captures":
+        picture = _photographed(linear, calibration, source["centre_azimuth_deg"] if source else 0.0)
+    else:
+        picture = _mirror_ball(linear, calibration, source, image)
+    # The colour of the light is judged against the rig's light as white.
+    write_environment(picture, calibration.light, output, options, irradiance_options, provenance, with_gloss)
+
+
+def make_environment(
+    source: dict,
+    image: dict | None,
+    output,
+    options: CompressOptions,
+    irradiance_options: dict,
+    provenance: store.Provenance,
+    with_gloss: bool = False,
+) -> None:
+    """Write an environment's file from a file of another program or from lights placed in directions.
+
+    Parameters
+    ----------
+    source : dict
+        Of the kind ``rgb``, ``spectral`` or ``lights``.
+    image : dict or None
+        ``width`` and ``height`` of the picture of placed lights.
+    output, options, irradiance_options, provenance, with_gloss : see `write_environment`
+
+    Raises
+    ------
+    InputError
+        If the file is at fault.
+    ValueError
+        For another kind.
+    """
+    if source["kind"] == "lights":
+        picture = lights_picture(source["lights"], image["width"], image["height"])
+    elif source["kind"] in _READERS:
+        picture = _READERS[source["kind"]](source["file"], source["scale"], source["centre_azimuth_deg"])
+    else:
+        raise ValueError(f"no light is made from {source['kind']!r}; accepted: lights, {', '.join(_READERS)}")
+    write_environment(picture, None, output, options, irradiance_options, provenance, with_gloss)
+
+
+def observers(white: np.ndarray) -> dict:
+    """Return how the colours of a light are judged: seen directly, and on surfaces, for `basis_count.choose`.
+
+    Directly seen light has three numbers for the eye; three bases would do, and say little of how it looks on pigments.
+    """
+    matrix = xyz_from_radiance(white)
+    seen = {"light": matrix} | {f"light on {name}": matrix * spectrum(name) for name in SURFACES}
+    return {name: (one, matrix @ white) for name, one in seen.items()}
+
+
+def write_environment(
+    picture: Picture,
+    white: np.ndarray | None,
+    output,
+    options: CompressOptions,
+    irradiance_options: dict,
+    provenance: store.Provenance,
+    with_gloss: bool = False,
+) -> None:
+    """Compress an omnidirectional picture, integrate its maps and write the environment's file.
+
+    The picture is read twice, a band of rows at a time; its k coefficients a pixel are held for the maps.
+
+    Parameters
+    ----------
+    picture : Picture
+    white : (61,) float or None
+        Radiance as which white is judged; the mean over the sphere where None.
+    output : path
+    options : CompressOptions
+    irradiance_options : dict
+        See `irodori.light.irradiance.fitted_irradiance_map`.
+    provenance : Provenance
+    with_gloss : bool
+        Whether gloss maps are made, and their errors.
+
+    Raises
+    ------
+    InputError
+        If a pixel of the picture is not finite: every direction has its light.
+    """
+    mean = MeanLight(picture.size)
+    tiles = Tiles(picture)
+    moments = second_moments(tiles, also=mean.add if white is None else None)
+    if moments.masked:
+        raise InputError(picture.file, "", f"{moments.masked} pixels that are not finite", "finite radiance everywhere")
+    white = mean.light(picture.basis) if white is None else white
+    compression = choose(moments, picture.basis, observers(white), options)
+    coefficients = np.empty((*picture.size, compression.bases), dtype=np.float32)
+    with store.create(output, provenance) as out:
+        compression.write(
+            out, "coefficients", tiles, picture.size, quantity=QUANTITY, codec=options.codec, decoded=coefficients
+        )
+        integrator = Integrator(coefficients)
+        irradiance, of_irradiance = fitted_irradiance_map(coefficients, **irradiance_options, integrate=integrator)
+        gloss = GlossMaps.of(coefficients) if with_gloss else None
+        errors = {
+            "delta_e": compression.errors,
+            "negative_fraction": compression.negative.fraction,
+            "compression": compression.summary(),
+            "irradiance": of_irradiance,
+        }
+        if gloss is not None:
+            errors["gloss"] = gloss_errors(integrator, gloss)
+        light = Environment(coefficients, compression.basis, irradiance)
+        light.write_rest(out, errors, gloss, picture.origin)
+    _log(compression, errors)
+
+
+def _log(compression: Compression, errors: dict) -> None:
+    if not compression.budget_met:
+        LOGGER.warning("the colour error stays above its target with all bases; see the errors in the file")
+    of_light = compression.errors["light"]
+    LOGGER.info(
+        "%d bases of %d; CIEDE2000 of the compression mean %.3f p99 %.3f; negative samples %.2f %%",
+        compression.bases,
+        compression.rank,
+        of_light["mean"],
+        of_light["p99"],
+        100 * compression.negative.fraction,
+    )
+    for row in errors.get("gloss", []):
+        LOGGER.info("gloss by look-up, mu %.2f rad, view %.0f degrees: rms error %.3f", *list(row.values())[:3])

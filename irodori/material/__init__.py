@@ -1,0 +1,1 @@
+"""Materials: parameter maps, principal components and their coefficients."""

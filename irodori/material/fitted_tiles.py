@@ -1,0 +1,110 @@
+"""Fitted tiles of an object as one texture, read tile by tile, as often as wanted."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
+
+#: What a material's file keeps of the fit beside α, β and μ: units and quantity.
+COLUMNS = {
+    "texel": ("1", "1 where a surface lies under the texel's centre"),
+    "alpha_error": ("1", "standard error of alpha"),
+    "beta_error": ("1", "standard error of beta"),
+    "mu_error": ("rad", "standard error of mu"),
+    "residual_rms": ("1", "root mean square residual in response"),
+    "status": ("1", "outcome of the fit"),
+    "relative_residual": ("1", "root mean square residual over root mean square response"),
+    "pooled_from": ("1", "texels that the gloss comes from, 0 where it is the texel's own"),
+    "evaluations": ("1", "evaluations of the objective"),
+    "nlopt_result": ("1", "return code of NLopt, 0 where not called"),
+}
+
+
+class FittedTiles:
+    """The tiles of one object from the top down.
+
+    Parameters
+    ----------
+    paths : list of path
+    height, width : int
+        Of the texture, texels.
+
+    Attributes
+    ----------
+    filters : list of str
+        Filter states of the bands.
+    speed : dict
+        ``fit_seconds`` without start-up and compilation, and ``texels_fitted``.
+
+    Raises
+    ------
+    InputError
+        If the tiles do not cover the texture exactly, or differ in their filter states.
+    """
+
+    def __init__(self, paths: list, height: int, width: int) -> None:
+        self.first, self.height, self.width, self.filters = paths[0], height, width, None
+        self.speed = {"fit_seconds": 0.0, "texels_fitted": 0}
+        covered, tiles = np.zeros(height, dtype=int), []
+        for path in paths:
+            with store.open_file(path) as file:
+                found = file.attribute("filters")
+                if self.filters not in (None, found):
+                    accepted = f"{', '.join(self.filters)}, as in the other tiles"
+                    raise InputError(path, "filters", ", ".join(found), accepted)
+                self.filters = found
+                for name in self.speed:
+                    self.speed[name] += file.attribute(name)
+                first, last = file.attribute("rows")
+                covered[first:last] += 1
+                tiles.append((first, last, path))
+        if not (covered == 1).all():
+            found = f"{int((covered != 1).sum())} rows missing or doubled"
+            raise InputError(self.first, "rows", found, f"tiles that cover {height} rows once")
+        self._tiles = sorted(tiles, key=lambda tile: tile[:2])
+
+    def read(self, *names: str) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
+        """Yield the rows of every tile and its maps of these names, (rows, width, ...)."""
+        for first, last, path in self._tiles:
+            with store.open_file(path) as file:
+                maps = {name: file.read(name) for name in names}
+            shape = last - first, self.width
+            yield slice(first, last), {name: one.reshape(*shape, *one.shape[1:]) for name, one in maps.items()}
+
+    def typical_gloss(self) -> tuple[float, float]:
+        """Return the medians of β and μ over the better-determined half of the texels; (0, 1) where there are none."""
+        parts = []
+        for _, maps in self.read("beta", "mu", "mu_error"):
+            stacked = np.stack(list(maps.values()), axis=-1)
+            parts.append(stacked[np.isfinite(stacked).all(axis=-1)])
+        beta, mu, mu_error = np.concatenate(parts).T
+        if not beta.size:
+            return 0.0, 1.0
+        relative = mu_error / mu
+        best = relative <= np.median(relative)
+        return float(np.median(beta[best])), float(np.median(mu[best]))
+
+    def is_noise_known(self) -> bool:
+        """Whether the camera's noise was measured for all texels that have a diffuse response.
+
+        Raises
+        ------
+        InputError
+            If no texel has one, and a diffuse weight.
+        """
+        measured = unknown = observed = 0
+        for _, maps in self.read("diffuse_response", "diffuse_variance", "alpha"):
+            has = np.isfinite(maps["diffuse_response"]).all(axis=-1)
+            observed += int((has & np.isfinite(maps["alpha"])).sum())
+            measured += int(has.sum())
+            unknown += int((has & ~np.isfinite(maps["diffuse_variance"]).all(axis=-1)).sum())
+        if not observed:
+            found = "no texel with enough observations"
+            raise InputError(self.first, "status", found, "captures that see the object")
+        if unknown:
+            share = 100 * unknown / measured
+            LOGGER.info("noise not measured for %.1f %% of the texels: it has no part in their spectra", share)
+        return not unknown

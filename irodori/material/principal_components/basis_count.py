@@ -1,0 +1,310 @@
+"""The fewest bases that keep a picture's colours, and the second pass that writes its coefficients."""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import numba
+import numpy as np
+
+from irodori.colour.colorimetry import summary
+from irodori.core import store
+from irodori.material.coefficients import (
+    from_half,
+    half_scale,
+    require_storage,
+    reserve_coefficients,
+    rounded_to_half,
+)
+from irodori.material.principal_components.decomposition import WEIGHTINGS, Decomposition, decompose
+from irodori.material.principal_components.negative_spectra import Negative, count_negative
+from irodori.material.principal_components.pixel_tiles import Tiles
+from irodori.material.principal_components.repeated_reflection import colour_error
+from irodori.material.principal_components.second_moments import Moments, second_moments
+from irodori.spectra.grid import SAMPLES
+
+_FIRST_LOOK = 8192  # pixels of the sample, which come in no order
+_PIECE = 4096  # pixels whose colours are compared together
+_DEVIATIONS = 2.33  # standard deviations under which a sample's mean or percentile stays in 99 of 100 pictures
+
+
+@dataclass(frozen=True)
+class CompressOptions:
+    """How pictures are compressed; the keys of ``compress`` in the configuration.
+
+    Parameters
+    ----------
+    target_delta_e_mean, target_delta_e_p99 : float
+        Bounds on mean and 99th percentile of CIEDE2000 under every light, storage included; where a sample stands for
+        the picture, on what they are with 99 % confidence.
+    align : int
+        The number of bases is rounded up to a multiple of this, but not beyond the picture's rank.
+    weighting : str
+        ``nothing``: all wavelengths count alike; ``visual``: as colour-matching functions and lights weigh them.
+    storage : str
+        ``half`` or ``single`` precision.
+    codec : str
+        ``blosc2`` or ``gzip``.
+    """
+
+    target_delta_e_mean: float = 0.1
+    target_delta_e_p99: float = 0.5
+    align: int = 4
+    weighting: str = "nothing"
+    storage: str = "half"
+    codec: str = "blosc2"
+
+    def __post_init__(self) -> None:
+        require_storage(self.storage, self.codec)
+        if self.weighting not in WEIGHTINGS:
+            raise ValueError(f"unknown weighting {self.weighting!r}; accepted: {', '.join(WEIGHTINGS)}")
+        if self.align < 1:
+            raise ValueError(f"align {self.align}; accepted: 1 or more")
+
+
+@dataclass(frozen=True)
+class Compression:
+    """A basis for one picture, how its coefficients are made, and what that costs.
+
+    Parameters
+    ----------
+    basis : (61, k) float64, orthonormal columns
+    encoder : (k, r) float64
+        ``coefficients = encoder @ pixel``.
+    scale : (k,) float32
+        By which coefficients are divided in half precision; 1 in single precision.
+    storage : str
+    errors : dict
+        light -> mean, p95, p99, max of CIEDE2000 between the sample's spectra before and after, storage included, the
+        count of pixels compared, and ``mean_bound`` and ``p99_bound``, under which the whole picture's are with 99 %
+        confidence.
+    rmse : float
+        Root mean square error of the sample's spectra over all samples.
+    budget_met : bool
+        False where even all bases leave more than the target; the errors say how much.
+    rank, pixels, masked : int
+        Directions of the picture with energy; all pixels; those that are not finite and have no coefficients.
+    negative : Negative
+        Of the decoded sample.
+    sample : (n, r) float32
+        Pixels that the errors are of.
+    """
+
+    basis: np.ndarray
+    encoder: np.ndarray
+    scale: np.ndarray
+    storage: str
+    errors: dict
+    rmse: float
+    budget_met: bool
+    rank: int
+    pixels: int
+    masked: int
+    negative: Negative
+    sample: np.ndarray = field(repr=False)
+
+    @property
+    def bases(self) -> int:
+        """Number of bases."""
+        return self.basis.shape[1]
+
+    def encode(self, rows: np.ndarray) -> np.ndarray:
+        """Return the coefficients of pixels as they are stored, (n, r) to (n, k) half or single; NaN where masked."""
+        # Scales are powers of two: to divide the encoder by them is to divide the coefficients.
+        encoder = (self.encoder / self.scale[:, None]).T.astype(np.float32)
+        with np.errstate(invalid="ignore", over="ignore"):
+            out = np.asarray(rows, dtype=np.float32) @ encoder
+        finite = np.isfinite(out)
+        if not finite.all():
+            out[~finite.all(axis=1)] = np.nan
+        return rounded_to_half(out) if self.storage == "half" else out
+
+    def decode(self, stored: np.ndarray) -> np.ndarray:
+        """Return stored coefficients (n, k) as float32."""
+        return from_half(stored, self.scale) if self.storage == "half" else stored
+
+    def summary(self) -> dict:
+        """Return what a file keeps of the compression: numbers and dictionaries."""
+        return {
+            "bases": self.bases,
+            "rank": self.rank,
+            "delta_e": self.errors,
+            "rmse": self.rmse,
+            "budget_met": self.budget_met,
+            "pixels": self.pixels,
+            "masked_pixels": self.masked,
+            "negative": self.negative.as_dict(),
+        }
+
+    def tiles(self, source) -> Iterator[np.ndarray]:
+        """Yield the stored coefficients of a picture tile by tile: the second pass."""
+        tiles = source if isinstance(source, Tiles) else Tiles(source)
+        yield from tiles.map(lambda rows, first, worker: self.encode(rows))
+
+    def write(
+        self,
+        out: store.Writer,
+        name: str,
+        source,
+        size: tuple[int, int],
+        *,
+        quantity: str,
+        codec: str,
+        decoded: np.ndarray | None = None,
+    ) -> None:
+        """Write a picture's coefficients, tile by tile, to a dataset (height, width, k).
+
+        Parameters
+        ----------
+        out : store.Writer
+        name : str
+        source : Tiles, or what `Tiles` takes
+            The picture that was analysed.
+        size : (height, width)
+        quantity, codec : str
+        decoded : (height, width, k) float32, optional
+            Filled with the coefficients as they come back from storage.
+        """
+        height, width = size
+        shape = (height, width, self.bases)
+        scale = self.scale if self.storage == "half" else None
+        dataset = reserve_coefficients(
+            out, name, shape, quantity=quantity, storage=self.storage, codec=codec, scale=scale
+        )
+        row, rest = 0, np.empty((0, self.bases), dtype=dataset.dtype)
+        for tile in self.tiles(source):
+            rest = np.concatenate([rest, tile]) if len(rest) else tile
+            rows = len(rest) // width
+            whole = rest[: rows * width].reshape(rows, width, self.bases)
+            dataset[row : row + rows] = whole
+            if decoded is not None:
+                decoded[row : row + rows] = self.decode(whole)
+            row, rest = row + rows, rest[rows * width :]
+        if row != height or len(rest):
+            raise ValueError(f"a picture of {row * width + len(rest)} pixels; accepted: {height} rows of {width}")
+
+
+def analyse(
+    source,
+    basis: np.ndarray | None,
+    observers: dict,
+    options: CompressOptions,
+    *,
+    bases: int | None = None,
+) -> Compression:
+    """Read a picture once and return its compression: the first pass, and the choice of the bases.
+
+    Parameters
+    ----------
+    source : Tiles, or what `Tiles` takes
+        Pixels are spectra (61), or coefficients (r) on ``basis``: then everything is of the size of r.
+    basis : (61, r) float or None
+    observers : dict
+        light -> ((3, 61) matrix to XYZ, (3,) XYZ of white). Brighter than white is scaled down to it before the
+        comparison, because CIELAB is for surfaces.
+    options : CompressOptions
+    bases : int, optional
+        That many, or the rank if that is less, whatever the target.
+
+    Raises
+    ------
+    ValueError
+        If no pixel is finite, or the pixels' bands are not those of the basis.
+    """
+    moments = second_moments(source)
+    return choose(moments, basis, observers, options, bases=bases)
+
+
+def choose(
+    moments: Moments, basis: np.ndarray | None, observers: dict, options: CompressOptions, *, bases: int | None = None
+) -> Compression:
+    """Return the compression with the fewest bases that meet the targets; see `analyse`."""
+    width = moments.root.shape[1]
+    if width != (SAMPLES if basis is None else basis.shape[1]):
+        expected = f"{SAMPLES} bands" if basis is None else f"{basis.shape[1]}, one for each vector of the basis"
+        raise ValueError(f"pixels of {width} bands; accepted: {expected}")
+    matrices = [matrix for matrix, _ in observers.values()] if options.weighting == "visual" else None
+    found = decompose(moments.root, basis, matrices)
+    spectra = moments.sample if basis is None else moments.sample @ np.asarray(basis, dtype=np.float64).T
+    trial = _Trial(found, moments, spectra, observers, options)
+    rank = found.rank
+    counts = [*range(options.align, rank, options.align), rank] if bases is None else [max(1, min(bases, rank))]
+    for count in counts:
+        if count != counts[-1] and trial.is_hopeless(count):
+            continue
+        made = trial.compression(count)
+        if made.budget_met or count == counts[-1]:
+            break
+    if not (made.budget_met or bases is not None or rank == len(found.energies)):
+        # Under a light far brighter than the rest, directions that look like rounding may still be colours.
+        full = trial.compression(len(found.energies))
+        made = full if full.budget_met else made
+    return trial.finished(made)
+
+
+class _Trial:
+    """Numbers of bases on one picture, and what each does to the colours of its sample."""
+
+    def __init__(
+        self, found: Decomposition, moments: Moments, spectra: np.ndarray, observers: dict, options: CompressOptions
+    ) -> None:
+        self._found, self._moments, self._spectra, self._options = found, moments, spectra, options
+        self._observers = observers
+        self._before = {light: spectra @ matrix.T for light, (matrix, _) in observers.items()}
+
+    def is_hopeless(self, count: int) -> bool:
+        """Whether so few bases miss a target by twice on a part of the sample; the whole need not be looked at."""
+        errors = self._errors(self._made(count), slice(_FIRST_LOOK))
+        mean, p99 = self._options.target_delta_e_mean, self._options.target_delta_e_p99
+        return any(e["mean"] > 2 * mean or e["p99"] > 2 * p99 for e in errors.values())
+
+    def compression(self, count: int) -> Compression:
+        """Return the compression with its colour errors."""
+        made, options = self._made(count), self._options
+        errors = self._errors(made, slice(None))
+        mean, p99 = options.target_delta_e_mean, options.target_delta_e_p99
+        met = all(e["mean_bound"] <= mean and e["p99_bound"] <= p99 for e in errors.values())
+        return replace(made, errors=errors, budget_met=met)
+
+    def finished(self, made: Compression) -> Compression:
+        """Return a compression with its spectral error and what it leaves below zero."""
+        decoded = made.decode(made.encode(self._moments.sample)) @ made.basis.T
+        rmse = float(np.sqrt(np.mean((self._spectra - decoded) ** 2)))
+        return replace(made, rmse=rmse, negative=count_negative(decoded))
+
+    def _made(self, count: int) -> Compression:
+        moments, storage = self._moments, self._options.storage
+        vectors, encoder = self._found.truncated(count)
+        scale = np.ones(count, dtype=np.float32)
+        if storage == "half":
+            scale = half_scale(np.linalg.norm(encoder, axis=1) * moments.largest_norm)
+        return Compression(vectors, encoder, scale, storage, {}, 0.0, False, self._found.rank, moments.pixels,
+                           moments.masked, None, moments.sample)  # fmt: skip
+
+    def _errors(self, made: Compression, part: slice) -> dict:
+        sample = self._moments.sample[part]
+        before = {light: xyz[part] for light, xyz in self._before.items()}
+
+        def of_piece(first: int) -> list[np.ndarray]:
+            piece = slice(first, first + _PIECE)
+            stored = made.decode(made.encode(sample[piece]))
+            return [
+                colour_error(before[light][piece], stored @ (matrix @ made.basis).T, white)
+                for light, (matrix, white) in self._observers.items()
+            ]
+
+        # A cacheful at a time, and several at once.
+        with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+            pieces = list(pool.map(of_piece, range(0, len(sample), _PIECE)))
+        errors = (np.concatenate(of_light) for of_light in zip(*pieces, strict=True))
+        return {
+            light: summary(values) | self._bounds(values) for light, values in zip(self._observers, errors, strict=True)
+        }
+
+    def _bounds(self, values: np.ndarray) -> dict[str, float]:
+        """Return under what the whole picture's mean and 99th percentile are, by the spread of the sample's."""
+        moments, count = self._moments, len(values)
+        deviations = _DEVIATIONS if len(moments.sample) < moments.pixels - moments.masked else 0.0
+        share = min(0.99 + deviations * np.sqrt(0.99 * 0.01 / count), 1.0)
+        mean = values.mean() + deviations * values.std() / np.sqrt(count)
+        return {"mean_bound": float(mean), "p99_bound": float(np.percentile(values, 100 * share))}

@@ -1,0 +1,266 @@
+"""The first pass over a picture: second moments in double precision, what is masked, and a sample of its pixels.
+
+Pixels are gathered by brightness, a factor of 1024 to a class, and each class has a matrix of its own: squares span
+twice the decades of what is squared, and a sun would leave nothing of the shadows in the last digits of one sum.
+"""
+
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori.jit.lanes import COUNT, load, spread, store
+from irodori.jit.native import uncounted
+from irodori.material.principal_components.pixel_tiles import Tiles
+
+SAMPLE_PIXELS = 1 << 16
+_BLOCK = 64  # pixels that are multiplied together, in the first cache
+_CLASS_EXPONENTS, _LOWEST_EXPONENT = 20, -400
+_CLASSES = 40
+#: Eigenvalues of a class below this share of its largest are rounding of single-precision pixels.
+_ROUNDING = 61 * 2.0**-52
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Second moments of a picture and a sample of it.
+
+    Parameters
+    ----------
+    root : (m, bands) float64
+        ``root.T @ root`` is the sum of x xᵀ over the pixels.
+    pixels, masked : int
+        All pixels, and those that are not finite; the latter are left out of everything.
+    largest_norm : float
+        Largest Euclidean length of a pixel.
+    sample : (n, bands) float32
+        Pixels drawn at random without repetition; all of them where there are no more.
+    """
+
+    root: np.ndarray
+    pixels: int
+    masked: int
+    largest_norm: float
+    sample: np.ndarray
+
+
+@uncounted(nogil=True, fastmath={"reassoc", "contract"}, error_model="numpy")
+def _take(rows, p, blocks, level, place):
+    """Copy a pixel into the block of a class; return its squared length."""
+    total = 0.0
+    for j in range(rows.shape[1]):
+        value = np.float64(rows[p, j])
+        blocks[level, place, j] = value
+        total += value * value
+    return total
+
+
+@uncounted(nogil=True, error_model="numpy")
+def _multiply_two(block, side, i, j, moment):
+    """Add the products of eight columns, from i on, with sixteen, from j on."""
+    a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = spread(0.0)
+    b0 = b1 = b2 = b3 = b4 = b5 = b6 = b7 = spread(0.0)
+    for p in range(0, _BLOCK * side, side):
+        y, z, x = load(block, p + j), load(block, p + j + COUNT), p + i
+        a0, b0 = a0 + block[x] * y, b0 + block[x] * z
+        a1, b1 = a1 + block[x + 1] * y, b1 + block[x + 1] * z
+        a2, b2 = a2 + block[x + 2] * y, b2 + block[x + 2] * z
+        a3, b3 = a3 + block[x + 3] * y, b3 + block[x + 3] * z
+        a4, b4 = a4 + block[x + 4] * y, b4 + block[x + 4] * z
+        a5, b5 = a5 + block[x + 5] * y, b5 + block[x + 5] * z
+        a6, b6 = a6 + block[x + 6] * y, b6 + block[x + 6] * z
+        a7, b7 = a7 + block[x + 7] * y, b7 + block[x + 7] * z
+    _add(moment, side, i * side + j, a0, a1, a2, a3, a4, a5, a6, a7)
+    _add(moment, side, i * side + j + COUNT, b0, b1, b2, b3, b4, b5, b6, b7)
+
+
+@uncounted(nogil=True, error_model="numpy")
+def _multiply_one(block, side, i, j, moment):
+    """Add the products of eight columns, from i on, with eight, from j on."""
+    a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = spread(0.0)
+    for p in range(0, _BLOCK * side, side):
+        y, x = load(block, p + j), p + i
+        a0, a1 = a0 + block[x] * y, a1 + block[x + 1] * y
+        a2, a3 = a2 + block[x + 2] * y, a3 + block[x + 3] * y
+        a4, a5 = a4 + block[x + 4] * y, a5 + block[x + 5] * y
+        a6, a7 = a6 + block[x + 6] * y, a7 + block[x + 7] * y
+    _add(moment, side, i * side + j, a0, a1, a2, a3, a4, a5, a6, a7)
+
+
+@uncounted(nogil=True, error_model="numpy")
+def _add(moment, side, place, a0, a1, a2, a3, a4, a5, a6, a7):
+    """Add eight rows of eight to a matrix, the first at a flat place."""
+    store(moment, place, load(moment, place) + a0)
+    store(moment, place + side, load(moment, place + side) + a1)
+    store(moment, place + 2 * side, load(moment, place + 2 * side) + a2)
+    store(moment, place + 3 * side, load(moment, place + 3 * side) + a3)
+    store(moment, place + 4 * side, load(moment, place + 4 * side) + a4)
+    store(moment, place + 5 * side, load(moment, place + 5 * side) + a5)
+    store(moment, place + 6 * side, load(moment, place + 6 * side) + a6)
+    store(moment, place + 7 * side, load(moment, place + 7 * side) + a7)
+
+
+@uncounted(nogil=True, error_model="numpy")
+def _multiply(block, side, moment):
+    """Add the products of a block's columns with one another, upper blocks of 8 x 8; both flat, rows of ``side``."""
+    for i in range(0, side, COUNT):
+        j = i
+        while j + COUNT < side:
+            _multiply_two(block, side, i, j, moment)
+            j += 2 * COUNT
+        if j < side:
+            _multiply_one(block, side, i, j, moment)
+
+
+@uncounted(nogil=True, error_model="numpy")
+def _accumulate(rows, blocks, flat_blocks, waiting, moments, totals):
+    """Add pixels; ``totals`` holds the masked pixels and the largest squared length."""
+    level = 0
+    for p in range(rows.shape[0]):
+        # Neighbours are mostly of one class: the pixel goes there while its length is measured.
+        square = _take(rows, p, blocks, level, waiting[level])
+        if not square < np.inf:
+            totals[0] += 1.0
+            continue
+        totals[1] = max(totals[1], square)
+        if square == 0.0:
+            continue
+        own = (math.frexp(square)[1] - _LOWEST_EXPONENT) // _CLASS_EXPONENTS
+        own = min(max(own, 0), moments.shape[0] - 1)
+        if own != level:
+            level = own
+            _take(rows, p, blocks, level, waiting[level])
+        waiting[level] += 1
+        if waiting[level] == _BLOCK:
+            _multiply(flat_blocks[level], blocks.shape[2], moments[level])
+            waiting[level] = 0
+
+
+@uncounted(nogil=True)
+def _finish(side, blocks, waiting, moments):
+    for level in range(len(blocks)):
+        if waiting[level]:
+            block = blocks[level]
+            for place in range(waiting[level] * side, block.size):
+                block[place] = 0.0
+            _multiply(block, side, moments[level])
+
+
+class _Sums:
+    """What one worker adds up."""
+
+    def __init__(self, bands: int) -> None:
+        self.bands, self._side = bands, -(-bands // COUNT) * COUNT
+        self.totals = np.zeros(2)
+        self._moments = np.zeros((_CLASSES, self._side**2))
+        self._blocks, self._waiting = np.zeros((_CLASSES, _BLOCK, self._side)), np.zeros(_CLASSES, dtype=np.int64)
+
+    def add(self, rows: np.ndarray) -> None:
+        flat = self._blocks.reshape(_CLASSES, -1)
+        _accumulate(rows, self._blocks, flat, self._waiting, self._moments, self.totals)
+
+    def finished(self) -> np.ndarray:
+        """Return the moments of every class, (classes, bands, bands)."""
+        _finish(self._side, self._blocks.reshape(_CLASSES, -1), self._waiting, self._moments)
+        moments = self._moments.reshape(_CLASSES, self._side, self._side)
+        upper = np.triu(moments[:, : self.bands, : self.bands])
+        return upper + np.triu(upper, 1).transpose(0, 2, 1)
+
+
+class _Sampler:
+    """Draws pixels without repetition: each gets a random number, and those with the least are kept."""
+
+    def __init__(self, size: int, seed: int) -> None:
+        self._size, self._seed, self._lock = size, seed, threading.Lock()
+        self._keys, self._rows, self._limit = [], [], 2.0
+
+    def add(self, rows: np.ndarray, first: int) -> None:
+        """Take in a tile; in whatever order tiles come, the sample is the same."""
+        keys = np.random.default_rng((self._seed, first)).random(len(rows))
+        chosen = np.flatnonzero(keys < self._limit)
+        picked = rows[chosen]
+        finite = np.isfinite(picked).all(axis=1)
+        with self._lock:
+            self._keys.append(keys[chosen][finite])
+            self._rows.append(picked[finite])
+            if sum(map(len, self._keys)) > 2 * self._size:
+                self._thin()
+
+    def _thin(self) -> None:
+        keys, rows = np.concatenate(self._keys), np.concatenate(self._rows)
+        if len(keys) > self._size:
+            order = np.argpartition(keys, self._size)[: self._size]
+            keys, rows = keys[order], rows[order]
+            self._limit = float(keys.max())
+        self._keys, self._rows = [keys], [rows]
+
+    def rows(self) -> np.ndarray:
+        self._thin()
+        return self._rows[0][np.argsort(self._keys[0], kind="stable")]
+
+
+def second_moments(
+    source,
+    sample_pixels: int = SAMPLE_PIXELS,
+    seed: int = 0,
+    also: Callable[[np.ndarray, int], None] | None = None,
+) -> Moments:
+    """Read a picture once and return its second moments about zero.
+
+    Parameters
+    ----------
+    source : Tiles, or what `Tiles` takes
+    sample_pixels : int
+    seed : int
+        Of the sample.
+    also : callable, optional
+        Takes every tile (pixels, bands) and the number of its first pixel, from several threads: what else one reading
+        can give.
+
+    Returns
+    -------
+    Moments
+
+    Raises
+    ------
+    ValueError
+        If no pixel is finite, or tiles differ in their bands.
+    """
+    tiles = source if isinstance(source, Tiles) else Tiles(source)
+    sums: dict[int, _Sums] = {}
+    sampler, lock = _Sampler(sample_pixels, seed), threading.Lock()
+
+    def add(rows: np.ndarray, first: int, worker: int) -> int:
+        with lock:
+            own = sums.setdefault(worker, _Sums(rows.shape[1]))
+            if rows.shape[1] != sums[min(sums)].bands:
+                found = f"a tile of {rows.shape[1]} bands among others of {sums[min(sums)].bands}"
+                raise ValueError(f"{found}; accepted: the same in all")
+        own.add(rows)
+        sampler.add(rows, first)
+        if also is not None:
+            also(rows, first)
+        return len(rows)
+
+    pixels = sum(tiles.map(add))
+    totals = np.array([own.totals for own in sums.values()]).reshape(-1, 2)
+    masked = int(totals[:, 0].sum())
+    if masked == pixels:
+        raise ValueError(f"a picture without a finite pixel among {pixels}; accepted: at least one")
+    root = _root(np.sum([sums[worker].finished() for worker in sorted(sums)], axis=0))
+    return Moments(root, pixels, masked, math.sqrt(totals[:, 1].max()), sampler.rows())
+
+
+def _root(moments: np.ndarray) -> np.ndarray:
+    """Return rows whose products sum to those of the classes, (m, bands); a row of zeros where all is black."""
+    rows = [np.zeros((1, moments.shape[-1]))]
+    for moment in moments:
+        if not moment.any():
+            continue
+        values, vectors = np.linalg.eigh(moment)
+        kept = values > _ROUNDING * values[-1]
+        if kept.any():
+            rows.append(np.sqrt(values[kept])[:, None] * vectors[:, kept].T)
+    return np.concatenate(rows)

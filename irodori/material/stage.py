@@ -1,0 +1,221 @@
+"""From fitted tiles to the object's material: maps, spectra by equation (4), PCA of this image.
+
+Tiles are read three times and never held: for what is known of the whole texture, for the second moments of its
+spectra, and to write the material's file.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.colour.colorimetry import xyz_from_reflectance
+from irodori.core import store
+from irodori.core.progress import LOGGER
+from irodori.material.coefficients import reserve_coefficients
+from irodori.material.fitted_tiles import COLUMNS, FittedTiles
+from irodori.material.material_file import COEFFICIENTS, MAPS, QUANTITY, write_constants
+from irodori.material.principal_components.basis_count import Compression, CompressOptions, choose
+from irodori.material.principal_components.decomposition import WEIGHTINGS
+from irodori.material.principal_components.repeated_reflection import drift
+from irodori.material.principal_components.second_moments import second_moments
+from irodori.spectra.published import refractive_index
+
+_GREEN = 1
+_OWN = ("alpha", "beta", "mu")
+_RESPONSE = ("diffuse_response", "diffuse_variance")
+
+
+@dataclass(frozen=True)
+class _Reflectance:
+    """The spectra of a texture on the recovery basis, tile by tile; NaN where nothing is known."""
+
+    fitted: FittedTiles
+    calibration: Calibration
+    is_noise_known: bool
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        for _, maps in self.fitted.read(*_RESPONSE, "alpha"):
+            yield self.of(maps)
+
+    def variance(self, maps: dict) -> np.ndarray | None:
+        """Return the variance of the responses of a tile, None where the camera's noise was not measured."""
+        return maps["diffuse_variance"] if self.is_noise_known else None
+
+    def of(self, maps: dict) -> np.ndarray:
+        """Return weights (rows, width, r) of a tile's maps."""
+        weights = self.calibration.weights(maps["diffuse_response"], self.variance(maps))
+        weights[~np.isfinite(maps["alpha"])] = np.nan
+        return weights
+
+
+@dataclass
+class _Gathered:
+    """What the file says of the observed texels of all tiles."""
+
+    observed: int = 0
+    texels: int = 0
+    outside: int = 0
+    error: list = field(default_factory=list)
+    ratio: list = field(default_factory=list)
+
+    def add(self, maps: dict, values: dict, observed: np.ndarray) -> None:
+        self.observed += int(observed.sum())
+        self.texels += int(maps["texel"].sum())
+        self.outside += int((values["out_of_training"][observed] == 1).sum())
+        self.error.append(values["reflectance_error"][observed])
+        self.ratio.append((values["alpha"][observed] / values["green_response"][observed]).astype(np.float32))
+
+    def errors(self) -> dict:
+        return {
+            "out_of_training_fraction": self.outside / max(self.observed, 1),
+            "reflectance_error_median": float(np.median(np.concatenate(self.error))),
+            "observed_fraction": self.observed / max(self.texels, 1),
+        }
+
+
+def confidence(calibration: Calibration, response, variance) -> dict[str, tuple]:
+    """Return what is known of the reliability of recovered spectra, as maps for ``material.h5``.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    response : (height, width, bands) float
+        Diffuse responses; NaN where there is none.
+    variance : (height, width, bands) float or None
+        What the camera's noise gives them; None where that was not measured.
+
+    Returns
+    -------
+    dict of (map, units, quantity)
+        ``reflectance_error``: standard deviation of the reflectance factor, rms over the wavelengths, from the camera's
+        noise, where that was measured, and the error that cross-validation on the chart found;
+        ``training_distance``: of the response from those of the chart, 1 = what nine tenths of its own patches
+        have at most to the nearest other; ``out_of_training``: uint8, 1 where it is above 1, 2 where the
+        response has no direction.
+    """
+    distance = calibration.distance(response)
+    noise = np.zeros_like(response) if variance is None else variance
+    error = calibration.standard_deviation(response, noise, stated=variance is not None)
+    outside = np.where(np.isfinite(distance), distance > 1.0, 2).astype(np.uint8)
+    of = "cross-validation alone" if variance is None else "cross-validation and the camera's noise"
+    quantity = f"standard deviation of S by {of}, rms over wavelengths"
+    return {
+        "reflectance_error": (error.astype(np.float32), "1", quantity),
+        "training_distance": (distance.astype(np.float32), "1", "distance from the chart's responses, 1 = its own"),
+        "out_of_training": (outside, "1", "1 where the chart has no colour like it, 2 not known"),
+    }
+
+
+def compress_reflectance(
+    tiles: list,
+    calibration_file,
+    definition: dict,
+    output,
+    options: CompressOptions,
+    lights: list[str],
+    provenance: store.Provenance,
+) -> None:
+    """Write an object's ``material.h5`` from its fitted tiles.
+
+    Parameters
+    ----------
+    tiles : list of path
+    calibration_file : path
+    definition : dict
+        Definition of the object.
+    options : CompressOptions
+    lights : list of str
+        Under each of which the colours are compared.
+    """
+    fitted = FittedTiles(tiles, definition["texels"]["height"], definition["texels"]["width"])
+    calibration = Calibration.load(calibration_file)
+    calibration.require_filters(fitted.filters, fitted.first)
+    reflectance = _Reflectance(fitted, calibration, fitted.is_noise_known())
+    observers = {name: (matrix := xyz_from_reflectance(name), matrix.sum(axis=1)) for name in lights}
+    compression, compared = compress_maps(reflectance, calibration.basis, observers, options)
+    n, k = refractive_index(definition["refractive_index"])
+    with store.create(output, provenance) as out:
+        gathered = _write_maps(out, reflectance, compression, options.codec)
+        errors = gathered.errors() | {
+            "delta_e": compression.errors,
+            "negative_fraction": compression.negative.fraction,
+            "compression": compared,
+            **fitted.speed,
+        }
+        mirror, gloss = float(definition["mirror_weight"]), fitted.typical_gloss()
+        write_constants(out, compression.basis, n, k, mirror, gloss, errors)
+    _log(compression, gathered, fitted.height * fitted.width)
+
+
+def _write_maps(out: store.Writer, reflectance: _Reflectance, compression: Compression, codec: str) -> _Gathered:
+    """Write all maps of the material, a tile at a time."""
+    fitted, calibration, gathered = reflectance.fitted, reflectance.calibration, _Gathered()
+    size, half = (fitted.height, fitted.width), compression.storage == "half"
+    shape, scale = (*size, compression.bases), compression.scale if half else None
+    coefficients = reserve_coefficients(
+        out, COEFFICIENTS, shape, quantity=QUANTITY, storage=compression.storage, codec=codec, scale=scale
+    )
+    datasets = {}
+    for rows, maps in fitted.read(*_OWN, *_RESPONSE, *COLUMNS):
+        weights, response = reflectance.of(maps), maps["diffuse_response"]
+        stored = compression.encode(weights.reshape(-1, weights.shape[-1]))
+        coefficients[rows] = stored.reshape(*weights.shape[:2], -1)
+        own = {name: maps[name] for name in _OWN} | {"green_response": response[..., _GREEN]}
+        described = {name: (values, *MAPS[name]) for name, values in own.items()}
+        described |= {name: (maps[name], *what) for name, what in COLUMNS.items()}
+        described |= confidence(calibration, response, reflectance.variance(maps))
+        for name, (values, units, quantity) in described.items():
+            if name not in datasets:
+                names = {"units": units, "dims": "row,column", "quantity": quantity}
+                datasets[name] = out.reserve(name, size, values.dtype, **names)
+            datasets[name][rows] = values
+        values = {name: one[0] for name, one in described.items()}
+        gathered.add(maps, values, np.isfinite(weights).all(axis=-1))
+    return gathered
+
+
+def compress_maps(weights, basis: np.ndarray, observers: dict, options: CompressOptions) -> tuple[Compression, dict]:
+    """Return the compression of reflectance maps, and what the material's file says of it.
+
+    Parameters
+    ----------
+    weights : (height, width, r) float32, or tiles of it
+        NaN where nothing is known; see `irodori.material.principal_components.pixel_tiles.Tiles`.
+    basis : (61, r) float
+    observers : dict
+        See `irodori.material.principal_components.basis_count.analyse`.
+    options : CompressOptions
+
+    Returns
+    -------
+    compression : Compression
+    errors : dict
+        Its summary, with ``storage`` and ``weighting``; ``weightings``: the same summary for each weighting on this
+        image; ``drift``: see `irodori.material.principal_components.repeated_reflection.drift`.
+    """
+    moments = second_moments(weights)
+    made = {name: choose(moments, basis, observers, replace(options, weighting=name)) for name in WEIGHTINGS}
+    compression = made[options.weighting]
+    truth = moments.sample @ np.asarray(basis, dtype=np.float64).T
+    decoded = compression.decode(compression.encode(moments.sample)) @ compression.basis.T
+    return compression, {
+        **compression.summary(),
+        "storage": options.storage,
+        "weighting": options.weighting,
+        "weightings": {name: one.summary() for name, one in made.items()},
+        "drift": drift(truth, decoded, compression.basis, observers),
+    }
+
+
+def _log(compression: Compression, gathered: _Gathered, texels: int) -> None:
+    share, negative = 100 * gathered.observed / texels, 100 * compression.negative.fraction
+    bases, rank = compression.bases, compression.rank
+    LOGGER.info("%d bases of %d; observed %.1f %% of texels; negative samples %.3f %%", bases, rank, share, negative)
+    if not compression.budget_met:
+        LOGGER.warning("the colour error stays above its target with all %d bases in this storage", bases)
+    ratio = np.percentile(np.concatenate(gathered.ratio), [50, 5, 95])
+    LOGGER.info("alpha / S_G: median %.4f, 5 to 95 %% %.4f to %.4f", *ratio)
+    for light, error in compression.errors.items():
+        LOGGER.info("CIEDE2000 of the compression under %s: mean %.3f p99 %.3f", light, error["mean"], error["p99"])

@@ -1,0 +1,1 @@
+"""Rectification: from pictures of an object to observations of its texels."""

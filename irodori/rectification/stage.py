@@ -1,0 +1,341 @@
+"""From pictures to texels: every texel's response and geometry in every capture [design, §4].
+
+Responses count against a perfect diffuser at normal incidence. Where the light is near, the irradiance is that at the
+texel: see `irodori.geometry.lamp` for what the white reference has divided already and what is divided here.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from irodori.config.capture_table import Pose
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER, track
+from irodori.geometry.atlas import Texels
+from irodori.geometry.embree import Tracer
+from irodori.geometry.lamp import FAR, Lamp
+from irodori.geometry.pinhole import Pinhole, samples_from_superpixels
+from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera
+from irodori.geometry.shapes import Shape, on_table
+from irodori.jit.native import njit
+from irodori.reflection.equation5 import angles_from_directions
+
+#: Of a sample's noise power, what bilinear interpolation leaves on average over the places between samples.
+_INTERPOLATED = 4.0 / 9.0
+
+
+@dataclass(frozen=True)
+class RigSetup:
+    """The parts of rig and camera that place a texel in a picture.
+
+    Parameters
+    ----------
+    pinhole : Pinhole
+    camera_distance_mm : float
+        From the origin to the centre of projection.
+    table_radius_mm : float
+        Half the side of the table's top; 0 for none.
+    lamp : Lamp
+    white_pose : Pose, optional
+        In which the white reference was photographed; needed where the lamp is near.
+    """
+
+    pinhole: Pinhole
+    camera_distance_mm: float
+    table_radius_mm: float
+    lamp: Lamp = FAR
+    white_pose: Pose | None = None
+
+    @classmethod
+    def from_definitions(cls, camera: dict, rig: dict, white_pose: dict | None = None) -> "RigSetup":
+        """Return the setup of a camera's and a rig's definition.
+
+        Parameters
+        ----------
+        camera, rig : dict
+            Validated definitions.
+        white_pose : dict, optional
+            Angles in degrees; ``poses.white`` of the camera where absent.
+
+        Raises
+        ------
+        InputError
+            If the lamp is near and nothing says where the white reference stood.
+        """
+        lamp = Lamp.from_definition(rig.get("light", {}))
+        angles = white_pose or camera.get("poses", {}).get("white")
+        if lamp.is_near and angles is None:
+            found = "no pose of the white reference, though the rig's light is near"
+            raise InputError("camera", "poses.white", found, "photographs of the role white")
+        return cls(
+            Pinhole.from_optics(camera["optics"]),
+            rig["camera_distance_mm"],
+            rig["table_radius_mm"],
+            lamp,
+            Pose(**angles) if lamp.is_near else None,
+        )
+
+    def light_gain(self, xy, power) -> np.ndarray:
+        """Return the factors that turn responses of a picture into those under each texel's own irradiance, (n,).
+
+        Parameters
+        ----------
+        xy : (n, 2) float
+            Where the texels appear, superpixels.
+        power : (n,) float
+            Their irradiance normal to the beam, 1 at the origin.
+        """
+        if not self.lamp.is_near:
+            return np.ones(len(xy))
+        white = self.lamp.on_white(2.0 * (xy + 0.5), self.pinhole, self.camera_distance_mm, self.white_pose)
+        return white / power
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _sample(response, valid, clipped, corner, xy, out, good, clips):
+    """Interpolate responses bilinearly; a texel is good where all neighbours with weight are inside and valid.
+
+    It clips where one of them does. ``response``, ``valid`` and ``clipped`` are the window of the picture that
+    begins at ``corner`` (row, column); coordinates are those of the whole picture, so that a texel gets the same bits
+    whatever tile it belongs to.
+    """
+    height, width, bands = response.shape
+    for t in numba.prange(xy.shape[0]):
+        good[t], clips[t] = False, 0
+        x, y = xy[t, 0], xy[t, 1]
+        if not (x >= 0.0 and y >= 0.0):
+            continue
+        left, top_row = math.floor(x), math.floor(y)
+        fx, fy = x - left, y - top_row
+        x0, y0 = left - corner[1], top_row - corner[0]
+        # A neighbour without weight is not looked at: it may lie outside the picture, or the window.
+        x1, y1 = x0 + (1 if fx > 0.0 else 0), y0 + (1 if fy > 0.0 else 0)
+        if x0 < 0 or y0 < 0 or x1 > width - 1 or y1 > height - 1:
+            continue
+        clips[t] = clipped[y0, x0] | clipped[y0, x1] | clipped[y1, x0] | clipped[y1, x1]
+        if not (valid[y0, x0] and valid[y0, x1] and valid[y1, x0] and valid[y1, x1]):
+            continue
+        for b in range(bands):
+            top = (1.0 - fx) * response[y0, x0, b] + fx * response[y0, x1, b]
+            bottom = (1.0 - fx) * response[y1, x0, b] + fx * response[y1, x1, b]
+            out[t, b] = (1.0 - fy) * top + fy * bottom
+        good[t] = True
+
+
+class Sight(NamedTuple):
+    """How texels appear in a capture.
+
+    ``xy`` (n, 2) superpixels; ``geometry`` (n, 4) θ_i, θ_r, θ_H, φ in rad; ``visible``, ``lit`` (n,) bool, by the
+    angles with the normal and by shadow rays; ``power`` (n,) irradiance normal to the beam, 1 at the origin.
+    """
+
+    xy: np.ndarray
+    geometry: np.ndarray
+    visible: np.ndarray
+    lit: np.ndarray
+    power: np.ndarray
+
+
+def observe(position, normal, tracer: Tracer, pose: Pose, setup: RigSetup, facet=None) -> Sight:
+    """Return where texels appear in a capture, their geometry and whether they are seen and lit.
+
+    Parameters
+    ----------
+    position, normal : (n, 3) float
+        Texels in the rig's frame, mm and unit vectors.
+    tracer : Tracer
+        Object and table in the rig's frame; the object is shape 0.
+    pose : Pose
+    setup : RigSetup
+    facet : (n, 3) float, optional
+        Unit normals of the surface itself where they differ from the shading normals. A texel is seen and lit from
+        the front of both.
+    """
+    facet = normal if facet is None else facet
+    light, power, lamp_distance = setup.lamp.seen_from(position, pose)
+    camera = setup.camera_distance_mm * to_camera(pose)
+    to_eye = camera - position
+    distance = np.linalg.norm(to_eye, axis=1)
+    view = to_eye / distance[:, None]
+    geometry = angles_from_directions(normal, light, view)
+    start = position + tracer.placements[0].shape.ray_offset_mm * facet
+    visible = (geometry[:, 1] < np.pi / 2) & (np.sum(facet * view, axis=1) > 0)
+    visible &= ~tracer.occluded(start, view, far=distance)
+    lit = (geometry[:, 0] < np.pi / 2) & (np.sum(facet * light, axis=1) > 0)
+    lit &= ~tracer.occluded(start, light, far=lamp_distance)
+    return Sight(setup.pinhole.project(position, camera, rig_from_camera(pose)), geometry, visible, lit, power)
+
+
+def _window(xy: np.ndarray, height: int, width: int) -> tuple[slice, slice]:
+    """Return the rows and columns of a picture that hold all given points, at least 2 x 2."""
+    inside = xy[np.isfinite(xy).all(axis=1)]
+    if inside.size == 0:
+        return slice(0, 2), slice(0, 2)
+    x0, y0 = np.clip(np.floor(inside.min(axis=0)).astype(int), 0, [width - 2, height - 2])
+    x1, y1 = np.clip(np.ceil(inside.max(axis=0)).astype(int) + 1, [x0 + 2, y0 + 2], [width, height])
+    return slice(y0, y1), slice(x0, x1)
+
+
+class _Observed(NamedTuple):
+    """One capture's observations of n texels: what `rectify_object` stores, before the largest angle."""
+
+    response: np.ndarray
+    geometry: np.ndarray
+    seen: np.ndarray
+    shadowed: np.ndarray
+    clipped: np.ndarray
+    gain: np.ndarray
+
+
+def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup) -> _Observed:
+    """Return responses, geometry, which texels are seen and lit, lie in shadow, and clip, from one capture's file."""
+    with store.open_file(path) as file:
+        pose = Pose(*file.attribute("pose_deg"))
+        rotation = rig_from_object(pose)
+        tracer = Tracer(on_table(shape, rotation, setup.table_radius_mm))
+        position, normal, facet = (
+            values[texels.covered] @ rotation.T for values in (texels.position, texels.normal, texels.facet)
+        )
+        sight = observe(position, normal, tracer, pose, setup, facet)
+        visible = sight.visible
+        file.require_axes({"response": "row,column,band", "valid": "row,column", "clipped": "row,column"})
+        height, width, bands = file.dataset("response").shape
+        xy = samples_from_superpixels(sight.xy, file.attribute("sample_px"))
+        window = _window(xy[visible], height, width)
+        sampled = np.zeros((len(xy), bands), dtype=np.float32)
+        good, clips = np.empty(len(xy), dtype=np.bool_), np.empty(len(xy), dtype=np.uint8)
+        corner = np.array([window[0].start, window[1].start])
+        pictures = (file.read(name, window) for name in ("response", "valid", "clipped"))
+        _sample(*pictures, corner, xy, sampled, good, clips)
+    # What hides a texel is not its own: without this, the window of a tile would decide what is stored here.
+    sampled[~visible], clips[~visible] = 0.0, 0
+    gain = np.ones(len(xy))
+    if setup.lamp.is_near:
+        gain[good] = setup.light_gain(sight.xy[good], sight.power[good])
+        sampled *= gain[:, None].astype(np.float32)
+    shadowed = visible & ~sight.lit & (sight.geometry[:, 0] < np.pi / 2)
+    found = _Observed(sampled, sight.geometry, visible & sight.lit & good, shadowed, clips, gain)
+    return found if texels.covered.all() else _Observed(*(_spread(values, texels.covered) for values in found))
+
+
+def _spread(values: np.ndarray, covered: np.ndarray) -> np.ndarray:
+    """Return values of the covered texels among all, zeros for what is no texel."""
+    out = np.zeros((covered.size, *values.shape[1:]), dtype=values.dtype)
+    out[covered.ravel()] = values
+    return out
+
+
+def _noise_models(linear: list) -> np.ndarray:
+    """Return c0 and c1 of the variance c0 + c1 ρ of an interpolated response, (J, bands, 2); NaN where not known."""
+    models = []
+    for path in linear:
+        with store.open_file(path) as file:
+            models.append(_INTERPOLATED * file.read("noise_model"))
+    return np.stack(models)
+
+
+def _common_filters(linear: list) -> list[str]:
+    """Return the filter states that all captures share.
+
+    Raises
+    ------
+    InputError
+        If one capture has others: its bands would be mistaken for those of the rest.
+    """
+    first = None
+    for path in linear:
+        with store.open_file(path) as file:
+            filters = file.attribute("filters")
+        if first not in (None, filters):
+            raise InputError(path, "filters", ", ".join(filters), f"{', '.join(first)}, as in the other captures")
+        first = filters
+    return first
+
+
+def _maps(observed: _Observed, weight, texels: Texels, near: bool) -> dict:
+    """Return what `rectify_object` writes for each texel: name -> (values, units, quantity)."""
+    shadowed = observed.shadowed.astype(np.uint8)
+    maps = {
+        "response": (observed.response, "1", "response, 1 = perfect diffuser at normal incidence"),
+        "geometry": (observed.geometry, "rad", "theta_i, theta_r, theta_h, phi"),
+        "weight": (weight, "1", "weight in the fit"),
+        "shadowed": (shadowed, "1", "1 where another surface keeps the light away"),
+        "clipped": (observed.clipped, "1", "1 where the picture clips in every exposure"),
+        "texel": (texels.covered.ravel().astype(np.uint8), "1", "1 where a surface lies under the texel's centre"),
+    }
+    if near:
+        quantity = "irradiance of the white reference in the pixel over that of the texel"
+        maps["light_gain"] = (observed.gain.astype(np.float32), "1", quantity)
+    return maps
+
+
+def rectify_object(
+    linear: list,
+    definition: dict,
+    setup: RigSetup,
+    rows: tuple[int, int],
+    max_angle_deg: float,
+    output,
+    provenance: store.Provenance,
+) -> None:
+    """Write the observations of one tile of an object's texture.
+
+    Parameters
+    ----------
+    linear : list of path
+        Linear responses of the J captures; only the window that the tile covers is read.
+    definition : dict
+        Definition of the object: shape and texels.
+    setup : RigSetup
+    rows : (int, int)
+        First and last-plus-one texture row of the tile.
+    max_angle_deg : float, degrees
+        Observations with θ_i or θ_r beyond it are kept without weight.
+
+    Raises
+    ------
+    InputError
+        If captures differ in their filter states, the shape is a mesh that is refused, or a near lamp stands within
+        the object.
+
+    Notes
+    -----
+    Datasets: ``/response`` (texel, J, bands) float32; ``/geometry`` (texel, J, 4) float32, θ_i, θ_r, θ_H, φ in rad;
+    ``/weight`` (texel, J) float32, 1 where the texel is seen, lit and validly measured, else 0; ``/shadowed`` (texel,
+    J) uint8; ``/clipped`` (texel, J) uint8, 1 where the texel is seen and a sample under it clips in every exposure, so
+    that a highlight can be told from a hot pixel or the picture's edge; ``/texel`` (texel,) uint8, 0 outside the UV
+    charts of a mesh: such an entry is no texel, is zero throughout and is nothing to be fitted; ``/noise_model``
+    (J, bands, 2), variance of a response = c0 + c1 * response, NaN where the camera's noise was not measured.
+
+    Under a near light, ``/light_gain`` (texel, J) float32 is the factor that put a response from the white reference's
+    irradiance to the texel's own; its variance is then gain² c0 + gain c1 * response.
+    """
+    shape = Shape.from_definition(definition["shape"])
+    width = definition["texels"]["width"]
+    if setup.lamp.distance_mm <= shape.reach_mm:
+        found = f"{setup.lamp.distance_mm:g} mm, within the reach of the object, {shape.reach_mm:.4g} mm"
+        raise InputError("rig", "light.distance_mm", found, "a lamp outside the object, or no such key for a far one")
+    texels = shape.atlas(width, definition["texels"]["height"], tuple(rows))
+    filters = _common_filters(linear)
+    limit = np.radians(max_angle_deg)
+    captures, weights = [], []
+    for path in track(linear, f"rectify rows {rows[0]}-{rows[1]}"):
+        found = _observe_file(path, shape, texels, setup)
+        frontal = (found.geometry[:, 0] <= limit) & (found.geometry[:, 1] <= limit)
+        weights.append((found.seen & frontal).astype(np.float32))
+        captures.append(found._replace(geometry=found.geometry.astype(np.float32)))
+    observed, weight = _Observed(*(np.stack(v, axis=1) for v in zip(*captures, strict=True))), np.stack(weights, axis=1)
+    unseen = ~(weight > 0).any(axis=1) & texels.covered.ravel()
+    if unseen.any():
+        LOGGER.info("%d of %d texels have no observation", unseen.sum(), texels.covered.sum())
+    with store.create(output, provenance) as out:
+        store.write_maps(out, _maps(observed, weight, texels, setup.lamp.is_near), "texel,capture,component")
+        noise = _noise_models(linear)
+        out.write("noise_model", noise, units="1", dims="capture,band,term", quantity="variance c0 + c1 rho")
+        out.attribute("rows", list(rows))
+        out.attribute("width", width)
+        out.attribute("filters", filters)

@@ -1,0 +1,1 @@
+"""Reflection models: Fresnel reflectance and the lobes of rough gloss."""

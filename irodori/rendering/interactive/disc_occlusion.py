@@ -1,0 +1,84 @@
+"""What a disc and an endless plane hide of the cosine-weighted sky, in closed form, the horizon's cut included.
+
+Lambert's sum over a polygon's edges becomes, over a circle r(t) = c + ρ (e₁ cos t + e₂ sin t) seen from the origin, the
+integral of n · (r × dr) / |r|²: a quotient of first-order trigonometric polynomials, whose primitive is elementary.
+"""
+
+import math
+
+from irodori.jit.native import njit
+
+#: Relative variation of |r|² over the circle under which it counts as constant.
+_CENTRED = 1e-7
+
+
+@njit(cache=True, error_model="numpy")
+def _primitive(tau, a, b, s, k, swing, root, ratio):
+    """Return ∫ (a + b cos τ + s sin τ) / (k + swing cos τ) dτ from 0 to τ, which is within ±2π.
+
+    ``root`` is √(k² - swing²) and ``ratio`` √((k - swing) / (k + swing)).
+    """
+    if swing <= _CENTRED * k:
+        return (a * tau + b * math.sin(tau) + s * (1.0 - math.cos(tau))) / k
+    plain = 2.0 / root * math.atan2(ratio * math.sin(0.5 * tau), math.cos(0.5 * tau))
+    rise = math.log1p(swing * (math.cos(tau) - 1.0) / (k + swing))
+    return b / swing * tau + (a - b * k / swing) * plain - s / swing * rise
+
+
+@njit(cache=True, error_model="numpy")
+def hidden_by_disc(normal, centre, axes, radius):
+    """Return the share of the cosine-weighted hemisphere that a disc hides.
+
+    Parameters
+    ----------
+    normal : tuple of 3 float
+        Unit normal at the point.
+    centre : tuple of 3 float
+        Of the disc, from the point, mm.
+    axes : tuple of 3 tuples of 3 float
+        Two perpendicular unit vectors in the disc, and their cross product.
+    radius : float, mm
+    """
+    e, f, g = axes
+    ce = centre[0] * e[0] + centre[1] * e[1] + centre[2] * e[2]
+    cf = centre[0] * f[0] + centre[1] * f[1] + centre[2] * f[2]
+    cg = centre[0] * g[0] + centre[1] * g[1] + centre[2] * g[2]
+    ne = normal[0] * e[0] + normal[1] * e[1] + normal[2] * e[2]
+    nf = normal[0] * f[0] + normal[1] * f[1] + normal[2] * f[2]
+    ng = normal[0] * g[0] + normal[1] * g[1] + normal[2] * g[2]
+    across = math.hypot(ce, cf)
+    low, high = (radius - across) ** 2 + cg * cg, (radius + across) ** 2 + cg * cg
+    if low <= 0.0:
+        return 0.0
+    # Heights of the circle's points above the horizon.
+    middle, swing = ce * ne + cf * nf + cg * ng, radius * math.hypot(ne, nf)
+    if middle <= -swing:
+        return 0.0
+    half = math.pi if middle >= swing else math.acos(-middle / swing)
+    top, towards = math.atan2(nf, ne), math.atan2(cf, ce)
+    # n · (r × dr/dt) and |r|² with the angle counted from the centre's direction.
+    b, s = radius * (cg * ne - ce * ng), radius * (cg * nf - cf * ng)
+    turn_c, turn_s = math.cos(towards), math.sin(towards)
+    b, s = b * turn_c + s * turn_s, s * turn_c - b * turn_s
+    a, k, change = radius * radius * ng, 0.5 * (low + high), 0.5 * (high - low)
+    if half == math.pi:
+        start, end = -math.pi, math.pi
+    else:
+        way = top - towards
+        way -= 2.0 * math.pi * math.floor(way / (2.0 * math.pi) + 0.5)
+        start, end = way - half, way + half
+    root, ratio = math.sqrt(low * high), math.sqrt(low / high)
+    found = _primitive(end, a, -b, -s, k, change, root, ratio) - _primitive(start, a, -b, -s, k, change, root, ratio)
+    if half < math.pi:
+        # Back along the horizon, from the second point of the circle that lies in it to the first.
+        pe, pf = ce + radius * math.cos(top + half), cf + radius * math.sin(top + half)
+        qe, qf = ce + radius * math.cos(top - half), cf + radius * math.sin(top - half)
+        turned = ne * (pf * cg - cg * qf) + nf * (cg * qe - pe * cg) + ng * (pe * qf - pf * qe)
+        found += math.atan2(turned, pe * qe + pf * qf + cg * cg)
+    return min(abs(found) / (2.0 * math.pi), 1.0)
+
+
+@njit(cache=True)
+def hidden_by_plane(cosine):
+    """Return the share that an endless plane hides, by the cosine between the point's normal and its own."""
+    return 0.5 * (1.0 - cosine)

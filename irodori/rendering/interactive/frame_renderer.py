@@ -1,0 +1,301 @@
+"""The interactive integrator's interface: a scene is prepared once, then rendered frame by frame."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.geometry.embree import Tracer
+from irodori.jit.array_views import Memory
+from irodori.jit.native import run_chunks
+from irodori.light.environment_file import Environment
+from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.rendering.interactive.channels import (
+    REPRESENTATIONS,
+    Channels,
+    coefficient_channels,
+    is_grey,
+    quadrature_channels,
+    rgb_channels,
+    spectral_channels,
+)
+from irodori.rendering.interactive.packets import KEPT, PATHS, RAYS, TILE
+from irodori.rendering.interactive.prepared_scene import Frame, World, make_query, make_world
+from irodori.rendering.interactive.quadrature import Quadrature, path_spectra, solve_quadrature
+from irodori.rendering.interactive.representation_layout import Layout
+from irodori.rendering.interactive.round_lobes import TAPS
+from irodori.rendering.interactive.tile_loop import FIGURES, RECALLED, STAGES, STORED, TRACED, Limits, render_tiles
+from irodori.rendering.scene_arrays import Light, Objects, View
+from irodori.rendering.view_cameras import ORTHOGRAPHIC
+from irodori.spectra.grid import SAMPLES
+
+#: Rays of a packet are near each other.
+_COHERENT = 1 << 16
+#: Reflections whose hits are kept while only the light moves; later ones are traced again.
+_KEPT_REFLECTIONS = 2
+_NO_LAMPS = np.zeros((0, SAMPLES))
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A collimated light in a frame.
+
+    Parameters
+    ----------
+    direction : (3,) float
+        From the scene towards the lamp, of any length.
+    strength : float
+        Factor on the spectral irradiance that `prepare_scene` was given.
+    """
+
+    direction: np.ndarray
+    strength: float = 1.0
+
+
+@dataclass
+class Prepared:
+    """A scene that `render_frame` renders; made by `prepare_scene`.
+
+    Attributes
+    ----------
+    representation : str
+    quadrature : Quadrature or None
+    lamps : int
+        How many collimated lights its frames have.
+    world, layout, limits
+        For the kernel.
+    """
+
+    representation: str
+    world: World
+    layout: Layout
+    limits: Limits
+    lamps: int
+    quadrature: Quadrature | None = None
+    owned: tuple = ()
+    _seen: tuple | None = None
+    _kept: np.ndarray = field(default_factory=lambda: np.zeros((1, 0), np.float32))
+
+    def forget(self) -> None:
+        """Give up the visibility that is kept from frame to frame, and its memory."""
+        self._seen, self._kept = None, np.zeros((1, 0), np.float32)
+
+
+def light_of(environment: Environment) -> Light:
+    """Return an environment as a `Light` of one level, without copying its coefficients."""
+    height, width, k = environment.coefficients.shape
+    rows, columns = environment.irradiance.shape[:2]
+    return Light(
+        pixels=environment.coefficients.reshape(height * width, k),
+        first_pixel=np.array([0]),
+        size=np.array([(width, height)]),
+        basis=np.ascontiguousarray(environment.basis.T, dtype=np.float64),
+        irradiance=np.ascontiguousarray(environment.irradiance, dtype=np.float32).reshape(rows * columns, k),
+        irradiance_size=np.array([columns, rows]),
+    )
+
+
+def prepare_scene(
+    objects: Objects,
+    light: Light,
+    gloss: GlossMaps,
+    tracer: Tracer,
+    representation: str,
+    white: np.ndarray,
+    *,
+    lamps: np.ndarray = _NO_LAMPS,
+    max_bounces: int = 5,
+    least_throughput: float = 1e-3,
+    half: bool = True,
+    ambient: bool = False,
+    quadrature: Quadrature | None = None,
+) -> Prepared:
+    """Prepare a scene for `render_frame`.
+
+    Parameters
+    ----------
+    objects : Objects
+        Object i is shape i of the tracer.
+    light : Light
+        Of which the finest level and the irradiance are used; see `light_of`.
+    gloss : GlossMaps
+        The same light blurred.
+    tracer : Tracer
+    representation : str
+        ``spectral``, ``coefficients``, ``quadrature`` or ``rgb``, see `irodori.rendering.interactive.channels`.
+    white : (61,) float
+        Radiance that gets Y = 100.
+    lamps : (n, 61) float
+        Spectral irradiance of each collimated light, measured normal to its beam; a perfect diffuser that it lights at
+        normal incidence has the radiance E / π.
+    max_bounces : int
+        Mirror reflections to follow.
+    least_throughput : float
+        Under which a path ends.
+    half : bool
+        Whether the environment and its blurred light are stored in half precision.
+    ambient : bool
+        Whether shapes hide light from all sides from each other, and meshes from themselves, see
+        `irodori.rendering.interactive.ambient`. In a scene with meshes rays are cast for it, once for the same shapes
+        in the same places.
+    quadrature : Quadrature, optional
+        For the representation of that name; solved for the scene where absent.
+
+    Raises
+    ------
+    ValueError
+        For an unknown representation; for ``coefficients`` where gloss or a mirror is coloured.
+    """
+    if representation not in REPRESENTATIONS:
+        raise ValueError(f"unknown representation {representation!r}; accepted: {', '.join(REPRESENTATIONS)}")
+    lamps = np.asarray(lamps, dtype=np.float64).reshape(-1, SAMPLES)
+    matrix = xyz_from_radiance(np.asarray(white, dtype=np.float64))
+    if representation == "quadrature" and quadrature is None:
+        spectra = path_spectra(objects, light, lamps, max_bounces)
+        quadrature = solve_quadrature(spectra, matrix, white)
+    channels = _channels(representation, objects, light, lamps, matrix, white, quadrature, ambient)
+    query = make_query(_COHERENT)
+    functions = (tracer.intersect16_address, tracer.occluded16_address, query.ctypes.data)
+    world = make_world(objects, light, gloss, tracer, channels, functions, half, ambient)
+    limits = Limits(
+        max_bounces, least_throughput, least_throughput / TAPS, TRACED, 1 + min(max_bounces, _KEPT_REFLECTIONS)
+    )
+    layout = Layout(channels.surface, channels.light, channels.coloured)
+    return Prepared(representation, world, layout, limits, len(lamps), quadrature, (tracer, query))
+
+
+def _channels(representation, objects, light, lamps, matrix, white, quadrature, ambient) -> Channels:
+    coloured = not is_grey(objects)
+    if representation == "spectral":
+        return spectral_channels(objects, light, lamps, matrix)
+    if representation == "quadrature":
+        return quadrature_channels(objects, light, lamps, quadrature, coloured)
+    if representation == "rgb":
+        return rgb_channels(objects, light, lamps, matrix, white, coloured)
+    return coefficient_channels(objects, light, lamps, matrix, ambient)
+
+
+def _single(values) -> Memory:
+    return Memory(np.asarray(values, dtype=np.float32).ravel())
+
+
+def refuse_lens(view: View) -> None:
+    """Refuse a view through a lens: its places would have to be sampled.
+
+    Raises
+    ------
+    ValueError
+    """
+    if view.lens_mm > 0.0:
+        raise ValueError(
+            f"a lens of {view.lens_mm:g} mm in a view of the integrator 'interactive', which samples nothing; "
+            "accepted: a view without a lens, or the integrator 'reference'"
+        )
+
+
+def frame_of(prepared: Prepared, view: View, world_from_light, lamps) -> Frame:
+    """Return what the kernel reads of a frame; parameters and errors are those of `render_frame`."""
+    rotation = np.eye(3) if world_from_light is None else np.asarray(world_from_light, dtype=np.float64)
+    if len(lamps) != prepared.lamps:
+        raise ValueError(f"{len(lamps)} lamps; accepted: the {prepared.lamps} that the scene was prepared for")
+    directions = np.array([lamp.direction for lamp in lamps], dtype=np.float64).reshape(-1, 3)
+    length = np.linalg.norm(directions, axis=1, keepdims=True)
+    if not (np.isfinite(length) & (length > 0)).all():
+        raise ValueError("a lamp without a direction; accepted: three finite numbers, not all zero")
+    directions /= length
+    return Frame(
+        position_mm=_single(view.position_mm),
+        world_from_camera=_single(view.world_from_camera),
+        pixel=1.0 / view.focal_px,
+        parallel=int(view.kind == ORTHOGRAPHIC),
+        width=view.width,
+        height=view.height,
+        light_from_world=_single(rotation.T),
+        lamps=len(lamps),
+        lamp_direction=_single(directions),
+        lamp_strength=_single([lamp.strength for lamp in lamps]),
+    )
+
+
+def _visibility(prepared: Prepared, view: View, keep: bool, tiles: int) -> Limits:
+    """Return the limits with what is to be done about hits, and make room for them."""
+    if not keep:
+        return prepared.limits._replace(visibility=TRACED)
+    seen = tuple(value.tobytes() if isinstance(value, np.ndarray) else value for value in view)
+    if prepared._seen == seen:
+        return prepared.limits._replace(visibility=RECALLED)
+    numbers = prepared.limits.kept_bounces * (PATHS // RAYS) * KEPT
+    if prepared._kept.shape != (tiles, numbers):
+        prepared._kept = np.empty((tiles, numbers), dtype=np.float32)
+    prepared._seen = seen
+    return prepared.limits._replace(visibility=STORED)
+
+
+def render_frame(
+    prepared: Prepared,
+    view: View,
+    *,
+    world_from_light: np.ndarray | None = None,
+    lamps: tuple[Lamp, ...] = (),
+    bands: bool = False,
+    keep_visibility: bool = False,
+    figures: dict | None = None,
+    out: np.ndarray | None = None,
+) -> np.ndarray:
+    """Render a frame.
+
+    Parameters
+    ----------
+    prepared : Prepared
+    view : View
+    world_from_light : (3, 3) float, optional
+        Rotation of the environment.
+    lamps : tuple of Lamp
+        As many as the scene was prepared for.
+    bands : bool
+        Whether to return the 61 bands; of the representation ``spectral`` only.
+    keep_visibility : bool
+        Keep what the rays met, and use it in frames of the same view. The picture is the same to the bit.
+    figures : dict, optional
+        Filled with ``rays``, those that the shapes' bounds answer included, and, if a scene was prepared by `profiled`,
+        with the cycles of each stage, all threads together.
+    out : optional
+        Picture to fill.
+
+    Returns
+    -------
+    (height, width, 3) float32 XYZ, white Y = 100; or (height, width, 61) float32 radiance
+
+    Raises
+    ------
+    ValueError
+        If lamps or bands do not fit the scene, a lamp has no direction, or the view has a lens.
+    """
+    refuse_lens(view)
+    if bands and prepared.representation != "spectral":
+        raise ValueError(f"bands of the representation {prepared.representation!r}; accepted: spectral")
+    frame = frame_of(prepared, view, world_from_light, lamps)
+    image = np.empty((view.height, view.width, SAMPLES if bands else 3), np.float32) if out is None else out
+    columns, rows = -(-view.width // TILE), -(-view.height // TILE)
+    limits = _visibility(prepared, view, keep_visibility, columns * rows)
+    counted = np.zeros((columns * rows, FIGURES), dtype=np.int64)
+    kept = Memory(prepared._kept.ravel())
+    scene = (
+        prepared.world,
+        frame,
+        prepared.layout,
+        limits,
+        Memory(image.ravel()),
+        image.shape[2],
+        kept,
+        Memory(counted.ravel()),
+    )
+    run_chunks(render_tiles, columns * rows, columns, *scene)
+    if figures is not None:
+        figures |= dict(zip(STAGES, counted.sum(axis=0).tolist(), strict=True))
+    return image
+
+
+def profiled(prepared: Prepared) -> Prepared:
+    """Return the scene for frames that count the cycles of their stages."""
+    return replace(prepared, layout=replace(prepared.layout, profiled=True), _seen=None)

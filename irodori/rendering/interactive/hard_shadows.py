@@ -1,0 +1,38 @@
+"""Collimated lights: which of a packet's hits they reach, by hard shadows."""
+
+import numpy as np
+from numba import types
+
+from irodori.jit.native import c_function, njit
+from irodori.jit.ray_vectors import greatest, load, mask_bits, repeated, select, store
+from irodori.rendering.interactive.packets import FACET, NORMAL, RAYS, raised
+
+_occluded = c_function(types.void, types.uintp, types.uintp, types.uintp, types.uintp)
+# RTCRay16 begins as RTCRayHit16 does: origin, direction and far end, sixteen words each.
+_ORIGIN, _DIRECTION, _FAR = 0, 64, 128
+
+
+@njit(cache=True, forceinline=True)
+def light_hits(world, frame, packet, hits, seen):
+    """Fill ``hits.lit`` with the cosine of each hit with each lamp, 0 where the hit looks away or is in shadow."""
+    f, i, hit = packet.f, packet.i, hits.f
+    for lamp in range(frame.lamps):
+        lx, ly, lz = (
+            frame.lamp_direction[3 * lamp],
+            frame.lamp_direction[3 * lamp + 1],
+            frame.lamp_direction[3 * lamp + 2],
+        )
+        cosine = load(hit, NORMAL * RAYS, 16) * lx + load(hit, (NORMAL + 1) * RAYS, 16) * ly
+        cosine = cosine + load(hit, (NORMAL + 2) * RAYS, 16) * lz
+        front = load(hit, FACET * RAYS, 16) * lx + load(hit, (FACET + 1) * RAYS, 16) * ly
+        front = front + load(hit, (FACET + 2) * RAYS, 16) * lz
+        facing = seen & (cosine > 0.0) & (front > 0.0)
+        if mask_bits(facing):
+            for axis in range(3):
+                store(f, RAYS + _ORIGIN + axis * RAYS, raised(hit, axis))
+                store(f, RAYS + _DIRECTION + axis * RAYS, repeated(frame.lamp_direction[3 * lamp + axis], 16))
+            store(f, RAYS + _FAR, repeated(np.float32(np.inf), 16))
+            store(i, 0, select(facing, repeated(-1, 16), 0))
+            _occluded(world.occluded, packet.valid, world.scene, packet.rays, world.query)
+            facing = facing & (load(f, RAYS + _FAR, 16) >= 0.0)
+        store(hits.lit, lamp * RAYS, select(facing, greatest(cosine, 0.0), 0.0))

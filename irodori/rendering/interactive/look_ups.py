@@ -1,0 +1,196 @@
+"""Look-ups of a packet's light: the sky that rays meet, and the four lobes of each hit in the blurred light."""
+
+import numpy as np
+
+from irodori.jit.native import njit
+from irodori.jit.ray_vectors import (
+    as_float,
+    bits_as_float,
+    bits_as_int,
+    gather,
+    greatest,
+    lane,
+    least,
+    load,
+    load_like,
+    numbered,
+    pair_mixed,
+    root,
+    select,
+    store,
+    truncated,
+)
+from irodori.rendering.interactive.cube_maps import bilinear, cell_of, face_of
+from irodori.rendering.interactive.packets import (
+    COSINE,
+    DIRECTION,
+    GLOSS,
+    LIT_MIRROR,
+    LIT_NORMAL,
+    OBJECT,
+    RAYS,
+    SPREAD,
+    STRIDE,
+    turned,
+)
+from irodori.rendering.interactive.representation_layout import (
+    is_coloured,
+    light_black,
+    light_lanes,
+    pair_black,
+    surface_black,
+    surface_lanes,
+)
+from irodori.rendering.interactive.round_lobes import ENTRY, TAPS
+
+# Fields of a look-up, each sixteen wide, and whole numbers.
+_X, _Y, _MIX, _WEIGHT, _COS_H, _FIELDS = 0, 1, 2, 3, 4, 5
+_CELL, _LEVEL, _NUMBERS = 0, 1, 2
+LOOK_FIELDS, LOOK_NUMBERS = TAPS * _FIELDS, TAPS * _NUMBERS
+
+
+@njit(cache=True, forceinline=True)
+def fresnel(cosine, n, k):
+    """Return the unpolarised Fresnel reflectance of n + ik in air, exact, as `equation5.fresnel`; vectors."""
+    c2 = cosine * cosine
+    s2 = 1.0 - c2
+    nk = n * k
+    real = (n - 1.0) * (n + 1.0) - k * k + c2
+    modulus = root(real * real + 4.0 * (nk * nk))
+    half = root(0.5 * (modulus + select(real < 0.0, -real, real)))
+    a = select(real < 0.0, nk / greatest(half, 1e-30), half)
+    cross = 2.0 * (a * cosine)
+    total = modulus + c2 + cross
+    rs = greatest(modulus + c2 - cross, 0.0) / greatest(total, 1e-30)
+    even, odd = modulus * c2 + s2 * s2, cross * s2
+    rp = greatest(even - odd, 0.0) / greatest(even + odd, 1e-30)
+    found = 0.5 * (rs * (1.0 + select(even + odd > 0.0, rp, 1.0)))
+    return select(total > 0.0, found, 1.0)
+
+
+@njit(cache=True, forceinline=True)
+def decoded(world, layout, light):
+    """Return stored light as a colour of the surface's lanes."""
+    out = surface_black(layout)
+    row = surface_lanes(layout)
+    for channel in range(light_lanes(layout)):
+        out = out + lane(light, channel) * load_like(world.decode, channel * row, out)
+    return out
+
+
+@njit(cache=True, forceinline=True)
+def logarithm(x):
+    """Return the binary logarithm of positive vectors within 0.01."""
+    bits = bits_as_int(x)
+    exponent = as_float((bits >> 23) - 127)
+    mantissa = bits_as_float((bits & 0x007FFFFF) | 0x3F800000)
+    return exponent + (mantissa * (2.0 - mantissa * (1.0 / 3.0)) - 5.0 / 3.0)
+
+
+@njit(cache=True, forceinline=True)
+def find_sky(world, frame, paths, base, look, number):
+    """Fill where the directions of the paths from ``base`` on are looked up, at the two levels about their cones."""
+    dx, dy, dz = (
+        load(paths.f, DIRECTION * STRIDE + base, 16),
+        load(paths.f, (DIRECTION + 1) * STRIDE + base, 16),
+        load(paths.f, (DIRECTION + 2) * STRIDE + base, 16),
+    )
+    turn = frame.light_from_world
+    face, u, v = face_of(turned(turn, 0, dx, dy, dz), turned(turn, 1, dx, dy, dz), turned(turn, 2, dx, dy, dz))
+    spread = load(paths.f, SPREAD * STRIDE + base, 16)
+    last = float(world.environment_levels - 1)
+    level = logarithm(greatest(spread * world.texels_per_rad, 1.0))
+    level = least(greatest(level, 0.0), last)
+    lower = truncated(level)
+    store(look, _MIX * RAYS, level - as_float(lower))
+    for step in range(2):
+        chosen = truncated(least(as_float(lower + step), last))
+        side = as_float(gather(world.environment_side, chosen))
+        cell, x, y = cell_of(face, u, v, side)
+        store(number, (step * _NUMBERS + _CELL) * RAYS, cell)
+        store(number, (step * _NUMBERS + _LEVEL) * RAYS, chosen)
+        store(look, (step * _FIELDS + _X) * RAYS, x)
+        store(look, (step * _FIELDS + _Y) * RAYS, y)
+
+
+@njit(cache=True, forceinline=True)
+def sky_at(world, layout, look, number, ray):
+    """Return the stored light that one ray of the packet meets."""
+    like = light_black(layout)
+    level = number[_LEVEL * RAYS + ray]
+    stride = world.environment_side[level] + 2
+    first, cell = world.environment_first[level], np.int64(number[_CELL * RAYS + ray])
+    found = bilinear(world.environment, first, cell, stride, look[_X * RAYS + ray], look[_Y * RAYS + ray], like)
+    mix = look[_MIX * RAYS + ray]
+    if mix > 0.01:
+        level = number[(_NUMBERS + _LEVEL) * RAYS + ray]
+        stride = world.environment_side[level] + 2
+        first, cell = world.environment_first[level], np.int64(number[(_NUMBERS + _CELL) * RAYS + ray])
+        x, y = look[(_FIELDS + _X) * RAYS + ray], look[(_FIELDS + _Y) * RAYS + ray]
+        found = (1.0 - mix) * found + mix * bilinear(world.environment, first, cell, stride, x, y, like)
+    return found
+
+
+@njit(cache=True, forceinline=True)
+def find_lobes(world, layout, hit, numbers, entries, look, number):
+    """Fill where the lobes of a packet's hits are looked up, from their entries of the table."""
+    cosine = load(hit, COSINE * RAYS, 16)
+    nx, ny, nz = (
+        load(hit, LIT_NORMAL * RAYS, 16),
+        load(hit, (LIT_NORMAL + 1) * RAYS, 16),
+        load(hit, (LIT_NORMAL + 2) * RAYS, 16),
+    )
+    rx, ry, rz = (
+        load(hit, LIT_MIRROR * RAYS, 16),
+        load(hit, (LIT_MIRROR + 1) * RAYS, 16),
+        load(hit, (LIT_MIRROR + 2) * RAYS, 16),
+    )
+    at = numbered(16) * ENTRY
+    last = float(world.gloss_levels - 1)
+    level = least(greatest(gather(entries, at) - world.gloss_level, 0.0), last)
+    lower = truncated(level)
+    side = as_float(gather(world.gloss_side, lower))
+    store(look, _MIX * RAYS, level - as_float(lower))
+    store(number, _LEVEL * RAYS, lower)
+    sine2 = 1.0 - cosine * cosine
+    power = load(hit, GLOSS * RAYS, 16)
+    object_ = load(numbers, OBJECT * RAYS, 16)
+    width = surface_lanes(layout)
+    n, k = gather(world.index, object_ * (2 * width)), gather(world.index, object_ * (2 * width) + width)
+    for tap in range(TAPS):
+        weight, p = gather(entries, at + (1 + 3 * tap)), gather(entries, at + (2 + 3 * tap))
+        cos_h = gather(entries, at + (3 + 3 * tap))
+        q = root(greatest(1.0 - p * p * sine2, 0.0)) - p * cosine
+        face, u, v = face_of(p * rx + q * nx, p * ry + q * ny, p * rz + q * nz)
+        cell, x, y = cell_of(face, u, v, side)
+        store(number, (tap * _NUMBERS + _CELL) * RAYS, cell)
+        store(look, (tap * _FIELDS + _X) * RAYS, x)
+        store(look, (tap * _FIELDS + _Y) * RAYS, y)
+        weight = weight * power
+        if not is_coloured(layout):
+            weight = weight * fresnel(cos_h, n, k)
+        store(look, (tap * _FIELDS + _WEIGHT) * RAYS, weight)
+        store(look, (tap * _FIELDS + _COS_H) * RAYS, cos_h)
+
+
+@njit(cache=True, forceinline=True)
+def lobe_at(world, layout, look, number, ray, tap):
+    """Return the blurred light of one lobe of one hit, as it is stored, without its weight."""
+    level = number[_LEVEL * RAYS + ray]
+    stride, first = world.gloss_side[level] + 2, world.gloss_first[level]
+    cell = np.int64(number[(tap * _NUMBERS + _CELL) * RAYS + ray])
+    x, y = look[(tap * _FIELDS + _X) * RAYS + ray], look[(tap * _FIELDS + _Y) * RAYS + ray]
+    found = bilinear(world.gloss, first, cell, stride, x, y, pair_black(layout))
+    return pair_mixed(found, look[_MIX * RAYS + ray])
+
+
+@njit(cache=True, forceinline=True)
+def lobe_weight(look, ray, tap):
+    """Return the weight of one lobe of one hit, with its Fresnel reflectance unless paths are coloured."""
+    return look[(tap * _FIELDS + _WEIGHT) * RAYS + ray]
+
+
+@njit(cache=True, forceinline=True)
+def lobe_incidence(look, ray, tap):
+    """Return cosθ_H of one lobe of one hit."""
+    return look[(tap * _FIELDS + _COS_H) * RAYS + ray]

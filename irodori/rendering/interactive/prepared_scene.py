@@ -1,0 +1,307 @@
+"""A scene prepared for the interactive integrator, and its frames."""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from irodori.geometry.embree import Tracer
+from irodori.geometry.shapes import DISC, MESH, PLANE, PLATE, SPHERE, reaches
+from irodori.geometry.surfaces import Surfaces, make_surfaces
+from irodori.jit.array_views import Memory
+from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.rendering.interactive.channels import Channels, mean_spectra
+from irodori.rendering.interactive.cube_maps import FACES, environment_pyramid, from_equirectangular, give_back
+from irodori.rendering.interactive.mesh_shadows import MeshShadows, make_mesh_shadows, no_mesh_shadows
+from irodori.rendering.interactive.packets import (
+    CENTRE,
+    COLUMNS,
+    CURVATURE,
+    HIGH,
+    KIND,
+    MIRROR,
+    RADIUS,
+    ROWS,
+    SHAPE,
+    TURN,
+    WIDE,
+)
+from irodori.rendering.interactive.round_lobes import lobe_table, roughness_at, roughness_place
+from irodori.rendering.scene_arrays import Light, Objects
+
+#: Objects of a scene whose bounds are asked one by one.
+_MOST_BOUNDED = 12
+
+
+class World(NamedTuple):
+    """What the kernel reads of a scene; flat float32 unless said otherwise."""
+
+    shape: Memory  # (objects * SHAPE,)
+    objects: int
+    ambient: Memory  # of each object, rows by the channels of the light that it reflects
+    ambient_inputs: int  # channels of that light; 0 where nothing hides light from all sides
+    shadows: MeshShadows
+    shadowed: int  # 1 where meshes hide light from all sides
+    surfaces: Surfaces
+    meshes: int  # how many of the objects are meshes
+    scatters: int  # 1 where any surface has a diffuse or a rough term
+    bounded: int  # how many objects' bounds are asked before Embree: all, or none where they are many
+    texels: Memory
+    texture_first: Memory  # (objects,) int64
+    texture_stride: Memory  # (objects,) int64
+    index: Memory  # n, then k, of each object
+    environment: Memory  # uint16 for half precision
+    environment_first: Memory  # (levels,) int64
+    environment_side: Memory  # (levels,) int32
+    environment_levels: int  # 0 where no light is looked up in it; so the irradiance's side and the gloss' levels
+    texels_per_rad: float
+    irradiance: Memory
+    irradiance_side: int
+    gloss: Memory  # as the environment; at each texel of a level the light of this level and of the next
+    gloss_first: Memory  # (levels,) int64
+    gloss_side: Memory  # (levels,) int32
+    gloss_levels: int
+    gloss_level: float  # the finest's place in the ladder
+    lobes: Memory
+    roughness_start: float
+    roughness_step: float
+    decode: Memory
+    lamp_light: Memory
+    lamp_colour: Memory
+    xyz_from_colour: Memory
+    xyz_from_light: Memory
+    intersect: int
+    occluded: int
+    scene: int
+    query: int  # address of RTCIntersectArguments
+
+
+class Frame(NamedTuple):
+    """What changes from frame to frame."""
+
+    position_mm: Memory  # (3,)
+    world_from_camera: Memory  # (9,)
+    pixel: float  # of the image plane at distance 1; mm where rays are parallel
+    parallel: int  # 1 where rays are parallel and start in the image plane, 0 where they start in the eye
+    width: int
+    height: int
+    light_from_world: Memory  # (9,)
+    lamps: int
+    lamp_direction: Memory  # (lamps * 3,) towards the lamp
+    lamp_strength: Memory  # (lamps,)
+
+
+def padded(rows: np.ndarray, width: int) -> np.ndarray:
+    """Return rows, (..., n), filled up with zeros to a width, as flat float32."""
+    room = width - rows.shape[-1]
+    return np.pad(rows, [(0, 0)] * (rows.ndim - 1) + [(0, room)]).astype(np.float32).ravel()
+
+
+def make_shapes(tracer: Tracer, objects: Objects) -> np.ndarray:
+    """Return the numbers of the shapes, (objects * SHAPE,) float32."""
+    table = np.zeros((len(tracer.placements), SHAPE), dtype=np.float32)
+    for row, placement, reach, size, mirror in zip(
+        table, tracer.placements, reaches(tracer.placements), objects.texture_size, objects.mirror, strict=True
+    ):
+        shape = placement.shape
+        row[CENTRE : CENTRE + 3] = placement.translation_mm
+        row[RADIUS] = reach
+        if shape.kind == PLANE:
+            # The point nearest to the world's origin, see `Tracer`.
+            row[CENTRE : CENTRE + 3] = (placement.translation_mm @ placement.rotation[:, 2]) * placement.rotation[:, 2]
+        row[TURN : TURN + 9] = np.ravel(placement.rotation)
+        row[KIND], row[MIRROR] = shape.kind, mirror
+        row[COLUMNS], row[ROWS] = size
+        if shape.kind == SPHERE:
+            row[CURVATURE] = 2.0 / row[RADIUS]
+        elif shape.kind in (PLATE, DISC):
+            row[WIDE], row[HIGH] = 1.0 / (np.asarray(shape.size_mm) * placement.scale)
+    return table.ravel()
+
+
+def make_textures(objects: Objects, channels: Channels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the texels with their borders, where each object's begin, and the texels of a stored row.
+
+    Sides that are joined have each other in the border, other edges themselves.
+    """
+    parts, first, stride = [], [0], []
+    for i, start in enumerate(objects.first_texel):
+        columns, rows = objects.texture_size[i]
+        texels = objects.texels[start : start + rows * columns].reshape(rows, columns, -1)
+        weights = texels[..., : objects.bases[i]].astype(np.float64)
+        stored = np.zeros((rows + 2, columns + 2, channels.surface), dtype=np.float32)
+        inner = stored[1:-1, 1:-1]
+        inner[..., : channels.count] = weights @ channels.texel_from_weights[i].T
+        # β μ², the gloss' power: one number less to compute at a hit.
+        inner[..., -2] = np.where(texels[..., -1] > 0, texels[..., -2] * texels[..., -1].astype(np.float64) ** 2, 0.0)
+        inner[..., -1] = roughness_place(np.where(texels[..., -1] > 0, texels[..., -1], 1.0))
+        wraps = objects.wraps[i] == 1
+        stored[:, 0], stored[:, -1] = (stored[:, -2], stored[:, 1]) if wraps else (stored[:, 1], stored[:, -2])
+        stored[0], stored[-1] = stored[1], stored[-2]
+        parts.append(stored.ravel())
+        first.append(first[-1] + stored.size)
+        stride.append(columns + 2)
+    return np.concatenate(parts), np.array(first[:-1], dtype=np.int64), np.array(stride, dtype=np.int64)
+
+
+def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
+    """Return the irradiance map for the texels' channels, flat, and its side, 0 where the light has none."""
+    width, height = light.irradiance_size
+    if height == 0:
+        return np.zeros(0, dtype=np.float32), 0
+    picture = light.irradiance.reshape(height, width, -1)
+    side = int(height)
+    stored = np.stack([face @ channels.irradiance_from_light.T for face in from_equirectangular(picture, side)])
+    return padded(stored, channels.surface), side
+
+
+def needed_gloss(gloss: GlossMaps, objects: Objects) -> GlossMaps:
+    """Return the maps without the finest ones, narrower than any lobe of the scene's materials at any view angle."""
+    smoothest = math.inf
+    for i, start in enumerate(objects.first_texel):
+        texels = objects.texels[start : start + int(np.prod(objects.texture_size[i]))]
+        glossy = texels[(texels[:, -2] > 0) & (texels[:, -1] > 0), -1]
+        # Texels are interpolated: what has no gloss may lend its roughness to a neighbour.
+        if glossy.size:
+            smoothest = min(smoothest, float(texels[texels[:, -1] > 0, -1].min()))
+    last = len(gloss.levels) - 1
+    if smoothest == math.inf:
+        spare = last
+    else:
+        finest = lobe_table()[0][int(roughness_place(smoothest)) :, :, 0].min()
+        spare = min(max(math.floor(finest) - gloss.first, 0), last)
+    return replace(gloss, first=gloss.first + spare, levels=gloss.levels[spare:])
+
+
+def make_gloss(gloss: GlossMaps, channels: Channels, half: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the blurred light, flat, with where each level begins and its side."""
+    # Texels in the middle of a face are as wide as the maps' rows are high.
+    sides = [int(np.ceil(level.shape[0] * 2.0 / np.pi)) for level in gloss.levels]
+    first = np.cumsum([0] + [FACES * (side + 2) ** 2 * 2 * channels.light for side in sides])
+    flat, stored = np.zeros(first[-1], np.float16 if half else np.float32), len(channels.stored_from_light)
+    for number, side in enumerate(sides):
+        there = flat[first[number] : first[number + 1]].reshape(FACES, side + 2, side + 2, 2, channels.light)
+        for place, level in enumerate((number, min(number + 1, len(sides) - 1))):
+            for face, found in enumerate(from_equirectangular(gloss.levels[level], side)):
+                there[face, :, :, place, :stored] = found @ channels.stored_from_light.T
+            give_back(gloss.levels[level])
+    return flat.view(np.uint16) if half else flat, first[:-1].astype(np.int64), np.array(sides, dtype=np.int32)
+
+
+def _stored_scaled(channels: Channels, scale: np.ndarray) -> Channels:
+    """Return the channels for light that is stored divided by a scale."""
+    return replace(
+        channels,
+        stored_from_light=channels.stored_from_light / scale[:, None],
+        xyz_from_light=channels.xyz_from_light * scale,
+        colour_from_light=channels.colour_from_light * scale,
+    )
+
+
+def make_query(flags: int) -> np.ndarray:
+    """Return Embree's RTCIntersectArguments: flags, a mask of all features, and no functions; kept by the caller."""
+    query = np.zeros(16, dtype=np.uint32)
+    query[0], query[1] = flags, 0xFFFFFFFF
+    return query
+
+
+def _light_fields(light: Light, gloss: GlossMaps, pyramid, channels: Channels, half: bool) -> dict:
+    """Return the fields of a `World` that are looked up in light; ``channels`` are those of the scaled pyramid."""
+    irradiance, irradiance_side = make_irradiance(light, channels)
+    blurred, gloss_first, gloss_side = make_gloss(gloss, channels, half)
+    return {
+        "environment": pyramid.texels,
+        "environment_first": pyramid.first.astype(np.int64),
+        "environment_side": pyramid.side.astype(np.int32),
+        "environment_levels": len(pyramid.side),
+        "texels_per_rad": float(pyramid.side.max(initial=0) * np.sqrt(FACES / (4.0 * np.pi))),
+        "irradiance": irradiance,
+        "irradiance_side": irradiance_side,
+        "gloss": blurred,
+        "gloss_first": gloss_first,
+        "gloss_side": gloss_side,
+        "gloss_levels": len(gloss_side),
+        "gloss_level": float(gloss.first),
+        "lobes": lobe_table()[0].ravel(),
+        "roughness_start": float(np.log(roughness_at(0))),
+        "roughness_step": float(np.log(roughness_at(1) / roughness_at(0))),
+    }
+
+
+def _surface_fields(objects: Objects, tracer: Tracer, channels: Channels) -> dict:
+    """Return the fields of a `World` that shapes and materials fill."""
+    texels, first, stride = make_textures(objects, channels)
+    index = np.concatenate(
+        [channels.index, np.repeat(channels.index[..., -1:], channels.surface - channels.count, axis=2)], axis=2
+    )
+    return {
+        "shape": make_shapes(tracer, objects),
+        "objects": len(tracer.placements),
+        "surfaces": Surfaces(*(Memory(array) for array in make_surfaces(tracer.placements))),
+        "meshes": sum(p.shape.kind == MESH for p in tracer.placements),
+        "scatters": int(texels.reshape(-1, channels.surface)[:, :-1].any()),
+        "bounded": len(tracer.placements) if len(tracer.placements) <= _MOST_BOUNDED else 0,
+        "texels": texels,
+        "texture_first": first,
+        "texture_stride": stride,
+        "index": index.astype(np.float32).ravel(),
+        "scene": tracer.scene,
+    }
+
+
+def _colour_fields(channels: Channels) -> dict:
+    """Return the fields of a `World` that lead from what light is stored in to colours."""
+    decode = padded(channels.colour_from_light, channels.light).reshape(channels.count, channels.light)
+    return {
+        "decode": padded(decode.T, channels.surface),
+        "lamp_light": padded(channels.lamp_light, channels.surface),
+        "lamp_colour": padded(channels.lamp_colour, channels.surface),
+        "xyz_from_colour": padded(channels.xyz_from_colour, channels.surface),
+        "xyz_from_light": padded(channels.xyz_from_light, channels.light),
+    }
+
+
+def make_world(
+    objects: Objects,
+    light: Light,
+    gloss: GlossMaps,
+    tracer: Tracer,
+    channels: Channels,
+    functions: tuple[int, int, int],
+    half: bool,
+    ambient: bool,
+) -> World:
+    """Return the flat scene of a representation.
+
+    Parameters
+    ----------
+    objects, light, gloss, tracer
+        Shape i is object i.
+    channels : Channels
+    functions : (int, int, int)
+        Addresses of rtcIntersect16, rtcOccluded16 and of their arguments.
+    half : bool
+        Whether the environment and its blurred light are stored in half precision.
+    ambient : bool
+        Whether objects hide light from all sides.
+    """
+    columns, rows = light.size[0]
+    picture = light.pixels[: columns * rows].reshape(rows, columns, light.pixels.shape[1])
+    pyramid = environment_pyramid(picture, channels.stored_from_light, channels.light, half)
+    channels = _stored_scaled(channels, pyramid.scale)
+    fields = _light_fields(light, needed_gloss(gloss, objects), pyramid, channels, half)
+    fields |= _surface_fields(objects, tracer, channels) | _colour_fields(channels)
+    reflected = np.stack([channels.reflected(mean) for mean in mean_spectra(objects)])
+    reflects = ambient and fields["irradiance_side"] > 0
+    shadows = make_mesh_shadows(tracer) if reflects else None
+    fields |= {
+        "ambient": padded(reflected, channels.surface),
+        "ambient_inputs": reflected.shape[1] if reflects else 0,
+        "shadows": shadows or no_mesh_shadows(),
+        "shadowed": int(shadows is not None),
+        "intersect": functions[0],
+        "occluded": functions[1],
+        "query": functions[2],
+    }
+    return World(**{name: Memory(v) if isinstance(v, np.ndarray) else v for name, v in fields.items()})

@@ -1,0 +1,84 @@
+"""What the compiler has to know of a representation: how wide its vectors are, and what is to be left out."""
+
+from dataclasses import dataclass
+
+from llvmlite import ir
+from numba import types
+from numba.extending import NativeValue, intrinsic, models, register_model, typeof_impl, unbox
+
+from irodori.jit.ray_vector_type import Lanes
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Constants of a kernel; each value compiles its own.
+
+    Parameters
+    ----------
+    surface : int
+        Lanes of a texel: the channels of the reflected colour, then β and the place of μ in the table of lobes.
+    light : int
+        Lanes of the environment's stored light.
+    coloured : bool
+        Whether a path's throughput differs between channels. Where it does not, light is summed as it is stored and
+        becomes a colour once a pixel.
+    profiled : bool
+        Whether cycles are counted by stage.
+    """
+
+    surface: int
+    light: int
+    coloured: bool
+    profiled: bool = False
+
+
+class _LayoutType(types.Type):
+    def __init__(self, layout: Layout) -> None:
+        self.layout = layout
+        super().__init__(name=repr(layout))
+
+
+@typeof_impl.register(Layout)
+def _typeof(value, context):
+    return _LayoutType(value)
+
+
+@register_model(_LayoutType)
+class _LayoutModel(models.OpaqueModel):
+    pass
+
+
+@unbox(_LayoutType)
+def _unbox(kind, value, c):
+    return NativeValue(c.context.get_dummy_value())
+
+
+def _constant(field: str):
+    def typed(typingctx, layout):
+        value = getattr(layout.layout, field)
+        kind = types.boolean if isinstance(value, bool) else types.int64
+
+        def codegen(context, builder, sig, args):
+            return ir.Constant(context.get_value_type(kind), int(value))
+
+        return kind(layout), codegen
+
+    return intrinsic(typed)
+
+
+def _black(field: str, times: int = 1):
+    def typed(typingctx, layout):
+        lanes = Lanes("f", times * getattr(layout.layout, field))
+
+        def codegen(context, builder, sig, args):
+            return ir.Constant(lanes.vector, [0.0] * lanes.count)
+
+        return lanes(layout), codegen
+
+    return intrinsic(typed)
+
+
+surface_lanes, light_lanes = _constant("surface"), _constant("light")
+is_coloured, is_profiled = _constant("coloured"), _constant("profiled")
+#: Vectors of zeros: of a texel's lanes, of the light's, and of light at two levels.
+surface_black, light_black, pair_black = _black("surface"), _black("light"), _black("light", 2)

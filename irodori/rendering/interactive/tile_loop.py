@@ -1,0 +1,291 @@
+"""The loop over tiles: paths start at a tile's pixels, go from mirror to mirror in packets, and become a picture."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from irodori.jit.array_views import as_integers, memory_of, moved
+from irodori.jit.native import njit
+from irodori.jit.ray_vectors import (
+    as_float,
+    compress,
+    cycles,
+    load_like,
+    mask_bits,
+    numbered,
+    repeated,
+    root,
+    store,
+    total,
+)
+from irodori.rendering.interactive.hard_shadows import light_hits
+from irodori.rendering.interactive.look_ups import LOOK_FIELDS, LOOK_NUMBERS, find_lobes
+from irodori.rendering.interactive.packets import (
+    CONE,
+    DIRECTION,
+    HIT_FIELDS,
+    HIT_NUMBERS,
+    KEPT,
+    ORIGIN,
+    PACKET_DOUBLES,
+    PACKET_SINGLES,
+    PATH_FIELDS,
+    PATHS,
+    RAYS,
+    SPREAD,
+    STRIDE,
+    THROUGHPUT,
+    TILE,
+    Paths,
+    active_lanes,
+    keep_packet,
+    may_meet,
+    meet_nothing,
+    packet_in,
+    place_hits,
+    prepare_hits,
+    recall_packet,
+    shapes_met,
+    trace_packet,
+)
+from irodori.rendering.interactive.representation_layout import (
+    is_coloured,
+    is_profiled,
+    light_black,
+    light_lanes,
+    surface_black,
+    surface_lanes,
+)
+from irodori.rendering.interactive.round_lobes import ENTRY
+from irodori.rendering.interactive.shading import (
+    Hits,
+    Sums,
+    advance,
+    reflect_packet,
+    shade_gloss,
+    shade_sky,
+    shade_surfaces,
+)
+
+#: What `Limits.visibility` says of the hits of earlier frames: trace all, trace and keep, use what was kept.
+TRACED, STORED, RECALLED = 0, 1, 2
+#: Stages whose cycles are counted, and then the rays.
+STAGES = ("tracing", "geometry", "surfaces", "gloss", "sky", "mirror", "colour", "rays")
+_TRACE, _PLACE, _SURFACE, _GLOSS, _SKY, _MIRROR, _COLOUR, _RAYS = range(8)
+FIGURES = len(STAGES)
+
+
+class Limits(NamedTuple):
+    """How far to follow paths."""
+
+    max_bounces: int
+    least_throughput: float  # of a path that goes on
+    least_lobe: float  # weight times throughput of a lobe that is looked up
+    visibility: int  # see `TRACED`
+    kept_bounces: int  # whose hits are kept, the eye's included
+
+
+class Scratch(NamedTuple):
+    """Buffers of one thread."""
+
+    packet: NamedTuple
+    paths: Paths
+    hits: Hits
+    sums: Sums
+
+
+@njit(cache=True)
+def _singles(layout, lamps):
+    """Return how many float32 a thread's buffers take."""
+    fixed = PACKET_SINGLES + (PATH_FIELDS + 1) * STRIDE + (HIT_FIELDS + HIT_NUMBERS + ENTRY + LOOK_FIELDS) * RAYS
+    lanes = (2 * PATHS + 1) * surface_lanes(layout) + PATHS * light_lanes(layout)
+    return fixed + (LOOK_NUMBERS + max(lamps, 1)) * RAYS + lanes
+
+
+@njit(cache=True)
+def scratch_in(layout, lamps, singles, doubles):
+    """Return one thread's buffers in zeroed memory that begins with a line of the cache."""
+    packet = packet_in(singles, doubles)
+    at = moved(singles, PACKET_SINGLES)
+    paths = Paths(at, as_integers(moved(at, PATH_FIELDS * STRIDE)))
+    at = moved(at, (PATH_FIELDS + 1) * STRIDE)
+    look = moved(at, (HIT_FIELDS + HIT_NUMBERS + ENTRY) * RAYS)
+    hits = Hits(
+        at,
+        as_integers(moved(at, HIT_FIELDS * RAYS)),
+        moved(at, (HIT_FIELDS + HIT_NUMBERS) * RAYS),
+        look,
+        as_integers(moved(look, LOOK_FIELDS * RAYS)),
+        moved(look, (LOOK_FIELDS + LOOK_NUMBERS) * RAYS),
+    )
+    at = moved(look, (LOOK_FIELDS + LOOK_NUMBERS + max(lamps, 1)) * RAYS)
+    colour, light = PATHS * surface_lanes(layout), PATHS * light_lanes(layout)
+    sums = Sums(at, moved(at, colour), moved(at, colour + light), moved(at, 2 * colour + light))
+    return Scratch(packet, paths, hits, sums)
+
+
+@njit(cache=True)
+def start_tile(frame, left, top, paths):
+    """Start a path at each pixel of a tile that lies in the picture; return how many."""
+    count = 0
+    for block in range(PATHS // RAYS):
+        number = numbered(16)
+        x, y = (number & 3) + (left + (block & 3) * 4), (number >> 2) + (top + (block >> 2) * 4)
+        inside = (x < frame.width) & (y < frame.height)
+        px = (as_float(x) + (0.5 - 0.5 * frame.width)) * frame.pixel
+        py = (as_float(y) + (0.5 - 0.5 * frame.height)) * frame.pixel
+        # One of the two is 0: either directions differ from pixel to pixel, or origins.
+        a, b = float(1 - frame.parallel), float(frame.parallel)
+        scale = 1.0 / root(a * (px * px + py * py) + 1.0)
+        turn = frame.world_from_camera
+        for axis in range(3):
+            across = turn[3 * axis] * px + turn[3 * axis + 1] * py
+            along = (a * across + turn[3 * axis + 2]) * scale
+            compress(paths.f, (DIRECTION + axis) * STRIDE + count, inside, along)
+            compress(paths.f, (ORIGIN + axis) * STRIDE + count, inside, b * across + frame.position_mm[axis])
+        store(paths.f, THROUGHPUT * STRIDE + count, repeated(np.float32(1.0), 16))
+        store(paths.f, CONE * STRIDE + count, repeated(np.float32(frame.pixel * frame.parallel), 16))
+        store(paths.f, SPREAD * STRIDE + count, repeated(np.float32(frame.pixel * (1 - frame.parallel)), 16))
+        compress(paths.slot, count, inside, number + block * RAYS)
+        bits = mask_bits(inside)
+        while bits:
+            bits &= bits - 1
+            count += 1
+    return count
+
+
+@njit(cache=True, forceinline=True)
+def _count(layout, figures, stage, since):
+    """Add the cycles since a count to a stage; return the count now."""
+    if is_profiled(layout):
+        now = cycles()
+        figures[stage] += now - since
+        return now
+    return since
+
+
+@njit(cache=True)
+def _meet(world, limits, scratch, base, bounce, count, kept, at):
+    """Let a packet meet the scene, or recall what it met in an earlier frame."""
+    active = active_lanes(count, base)
+    if limits.visibility == RECALLED and bounce < limits.kept_bounces:
+        recall_packet(scratch.packet, kept, at)
+    else:
+        hopeful = may_meet(world, scratch.paths, base, active) if world.bounded > 0 else active
+        if mask_bits(hopeful):
+            trace_packet(world, scratch.packet, scratch.paths, base, hopeful)
+        else:
+            meet_nothing(scratch.packet)
+        if limits.visibility == STORED and bounce < limits.kept_bounces:
+            keep_packet(scratch.packet, kept, at)
+    met = active & (shapes_met(scratch.packet) >= 0)
+    return mask_bits(met), mask_bits(active & ~met)
+
+
+@njit(cache=True)
+def _shade_packet(world, frame, layout, limits, scratch, base, count, after, last, figures):
+    """Shade a packet's hits; return where the paths that go on end."""
+    packet, paths, hits, sums = scratch.packet, scratch.paths, scratch.hits, scratch.sums
+    since = cycles() if is_profiled(layout) else 0
+    met = active_lanes(count, base) & (shapes_met(packet) >= 0)
+    placed = place_hits(world, packet, paths, hits.f, hits.i, base, met)
+    seen = prepare_hits(world, frame, paths, hits.f, hits.i, base, met, placed)
+    since = _count(layout, figures, _PLACE, since)
+    bits = mask_bits(seen)
+    if frame.lamps > 0:
+        light_hits(world, frame, packet, hits, seen)
+        since = _count(layout, figures, _TRACE, since)
+    glossy = 0
+    if world.scatters > 0:
+        glossy = shade_surfaces(world, frame, layout, paths, hits, sums, base, bits, limits.least_lobe)
+    since = _count(layout, figures, _SURFACE, since)
+    if glossy and world.gloss_levels > 0:
+        find_lobes(world, layout, hits.f, hits.i, hits.entries, hits.look, hits.look_i)
+        shade_gloss(world, layout, paths, hits, sums, base, glossy, limits.least_lobe)
+        since = _count(layout, figures, _GLOSS, since)
+    if not last:
+        reflect_packet(world, layout, paths, hits, sums, base, bits)
+        after = advance(world, paths, hits, base, seen, limits.least_throughput, after)
+        since = _count(layout, figures, _MIRROR, since)
+    return after
+
+
+@njit(cache=True)
+def _follow(world, frame, layout, limits, scratch, count, kept, figures):
+    """Follow the paths of a tile until none is left."""
+    packets = 0
+    for bounce in range(limits.max_bounces + 1):
+        after = 0
+        for base in range(0, count, RAYS):
+            since = cycles() if is_profiled(layout) else 0
+            met, missed = _meet(world, limits, scratch, base, bounce, count, kept, packets * KEPT)
+            packets += 1
+            since = _count(layout, figures, _TRACE, since)
+            if missed and world.environment_levels > 0:
+                shade_sky(world, frame, layout, scratch.paths, scratch.hits, scratch.sums, base, missed)
+                since = _count(layout, figures, _SKY, since)
+            if met:
+                last = bounce == limits.max_bounces
+                after = _shade_packet(world, frame, layout, limits, scratch, base, count, after, last, figures)
+        figures[_RAYS] += count
+        count = after
+        if count == 0:
+            break
+
+
+@njit(cache=True)
+def _finish_tile(world, frame, layout, sums, left, top, image, channels):
+    """Turn what a tile's pixels have gathered into the picture's channels, and clear it."""
+    surface, light = surface_lanes(layout), light_lanes(layout)
+    for block in range(PATHS // RAYS):
+        for lane in range(RAYS):
+            slot = block * RAYS + lane
+            x, y = left + (block & 3) * 4 + (lane & 3), top + (block >> 2) * 4 + (lane >> 2)
+            if x >= frame.width or y >= frame.height:
+                continue
+            at = (y * frame.width + x) * channels
+            colour = load_like(sums.colour, slot * surface, surface_black(layout))
+            store(sums.colour, slot * surface, surface_black(layout))
+            if channels != 3:
+                store(sums.texel, 0, colour)
+                for channel in range(channels):
+                    image[at + channel] = sums.texel[channel]
+                continue
+            direct = load_like(sums.light, slot * light, light_black(layout))
+            store(sums.light, slot * light, light_black(layout))
+            for channel in range(3):
+                value = total(colour * load_like(world.xyz_from_colour, channel * surface, colour))
+                if not is_coloured(layout):
+                    value += total(direct * load_like(world.xyz_from_light, channel * light, direct))
+                image[at + channel] = value
+
+
+@njit(cache=True)
+def _render_tile(world, frame, layout, limits, scratch, tile, image, channels, kept, figures):
+    columns = (frame.width + TILE - 1) // TILE
+    left, top = (tile % columns) * TILE, (tile // columns) * TILE
+    count = start_tile(frame, left, top, scratch.paths)
+    if is_coloured(layout):
+        for number in range(PATHS * surface_lanes(layout)):
+            scratch.sums.throughput[number] = 1.0
+    _follow(world, frame, layout, limits, scratch, count, kept, figures)
+    since = cycles() if is_profiled(layout) else 0
+    _finish_tile(world, frame, layout, scratch.sums, left, top, image, channels)
+    _count(layout, figures, _COLOUR, since)
+
+
+@njit(cache=True, nogil=True)
+def render_tiles(world, frame, layout, limits, image, channels, kept, figures, first, last):
+    """Render the tiles ``first``..``last``, numbered row by row.
+
+    ``image`` is (height, width, ``channels``) float32; ``kept`` is (tiles, packets * KEPT) float32, nothing where
+    nothing is kept; ``figures`` is (tiles, FIGURES) int64 to add to; all flat.
+    """
+    room, doubles = np.zeros(_singles(layout, frame.lamps) + RAYS, np.float32), np.zeros(PACKET_DOUBLES)
+    skip = (64 - room.ctypes.data % 64) % 64 // 4
+    scratch = scratch_in(layout, frame.lamps, memory_of(room, skip), memory_of(doubles, 0))
+    numbers = limits.kept_bounces * (PATHS // RAYS) * KEPT if limits.visibility != TRACED else 0
+    for tile in range(first, last):
+        there, counted = moved(kept, tile * numbers), moved(figures, tile * FIGURES)
+        _render_tile(world, frame, layout, limits, scratch, tile, image, channels, there, counted)
+    return room.size + doubles.size  # a last use: the buffers live until here

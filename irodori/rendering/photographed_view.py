@@ -1,0 +1,93 @@
+"""What a camera in a scene would see: radiance by converging paths, in two independent halves that tell its noise."""
+
+import numpy as np
+
+from irodori.core import store
+from irodori.geometry.ideal_camera import IdealView
+from irodori.geometry.pinhole import Pinhole
+from irodori.geometry.shapes import Shape
+from irodori.light.environment_file import Environment
+from irodori.material.material_file import Material
+from irodori.rendering.integrators import render_image
+
+#: Mosaic pixels around the sensor that are rendered too: a filter's plate shifts what falls on it.
+MARGIN_PX = 16
+HALVES = 2
+
+
+def render_halves(
+    scene: dict,
+    placed: dict,
+    ideal: IdealView,
+    shapes: list[Shape],
+    materials: list[Material],
+    environment: Environment,
+    samples: int,
+    seed: int,
+) -> np.ndarray:
+    """Return a scene as seen by a camera in it, twice, by the integrator `reference` with other random numbers.
+
+    Parameters
+    ----------
+    scene : dict
+    placed : dict
+        Where the camera stands: ``position_mm``, ``target_mm``, ``up``.
+    ideal : IdealView
+    shapes, materials : one an object of the scene
+    environment : Environment
+    samples : int
+        Paths a pixel of both halves together, a multiple of 16.
+    seed : int
+        Of the first half; the second has the next.
+
+    Returns
+    -------
+    (2, height, width, 61) float32
+    """
+    halves = []
+    for half in range(HALVES):
+        integrator = {"kind": "reference", "samples": samples // HALVES, "seed": seed + half}
+        seen = scene | {"integrator": integrator, "image": ideal.image, "views": {"photograph": ideal.view(placed)}}
+        radiance, _ = render_image(seen, "photograph", shapes, materials, environment, {})
+        halves.append(radiance)
+    return np.stack(halves)
+
+
+def render_photographed(
+    scene: dict,
+    placed: dict,
+    optics: dict,
+    shapes: list[dict],
+    material_files: list,
+    environment_file,
+    output,
+    provenance: store.Provenance,
+) -> None:
+    """Render what stands before a virtual camera in a scene, a pixel a superpixel of the camera.
+
+    Parameters
+    ----------
+    scene : dict
+    placed : dict
+        The photograph's definition: where the camera stands, ``samples``, ``seed``.
+    optics : dict
+        Of the camera.
+    shapes : list of dict
+    material_files, environment_file : path
+        What really stands there, and the light that really falls.
+    output : path
+        ``/radiance`` (2, rows, columns, 61) float32: two halves of the paths.
+    """
+    radiance = render_halves(
+        scene,
+        placed,
+        IdealView.covering(Pinhole.from_optics(optics), 1, MARGIN_PX),
+        [Shape.from_definition(shape) for shape in shapes],
+        [Material.load(path) for path in material_files],
+        Environment.load(environment_file),
+        placed["samples"],
+        placed["seed"],
+    )
+    with store.create(output, provenance) as out:
+        names = {"units": "1", "dims": "half,row,column,wavelength", "quantity": "radiance before the camera"}
+        out.write("radiance", radiance, **names, compression="fast")

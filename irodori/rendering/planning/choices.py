@@ -1,0 +1,333 @@
+"""What the interactive integrator models of a scene, decided one after the other within a tolerance [design, §2].
+
+Every decision has candidates from cheap to exact. One is taken if what it costs in colour, by the probes, keeps under
+the decision's share of what is left of the tolerance, and the picture with all decisions so far keeps under the
+tolerance. What is left over goes to the decisions that follow.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from irodori.core.errors import InputError
+from irodori.light.blurred_light import first_level
+from irodori.rendering.interactive.channels import reflected_basis
+from irodori.rendering.interactive.frame_renderer import light_of
+from irodori.rendering.interactive.quadrature import COUNTS
+from irodori.rendering.planning.modelled_scene import (
+    Parts,
+    beta_of,
+    full_model,
+    leading_basis,
+    levels_of_lobes,
+    stays_grey,
+)
+from irodori.rendering.planning.probes import Changes
+from irodori.rendering.planning.scene_planner import Planner, make_probes
+from irodori.rendering.scene_arrays import View, make_light
+
+_THROUGHPUTS = tuple(10.0 ** (-0.5 * n) for n in range(2, 11))
+_LEAST_ROWS = 32
+#: Objects at most whose lobes or textures are tried one by one.
+_MOST_TRIED = 32
+
+
+def choose(
+    parts: Parts,
+    views: list[View],
+    names: list[str],
+    tolerance: float,
+    max_bounces: int,
+    ambient: bool,
+    overrides: dict | None = None,
+    where: str = "scene",
+) -> Planner:
+    """Decide what to model of a scene.
+
+    Parameters
+    ----------
+    parts : Parts
+    views : list of View
+    names : list of str
+        Of the objects.
+    tolerance : float
+        CIEDE2000 that 99 of 100 pixels have to keep.
+    max_bounces : int
+        Mirrors that the full model follows.
+    ambient : bool
+        Whether objects hide light from all sides in the full model.
+    overrides : dict, optional
+        Decisions that the scene's file takes: ``gloss`` and ``mirror`` lists of names, ``max_bounces``,
+        ``least_throughput``, ``light_bases``, ``representation``, ``nodes``, ``environment_halvings``,
+        ``texture_halvings``.
+    where : str
+        The scene, for messages.
+
+    Returns
+    -------
+    Planner
+        Whose ``model`` and ``decisions`` are made. A predicted error is what 99 of 100 pixels keep under, with a
+        certainty of 0.999 by the probes; of a lobe that is left out, what all probes do.
+
+    Raises
+    ------
+    InputError
+        If an override asks for more than there is.
+    """
+    ladder, model = make_light(parts.environment), full_model(parts, max_bounces, ambient)
+    probes = make_probes(parts, views, model, ladder)
+    planner = Planner(parts, probes, model, tolerance, names, overrides or {}, ladder, where)
+    _decide_lobes(planner)
+    _decide_bounces(planner)
+    _decide_light_bases(planner)
+    _decide_representation(planner)
+    _decide_environment(planner)
+    _decide_textures(planner)
+    _decide_look_ups(planner)
+    planner.joint = planner.bound(planner.errors(planner.changes, planner.xyz))
+    return planner
+
+
+def _traced(planner: Planner, name: str, own: tuple[bool, ...]) -> tuple[bool, ...]:
+    """Return the lobes that the scene's file asks for.
+
+    Raises
+    ------
+    InputError
+        If an object is not in the scene, or has no such lobe.
+    """
+    having = [n for n, there in zip(planner.names, own, strict=True) if there]
+    for wanted in planner.overrides[name]:
+        if wanted not in having:
+            accepted = f"of the objects with that lobe: {', '.join(having) or 'there are none'}"
+            raise InputError(planner.where, f"plan.{name}", repr(wanted), accepted)
+    return tuple(there and n in planner.overrides[name] for n, there in zip(planner.names, own, strict=True))
+
+
+def _decide_lobes(planner: Planner) -> None:
+    """Leave out the lobes that have no weight, and those that nobody would miss at any probe."""
+    for name, key in (("gloss", "without_gloss"), ("mirror", "without_mirror")):
+        own = getattr(planner.model, name)
+        traced = _traced(planner, name, own) if name in planner.overrides else _without_the_weakest(planner, key, own)
+        without = frozenset(i for i, (a, b) in enumerate(zip(own, traced, strict=True)) if a and not b)
+        alone = float(planner.errors(Changes(**{key: without})).max()) if without else 0.0
+        changes = replace(planner.changes, **{key: without})
+        absent = sum(not there for there in own)
+        why = f"{absent} of {len(own)} objects have none; the largest error at any probe counts"
+        planner.decide(name, alone, changes, why, **{name: traced})
+
+
+def _without_the_weakest(planner: Planner, key: str, own: tuple[bool, ...]) -> tuple[bool, ...]:
+    seen = np.zeros(len(own), dtype=bool)
+    for hits in planner.probes.hits:
+        seen[np.unique(hits.points.shape)] = True
+    # Of many objects the weakest lobes are tried: each try sums over all probes.
+    weight = [float(beta_of(planner.parts.objects, i).max(initial=0.0)) for i in range(len(own))]
+    if key == "without_mirror":
+        weight = list(planner.parts.objects.mirror)
+    order = [i for i in np.argsort(weight, kind="stable") if own[i] and seen[i]][:_MOST_TRIED]
+    traced, without = list(own), frozenset()
+    for index in order:
+        changes = Changes(**{key: without | {int(index)}})
+        alone = float(planner.errors(changes).max())
+        together = replace(planner.changes, **{key: without | {int(index)}})
+        if planner.fits(alone, together):
+            without, traced[index] = without | {int(index)}, False
+    return tuple(traced)
+
+
+def _first_that_fits(planner: Planner, name: str, candidates: list, of) -> tuple:
+    """Return the first candidate that fits and what it costs alone; the one of the scene's file where it has one.
+
+    ``of`` returns, for a candidate, the error alone, all changes, and the way to XYZ. The last candidate is exact.
+    """
+    if name in planner.overrides:
+        wanted = planner.overrides[name]
+        if wanted not in candidates:
+            accepted = ", ".join(f"{c:g}" if isinstance(c, float) else str(c) for c in candidates[:20])
+            raise InputError(planner.where, f"plan.{name}", repr(wanted), accepted)
+        return wanted, of(wanted)
+    for candidate in candidates:
+        found = of(candidate)
+        if candidate == candidates[-1] or planner.fits(*found):
+            return candidate, found
+    raise AssertionError("no candidates")
+
+
+def _decide_bounces(planner: Planner) -> None:
+    most = planner.model.max_bounces
+    reached = most if any(planner.model.mirror) else 0
+
+    def of_bounces(bounces: int):
+        alone = 0.0
+        if bounces < reached:
+            alone = float(planner.errors(Changes(max_bounces=bounces)).max())
+        return alone, replace(planner.changes, max_bounces=bounces), None
+
+    candidates = list(range(reached + 1)) if "max_bounces" not in planner.overrides else list(range(most + 1))
+    bounces, (alone, changes, _) = _first_that_fits(planner, "max_bounces", candidates, of_bounces)
+    why = "the largest error at any probe counts" if reached else "no mirrors"
+    planner.decide("max_bounces", alone, changes, why, max_bounces=bounces)
+    if bounces == 0:
+        planner.model = replace(planner.model, mirror=(False,) * len(planner.names))
+    _decide_throughput(planner)
+
+
+def _decide_throughput(planner: Planner) -> None:
+    lobes = any(planner.model.gloss) or planner.model.max_bounces > 0
+    candidates = [*_THROUGHPUTS, 0.0] if lobes else [0.0]
+
+    def of_least(least: float):
+        alone = planner.bound(planner.errors(Changes(least_throughput=least))) if least else 0.0
+        return alone, replace(planner.changes, least_throughput=least), None
+
+    if "least_throughput" in planner.overrides:
+        least = float(planner.overrides["least_throughput"])
+        alone, changes, _ = of_least(least)
+    else:
+        least, (alone, changes, _) = _first_that_fits(planner, "least_throughput", candidates, of_least)
+    why = "a path or a lobe that passes less than this is left" if lobes else "no lobes and no mirrors"
+    planner.decide("least_throughput", alone, changes, why, least_throughput=least)
+
+
+def _decide_light_bases(planner: Planner) -> None:
+    light, count = light_of(planner.parts.environment), planner.model.light_bases
+
+    def of_bases(bases: int):
+        if bases == count:
+            return 0.0, planner.changes, None
+        to, basis = leading_basis(light, bases)
+        alone = planner.bound(planner.errors(Changes(light_basis=to @ basis)))
+        return alone, replace(planner.changes, light_basis=to @ basis), None
+
+    candidates = list(range(1, count + 1)) if planner.model.environment or planner.model.irradiance else [count]
+    bases, (alone, changes, _) = _first_that_fits(planner, "light_bases", candidates, of_bases)
+    why = f"the light's {bases} leading of {count} vectors"
+    planner.decide("light_bases", alone, changes, why, light_bases=bases)
+
+
+def _decide_representation(planner: Planner) -> None:
+    """Take the cheapest representation that fits; what the others cost goes into the reason."""
+    candidates = [("quadrature", nodes) for nodes in COUNTS] + [("spectral", planner.model.nodes)]
+    if stays_grey(planner.parts.objects, planner.model):
+        candidates.append(("coefficients", 0))
+    costs = {c: planner.numbers(replace(planner.model, representation=c[0], nodes=c[1])) for c in candidates}
+    candidates.sort(key=lambda c: (c[0] == "spectral", costs[c]))
+    wanted = planner.overrides.get("representation"), planner.overrides.get("nodes")
+    chosen = [c for c in candidates if wanted[0] in (None, c[0]) and wanted[1] in (None, c[1])]
+    if not chosen:
+        found = f"{wanted[0]} where gloss or a mirror has a refractive index that varies with the wavelength"
+        raise InputError(planner.where, "plan.representation", found, "quadrature, spectral")
+    for candidate in chosen:
+        alone, changes, xyz = _error_of(planner, *candidate)
+        if candidate == chosen[-1] or planner.fits(alone, changes, xyz):
+            break
+    others = ", ".join(f"{c[0]}{f' {c[1]}' if c[0] == 'quadrature' else ''} {costs[c]:.0f}" for c in candidates)
+    planner.xyz = xyz
+    why = f"numbers a ray: {others}"
+    if wanted != (None, None):
+        planner.overrides = {**planner.overrides, "representation": candidate[0], "nodes": candidate[1]}
+    planner.decide("representation", alone, changes, why, representation=candidate[0], nodes=candidate[1])
+    quadrature = planner.solve(candidate[1]) if candidate[0] == "quadrature" else None
+    why = "wavelengths of a quadrature" if quadrature else "no quadrature"
+    planner.decide("nodes", 0.0, changes, why, lossy=False, nodes=candidate[1])
+    planner.model = replace(planner.model, quadrature=quadrature)
+
+
+def _error_of(planner: Planner, representation: str, nodes: int):
+    """Return what a representation costs alone, the changes with it, and its way from spectra to XYZ."""
+    changes, alone = planner.changes, Changes()
+    if representation == "spectral":
+        return 0.0, changes, lambda spectra: spectra @ planner.matrix.T
+    if representation == "quadrature":
+        solved = planner.solve(nodes)
+
+        def xyz(spectra):
+            return spectra[:, solved.samples] @ solved.weights.T
+    else:
+
+        def xyz(spectra):
+            return spectra @ planner.matrix.T
+
+        if planner.model.ambient:
+            wide = _lit_basis(planner)
+            changes, alone = replace(changes, reflected_basis=wide), Changes(reflected_basis=wide)
+    return planner.bound(planner.errors(alone, xyz)), changes, xyz
+
+
+def _lit_basis(planner: Planner) -> np.ndarray:
+    """Return the vectors on which coefficients carry light that objects throw on each other, (m, 61)."""
+    basis = planner.parts.environment.basis
+    if planner.model.light_bases < basis.shape[1]:
+        basis = leading_basis(light_of(planner.parts.environment), planner.model.light_bases)[1].T
+    return np.concatenate([basis, reflected_basis(planner.parts.objects, basis)], axis=1).T
+
+
+def _decide_environment(planner: Planner) -> None:
+    rows = planner.ladder.size[:, 1]
+    coarsest = max(int((rows >= min(_LEAST_ROWS, rows[0])).sum()) - 1, 0) if planner.model.environment else 0
+
+    sky = [misses.probe for misses in planner.probes.misses]
+
+    def of_halvings(halvings: int):
+        alone = planner.bound_where_seen(planner.errors(Changes(sky_level=halvings)), sky) if halvings else 0.0
+        return alone, replace(planner.changes, sky_level=halvings), None
+
+    candidates = list(range(coarsest, -1, -1))
+    halvings, (alone, changes, _) = _first_that_fits(planner, "environment_halvings", candidates, of_halvings)
+    why = f"{rows[halvings]} of {rows[0]} rows, as the eye and the mirrors see them"
+    planner.decide("environment_halvings", alone, changes, why, environment_halvings=halvings)
+
+
+def _decide_textures(planner: Planner) -> None:
+    objects, count = planner.parts.objects, len(planner.names)
+    most = [max(int(np.log2(max(int(size.min()), 1))) - 1, 0) for size in objects.texture_size]
+    wanted = planner.overrides.get("texture_halvings")
+    if wanted is not None:
+        halvings = {i: min(wanted, most[i]) for i in range(count) if min(wanted, most[i])}
+    else:
+        halvings = _halvings_that_fit(planner, most)
+    alone = max((_texture_error(planner, index, level) for index, level in halvings.items()), default=0.0)
+    changes = replace(planner.changes, texture_level=halvings)
+    why = "as the probes see them; those that none meets stay whole"
+    values = tuple(halvings.get(i, 0) for i in range(count))
+    planner.decide("texture_halvings", alone, changes, why, texture_halvings=values)
+
+
+def _texture_error(planner: Planner, index: int, level: int) -> float:
+    """Return what a halved texture costs where its object is seen."""
+    met = [hits.probe[hits.points.shape == index] for hits in planner.probes.hits]
+    return planner.bound_where_seen(planner.errors(Changes(texture_level={index: level})), met)
+
+
+def _halvings_that_fit(planner: Planner, most: list[int]) -> dict[int, int]:
+    """Return how often each texture is halved, by what it costs where its object is seen."""
+    seen = np.unique(np.concatenate([hits.points.shape for hits in planner.probes.hits]))
+    sizes = planner.parts.objects.texture_size.prod(axis=1)
+    tried = sorted(sorted(seen, key=lambda i: -sizes[i])[:_MOST_TRIED])
+    share = (planner.tolerance - planner.spent) / planner.left
+    halvings = {}
+    for index in tried:
+        for level in range(1, most[index] + 1):
+            if _texture_error(planner, int(index), level) > share:
+                break
+            halvings[int(index)] = level
+    # Each fits alone; where mirrors show several of them their errors add up.
+    while halvings and not planner.fits(0.0, replace(planner.changes, texture_level=halvings)):
+        halvings = {i: level - 1 for i, level in halvings.items() if level > 1}
+    return halvings
+
+
+def _decide_look_ups(planner: Planner) -> None:
+    """Note which maps are looked up at all, and how many levels of blurred light: nothing is lost by either."""
+    model = planner.model
+    levels = (0, 0)
+    if model.environment:
+        finest = first_level(*planner.parts.environment.coefficients.shape[:2])
+        levels = levels_of_lobes(planner.parts.objects, model.gloss, finest)
+    why = "those that the roughness of the traced lobes reaches"
+    planner.decide("gloss_levels", 0.0, planner.changes, why, lossy=False, gloss_levels=levels)
+    why = "light from all sides" if model.environment else "the environment is black"
+    planner.decide("environment", 0.0, planner.changes, why, lossy=False, environment=model.environment)
+    why = "diffuse surfaces under light from all sides" if model.irradiance else "no diffuse surface, or no such light"
+    planner.decide("irradiance", 0.0, planner.changes, why, lossy=False, irradiance=model.irradiance)

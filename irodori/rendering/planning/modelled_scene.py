@@ -1,0 +1,332 @@
+"""What is modelled of a scene by the interactive integrator, what that costs, and the scene reduced to it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori.geometry.embree import Tracer
+from irodori.jit.ray_vectors import width_of
+from irodori.light.blurred_light import WIDTHS_RAD, first_level, level_height, prefiltered
+from irodori.light.environment_file import Environment
+from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.light.gloss.point_sources import PointLights
+from irodori.rendering.interactive.channels import reflected_basis
+from irodori.rendering.interactive.cube_maps import FACES, environment_side
+from irodori.rendering.interactive.frame_renderer import Prepared, light_of, prepare_scene
+from irodori.rendering.interactive.quadrature import Quadrature, path_spectra, solve_quadrature
+from irodori.rendering.interactive.round_lobes import ANGLES, ROUGHNESSES, TAPS, lobe_table, roughness_place
+from irodori.rendering.planning.probe_look_ups import coarser, texture_of
+from irodori.rendering.scene_arrays import Light, Objects, make_light
+from irodori.spectra.grid import SAMPLES
+
+_CORNERS = 4  # of a bilinear look-up
+#: Rows of the picture, at most, from which the leading vectors of the light are taken.
+_MOMENT_ROWS = 256
+
+
+@dataclass(frozen=True)
+class Model:
+    """Everything that a plan decides for the interactive integrator.
+
+    Parameters
+    ----------
+    gloss, mirror : tuple of bool
+        Whether that lobe of each object is traced.
+    max_bounces : int
+    least_throughput : float
+        Under which a path, and a lobe, ends.
+    light_bases : int
+        Vectors that the environment is kept on.
+    representation : str
+    nodes : int
+        Wavelengths; of the representation ``quadrature``.
+    environment_halvings : int
+    texture_halvings : tuple of int
+        Of each object.
+    gloss_levels : (int, int)
+        First and last-plus-one of `irodori.light.blurred_light.WIDTHS_RAD` that lobes are looked up in; equal for none.
+    diffuse : bool
+        Whether any surface has a diffuse term.
+    environment, irradiance : bool
+        Whether light is looked up in the environment, and in the irradiance map.
+    ambient : bool
+        Whether objects hide light from all sides.
+    quadrature : Quadrature, optional
+        Of the nodes; solved for the scene where absent.
+    """
+
+    gloss: tuple[bool, ...]
+    mirror: tuple[bool, ...]
+    max_bounces: int
+    least_throughput: float
+    light_bases: int
+    representation: str
+    nodes: int
+    environment_halvings: int
+    texture_halvings: tuple[int, ...]
+    gloss_levels: tuple[int, int]
+    diffuse: bool
+    environment: bool
+    irradiance: bool
+    ambient: bool
+    quadrature: Quadrature | None = None
+
+
+@dataclass(frozen=True)
+class Parts:
+    """A scene as files give it, and its lamps.
+
+    ``white`` is the radiance that the display shows as white, (61,); colour differences are seen against it.
+    """
+
+    objects: Objects
+    environment: Environment
+    tracer: Tracer
+    lamp_towards: np.ndarray
+    lamp_spectra: np.ndarray
+    white: np.ndarray
+
+
+def full_model(parts: Parts, max_bounces: int, ambient: bool) -> Model:
+    """Return the model that leaves out nothing but what is not there."""
+    objects, environment = parts.objects, parts.environment
+    count, shines = len(objects.bases), bool(environment.coefficients.any())
+    gloss = tuple(bool(beta_of(objects, i).any()) for i in range(count))
+    diffuse = any(is_diffuse(objects, i) for i in range(count))
+    height, width = environment.coefficients.shape[:2]
+    levels = (first_level(height, width), len(WIDTHS_RAD)) if shines and any(gloss) else (0, 0)
+    return Model(
+        gloss=gloss,
+        mirror=tuple(bool(m > 0) for m in objects.mirror),
+        max_bounces=max_bounces,
+        least_throughput=0.0,
+        light_bases=environment.basis.shape[1],
+        representation="spectral",
+        nodes=SAMPLES,
+        environment_halvings=0,
+        texture_halvings=(0,) * count,
+        gloss_levels=levels,
+        diffuse=diffuse,
+        environment=shines,
+        irradiance=shines and diffuse,
+        ambient=ambient and shines and diffuse and (count > 1 or parts.tracer.placements[0].shape.mesh is not None),
+    )
+
+
+def is_diffuse(objects: Objects, index: int) -> bool:
+    """Return whether an object has a diffuse term anywhere."""
+    used = objects.basis[index].any(axis=1)
+    return bool(texture_of(objects, index)[..., :-2][..., used].any())
+
+
+def beta_of(objects: Objects, index: int) -> np.ndarray:
+    """Return β of an object's texels, (rows, columns), 0 where μ is 0."""
+    texture = texture_of(objects, index)
+    return np.where(texture[..., -1] > 0, texture[..., -2], 0.0)
+
+
+def levels_of_lobes(objects: Objects, gloss: tuple[bool, ...], finest: int) -> tuple[int, int]:
+    """Return the levels of blurred light that the lobes of some objects are looked up in, first and last-plus-one.
+
+    Of the table of lobes all entries between the objects' least and largest roughness are taken, at every angle.
+    """
+    rough = [texture_of(objects, i) for i, traced in enumerate(gloss) if traced]
+    rough = np.concatenate([t[..., -1][(t[..., -1] > 0) & (t[..., -2] > 0)] for t in rough]) if rough else np.zeros(0)
+    if not rough.size:
+        return 0, 0
+    place = np.clip(roughness_place([rough.min(), rough.max()]), 0, ROUGHNESSES - 1)
+    entries = lobe_table()[0][int(place[0]) : int(np.ceil(place[1])) + 1, :ANGLES, 0]
+    last = len(WIDTHS_RAD) - 1
+    # A look-up is between a level and the next.
+    first = int(np.clip(np.floor(entries.min()), finest, last))
+    return first, int(np.clip(np.floor(entries.max()) + 1, first, last)) + 1
+
+
+def leading_basis(light: Light, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vectors that carry most of a light's spectra, and how its coefficients become theirs.
+
+    Returns
+    -------
+    to : (k, count) float64
+        New coefficients are old ones times this.
+    basis : (count, 61) float64
+    """
+    columns, rows = light.size[0]
+    step = -(-rows // _MOMENT_ROWS)
+    pixels = light.pixels[: columns * rows].reshape(rows, columns, -1)[::step, ::step].astype(np.float64)
+    weight = np.sqrt(np.sin(np.pi * (np.arange(0, rows, step) + 0.5) / rows))[:, None, None]
+    flat = (pixels * weight).reshape(-1, pixels.shape[2])
+    values, vectors = np.linalg.eigh(flat.T @ flat)
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    basis = np.linalg.svd(root @ light.basis, full_matrices=False)[2][:count]
+    # The sign of a vector is anybody's: its largest number is positive, whatever the library.
+    largest = basis[np.arange(len(basis)), np.abs(basis).argmax(axis=1)]
+    basis = basis * np.sign(largest)[:, None]
+    return light.basis @ basis.T, basis
+
+
+def _light(parts: Parts, model: Model, ladder: Light | None) -> Light:
+    """Return the environment of a model."""
+    light = light_of(parts.environment) if model.environment_halvings == 0 else ladder
+    level = model.environment_halvings
+    first, (columns, rows) = light.first_pixel[level], light.size[level]
+    pixels, basis = light.pixels[first : first + columns * rows], light.basis
+    irradiance = light.irradiance
+    if model.light_bases < light.basis.shape[0]:
+        to, basis = leading_basis(light, model.light_bases)
+        pixels, irradiance = (pixels @ to).astype(np.float32), (irradiance @ to).astype(np.float32)
+    size = np.array([(columns, rows)])
+    if not model.environment:
+        pixels, size = pixels[:0], np.zeros((1, 2), dtype=np.int64)
+    irradiance_size = light.irradiance_size
+    if not model.irradiance:
+        irradiance, irradiance_size = irradiance[:0], np.zeros(2, dtype=np.int64)
+    return Light(pixels, np.array([0]), size, basis, irradiance, irradiance_size)
+
+
+def _gloss(parts: Parts, model: Model) -> GlossMaps:
+    """Return the blurred light of a model, on its basis; without levels where nothing is looked up in it."""
+    count = model.light_bases
+    nothing = PointLights(np.zeros((0, 3)), np.zeros((0, count)))
+    if model.gloss_levels[0] == model.gloss_levels[1]:
+        return GlossMaps(0, (), nothing)
+    coefficients = parts.environment.coefficients
+    to = None
+    if count < coefficients.shape[2]:
+        to, _ = leading_basis(light_of(parts.environment), count)
+    stored = GlossMaps.stored(parts.environment, model.gloss_levels)
+    if stored is None:
+        first, levels = prefiltered(_on_basis(coefficients, to), model.gloss_levels)
+    else:
+        first, levels = stored.first, (_on_basis(level, to) for level in stored.levels)
+    return GlossMaps(first, tuple(levels), nothing)
+
+
+def _on_basis(coefficients: np.ndarray, to: np.ndarray | None) -> np.ndarray:
+    """Return coefficients on other vectors, float32; the same ones where there are none."""
+    return coefficients if to is None else (coefficients @ to).astype(np.float32)
+
+
+def reduced_objects(objects: Objects, model: Model) -> Objects:
+    """Return the objects of a model: without the lobes that are left out, with coarser textures."""
+    texels, first, sizes = [], [0], []
+    for index in range(len(objects.bases)):
+        texture = coarser(texture_of(objects, index), model.texture_halvings[index])
+        if not model.gloss[index]:
+            texture = texture.copy()
+            texture[..., -2] = 0.0
+        texels.append(texture.reshape(-1, texture.shape[2]))
+        first.append(first[-1] + len(texels[-1]))
+        sizes.append(texture.shape[1::-1])
+    return objects._replace(
+        texels=np.concatenate(texels),
+        first_texel=np.array(first[:-1]),
+        texture_size=np.array(sizes),
+        mirror=np.where(model.mirror, objects.mirror, 0.0),
+    )
+
+
+def solved_nodes(parts: Parts, bounces: int, matrix: np.ndarray, count: int) -> Quadrature:
+    """Return the quadrature of a number of wavelengths for a scene."""
+    spectra = path_spectra(parts.objects, light_of(parts.environment), parts.lamp_spectra, bounces)
+    return solve_quadrature(spectra, matrix, parts.white, counts=(count,))
+
+
+def prepare(parts: Parts, model: Model, matrix: np.ndarray, ladder: Light | None = None) -> Prepared:
+    """Prepare a scene for the frames of a model.
+
+    Parameters
+    ----------
+    parts : Parts
+    model : Model
+    matrix : (3, 61) float
+        XYZ from radiance.
+    ladder : Light, optional
+        Of the environment; made where it is needed and absent.
+    """
+    if ladder is None and model.environment_halvings:
+        ladder = make_light(parts.environment)
+    quadrature = None
+    if model.representation == "quadrature":
+        quadrature = model.quadrature or solved_nodes(parts, model.max_bounces, matrix, model.nodes)
+    return prepare_scene(
+        reduced_objects(parts.objects, model),
+        _light(parts, model, ladder),
+        _gloss(parts, model),
+        parts.tracer,
+        model.representation,
+        parts.white,
+        lamps=parts.lamp_spectra,
+        max_bounces=model.max_bounces,
+        least_throughput=model.least_throughput,
+        half=False,
+        ambient=model.ambient,
+        quadrature=quadrature,
+    )
+
+
+def stays_grey(objects: Objects, model: Model) -> bool:
+    """Return whether no lobe that a model traces has a colour of its own."""
+    shines = np.array(model.gloss) | (np.array(model.mirror) & (objects.mirror > 0))
+    return bool((objects.grey[shines] == 1).all())
+
+
+@dataclass(frozen=True)
+class Widths:
+    """Lanes of a model's texels and of its light, and whether throughput has a colour."""
+
+    surface: int
+    light: int
+    coloured: bool
+    reflected: int  # channels of the light that objects throw on each other
+
+
+def widths_of(parts: Parts, model: Model) -> Widths:
+    """Return how many numbers a model's look-ups take."""
+    light, lamps, coloured = model.light_bases, len(parts.lamp_spectra), not stays_grey(parts.objects, model)
+    if model.representation == "spectral":
+        return Widths(width_of(SAMPLES + 2), width_of(light), True, SAMPLES)
+    if model.representation == "quadrature":
+        return Widths(width_of(model.nodes + 2), width_of(light), coloured, model.nodes)
+    extra = 0
+    if model.ambient:
+        basis = leading_basis(light_of(parts.environment), light)[1]
+        extra = reflected_basis(parts.objects, basis.T).shape[1]
+    return Widths(width_of(3 * (light + extra + lamps) + 2), width_of(light), False, light)
+
+
+def memory_mb(parts: Parts, model: Model, widths: Widths) -> float:
+    """Return what a model's maps and textures take, MB."""
+    numbers = 0.0
+    height = parts.environment.coefficients.shape[0] >> model.environment_halvings
+    if model.environment:
+        numbers += FACES * environment_side(height) ** 2 * 4.0 / 3.0 * widths.light
+    if model.irradiance:
+        numbers += FACES * parts.environment.irradiance.shape[0] ** 2 * widths.surface
+    for level in range(*model.gloss_levels):
+        numbers += FACES * (2.0 / np.pi * level_height(WIDTHS_RAD[level])) ** 2 * 2 * widths.light
+    for size, halvings in zip(parts.objects.texture_size, model.texture_halvings, strict=True):
+        numbers += float(np.prod(np.ceil(size / 2.0**halvings) + 2)) * widths.surface
+    return numbers * 4.0 / 1e6
+
+
+def look_up_numbers(model: Model, widths: Widths, met: dict[str, float], objects: int) -> float:
+    """Return how many numbers a pixel of one ray multiplies and adds, from what its path meets.
+
+    Parameters
+    ----------
+    met : dict
+        ``hits``, ``glossy`` and ``misses`` a ray.
+    objects : int
+        That may hide light from each other.
+    """
+    decoding = widths.light * widths.surface if widths.coloured else 0
+    maps = int(model.diffuse or any(model.gloss)) + int(model.irradiance)
+    a_hit = _CORNERS * widths.surface * maps
+    if model.ambient:
+        a_hit += (objects - 1) * (_CORNERS + widths.reflected) * widths.surface
+    blurred = model.gloss_levels[1] > model.gloss_levels[0]
+    a_lobe = TAPS * (2 * _CORNERS * widths.light + decoding) if blurred else 0
+    a_sky = 2 * _CORNERS * widths.light + decoding if model.environment else 0
+    total = met["hits"] * a_hit + met["glossy"] * a_lobe + met["misses"] * a_sky
+    return total + 3 * (widths.surface + (0 if widths.coloured else widths.light))

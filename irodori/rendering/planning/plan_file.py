@@ -1,0 +1,141 @@
+"""``plan.yaml``: what was decided for a scene, why, and what it is predicted to cost; written and read again."""
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from irodori.core.atomic_files import written_whole
+from irodori.rendering.interactive.quadrature import Quadrature
+from irodori.rendering.planning.modelled_scene import Model, memory_mb, widths_of
+from irodori.rendering.planning.scene_planner import Decision, Planner
+from irodori.rendering.planning.tolerance import SHARE
+
+#: Digits of what is predicted: the last bits of a sum are the library's.
+_DIGITS = 4
+#: Decisions that are fields of `Model` as they stand.
+_PLAIN = (
+    "max_bounces",
+    "least_throughput",
+    "light_bases",
+    "representation",
+    "nodes",
+    "environment_halvings",
+    "environment",
+    "irradiance",
+)
+
+
+def rounded(value, digits: int = _DIGITS):
+    """Return plain numbers, lists and dictionaries; floats with a number of digits."""
+    if isinstance(value, dict):
+        return {str(key): rounded(item, digits) for key, item in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [rounded(item, digits) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(f"{float(value):.{digits}g}")
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def cost_of(planner: Planner, model: Model, side: int) -> dict[str, float]:
+    """Return the predicted cost of a model: numbers multiplied and added, and rays, of a pixel; memory."""
+    rays = side**2
+    met = planner.met(model)
+    return {
+        "numbers_per_pixel": rays * planner.numbers(model),
+        "rays_per_pixel": rays * met["rays"],
+        "memory_mb": memory_mb(planner.parts, model, widths_of(planner.parts, model)),
+    }
+
+
+def document_of(scene_name: str, planner: Planner, side: int, kind: str = "interactive") -> dict:
+    """Return the content of the plan's file.
+
+    Parameters
+    ----------
+    scene_name : str
+    planner : Planner
+        After `irodori.rendering.planning.choices.choose`.
+    side : int
+        Rays along each side of a pixel.
+    kind : str
+        Of the integrator.
+    """
+    decisions = {name: decision_block(decision) for name, decision in planner.decisions.items()}
+    document = {
+        "scene": scene_name,
+        "integrator": kind,
+        "tolerance_ciede2000": planner.tolerance,
+        "pixels_within": SHARE,
+        "predicted_delta_e": rounded(max(planner.spent, planner.joint)),
+        "predicted_delta_e_together": rounded(planner.joint),
+        "probes": planner.probes.count,
+        "cost": rounded(cost_of(planner, planner.model, side)),
+        "cost_of_full_model": rounded(cost_of(planner, planner.full, side)),
+        "decisions": decisions,
+    }
+    if planner.model.quadrature is not None:
+        document["quadrature"] = {
+            "samples": planner.model.quadrature.samples.tolist(),
+            "xyz_weights": rounded(planner.model.quadrature.weights, 9),
+        }
+    return document
+
+
+def decision_block(decision: Decision) -> dict:
+    """Return a decision as the file has it."""
+    return rounded({key: value for key, value in asdict(decision).items() if value is not None})
+
+
+def model_of(document: dict, full: Model, names: list[str]) -> Model:
+    """Return the model that a plan describes.
+
+    Parameters
+    ----------
+    document : dict
+        Content of the file.
+    full : Model
+        Of the scene.
+    names : list of str
+        Of the objects, see `object_names`.
+    """
+    values = {name: block["value"] for name, block in document["decisions"].items()}
+    quadrature = None
+    if "quadrature" in document:
+        found = document["quadrature"]
+        quadrature = Quadrature(np.array(found["samples"]), np.array(found["xyz_weights"]), np.nan, np.nan)
+    return replace(
+        full,
+        gloss=tuple(name in values["gloss"] for name in names),
+        mirror=tuple(name in values["mirror"] for name in names),
+        texture_halvings=tuple(values["texture_halvings"][name] for name in names),
+        gloss_levels=tuple(values["gloss_levels"]),
+        quadrature=quadrature,
+        **{name: values[name] for name in _PLAIN},
+    )
+
+
+def object_names(scene: dict) -> list[str]:
+    """Return a name for every object of a scene, each once, then for its bodies.
+
+    An object that stands in several places is ``jar``, ``jar#2``, ``jar#3``; the first body is ``bodies[0]``.
+    """
+    seen: dict[str, int] = {}
+    names = []
+    for item in scene["objects"]:
+        number = seen[item["object"]] = seen.get(item["object"], 0) + 1
+        names.append(item["object"] if number == 1 else f"{item['object']}#{number}")
+    return names + [f"bodies[{index}]" for index in range(len(scene.get("bodies", [])))]
+
+
+def write_plan(path, document: dict) -> None:
+    """Write a plan whole or not at all."""
+    text = yaml.safe_dump(document, sort_keys=False, width=120, allow_unicode=True)
+    with written_whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def read_plan(path) -> dict:
+    """Read a plan."""
+    return yaml.safe_load(Path(path).read_text(encoding="utf-8"))

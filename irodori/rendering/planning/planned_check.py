@@ -1,0 +1,65 @@
+"""The sampled check of a planned picture: random pixels of it, computed in full."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori.colour.colorimetry import summary
+from irodori.core.errors import PlainError
+from irodori.rendering.planning.tolerance import SHARE, differences
+from irodori.rendering.scene_arrays import View
+
+#: Pixels that are computed in full, and the seed of their places: not those of the probes.
+PIXELS, SEED = 3000, 2
+
+
+class ToleranceError(PlainError):
+    """A picture that differs from the full model by more than its scene tolerates."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """CIEDE2000 of pixels of a picture to the full model."""
+
+    count: int
+    mean: float
+    p95: float
+    p99: float
+    max: float
+
+
+def chosen_pixels(view: View, count: int = PIXELS, seed: int = SEED) -> np.ndarray:
+    """Return columns and rows of random pixels of a picture, (n, 2), each once; all of a picture that has fewer."""
+    size = view.width * view.height
+    place = np.random.default_rng(seed).choice(size, min(count, size), replace=False)
+    return np.stack([place % view.width, place // view.width], axis=1)
+
+
+def measure(planned: np.ndarray, full: np.ndarray, white_xyz: np.ndarray) -> Measured:
+    """Return the differences of pixels, (n, 3) XYZ each."""
+    return Measured(**summary(differences(full, planned, white_xyz)))
+
+
+def refuse_above(measured: Measured, plan: dict, view: str, mend: str = "take overrides under `plan` back") -> None:
+    """Refuse a picture whose pixels keep a tolerance less often than they have to.
+
+    Parameters
+    ----------
+    measured : Measured
+    plan : dict
+        With ``scene``, ``tolerance_ciede2000`` and ``predicted_delta_e``.
+    view : str
+    mend : str
+        What the scene's author may do beside raising the tolerance.
+
+    Raises
+    ------
+    ToleranceError
+    """
+    if not measured.p99 <= plan["tolerance_ciede2000"]:
+        raise ToleranceError(
+            f"scene {plan['scene']!r}, view {view!r}: {100 * SHARE:.0f} of 100 pixels differ from the full model by up "
+            f"to {measured.p99:.3g} ΔE2000 by {measured.count} pixels computed in full (mean {measured.mean:.3g}, "
+            f"largest {measured.max:.3g}); tolerated: {plan['tolerance_ciede2000']:g}; the plan predicted "
+            f"{plan['predicted_delta_e']:.3g}; raise tolerance_ciede2000, or {mend}."
+        )

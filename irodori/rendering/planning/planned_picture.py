@@ -1,0 +1,104 @@
+"""A picture by a plan, and its check against the full model, for `irodori.rendering.integrators`."""
+
+import time
+from dataclasses import asdict
+
+import numpy as np
+
+from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.core.progress import LOGGER
+from irodori.geometry.embree import Tracer
+from irodori.light.environment_file import Environment
+from irodori.rendering.interactive.frame_renderer import Lamp, render_frame
+from irodori.rendering.interactive.pixel_rays import render_pixels
+from irodori.rendering.planning.modelled_scene import Parts, full_model, prepare
+from irodori.rendering.planning.plan_file import model_of, object_names
+from irodori.rendering.planning.planned_check import chosen_pixels, measure, refuse_above
+from irodori.rendering.scene_arrays import Objects, make_view
+from irodori.rendering.scene_lights import BANDS, make_lights
+from irodori.rendering.scene_white import scene_white
+
+
+def parts_of(scene: dict, objects: Objects, environment: Environment, tracer: Tracer) -> Parts:
+    """Return a scene as the planner wants it.
+
+    Raises
+    ------
+    ValueError
+        If a light is not collimated.
+    """
+    if any(light["kind"] != "collimated" for light in scene.get("lights", [])):
+        raise ValueError("area lights in a scene of the integrator 'interactive'; accepted: collimated lights")
+    lights, _ = make_lights(scene.get("lights", []), 0)
+    towards = lights.rotation[:, :, 2].copy()
+    white, _ = scene_white(scene, environment)
+    return Parts(objects, environment, tracer, towards, lights.spectrum[:, :BANDS].astype(np.float64), white)
+
+
+def render_planned(
+    scene: dict, view_name: str, parts: Parts, options: dict, plan: dict, check: bool = True
+) -> tuple[np.ndarray, dict]:
+    """Render a view by a plan and check it.
+
+    Parameters
+    ----------
+    scene : dict
+        Its objects include its bodies.
+    view_name : str
+    parts : Parts
+    options : dict
+        ``pixel_side`` and ``max_bounces``, as of `irodori.rendering.integrators.render_image`.
+    plan : dict
+        Content of ``plan.yaml``.
+    check : bool
+        Whether random pixels are computed in full.
+
+    Returns
+    -------
+    picture : (height, width, 61) radiance where the plan carries all bands, else (height, width, 3) XYZ; float32
+    figures : dict
+
+    Raises
+    ------
+    irodori.rendering.planning.planned_check.ToleranceError
+        If the check finds more than the plan's tolerance.
+    """
+    side, matrix = options["pixel_side"], xyz_from_radiance(parts.white)
+    full = full_model(parts, options["max_bounces"], scene["integrator"].get("ambient", True))
+    model = model_of(plan, full, plan_names(scene))
+    bands = model.representation == "spectral"
+    start = time.perf_counter()
+    prepared = prepare(parts, model, matrix)
+    prepared_s = time.perf_counter() - start
+    lamps = tuple(Lamp(towards) for towards in parts.lamp_towards)
+    view = make_view(scene["views"][view_name], scene["image"])
+    fine = view._replace(focal_px=view.focal_px * side, width=view.width * side, height=view.height * side)
+    render_frame(prepared, fine._replace(width=side, height=side), lamps=lamps, bands=bands)  # compile
+    start, counted = time.perf_counter(), {}
+    picture = render_frame(prepared, fine, lamps=lamps, bands=bands, figures=counted)
+    picture = picture.reshape(view.height, side, view.width, side, -1).mean(axis=(1, 3))
+    seconds = time.perf_counter() - start
+    figures = {
+        "seconds": seconds,
+        "seconds_to_prepare": prepared_s,
+        "rays": counted["rays"],
+        "rays_per_second": counted["rays"] / seconds,
+        "plan": {"tolerance_ciede2000": plan["tolerance_ciede2000"], "predicted_delta_e": plan["predicted_delta_e"]},
+    }
+    if check:
+        del prepared
+        start = time.perf_counter()
+        pixels = chosen_pixels(view)
+        truth = render_pixels(prepare(parts, full, matrix), view, pixels, side, lamps)
+        found = picture[pixels[:, 1], pixels[:, 0]].astype(np.float64)
+        measured = measure(found @ matrix.T if bands else found, truth, matrix @ parts.white)
+        figures["plan"] |= {"measured_delta_e": asdict(measured), "seconds_to_check": time.perf_counter() - start}
+        LOGGER.info("plan: predicted %.3g, measured %.3g ΔE2000", plan["predicted_delta_e"], measured.p99)
+        refuse_above(measured, plan, view_name)
+    return picture, figures
+
+
+def plan_names(scene: dict) -> list[str]:
+    """Return the names of a scene's objects where its bodies stand among them."""
+    return object_names({"objects": [item for item in scene["objects"] if "object" in item],
+                         "bodies": [item for item in scene["objects"] if "object" not in item]})  # fmt: skip

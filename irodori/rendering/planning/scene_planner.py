@@ -1,0 +1,159 @@
+"""The state of planning: what is decided so far, what it costs in colour by the probes, and in numbers."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.light.blurred_light import prefiltered
+from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.rendering.interactive.quadrature import Quadrature
+from irodori.rendering.planning.modelled_scene import Model, Parts, look_up_numbers, solved_nodes, widths_of
+from irodori.rendering.planning.probes import Changes, Probes, Scene, radiance, trace_probes
+from irodori.rendering.planning.tolerance import bound_of_share, differences
+from irodori.rendering.scene_arrays import Light, View
+
+#: Probes of a view, and the seed of their places; pixels that are checked have another.
+PROBES, SEED = 2000, 1
+#: Rows of the picture whose blurred light weighs the lobes for the planner.
+_SMALL_ROWS = 64
+#: Views with so many probes; more of them share these.
+_MOST_VIEWS = 4
+#: Decisions that may cost colour.
+_LOSSY = 8
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One decision of a plan.
+
+    Parameters
+    ----------
+    value, full
+        What is modelled, and what the full model has.
+    predicted_delta_e : float
+        CIEDE2000 that this decision alone costs at most, see `irodori.rendering.planning.choices.choose`.
+    numbers_per_ray : float
+        Numbers that are multiplied and added for a ray of the eye with this decision and those before it.
+    by : str
+        ``plan`` or ``scene``, whose file overrides the plan.
+    why : str
+    """
+
+    value: object
+    full: object
+    predicted_delta_e: float
+    numbers_per_ray: float
+    by: str
+    why: str
+
+
+@dataclass
+class Planner:
+    """The state of planning: what is decided, and what it costs."""
+
+    parts: Parts
+    probes: Probes
+    model: Model
+    tolerance: float
+    names: list[str]
+    overrides: dict
+    ladder: Light
+    where: str = "scene"
+    changes: Changes = field(default_factory=Changes)
+    decisions: dict[str, Decision] = field(default_factory=dict)
+    left: int = _LOSSY
+    spent: float = 0.0
+    joint: float = 0.0
+    xyz: Callable | None = None
+    solved: dict[int, Quadrature] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.full, self.matrix = self.model, xyz_from_radiance(self.parts.white)
+        self.white_xyz = self.matrix @ self.parts.white
+        self.truth = radiance(self.probes) @ self.matrix.T
+        self.xyz = lambda spectra: spectra @ self.matrix.T
+
+    def errors(self, changes: Changes, xyz: Callable | None = None) -> np.ndarray:
+        """Return CIEDE2000 of every probe of the picture with changes."""
+        found = (xyz or (lambda spectra: spectra @ self.matrix.T))(radiance(self.probes, changes))
+        return differences(self.truth, found, self.white_xyz)
+
+    def bound(self, errors: np.ndarray) -> float:
+        """Return the bound of the share of pixels in the view where it is largest: each picture is checked alone."""
+        views = self.probes.views
+        return max(bound_of_share(errors[view::views]) for view in range(min(views, len(errors))))
+
+    def bound_where_seen(self, errors: np.ndarray, events: list) -> float:
+        """Return the bound of the share among the probes that meet something, so that what is small counts too."""
+        meeting = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *events]))
+        return bound_of_share(errors[meeting]) if meeting.size else 0.0
+
+    def solve(self, nodes: int) -> Quadrature:
+        """Return the quadrature of a number of wavelengths for the paths of the model."""
+        if nodes not in self.solved:
+            self.solved[nodes] = solved_nodes(self.parts, self.model.max_bounces, self.matrix, nodes)
+        return self.solved[nodes]
+
+    def fits(self, alone: float, changes: Changes, xyz: Callable | None = None) -> bool:
+        """Return whether a decision keeps under its share, and all together under the tolerance."""
+        if alone > (self.tolerance - self.spent) / self.left:
+            return False
+        return self.bound(self.errors(changes, xyz or self.xyz)) <= self.tolerance
+
+    def decide(self, name: str, alone: float, changes: Changes, why: str, lossy: bool = True, **model) -> None:
+        """Note a decision."""
+        before = {key: getattr(self.full, key) for key in model}
+        self.model, self.changes = replace(self.model, **model), changes
+        value, full = (self._named(name, next(iter(d.values()))) for d in (model, before))
+        self.spent += alone
+        self.left -= int(lossy)
+        by = "scene" if name in self.overrides else "plan"
+        self.decisions[name] = Decision(value, full, alone, self.numbers(), by, why)
+
+    def _named(self, name: str, value):
+        if name in ("gloss", "mirror"):
+            return [n for n, traced in zip(self.names, value, strict=True) if traced]
+        if name == "texture_halvings":
+            return dict(zip(self.names, value, strict=True))
+        return list(value) if isinstance(value, tuple) else value
+
+    def met(self, model: Model | None = None) -> dict[str, float]:
+        """Return what a ray of the eye meets: surfaces, glossy ones, the environment, and rays traced."""
+        model = model or self.model
+        without = [i for i, (a, b) in enumerate(zip(self.full.mirror, model.mirror, strict=True)) if a and not b]
+        found = {"hits": 0.0, "glossy": 0.0, "misses": 0.0}
+        for bounce, (hits, misses) in enumerate(zip(self.probes.hits, self.probes.misses, strict=True)):
+            if bounce > model.max_bounces:
+                break
+            for name, events in (("hits", hits), ("misses", misses)):
+                stays = np.ones(len(events.probe), dtype=bool)
+                if bounce:
+                    stays &= events.throughput.max(axis=1) > model.least_throughput
+                for index in without:
+                    stays &= ~(events.passed == index).any(axis=1)
+                found[name] += float(stays.sum())
+                if name == "hits" and stays.any():
+                    rough = (events.texel[stays, -2] > 0) & np.take(model.gloss, events.points.shape[stays])
+                    found["glossy"] += float(rough.sum())
+        found["rays"] = found["hits"] + found["misses"]
+        return {key: value / self.probes.count for key, value in found.items()}
+
+    def numbers(self, model: Model | None = None) -> float:
+        """Return the numbers that a ray of the eye costs."""
+        model = model or self.model
+        return look_up_numbers(model, widths_of(self.parts, model), self.met(model), len(self.names))
+
+
+def make_probes(parts: Parts, views: list[View], model: Model, ladder: Light) -> Probes:
+    """Return the probes of a scene's views; their lobes see a small picture of the environment."""
+    gloss = None
+    if model.gloss_levels[1] > model.gloss_levels[0]:
+        level = int(np.argmax(ladder.size[:, 1] <= _SMALL_ROWS)) if (ladder.size[:, 1] <= _SMALL_ROWS).any() else 0
+        first, (columns, rows) = ladder.first_pixel[level], ladder.size[level]
+        small = ladder.pixels[first : first + columns * rows].reshape(rows, columns, -1)
+        start, levels = prefiltered(small)
+        gloss = GlossMaps(start, tuple(levels), None)
+    scene = Scene(parts.objects, ladder, gloss, parts.tracer, parts.lamp_towards, parts.lamp_spectra, model.ambient)
+    return trace_probes(scene, views, PROBES * min(len(views), _MOST_VIEWS), model.max_bounces, SEED)

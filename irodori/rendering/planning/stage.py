@@ -1,0 +1,87 @@
+"""The planner's stage: a scene, its materials and its light in; ``plan.yaml`` out."""
+
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
+from irodori.geometry.shapes import Shape
+from irodori.light.environment_file import Environment
+from irodori.material.material_file import Material
+from irodori.rendering.integrators import with_bodies
+from irodori.rendering.planning.choices import choose
+from irodori.rendering.planning.plan_file import document_of, write_plan
+from irodori.rendering.planning.planned_picture import parts_of, plan_names
+from irodori.rendering.scene_arrays import View, make_objects, make_placements, make_tracer, make_view
+from irodori.rendering.scene_white import scene_white
+
+
+def plan_scene(
+    scene_name: str, scene: dict, shapes: list[dict], material_files: list, environment_file, options: dict, output
+) -> None:
+    """Decide what to model of a scene and write it down.
+
+    Parameters
+    ----------
+    scene_name : str
+    scene : dict
+        Validated definition, with ``tolerance_ciede2000``.
+    shapes : list of dict
+        One an object.
+    material_files, environment_file : paths
+    options : dict
+        The configuration's ``render``.
+    output : path
+
+    Raises
+    ------
+    InputError
+        If an override cannot be met, or there is no light to see colours by.
+    """
+    document = plan_of(
+        scene_name,
+        scene,
+        [Shape.from_definition(shape) for shape in shapes],
+        [Material.load(path) for path in material_files],
+        Environment.load(environment_file),
+        options,
+    )
+    write_plan(output, document)
+    LOGGER.info(
+        "predicted %.3g ΔE2000 of %.3g; numbers a pixel %.3g of %.3g",
+        document["predicted_delta_e"],
+        document["tolerance_ciede2000"],
+        *(document[key].get("numbers_per_pixel", 0.0) for key in ("cost", "cost_of_full_model")),
+    )
+
+
+def plan_of(
+    scene_name: str, scene: dict, shapes: list, materials: list, environment: Environment, options: dict
+) -> dict:
+    """Return the content of the plan of a scene; parameters and errors are those of `plan_scene`."""
+    if not scene_white(scene, environment)[0].any():
+        found = "no light on a surface that faces up at the scene's origin"
+        raise InputError(f"scene {scene_name}", "tolerance_ciede2000", found, "a white that colours are seen against")
+    scene, shapes, materials = with_bodies(scene, shapes, materials)
+    placements = make_placements(scene, shapes)
+    objects, _ = make_objects(placements, materials)
+    views = [make_view(view, scene["image"]) for view in scene["views"].values()]
+    overrides = scene.get("plan", {})
+    if scene["integrator"]["kind"] == "reference":
+        from irodori.rendering.planning.paths_per_pixel import plan_reference
+
+        return plan_reference(scene_name, scene, placements, objects, environment, views, overrides)
+    parts = parts_of(scene, objects, environment, make_tracer(placements))
+    planner = choose(
+        parts,
+        [_of_rays(view, options["pixel_side"]) for view in views],
+        plan_names(scene),
+        scene["tolerance_ciede2000"],
+        scene["max_bounces"],
+        scene["integrator"].get("ambient", True),
+        overrides,
+        f"scene {scene_name}",
+    )
+    return document_of(scene_name, planner, options["pixel_side"])
+
+
+def _of_rays(view: View, side: int) -> View:
+    """Return the view whose pixels are the rays of another's, so many along each side of a pixel."""
+    return view._replace(focal_px=side * view.focal_px, width=side * view.width, height=side * view.height)

@@ -1,0 +1,26 @@
+"""Colour differences against a tolerance: what a sample of pixels says of all of them."""
+
+import numpy as np
+from scipy.stats import binom
+
+from irodori.colour.colorimetry import delta_e, lab_from_xyz
+
+#: Share of the pixels that have to keep the tolerance.
+SHARE = 0.99
+#: Certainty with which a bound from a sample holds for the whole.
+_CERTAINTY = 0.999
+
+
+def differences(xyz: np.ndarray, other: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
+    """Return CIEDE2000 between pixels, (n, 3) XYZ each, under a white."""
+    return delta_e(lab_from_xyz(xyz, white_xyz), lab_from_xyz(other, white_xyz))
+
+
+def bound_of_share(values: np.ndarray) -> float:
+    """Return what `SHARE` of a population keeps under, with certainty, by a random sample of it.
+
+    The order statistic that exceeds the quantile unless luck is worse than 1 in 1000 (binomial, whatever the
+    distribution); the largest value where the sample is too small for that.
+    """
+    place = int(binom.ppf(_CERTAINTY, len(values), SHARE))
+    return float(np.sort(values)[min(place, len(values) - 1)])

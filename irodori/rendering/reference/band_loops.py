@@ -1,0 +1,139 @@
+"""Loops over the bands: 61, padded to 64 in single precision, which are four vectors of 512 bits."""
+
+import math
+
+import numpy as np
+
+from irodori.jit.native import njit
+from irodori.rendering.scene_lights import BANDS, PADDED
+
+#: Sums over bands may be taken in any order, or each addition waits for the one before.
+_SUMS = {"reassoc", "contract", "nsz"}
+_ZERO = np.float32(0.0)
+
+
+def padded(values: np.ndarray, fill: str = "zero") -> np.ndarray:
+    """Return spectra (..., 61) as (..., 64) float32; ``fill`` is ``zero``, or ``edge`` to repeat the last."""
+    width = [(0, 0)] * (values.ndim - 1) + [(0, PADDED - BANDS)]
+    mode = {"zero": "constant", "edge": "edge"}[fill]
+    return np.ascontiguousarray(np.pad(values, width, mode=mode), dtype=np.float32)
+
+
+@njit(cache=True, _nrt=False, forceinline=True, fastmath=_SUMS)
+def decode(basis, index, count, coefficients, out):
+    """Fill a spectrum from the first ``count`` coefficients on ``basis[index]``.
+
+    Samples below zero, left by recovery and compression, are dark, and the others carry so much less that the sum
+    stays: setting them to zero alone would add light.
+    """
+    for band in range(PADDED):
+        out[band] = _ZERO
+    for b in range(count):
+        value = np.float32(coefficients[b])
+        for band in range(PADDED):
+            out[band] += basis[index, b, band] * value
+    total, positive = _ZERO, _ZERO
+    for band in range(PADDED):
+        total += out[band]
+        positive += max(out[band], _ZERO)
+    if total == positive:
+        return
+    share = total / positive if total > _ZERO else _ZERO
+    for band in range(PADDED):
+        out[band] = share * max(out[band], _ZERO)
+
+
+@njit(cache=True, _nrt=False, forceinline=True, fastmath=_SUMS)
+def summed_product(a, b):
+    """Return the sum of the product of two spectra."""
+    total = _ZERO
+    for band in range(PADDED):
+        total += a[band] * b[band]
+    return float(total)
+
+
+@njit(cache=True, _nrt=False, forceinline=True, fastmath=_SUMS)
+def summed(a):
+    """Return the sum of a spectrum over the 61 bands."""
+    total = _ZERO
+    for band in range(BANDS):
+        total += a[band]
+    return float(total)
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def largest(a):
+    """Return the largest of the 61 bands."""
+    found = a[0]
+    for band in range(1, BANDS):
+        found = max(found, a[band])
+    return float(found)
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def scale(a, factor):
+    """Multiply a spectrum by a number."""
+    factor = np.float32(factor)
+    for band in range(PADDED):
+        a[band] *= factor
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def scale_by(a, b, factor):
+    """Multiply a spectrum by another times a number."""
+    factor = np.float32(factor)
+    for band in range(PADDED):
+        a[band] *= b[band] * factor
+
+
+@njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
+def add_product(a, b, factor, out):
+    """Add the product of two spectra times a number."""
+    factor = np.float32(factor)
+    for band in range(PADDED):
+        out[band] += a[band] * b[band] * factor
+
+
+@njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
+def fill_mixture(diffuse, a, gloss, b, out):
+    """Fill ``out`` with one spectrum times a number plus another times a number."""
+    a, b = np.float32(a), np.float32(b)
+    for band in range(PADDED):
+        out[band] = diffuse[band] * a + gloss[band] * b
+
+
+@njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
+def fill_mixture_grey(diffuse, a, b, out):
+    """Fill ``out`` with a spectrum times a number plus a number."""
+    a, b = np.float32(a), np.float32(b)
+    for band in range(PADDED):
+        out[band] = diffuse[band] * a + b
+
+
+@njit(cache=True, _nrt=False, forceinline=True, error_model="numpy", fastmath={"contract"})
+def fill_fresnel(cosine, n, k, index, out):
+    """Fill the Fresnel reflectance of every band; `equation5.fresnel` without its branches, so that it vectorises.
+
+    ``n`` and ``k`` are (objects, 64) float32, and ``cosine`` is from 0 to 1.
+    """
+    c = np.float32(cosine)
+    c2 = c * c
+    s2 = np.float32(1.0) - c2
+    two, half = np.float32(2.0), np.float32(0.5)
+    tiny = np.float32(1e-30)
+    for band in range(PADDED):
+        nb, kb = n[index, band], k[index, band]
+        real = (nb - np.float32(1.0)) * (nb + np.float32(1.0)) - kb * kb + c2
+        product = two * nb * kb
+        modulus = np.float32(math.sqrt(real * real + product * product))
+        root = np.float32(math.sqrt(max(half * (modulus + abs(real)), tiny)))
+        other = half * product / root
+        a = root if real >= _ZERO else other
+        cross = two * a * c
+        total = max(modulus + c2 + cross, tiny)
+        rs = max(modulus + c2 - cross, _ZERO) / total
+        p_sum = modulus * c2 + s2 * s2
+        p_cross = cross * s2
+        rp = max(p_sum - p_cross, _ZERO) / max(p_sum + p_cross, tiny)
+        # At normal incidence on index 1 both sums vanish together and so does rs.
+        out[band] = half * rs * (np.float32(1.0) + rp)

@@ -1,0 +1,91 @@
+"""Random numbers that depend on pixel, sample and dimension only, so that no thread nor tile changes a picture.
+
+The samples of a pixel are made in independent replicates. Within one, the first dimensions are points of a
+Sobol sequence in pairs (paired and shuffled as Kollig and Keller 2002 do), which all pixels share and each moves by a
+random digital shift of its own; further dimensions are hashed. Each replicate's mean is unbiased, and their spread is
+an error bar that holds for such points, which that of single samples would not be.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import qmc
+
+from irodori.jit.native import njit
+
+PIXEL, LENS = 0, 2
+VERTEX = 4  # first dimension of the first surface
+LIGHT, LOBE, CHOICE, PICK, SURVIVAL = 0, 2, 4, 5, 6
+PER_VERTEX = 8
+_VERTICES = 4
+DIMENSIONS = VERTEX + _VERTICES * PER_VERTEX
+_LARGEST_SET = 4096
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_ODD = np.uint64(0xD1342543DE82EF95)
+
+
+class Numbers(NamedTuple):
+    """The shared points, for compiled loops."""
+
+    points: np.ndarray  # (replicates, samples of a set, DIMENSIONS) uint32
+    replicates: int
+    samples: int  # of a replicate
+    seed: int
+
+
+def make_numbers(samples: int, seed: int, replicates: int) -> Numbers:
+    """Return the points for a number of samples a pixel.
+
+    Parameters
+    ----------
+    samples : int
+        Of a pixel, a multiple of ``replicates``.
+    seed : int, from 0
+    replicates : int
+        At least 2.
+    """
+    count = samples // replicates
+    size = min(count, _LARGEST_SET)
+    generator = np.random.default_rng([seed, 0x1D0])
+    points = np.empty((replicates, size, DIMENSIONS), dtype=np.uint32)
+    for replicate in range(replicates):
+        for pair in range(0, DIMENSIONS, 2):
+            sobol = qmc.Sobol(2, bits=32, rng=generator).random_base2(max(size - 1, 0).bit_length())[:size]
+            points[replicate, :, pair : pair + 2] = (generator.permutation(sobol) * 2.0**32).astype(np.uint32)
+    return Numbers(points, replicates, count, seed)
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _mixed(z):
+    """Return the finaliser of SplitMix64 (Steele et al. 2014)."""
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def pixel_key(x, y, replicate, seed):
+    """Return what makes a pixel's numbers in a replicate its own, uint64."""
+    key = _mixed(np.uint64(seed) * _ODD + _GOLDEN)
+    key = _mixed(key + (np.uint64(x) << np.uint64(32)) + np.uint64(y))
+    return _mixed(key + np.uint64(replicate) * _GOLDEN)
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def stream_of(numbers, key, replicate, sample):
+    """Return what `draw` needs to know of a sample: keys of its set and of itself, and its place in the points."""
+    size = numbers.points.shape[1]
+    # A set that is used again is shifted anew.
+    of_set = key + np.uint64(sample // size) * _ODD
+    return of_set, _mixed(key + np.uint64(sample + 1) * _ODD), replicate, sample % size
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def draw(numbers, stream, dimension):
+    """Return a number in [0, 1)."""
+    step = np.uint64(dimension) * _GOLDEN
+    if dimension < DIMENSIONS:
+        bits = np.uint32(_mixed(stream[0] + step) >> np.uint64(32)) ^ numbers.points[stream[2], stream[3], dimension]
+    else:
+        bits = np.uint32(_mixed(stream[1] + step) >> np.uint64(32))
+    return np.float64(bits) * 2.0**-32

@@ -1,0 +1,185 @@
+"""A scene as compiled loops want it: flat arrays of objects, textures and light; and the camera."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from irodori.geometry.embree import Tracer
+from irodori.geometry.rig_frame import look_at, rotation_xyz
+from irodori.geometry.shapes import SPHERE, Placement, Shape
+from irodori.light.environment_file import Environment, directions
+from irodori.material.material_file import Material
+from irodori.rendering.view_cameras import KINDS, PERSPECTIVE
+
+_COARSEST_ROWS = 4
+
+
+class Objects(NamedTuple):
+    """Materials of the objects; the first axis counts them. Bases have the wavelength last, where the loops run.
+
+    ``texels`` holds, a row a texel, the coefficients of α S / S_G, then β and μ. ``grey`` is 1 where the refractive
+    index does not vary with the wavelength, so that one Fresnel reflectance serves all bands.
+    """
+
+    wraps: np.ndarray  # (objects,) 1 where the texture's left and right sides are joined
+    first_texel: np.ndarray  # (objects,)
+    texture_size: np.ndarray  # (objects, 2) width, height
+    texels: np.ndarray  # (texels, k + 2) float32
+    basis: np.ndarray  # (objects, k, 61)
+    bases: np.ndarray  # (objects,)
+    mirror: np.ndarray  # (objects,)
+    n: np.ndarray  # (objects, 61)
+    k: np.ndarray  # (objects, 61)
+    grey: np.ndarray  # (objects,)
+
+
+class Light(NamedTuple):
+    """The environment: a ladder of ever smaller pictures, finest first, and the irradiance map."""
+
+    pixels: np.ndarray  # (all pixels, k) float32
+    first_pixel: np.ndarray  # (levels,)
+    size: np.ndarray  # (levels, 2) width, height
+    basis: np.ndarray  # (k, 61)
+    irradiance: np.ndarray  # (h * w, k) float32
+    irradiance_size: np.ndarray  # (2,) width, height
+
+
+class View(NamedTuple):
+    """A camera of the scene; x to the right of the picture, y down, z along the line of sight."""
+
+    position_mm: np.ndarray  # (3,) the eye, the lens' centre, or the middle of the plane where parallel rays start
+    world_from_camera: np.ndarray  # (3, 3)
+    focal_px: float  # of a perspective view; pixels a mm of an orthographic one
+    width: int
+    height: int
+    kind: int = PERSPECTIVE
+    lens_mm: float = 0.0  # diameter of the lens, 0 for a pinhole
+    focus_mm: float = 1.0  # along the line of sight to the plane in focus; not read without a lens
+
+
+def make_placements(scene: dict, shapes: list[Shape]) -> list[Placement]:
+    """Return where the scene's objects stand."""
+    return [
+        Placement(shape, rotation_xyz(item["rotation_deg"]), np.asarray(item["position_mm"], float), item["scale"])
+        for item, shape in zip(scene["objects"], shapes, strict=True)
+    ]
+
+
+def make_objects(placements: list[Placement], materials: list[Material]) -> tuple[Objects, list[float]]:
+    """Flatten objects for the integrator.
+
+    A texel that lies on no surface takes the values of the nearest that does, so that looking up between texels at
+    the edge of a mesh's chart finds nothing foreign.
+
+    Returns
+    -------
+    objects : Objects
+    filled : list of float
+        Share of the texels on each object's surface that had no data of their own.
+    """
+    bases = max(m.basis.shape[1] for m in materials)
+    first = np.concatenate([[0], np.cumsum([m.alpha.size for m in materials])])
+    # Written in place: a texture of ten megapixels takes half a gigabyte.
+    texels = np.zeros((first[-1], bases + 2), dtype=np.float32)
+    basis, filled = [], []
+    for placement, material, start in zip(placements, materials, first[:-1], strict=True):
+        rows, share = _fill_texels(placement, material, texels[start : start + material.alpha.size])
+        basis.append(np.pad(rows, ((0, bases - len(rows)), (0, 0))))
+        filled.append(share)
+    n, k = np.stack([m.n for m in materials]), np.stack([m.k for m in materials])
+    objects = Objects(
+        wraps=np.array([p.shape.kind == SPHERE for p in placements], dtype=np.int64),
+        first_texel=first[:-1],
+        texture_size=np.array([m.alpha.shape[::-1] for m in materials]),
+        texels=texels,
+        basis=np.stack(basis),
+        bases=np.array([m.basis.shape[1] for m in materials]),
+        mirror=np.array([m.mirror for m in materials], dtype=np.float64),
+        n=n,
+        k=k,
+        grey=((np.ptp(n, axis=1) == 0) & (np.ptp(k, axis=1) == 0)).astype(np.int64),
+    )
+    return objects, filled
+
+
+def _fill_texels(placement: Placement, material: Material, texels: np.ndarray) -> tuple[np.ndarray, float]:
+    """Fill an object's texels, (n, bases + 2); return its basis, (k, 61), and the share of texels without data."""
+    whole, share = material.filled(placement.shape.is_covered(*material.alpha.shape[::-1]))
+    count = whole.basis.shape[1]
+    coefficients, scale = whole.coefficients.reshape(-1, count), whole.spectrum_scale.reshape(-1, 1)
+    np.multiply(coefficients, scale, out=texels[:, :count], casting="same_kind")
+    texels[:, -2], texels[:, -1] = whole.beta.ravel(), whole.mu.ravel()
+    return whole.basis.T, share
+
+
+def make_light(environment: Environment) -> Light:
+    """Return the ladder of an environment; each level halves the one before, weighted by solid angle."""
+    pixels, sizes = [], []
+    height, width = environment.coefficients.shape[:2]
+    solid_angle = directions(width, height)[1][..., None]
+    weighted = environment.coefficients * solid_angle
+    while True:
+        row_edges, column_edges = (
+            np.arange(n) * full // n for n, full in ((height, weighted.shape[0]), (width, weighted.shape[1]))
+        )
+
+        def sums(values, rows=row_edges, columns=column_edges):
+            return np.add.reduceat(np.add.reduceat(values, rows, axis=0), columns, axis=1)
+
+        pixels.append((sums(weighted) / sums(solid_angle)).astype(np.float32).reshape(width * height, -1))
+        sizes.append((width, height))
+        if height // 2 < _COARSEST_ROWS:
+            break
+        width, height = width // 2, height // 2
+    first = np.concatenate([[0], np.cumsum([len(p) for p in pixels])[:-1]])
+    irradiance = np.ascontiguousarray(environment.irradiance, dtype=np.float32)
+    return Light(
+        pixels=np.concatenate(pixels),
+        first_pixel=first,
+        size=np.array(sizes),
+        basis=np.ascontiguousarray(environment.basis.T, dtype=np.float64),
+        irradiance=irradiance.reshape(-1, irradiance.shape[2]),
+        irradiance_size=np.array(irradiance.shape[1::-1]),
+    )
+
+
+def make_view(view: dict, image: dict) -> View:
+    """Return the camera of a scene's view.
+
+    Parameters
+    ----------
+    view : dict
+        ``position_mm``, ``target_mm``, ``up`` and ``kind``, ``perspective`` where absent: with ``field_of_view_deg``,
+        from the lower to the upper edge of the picture, and optionally ``lens`` (``diameter_mm`` and ``focus_mm``);
+        ``orthographic`` with ``height_mm`` of what the picture shows.
+    image : dict
+        ``width`` and ``height`` of the picture, px.
+
+    Raises
+    ------
+    ValueError
+        If the kind is unknown.
+    """
+    kind = view.get("kind", "perspective")
+    if kind not in KINDS:
+        raise ValueError(f"unknown view {kind!r}; accepted: {', '.join(KINDS)}")
+    if kind == "orthographic":
+        focal = image["height"] / view["height_mm"]
+    else:
+        focal = 0.5 * image["height"] / np.tan(np.radians(view["field_of_view_deg"]) / 2)
+    lens = view.get("lens", {"diameter_mm": 0.0, "focus_mm": 1.0})
+    return View(
+        np.asarray(view["position_mm"], dtype=np.float64),
+        np.ascontiguousarray(look_at(view["position_mm"], view["target_mm"], view["up"])),
+        float(focal),
+        image["width"],
+        image["height"],
+        KINDS[kind],
+        float(lens["diameter_mm"]),
+        float(lens["focus_mm"]),
+    )
+
+
+def make_tracer(placements: list[Placement]) -> Tracer:
+    """Return the tracer of the scene's placements."""
+    return Tracer(placements)

@@ -1,0 +1,300 @@
+"""Lights that stand in a scene: collimated, or rectangles and spheres of one radiance, of any spectrum.
+
+Radiance and irradiance count as in an environment of placed lights: a radiance of 1 has the luminance of D65 as
+tabulated (100 at 560 nm), and an irradiance of 1 gives a perfect diffuser that faces the light the radiance 1.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from irodori.geometry.rig_frame import rotation_xyz
+from irodori.geometry.shapes import PLATE, SPHERE, Placement, Shape
+from irodori.jit.native import njit
+from irodori.light.placed_lights import direction_of, unit_luminance
+from irodori.rendering.surface_hits import frame
+
+COLLIMATED, RECTANGLE, BALL = 0, 1, 2
+KINDS = {"collimated": COLLIMATED, "rectangle": RECTANGLE, "sphere": BALL}
+BANDS, PADDED = 61, 64
+#: Cosine at the light under which its share of the choice does not fall: light along its plane is not left to chance.
+_LEAST_COSINE = 0.05
+#: From which a rectangle is drawn by its solid angle, sr; under it, it is too small a difference of angles.
+_LEAST_SOLID_ANGLE = 1e-4
+_PARTS = 64  # along each side of a rectangle, for the white of the picture
+
+
+class Lights(NamedTuple):
+    """Placed lights for compiled loops; the first axis counts them.
+
+    ``spectrum`` is the radiance of an area light, or the irradiance of a surface that faces a collimated one (radiance
+    times steradians), padded with zeros. ``surface`` is the light's place among all traced shapes, -1 for none.
+    """
+
+    kind: np.ndarray  # (lights,)
+    spectrum: np.ndarray  # (lights, 64) float32
+    power: np.ndarray  # (lights,) sum of the spectrum
+    position_mm: np.ndarray  # (lights, 3) centre
+    rotation: np.ndarray  # (lights, 3, 3) world_from_light; the third column is where it shines
+    size_mm: np.ndarray  # (lights, 2) width and height, or radius twice
+    surface: np.ndarray  # (lights,)
+
+
+def make_lights(definitions: list[dict], first_surface: int) -> tuple[Lights, list[Placement]]:
+    """Return the lights of a scene, and the shapes of those that have one.
+
+    Parameters
+    ----------
+    definitions : list of dict
+        ``kind`` and ``spectrum``; of a collimated light ``azimuth_deg`` and ``elevation_deg`` of the direction that
+        it comes from and ``irradiance``; of a rectangle or a sphere ``position_mm`` and ``radiance``, and
+        ``rotation_deg`` (it shines along +z before), ``width_mm`` and ``height_mm``, or ``radius_mm``.
+    first_surface : int
+        Number of the first light's shape among all shapes that are traced.
+
+    Raises
+    ------
+    ValueError
+        If a kind is unknown.
+    """
+    count = len(definitions)
+    lights = Lights(
+        kind=np.zeros(count, dtype=np.int64),
+        spectrum=np.zeros((count, PADDED), dtype=np.float32),
+        power=np.zeros(count),
+        position_mm=np.zeros((count, 3)),
+        rotation=np.tile(np.eye(3), (count, 1, 1)),
+        size_mm=np.zeros((count, 2)),
+        surface=np.full(count, -1, dtype=np.int64),
+    )
+    placements: list[Placement] = []
+    for i, light in enumerate(definitions):
+        if light["kind"] not in KINDS:
+            raise ValueError(f"unknown light {light['kind']!r}; accepted: {', '.join(KINDS)}")
+        lights.kind[i] = KINDS[light["kind"]]
+        spectrum = unit_luminance(light["spectrum"])
+        if light["kind"] == "collimated":
+            lights.spectrum[i, :BANDS] = math.pi * light["irradiance"] * spectrum
+            lights.rotation[i, :, 2] = direction_of(light["azimuth_deg"], light["elevation_deg"])
+        else:
+            placement = _placement(light)
+            lights.spectrum[i, :BANDS] = light["radiance"] * spectrum
+            lights.position_mm[i], lights.rotation[i] = placement.translation_mm, placement.rotation
+            lights.size_mm[i] = placement.shape.size_mm
+            lights.surface[i] = first_surface + len(placements)
+            placements.append(placement)
+        lights.power[i] = lights.spectrum[i].sum(dtype=np.float64)
+    return lights, placements
+
+
+def _placement(light: dict) -> Placement:
+    position = np.asarray(light["position_mm"], dtype=np.float64)
+    if light["kind"] == "sphere":
+        return Placement(Shape(SPHERE, (float(light["radius_mm"]),) * 2), np.eye(3), position)
+    shape = Shape(PLATE, (float(light["width_mm"]), float(light["height_mm"])))
+    return Placement(shape, rotation_xyz(light["rotation_deg"]), position)
+
+
+def upward_radiance(lights: Lights) -> np.ndarray:
+    """Return the radiance of a perfect diffuser at the scene's origin that faces up and sees every light whole, (61,).
+
+    A sphere whose centre is under the horizon, and a part of a rectangle there, give nothing.
+    """
+    total = np.zeros(BANDS)
+    steps = (np.arange(_PARTS) + 0.5) / _PARTS - 0.5
+    for i, kind in enumerate(lights.kind):
+        shines, centre, size = lights.rotation[i, :, 2], lights.position_mm[i], lights.size_mm[i]
+        if kind == COLLIMATED:
+            factor = max(shines[2], 0.0)
+        elif kind == BALL:
+            squared = max(float(centre @ centre), size[0] ** 2)
+            factor = math.pi * size[0] ** 2 / squared * max(centre[2], 0.0) / math.sqrt(squared)
+        else:
+            a, b = np.meshgrid(steps * size[0], steps * size[1])
+            place = centre + a[..., None] * lights.rotation[i, :, 0] + b[..., None] * lights.rotation[i, :, 1]
+            squared = np.maximum(np.sum(place**2, axis=-1), 1e-12 * size.max() ** 2)
+            cosines = np.maximum(place[..., 2], 0.0) * np.maximum(-place @ shines, 0.0) / squared
+            factor = float(np.mean(cosines / squared)) * size[0] * size[1]
+        total += factor * lights.spectrum[i, :BANDS]
+    return total / math.pi
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _towards(lights, light, point):
+    """Return the squared distance to a light's centre, mm², and the height of a point over the light's plane, mm."""
+    squared, height = 0.0, 0.0
+    for axis in range(3):
+        away = point[axis] - lights.position_mm[light, axis]
+        squared += away * away
+        height += away * lights.rotation[light, axis, 2]
+    return squared, height
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def unobstructed(lights, light, point):
+    """Return about what irradiance a light gives at a point, summed over the wavelengths; 0 where it gives none.
+
+    What lights are chosen by: never 0 where the light shines.
+    """
+    if lights.kind[light] == COLLIMATED:
+        return lights.power[light]
+    squared, height = _towards(lights, light, point)
+    if lights.kind[light] == BALL:
+        radius = lights.size_mm[light, 0]
+        return lights.power[light] * math.pi * radius * radius / squared if squared > radius * radius else 0.0
+    if height <= 0.0:
+        return 0.0
+    area = lights.size_mm[light, 0] * lights.size_mm[light, 1]
+    cosine = max(height / math.sqrt(squared), _LEAST_COSINE)
+    return lights.power[light] * area * cosine / max(squared, area)
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _cap(lights, light, squared):
+    """Return 1 - cos of the half angle under which a sphere is seen from a squared distance."""
+    sine2 = lights.size_mm[light, 0] ** 2 / squared
+    return sine2 / (1.0 + math.sqrt(1.0 - sine2))
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _corners(a, b, c, p, q, r):
+    """Return arccos(-a b) + arccos(-b c), from 0 to 2π, with its digits at both ends.
+
+    ``p``, ``q``, ``r`` are 1 - a², 1 - b², 1 - c². The angles are those of two complex numbers, added in their product.
+    """
+    x, y = -a * b, math.sqrt(p + a * a * q)
+    u, v = -b * c, math.sqrt(q + b * b * r)
+    angle = math.atan2(x * v + y * u, x * u - y * v)
+    return angle if angle >= 0.0 else angle + 2.0 * math.pi
+
+
+@njit(cache=True, _nrt=False, forceinline=True, error_model="numpy")
+def _rectangle(lights, light, point):
+    """Return a rectangle as a point beside its plane sees it.
+
+    Returns
+    -------
+    x, y, z : float, mm
+        Of the corner of least coordinates in the light's frame, from the point; z is not positive.
+    first, second : float
+        Third coordinate of the normals of the planes through the point and the sides of least and of greatest y.
+    rest : float, rad
+        What the angles at the two corners of least x leave of a full turn.
+    solid_angle : float, sr
+    """
+    x, y, z = 0.0, 0.0, 0.0
+    for axis in range(3):
+        away = lights.position_mm[light, axis] - point[axis]
+        x += away * lights.rotation[light, axis, 0]
+        y += away * lights.rotation[light, axis, 1]
+        z += away * lights.rotation[light, axis, 2]
+    width, height = lights.size_mm[light, 0], lights.size_mm[light, 1]
+    x, y, z = x - 0.5 * width, y - 0.5 * height, -abs(z)
+    far_x, far_y, z2 = x + width, y + height, z * z
+    first2, second2, left2, right2 = y * y + z2, far_y * far_y + z2, x * x + z2, far_x * far_x + z2
+    first, second = -y / math.sqrt(first2), far_y / math.sqrt(second2)
+    left, right = -x / math.sqrt(left2), far_x / math.sqrt(right2)
+    first2, second2, left2, right2 = z2 / first2, z2 / second2, z2 / left2, z2 / right2
+    rest = 2.0 * math.pi - _corners(second, left, first, second2, left2, first2)
+    solid_angle = _corners(first, right, second, first2, right2, second2) - rest
+    return x, y, z, first, second, rest, solid_angle
+
+
+@njit(cache=True, _nrt=False, forceinline=True, error_model="numpy")
+def _draw_rectangle(v, x, y, z, width, height, first, second, angle):
+    """Return a place on a rectangle, mm from its corner of least coordinates, even in solid angle.
+
+    ``angle`` goes from what `_rectangle` leaves of a turn to that and the solid angle.
+    """
+    sine = math.sin(angle)
+    slope = (math.cos(angle) * first - second) / sine
+    cosine = math.copysign(1.0 / math.sqrt(slope * slope + first * first), slope)
+    cosine = min(max(cosine, -1.0), 1.0)
+    at_x = min(max(-cosine * z / math.sqrt(max(1.0 - cosine * cosine, 1e-30)), x), x + width)
+    squared = at_x * at_x + z * z
+    low, high = y / math.sqrt(squared + y * y), (y + height) / math.sqrt(squared + (y + height) ** 2)
+    rise = low + v * (high - low)
+    at_y = rise * math.sqrt(squared / max(1.0 - rise * rise, 1e-30))
+    return at_x - x, min(max(at_y - y, 0.0), height)
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def density_towards(lights, light, point, direction):
+    """Return the density in 1/sr with which `sample_towards` draws a direction that meets the light; 0 from behind."""
+    squared, height = _towards(lights, light, point)
+    if lights.kind[light] == BALL:
+        radius = lights.size_mm[light, 0]
+        return 1.0 / (2.0 * math.pi * _cap(lights, light, squared)) if squared > radius * radius else 0.0
+    cosine = 0.0
+    for axis in range(3):
+        cosine -= direction[axis] * lights.rotation[light, axis, 2]
+    if height <= 0.0 or cosine <= 0.0:
+        return 0.0
+    solid_angle = _rectangle(lights, light, point)[6]
+    if solid_angle > _LEAST_SOLID_ANGLE:
+        return 1.0 / solid_angle
+    distance = height / cosine
+    return distance * distance / (lights.size_mm[light, 0] * lights.size_mm[light, 1] * cosine)
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def sample_towards(lights, light, point, u, v, direction, tangent, bitangent):
+    """Fill a unit direction from a point to a light, even in solid angle; of a rectangle that looks small, in area.
+
+    A rectangle is drawn as Ureña et al. (2013) do.
+
+    Parameters
+    ----------
+    lights : Lights
+    light : int
+    point : (3,) float, mm
+    u, v : float
+        Even in [0, 1).
+    direction, tangent, bitangent : (3,) float
+        The last two are buffers.
+
+    Returns
+    -------
+    float, 1/sr
+        Density of the direction, 1 for a collimated light, 0 where the light does not shine.
+    """
+    turn = lights.rotation
+    if lights.kind[light] == COLLIMATED:
+        for axis in range(3):
+            direction[axis] = turn[light, axis, 2]
+        return 1.0
+    squared, above = _towards(lights, light, point)
+    if lights.kind[light] == BALL:
+        radius, distance = lights.size_mm[light, 0], math.sqrt(squared)
+        if distance <= radius:
+            return 0.0
+        for axis in range(3):
+            direction[axis] = (lights.position_mm[light, axis] - point[axis]) / distance
+        frame(direction, tangent, bitangent)
+        rise = u * _cap(lights, light, squared)
+        sine, angle = math.sqrt(rise * (2.0 - rise)), 2.0 * math.pi * v
+        a, b = sine * math.cos(angle), sine * math.sin(angle)
+        for axis in range(3):
+            direction[axis] = (1.0 - rise) * direction[axis] + a * tangent[axis] + b * bitangent[axis]
+        return density_towards(lights, light, point, direction)
+    if above <= 0.0:
+        return 0.0
+    width, height, density = lights.size_mm[light, 0], lights.size_mm[light, 1], 0.0
+    x, y, z, first, second, rest, solid_angle = _rectangle(lights, light, point)
+    a, b = u * width, v * height
+    if solid_angle > _LEAST_SOLID_ANGLE:
+        a, b = _draw_rectangle(v, x, y, z, width, height, first, second, rest + u * solid_angle)
+        density = 1.0 / solid_angle
+    a, b = a - 0.5 * width, b - 0.5 * height
+    length = 0.0
+    for axis in range(3):
+        place = lights.position_mm[light, axis] + a * turn[light, axis, 0] + b * turn[light, axis, 1]
+        direction[axis] = place - point[axis]
+        length += direction[axis] ** 2
+    length = math.sqrt(length)
+    if length <= 0.0:
+        return 0.0
+    for axis in range(3):
+        direction[axis] /= length
+    return density if density > 0.0 else density_towards(lights, light, point, direction)

@@ -1,0 +1,56 @@
+"""Where a ray has met an object: the texel between its neighbours, normals, and axes about a normal."""
+
+import math
+
+from irodori.geometry.surfaces import surface_at
+from irodori.jit.native import njit
+
+
+@njit(cache=True, inline="always")
+def frame(normal, tangent, bitangent):
+    """Fill two unit vectors perpendicular to a normal (Duff et al. 2017, without a branch at the pole)."""
+    sign = math.copysign(1.0, normal[2])
+    a = -1.0 / (sign + normal[2])
+    b = normal[0] * normal[1] * a
+    tangent[0], tangent[1], tangent[2] = 1.0 + sign * normal[0] ** 2 * a, sign * b, -sign * normal[0]
+    bitangent[0], bitangent[1], bitangent[2] = b, sign + normal[1] ** 2 * a, -normal[1]
+
+
+@njit(cache=True, inline="always")
+def _interpolate(pixels, first, width, height, u, v, out):
+    """Fill the bilinear value of a picture at u, v in 0..1; columns wrap, rows end."""
+    x, y = u * width - 0.5, min(max(v * height - 0.5, 0.0), height - 1.0)
+    x0, y0 = math.floor(x), int(y)
+    fx, fy = x - x0, y - y0
+    left, right = int(x0) % width, (int(x0) + 1) % width
+    below = min(y0 + 1, height - 1)
+    a, b = first + y0 * width + left, first + y0 * width + right
+    c, d = first + below * width + left, first + below * width + right
+    wa, wb, wc, wd = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
+    for i in range(out.size):
+        out[i] = wa * pixels[a, i] + wb * pixels[b, i] + wc * pixels[c, i] + wd * pixels[d, i]
+
+
+@njit(cache=True, inline="always")
+def surface(world, index, ray, point, normal, facet, texel):
+    """Move a hit point onto its surface; fill its normals and its interpolated texel.
+
+    Parameters
+    ----------
+    world : NamedTuple
+        With ``surfaces`` (`irodori.geometry.surfaces.Surfaces`) and
+        ``objects`` (`irodori.rendering.scene_arrays.Objects`), one for one.
+    index : int
+        The surface that was met.
+    ray : as of `irodori.geometry.embree.trace`
+    point, normal, facet : (3,) float
+        ``normal`` is the shading normal, ``facet`` that of the surface itself.
+    texel : (k + 2,) float
+    """
+    u, v = surface_at(world.surfaces, index, ray, point, normal, facet)
+    objects = world.objects
+    width, height = objects.texture_size[index, 0], objects.texture_size[index, 1]
+    if objects.wraps[index] == 0:
+        # Columns that do not wrap: stay half a texel inside the texture's edges.
+        u = min(max(u, 0.5 / width), 1.0 - 0.5 / width)
+    _interpolate(objects.texels, objects.first_texel[index], width, height, u, v, texel)

@@ -1,0 +1,1 @@
+"""Stand-ins for the bench: a virtual rig that makes RAW files, and simulated motion controllers."""

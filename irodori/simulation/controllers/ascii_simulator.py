@@ -1,0 +1,216 @@
+"""Simulation of the controller that a rig's file describes, on a pseudo-terminal.
+
+``python -m irodori.simulation.controllers.ascii_simulator RIG.yaml``.
+
+It takes what the description's templates can become and answers with ``simulated_replies``. What can be typed while it
+runs: `irodori.simulation.controllers.peer_server`.
+"""
+
+import argparse
+import json
+import math
+import random
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+
+from irodori.capture.rig.ascii_description import COMMANDS, OPTIONAL, Description, template_pattern
+from irodori.capture.rig.drives import Drive, drives_of
+from irodori.simulation.controllers.peer_client import Simulator, run_simulator
+from irodori.simulation.controllers.peer_server import Machine, add_arguments, serve
+from irodori.simulation.controllers.trapezoidal_motion import Block, Stage
+
+__all__ = ["Simulator", "simulate"]
+
+_LINE_BYTES = 256
+
+
+class AsciiMachine(Machine):
+    """The controller and its mechanics; its axes move independently, homing takes them to position 0.
+
+    Parameters
+    ----------
+    drives : dict
+        Angle: drive.
+    description : Description
+    replies : dict
+        Name of a reply: template with ``axis``, ``position``, ``state`` and ``message``.
+    seed : int
+        Of where the axes stand at first, and of all that is random.
+    homing_rms : float
+        Repeatability of the switches, standard deviation, units.
+    """
+
+    def __init__(
+        self,
+        drives: Mapping[str, Drive],
+        description: Description,
+        replies: Mapping[str, str],
+        seed: int = 0,
+        homing_rms: float = 0.0,
+    ) -> None:
+        super().__init__()
+        self._drives = {drive.channel: drive for drive in drives.values()}
+        self.channels, self._words, self._replies = tuple(self._drives), description, replies
+        self._patterns = {name: template_pattern(text) for name, text in description.commands.items()}
+        self._rng, self._homing_rms = random.Random(seed), homing_rms
+        self.stages = tuple(Stage([self._rng.uniform(*drive.reach)]) for drive in self._drives.values())
+        self.power_up()
+
+    def power_up(self) -> None:
+        """Start with the count at zero wherever the axes stand."""
+        for stage in self.stages:
+            stage.clear()
+        self._origin = {name: stage.position[0] for name, stage in self._named()}
+        self._line, self._alarm, self._held, self._homing = b"", False, False, set()
+
+    def press_hold(self) -> None:
+        """Bring the axes to rest on their ramp; they go on after ``resume``."""
+        if not self._alarm:
+            self._held = True
+            for stage in self.stages:
+                stage.holding = bool(stage.blocks)
+
+    def raise_alarm(self, code: int) -> None:
+        """Stop dead; where the description has words for an alarm, stay in it until homed."""
+        for name, stage in self._named():
+            if stage.speed:
+                self._origin[name] += self._rng.uniform(-0.3, 0.3)
+            stage.clear()
+        self._alarm, self._held, self._homing = bool(self._words.alarm), False, set()
+
+    @property
+    def state(self) -> str:
+        """Return ``alarm``, ``run``, ``hold`` or ``idle``."""
+        return "alarm" if self._alarm else "run" if self.moving else "hold" if self._held else "idle"
+
+    def receive(self, byte: int) -> None:
+        """Take a byte; a line is done when its end has come."""
+        self._line = (self._line + bytes([byte]))[-_LINE_BYTES:]
+        if self._line.endswith(self._words.line_end):
+            line = self._line.removesuffix(self._words.line_end).strip(b"\r\n")
+            self._line = b""
+            self.lines += 1
+            self._obey(line.decode("ascii", "replace"))
+
+    def advance(self, seconds: float) -> None:
+        """Let simulated time pass, s."""
+        for name, stage in self._named():
+            stage.advance(seconds)
+            if stage.holding and not stage.moving and not self._held:
+                stage.clear()
+            if name in self._homing and not stage.blocks:
+                self._homing.discard(name)
+                self._origin[name] = stage.position[0]
+
+    def _named(self):
+        return zip(self.channels, self.stages, strict=True)
+
+    def _obey(self, line: str) -> None:
+        for command in (*COMMANDS, *OPTIONAL):
+            if command not in self._patterns:
+                continue
+            found = self._patterns[command].fullmatch(line)
+            if found and found.groupdict().get("axis", self.channels[0]) in self.channels:
+                self._do(command, found.groupdict())
+                return
+        self._say("refused", message="unknown command")
+
+    def _do(self, command: str, given: dict) -> None:
+        names = [given["axis"]] if "axis" in given else list(self.channels)
+        if command == "stop":
+            for stage in self.stages:
+                stage.holding = bool(stage.blocks)
+            self._homing, self._held = set(), False
+        elif command == "resume":
+            if not self._held or self.moving:
+                self._say("refused", message="not held")
+                return
+            self._held = False
+            for stage in self.stages:
+                stage.holding = False
+        elif command == "home":
+            self._alarm = self._held = False
+            for name in names:
+                self._push(name, self._rng.gauss(0.0, self._homing_rms) if self._homing_rms else 0.0)
+                self._homing.add(name)
+        elif command == "move":
+            low, high = self._drives[names[0]].reach
+            target = float(given["target"])
+            if self._alarm or self._held or not low - 1e-6 <= target <= high + 1e-6:
+                why = "in alarm" if self._alarm else "held" if self._held else "out of range"
+                self._say("refused", message=why)
+                return
+            self._push(names[0], target + self._origin[names[0]])
+        elif command == "position":
+            place = dict(self._named())[names[0]].position[0] - self._origin[names[0]]
+            self._say("position", axis=names[0], position=round(place, 6))
+            return
+        else:
+            self._say("status", axis=names[0], state=self._word(names))
+            return
+        self._say("accepted")
+
+    def _word(self, names: list[str]) -> str:
+        stages = dict(self._named())
+        if self._alarm:
+            return self._words.alarm[0]
+        if any(stages[name].moving for name in names):
+            return self._words.busy[0]
+        if self._held:  # a controller without a word for it says that it is busy
+            return (self._words.hold or self._words.busy)[0]
+        return self._words.idle[0]
+
+    def _push(self, name: str, end: float) -> None:
+        stage, drive = dict(self._named())[name], self._drives[name]
+        stage.clear()
+        if math.fabs(end - stage.position[0]) > 1e-9:
+            stage.push(Block([end], drive.speed, drive.acceleration))
+
+    def _say(self, reply: str, **values) -> None:
+        template = self._replies.get(reply) or self._replies["accepted"]
+        self.output += template.format(**values).encode("ascii") + self._words.line_end
+
+
+def simulate(
+    rig: Mapping, *, time_scale: float = 1.0, seed: int = 0, homing_rms: float = 0.0, faults: Sequence[str] = ()
+) -> AbstractContextManager[Simulator]:
+    """Start the simulator as a process that ends with this one, and with the block.
+
+    Parameters
+    ----------
+    rig : dict
+        Validated definition, whose ``motion`` has the block ``ascii``.
+    time_scale, seed, homing_rms, faults
+        See `irodori.simulation.controllers.grbl_simulator.simulate`.
+    """
+    described = json.dumps({"limits": rig["limits"], "motion": rig["motion"]})
+    arguments = [described, "--time-scale", repr(time_scale), "--seed", str(seed), "--homing-rms", repr(homing_rms)]
+    for fault in faults:
+        arguments += ["--fault", fault]
+    return run_simulator("irodori.simulation.controllers.ascii_simulator", arguments)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the simulator from the command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m irodori.simulation.controllers.ascii_simulator", description=__doc__
+    )
+    parser.add_argument("rig", help="the rig's file, or the JSON of its blocks limits and motion")
+    parser.add_argument("--homing-rms", type=float, default=0.0, help="repeatability of the switches, units")
+    add_arguments(parser)
+    given = parser.parse_args(arguments)
+    if given.rig.lstrip().startswith("{"):
+        rig = json.loads(given.rig)
+    else:
+        from irodori.config.definitions import read_yaml
+        from irodori.config.validation import validate
+
+        rig = validate(read_yaml(given.rig), "rig", given.rig)
+    block = rig["motion"]["ascii"]
+    description = Description.of(block)
+    machine = AsciiMachine(drives_of(rig), description, block["simulated_replies"], given.seed, given.homing_rms)
+    serve(machine, given)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,400 @@
+"""A Grbl 1.1 controller without its line: what it answers and how its axes move.
+
+Followed from the firmware's documentation and its order of events: single-byte commands act at once; lines wait in a
+serial buffer of 128 bytes, and are read while the planner has room; a hold stops the reading; homing answers nothing.
+Moves end at rest (the firmware blends the corners of a path, which no pose of the rig needs).
+"""
+
+import math
+import random
+
+from irodori.capture.rig.drives import along
+from irodori.capture.rig.grbl.protocol import LINE_BYTES, RX_BUFFER_BYTES
+from irodori.simulation.controllers.grbl_gcode import GcodeError, Modes, Move, parse_block
+from irodori.simulation.controllers.peer_server import Machine
+from irodori.simulation.controllers.trapezoidal_motion import Block, Stage
+
+PLANNER_BLOCKS = 15
+DEFAULTS = {
+    0: 10, 1: 25, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0, 10: 1, 11: 0.01, 12: 0.002, 13: 0,
+    20: 1, 21: 0, 22: 1, 23: 0, 24: 300.0, 25: 3000.0, 26: 250, 27: 1.0, 30: 1000.0, 31: 0.0, 32: 0,
+    **dict.fromkeys((100, 101, 102), 100.0), **dict.fromkeys((110, 111, 112), 1200.0),
+    **dict.fromkeys((120, 121, 122), 100.0), **dict.fromkeys((130, 131, 132), 200.0),
+}  # fmt: skip
+_WHOLE = (0, 1, 2, 3, 4, 5, 6, 10, 13, 20, 21, 22, 23, 26, 32)
+_BANNER = "\r\nGrbl 1.1h ['$' for help]"
+_LOCKED = "[MSG:'$H'|'$X' to unlock]"
+_TRAVEL_SLACK = 1e-6
+#: How far behind a switch the mechanics end, units.
+_STOP_BEHIND = 2.0
+#: Error of the count after a stop without a ramp, units at full speed.
+_LOST_AT_SPEED = 0.3
+
+
+class GrblMachine(Machine):
+    """The controller and its mechanics.
+
+    Parameters
+    ----------
+    settings : dict
+        ``$`` settings beside `DEFAULTS`; the travels in it are those of the mechanics as well.
+    letters : str
+        Axes.
+    seed : int
+        Of where the axes stand at first, and of all that is random.
+    homing_rms : float
+        Repeatability of the switches, standard deviation, units.
+    """
+
+    def __init__(self, settings=None, letters: str = "XYZ", seed: int = 0, homing_rms: float = 0.0) -> None:
+        super().__init__()
+        self.settings = {**DEFAULTS, **(settings or {})}
+        self.letters, self.channels, self._homing_rms = letters, tuple(letters), homing_rms
+        self._rng = random.Random(seed)
+        self._length = [self._of(130, axis) for axis in range(len(letters))]
+        starts = [-self._rng.uniform(0.1, 0.9) * length for length in self._length]
+        # Without switches there are no ends either, and the operator has put the axes at zero before switching on.
+        self._has_ends = bool(self.settings[22])
+        self.stage = Stage(starts if self._has_ends else [0.0 for _ in starts])
+        self.stages = (self.stage,)
+        self.power_up()
+
+    # ---- power, reset, alarms
+
+    def power_up(self) -> None:
+        """Start as after switching on: the count begins at zero wherever the axes stand."""
+        self.stage.clear()
+        self._origin = list(self.stage.position)
+        self.state = "Alarm" if self.settings[22] else "Idle"
+        self._restart()
+
+    def raise_alarm(self, code: int) -> None:
+        """Stop dead and report an alarm; hard and soft limits then wait for a reset."""
+        self._stop_dead()
+        self.state, self._locked = "Alarm", code in (1, 2)
+        self._say(f"ALARM:{code}")
+        if self._locked:
+            self._say("[MSG:Reset to continue]")
+
+    def _soft_reset(self) -> None:
+        if self.state == "Home":
+            self.raise_alarm(6)
+        elif self.stage.moving:
+            self.raise_alarm(3)
+        if self.state != "Alarm":
+            self.state = "Alarm" if self.state == "Sleep" else "Idle"
+        self.stage.clear()
+        self._restart()
+
+    def _restart(self) -> None:
+        self._rx, self._line, self._too_long = bytearray(), "", False
+        self._modes, self._locked, self._blocked, self._suspended = Modes(), False, None, False
+        self._dwell_s, self._alarm_when_still, self._reports, self._report_due = 0.0, 0, 0, False
+        self._homing: list[tuple[list[float], float]] = []
+        self._say(_BANNER)
+        if self.state == "Alarm":
+            self._say(_LOCKED)
+
+    def _stop_dead(self) -> None:
+        """Stop without a ramp: the motors lose steps, so that the count no longer fits the axes."""
+        if self.stage.moving and self.stage.speed:
+            for axis in range(len(self.letters)):
+                share = self.stage.speed / (self._of(110, axis) / 60.0)
+                self._origin[axis] += self._rng.uniform(-_LOST_AT_SPEED, _LOST_AT_SPEED) * min(1.0, share)
+        self.stage.clear()
+        self._homing = []
+
+    # ---- the line
+
+    def receive(self, byte: int) -> None:
+        """Take a byte: single-byte commands act, the others wait in the serial buffer, or are lost where it is full."""
+        acts = {0x18: self._soft_reset, 0x3F: self._ask, 0x21: self.press_hold, 0x7E: self._resume, 0x85: self._cancel}
+        if byte in acts:
+            acts[byte]()
+        elif byte < 0x80 and len(self._rx) < RX_BUFFER_BYTES:
+            self._rx.append(byte)
+        self._read()
+
+    def _read(self) -> None:
+        """Read lines from the serial buffer for as long as nothing is in the way."""
+        while self._rx and not (self._blocked or self._suspended or self._locked or self.state == "Home"):
+            letter = chr(self._rx.pop(0))
+            if letter not in "\r\n":
+                self._too_long |= len(self._line) >= LINE_BYTES - 1
+                self._line += "" if letter <= " " or self._too_long else letter.upper()
+                continue
+            line, too_long = self._line.partition(";")[0], self._too_long
+            self._line, self._too_long = "", False
+            self.lines += bool(line) or letter == "\n"
+            try:
+                if too_long:
+                    raise GcodeError(11)
+                self._execute(line)
+            except GcodeError as error:
+                self._say(f"error:{error.code}")
+
+    def _execute(self, line: str) -> None:
+        if line.startswith("$"):
+            self._system(line)
+        elif line and self.state in ("Alarm", "Jog"):
+            raise GcodeError(9)
+        else:
+            self._take(parse_block(line, self._modes, self.letters) if line else Move())
+
+    def _say(self, text: str) -> None:
+        self.output += text.encode() + b"\r\n"
+
+    # ---- single bytes
+
+    def _ask(self) -> None:
+        if self.state == "Home":
+            self._report_due = True
+        else:
+            self._say(self._report())
+
+    def press_hold(self) -> None:
+        """Begin a feed hold, as ``!`` and the input at the board do."""
+        if self.state == "Jog":
+            self._cancel()
+        elif self.state in ("Run", "Idle"):
+            self.state, self.stage.holding, self._suspended = "Hold", True, True
+
+    def _resume(self) -> None:
+        if self.state == "Hold" and self.stage.speed == 0.0:
+            self.stage.holding = self._suspended = False
+            self.state = "Run" if self.stage.blocks else "Idle"
+            self._read()
+
+    def _cancel(self) -> None:
+        if self.state == "Jog":
+            self.stage.holding = True
+            # Grbl flushes its serial buffer with the jogs that wait.
+            self._rx.clear()
+            self._line, self._blocked = "", None
+
+    def _report(self) -> str:
+        mask = int(self.settings[10])
+        state = self.state
+        if state == "Hold":
+            state += ":1" if self.stage.speed else ":0"
+        fields = [state, ("MPos:" if mask & 1 else "WPos:") + _join(self.count())]
+        if mask & 2:
+            room = PLANNER_BLOCKS - len(self.stage.blocks)
+            fields.append(f"Bf:{room},{RX_BUFFER_BYTES - len(self._rx)}")
+        fields.append(f"FS:{self.stage.speed * 60:.0f},0")
+        if self._reports % 10 == 0:
+            fields.append("WCO:" + _join([0.0] * len(self.letters)))
+        elif self._reports % 10 == 1:
+            fields.append("Ov:100,100,100")
+        self._reports += 1
+        return f"<{'|'.join(fields)}>"
+
+    def count(self) -> list[float]:
+        """Return the position that the controller believes in, units."""
+        counted = []
+        for axis, (true, origin) in enumerate(zip(self.stage.position, self._origin, strict=True)):
+            steps = self._of(100, axis)
+            counted.append(round((true - origin) * steps) / steps)
+        return counted
+
+    # ---- lines that begin with $
+
+    def _system(self, line: str) -> None:
+        if line.startswith("$J="):
+            if self.state not in ("Idle", "Jog"):
+                raise GcodeError(8)
+            self._take(parse_block(line[3:], self._modes, self.letters, jog=True), jog=True)
+            return
+        still = self.state in ("Idle", "Alarm")
+        if line not in ("$", "$G", "$X", "$C", "$$") and not still:
+            raise GcodeError(8)
+        if line == "$$" and self.state in ("Run", "Hold"):
+            raise GcodeError(8)
+        if line == "$H":
+            self._begin_homing()
+            return
+        answers = {"$": ["[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"],
+                   "$$": [f"${number}={self._printed(number)}" for number in sorted(self.settings)],
+                   "$G": [self._modes.report()],
+                   "$I": ["[VER:1.1h.20190830:]", f"[OPT:V,{PLANNER_BLOCKS},{RX_BUFFER_BYTES}]"],
+                   "$N": ["$N0=", "$N1="],
+                   "$#": [f"[G{n}:{_join([0.0] * len(self.letters))}]" for n in (*range(54, 60), 28, 30, 92)]
+                         + ["[TLO:0.000]", f"[PRB:{_join([0.0] * len(self.letters))}:0]"]}  # fmt: skip
+        if line == "$X":
+            if self.state == "Alarm":
+                self._say("[MSG:Caution: Unlocked]")
+                self.state = "Idle"
+        elif line == "$C":
+            self._check_mode()
+        elif line == "$SLP":
+            self.state = "Sleep"
+        elif line in answers:
+            for answer in answers[line]:
+                self._say(answer)
+        else:
+            self._store(line)
+        self._say("ok")
+
+    def _check_mode(self) -> None:
+        if self.state == "Check":
+            self._say("[MSG:Disabled]")
+            self._soft_reset()
+        elif self.state != "Idle":
+            raise GcodeError(8)
+        else:
+            self._say("[MSG:Enabled]")
+            self.state = "Check"
+
+    def _store(self, line: str) -> None:
+        number, equals, value = line[1:].partition("=")
+        try:
+            key, new = float(number), float(value) if equals else 0.0
+        except ValueError:
+            raise GcodeError(2 if number[:1].isdigit() else 3) from None
+        if not equals or key not in self.settings:
+            raise GcodeError(3)
+        if not 0.0 <= new < math.inf:
+            raise GcodeError(4)
+        if key == 20 and new and not self.settings[22]:
+            raise GcodeError(10)
+        if key == 0 and new < 3:
+            raise GcodeError(6)
+        self.settings[int(key)] = new
+        if key == 22 and not new:
+            self.settings[20] = 0
+
+    def _printed(self, number: int) -> str:
+        value = self.settings[number]
+        return str(int(value)) if number in _WHOLE else f"{value:.3f}"
+
+    def _of(self, first: int, axis: int) -> float:
+        return float(self.settings.get(first + axis, self.settings[first]))
+
+    # ---- motion
+
+    def _take(self, move: Move, jog: bool = False) -> None:
+        """Put a move into the planner, or wait until there is room; answer it."""
+        if move.dwell_s is not None:
+            self._blocked, self._dwell_s = move, move.dwell_s
+            return
+        target = self._target(move)
+        outside = self.settings[20] and not all(
+            -self._of(130, axis) - _TRAVEL_SLACK <= place <= _TRAVEL_SLACK for axis, place in enumerate(target)
+        )
+        if outside and jog:
+            raise GcodeError(15)
+        if outside:
+            self._soft_limit()
+            return
+        if self.state != "Check" and move.targets:
+            if len(self.stage.blocks) >= PLANNER_BLOCKS:
+                self._blocked = (move, jog)
+                return
+            self._plan(target, move.feed)
+            if self.state in ("Idle", "Run", "Jog") and self.stage.blocks:
+                self.state = "Jog" if jog else "Run"
+        self._say("ok")
+
+    def _target(self, move: Move) -> list[float]:
+        """Return where a move ends in the controller's count, on whole steps."""
+        target = [true - origin for true, origin in zip(self.stage.end, self._origin, strict=True)]
+        for letter, value in move.targets.items():
+            axis = self.letters.index(letter)
+            steps = self._of(100, axis)
+            target[axis] = round((value + (target[axis] if move.relative else 0.0)) * steps) / steps
+        return target
+
+    def _plan(self, target: list[float], feed: float | None) -> None:
+        end = [count + origin for count, origin in zip(target, self._origin, strict=True)]
+        way = [b - a for a, b in zip(self.stage.end, end, strict=True)]
+        if max(map(abs, way)) < 1e-9:
+            return
+        axes = range(len(self.letters))
+        speed, acceleration = along(way, [self._of(110, a) / 60.0 for a in axes], [self._of(120, a) for a in axes])
+        speed = speed if feed is None else min(speed, feed / 60.0)
+        self.stage.push(Block(end, speed, acceleration))
+
+    def _soft_limit(self) -> None:
+        if self.stage.moving:
+            self.stage.holding, self._alarm_when_still, self._blocked = True, 2, Move()
+        else:
+            self.raise_alarm(2)
+
+    def _begin_homing(self) -> None:
+        if not self.settings[22]:
+            raise GcodeError(5)
+        self.state = "Home"
+        self.stage.clear()
+        signs = [-1 if int(self.settings[23]) >> axis & 1 else 1 for axis in range(len(self.letters))]
+        error = [self._rng.gauss(0.0, self._homing_rms) if self._homing_rms else 0.0 for _ in signs]
+        switch = [
+            (0.0 if sign > 0 else -length) + e for sign, length, e in zip(signs, self._length, error, strict=True)
+        ]
+        off = [place - sign * self.settings[27] for place, sign in zip(switch, signs, strict=True)]
+        seek, locate = self.settings[25] / 60.0, self.settings[24] / 60.0
+        self._homing = [(switch, seek), (off, seek), (switch, locate), (off, seek)]
+        self._next_homing()
+
+    def _next_homing(self) -> None:
+        target, speed = self._homing.pop(0)
+        self.stage.push(Block(list(target), speed, min(self._of(120, a) for a in range(len(self.letters)))))
+
+    def advance(self, seconds: float) -> None:
+        """Let simulated time pass, s."""
+        self.stage.advance(seconds)
+        self._meet_stops()
+        if isinstance(self._blocked, tuple) and len(self.stage.blocks) < PLANNER_BLOCKS and not self._suspended:
+            waiting, self._blocked = self._blocked, None
+            self._take(*waiting)
+            self._read()
+        if self.stage.moving:
+            return
+        if self._alarm_when_still:
+            code, self._alarm_when_still = self._alarm_when_still, 0
+            self.raise_alarm(code)
+        elif self.state == "Home":
+            self._go_on_homing()
+        elif self.state == "Jog" or (self.state == "Run" and not self.stage.blocks):
+            self.stage.clear()
+            self.state = "Idle"
+        self._dwell(seconds)
+        self._read()
+
+    def _go_on_homing(self) -> None:
+        if self._homing:
+            self._next_homing()
+            return
+        for axis, length in enumerate(self._length):
+            negative = int(self.settings[23]) >> axis & 1
+            count = -length + self.settings[27] if negative else -self.settings[27]
+            self._origin[axis] = self.stage.position[axis] - count
+        self.state = "Idle"
+        if self._report_due:
+            self._report_due = False
+            self._say(self._report())
+        self._say("ok")
+
+    def _dwell(self, seconds: float) -> None:
+        """Let a dwell run, which waits for all moves before it."""
+        if isinstance(self._blocked, Move) and not (self.stage.blocks or self._suspended or self._locked):
+            self._dwell_s -= seconds
+            if self._dwell_s <= 0.0:
+                self._blocked = None
+                self._say("ok")
+
+    def _meet_stops(self) -> None:
+        """Raise the alarm of a limit switch, or stall the motor at the end of the mechanics."""
+        if self.state == "Home" or not self._has_ends:
+            return
+        for axis, length in enumerate(self._length):
+            place = self.stage.position[axis]
+            if self.settings[21] and not -length - 1e-6 <= place <= 1e-6 and self.stage.moving:
+                self.raise_alarm(1)
+            end = min(max(place, -length - _STOP_BEHIND), _STOP_BEHIND)
+            if end != place:
+                self.stage.shift(axis, end)
+                self._origin[axis] += end - place
+
+
+def _join(values) -> str:
+    return ",".join(f"{value:.3f}" for value in values)

@@ -1,0 +1,309 @@
+"""The process behind a pseudo-terminal: carries bytes to and from a simulated controller, and does the faults.
+
+Commands on standard input, each answered by one line of JSON on standard output:
+
+* ``fault TEXT``: see `irodori.simulation.controllers.line_faults`; ``clear``: forget faults that have not happened, end
+a stall.
+* ``state``: state, whether anything moves, true position and its extremes in controller units, by channel;
+  ``forget``: start the extremes anew.
+* ``power``: switch the controller off and on; ``pace X``: X simulated seconds in a real one; ``quit``: end.
+"""
+
+import argparse
+import contextlib
+import json
+import math
+import os
+import random
+import select
+import signal
+import sys
+import tempfile
+import time
+import tty
+from abc import ABC, abstractmethod
+from pathlib import Path
+
+from irodori.simulation.controllers.line_faults import Fault, parse_fault
+from irodori.simulation.controllers.trapezoidal_motion import Stage
+
+#: Simulated time that passes between two looks at the faults, s.
+_SLICE_S = 5e-3
+_BUSY_WAIT_S, _IDLE_WAIT_S = 1e-3, 2e-2
+
+
+class Machine(ABC):
+    """A controller without its line.
+
+    Attributes
+    ----------
+    channels : tuple of str
+        Names of its axes.
+    stages : tuple of Stage
+        What it moves, in true coordinates: those of the mechanics, whatever the controller believes. Channels of one
+        stage move together; the channels are those of the stages, one after the other.
+    output : bytearray
+        What it has sent and the line has not taken yet.
+    lines : int
+        Lines that have arrived.
+    state : str
+    """
+
+    channels: tuple[str, ...]
+    stages: tuple[Stage, ...]
+    state: str
+
+    def __init__(self) -> None:
+        self.output = bytearray()
+        self.lines = 0
+
+    @property
+    def moving(self) -> bool:
+        """Whether any axis moves."""
+        return any(stage.moving for stage in self.stages)
+
+    @property
+    def progress(self) -> float | None:
+        """Part of the path of the motion that began last, None where there is no motion."""
+        return min((stage.progress for stage in self.stages if stage.blocks), default=None)
+
+    @abstractmethod
+    def receive(self, byte: int) -> None:
+        """Take a byte from the line."""
+
+    @abstractmethod
+    def advance(self, seconds: float) -> None:
+        """Let simulated time pass, s."""
+
+    @abstractmethod
+    def power_up(self) -> None:
+        """Lose what a controller loses with its power, and start."""
+
+    @abstractmethod
+    def raise_alarm(self, code: int) -> None:
+        """Stop dead and report an alarm."""
+
+    @abstractmethod
+    def press_hold(self) -> None:
+        """Bring the axes to rest on their ramp and keep what they were to do, as the button at the bench does."""
+
+
+class Server:
+    """One machine behind one pseudo-terminal.
+
+    Parameters
+    ----------
+    machine : Machine
+    link : path
+        Symbolic link to the pseudo-terminal; it stays the same when the line hangs up and comes back.
+    time_scale : float
+        Simulated seconds in a real one.
+    seed : int
+        Of the random bytes of a garbled line.
+    parent : int, optional
+        Process with which the server ends.
+    """
+
+    def __init__(self, machine: Machine, link, time_scale: float, seed: int, parent: int | None = None) -> None:
+        self.machine, self.link, self.scale, self.parent = machine, Path(link), time_scale, parent
+        self._rng = random.Random(seed)
+        self._waiting: list[tuple[Fault, int]] = []
+        self._lost_out = self._lost_in = self._garble = 0
+        self._stalled_until = self._back_at = 0.0
+        self._master = self._slave = -1
+        self._commands = b""
+        self._plug()
+
+    def run(self) -> None:
+        """Serve until told to quit, or until the parent is gone."""
+        print(self.link, flush=True)
+        last, inputs, going = time.monotonic(), [0], True
+        while going and (self.parent is None or os.getppid() == self.parent):
+            ready = self._wait(inputs)
+            now = time.monotonic()
+            self._pass((now - last) * self.scale)
+            last = now
+            if self._master in ready:
+                self._take()
+            if 0 in ready:
+                going = self._obey(inputs)
+            self._fire()
+            self._give()
+            if self._master < 0 and now >= self._back_at:
+                self._plug()
+
+    def close(self) -> None:
+        """Hang up and remove the symbolic link."""
+        self._unplug()
+
+    def _wait(self, inputs: list[int]) -> list[int]:
+        busy = self.machine.moving or self.machine.output or self._waiting
+        reading = inputs + ([self._master] if self._master >= 0 else [])
+        return select.select(reading, [], [], _BUSY_WAIT_S if busy else _IDLE_WAIT_S)[0]
+
+    def _pass(self, seconds: float) -> None:
+        while seconds > 0.0:
+            if not self.machine.moving:
+                self.machine.advance(seconds)
+                break
+            self.machine.advance(min(seconds, _SLICE_S))
+            seconds -= _SLICE_S
+            self._fire()
+
+    def _take(self) -> None:
+        """Read what the line brings."""
+        try:
+            data = os.read(self._master, 4096)
+        except OSError:  # nothing there after all
+            return
+        for byte in data:
+            if self._lost_in:
+                self._lost_in -= 1
+            else:
+                self.machine.receive(byte)
+
+    def _give(self) -> None:
+        """Write what the machine says, unless it is stalled; nobody hears it where the line is hung up."""
+        output = self.machine.output
+        if self._master < 0:
+            output.clear()
+        if not output or time.monotonic() < self._stalled_until:
+            return
+        lost = min(self._lost_out, len(output))
+        self._lost_out -= lost
+        del output[:lost]
+        data = bytes(output)
+        output.clear()
+        if self._garble and data.strip():
+            data, self._garble = self._garbled(data), self._garble - 1
+        with contextlib.suppress(BlockingIOError):  # a UART does not wait for a reader either
+            os.write(self._master, data)
+
+    def _garbled(self, data: bytes) -> bytes:
+        first, end, rest = data.lstrip().partition(b"\n")
+        length = len(first.rstrip(b"\r"))
+        for place in {0, *range(self._rng.randrange(3), length, 3)}:
+            first = first[:place] + bytes([self._rng.randrange(128, 256)]) + first[place + 1 :]
+        return first + end + rest
+
+    def _fire(self) -> None:
+        """Do the faults whose moment is there."""
+        progress = self.machine.progress if self._waiting else None
+        due = [item for item in self._waiting if item[0].due(self.machine.lines - item[1], progress)]
+        for item in due:
+            self._waiting.remove(item)
+            self._do(item[0])
+
+    def _do(self, fault: Fault) -> None:
+        if fault.kind == "drop-output":
+            self._lost_out += int(fault.value)
+        elif fault.kind == "drop-input":
+            self._lost_in += int(fault.value)
+        elif fault.kind == "garble":
+            self._garble += 1
+        elif fault.kind == "stall":
+            self._stalled_until = time.monotonic() + fault.value
+        elif fault.kind == "hangup":
+            self._unplug()
+            self._back_at = time.monotonic() + fault.value
+        elif fault.kind == "reset":
+            self.machine.power_up()
+        elif fault.kind == "hold":
+            self.machine.press_hold()
+        else:
+            self.machine.raise_alarm(int(fault.value))
+
+    def _obey(self, inputs: list[int]) -> bool:
+        """Answer the commands on standard input; return whether to go on."""
+        got = os.read(0, 4096)
+        if not got:
+            inputs.clear()
+            return self.parent is None
+        *lines, self._commands = (self._commands + got).split(b"\n")
+        for line in lines:
+            word, _, rest = line.decode("utf-8", "replace").strip().partition(" ")
+            if word == "quit":
+                return False
+            print(json.dumps(self._answer(word, rest)), flush=True)
+        return True
+
+    def _answer(self, word: str, rest: str) -> dict:
+        if word == "fault":
+            try:
+                self._waiting.append((parse_fault(rest), self.machine.lines))
+            except ValueError as error:
+                return {"error": str(error)}
+            return {}
+        if word == "clear":
+            self._waiting.clear()
+            self._lost_out = self._lost_in = self._garble = 0
+            self._stalled_until, self._back_at = 0.0, min(self._back_at, time.monotonic())
+            return {}
+        if word == "pace":
+            self.scale = float(rest)
+            return {}
+        if word == "power":
+            self.machine.power_up()
+            return {}
+        if word == "forget":
+            for stage in self.machine.stages:
+                stage.low, stage.high = list(stage.position), list(stage.position)
+            return {}
+        if word == "state":
+            return self._state()
+        return {"error": f"no command {word!r}; commands: fault, clear, state, forget, pace, power, quit"}
+
+    def _state(self) -> dict:
+        stages, names = self.machine.stages, self.machine.channels
+        found = {"state": self.machine.state, "moving": self.machine.moving, "waiting_faults": len(self._waiting)}
+        for key in ("position", "low", "high"):
+            values = [value for stage in stages for value in getattr(stage, key)]
+            found[key] = dict(zip(names, values, strict=True))
+        return found
+
+    def _plug(self) -> None:
+        # The server keeps the other end open too: without an opener, reading its own end would fail.
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        new = self.link.with_name(self.link.name + ".new")
+        new.unlink(missing_ok=True)
+        new.symlink_to(os.ttyname(self._slave))
+        new.replace(self.link)
+
+    def _unplug(self) -> None:
+        if self._master >= 0:
+            self.link.unlink(missing_ok=True)
+            os.close(self._master)
+            os.close(self._slave)
+            self._master = self._slave = -1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that every simulator takes."""
+    parser.add_argument("--time-scale", type=float, default=1.0, help="simulated seconds in a real one")
+    parser.add_argument("--seed", type=int, default=0, help="start of the random numbers")
+    parser.add_argument("--link", help="symbolic link to make to the pseudo-terminal; a temporary one where absent")
+    parser.add_argument("--parent", type=int, help="process with which the simulator ends")
+    parser.add_argument("--fault", action="append", default=[], help="fault to begin with, such as 'move 0.5 reset'")
+
+
+def serve(machine: Machine, arguments: argparse.Namespace) -> None:
+    """Run a machine until it is told to quit, interrupted, or its parent is gone."""
+    if not (0.0 < arguments.time_scale < math.inf):
+        raise SystemExit(f"--time-scale {arguments.time_scale:g}: accepted: a number above 0")
+    with tempfile.TemporaryDirectory(prefix="irodori-") as folder:
+        server = Server(
+            machine, arguments.link or Path(folder) / "port", arguments.time_scale, arguments.seed, arguments.parent
+        )
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+        try:
+            for text in arguments.fault:
+                server._waiting.append((parse_fault(text), 0))
+            server.run()
+        except ValueError as error:
+            raise SystemExit(str(error)) from None
+        except KeyboardInterrupt:
+            pass
+        finally:
+            server.close()

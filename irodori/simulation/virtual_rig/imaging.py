@@ -1,0 +1,310 @@
+"""What each mosaic pixel of the virtual camera receives from a sample under a far or a near light, with shadows."""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from irodori.geometry.distortion import undistort
+from irodori.geometry.embree import Tracer, hit_distance, hit_shape, is_blocked, new_ray, trace
+from irodori.geometry.lamp import Lamp
+from irodori.geometry.pinhole import Pinhole
+from irodori.geometry.shapes import MESH, PLATE
+from irodori.geometry.surfaces import Surfaces, face_viewer, make_surfaces, surface_at
+from irodori.jit.native import njit, run_chunks, uncounted
+from irodori.simulation.virtual_rig.aperture import gather_rows, place_in_cell
+from irodori.simulation.virtual_rig.sample_reflection import MEASURED, gloss_lobe, measured_lobe
+
+_BLOCK_ROWS = 16
+
+
+@njit(cache=True, inline="always")
+def _lookup(table, cosine, band):
+    position = min(max(cosine, 0.0), 1.0) * (table.shape[0] - 1)
+    node = min(int(position), table.shape[0] - 2)
+    part = position - node
+    return (1.0 - part) * table[node, band] + part * table[node + 1, band]
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _response(out, sample, material, setup, point, ci):
+    """Fill the responses of one point, lit at the cosine `ci` and seen from its front, in the state's three bands."""
+    normal, view, light, power = point.normal, point.back, point.light, point.lamp[0]
+    cr = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
+    hx, hy, hz = light[0] + view[0], light[1] + view[1], light[2] + view[2]
+    length = math.sqrt(hx * hx + hy * hy + hz * hz)
+    cos_phi = min((hx * normal[0] + hy * normal[1] + hz * normal[2]) / length, 1.0)
+    cos_h = length / 2.0
+    lobe, image = 0.0, 0.0
+    if sample.model[material] != MEASURED:
+        lobe = sample.beta[material] * gloss_lobe(sample.model[material], sample.mu[material], ci, cr, cos_phi, cos_h)
+    # The lamp is a disc: its mirror image is seen where the mirrored view falls within its angular radius, whose
+    # sine squared grows as the irradiance does; its radiance is the same from everywhere.
+    mirrored = 2.0 * ci * cr - (view[0] * light[0] + view[1] * light[1] + view[2] * light[2])
+    width = (1.0 - setup.lamp_cosine**2) * power
+    if setup.lamp_cosine < 1.0 and mirrored >= math.sqrt(max(1.0 - width, 0.0)):
+        image = sample.mirror / width
+    for band in range(out.size):
+        if sample.model[material] == MEASURED:
+            rough = ci * measured_lobe(sample.measured[sample.table[material]], cos_phi, cos_h, band)
+        else:
+            rough = sample.diffuse[material, band] * ci + lobe * _lookup(sample.fresnel, cos_h, band)
+        out[band] = power * (rough + image * _lookup(sample.fresnel, ci, band))
+
+
+class _Setup(NamedTuple):
+    """One pose of the virtual rig for the compiled loop."""
+
+    intersect: int
+    occluded: int
+    scene: int
+    camera_mm: np.ndarray  # (3,)
+    world_from_camera: np.ndarray  # (3, 3)
+    focal_px: float
+    centre_px: np.ndarray  # (2,)
+    distortion: np.ndarray  # (8,)
+    fold: float
+    is_distorted: bool
+    ideal_from_seen: np.ndarray  # (2, 3) in mosaic coordinates
+    to_light: np.ndarray  # (3,)
+    light_distance_mm: float  # from the origin; infinite for a far light
+    lamp_cosine: float  # of its angular radius seen from the origin
+    reach_mm: float  # of the sample from the origin
+    offset_mm: float  # above the surface, at which shadow rays leave
+    is_open: bool  # whether nothing can stand between a point that faces the lamp and the lamp
+
+
+class _Point(NamedTuple):
+    """Buffers of one thread for the point that a ray meets; all vectors are (3,)."""
+
+    direction: np.ndarray  # from the camera
+    world: np.ndarray
+    normal: np.ndarray
+    facet: np.ndarray
+    back: np.ndarray  # to the camera
+    light: np.ndarray  # to the lamp
+    uv: np.ndarray  # (2,)
+    lamp: np.ndarray  # (2,) irradiance normal to the beam, 1 at the origin; distance in mm
+    origin: np.ndarray  # of the shadow ray
+
+
+@njit(cache=True)
+def _new_point():
+    return _Point(
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(3),
+        np.empty(2),
+        np.empty(2),
+        np.empty(3),
+    )
+
+
+class _Subject(NamedTuple):
+    """The sample for the compiled loop."""
+
+    checks: np.ndarray  # (2,) columns, rows
+    diffuse: np.ndarray  # (materials, 3) band responses of S(λ)
+    model: np.ndarray  # (materials,) PAPER, GGX or MEASURED
+    beta: np.ndarray  # (materials,)
+    mu: np.ndarray  # (materials,)
+    table: np.ndarray  # (materials,) index into `measured`
+    measured: np.ndarray  # (tables, half nodes, difference nodes, 3) π times the BRDF
+    mirror: float
+    fresnel: np.ndarray  # (nodes, 3)
+
+
+@njit(cache=True, inline="always")
+def _aim(setup, x, y, direction):
+    """Fill the direction in which the camera sees a point of the mosaic."""
+    m = setup.ideal_from_seen
+    x, y = m[0, 0] * x + m[0, 1] * y + m[0, 2], m[1, 0] * x + m[1, 1] * y + m[1, 2]
+    px, py = (x - setup.centre_px[0]) / setup.focal_px, (y - setup.centre_px[1]) / setup.focal_px
+    if setup.is_distorted:
+        px, py = undistort(setup.distortion, setup.fold, px, py)
+    scale = 1.0 / math.sqrt(px * px + py * py + 1.0)
+    axes = setup.world_from_camera
+    for a in range(3):
+        direction[a] = (axes[a, 0] * px + axes[a, 1] * py + axes[a, 2]) * scale
+
+
+@njit(cache=True, inline="always")
+def _may_hit(setup, direction):
+    """Whether a ray from the camera meets the sphere about the sample; most of a picture does not."""
+    eye = setup.camera_mm
+    along = eye[0] * direction[0] + eye[1] * direction[1] + eye[2] * direction[2]
+    return eye[0] ** 2 + eye[1] ** 2 + eye[2] ** 2 - along**2 <= setup.reach_mm**2
+
+
+@njit(cache=True, inline="always")
+def _is_seen(setup, surfaces, ray, point):
+    """Whether a ray from the camera sees the front of the sample; fills its point, its normals and the way back."""
+    trace(setup.intersect, setup.scene, ray, setup.camera_mm, point.direction, np.inf)
+    if hit_shape(ray) != 0:
+        return False
+    for a in range(3):
+        point.world[a] = setup.camera_mm[a] + hit_distance(ray) * point.direction[a]
+        point.back[a] = -point.direction[a]
+    point.uv[0], point.uv[1] = surface_at(surfaces, 0, ray, point.world, point.normal, point.facet)
+    return face_viewer(point.normal, point.facet, point.direction) > 0.0
+
+
+@njit(cache=True, inline="always")
+def _face_lamp(setup, point):
+    """Fill the way to the lamp and its power at a point; return the cosine with the normal, 0 behind the surface."""
+    if math.isinf(setup.light_distance_mm):
+        for a in range(3):
+            point.light[a] = setup.to_light[a]
+        point.lamp[0], point.lamp[1] = 1.0, np.inf
+    else:
+        total = 0.0
+        for a in range(3):
+            point.light[a] = setup.light_distance_mm * setup.to_light[a] - point.world[a]
+            total += point.light[a] ** 2
+        distance = math.sqrt(total)
+        for a in range(3):
+            point.light[a] /= distance
+        point.lamp[0], point.lamp[1] = setup.light_distance_mm**2 / total, distance
+    cosine, front = 0.0, 0.0
+    for a in range(3):
+        cosine += point.normal[a] * point.light[a]
+        front += point.facet[a] * point.light[a]
+    return cosine if front > 0.0 else 0.0
+
+
+@njit(cache=True, inline="always")
+def _is_lit(setup, ray, point):
+    """Whether nothing stands between a point and the light."""
+    for a in range(3):
+        point.origin[a] = point.world[a] + setup.offset_mm * point.facet[a]
+    trace(setup.occluded, setup.scene, ray, point.origin, point.light, point.lamp[1])
+    return not is_blocked(ray)
+
+
+@njit(cache=True, inline="always")
+def _material_at(sample, point):
+    """Return the material of a point of the surface."""
+    column = min(max(int(point.uv[0] * sample.checks[0]), 0), sample.checks[0] - 1)
+    row = min(max(int(point.uv[1] * sample.checks[1]), 0), sample.checks[1] - 1)
+    return (row * sample.checks[0] + column) % sample.beta.size
+
+
+@njit(cache=True, nogil=True)
+def _expose(setup, sample, surfaces, image, first, last):
+    """Fill a block of rows: look through each quarter of a pixel, then let the pixels gather theirs."""
+    points = np.empty((2 * (last - first) + 2, 2 * image.shape[1] + 2, 3))
+    _look(setup, sample, surfaces, new_ray(), _new_point(), points, first)
+    gather_rows(points, first, image)
+
+
+@uncounted(error_model="numpy")
+def _look(setup, sample, surfaces, ray, point, points, first):
+    """Fill what is seen in quarters of pixels, from half a pixel before the row ``first`` on."""
+    for i in range(points.shape[0]):
+        for j in range(points.shape[1]):
+            x, y = place_in_cell(2 * first + i - 1, j - 1)
+            _aim(setup, x, y, point.direction)
+            out = points[i, j]
+            out[:] = 0.0
+            if _may_hit(setup, point.direction) and _is_seen(setup, surfaces, ray, point):
+                ci = _face_lamp(setup, point)
+                if ci > 0.0 and (setup.is_open or _is_lit(setup, ray, point)):
+                    _response(out, sample, _material_at(sample, point), setup, point, ci)
+
+
+@dataclass(frozen=True)
+class View:
+    """From where, through what and under which light the sample is seen.
+
+    Parameters
+    ----------
+    pinhole : Pinhole
+    position_mm : (3,) float
+        Centre of projection in the rig's frame.
+    world_from_camera : (3, 3) float
+    to_light : (3,) float, unit vector from the origin
+    lamp : Lamp
+    lamp_radius_rad : float
+        Angular radius of the lamp seen from the origin, for its mirror image.
+    ideal_from_seen : (2, 3) float
+        Affine map of mosaic coordinates: where a picture without the filter's plate shows what is seen.
+    """
+
+    pinhole: Pinhole
+    position_mm: np.ndarray
+    world_from_camera: np.ndarray
+    to_light: np.ndarray
+    lamp: Lamp
+    lamp_radius_rad: float
+    ideal_from_seen: np.ndarray
+
+
+def _is_open(placements, to_light: np.ndarray, lamp: Lamp) -> bool:
+    """Whether a point of the first shape that faces the lamp is lit whatever else stands there.
+
+    A convex shape does not shade itself, and a table under it shades nothing while the lamp is above its plane.
+    """
+    shape, table = placements[0].shape, placements[1:]
+    normals = [top.rotation[:, 2] for top in table]
+    if shape.kind == MESH or any(top.shape.kind != PLATE for top in table):
+        return False
+    if not lamp.is_near:
+        return all(float(normal @ to_light) >= 0.0 for normal in normals)
+    place = lamp.distance_mm * to_light
+    return all(float(normal @ (place - top.translation_mm)) >= 0.0 for normal, top in zip(normals, table, strict=True))
+
+
+def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) -> np.ndarray:
+    """Return what each mosaic pixel receives from the sample under the rig's light.
+
+    Parameters
+    ----------
+    sample : irodori.simulation.virtual_rig.samples.Sample
+    tracer : Tracer
+        Shape 0 is the sample; the others only cast shadows, and it stands above the plane of each that is a plate.
+    view : View
+    band_weights : (3, 61) float
+        Those of the photograph's filter state, see `irodori.simulation.virtual_rig.sensor.band_weights`.
+
+    Returns
+    -------
+    (height, width) float64, responses
+    """
+    setup = _Setup(
+        intersect=tracer.intersect_address,
+        occluded=tracer.occluded_address,
+        scene=tracer.scene,
+        camera_mm=np.asarray(view.position_mm, dtype=np.float64),
+        world_from_camera=np.ascontiguousarray(view.world_from_camera),
+        focal_px=float(view.pinhole.focal_px),
+        centre_px=np.asarray(view.pinhole.centre_px, dtype=np.float64),
+        distortion=np.array(view.pinhole.distortion),
+        fold=float(view.pinhole.fold),
+        is_distorted=view.pinhole.is_distorted,
+        ideal_from_seen=np.ascontiguousarray(view.ideal_from_seen, dtype=np.float64),
+        to_light=np.asarray(view.to_light, dtype=np.float64),
+        light_distance_mm=float(view.lamp.distance_mm),
+        lamp_cosine=math.cos(view.lamp_radius_rad),
+        reach_mm=1.001 * sample.shape.reach_mm,
+        offset_mm=sample.shape.ray_offset_mm,
+        is_open=_is_open(tracer.placements, np.asarray(view.to_light), view.lamp),
+    )
+    subject = _Subject(
+        checks=np.array([sample.columns, sample.rows]),
+        diffuse=np.ascontiguousarray(sample.reflectance @ band_weights.T),
+        model=sample.model,
+        beta=sample.beta,
+        mu=sample.mu_rad,
+        table=sample.table,
+        measured=np.ascontiguousarray(sample.measured @ band_weights.T),
+        mirror=sample.mirror,
+        fresnel=sample.fresnel @ band_weights.T,
+    )
+    image = np.empty((view.pinhole.height_px, view.pinhole.width_px))
+    surfaces: Surfaces = make_surfaces(tracer.placements[:1])
+    run_chunks(_expose, len(image), _BLOCK_ROWS, setup, subject, surfaces, image)
+    return image

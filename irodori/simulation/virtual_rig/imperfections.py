@@ -1,0 +1,129 @@
+"""The imperfections of the virtual rig, each with its switch: drift, optics, poses, the filter's plate, the sensor.
+
+Everything random follows from the seed and from the place of a photograph in its session, never from what was taken
+before: a session that was broken off and continued leaves the same files as one that was not.
+"""
+
+import math
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from irodori.config.capture_table import Pose, Shot
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a photograph stands in its session: its number, and how often pose and filter had changed before it."""
+
+    number: int
+    arrival: int
+    insertion: int
+
+
+def places(shots: Sequence[Shot]) -> dict[str, Place]:
+    """Return the place of every photograph of a session, by file."""
+    found, arrival, insertion, before = {}, 0, 0, None
+    for number, shot in enumerate(shots):
+        if before is not None:
+            arrival += (shot.pose, shot.subject) != (before.pose, before.subject)
+            insertion += shot.filter != before.filter
+        found[shot.file] = Place(number, arrival, insertion)
+        before = shot
+    return found
+
+
+class Faults:
+    """The imperfections of one session.
+
+    Parameters
+    ----------
+    definition : dict
+        ``imperfections`` of the rig's ``virtual`` block.
+    seed : int
+        Of the rig.
+    session : str
+        Name of what is photographed; sessions differ.
+    shots : sequence of Shot
+        All photographs of the session, in order.
+    """
+
+    def __init__(self, definition: dict, seed: int, session: str, shots: Sequence[Shot]) -> None:
+        self._definition, self._seed, self._session = definition, seed, session
+        self._places = places(shots)
+        self._light = self._drift(len(shots))
+
+    def _value(self, name: str, key: str, off: float = 0.0):
+        fault = self._definition[name]
+        return fault[key] if fault["enabled"] else off
+
+    def _rng(self, *key) -> np.random.Generator:
+        text = "/".join(map(str, (self._session, *key)))
+        return np.random.default_rng([self._seed, zlib.crc32(text.encode())])
+
+    def _drift(self, count: int) -> np.ndarray:
+        """Return the light's relative power at each photograph: a process of first order about 1."""
+        rms = self._value("light_drift", "relative_rms")
+        memory = math.exp(-1.0 / self._definition["light_drift"]["correlation_shots"])
+        noise = self._rng("light").normal(size=count)
+        light, level = np.ones(count), 0.0
+        for i in range(count):
+            level = noise[i] if i == 0 else memory * level + math.sqrt(1.0 - memory**2) * noise[i]
+            light[i] = 1.0 + rms * level
+        return light
+
+    def light(self, shot: Shot) -> float:
+        """Return the relative power of the lamp at a photograph."""
+        return float(self._light[self._places[shot.file].number])
+
+    def noise(self, shot: Shot) -> np.random.Generator:
+        """Return the source of a photograph's shot and read noise."""
+        return self._rng("noise", shot.file)
+
+    def real_pose(self, shot: Shot, pose: Pose) -> Pose:
+        """Return the pose that the rig really takes, the same for photographs without a move between them."""
+        rms = self._value("pose_error", "rms_deg")
+        light, camera = self._rng("pose", self._places[shot.file].arrival).normal(size=2) * rms
+        return replace(pose, light_deg=pose.light_deg + light, camera_deg=pose.camera_deg + camera)
+
+    def through_optics(self, response: np.ndarray) -> np.ndarray:
+        """Return a picture after vignetting and stray light, (height, width)."""
+        height, width = response.shape
+        loss, stray = self._value("vignetting", "corner_loss"), self._value("stray_light", "fraction")
+        y, x = np.ogrid[:height, :width]
+        radius2 = ((x + 0.5 - width / 2) ** 2 + (y + 0.5 - height / 2) ** 2) / ((width**2 + height**2) / 4)
+        seen = response * (1.0 - loss * radius2)
+        # Each place of the mosaic has its own colour: stray light keeps the spectrum of the picture's mean.
+        for row in (0, 1):
+            for column in (0, 1):
+                seen[row::2, column::2] += stray * response[row::2, column::2].mean()
+        return seen
+
+    def ideal_from_seen(self, shot: Shot, width_px: int, height_px: int) -> np.ndarray:
+        """Return where a picture without the filter's plate shows what is seen through it.
+
+        Returns
+        -------
+        (2, 3) float64, affine map of mosaic coordinates; the identity where the filter is out
+        """
+        if shot.filter == "out" or not self._definition["filter_plate"]["enabled"]:
+            return np.eye(2, 3)
+        plate = self._definition["filter_plate"]
+        repeat = self._rng("plate", self._places[shot.file].insertion).normal(size=2) * plate["repeat_rms_px"]
+        centre = np.array([width_px / 2, height_px / 2])
+        # The plate's shift counts in superpixels of two mosaic pixels.
+        shift = 2.0 * (np.array(plate["shift_px"]) + repeat)
+        angle, scale = math.radians(plate["rotation_deg"]), plate["magnification"]
+        c, s = math.cos(angle) / scale, math.sin(angle) / scale
+        turn = np.array([[c, s], [-s, c]])
+        return np.column_stack([turn, centre - turn @ (centre + shift)])
+
+    def hot_rate_e_per_s(self, height_px: int, width_px: int) -> np.ndarray:
+        """Return the extra dark current of each mosaic pixel, electrons/s; that of the camera, in every session."""
+        fraction = self._value("hot_pixels", "fraction")
+        rng = np.random.default_rng([self._seed, zlib.crc32(b"hot pixels")])
+        hot = rng.random((height_px, width_px)) < fraction
+        rate = rng.exponential(self._definition["hot_pixels"]["mean_rate_e_per_s"], size=(height_px, width_px))
+        return np.where(hot, rate, 0.0)

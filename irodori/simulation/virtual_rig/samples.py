@@ -1,0 +1,97 @@
+"""What really stands on the virtual rig: measured spectra, and how each material reflects."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from irodori.geometry.shapes import Shape
+from irodori.reflection.equation5 import fresnel
+from irodori.simulation.virtual_rig.sample_reflection import MODELS, measured_lobe, read_measured
+from irodori.spectra.grid import SAMPLES
+from irodori.spectra.published import refractive_index, spectrum
+
+_FRESNEL_NODES = 512
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Ground truth of an object.
+
+    Parameters
+    ----------
+    shape : Shape
+    columns, rows : int
+        Checks over the texture; a uniform sample has one.
+    reflectance : (m, 61) float
+        S(λ) of each material; of a measured one its reflectance factor lit at 45 degrees and seen from above.
+    model : (m,) int, see `irodori.simulation.virtual_rig.sample_reflection`
+    beta : (m,) float
+    mu_rad : (m,) float
+    table : (m,) int
+        Index of a measured material's table.
+    measured : (tables, half nodes, difference nodes, 61) float, π times the BRDF; one table of zeros where none is
+    mirror : float, χ
+    n, k : (61,) float
+    """
+
+    shape: Shape
+    columns: int
+    rows: int
+    reflectance: np.ndarray
+    model: np.ndarray
+    beta: np.ndarray
+    mu_rad: np.ndarray
+    table: np.ndarray
+    measured: np.ndarray
+    mirror: float
+    n: np.ndarray
+    k: np.ndarray
+
+    @classmethod
+    def from_definition(cls, definition: dict) -> "Sample":
+        """Return the sample of an object's definition with its ``virtual`` block."""
+        virtual = definition["virtual"]
+        pattern, materials = virtual["pattern"], virtual["materials"]
+        n, k = refractive_index(definition["refractive_index"])
+        checks = pattern["kind"] == "checks"
+        files = sorted({m["file"] for m in materials if m["kind"] == "measured"})
+        tables = [read_measured(file) for file in files]
+        return cls(
+            shape=Shape.from_definition(definition["shape"]),
+            columns=pattern["columns"] if checks else 1,
+            rows=pattern["rows"] if checks else 1,
+            reflectance=np.stack(
+                [
+                    spectrum(m["spectrum"]) if "spectrum" in m else _reflectance_factor(tables[files.index(m["file"])])
+                    for m in materials
+                ]
+            ),
+            model=np.array([MODELS[m["kind"]] for m in materials]),
+            beta=np.array([m.get("beta", 0.0) for m in materials], dtype=np.float64),
+            mu_rad=np.array([m.get("mu_rad", 1.0) for m in materials], dtype=np.float64),
+            table=np.array([files.index(m["file"]) if "file" in m else 0 for m in materials]),
+            measured=np.stack(tables) if tables else np.zeros((1, 2, 2, SAMPLES)),
+            mirror=float(definition["mirror_weight"]),
+            n=n,
+            k=k,
+        )
+
+    @cached_property
+    def fresnel(self) -> np.ndarray:
+        """Fresnel reflectance over the cosine of the angle of incidence, equally spaced from 0 to 1, (nodes, 61)."""
+        cosines = np.linspace(0.0, 1.0, _FRESNEL_NODES)
+        return np.array([[fresnel(c, n, k) for n, k in zip(self.n, self.k, strict=True)] for c in cosines])
+
+    def material_index(self, width: int, height: int) -> np.ndarray:
+        """Return the material of each texel centre, (height, width) int."""
+        column = np.floor((np.arange(width) + 0.5) / width * self.columns).astype(int)
+        row = np.floor((np.arange(height) + 0.5) / height * self.rows).astype(int)
+        return (row[:, None] * self.columns + column[None, :]) % len(self.beta)
+
+
+def _reflectance_factor(table: np.ndarray) -> np.ndarray:
+    """Return the reflectance factor of a measured material in the geometry 45:0, (61,)."""
+    half = math.cos(math.radians(22.5))
+    return np.array([measured_lobe(table, half, half, band) for band in range(SAMPLES)])

@@ -1,0 +1,133 @@
+"""What stands before the virtual camera: the responses that each mosaic pixel would have without optics and noise.
+
+Every function returns (height, width) float64 for one filter state, 1 = a perfect diffuser lit at normal incidence in
+the brightest band.
+"""
+
+import math
+
+import numpy as np
+
+from irodori.config.capture_table import Pose
+from irodori.geometry.embree import Tracer
+from irodori.geometry.lamp import Lamp
+from irodori.geometry.pinhole import Pinhole
+from irodori.geometry.rig_frame import flat_incidence_rad, rig_from_camera, rig_from_object, to_camera, to_light
+from irodori.geometry.shapes import on_table
+from irodori.light.omnidirectional import to_panorama
+from irodori.simulation.virtual_rig.aperture import gather_rows, place_in_cell
+from irodori.simulation.virtual_rig.classroom import room_coefficients, source_spectra
+from irodori.simulation.virtual_rig.imaging import View, expose_object
+from irodori.simulation.virtual_rig.samples import Sample
+from irodori.spectra.published import chart_spectra
+from irodori.spectra.white_reference import white_reflectance
+
+_PATCH_FILL = 0.42  # half of a patch's side, as a fraction of the pitch between patches
+_BORDER_REFLECTANCE = 0.03
+_BLOCK_ROWS = 64
+
+
+def in_mosaic(bands: np.ndarray) -> np.ndarray:
+    """Return the RGGB mosaic of a picture of three bands, (height, width, 3) to (height, width)."""
+    y, x = np.indices(bands.shape[:2], sparse=True)
+    return np.take_along_axis(bands, (y % 2 + x % 2)[..., None], axis=2)[..., 0]
+
+
+def object_mosaic(sample: Sample, camera: dict, rig: dict, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
+    """Return the picture of an object on the table.
+
+    Parameters
+    ----------
+    sample : Sample
+    camera, rig : dict
+        Definitions.
+    pose : Pose
+        Where everything really stands.
+    ideal_from_seen : (2, 3) float
+        What the filter's plate does, see `irodori.simulation.virtual_rig.imperfections`.
+    band_weights : (3, 61) float
+        Those of the filter state.
+    """
+    rotation = rig_from_object(pose)
+    view = View(
+        pinhole=Pinhole.from_optics(camera["optics"]),
+        position_mm=rig["camera_distance_mm"] * to_camera(pose),
+        world_from_camera=rig_from_camera(pose),
+        to_light=to_light(pose),
+        lamp=Lamp.from_definition(rig["light"]),
+        lamp_radius_rad=math.radians(rig["virtual"]["light_angular_radius_deg"]),
+        ideal_from_seen=ideal_from_seen,
+    )
+    tracer = Tracer(on_table(sample.shape, rotation, rig["table_radius_mm"]))
+    return expose_object(sample, tracer, view, band_weights)
+
+
+def white_mosaic(camera: dict, rig: dict, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
+    """Return the picture of the white reference, which fills it; parameters as of `object_mosaic`."""
+    optics = camera["optics"]
+    reflectance, _ = white_reflectance(camera["white"]["reflectance_factor"], band_weights)
+    level = reflectance * math.cos(flat_incidence_rad(pose)) * band_weights.sum(axis=1)
+    picture = in_mosaic(np.broadcast_to(level, (optics["height_px"], optics["width_px"], 3)))
+    return picture * _fall_off(camera, rig, pose, ideal_from_seen)
+
+
+def _fall_off(camera: dict, rig: dict, pose: Pose, ideal_from_seen) -> np.ndarray | float:
+    """Return the irradiance of a flat subject over that at its centre in each mosaic pixel; 1 under a far light."""
+    lamp = Lamp.from_definition(rig["light"])
+    if not lamp.is_near:
+        return 1.0
+    pinhole = Pinhole.from_optics(camera["optics"])
+    y, x = np.indices((pinhole.height_px, pinhole.width_px)) + 0.5
+    point = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.asarray(ideal_from_seen).T
+    return lamp.on_white(point, pinhole, rig["camera_distance_mm"], pose)
+
+
+def chart_mosaic(chart: dict, camera: dict, rig: dict, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
+    """Return the picture of a colour chart of that definition; other parameters as of `object_mosaic`."""
+    pinhole = Pinhole.from_optics(camera["optics"])
+    _names, patches = chart_spectra(chart["spectra"])
+    spectra = np.concatenate([patches, np.full((1, patches.shape[1]), _BORDER_REFLECTANCE)])
+    bands = spectra @ band_weights.T * math.cos(flat_incidence_rad(pose))
+    image = np.empty((pinhole.height_px, pinhole.width_px))
+    for first in range(0, pinhole.height_px, _BLOCK_ROWS):
+        rows = min(_BLOCK_ROWS, pinhole.height_px - first)
+        row, column = np.indices((2 * rows + 2, 2 * pinhole.width_px + 2), sparse=True)
+        x, y = place_in_cell(2 * first + row - 1, column - 1)
+        point = np.stack(np.broadcast_arrays(x, y, 1.0), axis=-1) @ np.asarray(ideal_from_seen).T
+        gather_rows(bands[_patch_at(point, chart, camera, rig, pose, pinhole)], first, image)
+    return image * _fall_off(camera, rig, pose, ideal_from_seen)
+
+
+def _patch_at(mosaic_xy, chart: dict, camera: dict, rig: dict, pose: Pose, pinhole: Pinhole) -> np.ndarray:
+    """Return the patch that each point of the picture shows, the number of patches between them."""
+    rows, columns = chart["rows"], chart["columns"]
+    rotation = rig_from_object(pose)
+    view = pinhole.directions(mosaic_xy, rig_from_camera(pose)) @ rotation
+    eye = rig["camera_distance_mm"] * to_camera(pose) @ rotation
+    point = eye - view * (eye[2] / view[..., 2:])
+    pitch = camera["virtual"]["chart_width_mm"] / columns
+    across, along = point[..., 0] / pitch + columns / 2, rows / 2 - point[..., 1] / pitch
+    column, row = np.floor(across).astype(int), np.floor(along).astype(int)
+    patch = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    patch &= (np.abs(across - column - 0.5) < _PATCH_FILL) & (np.abs(along - row - 0.5) < _PATCH_FILL)
+    return np.where(patch, row * columns + column, rows * columns)
+
+
+def room_mosaic(definition: dict, light: np.ndarray, band_weights) -> np.ndarray:
+    """Return the omnidirectional picture of a virtual room, a panorama as it is photographed, its middle towards +x.
+
+    Parameters
+    ----------
+    definition : dict
+        Of the environment.
+    light : (61,) float
+        E(λ) of the rig.
+    band_weights : (3, 61) float
+    """
+    image = definition["image"]
+    coefficients = room_coefficients(definition["virtual"], image["width"], image["height"])
+    _names, spectra = source_spectra(definition["virtual"], light)
+    # Band weights are for reflectances under the rig's light; a radiance is that light times a reflectance.
+    bands = coefficients @ (spectra / light @ band_weights.T)
+    # A panorama is resampled from many photographs: the four mosaic pixels of a superpixel see the same directions.
+    return in_mosaic(to_panorama(bands).repeat(2, axis=0).repeat(2, axis=1))

@@ -1,0 +1,141 @@
+"""The virtual camera: it photographs what stands on the virtual bench and leaves genuine DNG files."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from irodori.capture.rig.devices import Camera, DeviceError
+from irodori.config.capture_table import FILTERS, Pose, Shot, chart_capture
+from irodori.simulation.virtual_rig.bench import Bench
+from irodori.simulation.virtual_rig.dng_writer import write_dng
+from irodori.simulation.virtual_rig.imperfections import Faults
+from irodori.simulation.virtual_rig.samples import Sample
+from irodori.simulation.virtual_rig.scene_view import scene_mosaic, scene_radiance
+from irodori.simulation.virtual_rig.sensor import Sensor, band_weights
+from irodori.simulation.virtual_rig.subjects import chart_mosaic, object_mosaic, room_mosaic, white_mosaic
+from irodori.spectra.published import light
+
+
+class VirtualCamera(Camera):
+    """A camera of a configuration's ``virtual`` block.
+
+    Parameters
+    ----------
+    camera, rig : dict
+        Definitions of the camera and of its rig.
+    bench : Bench
+        What stands before it; that, and not the shot it is asked for, is what it photographs.
+    session : str
+        Name of what is photographed.
+    shots : sequence of Shot
+        All photographs of the session in order: its light drifts along them.
+    subject : dict, optional
+        Definition of the object or of the environment that stands before it, or ``radiance``, the file of what is seen
+        of a scene; a camera's own session has none.
+    seen : dict, optional
+        Objects as they look without optics and noise, filled here. Cameras that differ in their faults alone may share
+        one: what a fault does not change is then made once.
+    """
+
+    suffix = ".dng"
+
+    def __init__(
+        self,
+        camera: dict,
+        rig: dict,
+        bench: Bench,
+        session: str,
+        shots: Sequence[Shot],
+        subject: dict | None = None,
+        seen: dict | None = None,
+    ) -> None:
+        self.camera, self.rig, self.bench, self.subject = camera, rig, bench, subject
+        self.sensor = Sensor(**camera["virtual"]["sensor"])
+        self.light = light(rig["light"]["spectrum"])
+        self.band_weights = band_weights(camera, self.light)
+        self.faults = Faults(rig["virtual"]["imperfections"], rig["virtual"]["seed"], session, shots)
+        self._known = seen
+
+    @cached_property
+    def sample(self) -> Sample:
+        """What stands on the table."""
+        return Sample.from_definition(self.subject)
+
+    @cached_property
+    def _scene(self) -> np.ndarray:
+        """Radiance of the scene before the lens, (rows, columns, 61)."""
+        return scene_radiance(self.subject["radiance"], self.camera["optics"])
+
+    @property
+    def _charts(self) -> dict[str, dict]:
+        """Definition of every chart, by what the bench calls it."""
+        further = self.camera.get("further_charts", {})
+        return {"chart": self.camera["chart"], **{chart_capture(name): chart for name, chart in further.items()}}
+
+    @cached_property
+    def _hot_rate_e_per_s(self) -> np.ndarray:
+        optics = self.camera["optics"]
+        return self.faults.hot_rate_e_per_s(optics["height_px"], optics["width_px"])
+
+    def capture(self, shot: Shot, path: Path) -> None:
+        """Photograph the bench; the shot gives the exposure time and the place in the session."""
+        response, hot_rate = self._seen(shot)
+        mosaic = self.sensor.expose(
+            self.faults.light(shot) * response, shot.exposure_s, self.faults.noise(shot), hot_rate
+        )
+        write_dng(
+            path,
+            mosaic,
+            black_level=self.sensor.black_level,
+            white_level=self.sensor.white_level,
+            exposure_s=shot.exposure_s,
+            model="virtual camera",
+            iso=shot.iso,
+            f_number=shot.f_number,
+        )
+
+    def _seen(self, shot: Shot):
+        """Return the responses behind the optics and the extra dark current of hot pixels."""
+        subject, state = self.bench.subject, FILTERS.index(self.bench.filter)
+        weights = self.band_weights[3 * state : 3 * state + 3]
+        if subject == "environment":
+            # A panorama is stitched or unwrapped: vignetting and hot pixels are corrected there.
+            return room_mosaic(self.subject, self.light, weights), 0.0
+        optics = self.camera["optics"]
+        height, width = optics["height_px"], optics["width_px"]
+        if subject == "dark":
+            return np.zeros((height, width)), self._hot_rate_e_per_s
+        pose = self.faults.real_pose(shot, self.bench.pose())
+        plate = self.faults.ideal_from_seen(shot, width, height)
+        if subject == "white":
+            response = white_mosaic(self.camera, self.rig, pose, plate, weights)
+        elif subject in self._charts:
+            response = chart_mosaic(self._charts[subject], self.camera, self.rig, pose, plate, weights)
+        elif subject == "scene":
+            response = scene_mosaic(self._scene, self.light, optics, plate, weights)
+        elif subject == "object":
+            response = self._object(state, pose, plate)
+        else:
+            raise DeviceError(f"nothing known of the subject {subject!r}; accepted: what a session photographs")
+        return self.faults.through_optics(response), self._hot_rate_e_per_s
+
+    def _object(self, state: int, pose: Pose, plate: np.ndarray) -> np.ndarray:
+        """Return the picture of the object in a filter state, a pose and through the filter's plate."""
+        key = (state, pose, plate.tobytes())
+        if self._known is not None and key in self._known:
+            return self._known[key]
+        weights = self.band_weights[3 * state : 3 * state + 3]
+        picture = object_mosaic(self.sample, self.camera, self.rig, pose, plate, weights)
+        if self._known is not None:
+            self._known[key] = picture
+        return picture
+
+    def status(self) -> dict[str, str]:
+        """Return the camera's sensor and settings."""
+        sensor = self.camera["virtual"]["sensor"]
+        return {"model": "virtual camera", "battery": "100 %", "storage": "unlimited", "bits": str(sensor["bits"])}
+
+    def close(self) -> None:
+        """Nothing to let go of."""

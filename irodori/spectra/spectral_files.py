@@ -1,0 +1,199 @@
+"""Files of spectra of every accepted kind, told apart by suffix and content; without numpy, for the Snakefile.
+
+* `.csv`, `.tsv`: wide (a name, then a column a wavelength), columns (the wavelength, then a column a spectrum), long
+  (rows of name, wavelength, value), or two columns of numbers;
+* `.txt`: any of these, two columns of numbers between comments, or CGATS;
+* `.ti3`, `.cgats`, `.it8`, `.cie`, `.sp`: CGATS, see `irodori.spectra.cgats`;
+* `.spd`: two columns of numbers, wavelength and value, between comments;
+* `.spdx`: IES TM-27.
+"""
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+from irodori.core.errors import InputError
+from irodori.spectra.cgats import cgats_table
+from irodori.spectra.tables import (
+    check_length,
+    check_wavelengths,
+    column_table,
+    csv_rows,
+    number,
+    read_text,
+    wide_table,
+)
+from irodori.spectra.tables import with_decimal_points as _with_points
+
+_CSV, _CGATS = (".csv", ".tsv"), (".ti3", ".cgats", ".it8", ".cie", ".sp")
+SUFFIXES = (*_CSV, ".txt", *_CGATS, ".spd", ".spdx")
+#: Reflectance factors of a table; a little noise under 0 and fluorescence over 1 are real, percent are not.
+REFLECTANCE = (-0.01, 1.2)
+#: Noise of a spectroradiometer under 0, as a fraction of the largest power.
+_POWER_NOISE = 0.01
+
+_WAVELENGTH = re.compile(r"(wave[ _-]?length|lambda|λ|wl|nm)\b.*|wavelength_.*", re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
+_COMMENTS = ("#", "//", "%", "!", ";")
+_CSV_WORDS = (
+    "a CSV that is wide (a name, then a column a wavelength in nm), of columns (wavelength_nm, then a column a "
+    "spectrum), or long (name, wavelength_nm, value)"
+)
+_ACCEPTED = f"a name that ends in one of {', '.join(SUFFIXES)}"
+
+
+class SpectralTable(NamedTuple):
+    """What a file of spectra holds.
+
+    Parameters
+    ----------
+    names : list of str
+        One a spectrum.
+    wavelength_nm : list of float
+    values : list of lists of float
+        One a spectrum.
+    is_power : bool
+        The format is one for spectral power: SPD text, Argyll's .sp, TM-27 of a source.
+    """
+
+    names: list[str]
+    wavelength_nm: list[float]
+    values: list[list[float]]
+    is_power: bool = False
+
+
+def spectral_table(path) -> SpectralTable:
+    """Read a file of spectra of any accepted kind.
+
+    Raises
+    ------
+    InputError
+        Naming file, line or field, what was found and what is accepted: for an unknown suffix, a content that is none
+        of its kinds, a missing or non-finite value, wavelengths that do not increase or do not cover 400..700 nm.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(path, "", f"the suffix {suffix!r}" if suffix else "a file without a suffix", _ACCEPTED)
+    if suffix == ".spdx":
+        table = _tm27_table(path)
+    elif suffix == ".spd":
+        table = _two_columns(path)
+    elif suffix in _CGATS or (suffix == ".txt" and "BEGIN_DATA_FORMAT" in read_text(path, "a file of spectra")):
+        table = SpectralTable(*cgats_table(path), is_power=suffix == ".sp")
+    else:
+        table = _csv_table(path, suffix)
+    check_wavelengths(table.wavelength_nm, path)
+    return table
+
+
+def check_reflectance(table: SpectralTable, path) -> None:
+    """Refuse values that no reflectance factor has: under -0.01, or over 1.2, which percent are.
+
+    Raises
+    ------
+    InputError
+    """
+    low, high = REFLECTANCE
+    percent = max(max(row) for row in table.values) > 2.0
+    for name, row in zip(table.names, table.values, strict=True):
+        for at, value in zip(table.wavelength_nm, row, strict=True):
+            if not low <= value <= high:
+                found = f"{value:g}" + (", as if the table were in percent" if percent else "")
+                accepted = f"reflectance factors from {low:g} to {high:g}, where 1 is a perfect diffuser, not percent"
+                raise InputError(path, f"{name}, {at:g} nm", found, accepted)
+
+
+def check_power(table: SpectralTable, path) -> None:
+    """Refuse the spectrum of a light that is dark, or negative beyond a spectroradiometer's noise (1 % of its peak).
+
+    Raises
+    ------
+    InputError
+    """
+    for name, row in zip(table.names, table.values, strict=True):
+        peak = max(row)
+        if peak <= 0.0:
+            raise InputError(path, name, "no power at any wavelength", "a light")
+        for at, value in zip(table.wavelength_nm, row, strict=True):
+            if value < -_POWER_NOISE * peak:
+                accepted = f"power from {-_POWER_NOISE * peak:g}, a hundredth of the peak under 0"
+                raise InputError(path, f"{name}, {at:g} nm", f"{value:g}", accepted)
+
+
+def _csv_table(path, suffix: str) -> SpectralTable:
+    """Read a CSV, whose header tells of which kind it is, or two columns of numbers."""
+    lines = [line for line in read_text(path, _CSV_WORDS).splitlines() if line.strip()]
+    separator = next((mark for mark in (";", "\t", ",") if lines and mark in lines[0]), ",")
+    header = [cell.strip().strip('"') for cell in lines[0].split(separator)] if lines else []
+    if len(header) > 1 and _NUMBER.fullmatch(header[1]) and not _NUMBER.fullmatch(header[0]):
+        return SpectralTable(*wide_table(path))
+    if len(header) == 3 and _WAVELENGTH.fullmatch(header[1]):
+        return _long_table(path)
+    if len(header) > 1 and _WAVELENGTH.fullmatch(header[0]):
+        return SpectralTable(*column_table(path))
+    if suffix == ".txt" or (len(header) == 2 and all(map(_NUMBER.fullmatch, header))):
+        return _two_columns(path)
+    found = ", ".join(header[:4]) + (", ..." if len(header) > 4 else "") or "nothing"
+    raise InputError(path, "line 1", found, _CSV_WORDS)
+
+
+def _long_table(path) -> SpectralTable:
+    """Read rows of name, wavelength and value, in any order; every spectrum has every wavelength, once."""
+    rows = csv_rows(path)
+    spectra: dict[str, dict[float, float]] = {}
+    for line, row in rows[1:]:
+        check_length(row, rows[0][1], path, line)
+        wavelength = number(row[1], path, f"line {line}, wavelength")
+        spectrum = spectra.setdefault(row[0].strip(), {})
+        if wavelength in spectrum:
+            raise InputError(
+                path, f"line {line}", f"{row[0].strip()} at {wavelength:g} nm twice", "each wavelength once"
+            )
+        spectrum[wavelength] = number(row[2], path, f"line {line}, {wavelength:g} nm")
+    wavelengths = sorted({wavelength for spectrum in spectra.values() for wavelength in spectrum})
+    for name, spectrum in spectra.items():
+        if missing := [wavelength for wavelength in wavelengths if wavelength not in spectrum]:
+            found = f"no value at {missing[0]:g} nm, which other spectra have"
+            raise InputError(path, name, found, "the same wavelengths in every spectrum")
+    return SpectralTable(list(spectra), wavelengths, [[s[w] for w in wavelengths] for s in spectra.values()])
+
+
+def _two_columns(path) -> SpectralTable:
+    """Read lines of wavelength and value between comments; one line of words may stand above them."""
+    accepted = "two columns of numbers, wavelength in nm and value; comments start with " + " ".join(_COMMENTS)
+    rows = []
+    for line, text in enumerate(read_text(path, accepted).splitlines(), start=1):
+        text = text.split("#")[0].strip()
+        if not text or text.startswith(_COMMENTS):
+            continue
+        cells = [cell.rstrip(",") for cell in re.split(r"[;\s]+", text) if cell.strip(",")]
+        rows.append((line, cells if len(cells) > 1 else text.split(",")))
+    if rows and not _NUMBER.fullmatch(rows[0][1][0].strip()):
+        rows = rows[1:]
+    if not rows:
+        raise InputError(path, "", "no numbers", accepted)
+    rows = _with_points(rows, path)
+    for line, row in rows:
+        if len(row) != 2:
+            raise InputError(path, f"line {line}", f"{len(row)} columns", accepted)
+    wavelength = [number(row[0], path, f"line {line}, wavelength") for line, row in rows]
+    values = [number(row[1], path, f"line {line}, {at:g} nm") for (line, row), at in zip(rows, wavelength, strict=True)]
+    return SpectralTable([Path(path).stem], wavelength, [values], is_power=Path(path).suffix.lower() == ".spd")
+
+
+def _tm27_table(path) -> SpectralTable:
+    """Read IES TM-27, as colour-science writes and reads it; its own reader would load all of that library."""
+    accepted = "an IES TM-27 document"
+    try:
+        root = ElementTree.fromstring(read_text(path, accepted))
+    except ElementTree.ParseError as error:
+        raise InputError(path, "", f"broken XML ({error})", accepted) from None
+    if "IESTM27" not in root.tag:
+        raise InputError(path, "", f"an XML document {root.tag!r}", accepted)
+    data = [element for element in root.iter() if element.tag.split("}")[-1] == "SpectralData"]
+    wavelength = [number(e.get("wavelength", ""), path, f"SpectralData {i}") for i, e in enumerate(data, start=1)]
+    values = [number(e.text or "", path, f"SpectralData, {at:g} nm") for e, at in zip(data, wavelength, strict=True)]
+    quantity = next((e.text for e in root.iter() if e.tag.split("}")[-1] == "SpectralQuantity"), None)
+    is_power = (quantity or "").strip().lower() not in ("reflectance", "transmittance", "absorptance")
+    return SpectralTable([Path(path).stem], wavelength, [values], is_power)
