@@ -33,7 +33,7 @@ from irodori.fitting.texel_rows import (
 )
 from irodori.fitting.texels import clipped_of, conclude, doubt, give_up, is_noisy, write
 from irodori.fitting.varpro import SUMS, find_intervals, pair_at, scan_own, value_nodes
-from irodori.jit.native import c_function, njit
+from irodori.jit.native import c_function, cfunc, njit
 
 HEADER = 4
 PARAMETERS = 3
@@ -80,7 +80,7 @@ def objective(alpha, beta, log_mu, block):
     return total, 2.0 * ga, 2.0 * gb, -4.0 * beta * gt
 
 
-@numba.cfunc(
+@cfunc(
     types.float64(types.uint32, types.CPointer(types.float64), types.uintp, types.uintp),
     cache=True,
     error_model="numpy",

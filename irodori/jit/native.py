@@ -6,17 +6,21 @@ numba cannot cache code that holds the address of a C function; here the address
 loops are kept on disk and shared by every process.
 """
 
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 
 import numba
 import numpy as np
 from llvmlite import binding, ir
 from numba import types
 from numba.core import cgutils
-from numba.core.codegen import CPUCodeLibrary
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.registry import CPUDispatcher, cpu_target
 from numba.extending import intrinsic
 
-njit = numba.njit
+from irodori.jit.kernel_cache import KernelCache, cache_folder
 
 
 def use_whole_vectors() -> None:
@@ -31,24 +35,73 @@ def use_whole_vectors() -> None:
             numba.config.CPU_FEATURES = f"{features.flatten()},-prefer-256-bit"
 
 
-def keep_copies_apart() -> None:
-    """Let a function that is compiled from now on call the copies of other functions that it was compiled with.
+class _SeparateCopies(JITCodeLibrary):
+    """Compiled code that calls the copies of other functions that it was compiled with.
 
     numba links them as weak symbols: of all copies that a process holds the one loaded first serves every caller, and
     copies differ in the last place of their results by what was optimised around them. A process that compiles, which
     holds each function alone as well, then computed other bits than one that reads its loops from the disk.
     """
-    optimise = CPUCodeLibrary._optimize_final_module
 
-    def optimise_apart(library) -> None:
-        for function in library._final_module.functions:
+    def _optimize_final_module(self) -> None:
+        for function in self._final_module.functions:
             # Functions of numba's runtime keep their names: passes that count references look for them.
             weak = function.linkage == binding.Linkage.linkonce_odr and not function.is_declaration
             if weak and function.name.startswith("_ZN"):
                 function.linkage = binding.Linkage.internal
-        optimise(library)
+        super()._optimize_final_module()
 
-    CPUCodeLibrary._optimize_final_module = optimise_apart
+
+@contextmanager
+def _separate_copies(codegen) -> Iterator[None]:
+    """Make the libraries that are compiled meanwhile `_SeparateCopies`; others of the process stay as they are."""
+    with global_compiler_lock:
+        usual = codegen._library_class
+        codegen._library_class = _SeparateCopies
+        try:
+            yield
+        finally:
+            codegen._library_class = usual
+
+
+class Kernel(CPUDispatcher):
+    """A compiled function of this package: it is kept by `irodori.jit.kernel_cache` and calls its own copies."""
+
+    def enable_caching(self) -> None:
+        """Keep what is compiled, where there is a place for it."""
+        if cache_folder() is not None:
+            self._cache = KernelCache(self.py_func)
+
+    def compile(self, sig):
+        """Load or compile the function for a signature."""
+        with _separate_copies(self.targetctx.codegen()):
+            try:
+                return super().compile(sig)
+            finally:
+                if isinstance(self._cache, KernelCache):
+                    self._cache.release()
+
+
+def njit(function=None, *, cache=False, boundscheck=None, **options):
+    """Return a `Kernel` of a function, or a decorator that makes one; the options are those of ``numba.njit``."""
+    if function is None:
+        return lambda decorated: njit(decorated, cache=cache, boundscheck=boundscheck, **options)
+    if numba.config.DISABLE_JIT:
+        return function
+    kernel = Kernel(function, targetoptions={"nopython": True, "boundscheck": boundscheck, **options})
+    if cache:
+        kernel.enable_caching()
+    return kernel
+
+
+def cfunc(signature, **options):
+    """Return ``numba.cfunc(signature, ...)``, which calls its own copies of other functions as kernels do."""
+
+    def made(function):
+        with _separate_copies(cpu_target.target_context.codegen()):
+            return numba.cfunc(signature, **options)(function)
+
+    return made
 
 
 def c_function(result, *arguments):
@@ -188,4 +241,3 @@ def vector_times_table(width: int, parts: int):
 
 
 use_whole_vectors()
-keep_copies_apart()

@@ -11,12 +11,11 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 _FIT = """
-import numba  # before the package, which would choose the folder of compiled loops
 import sys
 import numpy as np
 sys.path[:0] = [sys.argv[2]]
 from benchmarks.fit import inputs, scene
-from irodori.fitting import FitOptions, fit
+from irodori.fitting.solvers import FitOptions, fit
 found = [fit(*inputs(scene(256)[3], kind), FitOptions()) for kind in ("own", "shared")]
 np.save(sys.argv[1], np.stack([np.concatenate([r.alpha, r.beta, r.mu, r.beta_error]) for r in found]))
 """
@@ -40,6 +39,6 @@ def test_every_compiled_loop_is_told_to_keep_its_copies():
         source = file.read_text(encoding="utf-8")
         if file == ROOT / "irodori/jit/native.py":
             continue
-        assert not re.search(r"numba\.(njit|jit|guvectorize|vectorize)\b", source), file
-        if re.search(r"@(njit|uncounted|numba\.cfunc)\b", source):
-            assert re.search(r"^from irodori\.native import", source, re.MULTILINE), file
+        assert not re.search(r"numba\.(njit|jit|guvectorize|vectorize|cfunc)\b", source), file
+        if re.search(r"@(njit|uncounted|cfunc)\b", source):
+            assert re.search(r"^from irodori\.jit\.native import", source, re.MULTILINE), file

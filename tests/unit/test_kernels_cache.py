@@ -1,30 +1,128 @@
-"""Compiled loops are those of the source: an equation corrected in one file is computed so in all."""
+"""Compiled kernels are those of the source, are compiled once, and are loaded only from where nobody else can write."""
 
+import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from irodori.jit.kernel_cache import closure_hash, is_private, prune, source_hash
+
 ROOT = Path(__file__).resolve().parents[2]
 PROBE = """
 import numpy as np
-from irodori.reflection.equation5 import gloss_factors
-print(repr(float(gloss_factors(np.array([[0.5, 0.4, 0.45, 0.05]]), 1.5, 0.0)[0])))
+from irodori.reflection import equation5
+value = float(equation5.gloss_factors(np.array([[0.5, 0.4, 0.45, 0.05]]), 1.5, 0.0)[0])
+compiled = sum(equation5.gloss_factors.stats.cache_misses.values())
+print(repr(value), compiled)
 """
 
 
-def probe(folder: Path) -> float:
-    """Return a factor that compiled code computes in a process of its own."""
-    run = subprocess.run([sys.executable, "-c", PROBE], cwd=folder, capture_output=True, text=True, timeout=200)
-    assert run.returncode == 0, run.stderr
-    return float(run.stdout)
+def start(folder: Path, **variables) -> subprocess.Popen:
+    """Start a process that computes a factor by compiled code."""
+    environment = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"} | variables
+    return subprocess.Popen(
+        [sys.executable, "-c", PROBE], cwd=folder, env=environment, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
 
 
-def test_an_edited_equation_is_not_served_from_the_cache(tmp_path):
+def result(run: subprocess.Popen) -> tuple[float, int, str]:
+    """Return the factor, how many kernels the process compiled for it, and what it said."""
+    out, said = run.communicate(timeout=200)
+    assert run.returncode == 0, said
+    value, compiled = out.split()
+    return float(value), int(compiled), said
+
+
+@pytest.fixture
+def package(tmp_path) -> Path:
+    """Return a folder with a copy of the package that has no compiled kernels."""
     shutil.copytree(ROOT / "irodori", tmp_path / "irodori", ignore=shutil.ignore_patterns("__pycache__"))
-    before = probe(tmp_path)
-    caches = sorted((tmp_path / "irodori" / "__pycache__").glob("kernels-*"))
-    module = tmp_path / "irodori" / "reflection" / "equation5.py"
-    module.write_text(module.read_text().replace("return 0.5 * rs * (1.0 +", "return 0.25 * rs * (1.0 +"))
-    assert probe(tmp_path) == before / 2
-    assert set(caches) < set((tmp_path / "irodori" / "__pycache__").glob("kernels-*"))
+    return tmp_path
+
+
+def edit(file: Path, old: str, new: str) -> None:
+    """Replace the text that stands once in a file."""
+    text = file.read_text()
+    assert text.count(old) == 1
+    file.write_text(text.replace(old, new))
+
+
+def test_an_edited_equation_is_not_served_from_the_cache_and_an_edit_elsewhere_costs_nothing(package):
+    before, compiled, _ = result(start(package))
+    assert compiled == 1
+    edit(package / "irodori/report/markup.py", "import html", "import html\n\nUNUSED = 1\n# a comment")
+    equation = package / "irodori/reflection/equation5.py"
+    edit(equation, "    # n² - k² - sin² without", "    # a line more\n    # n² - k² - sin² without")
+    assert result(start(package))[:2] == (before, 0)
+    edit(equation, "return 0.5 * rs * (1.0 +", "return 0.25 * rs * (1.0 +")
+    assert result(start(package))[:2] == (before / 2, 1)
+
+
+def test_of_several_processes_one_compiles(package):
+    runs = [start(package) for _ in range(3)]
+    assert sorted(result(run)[1] for run in runs) == [0, 0, 1]
+
+
+def test_a_hash_ignores_what_is_not_executed(tmp_path):
+    module = tmp_path / "module.py"
+    hashes = []
+    for text in (
+        "def f(x):\n    return x + 1\n",
+        '"""A module."""\n\n# a comment\ndef f(x):\n    """Add one."""\n    return x + 1\n',
+        "def f(x):\n    return x + 2\n",
+    ):
+        source_hash.cache_clear()
+        module.write_text(text)
+        hashes.append(source_hash(module))
+    assert hashes[0] == hashes[1] != hashes[2]
+
+
+def test_a_closure_is_what_a_module_imports():
+    ours = closure_hash("irodori.reflection.equation5", ROOT)
+    assert ours != closure_hash("irodori.fitting.varpro", ROOT)
+    assert ours == closure_hash("irodori.reflection.equation5", ROOT)
+
+
+def test_kernels_are_never_loaded_from_a_folder_that_others_can_write(tmp_path):
+    own, open_to_all, link = tmp_path / "own", tmp_path / "open", tmp_path / "link"
+    own.mkdir(mode=0o700)
+    open_to_all.mkdir()
+    open_to_all.chmod(0o777)
+    link.symlink_to(own)
+    assert is_private(own)
+    assert not is_private(open_to_all)
+    assert not is_private(link)
+    assert not is_private(tmp_path / "missing")
+
+
+def test_an_installation_that_others_can_write_keeps_its_kernels_with_the_user(package, tmp_path):
+    (package / "irodori").chmod(0o777)
+    home = tmp_path / "home"
+    _, compiled, _ = result(start(package, XDG_CACHE_HOME=str(home)))
+    assert compiled == 1
+    assert not (package / "irodori/__pycache__/kernels").exists()
+    kept = home / "irodori" / "kernels"
+    assert kept.stat().st_mode & 0o777 == 0o700
+    assert list(kept.rglob("*.nbc"))
+    kept.chmod(0o777)
+    _, compiled, said = result(start(package, XDG_CACHE_HOME=str(home)))
+    assert compiled == 1
+    assert said.count("every process compiles its own") == 1
+
+
+def test_states_that_nobody_used_for_long_are_removed(tmp_path):
+    now = tmp_path / f"m-{'9' * 16}"
+    for number in range(6):
+        folder = tmp_path / f"m-{str(number) * 16}"
+        folder.mkdir()
+        if number < 5:
+            os.utime(folder, (1e9 + number, 1e9 + number))
+    other = tmp_path / f"m.n-{'0' * 16}"
+    other.mkdir()
+    prune(tmp_path, "m", now)
+    assert sorted(f.name[2] for f in tmp_path.glob("m-*")) == ["4", "5"]
+    assert other.is_dir()
