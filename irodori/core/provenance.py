@@ -90,6 +90,11 @@ def _exists(module: str, root: Path) -> bool:
     return _file(module, root) is not None or (bool(module) and root.joinpath(*module.split(".")).is_dir())
 
 
+def imported_modules(file: Path, root: Path) -> list[str]:
+    """Return the modules in the root that a file outside of it imports, itself and not through others."""
+    return _imports(file.stem, file, root)
+
+
 def _imports(name: str, file: Path, root: Path) -> list[str]:
     """Return the local modules that a file imports, wherever in the file the import stands."""
     status = file.stat()

@@ -25,7 +25,7 @@ import numba
 import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
-from irodori.core.provenance import local_sources
+from irodori.core.provenance import imported_modules, local_sources
 
 _LOGGER = logging.getLogger("irodori")
 _PACKAGE = Path(__file__).resolve().parents[1]
@@ -67,7 +67,11 @@ def closure_hash(module: str, root: Path) -> str:
         compiler and of NumPy.
     """
     digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__} {np.__version__}\n".encode())
-    for name, file in sorted(local_sources(module, root).items()):
+    sources = local_sources(module, root)
+    if root != _PACKAGE.parent:  # what stands outside the package and uses it
+        for name in {used for file in sources.values() for used in imported_modules(file, _PACKAGE.parent)}:
+            sources |= local_sources(name, _PACKAGE.parent)
+    for name, file in sorted(sources.items()):
         digest.update(f"{name} {source_hash(file)}\n".encode())
     return digest.hexdigest()[:_DIGITS]
 
@@ -133,7 +137,13 @@ def _folder_of(module: str, file: str) -> Path | None:
     base = cache_folder()
     if base is None:
         return None
-    root = Path(file).resolve().parents[module.count(".") + (Path(file).name == "__init__.py")]
+    source = Path(file).resolve()
+    depth = module.count(".") + (source.name == "__init__.py")
+    parts = source.with_suffix("").parts
+    if depth < len(source.parents) and ".".join(parts[len(parts) - depth - 1 :]).removesuffix(".__init__") == module:
+        root = source.parents[depth]
+    else:  # a script, or a module that was loaded under another name than its file's
+        module, root = source.stem, source.parent
     folder = base / f"{module}-{closure_hash(module, root)}"
     if folder.is_dir():
         os.utime(folder)

@@ -1,0 +1,105 @@
+"""Lobes as a compile-time constant: loops that are given a `Lobes` are compiled for the lobes that it names.
+
+A `Lobes` is an argument like any other in Python. In compiled code it has no value, only a type, which holds the names
+of the lobes and the hashes of their sources; the functions below become calls of those lobes' own kernels, and a chain
+of comparisons where there are several. A loop for one lobe is therefore the code that would stand there without
+any choice, and a changed lobe compiles anew just what was compiled for it.
+
+Functions whose second argument is ``which`` take the number of one lobe of several; the others take a `Lobes` of one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from llvmlite import ir
+from numba import types
+from numba.core.cgutils import get_null_value
+from numba.extending import NativeValue, models, overload, register_model, typeof_impl, unbox
+
+from irodori.reflection.registry import lobe
+
+
+@dataclass(frozen=True)
+class Lobes:
+    """The lobes that occur where a loop is run.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Of registered lobes; their places count from 0.
+    """
+
+    names: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        for name in self.names:
+            lobe(name)
+
+    @classmethod
+    def of(cls, names: Sequence[str] | str) -> "Lobes":
+        """Return the lobes of the names, each once, in the order in which they first occur."""
+        return cls(tuple(dict.fromkeys([names] if isinstance(names, str) else names)))
+
+
+class LobesType(types.Type):
+    """The type of a `Lobes` in compiled code."""
+
+    def __init__(self, names: tuple[str, ...], digests: tuple[str, ...]) -> None:
+        self.names, self.digests = names, digests
+        super().__init__(name=f"Lobes({', '.join(f'{n}:{d}' for n, d in zip(names, digests, strict=True))})")
+
+    @property
+    def key(self):
+        """Return what tells one type from another."""
+        return self.names, self.digests
+
+
+@typeof_impl.register(Lobes)
+def _typeof(value, context):
+    return LobesType(value.names, tuple(lobe(name).digest for name in value.names))
+
+
+@register_model(LobesType)
+class _Model(models.PrimitiveModel):
+    def __init__(self, manager, kind) -> None:
+        super().__init__(manager, kind, ir.IntType(8))
+
+
+@unbox(LobesType)
+def _unbox(kind, value, context):
+    return NativeValue(get_null_value(ir.IntType(8)))
+
+
+def _specialised(name: str, arguments: str, about: str, choosing: bool):
+    """Return a function for compiled code that calls the kernel of that name of the lobes it is given."""
+    head = f"lobes, which, {arguments}" if choosing else f"lobes, {arguments}"
+    namespace: dict = {}
+    exec(f"def {name}({head}):\n    raise NotImplementedError('in compiled code only')\n", namespace)
+    made = namespace[name]
+    made.__doc__ = about
+
+    def build(kind):
+        if not isinstance(kind, LobesType) or not (choosing or len(kind.names) == 1):
+            return None
+        inner = {f"kernel{i}": getattr(lobe(n), name) for i, n in enumerate(kind.names)}
+        last = len(kind.names) - 1
+        lines = [f"    if which == {i}:\n        return kernel{i}({arguments})\n" for i in range(last)]
+        source = f"def {name}({head}):\n{''.join(lines)}    return kernel{last}({arguments})\n"
+        exec(source, inner)
+        return inner[name]
+
+    # An overload is told apart by its parameters, which must be those of the function.
+    chooser: dict = {"build": build}
+    exec(f"def chosen({head}):\n    return build(lobes)\n", chooser)
+    overload(made, jit_options={"error_model": "numpy", "forceinline": True})(chooser["chosen"])
+    return made
+
+
+features = _specialised("features", "cos_i, cos_r, cos_phi, cos_h, phi", "See `Lobe.features`.", False)
+constants = _specialised("constants", "t", "See `Lobe.constants`.", False)
+value = _specialised("value", "constant, f0, f1, f2", "See `Lobe.value`.", False)
+derivatives = _specialised("derivatives", "constant, f0, f1, f2", "See `Lobe.derivatives`.", False)
+draw = _specialised("draw", "mu, v0, v1, v2, u0, u1", "See `Lobe.draw`.", True)
+density = _specialised("density", "mu, cos_r, cos_phi, cos_h, phi", "See `Lobe.density`.", True)
+strength = _specialised("strength", "mu", "See `Lobe.strength`.", True)
+reach = _specialised("reach", "mu", "See `Lobe.reach`.", True)
