@@ -1,4 +1,4 @@
-"""How long many objects take on a cluster, from what a tile, a file, a job's start and its submission cost here.
+"""Model of the chain's duration on a cluster, from measured costs of tiles, files and job starts.
 
 The chain of an object is three phases of jobs, each waiting for the last of the one before: ingestion, tiles (rectified
 and fitted, many to a job), compression. The jobs of all objects stand beside each other. A phase lasts as long as its

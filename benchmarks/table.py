@@ -1,4 +1,4 @@
-"""What every benchmark does alike: time, memory, and the table of speed against error [design, section 6]."""
+"""Timing, memory and result tables shared by all benchmarks [design, section 6]."""
 
 import argparse
 import csv

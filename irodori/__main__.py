@@ -1,4 +1,4 @@
-"""The command ``python -m irodori``, which is ``irodori`` where the package is installed."""
+"""Entry point of ``python -m irodori``."""
 
 from irodori.command_line import main
 

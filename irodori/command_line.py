@@ -1,4 +1,4 @@
-"""The command ``irodori``: what is done outside the workflow, one subcommand each.
+"""The command ``irodori`` and its subcommands.
 
 ``irodori --help`` lists them. A subcommand's module is imported only when that subcommand runs, so that help is at once
 there and a bench without a camera needs no camera's library.

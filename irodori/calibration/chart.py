@@ -1,4 +1,4 @@
-"""Reading a colour chart: where its patches lie, and what the camera answered there."""
+"""Measurement of a colour chart in a linear picture: patch positions, mean responses and their variances."""
 
 from dataclasses import dataclass
 

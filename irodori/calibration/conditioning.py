@@ -1,4 +1,4 @@
-"""What makes a chart's responses unfit for calibration, in a sentence, and how much a calibration amplifies noise."""
+"""Checks whether a chart can calibrate a camera, and the noise amplification of a calibration."""
 
 from dataclasses import dataclass
 

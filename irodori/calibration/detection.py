@@ -1,4 +1,4 @@
-"""A ColorChecker Classic found in a photograph: squares by `colour-checker-detection`, grid, orientation, proof.
+"""Detection of a ColorChecker Classic in a photograph, with its orientation.
 
 The library's segmentation gives squares; the lattice, its fit to the patches' edges and the orientation are worked out
 here, and what is found is proved by the measured spectra before it counts.

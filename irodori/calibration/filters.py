@@ -1,4 +1,4 @@
-"""Ranking of filters as a command: ``python -m irodori.calibration.filters --camera FILE --filters FILE``.
+"""Ranking of second-shot filters on the command line: ``irodori filters --camera FILE --filters FILE``.
 
 Prints the filters in the order of the mean CIEDE2000 that each would give as the second shot of a camera, and writes
 them all to a CSV. See `irodori.calibration.ranking` for what is computed.

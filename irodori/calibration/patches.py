@@ -1,4 +1,4 @@
-"""Statistics of a chart's patches that dirt, hot pixels and uneven light do not rule."""
+"""Robust statistics of a chart's patches, unharmed by dirt, hot pixels and uneven light."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Which filter makes the best second shot: the error that each would give, predicted from measured curves.
+"""Predicted colour errors of candidate filters for the second shot, from measured curves.
 
 The estimator is the plain Wiener filter. With reflectances s of the training set, K = E[s sᵀ] (no mean is subtracted),
 responses ρ = H s + e and noise of variance σ² on every band of full scale 1, it is A = K Hᵀ (H K Hᵀ + σ² I)⁻¹

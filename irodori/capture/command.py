@@ -1,4 +1,4 @@
-"""Commands for the person at the bench.
+"""Command line for the person at the bench.
 
 ::
 

@@ -1,4 +1,4 @@
-"""Hand steps: what the person at the bench is asked to set, and how the answer comes back.
+"""Prompts to the person at the bench for steps that no motor does, and their answers.
 
 Nothing is kept between runs. A person may have moved anything since, so that after a restart the first step states
 every setting that its shot needs, once.

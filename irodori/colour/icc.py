@@ -1,4 +1,4 @@
-"""ICC profiles of displays that are a matrix and three tone curves: written, and read (ICC.1:2022, version 4.4).
+"""Reading and writing of matrix-and-curve ICC profiles (ICC.1:2022, version 4.4).
 
 Profiles with colour tables (LUT) are refused. LittleCMS, which knows them, is used where 8 bits do: Pillow's interface
 to it takes no more.

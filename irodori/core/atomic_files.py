@@ -1,4 +1,4 @@
-"""Files that appear under their name only when they are complete, and the hash that each result keeps beside it."""
+"""Atomic writes with checksums."""
 
 import argparse
 import errno

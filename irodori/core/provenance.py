@@ -1,4 +1,4 @@
-"""Hashes that say from which code, configuration and files a result came."""
+"""Hashes of the code, configuration and files behind a result."""
 
 import ast
 import functools

@@ -1,4 +1,4 @@
-"""Export of materials and environments as pictures that other programs read.
+"""Export of materials and environments for other programs, as spectral EXR, TIFF or ENVI.
 
 ``python -m irodori.export.material_pictures material.h5 out.exr``.
 

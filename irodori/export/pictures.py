@@ -1,4 +1,4 @@
-"""Pictures in files through OpenImageIO: spectral EXR (published layout), XYZ EXR, PNG and TIFF with an ICC profile."""
+"""Picture files through OpenImageIO: spectral EXR, XYZ EXR, and PNG and TIFF with an ICC profile."""
 
 import re
 from collections.abc import Iterator

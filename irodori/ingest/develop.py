@@ -1,4 +1,4 @@
-"""The photographs of one filter state, decoded and merged into responses."""
+"""Decoding and merging of the photographs of one filter state into responses."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

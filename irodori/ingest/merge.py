@@ -1,4 +1,4 @@
-"""From the digital numbers of one bracket to responses: black, dark, clipping, weights and flat field in one pass.
+"""Merging of a bracket of exposures into responses, in one pass over the digital numbers.
 
 Brackets are merged by inverse variance. What decides about a sample must not depend on its own noise, or the mean
 leans:

@@ -1,4 +1,4 @@
-"""The two shots of one pose on one grid: a filter plate shifts and magnifies the picture."""
+"""Alignment of the two shots of a pose on one grid."""
 
 from dataclasses import dataclass, replace
 

@@ -1,4 +1,4 @@
-"""The material of an object, as it stands in ``material.h5`` and as the renderer wants it."""
+"""Material files: parameter maps and reflectance, stored and loaded for rendering."""
 
 from dataclasses import dataclass, field, replace
 from enum import IntEnum

@@ -1,4 +1,4 @@
-"""From fitted tiles to the object's material: maps, spectra by equation (4), PCA of this image.
+"""Material stage: fitted tiles in; maps, spectra by equation (4) and their compression out.
 
 Tiles are read three times and never held: for what is known of the whole texture, for the second moments of its
 spectra, and to write the material's file.

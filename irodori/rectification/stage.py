@@ -1,4 +1,4 @@
-"""From pictures to texels: every texel's response and geometry in every capture [design, §4].
+"""Rectification stage: response and geometry of every texel in every capture [design, §4].
 
 Responses count against a perfect diffuser at normal incidence. Where the light is near, the irradiance is that at the
 texel: see `irodori.geometry.lamp` for what the white reference has divided already and what is divided here.

@@ -1,4 +1,4 @@
-"""Speed against error: the tables of all benchmarks as one, with the front that no other variant beats."""
+"""Speed-against-error page of all benchmarks, with the Pareto front of each stage."""
 
 import csv
 import html

@@ -1,4 +1,4 @@
-"""What the benchmarks compare with, and how they run processes of their own."""
+"""References and child processes of the benchmarks, and peers that cannot run."""
 
 import os
 import subprocess

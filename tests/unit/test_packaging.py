@@ -1,4 +1,4 @@
-"""What stands in the repository's root for those who install, cite or deploy the project."""
+"""Files in the repository's root for installation, citation and deployment."""
 
 import re
 import subprocess

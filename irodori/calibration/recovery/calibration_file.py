@@ -1,4 +1,4 @@
-"""A calibration as later stages load and apply it."""
+"""Calibration files: loading, and application to pictures."""
 
 from dataclasses import dataclass, fields
 

@@ -1,4 +1,4 @@
-"""What a rig and a camera must do, and how they say that they could not.
+"""Interfaces of rigs and cameras, and the errors that they raise.
 
 A device *has* a `Link`; it is handed over from outside, so that a driver cannot tell a controller on a cable from a
 simulator on a pseudo-terminal. Every wait has a deadline; a target out of reach raises before anything moves.

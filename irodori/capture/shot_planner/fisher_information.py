@@ -1,4 +1,4 @@
-"""What photographs in a pose tell about α, β and μ of equation (5): Fisher information, and the errors of a fit.
+"""Fisher information of photographs about α, β and μ of equation (5), and predicted standard errors.
 
 The parameters are (ln α, ln β, ln μ), so that their errors are relative. The determinant of the information then has
 no unit: other units of light or angle multiply a material's parameters, which moves their logarithms and leaves the

@@ -1,4 +1,4 @@
-"""Photographs of scenes against their cameras: lens, calibration, files, and what a virtual camera can see."""
+"""Checks of a scene's photographs against their cameras: lens, calibration, files, field of view."""
 
 import math
 from pathlib import Path

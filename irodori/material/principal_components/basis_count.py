@@ -1,4 +1,4 @@
-"""The fewest bases that keep a picture's colours, and the second pass that writes its coefficients."""
+"""Smallest number of bases within a colour tolerance, and the pass that writes the coefficients."""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor

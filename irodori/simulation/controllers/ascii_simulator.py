@@ -1,4 +1,4 @@
-"""Simulation of the controller that a rig's file describes, on a pseudo-terminal.
+"""Simulator of a text-protocol motion controller on a pseudo-terminal.
 
 ``python -m irodori.simulation.controllers.ascii_simulator RIG.yaml``.
 

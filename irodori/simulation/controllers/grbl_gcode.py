@@ -1,4 +1,4 @@
-"""The part of Grbl 1.1's G-code that moves axes, as its parser takes and refuses it. For the simulator."""
+"""G-code parser of the Grbl 1.1 simulator, for the commands that move axes."""
 
 import re
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""A Grbl 1.1 controller on a pseudo-terminal.
+"""Simulator of a Grbl 1.1 controller on a pseudo-terminal.
 
 ``python -m irodori.simulation.controllers.grbl_simulator`` prints its port.
 

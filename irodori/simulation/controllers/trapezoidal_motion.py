@@ -1,4 +1,4 @@
-"""Axes that move in straight lines with a trapezoidal profile of speed, stepped in simulated time."""
+"""Straight moves of axes with trapezoidal speed profiles, in simulated time."""
 
 import math
 from collections import deque

@@ -1,4 +1,4 @@
-"""The virtual rig as the camera sees it: what stands where."""
+"""Geometry of the virtual rig as the camera sees it."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""The virtual camera: it photographs what stands on the virtual bench and leaves genuine DNG files."""
+"""Virtual camera: photographs the virtual bench into DNG files."""
 
 from collections.abc import Sequence
 from functools import cached_property
