@@ -53,7 +53,7 @@ class Measured(NamedTuple):
 
     @property
     def trusted(self) -> np.ndarray:
-        """Which values are no outliers, (wavelengths, J) bool."""
+        """Mask of the values that are no outliers, (wavelengths, J) bool."""
         return self.brdf <= OUTLIER_PER_SR
 
 

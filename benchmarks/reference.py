@@ -12,13 +12,13 @@ logarithms; on it the samples are read at which the error is ``--target``, and s
 linear in them, see below). ``converged pictures`` is the mean CIEDE2000 between the two: it tells that the scenes are
 the same.
 
-Mitsuba's kernels are compiled before; seconds are processor time of all threads over their number, the least of the runs,
-which other work on the machine disturbs less than the clock on the wall. Mitsuba's default sampler is ``independent``;
-``multijitter``, the default here, is its best.
+Mitsuba's kernels are compiled before; seconds are processor time of all threads over their number, the least of the
+runs, which other work on the machine disturbs less than the clock on the wall. Mitsuba's default sampler is
+``independent``; ``multijitter``, the default here, is its best.
 
 Mitsuba's variant ``llvm_ad_spectral`` needs a recent LLVM: Debian's package ``libllvm19`` and
-``DRJIT_LIBLLVM_PATH=/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1`` make it run, where LLVM 15 ends the process at the first
-picture. Each variant is first tried in a process of its own; one that cannot run leaves a row that says why.
+``DRJIT_LIBLLVM_PATH=/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1`` make it run, where LLVM 15 ends the process at the
+first picture. Each variant is first tried in a process of its own; one that cannot run leaves a row that says why.
 """
 
 import argparse

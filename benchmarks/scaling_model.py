@@ -18,7 +18,7 @@ BINDING = ("starting jobs", "computing", "storage", "scheduler")
 
 @dataclass(frozen=True)
 class Constants:
-    """What things cost on the machine that measured them.
+    """Measured costs on one machine.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class Phase:
 
     @property
     def waves(self) -> int:
-        """How often the slots are filled."""
+        """Number of times the slots are filled."""
         return math.ceil(self.jobs / self.slots)
 
     def parts_s(self, constants: Constants) -> dict[str, float]:

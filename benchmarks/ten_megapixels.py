@@ -32,7 +32,7 @@ _TOP = 3
 
 @dataclass(frozen=True)
 class Size:
-    """How large the project is.
+    """Size of the project.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class Size:
 
 @dataclass(frozen=True)
 class Cost:
-    """What the jobs of a rule took: times in s, the largest job's memory in MB."""
+    """Cost of a rule's jobs: times in s, the largest job's memory in MB."""
 
     rule: str
     jobs: int

@@ -20,7 +20,7 @@ _MAX_RESIDUAL = 0.02  # of the pitch, besides half a sample
 
 @dataclass(frozen=True)
 class Located:
-    """Where the patches of a chart lie in a photograph.
+    """Positions of a chart's patches in a photograph.
 
     Parameters
     ----------

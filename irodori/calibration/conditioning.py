@@ -34,7 +34,7 @@ class PatchError(ValueError):
 
 @dataclass(frozen=True)
 class Limits:
-    """What a calibration must keep under.
+    """Largest condition number and noise amplification that a calibration may have.
 
     Parameters
     ----------

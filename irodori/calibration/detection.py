@@ -66,7 +66,7 @@ class FoundChart:
 
 
 class _NoChartError(ValueError):
-    """What is wrong with a candidate, in words."""
+    """Reason for refusing a candidate, in words."""
 
 
 def find_chart(response: np.ndarray, valid: np.ndarray, spectra: np.ndarray, file) -> FoundChart:

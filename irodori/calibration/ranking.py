@@ -24,7 +24,7 @@ NO_FILTER = "(one shot, no filter)"
 
 @dataclass(frozen=True)
 class FilterScore:
-    """What one filter would give.
+    """Predicted errors of one filter as the second shot.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def wiener_estimator(weights: np.ndarray, moments: np.ndarray, noise: float) -> 
 
 
 class _Exposure:
-    """How much longer a shot through a filter is exposed."""
+    """Exposure time through a filter, relative to that without."""
 
     def __init__(self, sensitivities: np.ndarray, light: np.ndarray) -> None:
         self.sensitivities, self.light = sensitivities, light

@@ -153,7 +153,7 @@ class Training:
 
     @cached_property
     def priors(self) -> tuple[SmoothPrior, ...]:
-        """What the response model may be before any response."""
+        """Priors of the response model."""
         return smooth_priors(self.spectra, self.light)
 
     @cached_property

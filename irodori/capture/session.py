@@ -31,7 +31,7 @@ _LEFT_OVER = (f"{_TEMPORARY}*", f".{_TEMPORARY}*.part")
 
 @dataclass
 class Tally:
-    """What a session did.
+    """Counts of a session's photographs.
 
     ``kept`` photographs stood in the table before, ``adopted`` ones stood in the folder without a line, ``retired``
     ones are no longer asked for.

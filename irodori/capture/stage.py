@@ -34,7 +34,7 @@ _MADE_FROM = ".made-from"
 
 @dataclass(frozen=True)
 class Target:
-    """What a session photographs, with what, and where the photographs go.
+    """Subject, devices and destination of a session.
 
     Parameters
     ----------

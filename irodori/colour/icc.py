@@ -24,7 +24,7 @@ _PARAMETERS = ("g", "gab", "gabc", "gabcd", "gabcdef")
 
 
 class Profile(NamedTuple):
-    """What a display's profile says.
+    """Display described by an ICC profile.
 
     ``xyz_from_rgb`` is (3, 3), of linear RGB; the display's white has Y = 1 and is not adapted to D50.
     """

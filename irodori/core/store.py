@@ -45,7 +45,7 @@ _JSON = "json:"  # marks an attribute that holds a list or a dictionary
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a file came from; each stage fills it from its rule's parameters.
+    """Origin of a file; each stage fills it from its rule's parameters.
 
     Parameters
     ----------

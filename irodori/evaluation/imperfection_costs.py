@@ -65,7 +65,7 @@ class CostRow:
 
 @dataclass(frozen=True)
 class Chain:
-    """What the small chain runs on.
+    """Inputs of the small chain.
 
     Parameters
     ----------

@@ -81,7 +81,7 @@ def _open(path, accepted: str) -> oiio.ImageInput:
 
 
 class Header(NamedTuple):
-    """What a picture's file says of itself."""
+    """Metadata of a picture file."""
 
     size: tuple[int, int]  # (height, width)
     channels: list[str]

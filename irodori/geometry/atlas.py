@@ -20,7 +20,7 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class Texels:
-    """What lies under the texel centres of some rows.
+    """Triangles and points under the texel centres of some rows.
 
     Parameters
     ----------

@@ -60,7 +60,7 @@ class Developed:
 
     @property
     def valid(self) -> np.ndarray:
-        """Where all three bands were measured, (height, width) bool."""
+        """Pixels whose three bands were all measured, (height, width) bool."""
         return ~(self.clipped | self.hot)
 
 

@@ -30,7 +30,7 @@ _TEXTURE = 2.0  # variance of a block over that of its noise; noise alone scatte
 
 @dataclass(frozen=True)
 class Bracket:
-    """What the merge knows of the exposures of one filter state, in ascending order.
+    """Exposures of one filter state, in ascending order, as the merge takes them.
 
     Parameters
     ----------

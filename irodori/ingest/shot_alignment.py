@@ -19,7 +19,7 @@ MAX_SIGMA_PX = 0.1
 
 @dataclass(frozen=True)
 class Alignment:
-    """Where the filtered picture lies on the unfiltered one.
+    """Alignment of the filtered picture with the unfiltered one.
 
     Parameters
     ----------

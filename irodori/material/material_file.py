@@ -22,7 +22,7 @@ COEFFICIENTS, QUANTITY = "reflectance/coefficients", "coefficients of the reflec
 
 
 class Status(IntEnum):
-    """What became of a texel in the fit."""
+    """Outcome of a texel's fit."""
 
     OK = 0
     MU_UNIDENTIFIABLE = 1  # gloss is there, but the data leaves β or μ open: both are NaN

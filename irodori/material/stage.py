@@ -52,7 +52,7 @@ class _Reflectance:
 
 @dataclass
 class _Gathered:
-    """What the file says of the observed texels of all tiles."""
+    """Data of the observed texels of all tiles."""
 
     observed: int = 0
     texels: int = 0

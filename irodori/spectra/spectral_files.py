@@ -44,7 +44,7 @@ _ACCEPTED = f"a name that ends in one of {', '.join(SUFFIXES)}"
 
 
 class SpectralTable(NamedTuple):
-    """What a file of spectra holds.
+    """Content of a file of spectra.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ _STEP = 1e-4  # of the length of a response, for differences
 
 
 class Mapping(Protocol):
-    """What an estimator gives: a function from responses to weights on a basis."""
+    """Function from responses to weights on a basis, as an estimator returns it."""
 
     kind: ClassVar[str]
 

@@ -78,7 +78,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Weighting:
-    """How the fit weighs an observation: by the inverse of the variance that it expects, or not at all.
+    """Weights of the fit: inverse expected variances, or all equal.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ class Subject:
 
 @dataclass(frozen=True)
 class Observations:
-    """What each pose would show of each case.
+    """Expected observations of every case in every pose.
 
     Parameters
     ----------

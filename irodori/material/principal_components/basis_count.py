@@ -30,7 +30,7 @@ _DEVIATIONS = 2.33  # standard deviations under which a sample's mean or percent
 
 @dataclass(frozen=True)
 class CompressOptions:
-    """How pictures are compressed; the keys of ``compress`` in the configuration.
+    """Options of compression: the keys of ``compress`` in the configuration.
 
     Parameters
     ----------

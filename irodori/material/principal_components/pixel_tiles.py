@@ -131,7 +131,7 @@ def _rows(tile) -> np.ndarray:
 
 
 class _Place(NamedTuple):
-    """Where the numbers of a dataset stand in its file as they are used, one after the other."""
+    """Position of a contiguous, uncompressed dataset in its file."""
 
     file: str
     first_byte: int

@@ -149,7 +149,7 @@ def _finish(side, blocks, waiting, moments):
 
 
 class _Sums:
-    """What one worker adds up."""
+    """Sums of one worker."""
 
     def __init__(self, bands: int) -> None:
         self.bands, self._side = bands, -(-bands // COUNT) * COUNT

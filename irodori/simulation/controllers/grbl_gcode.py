@@ -30,7 +30,7 @@ class GcodeError(Exception):
 
 @dataclass
 class Modes:
-    """What outlasts a line."""
+    """Modal state, which outlasts a line."""
 
     motion: int = 0
     units: int = 21
@@ -47,7 +47,7 @@ class Modes:
 
 @dataclass
 class Move:
-    """What a line does.
+    """Motion that a line asks for.
 
     Parameters
     ----------

@@ -50,7 +50,7 @@ class Stage:
 
     @property
     def end(self) -> list[float]:
-        """Where the axes will stand when all moves are done, units."""
+        """Position of the axes after all moves, units."""
         return list(self.blocks[-1].target if self.blocks else self.position)
 
     @property

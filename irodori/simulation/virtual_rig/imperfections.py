@@ -16,7 +16,7 @@ from irodori.config.capture_table import Pose, Shot
 
 @dataclass(frozen=True)
 class Place:
-    """Where a photograph stands in its session: its number, and how often pose and filter had changed before it."""
+    """Place of a photograph in its session: its number, and the changes of pose and filter before it."""
 
     number: int
     arrival: int

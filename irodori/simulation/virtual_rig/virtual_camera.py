@@ -60,7 +60,7 @@ class VirtualCamera(Camera):
 
     @cached_property
     def sample(self) -> Sample:
-        """What stands on the table."""
+        """Sample on the table."""
         return Sample.from_definition(self.subject)
 
     @cached_property
