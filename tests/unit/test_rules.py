@@ -77,6 +77,8 @@ def test_no_docstring_of_a_module_opens_with_a_question_word():
 
 def test_documents_name_only_modules_and_files_that_are_there():
     documents = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "config/README.md", *(ROOT / "docs").glob("*.md")]
+    rooms = ("irodori", "benchmarks", "tests", "workflow")
+    modules = {file.name for room in rooms for file in (ROOT / room).rglob("*.py")}
     for document in documents:
         text = document.read_text()
         for path in re.findall(r"`((?:irodori|workflow|tests|benchmarks|docs|config|profiles)/[\w./-]+)`", text):
@@ -87,5 +89,7 @@ def test_documents_name_only_modules_and_files_that_are_there():
             assert base.is_dir() or base.with_suffix(".py").is_file() or parent.is_file(), (
                 f"{document.name} names {module}"
             )
+        for name in re.findall(r"`(?:[\w/]*/)?(\w+\.py)`", text):
+            assert name in modules, f"{document.name} names {name}"
         for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text):
             assert (document.parent / target).exists(), f"{document.name} links to {target}"

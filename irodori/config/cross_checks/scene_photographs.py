@@ -26,7 +26,7 @@ def check_photograph(definitions: dict, scene: dict, label: str, states: set[str
     Parameters
     ----------
     definitions : dict
-        Validated, see `irodori.config.cross_checks.check_agreement`.
+        Validated, see `irodori.config.cross_checks.consistency.check_agreement`.
     scene : dict
     label : str
         Name of the photograph.
