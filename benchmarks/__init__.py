@@ -1,4 +1,4 @@
-"""Measurements of speed against error, run by hand."""
+"""Benchmarks of speed against error."""
 
 # Before numba, whose cache of compiled loops it ties to the package's source: loops here call the package's.
 import irodori  # noqa: F401

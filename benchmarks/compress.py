@@ -24,10 +24,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from sklearn.decomposition import IncrementalPCA, TruncatedSVD
 from threadpoolctl import threadpool_limits
 
-from benchmarks.table import COLUMNS, arguments_of, medians_s, own_peak_mb, report
+from benchmarks.table import COLUMNS, arguments_of, medians_s, own_peak_mb, report, row_without_figures, why_it_fails
 from irodori.colour.colorimetry import colour_matching_weights, summary, xyz_from_reflectance
 from irodori.core import store
 from irodori.core.threads import use_threads
@@ -58,6 +57,11 @@ PCA = {
     "pca-budget-from-6": ("bands", CompressOptions(), None),
 }
 OTHER_BASES = 4
+#: Variants that are another project's, and what of theirs is tried before, in a process of its own.
+PEERS = {
+    "sklearn-incremental": "import numpy, sklearn.decomposition as d; d.IncrementalPCA(2).partial_fit(numpy.eye(8))",
+    "truncated-svd": "import numpy, sklearn.decomposition as d; d.TruncatedSVD(2).fit_transform(numpy.eye(8))",
+}
 DECODED = ("pca-4", "pca-4-single", "pca-4-gzip")
 #: What is measured after the reference where no variants are named.
 VARIANTS = {
@@ -142,6 +146,8 @@ def read_blas(folder: Path) -> None:
 
 def scikit(folder: Path, variant: str):
     """Fit scikit-learn's decomposition and return it with the picture's coefficients."""
+    from sklearn.decomposition import IncrementalPCA, TruncatedSVD
+
     with store.open_file(folder / "spectra.h5") as file:
         source = file.dataset("radiance")
         if variant == "truncated-svd":
@@ -227,6 +233,8 @@ def measure(folder: Path, size: str, wanted: list[str] | None, runs: int, thread
     make_picture(folder, size)
     print(f"the picture: {time.perf_counter() - start:.0f} s to make", file=sys.stderr)
     variants = ["read-blas", *(wanted or VARIANTS[size])]
+    reasons = {name: why_it_fails("-c", PEERS[name]) for name in variants if name in PEERS}
+    variants = [name for name in variants if not reasons.get(name)]
     if size == "full":
         single = {name: once(folder, name, threads) for name in variants}
         seconds = {name: found["seconds"] for name, found in single.items()}
@@ -240,7 +248,8 @@ def measure(folder: Path, size: str, wanted: list[str] | None, runs: int, thread
                 single[name] = measured(folder, name)
 
         seconds = medians_s({name: lambda name=name: work(name) for name in variants}, runs)
-    return [row(name, size, seconds, single[name]) for name in variants]
+    rows = [row(name, size, seconds, single[name]) for name in variants]
+    return rows + [row_without_figures("compress", name, reason) for name, reason in reasons.items() if reason]
 
 
 def row(variant: str, size: str, seconds: dict, found: dict) -> dict:

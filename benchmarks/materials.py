@@ -1,4 +1,4 @@
-"""How well equation (5) describes measured materials, beside Lambert's law and a Cook-Torrance model with GGX.
+"""Fit errors of reflection models on measured materials: equation (5), Lambert, Cook-Torrance with GGX.
 
 Bidirectional measurements of ``../shared/data/brdf`` are fitted at every wavelength by itself, every observation with
 the same weight as in equation (7): α alone (Lambert); α, β and roughness with the Gaussian facets and the V-groove
@@ -53,7 +53,7 @@ class Measured(NamedTuple):
 
     @property
     def trusted(self) -> np.ndarray:
-        """Which values are no outliers, (wavelengths, J) bool."""
+        """Mask of the values that are no outliers, (wavelengths, J) bool."""
         return self.brdf <= OUTLIER_PER_SR
 
 

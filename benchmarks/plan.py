@@ -1,4 +1,4 @@
-"""What a plan saves: preparing and rendering a scene with it and without it, in one run.
+"""Savings of a scene plan: preparation and rendering with and without it, in one run.
 
 ``python -m benchmarks.plan [--size small] [--tolerance 1] [--width 640] [--output plan.csv]`` takes the still
 life of `benchmarks.render` under its classroom, and three scenes made of it: matte (no gloss, no mirror), mirrors

@@ -12,20 +12,31 @@ logarithms; on it the samples are read at which the error is ``--target``, and s
 linear in them, see below). ``converged pictures`` is the mean CIEDE2000 between the two: it tells that the scenes are
 the same.
 
-Mitsuba's kernels are compiled before; LLVM is found by DRJIT_LIBLLVM_PATH. Its default sampler is ``independent``;
-``multijitter``, the default here, is its best. Seconds are processor time of all threads over their number, the least
-of the runs, which other work on the machine disturbs less than the clock on the wall.
+Mitsuba's kernels are compiled before; seconds are processor time of all threads over their number, the least of the
+runs, which other work on the machine disturbs less than the clock on the wall. Mitsuba's default sampler is
+``independent``; ``multijitter``, the default here, is its best.
+
+Mitsuba's variant ``llvm_ad_spectral`` needs a recent LLVM: Debian's package ``libllvm19`` and
+``DRJIT_LIBLLVM_PATH=/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1`` make it run, where LLVM 15 ends the process at the
+first picture. Each variant is first tried in a process of its own; one that cannot run leaves a row that says why.
 """
 
+import argparse
 import os
-import subprocess
-import sys
 from typing import NamedTuple
 
 import numpy as np
 import trimesh
 
-from benchmarks.table import COLUMNS, arguments_of, least_processor_s, own_peak_mb, report
+from benchmarks.table import (
+    COLUMNS,
+    arguments_of,
+    least_processor_s,
+    own_peak_mb,
+    report,
+    row_without_figures,
+    why_it_fails,
+)
 from irodori.colour.colorimetry import colour_matching_weights, delta_e, lab_from_xyz, xyz_from_radiance
 from irodori.core.threads import use_threads
 from irodori.geometry.mesh import Mesh
@@ -145,6 +156,11 @@ def view_of(stage: Stage, size: tuple[int, int]) -> View:
     return make_view(eye | {"field_of_view_deg": stage.field_deg}, {"width": size[0], "height": size[1]})
 
 
+def name_of(variant: str) -> str:
+    """Return the name of a variant of Mitsuba in the table."""
+    return f"mitsuba-{variant.split('_')[0]}"
+
+
 class Theirs:
     """Mitsuba 3 in one of its variants."""
 
@@ -152,7 +168,7 @@ class Theirs:
         import mitsuba
 
         mitsuba.set_variant(variant)
-        self.mitsuba, self.variant, self.name = mitsuba, variant, f"mitsuba-{variant.split('_')[0]}"
+        self.mitsuba, self.variant, self.name = mitsuba, variant, name_of(variant)
         eye = mitsuba.ScalarTransform4f().look_at(list(stage.eye_mm), list(stage.target_mm), [0, 0, 1])
         film = {"type": "hdrfilm", "width": size[0], "height": size[1], "pixel_format": "xyz",
                 "rfilter": {"type": "box"}, "component_format": "float32"}  # fmt: skip
@@ -218,14 +234,11 @@ class Line(NamedTuple):
         return float(np.exp((np.log(error) - level) / slope))
 
 
-def is_at_hand(variant: str) -> bool:
-    """Whether a variant of Mitsuba works here; those that compile need the library of LLVM. Say so where not."""
-    probe = f"import mitsuba; mitsuba.set_variant({variant!r}); mitsuba.load_dict({{'type': 'sphere'}})"
-    done = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True)
-    if done.returncode:
-        reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        print(f"{variant} is not measured: {reason}")
-    return done.returncode == 0
+def try_variant(variant: str, sampler: str) -> None:
+    """Render four by four pixels: a variant that compiles fails then, and not when a scene is loaded."""
+    picture = Theirs(variant, sampler, stages()["spheres"], (4, 4), unit_luminance("D65")).xyz(THEIR_SAMPLES[0], 1)
+    if not np.isfinite(picture).all():
+        raise SystemExit(f"{variant}: a picture that is not finite")
 
 
 def line_of(renderer, samples: tuple, truth: np.ndarray, white_xyz: np.ndarray, runs: int) -> Line:
@@ -316,12 +329,23 @@ def main() -> None:
     parser.add_argument("--variants", nargs="*", default=["llvm_ad_spectral", "scalar_spectral"])
     parser.add_argument("--scenes", nargs="*", help="by the size where absent")
     parser.add_argument("--no-growth", action="store_true")
+    parser.add_argument("--try", dest="tried", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
+    if arguments.tried:
+        try_variant(arguments.tried, arguments.sampler)
+        return
     for name, value in SIZES[arguments.size].items():
         setattr(arguments, name, getattr(arguments, name) or value)
-    arguments.variants = [name for name in arguments.variants if is_at_hand(name)]
+    wanted, probe = arguments.variants, ("-m", "benchmarks.reference", "--sampler", arguments.sampler, "--try")
+    reasons = {variant: why_it_fails(*probe, variant) for variant in wanted}
+    arguments.variants = [variant for variant in wanted if not reasons[variant]]
     use_threads(arguments.threads)
-    rows = [row for name in arguments.scenes for row in compare(name, stages()[name], arguments)]
+    rows = []
+    for name in arguments.scenes:
+        rows += compare(name, stages()[name], arguments)
+        for variant, reason in reasons.items():
+            if reason:
+                rows.append(row_without_figures("render", f"{name_of(variant)} {name}", reason))
     report(rows, arguments.threads, arguments.output)
     if not arguments.no_growth:
         growth(arguments.runs)

@@ -1,4 +1,4 @@
-"""What more cores, and a cluster, make of the chain: throughput on one and two cores, and a prediction for many nodes.
+"""Scaling of the chain: throughput on one and two cores, and a prediction for a cluster.
 
 ``python -m benchmarks.scaling [--megapixels 2] [--poses 12] [--project FOLDER] [--objects 10] [--nodes 100]``, at the
 top of the repository. The prediction is that of `benchmarks.scaling_model`, with constants measured here: Snakemake

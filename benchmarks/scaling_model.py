@@ -1,4 +1,4 @@
-"""How long many objects take on a cluster, from what a tile, a file, a job's start and its submission cost here.
+"""Model of the chain's duration on a cluster, from measured costs of tiles, files and job starts.
 
 The chain of an object is three phases of jobs, each waiting for the last of the one before: ingestion, tiles (rectified
 and fitted, many to a job), compression. The jobs of all objects stand beside each other. A phase lasts as long as its
@@ -18,7 +18,7 @@ BINDING = ("starting jobs", "computing", "storage", "scheduler")
 
 @dataclass(frozen=True)
 class Constants:
-    """What things cost on the machine that measured them.
+    """Measured costs on one machine.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class Phase:
 
     @property
     def waves(self) -> int:
-        """How often the slots are filled."""
+        """Number of times the slots are filled."""
         return math.ceil(self.jobs / self.slots)
 
     def parts_s(self, constants: Constants) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Every hard case tried: the tests marked ``stability``, and their table.
+"""Run of all tests marked ``stability``, and the table of their outcomes.
 
 ``python -m benchmarks.stability`` prints the table; ``snakemake stability`` puts it into the report.
 """

@@ -1,8 +1,9 @@
-"""What every benchmark does alike: time, memory, and the table of speed against error [design, section 6]."""
+"""Timing, memory and result tables shared by all benchmarks [design, section 6]."""
 
 import argparse
 import csv
 import os
+import signal
 import statistics
 import subprocess
 import sys
@@ -19,6 +20,8 @@ COLUMNS = ("stage", "variant", "work", "unit", "seconds", "throughput", "error_m
            "ratio")  # fmt: skip
 _SHOWN = ("variant", "seconds", "throughput", "error", "peak_mb", "ratio")
 _LEAST_RUNS = 5
+_PROBE_S = 300.0
+_REASON = 200  # characters
 
 
 def medians_s(work: Mapping[str, Callable[[], object]], runs: int) -> dict[str, float]:
@@ -82,6 +85,38 @@ def printed_by(name: str, calls: Sequence[Sequence[str]]) -> list[str]:
         return list(pool.map(printed, calls))
 
 
+def why_it_fails(*arguments: str) -> str:
+    """Return why a peer cannot run here, in one line; empty where it can.
+
+    The peer is tried in a process of its own: a library that was built against another version of what it loads may not
+    raise but end the process.
+
+    Parameters
+    ----------
+    *arguments : str
+        What Python is to run, such as ``-c`` and a program that makes the peer do a small piece of its real work.
+    """
+    root = Path(__file__).resolve().parents[1]
+    try:
+        done = subprocess.run(
+            [sys.executable, *arguments], cwd=root, capture_output=True, text=True, errors="replace", timeout=_PROBE_S
+        )
+    except subprocess.TimeoutExpired:
+        return f"no answer in {_PROBE_S:.0f} s"
+    if done.returncode == 0:
+        return ""
+    said = done.stderr.strip().splitlines() or ["nothing said"]
+    if done.returncode < 0:  # a library's own words stand before the state that it prints when it ends the process
+        words = next((line for line in said if "error" in line.lower()), said[0])
+        return f"ended by {signal.Signals(-done.returncode).name}: {words.strip()[:_REASON]}"
+    return said[-1].strip()[:_REASON]
+
+
+def row_without_figures(stage: str, variant: str, reason: str) -> dict:
+    """Return the line of a peer that cannot run here: the reason in ``error_metric``, no figures."""
+    return dict.fromkeys(COLUMNS, "") | {"stage": stage, "variant": variant, "error_metric": f"cannot run: {reason}"}
+
+
 def arguments_of(description: str) -> argparse.ArgumentParser:
     """Return a parser with what all benchmarks take."""
     parser = argparse.ArgumentParser(description=description)
@@ -133,6 +168,9 @@ def report(rows: Sequence[dict], threads: int, output: Path | None) -> None:
     widths = {name: max(len(name), *(len(row[name]) for row in rows)) for name in _SHOWN}
     for row in ({name: name for name in _SHOWN}, *rows):
         print("  ".join(f"{row[name]:>{widths[name]}}" for name in _SHOWN))
+    for row in rows:
+        if not row["seconds"]:
+            print(f"{row['variant']}: {row['error_metric']}")
     if output:
         write(rows, output)
 

@@ -1,4 +1,4 @@
-"""One object of ten megapixels through the whole chain: time, memory of every job, disk, and what costs most.
+"""Ten-megapixel object through the whole chain: time, memory, disk, and the costliest rules.
 
 ``python -m benchmarks.ten_megapixels [--megapixels 10.1] [--poses 24] [--folder DIR] [--output ten_megapixels.csv]``,
 at the top of the repository. The virtual rig photographs a plate in two shots a pose; that takes long and is timed
@@ -32,7 +32,7 @@ _TOP = 3
 
 @dataclass(frozen=True)
 class Size:
-    """How large the project is.
+    """Size of the project.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class Size:
 
 @dataclass(frozen=True)
 class Cost:
-    """What the jobs of a rule took: times in s, the largest job's memory in MB."""
+    """Cost of a rule's jobs: times in s, the largest job's memory in MB."""
 
     rule: str
     jobs: int

@@ -1,4 +1,4 @@
-"""How many examples the property-based tests of hard cases draw: more where heavy tests are asked for."""
+"""Number of examples that the property-based tests of hard cases draw."""
 
 _DEEPER = 8
 _heavy = False

@@ -1,1 +1,1 @@
-"""Camera calibration: equations (2) to (4), and estimators that know more."""
+"""Camera calibration: estimators of reflectance spectra from camera responses [eq. 2 to 4]."""

@@ -1,4 +1,4 @@
-"""Reading a colour chart: where its patches lie, and what the camera answered there."""
+"""Measurement of a colour chart in a linear picture: patch positions, mean responses and their variances."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ _MAX_RESIDUAL = 0.02  # of the pitch, besides half a sample
 
 @dataclass(frozen=True)
 class Located:
-    """Where the patches of a chart lie in a photograph.
+    """Positions of a chart's patches in a photograph.
 
     Parameters
     ----------

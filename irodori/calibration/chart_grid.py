@@ -1,4 +1,4 @@
-"""A chart's grid of patches in a picture: the perspective map, and its fit to the edges of the patches.
+"""Perspective grid of a chart's patches, fitted to the edges of the patches.
 
 Grid coordinates are the column and the row of a patch, counted from 0 with fractions between the centres. A homography
 ``image_from_grid`` (3 x 3, last element 1) maps them to x and y in samples of the picture; a fitted grid bends with the

@@ -1,4 +1,4 @@
-"""From the linear responses of a chart's photograph to what a calibration is trained on."""
+"""Training data of a calibration from the linear pictures of its charts."""
 
 from dataclasses import dataclass
 

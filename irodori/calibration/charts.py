@@ -1,4 +1,4 @@
-"""All charts of a camera together: what the first alone gives, from the patches of every one."""
+"""Patches of several charts of one camera, joined into one training set."""
 
 import re
 from collections.abc import Callable, Iterator

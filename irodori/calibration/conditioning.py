@@ -1,4 +1,4 @@
-"""What makes a chart's responses unfit for calibration, in a sentence, and how much a calibration amplifies noise."""
+"""Checks whether a chart can calibrate a camera, and the noise amplification of a calibration."""
 
 from dataclasses import dataclass
 
@@ -34,7 +34,7 @@ class PatchError(ValueError):
 
 @dataclass(frozen=True)
 class Limits:
-    """What a calibration must keep under.
+    """Largest condition number and noise amplification that a calibration may have.
 
     Parameters
     ----------

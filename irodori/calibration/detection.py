@@ -1,4 +1,4 @@
-"""A ColorChecker Classic found in a photograph: squares by `colour-checker-detection`, grid, orientation, proof.
+"""Detection of a ColorChecker Classic in a photograph, with its orientation.
 
 The library's segmentation gives squares; the lattice, its fit to the patches' edges and the orientation are worked out
 here, and what is found is proved by the measured spectra before it counts.
@@ -66,7 +66,7 @@ class FoundChart:
 
 
 class _NoChartError(ValueError):
-    """What is wrong with a candidate, in words."""
+    """Reason for refusing a candidate, in words."""
 
 
 def find_chart(response: np.ndarray, valid: np.ndarray, spectra: np.ndarray, file) -> FoundChart:

@@ -1,4 +1,4 @@
-"""Ranking of filters as a command: ``python -m irodori.calibration.filters --camera FILE --filters FILE``.
+"""Ranking of second-shot filters on the command line: ``irodori filters --camera FILE --filters FILE``.
 
 Prints the filters in the order of the mean CIEDE2000 that each would give as the second shot of a camera, and writes
 them all to a CSV. See `irodori.calibration.ranking` for what is computed.
@@ -105,8 +105,8 @@ def _print_scores(scores: list[FilterScore], count: int, max_exposure: float) ->
         )
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m irodori.calibration.filters", description=__doc__.split("\n\n")[1])
+def _parser(prog: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=prog, description=__doc__.split("\n\n")[1])
     parser.add_argument("--camera", required=True, help="sensitivities: a file, or a camera of colour-science by name")
     parser.add_argument("--filters", required=True, help="transmittances: a file, or a folder of files")
     parser.add_argument("--light", default="A", help="light on the object: a name or a file (%(default)s)")
@@ -125,9 +125,9 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None, prog: str = "python -m irodori.calibration.filters") -> int:
     """Rank filters as the command line says; return the exit status."""
-    options = _parser().parse_args(arguments)
+    options = _parser(prog).parse_args(arguments)
     try:
         scores = rank_filters(
             camera_sensitivities(options.camera),

@@ -1,4 +1,4 @@
-"""Uneven light on a chart, vignetting included, told from the chart itself where there is no flat field.
+"""Estimate of the uneven light on a chart, vignetting included, where there is no flat field.
 
 A patch is of one reflectance, so the slope of the response across it is the slope of the light: the slopes of all
 patches determine a smooth field, exp of a polynomial in x and y, up to its scale. The dark frame between the patches is

@@ -1,4 +1,4 @@
-"""How much the errors of a calibration hang on where exactly its patches were read."""
+"""Sensitivity of a calibration's errors to small shifts of the places where patches are measured."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

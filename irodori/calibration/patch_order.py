@@ -1,4 +1,4 @@
-"""Whether patches answer in the order of the spectra: a chart that stands on its head must not calibrate anything."""
+"""Test that patches come in the order of their spectra, which refuses a chart photographed upside down."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Statistics of a chart's patches that dirt, hot pixels and uneven light do not rule."""
+"""Robust statistics of a chart's patches, unharmed by dirt, hot pixels and uneven light."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ _LEAST_VALID = 0.5  # share of a patch
 
 @dataclass(frozen=True)
 class ChartReading:
-    """What a camera answered on the patches of a chart, patch by patch, row by row.
+    """Statistics of the camera's responses on a chart's patches, row by row.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Which filter makes the best second shot: the error that each would give, predicted from measured curves.
+"""Predicted colour errors of candidate filters for the second shot, from measured curves.
 
 The estimator is the plain Wiener filter. With reflectances s of the training set, K = E[s sᵀ] (no mean is subtracted),
 responses ρ = H s + e and noise of variance σ² on every band of full scale 1, it is A = K Hᵀ (H K Hᵀ + σ² I)⁻¹
@@ -24,7 +24,7 @@ NO_FILTER = "(one shot, no filter)"
 
 @dataclass(frozen=True)
 class FilterScore:
-    """What one filter would give.
+    """Predicted errors of one filter as the second shot.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def wiener_estimator(weights: np.ndarray, moments: np.ndarray, noise: float) -> 
 
 
 class _Exposure:
-    """How much longer a shot through a filter is exposed."""
+    """Exposure time through a filter, relative to that without."""
 
     def __init__(self, sensitivities: np.ndarray, light: np.ndarray) -> None:
         self.sensitivities, self.light = sensitivities, light

@@ -1,4 +1,4 @@
-"""What a camera answers per unit reflectance at each wavelength, as a chart tells it under a smooth prior."""
+"""Camera sensitivity per wavelength, estimated from a chart under a smoothness prior."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Responses of a camera of known sensitivities, with noise [eq. 1]: what a calibration may be tried on beforehand."""
+"""Simulated responses of a camera of known sensitivities, with noise [eq. 1]."""
 
 import numpy as np
 

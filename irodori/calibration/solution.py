@@ -1,4 +1,4 @@
-"""From a chart's responses to the calibration that the configuration asks for, and what it was chosen from."""
+"""Solution of a calibration: the configured estimator, or the one chosen by cross-validation."""
 
 from dataclasses import dataclass, replace
 

@@ -1,4 +1,4 @@
-"""Lattices among the squares that a detector found: which of them are neighbours, and in which row and column.
+"""Grouping of detected squares into rows and columns of a lattice.
 
 Squares that the detector missed leave holes; squares that are no patches find no neighbours.
 """

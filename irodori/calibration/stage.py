@@ -1,4 +1,4 @@
-"""The stage: from a chart's linear responses and measured spectra to a calibration and its errors."""
+"""Calibration stage: charts' linear responses and measured spectra in, calibration and its errors out."""
 
 import csv
 import math

@@ -1,4 +1,4 @@
-"""What every estimator is trained on: the chart, its noise, and what both tell about camera and reflectances.
+"""Training data of the estimators: chart, noise, and statistics of camera and reflectances.
 
 A chart shows two dozen reflectances; a picture shows others. Two things carry over. The *response model*, responses per
 unit reflectance at each wavelength, is the light times a smooth sensitivity: its posterior under that prior gives the
@@ -153,7 +153,7 @@ class Training:
 
     @cached_property
     def priors(self) -> tuple[SmoothPrior, ...]:
-        """What the response model may be before any response."""
+        """Priors of the response model."""
         return smooth_priors(self.spectra, self.light)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""What an estimator makes of patches that it has not seen."""
+"""Errors of an estimator on patches left out of its training."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

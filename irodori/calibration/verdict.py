@@ -1,4 +1,4 @@
-"""A calibration's colour errors beside the tolerances of heritage imaging, each in the guideline's own metric.
+"""Comparison of a calibration's colour errors with the tolerances of heritage imaging guidelines.
 
 * **FADGI 2016**: Federal Agencies Digital Guidelines Initiative, *Technical Guidelines for Digitizing Cultural Heritage
   Materials: Creation of Raster Image Files*, September 2016, table of "Paintings and Other Two-Dimensional Art (Other

@@ -1,4 +1,4 @@
-"""Commands for the person at the bench.
+"""Command line for the person at the bench.
 
 ::
 
@@ -34,9 +34,9 @@ from irodori.core.store import Provenance
 from irodori.core.termination import ending_in_order
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None, prog: str = "python -m irodori.rig") -> int:
     """Run one command; return 0, 1 after a fault that was said in one sentence, 130 after Ctrl-C."""
-    options = _parser().parse_args(arguments)
+    options = _parser(prog).parse_args(arguments)
     handler = logging.StreamHandler(sys.stderr)
     # An operator speaks to the person by itself; its words go to the log for those who read a log.
     handler.addFilter(lambda record: record.module != "operator")
@@ -55,8 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m irodori.rig", description="The rig, for the person at the bench.")
+def _parser(prog: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=prog, description="The rig, for the person at the bench.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     def command(name: str, run, text: str) -> argparse.ArgumentParser:

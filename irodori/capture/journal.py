@@ -1,4 +1,4 @@
-"""The table of a session as it grows: one line a photograph, on the disk before the next is taken."""
+"""Append-only table of a session: one line per photograph, on disk before the next is taken."""
 
 import contextlib
 import csv

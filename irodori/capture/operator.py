@@ -1,4 +1,4 @@
-"""Hand steps: what the person at the bench is asked to set, and how the answer comes back.
+"""Prompts to the person at the bench for steps that no motor does, and their answers.
 
 Nothing is kept between runs. A person may have moved anything since, so that after a restart the first step states
 every setting that its shot needs, once.
@@ -92,7 +92,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Step:
-    """What a person sets before the next photograph, in the order of SETTINGS; false where nothing is to be set."""
+    """Settings to change by hand before the next photograph, in the order of SETTINGS; false where there are none."""
 
     changes: tuple[Change, ...]
 
@@ -113,7 +113,7 @@ class Step:
 
     @property
     def new(self) -> dict[str, float | str]:
-        """What stands after the step, by setting."""
+        """Settings after the step."""
         return {change.name: change.new for change in self.changes}
 
     def __bool__(self) -> bool:
@@ -125,7 +125,7 @@ class Step:
 
 
 class Operator(ABC):
-    """Who sets what no motor drives."""
+    """Interface of whoever changes the settings that no motor drives."""
 
     def ask(self, step: Step) -> None:
         """Have a step done; return when it is. Raises as `confirm` does."""
@@ -152,7 +152,7 @@ class Operator(ABC):
 
 
 class HandSettings:
-    """What stands at the bench by hand, as far as this run knows; asks for what differs."""
+    """Hand settings at the bench as far as this run knows them; asks for those that differ."""
 
     def __init__(self, operator: Operator) -> None:
         self.operator = operator

@@ -1,4 +1,4 @@
-"""A sitting at the rig: every missing photograph of a plan is taken, verified, hashed and noted, one by one.
+"""Capture sessions: take, verify, hash and record every missing photograph of a plan.
 
 A photograph is stored under a temporary name, decoded, given its own name and then noted in the table. Whatever
 breaks the session off, the next one finds whole files and whole lines, and takes what is missing.
@@ -31,7 +31,7 @@ _LEFT_OVER = (f"{_TEMPORARY}*", f".{_TEMPORARY}*.part")
 
 @dataclass
 class Tally:
-    """What a session did.
+    """Counts of a session's photographs.
 
     ``kept`` photographs stood in the table before, ``adopted`` ones stood in the folder without a line, ``retired``
     ones are no longer asked for.

@@ -1,4 +1,4 @@
-"""What a photograph wants set before it is taken, and by whom: by motors, or by the person at the bench.
+"""Steps that set up a photograph, each done by a motor or by a person.
 
 A setting is an angle of a pose in degrees, the state of the comb filter (``filter``), or what stands before the lens
 (``subject``, of a photograph as `irodori.config.capture_table.Shot` has it).

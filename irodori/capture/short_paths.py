@@ -1,4 +1,4 @@
-"""Short ways: through places that motors reach, and through blocks of places between which a person sets something.
+"""Short tours through poses, and through blocks of poses between which a person has to set something.
 
 Few points are solved exactly (dynamic programming over subsets, Held and Karp 1962), one axis is swept from end to
 end, many points take the best of several boustrophedon orders and of a nearest-neighbour order bettered by 2-opt and

@@ -1,4 +1,4 @@
-"""Which photographs a definition asks for.
+"""Lists of the photographs that a definition asks for.
 
 File names follow from what a photograph is and not from when it was taken, so that a session that was broken off
 knows what is missing.

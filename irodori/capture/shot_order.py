@@ -1,4 +1,4 @@
-"""The order in which photographs are taken, and the time that they will take.
+"""Order of a session's photographs, and an estimate of the time they take.
 
 A session costs the person's time first: each step by hand (`irodori.capture.operator.Step`) interrupts it and waits for
 somebody. So the photographs that want the same settings by hand are taken together, each combination once, and

@@ -1,4 +1,4 @@
-"""The captures of a workflow: an object, a camera's own photographs, an environment, on whatever rig they name."""
+"""Capture stage: photograph an object, a camera's references or an environment, on a real or virtual rig."""
 
 import json
 import os
@@ -34,7 +34,7 @@ _MADE_FROM = ".made-from"
 
 @dataclass(frozen=True)
 class Target:
-    """What a session photographs, with what, and where the photographs go.
+    """Subject, devices and destination of a session.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""From spectra to tristimulus values, CIELAB and CIEDE2000 [eq. 6].
+"""Tristimulus values, CIELAB and CIEDE2000 from spectra [eq. 6].
 
 The absolute import of ``colour`` below is the colour-science library; this module holds only what that library does
 not: weights for the 61 samples with the tails folded in, so that a picture is one matrix product.

@@ -1,4 +1,4 @@
-"""From tristimulus values to a display picture: adaptation to the scene's white, primaries and tone curves.
+"""Display pictures from tristimulus values: chromatic adaptation, primaries and tone curves.
 
 A display is known by its primaries, white and tone curve, by colour measurements of it, or by its ICC profile; sRGB
 stands for one of which nothing is known.

@@ -1,4 +1,4 @@
-"""ICC profiles of displays that are a matrix and three tone curves: written, and read (ICC.1:2022, version 4.4).
+"""Reading and writing of matrix-and-curve ICC profiles (ICC.1:2022, version 4.4).
 
 Profiles with colour tables (LUT) are refused. LittleCMS, which knows them, is used where 8 bits do: Pillow's interface
 to it takes no more.
@@ -24,7 +24,7 @@ _PARAMETERS = ("g", "gab", "gabc", "gabcd", "gabcdef")
 
 
 class Profile(NamedTuple):
-    """What a display's profile says.
+    """Display described by an ICC profile.
 
     ``xyz_from_rgb`` is (3, 3), of linear RGB; the display's white has Y = 1 and is not adapted to D50.
     """

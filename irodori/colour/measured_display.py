@@ -1,4 +1,4 @@
-"""A display as a colorimeter measured it: tristimulus values of patches of known code values.
+"""Display model from a colorimeter's measurements of patches with known code values.
 
 Two tables are read: a CSV of the columns red, green, blue (code values from 0 to 1), X, Y, Z (any one unit), and
 Argyll's .ti3 of ``dispread`` (RGB_R, RGB_G, RGB_B from 0 to 100, XYZ_X, XYZ_Y, XYZ_Z). Wanted are black and a ramp of

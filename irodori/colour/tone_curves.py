@@ -1,4 +1,4 @@
-"""Tone curves of displays: linear light 0..1 of a channel from its code value 0..1, and back."""
+"""Tone curves of displays: between code values and linear light, both 0..1."""
 
 from dataclasses import dataclass
 

@@ -1,1 +1,1 @@
-"""Schemas, definitions and the checks between them. Light enough for the Snakefile to import."""
+"""Schemas, definitions and the checks between them, without heavy imports."""

@@ -1,4 +1,4 @@
-"""Tables of photographs: which RAW file shows what, from which side, with which filter and exposure time.
+"""Capture tables: CSV files that list the RAW files with role, pose, filter and exposure time.
 
 A table is a CSV with one photograph a line. Angles are in degrees [design, §4], exposure times in seconds.
 """

@@ -1,4 +1,4 @@
-"""The definitions that a run needs, read, validated and checked against each other before anything is made.
+"""Loading of all definitions of a run: read, validated and checked against each other.
 
 Light enough for the Snakefile: nothing but the standard library, PyYAML and jsonschema is imported.
 """

@@ -1,4 +1,4 @@
-"""Definitions against their schemas: defaults filled in, faults worded for the person who wrote the file.
+"""Validation of definitions against their schemas, with defaults filled in and readable error messages.
 
 The schemas stand in ``schemas/``. Variants (``oneOf``) are told apart by their ``kind`` key, so that
 a fault is reported for the variant that the author chose and not for all of them.

@@ -1,4 +1,4 @@
-"""Files that appear under their name only when they are complete, and the hash that each result keeps beside it."""
+"""Atomic writes with checksums."""
 
 import argparse
 import errno
@@ -159,9 +159,9 @@ def damaged_results(folder) -> list[str]:
     return said
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None, prog: str = "python -m irodori.core.atomic_files") -> int:
     """Check the results under a folder; 1 where one was damaged."""
-    parser = argparse.ArgumentParser(prog="python -m irodori.core.atomic_files", description=damaged_results.__doc__)
+    parser = argparse.ArgumentParser(prog=prog, description=damaged_results.__doc__)
     parser.add_argument("folder", nargs="?", default="results")
     try:
         said = damaged_results(parser.parse_args(arguments).folder)

@@ -1,4 +1,4 @@
-"""What bad input raises, worded for the person who wrote the input."""
+"""Exceptions for bad input, with messages for the author of the input."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Progress of long work: a tqdm bar on a terminal, plain lines in a log; and the log of a rule's script."""
+"""Progress bars on a terminal, plain lines in a log, and the log of a rule's script."""
 
 import logging
 import sys

@@ -1,4 +1,4 @@
-"""Hashes that say from which code, configuration and files a result came."""
+"""Hashes of the code, configuration and files behind a result."""
 
 import ast
 import functools
@@ -21,9 +21,10 @@ def code_hash(*modules: str, root: Path = _ROOT) -> str:
     Parameters
     ----------
     *modules : str
-        Dotted names, such as ``irodori.fitting``. Local means: in the root, whichever its top package.
+        Dotted names, such as ``irodori.fitting``. Local means: in the root, whichever its top package; where packages
+        are installed in the root, only the module's own top package and this one.
     root : path
-        Folder of the top packages.
+        Folder of the top packages: the repository, or where this package is installed.
 
     Returns
     -------
@@ -56,6 +57,7 @@ def local_sources(module: str, root: Path = _ROOT) -> dict[str, Path]:
         known = sorted(".".join(file.relative_to(root).with_suffix("").parts) for file in root.glob(f"{top}/**/*.py"))
         known = [name.removesuffix(".__init__") for name in known]
         raise ValueError(f"no module {module!r}; modules: {', '.join(known) or 'none'}")
+    own = {module.partition(".")[0], __name__.partition(".")[0]} if _holds_installed_packages(root) else None
     found: dict[str, Path] = {}
     seen: set[str] = set()
     waiting = [module]
@@ -70,7 +72,7 @@ def local_sources(module: str, root: Path = _ROOT) -> dict[str, Path]:
         file = _file(name, root)
         if file is not None:
             found[name] = file
-            waiting += _imports(name, file, root)
+            waiting += [other for other in _imports(name, file, root) if own is None or other.partition(".")[0] in own]
     return found
 
 
@@ -78,6 +80,12 @@ def modules_of(package: str, root: Path = _ROOT) -> list[str]:
     """Return the dotted names of all modules of a package, sorted: for what uses it as a whole, as its tests do."""
     files = (file.relative_to(root).with_suffix("") for file in sorted(Path(root, package).rglob("*.py")))
     return [".".join(file.parts).removesuffix(".__init__") for file in files]
+
+
+@functools.cache
+def _holds_installed_packages(root: Path) -> bool:
+    """Whether an installer put packages into a folder: numpy beside this one is not local then."""
+    return next(root.glob("*.dist-info"), None) is not None
 
 
 def _file(module: str, root: Path) -> Path | None:

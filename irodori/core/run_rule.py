@@ -1,4 +1,4 @@
-"""What every rule's script shares: its log, its threads and the provenance of what it writes."""
+"""Common frame of every rule's script: log, threads and provenance."""
 
 import hashlib
 from collections.abc import Iterator

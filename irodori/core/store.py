@@ -1,4 +1,4 @@
-"""The single place that opens HDF5: atomic writing, units and provenance on everything, clear refusals on reading.
+"""HDF5 files with atomic writes, units and provenance; the only module that opens HDF5.
 
 A file is written under a temporary name in the same folder and renamed when complete, so that a file that exists is
 whole. Root attributes: ``schema_version``, ``rule``, ``config_hash``, ``code_hash``, ``input_sha256``,
@@ -45,7 +45,7 @@ _JSON = "json:"  # marks an attribute that holds a list or a dictionary
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a file came from; each stage fills it from its rule's parameters.
+    """Origin of a file; each stage fills it from its rule's parameters.
 
     Parameters
     ----------

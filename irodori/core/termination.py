@@ -1,4 +1,4 @@
-"""What ends a process from outside, turned into an exception, so that it leaves the rig at rest."""
+"""Turn SIGTERM and SIGHUP into exceptions, so that a rig is left at rest."""
 
 import signal
 import threading

@@ -1,4 +1,4 @@
-"""Giving a rule's threads to everything that computes: numba's loops, BLAS, and Embree's builder."""
+"""Thread limits for numba, BLAS and Embree."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""What stored coefficients take and how fast they come back, measured when the report is written."""
+"""Size and decoding speed of stored coefficients, measured for the report."""
 
 import time
 

@@ -1,4 +1,4 @@
-"""The error budget of a view: what each stage adds to the final pixel, from RAW noise to the renderer.
+"""Error budget of a view: the contribution of each stage to the final pixel.
 
 The virtual rig knows the truth, so a stage's contribution is measured by substitution: everything is true but what that
 stage made, and the picture is compared with the one of true materials under true light. Beside it stands what was

@@ -1,4 +1,4 @@
-"""Draws of the errors that the stages know of, in the materials as they were measured, for the error budget.
+"""Random draws of the stages' stated errors in measured materials, for the predicted error budget.
 
 Nothing here reads a truth: a prediction is the difference between two pictures that could both be what was measured.
 """

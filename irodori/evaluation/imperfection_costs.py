@@ -1,4 +1,4 @@
-"""What each imperfection of the virtual rig costs: the chain in small, with one fault at a time.
+"""Cost of each imperfection of the virtual rig, by a small run of the chain with one fault at a time.
 
 An object is photographed, ingested, calibrated, rectified, fitted and compressed by the stages themselves, in a folder
 of its own, at half the camera's resolution and in some of its poses, once for every set of faults.
@@ -65,7 +65,7 @@ class CostRow:
 
 @dataclass(frozen=True)
 class Chain:
-    """What the small chain runs on.
+    """Inputs of the small chain.
 
     Parameters
     ----------

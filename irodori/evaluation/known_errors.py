@@ -1,4 +1,4 @@
-"""What the stages know of their own errors in an object, without its truth: nothing here reads one."""
+"""Error estimates that need no ground truth."""
 
 from dataclasses import dataclass, replace
 

@@ -1,4 +1,4 @@
-"""What six responses leave open of a room's light, over the illuminants that are published, for the error budget.
+"""Predicted error of a recovered light, over the published illuminants that match its six responses.
 
 A camera that was calibrated on a chart under one lamp answers to a light L(λ) with Σ R_b L dλ, where the calibration's
 response model tells R_b. The lights of a family that could have given a picture's responses scatter: by the family's

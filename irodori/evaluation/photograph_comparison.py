@@ -1,4 +1,4 @@
-"""Beside the real thing: a photograph of a scene, the same view rendered, and how far their colours are apart.
+"""Comparison of a photograph of a scene with its rendering, pixel by pixel.
 
 The photograph is one that the materials were not fitted to. Its responses become spectra by the camera's calibration as
 those of an environment do. The rendering has every reflection, by converging paths, from the fitted materials under

@@ -28,7 +28,7 @@ _RELATIVE = {"alpha": False, "beta": True, "mu": True}
 
 @dataclass(frozen=True)
 class Sitting:
-    """How photographs are simulated.
+    """Conditions of the simulated photographs.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How well the two shots of each capture were laid on each other."""
+"""Registration quality of the two shots of each capture."""
 
 import csv
 from collections.abc import Sequence

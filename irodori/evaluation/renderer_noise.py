@@ -1,4 +1,4 @@
-"""Pictures by the integrator `reference` for the error budget, and its noise: as it is and as expected."""
+"""Reference pictures for the error budget, with measured and expected noise."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Errors against ground truth, as everyone here computes them [design, §5]: mean, 95th percentile and maximum."""
+"""Errors against ground truth: mean, 95th percentile and maximum [design, §5]."""
 
 import csv
 from dataclasses import asdict, dataclass, fields

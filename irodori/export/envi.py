@@ -1,4 +1,4 @@
-"""ENVI files, a text header beside a flat file of numbers, through Spectral Python; a band of rows at a time."""
+"""ENVI files through Spectral Python, written and read by bands of rows."""
 
 import os
 from collections.abc import Callable

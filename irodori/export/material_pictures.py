@@ -1,4 +1,4 @@
-"""Export of materials and environments as pictures that other programs read.
+"""Export of materials and environments for other programs, as spectral EXR, TIFF or ENVI.
 
 ``python -m irodori.export.material_pictures material.h5 out.exr``.
 
@@ -180,11 +180,9 @@ def export(source, path, interleave: str | None = None) -> None:
         raise InputError(source, "", "neither a material nor an environment", "material.h5 or an environment's file")
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None, prog: str = "python -m irodori.export.material_pictures") -> int:
     """Run the command; return 0, or 2 after a fault said in one sentence."""
-    parser = argparse.ArgumentParser(
-        prog="python -m irodori.export.material_pictures", description=__doc__.partition(":")[0]
-    )
+    parser = argparse.ArgumentParser(prog=prog, description=__doc__.splitlines()[0])
     parser.add_argument("source", help="material.h5 or an environment's file")
     parser.add_argument("output", help=f"picture to write, {', '.join(SUFFIXES)}")
     parser.add_argument("--interleave", help=f"of ENVI (.img): {', '.join(INTERLEAVES)}; the first where absent")

@@ -1,4 +1,4 @@
-"""Pictures in files through OpenImageIO: spectral EXR (published layout), XYZ EXR, PNG and TIFF with an ICC profile."""
+"""Picture files through OpenImageIO: spectral EXR, XYZ EXR, and PNG and TIFF with an ICC profile."""
 
 import re
 from collections.abc import Iterator
@@ -81,7 +81,7 @@ def _open(path, accepted: str) -> oiio.ImageInput:
 
 
 class Header(NamedTuple):
-    """What a picture's file says of itself."""
+    """Metadata of a picture file."""
 
     size: tuple[int, int]  # (height, width)
     channels: list[str]

@@ -1,4 +1,4 @@
-"""The Fresnel reflectance of a measured n(λ) + ik(λ) as the bands of the camera see it.
+"""Fresnel reflectance per camera band for a measured complex index n(λ) + ik(λ).
 
 A band answers to a reflectance S(λ) with Σ A_b(λ) S(λ) [eq. 1]. The gloss of a surface is such a reflectance, of the
 colour F(λ, θ_H); so F of a band is the mean of F(λ, θ_H) under A_b, which the calibration knows as its response model.

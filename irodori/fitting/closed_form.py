@@ -1,4 +1,4 @@
-"""For one roughness μ the best α and β have a closed form; what is left is a function of t = log μ [eq. 7].
+"""Closed-form α and β for a given roughness μ, which leave a function of t = log μ [eq. 7].
 
 The sum of squares with the best bounded pair (α, β) is Φ(t). By the envelope theorem its slope is the partial
 derivative at the pair, and its curvature is the Schur complement of the full Hessian over the variables that no bound

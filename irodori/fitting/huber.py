@@ -1,4 +1,4 @@
-"""Huber's loss: linear beyond a number of standard deviations, so that a gross outlier pulls like a large error.
+"""Huber's loss: quadratic for small residuals, linear for outliers.
 
 For one μ the loss is convex in α and β, and repeated weighted least squares finds its minimum; the scan compares these
 minima over the whole range of μ, because least squares may have been led to another valley by the outlier itself.

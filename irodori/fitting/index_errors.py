@@ -1,4 +1,4 @@
-"""Standard errors where the refractive index is one more unknown: those of four columns, not of three.
+"""Standard errors of a fit in which the refractive index is a fourth unknown.
 
 The column of n is found by differences: what the gloss of an observation changes with n.
 """

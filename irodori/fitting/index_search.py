@@ -1,4 +1,4 @@
-"""The real refractive index as one more unknown, around any solver that fits α, β, μ for a given one.
+"""Search for the real refractive index, around any solver for α, β and μ.
 
 The least sum of squares over (α, β, μ) is a function of n alone: it is scanned, and its minimum is found by parabolas
 through three points, for all texels at once.

@@ -1,4 +1,4 @@
-"""What the data says about a texel whose minimum is known: residual, standard errors, model, status.
+"""Assessment of a fitted texel: residual, standard errors, choice of model, status.
 
 The covariance is that of least squares with weights that need not be the inverse variances,
 A⁻¹ (Σ w² v J Jᵀ) A⁻¹ with A = Σ w J Jᵀ. The variance v of an observation is that of noise and model error, and what an

@@ -1,4 +1,4 @@
-"""NLopt without Python: its C functions called from the compiled loop over texels, with a compiled objective.
+"""Compiled loop over texels that calls NLopt's C functions with a compiled objective.
 
 NLopt sees the unknowns (α / scale, β / scale, log μ), so that a trust region fits all three, and starts from the best
 place of the scan. A texel's data is its block behind four header words: length of a row, scales of α, of β, and of the

@@ -1,4 +1,4 @@
-"""One texel's observations as the solvers want them: responses, expected variances, weights."""
+"""Observations of one texel as the solvers take them: responses, expected variances, weights."""
 
 import math
 from typing import NamedTuple

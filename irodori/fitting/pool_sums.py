@@ -1,4 +1,4 @@
-"""Sums over texels that share β and μ, each with an α of its own [eq. 7].
+"""Normal-equation sums over texels that share β and μ, each with its own α [eq. 7].
 
 With a texel's own α eliminated (variable projection), its sum of squares at one μ is a parabola in β,
 A - 2 B β + C β²; the parabolas of several texels add, so a joint fit is one-dimensional in log μ like that of one

@@ -1,4 +1,4 @@
-"""Gloss of a neighbourhood for texels whose own observations cannot carry it.
+"""Shared gloss of neighbouring texels, for those that cannot determine their own.
 
 Most objects vary faster in colour than in gloss. A texel that leaves β and μ open takes them from a joint fit of one
 β and μ, and an α for each texel, to the observations of the texels around it (`irodori.fitting.pool_sums`).

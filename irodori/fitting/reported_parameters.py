@@ -1,4 +1,4 @@
-"""What a fit states of each texel: what its data determines, and nothing else."""
+"""Parameters stored for each texel: those that its data determines; NaN and a status for the others."""
 
 import math
 

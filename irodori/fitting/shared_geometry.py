@@ -1,4 +1,4 @@
-"""Tables for texels that share one geometry: the lobes at the nodes of the scan, known once for all of them.
+"""Precomputed lobes at the nodes of the scan, for texels with one common geometry.
 
 At the nodes the lobes of all observations are a matrix, and a texel's sums are products of a vector with it.
 """

@@ -1,4 +1,4 @@
-"""Solvers of equation (7), one result type."""
+"""Solvers of equation (7), behind one interface with one result type."""
 
 import ctypes
 import math

@@ -1,4 +1,4 @@
-"""The stage: observations of a tile in, parameters and diffuse responses out."""
+"""Fit stage: observations of a tile in, parameters and diffuse responses out."""
 
 import math
 import time

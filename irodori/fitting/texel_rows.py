@@ -1,4 +1,4 @@
-"""Exponential, cosine and gloss factors of a texel in a form that the compiler turns into vector instructions.
+"""Geometry factors of one texel's observations, in loops that vectorise.
 
 numba calls the C library for `math.cos`, one number at a time. The polynomial here is exact to a few units in the last
 place, and a loop over observations that calls it is vectorised; `irodori.jit.exponential` does the same for `math.exp`.

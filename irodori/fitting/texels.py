@@ -1,4 +1,4 @@
-"""The loop over texels: load, find the minimum, judge, write."""
+"""Loop over texels: load, minimise, assess, store."""
 
 import math
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""Variable projection: scan Φ(log μ) for every texel, then safeguarded Newton in the intervals that hold a minimum.
+"""Variable projection: scan Φ(log μ), then safeguarded Newton in each interval that brackets a minimum.
 
 From one roughness of the scan to the next, smaller by √2, the lobe D = exp(-(φ/μ)²) is squared: a scan costs one
 exponential an observation. Value and slope at every node tell which intervals hold a minimum, and a cubic through them

@@ -1,4 +1,4 @@
-"""What the data says about eight texels whose minima are known, where it calls for diffuse light and gloss.
+"""Assessment of eight fitted texels at once, for the ordinary case of diffuse light and gloss.
 
 Every step is that of `irodori.fitting.judge` for one texel.
 """

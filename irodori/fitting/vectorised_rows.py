@@ -1,4 +1,4 @@
-"""The observations of eight texels in rows of lanes: geometry, responses, variances, weights.
+"""Observations of eight texels at once: geometry, responses, variances, weights.
 
 Every step is that of `irodori.fitting.texel_rows` and `irodori.fitting.observations` for one texel.
 """

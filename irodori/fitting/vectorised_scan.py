@@ -1,4 +1,4 @@
-"""The minimum of Φ(log μ) for eight texels at once: scan, the one interval that holds it, Newton's steps.
+"""Minimum of Φ(log μ) for eight texels at once: scan, bracket, Newton's steps.
 
 Every step is that of `irodori.fitting.varpro` for one texel.
 """

@@ -1,4 +1,4 @@
-"""Eight texels at once: the ordinary case of variable projection and of what is said about its outcome, in lanes.
+"""Variable projection of eight texels at once, for the ordinary case.
 
 A texel takes this way where one interval of the scan certainly holds the lowest minimum, no other comes near, and the
 data calls for both diffuse light and gloss. Every step is that of `irodori.fitting.texels`, and where a lane meets

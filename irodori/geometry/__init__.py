@@ -1,1 +1,1 @@
-"""Frames, cameras, shapes and the ray tracer: where things are and what sees what. Lengths are in mm."""
+"""Frames, cameras, shapes and ray tracing. Lengths are in mm."""

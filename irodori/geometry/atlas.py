@@ -1,4 +1,4 @@
-"""Texels of a mesh: which triangle lies under each texel centre of its UV atlas, and where that point is.
+"""Texel centres of a mesh's UV atlas, mapped to triangles and points.
 
 Edges are decided by the same numbers from either side, and a centre exactly on an edge goes to the triangle for which
 it is a top or a left edge, so that each centre inside a chart belongs to one triangle.
@@ -20,7 +20,7 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class Texels:
-    """What lies under the texel centres of some rows.
+    """Triangles and points under the texel centres of some rows.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Distortion of a lens as OpenCV counts it, and its inverse.
+"""Lens distortion in OpenCV's model, and its inverse.
 
 A point x, y of the plane at unit distance is seen at
 

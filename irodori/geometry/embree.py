@@ -181,7 +181,7 @@ def _occluded(function, scene, origins, directions, far, out):
 
 
 class Tracer:
-    """What a ray meets among placed shapes; the only place that talks to Embree.
+    """Ray tracer over placed shapes, by Embree.
 
     Parameters
     ----------

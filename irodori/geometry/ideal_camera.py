@@ -1,4 +1,4 @@
-"""The picture that a camera would take without distortion, its axis in the middle: what the renderer draws."""
+"""Resampling of photographs to an ideal camera without distortion, as the renderer uses."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The rig's lamp: far away, or so near that its direction and its power differ from point to point.
+"""The rig's lamp, far or near: direction and irradiance at each point.
 
 Responses count against a perfect diffuser lit at normal incidence *where it stands*: a near lamp's inverse-square
 fall-off is divided out per texel. The white reference has already divided a picture by the fall-off over its own

@@ -1,4 +1,4 @@
-"""Bodies of revolution with texture coordinates: the example's lid, and meshes whose truth is known in closed form.
+"""Meshes of bodies of revolution with texture coordinates, as examples and test cases.
 
 ``python -m irodori.geometry.lathe OUT.obj`` writes the lid of ``config/objects/celadon-lid.yaml``.
 """

@@ -1,4 +1,4 @@
-"""Triangle meshes whose every point has texture coordinates: what the chain needs of them, and what it refuses.
+"""Triangle meshes with texture coordinates, validated.
 
 Coordinates are those of the object's frame, mm; u runs right and v down the texture, as `irodori.geometry.shapes` has
 it, while files count v from below.

@@ -1,4 +1,4 @@
-"""Meshes from OBJ, PLY and glTF through trimesh."""
+"""Reading of OBJ, PLY and glTF meshes through trimesh."""
 
 import logging
 from pathlib import Path

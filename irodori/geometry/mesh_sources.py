@@ -1,4 +1,4 @@
-"""The files that make up a mesh: light enough for the Snakefile, nothing but the standard library is imported."""
+"""Names of the files that make up a mesh, found with the standard library alone."""
 
 import json
 from pathlib import Path

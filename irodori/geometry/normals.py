@@ -1,4 +1,4 @@
-"""Shading normals of a mesh that has none: means over the triangles about a vertex, weighted by their angles.
+"""Shading normals of a mesh without any: angle-weighted means over the triangles at a vertex.
 
 Weights: Thürmer and Wüthrich, *Computing vertex normals from polygonal facets*, Journal of Graphics Tools 3(1), 1998.
 """

@@ -1,4 +1,4 @@
-"""Pinhole camera over the mosaic of a sensor, with the distortion of its lens.
+"""Pinhole camera with lens distortion, over the mosaic of a sensor.
 
 Superpixel coordinates: a superpixel is 2 x 2 mosaic pixels, and its centre has integer coordinates, x right, y down.
 Mosaic coordinates run from 0 at the left edge of the first mosaic pixel.

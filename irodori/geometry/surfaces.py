@@ -1,4 +1,4 @@
-"""Placed shapes as compiled loops want them: from a hit of the tracer to point, normals and texture coordinates."""
+"""Placed shapes as flat arrays for compiled loops: points, normals and texture coordinates of ray hits."""
 
 import math
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""What normalises a camera's captures: dark signal, hot pixels, white reference, noise, linearity."""
+"""Normalisation data of a camera: dark signal, hot pixels, white reference, noise, linearity."""
 
 from dataclasses import dataclass
 

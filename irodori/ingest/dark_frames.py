@@ -1,4 +1,4 @@
-"""Dark frames: what each mosaic pixel gives without light, and which pixels cannot be trusted."""
+"""Dark signal of each mosaic pixel, and unreliable pixels, from dark frames."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The photographs of one filter state, decoded and merged into responses."""
+"""Decoding and merging of the photographs of one filter state into responses."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ class Developed:
 
     @property
     def valid(self) -> np.ndarray:
-        """Where all three bands were measured, (height, width) bool."""
+        """Pixels whose three bands were all measured, (height, width) bool."""
         return ~(self.clipped | self.hot)
 
 

@@ -1,4 +1,4 @@
-"""One tag of a DNG that LibRaw does not tell: over how many pixels its black level repeats.
+"""Repeat pattern of a DNG's black levels, a tag that LibRaw does not report.
 
 Read directly, for a damaged header must not cost more than its file: libraries that read whole directories make as many
 objects as a count in them says, which after one flipped bit may be a thousand million.

@@ -1,4 +1,4 @@
-"""What exposed a photograph: exposure time, ISO and aperture, from the capture table and from the file itself."""
+"""Exposure time, ISO and aperture of a photograph, from the capture table and from the file."""
 
 import dataclasses
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""The first look at a set of RAW files, before any long work."""
+"""First check of a set of RAW files: every file is decoded once before any long work."""
 
 from irodori.config.capture_table import check_unchanged, read_captures, shot_path, write_captures
 from irodori.core.errors import InputError

@@ -1,4 +1,4 @@
-"""The flat field: a smooth surface through a picture of the white reference.
+"""Flat field: a smooth surface fitted to a picture of the white reference.
 
 The surface is a polynomial of degree 4 in x and y, each from -1 to 1 over the picture, so that the white reference's
 noise and dust do not enter the object, and 15 numbers a band replace a picture.

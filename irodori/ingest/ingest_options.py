@@ -1,4 +1,4 @@
-"""The choices of ingestion."""
+"""Options of ingestion."""
 
 from dataclasses import dataclass, replace
 

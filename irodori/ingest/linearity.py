@@ -1,4 +1,4 @@
-"""Linearity of a camera: what an exposure series of one subject says about rate against exposure."""
+"""Linearity of a camera from an exposure series of one subject."""
 
 from dataclasses import dataclass
 

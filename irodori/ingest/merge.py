@@ -1,4 +1,4 @@
-"""From the digital numbers of one bracket to responses: black, dark, clipping, weights and flat field in one pass.
+"""Merging of a bracket of exposures into responses, in one pass over the digital numbers.
 
 Brackets are merged by inverse variance. What decides about a sample must not depend on its own noise, or the mean
 leans:
@@ -30,7 +30,7 @@ _TEXTURE = 2.0  # variance of a block over that of its noise; noise alone scatte
 
 @dataclass(frozen=True)
 class Bracket:
-    """What the merge knows of the exposures of one filter state, in ascending order.
+    """Exposures of one filter state, in ascending order, as the merge takes them.
 
     Parameters
     ----------

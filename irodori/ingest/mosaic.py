@@ -1,4 +1,4 @@
-"""A camera's RAW file decoded by LibRaw: digital numbers in the sensor's own frame, and superpixels of them.
+"""RAW files decoded by LibRaw: digital numbers in the sensor's frame, and their superpixels.
 
 The orientation tag never turns the data: a camera that looks down sets it at random from its level sensor, and a
 picture that turns between two shots of one pose fits neither the other nor the camera's optics.

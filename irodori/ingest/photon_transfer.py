@@ -1,4 +1,4 @@
-"""The camera's noise by photon transfer: the variance of equal frames against their level.
+"""Noise model of a camera from photon transfer: variance of equal frames against their level.
 
 Shot noise of g electrons per digital number makes the variance grow by 1/g per digital number; what is left at no
 light is read noise and rounding (1/12 DN²). Pairs of frames are subtracted, so that what is fixed in the picture,

@@ -1,4 +1,4 @@
-"""The two shots of one pose on one grid: a filter plate shifts and magnifies the picture."""
+"""Alignment of the two shots of a pose on one grid."""
 
 from dataclasses import dataclass, replace
 
@@ -19,7 +19,7 @@ MAX_SIGMA_PX = 0.1
 
 @dataclass(frozen=True)
 class Alignment:
-    """Where the filtered picture lies on the unfiltered one.
+    """Alignment of the filtered picture with the unfiltered one.
 
     Parameters
     ----------

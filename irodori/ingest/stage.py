@@ -1,4 +1,4 @@
-"""The stage: the RAW files of one capture in, linear responses out."""
+"""Ingestion stage: RAW files of one capture in, linear responses out."""
 
 from dataclasses import replace
 

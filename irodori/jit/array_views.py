@@ -1,4 +1,4 @@
-"""Arrays without owners, for loops that hand many of them on.
+"""Array views without reference counts, for compiled loops that pass many arrays.
 
 A numba array counts its owners, at every assignment and call, with operations that two threads do in turn. Tuples of
 thirty arrays handed from function to function spent most of a frame on that. `Memory` is the address alone: whoever

@@ -1,4 +1,4 @@
-"""The exponential in a form that the compiler turns into vector instructions.
+"""Vectorisable exponential function.
 
 numba calls the C library for `math.exp`, one number at a time. The polynomial here is exact to a few units in the last
 place, and a loop that calls it is vectorised.

@@ -1,4 +1,4 @@
-"""Eight float64 numbers side by side, for compiled loops that do the same to eight texels at once.
+"""Vector of eight float64 lanes for compiled loops.
 
 The compiler vectorises a loop over observations, but not what comes after it: roots, divisions and choices, one texel
 at a time, wait for each other. A function written for lanes computes them for eight texels in the time of one. Its

@@ -1,4 +1,4 @@
-"""What compiled loops need: the machine's whole vectors, copies of their own, and C libraries.
+"""Compiler support: vector width of the machine, private copies of called functions, C libraries.
 
 Every module takes `njit` from here, so that what is set below holds for all loops of the package.
 

@@ -1,4 +1,4 @@
-"""The type of the vectors of `irodori.jit.ray_vectors`, and its operators."""
+"""Numba type and operators of the vectors of `irodori.jit.ray_vectors`."""
 
 import operator
 

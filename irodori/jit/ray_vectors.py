@@ -1,4 +1,4 @@
-"""Vectors of a few numbers as values in compiled code: sixteen rays of a packet, or the channels of a colour.
+"""Short vectors as values in compiled code: sixteen rays of a packet, or the channels of a colour.
 
 numba has no such type, and whether its compiler forms vectors from loops over arrays hangs on what it can prove about
 them. Here the width is part of the type: ``load(array, index, 16) * 2.0`` is one multiplication on a machine with

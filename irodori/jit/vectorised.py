@@ -1,4 +1,4 @@
-"""Vector functions of compiled loops in the type of their argument, float32 or float64.
+"""Elementary functions on vectors, generic over float32 and float64.
 
 numba calls the C library for `math.exp` and `math.log`, one number at a time, and computes a float32 times a constant
 in float64. The polynomials here are vectorised, in single precision with twice the numbers in a vector.

@@ -1,4 +1,4 @@
-"""Light blurred over the sphere: an environment convolved with von Mises-Fisher lobes of a ladder of widths.
+"""Environment convolved with von Mises-Fisher lobes of increasing width.
 
 A lobe of width s is κ / (2π (1 - exp(-2κ))) exp(κ (cosγ - 1)) with κ = 1 / s², the Gaussian of the sphere. Along a row
 the convolution is a product of Fourier series, which closes at the seam; from row to row the lobe itself is evaluated

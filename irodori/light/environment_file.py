@@ -1,4 +1,4 @@
-"""Light from all directions, as it stands in an environment's file and as the renderer wants it.
+"""Environment files: light from all directions, stored and loaded for rendering.
 
 Equirectangular: rows are the angle from the zenith (+z), columns the azimuth from +x towards +y, both at pixel
 centres. Radiance is relative: 1 is a perfect diffuser lit at normal incidence by the rig's light.

@@ -1,4 +1,4 @@
-"""Look-up in equirectangular pictures that closes at the seam and over the poles; for compiled loops."""
+"""Interpolated look-up in equirectangular pictures, across the seam and the poles."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The irradiance map I_d(N) = Σ cosθ L(ω) dΩ of equation (8), on the coefficients.
+"""Irradiance map I_d(N) = Σ cosθ L(ω) dΩ of equation (8), on the coefficients.
 
 The picture is kept as a quadtree of cells of constant size in angle, each with Σ L ω dΩ. For a normal N a cell wholly
 above the horizon gives N · Σ L ω dΩ exactly, one wholly below gives nothing, one that the horizon cuts is divided, down

@@ -1,4 +1,4 @@
-"""Environments from the files of other programs: RGB pictures of high dynamic range and spectral EXR."""
+"""Environments from other programs' files: high-dynamic-range RGB pictures and spectral EXR."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""Directions drawn from the light in proportion to its power: marginal over rows, conditional along each row.
+"""Importance sampling of directions in proportion to the light's power.
 
 The density of a direction is constant within a pixel and in 1/sr: the pixel's probability over its exact solid angle.
 Within a pixel directions are even in solid angle, so that a polar row is sampled as it should be.

@@ -1,4 +1,4 @@
-"""An omnidirectional picture from the photograph of a mirror ball, the ball's own reflectance divided out.
+"""Omnidirectional picture from a photograph of a mirror ball, divided by the ball's reflectance.
 
 The camera is far away: all its rays are parallel (orthographic), and the ball shows, at the distance s·radius from its
 centre, what lies at 2 asin(s) from the direction back to the camera. Near its rim a ball squeezes a whole circle of

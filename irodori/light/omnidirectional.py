@@ -1,4 +1,4 @@
-"""Omnidirectional pictures on a spectral basis, before they are compressed, and which way round they are.
+"""Omnidirectional pictures on a spectral basis, and their orientation.
 
 Here columns run with the azimuth, from +x towards +y, which is counter-clockwise seen from above: a picture painted on
 the outside of a globe. A photographed panorama shows what stands around the eye, so that its columns run clockwise.

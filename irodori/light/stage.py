@@ -1,4 +1,4 @@
-"""From an omnidirectional picture to compressed light, its irradiance map and gloss maps: equations (4), (8), (9)."""
+"""Light stage: an omnidirectional picture in; compressed light, irradiance and gloss maps out [eq. 4, 8, 9]."""
 
 from collections.abc import Iterator
 

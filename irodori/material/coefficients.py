@@ -1,4 +1,4 @@
-"""Coefficients of spectra on a basis, as files hold them: half or single precision, whole or in pieces.
+"""Storage of spectral coefficients: precision, chunks and compression.
 
 Half precision has 11 significant bits from 6.1e-5 to 65504. A basis whose largest coefficient is scaled to about 32768
 keeps them down to 2e-9 of it, so that a picture with a light a million times its shadows loses nothing in the shadows.

@@ -1,4 +1,4 @@
-"""Fitted tiles of an object as one texture, read tile by tile, as often as wanted."""
+"""Fitted tiles of an object as one texture, read tile by tile."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""The material of an object, as it stands in ``material.h5`` and as the renderer wants it."""
+"""Material files: parameter maps and reflectance, stored and loaded for rendering."""
 
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
@@ -22,7 +22,7 @@ COEFFICIENTS, QUANTITY = "reflectance/coefficients", "coefficients of the reflec
 
 
 class Status(IntEnum):
-    """What became of a texel in the fit."""
+    """Outcome of a texel's fit."""
 
     OK = 0
     MU_UNIDENTIFIABLE = 1  # gloss is there, but the data leaves β or μ open: both are NaN

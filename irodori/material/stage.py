@@ -1,4 +1,4 @@
-"""From fitted tiles to the object's material: maps, spectra by equation (4), PCA of this image.
+"""Material stage: fitted tiles in; maps, spectra by equation (4) and their compression out.
 
 Tiles are read three times and never held: for what is known of the whole texture, for the second moments of its
 spectra, and to write the material's file.
@@ -52,7 +52,7 @@ class _Reflectance:
 
 @dataclass
 class _Gathered:
-    """What the file says of the observed texels of all tiles."""
+    """Data of the observed texels of all tiles."""
 
     observed: int = 0
     texels: int = 0

@@ -1,1 +1,1 @@
-"""Rectification: from pictures of an object to observations of its texels."""
+"""Rectification: observations of an object's texels from its pictures."""

@@ -1,4 +1,4 @@
-"""From pictures to texels: every texel's response and geometry in every capture [design, §4].
+"""Rectification stage: response and geometry of every texel in every capture [design, §4].
 
 Responses count against a perfect diffuser at normal incidence. Where the light is near, the irradiance is that at the
 texel: see `irodori.geometry.lamp` for what the white reference has divided already and what is divided here.
@@ -127,7 +127,7 @@ def _sample(response, valid, clipped, corner, xy, out, good, clips):
 
 
 class Sight(NamedTuple):
-    """How texels appear in a capture.
+    """Projection of texels into a capture.
 
     ``xy`` (n, 2) superpixels; ``geometry`` (n, 4) θ_i, θ_r, θ_H, φ in rad; ``visible``, ``lit`` (n,) bool, by the
     angles with the normal and by shadow rays; ``power`` (n,) irradiance normal to the beam, 1 at the origin.

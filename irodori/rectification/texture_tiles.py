@@ -1,4 +1,4 @@
-"""How a texture is cut into tiles; light enough for the Snakefile to import."""
+"""Division of a texture into tiles, with the standard library alone."""
 
 
 def tile_rows(height: int, width: int, tile_texels: int) -> list[tuple[int, int]]:

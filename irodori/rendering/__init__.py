@@ -1,1 +1,1 @@
-"""Rendering: from materials, light and a scene to a spectral image [eq. 5, 6, 8, 9]."""
+"""Rendering of spectral images from materials, light and a scene [eq. 5, 6, 8, 9]."""

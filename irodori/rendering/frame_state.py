@@ -1,4 +1,4 @@
-"""What changes from frame to frame: how far objects, eye, lights and environment are turned, and the light's colour.
+"""Animation state of a frame: rotations of objects, eye, lights and environment, and the light's colour.
 
 All turn about one vertical axis, so that only the angles between them are seen: a picture is the same if every angle
 grows by as much. An integrator that cannot turn one of the four takes the moment as seen from it.

@@ -1,4 +1,4 @@
-"""A scene rendered by the integrator that it names."""
+"""Dispatch of a scene to the integrator that it names."""
 
 import time
 from abc import ABC, abstractmethod

@@ -1,4 +1,4 @@
-"""What a camera in a scene would see: radiance by converging paths, in two independent halves that tell its noise."""
+"""Radiance before a camera in a scene, by path tracing in two independent halves that show its noise."""
 
 import numpy as np
 

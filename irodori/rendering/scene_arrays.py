@@ -1,4 +1,4 @@
-"""A scene as compiled loops want it: flat arrays of objects, textures and light; and the camera."""
+"""Scene as flat arrays for compiled loops: objects, textures, light and camera."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""Lights that stand in a scene: collimated, or rectangles and spheres of one radiance, of any spectrum.
+"""Lights placed in a scene: collimated, rectangles and spheres, of any spectrum.
 
 Radiance and irradiance count as in an environment of placed lights: a radiance of 1 has the luminance of D65 as
 tabulated (100 at 560 nm), and an irradiance of 1 gives a perfect diffuser that faces the light the radiance 1.

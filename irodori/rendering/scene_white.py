@@ -1,4 +1,4 @@
-"""The white of a scene: what its pictures show as white and their colour errors are judged against."""
+"""White point of a scene, for display and for colour errors."""
 
 import numpy as np
 

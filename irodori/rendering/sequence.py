@@ -1,4 +1,4 @@
-"""The stage's frames: turntable, light sweep and change of illuminant; PNG by PNG, then an animated PNG and figures.
+"""Frame sequence stage: turntable, light sweep, change of illuminant; PNG frames, animated PNG and figures.
 
 Finished frames stay in a folder beside the final one, so that an interrupted sequence goes on where it stopped.
 """

@@ -1,4 +1,4 @@
-"""Views of one pixel each, so that chosen pixels of a large picture can be rendered without the others."""
+"""One-pixel views, to render chosen pixels of a large picture."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The stage: materials, light and a scene in; spectral EXR, PNG and figures out."""
+"""Rendering stage: materials, light and a scene in; spectral EXR, PNG and figures out."""
 
 import json
 from pathlib import Path

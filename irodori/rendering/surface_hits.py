@@ -1,4 +1,4 @@
-"""Where a ray has met an object: the texel between its neighbours, normals, and axes about a normal."""
+"""Surface data at a ray's hit: interpolated texel, normals and tangent frame."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The camera of a view: perspective, with a thin lens if asked for, or orthographic; and the rays that start in it.
+"""Cameras of views: perspective with an optional thin lens, or orthographic.
 
 A thin lens gathers over its disc what a place of the plane in focus sends: a point at the depth z (mm along the axis)
 is spread over a circle of the diameter ``A |z - f| / z`` in that plane, with A the lens' diameter and f the focus

@@ -1,1 +1,1 @@
-"""The report: pictures, maps, and errors against ground truth where it is known."""
+"""Report pages: pictures, maps, and errors against ground truth where it is known."""

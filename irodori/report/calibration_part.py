@@ -1,4 +1,4 @@
-"""The report's part on cameras: errors of unseen patches, the choice of the estimator, and how the chart was read."""
+"""Calibration section of the report: errors of unseen patches, choice of estimator, chart quality."""
 
 import csv
 import html

@@ -1,4 +1,4 @@
-"""The report's part on compression: bases, colour errors, both weightings, what is below zero, repeated reflection."""
+"""Compression section of the report: bases, colour errors, negative spectra, repeated reflection."""
 
 import html
 

@@ -1,4 +1,4 @@
-"""The report's part on light: where it came from, what compression and maps cost, rough reflection by look-up."""
+"""Light section of the report: sources, and errors of compression, maps and look-ups."""
 
 import html
 

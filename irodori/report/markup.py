@@ -1,4 +1,4 @@
-"""Pieces of HTML: tables, figures, numbers."""
+"""HTML fragments: tables, figures, numbers."""
 
 import base64
 import html

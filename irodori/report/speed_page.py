@@ -1,4 +1,4 @@
-"""Speed against error: the tables of all benchmarks as one, with the front that no other variant beats."""
+"""Speed-against-error page of all benchmarks, with the Pareto front of each stage."""
 
 import csv
 import html
@@ -41,12 +41,17 @@ def read_rows(path) -> list[dict]:
         return list(reader)
 
 
+def is_measured(row: dict) -> bool:
+    """Whether a row has figures; one of a peer that could not run has the reason as its metric and nothing else."""
+    return bool(row["seconds"])
+
+
 def front(rows: Sequence[dict]) -> list[str]:
     """Return the variants that no other one of the same unit beats in both throughput and error, fastest first.
 
     Variants without an error, which stand beside the others as a measure of time alone, are on no front.
     """
-    known = [r for r in rows if math.isfinite(float(r["error"]))]
+    known = [r for r in rows if is_measured(r) and math.isfinite(float(r["error"]))]
     found = [
         r
         for r in known
@@ -62,6 +67,8 @@ def front(rows: Sequence[dict]) -> list[str]:
 
 
 def _stage_section(stage: str, rows: list[dict]) -> str:
+    absent = [html.escape(f"{r['variant']}: {r['error_metric']}") for r in rows if not is_measured(r)]
+    rows = [r for r in rows if is_measured(r)]
     metric = next((r["error_metric"] for r in rows if r["error_metric"]), "")
     best = front(rows)
     lines = [
@@ -83,7 +90,7 @@ def _stage_section(stage: str, rows: list[dict]) -> str:
         for unit in dict.fromkeys(r["unit"] for r in rows)
         if len(group := [r for r in rows if r["unit"] == unit and math.isfinite(float(r["error"]))]) > 1
     ]
-    return "".join([*parts, table(header, lines)])
+    return "".join([*parts, table(header, lines), *(f"<p>{text}</p>" for text in absent)])
 
 
 def _materials_section(path) -> str:

@@ -1,4 +1,4 @@
-"""The hard cases of every stage and how their tests ended, as a page of the report."""
+"""Stability page: the hard cases of every stage and the outcome of their tests."""
 
 import csv
 import html

@@ -1,1 +1,1 @@
-"""The command ``python -m irodori.rig``; the code stands in `irodori.capture`."""
+"""The command ``python -m irodori.rig``, implemented in `irodori.capture`."""

@@ -1,4 +1,4 @@
-"""The rig from the command line: ``python -m irodori.rig --help``."""
+"""Entry point of ``python -m irodori.rig``."""
 
 from irodori.capture.command import main
 

@@ -1,1 +1,1 @@
-"""Stand-ins for the bench: a virtual rig that makes RAW files, and simulated motion controllers."""
+"""Simulated hardware: a virtual rig that makes RAW files, and motion controllers."""

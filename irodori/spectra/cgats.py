@@ -1,4 +1,4 @@
-"""Spectra in CGATS text: Argyll's .ti3 and .sp, and what spectrophotometers export; without numpy.
+"""CGATS spectral files: Argyll's .ti3 and .sp, and spectrophotometer exports; without numpy.
 
 CGATS.17, *Exchange format for colour and process control data*; the keywords SPECTRAL_BANDS, SPECTRAL_START_NM,
 SPECTRAL_END_NM, SPECTRAL_NORM and the columns SPEC_xxx are ArgyllCMS's.

@@ -1,4 +1,4 @@
-"""The spectral grid: 61 samples, 400..700 nm, step 5 nm, on the last axis of every spectral array."""
+"""Wavelength grid: 61 samples, 400..700 nm in steps of 5 nm, on the last axis of every spectral array."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Spectra by name: published ones of colour-science, or files of measured ones."""
+"""Spectra by name, from colour-science or from files."""
 
 import re
 from pathlib import Path

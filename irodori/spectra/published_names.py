@@ -1,4 +1,4 @@
-"""Names of published spectra, so that the Snakefile can refuse a misspelled one without loading colour-science.
+"""Names of published spectra, checked without loading colour-science.
 
 A test compares them with colour-science, from which `irodori.spectra` takes the spectra themselves.
 """

@@ -1,4 +1,4 @@
-"""Bringing measured spectra to the grid.
+"""Resampling of measured spectra to the grid.
 
 Measured cost of the choice, mean / maximum CIEDE2000 under D65 (and mean spectral RMSE) of sets thinned to 10 and 20 nm
 against the same sets on the grid:

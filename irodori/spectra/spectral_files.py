@@ -1,4 +1,4 @@
-"""Files of spectra of every accepted kind, told apart by suffix and content; without numpy, for the Snakefile.
+"""Spectral files of every accepted format, told apart by suffix and content; without numpy.
 
 * `.csv`, `.tsv`: wide (a name, then a column a wavelength), columns (the wavelength, then a column a spectrum), long
   (rows of name, wavelength, value), or two columns of numbers;
@@ -44,7 +44,7 @@ _ACCEPTED = f"a name that ends in one of {', '.join(SUFFIXES)}"
 
 
 class SpectralTable(NamedTuple):
-    """What a file of spectra holds.
+    """Content of a file of spectra.
 
     Parameters
     ----------

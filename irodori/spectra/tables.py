@@ -1,4 +1,4 @@
-"""CSV tables of spectra, read and checked without numpy, so that the Snakefile can refuse a bad one at once.
+"""CSV tables of spectra, read and checked without numpy.
 
 Cells are separated by commas, semicolons or tabs, whichever the header has. Where they are not separated by commas a
 number may be written with a decimal comma, if the whole file does so. UTF-8, with or without a byte-order mark, any

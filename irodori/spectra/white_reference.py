@@ -1,4 +1,4 @@
-"""The reflectance factor of a white reference in each band, from what is known of its spectrum."""
+"""Reflectance factor of a white reference in each camera band."""
 
 import numpy as np
 

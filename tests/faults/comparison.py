@@ -1,4 +1,4 @@
-"""Whether two result folders hold the same results, bit by bit, and which of their files are results at all.
+"""Bit-by-bit comparison of two result folders, and the choice of the files that are results at all.
 
 Compared are all datasets and attributes of HDF5 files, the pixels and channel names of EXR files, the pixels of PNG
 files, the values of JSON files, and the bytes of everything else: tables, capture records and RAW photographs. Left out

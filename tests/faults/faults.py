@@ -1,4 +1,4 @@
-"""What faults do to results: kill -9, full and read-only disks, two runs at once, damaged files.
+"""Fault injection into whole runs: kill -9, full and read-only disks, two runs at once, damaged files.
 
 Prints a table case x outcome and writes it as CSV; ends with 1 where a case is not as it should be.
 """

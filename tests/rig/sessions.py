@@ -1,4 +1,4 @@
-"""What the tests of sessions share: small definitions, a camera that costs no time, and what must hold in the end."""
+"""Small definitions, an instant camera and final checks, shared by the tests of sessions."""
 
 import copy
 import functools

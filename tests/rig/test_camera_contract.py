@@ -1,4 +1,4 @@
-"""What every camera must do, whatever stands behind it.
+"""Contract of every camera driver.
 
 Another camera joins by a line in CASES: its name and a function that takes a pytest fixture request and returns a Case.
 """

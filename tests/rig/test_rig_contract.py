@@ -1,4 +1,4 @@
-"""What every rig does, whatever drives it: one suite over all drivers, each with its simulated controller."""
+"""Contract of every rig driver, each with its simulated controller."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""What stops a rig in mid-move from outside the driver: Ctrl-C, an exception, the death of the program."""
+"""Interruption of a moving rig from outside: Ctrl-C, an exception, the death of the program."""
 
 import os
 import signal

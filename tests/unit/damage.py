@@ -1,4 +1,4 @@
-"""What disks, cables and slips of the hand do to files, for the tests that fuzz what reads them."""
+"""Kinds of damage to files, for the tests that fuzz their readers."""
 
 from hypothesis import strategies as st
 

@@ -1,4 +1,4 @@
-"""What is read on patches: means, variances, what is flagged, and what moving the patches changes."""
+"""Statistics of patches: means, variances, flags, and their change when patches move."""
 
 import numpy as np
 import pytest

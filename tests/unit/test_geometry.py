@@ -1,4 +1,4 @@
-"""Where things are: the rig's angles, rotations, the pinhole camera, texture coordinates, and the table."""
+"""Angles of the rig, rotations, the pinhole camera, texture coordinates, and the table."""
 
 import math
 

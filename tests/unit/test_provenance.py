@@ -66,6 +66,17 @@ def test_imports_of_another_local_package_are_followed(root):
     assert {"irodori.fitting", "irodori.fitting.varpro"} <= set(local_sources("benchmarks.fit"))
 
 
+def test_beside_installed_packages_only_the_package_asked_for_is_local(root):
+    (root / "other").mkdir()
+    (root / "other/bench.py").write_text("")
+    (root / "pkg/user.py").write_text("import other.bench\nfrom pkg.leaf import VALUE\n")
+    assert "other.bench" in local_sources("pkg.user", root)
+    installed = root.with_name("installed")
+    root.rename(installed)
+    (installed / "other-1.0.dist-info").mkdir()
+    assert set(local_sources("pkg.user", installed)) == {"pkg", "pkg.user", "pkg.leaf"}
+
+
 def test_an_edit_changes_the_hash_of_those_who_import_it(root):
     before = {name: code_hash(f"pkg.{name}", root=root) for name in ("alone", "stage", "named")}
     (root / "pkg" / "leaf.py").write_text("VALUE = 2\n")

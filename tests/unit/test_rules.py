@@ -64,3 +64,32 @@ def test_no_two_modules_share_a_name_and_rooms_hold_nothing_but_modules():
         if file.name == "__init__.py" and file.parent != ROOT / "irodori":
             assert len(ast.parse(file.read_text()).body) == 1, f"{file}: more than a docstring"
     assert {file.name for file in (ROOT / "irodori").glob("*.py")} <= {"__init__.py", "__main__.py", "command_line.py"}
+
+
+def test_no_docstring_of_a_module_opens_with_a_question_word():
+    files = [file for room in ("irodori", "benchmarks", "tests") for file in sorted((ROOT / room).rglob("*.py"))]
+    for file in files:
+        text = ast.get_docstring(ast.parse(file.read_text()))
+        assert text or file.is_relative_to(ROOT / "tests"), f"{file}: no docstring"
+        first = re.match(r"\w+", text or "")
+        assert first is None or first[0] not in ("What", "How", "Which", "Where", "When", "Whether", "Who"), file
+
+
+def test_documents_name_only_modules_and_files_that_are_there():
+    documents = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "config/README.md", *(ROOT / "docs").glob("*.md")]
+    rooms = ("irodori", "benchmarks", "tests", "workflow")
+    modules = {file.name for room in rooms for file in (ROOT / room).rglob("*.py")}
+    for document in documents:
+        text = document.read_text()
+        for path in re.findall(r"`((?:irodori|workflow|tests|benchmarks|docs|config|profiles)/[\w./-]+)`", text):
+            assert (ROOT / path).exists(), f"{document.name} names {path}"
+        for module in re.findall(r"(?<![/\w])((?:irodori|benchmarks)(?:\.[a-z_0-9]+)+)\b", text):
+            base = ROOT.joinpath(*module.split("."))
+            parent = base.parent.with_suffix(".py")  # a function of a module
+            assert base.is_dir() or base.with_suffix(".py").is_file() or parent.is_file(), (
+                f"{document.name} names {module}"
+            )
+        for name in re.findall(r"`(?:[\w/]*/)?(\w+\.py)`", text):
+            assert name in modules, f"{document.name} names {name}"
+        for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text):
+            assert (document.parent / target).exists(), f"{document.name} links to {target}"

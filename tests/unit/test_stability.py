@@ -15,10 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_up_camera import LIGHT, system, training
 from path_scenes import traced
-from test_compression import line, observers, picture
 from test_estimators import PROBES
 from test_fitting import GEOMETRY, K, N, model
 from test_fitting_hard import assert_sound, in_plane, stated
+from test_principal_components import line, observers, picture
 
 from irodori.calibration.estimators import ESTIMATORS, fit
 from irodori.calibration.training import Training

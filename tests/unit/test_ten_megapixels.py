@@ -1,4 +1,4 @@
-"""What the ten-megapixel run makes of Snakemake's benchmark files, and the project that it writes."""
+"""Summary of Snakemake's benchmark files for the ten-megapixel run, and the project that it writes."""
 
 import pytest
 import yaml

@@ -1,5 +1,6 @@
 """A small project, and how to run Snakemake in it."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -23,12 +24,20 @@ def edit(path: Path, changes: dict) -> None:
 
 
 def snakemake(
-    folder: Path, *arguments: str, snakefile: Path = ROOT / "Snakefile", cores: int | None = 2
+    folder: Path,
+    *arguments: str,
+    snakefile: Path = ROOT / "Snakefile",
+    cores: int | None = 2,
+    search_path: Path | None = None,
 ) -> subprocess.CompletedProcess:
-    """Run Snakemake in a working directory with the repository's Snakefile; some commands need no number of cores."""
+    """Run Snakemake in a working directory with the repository's Snakefile; some commands need no number of cores.
+
+    `search_path` is where Python looks for packages before it looks among the installed ones.
+    """
     number = ["--cores", str(cores)] if cores else []
     command = [sys.executable, "-m", "snakemake", "--snakefile", str(snakefile), *number, *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=400)
+    environment = os.environ | ({"PYTHONPATH": str(search_path)} if search_path else {})
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=400, env=environment)
 
 
 def small_project(folder: Path) -> Path:

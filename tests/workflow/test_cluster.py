@@ -1,4 +1,4 @@
-"""What the profile for Slurm makes of an object of ten megapixels: how many jobs, and what each asks for."""
+"""Jobs that the Slurm profile makes of a ten-megapixel object, and their resources."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""What a scene asks for beside its EXR and PNG is planned, and its display's file is checked and watched."""
+"""Planning of a scene's further outputs, and the checks of its display's file."""
 
 import numpy as np
 from project import edit, planned, small_project, snakemake

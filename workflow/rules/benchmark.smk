@@ -72,7 +72,7 @@ rule benchmark:
 
 rule check_stability:
     input:
-        tests=sorted(map(str, Path(workflow.basedir, "tests").rglob("*.py"))),
+        tests=sorted(map(str, Path(REPOSITORY, "tests").rglob("*.py"))),
     output:
         table="results/benchmark/stability.csv",
         page=report(
@@ -91,7 +91,9 @@ rule check_stability:
     resources:
         mem_mb=lambda wildcards, attempt: 6000 * attempt,
     params:
-        code=lambda wildcards: code_hash("benchmarks.stability", "irodori.report.stability_page", *modules_of("irodori")),
+        code=lambda wildcards: code_hash(
+            "benchmarks.stability", "irodori.report.stability_page", *modules_of("irodori")
+        ),
     script:
         "../scripts/check_stability.py"
 

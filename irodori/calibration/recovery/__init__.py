@@ -1,1 +1,1 @@
-"""Spectral recovery: what a calibration is, and how responses become spectra with it [eq. 2, 4]."""
+"""Recovery of spectra from responses with a stored calibration [eq. 2, 4]."""

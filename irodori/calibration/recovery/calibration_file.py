@@ -1,4 +1,4 @@
-"""A calibration as later stages load and apply it."""
+"""Calibration files: loading, and application to pictures."""
 
 from dataclasses import dataclass, fields
 
@@ -24,7 +24,7 @@ _OPTIONAL = {"chart_response": "patch,band", "band_response": "band,wavelength"}
 
 @dataclass(frozen=True)
 class Calibration:
-    """What turns responses into spectra; for linear estimators s = B' Mᵀ ρ [eq. 2, 4].
+    """Map from responses to spectra; for linear estimators s = B' Mᵀ ρ [eq. 2, 4].
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Compiled loops of the non-linear mappings; every one is positively homogeneous of degree 1 in the response.
+"""Compiled loops of the non-linear mappings, each homogeneous of degree 1 in the response.
 
 Pixels are taken `LANES` at a time, each quantity a row with one number a pixel, so that the compiler turns the loop
 over a row into vector instructions. No sum runs over pixels: a pixel's bits do not depend on its neighbours.

@@ -1,4 +1,4 @@
-"""From responses to basis weights: a matrix, a blend of matrices, or a polynomial.
+"""Mappings from responses to basis weights: a matrix, a blend of matrices, a polynomial.
 
 All are positively homogeneous of degree 1: twice the light gives twice the weights. Each takes (n, bands) and gives
 (n, k) in the type of the response, float32 or float64; what it holds is what ``calibration.h5`` stores of it.
@@ -18,7 +18,7 @@ _STEP = 1e-4  # of the length of a response, for differences
 
 
 class Mapping(Protocol):
-    """What an estimator gives: a function from responses to weights on a basis."""
+    """Function from responses to weights on a basis, as an estimator returns it."""
 
     kind: ClassVar[str]
 

@@ -1,4 +1,4 @@
-"""A real camera on a USB cable, through python-gphoto2: RAW files straight to the computer.
+"""Camera driver over USB through python-gphoto2; RAW files go straight to the computer.
 
 libgphoto2 speaks to the camera; this module sets exposure, aperture, sensitivity, white balance and file format,
 releases the shutter and waits for the file. `gphoto_line` repeats what a busy camera or a bad line refused.

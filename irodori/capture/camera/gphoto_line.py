@@ -1,4 +1,4 @@
-"""The line to a camera on a USB cable: opened through python-gphoto2, asked again while busy, opened again when lost.
+"""Connection to a USB camera through python-gphoto2, with retries while busy and after a lost connection.
 
 python-gphoto2 is imported when a camera is opened, since only the bench needs it (``requirements-rig.txt``).
 Source: the documentation of libgphoto2 2.5.

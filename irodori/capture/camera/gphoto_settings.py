@@ -1,4 +1,4 @@
-"""Settings of a camera as libgphoto2 shows them: choices as text, which mean numbers.
+"""Conversion between numbers and the text choices that libgphoto2 offers for camera settings.
 
 Cameras of different makers name one setting differently and write one value differently: an exposure time is ``1/50``,
 ``0.0200s`` or ``10/25``, an aperture ``8`` or ``f/8``.

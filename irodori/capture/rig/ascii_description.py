@@ -1,4 +1,4 @@
-"""A controller's own command set, as the rig's file describes it: templates to send, patterns to expect."""
+"""Command set of a text-protocol controller, read from the rig's definition: templates and reply patterns."""
 
 import itertools
 import re

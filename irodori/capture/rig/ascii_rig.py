@@ -1,4 +1,4 @@
-"""A rig on a controller with its own command set, which the rig's file describes."""
+"""Rig driver for controllers whose text protocol the rig's definition describes."""
 
 import contextlib
 import time

@@ -1,4 +1,4 @@
-"""The rig that a definition describes, opened: a controller on its port, or a simulator started for the purpose."""
+"""Opening of a rig from its definition: a controller on its port, or a simulator started for it."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager

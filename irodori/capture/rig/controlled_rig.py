@@ -1,4 +1,4 @@
-"""What a rig does whatever language its controller is spoken to in: it waits, notices a feed hold, and stops."""
+"""Base class of rig drivers: waiting, feed hold and stop, independent of the controller's protocol."""
 
 import contextlib
 import time

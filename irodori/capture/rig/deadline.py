@@ -1,4 +1,4 @@
-"""The time that a wait may take."""
+"""Deadlines: the time left of a bounded wait."""
 
 import time
 

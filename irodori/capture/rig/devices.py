@@ -1,4 +1,4 @@
-"""What a rig and a camera must do, and how they say that they could not.
+"""Interfaces of rigs and cameras, and the errors that they raise.
 
 A device *has* a `Link`; it is handed over from outside, so that a driver cannot tell a controller on a cable from a
 simulator on a pseudo-terminal. Every wait has a deadline; a target out of reach raises before anything moves.
@@ -98,7 +98,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class RigStatus:
-    """What a rig says of itself.
+    """State of a rig, as its controller reports it.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ class Link(ABC):
 
 
 class Rig(ABC):
-    """What moves the camera and the table. A context manager: it stops on an exception and lets go of its line."""
+    """Mechanics that move camera and table. A context manager: it stops on an exception and closes its connection."""
 
     #: Motorised axes by name; the others of a pose are set by hand.
     axes: Mapping[str, Axis]
@@ -239,7 +239,7 @@ class Rig(ABC):
 
 
 class Camera(ABC):
-    """What takes the photographs. A context manager that lets go of the camera."""
+    """Camera. A context manager that closes its connection."""
 
     #: End of the names of its RAW files, with the dot.
     suffix: str

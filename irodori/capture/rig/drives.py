@@ -1,4 +1,4 @@
-"""Motorised axes as a controller sees them: channels, units, and straight moves of several at once."""
+"""Conversion of axis angles to controller channels and units, for straight moves of several axes."""
 
 import math
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""A serial line through pyserial, locked against other openers."""
+"""Serial connection through pyserial, locked against other processes."""
 
 import errno
 

@@ -1,1 +1,1 @@
-"""Choice of the poses that tell most about a material."""
+"""Choice of the most informative poses for a material."""

@@ -1,4 +1,4 @@
-"""Choice of K observations out of many by what they tell together: greedy, then exchange (Fedorov).
+"""Selection of K observations with the largest joint information: greedy, then Fedorov's exchange.
 
 A design is judged by the precision P of (ln α, ln β, ln μ) of each case, prior included; every criterion is a mean over
 the cases, larger for the better design:

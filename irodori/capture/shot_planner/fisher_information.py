@@ -1,4 +1,4 @@
-"""What photographs in a pose tell about α, β and μ of equation (5): Fisher information, and the errors of a fit.
+"""Fisher information of photographs about α, β and μ of equation (5), and predicted standard errors.
 
 The parameters are (ln α, ln β, ln μ), so that their errors are relative. The determinant of the information then has
 no unit: other units of light or angle multiply a material's parameters, which moves their logarithms and leaves the
@@ -78,7 +78,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Weighting:
-    """How the fit weighs an observation: by the inverse of the variance that it expects, or not at all.
+    """Weights of the fit: inverse expected variances, or all equal.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ class Subject:
 
 @dataclass(frozen=True)
 class Observations:
-    """What each pose would show of each case.
+    """Expected observations of every case in every pose.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The poses that tell most about α, β and μ of an object's expected materials, within what the rig can do."""
+"""Planning of the poses that best determine an object's expected materials, within the rig's limits."""
 
 import math
 from collections.abc import Mapping

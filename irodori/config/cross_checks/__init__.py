@@ -1,4 +1,4 @@
-"""What no schema sees of definitions: that they agree with each other, and that the files they name are there.
+"""Configuration checks across files, beyond what a schema can express.
 
 `definitions` goes through all of them; each other module holds what concerns one kind of thing.
 """

@@ -1,4 +1,4 @@
-"""Poses and tables of photographs against the rig that they are taken on and the camera that takes them."""
+"""Checks of poses and capture tables against the rig's ranges and the camera."""
 
 from collections.abc import Iterable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What no schema sees: that definitions agree with each other, and that the files they name are there."""
+"""Cross-file configuration checks: references between definitions, and files that they name."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The display of a scene: files that are there, primaries that enclose their white; without numpy."""
+"""Checks of a scene's display: its files exist, and its primaries enclose its white."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The source of an environment's light against the keys that it needs and the files that it names."""
+"""Checks of an environment's light source: required keys and named files."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Spectra that definitions name: published under that name, or a whole table of the right quantity."""
+"""Checks of the spectra that definitions name: published names, or complete tables of the right quantity."""
 
 import difflib
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a scene's tolerance and its overrides of a plan ask of its integrator."""
+"""Checks of a scene's tolerance and plan overrides against its integrator."""
 
 from irodori.core.errors import InputError
 

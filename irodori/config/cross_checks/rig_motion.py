@@ -1,4 +1,4 @@
-"""The motion of a rig: what no schema sees of its channels, templates and regular expressions."""
+"""Checks of a rig's motion block: channels, templates and regular expressions."""
 
 import itertools
 import re

@@ -1,4 +1,4 @@
-"""Photographs of scenes against their cameras: lens, calibration, files, and what a virtual camera can see."""
+"""Checks of a scene's photographs against their cameras: lens, calibration, files, field of view."""
 
 import math
 from pathlib import Path
@@ -26,7 +26,7 @@ def check_photograph(definitions: dict, scene: dict, label: str, states: set[str
     Parameters
     ----------
     definitions : dict
-        Validated, see `irodori.config.cross_checks.check_agreement`.
+        Validated, see `irodori.config.cross_checks.consistency.check_agreement`.
     scene : dict
     label : str
         Name of the photograph.

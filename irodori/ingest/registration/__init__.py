@@ -1,1 +1,1 @@
-"""Registration of two pictures of one object, taken without and with a comb-filter plate before the lens."""
+"""Sub-pixel registration of two shots of one object, without and with a filter plate before the lens."""

@@ -1,4 +1,4 @@
-"""Pictures whose bands lie among other bands in memory, read without a copy."""
+"""Views of single bands in interleaved pictures, without copies."""
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided

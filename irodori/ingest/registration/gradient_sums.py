@@ -1,4 +1,4 @@
-"""Compiled loops of `irodori.ingest.registration.similarity_fit`: gradients at fractional places and sums over them.
+"""Compiled loops of `irodori.ingest.registration.similarity_fit`: interpolated gradients and their sums.
 
 Pictures of the pyramid are (height, width, 4) float32: three bands and the share of valid pixels. Derivatives are
 those of the picture convolved with a quintic B-spline, taken at any place: the spline's weights sum to one and its

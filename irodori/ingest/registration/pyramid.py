@@ -1,4 +1,4 @@
-"""Pyramids of pictures with invalid pixels, and the places in them that show gradients.
+"""Image pyramids with invalid pixels, and their points of strong gradient.
 
 A level is (height, width, 4) float32: three bands and the share of valid pixels. Each halving takes the mean of the
 valid pixels of 2 x 2.

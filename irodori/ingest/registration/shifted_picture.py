@@ -1,4 +1,4 @@
-"""Resampling a picture under a similarity, with its invalid pixels."""
+"""Resampling of a picture with invalid pixels under a similarity transform."""
 
 import math
 

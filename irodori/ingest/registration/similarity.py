@@ -1,4 +1,4 @@
-"""Registration of two pictures of one object, taken without and with a comb-filter plate before the lens.
+"""Similarity transform between two shots of one object, without and with a filter plate.
 
 The plate moves, turns and scales the picture by little and changes its colours by much: an edge may weaken, vanish or
 change its sign in a band. So intensities are not compared. The gradients of the moving picture, looked up at the

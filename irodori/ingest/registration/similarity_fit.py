@@ -1,4 +1,4 @@
-"""The fit of a similarity at one level of a pyramid; the method stands in `irodori.ingest.registration`."""
+"""Fit of a similarity transform at one level of a pyramid."""
 
 import math
 from typing import NamedTuple

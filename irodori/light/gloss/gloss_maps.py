@@ -1,4 +1,4 @@
-"""Rough reflection of the environment by look-up: blurred light and the table of lobes [eq. 5, 9].
+"""Gloss maps: rough reflection from blurred light and the table of lobes [eq. 5, 9].
 
 A compiled loop takes `GlossMaps.tables` once and calls `add_gloss_radiance` with them, a normal, the direction to the
 eye and a roughness, and has the k coefficients of the radiance on the environment's basis:

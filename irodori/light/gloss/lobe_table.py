@@ -1,4 +1,4 @@
-"""The gloss lobe of equation (5) as few Gaussians of the sphere: the table that `irodori.light.gloss` looks up with.
+"""Table that expresses the gloss lobe of equation (5) as a few Gaussians on the sphere.
 
 The lobe about (θ_r, μ) is neither round nor centred on the mirror direction: it is long in the plane of incidence and
 narrow across, it leans from the mirror direction, and the horizon cuts it. For a ladder of roughnesses and view angles

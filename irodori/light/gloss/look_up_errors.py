@@ -1,4 +1,4 @@
-"""What looking up rough reflection costs, against the sum of the true lobe of equation (5) over the light."""
+"""Error of gloss look-ups against the exact integral of the lobe over the light."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Very rough reflection: the light as a thousand point sources, the lobe of equation (5) summed over them as it is.
+"""Very rough reflection: exact sum of the lobe over a thousand point sources.
 
 From a roughness of 0.4 rad the lobe is so wide, and cut so hard by the horizon, that blurred light would need more
 look-ups than there are parts of the sphere worth telling apart. The sphere is divided into cells of a tenth of a

@@ -1,4 +1,4 @@
-"""The fewest bases that keep a picture's colours, and the second pass that writes its coefficients."""
+"""Smallest number of bases within a colour tolerance, and the pass that writes the coefficients."""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -30,7 +30,7 @@ _DEVIATIONS = 2.33  # standard deviations under which a sample's mean or percent
 
 @dataclass(frozen=True)
 class CompressOptions:
-    """How pictures are compressed; the keys of ``compress`` in the configuration.
+    """Options of compression: the keys of ``compress`` in the configuration.
 
     Parameters
     ----------

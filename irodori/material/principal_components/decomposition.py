@@ -1,4 +1,4 @@
-"""From second moments to a basis: principal vectors of the spectra as they are, or as lights and eyes weigh them."""
+"""Principal vectors of second moments, plain or weighted by lights and observers."""
 
 from dataclasses import dataclass
 

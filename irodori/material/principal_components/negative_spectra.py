@@ -1,4 +1,4 @@
-"""Spectra below zero: how many, how deep, and the light that setting them to zero would add.
+"""Negative values in reconstructed spectra: their number, depth, and the effect of clipping them.
 
 A truncated basis, or recovery from a few bands, leaves some samples of dark or vivid spectra below zero. Setting them
 to zero adds light, always of the same sign, and repeated reflections multiply it. They are stored as they are;

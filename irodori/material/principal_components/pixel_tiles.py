@@ -1,4 +1,4 @@
-"""Pictures as rows of pixels, tile by tile: from memory, a memory map, an HDF5 dataset, or anything that yields tiles.
+"""Iteration over a picture's pixels by tiles: arrays, memory maps, HDF5 datasets, generators.
 
 One tile is read while others are worked on; a picture may be read as often as wanted.
 """
@@ -131,7 +131,7 @@ def _rows(tile) -> np.ndarray:
 
 
 class _Place(NamedTuple):
-    """Where the numbers of a dataset stand in its file as they are used, one after the other."""
+    """Position of a contiguous, uncompressed dataset in its file."""
 
     file: str
     first_byte: int

@@ -1,4 +1,4 @@
-"""What repeated reflection makes of the error: products of reconstructed spectra leave the span of their basis."""
+"""Compression error after repeated reflection, where products of spectra leave the span of the basis."""
 
 import numpy as np
 

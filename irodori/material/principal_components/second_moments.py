@@ -1,4 +1,4 @@
-"""The first pass over a picture: second moments in double precision, what is masked, and a sample of its pixels.
+"""First pass over a picture: second moments in double precision and a sample of pixels.
 
 Pixels are gathered by brightness, a factor of 1024 to a class, and each class has a matrix of its own: squares span
 twice the decades of what is squared, and a sun would leave nothing of the shadows in the last digits of one sum.
@@ -149,7 +149,7 @@ def _finish(side, blocks, waiting, moments):
 
 
 class _Sums:
-    """What one worker adds up."""
+    """Sums of one worker."""
 
     def __init__(self, bands: int) -> None:
         self.bands, self._side = bands, -(-bands // COUNT) * COUNT

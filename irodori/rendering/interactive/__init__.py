@@ -1,4 +1,4 @@
-"""The paper's ray tracer for moving pictures: nothing is sampled, so nothing is noisy.
+"""Interactive ray tracer: noise-free pictures from precomputed look-ups.
 
 A scene is prepared once for a representation of colour and then rendered frame by frame::
 

@@ -1,4 +1,4 @@
-"""Light from all sides where other objects stand in its way: contact shadows in closed form.
+"""Ambient occlusion by neighbouring objects in closed form: contact shadows.
 
 What a sphere or a flat shape hides of the cosine-weighted sky is known exactly, the horizon's cut included: the form
 factor of a sphere (Snyder 1996), Lambert's sum over a polygon's edges, and its like for discs and planes

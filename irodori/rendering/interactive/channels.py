@@ -1,4 +1,4 @@
-"""The four ways to carry colour along a path, each as the numbers that one and the same kernel multiplies and adds.
+"""Four representations of colour along a path, for one and the same kernel.
 
 A hit adds texel * light, number by number, to its pixel; the sky and blurred light are added as they are stored. What
 the numbers mean is the representation's:

@@ -1,4 +1,4 @@
-"""Pictures over the sphere on the faces of a cube: looked up without trigonometry, and smooth across the edges.
+"""Cube maps of pictures over the sphere, smooth across the edges.
 
 Each face is the gnomonic picture of its side, stored with a border of one texel that continues it beyond the edges, so
 that bilinear look-up needs no case and errs with the square of a texel everywhere. (Between texels on either side of a

@@ -1,4 +1,4 @@
-"""What a disc and an endless plane hide of the cosine-weighted sky, in closed form, the horizon's cut included.
+"""Closed-form occlusion of the cosine-weighted sky by a disc or a plane, clipped at the horizon.
 
 Lambert's sum over a polygon's edges becomes, over a circle r(t) = c + ρ (e₁ cos t + e₂ sin t) seen from the origin, the
 integral of n · (r × dr) / |r|²: a quotient of first-order trigonometric polynomials, whose primitive is elementary.

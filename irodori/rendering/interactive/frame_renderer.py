@@ -1,4 +1,4 @@
-"""The interactive integrator's interface: a scene is prepared once, then rendered frame by frame."""
+"""Interface of the interactive integrator: prepare a scene once, render it frame by frame."""
 
 from dataclasses import dataclass, field, replace
 

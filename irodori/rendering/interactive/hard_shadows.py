@@ -1,4 +1,4 @@
-"""Collimated lights: which of a packet's hits they reach, by hard shadows."""
+"""Hard shadows of collimated lights for a packet of hits."""
 
 import numpy as np
 from numba import types

@@ -1,4 +1,4 @@
-"""Look-ups of a packet's light: the sky that rays meet, and the four lobes of each hit in the blurred light."""
+"""Light look-ups of a packet: sky radiance, and the four lobes of each hit in the blurred light."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What triangle meshes hide of the light from all sides: rays at preparation, a look-up at each hit.
+"""Ambient occlusion by triangle meshes: rays traced at preparation, a look-up at each hit.
 
 At every node of every shape (`irodori.rendering.interactive.shadow_nodes`) cosine-distributed rays say which share of
 the directions that no other kind of shape hides the meshes leave free, and which share meets the front of each mesh

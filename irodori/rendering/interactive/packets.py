@@ -1,4 +1,4 @@
-"""Packets of sixteen rays: handed to Embree, and brought from hits to points, normals and the places of look-ups."""
+"""Packets of sixteen rays: tracing by Embree, then points, normals and look-up places of the hits."""
 
 from typing import NamedTuple
 

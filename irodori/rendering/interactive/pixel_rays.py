@@ -1,4 +1,4 @@
-"""Single rays by the interactive integrator: chosen pixels of a picture, without the rest of it."""
+"""Interactive rendering of chosen pixels without the rest of the picture."""
 
 from concurrent.futures import ThreadPoolExecutor
 

@@ -1,4 +1,4 @@
-"""A few wavelengths that integrate a scene's own radiance spectra into XYZ."""
+"""Spectral quadrature: few wavelengths and weights that integrate a scene's radiance into XYZ."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What the compiler has to know of a representation: how wide its vectors are, and what is to be left out."""
+"""Compile-time layout of a colour representation: vector widths and omitted terms."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The gloss lobe of equation (5) as a row of four round lobes, small enough to be looked up at every hit.
+"""Gloss lobe of equation (5) as four round lobes, tabulated for look-up at every hit.
 
 `irodori.light.gloss.lobe_table` has up to forty lobes to each entry of a table, of which a look-up mixes four entries.
 Here the lobe D G / cosθ_r is a row of four Gaussians of the sphere in the plane of incidence, of one width and evenly

@@ -1,4 +1,4 @@
-"""Shading of a packet: what each ray's hit or sky adds to its pixel, and which paths go on [eq. 5, 8, 9]."""
+"""Shading of a packet: contribution of each hit or miss, and continuation of its paths [eq. 5, 8, 9]."""
 
 import math
 from typing import NamedTuple

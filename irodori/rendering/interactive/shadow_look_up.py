@@ -1,4 +1,4 @@
-"""What meshes hide of the light at a hit, from the nodes about it; see `irodori.rendering.interactive.mesh_shadows`."""
+"""Look-up of ambient occlusion at a hit from the nodes around it."""
 
 import numpy as np
 

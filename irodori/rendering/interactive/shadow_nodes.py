@@ -1,4 +1,4 @@
-"""Points of a scene's surfaces at which what meshes hide is worked out, and how a hit finds those about it.
+"""Surface points that store ambient occlusion, and the search for those around a hit.
 
 Flat shapes have a grid whose middle lies where the scene's meshes stand: even as far as these are near, and from there
 on ever coarser, so that an endless plane has a finite one. Spheres have a grid over their texture coordinates.

@@ -1,4 +1,4 @@
-"""The loop over tiles: paths start at a tile's pixels, go from mirror to mirror in packets, and become a picture."""
+"""Loop over picture tiles: trace packets through mirrors, shade, accumulate."""
 
 from typing import NamedTuple
 

@@ -1,1 +1,1 @@
-"""What a scene needs modelled within a tolerance, decided, predicted and checked [design, §2]."""
+"""Scene planning: the cheapest model of a scene within a colour tolerance [design, §2]."""

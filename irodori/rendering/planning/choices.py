@@ -1,4 +1,4 @@
-"""What the interactive integrator models of a scene, decided one after the other within a tolerance [design, §2].
+"""Planning decisions of the interactive integrator, one after the other within a tolerance [design, §2].
 
 Every decision has candidates from cheap to exact. One is taken if what it costs in colour, by the probes, keeps under
 the decision's share of what is left of the tolerance, and the picture with all decisions so far keeps under the

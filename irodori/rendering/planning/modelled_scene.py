@@ -1,4 +1,4 @@
-"""What is modelled of a scene by the interactive integrator, what that costs, and the scene reduced to it."""
+"""Reduced models of a scene for the interactive integrator, and their cost."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""How many paths a pixel the reference integrator needs for a tolerance, from pairs of pictures of a few pixels."""
+"""Number of paths per pixel for a tolerance, from pairs of pictures of a few pixels."""
 
 import math
 from dataclasses import asdict

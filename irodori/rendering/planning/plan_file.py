@@ -1,4 +1,4 @@
-"""``plan.yaml``: what was decided for a scene, why, and what it is predicted to cost; written and read again."""
+"""Reading and writing of ``plan.yaml``: decisions, reasons and predicted costs."""
 
 from dataclasses import asdict, replace
 from pathlib import Path

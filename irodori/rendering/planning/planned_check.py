@@ -1,4 +1,4 @@
-"""The sampled check of a planned picture: random pixels of it, computed in full."""
+"""Check of a planned picture at random pixels against the full model."""
 
 from dataclasses import dataclass
 

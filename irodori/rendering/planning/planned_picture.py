@@ -1,4 +1,4 @@
-"""A picture by a plan, and its check against the full model, for `irodori.rendering.integrators`."""
+"""Rendering of a planned scene with its check, for `irodori.rendering.integrators`."""
 
 import time
 from dataclasses import asdict

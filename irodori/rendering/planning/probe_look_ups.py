@@ -1,4 +1,4 @@
-"""What a probe looks up at the points that it meets: surfaces, textures, blurred light, lamps, what objects hide.
+"""Look-ups of a probe at the points that it meets: surfaces, textures, blurred light, lamps, occlusion.
 
 Arrays of points in NumPy, in double precision and 61 bands: the terms of the interactive integrator, one by one, so
 that each can be left out.

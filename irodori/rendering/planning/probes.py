@@ -1,4 +1,4 @@
-"""Probes: a few thousand rays through random points of a scene's pictures, whose light is kept term by term.
+"""Probe rays through random pixels, whose light is kept term by term.
 
 Every term is kept with the throughput that brings it to the eye, so that the picture without it, or with a coarser one,
 is a sum over what is left. Nothing of the renderer that is being planned is run.

@@ -1,4 +1,4 @@
-"""The state of planning: what is decided so far, what it costs in colour by the probes, and in numbers."""
+"""State of the planner: decisions so far, their colour error on the probes, and their cost."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

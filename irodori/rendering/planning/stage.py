@@ -1,4 +1,4 @@
-"""The planner's stage: a scene, its materials and its light in; ``plan.yaml`` out."""
+"""Planning stage: a scene, its materials and its light in; ``plan.yaml`` out."""
 
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER

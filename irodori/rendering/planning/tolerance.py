@@ -1,4 +1,4 @@
-"""Colour differences against a tolerance: what a sample of pixels says of all of them."""
+"""Statistical test of colour differences against a tolerance, from a sample of pixels."""
 
 import numpy as np
 from scipy.stats import binom

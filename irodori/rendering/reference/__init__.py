@@ -1,1 +1,1 @@
-"""An unbiased spectral path tracer: each path carries all bands; it converges to the rendering equation [eq. 5]."""
+"""Unbiased spectral path tracer; each path carries all bands [eq. 5]."""

@@ -1,4 +1,4 @@
-"""Loops over the bands: 61, padded to 64 in single precision, which are four vectors of 512 bits."""
+"""Loops over the 61 bands, padded to 64 in single precision: four 512-bit vectors."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The `reference` integrator: a converging picture with its standard error, in tiles that an interrupted run keeps."""
+"""Reference integrator: progressive pictures with standard errors, resumable by tile."""
 
 import hashlib
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""The rough terms of equation (5) at a surface, and directions drawn from them with their exact densities."""
+"""Importance sampling of equation (5)'s rough terms, with exact densities."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Paths from the eye through a scene, each carrying all bands [eq. 5]: the compiled half of the path tracer.
+"""Compiled path tracing from the eye, all bands at once [eq. 5].
 
 At a surface one light is chosen and one direction drawn from it, and one direction drawn from the surface's own
 reflection; both count towards the same light by the power heuristic (Veach and Guibas 1995). The mirror term is a

@@ -1,4 +1,4 @@
-"""Random numbers that depend on pixel, sample and dimension only, so that no thread nor tile changes a picture.
+"""Random numbers keyed by pixel, sample and dimension, independent of threads and tiles.
 
 The samples of a pixel are made in independent replicates. Within one, the first dimensions are points of a
 Sobol sequence in pairs (paired and shuffled as Kollig and Keller 2002 do), which all pixels share and each moves by a

@@ -1,4 +1,4 @@
-"""Rows of a picture by paths: the means of a pixel's sets of samples, and how these differ; compiled."""
+"""Means and variances of a row's pixels over sets of samples."""
 
 import math
 

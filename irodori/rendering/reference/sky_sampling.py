@@ -1,4 +1,4 @@
-"""The environment for the path tracer: its radiance, and directions drawn exactly as its interpolation spreads it.
+"""Environment light of the path tracer: radiance and exact importance sampling.
 
 Radiance between pixels is interpolated, and nearly half the light of a sun of one pixel lies outside of that pixel,
 where directions drawn from whole pixels never are. Here a pixel is drawn by its power, then a place under its tent.

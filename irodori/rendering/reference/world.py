@@ -1,4 +1,4 @@
-"""What paths travel in and what a thread needs on the way, as the compiled loops want it.
+"""Scene data and per-thread scratch space of the path tracer, as compiled loops take them.
 
 numba passes a tuple of arrays to a function word by word, and counts the owners of each: the functions that take these
 are inlined (``forceinline``) and count nothing (``_nrt=False``), or most of the time would go there.

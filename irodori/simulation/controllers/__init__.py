@@ -1,4 +1,4 @@
-"""Simulated controllers as peers: processes of their own behind a pseudo-terminal, with faults on command.
+"""Simulated motion controllers in processes of their own, with faults on command.
 
 Driver and simulator share no state: what the driver knows comes over the line. Faults and the true position go
 another way, the process's standard input and output. The commands there, one a line, each answered by one line of

@@ -1,4 +1,4 @@
-"""Simulation of the controller that a rig's file describes, on a pseudo-terminal.
+"""Simulator of a text-protocol motion controller on a pseudo-terminal.
 
 ``python -m irodori.simulation.controllers.ascii_simulator RIG.yaml``.
 
@@ -22,6 +22,7 @@ from irodori.simulation.controllers.trapezoidal_motion import Block, Stage
 __all__ = ["Simulator", "simulate"]
 
 _LINE_BYTES = 256
+_MODULE = "irodori.simulation.controllers.ascii_simulator"
 
 
 class AsciiMachine(Machine):
@@ -187,14 +188,12 @@ def simulate(
     arguments = [described, "--time-scale", repr(time_scale), "--seed", str(seed), "--homing-rms", repr(homing_rms)]
     for fault in faults:
         arguments += ["--fault", fault]
-    return run_simulator("irodori.simulation.controllers.ascii_simulator", arguments)
+    return run_simulator(_MODULE, arguments)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(arguments: Sequence[str] | None = None, prog: str = f"python -m {_MODULE}") -> None:
     """Run the simulator from the command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m irodori.simulation.controllers.ascii_simulator", description=__doc__
-    )
+    parser = argparse.ArgumentParser(prog=prog, description=__doc__)
     parser.add_argument("rig", help="the rig's file, or the JSON of its blocks limits and motion")
     parser.add_argument("--homing-rms", type=float, default=0.0, help="repeatability of the switches, units")
     add_arguments(parser)

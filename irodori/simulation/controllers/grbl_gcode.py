@@ -1,4 +1,4 @@
-"""The part of Grbl 1.1's G-code that moves axes, as its parser takes and refuses it. For the simulator."""
+"""G-code parser of the Grbl 1.1 simulator, for the commands that move axes."""
 
 import re
 from dataclasses import dataclass, field
@@ -30,7 +30,7 @@ class GcodeError(Exception):
 
 @dataclass
 class Modes:
-    """What outlasts a line."""
+    """Modal state, which outlasts a line."""
 
     motion: int = 0
     units: int = 21
@@ -47,7 +47,7 @@ class Modes:
 
 @dataclass
 class Move:
-    """What a line does.
+    """Motion that a line asks for.
 
     Parameters
     ----------

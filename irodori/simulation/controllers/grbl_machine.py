@@ -1,4 +1,4 @@
-"""A Grbl 1.1 controller without its line: what it answers and how its axes move.
+"""Model of a Grbl 1.1 controller: replies and axis motion, without the serial line.
 
 Followed from the firmware's documentation and its order of events: single-byte commands act at once; lines wait in a
 serial buffer of 128 bytes, and are read while the planner has room; a hold stops the reading; homing answers nothing.

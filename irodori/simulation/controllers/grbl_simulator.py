@@ -1,4 +1,4 @@
-"""A Grbl 1.1 controller on a pseudo-terminal.
+"""Simulator of a Grbl 1.1 controller on a pseudo-terminal.
 
 ``python -m irodori.simulation.controllers.grbl_simulator`` prints its port.
 
@@ -15,6 +15,8 @@ from irodori.simulation.controllers.peer_client import Simulator, run_simulator
 from irodori.simulation.controllers.peer_server import add_arguments, serve
 
 __all__ = ["Simulator", "simulate"]
+
+_MODULE = "irodori.simulation.controllers.grbl_simulator"
 
 
 def simulate(
@@ -50,7 +52,7 @@ def simulate(
         arguments += ["--setting", f"{number}={value!r}"]
     for fault in faults:
         arguments += ["--fault", fault]
-    return run_simulator("irodori.simulation.controllers.grbl_simulator", arguments)
+    return run_simulator(_MODULE, arguments)
 
 
 def _setting(text: str) -> tuple[int, float]:
@@ -60,11 +62,9 @@ def _setting(text: str) -> tuple[int, float]:
     return int(number), float(value)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(arguments: Sequence[str] | None = None, prog: str = f"python -m {_MODULE}") -> None:
     """Run the simulator from the command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m irodori.simulation.controllers.grbl_simulator", description=__doc__
-    )
+    parser = argparse.ArgumentParser(prog=prog, description=__doc__)
     add_arguments(parser)
     parser.add_argument("--setting", action="append", type=_setting, default=[], help="Grbl setting, such as 130=140")
     parser.add_argument("--homing-rms", type=float, default=0.0, help="repeatability of the switches, units")

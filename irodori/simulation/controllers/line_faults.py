@@ -1,4 +1,4 @@
-"""Faults of a line and of a controller, on command.
+"""Injectable faults of a serial line and a controller.
 
 A fault is one line of text, ``[when] what``:
 

@@ -1,4 +1,4 @@
-"""The handle on a simulator that this process has started: its port, its faults, and where its axes truly stand."""
+"""Handle of a running simulator: its port, its faults, and the true axis positions."""
 
 import json
 import math

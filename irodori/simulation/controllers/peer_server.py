@@ -1,4 +1,4 @@
-"""The process behind a pseudo-terminal: carries bytes to and from a simulated controller, and does the faults.
+"""Server process of a simulated controller: byte transport over a pseudo-terminal, and faults.
 
 Commands on standard input, each answered by one line of JSON on standard output:
 

@@ -1,4 +1,4 @@
-"""Axes that move in straight lines with a trapezoidal profile of speed, stepped in simulated time."""
+"""Straight moves of axes with trapezoidal speed profiles, in simulated time."""
 
 import math
 from collections import deque
@@ -50,7 +50,7 @@ class Stage:
 
     @property
     def end(self) -> list[float]:
-        """Where the axes will stand when all moves are done, units."""
+        """Position of the axes after all moves, units."""
         return list(self.blocks[-1].target if self.blocks else self.position)
 
     @property

@@ -1,1 +1,1 @@
-"""The virtual camera: it computes what a real one would photograph on the rig, down to genuine DNG files."""
+"""Virtual rig and camera: computed photographs as genuine DNG files."""

@@ -1,4 +1,4 @@
-"""What a pixel of the virtual camera gathers: light over its area, widened by the optical low-pass filter."""
+"""Pixel aperture and optical low-pass filter of the virtual camera."""
 
 import numpy as np
 from numba.extending import register_jitable

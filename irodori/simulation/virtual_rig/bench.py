@@ -1,4 +1,4 @@
-"""The virtual rig as the camera sees it: what stands where."""
+"""Geometry of the virtual rig as the camera sees it."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ from irodori.config.capture_table import Pose
 
 @dataclass
 class Bench:
-    """What stands on the virtual rig and where; hands and motors change it, the camera sees it.
+    """State of the virtual rig: hands and motors change it, the camera sees it.
 
     Parameters
     ----------

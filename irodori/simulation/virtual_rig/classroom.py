@@ -1,4 +1,4 @@
-"""A virtual classroom as its omnidirectional image: daylight windows, ceiling lamps, walls; every source a spectrum.
+"""Virtual classroom as an omnidirectional image: daylight windows, ceiling lamps, walls.
 
 Equirectangular, seen from the eye: columns are azimuth from +x towards +y over 2π, rows the angle from the zenith.
 Radiance is relative: 1 is a perfect diffuser lit at normal incidence by the rig's light.

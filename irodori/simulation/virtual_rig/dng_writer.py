@@ -1,4 +1,4 @@
-"""Writing a mosaic as a DNG file that LibRaw decodes like a camera's (Adobe DNG specification 1.4)."""
+"""DNG files that LibRaw decodes like a camera's (Adobe DNG specification 1.4)."""
 
 import io
 import os

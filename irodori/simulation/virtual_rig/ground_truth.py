@@ -1,4 +1,4 @@
-"""Ground truth in the formats of the chain, for the report alone."""
+"""Ground truth of virtual objects and lights, in the chain's file formats, for the report alone."""
 
 import numpy as np
 

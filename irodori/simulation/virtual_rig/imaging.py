@@ -1,4 +1,4 @@
-"""What each mosaic pixel of the virtual camera receives from a sample under a far or a near light, with shadows."""
+"""Irradiance of the virtual camera's pixels from a sample under a far or near light, with shadows."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The imperfections of the virtual rig, each with its switch: drift, optics, poses, the filter's plate, the sensor.
+"""Switchable imperfections of the virtual rig: drift, optics, poses, filter plate, sensor.
 
 Everything random follows from the seed and from the place of a photograph in its session, never from what was taken
 before: a session that was broken off and continued leaves the same files as one that was not.
@@ -16,7 +16,7 @@ from irodori.config.capture_table import Pose, Shot
 
 @dataclass(frozen=True)
 class Place:
-    """Where a photograph stands in its session: its number, and how often pose and filter had changed before it."""
+    """Place of a photograph in its session: its number, and the changes of pose and filter before it."""
 
     number: int
     arrival: int

@@ -1,4 +1,4 @@
-"""How the virtual rig's samples reflect: the model of equation (5), and two that the fit does not assume.
+"""Reflection models of the virtual samples: equation (5), and two that the fit does not assume.
 
 A GGX surface (Walter et al., *Microfacet models for refraction through rough surfaces*, EGSR 2007, with the
 height-correlated shadowing of Heitz, JCGT 3(2), 2014) has longer tails than the paper's Gaussian facets. A measured

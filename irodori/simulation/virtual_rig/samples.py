@@ -1,4 +1,4 @@
-"""What really stands on the virtual rig: measured spectra, and how each material reflects."""
+"""Materials of the virtual samples: measured spectra and reflection parameters."""
 
 import math
 from dataclasses import dataclass

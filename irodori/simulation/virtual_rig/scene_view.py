@@ -1,4 +1,4 @@
-"""A whole scene before the virtual camera, from its rendered radiance: each mosaic pixel sees its own direction."""
+"""Photographs of whole scenes by the virtual camera, from rendered radiance."""
 
 import numpy as np
 from scipy import ndimage

@@ -1,4 +1,4 @@
-"""From the light on a sensor to digital numbers: photo-electrons, noise, black level, quantisation, saturation."""
+"""Sensor model: photo-electrons, noise, black level, quantisation, saturation."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What stands before the virtual camera: the responses that each mosaic pixel would have without optics and noise.
+"""Ideal responses of the virtual camera's pixels to its subjects, before optics and noise.
 
 Every function returns (height, width) float64 for one filter state, 1 = a perfect diffuser lit at normal incidence in
 the brightest band.

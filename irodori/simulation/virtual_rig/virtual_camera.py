@@ -1,4 +1,4 @@
-"""The virtual camera: it photographs what stands on the virtual bench and leaves genuine DNG files."""
+"""Virtual camera: photographs the virtual bench into DNG files."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -60,7 +60,7 @@ class VirtualCamera(Camera):
 
     @cached_property
     def sample(self) -> Sample:
-        """What stands on the table."""
+        """Sample on the table."""
         return Sample.from_definition(self.subject)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""What meshes hide of the light from all sides: against closed forms, form factors, and paths that converge."""
+"""Occlusion by triangle meshes against closed forms, form factors and converged paths."""
 
 import numba
 import numpy as np

@@ -1,4 +1,4 @@
-"""What the numbers of Grbl 1.1 mean, as its documentation publishes them (gnea/grbl, doc/csv)."""
+"""Meanings of Grbl 1.1's error, alarm and setting numbers, from its documentation (gnea/grbl, doc/csv)."""
 
 #: ``error:N``, the answer to a refused line.
 ERRORS = {

@@ -1,4 +1,4 @@
-"""Question and answer with a Grbl controller: who answers what, flow control, and what arrives unasked."""
+"""Request and response with a Grbl controller: matching of replies, flow control, unsolicited messages."""
 
 from collections import deque
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""A rig whose axes a Grbl 1.1 controller moves."""
+"""Rig driver for Grbl 1.1 controllers."""
 
 import contextlib
 import time

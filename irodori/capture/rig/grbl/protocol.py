@@ -1,4 +1,4 @@
-"""The lines that Grbl 1.1 sends, parsed; and the single bytes and lines that it takes.
+"""Parsing of the lines that Grbl 1.1 sends, and the bytes and lines that it accepts.
 
 Nothing here waits or writes. Positions are in the controller's own units, which Grbl calls mm.
 Source: gnea/grbl, doc/markdown/interface.md.

@@ -1,4 +1,4 @@
-"""The controller's own settings against the rig's file: a disagreement is found before anything moves."""
+"""Check of a Grbl controller's settings against the rig's definition, before anything moves."""
 
 from collections.abc import Mapping
 

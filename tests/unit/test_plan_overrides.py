@@ -1,4 +1,4 @@
-"""What a scene's tolerance and overrides may ask for."""
+"""Tolerances and plan overrides of a scene that are refused or accepted."""
 
 import pytest
 

@@ -1,0 +1,158 @@
+"""Tables of figures in the README and in docs/benchmarks.md, made from the results of a run and its benchmark.
+
+``python -m benchmarks.published_tables [--results results]`` after ``snakemake --cores 2`` and ``snakemake --cores 2
+benchmark``, at the top of the repository: copies the tables shown to ``docs/figures`` and writes the blocks of both
+documents anew between their marks. Text between two marks is never written by hand: a test compares it with
+``docs/figures``.
+"""
+
+import argparse
+import csv
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from irodori.core.errors import InputError
+from irodori.report.speed_page import DEFAULTS, front, is_measured, read_rows
+
+ROOT = Path(__file__).resolve().parents[1]
+FIGURES = ROOT / "docs" / "figures"
+#: Table in docs/figures -> where a run leaves it, under results/.
+SOURCES = {
+    "errors.csv": "errors.csv",
+    "error_budget.csv": "still-life/error_budget/front.csv",
+    "speed_error.csv": "benchmark/speed_error.csv",
+}
+#: Quantities of ``errors.csv`` that are shown, where there are such.
+QUANTITIES = (
+    "leave-one-patch-out CIEDE2000",
+    "reflectance CIEDE2000 away from seams",
+    "beta relative away from seams, where known",
+    "mu relative away from seams, where known",
+    "light CIEDE2000",
+    "picture CIEDE2000 to true materials, objects only",
+)
+
+
+def _table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (header, ["---"] * len(header), *lines))
+
+
+def _number(text: str, digits: int = 3) -> str:
+    """Return a number as the documents write it; a dash where there is none."""
+    value = float(text)
+    if value != value:
+        return "–"
+    return (
+        f"{value:.{digits}g}" if abs(value) < 10**digits else f"{float(f'{value:.{digits}g}'):,.0f}".replace(",", " ")
+    )
+
+
+def _rows(path: Path) -> list[dict]:
+    with path.open(newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def errors_block(folder: Path) -> str:
+    """Return the table of errors against the truth."""
+    lines = [
+        [r["subject"], r["quantity"] + (f", {r['light']}" if r["light"] in ("D65", "A") else ""), r["count"],
+         *(_number(r[name]) for name in ("mean", "p95", "max"))]
+        for r in _rows(folder / "errors.csv")
+        if r["quantity"] in QUANTITIES and r["light"] != "A"
+    ]  # fmt: skip
+    return _table(("what", "quantity", "count", "mean", "p95", "max"), lines)
+
+
+def budget_block(folder: Path) -> str:
+    """Return the table of the error budget."""
+    names = ("mean", "p95", "max", "predicted")
+    lines = [[r["stage"], *(_number(r[name]) for name in names)] for r in _rows(folder / "error_budget.csv")]
+    return _table(("stage as measured, the rest true", "mean", "p95", "max", "mean predicted"), lines)
+
+
+def speed_block(folder: Path) -> str:
+    """Return the table of speed: of every stage the references, the default, and what no other variant beats."""
+    rows = read_rows(folder / "speed_error.csv")
+    lines = []
+    for stage in dict.fromkeys(r["stage"] for r in rows):
+        own = [r for r in rows if r["stage"] == stage]
+        shown = {*front(own), DEFAULTS.get(stage), *(r["reference"] for r in own)}
+        lines += [_speed_line(r) for r in own if r["variant"] in shown or not is_measured(r)]
+    return _table(("stage", "variant", "speed", "times its reference", "error", "which is", "peak, MB"), lines)
+
+
+def _speed_line(row: dict) -> list[str]:
+    """Return the cells of a variant; of one that could not run, the reason."""
+    if not is_measured(row):
+        return [row["stage"], row["variant"], "–", "–", "–", row["error_metric"].replace("|", "/"), "–"]
+    error = _number(row["error"], 2)
+    return [row["stage"], row["variant"], f"{_number(row['throughput'])} {row['unit']}/s", _times(row), error,
+            row["error_metric"] if error != "–" else "", f"{float(row['peak_mb']):.0f}"]  # fmt: skip
+
+
+def figures_block(folder: Path) -> str:
+    """Return the README's five figures."""
+    errors = _rows(folder / "errors.csv")
+    speeds = {(r["stage"], r["variant"]): r for r in read_rows(folder / "speed_error.csv")}
+
+    def error(quantity: str) -> str:
+        found = next(r for r in errors if r["quantity"] == quantity and r["light"] != "A")
+        return f"{_number(found['mean'])} mean, {_number(found['p95'])} at the 95th percentile"
+
+    fit, frame = speeds["fit", "varpro"], speeds["render", "interactive-coefficients"]
+    lines = [
+        ["colour error of chart patches left out of the calibration", error("leave-one-patch-out CIEDE2000")],
+        ["colour error of the recovered light", error("light CIEDE2000")],
+        ["colour error of the picture, on the objects", error("picture CIEDE2000 to true materials, objects only")],
+        ["texels fitted a second, and that beside NLopt called from Python",
+         f"{_number(fit['throughput'])}, {_times(fit)} times as many"],
+        ["pixels rendered a second, interactive", _number(frame["throughput"])],
+    ]  # fmt: skip
+    return _table(("measured on the default scene and on two cores", "CIEDE2000, or a number"), lines)
+
+
+def _times(row: dict) -> str:
+    return "reference" if row["variant"] == row["reference"] else _number(str(1 / float(row["ratio"])))
+
+
+#: Document -> its blocks.
+DOCUMENTS = {
+    "README.md": {"figures": figures_block},
+    "docs/benchmarks.md": {"errors": errors_block, "budget": budget_block, "speed": speed_block},
+}
+
+
+def written(text: str, document: str, folder: Path) -> str:
+    """Return a document's text with its blocks made anew from the tables of a folder.
+
+    Raises
+    ------
+    InputError
+        If the text lacks a block's marks.
+    """
+    for name, block in DOCUMENTS[document].items():
+        begin, end = f"<!-- {name}: made by benchmarks.published_tables -->\n", f"<!-- end of {name} -->"
+        before, mark, rest = text.partition(begin)
+        _, other, after = rest.partition(end)
+        if not (mark and other):
+            raise InputError(document, "", f"no block {name!r}", f"{begin.strip()} and {end}, in this order")
+        text = f"{before}{begin}\n{block(folder)}\n\n{end}{after}"
+    return text
+
+
+def main() -> None:
+    """Copy the tables and write the documents' blocks."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--results", type=Path, default=ROOT / "results")
+    results = parser.parse_args().results
+    FIGURES.mkdir(exist_ok=True)
+    for name, source in SOURCES.items():
+        shutil.copyfile(results / source, FIGURES / name)
+    for document in DOCUMENTS:
+        path = ROOT / document
+        path.write_text(written(path.read_text(encoding="utf-8"), document, FIGURES), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

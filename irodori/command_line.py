@@ -1,0 +1,95 @@
+"""The command ``irodori`` and its subcommands.
+
+``irodori --help`` lists them. A subcommand's module is imported only when that subcommand runs, so that help is at once
+there and a bench without a camera needs no camera's library.
+"""
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from irodori import __version__
+
+_BENCH = "irodori.capture.command"
+
+
+class Subcommand(NamedTuple):
+    """A module whose ``main(arguments, prog)`` does the work.
+
+    Parameters
+    ----------
+    module : str
+        Dotted name.
+    help : str
+        One line.
+    passed_on : bool
+        Whether the module has subcommands of its own and this one's name is the first of its arguments.
+    """
+
+    module: str
+    help: str
+    passed_on: bool = False
+
+
+SUBCOMMANDS = {
+    "status": Subcommand(_BENCH, "print the position of a rig's axes and the state of its controller", True),
+    "home": Subcommand(_BENCH, "move every axis of a rig to its reference position", True),
+    "move": Subcommand(_BENCH, "move axes of a rig to angles", True),
+    "jog": Subcommand(_BENCH, "move axes of a rig by a small angle", True),
+    "shoot": Subcommand(_BENCH, "take one photograph", True),
+    "plan": Subcommand(_BENCH, "list the photographs of a session, or choose the most informative poses", True),
+    "capture": Subcommand(_BENCH, "start or continue a session: take the photographs that are missing", True),
+    "export": Subcommand("irodori.export.material_pictures", "write a material or a light as EXR, TIFF or ENVI"),
+    "filters": Subcommand("irodori.calibration.filters", "rank filters for the second shot of a camera"),
+    "check": Subcommand("irodori.core.atomic_files", "compare results on disk with the checksums noted beside them"),
+    "simulate-grbl": Subcommand("irodori.simulation.controllers.grbl_simulator", "simulate a Grbl motion controller"),
+    "simulate-ascii": Subcommand(
+        "irodori.simulation.controllers.ascii_simulator", "simulate a controller with a text protocol of its own"
+    ),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a subcommand and return its exit status.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        Those of the command line where absent.
+
+    Returns
+    -------
+    int
+        0 after success.
+
+    Raises
+    ------
+    SystemExit
+        After ``--help`` and ``--version``, and with status 2 for arguments that are not accepted.
+    """
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    if not arguments or arguments[0] not in SUBCOMMANDS:
+        _parser().parse_args(arguments[:1])  # help, version or an error: it never returns
+    name, *rest = arguments
+    subcommand = SUBCOMMANDS[name]
+    module = importlib.import_module(subcommand.module)
+    if subcommand.passed_on:
+        return module.main(arguments, prog="irodori") or 0
+    return module.main(rest, prog=f"irodori {name}") or 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    width = max(map(len, SUBCOMMANDS))
+    listed = "\n".join(f"  {name:{width}}  {subcommand.help}" for name, subcommand in SUBCOMMANDS.items())
+    parser = argparse.ArgumentParser(
+        prog="irodori",
+        usage="irodori [--help] [--version] SUBCOMMAND ...",
+        description="Tools around the Irodori workflow; the workflow itself is run by snakemake.",
+        epilog=f"subcommands:\n{listed}\n\n'irodori SUBCOMMAND --help' explains one of them.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
+    parser.add_argument("subcommand", choices=SUBCOMMANDS, metavar="SUBCOMMAND", help="one of those below")
+    return parser

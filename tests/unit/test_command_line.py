@@ -1,0 +1,62 @@
+"""The command ``irodori``: its subcommands, and that its help loads nothing heavy."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import irodori
+from irodori.command_line import SUBCOMMANDS, main
+from irodori.core.atomic_files import write_digest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.parametrize("name", SUBCOMMANDS)
+def test_every_subcommand_explains_itself_under_its_own_name(name, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([name, "--help"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.startswith(f"usage: irodori {name} ")
+
+
+def test_help_lists_every_subcommand_and_loads_no_library():
+    code = "import sys; from irodori.command_line import main\ntry: main(['--help'])\nfinally: print(*sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert run.returncode == 0, run.stderr
+    *said, modules = run.stdout.splitlines()
+    assert all(any(line.split()[:1] == [name] for line in said) for name in SUBCOMMANDS)
+    assert not {"numpy", "numba", "yaml", "h5py", "matplotlib"} & set(modules.split())
+
+
+@pytest.mark.parametrize("arguments", [["exprt", "a", "b"], [], ["--nonsense"]])
+def test_what_is_no_subcommand_is_refused_with_status_2(arguments, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert "SUBCOMMAND" in said and ("export" in said or "exprt" not in arguments)
+
+
+def test_python_m_irodori_is_the_same_command():
+    run = subprocess.run([sys.executable, "-m", "irodori", "--version"], capture_output=True, text=True, cwd=ROOT)
+    assert run.stdout == f"irodori {irodori.__version__}\n"
+
+
+def test_a_subcommand_does_its_work_and_returns_its_status(tmp_path, capsys):
+    result = tmp_path / "result.csv"
+    result.write_text("1\n")
+    write_digest(str(result))
+    assert main(["check", str(tmp_path)]) == 0
+    result.write_text("2\n")
+    assert main(["check", str(tmp_path)]) == 1
+    assert str(result) in capsys.readouterr().out
+
+
+def test_a_subcommand_of_the_bench_gets_its_own_name_too(monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    assert main(["plan", "leaf-sphere"]) == 0
+    assert "camera" in capsys.readouterr().out
+    assert main(["plan", "no-such-object"]) == 1
+    assert "no-such-object" in capsys.readouterr().err
