@@ -12,7 +12,8 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.export.pictures import channel_names, read_spectral_exr, write_png, write_spectral_exr
 from irodori.rendering.stage import render_view, write_tiff, write_xyz
-from irodori.report.page import _views_section
+from irodori.report.html_page import fragment
+from irodori.report.page import rendered_views
 from irodori.spectra.grid import WAVELENGTH_NM
 
 DISPLAY = {"exposure": "auto", "device": {"kind": "standard", "name": "sRGB"}}
@@ -240,7 +241,8 @@ def test_a_body_is_rendered_from_its_names_alone(tmp_path, integrator):
     n = 0.2 + WAVELENGTH_NM / 1e3
     mirrored = ((n - 1) ** 2 + 3.5**2) / ((n + 1) ** 2 + 3.5**2)
     assert np.allclose(right, 2.0 * (spectrum("TCS12") + mirrored), rtol=5e-3)
-    page = _views_section(["s/left"], [tmp_path / "left.png"], [tmp_path / "left.json"], {})
+    views = rendered_views(["s/left"], [tmp_path / "left.png"], [tmp_path / "left.json"], {})
+    page = fragment("views.html.j2", views=views)
     assert integrator["kind"] in page and ("4096" in page) == (integrator["kind"] == "reference")
     figures = json.loads((tmp_path / "left.json").read_text())
     assert figures["integrator"] == integrator["kind"] and figures["filled_fraction"] == {"plate": 0.0}
