@@ -15,8 +15,8 @@ _DIGITS = 16
 def code_hash(*modules: str, root: Path = _ROOT) -> str:
     """Return the hash of modules' sources and of everything local that they import, directly or not.
 
-    The templates of a package that is among them count as its source. Nothing is imported: the sources are parsed. The result is remembered, for the code does not change while
-    a workflow is being planned.
+    The templates of a package that is among them count as its source. Nothing is imported: the sources are parsed.
+    The result is remembered, for the code does not change while a workflow is being planned.
 
     Parameters
     ----------
