@@ -8,9 +8,10 @@ import pytest
 from PIL import Image
 from scenes import DATA, OPTIONS, constant_light, material
 
+from irodori.colour.display import srgb
 from irodori.core import store
 from irodori.core.errors import InputError
-from irodori.export.pictures import channel_names, read_spectral_exr, write_png, write_spectral_exr
+from irodori.export.pictures import channel_names, read_spectral_exr, write_display_picture, write_spectral_exr
 from irodori.rendering.stage import render_view, write_tiff, write_xyz
 from irodori.report.html_page import fragment
 from irodori.report.page import rendered_views
@@ -78,7 +79,7 @@ def test_a_png_keeps_its_pixels_and_carries_srgb(tmp_path):
     from PIL import ImageCms
 
     pixels = np.random.default_rng(3).integers(0, 256, (20, 30, 3), dtype=np.uint8)
-    write_png(tmp_path / "a.png", pixels)
+    write_display_picture(tmp_path / "a.png", pixels, srgb().profile, {})
     with Image.open(tmp_path / "a.png") as image:
         assert image.mode == "RGB" and np.array_equal(np.asarray(image), pixels)
         profile = image.info["icc_profile"]
