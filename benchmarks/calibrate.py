@@ -21,7 +21,7 @@ from irodori.calibration.training import Noise, Training
 from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
 from irodori.core.threads import use_threads
 from irodori.spectra.grid import TRAPEZOID_NM
-from irodori.spectra.published import camera_sensitivities, read_wide_csv, spectrum
+from irodori.spectra.published import camera_sensitivities, read_spectra, spectrum
 from irodori.spectra.resampling import resample
 from irodori.spectra.tables import wide_table
 
@@ -70,7 +70,7 @@ class Trial:
         sensitivity = camera_sensitivities(str(DATA / f"cameras/{camera}.csv"))
         system = np.concatenate([sensitivity, sensitivity * plate])[:bands] * spectrum(LIGHT) * TRAPEZOID_NM
         system /= system.sum(axis=1, keepdims=True)
-        first, second = (read_wide_csv(DATA / "reflectance" / SETS[name])[1] for name in (train, test))
+        first, second = (read_spectra(DATA / "reflectance" / SETS[name])[1] for name in (train, test))
         return cls(system, first, second, (second @ system.T).max(axis=0))
 
     def responses(self, noise: float, seed: int) -> tuple[Training, np.ndarray, np.ndarray]:

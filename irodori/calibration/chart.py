@@ -156,37 +156,3 @@ def read_located(response, valid, located: Located, file, sample_px: int = 2) ->
     read = read_squares(response, valid, centres, located.side_px * 2.0 / sample_px, file)
     read["log_slope"] = read["log_slope"] * (2.0 / sample_px)
     return ChartReading(centres_px=located.centres_px, side_px=located.side_px, **read)
-
-
-def read_patches(response: np.ndarray, valid: np.ndarray, chart: dict, file, sample_px: int = 2) -> ChartReading:
-    """Locate the patches of a chart and return their statistics; see `locate_patches` and `ChartReading`.
-
-    Raises
-    ------
-    InputError
-        As `locate_patches` and `read_located`.
-    """
-    located = locate_patches(response, valid, chart, file, sample_px)
-    return read_located(response, valid, located, file, sample_px)
-
-
-def read_chart(response: np.ndarray, valid: np.ndarray, chart: dict, file, sample_px: int = 2) -> np.ndarray:
-    """Return the trimmed mean response of every patch, (patches, bands); see `read_patches`.
-
-    Parameters
-    ----------
-    response : (height, width, bands) float
-    valid : (height, width) bool
-        What is not valid, clipped or hot, does not count.
-    chart : dict
-        Definition of the chart, in superpixels.
-    file : path, for error messages
-    sample_px : int
-        Mosaic pixels along the side of a sample of the picture: 2 for superpixels, 1 at full resolution.
-
-    Raises
-    ------
-    InputError
-        If a patch lies outside the picture or most of it is not valid, or the chart is not found.
-    """
-    return read_patches(response, valid, chart, file, sample_px).mean

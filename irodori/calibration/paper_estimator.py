@@ -55,12 +55,3 @@ def calibrate(
     # Bands are scaled to a common size first, so that the pseudo-inverse cuts none of them off for its unit.
     weights_from_response = (np.linalg.pinv(response / peak) @ weights.T) / peak[:, None]
     return Calibration(basis, weights_from_response, np.asarray(light, dtype=np.float64), training=response)
-
-
-def leave_one_out(response: np.ndarray, spectra: np.ndarray, bases: int, light: np.ndarray) -> np.ndarray:
-    """Return each patch's spectrum recovered by a calibration on all the others, (m, 61)."""
-    recovered = np.empty_like(spectra)
-    for patch in range(len(spectra)):
-        others = np.arange(len(spectra)) != patch
-        recovered[patch] = calibrate(response[others], spectra[others], bases, light).spectra(response[patch])
-    return recovered

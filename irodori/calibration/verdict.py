@@ -170,15 +170,3 @@ def judge(truth: np.ndarray, estimate: np.ndarray) -> list[Verdict]:
         measured = float(_STATISTICS[line.statistic](differences[line.metric]))
         verdicts.append(Verdict(line, measured, measured < line.limit if line.strict else measured <= line.limit))
     return verdicts
-
-
-def levels_reached(verdicts: list[Verdict]) -> dict[str, str]:
-    """Return the highest level of each guideline all of whose lines pass, by guideline; ``none`` where none does."""
-    reached: dict[str, str] = {}
-    for guideline in dict.fromkeys(v.tolerance.guideline for v in verdicts):
-        own = [v for v in verdicts if v.tolerance.guideline == guideline]
-        # Levels stand from the strictest on.
-        levels = dict.fromkeys(v.tolerance.level for v in own)
-        passed = (level for level in levels if all(v.passes for v in own if v.tolerance.level == level))
-        reached[guideline] = next(passed, "none")
-    return reached

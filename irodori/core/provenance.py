@@ -15,8 +15,8 @@ _DIGITS = 16
 def code_hash(*modules: str, root: Path = _ROOT) -> str:
     """Return the hash of modules' sources and of everything local that they import, directly or not.
 
-    Nothing is imported: the sources are parsed. The result is remembered, for the code does not change while
-    a workflow is being planned.
+    The templates of a package that is among them count as its source. Nothing is imported: the sources are parsed.
+    The result is remembered, for the code does not change while a workflow is being planned.
 
     Parameters
     ----------
@@ -39,7 +39,10 @@ def code_hash(*modules: str, root: Path = _ROOT) -> str:
     digest = hashlib.sha256()
     sources = {name: file for module in modules for name, file in local_sources(module, root).items()}
     for name, file in sorted(sources.items()):
-        digest.update(f"{name}\0{hashlib.sha256(file.read_bytes()).hexdigest()}\n".encode())
+        # A package without __init__ has no file here, and no templates either.
+        templates = sorted(file.parent.glob("templates/*")) if file.name == "__init__.py" else []
+        for part in (file, *templates):
+            digest.update(f"{name}\0{hashlib.sha256(part.read_bytes()).hexdigest()}\n".encode())
     return digest.hexdigest()[:_DIGITS]
 
 

@@ -266,10 +266,3 @@ def write_display_picture(path, pixels: np.ndarray, profile: bytes, attributes: 
         spec.attribute("ImageDescription", "; ".join(f"{name} {value}" for name, value in attributes.items()))
         spec.attribute("compression", "zip")
     _write(path, np.ascontiguousarray(pixels), spec)
-
-
-def write_png(path, pixels: np.ndarray) -> None:
-    """Write an 8-bit sRGB picture, (height, width, 3) uint8, with its ICC profile."""
-    from irodori.colour.display import srgb
-
-    write_display_picture(path, pixels, srgb().profile, {})

@@ -60,14 +60,6 @@ def lathe(profile_mm, segments: int, margin: float = 0.0) -> tuple[np.ndarray, n
     return np.concatenate(corners), np.concatenate(uv)
 
 
-def ball(radius_mm: float, rings: int, segments: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return corners and UV of a sphere of triangles, its texture that of a sphere of `irodori.geometry.shapes`."""
-    polar = np.linspace(np.pi, 0.0, rings + 1)
-    radius = radius_mm * np.sin(polar)
-    radius[[0, -1]] = 0.0  # both poles on the axis, which rounding leaves beside it
-    return lathe(np.stack([radius, radius_mm * np.cos(polar)], axis=1), segments)
-
-
 def write_obj(path, corners_mm, uv, normals=None, digits: int = 6) -> None:
     """Write triangles as an OBJ, each position and each texture coordinate once.
 

@@ -61,11 +61,6 @@ def evaluate_flat(coefficients: np.ndarray, height: int, width: int) -> np.ndarr
     return np.einsum("yj,xi,bij->yxb", y_powers, x_powers, grid(coefficients), optimize=True).astype(np.float32)
 
 
-def smooth_flat(image: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Return the surface nearest to a flat-field picture, (height, width, bands) float32; see `fit_flat`."""
-    return evaluate_flat(fit_flat(image, valid), *valid.shape)
-
-
 def grid(coefficients: np.ndarray) -> np.ndarray:
     """Return coefficients as (bands, power of x, power of y), 0 beyond the degree."""
     out = np.zeros((len(coefficients), DEGREE + 1, DEGREE + 1))

@@ -257,23 +257,6 @@ class Integrator:
         return out.reshape(*np.shape(normals)[:-1], out.shape[1])
 
 
-def irradiance_map(coefficients: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Return the irradiance map I_d of equation (8) on the coefficients.
-
-    Parameters
-    ----------
-    coefficients : (H, W, k) float
-        Radiance, equirectangular.
-    width, height : int
-        Size of the map over the normals.
-
-    Returns
-    -------
-    (height, width, k) float32, radiance unit times sr
-    """
-    return Integrator(coefficients)(directions(width, height)[0]).astype(np.float32)
-
-
 def irradiance_at(irradiance: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Return an irradiance map, (h, w, k), looked up at unit normals (..., 3), as (..., k) float64."""
     flat = np.ascontiguousarray(np.reshape(normals, (-1, 3)), dtype=np.float64)

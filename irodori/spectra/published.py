@@ -10,7 +10,7 @@ from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
 from irodori.spectra.published_names import BLACKBODY_K, DAYLIGHT_K, synthetic_light
 from irodori.spectra.resampling import is_finer_than_grid, resample
 from irodori.spectra.spectral_files import SpectralTable, check_power, check_reflectance, spectral_table
-from irodori.spectra.tables import MAX_INDEX_GAP_NM, column_table, index_table, wide_table
+from irodori.spectra.tables import MAX_INDEX_GAP_NM, index_table
 
 _TCS_NAME = re.compile(r"TCS(\d{1,2})")
 _PATCH_NAME = re.compile(r"[A-Z]\d+")
@@ -26,30 +26,6 @@ def read_spectra(path) -> tuple[list[str], np.ndarray]:
     """
     table = spectral_table(path)
     return table.names, _on_grid(table, path)
-
-
-def read_wide_csv(path) -> tuple[list[str], np.ndarray]:
-    """Read spectra from a wide CSV, see `irodori.spectra.tables.wide_table`.
-
-    Returns
-    -------
-    names : list of str, one a row
-    spectra : (rows, 61) float64
-    """
-    names, wavelength_nm, values = wide_table(path)
-    return names, resample(wavelength_nm, np.array(values), path, method="auto")
-
-
-def read_columns_csv(path) -> tuple[list[str], np.ndarray]:
-    """Read spectra from a CSV of columns, see `irodori.spectra.tables.column_table`.
-
-    Returns
-    -------
-    names : list of str, one a column after the first
-    spectra : (columns, 61) float64
-    """
-    names, wavelength_nm, columns = column_table(path)
-    return names, resample(wavelength_nm, np.array(columns), path, method="auto")
 
 
 def _on_grid(table: SpectralTable, path, is_light: bool = False) -> np.ndarray:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from comparison import differences, results
 
+from irodori.colour.display import srgb
 from irodori.core.atomic_files import write_digest
 from irodori.core.store import Provenance, create
-from irodori.export.pictures import write_png, write_spectral_exr
+from irodori.export.pictures import write_display_picture, write_spectral_exr
 
 
 def make(folder, values=None, seconds=1.0, radiance=0.25, mean="0.5", note="x"):
@@ -23,7 +24,7 @@ def make(folder, values=None, seconds=1.0, radiance=0.25, mean="0.5", note="x"):
         out.attribute("errors", {"fit_seconds": seconds, "delta_e": {"mean": float(mean)}})
     picture = np.full((2, 3, 61), radiance, np.float32)
     write_spectral_exr(folder / "jar/front.exr", picture, picture[..., :3], {})
-    write_png(folder / "jar/front.png", np.zeros((2, 3, 3), np.uint8))
+    write_display_picture(folder / "jar/front.png", np.zeros((2, 3, 3), np.uint8), srgb().profile, {})
     figures = {"seconds": seconds, "exposure": 1.0}
     (folder / "jar/front.json").write_text(json.dumps(figures))
     (folder / "errors.csv").write_text(f"subject,mean\njar,{mean}\n")

@@ -7,15 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plans import PLATE_OBJECT, POSES, RIG, SPHERE_OBJECT, flat_angles, texel
+from shortcuts import information
 
-from irodori.capture.shot_planner.fisher_information import (
-    Materials,
-    Noise,
-    Weighting,
-    information,
-    observe,
-    standard_errors,
-)
+from irodori.capture.shot_planner.fisher_information import Materials, Noise, Weighting, observe, standard_errors
 from irodori.capture.shot_planner.planner import subject_of
 from irodori.config.capture_table import Pose
 from irodori.fitting.solvers import FitOptions, fit

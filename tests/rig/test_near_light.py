@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shortcuts import ball
 
 from irodori.config.capture_table import Pose
 from irodori.config.definitions import load_definitions, read_yaml
@@ -17,11 +18,11 @@ from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import fit_brdf
 from irodori.geometry.embree import Tracer
 from irodori.geometry.lamp import Lamp
-from irodori.geometry.lathe import ball, write_obj
+from irodori.geometry.lathe import write_obj
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.rig_frame import rig_from_object, to_light
 from irodori.geometry.shapes import Placement, Shape
-from irodori.ingest.flat_field import smooth_flat
+from irodori.ingest.flat_field import evaluate_flat, fit_flat
 from irodori.rectification.stage import RigSetup, observe, rectify_object
 from irodori.simulation.virtual_rig.ground_truth import true_material
 from irodori.simulation.virtual_rig.samples import Sample
@@ -83,7 +84,7 @@ def photographed(tmp_path, definition, camera, rig, poses):
     place = Pose(**camera["poses"]["white"])
     white = superpixels(white_mosaic(camera, rig, place, STRAIGHT, weights))
     level = camera["white"]["reflectance_factor"] * math.cos(math.radians(place.light_deg - place.tilt_deg))
-    flat = smooth_flat(white, np.ones(white.shape[:2], dtype=bool)) / level
+    flat = evaluate_flat(fit_flat(white, np.ones(white.shape[:2], dtype=bool)), *white.shape[:2]) / level
     sample, files = Sample.from_definition(definition), []
     for pose in poses:
         response = superpixels(object_mosaic(sample, camera, rig, pose, STRAIGHT, weights)) / flat

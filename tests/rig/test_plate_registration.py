@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shortcuts import moving_from_fixed
 
 from benchmarks.plate_pictures import photograph
 from irodori.config.capture_table import Pose
@@ -59,7 +60,7 @@ def found_error_px(definitions, unfiltered, pose: Pose, plate) -> float:
     found = register(fixed, moving, fixed_valid, moving_valid, band_offsets_px=bayer_offsets_px("RGGB"))
     row, column = np.nonzero(fixed.sum(axis=-1) > 0.02)
     place = np.stack([column, row], axis=-1)
-    error = found.moving_from_fixed(place) - truth.moving_from_fixed(place)
+    error = moving_from_fixed(found, place) - moving_from_fixed(truth, place)
     return math.sqrt((error**2).sum(axis=-1).mean())
 
 

@@ -8,16 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plans import PLATE_OBJECT, POSES, RIG, SPHERE_OBJECT, texel
+from shortcuts import information
 
 from irodori.capture.shot_planner.exchange import CRITERIA, Selection, TooFewPoses, choose
-from irodori.capture.shot_planner.fisher_information import (
-    Materials,
-    Noise,
-    Weighting,
-    information,
-    observe,
-    standard_errors,
-)
+from irodori.capture.shot_planner.fisher_information import Materials, Noise, Weighting, observe, standard_errors
 from irodori.capture.shot_planner.planner import (
     KNOWN_RELATIVE_ERROR,
     MaterialRange,

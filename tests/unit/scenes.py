@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import numpy as np
+from shortcuts import irradiance_map
 
 from irodori.geometry.shapes import Shape
 from irodori.light.environment_file import Environment, directions
-from irodori.light.irradiance import irradiance_map
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
 

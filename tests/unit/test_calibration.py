@@ -8,9 +8,10 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shortcuts import leave_one_out, read_patches
 
-from irodori.calibration.chart import patch_centres, read_chart
-from irodori.calibration.paper_estimator import calibrate, leave_one_out, spectral_basis
+from irodori.calibration.chart import patch_centres
+from irodori.calibration.paper_estimator import calibrate, spectral_basis
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.stage import calibrate_camera
 from irodori.colour.colorimetry import spectral_rmse
@@ -196,16 +197,16 @@ def chart_picture(rng):
 def test_patches_are_read_row_by_row_and_specks_are_trimmed():
     picture, values = chart_picture(np.random.default_rng(5))
     valid = np.ones(picture.shape[:2], dtype=np.uint8)
-    assert np.allclose(read_chart(picture, valid, CHART, "x.h5"), values, rtol=1e-12)
+    assert np.allclose(read_patches(picture, valid, CHART, "x.h5").mean, values, rtol=1e-12)
     picture[9, 11] = 50.0  # dust that glitters, one pixel of 36
-    assert np.allclose(read_chart(picture, valid, CHART, "x.h5"), values, rtol=1e-12)
+    assert np.allclose(read_patches(picture, valid, CHART, "x.h5").mean, values, rtol=1e-12)
 
 
 def test_saturated_pixels_of_a_patch_are_left_out():
     picture, values = chart_picture(np.random.default_rng(6))
     valid = np.ones(picture.shape[:2], dtype=np.uint8)
     picture[7:10, 7:13], valid[7:10, 7:13] = 1e3, 0  # the upper half of the first patch, no more
-    assert np.allclose(read_chart(picture, valid, CHART, "x.h5"), values, rtol=1e-12)
+    assert np.allclose(read_patches(picture, valid, CHART, "x.h5").mean, values, rtol=1e-12)
 
 
 def test_a_saturated_patch_is_named():
@@ -213,7 +214,7 @@ def test_a_saturated_patch_is_named():
     valid = np.ones(picture.shape[:2], dtype=np.uint8)
     valid[5:15, 25:35] = 0
     with pytest.raises(InputError, match=r"chart\.h5.*patch 1 saturated"):
-        read_chart(picture, valid, CHART, "chart.h5")
+        read_patches(picture, valid, CHART, "chart.h5")
 
 
 @pytest.mark.parametrize("corner", [[-20.0, 10.0], [10.0, 2.0], [1.0, 10.0]])
@@ -221,7 +222,7 @@ def test_a_patch_outside_the_picture_is_named(corner):
     picture, _ = chart_picture(np.random.default_rng(8))
     chart = CHART | {"centres_px": CHART["centres_px"] | {"first": corner}}
     with pytest.raises(InputError, match=r"chart\.h5: chart\.centres_px.*patch 0"):
-        read_chart(picture, np.ones(picture.shape[:2]), chart, "chart.h5")
+        read_patches(picture, np.ones(picture.shape[:2]), chart, "chart.h5")
 
 
 def write_linear(path, picture, pose=(0.0, 0.0, 0.0, 0.0)):
@@ -294,7 +295,7 @@ def real_chart():
 
 def test_real_photograph_recovers_its_chart(real_chart):
     mosaic, definition = real_chart
-    patches = read_chart(mosaic.superpixels, mosaic.largest < 0.98, definition["chart"], "chart.crw")
+    patches = read_patches(mosaic.superpixels, mosaic.largest < 0.98, definition["chart"], "chart.crw").mean
     spectra = dict(zip(*chart_spectra(definition["chart"]["spectra"]), strict=True))
     # Row A begins with dark skin, row D holds the greys; the photograph is read row by row.
     spectra = np.stack([spectra[f"{row}{column}"] for row in "ABCD" for column in range(1, 7)])
@@ -316,15 +317,15 @@ def test_a_chart_at_full_resolution_is_read_at_the_same_places():
     rng = np.random.default_rng(12)
     picture, definition, _ = whole_chart("BabelColor Average", rng, light_deg=0.0)
     valid = np.ones(picture.shape[:2], bool)
-    coarse = read_chart(picture, valid, definition["chart"], "a.h5")
+    coarse = read_patches(picture, valid, definition["chart"], "a.h5").mean
     picture, valid = picture.repeat(2, axis=0).repeat(2, axis=1), valid.repeat(2, axis=0).repeat(2, axis=1)
-    assert np.allclose(read_chart(picture, valid, definition["chart"], "a.h5", sample_px=1), coarse)
+    assert np.allclose(read_patches(picture, valid, definition["chart"], "a.h5", sample_px=1).mean, coarse)
 
 
 def test_hot_pixels_in_a_patch_do_not_count():
     rng = np.random.default_rng(13)
     picture, definition, _ = whole_chart("BabelColor Average", rng, light_deg=0.0)
-    expected = read_chart(picture, np.ones(picture.shape[:2], bool), definition["chart"], "a.h5")
+    expected = read_patches(picture, np.ones(picture.shape[:2], bool), definition["chart"], "a.h5").mean
     hot = rng.uniform(size=picture.shape[:2]) < 0.1
     picture[hot] = 50.0
-    assert np.allclose(read_chart(picture, ~hot, definition["chart"], "a.h5"), expected)
+    assert np.allclose(read_patches(picture, ~hot, definition["chart"], "a.h5").mean, expected)

@@ -5,11 +5,11 @@ import pytest
 import yaml
 from chart_pictures import COLUMNS, ROWS
 from definitions import ROOT
+from shortcuts import leave_one_out
 
 from irodori.calibration.chart import locate_patches, read_located
 from irodori.calibration.illumination import illumination
 from irodori.calibration.jitter import jitter
-from irodori.calibration.paper_estimator import leave_one_out
 from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
 from irodori.core.errors import InputError
 from irodori.ingest.mosaic import decode

@@ -8,13 +8,14 @@ import pytest
 from compressing import compress
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shortcuts import irradiance_map
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_radiance
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.light.environment_file import Environment, directions
-from irodori.light.irradiance import irradiance_at, irradiance_map
+from irodori.light.irradiance import irradiance_at
 from irodori.light.omnidirectional import to_panorama
 from irodori.light.stage import SURFACES, fill_masked, observers, prepare_environment
 from irodori.material.principal_components.basis_count import CompressOptions, choose

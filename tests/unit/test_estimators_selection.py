@@ -7,10 +7,10 @@ import h5py
 import numpy as np
 import pytest
 from made_up_camera import patches, system, training
+from shortcuts import leave_one_out
 
 from irodori.calibration.estimator_choice import BASES, ON_REQUEST, SelectionRow, choose, cross_validate
 from irodori.calibration.estimators import ESTIMATORS, fit
-from irodori.calibration.paper_estimator import leave_one_out
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.stage import calibrate_camera
 from irodori.calibration.training import Training

@@ -4,15 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shortcuts import irradiance_map
 
 from irodori.light.environment_file import directions
-from irodori.light.irradiance import (
-    Integrator,
-    fitted_irradiance_map,
-    irradiance_at,
-    irradiance_map,
-    midpoints,
-)
+from irodori.light.irradiance import Integrator, fitted_irradiance_map, irradiance_at, midpoints
 
 
 def exact(coefficients, normals):

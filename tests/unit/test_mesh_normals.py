@@ -3,9 +3,9 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shortcuts import ball
 from test_meshes import SEEDS, body, in_order
 
-from irodori.geometry.lathe import ball
 from irodori.geometry.mesh import make_mesh
 from irodori.geometry.shapes import Shape
 

@@ -8,11 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import BALL, constant_light, material, plate, render, sky
+from shortcuts import ball
 from test_rectification import PLATE_POSES, pixel_of, rectify, setup_of
 
 from irodori.config.capture_table import Pose
 from irodori.geometry.embree import NO_HIT, Tracer
-from irodori.geometry.lathe import LID_MM, ball, lathe, write_obj
+from irodori.geometry.lathe import LID_MM, lathe, write_obj
 from irodori.geometry.mesh import make_mesh
 from irodori.geometry.rig_frame import rig_from_object, rotation_xyz
 from irodori.geometry.shapes import PLATE, SPHERE, Placement, Shape, on_table

@@ -8,11 +8,13 @@ import pytest
 from PIL import Image
 from scenes import DATA, OPTIONS, constant_light, material
 
+from irodori.colour.display import srgb
 from irodori.core import store
 from irodori.core.errors import InputError
-from irodori.export.pictures import channel_names, read_spectral_exr, write_png, write_spectral_exr
+from irodori.export.pictures import channel_names, read_spectral_exr, write_display_picture, write_spectral_exr
 from irodori.rendering.stage import render_view, write_tiff, write_xyz
-from irodori.report.page import _views_section
+from irodori.report.html_page import fragment
+from irodori.report.page import rendered_views
 from irodori.spectra.grid import WAVELENGTH_NM
 
 DISPLAY = {"exposure": "auto", "device": {"kind": "standard", "name": "sRGB"}}
@@ -77,7 +79,7 @@ def test_a_png_keeps_its_pixels_and_carries_srgb(tmp_path):
     from PIL import ImageCms
 
     pixels = np.random.default_rng(3).integers(0, 256, (20, 30, 3), dtype=np.uint8)
-    write_png(tmp_path / "a.png", pixels)
+    write_display_picture(tmp_path / "a.png", pixels, srgb().profile, {})
     with Image.open(tmp_path / "a.png") as image:
         assert image.mode == "RGB" and np.array_equal(np.asarray(image), pixels)
         profile = image.info["icc_profile"]
@@ -240,7 +242,8 @@ def test_a_body_is_rendered_from_its_names_alone(tmp_path, integrator):
     n = 0.2 + WAVELENGTH_NM / 1e3
     mirrored = ((n - 1) ** 2 + 3.5**2) / ((n + 1) ** 2 + 3.5**2)
     assert np.allclose(right, 2.0 * (spectrum("TCS12") + mirrored), rtol=5e-3)
-    page = _views_section(["s/left"], [tmp_path / "left.png"], [tmp_path / "left.json"], {})
+    views = rendered_views(["s/left"], [tmp_path / "left.png"], [tmp_path / "left.json"], {})
+    page = fragment("views.html.j2", views=views)
     assert integrator["kind"] in page and ("4096" in page) == (integrator["kind"] == "reference")
     figures = json.loads((tmp_path / "left.json").read_text())
     assert figures["integrator"] == integrator["kind"] and figures["filled_fraction"] == {"plate": 0.0}

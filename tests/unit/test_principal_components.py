@@ -17,7 +17,7 @@ from irodori.material.principal_components.basis_count import CompressOptions, a
 from irodori.material.principal_components.pixel_tiles import Tiles
 from irodori.material.principal_components.second_moments import second_moments
 from irodori.material.stage import compress_maps
-from irodori.report.compression_part import compression_section
+from irodori.report.html_page import fragment
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import spectrum
 
@@ -380,7 +380,7 @@ def test_the_maps_are_compressed_with_the_chosen_weighting_and_both_are_reported
         assert said["masked_pixels"] == 3 and said["pixels"] == 600
         assert said["bases"] == found.bases == said["weightings"][weighting]["bases"]
         assert set(said["weightings"]) == {"nothing", "visual"} and len(said["drift"]) == 5
-        page = compression_section("vase & lid", json.loads(json.dumps(said)), "12 MB")
+        page = fragment("compression.html.j2", name="vase & lid", errors=json.loads(json.dumps(said)), stored="12 MB")
         assert (
             f"<td>{weighting} (in use)</td>" in page and "vase &amp; lid" in page and "3 of 600 pixels masked" in page
         )

@@ -86,6 +86,17 @@ def test_an_edit_changes_the_hash_of_those_who_import_it(root):
     assert before["stage"] != after["stage"] and before["named"] != after["named"]
 
 
+def test_a_template_is_a_source_of_its_package(root):
+    template = root / "pkg/sub/templates/page.html.j2"
+    template.parent.mkdir()
+    hashes = []
+    for text in ("one", "two"):
+        template.write_text(text)
+        code_hash.cache_clear()
+        hashes.append((code_hash("pkg.sub.inner", root=root), code_hash("pkg.alone", root=root)))
+    assert hashes[0][0] != hashes[1][0] and hashes[0][1] == hashes[1][1]
+
+
 def test_code_hash_is_short_hexadecimal_and_imports_nothing(root):
     digest = code_hash("pkg.stage", root=root)
     assert len(digest) == 16 and int(digest, 16) >= 0

@@ -18,8 +18,10 @@ from scenes import (
     sky,
     smooth_light,
 )
+from sky_draws import densities, drawn
 
 from irodori.geometry.rig_frame import rotation_x
+from irodori.rendering.reference.sky_sampling import make_sky
 from irodori.spectra.published import light as spectrum_of
 
 SPECTRUM = np.linspace(0.2, 0.9, 61)
@@ -242,18 +244,14 @@ def test_a_sun_of_one_texel_is_found_and_weighs_what_it_should(row):
 @pytest.mark.parametrize("place", [(0, 0), (0, 300), (60, 40), (255, 511)])
 def test_directions_are_drawn_with_the_density_that_is_told_for_them(place):
     """What is drawn, divided by its density, integrates any function over the sphere; poles and seam included."""
-    from irodori.rendering.reference.sky_sampling import densities_of_sky, make_sky, sample_sky_at
-
     rng = np.random.default_rng(3)
     light = one_texel_sun(*place)
     light.coefficients[100:140, 200:300, 0] = rng.uniform(0, 4, (40, 100))
     made = make_sky(light)
     uv = np.random.default_rng(5).random((400_000, 2))
-    towards, density = np.empty((len(uv), 3)), np.empty(len(uv))
-    sample_sky_at(made, uv, towards, density)
+    towards, density = drawn(made, uv)
     assert np.allclose(np.linalg.norm(towards, axis=1), 1)
-    again = np.empty(len(uv))
-    densities_of_sky(made, towards, again)
+    again = densities(made, towards)
     usable = np.hypot(towards[:, 0], towards[:, 1]) > 1e-4
     assert np.allclose(density[usable], again[usable], rtol=2e-3)
     # The density integrates to 1: by even directions about the texel and over the rest.
@@ -262,9 +260,7 @@ def test_directions_are_drawn_with_the_density_that_is_told_for_them(place):
     total = 0.0
     for t in theta:
         row = np.stack([np.sin(t) * np.cos(azimuth), np.sin(t) * np.sin(azimuth), np.full(4096, np.cos(t))], axis=-1)
-        at = np.empty(4096)
-        densities_of_sky(made, row, at)
-        total += at.sum() * np.sin(t) * (np.pi / 2048) * (2 * np.pi / 4096)
+        total += densities(made, row).sum() * np.sin(t) * (np.pi / 2048) * (2 * np.pi / 4096)
     assert total == pytest.approx(1.0, abs=2e-3)
 
 

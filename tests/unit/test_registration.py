@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shortcuts import moving_from_fixed
 
 from benchmarks.plate_pictures import (
     Scene,
@@ -140,7 +141,7 @@ def test_highlights_dust_and_hot_pixels_do_not_pull(leaves):
 def worst_px(found, truth, places) -> float:
     """Largest error at places of the picture."""
     matrix = truth.affine(((WIDTH - 1) / 2, (HEIGHT - 1) / 2))
-    return float(np.hypot(*(found.moving_from_fixed(places) - places @ matrix[:, :2].T - matrix[:, 2]).T).max())
+    return float(np.hypot(*(moving_from_fixed(found, places) - places @ matrix[:, :2].T - matrix[:, 2]).T).max())
 
 
 def circle(x, y, radius) -> np.ndarray:

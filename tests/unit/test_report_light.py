@@ -10,7 +10,8 @@ from irodori.evaluation.coefficient_storage import storage_sentence
 from irodori.light.stage import make_environment
 from irodori.material.coefficients import write_coefficients
 from irodori.material.principal_components.basis_count import CompressOptions
-from irodori.report.light_part import light_section
+from irodori.report.html_page import fragment
+from irodori.report.page import environments
 
 LIGHTS = [{"spectrum": "A", "azimuth_deg": 20.0, "elevation_deg": 50.0, "diameter_deg": 30.0, "irradiance": 1.0}]
 
@@ -20,7 +21,7 @@ def test_every_figure_of_the_gloss_table_is_the_files(tmp_path, with_gloss):
     path = tmp_path / "room.h5"
     make_environment({"kind": "lights", "lights": LIGHTS}, {"width": 64, "height": 32}, path, CompressOptions(),
                      {"max_error": 0.01, "max_height": 64}, store.Provenance("test"), with_gloss)  # fmt: skip
-    page = light_section(["room & hall"], [path])
+    page = fragment("light.html.j2", environments=environments(["room & hall"], [path]))
     assert "room &amp; hall" in page and "Source: lights." in page
     with store.open_file(path) as file:
         errors = file.attribute("errors")

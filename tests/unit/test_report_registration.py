@@ -13,7 +13,8 @@ from irodori.evaluation.registration_errors import (
     summarise,
 )
 from irodori.ingest.shot_alignment import UNMOVED, Alignment
-from irodori.report.page import _registration_section
+from irodori.report.html_page import fragment
+from irodori.report.page import registrations
 
 MADE = store.Provenance("test", "config", "code")
 
@@ -71,7 +72,8 @@ def test_a_source_that_the_ingestion_does_not_know_is_refused(tmp_path):
 
 def test_the_page_says_for_each_object_how_many_took_whose_transform_and_what_is_left(table, tmp_path):
     measure_registration([], tmp_path / "none.csv")
-    page = _registration_section(["plate", "leaf"], [table, tmp_path / "none.csv"])
+    found = registrations(["plate", "leaf"], [table, tmp_path / "none.csv"])
+    page = fragment("registration.html.j2", registrations=found)
     cells = "".join(f"<td>{cell}</td>" for cell in ("plate", 3, 1, 1, 0.04, 0.3, "c1"))
     assert f"<tr>{cells}</tr>" in page
     cells = "".join(f"<td>{cell}</td>" for cell in ("leaf", 0, 0, 0, "–", "–", "–"))

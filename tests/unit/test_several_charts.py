@@ -22,7 +22,8 @@ from irodori.core.errors import InputError
 from irodori.ingest.camera_reference import ingest_reference
 from irodori.ingest.ingest_options import IngestOptions
 from irodori.ingest.stage import ingest_raw
-from irodori.report.calibration_part import calibration_section
+from irodori.report.calibration_part import camera_calibrations
+from irodori.report.html_page import fragment
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
 from irodori.spectra.published import chart_spectra, spectrum
@@ -133,7 +134,8 @@ def test_the_choice_weighs_both_ways_of_leaving_out(session):
 
 def test_the_report_says_both(session):
     root, _, _ = session
-    page = calibration_section(["d5100-comb"], [root / "c.h5"], [root / "errors.csv"], [root / "selection.csv"])
+    files = [root / "c.h5"], [root / "errors.csv"], [root / "selection.csv"]
+    page = fragment("calibration.html.j2", calibrations=camera_calibrations(["d5100-comb"], *files))
     assert "chart of 24 patches, chart-pmc of 30 patches" in page
     assert "left out patch by patch" in page and "left out chart by chart" in page
 

@@ -15,8 +15,7 @@ from irodori.spectra.grid import TRAPEZOID_NM, WAVELENGTH_NM
 from irodori.spectra.published import (
     camera_sensitivities,
     chart_spectra,
-    read_columns_csv,
-    read_wide_csv,
+    read_spectra,
     refractive_index,
     spectrum,
 )
@@ -146,14 +145,14 @@ def test_sprague_is_nearer_than_linear_on_measured_reflectances(thinned_nm):
 def test_a_file_on_the_grid_is_read_back_unchanged(tmp_path):
     values = np.random.default_rng(1).random((3, 61))
     rows = [[f"patch {i}", *[repr(float(v)) for v in row]] for i, row in enumerate(values)]
-    names, spectra = read_wide_csv(wide(tmp_path / "chart.csv", WAVELENGTH_NM, rows))
+    names, spectra = read_spectra(wide(tmp_path / "chart.csv", WAVELENGTH_NM, rows))
     assert names == ["patch 0", "patch 1", "patch 2"]
     assert np.array_equal(spectra, values)
 
 
 def test_columns_are_read_by_name_and_resampled(tmp_path):
     file = columns(tmp_path / "camera.csv", [[w, w / 1000, 1 - w / 1000, 0.25] for w in GRID])
-    names, spectra = read_columns_csv(file)
+    names, spectra = read_spectra(file)
     assert names == ["r", "g", "b"]
     assert spectra == pytest.approx(np.stack([WAVELENGTH_NM / 1000, 1 - WAVELENGTH_NM / 1000, np.full(61, 0.25)]))
     assert camera_sensitivities(str(file)) == pytest.approx(spectra)
@@ -162,16 +161,15 @@ def test_columns_are_read_by_name_and_resampled(tmp_path):
 def test_a_byte_order_mark_and_blank_lines_do_no_harm(tmp_path):
     file = wide(tmp_path / "excel.csv")
     file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes().replace(b"\n", b"\r\n") + b"\r\n\r\n")
-    names, spectra = read_wide_csv(file)
+    names, spectra = read_spectra(file)
     assert names == ["one"] and spectra == pytest.approx(np.full((1, 61), 0.5))
 
 
 # Refusals
 
 
-@pytest.mark.parametrize("reader", [read_wide_csv, read_columns_csv])
-def test_a_missing_file_is_refused_by_name(tmp_path, reader):
-    error = refusal(reader, tmp_path / "absent.csv")
+def test_a_missing_file_is_refused_by_name(tmp_path):
+    error = refusal(read_spectra, tmp_path / "absent.csv")
     assert "absent.csv" in str(error) and "no such file" in error.found
 
 
@@ -180,7 +178,7 @@ def test_a_wide_table_without_a_number_names_line_and_wavelength(tmp_path, cell)
     cells = [0.5] * len(GRID)
     cells[GRID.index(550)] = f'"{cell}"'
     file = wide(tmp_path / "chart.csv", rows=[["one", *[0.5] * len(GRID)], ["two", *cells]])
-    error = refusal(read_wide_csv, file)
+    error = refusal(read_spectra, file)
     assert error.file == str(file)
     assert "line 3" in error.field and "550 nm" in error.field
 
@@ -189,7 +187,7 @@ def test_a_wide_table_without_a_number_names_line_and_wavelength(tmp_path, cell)
 def test_a_column_table_without_a_number_names_line_and_column(tmp_path, cell):
     rows = [[w, 0.1, 0.2, 0.3] for w in GRID]
     rows[4][2] = cell
-    error = refusal(read_columns_csv, columns(tmp_path / "camera.csv", rows))
+    error = refusal(read_spectra, columns(tmp_path / "camera.csv", rows))
     assert error.file.endswith("camera.csv")
     assert "line 6" in error.field and re.search(r"\bg\b", error.field)
 
@@ -198,7 +196,7 @@ def test_a_column_table_without_a_number_names_line_and_column(tmp_path, cell):
 @pytest.mark.parametrize(("first", "last"), [(410, 720), (380, 690)])
 def test_a_range_that_is_too_short_is_refused_and_not_extrapolated(tmp_path, first, last):
     grid = [w for w in GRID if first <= w <= last]
-    error = refusal(read_wide_csv, wide(tmp_path / "short.csv", grid))
+    error = refusal(read_spectra, wide(tmp_path / "short.csv", grid))
     assert error.file.endswith("short.csv") and error.field
     assert f"{first}..{last}" in error.found and "400..700" in error.accepted
 
@@ -206,7 +204,7 @@ def test_a_range_that_is_too_short_is_refused_and_not_extrapolated(tmp_path, fir
 @pytest.mark.stability(stage="calibrate", case="missing wavelengths")
 def test_a_gap_is_refused_where_it_stands(tmp_path):
     grid = [w for w in GRID if not 500 < w < 540]
-    error = refusal(read_wide_csv, wide(tmp_path / "gap.csv", grid))
+    error = refusal(read_spectra, wide(tmp_path / "gap.csv", grid))
     assert error.file.endswith("gap.csv") and error.field
     assert "40 nm after 500 nm" in error.found
 
@@ -215,7 +213,7 @@ def test_a_gap_is_refused_where_it_stands(tmp_path):
 @pytest.mark.parametrize("swap", [(500, 510), (500, 490)])
 def test_wavelengths_that_do_not_increase_are_refused(tmp_path, swap):
     grid = [swap[1] if w == swap[0] else w for w in GRID]
-    error = refusal(read_wide_csv, wide(tmp_path / "mixed.csv", grid))
+    error = refusal(read_spectra, wide(tmp_path / "mixed.csv", grid))
     assert error.file.endswith("mixed.csv") and error.field
     assert "increas" in error.found
 
@@ -223,24 +221,23 @@ def test_wavelengths_that_do_not_increase_are_refused(tmp_path, swap):
 def test_a_header_that_is_no_wavelength_names_its_column(tmp_path):
     grid = [*GRID]
     grid[2] = "400nm"
-    error = refusal(read_wide_csv, wide(tmp_path / "units.csv", grid))
+    error = refusal(read_spectra, wide(tmp_path / "units.csv", grid))
     assert "units.csv" in str(error) and "4" in error.field and "400nm" in error.found
 
 
 @pytest.mark.parametrize("change", [-1, 1])
 def test_a_ragged_row_is_refused_with_both_counts(tmp_path, change):
     file = wide(tmp_path / "ragged.csv", rows=[["one", *[0.5] * (len(GRID) + change)]])
-    error = refusal(read_wide_csv, file)
+    error = refusal(read_spectra, file)
     assert error.file == str(file) and "line 2" in error.field
     assert str(len(GRID) + 1 + change) in error.found and str(len(GRID) + 1) in error.accepted
 
 
 @pytest.mark.parametrize("content", [b"", b"name\n", b"name,400,700\n", b"\xff\xfe\x00\x01\n\x9f,1\n"])
-@pytest.mark.parametrize("reader", [read_wide_csv, read_columns_csv])
-def test_a_file_that_holds_no_table_is_refused_by_name(tmp_path, content, reader):
+def test_a_file_that_holds_no_table_is_refused_by_name(tmp_path, content):
     file = tmp_path / "broken.csv"
     file.write_bytes(content)
-    assert refusal(reader, file).file == str(file)
+    assert refusal(read_spectra, file).file == str(file)
 
 
 @pytest.mark.parametrize("values", [[1.0, np.nan], [np.inf, 1.0]])

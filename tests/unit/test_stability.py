@@ -15,6 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_up_camera import LIGHT, system, training
 from path_scenes import traced
+from sky_draws import densities, shares
+from test_principal_components import line, observers, picture
 from test_estimators import PROBES
 from test_fitting import GEOMETRY, K, N, model
 from test_fitting_hard import assert_sound, in_plane, stated
@@ -27,11 +29,11 @@ from irodori.fitting.solvers import FitOptions
 from irodori.fitting.solvers import fit as fit_texels
 from irodori.light.environment_file import Environment, directions
 from irodori.light.irradiance import Integrator
-from irodori.light.light_sampling import light_densities, sampler_of
 from irodori.light.omnidirectional import Picture
 from irodori.light.stage import write_environment
 from irodori.material.material_file import Status
 from irodori.material.principal_components.basis_count import CompressOptions
+from irodori.rendering.reference.sky_sampling import make_sky
 from irodori.spectra.published import spectrum
 
 # --- fit -----------------------------------------------------------------------------------------------------------
@@ -252,11 +254,10 @@ def test_a_sun_of_one_texel_and_one_line_at_the_pole_in_the_smallest_sky(
     assert np.isfinite(found.upward_white()).all()
     normals = np.concatenate([directions(8, 4)[0].reshape(-1, 3), [[0, 0, 1.0], [0, 0, -1.0]]])
     assert np.isfinite(Integrator(found.coefficients)(normals)).all()
-    unit, solid_angle = directions(width, height)
-    density = np.empty(height * width)
-    light_densities(sampler_of(found), np.ascontiguousarray(unit.reshape(-1, 3)), density)
-    assert (density * solid_angle.ravel()).sum() == pytest.approx(1.0, rel=1e-6)
+    drawn = make_sky(found)
+    assert shares(drawn).sum() == pytest.approx(1.0, rel=1e-5)
     # The sun holds nearly all the power, so nearly all samples fall on it.
+    density = densities(drawn, directions(width, height)[0])
     assert density.argmax() == np.ravel_multi_index(at[place], size) or size == (1, 2)
 
 

@@ -5,11 +5,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from irodori.calibration.verdict import TOLERANCES, colour_differences, differences_of_lab, judge, levels_reached
+from irodori.calibration.verdict import TOLERANCES, colour_differences, differences_of_lab, judge
 from irodori.spectra.published import chart_spectra
 
 GREYS = np.linspace(0.05, 0.9, 30)[:, None] * np.ones(61)
 LAB = st.tuples(st.floats(0.0, 100.0), st.floats(-80.0, 80.0), st.floats(-80.0, 80.0))
+
+
+def levels_reached(verdicts) -> dict[str, str]:
+    """Return the highest level of each guideline all of whose lines pass, by guideline; ``none`` where none does."""
+    reached = {}
+    for guideline in dict.fromkeys(v.tolerance.guideline for v in verdicts):
+        own = [v for v in verdicts if v.tolerance.guideline == guideline]
+        # Levels stand from the strictest on.
+        levels = dict.fromkeys(v.tolerance.level for v in own)
+        passed = (level for level in levels if all(v.passes for v in own if v.tolerance.level == level))
+        reached[guideline] = next(passed, "none")
+    return reached
 
 
 def lightness(greys):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import yaml
 from project import edit, planned, small_project, snakemake
+from shortcuts import irradiance_map
 
 from irodori.core.store import Provenance
 from irodori.light.environment_file import Environment, directions
-from irodori.light.irradiance import irradiance_map
 from irodori.material.material_file import Material
 
 SCENE = "config/scenes/still-life.yaml"

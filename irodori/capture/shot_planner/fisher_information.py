@@ -309,16 +309,6 @@ def _fill(cosine, gloss, phi, seen, parameters, spread, expected, jacobian, vari
         )  # fmt: skip
 
 
-def information(observations: Observations) -> np.ndarray:
-    """Return the Fisher information about (ln α, ln β, ln μ) of all poses together, (cases, 3, 3).
-
-    Observations are taken for independent, so that information adds. The drift of a lamp is not: it forgets itself
-    over some sixty photographs and moves those of one session together, which changes α and β alike and μ hardly.
-    """
-    rows = observations.scaled()
-    return np.einsum("pci,pcj->cij", rows, rows)
-
-
 def standard_errors(observations: Observations) -> np.ndarray:
     """Return the expected relative standard errors of α, β, μ of the fit, (cases, 3); infinite where undetermined.
 

@@ -1,7 +1,5 @@
 """Resampling of a picture with invalid pixels under a similarity transform."""
 
-import math
-
 import numba
 import numpy as np
 
@@ -143,16 +141,3 @@ def marked_affine(mask, valid, affine):
     for y in numba.prange(mask.shape[0]):
         _marked_row(out, mask, valid, affine, y)
     return out
-
-
-def frequency_response(frequency, fraction) -> np.ndarray:
-    """Return |gain| of the cubic for a sine of a frequency, sampled at a fraction between two pixels.
-
-    Parameters
-    ----------
-    frequency : float or array, cycles per pixel, 0..0.5
-    fraction : float, 0..1
-    """
-    weights = np.array(_keys(float(fraction)))
-    phase = np.exp(2j * math.pi * np.multiply.outer(np.asarray(frequency, dtype=np.float64), np.arange(-1, 3)))
-    return np.abs(phase @ weights.astype(np.float64))

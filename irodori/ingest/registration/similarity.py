@@ -119,11 +119,6 @@ class Registration:
         centre = complex(*(self.centre_px if centre_px is None else centre_px))
         return affine_of_level(*self.complex_parts(), centre, 1.0)
 
-    def moving_from_fixed(self, xy) -> np.ndarray:
-        """Return where places of the fixed picture lie in the moving one, (..., 2) to (..., 2), superpixels."""
-        matrix = self.affine()
-        return np.asarray(xy, dtype=np.float64) @ matrix[:, :2].T + matrix[:, 2]
-
     def complex_parts(self) -> tuple[complex, complex]:
         """Return scale and rotation as one complex number, and the shift as another."""
         turn = complex(math.cos(self.rotation_rad), math.sin(self.rotation_rad))

@@ -15,7 +15,6 @@ import numpy as np
 from irodori.jit.native import njit
 from irodori.light.environment_file import Environment, directions
 from irodori.light.equirectangular import direction_uv
-from irodori.light.light_sampling import light_sampler
 from irodori.rendering.reference.band_loops import padded
 
 _TWO_PI_SQUARED = 2.0 * math.pi**2
@@ -41,31 +40,50 @@ class Sky(NamedTuple):
 
 
 def make_sky(environment: Environment) -> Sky:
-    """Return an environment as the path tracer wants it."""
+    """Return an environment as the path tracer wants it; what is negative summed over the wavelengths is not drawn.
+
+    Raises
+    ------
+    ValueError
+        If its radiance is not finite.
+    """
     height, width, bases = environment.coefficients.shape
     power = np.maximum(environment.coefficients @ environment.basis.sum(axis=0).astype(np.float64), 0.0)
     solid_angle = directions(width, height)[1]
     total = float((power * solid_angle).sum())
+    if not math.isfinite(total):
+        raise ValueError("a radiance that is not finite; accepted: finite numbers")
     drawn = np.maximum(power - total / (4.0 * np.pi), 0.0)
     excess = float((drawn * solid_angle).sum())
     if excess <= _EVEN * total:
         drawn, excess = np.zeros_like(drawn), 0.0
-    sampler = light_sampler(drawn)
+    rows, columns = _cumulative(drawn, solid_angle)
     pixels = np.empty((height, width, bases + 1), dtype=np.float32)
     pixels[..., :bases] = environment.coefficients
-    pixels[..., bases] = np.diff(sampler.rows)[:, None] * np.diff(sampler.columns, axis=1)
+    pixels[..., bases] = np.diff(rows)[:, None] * np.diff(columns, axis=1)
     pixels[..., bases] *= width * height / _TWO_PI_SQUARED if excess > 0.0 else 0.0
     return Sky(
         pixels.reshape(height * width, bases + 1),
         width,
         height,
         padded(environment.basis.T[None]),
-        sampler.rows[None],
-        sampler.columns,
-        _guides(sampler.rows[None]),
-        _guides(sampler.columns),
+        rows[None],
+        columns,
+        _guides(rows[None]),
+        _guides(columns),
         excess,
     )
+
+
+def _cumulative(power: np.ndarray, solid_angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return cumulative probabilities of the rows (h + 1,), and of the pixels along each (h, w + 1), from 0 to 1."""
+    largest = power.max()
+    scaled = power / largest if largest > 0.0 else np.ones_like(power)
+    columns = np.concatenate([np.zeros((len(power), 1)), np.cumsum(scaled, axis=1)], axis=1)
+    rows = np.concatenate([[0.0], np.cumsum(columns[:, -1] * solid_angle[:, 0])])
+    # A black row is never entered; its own probabilities are even so that nothing is divided by 0.
+    columns[columns[:, -1] <= 0.0] = np.arange(power.shape[1] + 1)
+    return rows / rows[-1], columns / columns[:, -1:]
 
 
 def _guides(cumulative: np.ndarray) -> np.ndarray:
@@ -154,19 +172,3 @@ def look_at_sky(sky, direction, coefficients):
     u, v = direction_uv(direction[0], direction[1], direction[2])
     sine = math.sqrt(direction[0] * direction[0] + direction[1] * direction[1])
     return _look(sky, u, v, sine, coefficients)
-
-
-@njit(cache=True)
-def sample_sky_at(sky, uv, out_directions, densities):
-    """Fill directions (n, 3) and densities (n,) of points (n, 2) of the unit square."""
-    coefficients = np.empty(sky.pixels.shape[1])
-    for i in range(len(uv)):
-        densities[i] = sample_sky(sky, uv[i, 0], uv[i, 1], out_directions[i], coefficients)
-
-
-@njit(cache=True)
-def densities_of_sky(sky, towards, densities):
-    """Fill the densities (n,) with which unit directions (n, 3) are drawn."""
-    coefficients = np.empty(sky.pixels.shape[1])
-    for i in range(len(towards)):
-        densities[i] = look_at_sky(sky, towards[i], coefficients)

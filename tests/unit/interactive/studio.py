@@ -2,12 +2,12 @@
 
 import numpy as np
 from scenes import fresnel, pixel_rays
+from shortcuts import irradiance_map
 
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.geometry.shapes import MESH, SPHERE, Placement
 from irodori.light.environment_file import Environment, directions
 from irodori.light.gloss.gloss_maps import GlossMaps
-from irodori.light.irradiance import irradiance_map
 from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene, render_frame
 from irodori.rendering.scene_arrays import make_objects, make_tracer, make_view
 

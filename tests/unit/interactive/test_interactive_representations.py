@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from scenes import BALL, GOLD_K, GOLD_N, THIRDS, material, plate
+from shortcuts import irradiance_map
 from studio import (
     BANDS,
     BASIS,
@@ -20,7 +21,7 @@ from studio import (
 
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, summary, xyz_from_radiance
 from irodori.light.environment_file import Environment, directions
-from irodori.light.irradiance import irradiance_at, irradiance_map
+from irodori.light.irradiance import irradiance_at
 from irodori.rendering.interactive.frame_renderer import render_frame
 from irodori.rendering.interactive.quadrature import solve_quadrature
 

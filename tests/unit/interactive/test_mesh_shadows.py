@@ -4,12 +4,13 @@ import numba
 import numpy as np
 import pytest
 from scenes import BALL, OPTIONS, constant_light, material, pixel_rays, plate
+from shortcuts import ball
 from studio import even_light, picture, placed, prepared, spectrum_of, view_of
 from test_interactive_representations import uneven_light
 
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.geometry.embree import Tracer
-from irodori.geometry.lathe import LID_MM, ball, lathe
+from irodori.geometry.lathe import LID_MM, lathe
 from irodori.geometry.mesh import Mesh, make_mesh
 from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes import Shape
