@@ -14,6 +14,7 @@ from pathlib import Path
 import yaml
 
 from irodori.core.errors import InputError
+from irodori.geometry.shape_blocks import variants
 
 SCHEMA_FOLDER = Path(__file__).resolve().parent / "schemas"
 SCHEMAS = ("config", "object", "scene", "camera", "environment", "rig")
@@ -90,11 +91,16 @@ def _read_schema(file: str) -> dict:
 
 
 def _inline(node, file: str):
-    """Replace references by what they point to; keys beside a reference (description, default) win."""
+    """Replace references by what they point to; keys beside a reference (description, default) win.
+
+    ``{$shapes: object}`` stands for the variants that the shapes themselves bring.
+    """
     if isinstance(node, list):
         return [_inline(item, file) for item in node]
     if not isinstance(node, dict):
         return node
+    if "$shapes" in node:
+        return _inline(variants(node["$shapes"]), file)
     if isinstance(node.get("$ref"), str):
         other, _, pointer = node["$ref"].partition("#")
         other = other or file

@@ -7,7 +7,7 @@ from scipy.special import ndtr
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.core import store
-from irodori.geometry.shapes import FLAT, SPHERE, Shape
+from irodori.geometry.shapes import Shape
 from irodori.material.fitted_tiles import FittedTiles
 from irodori.material.material_file import Material
 
@@ -133,8 +133,7 @@ class Spread:
         position = np.where(atlas.covered[..., None], atlas.position, np.nan)
         sides = [np.nanmedian(np.linalg.norm(np.diff(position, axis=axis), axis=-1)) for axis in (0, 1)]
         deviation = sample_mm * np.sqrt(_SAMPLE_VARIANCE * stretch)
-        border = "joined" if shape.kind == SPHERE else "black" if shape.kind in FLAT else "unknown"
-        return cls(float(deviation / sides[0]), float(deviation / sides[1]), border)
+        return cls(float(deviation / sides[0]), float(deviation / sides[1]), shape.border)
 
     def blurred(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
         """Return a texture, (height, width, k), as samples see it: means over what is known of it, zero elsewhere."""

@@ -9,14 +9,16 @@ import ctypes
 import os
 from functools import lru_cache
 from importlib.metadata import files
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numba
 import numpy as np
 from numba import types
 
-from irodori.geometry.shapes import DISC, FLAT, MESH, PLANE, PLANE_RADIUS_MM, PLATE, SPHERE, Placement
 from irodori.jit.native import c_function, njit
+
+if TYPE_CHECKING:
+    from irodori.geometry.shapes.placement import Placement
 
 _TRIANGLE, _SPHERE_POINT, _ORIENTED_DISC_POINT = 0, 50, 52  # enum RTCGeometryType
 _INDEX_BUFFER, _VERTEX_BUFFER, _NORMAL_BUFFER = 0, 1, 3  # enum RTCBufferType
@@ -180,14 +182,37 @@ def _occluded(function, scene, origins, directions, far, out):
         _occluded_some(function, scene, origins[a:b], directions[a:b], far[a:b], out[a:b])
 
 
+class Primitive(NamedTuple):
+    """What Embree traces: a type of geometry and its buffers, each with its type, format, items and their dtype."""
+
+    kind: int
+    buffers: tuple[tuple[int, int, np.ndarray, str], ...]
+
+
+def triangles(vertices_mm: np.ndarray, faces: np.ndarray) -> Primitive:
+    """Return triangles, (n, 3) corners of (m, 3) vertices in the world, counter-clockwise seen from their front."""
+    vertices = (_VERTEX_BUFFER, _FLOAT3, vertices_mm, "f4")
+    return Primitive(_TRIANGLE, (vertices, (_INDEX_BUFFER, _UINT3, faces, "u4")))
+
+
+def sphere_point(centre_mm: np.ndarray, radius_mm: float) -> Primitive:
+    """Return a sphere in the world."""
+    return Primitive(_SPHERE_POINT, ((_VERTEX_BUFFER, _FLOAT4, np.append(centre_mm, radius_mm)[None], "f4"),))
+
+
+def oriented_disc(centre_mm: np.ndarray, normal: np.ndarray, radius_mm: float) -> Primitive:
+    """Return a disc in the world."""
+    centre = (_VERTEX_BUFFER, _FLOAT4, np.append(centre_mm, radius_mm)[None], "f4")
+    return Primitive(_ORIENTED_DISC_POINT, (centre, (_NORMAL_BUFFER, _FLOAT3, normal[None], "f4")))
+
+
 class Tracer:
     """Ray tracer over placed shapes, by Embree.
 
     Parameters
     ----------
     placements : sequence of Placement
-        Shape i gets the identifier i. Spheres and discs are exact primitives, planes discs whose edge nobody sees,
-        plates are two triangles, meshes their own.
+        Shape i gets the identifier i, and is what `Shape.primitive` says.
 
     Attributes
     ----------
@@ -215,31 +240,11 @@ class Tracer:
         self.intersect16_address = _address("rtcIntersect16")
         self.occluded16_address = _address("rtcOccluded16")
 
-    def _attach(self, identifier: int, placement: Placement) -> None:
-        if placement.shape.kind == SPHERE:
-            radius = placement.shape.size_mm[0] * placement.scale
-            geometry = self._library.rtcNewGeometry(_device(), _SPHERE_POINT)
-            self._share(geometry, _VERTEX_BUFFER, _FLOAT4, np.append(placement.translation_mm, radius)[None], "f4")
-        elif placement.shape.kind == PLATE:
-            geometry = self._library.rtcNewGeometry(_device(), _TRIANGLE)
-            self._share(geometry, _VERTEX_BUFFER, _FLOAT3, placement.corners(), "f4")
-            self._share(geometry, _INDEX_BUFFER, _UINT3, np.array([[0, 1, 2], [0, 2, 3]]), "u4")
-        elif placement.shape.kind in (DISC, PLANE):
-            geometry = self._library.rtcNewGeometry(_device(), _ORIENTED_DISC_POINT)
-            normal, centre = placement.rotation[:, 2], placement.translation_mm
-            radius = placement.shape.reach_mm * placement.scale
-            if placement.shape.kind == PLANE:
-                # About the point that is nearest to the world's origin, from which all places are rounded least.
-                centre, radius = (normal @ centre) * normal, PLANE_RADIUS_MM
-            self._share(geometry, _VERTEX_BUFFER, _FLOAT4, np.append(centre, radius)[None], "f4")
-            self._share(geometry, _NORMAL_BUFFER, _FLOAT3, normal[None], "f4")
-        elif placement.shape.kind == MESH:
-            geometry = self._library.rtcNewGeometry(_device(), _TRIANGLE)
-            mesh = placement.shape.mesh
-            self._share(geometry, _VERTEX_BUFFER, _FLOAT3, placement.points(mesh.vertices_mm), "f4")
-            self._share(geometry, _INDEX_BUFFER, _UINT3, mesh.faces, "u4")
-        else:
-            raise ValueError(f"unknown shape kind {placement.shape.kind}; accepted: plate, sphere, mesh, disc, plane")
+    def _attach(self, identifier: int, placement: "Placement") -> None:
+        primitive = placement.shape.primitive(placement)
+        geometry = self._library.rtcNewGeometry(_device(), primitive.kind)
+        for buffer in primitive.buffers:
+            self._share(geometry, *buffer)
         self._library.rtcCommitGeometry(geometry)
         self._library.rtcAttachGeometryByID(self.scene, geometry, identifier)
         self._library.rtcReleaseGeometry(geometry)
@@ -294,7 +299,7 @@ class Tracer:
         return out
 
 
-def polish(placement: Placement, origins, directions, distance, triangle=None) -> np.ndarray:
+def polish(placement: "Placement", origins, directions, distance, triangle=None) -> np.ndarray:
     """Return hit distances recomputed in double precision on the shape's own equation, (n,) mm.
 
     The root nearest to the traced distance is kept, so that a ray that starts inside a sphere keeps its exit. Of
@@ -302,23 +307,4 @@ def polish(placement: Placement, origins, directions, distance, triangle=None) -
     """
     local_o = (origins - placement.translation_mm) @ placement.rotation / placement.scale
     local_d = directions @ placement.rotation / placement.scale
-    if placement.shape.kind in FLAT:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            exact = -local_o[:, 2] / local_d[:, 2]
-        return np.where(np.isfinite(exact), exact, distance)
-    if placement.shape.kind == MESH:
-        mesh = placement.shape.mesh
-        corner, facet = mesh.vertices_mm[mesh.faces[triangle, 0]], mesh.facets[triangle]
-        steepness = np.sum(local_d * facet, axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            exact = np.sum((corner - local_o) * facet, axis=1) / steepness
-        # Along its plane a triangle is met at an edge, of which the plane knows nothing.
-        steep = np.abs(steepness) * placement.scale > 1e-4
-        return np.where(steep & np.isfinite(exact), exact, distance)
-    a = np.sum(local_d**2, axis=1)
-    b = np.sum(local_o * local_d, axis=1)
-    # The discriminant by the distance of the ray from the centre: no cancellation for far rays.
-    perpendicular = local_o - local_d * (b / a)[:, None]
-    root = np.sqrt(np.maximum(placement.shape.size_mm[0] ** 2 - np.sum(perpendicular**2, axis=1), 0.0) / a)
-    near, far = -b / a - root, -b / a + root
-    return np.where(np.abs(near - distance) <= np.abs(far - distance), near, far)
+    return placement.shape.refined(local_o, local_d, distance, triangle)

@@ -44,3 +44,21 @@ def mesh_files(path) -> list[str]:
             raise InputError(path, "buffers", f"the buffer {name}, which does not exist", "a file beside the glTF")
         found.append(str(buffer))
     return found
+
+
+def shape_files(shape: dict, root: str | Path = "") -> list[str]:
+    """Return the files that a shape is made of, none where its block of configuration names none.
+
+    Parameters
+    ----------
+    shape : dict
+        Validated block ``shape`` of an object or of a body.
+    root : path
+        Where relative paths start.
+
+    Raises
+    ------
+    InputError
+        As `mesh_files`.
+    """
+    return mesh_files(Path(root, shape["file"])) if "file" in shape else []

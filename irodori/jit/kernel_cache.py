@@ -26,6 +26,7 @@ import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
 from irodori.core.provenance import imported_modules, local_sources
+from irodori.jit.outside_sources import outside_sources, revision
 
 _LOGGER = logging.getLogger("irodori")
 _PACKAGE = Path(__file__).resolve().parents[1]
@@ -54,7 +55,6 @@ def source_hash(file: Path) -> str:
     return hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:_DIGITS]
 
 
-@functools.lru_cache(maxsize=1024)
 def closure_hash(module: str, root: Path) -> str:
     """Return the hash of a module's import closure: 16 hexadecimal digits.
 
@@ -64,7 +64,7 @@ def closure_hash(module: str, root: Path) -> str:
         Dotted name.
     root : path
         Folder of the module's top package; what is imported from elsewhere does not count, but for the versions of the
-        compiler and of NumPy.
+        compiler and of NumPy, and for the files of `irodori.jit.outside_sources`.
     """
     digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__} {np.__version__}\n".encode())
     sources = local_sources(module, root)
@@ -73,6 +73,8 @@ def closure_hash(module: str, root: Path) -> str:
             sources |= local_sources(name, _PACKAGE.parent)
     for name, file in sorted(sources.items()):
         digest.update(f"{name} {source_hash(file)}\n".encode())
+    for file in outside_sources(sources):
+        digest.update(f"outside {source_hash(file)}\n".encode())
     return digest.hexdigest()[:_DIGITS]
 
 
@@ -133,7 +135,7 @@ def prune(base: Path, module: str, kept: Path) -> None:
 
 
 @functools.lru_cache(maxsize=1024)
-def _folder_of(module: str, file: str) -> Path | None:
+def _folder_of(module: str, file: str, _revision: int) -> Path | None:
     base = cache_folder()
     if base is None:
         return None
@@ -159,7 +161,7 @@ class _Locator(_CacheLocator):
     def __init__(self, py_func, py_file) -> None:
         self._py_func, self._py_file = py_func, py_file
         self._lineno = py_func.__code__.co_firstlineno
-        self._folder = _folder_of(py_func.__module__, py_file)
+        self._folder = _folder_of(py_func.__module__, py_file, revision())
 
     def get_cache_path(self) -> str:
         """Return the folder."""

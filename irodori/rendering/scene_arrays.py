@@ -6,7 +6,7 @@ import numpy as np
 
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import look_at, rotation_xyz
-from irodori.geometry.shapes import SPHERE, Placement, Shape
+from irodori.geometry.shapes import Placement, Shape
 from irodori.light.environment_file import Environment, directions
 from irodori.material.material_file import Material
 from irodori.rendering.view_cameras import KINDS, PERSPECTIVE
@@ -88,7 +88,7 @@ def make_objects(placements: list[Placement], materials: list[Material]) -> tupl
         filled.append(share)
     n, k = np.stack([m.n for m in materials]), np.stack([m.k for m in materials])
     objects = Objects(
-        wraps=np.array([p.shape.kind == SPHERE for p in placements], dtype=np.int64),
+        wraps=np.array([p.shape.wraps for p in placements], dtype=np.int64),
         first_texel=first[:-1],
         texture_size=np.array([m.alpha.shape[::-1] for m in materials]),
         texels=texels,

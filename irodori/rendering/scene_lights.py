@@ -10,7 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.geometry.rig_frame import rotation_xyz
-from irodori.geometry.shapes import PLATE, SPHERE, Placement, Shape
+from irodori.geometry.shapes import Placement
+from irodori.geometry.shapes.plate import Plate
+from irodori.geometry.shapes.sphere import Sphere
 from irodori.jit.native import njit
 from irodori.light.placed_lights import direction_of, unit_luminance
 from irodori.rendering.surface_hits import frame
@@ -90,9 +92,9 @@ def make_lights(definitions: list[dict], first_surface: int) -> tuple[Lights, li
 
 def _placement(light: dict) -> Placement:
     position = np.asarray(light["position_mm"], dtype=np.float64)
-    if light["kind"] == "sphere":
-        return Placement(Shape(SPHERE, (float(light["radius_mm"]),) * 2), np.eye(3), position)
-    shape = Shape(PLATE, (float(light["width_mm"]), float(light["height_mm"])))
+    if KINDS[light["kind"]] == BALL:
+        return Placement(Sphere(float(light["radius_mm"])), np.eye(3), position)
+    shape = Plate(float(light["width_mm"]), float(light["height_mm"]))
     return Placement(shape, rotation_xyz(light["rotation_deg"]), position)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from irodori.capture.shot_planner.fisher_information import Subject
 from irodori.config.capture_table import Pose, expand_poses
-from irodori.geometry.shapes import PLATE, Shape
+from irodori.geometry.shapes.plate import Plate
 
 RIG = {
     "kind": "files",
@@ -35,7 +35,7 @@ POSES = expand_poses(
 
 def texel() -> Subject:
     """Return the centre of a plate: one texel, whose angles are those of the rig."""
-    return Subject(Shape(PLATE, (90.0, 90.0)), np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), 900.0)
+    return Subject(Plate(90.0, 90.0), np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), 900.0)
 
 
 def flat_angles(poses: list[Pose]) -> np.ndarray:

@@ -8,9 +8,10 @@ from scenes import BALL, OPTIONS, constant_light, material, pixel_rays, plate, s
 
 from irodori.geometry.embree import NO_HIT, Tracer
 from irodori.geometry.rig_frame import rotation_xyz
-from irodori.geometry.shapes import DISC, PLANE, Placement, Shape
+from irodori.geometry.shapes import Placement, Shape
+from irodori.geometry.shapes.disc import Disc, hidden_by_disc
+from irodori.geometry.shapes.plane import Plane, hidden_by_plane
 from irodori.rendering.integrators import render_image
-from irodori.rendering.interactive.disc_occlusion import hidden_by_disc, hidden_by_plane
 
 FLOOR = Shape.from_definition({"kind": "plane"})
 EVERY = [{"kind": "interactive", "ambient": True}, {"kind": "reference", "samples": 64, "seed": 0}]
@@ -86,9 +87,9 @@ def test_a_plane_is_met_by_every_ray_that_goes_down_and_by_no_other(scale):
 
 
 def test_unknown_shapes_list_what_there_is():
-    with pytest.raises(ValueError, match="accepted: plate, sphere, mesh, disc, plane"):
+    with pytest.raises(ValueError, match=r"accepted: plate, sphere, mesh, disc, plane"):
         Shape.from_definition({"kind": "cone"})
-    assert disc(3.0).kind == DISC and disc(3.0).reach_mm == 3.0 and FLOOR.kind == PLANE
+    assert disc(3.0) == Disc(3.0) and disc(3.0).reach_mm == 3.0 and Plane() == FLOOR
 
 
 # --- pictures ----------------------------------------------------------------------------------------------------

@@ -11,7 +11,10 @@ from hypothesis.extra.numpy import arrays
 from irodori.config.capture_table import Pose
 from irodori.geometry import rig_frame
 from irodori.geometry.pinhole import Pinhole
-from irodori.geometry.shapes import PLATE, PLATE_THICKNESS_MM, SPHERE, Placement, Shape, on_table, uv_from_point
+from irodori.geometry.shapes import Placement, Shape, on_table
+from irodori.geometry.shapes.flat import THICKNESS_MM, uv_of_flat
+from irodori.geometry.shapes.plate import Plate
+from irodori.geometry.shapes.sphere import Sphere, uv_of_sphere
 
 ANGLE = st.floats(-180.0, 180.0)
 POSE = st.builds(
@@ -185,7 +188,7 @@ def test_magnification_is_focal_length_over_distance():
 
 
 def test_a_plate_seen_from_above_reads_like_its_texture():
-    position, _ = Shape(PLATE, (60.0, 40.0)).texels(6, 4)
+    position, _ = Plate(60.0, 40.0).texels(6, 4)
     camera = Pinhole(10000.0, (3000.0, 2000.0), 6000, 4000)
     seen = camera.project(position, [0.0, 0.0, 500.0], rig_frame.rig_from_camera(Pose(45.0, 0.0)))
     assert (np.diff(seen[..., 0], axis=1) > 0).all() and (np.diff(seen[..., 1], axis=0) > 0).all()
@@ -194,15 +197,16 @@ def test_a_plate_seen_from_above_reads_like_its_texture():
 # Shapes
 
 
-@given(width=st.integers(1, 40), height=st.integers(1, 40), size=st.tuples(SIZE, SIZE), kind=st.sampled_from([0, 1]))
+@given(width=st.integers(1, 40), height=st.integers(1, 40), size=st.tuples(SIZE, SIZE), is_flat=st.booleans())
 @settings(deadline=None)
-def test_texel_centres_have_the_texture_coordinates_of_their_centres(width, height, size, kind):
-    shape = Shape(kind, size if kind == PLATE else (size[0], size[0]))
+def test_texel_centres_have_the_texture_coordinates_of_their_centres(width, height, size, is_flat):
+    shape = Plate(*size) if is_flat else Sphere(size[0])
     position, normal = shape.texels(width, height)
     assert position.shape == normal.shape == (height, width, 3)
     for row in range(height):
         for column in range(width):
-            u, v = uv_from_point(kind, *shape.size_mm, *position[row, column])
+            point = position[row, column]
+            u, v = uv_of_flat(*size, *point[:2]) if is_flat else uv_of_sphere(*point)
             assert u == pytest.approx((column + 0.5) / width, abs=1e-13)
             assert v == pytest.approx((row + 0.5) / height, abs=1e-13)
 
@@ -213,7 +217,7 @@ def test_a_point_of_the_sphere_has_its_azimuth_and_polar_angle_as_coordinates(u,
     point = radius * np.array(
         [math.sin(polar) * math.cos(azimuth), math.sin(polar) * math.sin(azimuth), math.cos(polar)]
     )
-    found_u, found_v = uv_from_point(SPHERE, radius, radius, *point)
+    found_u, found_v = uv_of_sphere(*point)
     assert found_v == pytest.approx(v, abs=1e-14)
     assert min(abs(found_u - u), 1 - abs(found_u - u)) < 1e-14  # u = 0 and u = 1 are one meridian
 
@@ -224,21 +228,21 @@ def test_a_point_of_the_sphere_has_its_azimuth_and_polar_angle_as_coordinates(u,
 @example(point=np.array([0.0, 0.0, 1.0]))
 @example(point=np.array([0.0, 0.0, -1.0]))
 def test_every_direction_has_coordinates_inside_the_texture(point):
-    u, v = uv_from_point(SPHERE, 1.0, 1.0, *point)
+    u, v = uv_of_sphere(*point)
     assert 0.0 <= u <= 1.0 and 0.0 <= v <= 1.0
 
 
 def test_normals_point_out_of_the_shape():
-    position, normal = Shape(SPHERE, (25.0, 25.0)).texels(16, 8)
+    position, normal = Sphere(25.0).texels(16, 8)
     assert normal == pytest.approx(position / 25.0, abs=1e-14)
-    position, normal = Shape(PLATE, (30.0, 20.0)).texels(3, 2)
+    position, normal = Plate(30.0, 20.0).texels(3, 2)
     assert (normal == [0.0, 0.0, 1.0]).all() and (position[..., 2] == 0).all()
     assert position[0, 0] == pytest.approx([-10.0, 5.0, 0.0]) and position[-1, -1] == pytest.approx([10.0, -5.0, 0.0])
 
 
 def test_configured_shapes_are_the_named_ones_and_others_are_refused():
-    assert Shape.from_definition({"kind": "plate", "width_mm": 30, "height_mm": 20}) == Shape(PLATE, (30.0, 20.0))
-    assert Shape.from_definition({"kind": "sphere", "radius_mm": 5}) == Shape(SPHERE, (5.0, 5.0))
+    assert Shape.from_definition({"kind": "plate", "width_mm": 30, "height_mm": 20}) == Plate(30.0, 20.0)
+    assert Shape.from_definition({"kind": "sphere", "radius_mm": 5}) == Sphere(5.0)
     with pytest.raises(ValueError, match=r"torus.*plate, sphere"):
         Shape.from_definition({"kind": "torus"})
 
@@ -250,7 +254,7 @@ def test_configured_shapes_are_the_named_ones_and_others_are_refused():
 @settings(deadline=None)
 def test_placed_plates_keep_their_shape_and_face(angles, translation, scale, size):
     rotation = rig_frame.rotation_xyz(angles)
-    a, b, c, d = Placement(Shape(PLATE, size), rotation, translation, scale).corners()
+    a, b, c, d = Placement(Plate(*size), rotation, translation, scale).corners()
     tolerance = 1e-9
     assert np.linalg.norm(b - a) == pytest.approx(scale * size[0], abs=tolerance)
     assert np.linalg.norm(c - b) == pytest.approx(scale * size[1], abs=tolerance)
@@ -263,7 +267,7 @@ def test_placed_plates_keep_their_shape_and_face(angles, translation, scale, siz
 @given(pose=POSE, radius=st.floats(1.0, 200.0), table=st.floats(1.0, 500.0))
 def test_a_sphere_rests_on_the_table_at_any_tilt(pose, radius, table):
     rotation = rig_frame.rig_from_object(pose)
-    ball, top = on_table(Shape(SPHERE, (radius, radius)), rotation, table)
+    ball, top = on_table(Sphere(radius), rotation, table)
     assert ball.translation_mm == pytest.approx(np.zeros(3), abs=0.0)
     normal = rotation[:, 2]
     assert top.corners() @ normal == pytest.approx(np.full(4, -radius), abs=1e-10)
@@ -274,10 +278,10 @@ def test_a_sphere_rests_on_the_table_at_any_tilt(pose, radius, table):
 @given(pose=POSE)
 def test_a_plate_lies_its_thickness_above_the_table(pose):
     rotation = rig_frame.rig_from_object(pose)
-    plate, top = on_table(Shape(PLATE, (50.0, 40.0)), rotation, 100.0)
+    plate, top = on_table(Plate(50.0, 40.0), rotation, 100.0)
     assert plate.corners() @ rotation[:, 2] == pytest.approx(np.zeros(4), abs=1e-12)
-    assert top.corners() @ rotation[:, 2] == pytest.approx(np.full(4, -PLATE_THICKNESS_MM), abs=1e-12)
+    assert top.corners() @ rotation[:, 2] == pytest.approx(np.full(4, -THICKNESS_MM), abs=1e-12)
 
 
 def test_a_table_of_radius_0_is_absent():
-    assert len(on_table(Shape(PLATE, (50.0, 40.0)), np.eye(3), 0.0)) == 1
+    assert len(on_table(Plate(50.0, 40.0), np.eye(3), 0.0)) == 1

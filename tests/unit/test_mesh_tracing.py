@@ -16,7 +16,9 @@ from irodori.geometry.embree import NO_HIT, Tracer
 from irodori.geometry.lathe import LID_MM, lathe, write_obj
 from irodori.geometry.mesh import make_mesh
 from irodori.geometry.rig_frame import rig_from_object, rotation_xyz
-from irodori.geometry.shapes import PLATE, SPHERE, Placement, Shape, on_table
+from irodori.geometry.shapes import Placement, Shape, on_table
+from irodori.geometry.shapes.plate import Plate
+from irodori.geometry.shapes.sphere import Sphere
 from irodori.rectification.stage import observe
 
 trimesh = pytest.importorskip("trimesh")
@@ -89,7 +91,7 @@ def _has_rtree():
 @settings(deadline=None, max_examples=8)
 def test_a_sphere_of_triangles_is_hit_within_its_sagitta(seed):
     rng = np.random.default_rng(seed)
-    exact = placed(rng, Shape(SPHERE, (25.0, 25.0)))
+    exact = placed(rng, Sphere(25.0))
     facets = dataclasses.replace(exact, shape=sphere_of_triangles())
     origins = exact.translation_mm + 300.0 * unit(rng.normal(size=(3000, 3)))
     directions = unit(exact.translation_mm + 15.0 * exact.scale * unit(rng.normal(size=(3000, 3))) - origins)
@@ -123,9 +125,9 @@ def test_no_ray_slips_through_an_edge(seed):
 def test_meshes_spheres_and_plates_hide_each_other():
     rng = np.random.default_rng(4)
     exact = [
-        Placement(Shape(SPHERE, (20.0, 20.0)), translation_mm=np.array([0.0, 0.0, 20.0])),
-        Placement(Shape(PLATE, (200.0, 200.0))),
-        Placement(Shape(SPHERE, (20.0, 20.0)), rotation_xyz((20, 30, 40)), np.array([30.0, 10.0, 25.0])),
+        Placement(Sphere(20.0), translation_mm=np.array([0.0, 0.0, 20.0])),
+        Placement(Plate(200.0, 200.0)),
+        Placement(Sphere(20.0), rotation_xyz((20, 30, 40)), np.array([30.0, 10.0, 25.0])),
     ]
     mixed = [exact[0], exact[1], dataclasses.replace(exact[2], shape=sphere_of_triangles(20.0))]
     origins = np.array([0.0, 0.0, 30.0]) + 300.0 * unit(rng.normal(size=(5000, 3)) * [1, 1, 0.5] + [0, 0, 0.5])

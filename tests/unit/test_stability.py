@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from made_up_camera import LIGHT, system, training
 from path_scenes import traced
 from sky_draws import densities, shares
-from test_principal_components import line, observers, picture
 from test_estimators import PROBES
 from test_fitting import GEOMETRY, K, N, model
 from test_fitting_hard import assert_sound, in_plane, stated

@@ -4,7 +4,8 @@ from typing import NamedTuple
 from irodori.config.capture_table import read_captures
 from irodori.config.definitions import captures_of, is_taken_here, is_virtual, load_definitions
 from irodori.core.errors import InputError
-from irodori.geometry.mesh_sources import mesh_files
+from irodori.geometry.mesh_sources import shape_files
+from irodori.geometry.shape_blocks import is_flat
 from irodori.core.provenance import code_hash, modules_of
 from irodori.spectra.spectral_files import SUFFIXES
 from irodori.rectification.texture_tiles import tile_rows
@@ -99,7 +100,7 @@ def named_tables(*values):
 def meshes_of(*names):
     """Return the files of the meshes among objects; a changed one is seen."""
     shapes = [config["objects"][name]["shape"] for name in names]
-    return [file for shape in shapes if shape["kind"] == "mesh" for file in mesh_files(shape["file"])]
+    return [file for shape in shapes for file in shape_files(shape)]
 
 
 def mesh_of(wildcards):
@@ -218,7 +219,7 @@ def imperfect_object(wildcards):
     known = virtual("objects")
     if not known:
         return None
-    name = next((n for n in known if config["objects"][n]["shape"]["kind"] == "plate"), known[0])
+    name = next((n for n in known if is_flat(config["objects"][n]["shape"]["kind"])), known[0])
     definition = config["objects"][name]
     camera = config["cameras"][definition["camera"]]
     return {"name": name, "definition": definition, "camera": camera, "rig": config["rigs"][camera["rig"]]}
@@ -240,7 +241,7 @@ def plates(wildcards):
     """Return what the simulation of poses needs to know of every plate."""
     found = {}
     for name, definition in config["objects"].items():
-        if definition["shape"]["kind"] != "plate":
+        if not is_flat(definition["shape"]["kind"]):
             continue
         camera = config["cameras"][definition["camera"]]
         exposures = definition.get("exposure_s", {"out": []})

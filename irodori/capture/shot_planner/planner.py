@@ -21,7 +21,7 @@ from irodori.capture.shot_planner.fisher_information import (
 )
 from irodori.config.capture_table import Pose
 from irodori.geometry.rig_frame import to_camera, to_light
-from irodori.geometry.shapes import PLATE, Shape
+from irodori.geometry.shapes import Shape
 from irodori.spectra.published import refractive_index_at
 
 AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
@@ -126,10 +126,7 @@ class Plan:
 
 
 def subject_of(definition: dict, rig: dict) -> Subject:
-    """Return the texels that stand for an object: centre and corners of a plate; points all around the others.
-
-    A plate has one normal, but the camera is near: its corners are seen up to some degrees apart, and what is good for
-    the centre alone may lie beyond the largest angle for them.
+    """Return the texels that stand for an object.
 
     Parameters
     ----------
@@ -139,18 +136,7 @@ def subject_of(definition: dict, rig: dict) -> Subject:
         Validated definition of the rig.
     """
     shape = Shape.from_definition(definition["shape"])
-    if shape.kind == PLATE:
-        signs = np.array([[0, 0, 0], [-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
-        position = signs * [shape.size_mm[0] / 2, shape.size_mm[1] / 2, 0.0]
-        normal = np.tile([0.0, 0.0, 1.0], (len(position), 1))
-    elif shape.mesh is not None:
-        position, normal = shape.mesh.samples(_SPHERE_TEXELS)
-    else:
-        index = np.arange(_SPHERE_TEXELS) + 0.5
-        z, azimuth = 1.0 - 2.0 * index / _SPHERE_TEXELS, np.pi * (1.0 + math.sqrt(5.0)) * index
-        radius = np.sqrt(1.0 - z**2)
-        normal = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=-1)
-        position = shape.size_mm[0] * normal
+    position, normal = shape.samples(_SPHERE_TEXELS)
     return Subject(shape, position, normal, rig["camera_distance_mm"], rig["table_radius_mm"])
 
 
@@ -199,8 +185,8 @@ def candidate_poses(limits: Mapping[str, Mapping], coarse_deg: Mapping[str, floa
 def open_poses(
     shape: Shape, limits: Mapping[str, Mapping], clearance_deg: float = 5.0, coarse_deg: Mapping | None = None
 ) -> list[Pose]:
-    """Return the candidates for a shape: `candidate_poses` on its default grid; a plate's table does not turn."""
-    if shape.kind != PLATE:
+    """Return the candidates for a shape: `candidate_poses` on its default grid; no turns for a flat one."""
+    if not shape.is_flat:
         return candidate_poses(limits, coarse_deg or SPHERE_COARSE_DEG, clearance_deg)
     still = {**limits["turn_deg"], "max": limits["turn_deg"]["min"]}
     return candidate_poses({**limits, "turn_deg": still}, coarse_deg or COARSE_DEG, clearance_deg)
@@ -270,7 +256,7 @@ class Planner:
     ) -> None:
         self.subject = subject_of(definition, rig)
         self.max_manual = definition["plan"]["max_manual"]
-        flat = self.subject.shape.kind == PLATE
+        flat = self.subject.shape.is_flat
         poses = open_poses(self.subject.shape, rig["limits"], clearance_deg, coarse_deg)
         if not poses:
             raise TooFewPoses(

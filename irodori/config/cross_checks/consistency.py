@@ -22,7 +22,7 @@ from irodori.config.cross_checks.plan_overrides import check_plan
 from irodori.config.cross_checks.rig_motion import check_motion
 from irodori.config.cross_checks.scene_photographs import check_aim, check_photograph
 from irodori.core.errors import InputError, is_file
-from irodori.geometry.mesh_sources import mesh_files
+from irodori.geometry.mesh_sources import shape_files
 from irodori.spectra.tables import brdf_table, index_table
 
 #: Folders that stand in results/ beside those of objects and scenes.
@@ -169,8 +169,7 @@ class _Checks:
         else:
             table, shots = self._check_photographs(definition, file, "object")
             self._reach(camera).check_shots(shots, table)
-        if definition["shape"]["kind"] == "mesh":
-            mesh_files(self.root / definition["shape"]["file"])
+        shape_files(definition["shape"], self.root)
         self._check_index(definition["refractive_index"], "refractive_index", file)
         for key in ("alpha", "beta", "mu_rad"):
             low, high = definition["plan"][key]

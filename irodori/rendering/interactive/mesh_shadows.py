@@ -1,8 +1,8 @@
 """Ambient occlusion by triangle meshes: rays traced at preparation, a look-up at each hit.
 
-At every node of every shape (`irodori.rendering.interactive.shadow_nodes`) cosine-distributed rays say which share of
+At every node of every shape (`irodori.geometry.shapes.shadow_nodes`) cosine-distributed rays say which share of
 the directions that no other kind of shape hides the meshes leave free, and which share meets the front of each mesh
-first, with the mean of the normals there. The closed forms of `irodori.rendering.interactive.ambient` go on hiding for
+first, with the mean of the normals there. The closed forms of the shapes (`irodori.geometry.shapes`) go on hiding for
 spheres and flat shapes, so their shadows keep their edges; where a mesh and one of them hide the same directions these
 count once. A mesh hides light from itself too.
 
@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.geometry.embree import NO_HIT, Tracer, hit_shape, is_blocked, new_ray, trace
-from irodori.geometry.shapes import MESH, SPHERE, Placement, reaches
+from irodori.geometry.shapes import Placement, reaches
+from irodori.geometry.shapes.shadow_nodes import GRID, Nodes
 from irodori.jit.array_views import Memory
 from irodori.jit.native import njit, run_chunks
-from irodori.rendering.interactive.shadow_nodes import GRID, Nodes, make_nodes
 
 #: Rays of a node, a power of two; the least of them, where a scene has more nodes than `_FULL_NODES`.
 RAYS_PER_NODE, _LEAST_RAYS, _FULL_NODES = 512, 64, 1 << 18
@@ -60,17 +60,21 @@ class Bounds(NamedTuple):
     """Spheres about the meshes, for compiled loops."""
 
     centre: np.ndarray  # (shapes, 3), mm
-    radius: np.ndarray  # (shapes,), mm; 0 of what is no mesh
-    kind: np.ndarray  # (shapes,)
+    radius: np.ndarray  # (shapes,), mm; 0 of what hides by no rays
+    is_cast: np.ndarray  # (shapes,) bool, whether what the shape hides is found by these rays
+    has_inside: np.ndarray  # (shapes,) bool
 
 
 def _bounds(placements: tuple[Placement, ...]) -> Bounds:
     bounds = Bounds(
-        np.zeros((len(placements), 3)), np.zeros(len(placements)), np.array([p.shape.kind for p in placements])
+        np.zeros((len(placements), 3)),
+        np.zeros(len(placements)),
+        np.array([p.shape.hides_by_rays for p in placements]),
+        np.array([p.shape.has_inside for p in placements]),
     )
     for number, placement in enumerate(placements):
-        if placement.shape.mesh is not None:
-            points = placement.points(placement.shape.mesh.vertices_mm)
+        if placement.shape.hides_by_rays:
+            points = placement.points(placement.shape.hull_mm)
             bounds.centre[number] = 0.5 * (points.min(axis=0) + points.max(axis=0))
             bounds.radius[number] = np.linalg.norm(points - bounds.centre[number], axis=1).max()
     return bounds
@@ -78,7 +82,7 @@ def _bounds(placements: tuple[Placement, ...]) -> Bounds:
 
 def _strongest(nodes: Nodes, bounds: Bounds) -> np.ndarray:
     """Return the meshes whose bounds hide most from nodes on average, strongest first, at most `MOST_MESHES`."""
-    meshes = np.flatnonzero(bounds.kind == MESH)
+    meshes = np.flatnonzero(bounds.is_cast)
     step = max(len(nodes.origin) // 1024, 1)
     hidden = np.zeros(len(meshes))
     for place, mesh in enumerate(meshes):
@@ -163,9 +167,9 @@ def _add_ray(rays, bounds, layer_of, ray, origin, direction, values, node):
         return True, False
     x, y, z = float(ray.f[ray.at + 12]), float(ray.f[ray.at + 13]), float(ray.f[ray.at + 14])
     front = x * direction[0] + y * direction[1] + z * direction[2] < 0.0
-    if bounds.kind[shape] != MESH:
+    if not bounds.is_cast[shape]:
         values[node, UNCOVERED] += 1.0
-        return False, bounds.kind[shape] == SPHERE and not front
+        return False, bounds.has_inside[shape] and not front
     values[node, HIDDEN] += 1.0
     length = np.sqrt(x * x + y * y + z * z)
     if front and length > 0.0:
@@ -241,7 +245,7 @@ def _extended(values: np.ndarray, is_open: np.ndarray, cells: np.ndarray) -> Non
 
 def _values(nodes: Nodes, rays: _Rays, bounds: Bounds, layers: np.ndarray, count: int) -> np.ndarray:
     """Return the numbers of a shape's nodes, (n, LAYERS + LAYER * layers) float32."""
-    layer_of = np.full(len(bounds.kind), len(layers) - 1, dtype=np.int64)
+    layer_of = np.full(len(bounds.is_cast), len(layers) - 1, dtype=np.int64)
     layer_of[layers] = np.arange(len(layers))
     values = np.zeros((len(nodes.origin), LAYERS + LAYER * len(layers)), dtype=np.float32)
     is_open = np.zeros(len(values), dtype=np.bool_)
@@ -268,17 +272,19 @@ def make_mesh_shadows(tracer: Tracer) -> MeshShadows | None:
 def _make(tracer: Tracer) -> MeshShadows | None:
     placements = tracer.placements
     bounds = _bounds(placements)
-    if not (bounds.kind == MESH).any():
+    if not bounds.is_cast.any():
         return None
-    others = Tracer([p for p in placements if p.shape.mesh is None])
+    others = Tracer([p for p in placements if not p.shape.hides_by_rays])
     rays = _Rays(tracer.intersect_address, tracer.occluded_address, tracer.scene, others.scene)
-    points = [p.points(p.shape.mesh.vertices_mm) for p in placements if p.shape.mesh is not None]
+    points = [p.points(p.shape.hull_mm) for p in placements if p.shape.hides_by_rays]
     numbers, grid = np.zeros((len(placements), SHAPE_NUMBERS), np.int64), np.zeros((len(placements), GRID))
-    made = [make_nodes(p, r, points) for p, r in zip(placements, reaches(placements), strict=True)]
-    total = sum(len(nodes.origin) for nodes in made)
+    made = [p.shape.nodes(p, r, points) for p, r in zip(placements, reaches(placements), strict=True)]
+    total = sum(len(nodes.origin) for nodes in made if nodes is not None)
     count = max(RAYS_PER_NODE >> max(int(np.ceil(np.log2(total / _FULL_NODES))), 0), _LEAST_RAYS)
     values, parts, corners = [], [], []
     for shape, nodes in enumerate(made):
+        if nodes is None:
+            continue
         layers = _strongest(nodes, bounds)
         found = _values(nodes, rays, bounds, layers, count)
         seen = np.flatnonzero(found[:, LAYERS::LAYER].any(axis=0))

@@ -6,7 +6,8 @@ import numpy as np
 from numba import types
 
 from irodori.geometry.embree import Ray
-from irodori.geometry.shapes import MESH, PLANE, PLATE, SPHERE
+from irodori.geometry.shape_dispatch import chain, lane_chain, lanes_are
+from irodori.geometry.shapes.shape_rows import COLUMNS, HIGH, KIND, RADIUS, ROWS, SHAPE, TURN, WIDE
 from irodori.geometry.surfaces import surface_at
 from irodori.jit.array_views import Memory, address_of, as_integers, moved
 from irodori.jit.native import c_function, njit
@@ -22,34 +23,30 @@ from irodori.jit.ray_vectors import (
     mask_bits,
     numbered,
     repeated,
-    root,
     select,
     store,
     truncated,
-    with_sign,
 )
 from irodori.rendering.interactive.cube_maps import cell_of, face_of
 
 RAYS = 16
 TILE = 16  # pixels along a side
 PATHS = TILE * TILE
-#: Numbers of a shape in `World.shape`.
-SHAPE = 24
-CENTRE, RADIUS, CURVATURE, TURN, WIDE, HIGH, KIND, MIRROR, COLUMNS, ROWS = 0, 3, 4, 5, 14, 15, 16, 17, 18, 19
 #: A hit's points rise this part of their coordinates above the surface: 32 steps of single precision.
 _RISE = 2.0**-18
-#: A sphere seen at less than this cosine, rounding has turned from the viewer.
+#: A curved shape seen at less than this cosine, rounding has turned from the viewer.
 _OUTLINE = -1e-3
-#: Bounds of shapes are wider by this part of their size and of the distance.
-_SLACK = 1e-4
-#: A height above a plane that is rounding: less than any hit's point rises, so that reflections are not held back.
-_IN_PLANE = 0.25 * _RISE
-
 # RTCRayHit16 as 32-bit words, each field sixteen wide.
 _ORIGIN, _NEAR, _DIRECTION, _TIME, _FAR, _MASK, _FLAGS, _U, _V, _PRIMITIVE, _GEOMETRY, _WORDS = (
     0, 48, 64, 112, 128, 144, 176, 240, 256, 272, 288, 352)  # fmt: skip
 #: Words of a packet's hit that are kept: distance, u, v, triangle, shape.
 KEPT = 5 * RAYS
+
+_may_be_met = chain("may_be_met", "row, at, centre, direction, along, reach", __name__, forceinline=True)
+_point = lane_chain("point", "offset, facing, radius", 6, __name__)
+_texture = lane_chain("texture", "local, wide, high", 2, __name__)
+_are_brought_singly = lanes_are(lambda shape: shape.kernels.point is None, "are_brought_singly", __name__)
+_are_curved = lanes_are(lambda shape: shape.is_curved, "are_curved", __name__)
 
 _trace = c_function(types.void, types.uintp, types.uintp, types.uintp, types.uintp)
 
@@ -125,7 +122,7 @@ def trace_packet(world, packet, paths, base, active):
 def may_meet(world, paths, base, active):
     """Return the mask of the paths that may meet anything, by the bounds of the shapes; Embree decides.
 
-    Bounds are wider than single precision errs. A sphere that a ray leaves does not bound it.
+    Bounds are wider than single precision errs.
     """
     ox, oy, oz = (
         load(paths.f, ORIGIN * STRIDE + base, 16),
@@ -141,29 +138,9 @@ def may_meet(world, paths, base, active):
     found = active & ~active
     for shape in range(world.bounded):
         at, table = shape * SHAPE, world.shape
-        radius = table[at + RADIUS]
         x, y, z = table[at] - ox, table[at + 1] - oy, table[at + 2] - oz
         along = x * dx + y * dy + z * dz
-        if table[at + KIND] == PLATE or table[at + KIND] == PLANE:
-            nx, ny, nz = table[at + TURN + 2], table[at + TURN + 5], table[at + TURN + 8]
-            height, steepness = x * nx + y * ny + z * nz, dx * nx + dy * ny + dz * nz
-            distance = height / steepness
-            # A ray that starts in the plane, but for rounding, Embree may let meet it: at no distance.
-            near = (distance >= 0.0) | (absolute(height) <= greatest(reach, radius) * _IN_PLANE)
-            if table[at + KIND] == PLANE:
-                found = found | near
-                continue
-            slack = absolute(distance) * _SLACK + radius * _SLACK
-            for axis in range(2):
-                a, b, c = table[at + TURN + axis], table[at + TURN + axis + 3], table[at + TURN + axis + 6]
-                across = (distance * dx - x) * a + (distance * dy - y) * b + (distance * dz - z) * c
-                near = near & (absolute(across) * table[at + WIDE + axis] <= 0.5 + slack * table[at + WIDE + axis])
-            found = found | near
-        else:
-            px, py, pz = x - along * dx, y - along * dy, z - along * dz
-            bound = radius + (radius + absolute(along)) * _SLACK
-            inside = x * x + y * y + z * z < radius * radius * (1.0 + 2e-6)
-            found = found | ((px * px + py * py + pz * pz <= bound * bound) & ((along > 0.0) | inside))
+        found = found | _may_be_met(table[at + KIND], table, at, (x, y, z), (dx, dy, dz), along, reach)
     return active & found
 
 
@@ -206,36 +183,15 @@ def distances(packet):
 
 
 @njit(cache=True, forceinline=True)
-def arc_tangent(y, x):
-    """Return atan2 of vectors within 1e-5 rad."""
-    ax, ay = absolute(x), absolute(y)
-    ratio = least(ax, ay) / greatest(greatest(ax, ay), 1e-30)
-    s = ratio * ratio
-    angle = ratio * (
-        0.99997726 + s * (-0.33262347 + s * (0.19354346 + s * (-0.11643287 + s * (0.05265332 + s * -0.01172120))))
-    )
-    angle = select(ay > ax, 0.5 * np.pi - angle, angle)
-    angle = select(x < 0.0, np.pi - angle, angle)
-    return with_sign(angle, y)
-
-
-@njit(cache=True, forceinline=True)
 def _onto_shapes(world, hit, number, shape, px, py, pz):
-    """Move traced points onto spheres and planes; fill points, normals, and places in the textures."""
+    """Move traced points onto their shapes; fill points, normals, and places in the textures."""
     table, at = world.shape, shape * SHAPE
     cx, cy, cz = gather(table, at), gather(table, at + 1), gather(table, at + 2)
     radius, kind = gather(table, at + RADIUS), gather(table, at + KIND)
     r00, r01, r02 = gather(table, at + TURN), gather(table, at + (TURN + 1)), gather(table, at + (TURN + 2))
     r10, r11, r12 = gather(table, at + (TURN + 3)), gather(table, at + (TURN + 4)), gather(table, at + (TURN + 5))
     r20, r21, r22 = gather(table, at + (TURN + 6)), gather(table, at + (TURN + 7)), gather(table, at + (TURN + 8))
-    round_ = kind == float(SPHERE)
-    x, y, z = px - cx, py - cy, pz - cz
-    height = x * r02 + y * r12 + z * r22
-    inverse = 1.0 / greatest(root(x * x + y * y + z * z), 1e-30)
-    nx, ny, nz = select(round_, x * inverse, r02), select(round_, y * inverse, r12), select(round_, z * inverse, r22)
-    x = select(round_, radius * nx, x - height * r02)
-    y = select(round_, radius * ny, y - height * r12)
-    z = select(round_, radius * nz, z - height * r22)
+    x, y, z, nx, ny, nz = _point(kind, (px - cx, py - cy, pz - cz), (r02, r12, r22), radius)
     store(hit, POINT * RAYS, cx + x)
     store(hit, (POINT + 1) * RAYS, cy + y)
     store(hit, (POINT + 2) * RAYS, cz + z)
@@ -243,18 +199,16 @@ def _onto_shapes(world, hit, number, shape, px, py, pz):
         store(hit, (NORMAL + 3 * field) * RAYS, nx)
         store(hit, (NORMAL + 3 * field + 1) * RAYS, ny)
         store(hit, (NORMAL + 3 * field + 2) * RAYS, nz)
-    ox, oy, oz = x * r00 + y * r10 + z * r20, x * r01 + y * r11 + z * r21, x * r02 + y * r12 + z * r22
-    turn = arc_tangent(oy, ox) * (0.5 / np.pi)
-    u = select(round_, select(turn < 0.0, turn + 1.0, turn), ox * gather(table, at + WIDE) + 0.5)
-    v = select(round_, arc_tangent(root(ox * ox + oy * oy), oz) * (1.0 / np.pi), 0.5 - oy * gather(table, at + HIGH))
+    local = x * r00 + y * r10 + z * r20, x * r01 + y * r11 + z * r21, x * r02 + y * r12 + z * r22
+    u, v = _texture(kind, local, gather(table, at + WIDE), gather(table, at + HIGH))
     store(hit, TEXTURE_U * RAYS, u)
     store(hit, TEXTURE_V * RAYS, v)
     return kind
 
 
 @njit(cache=True)
-def _onto_mesh(world, packet, hit, number, lane, shape):
-    """Do for one ray that met a mesh what `_onto_shapes` does for spheres and planes."""
+def _onto_shape(world, packet, hit, number, lane, shape):
+    """Do for one ray what `_onto_shapes` does for those whose shapes have functions for lanes."""
     ray, at = packet.ray, packet.ray.at
     ray.i[at + 17], ray.i[at + 18] = packet.i[RAYS + _PRIMITIVE + lane], shape
     ray.f[at + 15], ray.f[at + 16] = packet.f[RAYS + _U + lane], packet.f[RAYS + _V + lane]
@@ -284,11 +238,11 @@ def place_hits(world, packet, paths, hit, number, base, met):
     store(number, OBJECT * RAYS, shape)
     store(hit, SIZE * RAYS, gather(world.shape, shape * SHAPE + RADIUS))
     kind = _onto_shapes(world, hit, number, shape, px, py, pz)
-    if world.meshes > 0:
-        on_mesh = mask_bits((kind == float(MESH)) & met)
+    if world.brought_singly > 0:
+        single = mask_bits(_are_brought_singly(kind) & met)
         for lane in range(RAYS):
-            if (on_mesh >> lane) & 1:
-                _onto_mesh(world, packet, hit, number, lane, number[OBJECT * RAYS + lane])
+            if (single >> lane) & 1:
+                _onto_shape(world, packet, hit, number, lane, number[OBJECT * RAYS + lane])
     return shape, kind, distance
 
 
@@ -310,7 +264,7 @@ def prepare_hits(world, frame, paths, hit, number, base, met, placed):
     )
     fx, fy, fz = load(hit, FACET * RAYS, 16), load(hit, (FACET + 1) * RAYS, 16), load(hit, (FACET + 2) * RAYS, 16)
     front = -(fx * dx + fy * dy + fz * dz)
-    seen = met & ((front > 0.0) | ((kind == float(SPHERE)) & (front > _OUTLINE)))
+    seen = met & ((front > 0.0) | (_are_curved(kind) & (front > _OUTLINE)))
     nx, ny, nz = load(hit, NORMAL * RAYS, 16), load(hit, (NORMAL + 1) * RAYS, 16), load(hit, (NORMAL + 2) * RAYS, 16)
     cosine = -(nx * dx + ny * dy + nz * dz)
     away = cosine <= 0.0

@@ -7,26 +7,15 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.geometry.embree import Tracer
-from irodori.geometry.shapes import DISC, MESH, PLANE, PLATE, SPHERE, reaches
+from irodori.geometry.shape_registry import number_of
+from irodori.geometry.shapes import reaches
+from irodori.geometry.shapes.shape_rows import COLUMNS, MIRROR, ROWS, shape_row
 from irodori.geometry.surfaces import Surfaces, make_surfaces
 from irodori.jit.array_views import Memory
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.rendering.interactive.channels import Channels, mean_spectra
 from irodori.rendering.interactive.cube_maps import FACES, environment_pyramid, from_equirectangular, give_back
 from irodori.rendering.interactive.mesh_shadows import MeshShadows, make_mesh_shadows, no_mesh_shadows
-from irodori.rendering.interactive.packets import (
-    CENTRE,
-    COLUMNS,
-    CURVATURE,
-    HIGH,
-    KIND,
-    MIRROR,
-    RADIUS,
-    ROWS,
-    SHAPE,
-    TURN,
-    WIDE,
-)
 from irodori.rendering.interactive.round_lobes import lobe_table, roughness_at, roughness_place
 from irodori.rendering.scene_arrays import Light, Objects
 
@@ -44,7 +33,7 @@ class World(NamedTuple):
     shadows: MeshShadows
     shadowed: int  # 1 where meshes hide light from all sides
     surfaces: Surfaces
-    meshes: int  # how many of the objects are meshes
+    brought_singly: int  # how many of the objects rays are brought to one by one
     scatters: int  # 1 where any surface has a diffuse or a rough term
     bounded: int  # how many objects' bounds are asked before Embree: all, or none where they are many
     texels: Memory
@@ -100,23 +89,11 @@ def padded(rows: np.ndarray, width: int) -> np.ndarray:
 
 def make_shapes(tracer: Tracer, objects: Objects) -> np.ndarray:
     """Return the numbers of the shapes, (objects * SHAPE,) float32."""
-    table = np.zeros((len(tracer.placements), SHAPE), dtype=np.float32)
-    for row, placement, reach, size, mirror in zip(
-        table, tracer.placements, reaches(tracer.placements), objects.texture_size, objects.mirror, strict=True
-    ):
-        shape = placement.shape
-        row[CENTRE : CENTRE + 3] = placement.translation_mm
-        row[RADIUS] = reach
-        if shape.kind == PLANE:
-            # The point nearest to the world's origin, see `Tracer`.
-            row[CENTRE : CENTRE + 3] = (placement.translation_mm @ placement.rotation[:, 2]) * placement.rotation[:, 2]
-        row[TURN : TURN + 9] = np.ravel(placement.rotation)
-        row[KIND], row[MIRROR] = shape.kind, mirror
+    placed = zip(tracer.placements, reaches(tracer.placements), strict=True)
+    table = np.stack([shape_row(placement, reach, number_of(placement.shape)) for placement, reach in placed])
+    for row, size, mirror in zip(table, objects.texture_size, objects.mirror, strict=True):
+        row[MIRROR] = mirror
         row[COLUMNS], row[ROWS] = size
-        if shape.kind == SPHERE:
-            row[CURVATURE] = 2.0 / row[RADIUS]
-        elif shape.kind in (PLATE, DISC):
-            row[WIDE], row[HIGH] = 1.0 / (np.asarray(shape.size_mm) * placement.scale)
     return table.ravel()
 
 
@@ -239,7 +216,7 @@ def _surface_fields(objects: Objects, tracer: Tracer, channels: Channels) -> dic
         "shape": make_shapes(tracer, objects),
         "objects": len(tracer.placements),
         "surfaces": Surfaces(*(Memory(array) for array in make_surfaces(tracer.placements))),
-        "meshes": sum(p.shape.kind == MESH for p in tracer.placements),
+        "brought_singly": sum(p.shape.kernels.point is None for p in tracer.placements),
         "scatters": int(texels.reshape(-1, channels.surface)[:, :-1].any()),
         "bounded": len(tracer.placements) if len(tracer.placements) <= _MOST_BOUNDED else 0,
         "texels": texels,

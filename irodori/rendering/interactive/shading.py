@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from irodori.geometry.shapes.shape_rows import CURVATURE, MIRROR, SHAPE
 from irodori.jit.array_views import Memory
 from irodori.jit.native import njit
 from irodori.jit.ray_vectors import compress, gather, largest, load, load_like, mask_bits, store, zeros_like
@@ -23,10 +24,8 @@ from irodori.rendering.interactive.look_ups import (
 from irodori.rendering.interactive.packets import (
     CONE,
     COSINE,
-    CURVATURE,
     DIRECTION,
     GLOSS,
-    MIRROR,
     NEXT,
     NORMAL,
     NORMAL_CELL,
@@ -36,7 +35,6 @@ from irodori.rendering.interactive.packets import (
     ORIGIN,
     RAYS,
     REFLECTED,
-    SHAPE,
     SPREAD,
     STRIDE,
     TEXEL,

@@ -109,7 +109,7 @@ def full_model(parts: Parts, max_bounces: int, ambient: bool) -> Model:
         diffuse=diffuse,
         environment=shines,
         irradiance=shines and diffuse,
-        ambient=ambient and shines and diffuse and (count > 1 or parts.tracer.placements[0].shape.mesh is not None),
+        ambient=ambient and shines and diffuse and (count > 1 or parts.tracer.placements[0].shape.hides_by_rays),
     )
 
 

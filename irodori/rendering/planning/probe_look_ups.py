@@ -4,20 +4,20 @@ Arrays of points in NumPy, in double precision and 61 bands: the terms of the in
 that each can be left out.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from irodori.geometry.embree import Tracer, hit_distance, hit_shape, new_ray, trace
-from irodori.geometry.shapes import DISC, PLANE, PLATE, SPHERE, Placement
+from irodori.geometry.shape_dispatch import chain
+from irodori.geometry.shape_registry import number_of
+from irodori.geometry.shapes import Placement
+from irodori.geometry.shapes.shape_rows import CENTRE, KIND, shape_row
 from irodori.geometry.surfaces import face_viewer, make_surfaces, surface_at
 from irodori.jit.native import njit
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.irradiance import irradiance_at
 from irodori.reflection.equation5 import angles_from_directions, facet_distribution, fresnel, gloss_factor
-from irodori.rendering.interactive.ambient import hidden_by_corners, hidden_by_sphere
-from irodori.rendering.interactive.disc_occlusion import hidden_by_disc, hidden_by_plane
 from irodori.rendering.interactive.round_lobes import ANGLES, ENTRY, ROUGHNESSES, TAPS, lobe_table, roughness_place
 from irodori.rendering.scene_arrays import Light, Objects
 from irodori.spectra.grid import SAMPLES
@@ -171,64 +171,24 @@ def lobes(
     return light, weight, np.clip(cos_h, 0.0, 1.0)
 
 
+_hides = chain("hides", "row, at, x, y, z, normal", __name__)
+
+
 @njit(cache=True)
-def _hidden_by_sphere(centre, radius, point, normal, share, facing):
+def _hide(row, point, normal, share, facing):
     for r in range(share.size):
-        x, y, z = centre[0] - point[r, 0], centre[1] - point[r, 1], centre[2] - point[r, 2]
-        distance = math.sqrt(x * x + y * y + z * z)
-        if distance <= 0.0:
-            continue
-        cosine = (x * normal[r, 0] + y * normal[r, 1] + z * normal[r, 2]) / distance
-        share[r] = hidden_by_sphere(cosine, distance, radius)
-        facing[r, 0], facing[r, 1], facing[r, 2] = -x / distance, -y / distance, -z / distance
-
-
-@njit(cache=True)
-def _corner(corners, number, point, r):
-    return corners[number, 0] - point[r, 0], corners[number, 1] - point[r, 1], corners[number, 2] - point[r, 2]
-
-
-@njit(cache=True)
-def _hidden_by_plate(corners, face, point, normal, share, facing):
-    for r in range(share.size):
-        four = (
-            _corner(corners, 0, point, r),
-            _corner(corners, 1, point, r),
-            _corner(corners, 2, point, r),
-            _corner(corners, 3, point, r),
-        )
-        share[r] = hidden_by_corners((normal[r, 0], normal[r, 1], normal[r, 2]), four)
-        if four[0][0] * face[0] + four[0][1] * face[1] + four[0][2] * face[2] < 0.0:
-            facing[r, 0], facing[r, 1], facing[r, 2] = face[0], face[1], face[2]
-
-
-@njit(cache=True)
-def _hidden_by_disc(centre, axes, radius, point, normal, share):
-    e, f, g = (axes[0, 0], axes[1, 0], axes[2, 0]), (axes[0, 1], axes[1, 1], axes[2, 1]), axes[:, 2]
-    for r in range(share.size):
-        way = centre[0] - point[r, 0], centre[1] - point[r, 1], centre[2] - point[r, 2]
-        share[r] = hidden_by_disc((normal[r, 0], normal[r, 1], normal[r, 2]), way, (e, f, (g[0], g[1], g[2])), radius)
+        x, y, z = row[CENTRE] - point[r, 0], row[CENTRE + 1] - point[r, 1], row[CENTRE + 2] - point[r, 2]
+        about = (normal[r, 0], normal[r, 1], normal[r, 2])
+        share[r], side = _hides(row[KIND], row, 0, x, y, z, about)
+        facing[r, 0], facing[r, 1], facing[r, 2] = side[0], side[1], side[2]
 
 
 def _hidden(placement: Placement, points: Points) -> tuple[np.ndarray, np.ndarray]:
     """Return the share that a shape hides, (n,), and the normal of its side that faces each point, or zeros, (n, 3)."""
     share, facing = np.zeros(len(points.shape)), np.zeros((len(points.shape), 3))
-    kind, centre = placement.shape.kind, np.asarray(placement.translation_mm, dtype=np.float64)
-    axes, radius = np.ascontiguousarray(placement.rotation, dtype=np.float64), float(placement.shape.reach_mm)
-    radius *= placement.scale
-    if kind == SPHERE:
-        _hidden_by_sphere(centre, radius, points.point, points.normal, share, facing)
-    elif kind == PLATE:
-        face = np.ascontiguousarray(axes[:, 2])
-        _hidden_by_plate(placement.corners(), face, points.point, points.normal, share, facing)
-    elif kind in (DISC, PLANE):
-        before = (points.point - centre) @ axes[:, 2] > 0.0
-        facing[before] = axes[:, 2]
-        if kind == DISC:
-            _hidden_by_disc(centre, axes, radius, points.point, points.normal, share)
-        else:
-            cosine = points.normal @ axes[:, 2]
-            share[:] = hidden_by_plane(np.where(before, cosine, -cosine))
+    reach = placement.shape.reach_mm * placement.scale
+    row = shape_row(placement, reach, number_of(placement.shape), np.float64)
+    _hide(row, points.point, points.normal, share, facing)
     return share, facing
 
 
@@ -240,7 +200,7 @@ class Ambient(NamedTuple):
 
 
 def ambient(tracer: Tracer, light: Light, points: Points) -> Ambient:
-    """Return what objects but meshes hide of the light from all sides at points, and what they reflect instead."""
+    """Return what objects in closed form hide of the light from all sides at points, and what they reflect instead."""
     count = len(points.shape)
     seen, hidden, found = np.ones(count), np.zeros(count), []
     for shape, placement in enumerate(tracer.placements):

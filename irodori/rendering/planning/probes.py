@@ -181,11 +181,7 @@ def _level(light: Light, spread: np.ndarray) -> np.ndarray:
 
 
 def _curvature(tracer: Tracer) -> np.ndarray:
-    from irodori.geometry.shapes import SPHERE
-
-    return np.array(
-        [2.0 / (p.shape.size_mm[0] * p.scale) if p.shape.kind == SPHERE else 0.0 for p in tracer.placements]
-    )
+    return np.array([p.shape.curvature_per_mm(p.scale) for p in tracer.placements])
 
 
 def _texture(objects: Objects, index: int, level: int, known: dict) -> np.ndarray:

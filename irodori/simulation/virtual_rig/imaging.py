@@ -10,7 +10,6 @@ from irodori.geometry.distortion import undistort
 from irodori.geometry.embree import Tracer, hit_distance, hit_shape, is_blocked, new_ray, trace
 from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
-from irodori.geometry.shapes import MESH, PLATE
 from irodori.geometry.surfaces import Surfaces, face_viewer, make_surfaces, surface_at
 from irodori.jit.native import njit, run_chunks, uncounted
 from irodori.simulation.virtual_rig.aperture import gather_rows, place_in_cell
@@ -250,7 +249,7 @@ def _is_open(placements, to_light: np.ndarray, lamp: Lamp) -> bool:
     """
     shape, table = placements[0].shape, placements[1:]
     normals = [top.rotation[:, 2] for top in table]
-    if shape.kind == MESH or any(top.shape.kind != PLATE for top in table):
+    if not shape.is_convex or not all(top.shape.is_flat for top in table):
         return False
     if not lamp.is_near:
         return all(float(normal @ to_light) >= 0.0 for normal in normals)
@@ -265,7 +264,7 @@ def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) 
     ----------
     sample : irodori.simulation.virtual_rig.samples.Sample
     tracer : Tracer
-        Shape 0 is the sample; the others only cast shadows, and it stands above the plane of each that is a plate.
+        Shape 0 is the sample; the others only cast shadows, and it stands above the plane of each that is flat.
     view : View
     band_weights : (3, 61) float
         Those of the photograph's filter state, see `irodori.simulation.virtual_rig.sensor.band_weights`.

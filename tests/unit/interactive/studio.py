@@ -5,7 +5,8 @@ from scenes import fresnel, pixel_rays
 from shortcuts import irradiance_map
 
 from irodori.colour.colorimetry import xyz_from_radiance
-from irodori.geometry.shapes import MESH, SPHERE, Placement
+from irodori.geometry.shapes import Placement
+from irodori.geometry.shapes.sphere import Sphere
 from irodori.light.environment_file import Environment, directions
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene, render_frame
@@ -66,13 +67,13 @@ def plain_radiance(placements, materials, environment, irradiance, origin, direc
     for placement, material in zip(placements, materials, strict=True):
         centre, size = placement.translation_mm, np.asarray(placement.shape.size_mm) * placement.scale
         local = origin - centre
-        if placement.shape.kind == SPHERE:
+        if isinstance(placement.shape, Sphere):
             along = direction @ local
             root = along**2 - local @ local + size[0] ** 2
             distance = -along - np.sqrt(root) if root >= 0 else -1.0
             normal = (local + distance * direction) / size[0]
         else:
-            assert placement.shape.kind != MESH
+            assert placement.shape.is_flat
             normal = placement.rotation[:, 2]
             distance = -(local @ normal) / (direction @ normal)
             across = (local + distance * direction) @ placement.rotation

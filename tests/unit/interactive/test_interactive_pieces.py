@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 from scenes import BALL, fresnel, material
 
 from irodori.geometry.shapes import Placement
+from irodori.geometry.shapes.plate import hidden_by_corners
+from irodori.geometry.shapes.sphere import arc_tangent, hidden_by_sphere
 from irodori.jit import ray_vectors
 from irodori.light.environment_file import directions
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.gloss.make_lobe_table import lobe_samples
 from irodori.light.irradiance import irradiance_at
-from irodori.rendering.interactive.ambient import hidden_by_corners, hidden_by_sphere
 from irodori.rendering.interactive.cube_maps import (
     bilinear,
     cell_of,
@@ -29,7 +30,6 @@ from irodori.rendering.interactive.cube_maps import (
     give_back,
     look_up_cube,
 )
-from irodori.rendering.interactive.packets import arc_tangent
 from irodori.rendering.interactive.prepared_scene import needed_gloss
 from irodori.rendering.interactive.round_lobes import (
     ANGLES,

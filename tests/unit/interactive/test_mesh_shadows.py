@@ -13,11 +13,10 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.lathe import LID_MM, lathe
 from irodori.geometry.mesh import Mesh, make_mesh
 from irodori.geometry.rig_frame import rotation_xyz
-from irodori.geometry.shapes import Shape
+from irodori.geometry.shapes import Shape, flat, mesh_shadow_nodes, sphere
 from irodori.rendering.integrators import render_image
-from irodori.rendering.interactive import mesh_shadows, shadow_nodes
+from irodori.rendering.interactive import mesh_shadows
 from irodori.rendering.interactive.frame_renderer import render_frame
-from irodori.rendering.interactive.shadow_look_up import _lattice_place
 
 LIGHT = even_light()
 WHITE = xyz_from_radiance(LIGHT.upward_white())[1] @ spectrum_of()
@@ -32,9 +31,9 @@ def _few_nodes(request, monkeypatch):
     """Fewer nodes and rays than a user has, for speed; errors grow to about twice theirs."""
     mesh_shadows._found.clear()
     if "every_node" not in request.fixturenames:
-        monkeypatch.setattr(shadow_nodes, "FLAT_SIDE", 80)
-        monkeypatch.setattr(shadow_nodes, "EQUATOR", 64)
-        monkeypatch.setattr(shadow_nodes, "MESH_NODES", 4096)
+        monkeypatch.setattr(flat, "FLAT_SIDE", 80)
+        monkeypatch.setattr(sphere, "EQUATOR", 64)
+        monkeypatch.setattr(mesh_shadow_nodes, "MESH_NODES", 4096)
         monkeypatch.setattr(mesh_shadows, "RAYS_PER_NODE", 256)
 
 
@@ -340,7 +339,7 @@ def test_a_fifth_mesh_has_its_shadow_where_four_larger_ones_hide_nothing(away, h
 
 @pytest.mark.parametrize("parts", [1, 2, 7, 40])
 def test_a_hit_at_or_just_beyond_a_triangles_edge_has_its_nodes_within_the_triangle(parts):
-    at, rng = shadow_nodes.lattice(parts), np.random.default_rng(4)
+    at, rng = mesh_shadow_nodes.lattice(parts), np.random.default_rng(4)
     # Two of those whose shares added up to more than 1 when divided by their sum.
     pairs = [(1.0929607219267723e-09, 1.0), (2.3243158786545592e-10, 1.0), (1.0, 0.0), (0.0, 1.0), (0.0, 0.0)]
     pairs += [(x, 1.0) for x in 10.0 ** rng.uniform(-12, -7, 200)] + [
@@ -348,7 +347,7 @@ def test_a_hit_at_or_just_beyond_a_triangles_edge_has_its_nodes_within_the_trian
     ]
     pairs += [(x, 1.0 - x + 2.0**-24) for x in rng.random(200)]
     for b, c in np.float32(pairs).astype(float):
-        places, weights = _lattice_place(parts, b, c)
+        places, weights = mesh_shadow_nodes.lattice_place(parts, b, c)
         assert max(places) < len(at)
         found = sum(w * at[place] for place, w in zip(places, weights, strict=True))
         assert np.abs(found - (max(1.0 - b - c, 0.0), b, c)).max() <= 3e-7

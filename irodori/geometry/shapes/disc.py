@@ -1,12 +1,49 @@
-"""Closed-form occlusion of the cosine-weighted sky by a disc or a plane, clipped at the horizon.
+"""Discs, and the closed form of what they hide of the cosine-weighted sky, clipped at the horizon.
 
 Lambert's sum over a polygon's edges becomes, over a circle r(t) = c + ρ (e₁ cos t + e₂ sin t) seen from the origin, the
 integral of n · (r × dr) / |r|²: a quotient of first-order trigonometric polynomials, whose primitive is elementary.
 """
 
 import math
+from dataclasses import dataclass
 
+import numpy as np
+
+from irodori.geometry.embree import Primitive, oriented_disc
+from irodori.geometry.shapes.flat import (
+    FlatShape,
+    flat_point,
+    flat_texture,
+    frame_axes,
+    nodes_about_flat,
+    surface_at_flat,
+)
+from irodori.geometry.shapes.placement import Placement
+from irodori.geometry.shapes.shape import Kernels, ball_may_be_met
+from irodori.geometry.shapes.shape_rows import RADIUS
 from irodori.jit.native import njit
+
+IS_FLAT = True
+SCHEMA = {
+    "scene": {
+        "title": "DiscShape",
+        "type": "object",
+        "additionalProperties": False,
+        "required": ["kind", "radius_mm"],
+        "properties": {
+            "kind": {
+                "const": "disc",
+                "description": "A flat disc that faces +z before it is turned, and is black behind.",
+            },
+            "radius_mm": {
+                "type": "number",
+                "exclusiveMinimum": 0,
+                "maximum": 1.0e6,
+                "description": "Radius, in mm.",
+            },
+        },
+    }
+}
 
 #: Relative variation of |r|² over the circle under which it counts as constant.
 _CENTRED = 1e-7
@@ -23,6 +60,10 @@ def _primitive(tau, a, b, s, k, swing, root, ratio):
     plain = 2.0 / root * math.atan2(ratio * math.sin(0.5 * tau), math.cos(0.5 * tau))
     rise = math.log1p(swing * (math.cos(tau) - 1.0) / (k + swing))
     return b / swing * tau + (a - b * k / swing) * plain - s / swing * rise
+
+
+# Lambert's sum over a polygon's edges becomes, over a circle r(t) = c + ρ (e₁ cos t + e₂ sin t) seen from the origin,
+# the integral of n · (r × dr) / |r|²: a quotient of first-order trigonometric polynomials with an elementary primitive.
 
 
 @njit(cache=True, error_model="numpy")
@@ -79,6 +120,57 @@ def hidden_by_disc(normal, centre, axes, radius):
 
 
 @njit(cache=True)
-def hidden_by_plane(cosine):
-    """Return the share that an endless plane hides, by the cosine between the point's normal and its own."""
-    return 0.5 * (1.0 - cosine)
+def _hides(row, at, x, y, z, normal):
+    axes = frame_axes(row, at)
+    facing = axes[2]
+    if x * facing[0] + y * facing[1] + z * facing[2] >= 0.0:
+        facing = (0.0, 0.0, 0.0)
+    return hidden_by_disc(normal, (x, y, z), axes, np.float64(row[at + RADIUS])), facing
+
+
+@dataclass(frozen=True)
+class Disc(FlatShape):
+    """A disc about the origin; its texture is that of the square about it.
+
+    Parameters
+    ----------
+    radius_mm : float
+    """
+
+    radius_mm: float
+
+    name = "disc"
+    schema = SCHEMA
+    is_endless = False
+    kernels = Kernels(
+        surface_at=surface_at_flat,
+        hides=_hides,
+        may_be_met=ball_may_be_met,
+        point=flat_point,
+        texture=flat_texture,
+        nodes_about=nodes_about_flat,
+    )
+
+    @classmethod
+    def from_block(cls, block: dict) -> "Disc":
+        """Return the disc of a block with its radius."""
+        return cls(float(block["radius_mm"]))
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """The diameter twice."""
+        return 2.0 * self.radius_mm, 2.0 * self.radius_mm
+
+    @property
+    def reach_mm(self) -> float:
+        """The radius."""
+        return self.radius_mm
+
+    def primitive(self, placement: Placement) -> Primitive:
+        """Return Embree's own disc, which is exact."""
+        return oriented_disc(placement.translation_mm, placement.rotation[:, 2], self.radius_mm * placement.scale)
+
+    def samples(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the centre and four points of the rim: there the camera's angles differ most."""
+        position = self.radius_mm * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], dtype=float)
+        return position, np.tile([0.0, 0.0, 1.0], (len(position), 1))

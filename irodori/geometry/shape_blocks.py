@@ -1,0 +1,67 @@
+"""What configuration knows of the shapes, read from their files without importing them.
+
+Light enough for the Snakefile, nothing but the standard library is imported: a shape's file has its variants of the key
+``shape`` as the literal ``SCHEMA``, and whether it is flat as the literal ``IS_FLAT``.
+"""
+
+import ast
+import functools
+from pathlib import Path
+from typing import NamedTuple
+
+_FOLDER = Path(__file__).resolve().parent / "shapes"
+
+
+class _Block(NamedTuple):
+    schema: dict[str, dict]  # of each schema that has the shape, its variant
+    is_flat: bool
+
+    @property
+    def name(self) -> str:
+        return next(iter(self.schema.values()))["properties"]["kind"]["const"]
+
+
+_outside: list[_Block] = []
+
+
+def add_block(schema: dict[str, dict], is_flat: bool) -> None:
+    """Make the variants of a shape from outside the package known; before the first definition is read."""
+    _outside.append(_Block(schema, is_flat))
+
+
+@functools.cache
+def _own() -> list[_Block]:
+    found = []
+    for file in sorted(_FOLDER.glob("*.py")):
+        literals = {}
+        for node in ast.parse(file.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) in ("SCHEMA", "IS_FLAT"):
+                literals[ast.unparse(node.targets[0])] = ast.literal_eval(node.value)
+        if literals:
+            found.append(_Block(literals["SCHEMA"], literals["IS_FLAT"]))
+    return found
+
+
+def variants(of: str) -> list[dict]:
+    """Return the variants of the key ``shape`` in a schema.
+
+    Parameters
+    ----------
+    of : {"object", "scene"}
+        Objects that are photographed, or bodies of a scene.
+    """
+    return [block.schema[of] for block in [*_own(), *_outside] if of in block.schema]
+
+
+def is_flat(name: str) -> bool:
+    """Return whether a shape lies in one plane and faces one way, by its name in configuration.
+
+    Raises
+    ------
+    ValueError
+        If there is no such shape.
+    """
+    known = {block.name: block.is_flat for block in [*_own(), *_outside]}
+    if name not in known:
+        raise ValueError(f"unknown shape {name!r}; accepted: {', '.join(known)}")
+    return known[name]

@@ -1,0 +1,172 @@
+"""Nodes of a triangle mesh for what is hidden by rays, and how a hit finds those about it.
+
+Triangles are divided evenly into as many smaller ones as the nodes allow; those of a fine mesh are not, and share nodes
+at their corners.
+"""
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from irodori.geometry.mesh import Mesh
+from irodori.geometry.shapes.shadow_nodes import GRID, Nodes, raised
+from irodori.jit.native import njit
+
+if TYPE_CHECKING:
+    from irodori.geometry.shapes.placement import Placement
+
+#: Nodes of a mesh, as far as its own corners are not more.
+MESH_NODES = 1 << 14
+#: Nodes at an edge or a crease keep this part of their distance from the middle of the triangle away from it.
+_INSET = 0.05
+#: Corners share a node where their normals agree in so many steps between -1 and 1.
+_NORMAL_STEPS = 1022
+
+
+def lattice(parts: int) -> np.ndarray:
+    """Return the weights of a triangle's corners at the places of a division, (places, 3), row by row."""
+    rows = [(parts - i - j, i, j) for j in range(parts + 1) for i in range(parts + 1 - j)]
+    return np.array(rows, dtype=np.float64) / parts
+
+
+def _lattice_cells(parts: int) -> np.ndarray:
+    """Return the small triangles of a division, (parts², 3) places."""
+    start = [j * (parts + 1) - j * (j - 1) // 2 for j in range(parts + 2)]
+    cells = []
+    for j in range(parts):
+        for i in range(parts - j):
+            a, b = start[j] + i, start[j + 1] + i
+            cells.append((a, a + 1, b))
+            if i + j < parts - 1:
+                cells.append((b + 1, b, a + 1))
+    return np.array(cells)
+
+
+def _divisions(longest: np.ndarray, corners: int) -> np.ndarray:
+    """Return into how many parts to divide the edges of triangles by the length of their longest, (m,) int."""
+    ones = np.ones(len(longest), dtype=np.int64)
+    if corners >= MESH_NODES:
+        return ones
+    fine, coarse = longest.max() / MESH_NODES, longest.max()
+    for _ in range(40):
+        middle = math.sqrt(fine * coarse)
+        parts = np.maximum(np.ceil(longest / middle), 1.0)
+        if corners + np.where(parts > 1.0, 0.5 * (parts + 1.0) * (parts + 2.0), 0.0).sum() > MESH_NODES:
+            fine = middle
+        else:
+            coarse = middle
+    return np.maximum(np.ceil(longest / coarse), ones).astype(np.int64)
+
+
+def _shared_corners(mesh: Mesh, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the node of each corner of chosen triangles, and each node's first corner and whether it has a whole ring.
+
+    A node is a vertex and a normal. Its ring is whole where the triangles that share it lie all around the vertex:
+    neither an edge of the surface nor a crease is there.
+    """
+    faces = mesh.faces[chosen].astype(np.int64)
+    steps = np.round((mesh.normals[chosen] + 1.0) * (0.5 * _NORMAL_STEPS)).astype(np.int64)
+    key = ((faces << 10 | steps[..., 0]) << 10 | steps[..., 1]) << 10 | steps[..., 2]
+    _, first, node = np.unique(key.ravel(), return_index=True, return_inverse=True)
+    node = node.reshape(-1)
+    beside = np.stack([np.roll(faces, -1, axis=1), np.roll(faces, 1, axis=1)], axis=-1).reshape(-1, 2)
+    pair, count = np.unique((node[:, None] * len(mesh.vertices_mm) + beside).ravel(), return_counts=True)
+    whole = np.ones(len(first), dtype=bool)
+    whole[pair[count != 2] // len(mesh.vertices_mm)] = False
+    return node, first, whole
+
+
+def mesh_nodes(mesh: Mesh, placement: "Placement") -> Nodes:
+    """Return the nodes of a placed mesh."""
+    world = placement.points(mesh.vertices_mm)
+    a, b, c = (world[mesh.faces[:, k]] for k in range(3))
+    longest = np.sqrt(np.max([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0))
+    parts = _divisions(longest, len(world))
+    sizes = (parts + 1) * (parts + 2) // 2
+    first = np.cumsum(sizes) - sizes
+    corners = np.empty(sizes.sum(), dtype=np.int32)
+    found, cells, count = [], [], 0
+    for number in np.unique(parts):
+        chosen = np.flatnonzero(parts == number)
+        if number == 1:
+            local, node = _corner_nodes(mesh, chosen)
+        else:
+            local, node = _divided_nodes(mesh, chosen, int(number))
+        found.append(local)
+        corners[first[chosen][:, None] + np.arange(node.shape[1])] = count + node
+        cells.append(count + node[:, _lattice_cells(int(number))].reshape(-1, 3))
+        count += len(local[0])
+    point, normal, facet, beside = (np.concatenate(part) for part in zip(*found, strict=True))
+    reach = placement.shape.reach_mm * placement.scale
+    normal, facet = normal @ placement.rotation.T, facet @ placement.rotation.T
+    origin, probe = (raised(placement.points(p), facet, reach) for p in (point, beside))
+    return Nodes(origin, normal, facet, probe, np.concatenate(cells), np.zeros(GRID), parts.astype(np.int32), corners)
+
+
+def _unit(vectors: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return vectors at unit length, others where they have none."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.where(length > 1e-6, vectors / np.maximum(length, 1e-6), other)
+
+
+def _corner_nodes(mesh: Mesh, chosen: np.ndarray) -> tuple[tuple, np.ndarray]:
+    """Return nodes at the corners of triangles (points, normals, facets, probes), and those of each triangle."""
+    node, first, whole = _shared_corners(mesh, chosen)
+    triangle, corner = chosen[first // 3], first % 3
+    vertex = mesh.vertices_mm[mesh.faces[triangle, corner]]
+    centre = mesh.vertices_mm[mesh.faces[triangle]].mean(axis=1)
+    facet = mesh.facets[triangle]
+    normal = _unit(mesh.normals[triangle, corner], facet)
+    # All about a vertex the surface falls away or rises: its own normal is as good as that of any triangle. At an edge
+    # the node lies in one triangle, clear of what the edge touches.
+    inset = np.where(whole, 0.0, _INSET)[:, None]
+    point = vertex + inset * (centre - vertex)
+    facet = np.where(whole[:, None], normal, facet)
+    return (point, normal, facet, centre), node.reshape(-1, 3)
+
+
+def _divided_nodes(mesh: Mesh, chosen: np.ndarray, parts: int) -> tuple[tuple, np.ndarray]:
+    """Do what `_corner_nodes` does for triangles that are divided and share no nodes."""
+    weights, middle = lattice(parts), np.full(3, 1.0 / 3.0)
+    inset = weights + _INSET / parts * (middle - weights)
+    # As far away as the middle of a small triangle is from its corner.
+    beside = weights + (middle - weights) / parts
+    vertices = mesh.vertices_mm[mesh.faces[chosen]]
+    point, probe = (np.einsum("pk,fkx->fpx", w, vertices).reshape(-1, 3) for w in (inset, beside))
+    facet = np.repeat(mesh.facets[chosen], len(weights), axis=0)
+    normal = np.einsum("pk,fkx->fpx", weights, mesh.normals[chosen]).reshape(-1, 3)
+    node = np.arange(len(point)).reshape(len(chosen), -1)
+    return (point, _unit(normal, facet), facet, probe), node
+
+
+@njit(cache=True)
+def lattice_place(parts, b, c):
+    """Return the three places about a point of a triangle, the last of them twice, and their weights."""
+    x, y = min(max(b, 0.0), 1.0) * parts, min(max(c, 0.0), 1.0) * parts
+    j = min(int(y), parts - 1)
+    i = min(int(x), parts - 1 - j)
+    fx, fy = min(x - i, 1.0), min(y - j, 1.0)
+    here = j * (parts + 1) - j * (j - 1) // 2 + i
+    above = here + parts + 1 - j
+    if i + j == parts - 1 and fx + fy > 1.0:
+        # Beyond the triangle's third edge by rounding, where no further places are.
+        fx = fx / (fx + fy)
+        fy = 1.0 - fx
+    if i + j == parts - 1 or fx + fy <= 1.0:
+        return (here, here + 1, above, above), (1.0 - fx - fy, fx, fy, 0.0)
+    return (above + 1, above, here + 1, here + 1), (fx + fy - 1.0, 1.0 - fx, 1.0 - fy, 0.0)
+
+
+@njit(cache=True)
+def nodes_about_mesh(shadows, own, row, hit):
+    """Return the nodes about a hit, and their weights, from its place in its triangle."""
+    places, weights = lattice_place(np.int64(shadows.parts[hit.triangle]), hit.b, hit.c)
+    first = shadows.first_corner[hit.triangle]
+    corners = shadows.corners
+    return (
+        np.int64(corners[first + places[0]]),
+        np.int64(corners[first + places[1]]),
+        np.int64(corners[first + places[2]]),
+        np.int64(corners[first + places[3]]),
+    ), weights

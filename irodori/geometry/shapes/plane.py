@@ -1,0 +1,134 @@
+"""Endless planes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori.geometry.embree import Primitive, oriented_disc
+from irodori.geometry.shapes import flat
+from irodori.geometry.shapes.flat import (
+    FlatShape,
+    flat_point,
+    flat_texture,
+    frame_axes,
+    nodes_about_flat,
+    onto_plane,
+)
+from irodori.geometry.shapes.placement import Placement
+from irodori.geometry.shapes.shape import Kernels
+from irodori.geometry.shapes.shape_rows import RADIUS, TURN
+from irodori.jit.native import njit
+from irodori.jit.ray_vectors import absolute, greatest
+
+IS_FLAT = True
+SCHEMA = {
+    "scene": {
+        "title": "PlaneShape",
+        "type": "object",
+        "additionalProperties": False,
+        "required": ["kind"],
+        "properties": {
+            "kind": {
+                "const": "plane",
+                "description": "An endless plane, a floor unless it is turned; it faces +z before, and is black "
+                "behind.",
+            }
+        },
+    }
+}
+
+#: An endless plane is a disc of this radius: its edge is nearer to the horizon than single precision tells.
+RADIUS_MM = 1e12
+#: A height above a plane that is rounding: less than any hit's point rises, so that reflections are not held back.
+IN_PLANE = 0.25 * 2.0**-18
+
+
+@njit(cache=True, inline="always")
+def _surface_at(surfaces, index, ray, point, normal, facet):
+    onto_plane(surfaces, index, point, normal, facet)
+    return 0.5, 0.5
+
+
+@njit(cache=True)
+def hidden_by_plane(cosine):
+    """Return the share that an endless plane hides, by the cosine between the point's normal and its own."""
+    return 0.5 * (1.0 - cosine)
+
+
+@njit(cache=True)
+def _hides(row, at, x, y, z, normal):
+    facing = frame_axes(row, at)[2]
+    cosine = normal[0] * facing[0] + normal[1] * facing[1] + normal[2] * facing[2]
+    if x * facing[0] + y * facing[1] + z * facing[2] >= 0.0:
+        return hidden_by_plane(-cosine), (0.0, 0.0, 0.0)
+    return hidden_by_plane(cosine), facing
+
+
+@njit(cache=True, forceinline=True)
+def distance_to_plane(row, at, centre, direction, reach):
+    """Return distances along rays to a shape's plane, and the mask of those that may meet it."""
+    x, y, z = centre
+    dx, dy, dz = direction
+    nx, ny, nz = row[at + TURN + 2], row[at + TURN + 5], row[at + TURN + 8]
+    height, steepness = x * nx + y * ny + z * nz, dx * nx + dy * ny + dz * nz
+    distance = height / steepness
+    # A ray that starts in the plane, but for rounding, Embree may let meet it: at no distance.
+    return distance, (distance >= 0.0) | (absolute(height) <= greatest(reach, row[at + RADIUS]) * IN_PLANE)
+
+
+@njit(cache=True, forceinline=True)
+def _may_be_met(row, at, centre, direction, along, reach):
+    return distance_to_plane(row, at, centre, direction, reach)[1]
+
+
+@dataclass(frozen=True)
+class Plane(FlatShape):
+    """All of z = 0; everywhere it has the middle of its texture."""
+
+    name = "plane"
+    schema = SCHEMA
+    is_endless = True
+    kernels = Kernels(
+        surface_at=_surface_at,
+        hides=_hides,
+        may_be_met=_may_be_met,
+        point=flat_point,
+        texture=flat_texture,
+        nodes_about=nodes_about_flat,
+    )
+
+    @classmethod
+    def from_block(cls, block: dict) -> "Plane":
+        """Return the plane; there is but one."""
+        return cls()
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """None."""
+        return 0.0, 0.0
+
+    @property
+    def reach_mm(self) -> float:
+        """None, see `irodori.geometry.shapes.reaches`."""
+        return 0.0
+
+    def frame_origin(self, placement: Placement) -> np.ndarray:
+        """Return the point that is nearest to the world's origin, from which all places are rounded least."""
+        axis = placement.rotation[:, 2]
+        return (placement.translation_mm @ axis) * axis
+
+    def primitive(self, placement: Placement) -> Primitive:
+        """Return a disc whose edge nobody sees."""
+        return oriented_disc(self.frame_origin(placement), placement.rotation[:, 2], RADIUS_MM)
+
+    def samples(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the origin."""
+        return np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]])
+
+    def texture_per_mm(self, scale: float) -> tuple[float, float]:
+        """None: one place of the texture is everywhere."""
+        return 0.0, 0.0
+
+    def grid_ends(self, axis: int, scale: float, middle_mm: float, reach_mm: float) -> np.ndarray:
+        """Return the ends of all places, but half a node."""
+        return np.array([-1.0, 1.0]) * (1.0 - 1.0 / flat.FLAT_SIDE)

@@ -1,0 +1,35 @@
+"""Layout of a placed shape's numbers in the table that the interactive integrator reads."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from irodori.geometry.shapes.placement import Placement
+
+#: Numbers of a shape.
+SHAPE = 24
+CENTRE, RADIUS, CURVATURE, TURN, WIDE, HIGH, KIND, MIRROR, COLUMNS, ROWS = 0, 3, 4, 5, 14, 15, 16, 17, 18, 19
+
+
+def shape_row(placement: "Placement", reach_mm: float, number: int, dtype=np.float32) -> np.ndarray:
+    """Return the numbers of a placed shape, (SHAPE,), those of its material zero.
+
+    Parameters
+    ----------
+    placement : Placement
+    reach_mm : float
+        See `irodori.geometry.shapes.reaches`.
+    number : int
+        See `irodori.geometry.shape_registry.number_of`.
+    dtype : type
+        float32 as the integrator reads them, or float64.
+    """
+    row = np.zeros(SHAPE, dtype=dtype)
+    shape = placement.shape
+    row[CENTRE : CENTRE + 3] = shape.frame_origin(placement)
+    row[TURN : TURN + 9] = np.ravel(placement.rotation)
+    row[RADIUS], row[KIND] = reach_mm, number
+    row[CURVATURE] = shape.curvature_per_mm(placement.scale)
+    row[WIDE : WIDE + 2] = shape.texture_per_mm(placement.scale)
+    return row

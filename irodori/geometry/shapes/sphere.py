@@ -1,0 +1,253 @@
+"""Spheres."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori.geometry.atlas import Texels
+from irodori.geometry.embree import Primitive, sphere_point
+from irodori.geometry.shapes.placement import Placement
+from irodori.geometry.shapes.shadow_nodes import GRID, Nodes, grid_place, grid_size, quadrangles, raised
+from irodori.geometry.shapes.shape import Kernels, Shape, ball_may_be_met, in_frame, texel_centres
+from irodori.geometry.shapes.shape_rows import RADIUS
+from irodori.jit.native import njit
+from irodori.jit.ray_vectors import absolute, greatest, least, root, select, with_sign
+
+IS_FLAT = False
+SCHEMA = {
+    "object": {
+        "title": "SphereShape",
+        "type": "object",
+        "additionalProperties": False,
+        "required": ["kind", "radius_mm"],
+        "properties": {
+            "kind": {"const": "sphere", "description": "A sphere, its centre at the origin of the rig."},
+            "radius_mm": {
+                "type": "number",
+                "exclusiveMinimum": 0,
+                "maximum": 10000,
+                "description": "Radius, in mm.",
+            },
+        },
+    },
+    "scene": {
+        "title": "SphereShape",
+        "type": "object",
+        "additionalProperties": False,
+        "required": ["kind", "radius_mm"],
+        "properties": {
+            "kind": {"const": "sphere", "description": "A sphere."},
+            "radius_mm": {
+                "type": "number",
+                "exclusiveMinimum": 0,
+                "maximum": 1.0e6,
+                "description": "Radius, in mm.",
+            },
+        },
+    },
+}
+
+#: Nodes along the equator; there are half as many rows.
+EQUATOR = 128
+
+
+@njit(cache=True, error_model="numpy")
+def uv_of_sphere(x, y, z):
+    """Return the texture coordinates of a point in the shape's frame, mm."""
+    u = math.atan2(y, x) / (2.0 * math.pi)
+    v = math.atan2(math.sqrt(x * x + y * y), z) / math.pi
+    return (u if u >= 0.0 else u + 1.0), v
+
+
+@njit(cache=True, inline="always")
+def _surface_at(surfaces, index, ray, point, normal, facet):
+    ox, oy, oz = in_frame(surfaces, index, point)
+    x = point[0] - surfaces.translation_mm[index, 0]
+    y = point[1] - surfaces.translation_mm[index, 1]
+    z = point[2] - surfaces.translation_mm[index, 2]
+    length = math.sqrt(x * x + y * y + z * z)
+    radius = surfaces.size_mm[index, 0] * surfaces.scale[index]
+    for a in range(3):
+        normal[a] = (point[a] - surfaces.translation_mm[index, a]) / length
+        point[a] = surfaces.translation_mm[index, a] + radius * normal[a]
+        facet[a] = normal[a]
+    return uv_of_sphere(ox, oy, oz)
+
+
+@njit(cache=True, forceinline=True)
+def _point(offset, facing, radius):
+    x, y, z = offset
+    inverse = 1.0 / greatest(root(x * x + y * y + z * z), 1e-30)
+    nx, ny, nz = x * inverse, y * inverse, z * inverse
+    return radius * nx, radius * ny, radius * nz, nx, ny, nz
+
+
+@njit(cache=True, forceinline=True)
+def arc_tangent(y, x):
+    """Return atan2 of vectors within 1e-5 rad."""
+    ax, ay = absolute(x), absolute(y)
+    ratio = least(ax, ay) / greatest(greatest(ax, ay), 1e-30)
+    s = ratio * ratio
+    angle = ratio * (
+        0.99997726 + s * (-0.33262347 + s * (0.19354346 + s * (-0.11643287 + s * (0.05265332 + s * -0.01172120))))
+    )
+    angle = select(ay > ax, 0.5 * np.pi - angle, angle)
+    angle = select(x < 0.0, np.pi - angle, angle)
+    return with_sign(angle, y)
+
+
+@njit(cache=True, forceinline=True)
+def _texture(local, wide, high):
+    x, y, z = local
+    turn = arc_tangent(y, x) * (0.5 / np.pi)
+    return select(turn < 0.0, turn + 1.0, turn), arc_tangent(root(x * x + y * y), z) * (1.0 / np.pi)
+
+
+@njit(cache=True, error_model="numpy")
+def hidden_by_sphere(cosine, distance, radius):
+    """Return the share of the cosine-weighted hemisphere that a sphere hides.
+
+    Parameters
+    ----------
+    cosine : float
+        Of the angle between the normal and the way to the centre.
+    distance : float
+        To the centre, mm; a point inside is hidden by nothing.
+    radius : float, mm
+    """
+    if distance <= radius:
+        return 0.0
+    ratio = distance / radius
+    square = ratio * ratio
+    if cosine * ratio >= 1.0:
+        return cosine / square
+    if cosine * ratio <= -1.0:
+        return 0.0
+    cut = 1.0 - square * cosine * cosine
+    turn = math.acos(min(max(-cosine * math.sqrt((square - 1.0) / (1.0 - cosine * cosine)), -1.0), 1.0))
+    part = (cosine * turn - math.sqrt(cut * (square - 1.0))) / square + math.atan(math.sqrt(cut / (square - 1.0)))
+    return max(part / math.pi, 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _hides(row, at, x, y, z, normal):
+    distance = math.sqrt(x * x + y * y + z * z)
+    if distance <= 0.0:
+        return 0.0, (0.0, 0.0, 0.0)
+    cosine = (x * normal[0] + y * normal[1] + z * normal[2]) / distance
+    share = hidden_by_sphere(cosine, distance, np.float64(row[at + RADIUS]))
+    return share, (-x / distance, -y / distance, -z / distance)
+
+
+@njit(cache=True)
+def _nodes_about(shadows, own, row, hit):
+    columns, rows = grid_size(shadows.grid, own)
+    column, line = hit.u * columns - 0.5, hit.v * rows - 0.5
+    return grid_place(np.float64(column), np.float64(line), columns, rows, True)
+
+
+@dataclass(frozen=True)
+class Sphere(Shape):
+    """A sphere about the origin; v runs from the pole +z to -z, u is the azimuth from +x towards +y over 2π.
+
+    Parameters
+    ----------
+    radius_mm : float
+    """
+
+    radius_mm: float
+
+    name = "sphere"
+    schema = SCHEMA
+    is_flat = False
+    is_convex = True
+    is_endless = False
+    is_curved = True
+    has_inside = True
+    hides_by_rays = False
+    wraps = True
+    border = "joined"
+    kernels = Kernels(
+        surface_at=_surface_at,
+        hides=_hides,
+        may_be_met=ball_may_be_met,
+        point=_point,
+        texture=_texture,
+        nodes_about=_nodes_about,
+    )
+
+    @classmethod
+    def from_block(cls, block: dict) -> "Sphere":
+        """Return the sphere of a block with its radius."""
+        return cls(float(block["radius_mm"]))
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """The radius twice."""
+        return self.radius_mm, self.radius_mm
+
+    @property
+    def reach_mm(self) -> float:
+        """The radius."""
+        return self.radius_mm
+
+    @property
+    def table_height_mm(self) -> float:
+        """The centre is at the origin."""
+        return -self.radius_mm
+
+    def primitive(self, placement: Placement) -> Primitive:
+        """Return Embree's own sphere, which is exact."""
+        return sphere_point(placement.translation_mm, self.radius_mm * placement.scale)
+
+    def refined(self, origin, direction, distance, triangle) -> np.ndarray:
+        """Return the root of the sphere's equation that is nearer to the traced distance."""
+        a = np.sum(direction**2, axis=1)
+        b = np.sum(origin * direction, axis=1)
+        # The discriminant by the distance of the ray from the centre: no cancellation for far rays.
+        perpendicular = origin - direction * (b / a)[:, None]
+        root = np.sqrt(np.maximum(self.radius_mm**2 - np.sum(perpendicular**2, axis=1), 0.0) / a)
+        near, far = -b / a - root, -b / a + root
+        return np.where(np.abs(near - distance) <= np.abs(far - distance), near, far)
+
+    def atlas(self, width: int, height: int, rows: tuple[int, int] | None = None) -> Texels:
+        """Return texels of longitude by latitude."""
+        u, v = texel_centres(width, height, rows)
+        theta, azimuth = np.pi * v, 2 * np.pi * u
+        normal = np.stack([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1)
+        return Texels(self.radius_mm * normal, normal, normal, np.ones(u.shape, dtype=bool))
+
+    def samples(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return points spread evenly, on a spiral from pole to pole."""
+        index = np.arange(count) + 0.5
+        z, azimuth = 1.0 - 2.0 * index / count, np.pi * (1.0 + math.sqrt(5.0)) * index
+        radius = np.sqrt(1.0 - z**2)
+        normal = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=-1)
+        return self.radius_mm * normal, normal
+
+    def curvature_per_mm(self, scale: float) -> float:
+        """Twice that of a great circle."""
+        return 2.0 / (self.radius_mm * scale)
+
+    def texture_per_mm(self, scale: float) -> tuple[float, float]:
+        """None: the texture lies along angles."""
+        return 0.0, 0.0
+
+    def nodes(self, placement: Placement, reach_mm: float, points: list[np.ndarray]) -> Nodes:
+        """Return the middles of the texels that a texture of `EQUATOR` columns would have."""
+        columns, rows = EQUATOR, EQUATOR // 2
+        azimuth = (np.arange(columns) + 0.5) * 2.0 * np.pi / columns
+        theta = (np.arange(rows) + 0.5) * np.pi / rows
+        azimuth, theta = (values.ravel() for values in np.meshgrid(azimuth, theta))
+        local = np.stack([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=1)
+        away = np.stack([np.cos(theta) * np.cos(azimuth), np.cos(theta) * np.sin(azimuth), -np.sin(theta)], axis=1)
+        away *= np.where(theta < 0.5 * np.pi, 1.0, -1.0)[:, None]  # towards the equator
+        normal, away = local @ placement.rotation.T, away @ placement.rotation.T
+        radius = self.radius_mm * placement.scale
+        origin = raised(placement.translation_mm + radius * normal, normal, radius)
+        probe = origin + 0.5 * radius * np.pi / rows * away
+        number = np.arange(rows * columns).reshape(rows, columns)
+        cells = quadrangles(np.concatenate([number, number[:, :1]], axis=1))
+        grid = np.array([columns, rows, *[0.0] * (GRID - 2)])
+        return Nodes(origin, normal, normal, probe, cells, grid)

@@ -1,0 +1,96 @@
+"""Run by test_shapes in a process of its own: a shape from outside the package through all that asks shapes.
+
+usage: python tube_everywhere.py OUTPUT PART
+"""
+
+import sys
+import tempfile
+from pathlib import Path
+
+from tube import Tube
+
+from irodori.geometry.shape_registry import register
+
+register(Tube)
+
+import numpy as np  # noqa: E402
+from scenes import material, plate, sky, smooth_light  # noqa: E402
+from test_flat_shapes import seen  # noqa: E402
+from test_rectification import pixel_of, rectify  # noqa: E402
+
+from irodori.config.capture_table import Pose  # noqa: E402
+from irodori.config.validation import load_schema  # noqa: E402
+from irodori.geometry.embree import Tracer  # noqa: E402
+from irodori.geometry.rig_frame import rig_from_object, rotation_xyz  # noqa: E402
+from irodori.geometry.shapes import Placement, Shape  # noqa: E402
+from irodori.rendering.planning.probe_look_ups import meet  # noqa: E402
+
+BLOCK = {"kind": "tube", "radius_mm": 20.0, "height_mm": 60.0}
+
+
+def traced() -> dict:
+    """Distances and surfaces of rays; the shape from configuration."""
+    shape = Shape.from_definition(BLOCK)
+    placement = Placement(shape, rotation_xyz((20.0, 30.0, 40.0)), np.array([5.0, -3.0, 8.0]), 1.5)
+    rng = np.random.default_rng(3)
+    origin = rng.normal(size=(4000, 3))
+    origin *= 300.0 / np.linalg.norm(origin, axis=1, keepdims=True)
+    direction = rng.normal(size=origin.shape) * 15.0 - origin
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    tracer = Tracer([placement])
+    distance, hit = tracer.intersect(origin, direction)
+    points = meet(tracer, origin, direction)
+    reached = origin + np.where(hit == 0, distance, 0.0)[:, None] * direction
+    local = (points.point - placement.translation_mm) @ placement.rotation / placement.scale
+    variants = [v["properties"]["kind"]["const"] for v in load_schema("object")["properties"]["shape"]["oneOf"]]
+    return {
+        "hit": hit, "seen": points.shape, "local": local, "uv": points.uv, "normal": points.normal @ placement.rotation,
+        "exact": (reached - placement.translation_mm) @ placement.rotation / placement.scale,
+        "variants": np.array(variants),
+    }  # fmt: skip
+
+
+def rectified() -> dict:
+    """Observations of pictures whose responses are known functions of the place."""
+    definition = {"shape": BLOCK, "texels": {"width": 48, "height": 24}}
+    pose = Pose(35.0, 0.0, 45.0, 40.0)  # light and camera before the same side
+    with tempfile.TemporaryDirectory() as folder:
+        found = rectify(Path(folder), definition, [pose], max_angle_deg=88.0)
+    position = Shape.from_definition(BLOCK).texels(48, 24)[0].reshape(-1, 3)
+    rotation = rig_from_object(pose)
+    return {
+        "response": found["response"],
+        "weight": found["weight"],
+        "pixel": pixel_of(position @ rotation.T, pose),
+    }
+
+
+VIEW = {"position": (0.0, -300.0, 0.0), "target": (0.0, 0.0, 0.0), "size": (32, 32), "fov": 8.0}
+#: Nothing is seen of the inside, which is black.
+FLOOR_VIEW = {"position": (0.0, -300.0, 20.0), "target": (0.0, 0.0, -30.0), "size": (48, 32), "fov": 20.0}
+
+
+def rendered(integrator: str) -> dict:
+    """Pictures of the tube under a smooth sky, in a white furnace on a floor, and of the floor alone."""
+    shape, grey, white = Shape.from_definition(BLOCK), material(0.5), material(1.0)
+    kind = {"kind": "interactive", "ambient": True}
+    if integrator == "reference":
+        kind = {"kind": "reference", "samples": 256, "seed": 0}
+    light = sky(smooth_light)
+    tube = seen([shape], [grey], [(0.0, 0.0, 0.0)], kind, light, **VIEW)
+    both = seen([plate(400.0), shape], [white, white], [(0.0, 0.0, -30.0), (0.0, 0.0, 0.0)], kind, **FLOOR_VIEW)
+    dark = [material(0.5), material(0.0)]
+    shadow = seen([plate(400.0), shape], dark, [(0.0, 0.0, -30.0), (0.0, 0.0, 0.0)], kind, **FLOOR_VIEW)
+    alone = seen([plate(400.0)], dark[:1], [(0.0, 0.0, -30.0)], kind, **FLOOR_VIEW)
+    return {"tube": tube[..., 30], "furnace": both[..., 30], "shadow": shadow[..., 30], "alone": alone[..., 30]}
+
+
+PARTS = {
+    "traced": traced,
+    "rectified": rectified,
+    "reference": lambda: rendered("reference"),
+    "interactive": lambda: rendered("interactive"),
+}
+
+if __name__ == "__main__":
+    np.savez(sys.argv[1], **PARTS[sys.argv[2]]())
