@@ -10,8 +10,9 @@ a remainder; each step of the geometry is a loop of its own, because the compile
 import math
 
 from irodori.jit.exponential import exp_negative as exp_negative
-from irodori.jit.lanes import lower_of, magnitude, root, select, upper_of
+from irodori.jit.lanes import lower_of, select, upper_of
 from irodori.jit.native import njit
+from irodori.reflection.fresnel import fresnel
 
 LANES = 8
 #: Rows of a texel's block: cosθ_i, F G / cosθ_r, φ², response, weight, weight times cosine and times response, expected
@@ -47,25 +48,6 @@ def cosine_of(angle):
     p = p * s + 1.0 / 120.0
     p = p * s - 1.0 / 6.0
     return y + y * s * p
-
-
-@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
-def fresnel_of(c, n, k):
-    """Return `irodori.reflection.equation5.fresnel` of a cosine up to 1, without branches; numbers or lanes.
-
-    Below zero it is as at zero: what turns away has no gloss, and index 1 would make infinity times nothing of it.
-    """
-    c = upper_of(c, 0.0)
-    nk, c2 = n * k, c * c
-    s2 = 1.0 - c2
-    real = (n - 1.0) * (n + 1.0) - k * k + c2
-    modulus = root(real * real + 4.0 * nk * nk)
-    half = root(0.5 * (modulus + magnitude(real)) + _TINY)
-    a = select(real >= 0.0, half, nk / half)
-    cross = 2.0 * a * c
-    s = (modulus + c2 - cross) / (modulus + c2 + cross + _TINY)
-    p_sum, p_cross = modulus * c2 + s2 * s2, cross * s2
-    return 0.5 * s * (1.0 + (p_sum - p_cross) / (p_sum + p_cross + _TINY))
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
@@ -115,7 +97,7 @@ def pack_geometry(geometry, n, k, angles, block):
     for j in range(block.shape[1]):
         # Light and eye are on the outer side, or no light is carried.
         block[COSINE, j] = angles[0, j] if angles[0, j] > 0.0 and block[LOBE, j] > 0.0 else 0.0
-        block[GLOSS, j] = fresnel_of(angles[2, j], n, k) * angles[1, j]
+        block[GLOSS, j] = fresnel(angles[2, j], n, k) * angles[1, j]
 
 
 @njit(cache=True)

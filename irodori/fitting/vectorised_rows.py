@@ -10,9 +10,10 @@ import numpy as np
 
 from irodori.fitting import judge
 from irodori.fitting.observations import ENOUGH, LARGE, LEAST_VARIANCE, TINY, is_same
-from irodori.fitting.texel_rows import COSINE, GLOSS, SPOILED, SQUARE, attenuation, cosine_of, fresnel_of
+from irodori.fitting.texel_rows import COSINE, GLOSS, SPOILED, SQUARE, attenuation, cosine_of
 from irodori.jit.lanes import COUNT, bits, exponential, load, magnitude, negated, select, spread, store, upper_of
 from irodori.jit.native import aligned, njit, uncounted
+from irodori.reflection.fresnel import fresnel
 
 #: Rows of lanes: cosθ_i, F G / cosθ_r, φ², what is not a number, response, weight, variance, weight times cosine and
 #: times response, lobe, and the weights of the texels before.
@@ -84,7 +85,7 @@ def pack_own(problem, first, last, rows):
         store(rows, row_place(L_SQUARE, j, captures), bounded * bounded)
         cos_i, cos_r, cos_h = cosine_of(theta_i), cosine_of(theta_r), cosine_of(theta_h)
         carried = attenuation(cos_i, cos_r, cos_h, cosine_of(phi))
-        store(rows, row_place(L_GLOSS, j, captures), fresnel_of(cos_h, n, problem.k) * carried)
+        store(rows, row_place(L_GLOSS, j, captures), fresnel(cos_h, n, problem.k) * carried)
         store(rows, row_place(L_COSINE, j, captures), select((cos_i > 0.0) & (cos_r > 0.0), cos_i, 0.0))
 
 

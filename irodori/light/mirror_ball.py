@@ -15,7 +15,7 @@ from irodori.core.progress import LOGGER
 from irodori.light.environment_file import directions
 from irodori.light.omnidirectional import Picture, bands
 from irodori.light.placed_lights import direction_of
-from irodori.reflection.equation5 import fresnel
+from irodori.reflection.fresnel import fresnel
 from irodori.spectra.grid import SAMPLES
 from irodori.spectra.published import refractive_index, spectrum
 

@@ -9,44 +9,10 @@ import math
 import numpy as np
 
 from irodori.jit.native import njit
+from irodori.reflection.fresnel import fresnel
 
 MU_MIN_RAD = 0.005
 MU_MAX_RAD = 1.2
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def fresnel(cosine, n, k):
-    """Return the unpolarised Fresnel reflectance of a surface n + ik in air, exact.
-
-    Parameters
-    ----------
-    cosine : float
-        Cosine of the angle of incidence, clipped to 0..1.
-    n, k : float
-        Complex refractive index, n > 0 and k >= 0.
-
-    Notes
-    -----
-    Born and Wolf, *Principles of Optics*, §14.2, with a + ib = sqrt((n + ik)² - sin²). Written without a division
-    by the cosine, so that it is 1 at grazing incidence and ((n-1)² + k²) / ((n+1)² + k²) at normal incidence.
-    """
-    c = min(max(cosine, 0.0), 1.0)
-    c2 = c * c
-    s2 = 1.0 - c2
-    # n² - k² - sin² without the cancellation at n near 1 and grazing incidence.
-    real = (n - 1.0) * (n + 1.0) - k * k + c2
-    modulus = math.sqrt(real * real + 4.0 * n * n * k * k)
-    half = 0.5 * (modulus + abs(real))
-    a = math.sqrt(half) if real >= 0.0 else n * k / math.sqrt(half)
-    total = modulus + c2 + 2.0 * a * c
-    if total <= 0.0:
-        return 1.0
-    rs = max(modulus + c2 - 2.0 * a * c, 0.0) / total
-    p_sum = modulus * c2 + s2 * s2
-    p_cross = 2.0 * a * c * s2
-    if p_sum + p_cross <= 0.0:
-        return rs
-    return 0.5 * rs * (1.0 + max(p_sum - p_cross, 0.0) / (p_sum + p_cross))
 
 
 @njit(cache=True, inline="always")

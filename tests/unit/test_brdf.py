@@ -13,10 +13,10 @@ from irodori.reflection.equation5 import (
     angles_from_directions,
     attenuation_over_cosine,
     facet_distribution,
-    fresnel,
     gloss_factors,
     reflect,
 )
+from irodori.reflection.fresnel import fresnel
 
 NORMAL = np.array([0.0, 0.0, 1.0])
 COSINES = st.floats(0.0, 1.0)

@@ -1,11 +1,9 @@
-"""The fit's own form of the gloss and of the exponential, which its loops vectorise."""
+"""The fit's own form of the gloss, which its loops vectorise."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from irodori.fitting.texel_rows import COSINE, GLOSS, ROWS, SPOILED, SQUARE, exp_negative, pack_geometry, padded
+from irodori.fitting.texel_rows import COSINE, GLOSS, ROWS, SPOILED, SQUARE, pack_geometry, padded
 from irodori.reflection.equation5 import gloss_factors
 
 
@@ -19,9 +17,3 @@ def test_vector_form_of_the_gloss_is_that_of_the_reflection_model(n, k):
     np.testing.assert_allclose(block[COSINE, :53], np.cos(geometry[:, 0]) * seen, rtol=1e-14, atol=1e-15)
     np.testing.assert_allclose(block[SQUARE, :53], geometry[:, 3] ** 2, rtol=1e-14)
     assert (block[SPOILED] == 0).all()
-
-
-@given(st.floats(-160.0, 0.0))
-@settings(deadline=None)
-def test_vector_form_of_the_exponential_is_exact(x):
-    assert exp_negative(x) == pytest.approx(np.exp(x), rel=4e-15)

@@ -20,7 +20,7 @@ from irodori.light.gloss.look_up_errors import gloss_errors, places, true_gloss
 from irodori.light.gloss.make_lobe_table import fit_lobe, gaussians, lobe_samples, unit
 from irodori.light.gloss.point_sources import point_lights
 from irodori.light.irradiance import Integrator
-from irodori.reflection.equation5 import fresnel
+from irodori.reflection.fresnel import fresnel
 
 
 def blurred(coefficients, unit, width_rad):

@@ -2,14 +2,11 @@
 
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.recovery.mappings import LocalMapping, PolynomialMapping, polynomial_count
-from irodori.jit.exponential import exp_negative
-from irodori.jit.vectorised import decaying, logarithm
 
 
 def local(bands: int, anchors: int, bases: int, seed: int = 0) -> LocalMapping:
@@ -149,30 +146,3 @@ def test_no_noise_is_the_lowest_level_and_endless_noise_the_highest():
     assert np.array_equal(none, least)
     endless = weights(mapping, response, np.full((3, 6), np.inf))
     assert np.allclose(endless, weights(mapping, response, 10.0 * squared[:, None] * scale), atol=1e-12)
-
-
-@numba.njit
-def decayed(x):
-    out = np.empty_like(x)
-    for i in range(x.size):
-        out[i] = decaying(x[i])
-    return out
-
-
-def test_the_exponential_in_single_precision_is_exact_to_three_parts_in_ten_million():
-    x = -np.geomspace(1e-6, 60.0, 4000).astype(np.float32)
-    found = decayed(x)
-    assert found.dtype == np.float32
-    # The argument's own rounding is not the exponential's: it was rounded before.
-    assert found.astype(np.float64) == pytest.approx(np.exp(x.astype(np.float64)), rel=3e-7)
-    assert decayed(np.array([0.0, -1e30, -np.inf], np.float32)) == pytest.approx([1.0, 0.0, 0.0], abs=1e-34)
-
-
-def test_the_logarithm_is_exact_to_ten_digits():
-    x = np.concatenate([np.geomspace(1e-300, 1e300, 4001), np.linspace(0.5, 2.1, 4001)])
-    assert [logarithm(v) for v in x] == pytest.approx(np.log(x), rel=0, abs=2e-10)
-
-
-def test_the_exponential_of_numbers_below_zero_is_exact():
-    x = -np.geomspace(1e-12, 160.0, 4000)
-    assert np.array([exp_negative(v) for v in x]) == pytest.approx(np.exp(x), rel=4e-15)

@@ -166,7 +166,7 @@ def test_a_mirror_over_a_diffuse_body_adds_its_light_and_no_noise(samples, n, k)
 
 @pytest.mark.stability(stage="render", case="Fresnel at 90°")
 def test_the_fresnel_reflectance_of_all_bands_is_that_of_one():
-    from irodori.reflection import equation5
+    from irodori.reflection.fresnel import fresnel
     from irodori.rendering.reference.band_loops import fill_fresnel, padded
 
     n, k = np.linspace(0.05, 10, 61), np.linspace(0, 20, 61)[::-1].copy()
@@ -174,7 +174,7 @@ def test_the_fresnel_reflectance_of_all_bands_is_that_of_one():
     found = np.empty(64, np.float32)
     for cosine in (0.0, 1e-6, 1e-3, 0.1, 0.5, 0.999999, 1.0):
         fill_fresnel(cosine, padded(n[None], "edge"), padded(k[None], "edge"), 0, found)
-        expected = [equation5.fresnel(cosine, a, b) for a, b in zip(n, k, strict=True)]
+        expected = [fresnel(cosine, a, b) for a, b in zip(n, k, strict=True)]
         assert np.allclose(found[:61], expected, atol=2e-6)
         if cosine == 0.0:
             assert np.allclose(found, 1.0, atol=1e-6)

@@ -28,7 +28,7 @@ from irodori.light.environment_file import Environment
 from irodori.light.equirectangular import add_interpolated
 from irodori.light.gloss.lobe_table import fitted_lobes
 from irodori.light.gloss.point_sources import PointLights, add_from_points, point_lights
-from irodori.reflection.equation5 import fresnel
+from irodori.reflection.fresnel import fresnel
 
 #: Up to the first roughness, rad, blurred light is looked up; from the second the light is points; both between.
 _SMOOTH_RAD, _ROUGH_RAD = 0.32, 0.4

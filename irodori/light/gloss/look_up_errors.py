@@ -8,7 +8,8 @@ import numpy as np
 from irodori.jit.native import njit
 from irodori.light.gloss.gloss_maps import GlossMaps, gloss_radiance
 from irodori.light.irradiance import Integrator
-from irodori.reflection.equation5 import attenuation_over_cosine, facet_distribution, fresnel
+from irodori.reflection.equation5 import attenuation_over_cosine, facet_distribution
+from irodori.reflection.fresnel import fresnel
 
 #: Roughnesses (rad) and view angles (degrees) of the table.
 MU_RAD = (0.01, 0.02, 0.05, 0.1, 0.2, 0.36, 0.8, 1.2)

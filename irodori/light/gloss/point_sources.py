@@ -13,7 +13,8 @@ import numpy as np
 
 from irodori.jit.native import njit
 from irodori.light.irradiance import make_pixels
-from irodori.reflection.equation5 import attenuation_over_cosine, facet_distribution, fresnel
+from irodori.reflection.equation5 import attenuation_over_cosine, facet_distribution
+from irodori.reflection.fresnel import fresnel
 
 _ROWS = 32
 _REACH = 3.0  # roughnesses from the normal beyond which facets count for nothing, 1e-4 of the straight ones

@@ -49,7 +49,7 @@ def _reflected(world, frame, layout, shape, facing, like):
     x = turn[0] * facing[0] + turn[1] * facing[1] + turn[2] * facing[2]
     y = turn[3] * facing[0] + turn[4] * facing[1] + turn[5] * facing[2]
     z = turn[6] * facing[0] + turn[7] * facing[1] + turn[8] * facing[2]
-    face, u, v = face_of(repeated(x, 4), repeated(y, 4), repeated(z, 4))
+    face, u, v = face_of(repeated(np.float32(x), 4), repeated(np.float32(y), 4), repeated(np.float32(z), 4))
     cell, fx, fy = cell_of(face, u, v, repeated(np.float32(world.irradiance_side), 4))
     at, stride = np.int64(lane(cell, 0)), world.irradiance_side + 2
     light = bilinear(world.irradiance, 0, at, stride, lane(fx, 0), lane(fy, 0), like)

@@ -16,10 +16,10 @@ from irodori.jit.ray_vectors import (
     numbered,
     pair_mixed,
     root,
-    select,
     store,
     truncated,
 )
+from irodori.reflection.fresnel import fresnel
 from irodori.rendering.interactive.cube_maps import bilinear, cell_of, face_of
 from irodori.rendering.interactive.packets import (
     COSINE,
@@ -47,25 +47,6 @@ from irodori.rendering.interactive.round_lobes import ENTRY, TAPS
 _X, _Y, _MIX, _WEIGHT, _COS_H, _FIELDS = 0, 1, 2, 3, 4, 5
 _CELL, _LEVEL, _NUMBERS = 0, 1, 2
 LOOK_FIELDS, LOOK_NUMBERS = TAPS * _FIELDS, TAPS * _NUMBERS
-
-
-@njit(cache=True, forceinline=True)
-def fresnel(cosine, n, k):
-    """Return the unpolarised Fresnel reflectance of n + ik in air, exact, as `equation5.fresnel`; vectors."""
-    c2 = cosine * cosine
-    s2 = 1.0 - c2
-    nk = n * k
-    real = (n - 1.0) * (n + 1.0) - k * k + c2
-    modulus = root(real * real + 4.0 * (nk * nk))
-    half = root(0.5 * (modulus + select(real < 0.0, -real, real)))
-    a = select(real < 0.0, nk / greatest(half, 1e-30), half)
-    cross = 2.0 * (a * cosine)
-    total = modulus + c2 + cross
-    rs = greatest(modulus + c2 - cross, 0.0) / greatest(total, 1e-30)
-    even, odd = modulus * c2 + s2 * s2, cross * s2
-    rp = greatest(even - odd, 0.0) / greatest(even + odd, 1e-30)
-    found = 0.5 * (rs * (1.0 + select(even + odd > 0.0, rp, 1.0)))
-    return select(total > 0.0, found, 1.0)
 
 
 @njit(cache=True, forceinline=True)

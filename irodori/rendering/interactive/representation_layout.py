@@ -6,7 +6,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import NativeValue, intrinsic, models, register_model, typeof_impl, unbox
 
-from irodori.jit.ray_vector_type import Lanes
+from irodori.jit.vectors import Vector, constant
 
 
 @dataclass(frozen=True)
@@ -68,12 +68,12 @@ def _constant(field: str):
 
 def _black(field: str, times: int = 1):
     def typed(typingctx, layout):
-        lanes = Lanes("f", times * getattr(layout.layout, field))
+        kind = Vector(types.float32, times * getattr(layout.layout, field))
 
         def codegen(context, builder, sig, args):
-            return ir.Constant(lanes.vector, [0.0] * lanes.count)
+            return constant(kind, 0.0)
 
-        return lanes(layout), codegen
+        return kind(layout), codegen
 
     return intrinsic(typed)
 

@@ -15,7 +15,8 @@ from scipy.optimize import nnls
 
 from irodori.light.blurred_light import WIDTHS_RAD
 from irodori.light.gloss.make_lobe_table import lobe_samples
-from irodori.reflection.equation5 import MU_MAX_RAD, MU_MIN_RAD, fresnel
+from irodori.reflection.equation5 import MU_MAX_RAD, MU_MIN_RAD
+from irodori.reflection.fresnel import fresnel
 
 TAPS = 4
 #: Entries over ln μ and over the square root of cosθ_r.

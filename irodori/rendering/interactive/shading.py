@@ -10,12 +10,12 @@ from irodori.jit.array_views import Memory
 from irodori.jit.native import njit
 from irodori.jit.ray_vectors import compress, gather, largest, load, load_like, mask_bits, store, zeros_like
 from irodori.reflection.equation5 import attenuation_over_cosine, facet_distribution
+from irodori.reflection.fresnel import fresnel
 from irodori.rendering.interactive.ambient import ambient_light
 from irodori.rendering.interactive.cube_maps import bilinear
 from irodori.rendering.interactive.look_ups import (
     decoded,
     find_sky,
-    fresnel,
     lobe_at,
     lobe_incidence,
     lobe_weight,

@@ -17,7 +17,8 @@ from irodori.geometry.surfaces import face_viewer, make_surfaces, surface_at
 from irodori.jit.native import njit
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.irradiance import irradiance_at
-from irodori.reflection.equation5 import angles_from_directions, facet_distribution, fresnel, gloss_factor
+from irodori.reflection.equation5 import angles_from_directions, facet_distribution, gloss_factor
+from irodori.reflection.fresnel import fresnel
 from irodori.rendering.interactive.round_lobes import ANGLES, ENTRY, ROUGHNESSES, TAPS, lobe_table, roughness_place
 from irodori.rendering.scene_arrays import Light, Objects
 from irodori.spectra.grid import SAMPLES

@@ -1,15 +1,16 @@
 """Loops over the 61 bands, padded to 64 in single precision: four 512-bit vectors."""
 
-import math
-
 import numpy as np
 
 from irodori.jit.native import njit
+from irodori.jit.vector_memory import load, spread, store
+from irodori.reflection.fresnel import fresnel
 from irodori.rendering.scene_lights import BANDS, PADDED
 
 #: Sums over bands may be taken in any order, or each addition waits for the one before.
 _SUMS = {"reassoc", "contract", "nsz"}
 _ZERO = np.float32(0.0)
+_WIDTH = 16  # bands in a vector
 
 
 def padded(values: np.ndarray, fill: str = "zero") -> np.ndarray:
@@ -110,30 +111,10 @@ def fill_mixture_grey(diffuse, a, b, out):
         out[band] = diffuse[band] * a + b
 
 
-@njit(cache=True, _nrt=False, forceinline=True, error_model="numpy", fastmath={"contract"})
+@njit(cache=True, _nrt=False, forceinline=True)
 def fill_fresnel(cosine, n, k, index, out):
-    """Fill the Fresnel reflectance of every band; `equation5.fresnel` without its branches, so that it vectorises.
-
-    ``n`` and ``k`` are (objects, 64) float32, and ``cosine`` is from 0 to 1.
-    """
-    c = np.float32(cosine)
-    c2 = c * c
-    s2 = np.float32(1.0) - c2
-    two, half = np.float32(2.0), np.float32(0.5)
-    tiny = np.float32(1e-30)
-    for band in range(PADDED):
-        nb, kb = n[index, band], k[index, band]
-        real = (nb - np.float32(1.0)) * (nb + np.float32(1.0)) - kb * kb + c2
-        product = two * nb * kb
-        modulus = np.float32(math.sqrt(real * real + product * product))
-        root = np.float32(math.sqrt(max(half * (modulus + abs(real)), tiny)))
-        other = half * product / root
-        a = root if real >= _ZERO else other
-        cross = two * a * c
-        total = max(modulus + c2 + cross, tiny)
-        rs = max(modulus + c2 - cross, _ZERO) / total
-        p_sum = modulus * c2 + s2 * s2
-        p_cross = cross * s2
-        rp = max(p_sum - p_cross, _ZERO) / max(p_sum + p_cross, tiny)
-        # At normal incidence on index 1 both sums vanish together and so does rs.
-        out[band] = half * rs * (np.float32(1.0) + rp)
+    """Fill the Fresnel reflectance of every band; ``n`` and ``k`` are (objects, 64) float32."""
+    c = spread(np.float32(cosine), _WIDTH)
+    for band in range(0, PADDED, _WIDTH):
+        place = index * PADDED + band
+        store(out, band, fresnel(c, load(n, place, _WIDTH), load(k, place, _WIDTH)))

@@ -13,7 +13,7 @@ import numpy as np
 from irodori.geometry.embree import hit_distance, hit_shape, is_blocked, trace
 from irodori.geometry.surfaces import face_viewer
 from irodori.jit.native import njit
-from irodori.reflection.equation5 import fresnel
+from irodori.reflection.fresnel import fresnel
 from irodori.rendering.reference.band_loops import (
     PADDED,
     add_product,

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from irodori.geometry.shapes import Shape
-from irodori.reflection.equation5 import fresnel
+from irodori.reflection.fresnel import fresnel
 from irodori.simulation.virtual_rig.sample_reflection import MODELS, measured_lobe, read_measured
 from irodori.spectra.grid import SAMPLES
 from irodori.spectra.published import refractive_index, spectrum

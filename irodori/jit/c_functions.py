@@ -1,0 +1,55 @@
+"""C functions that compiled loops call by address.
+
+numba cannot cache code that holds the address of a C function; here the address is an argument, so that kernels are
+kept on disk and shared by every process.
+"""
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+
+def c_function(result, *arguments):
+    """Return a function for compiled code that calls a C function by its address.
+
+    Parameters
+    ----------
+    result, *arguments : numba types
+        The C signature; pointers are ``types.uintp``.
+
+    Returns
+    -------
+    callable ``(address, *arguments) -> result``, in nopython code only
+    """
+
+    def call(typingctx, address, *values):
+        signature = result(types.uintp, *arguments)
+
+        def codegen(context, builder, signature, values):
+            c_arguments = [context.get_value_type(t) for t in arguments]
+            c_result = ir.VoidType() if result == types.void else context.get_value_type(result)
+            pointer = builder.inttoptr(values[0], ir.FunctionType(c_result, c_arguments).as_pointer())
+            answer = builder.call(pointer, list(values[1:]))
+            if result == types.void:
+                return cgutils.get_null_value(ir.IntType(8).as_pointer())
+            return answer
+
+        return signature, codegen
+
+    # intrinsic() reads the parameters of the function it decorates, so it is given one with the right count.
+    names = ", ".join(f"a{i}" for i in range(len(arguments)))
+    namespace = {"call": call}
+    exec(f"def typed(typingctx, address, {names}):\n    return call(typingctx, address, {names})\n", namespace)
+    return intrinsic(namespace["typed"])
+
+
+@intrinsic
+def cycles(typingctx):
+    """Return the processor's count of cycles, for profiles."""
+
+    def codegen(context, builder, sig, args):
+        function = ir.FunctionType(ir.IntType(64), [])
+        return builder.call(cgutils.get_or_insert_function(builder.module, function, "llvm.readcyclecounter"), [])
+
+    return types.int64(), codegen
