@@ -1,14 +1,12 @@
 """The fit of every solver at 48 observations: pixels a second against error, beside NLopt called from Python.
 
-``nlopt-reference`` starts where our scan ends, as every solver here. It is measured with L-BFGS, which is told the
-gradient and is the fastest, and with BOBYQA, which is not. Two geometries: ``own`` (every texel its own angles, as on
-a curved object or under a near light) and ``shared`` (a flat object under far light). The error is the share of texels
-whose sum of squares exceeds the best of a dense scan over μ in float64 by more than 0.1 %; the largest errors of
-noise-free parameters are printed beside it.
+``nlopt-reference`` starts where our scan ends, as every solver here; both loops of NLopt run its L-BFGS. Two
+geometries: ``own`` (every texel its own angles, as on a curved object or under a near light) and ``shared`` (a flat
+object under far light). The error is the share of texels whose sum of squares exceeds the best of a dense scan over μ
+in float64 by more than 0.1 %; the largest errors of noise-free parameters are printed beside it.
 
 ``python -m benchmarks.fit [--size small] [--runs 7] [--output speed_error.csv]``, at the top of the repository. Peak
-memory is that of the process while it fits the texels once; times exclude compilation. Small has fewer texels and one
-algorithm of NLopt in compiled loops.
+memory is that of the process while it fits the texels once; times exclude compilation. Small has fewer texels.
 """
 
 import argparse
@@ -23,7 +21,7 @@ import numpy as np
 
 from benchmarks.table import COLUMNS, arguments_of, median_s, own_peak_mb, peak_mb_of, report
 from irodori.core.threads import use_threads
-from irodori.fitting.solvers import ACCEPTED_ALGORITHMS, FitOptions, fit
+from irodori.fitting.solvers import FitOptions, fit
 from irodori.material.material_file import Status
 from irodori.reflection.equation5 import gloss_factors, reflect
 
@@ -35,7 +33,6 @@ TEXELS = {
     "small": {"varpro": 50_000, "nlopt": 4000, "nlopt-reference": 200},
     "full": {"varpro": 200_000, "nlopt": 20_000, "nlopt-reference": 600},
 }
-WITHOUT_GRADIENT = ("LN_BOBYQA",)  # a loop in Python that is given no derivatives
 CHECKED = {"small": 500, "full": 2000}  # texels whose minimum is compared with a dense scan
 CHECKED_OF_REFERENCE = 200
 MEGAPIXELS, TILE = 10.1, 40_000
@@ -115,15 +112,14 @@ def exact_errors(options: FitOptions, kind: str, count: int) -> np.ndarray:
     return np.array([np.abs(v[known]).max() for v in off])
 
 
-def variants(size: str) -> dict[str, FitOptions]:
+def variants() -> dict[str, FitOptions]:
     """Return the options of every variant, the reference first."""
-    algorithms = ("LD_LBFGS",) if size == "small" else ACCEPTED_ALGORITHMS
-    return (
-        {"nlopt-reference": FitOptions(solver="nlopt-reference")}
-        | {f"nlopt-reference-{name}": FitOptions(solver="nlopt-reference", algorithm=name) for name in WITHOUT_GRADIENT}
-        | {f"nlopt-{name}": FitOptions(solver="nlopt", algorithm=name) for name in algorithms}
-        | {"varpro": FitOptions(solver="varpro"), "varpro-scan-4": FitOptions(solver="varpro", scan_per_octave=4)}
-    )
+    return {
+        "nlopt-reference": FitOptions(solver="nlopt-reference"),
+        "nlopt-LD_LBFGS": FitOptions(solver="nlopt"),
+        "varpro": FitOptions(),
+        "varpro-scan-4": FitOptions(scan_per_octave=4),
+    }
 
 
 def measure(runs: int, size: str) -> list[dict]:
@@ -133,7 +129,7 @@ def measure(runs: int, size: str) -> list[dict]:
     rows = []
     for kind in KINDS:
         slowest = None
-        for variant, options in variants(size).items():
+        for variant, options in variants().items():
             texels = TEXELS[size][options.solver]
             arguments = inputs(scene(texels)[3], kind)
             work = partial(fit, *arguments, options)

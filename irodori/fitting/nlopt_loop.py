@@ -1,6 +1,6 @@
 """Compiled loop over texels that calls NLopt's C functions with a compiled objective.
 
-NLopt sees the unknowns (α / scale, β / scale, log μ), so that a trust region fits all three, and starts from the best
+NLopt sees the unknowns (α / scale, β / scale, log μ), so that one step fits all three, and starts from the best
 place of the scan. A texel's data is its block behind four header words: length of a row, scales of α, of β, and of the
 objective.
 """
@@ -39,12 +39,11 @@ HEADER = 4
 PARAMETERS = 3
 _CHUNK = 64  # texels that share one optimiser object
 _PRECISION = 1e6  # of the scaled objective: NLopt's L-BFGS stops at an absolute gradient of 1e-8
-_FIRST_STEP = 0.1  # of the scaled unknowns, for algorithms without gradient
 
 _P, _F, _I = types.uintp, types.float64, types.intc
 nlopt_create = c_function(_P, _I, types.uint32)
 nlopt_destroy = c_function(types.void, _P)
-nlopt_set_pointer = c_function(_I, _P, _P)  # lower bounds, upper bounds, initial step
+nlopt_set_pointer = c_function(_I, _P, _P)  # lower bounds, upper bounds
 nlopt_set_objective = c_function(_I, _P, _P, _P)
 nlopt_set_number = c_function(_I, _P, _F)  # relative tolerance
 nlopt_set_count = c_function(_I, _P, _I)  # evaluations
@@ -86,7 +85,7 @@ def objective(alpha, beta, log_mu, block):
     error_model="numpy",
 )
 def nlopt_objective(count, x, gradient_address, data_address):
-    """Objective in NLopt's C signature, with its gradient where the algorithm asks for one."""
+    """Objective in NLopt's C signature, with its gradient where NLopt asks for one."""
     header = numba.carray(_as_floats(data_address), (HEADER,))
     row, scale_a, scale_b, scale = int(header[0]), header[1], header[2], header[3]
     block = numba.carray(_as_floats(data_address), (HEADER + ROWS * row,))[HEADER:].reshape((ROWS, row))
@@ -120,7 +119,6 @@ class Nlopt(NamedTuple):
     destroy: int
     set_lower_bounds: int
     set_upper_bounds: int
-    set_initial_step: int
     set_min_objective: int
     set_xtol_rel: int
     set_maxeval: int
@@ -153,25 +151,16 @@ def _new_optimiser(nlopt, data):
 
 
 @njit(cache=True)
-def first_step(low, high):
-    """Return a step that a parameter's bounds have room for; BOBYQA refuses more than half of the range."""
-    room = 0.25 * (high - low)
-    return min(_FIRST_STEP, room) if room > 0.0 else _FIRST_STEP
-
-
-@njit(cache=True)
 def _polish(nlopt, optimiser, data, start, rules, vectors):
     """Run NLopt from a start; return its code, its evaluations and the α, β, log μ that it found."""
-    x, low, high, step, value = vectors
+    x, low, high, value = vectors
     low[0], high[0], x[0] = rules.low_alpha / data[1], rules.high_alpha / data[1], start[0] / data[1]
     low[1], high[1], x[1] = rules.low_beta / data[2], rules.high_beta / data[2], start[1] / data[2]
     low[2], high[2], x[2] = rules.low_log_mu, rules.high_log_mu, start[2]
     for p in range(PARAMETERS):
         x[p] = min(max(x[p], low[p]), high[p])
-        step[p] = first_step(low[p], high[p])
     nlopt_set_pointer(nlopt.set_lower_bounds, optimiser, np.uintp(low.ctypes.data))
     nlopt_set_pointer(nlopt.set_upper_bounds, optimiser, np.uintp(high.ctypes.data))
-    nlopt_set_pointer(nlopt.set_initial_step, optimiser, np.uintp(step.ctypes.data))
     code = nlopt_optimize(nlopt.optimize, optimiser, np.uintp(x.ctypes.data), np.uintp(value.ctypes.data))
     evaluations = nlopt_get_evaluations(nlopt.get_numevals, optimiser)
     return code, evaluations, x[0] * data[1], x[1] * data[2], x[2]
@@ -234,7 +223,7 @@ def finish(t, block, fixed, found, used, floor, evaluations, problem, rules, sum
 @njit(cache=True, error_model="numpy")
 def _fit_chunk(nlopt, problem, rules, out, first, last):
     data, block, angles, sums = new_data(problem)
-    vectors = (np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(1))
+    vectors = (np.empty(3), np.empty(3), np.empty(3), np.empty(1))
     optimiser = _new_optimiser(nlopt, data)
     for t in range(first, last):
         used, lost, floor = load_own(t, problem, rules, block, angles)

@@ -15,21 +15,8 @@ from irodori.fitting.observations import Rules, camera_noise, pose_variance
 from irodori.fitting.reported_parameters import state
 from irodori.fitting.varpro import NODE_STEP
 
-MODEL_PARAMETERS = ("alpha", "beta", "mu")
-_MAX_RELATIVE_ERROR = judge.MAX_RELATIVE_ERROR
-# Bounded local algorithms that reach the minimum on noisy texels; MMA and CCSAQ stop at up to three times its value,
-# and PRAXIS draws random directions: two runs differ.
-_ALGORITHMS = (
-    "LN_BOBYQA",
-    "LN_COBYLA",
-    "LN_NELDERMEAD",
-    "LN_SBPLX",
-    "LD_SLSQP",
-    "LD_LBFGS",
-    "LD_TNEWTON",
-    "LD_VAR2",
-)
-ACCEPTED_ALGORITHMS = tuple(name for name in _ALGORITHMS if hasattr(nlopt, name))
+# NLopt's fastest bounded algorithm of those that reach the minimum on noisy texels, and where it stops.
+_ALGORITHM, _XTOL_REL, _MAX_EVALUATIONS = nlopt.LD_LBFGS, 1e-8, 400
 MAX_POOLING_RADIUS_TEXELS = 8
 _SETTINGS = ("objective", "algorithm", "xtol_rel", "max_evaluations")
 _BOUNDS = {"alpha": (0.0, 2.0), "beta": (0.0, 1e4), "mu_rad": (0.005, 1.2), "n": (1.2, 2.5)}
@@ -43,14 +30,8 @@ class FitOptions:
     Parameters
     ----------
     solver : str
-        ``varpro`` (variable projection), ``nlopt`` (NLopt in a compiled loop over texels) or ``nlopt-reference``
-        (NLopt from Python, one callback a step).
-    algorithm : str
-        Name of a local NLopt algorithm for bounded problems, for instance ``LN_BOBYQA`` or ``LD_SLSQP``.
-    max_evaluations : int
-        Of NLopt.
-    xtol_rel : float
-        Of NLopt.
+        ``varpro`` (variable projection), ``nlopt`` (NLopt's L-BFGS in a compiled loop over texels) or
+        ``nlopt-reference`` (the same from Python, one callback a step).
     scan_per_octave : int
         Values of μ, equally spaced in log μ, that the scan tries for every factor 2 in μ: 2 or 4.
     weights : str
@@ -71,9 +52,6 @@ class FitOptions:
     """
 
     solver: str = "varpro"
-    algorithm: str = "LD_LBFGS"
-    max_evaluations: int = 400
-    xtol_rel: float = 1e-8
     scan_per_octave: int = 2
     weights: str = "noise"
     model_error: float = 0.01
@@ -89,7 +67,6 @@ class FitOptions:
         for name, accepted in _CHOICES.items():
             if getattr(self, name) not in accepted:
                 raise ValueError(f"fit.{name} {getattr(self, name)!r}; accepted: {', '.join(map(str, accepted))}")
-        algorithm_number(self.algorithm)
         if not 0 <= self.pooling_radius_texels <= MAX_POOLING_RADIUS_TEXELS:
             found = f"fit.pooling_radius_texels {self.pooling_radius_texels}"
             raise ValueError(f"{found}; accepted: 0 to {MAX_POOLING_RADIUS_TEXELS}")
@@ -156,19 +133,6 @@ class FitResult:
     pooled_from: np.ndarray
 
 
-def algorithm_number(name: str) -> int:
-    """Return NLopt's number of an algorithm.
-
-    Raises
-    ------
-    ValueError
-        Listing the accepted names: bounded local algorithms that need no inner optimiser.
-    """
-    if name not in ACCEPTED_ALGORITHMS:
-        raise ValueError(f"fit.algorithm {name!r}; accepted: {', '.join(ACCEPTED_ALGORITHMS)}")
-    return int(getattr(nlopt, name))
-
-
 @lru_cache(maxsize=1)
 def _addresses() -> dict[str, int]:
     library = ctypes.CDLL(nlopt._nlopt.__file__)
@@ -196,9 +160,9 @@ def _solve_nlopt(problem: texels.Problem, rules: Rules, options: FitOptions) -> 
     library = nlopt_loop.Nlopt(
         **_addresses(),
         objective=nlopt_loop.nlopt_objective.address,
-        algorithm=algorithm_number(options.algorithm),
-        xtol_rel=float(options.xtol_rel),
-        max_evaluations=int(options.max_evaluations),
+        algorithm=_ALGORITHM,
+        xtol_rel=_XTOL_REL,
+        max_evaluations=_MAX_EVALUATIONS,
     )
     out = _empty_output(len(problem.response))
     nlopt_loop.fit_nlopt(library, problem, rules, out)
@@ -225,7 +189,6 @@ def _cost(rows, weight: np.ndarray, scale: np.ndarray, factor: float):
 
 def _solve_reference(problem: texels.Problem, rules: Rules, options: FitOptions) -> texels.Output:
     """Fit with NLopt from Python: the yardstick for time and the witness for the compiled loops."""
-    number = algorithm_number(options.algorithm)
     out = _empty_output(len(problem.response))
     data, block, angles, sums = nlopt_loop.new_data(problem)
     low = np.array([rules.low_alpha, rules.low_beta, rules.low_log_mu])
@@ -240,14 +203,12 @@ def _solve_reference(problem: texels.Problem, rules: Rules, options: FitOptions)
         scale = np.append(data[1:3], 1.0)
         kept = block[nlopt_loop.WEIGHT] > 0
         cost = _cost(block[:4, kept], block[nlopt_loop.WEIGHT, kept], scale, data[3])
-        optimiser = nlopt.opt(number, nlopt_loop.PARAMETERS)
+        optimiser = nlopt.opt(_ALGORITHM, nlopt_loop.PARAMETERS)
         optimiser.set_lower_bounds(low / scale)
         optimiser.set_upper_bounds(high / scale)
-        room = zip(low / scale, high / scale, strict=True)
-        optimiser.set_initial_step(np.array([nlopt_loop.first_step(*bounds) for bounds in room]))
         optimiser.set_min_objective(cost)
-        optimiser.set_xtol_rel(options.xtol_rel)
-        optimiser.set_maxeval(options.max_evaluations)
+        optimiser.set_xtol_rel(_XTOL_REL)
+        optimiser.set_maxeval(_MAX_EVALUATIONS)
         x = np.clip(np.array(start) / scale, low / scale, high / scale)
         try:
             x = optimiser.optimize(x)

@@ -23,7 +23,7 @@ from irodori.capture.shot_planner.planner import (
     subject_of,
 )
 from irodori.config.capture_table import Pose
-from irodori.fitting import solvers
+from irodori.fitting import judge
 from irodori.geometry.rig_frame import to_camera, to_light
 
 PRIOR = 1.0
@@ -230,7 +230,7 @@ def test_the_planner_reckons_with_the_weights_that_it_is_told():
 
 
 def test_what_counts_as_known_is_what_the_fit_states():
-    assert KNOWN_RELATIVE_ERROR == solvers._MAX_RELATIVE_ERROR
+    assert KNOWN_RELATIVE_ERROR == judge.MAX_RELATIVE_ERROR
 
 
 def test_the_noise_of_a_virtual_rig_has_its_imperfections_and_their_switches():

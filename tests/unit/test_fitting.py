@@ -73,12 +73,6 @@ def sum_of_squares(result, response) -> np.ndarray:
     return np.sum((model(result.alpha, result.beta, result.mu) - response) ** 2, axis=1)
 
 
-def accepted_algorithms() -> list[str]:
-    with pytest.raises(ValueError, match="accepted: ") as caught:
-        run(np.ones(17), algorithm="LN_NO_SUCH")
-    return str(caught.value).partition("accepted: ")[2].split(", ")
-
-
 @pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.2)], ids=["lacquer", "gold"])
 @pytest.mark.parametrize("solver", ["varpro", "nlopt", "nlopt-reference"])
 def test_recovers_known_materials_without_noise(solver, n, k):
@@ -115,19 +109,19 @@ def test_compiled_loops_agree_with_nlopt_from_python(solver):
     assert both.mean() > 0.9
     squares = sum_of_squares(compiled, response), sum_of_squares(reference, response)
     assert np.allclose(squares[0][both], squares[1][both], rtol=1e-4)
-    # Two runs to xtol_rel 1e-6 on a valley: a thousandth of each parameter, and far within its standard error.
+    # Two runs on a valley: a thousandth of each parameter, and far within its standard error.
     for name in ("alpha", "beta", "mu"):
         a, b, error = getattr(compiled, name), getattr(reference, name), getattr(compiled, f"{name}_error")
         assert (np.abs(a - b)[both] <= 0.02 * error[both]).all()
 
 
-@pytest.mark.parametrize("algorithm", accepted_algorithms())
-def test_every_accepted_algorithm_finds_the_same_minimum(algorithm):
+@pytest.mark.parametrize("solver", ["nlopt", "nlopt-reference"])
+def test_nlopt_finds_the_minimum_of_variable_projection(solver):
     alpha, beta, mu = materials(200, seed=4)
     rng = np.random.default_rng(40)
     truth = model(alpha, beta, mu)
     response = truth * (1 + 0.02 * rng.normal(size=truth.shape))
-    result, yardstick = run(response, solver="nlopt", algorithm=algorithm), run(response)
+    result, yardstick = run(response, solver=solver), run(response)
     both = (result.status == Status.OK) & (yardstick.status == Status.OK)
     assert both.mean() > 0.9
     assert (sum_of_squares(result, response)[both] <= 1.01 * sum_of_squares(yardstick, response)[both]).all()
@@ -320,7 +314,6 @@ def test_order_of_observations_does_not_matter():
     ("option", "accepted"),
     [
         ({"solver": "levmar"}, ["varpro", "nlopt", "nlopt-reference"]),
-        ({"algorithm": "LN_X"}, ["LD_LBFGS", "LN_BOBYQA"]),
         ({"weights": "inverse"}, ["noise", "equal"]),
         ({"refractive_index": "free"}, ["fixed", "fitted"]),
     ],

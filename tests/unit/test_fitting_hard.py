@@ -354,13 +354,12 @@ def test_whatever_the_data_the_fit_ends_finite_or_flagged(response, angles, weig
     response=npst.arrays(np.float64, (3, 9), elements=VALUES),
     angles=npst.arrays(np.float64, (3, 9, 4), elements=st.floats(0.0, 2.25) | st.just(np.nan)),
     weight=npst.arrays(np.float64, (3, 9), elements=st.sampled_from([0.0, 1.0])),
-    algorithm=st.sampled_from(["LD_LBFGS", "LN_BOBYQA", "LN_NELDERMEAD"]),
     scale=st.sampled_from([1e-6, 1.0]),
 )
 @settings(deadline=None, max_examples=40)
-def test_whatever_the_data_nlopt_ends_finite_or_flagged(solver, response, angles, weight, algorithm, scale):
+def test_whatever_the_data_nlopt_ends_finite_or_flagged(solver, response, angles, weight, scale):
     with np.errstate(invalid="ignore", over="ignore"):
-        result = fit(response * scale, angles, weight, N, K, FitOptions(solver=solver, algorithm=algorithm))
+        result = fit(response * scale, angles, weight, N, K, FitOptions(solver=solver))
     assert_sound(result)
 
 

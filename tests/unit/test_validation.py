@@ -13,7 +13,7 @@ from jsonschema import Draft202012Validator
 from irodori.config.definitions import KINDS, read_yaml
 from irodori.config.validation import SCHEMA_FOLDER, SCHEMAS, load_schema, validate
 from irodori.core.errors import InputError
-from irodori.fitting.solvers import _ALGORITHMS
+from irodori.fitting.solvers import SOLVERS
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -109,10 +109,10 @@ def test_an_unknown_schema_lists_the_valid_ones():
         validate({}, "lens", "x")
 
 
-def test_the_algorithms_of_the_fit_are_those_of_the_solvers():
-    assert tuple(load_schema("config")["properties"]["fit"]["properties"]["algorithm"]["enum"]) == _ALGORITHMS
-    error = refused({"make": {}, "fit": {"algorithm": "LD_LBFSG"}}, "config")
-    assert error.field == "fit.algorithm" and "did you mean 'LD_LBFGS'?" in error.accepted
+def test_the_solvers_of_the_schema_are_those_of_the_fit():
+    assert load_schema("config")["properties"]["fit"]["properties"]["solver"]["enum"] == list(SOLVERS)
+    error = refused({"make": {}, "fit": {"solver": "varpor"}}, "config")
+    assert error.field == "fit.solver" and "did you mean 'varpro'?" in error.accepted
 
 
 # ---- one definition at a time
