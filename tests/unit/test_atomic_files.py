@@ -63,7 +63,7 @@ def test_what_another_file_lacks_is_not_blamed_on_the_disk(tmp_path):
 _FILL = """
 import resource, signal, sys
 import numpy as np
-from irodori import store
+from irodori.core import store
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 18, 1 << 18))
 try:
