@@ -158,6 +158,7 @@ def test_a_shape_from_outside_is_rectified(tmp_path):
     assert np.abs(found["response"][seen, 0] - expected[seen]).max() <= 5e-3 / 512
 
 
+@pytest.mark.heavy  # both integrators are compiled anew with the tube among the shapes
 @pytest.mark.parametrize(("integrator", "tolerance"), [("reference", 0.03), ("interactive", 0.004)])
 def test_a_shape_from_outside_is_rendered(tmp_path, integrator, tolerance):
     found = tube(tmp_path, integrator)
