@@ -76,7 +76,7 @@ def rendered(integrator: str) -> dict:
     kind = {"kind": "interactive", "ambient": True}
     if integrator == "reference":
         kind = {"kind": "reference", "samples": 256, "seed": 0}
-    light = sky(smooth_light)
+    light = sky(lambda towards: smooth_light(towards)[..., None])
     tube = seen([shape], [grey], [(0.0, 0.0, 0.0)], kind, light, **VIEW)
     both = seen([plate(400.0), shape], [white, white], [(0.0, 0.0, -30.0), (0.0, 0.0, 0.0)], kind, **FLOOR_VIEW)
     dark = [material(0.5), material(0.0)]

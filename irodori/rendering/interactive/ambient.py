@@ -1,11 +1,11 @@
 """Ambient occlusion by neighbouring objects in closed form: contact shadows.
 
 What a sphere or a flat shape hides of the cosine-weighted sky is known exactly, the horizon's cut included: the form
-factor of a sphere (Snyder 1996), Lambert's sum over a polygon's edges, and its like for discs and planes
-(`irodori.rendering.interactive.disc_occlusion`). Several objects hide as if they did so on their own,
-and each sends the diffuse light that its mean colour reflects on the side that faces the point, so that a white object
-on white leaves no shadow in a white furnace. What meshes hide, from themselves too, was found out by rays when the
-scene was prepared (`irodori.rendering.interactive.mesh_shadows`).
+factor of a sphere (Snyder 1996), Lambert's sum over a polygon's edges, and its like for discs and planes. Each shape
+brings its own (``hides`` in `irodori.geometry.shapes.shape.Kernels`). Several objects hide as if they did so on their
+own, and each sends the diffuse light that its mean colour reflects on the side that faces the point, so that a white
+object on white leaves no shadow in a white furnace. What meshes hide, from themselves too, was found out by rays when
+the scene was prepared (`irodori.rendering.interactive.mesh_shadows`).
 """
 
 import numpy as np
