@@ -4,17 +4,25 @@ import html
 
 from irodori.core import store
 from irodori.evaluation.coefficient_storage import storage_sentence
+from irodori.reflection.registry import lobe
 from irodori.report.markup import details, number, table
 
 
-def _gloss_table(rows: list[dict]) -> str:
-    angles = list(dict.fromkeys(row["theta_r_deg"] for row in rows))
-    found = {(row["mu_rad"], row["theta_r_deg"]): row for row in rows}
-    lines = [
-        [f"{mu:g}", *(f"{found[mu, angle]['rms']:.1%} ({found[mu, angle]['max']:.1%})" for angle in angles)]
-        for mu in dict.fromkeys(row["mu_rad"] for row in rows)
-    ]
-    return table(["μ, rad", *(f"θ_r {angle:g}°" for angle in angles)], lines)
+def _gloss_tables(rows: list[dict]) -> list[tuple[str, list[str], list[list[str]]]]:
+    """Return title, header and lines of a table for each lobe."""
+    tables = []
+    for name in dict.fromkeys(row["lobe"] for row in rows):
+        kind = lobe(name)
+        own = [row for row in rows if row["lobe"] == name]
+        found = {(row["mu"], row["theta_r_deg"]): row for row in own}
+        angles, roughnesses = (list(dict.fromkeys(row[key] for row in own)) for key in ("theta_r_deg", "mu"))
+        lines = [
+            [f"{mu:g}", *(f"{found[mu, angle]['rms']:.1%} ({found[mu, angle]['max']:.1%})" for angle in angles)]
+            for mu in roughnesses
+        ]
+        unit = "" if kind.roughness.unit == "1" else f", {kind.roughness.unit}"
+        tables.append((kind.title, [f"{kind.roughness.symbol}{unit}", *(f"θ_r {a:g}°" for a in angles)], lines))
+    return tables
 
 
 def light_section(names: list[str], files: list) -> str:
@@ -51,9 +59,10 @@ def light_section(names: list[str], files: list) -> str:
             f"{irradiance['max_error']:.2%} of the largest irradiance.</p>"
         )
         if "gloss" in errors:
-            what = (
-                "rough reflection by look-up against the sum of the true lobe over this light, n = 1.5: rms error over "
-                "the rms radiance (largest error over the largest radiance)"
-            )
-            parts.append(details(what, _gloss_table(errors["gloss"])))
+            for title, header, lines in _gloss_tables(errors["gloss"]):
+                what = (
+                    f"{title}: rough reflection by look-up against the sum of the true lobe over this light, n = 1.5: "
+                    "rms error over the rms radiance (largest error over the largest radiance)"
+                )
+                parts.append(details(what, table(header, lines)))
     return "".join(parts)

@@ -13,6 +13,7 @@ from irodori.evaluation.pose_planning import PlanRow, read_plan
 from irodori.evaluation.registration_errors import read_registration, summarise
 from irodori.evaluation.truth_errors import read_errors
 from irodori.material.material_file import Material
+from irodori.reflection.registry import lobe
 from irodori.report.calibration_part import calibration_section
 from irodori.report.compression_part import compression_section
 from irodori.report.figures import material_figure, planning_figure, spectra_figure
@@ -133,6 +134,17 @@ def _integrator_rows(measured: dict) -> list[list[str]]:
     ]
 
 
+def typical_gloss_text(material: Material) -> str:
+    """Return β and μ of the object's typical gloss with the unit and the title of the lobe, of every component."""
+    parts = []
+    for component, name in enumerate(material.lobes):
+        kind = lobe(name)
+        beta, mu = material.typical_gloss[2 * component : 2 * component + 2]
+        unit = "" if kind.roughness.unit == "1" else f" {kind.roughness.unit}"
+        parts.append(f"β = {beta:.3g}, {kind.roughness.symbol} = {mu:.3g}{unit} ({kind.title})")
+    return "; ".join(parts)
+
+
 def _objects_section(objects: list[str], materials: list, truths: dict) -> str:
     parts = ["<h2>Objects</h2>"]
     for name, path in zip(objects, materials, strict=True):
@@ -142,7 +154,7 @@ def _objects_section(objects: list[str], materials: list, truths: dict) -> str:
             maps = {n: file.read(n) for n in ("status", "residual_rms", "reflectance_error", "training_distance")}
             errors = file.attribute("errors")
             stored = storage_sentence(file, "reflectance/coefficients")
-        beta, mu = material.typical_gloss
+        gloss = typical_gloss_text(material)
         parts.append(f"<h3>{html.escape(name)}</h3>")
         parts.append(figure(material_figure(material, maps, truth), f"{name}: maps over the texture"))
         if truth is not None:
@@ -151,8 +163,8 @@ def _objects_section(objects: list[str], materials: list, truths: dict) -> str:
         parts.append(
             f"<p>{errors['texels_fitted']} texels fitted, {speed:.0f} a second; "
             f"{errors['observed_fraction']:.1%} of texels observed; {material.basis.shape[1]} bases, "
-            f"{errors['negative_fraction']:.3%} of spectral samples negative; typical gloss β = {beta:.3g}, "
-            f"μ = {mu:.3g} rad. Standard deviation of the recovered reflectance, by the camera's noise and "
+            f"{errors['negative_fraction']:.3%} of spectral samples negative; typical gloss {gloss}. "
+            f"Standard deviation of the recovered reflectance, by the camera's noise and "
             "by what cross-validation found: median "
             f"{errors['reflectance_error_median']:.2g}; {errors['out_of_training_fraction']:.1%} of texels have a "
             "colour that the chart has none like.</p>"

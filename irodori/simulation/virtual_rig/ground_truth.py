@@ -51,12 +51,16 @@ def _gloss(sample: Sample) -> tuple[tuple[str, ...], list[tuple[np.ndarray, np.n
     """
     places: dict[tuple[str, int], list[int | None]] = {}
     for m, names in enumerate(sample.lobes):
-        for c, name in enumerate(names):
-            key = name, names[:c].count(name)
-            places.setdefault(key, [None] * len(sample.lobes))[m] = c
+        # Of components with the same lobe the broader is first, as in the fit.
+        for c in range(len(names)):
+            broader = sum(other == names[c] and (-sample.mu[m, d], d) < (-sample.mu[m, c], c)
+                          for d, other in enumerate(names))  # fmt: skip
+            places.setdefault((names[c], broader), [None] * len(sample.lobes))[m] = c
     if not places:
         places = {("gaussian", 0): [None] * len(sample.lobes)}
     gloss, typical = [], []
+    # A narrower component is met first where it stands first.
+    places = dict(sorted(places.items(), key=lambda item: item[0][1]))
     for components in places.values():
         own = [(m, c) for m, c in enumerate(components) if c is not None]
         usual = (float(sample.beta[own[0]]), float(sample.mu[own[0]])) if own else (0.0, 1.0)
