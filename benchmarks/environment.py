@@ -15,6 +15,7 @@ from irodori.core.threads import use_threads
 from irodori.light.gloss.gloss_maps import GlossMaps, gloss_radiance
 from irodori.light.gloss.look_up_errors import gloss_errors, places
 from irodori.light.irradiance import Integrator, fitted_irradiance_map
+from irodori.reflection.registry import names
 
 MAX_ERROR = 0.002
 SUN, SUN_RAD = 5e4, 0.0093
@@ -67,10 +68,10 @@ def main() -> None:
                   f"{median / seconds['irradiance']:.3f}")  # fmt: skip
         rows.append(dict(zip(COLUMNS, values, strict=True)))
     report(rows, arguments.threads, arguments.output)
-    for row in gloss_errors(integrators["-sun"], maps) if arguments.size == "full" else ():
-        print(
-            f"gloss, mu {row['mu_rad']:g} rad, view {row['theta_r_deg']:g}: rms {row['rms']:.3f}, max {row['max']:.3f}"
-        )
+    for lobe in names() if arguments.size == "full" else ():
+        for row in gloss_errors(integrators["-sun"], maps, lobe):
+            place = f"mu {row['mu']:g}, view {row['theta_r_deg']:g}"
+            print(f"gloss, {lobe}, {place}: rms {row['rms']:.3f}, max {row['max']:.3f}")
 
 
 if __name__ == "__main__":

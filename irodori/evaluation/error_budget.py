@@ -112,7 +112,14 @@ def substitutes(measured: Measured) -> dict[str, Material]:
         "calibration": with_colours(truth, [(means, basis), (np.where(known_paint, 0.0, true), true_basis)]),
         "seams": off(observed & ~inside),
         "unseen": off(~observed),
-        "gloss": replace(truth, beta=estimate.beta, mu=estimate.mu, typical_gloss=estimate.typical_gloss),
+        "gloss": replace(
+            truth,
+            beta=estimate.beta,
+            mu=estimate.mu,
+            typical_gloss=estimate.typical_gloss,
+            lobes=estimate.lobes,
+            further_gloss=estimate.further_gloss,
+        ),
         "all": estimate,
     }
 
@@ -216,7 +223,7 @@ class _Budget:
         self._add_part("seams", "rectification: texels at seams and edges", sharper, by)
         by = "texels with data, filled as those without it are"
         self._add_part("unseen", "coverage: texels filled from their neighbours", self._holes(), by)
-        gloss = self._moved(self._drawn(lambda one, own: replace(own, **draws.other_gloss(one, own, self._rng))))
+        gloss = self._moved(self._drawn(lambda one, own: draws.other_gloss(one, own, self._rng)))
         self._add_part("gloss", "gloss of the fit", gloss, "standard errors of β and μ where stated")
 
     def _holes(self) -> np.ndarray:

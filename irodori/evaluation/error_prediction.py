@@ -26,15 +26,16 @@ def noisy(known: Known, estimate: Material, rng: np.random.Generator) -> Materia
     return with_colours(estimate, [colours(estimate), (change, calibration.basis)])
 
 
-def other_gloss(known: Known, estimate: Material, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Return β and μ with a draw of their standard errors, where the fit states them."""
-    stated = np.isfinite(known.gloss_error).all(axis=-1)
-    moved = rng.standard_normal((*stated.shape, 2)) * np.where(stated[..., None], known.gloss_error, 0.0)
-    lowest = 0.5 * estimate.mu  # a draw of many standard errors is no roughness
-    return {
-        "beta": np.maximum(estimate.beta + moved[..., 0], 0.0),
-        "mu": np.maximum(estimate.mu + moved[..., 1], lowest),
-    }
+def other_gloss(known: Known, estimate: Material, rng: np.random.Generator) -> Material:
+    """Return the material with β and μ of each component off by a draw of their standard errors, where stated."""
+    pairs = []
+    for component, (_, beta, mu) in enumerate(estimate.gloss):
+        error = known.gloss_error[..., 2 * component : 2 * component + 2]
+        stated = np.isfinite(error).all(axis=-1)
+        moved = rng.standard_normal((*stated.shape, 2)) * np.where(stated[..., None], error, 0.0)
+        lowest = 0.5 * mu  # a draw of many standard errors is no roughness
+        pairs.append((np.maximum(beta + moved[..., 0], 0.0), np.maximum(mu + moved[..., 1], lowest)))
+    return estimate.with_gloss(pairs)
 
 
 def sharper(known: Known, estimate: Material) -> Material:

@@ -22,7 +22,7 @@ from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER, track
 from irodori.core.provenance import config_hash
 from irodori.core.store import Provenance
-from irodori.evaluation.truth_errors import interior
+from irodori.evaluation.truth_errors import comparable_gloss, interior
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import fit_brdf
 from irodori.ingest.camera_reference import ingest_reference
@@ -48,7 +48,7 @@ _LENGTHS = ("shift_px", "repeat_rms_px")
 class CostRow:
     """One line of ``imperfections.csv``: the errors of an object's reflectance with one set of faults.
 
-    ``beta`` and ``mu`` are medians of the relative error where the fit states them, NaN where the truth has no such
+    ``beta`` and ``mu``, of the first gloss component, are medians of the relative error where the fit states them, NaN where the truth has no such
     parameter; ``known`` is the share of observed texels on which it does. Texels at seams are left out of all.
     """
 
@@ -188,12 +188,10 @@ def cost_rows(label: str, chain: Chain, seen: dict | None = None) -> list[CostRo
     truth = true_material(chain.definition, chain.camera, chain.rig)
     chosen = found.observed & interior(truth)
     exact, estimate = (m.coefficients[chosen] @ m.basis.T for m in (truth, found))
-    gloss = {
-        name: float(np.nanmedian(np.append(np.abs(getattr(found, name) / getattr(truth, name) - 1)[chosen], np.nan)))
-        if np.isfinite(getattr(found, name) * getattr(truth, name))[chosen].any()
-        else float("nan")
-        for name in ("beta", "mu")
-    }
+    gloss = {}
+    for name, exact_map in zip(("beta", "mu"), comparable_gloss(found, truth)[0], strict=True):
+        off = np.abs(getattr(found, name) / exact_map - 1)[chosen]
+        gloss[name] = float(np.nanmedian(off)) if np.isfinite(off).any() else float("nan")
     known = float(np.isfinite(found.mu)[chosen].mean()) if chosen.any() else float("nan")
     rows = []
     for light in chain.settings["lights"]:

@@ -9,7 +9,7 @@ from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.core import store
 from irodori.geometry.shapes import Shape
 from irodori.material.fitted_tiles import FittedTiles
-from irodori.material.material_file import Material
+from irodori.material.material_file import Material, gloss_maps
 
 _LIGHT = "D65"
 #: Variance of the place that a sample of a rectified picture sees along an axis, in samples: light is gathered evenly
@@ -180,7 +180,7 @@ class Known:
     Parameters
     ----------
     material : Material
-    gloss_error : (height, width, 2) float
+    gloss_error : (height, width, 2 components) float
         Standard errors of β and of μ in rad; NaN where the fit states none.
     response, variance : (height, width, bands) float
         Diffuse responses and what the camera's noise gives them; NaN where there is none.
@@ -223,14 +223,15 @@ class Known:
         """
         own = Material.load(files["material"])
         fitted = FittedTiles(files["tiles"], *own.alpha.shape)
-        parts = [maps for _, maps in fitted.read("diffuse_response", "diffuse_variance", "beta_error", "mu_error")]
+        of_gloss = [f"{name}_error" for name in gloss_maps(own.lobes)]
+        parts = [maps for _, maps in fitted.read("diffuse_response", "diffuse_variance", *of_gloss)]
         maps = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         with store.open_file(files["calibration"]) as file:
             left_out = float(file.read(f"leave_one_out/delta_e_{_LIGHT.lower()}").mean())
         photographs = Photographs.load(files["observations"], maps["diffuse_response"][..., _GREEN], fit["model_error"])
         return cls(
             material=own,
-            gloss_error=np.stack([maps["beta_error"], maps["mu_error"]], axis=-1),
+            gloss_error=np.stack([maps[name] for name in of_gloss], axis=-1),
             response=maps["diffuse_response"],
             variance=maps["diffuse_variance"],
             calibration=Calibration.load(files["calibration"]),

@@ -84,7 +84,10 @@ class Sitting:
         true_geometry = self.planner.subject.geometry(real).reshape(sessions, len(poses), -1, 4)[session, :, texel]
         alpha, beta, mu = (np.asarray(v)[:, None] for v in (materials.alpha, materials.beta, materials.mu))
         light = self.light(sessions, len(poses), rng)[session]
-        mean = light * reflect(alpha, 1.0, beta, mu, true_geometry, materials.n, materials.k)
+        index, clean = (materials.n, materials.k), np.empty(true_geometry.shape[:2])
+        for name, of in materials.of_lobes():
+            clean[of] = reflect(alpha[of], 1.0, beta[of], mu[of], true_geometry[of], *index, lobe=name)
+        mean = light * clean
         electrons = rng.poisson(mean / self.planner.noise.shot_variance)
         response = electrons * self.planner.noise.shot_variance
         response = response + rng.normal(scale=math.sqrt(self.planner.noise.read_variance), size=response.shape)

@@ -21,7 +21,7 @@ from irodori.core.progress import LOGGER
 from irodori.export.pictures import read_xyz
 from irodori.light.environment_file import Environment, directions
 from irodori.light.irradiance import irradiance_at
-from irodori.material.material_file import Material, Status
+from irodori.material.material_file import Material, Status, gloss_names
 from irodori.rendering.scene_white import scene_white
 
 
@@ -65,14 +65,39 @@ def material_errors(name: str, material: Material, truth: Material, lights: list
         ]
         rows.append(_row(name, f"reflectance spectral RMSE{label}", spectral_rmse(exact, estimate)))
         rows.append(_row(name, f"reflectance 1 - GFC{label}", 1.0 - goodness_of_fit(exact, estimate)))
-    known = np.isfinite(material.mu) & inside
-    rows += [
-        _row(name, "alpha absolute away from seams", np.abs(material.alpha - truth.alpha)[material.observed & inside]),
-        _row(name, "beta relative away from seams, where known", np.abs(material.beta / truth.beta - 1)[known]),
-        _row(name, "mu relative away from seams, where known", np.abs(material.mu / truth.mu - 1)[known]),
-        _row(name, "alpha / S_G - 1", np.abs(material.spectrum_scale - 1)[material.observed]),
-    ]
+    off = np.abs(material.alpha - truth.alpha)[material.observed & inside]
+    rows.append(_row(name, "alpha absolute away from seams", off))
+    for component, pair in enumerate(comparable_gloss(material, truth)):
+        known = np.isfinite(material.gloss[component][2]) & inside
+        for parameter, own, exact in zip(gloss_names(component), material.gloss[component][1:], pair, strict=True):
+            off = np.abs(own / exact - 1)[known]
+            rows.append(_row(name, f"{parameter} relative away from seams, where known", off))
+    rows.append(_row(name, "alpha / S_G - 1", np.abs(material.spectrum_scale - 1)[material.observed]))
     return rows
+
+
+def comparable_gloss(material: Material, truth: Material) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return true β and μ for every gloss component of a material; NaN where there is nothing to compare it with.
+
+    A component stands beside the true one of the same lobe, the first of a lobe beside the first. Where the truth has
+    no such gloss, or has other gloss for which the material has no component, its parameters have no true value.
+    """
+
+    def keyed(one: Material) -> dict[tuple[str, int], tuple[np.ndarray, np.ndarray]]:
+        return {(n, one.lobes[:c].count(n)): (beta, mu) for c, (n, beta, mu) in enumerate(one.gloss)}
+
+    own, true = keyed(material), keyed(truth)
+    other = np.zeros(truth.alpha.shape, dtype=bool)
+    for key, (beta, _) in true.items():
+        if key not in own:
+            other |= ~(beta == 0.0)
+    nothing = np.full(truth.alpha.shape, np.nan)
+    pairs = []
+    for key in own:
+        beta, mu = true.get(key, (nothing, nothing))
+        has = (beta > 0.0) & ~other
+        pairs.append((np.where(has, beta, np.nan), np.where(has, mu, np.nan)))
+    return pairs
 
 
 def xyz_delta_e(truth: np.ndarray, estimate: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ from irodori.export.envi import INTERLEAVES, write_envi
 from irodori.export.pictures import layer_names
 from irodori.light.environment_file import Environment
 from irodori.light.omnidirectional import to_panorama
-from irodori.material.material_file import Material
+from irodori.material.material_file import Material, gloss_maps
 from irodori.spectra.grid import WAVELENGTH_NM
 
 SUFFIXES = (".exr", ".tif", ".tiff", ".img")
@@ -74,7 +74,7 @@ def _attributes(units: str, names: list[str]) -> dict:
 
 
 def export_material(source, path, interleave: str = "bsq") -> None:
-    """Write a material's reflectance factor and the maps α, β, μ.
+    """Write a material's reflectance factor and the maps α, and β and μ of every gloss component.
 
     Parameters
     ----------
@@ -82,12 +82,13 @@ def export_material(source, path, interleave: str = "bsq") -> None:
         ``material.h5``. Texels that nothing determined stay NaN.
     path : path
         ``.exr`` or ``.tif``, where RGB is linear sRGB under D65; or ``.img`` of ENVI, which has wavelengths for all its
-        bands or none: α, β and μ are in a second one, ``<name>-maps.img``.
+        bands or none: the maps are in a second one, ``<name>-maps.img``.
     interleave : str
         Of ENVI, see `irodori.export.envi.write_envi`.
     """
     material = Material.load(source)
-    names = ["R", "G", "B", *layer_names("T"), "alpha", "beta", "mu"]
+    own = ["alpha", *gloss_maps(material.lobes)]
+    names = ["R", "G", "B", *layer_names("T"), *own]
     to_xyz = xyz_from_reflectance("D65")
     to_rgb = rgb_from_xyz(to_xyz.sum(axis=1)) @ to_xyz
 
@@ -95,17 +96,22 @@ def export_material(source, path, interleave: str = "bsq") -> None:
         return material.coefficients[part] @ material.basis.T
 
     def maps(part: slice) -> np.ndarray:
-        return np.stack([material.alpha[part], material.beta[part], material.mu[part]], axis=-1)
+        gloss = [values[part] for _, *pair in material.gloss for values in pair]
+        return np.stack([material.alpha[part], *gloss], axis=-1)
 
     def rows(part: slice) -> np.ndarray:
         spectra = decoded(part)
         return np.concatenate([spectra @ to_rgb.T, spectra, maps(part)], axis=-1)
 
-    reflectance, ratios = "reflectance factor, 1 = perfect diffuser", "alpha and beta are ratios, mu is in rad"
+    reflectance = "reflectance factor, 1 = perfect diffuser"
+    units_of = {
+        name: "a ratio" if units == "1" else f"in {units}" for name, (units, _) in gloss_maps(material.lobes).items()
+    }
+    ratios = ", ".join(["alpha is a ratio", *(f"{name} is {unit}" for name, unit in units_of.items())])
     if _is_envi(path):
         size, beside = material.alpha.shape, Path(path).with_name(f"{Path(path).stem}-maps.img")
         write_envi(path, size, _ENVI_BANDS, decoded, interleave=interleave, units=reflectance)
-        write_envi(beside, size, names[-3:], maps, interleave=interleave, units=ratios)
+        write_envi(beside, size, own, maps, interleave=interleave, units=ratios)
         return
     units = f"{reflectance}; {ratios}"
     _write(Path(path), material.alpha.shape, names, _attributes(units, names), rows)

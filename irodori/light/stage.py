@@ -1,6 +1,6 @@
 """Light stage: an omnidirectional picture in; compressed light, irradiance and gloss maps out [eq. 4, 8, 9]."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -108,7 +108,7 @@ def prepare_environment(
     provenance: store.Provenance,
     source: dict | None = None,
     image: dict | None = None,
-    with_gloss: bool = False,
+    gloss_lobes: Sequence[str] = (),
 ) -> None:
     """Write an environment's file from the linear responses of its omnidirectional picture or of a mirror ball.
 
@@ -118,7 +118,7 @@ def prepare_environment(
     Parameters
     ----------
     linear, calibration_file : path
-    output, options, irradiance_options, provenance, with_gloss : see `write_environment`
+    output, options, irradiance_options, provenance, gloss_lobes : see `write_environment`
     source : dict, optional
         Of the environment's definition; of the kind ``captures``, its middle at azimuth 0, where absent.
     image : dict, optional
@@ -139,7 +139,7 @@ def prepare_environment(
     else:
         picture = _mirror_ball(linear, calibration, source, image)
     # The colour of the light is judged against the rig's light as white.
-    write_environment(picture, calibration.light, output, options, irradiance_options, provenance, with_gloss)
+    write_environment(picture, calibration.light, output, options, irradiance_options, provenance, gloss_lobes)
 
 
 def make_environment(
@@ -149,7 +149,7 @@ def make_environment(
     options: CompressOptions,
     irradiance_options: dict,
     provenance: store.Provenance,
-    with_gloss: bool = False,
+    gloss_lobes: Sequence[str] = (),
 ) -> None:
     """Write an environment's file from a file of another program or from lights placed in directions.
 
@@ -159,7 +159,7 @@ def make_environment(
         Of the kind ``rgb``, ``spectral`` or ``lights``.
     image : dict or None
         ``width`` and ``height`` of the picture of placed lights.
-    output, options, irradiance_options, provenance, with_gloss : see `write_environment`
+    output, options, irradiance_options, provenance, gloss_lobes : see `write_environment`
 
     Raises
     ------
@@ -174,7 +174,7 @@ def make_environment(
         picture = _READERS[source["kind"]](source["file"], source["scale"], source["centre_azimuth_deg"])
     else:
         raise ValueError(f"no light is made from {source['kind']!r}; accepted: lights, {', '.join(_READERS)}")
-    write_environment(picture, None, output, options, irradiance_options, provenance, with_gloss)
+    write_environment(picture, None, output, options, irradiance_options, provenance, gloss_lobes)
 
 
 def observers(white: np.ndarray) -> dict:
@@ -194,7 +194,7 @@ def write_environment(
     options: CompressOptions,
     irradiance_options: dict,
     provenance: store.Provenance,
-    with_gloss: bool = False,
+    gloss_lobes: Sequence[str] = (),
 ) -> None:
     """Compress an omnidirectional picture, integrate its maps and write the environment's file.
 
@@ -210,13 +210,14 @@ def write_environment(
     irradiance_options : dict
         See `irodori.light.irradiance.fitted_irradiance_map`.
     provenance : Provenance
-    with_gloss : bool
-        Whether gloss maps are made, and their errors.
+    gloss_lobes : sequence of str
+        Lobes of `irodori.reflection.registry` with which gloss is looked up: gloss maps are made, and their errors with
+        each; none are made where it is empty.
 
     Raises
     ------
     InputError
-        If a pixel of the picture is not finite: every direction has its light.
+        If a pixel of the picture is not finite, every direction has its light; or a lobe has no table.
     """
     mean = MeanLight(picture.size)
     tiles = Tiles(picture)
@@ -232,7 +233,7 @@ def write_environment(
         )
         integrator = Integrator(coefficients)
         irradiance, of_irradiance = fitted_irradiance_map(coefficients, **irradiance_options, integrate=integrator)
-        gloss = GlossMaps.of(coefficients) if with_gloss else None
+        gloss = GlossMaps.of(coefficients) if gloss_lobes else None
         errors = {
             "delta_e": compression.errors,
             "negative_fraction": compression.negative.fraction,
@@ -240,7 +241,7 @@ def write_environment(
             "irradiance": of_irradiance,
         }
         if gloss is not None:
-            errors["gloss"] = gloss_errors(integrator, gloss)
+            errors["gloss"] = [row for lobe in gloss_lobes for row in gloss_errors(integrator, gloss, lobe)]
         light = Environment(coefficients, compression.basis, irradiance)
         light.write_rest(out, errors, gloss, picture.origin)
     _log(compression, errors)

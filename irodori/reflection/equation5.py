@@ -1,7 +1,7 @@
-"""The reflection model of equation (5): diffuse, rough gloss with Gaussian facets, and perfect mirror.
+"""The reflection model of equation (5): Fresnel reflectance, geometry, and the rough terms over arrays.
 
-Scalar kernels are compiled with numba for use inside other compiled loops; the functions with array arguments at
-the end are for callers in Python. Angles are in rad, directions are unit vectors, refractive index is n + ik.
+The forms of the rough gloss itself are the lobes of `irodori.reflection.registry`. Angles are in rad, directions are
+unit vectors, refractive index is n + ik.
 """
 
 import math
@@ -10,6 +10,7 @@ import numpy as np
 
 from irodori.jit.native import njit
 from irodori.reflection.fresnel import fresnel
+from irodori.reflection.lobe_arrays import evaluate
 
 MU_MIN_RAD = 0.005
 MU_MAX_RAD = 1.2
@@ -66,18 +67,20 @@ def gloss_factors(geometry, n, k):
     return out.reshape(geometry.shape[:-1])
 
 
-def reflect(alpha, reflectance, beta, mu, geometry, n=1.5, k=0.0):
-    """Return π L_o / E_n, the rough terms of equation (5).
+def reflect(alpha, reflectance, beta, mu, geometry, n=1.5, k=0.0, *, lobe: str = "gaussian"):
+    """Return π L_o / E_n of diffuse reflection and one component of rough gloss [eq. 5].
 
     Parameters
     ----------
     alpha, beta, mu : float or (...) float
-        Weights, and roughness in rad.
+        Weights, and roughness in the unit of the lobe.
     reflectance : float or (...) float
         S at one wavelength.
     geometry : (..., 4) float
         θ_i, θ_r, θ_H, φ in rad.
     n, k : float
+    lobe : str
+        Of `irodori.reflection.registry`.
 
     Returns
     -------
@@ -85,8 +88,10 @@ def reflect(alpha, reflectance, beta, mu, geometry, n=1.5, k=0.0):
     """
     geometry = np.asarray(geometry, dtype=np.float64)
     lit = (geometry[..., 0] < math.pi / 2) & (geometry[..., 1] < math.pi / 2)
-    distribution = np.exp(-np.square(geometry[..., 3] / mu))
-    gloss = beta * gloss_factors(geometry, float(n), float(k)) * distribution
+    # With light and view at the normal of a facet that stands on it G / cosθ_r is 1, and F is left.
+    facing = np.zeros_like(geometry)
+    facing[..., 2] = geometry[..., 2]
+    gloss = beta * gloss_factors(facing, float(n), float(k)) * evaluate(lobe, mu, geometry)
     return np.where(lit, alpha * reflectance * np.cos(geometry[..., 0]) + gloss, 0.0)
 
 

@@ -10,7 +10,7 @@ With D scaled to 1 at φ = 0 the term is D G₂ / (4 cosθ_r cosθ_i) times 4 co
 
 import math
 
-from irodori.jit.lanes import root, select
+from irodori.jit.lanes import exponential, root, select
 from irodori.jit.native import njit
 from irodori.reflection.lobe import Parameter
 
@@ -27,7 +27,8 @@ def features(cos_i, cos_r, cos_phi, cos_h, phi):
     """Return 2 cosθ_i, and sin²φ, cosθ_i, cosθ_r; φ near 0 gives the digits that cosφ has lost."""
     lit = (cos_i > 0.0) & (cos_r > 0.0) & (cos_h > 0.0) & (cos_phi > 0.0)
     square = 1.0 - cos_phi * cos_phi
-    small = phi * phi * (1.0 - phi * phi * (1.0 / 3.0 - phi * phi * (2.0 / 45.0)))
+    p2 = phi * phi
+    small = p2 * (1.0 - p2 * (1.0 / 3.0 - p2 * (2.0 / 45.0 - p2 * (1.0 / 315.0))))
     square = select(phi < 0.05, small, square)
     one = 0.0 * cos_i + 1.0
     return select(lit, 2.0 * cos_i, 0.0 * cos_i), square, select(lit, cos_i, one), select(lit, cos_r, one)
@@ -36,7 +37,7 @@ def features(cos_i, cos_r, cos_phi, cos_h, phi):
 @njit(cache=True, forceinline=True, error_model="numpy")
 def constants(t):
     """Return μ² and 0."""
-    return math.exp(2.0 * t), 0.0
+    return exponential(2.0 * t), 0.0
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")

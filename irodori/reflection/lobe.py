@@ -67,7 +67,7 @@ class Lobe:
     strength : kernel (μ) -> float
         About the albedo of a steep view for β F = 1; decides how often a lobe is drawn and is never 0.
     reach : kernel (μ) -> float, rad
-        φ beyond which the lobe is below 1e-4 of its peak, at most π/2.
+        φ beyond which the lobe is below about 1e-4 of its peak (at most 2e-4), at most π/2.
     digest : str
         Hash of the module's source: what is compiled with the lobe is compiled anew when it changes.
     """

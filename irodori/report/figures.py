@@ -16,6 +16,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from irodori.colour.colorimetry import delta_e_reflectance, xyz_from_reflectance
 from irodori.colour.display import encode_srgb, rgb_from_xyz
 from irodori.material.material_file import Material, Status
+from irodori.reflection.registry import lobe
 from irodori.spectra.grid import WAVELENGTH_NM
 
 _UNSEEN_GREY = 208
@@ -43,9 +44,12 @@ def material_figure(material: Material, maps: dict[str, np.ndarray], truth: Mate
 
     ``maps`` holds ``status``, ``residual_rms``, ``reflectance_error`` and ``training_distance``.
     """
-    figure, axes = plt.subplots(2, 5, figsize=(15, 5.6), layout="constrained")
+    rows = 1 + len(material.lobes)
+    figure, axes = plt.subplots(rows, 5, figsize=(15, 2.8 * rows), layout="constrained")
     status = maps["status"]
     axes = axes.ravel()
+    for spare in axes[10:]:
+        spare.axis("off")
     matrix = xyz_from_reflectance("D65")
     spectra = np.nan_to_num(material.spectra())
     linear = spectra @ (rgb_from_xyz(matrix.sum(axis=1)) @ matrix).T
@@ -55,8 +59,11 @@ def material_figure(material: Material, maps: dict[str, np.ndarray], truth: Mate
     axes[0].set_title("reflectance under D65", fontsize=9)
     axes[0].axis("off")
     _map(axes[1], figure, material.alpha, "α", "1")
-    _map(axes[2], figure, material.beta, "β", "1")
-    _map(axes[3], figure, material.mu, "μ", "rad")
+    for component, (name, beta, mu) in enumerate(material.gloss):
+        kind, at = lobe(name), 2 if component == 0 else 10 + 2 * (component - 1)
+        which = "" if len(material.lobes) == 1 else f" of {kind.title}"
+        _map(axes[at], figure, beta, f"β{which}", "1")
+        _map(axes[at + 1], figure, mu, f"{kind.roughness.symbol}{which}", kind.roughness.unit)
     _map(axes[4], figure, maps["residual_rms"], "residual", "1")
     norm = BoundaryNorm(np.arange(len(Status) + 1) - 0.5, len(Status))
     axes[5].imshow(status, cmap=ListedColormap(_STATUS_COLOURS), norm=norm)

@@ -8,6 +8,7 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from irodori.core.atomic_files import written_whole
+from irodori.reflection.registry import lobe
 
 
 def number(value: str | float) -> str:
@@ -38,6 +39,7 @@ _TEMPLATES = Environment(
     lstrip_blocks=True,
 )
 _TEMPLATES.filters |= {"number": number, "show": format, "grouped": _grouped}
+_TEMPLATES.globals["lobe_named"] = lobe
 
 
 def fragment(template: str, **context) -> str:

@@ -12,6 +12,7 @@ from irodori.evaluation.pose_planning import PlanRow, read_plan
 from irodori.evaluation.registration_errors import read_registration, summarise
 from irodori.evaluation.truth_errors import read_errors
 from irodori.material.material_file import Material
+from irodori.reflection.registry import lobe
 from irodori.report.calibration_part import camera_calibrations
 from irodori.report.figures import material_figure, planning_figure, spectra_figure
 from irodori.report.html_page import data_uri, write_page
@@ -42,6 +43,17 @@ def _pictures(names: list[str], pictures: list, figures: list) -> list[dict]:
     ]
 
 
+def typical_gloss_text(material: Material) -> str:
+    """Return β and μ of the object's typical gloss with the unit and the title of the lobe, of every component."""
+    parts = []
+    for component, name in enumerate(material.lobes):
+        kind = lobe(name)
+        beta, mu = material.typical_gloss[2 * component : 2 * component + 2]
+        unit = "" if kind.roughness.unit == "1" else f" {kind.roughness.unit}"
+        parts.append(f"β = {beta:.3g}, {kind.roughness.symbol} = {mu:.3g}{unit} ({kind.title})")
+    return "; ".join(parts)
+
+
 def _object(name: str, path, truth_file) -> dict:
     material = Material.load(path)
     truth = Material.load(truth_file) if truth_file else None
@@ -53,7 +65,7 @@ def _object(name: str, path, truth_file) -> dict:
         "maps": material_figure(material, maps, truth),
         "spectra": spectra_figure(material, truth) if truth else None,
         "bases": material.basis.shape[1],
-        "gloss": material.typical_gloss,
+        "gloss": typical_gloss_text(material),
         "errors": errors,
         "stored": stored,
     }

@@ -15,12 +15,19 @@ from irodori.config.capture_table import Pose
 from irodori.fitting.solvers import FitOptions, fit
 from irodori.material.material_file import Status
 from irodori.reflection.equation5 import MU_MAX_RAD, MU_MIN_RAD, reflect
+from irodori.reflection.registry import names
 
 SHOT = Noise(read_variance=6e-8, shot_variance=4e-5, relative=0.0, pose_rms_deg=0.0)
 
 
-def one(alpha, beta, mu, n=1.5, k=0.0) -> Materials:
-    return Materials(np.array([alpha]), np.array([beta]), np.array([mu]), n, k)
+def one(alpha, beta, mu, n=1.5, k=0.0, lobe="gaussian") -> Materials:
+    return Materials(np.array([alpha]), np.array([beta]), np.array([mu]), n, k, (lobe,))
+
+
+def plain(parameters) -> tuple:
+    """Return α, S, β, μ of a white material."""
+    alpha, beta, mu = parameters
+    return alpha, 1.0, beta, mu
 
 
 materials = st.builds(
@@ -30,26 +37,40 @@ materials = st.builds(
     st.floats(MU_MIN_RAD, MU_MAX_RAD),
     st.sampled_from([1.3, 1.5, 0.2]),
     st.sampled_from([0.0, 3.2]),
+    st.sampled_from(names()),
 )
 poses = st.builds(Pose, st.floats(0.0, 75.0), st.floats(0.0, 75.0))
 
 
 @settings(max_examples=60, deadline=None)
 @given(materials, poses)
-def test_the_jacobian_is_the_derivative_of_equation_5_by_the_logarithms(material, pose):
+def test_the_jacobian_is_the_derivative_of_the_response_by_the_logarithms(material, pose):
     geometry, step = flat_angles([pose]), 1e-5
     seen = observe(texel(), [pose], material, SHOT)
     truth = material.parameters()[0]
     for index in range(3):
         factor = np.where(np.arange(3) == index, np.exp(step), 1.0)
         high, low = truth * factor, truth / factor
-        numeric = [reflect(p[0], 1.0, p[1], p[2], geometry, material.n, material.k)[0] for p in (high, low)]
+        numeric = [reflect(*plain(p), geometry, material.n, material.k, lobe=material.lobes[0])[0] for p in (high, low)]
         slope = (numeric[0] - numeric[1]) / (2 * step)
         # The third derivative is at most some (2 φ²/μ²)³ of the lobe, the rounding 1e-16 / step of the response.
         ratio = 1.0 + 2.0 * (geometry[0, 3] / truth[2]) ** 2
         lobe = abs(seen.jacobian[0, 0, 1])
         tolerance = step**2 * ratio**3 * lobe + 1e-10 * seen.response[0, 0] + 1e-15
         assert abs(seen.jacobian[0, 0, index] - slope) <= tolerance
+
+
+def test_materials_of_two_lobes_are_seen_as_each_alone():
+    poses = [Pose(45.0, 35.0), Pose(45.0, 50.0), Pose(30.0, 10.0)]
+    both = Materials(np.array([0.2, 0.4]), np.array([3.0, 2.0]), np.array([0.1, 0.2]), lobes=("gaussian", "ggx"))
+    found = observe(texel(), poses, both, Noise())
+    for case, name in enumerate(both.lobes):
+        alone = one(both.alpha[case], both.beta[case], both.mu[case], lobe=name)
+        seen = observe(texel(), poses, alone, Noise())
+        np.testing.assert_array_equal(found.jacobian[:, case], seen.jacobian[:, 0])
+        np.testing.assert_array_equal(found.variance[:, case], seen.variance[:, 0])
+        expected = reflect(alone.alpha, 1.0, alone.beta, alone.mu, flat_angles(poses), lobe=name)
+        np.testing.assert_allclose(seen.response[:, 0], expected, rtol=1e-12)
 
 
 def test_a_pose_error_adds_the_squared_slope_times_its_variance():

@@ -194,6 +194,18 @@ def test_a_plan_for_a_sphere_turns_the_table_and_determines_more_than_one_side_d
     assert plan.determined_fraction > 1.5 * known > 0.0
 
 
+def test_an_object_of_two_lobes_is_planned_with_materials_of_either_and_wants_six_poses():
+    definition = PLATE_OBJECT | {"lobes": ["ggx", "gaussian"]}
+    planner = Planner(definition, RIG)
+    (first, of_first), (second, of_second) = planner.sample.of_lobes()
+    assert (first, second) == ("ggx", "gaussian") and len(of_first) == len(of_second)
+    # Either half of the materials fills the range.
+    for part in (of_first, of_second):
+        assert np.median(planner.sample.alpha[part]) == pytest.approx(0.46, abs=0.08)
+    with pytest.raises(ValueError, match="accepted: 6 or more, for 5 parameters"):
+        planner.best(5)
+
+
 def test_the_materials_of_a_range_fill_it():
     chosen = MaterialRange(alpha=(0.1, 0.5), beta=(1.0, 4.0), mu_rad=(0.1, 0.2), n=1.4).spread(200)
     assert chosen.n == 1.4

@@ -93,6 +93,35 @@ def test_the_centre_of_a_plate_has_the_response_of_equation_5(definitions, perfe
             assert seen == pytest.approx(float(expected), rel=2e-3)
 
 
+def test_a_plate_of_two_components_has_the_sum_of_their_terms_and_its_truth_has_both(definitions, perfect):
+    definition, pose = uniform(definitions, "tile-plate"), Pose(45.0, 41.0)
+    second = {"kind": "ggx", "beta": 1.5, "mu_rad": 0.4}
+    definition["virtual"]["materials"][0]["further_gloss"] = [second]
+    image, sample, weights = photograph(definition, *perfect, pose)
+    geometry = angles_from_directions(rig_from_object(pose)[:, 2], to_light(pose), to_camera(pose))
+    scale = weights[1].sum()
+    plain = reflect(1.0, sample.reflectance[0] @ weights[1] / scale, 4.0, 0.15, geometry)
+    expected = scale * (plain + reflect(0.0, 0.0, 1.5, 0.4, geometry, lobe="ggx"))
+    assert image[0, 298:302, 398:402][0::2, 1::2].mean() == pytest.approx(float(expected), rel=2e-3)
+    truth = true_material(definition, *perfect)
+    assert [(name, beta[0, 0], mu[0, 0]) for name, beta, mu in truth.gloss] == [
+        ("gaussian", 4.0, 0.15), ("ggx", 1.5, 0.4)
+    ]  # fmt: skip
+    assert truth.typical_gloss == (4.0, 0.15, 1.5, 0.4)
+
+
+def test_the_truth_of_materials_with_different_lobes_has_a_component_for_each(definitions, perfect):
+    definition = uniform(definitions, "tile-plate")
+    definition["virtual"]["pattern"] = {"kind": "checks", "columns": 2, "rows": 1}
+    definition["virtual"]["materials"].append({"kind": "ggx", "spectrum": "TCS3", "beta": 2.0, "mu_rad": 0.3})
+    truth = true_material(definition, *perfect)
+    (one, beta, _), (other, further, mu) = truth.gloss
+    assert (one, other) == ("gaussian", "ggx")
+    left, right = (0, 0), (0, -1)
+    assert beta[left] == 4.0 and further[left] == 0.0 and beta[right] == 0.0 and further[right] == 2.0
+    assert (mu == 0.3).all()
+
+
 def test_the_underside_and_the_shadow_of_the_table_are_black(definitions, perfect):
     image, _, _ = photograph(uniform(definitions, "tile-plate"), *perfect, Pose(95.0, 20.0))
     assert image.max() == 0.0

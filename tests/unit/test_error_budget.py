@@ -114,7 +114,7 @@ def test_noise_that_is_known_is_predicted(deviation):
 def test_gloss_errors_that_are_known_are_drawn_as_large():
     def drawn(one):
         found = other_gloss(one, one.estimate(), np.random.default_rng(0))
-        return found["beta"], found["mu"]
+        return found.beta, found.mu
 
     beta, mu = drawn(measured().known)
     assert (beta == 2.0).all() and (mu == 0.1).all()

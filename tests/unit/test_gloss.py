@@ -17,10 +17,12 @@ from irodori.light.equirectangular import look_up
 from irodori.light.gloss.gloss_maps import GlossMaps, gloss_radiance
 from irodori.light.gloss.lobe_table import fitted_lobes
 from irodori.light.gloss.look_up_errors import gloss_errors, places, true_gloss
-from irodori.light.gloss.make_lobe_table import fit_lobe, gaussians, lobe_samples, unit
+from irodori.light.gloss.make_lobe_table import extent, farthest, fit_lobe, gaussians, lobe_samples, unit
 from irodori.light.gloss.point_sources import point_lights
 from irodori.light.irradiance import Integrator
+from irodori.reflection.albedo import albedo_table
 from irodori.reflection.fresnel import fresnel
+from irodori.reflection.registry import names
 
 
 def blurred(coefficients, unit, width_rad):
@@ -89,30 +91,62 @@ def rebuilt(lobes, i, j, direction):
     return gaussians(direction, axis, WIDTHS_RAD[lobes.width[i, j, used]]) @ lobes.weight[i, j, used]
 
 
-def test_the_fitted_lobes_are_the_true_ones_under_the_horizon_too_and_keep_their_power():
-    lobes = fitted_lobes()
+@pytest.mark.parametrize("name", names())
+def test_the_fitted_lobes_are_the_true_ones_under_the_horizon_too_and_keep_their_power(name):
+    lobes = fitted_lobes(name)
     assert (lobes.weight >= 0).all() and (lobes.across >= 0).all()
     for i, mu in enumerate(lobes.mu):
         for j, theta_r in enumerate(lobes.theta_r):
-            direction, value, _, solid_angle = lobe_samples(mu, theta_r, (150, 60))  # not the samples of the fit
+            # Not the samples of the fit.
+            direction, value, _, solid_angle = lobe_samples(mu, theta_r, (150, 60), name)
             found = rebuilt(lobes, i, j, direction)
             power = (value * solid_angle).sum()
             assert (found * solid_angle).sum() == pytest.approx(power, rel=0.03 if theta_r < 1.3 else 0.08)
             # Root mean square: the error for one small sun that may stand anywhere. Narrower across than the finest
             # width a lobe cannot be had.
             rest = math.sqrt((((found - value) ** 2) * solid_angle).sum() / (value**2 * solid_angle).sum())
-            if math.sqrt(2) * mu * math.cos(theta_r) >= WIDTHS_RAD[0] and theta_r <= math.radians(80.1):
+            core = extent(name, mu).core
+            if math.sqrt(2) * core * math.cos(theta_r) >= WIDTHS_RAD[0] and theta_r <= math.radians(80.1):
                 assert rest <= (0.05 if mu <= 0.12 else 0.1), (mu, math.degrees(theta_r))
 
 
-def test_the_table_is_what_its_module_makes():
-    lobes = fitted_lobes()
+@pytest.mark.parametrize("name", names())
+def test_a_table_is_what_its_module_makes(name):
+    lobes = fitted_lobes(name)
     for i, j in ((3, 4), (8, 6)):
-        made = fit_lobe(lobes.mu[i], lobes.theta_r[j])
-        direction, value, _, solid_angle = lobe_samples(lobes.mu[i], lobes.theta_r[j])
+        made = fit_lobe(lobes.mu[i], lobes.theta_r[j], name)
+        direction, value, _, solid_angle = lobe_samples(lobes.mu[i], lobes.theta_r[j], name=name)
         fitted = gaussians(direction, unit(lobes.theta_r[j] + made.offset, made.across), WIDTHS_RAD[made.width])
         difference = fitted @ made.weight - rebuilt(lobes, i, j, direction)
         assert np.linalg.norm(difference * solid_angle**0.5) <= 0.01 * np.linalg.norm(value * solid_angle**0.5)
+
+
+def test_samples_of_a_lobe_hold_its_power():
+    for name in names():
+        for mu in (0.01, 0.1, 0.4):
+            for theta_r in (0.0, 1.0, 1.4):
+                _, value, _, solid_angle = lobe_samples(mu, theta_r, (150, 60), name)
+                albedo = albedo_table(name, mu, math.cos(theta_r)).albedo[0, 0]
+                assert (value * solid_angle).sum() / math.pi == pytest.approx(albedo, rel=2e-3)
+
+
+def test_the_extent_of_facets():
+    assert extent("gaussian", 0.1) == pytest.approx((0.1, 0.1), rel=1e-3)
+    # D of GGX is about 1/e where tanφ is 0.8054 μ; but for a share of x its facets lie within tanφ = μ / √x.
+    assert extent("ggx", 0.01).core == pytest.approx(0.01 * math.sqrt(math.exp(0.5) - 1.0), rel=1e-3)
+    assert math.tan(farthest("ggx", 0.02, 0.01)) == pytest.approx(0.02 * math.sqrt(99.0), rel=0.01)
+
+
+def test_a_lobe_without_a_table_is_refused_with_the_command_that_makes_it(tmp_path, monkeypatch):
+    monkeypatch.setattr("irodori.light.gloss.lobe_table.path_of", lambda name: tmp_path / f"lobe_table-{name}.h5")
+    fitted_lobes.cache_clear()
+    try:
+        with pytest.raises(InputError, match=r"lobe_table-ggx.h5.*python -m irodori.light.gloss.make_lobe_table ggx"):
+            fitted_lobes("ggx")
+    finally:
+        fitted_lobes.cache_clear()
+    with pytest.raises(ValueError, match="no lobe 'phong'"):
+        fitted_lobes("phong")
 
 
 @pytest.fixture(scope="module")
@@ -124,17 +158,17 @@ def constant():
 @pytest.mark.parametrize(
     ("mu", "limit"), [(0.02, 0.02), (0.07, 0.02), (0.15, 0.03), (0.3, 0.04), (0.36, 0.03), (0.8, 0.01), (1.2, 0.01)]
 )
-@pytest.mark.parametrize("index", [(1.5, 0.0), (0.2, 3.4)])
-def test_constant_light_is_reflected_as_the_lobe_says(constant, mu, limit, index):
+@pytest.mark.parametrize(("index", "name"), [((1.5, 0.0), "gaussian"), ((0.2, 3.4), "gaussian"), ((1.5, 0.0), "ggx")])
+def test_constant_light_is_reflected_as_the_lobe_says(constant, mu, limit, index, name):
     integrator, maps = constant
     for theta_r in (0.0, 33.0, 62.0, 74.0):
         normal, view = places(math.radians(theta_r), 3, seed=4)
-        truth = true_gloss(integrator, normal, view, mu, index)
-        found = gloss_radiance(maps.tables(), normal, view, 1.0, mu, *index)
+        truth = true_gloss(integrator, normal, view, mu, index, name)
+        found = gloss_radiance(maps.tables(name), normal, view, 1.0, mu, *index)
         assert np.abs(found - truth).max() <= limit * truth.max()
     # Directly: radiance times Fresnel at normal view times ∫ D G 4 cosφ dω_h / π for a narrow lobe, 4 μ² π / π.
     if mu <= 0.02:
-        found = gloss_radiance(maps.tables(), [0.0, 0.0, 1.0], [0.0, 0.0, 1.0], 1.0, mu, *index)
+        found = gloss_radiance(maps.tables(name), [0.0, 0.0, 1.0], [0.0, 0.0, 1.0], 1.0, mu, *index)
         assert found == pytest.approx(np.array([2.0, 0.5]) * 4 * mu**2 * fresnel(1.0, *index), rel=0.01)
 
 
@@ -161,8 +195,8 @@ def test_what_reflects_nothing_gives_nothing(constant):
     assert np.isfinite(gloss_radiance(tables, -up, -up, 1.0, 0.1, 1.5, 0.0)).all()
 
 
-@pytest.mark.parametrize("name", ["museum", "hall"])
-def test_the_errors_under_a_photographed_place(name):
+@pytest.mark.parametrize(("name", "lobe"), [("museum", "gaussian"), ("hall", "gaussian"), ("hall", "ggx")])
+def test_the_errors_under_a_photographed_place(name, lobe):
     path = DATA / "environments" / f"{name}.exr"
     if not path.is_file():
         pytest.skip(f"no picture at {path}")
@@ -171,12 +205,12 @@ def test_the_errors_under_a_photographed_place(name):
     source = oiio.ImageInput.open(str(path))
     light = np.maximum(source.read_image("float"), 0.0)
     source.close()
-    rows = gloss_errors(Integrator(light), GlossMaps.of(light))
-    assert len(rows) == 48
+    rows = gloss_errors(Integrator(light), GlossMaps.of(light), lobe)
+    assert len(rows) == 48 and {row["lobe"] for row in rows} == {lobe}
     for row in rows:
         # Across the plane of incidence the lobe is as narrow as cosθ_r: under the finest map it is only sketched.
         finest = WIDTHS_RAD[first_level(*light.shape[:2])]
-        narrow = math.sqrt(2.0) * row["mu_rad"] * math.cos(math.radians(row["theta_r_deg"])) < finest
+        narrow = math.sqrt(2.0) * row["mu"] * math.cos(math.radians(row["theta_r_deg"])) < finest
         limit = 0.35 if narrow else 0.2 if row["theta_r_deg"] > 80 else 0.06
         assert row["rms"] <= limit and row["max"] <= 1.5 * limit, row
 

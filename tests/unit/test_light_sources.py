@@ -158,14 +158,14 @@ def test_an_rgb_environment_in_a_file(tmp_path):
     rng = np.random.default_rng(3)
     write_exr(tmp_path / "a.exr", rng.uniform(0, 1, (16, 32, 3)))
     source = {"kind": "rgb", "file": str(tmp_path / "a.exr"), "scale": 1.0, "centre_azimuth_deg": 0.0}
-    make_environment(source, None, tmp_path / "e.h5", *OPTIONS, with_gloss=True)
+    make_environment(source, None, tmp_path / "e.h5", *OPTIONS, gloss_lobes=["gaussian"])
     found = Environment.load(tmp_path / "e.h5")
     expected = rgb_picture(tmp_path / "a.exr")
     truth = expected.weights @ expected.basis.T
     assert np.abs(found.coefficients @ found.basis.T - truth).max() <= 0.02 * truth.max()
     with store.open_file(tmp_path / "e.h5") as file:
         assert "assumption" in file.attribute("origin")
-        assert {"mu_rad", "theta_r_deg", "rms", "max"} == set(file.attribute("errors")["gloss"][0])
+        assert {"lobe", "mu", "theta_r_deg", "rms", "max"} == set(file.attribute("errors")["gloss"][0])
         assert "gloss/width" in file
 
 
@@ -286,7 +286,7 @@ def test_light_that_is_not_finite_is_refused_and_black_light_is_black(tmp_path):
     with pytest.raises(InputError, match="1 pixels that are not finite"):
         write_environment(picture(broken), None, tmp_path / "e.h5", *OPTIONS)
     assert not (tmp_path / "e.h5").exists()
-    write_environment(picture(0 * np.ones_like(broken)), None, tmp_path / "e.h5", *OPTIONS, with_gloss=True)
+    write_environment(picture(0 * np.ones_like(broken)), None, tmp_path / "e.h5", *OPTIONS, gloss_lobes=["gaussian"])
     found = Environment.load(tmp_path / "e.h5")
     assert (found.coefficients == 0).all() and (found.irradiance == 0).all() and (found.upward_white() == 0).all()
 

@@ -10,9 +10,11 @@ from irodori.evaluation.coefficient_storage import storage_sentence
 from irodori.light.stage import make_environment
 from irodori.material.coefficients import write_coefficients
 from irodori.material.principal_components.basis_count import CompressOptions
+from irodori.reflection.registry import lobe
 from irodori.report.html_page import fragment
 from irodori.report.page import environments
 
+LOBES = ["gaussian", "ggx"]
 LIGHTS = [{"spectrum": "A", "azimuth_deg": 20.0, "elevation_deg": 50.0, "diameter_deg": 30.0, "irradiance": 1.0}]
 
 
@@ -20,15 +22,20 @@ LIGHTS = [{"spectrum": "A", "azimuth_deg": 20.0, "elevation_deg": 50.0, "diamete
 def test_every_figure_of_the_gloss_table_is_the_files(tmp_path, with_gloss):
     path = tmp_path / "room.h5"
     make_environment({"kind": "lights", "lights": LIGHTS}, {"width": 64, "height": 32}, path, CompressOptions(),
-                     {"max_error": 0.01, "max_height": 64}, store.Provenance("test"), with_gloss)  # fmt: skip
+                     {"max_error": 0.01, "max_height": 64}, store.Provenance("test"),
+                     LOBES if with_gloss else ())  # fmt: skip
     page = fragment("light.html.j2", environments=environments(["room & hall"], [path]))
     assert "room &amp; hall" in page and "Source: lights." in page
     with store.open_file(path) as file:
         errors = file.attribute("errors")
     assert f"map of {errors['irradiance']['height']} rows" in page
     assert ("θ_r" in page) == with_gloss
+    # The unit of a roughness is its lobe's.
+    assert ("<th>μ, rad</th>" in page) == ("<th>μ</th>" in page) == with_gloss
+    assert {row["lobe"] for row in errors.get("gloss", [])} == set(LOBES if with_gloss else ())
     for row in errors.get("gloss", []):
-        line = re.search(rf"<tr><td>{row['mu_rad']:g}</td>(.*?)</tr>", page)[1]
+        part = page[page.index(lobe(row["lobe"]).title) :]
+        line = re.search(rf"<tr><td>{row['mu']:g}</td>(.*?)</tr>", part)[1]
         assert f"<td>{row['rms']:.1%} ({row['max']:.1%})</td>" in line
 
 

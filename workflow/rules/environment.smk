@@ -19,6 +19,7 @@ rule prepare_environment:
         source=lookup(within=config, dpath="environments/{environment}/source"),
         image=lookup(within=config, dpath="environments/{environment}/image", default=None),
         photographed=photographed_environment,
+        lobes=sorted({name for one in config["objects"].values() for name in one.get("lobes", ["gaussian"])}),
         code=code_hash("irodori.light.stage"),
     script:
         "../scripts/prepare_environment.py"

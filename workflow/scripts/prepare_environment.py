@@ -4,7 +4,7 @@ from irodori.material.principal_components.basis_count import CompressOptions
 
 with run_rule(snakemake) as provenance:
     options = dict(snakemake.params.compress)
-    irradiance, gloss = options.pop("irradiance"), options.pop("gloss_maps")
+    irradiance, gloss = options.pop("irradiance"), snakemake.params.lobes if options.pop("gloss_maps") else ()
     common = snakemake.output.environment, CompressOptions(**options), irradiance, provenance
     source, image = snakemake.params.source, snakemake.params.image
     if snakemake.params.photographed:

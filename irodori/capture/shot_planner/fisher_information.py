@@ -5,7 +5,9 @@ no unit: other units of light or angle multiply a material's parameters, which m
 derivatives as they are. Any other scale fixed for each material would shift the criterion by a constant and choose the
 same poses; a sum of variances, though, depends on the scale, and relative errors of β and μ are what the report states.
 
-A *case* is one material on one texel; cases run over texels first: case = texel * materials + material.
+A *case* is one material on one texel; cases run over texels first: case = texel * materials + material. A material has
+one gloss component here. What poses tell of two at once is judged by materials of either lobe alone: the poses have to
+serve both, but how the two components of one texel are told apart is not in it, and their errors are larger than this.
 """
 
 import math
@@ -20,6 +22,7 @@ from irodori.geometry.rig_frame import rig_from_object, to_camera, to_light
 from irodori.geometry.shapes import Shape, on_table
 from irodori.jit.native import njit
 from irodori.reflection.equation5 import angles_from_directions, gloss_factors
+from irodori.reflection.lobes import Lobes, constants, derivatives, features, value
 
 PARAMETERS = 3
 _OFFSET_MM = 1e-3
@@ -112,9 +115,11 @@ class Materials:
     Parameters
     ----------
     alpha, beta, mu : (m,) float
-        Weights, at least 0; roughness in rad, above 0.
+        Weights, at least 0; roughness in the unit of the lobe, above 0.
     n, k : float
         Complex refractive index n + ik of all.
+    lobes : tuple of str
+        Of `irodori.reflection.registry`; the first so many materials have the first, and so on, in equal parts.
     """
 
     alpha: np.ndarray
@@ -122,6 +127,12 @@ class Materials:
     mu: np.ndarray
     n: float = 1.5
     k: float = 0.0
+    lobes: tuple[str, ...] = ("gaussian",)
+
+    def of_lobes(self) -> list[tuple[str, np.ndarray]]:
+        """Return every lobe with the indices of its materials."""
+        which = np.arange(len(self.alpha)) * len(self.lobes) // len(self.alpha)
+        return [(name, np.flatnonzero(which == number)) for number, name in enumerate(self.lobes)]
 
     def parameters(self) -> np.ndarray:
         """Return α, β, μ as (m, 3) float64."""
@@ -251,62 +262,70 @@ def observe(
     geometry = np.stack([subject.geometry(group) for group in moved], axis=2)  # (poses, t, 5, 4)
     limit = np.radians(max_angle_deg) + 1e-9
     seen = (geometry[:, :, 0, :2] <= limit).all(axis=-1) & subject.unobstructed(poses)
-    # Beyond the horizon there is no light: the cosine of a moved pose must not turn negative.
-    cosine = np.cos(np.minimum(geometry[..., 0], np.pi / 2))
-    gloss = gloss_factors(np.ascontiguousarray(geometry), float(materials.n), float(materials.k))
+    # With light and view at the normal of a facet that stands on it G / cosθ_r is 1, and F is left.
+    facing = np.zeros_like(geometry)
+    facing[..., 2] = geometry[..., 2]
+    reflectance = gloss_factors(facing, float(materials.n), float(materials.k))
     parameters = materials.parameters()
     cases = geometry.shape[1] * len(parameters)
     shape = (len(poses), cases)
     out = Observations(np.zeros((*shape, PARAMETERS)), np.full(shape, np.inf), np.zeros(shape), np.zeros(shape))
-    phi = np.ascontiguousarray(geometry[..., 3])
     spread = (noise.read_variance, noise.shot_variance, noise.relative, noise.saturation_response)
     # Without weights of its own the fit takes all variances for one.
     expected = weighting.model_error if weighting.weights == "noise" else -1.0
     filled = out.jacobian, out.variance, out.response, out.weight
-    _fill(cosine, gloss, phi, seen, parameters, spread, expected, *filled)
+    for name, chosen in materials.of_lobes():
+        _fill(Lobes.of(name), geometry, reflectance, seen, parameters, chosen, spread, expected, *filled)
     return out
 
 
-@njit(cache=True)
-def _rough(alpha, beta, mu, cosine, gloss, phi):
-    """Return the gloss and the sum of the rough terms of equation (5)."""
-    ratio = phi / mu
-    lobe = beta * gloss * math.exp(-ratio * ratio)
-    return lobe, alpha * cosine + lobe
+@njit(cache=True, error_model="numpy")
+def _features(lobes, geometry, reflectance, out):
+    """Fill cosθ_i, F times the lobe's factor, and its features, of a pose and those moved from it, (5,) each."""
+    for s in range(5):
+        # Beyond the horizon there is no light: the cosine of a moved pose must not turn negative.
+        cosine = math.cos(min(geometry[s, 0], 0.5 * math.pi))
+        cos_r, cos_h, phi = math.cos(geometry[s, 1]), math.cos(geometry[s, 2]), geometry[s, 3]
+        factor, f0, f1, f2 = features(lobes, math.cos(geometry[s, 0]), cos_r, math.cos(phi), cos_h, phi)
+        out[0, s], out[1, s], out[2, s], out[3, s], out[4, s] = cosine, reflectance[s] * factor, f0, f1, f2
 
 
 @njit(cache=True)
-def _fill_pose(cosine, gloss, phi, seen, parameters, spread, expected, jacobian, variance, response, weight):
+def _fill_pose(lobes, geometry, reflectance, seen, parameters, chosen, spread, expected, filled):
+    jacobian, variance, response, weight = filled
     read, shot, relative, saturation = spread
-    materials = parameters.shape[0]
+    materials, at = parameters.shape[0], np.empty((5, 5))
     for t in range(seen.size):
         if not seen[t]:
             continue
-        for m in range(materials):
-            alpha, beta, mu = parameters[m, 0], parameters[m, 1], parameters[m, 2]
-            lobe, total = _rough(alpha, beta, mu, cosine[t, 0], gloss[t, 0], phi[t, 0])
+        _features(lobes, geometry[t], reflectance[t], at)
+        for m in chosen:
+            alpha, beta, constant = parameters[m, 0], parameters[m, 1], constants(lobes, math.log(parameters[m, 2]))
+            shape, slope, _ = derivatives(lobes, constant, at[2, 0], at[3, 0], at[4, 0])
+            gloss = beta * at[1, 0] * shape
+            total = alpha * at[0, 0] + gloss
             if total >= saturation:
                 continue
             case = t * materials + m
             shift = 0.0
             for s in range(1, 5):
-                _, moved = _rough(alpha, beta, mu, cosine[t, s], gloss[t, s], phi[t, s])
+                moved = alpha * at[0, s] + beta * at[1, s] * value(lobes, constant, at[2, s], at[3, s], at[4, s])
                 shift += 0.5 * (moved - total) ** 2
-            jacobian[case, 0] = alpha * cosine[t, 0]
-            jacobian[case, 1] = lobe
-            jacobian[case, 2] = 2.0 * lobe * (phi[t, 0] / mu) ** 2
+            jacobian[case, 0] = alpha * at[0, 0]
+            jacobian[case, 1] = gloss
+            jacobian[case, 2] = beta * at[1, 0] * slope
             variance[case] = read + shot * total + (relative * total) ** 2 + shift
             response[case] = total
             weight[case] = 1.0 / (read + shot * total + (expected * total) ** 2) if expected >= 0.0 else 1.0
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def _fill(cosine, gloss, phi, seen, parameters, spread, expected, jacobian, variance, response, weight):
+def _fill(
+    lobes, geometry, reflectance, seen, parameters, chosen, spread, expected, jacobian, variance, response, weight
+):
     for p in numba.prange(seen.shape[0]):
-        _fill_pose(
-            cosine[p], gloss[p], phi[p], seen[p], parameters, spread, expected,
-            jacobian[p], variance[p], response[p], weight[p],
-        )  # fmt: skip
+        filled = jacobian[p], variance[p], response[p], weight[p]
+        _fill_pose(lobes, geometry[p], reflectance[p], seen[p], parameters, chosen, spread, expected, filled)
 
 
 def standard_errors(observations: Observations) -> np.ndarray:

@@ -9,7 +9,6 @@ from scipy.stats import qmc
 
 from irodori.capture.shot_planner.exchange import TooFewPoses, choose
 from irodori.capture.shot_planner.fisher_information import (
-    PARAMETERS,
     WEIGHTING,
     Materials,
     Noise,
@@ -45,9 +44,13 @@ class MaterialRange:
     Parameters
     ----------
     alpha, beta, mu_rad : (2,) tuple of float
-        Smallest and largest value; α evenly spread in between, β and μ (rad) evenly in their logarithm.
+        Smallest and largest value; α evenly spread in between, β and μ evenly in their logarithm. μ is in the unit of
+        the lobe.
     n, k : float
         Complex refractive index in the green band.
+    lobes : tuple of str
+        Lobes of the object's gloss components. Of two, materials of either alone are planned for, half each, see
+        `irodori.capture.shot_planner.fisher_information`.
     """
 
     alpha: tuple[float, float] = (0.02, 0.9)
@@ -55,6 +58,12 @@ class MaterialRange:
     mu_rad: tuple[float, float] = (0.05, 0.3)
     n: float = 1.5
     k: float = 0.0
+    lobes: tuple[str, ...] = ("gaussian",)
+
+    @property
+    def parameters(self) -> int:
+        """How many parameters a texel's fit has: α, and β and μ of each component."""
+        return 1 + 2 * len(self.lobes)
 
     def __post_init__(self) -> None:
         for name in ("alpha", "beta", "mu_rad"):
@@ -64,9 +73,10 @@ class MaterialRange:
 
     @classmethod
     def from_definition(cls, definition: dict) -> "MaterialRange":
-        """Return the range of an object's validated definition: its ``plan`` and ``refractive_index`` blocks."""
+        """Return the range of an object's validated definition: ``plan``, ``refractive_index`` and ``lobes``."""
         n, k = refractive_index_at(definition["refractive_index"])
-        return cls(**{key: tuple(definition["plan"][key]) for key in ("alpha", "beta", "mu_rad")}, n=n, k=k)
+        spans = {key: tuple(definition["plan"][key]) for key in ("alpha", "beta", "mu_rad")}
+        return cls(**spans, n=n, k=k, lobes=tuple(definition.get("lobes", ("gaussian",))))
 
     def at(self, unit: np.ndarray) -> Materials:
         """Return the materials at points of the unit cube, (m, 3)."""
@@ -77,6 +87,7 @@ class MaterialRange:
             mu=m0 * (m1 / m0) ** unit[:, 2],
             n=self.n,
             k=self.k,
+            lobes=self.lobes,
         )
 
     def spread(self, count: int) -> Materials:
@@ -273,8 +284,9 @@ class Planner:
     def best(self, count: int, max_manual: int | None = None, criterion: str = DEFAULT_CRITERION) -> Plan:
         """Choose poses; parameters, result and errors as in `plan_best`."""
         max_manual = self.max_manual if max_manual is None else max_manual
-        if count <= PARAMETERS:
-            raise ValueError(f"{count} poses; accepted: {PARAMETERS + 1} or more, for {PARAMETERS} parameters")
+        parameters = self.range.parameters
+        if count <= parameters:
+            raise ValueError(f"{count} poses; accepted: {parameters + 1} or more, for {parameters} parameters")
         if max_manual < 1:
             raise ValueError(f"{max_manual} manual settings; accepted: 1 or more")
         if len(self.poses) < count:
@@ -310,7 +322,8 @@ def plan_best(
     definition, rig : dict
         Validated definitions of the object and the rig.
     count : int, optional
-        How many poses, at least 4: three parameters and one observation more. ``plan.count`` where absent.
+        How many poses, at least 4: three parameters and one observation more; 6 for two gloss components.
+        ``plan.count`` where absent.
     max_manual : int, optional
         How many different settings of light angle and tilt a person is willing to make; ``plan.max_manual`` where
         absent.
@@ -328,7 +341,7 @@ def plan_best(
     Raises
     ------
     ValueError
-        For a count under 4, less than one manual setting or an unknown criterion.
+        For too small a count, less than one manual setting or an unknown criterion.
     TooFewPoses
         Where the rig has fewer poses than wanted.
     """

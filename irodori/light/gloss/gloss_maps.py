@@ -1,13 +1,13 @@
 """Gloss maps: rough reflection from blurred light and the table of lobes [eq. 5, 9].
 
-A compiled loop takes `GlossMaps.tables` once and calls `add_gloss_radiance` with them, a normal, the direction to the
-eye and a roughness, and has the k coefficients of the radiance on the environment's basis:
+A compiled loop takes `GlossMaps.tables` of a lobe once and calls `add_gloss_radiance` with them, a normal, the
+direction to the eye and a roughness, and has the k coefficients of the radiance on the environment's basis:
 
-    tables = GlossMaps.load("results/environments/room.h5").tables()  # a NamedTuple of arrays
+    tables = GlossMaps.load("results/environments/room.h5").tables("ggx")  # a NamedTuple of arrays
     add_gloss_radiance(tables, normal, to_eye, beta, mu, n, k, coefficients)  # adds to (bases,) float64
 
-`gloss_radiance` does the same for arrays. Up to a roughness of 0.32 rad an entry of the table asks for at most forty
-bilinear look-ups, and four entries are mixed; from 0.4 rad the true lobe is summed over the light as about 1300 points
+`gloss_radiance` does the same for arrays. Up to a roughness of 0.32 an entry of the table asks for at most forty
+bilinear look-ups, and four entries are mixed; from 0.4 on the true lobe is summed over the light as about 1300 points
 (`irodori.light.gloss.point_sources`), so that the horizon cuts it exactly; between the two both are mixed. Errors
 against the sum of the true lobe over the light are those of `irodori.light.gloss.look_up_errors`, and stand in the
 environment's file and the report.
@@ -29,18 +29,23 @@ from irodori.light.equirectangular import add_interpolated
 from irodori.light.gloss.lobe_table import fitted_lobes
 from irodori.light.gloss.point_sources import PointLights, add_from_points, point_lights
 from irodori.reflection.fresnel import fresnel
+from irodori.reflection.lobes import Lobes
 
-#: Up to the first roughness, rad, blurred light is looked up; from the second the light is points; both between.
-_SMOOTH_RAD, _ROUGH_RAD = 0.32, 0.4
+#: Up to the first roughness blurred light is looked up; from the second the light is points; both between.
+_SMOOTH, _ROUGH = 0.32, 0.4
 
 
 class GlossTables(NamedTuple):
-    """Gloss maps as compiled loops want them; from ``mu`` on as `Lobes`, from ``direction`` on as `PointLights`."""
+    """Gloss maps of one lobe as compiled loops want them.
 
+    From ``mu`` on as `irodori.light.gloss.lobe_table.LobeTable`, from ``direction`` on as `PointLights`.
+    """
+
+    lobes: Lobes  # the one
     pixels: np.ndarray  # (all pixels, k) float32
     first_pixel: np.ndarray  # (widths,) of the map of a width; the finest there is for finer ones
     size: np.ndarray  # (widths, 2) columns, rows
-    mu: np.ndarray  # (m,) rad
+    mu: np.ndarray  # (m,) in the unit of the lobe
     theta_r: np.ndarray  # (t,) rad
     width: np.ndarray  # (m, t, lobes)
     offset: np.ndarray  # (m, t, lobes) rad
@@ -133,14 +138,21 @@ class GlossMaps:
             maps = tuple(file.read(f"gloss/level-{n:02d}") for n in range(first, max(first + 1, wanted[1])))
             return cls(first, maps, PointLights(file.read("gloss/direction"), file.read("gloss/power")))
 
-    def tables(self) -> GlossTables:
-        """Return the maps and the table of lobes flat, for `add_gloss_radiance`."""
+    def tables(self, lobe: str = "gaussian") -> GlossTables:
+        """Return the maps and the table of a lobe flat, for `add_gloss_radiance`.
+
+        Raises
+        ------
+        InputError
+            If the lobe has no table, with the command that makes one.
+        """
         sizes = np.array([level.shape[1::-1] for level in self.levels])
         starts = np.concatenate([[0], np.cumsum(sizes.prod(axis=1))[:-1]])
         pixels = np.concatenate([level.reshape(-1, level.shape[2]) for level in self.levels])
         # A width finer than the picture is looked up in the finest map there is.
         of_width = np.maximum(np.arange(len(WIDTHS_RAD)) - self.first, 0)
-        return GlossTables(pixels, starts[of_width], sizes[of_width], *fitted_lobes(), *self.points)
+        maps = pixels, starts[of_width], sizes[of_width]
+        return GlossTables(Lobes.of(lobe), *maps, *fitted_lobes(lobe), *self.points)
 
 
 @njit(cache=True, inline="always")
@@ -204,7 +216,7 @@ def _add_from_maps(maps, normal, view, cos_r, mu, n, k, scale, out):
     held = min(max(mu, lowest), highest)
     scale *= (min(mu, lowest) / lowest) ** 2
     i, _ = _between(maps.mu, held)
-    # Between two Gaussians of squared widths a and b, parts of a line in the square keep both peak and power.
+    # Between two lobes of squared roughnesses a and b, parts of a line in the square keep both peak and power.
     part_i = (held**2 - maps.mu[i] ** 2) / (maps.mu[i + 1] ** 2 - maps.mu[i] ** 2)
     j, part_j = _between(maps.theta_r, frame[6])
     for corner in range(4):
@@ -222,19 +234,19 @@ def add_gloss_radiance(maps, normal, view, beta, mu, n, k, out):
     maps : GlossTables
     normal, view : (3,) float, unit
     beta, mu : float
-        Weight and roughness (rad); NaN or 0 gives nothing.
+        Weight and roughness; NaN or 0 gives nothing.
     n, k : float
         Refractive index at one wavelength; where it varies call once for each.
     out : (bases,) float
 
     Notes
     -----
-    Under the smallest roughness of the ladder, 0.01 rad, the light is as blurred as there, its power exact.
+    Under the smallest roughness of the ladder, 0.01, the light is as blurred as there, its power exact.
     """
     cos_r = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
     if not (beta > 0.0 and mu > 0.0 and cos_r > 0.0):
         return
-    rough = min(max((mu - _SMOOTH_RAD) / (_ROUGH_RAD - _SMOOTH_RAD), 0.0), 1.0)
+    rough = min(max((mu - _SMOOTH) / (_ROUGH - _SMOOTH), 0.0), 1.0)
     if rough > 0.0:
         add_from_points(maps, normal, view, mu, n, k, rough * beta / math.pi, out)
     if rough < 1.0:

@@ -1,11 +1,12 @@
-"""Table that expresses the gloss lobe of equation (5) as a few Gaussians on the sphere.
+"""Gloss lobes as few Gaussians of the sphere: the tables that `irodori.light.gloss` looks up with, one a lobe.
 
-The lobe about (θ_r, μ) is neither round nor centred on the mirror direction: it is long in the plane of incidence and
-narrow across, it leans from the mirror direction, and the horizon cuts it. For a ladder of roughnesses and view angles
-D G / cosθ_r is therefore a sum with positive weights of the lobes of `irodori.light.blurred_light`, on the plane of
-incidence and in pairs on both sides of it. Each keeps the angle θ_H at which its light is reflected, and the Fresnel
+The lobe D G / cosθ_r of `irodori.reflection.registry` about (θ_r, μ) is neither round nor centred on the mirror
+direction: it is long in the plane of incidence and narrow across, it leans from the mirror direction, and the horizon
+cuts it. For a ladder of roughnesses and view angles it is therefore a sum with positive weights of the lobes of
+`irodori.light.blurred_light`, on the plane of incidence and in pairs on both sides of it. Each keeps the angle θ_H at
+which its light is reflected, and the Fresnel
 reflectance F(n, k, θ_H) multiplies it at look-up: one table serves every refractive index.
-`irodori.light.gloss.make_lobe_table` makes the table.
+`irodori.light.gloss.make_lobe_table` makes the tables; those of the package's own lobes are stored beside this module.
 """
 
 from functools import lru_cache
@@ -16,25 +17,31 @@ import numpy as np
 
 from irodori.core import store
 from irodori.core.errors import InputError
+from irodori.reflection.registry import lobe
 
-#: Roughnesses of the ladder, rad, a factor √2 apart; rougher surfaces are for `irodori.light.gloss.point_sources`.
-MU_RAD = 0.01 * 2.0 ** (0.5 * np.arange(12))
+#: Roughnesses of the ladder, a factor √2 apart; rougher surfaces are for `irodori.light.gloss.point_sources`.
+MU = 0.01 * 2.0 ** (0.5 * np.arange(12))
 #: View angles of the ladder, rad.
 THETA_R_RAD = np.radians([0.0, 20.0, 40.0, 50.0, 60.0, 67.5, 75.0, 80.0, 84.0, 87.0, 89.0])
 #: Changes whenever the table is made anew, so that what was made with another is made again.
-TABLE = 1
-PATH = Path(__file__).with_name("lobe_table.h5")
+TABLE = 2
+_FOLDER = Path(__file__).parent
 
 
-class Lobes(NamedTuple):
-    """The fitted table, over roughnesses and view angles; a weight of 0 ends the lobes of an entry.
+def path_of(name: str) -> Path:
+    """Return the file of the table of a lobe."""
+    return _FOLDER / f"lobe_table-{name}.h5"
+
+
+class LobeTable(NamedTuple):
+    """The fitted table of a lobe, over roughnesses and view angles; a weight of 0 ends the lobes of an entry.
 
     ``weight`` is ∫ D G / cosθ_r dω of the lobe, of both where it is a pair. ``offset`` is the angle of its axis from
     the normal within the plane of incidence, away from the view, less θ_r; ``across`` its angle out of that plane, 0 or
     that of a pair. ``incidence`` is the angle θ_H at which its light is reflected, less θ_r.
     """
 
-    mu: np.ndarray  # (m,) rad
+    mu: np.ndarray  # (m,) in the unit of the lobe
     theta_r: np.ndarray  # (t,) rad
     width: np.ndarray  # (m, t, lobes) of `irodori.light.blurred_light.WIDTHS_RAD`, its number
     offset: np.ndarray  # (m, t, lobes) rad
@@ -53,22 +60,23 @@ COLUMNS = {
 }
 
 
-@lru_cache(maxsize=1)
-def fitted_lobes() -> Lobes:
-    """Return the table.
+@lru_cache(maxsize=8)
+def fitted_lobes(name: str = "gaussian") -> LobeTable:
+    """Return the table of a lobe.
 
     Raises
     ------
     InputError
-        If it is another version's.
+        If there is none, or it is another version's; the command that makes it is named.
+    ValueError
+        If there is no lobe of that name.
     """
-    with store.open_file(PATH) as file:
-        if file.attribute("table") != TABLE or not np.allclose(file.read("mu"), MU_RAD):
-            raise InputError(
-                PATH,
-                "table",
-                str(file.attribute("table")),
-                f"{TABLE}, by python -m irodori.light.gloss.make_lobe_table",
-            )
-        columns = [file.read(name).astype(np.int64 if name == "width" else np.float64) for name in COLUMNS]
-    return Lobes(MU_RAD, THETA_R_RAD, *columns)
+    path, command = path_of(lobe(name).name), f"python -m irodori.light.gloss.make_lobe_table {name}"
+    if not path.is_file():
+        raise InputError(path, "", "no table of the lobe", f"the one that {command} makes")
+    with store.open_file(path) as file:
+        found = file.attribute("table"), file.attribute("lobe")
+        if found != (TABLE, name) or not np.allclose(file.read("mu"), MU):
+            raise InputError(path, "table", " of ".join(map(str, found)), f"{TABLE} of {name}, by {command}")
+        columns = [file.read(key).astype(np.int64 if key == "width" else np.float64) for key in COLUMNS]
+    return LobeTable(MU, THETA_R_RAD, *columns)

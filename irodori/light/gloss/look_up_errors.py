@@ -1,29 +1,41 @@
 """Error of gloss look-ups against the exact integral of the lobe over the light."""
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from irodori.jit.native import njit
 from irodori.light.gloss.gloss_maps import GlossMaps, gloss_radiance
+from irodori.light.gloss.make_lobe_table import farthest
 from irodori.light.irradiance import Integrator
-from irodori.reflection.equation5 import attenuation_over_cosine, facet_distribution
 from irodori.reflection.fresnel import fresnel
+from irodori.reflection.lobes import Lobes, constants, features, value
 
-#: Roughnesses (rad) and view angles (degrees) of the table.
-MU_RAD = (0.01, 0.02, 0.05, 0.1, 0.2, 0.36, 0.8, 1.2)
+#: Roughnesses, in the unit of the lobe, and view angles (degrees) of the table.
+MU = (0.01, 0.02, 0.05, 0.1, 0.2, 0.36, 0.8, 1.2)
 THETA_R_DEG = (0.0, 30.0, 60.0, 75.0, 80.0, 85.0)
 _PLACES = 3
 _CELLS_PER_WIDTH = 10.0  # light is summed in cells that are small against the lobe
-_REACH = 3.3
+_LOST = 1.9e-5  # share of a lobe's facets that may lie beyond what is summed; 3.3 roughnesses of a Gaussian
 _PARTS_PER_WIDTH, _MOST_PARTS = 4.0, 8
 _INDEX = (1.5, 0.0)
 
 
+class _Surface(NamedTuple):
+    """What reflects, for compiled loops."""
+
+    lobes: Lobes  # one
+    mu: float
+    reach: float  # rad about the mirror direction beyond which the lobe is nothing
+    n: float
+    k: float
+
+
 @njit(cache=True, inline="always", error_model="numpy")
-def lobe(normal, view, x, y, z, mu, n, k):
-    """Return F D G / cosθ_r [eq. 5] for light from a unit direction."""
+def _reflected(surface, constant, normal, view, x, y, z):
+    """Return F D G / cosθ_r for light from a unit direction."""
     cos_i = normal[0] * x + normal[1] * y + normal[2] * z
     hx, hy, hz = x + view[0], y + view[1], z + view[2]
     length = math.sqrt(hx * hx + hy * hy + hz * hz)
@@ -33,22 +45,22 @@ def lobe(normal, view, x, y, z, mu, n, k):
     cos_h = (view[0] * hx + view[1] * hy + view[2] * hz) / length
     cos_r = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
     phi = math.acos(min(max(cos_phi, -1.0), 1.0))
-    geometric = attenuation_over_cosine(cos_i, cos_r, cos_phi, cos_h)
-    return fresnel(cos_h, n, k) * facet_distribution(phi, mu) * geometric
+    factor, f0, f1, f2 = features(surface.lobes, cos_i, cos_r, cos_phi, cos_h, phi)
+    return fresnel(cos_h, surface.n, surface.k) * factor * value(surface.lobes, constant, f0, f1, f2)
 
 
 @njit(cache=True)
-def _reach(normal, view, mu):
-    """Return the mirror direction and the angle about it beyond which the lobe is nothing: φ moves light by twice φ."""
+def _mirrored(normal, view):
+    """Return the mirror direction of a view."""
     cos_r = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
     mirror = np.empty(3)
     for axis in range(3):
         mirror[axis] = 2.0 * cos_r * normal[axis] - view[axis]
-    return mirror, min(2.0 * _REACH * mu, math.pi)
+    return mirror
 
 
 @njit(cache=True)
-def _mean_lobe(pixels, row, column, parts, normal, view, mu, n, k):
+def _mean_lobe(pixels, row, column, parts, surface, constant, normal, view):
     """Return the mean of the lobe over a pixel, ``parts`` points along each side."""
     height, width = pixels.values.shape[:2]
     total = 0.0
@@ -57,13 +69,14 @@ def _mean_lobe(pixels, row, column, parts, normal, view, mu, n, k):
         s, z = math.sin(theta), math.cos(theta)
         for b in range(parts):
             azimuth = 2.0 * math.pi * (column + (b + 0.5) / parts) / width
-            total += lobe(normal, view, s * math.cos(azimuth), s * math.sin(azimuth), z, mu, n, k)
+            x, y = s * math.cos(azimuth), s * math.sin(azimuth)
+            total += _reflected(surface, constant, normal, view, x, y, z)
     return total / parts**2
 
 
 @njit(cache=True)
-def _add_from_pixels(pixels, parts, normal, view, mu, n, k, out):
-    mirror, reach = _reach(normal, view, mu)
+def _add_from_pixels(pixels, parts, surface, normal, view, out):
+    mirror, reach, constant = _mirrored(normal, view), surface.reach, constants(surface.lobes, math.log(surface.mu))
     height, width, bases = pixels.values.shape
     margin = math.pi / height + math.pi / width
     least, middle = math.cos(min(reach + margin, math.pi)), math.acos(min(max(mirror[2], -1.0), 1.0))
@@ -75,15 +88,15 @@ def _add_from_pixels(pixels, parts, normal, view, mu, n, k, out):
             x, y = s * pixels.cos_azimuth[column], s * pixels.sin_azimuth[column]
             if mirror[0] * x + mirror[1] * y + mirror[2] * z < least:
                 continue
-            value = weight * _mean_lobe(pixels, row, column, parts, normal, view, mu, n, k)
+            shown = weight * _mean_lobe(pixels, row, column, parts, surface, constant, normal, view)
             for b in range(bases):
-                out[b] += value * pixels.values[row, column, b]
+                out[b] += shown * pixels.values[row, column, b]
 
 
 @njit(cache=True)
-def _add_from_cells(cells, level, normal, view, mu, n, k, out):
+def _add_from_cells(cells, level, surface, normal, view, out):
     first = cells.first[level]
-    mirror, reach = _reach(normal, view, mu)
+    mirror, reach, constant = _mirrored(normal, view), surface.reach, constants(surface.lobes, math.log(surface.mu))
     for j in range(first, first + cells.rows[level] * cells.columns[level]):
         c = cells.centre[j]
         away = mirror[0] * c[0] + mirror[1] * c[1] + mirror[2] * c[2]
@@ -94,23 +107,25 @@ def _add_from_cells(cells, level, normal, view, mu, n, k, out):
         if length <= 0.0:
             continue
         x, y, z = m[0] / length, m[1] / length, m[2] / length
-        value = lobe(normal, view, x, y, z, mu, n, k)
+        shown = _reflected(surface, constant, normal, view, x, y, z)
         # Σ L dΩ of a small cell is the length of Σ L ω dΩ.
         for b in range(out.size):
-            out[b] += value * (x * cells.moment[j, b, 0] + y * cells.moment[j, b, 1] + z * cells.moment[j, b, 2])
+            out[b] += shown * (x * cells.moment[j, b, 0] + y * cells.moment[j, b, 1] + z * cells.moment[j, b, 2])
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def _references(pixels, cells, level, parts, normal, view, mu, n, k, out):
+def _references(pixels, cells, level, parts, surface, normal, view, out):
     for i in numba.prange(normal.shape[0]):
         if level < 0:
-            _add_from_pixels(pixels, parts, normal[i], view[i], mu, n, k, out[i])
+            _add_from_pixels(pixels, parts, surface, normal[i], view[i], out[i])
         else:
-            _add_from_cells(cells, level, normal[i], view[i], mu, n, k, out[i])
+            _add_from_cells(cells, level, surface, normal[i], view[i], out[i])
 
 
-def true_gloss(integrator: Integrator, normal: np.ndarray, view: np.ndarray, mu: float, index=_INDEX) -> np.ndarray:
-    """Return β/π ∫ L F D G / cosθ_r dω for β = 1 summed over the light, (n, bases) float64.
+def true_gloss(
+    integrator: Integrator, normal: np.ndarray, view: np.ndarray, mu: float, index=_INDEX, lobe: str = "gaussian"
+) -> np.ndarray:
+    """Return β/π ∫ L F D G / cosθ_r dω of a lobe for β = 1 summed over the light, (n, bases) float64.
 
     The light is taken in cells of at most a tenth of the roughness, each at its centre of power, or pixel by pixel,
     where a pixel shines evenly and is sampled up to 8 x 8 times so that a narrow lobe is not missed.
@@ -123,7 +138,9 @@ def true_gloss(integrator: Integrator, normal: np.ndarray, view: np.ndarray, mu:
     parts = int(np.clip(np.ceil(_PARTS_PER_WIDTH * pixel / narrow), 1, _MOST_PARTS))
     out = np.zeros((len(normal), pixels.values.shape[2]))
     normal, view = np.ascontiguousarray(normal), np.ascontiguousarray(view)
-    _references(pixels, cells, int(fine[-1]) if fine.size else -1, parts, normal, view, mu, *index, out)
+    # A facet that leans by φ moves light by twice φ.
+    surface = _Surface(Lobes.of(lobe), float(mu), min(2.0 * farthest(lobe, mu, _LOST), math.pi), *map(float, index))
+    _references(pixels, cells, int(fine[-1]) if fine.size else -1, parts, surface, normal, view, out)
     return out / np.pi
 
 
@@ -154,28 +171,30 @@ def lit_places(cells, mu: float, theta_r: float, count: int, seed: int = 0) -> t
     return normal, 2.0 * np.cos(theta_r) * normal - mirror
 
 
-def gloss_errors(integrator: Integrator, maps: GlossMaps) -> list[dict]:
-    """Return the errors of the look-up by roughness and view angle, for n = 1.5.
+def gloss_errors(integrator: Integrator, maps: GlossMaps, lobe: str = "gaussian") -> list[dict]:
+    """Return the errors of the look-up of a lobe by roughness and view angle, for n = 1.5.
 
     Returns
     -------
     list of dict
-        ``mu_rad``, ``theta_r_deg``; ``rms``: root mean square error over that of the radiance, at 3 random normals and
+        ``lobe``, ``mu`` in its unit, ``theta_r_deg``;
+        ``rms``: root mean square error over that of the radiance, at 3 random normals and
         views and at 3 that mirror about where light comes from; ``max``: the largest error over the largest radiance.
     """
-    tables, rows = maps.tables(), []
-    for mu in MU_RAD:
+    tables, rows = maps.tables(lobe), []
+    for mu in MU:
         for theta_r in THETA_R_DEG:
             angle = math.radians(theta_r)
             pairs = places(angle, _PLACES), lit_places(integrator.cells, mu, angle, _PLACES)
             normal, view = (np.concatenate(both) for both in zip(*pairs, strict=True))
-            truth = true_gloss(integrator, normal, view, mu)
+            truth = true_gloss(integrator, normal, view, mu, lobe=lobe)
             error = np.linalg.norm(gloss_radiance(tables, normal, view, 1.0, mu, *_INDEX) - truth, axis=1)
             size = np.linalg.norm(truth, axis=1)
             rms, largest = math.sqrt(float((size**2).mean())), float(size.max())
             rows.append(
                 {
-                    "mu_rad": mu,
+                    "lobe": lobe,
+                    "mu": mu,
                     "theta_r_deg": theta_r,
                     "rms": math.sqrt(float((error**2).mean())) / (rms or 1.0),
                     "max": float(error.max()) / (largest or 1.0),

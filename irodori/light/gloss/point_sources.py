@@ -1,6 +1,6 @@
 """Very rough reflection: exact sum of the lobe over a thousand point sources.
 
-From a roughness of 0.4 rad the lobe is so wide, and cut so hard by the horizon, that blurred light would need more
+From a roughness of 0.4 on a lobe is so wide, and cut so hard by the horizon, that blurred light would need more
 look-ups than there are parts of the sphere worth telling apart. The sphere is divided into cells of a tenth of a
 radian; each is a point at its centre of power, so that a small sun stands where it stands.
 """
@@ -13,11 +13,10 @@ import numpy as np
 
 from irodori.jit.native import njit
 from irodori.light.irradiance import make_pixels
-from irodori.reflection.equation5 import attenuation_over_cosine, facet_distribution
 from irodori.reflection.fresnel import fresnel
+from irodori.reflection.lobes import constants, features, reach, value
 
 _ROWS = 32
-_REACH = 3.0  # roughnesses from the normal beyond which facets count for nothing, 1e-4 of the straight ones
 _FEWEST_ROWS = 64  # of the picture; coarser pixels are divided, for they shine evenly
 
 
@@ -61,9 +60,9 @@ def _band(pixels, rows: slice) -> tuple[np.ndarray, np.ndarray]:
 
 @njit(cache=True, error_model="numpy")
 def add_from_points(lights, normal, view, mu, n, k, scale, out):
-    """Add ``scale`` times Σ F D G / cosθ_r L dω [eq. 5] over the points; arguments as of `irodori.light.gloss`."""
+    """Add ``scale`` times Σ F D G / cosθ_r L dω over the points; arguments as of `irodori.light.gloss.gloss_maps`."""
     cos_r = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
-    least = math.cos(min(_REACH * mu, 0.5 * math.pi))
+    least, constant = math.cos(reach(lights.lobes, 0, mu)), constants(lights.lobes, math.log(mu))
     for i in range(lights.power.shape[0]):
         x, y, z = lights.direction[i, 0], lights.direction[i, 1], lights.direction[i, 2]
         cos_i = normal[0] * x + normal[1] * y + normal[2] * z
@@ -74,7 +73,7 @@ def add_from_points(lights, normal, view, mu, n, k, scale, out):
         cos_h, cos_phi = 0.5 * length, min((cos_i + cos_r) / length, 1.0)
         if cos_phi < least:
             continue
-        geometric = attenuation_over_cosine(cos_i, cos_r, cos_phi, cos_h)
-        value = scale * fresnel(cos_h, n, k) * facet_distribution(math.acos(cos_phi), mu) * geometric
+        factor, f0, f1, f2 = features(lights.lobes, cos_i, cos_r, cos_phi, cos_h, math.acos(cos_phi))
+        shown = scale * fresnel(cos_h, n, k) * factor * value(lights.lobes, constant, f0, f1, f2)
         for b in range(out.size):
-            out[b] += value * lights.power[i, b]
+            out[b] += shown * lights.power[i, b]

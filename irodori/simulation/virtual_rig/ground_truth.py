@@ -7,7 +7,6 @@ from irodori.light.environment_file import Environment
 from irodori.light.irradiance import fitted_irradiance_map
 from irodori.material.material_file import Material
 from irodori.simulation.virtual_rig.classroom import room_coefficients, source_spectra
-from irodori.simulation.virtual_rig.sample_reflection import PAPER
 from irodori.simulation.virtual_rig.samples import Sample
 from irodori.simulation.virtual_rig.sensor import band_weights
 from irodori.spectra.published import light
@@ -18,27 +17,60 @@ _GREEN = 1
 def true_material(definition: dict, camera: dict, rig: dict) -> Material:
     """Return what stands on the virtual rig as a material; its spectra are one-hot on the true spectra.
 
-    α is the response of the green band to S(λ) under the rig's light, as the fit defines it [design, §3]. β and μ are
-    those of equation (5), NaN for a material that follows another model.
+    α is the response of the green band to S(λ) under the rig's light, as the fit defines it [design, §3]. The gloss
+    components are those of the sample, see `_gloss`; β and μ are NaN for a measured material.
     """
     sample = Sample.from_definition(definition)
     width, height = definition["texels"]["width"], definition["texels"]["height"]
     index = sample.material_index(width, height)
     weights = band_weights(camera, light(rig["light"]["spectrum"]))[_GREEN]
     green = sample.reflectance @ weights / weights.sum()
-    beta, mu = (np.where(sample.model == PAPER, values, np.nan) for values in (sample.beta, sample.mu_rad))
+    lobes, gloss, typical = _gloss(sample)
+    (beta, mu), *further = [(beta[index], mu[index]) for beta, mu in gloss]
     return Material(
         alpha=green[index],
-        beta=beta[index],
-        mu=mu[index],
+        beta=beta,
+        mu=mu,
         green_response=green[index],
         coefficients=np.eye(len(green), dtype=np.float32)[index],
         basis=sample.reflectance.T,
         n=sample.n,
         k=sample.k,
         mirror=sample.mirror,
-        typical_gloss=(float(sample.beta[0]), float(sample.mu_rad[0])),
+        typical_gloss=typical,
+        lobes=lobes,
+        further_gloss=tuple(further),
     )
+
+
+def _gloss(sample: Sample) -> tuple[tuple[str, ...], list[tuple[np.ndarray, np.ndarray]], tuple[float, ...]]:
+    """Return lobes, (β, μ) by material, and typical values of the components that hold the gloss of every material.
+
+    There are as many components of a lobe as the material with most of that lobe has. Of a component that a material
+    lacks β is 0 and μ typical, which reflects nothing; of a measured material all are NaN.
+    """
+    places: dict[tuple[str, int], list[int | None]] = {}
+    for m, names in enumerate(sample.lobes):
+        # Of components with the same lobe the broader is first, as in the fit.
+        for c in range(len(names)):
+            broader = sum(other == names[c] and (-sample.mu[m, d], d) < (-sample.mu[m, c], c)
+                          for d, other in enumerate(names))  # fmt: skip
+            places.setdefault((names[c], broader), [None] * len(sample.lobes))[m] = c
+    if not places:
+        places = {("gaussian", 0): [None] * len(sample.lobes)}
+    gloss, typical = [], []
+    # A narrower component is met first where it stands first.
+    places = dict(sorted(places.items(), key=lambda item: item[0][1]))
+    for components in places.values():
+        own = [(m, c) for m, c in enumerate(components) if c is not None]
+        usual = (float(sample.beta[own[0]]), float(sample.mu[own[0]])) if own else (0.0, 1.0)
+        beta, mu = np.zeros(len(components)), np.full(len(components), usual[1])
+        for m, c in own:
+            beta[m], mu[m] = sample.beta[m, c], sample.mu[m, c]
+        beta[sample.table >= 0] = mu[sample.table >= 0] = np.nan
+        gloss.append((beta, mu))
+        typical += usual
+    return tuple(name for name, _ in places), gloss, tuple(typical)
 
 
 def true_environment(definition: dict, rig: dict, irradiance_options: dict) -> Environment:

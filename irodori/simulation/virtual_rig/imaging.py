@@ -13,7 +13,12 @@ from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.surfaces import Surfaces, face_viewer, make_surfaces, surface_at
 from irodori.jit.native import njit, run_chunks, uncounted
 from irodori.simulation.virtual_rig.aperture import gather_rows, place_in_cell
-from irodori.simulation.virtual_rig.sample_reflection import MEASURED, gloss_lobe, measured_lobe
+from irodori.simulation.virtual_rig.sample_reflection import (
+    GlossComponents,
+    gloss_components,
+    gloss_term,
+    measured_lobe,
+)
 
 _BLOCK_ROWS = 16
 
@@ -36,8 +41,8 @@ def _response(out, sample, material, setup, point, ci):
     cos_phi = min((hx * normal[0] + hy * normal[1] + hz * normal[2]) / length, 1.0)
     cos_h = length / 2.0
     lobe, image = 0.0, 0.0
-    if sample.model[material] != MEASURED:
-        lobe = sample.beta[material] * gloss_lobe(sample.model[material], sample.mu[material], ci, cr, cos_phi, cos_h)
+    if sample.table[material] < 0:
+        lobe = gloss_term(sample.gloss, material, ci, cr, cos_phi, cos_h)
     # The lamp is a disc: its mirror image is seen where the mirrored view falls within its angular radius, whose
     # sine squared grows as the irradiance does; its radiance is the same from everywhere.
     mirrored = 2.0 * ci * cr - (view[0] * light[0] + view[1] * light[1] + view[2] * light[2])
@@ -45,7 +50,7 @@ def _response(out, sample, material, setup, point, ci):
     if setup.lamp_cosine < 1.0 and mirrored >= math.sqrt(max(1.0 - width, 0.0)):
         image = sample.mirror / width
     for band in range(out.size):
-        if sample.model[material] == MEASURED:
+        if sample.table[material] >= 0:
             rough = ci * measured_lobe(sample.measured[sample.table[material]], cos_phi, cos_h, band)
         else:
             rough = sample.diffuse[material, band] * ci + lobe * _lookup(sample.fresnel, cos_h, band)
@@ -108,10 +113,8 @@ class _Subject(NamedTuple):
 
     checks: np.ndarray  # (2,) columns, rows
     diffuse: np.ndarray  # (materials, 3) band responses of S(λ)
-    model: np.ndarray  # (materials,) PAPER, GGX or MEASURED
-    beta: np.ndarray  # (materials,)
-    mu: np.ndarray  # (materials,)
-    table: np.ndarray  # (materials,) index into `measured`
+    gloss: GlossComponents
+    table: np.ndarray  # (materials,) index into `measured`, -1 of materials that are not measured
     measured: np.ndarray  # (tables, half nodes, difference nodes, 3) π times the BRDF
     mirror: float
     fresnel: np.ndarray  # (nodes, 3)
@@ -189,7 +192,7 @@ def _material_at(sample, point):
     """Return the material of a point of the surface."""
     column = min(max(int(point.uv[0] * sample.checks[0]), 0), sample.checks[0] - 1)
     row = min(max(int(point.uv[1] * sample.checks[1]), 0), sample.checks[1] - 1)
-    return (row * sample.checks[0] + column) % sample.beta.size
+    return (row * sample.checks[0] + column) % sample.diffuse.shape[0]
 
 
 @njit(cache=True, nogil=True)
@@ -295,9 +298,7 @@ def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) 
     subject = _Subject(
         checks=np.array([sample.columns, sample.rows]),
         diffuse=np.ascontiguousarray(sample.reflectance @ band_weights.T),
-        model=sample.model,
-        beta=sample.beta,
-        mu=sample.mu_rad,
+        gloss=gloss_components(sample.lobes, sample.beta, sample.mu),
         table=sample.table,
         measured=np.ascontiguousarray(sample.measured @ band_weights.T),
         mirror=sample.mirror,

@@ -1,50 +1,88 @@
-"""Reflection models of the virtual samples: equation (5), and two that the fit does not assume.
+"""Reflection of the virtual rig's samples: components of gloss with any lobe, or a table of measured samples.
 
-A GGX surface (Walter et al., *Microfacet models for refraction through rough surfaces*, EGSR 2007, with the
-height-correlated shadowing of Heitz, JCGT 3(2), 2014) has longer tails than the paper's Gaussian facets. A measured
-one follows a table of BRDF samples. Both show what the fit makes of a material that is not its own.
+A sample may have a lobe that the fit of its object does not assume, or follow a table of BRDF samples. Both show what
+the fit makes of a material that is not its own.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from irodori.core.errors import InputError
 from irodori.jit.native import njit
-from irodori.reflection.equation5 import attenuation_over_cosine, facet_distribution
+from irodori.reflection.lobes import Lobes, features_of, value_of
+from irodori.reflection.registry import lobe
 from irodori.spectra.resampling import resample
 from irodori.spectra.tables import brdf_table
 
-PAPER, GGX, MEASURED = 0, 1, 2
-MODELS = {"paper": PAPER, "ggx": GGX, "measured": MEASURED}
+#: Kinds of virtual materials that are no names of lobes; ``paper`` is equation (5), the lobe ``gaussian``.
+PAPER, MEASURED = "paper", "measured"
 
 _HALF_NODES = 46
 _DIFFERENCE_NODES = 10
 _MAX_ANGLE_RAD = math.radians(80.0)
 
 
-@njit(cache=True, error_model="numpy")
-def gloss_lobe(model, mu, cos_i, cos_r, cos_phi, cos_h):
-    """Return the gloss term of a surface over β F: 1 at normal incidence and reflection for either model.
+class GlossComponents(NamedTuple):
+    """Gloss of the materials of a sample for compiled loops; see `gloss_components`."""
+
+    lobes: Lobes
+    which: np.ndarray  # (m, c) place of the component's lobe in `lobes`, -1 where the material has no such component
+    beta: np.ndarray  # (m, c)
+    constant: np.ndarray  # (m, c, 2) of the lobe at the component's roughness
+
+
+def lobe_of_kind(kind: str) -> str | None:
+    """Return the lobe of a virtual material's kind: ``paper``, or the lobe's own name; None of ``measured``.
+
+    Raises
+    ------
+    ValueError
+        If there is no lobe of that name.
+    """
+    return None if kind == MEASURED else lobe("gaussian" if kind == PAPER else kind).name
+
+
+def gloss_components(lobes: list[tuple[str, ...]], beta: np.ndarray, mu: np.ndarray) -> GlossComponents:
+    """Return the gloss of materials.
 
     Parameters
     ----------
-    model : int, PAPER or GGX
-    mu : float
-        Roughness, rad; of a GGX surface its width parameter, tan of the angle at which D has fallen to a quarter.
-    cos_i, cos_r, cos_phi, cos_h : float
-        N·L, N·V, N·H and V·H, the first two above 0.
+    lobes : list of tuple of str
+        Of each material one lobe a component.
+    beta, mu : (m, c) float
+        Weight and roughness of the components, in the unit of the lobe.
     """
-    if model == PAPER:
-        return facet_distribution(math.acos(cos_phi), mu) * attenuation_over_cosine(cos_i, cos_r, cos_phi, cos_h)
-    m2 = mu * mu
-    c2 = cos_phi * cos_phi
-    # D / D(0): sin² written apart, since c² (m² - 1) + 1 loses the digits of a smooth surface.
-    base = m2 * c2 + (1.0 - c2)
-    distribution = (m2 / base) ** 2
-    smith_i = cos_r * math.sqrt(m2 + (1.0 - m2) * cos_i * cos_i)
-    smith_r = cos_i * math.sqrt(m2 + (1.0 - m2) * cos_r * cos_r)
-    return distribution * 2.0 * cos_i / (smith_i + smith_r)
+    occurring = Lobes.of([name for names in lobes for name in names] or ["gaussian"])
+    which, constant = np.full(beta.shape, -1), np.zeros((*beta.shape, 2))
+    for m, names in enumerate(lobes):
+        for c, name in enumerate(names):
+            which[m, c] = occurring.names.index(name)
+            constant[m, c] = lobe(name).constants(math.log(mu[m, c]))
+    return GlossComponents(occurring, which, np.ascontiguousarray(beta), constant)
+
+
+@njit(cache=True, error_model="numpy")
+def gloss_term(gloss, material, cos_i, cos_r, cos_phi, cos_h):
+    """Return the gloss term of a material over F, the sum of β D G / cosθ_r over its components.
+
+    Parameters
+    ----------
+    gloss : GlossComponents
+    material : int
+    cos_i, cos_r, cos_phi, cos_h : float
+        N·L, N·V, N·H and V·H.
+    """
+    total, phi = 0.0, math.acos(min(cos_phi, 1.0))
+    for c in range(gloss.which.shape[1]):
+        which = gloss.which[material, c]
+        if which < 0:
+            continue
+        constant = gloss.constant[material, c, 0], gloss.constant[material, c, 1]
+        factor, f0, f1, f2 = features_of(gloss.lobes, which, cos_i, cos_r, cos_phi, cos_h, phi)
+        total += gloss.beta[material, c] * factor * value_of(gloss.lobes, which, constant, f0, f1, f2)
+    return total
 
 
 @njit(cache=True, error_model="numpy")

@@ -8,7 +8,7 @@ import numpy as np
 
 from irodori.geometry.shapes import Shape
 from irodori.reflection.fresnel import fresnel
-from irodori.simulation.virtual_rig.sample_reflection import MODELS, measured_lobe, read_measured
+from irodori.simulation.virtual_rig.sample_reflection import MEASURED, lobe_of_kind, measured_lobe, read_measured
 from irodori.spectra.grid import SAMPLES
 from irodori.spectra.published import refractive_index, spectrum
 
@@ -26,11 +26,13 @@ class Sample:
         Checks over the texture; a uniform sample has one.
     reflectance : (m, 61) float
         S(λ) of each material; of a measured one its reflectance factor lit at 45 degrees and seen from above.
-    model : (m,) int, see `irodori.simulation.virtual_rig.sample_reflection`
-    beta : (m,) float
-    mu_rad : (m,) float
+    lobes : tuple of tuple of str
+        Of each material one lobe of `irodori.reflection.registry` a gloss component; none of a measured one.
+    beta : (m, components) float
+    mu : (m, components) float
+        In the unit of the lobe.
     table : (m,) int
-        Index of a measured material's table.
+        Index of a measured material's table, -1 of the others.
     measured : (tables, half nodes, difference nodes, 61) float, π times the BRDF; one table of zeros where none is
     mirror : float, χ
     n, k : (61,) float
@@ -40,9 +42,9 @@ class Sample:
     columns: int
     rows: int
     reflectance: np.ndarray
-    model: np.ndarray
+    lobes: tuple[tuple[str, ...], ...]
     beta: np.ndarray
-    mu_rad: np.ndarray
+    mu: np.ndarray
     table: np.ndarray
     measured: np.ndarray
     mirror: float
@@ -58,6 +60,12 @@ class Sample:
         checks = pattern["kind"] == "checks"
         files = sorted({m["file"] for m in materials if m["kind"] == "measured"})
         tables = [read_measured(file) for file in files]
+        gloss = [_components(material) for material in materials]
+        most = max(1, *map(len, gloss))
+        beta, mu = np.zeros((len(gloss), most)), np.ones((len(gloss), most))
+        for m, components in enumerate(gloss):
+            for c, component in enumerate(components):
+                beta[m, c], mu[m, c] = component["beta"], component["mu_rad"]
         return cls(
             shape=Shape.from_definition(definition["shape"]),
             columns=pattern["columns"] if checks else 1,
@@ -68,10 +76,10 @@ class Sample:
                     for m in materials
                 ]
             ),
-            model=np.array([MODELS[m["kind"]] for m in materials]),
-            beta=np.array([m.get("beta", 0.0) for m in materials], dtype=np.float64),
-            mu_rad=np.array([m.get("mu_rad", 1.0) for m in materials], dtype=np.float64),
-            table=np.array([files.index(m["file"]) if "file" in m else 0 for m in materials]),
+            lobes=tuple(tuple(lobe_of_kind(c["kind"]) for c in components) for components in gloss),
+            beta=beta,
+            mu=mu,
+            table=np.array([files.index(m["file"]) if "file" in m else -1 for m in materials]),
             measured=np.stack(tables) if tables else np.zeros((1, 2, 2, SAMPLES)),
             mirror=float(definition["mirror_weight"]),
             n=n,
@@ -88,7 +96,12 @@ class Sample:
         """Return the material of each texel centre, (height, width) int."""
         column = np.floor((np.arange(width) + 0.5) / width * self.columns).astype(int)
         row = np.floor((np.arange(height) + 0.5) / height * self.rows).astype(int)
-        return (row[:, None] * self.columns + column[None, :]) % len(self.beta)
+        return (row[:, None] * self.columns + column[None, :]) % len(self.reflectance)
+
+
+def _components(material: dict) -> list[dict]:
+    """Return the gloss components of a virtual material's definition: ``kind``, ``beta`` and ``mu_rad`` of each."""
+    return [] if material["kind"] == MEASURED else [material, *material.get("further_gloss", ())]
 
 
 def _reflectance_factor(table: np.ndarray) -> np.ndarray:
