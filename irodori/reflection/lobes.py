@@ -70,8 +70,9 @@ def _unbox(kind, value, context):
     return NativeValue(get_null_value(ir.IntType(8)))
 
 
-def _specialised(name: str, arguments: str, about: str, choosing: bool):
-    """Return a function for compiled code that calls the kernel of that name of the lobes it is given."""
+def _specialised(name: str, arguments: str, about: str, choosing: bool, kernel: str = ""):
+    """Return a function for compiled code that calls the kernel of a name, or of its own, of the lobes it is given."""
+    kernel = kernel or name
     head = f"lobes, which, {arguments}" if choosing else f"lobes, {arguments}"
     namespace: dict = {}
     exec(f"def {name}({head}):\n    raise NotImplementedError('in compiled code only')\n", namespace)
@@ -81,7 +82,7 @@ def _specialised(name: str, arguments: str, about: str, choosing: bool):
     def build(kind):
         if not isinstance(kind, LobesType) or not (choosing or len(kind.names) == 1):
             return None
-        inner = {f"kernel{i}": getattr(lobe(n), name) for i, n in enumerate(kind.names)}
+        inner = {f"kernel{i}": getattr(lobe(n), kernel) for i, n in enumerate(kind.names)}
         last = len(kind.names) - 1
         lines = [f"    if which == {i}:\n        return kernel{i}({arguments})\n" for i in range(last)]
         source = f"def {name}({head}):\n{''.join(lines)}    return kernel{last}({arguments})\n"
@@ -95,7 +96,8 @@ def _specialised(name: str, arguments: str, about: str, choosing: bool):
     return made
 
 
-features = _specialised("features", "cos_i, cos_r, cos_phi, cos_h, phi", "See `Lobe.features`.", False)
+_ARGUMENTS = "cos_i, cos_r, cos_phi, cos_h, phi"
+features = _specialised("features", _ARGUMENTS, "See `Lobe.features`.", False)
 constants = _specialised("constants", "t", "See `Lobe.constants`.", False)
 value = _specialised("value", "constant, f0, f1, f2", "See `Lobe.value`.", False)
 derivatives = _specialised("derivatives", "constant, f0, f1, f2", "See `Lobe.derivatives`.", False)
@@ -103,3 +105,6 @@ draw = _specialised("draw", "mu, v0, v1, v2, u0, u1", "See `Lobe.draw`.", True)
 density = _specialised("density", "mu, cos_r, cos_phi, cos_h, phi", "See `Lobe.density`.", True)
 strength = _specialised("strength", "mu", "See `Lobe.strength`.", True)
 reach = _specialised("reach", "mu", "See `Lobe.reach`.", True)
+features_of = _specialised("features_of", _ARGUMENTS, "See `Lobe.features`; of one of several.", True, "features")
+constants_of = _specialised("constants_of", "t", "See `Lobe.constants`; of one of several.", True, "constants")
+value_of = _specialised("value_of", "constant, f0, f1, f2", "See `Lobe.value`; of one of several.", True, "value")

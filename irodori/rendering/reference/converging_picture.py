@@ -16,6 +16,8 @@ from irodori.geometry.shapes import Placement, reaches
 from irodori.geometry.surfaces import make_surfaces
 from irodori.jit.native import run_chunks
 from irodori.light.environment_file import Environment
+from irodori.reflection.lobes import Lobes
+from irodori.reflection.registry import lobe
 from irodori.rendering.reference.band_loops import padded
 from irodori.rendering.reference.random_numbers import Numbers, make_numbers
 from irodori.rendering.reference.row_statistics import render_some_rows
@@ -175,7 +177,10 @@ def picture_key(scene: Scene, view: View, samples: int, seed: int) -> str:
         view,
     ):
         for value in part:
-            digest.update(np.ascontiguousarray(value).data)
+            if isinstance(value, Lobes):
+                digest.update(" ".join(f"{name} {lobe(name).digest}" for name in value.names).encode())
+            else:
+                digest.update(np.ascontiguousarray(value).data)
     digest.update(f"{samples} {seed}".encode())
     return digest.hexdigest()
 
