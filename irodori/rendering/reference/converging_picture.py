@@ -18,6 +18,7 @@ from irodori.jit.native import run_chunks
 from irodori.light.environment_file import Environment
 from irodori.reflection.lobes import Lobes
 from irodori.reflection.registry import lobe
+from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.reference.band_loops import padded
 from irodori.rendering.reference.random_numbers import Numbers, make_numbers
 from irodori.rendering.reference.row_statistics import render_some_rows
@@ -82,7 +83,8 @@ def render_rows(scene: Scene, view: View, numbers: Numbers, rows: tuple[int, int
     count = rows[1] - rows[0]
     image = np.zeros((count, view.width, BANDS), dtype=np.float32)
     error, cut = np.zeros_like(image), np.zeros(count, dtype=np.int64)
-    run_chunks(render_some_rows, count, 1, scene.world, view, numbers, rows[0], image, error, cut)
+    arguments = (scene.world, view, numbers, rows[0], image, error, cut)
+    run_chunks(resolved(render_some_rows, *arguments, 0, 0), count, 1, *arguments)
     return Picture(image, error, int(cut.sum()))
 
 
