@@ -18,9 +18,9 @@ _COARSEST_ROWS = 4
 class Objects(NamedTuple):
     """Materials of the objects; the first axis counts them. Bases have the wavelength last, where the loops run.
 
-    ``texels`` holds, a row a texel, the coefficients of α S / S_G, then β and μ of each gloss component; where an object
-    has fewer than another, β is 0. ``lobe`` says which of ``lobes`` a component is. ``grey`` is 1 where the refractive
-    index does not vary with the wavelength, so that one Fresnel reflectance serves all bands.
+    ``texels`` holds, a row a texel, the coefficients of α S / S_G, then β and μ of each gloss component; where an
+    object has fewer than another, β is 0. ``lobe`` says which of ``lobes`` a component is. ``grey`` is 1 where the
+    refractive index does not vary with the wavelength, so that one Fresnel reflectance serves all bands.
     """
 
     wraps: np.ndarray  # (objects,) 1 where the texture's left and right sides are joined
@@ -45,9 +45,8 @@ def coefficients_of(objects: Objects, texels: np.ndarray) -> np.ndarray:
 def gloss_of(objects: Objects, texels: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return β and μ of each gloss component of rows of texels, each (...); β is 0 where there is no roughness."""
     pairs = texels[..., objects.texels.shape[1] - 2 * objects.lobe.shape[1] :]
-    return [
-        (np.where(pairs[..., at + 1] > 0, pairs[..., at], 0.0), pairs[..., at + 1]) for at in range(0, pairs.shape[-1], 2)
-    ]
+    betas, mus = np.moveaxis(pairs[..., ::2], -1, 0), np.moveaxis(pairs[..., 1::2], -1, 0)
+    return [(np.where(mu > 0, beta, 0.0), mu) for beta, mu in zip(betas, mus, strict=True)]
 
 
 def textures(objects: Objects) -> list[np.ndarray]:
