@@ -104,13 +104,18 @@ def make_renderer(
     environment: Environment,
     options: dict,
     tile_rows: int = 60,
+    white: np.ndarray | None = None,
 ) -> "Renderer":
-    """Return what renders any view of a scene at any moment; parameters and errors as of `render_image`."""
+    """Return what renders any view of a scene at any moment; parameters and errors as of `render_image`.
+
+    With a ``white``, (61,) radiance, pictures are asked for as XYZ whose white has Y = 100, and are (height, width, 3)
+    where the integrator has them cheaper than the 61 bands and as exact.
+    """
     kind = scene["integrator"]["kind"]
     if kind not in INTEGRATORS:
         raise ValueError(f"unknown integrator {kind!r}; accepted: {', '.join(INTEGRATORS)}")
     made = {"interactive": _Interactive, "reference": _Reference}[kind]
-    return made(scene, shapes, materials, environment, options, tile_rows)
+    return made(scene, shapes, materials, environment, options, tile_rows, white)
 
 
 class Renderer(ABC):
@@ -118,9 +123,9 @@ class Renderer(ABC):
 
     kind = ""
 
-    def __init__(self, scene, shapes, materials, environment, options, tile_rows) -> None:
+    def __init__(self, scene, shapes, materials, environment, options, tile_rows, white=None) -> None:
         self.scene, self.shapes, materials = with_bodies(scene, shapes, materials)
-        self.environment, self.options, self.tile_rows = environment, options, tile_rows
+        self.environment, self.options, self.tile_rows, self.white = environment, options, tile_rows, white
         self.check()
         # Textures do not depend on where objects stand.
         self.objects, filled = make_objects(make_placements(self.scene, self.shapes), materials)
@@ -196,6 +201,7 @@ class _Interactive(Renderer):
     kind = "interactive"
     compiled = False
     prepared_s = 0.0
+    representation, why = "spectral", "the picture is asked for in all bands"
 
     def check(self) -> None:
         if any(light["kind"] != "collimated" for light in self.scene.get("lights", [])):
@@ -203,31 +209,38 @@ class _Interactive(Renderer):
 
     def make_light(self, moment: Moment):
         from irodori.light.gloss.gloss_maps import GlossMaps
+        from irodori.rendering.interactive.channels import exact_representation
         from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene
         from irodori.rendering.scene_lights import BANDS, make_lights
 
         start = time.perf_counter()
         environment = moment.environment(self.environment)
         lights = moment.lights(make_lights(self.scene.get("lights", []), 0)[0])
+        light, ambient, reflected = light_of(environment), self.scene["integrator"]["ambient"], 0
+        if self.white is not None:
+            found = exact_representation(self.objects, light, len(lights.kind), ambient)
+            self.representation, reflected, self.why = found
+        LOGGER.info("representation %s: %s", self.representation, self.why)
         prepared = prepare_scene(
             self.objects,
-            light_of(environment),
+            light,
             GlossMaps.stored(environment) or GlossMaps.of(environment.coefficients),
             make_tracer(make_placements(self.scene, self.shapes)),
-            "spectral",
-            np.ones(BANDS),  # bands need no white, and under lamps alone the environment has none
+            self.representation,
+            np.ones(BANDS) if self.white is None else self.white,  # bands need none
             lamps=lights.spectrum[:, :BANDS],
             max_bounces=self.options["max_bounces"],
             least_throughput=self.options["min_throughput"],
             half=False,
-            ambient=self.scene["integrator"]["ambient"],
+            ambient=ambient,
+            reflected=reflected,
         )
         self.prepared_s = time.perf_counter() - start
         return prepared
 
     def render(self, view_name, moment, keep, tiles_folder):
         from irodori.rendering.interactive.frame_renderer import Lamp, render_frame
-        from irodori.rendering.scene_lights import BANDS, make_lights
+        from irodori.rendering.scene_lights import make_lights
 
         # Its objects cannot be turned without preparing them anew, all else can.
         moment = moment.seen_from("objects")
@@ -238,7 +251,7 @@ class _Interactive(Renderer):
         frame = {
             "world_from_light": moment.rotation("environment"),
             "lamps": tuple(Lamp(rotation[:, 2]) for rotation in lights.rotation),
-            "bands": True,
+            "bands": self.representation == "spectral",
         }
         if not self.compiled:
             render_frame(prepared, view._replace(width=side, height=side), **frame)
@@ -246,11 +259,12 @@ class _Interactive(Renderer):
         keep = keep and view.width * view.height <= _KEPT_PIXELS
         start, counted = time.perf_counter(), {}
         fine = render_frame(prepared, view, **frame, figures=counted, keep_visibility=keep)
-        radiance = fine.reshape(size["height"], side, size["width"], side, BANDS).mean(axis=(1, 3))
+        radiance = fine.reshape(size["height"], side, size["width"], side, -1).mean(axis=(1, 3))
         seconds, rays = time.perf_counter() - start, counted["rays"]
         return radiance, {
             "seconds": seconds,
             "seconds_to_prepare": self.prepared_s,
+            "representation": self.representation,
             "rays": rays,
             "rays_per_second": rays / seconds,
         }

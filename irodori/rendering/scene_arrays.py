@@ -9,6 +9,7 @@ from irodori.geometry.rig_frame import look_at, rotation_xyz
 from irodori.geometry.shapes import Placement, Shape
 from irodori.light.environment_file import Environment, directions
 from irodori.material.material_file import Material
+from irodori.reflection.lobes import Lobes
 from irodori.rendering.view_cameras import KINDS, PERSPECTIVE
 
 _COARSEST_ROWS = 4
@@ -17,20 +18,43 @@ _COARSEST_ROWS = 4
 class Objects(NamedTuple):
     """Materials of the objects; the first axis counts them. Bases have the wavelength last, where the loops run.
 
-    ``texels`` holds, a row a texel, the coefficients of α S / S_G, then β and μ. ``grey`` is 1 where the refractive
-    index does not vary with the wavelength, so that one Fresnel reflectance serves all bands.
+    ``texels`` holds, a row a texel, the coefficients of α S / S_G, then β and μ of each gloss component; where an
+    object has fewer than another, β is 0. ``lobe`` says which of ``lobes`` a component is. ``grey`` is 1 where the
+    refractive index does not vary with the wavelength, so that one Fresnel reflectance serves all bands.
     """
 
     wraps: np.ndarray  # (objects,) 1 where the texture's left and right sides are joined
     first_texel: np.ndarray  # (objects,)
     texture_size: np.ndarray  # (objects, 2) width, height
-    texels: np.ndarray  # (texels, k + 2) float32
+    texels: np.ndarray  # (texels, k + 2 c) float32
     basis: np.ndarray  # (objects, k, 61)
     bases: np.ndarray  # (objects,)
     mirror: np.ndarray  # (objects,)
     n: np.ndarray  # (objects, 61)
     k: np.ndarray  # (objects, 61)
     grey: np.ndarray  # (objects,)
+    lobe: np.ndarray  # (objects, c)
+    lobes: Lobes  # a compile-time constant, see `irodori.reflection.lobes`
+
+
+def coefficients_of(objects: Objects, texels: np.ndarray) -> np.ndarray:
+    """Return the coefficients of rows of texels, (..., k)."""
+    return texels[..., : objects.texels.shape[1] - 2 * objects.lobe.shape[1]]
+
+
+def gloss_of(objects: Objects, texels: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return β and μ of each gloss component of rows of texels, each (...); β is 0 where there is no roughness."""
+    pairs = texels[..., objects.texels.shape[1] - 2 * objects.lobe.shape[1] :]
+    betas, mus = np.moveaxis(pairs[..., ::2], -1, 0), np.moveaxis(pairs[..., 1::2], -1, 0)
+    return [(np.where(mu > 0, beta, 0.0), mu) for beta, mu in zip(betas, mus, strict=True)]
+
+
+def textures(objects: Objects) -> list[np.ndarray]:
+    """Return views of the texels of each object, (height, width, k + 2 c)."""
+    found = []
+    for first, (columns, rows) in zip(objects.first_texel, objects.texture_size, strict=True):
+        found.append(objects.texels[first : first + rows * columns].reshape(rows, columns, -1))
+    return found
 
 
 class Light(NamedTuple):
@@ -78,12 +102,18 @@ def make_objects(placements: list[Placement], materials: list[Material]) -> tupl
         Share of the texels on each object's surface that had no data of their own.
     """
     bases = max(m.basis.shape[1] for m in materials)
+    lobes = Lobes.of([name for m in materials for name in m.lobes])
+    components = max(len(m.lobes) for m in materials)
+    lobe = np.zeros((len(materials), components), dtype=np.int64)
+    for row, material in zip(lobe, materials, strict=True):
+        row[: len(material.lobes)] = [lobes.names.index(name) for name in material.lobes]
     first = np.concatenate([[0], np.cumsum([m.alpha.size for m in materials])])
     # Written in place: a texture of ten megapixels takes half a gigabyte.
-    texels = np.zeros((first[-1], bases + 2), dtype=np.float32)
+    texels = np.zeros((first[-1], bases + 2 * components), dtype=np.float32)
     basis, filled = [], []
     for placement, material, start in zip(placements, materials, first[:-1], strict=True):
-        rows, share = _fill_texels(placement, material, texels[start : start + material.alpha.size])
+        own = texels[start : start + material.alpha.size]
+        rows, share = _fill_texels(placement, material, own[:, :bases], own[:, bases:])
         basis.append(np.pad(rows, ((0, bases - len(rows)), (0, 0))))
         filled.append(share)
     n, k = np.stack([m.n for m in materials]), np.stack([m.k for m in materials])
@@ -98,17 +128,29 @@ def make_objects(placements: list[Placement], materials: list[Material]) -> tupl
         n=n,
         k=k,
         grey=((np.ptp(n, axis=1) == 0) & (np.ptp(k, axis=1) == 0)).astype(np.int64),
+        lobe=lobe,
+        lobes=lobes,
     )
     return objects, filled
 
 
-def _fill_texels(placement: Placement, material: Material, texels: np.ndarray) -> tuple[np.ndarray, float]:
-    """Fill an object's texels, (n, bases + 2); return its basis, (k, 61), and the share of texels without data."""
+def _fill_texels(
+    placement: Placement, material: Material, coefficients: np.ndarray, gloss: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Fill an object's texels, (n, bases) and (n, 2 components).
+
+    Returns
+    -------
+    basis : (k, 61)
+    share : float
+        Of the texels without data.
+    """
     whole, share = material.filled(placement.shape.is_covered(*material.alpha.shape[::-1]))
     count = whole.basis.shape[1]
-    coefficients, scale = whole.coefficients.reshape(-1, count), whole.spectrum_scale.reshape(-1, 1)
-    np.multiply(coefficients, scale, out=texels[:, :count], casting="same_kind")
-    texels[:, -2], texels[:, -1] = whole.beta.ravel(), whole.mu.ravel()
+    scale = whole.spectrum_scale.reshape(-1, 1)
+    np.multiply(whole.coefficients.reshape(-1, count), scale, out=coefficients[:, :count], casting="same_kind")
+    for number, (_, beta, mu) in enumerate(whole.gloss):
+        gloss[:, 2 * number], gloss[:, 2 * number + 1] = beta.ravel(), mu.ravel()
     return whole.basis.T, share
 
 

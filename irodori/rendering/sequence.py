@@ -203,17 +203,22 @@ def render_frames(
     white, exposure = shown_white(scene, environment, environment_file)
     if "tolerance_ciede2000" in scene:
         LOGGER.info("frames are rendered in full: a plan is made for the scene's own moment")
-    renderer = make_renderer(scene, made, materials, environment, options, tile_rows)
+    renderer = make_renderer(scene, made, materials, environment, options, tile_rows, white)
+    matrix_of_white = xyz_from_radiance(white)
     display = make_display(scene["display"]["device"])
     stands = scene["frames"]["kind"] == "light_sweep"
     for number in track(missing, f"frames of {view_name}"):
         shown, moment = moments[number]
         start = time.perf_counter()
-        radiance, figures = renderer.picture(view_name, moment, stands, kept.folder / f"{number:05d}.tiles")
+        picture, figures = renderer.picture(view_name, moment, stands, kept.folder / f"{number:05d}.tiles")
         filtered = moments[0 if scene["frames"].get("white") == "first" else number][1].filter
         seen = white if filtered is None else white * np.asarray(filtered)
         matrix = xyz_from_radiance(seen)
-        figures |= write_picture(kept.picture(number), radiance @ matrix.T.astype(np.float32), matrix @ seen, display)
+        if picture.shape[-1] == 3:  # XYZ for the scene's white: another's differs in the scale
+            xyz = picture * np.float32(matrix[1].sum() / matrix_of_white[1].sum())
+        else:
+            xyz = picture @ matrix.T.astype(np.float32)
+        figures |= write_picture(kept.picture(number), xyz, matrix @ seen, display)
         kept.finish(number, shown | figures | {"seconds_in_all": time.perf_counter() - start})
     numbers = range(len(moments))
     write_animation(animation, [kept.picture(n) for n in numbers], scene["frames"]["frames_per_second"])

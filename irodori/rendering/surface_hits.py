@@ -45,7 +45,7 @@ def surface(world, index, ray, point, normal, facet, texel):
     ray : as of `irodori.geometry.embree.trace`
     point, normal, facet : (3,) float
         ``normal`` is the shading normal, ``facet`` that of the surface itself.
-    texel : (k + 2,) float
+    texel : (k + 2 c,) float
     """
     u, v = surface_at(world.surfaces, index, ray, point, normal, facet)
     objects = world.objects

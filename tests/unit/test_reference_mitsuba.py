@@ -5,6 +5,7 @@ sampling; its error is that of the mean over independent seeds. Equation (5) has
 Mitsuba's `plastic` lets light through the coat twice and back, so the coat is compared over a black body.
 """
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -124,6 +125,29 @@ def test_mitsuba_agrees_on_a_smooth_coat_over_a_black_body():
     ours = staged(material(mirror=1.0, n=1.5), constant_light(SKY[THIRDS]), 512)
     bsdf = {"type": "plastic", "int_ior": 1.5, "ext_ior": 1.0, "diffuse_reflectance": rgb([0, 0, 0])}
     agree(ours, mitsuba_picture(stage(bsdf) | {"sky": sky_light}, samples=32, **VIEW))
+
+
+@pytest.mark.parametrize("mu", [0.08, 0.2])
+def test_mitsuba_agrees_on_a_rough_golden_plate(mu):
+    """GGX of `roughconductor`, whose masking and shadowing are independent: alike within 1e-4 at these steep angles."""
+    gold = dataclasses.replace(
+        material(beta=1 / (4 * mu**2), mu=mu, n=np.array(GOLD_N)[THIRDS], k=np.array(GOLD_K)[THIRDS]), lobes=("ggx",)
+    )
+    view = {"position": (0.0, -110.0, 220.0), "target": (0.0, 0.0, 0.0), "fov": 22.0, "size": (20, 16)}
+    panel = {"width_mm": 60.0, "height_mm": 40.0, "rotation_deg": [155.0, 0.0, 0.0], "position_mm": [0.0, 90.0, 180.0]}
+    lamp = {"kind": "rectangle", "spectrum": "D65", "radiance": 3.0, **panel}
+    ours = traced([plate(120.0)], [gold], constant_light(SKY[THIRDS]), 1024, lights=[lamp], **view)
+    turn = rotation_xyz(panel["rotation_deg"])
+    bsdf = {"type": "roughconductor", "distribution": "ggx", "alpha": mu, "eta": rgb(GOLD_N), "k": rgb(GOLD_K)}
+    parts = {
+        "plate": lambda: {"type": "rectangle", "to_world": transform(half=(60, 60)), "bsdf": bsdf},
+        "lamp": lambda: {
+            "type": "rectangle", "to_world": transform([0, 90, 180], turn, (30, 20)), "bsdf": diffuse([0] * 3),
+            "emitter": {"type": "area", "radiance": rgb(3 * D65)},
+        },
+        "sky": sky_light,
+    }  # fmt: skip
+    agree(ours, mitsuba_picture(parts, samples=64, **view))
 
 
 def walls():

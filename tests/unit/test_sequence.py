@@ -1,14 +1,18 @@
 """Frame sequences: what is turned is turned, light changes its colour, and an interrupted sequence goes on."""
 
 import copy
+import dataclasses
 import json
+from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
+import yaml
 from PIL import Image
 from scenes import BALL, OPTIONS, constant_light, material, plate, sky
 
+from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_radiance
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.light.environment_file import Environment
@@ -307,3 +311,61 @@ def test_a_sweep_keeps_what_the_eye_met_and_a_turntable_does_not(monkeypatch):
     again = [made.picture("v", m, keep=True)[0] for m in moments]
     assert kept == [False, False, False, True, True]  # the first is that which compiles
     assert all(np.array_equal(a, b) for a, b in zip(fresh, again, strict=True))
+
+
+# --- what colours are carried in ---------------------------------------------------------------------------------
+
+
+def golden() -> list:
+    gold = material(0.2, mirror=0.5, n=np.linspace(1.5, 0.2, 61), k=2.0)
+    return [PAINTS[0], gold]
+
+
+def differences(made, reference, moment, white):
+    found, figures = made.picture("v", moment)
+    bands = reference.picture("v", moment)[0]
+    matrix = xyz_from_radiance(white)
+    labs = [lab_from_xyz(p.reshape(-1, 3).astype(float), matrix @ white) for p in (found, bands @ matrix.T)]
+    return delta_e(*labs), figures
+
+
+@pytest.mark.parametrize("ambient", [False, True])
+def test_pictures_in_xyz_are_carried_by_coefficients_where_these_are_exact(ambient):
+    """Grey mirrors, light and surfaces on bases, two objects that throw light on each other: rounding is all."""
+    scene, white = scene_of({"kind": "interactive", "ambient": ambient}), room().upward_white()
+    made = make_renderer(scene, SHAPES, PAINTS, room(), OPTIONS, white=white)
+    for moment in (Moment(), Moment(environment_deg=70.0, filter=tuple(np.linspace(0.5, 1.5, 61)))):
+        found, figures = differences(made, renderer(scene), moment, white)
+        assert figures["representation"] == "coefficients"
+        assert found.max() < 0.01
+
+
+def test_pictures_are_carried_in_bands_where_coefficients_would_err(caplog):
+    caplog.set_level("INFO", logger="irodori")
+    scene, white = scene_of({"kind": "interactive", "ambient": False}), room().upward_white()
+    coloured = make_renderer(scene, SHAPES, golden(), room(), OPTIONS, white=white)
+    picture, figures = coloured.picture("v")
+    assert picture.shape[-1] == 61 and figures["representation"] == "spectral"
+    assert "varies with the wavelength" in caplog.text
+    # A light of so many vectors that their products with the surfaces are more than the bands.
+    values = np.random.default_rng(0).random((61, 24))
+    many = Environment(np.ones((16, 32, 24), np.float32), values, np.full((8, 16, 24), np.pi, np.float32))
+    wide = make_renderer(scene, SHAPES, PAINTS, many, OPTIONS, white=white)
+    wide.light(Moment())
+    assert wide.representation == "spectral" and "more than 61 bands" in wide.why
+    assert renderer(scene).picture("v")[0].shape[-1] == 61  # and where bands are asked for
+
+
+def test_the_frames_of_the_turntable_that_is_shipped_are_carried_by_coefficients():
+    path = Path(__file__).resolve().parents[2] / "config" / "scenes" / "turntable.yaml"
+    shipped = yaml.safe_load(path.read_text(encoding="utf-8"))
+    scene = {"lights": [], **shipped}
+    for item in [*scene["objects"], *scene["bodies"]]:
+        item |= {"rotation_deg": item.get("rotation_deg", [0.0, 0.0, 0.0]), "scale": 1.0}
+        if "material" in item:
+            item["material"] = {"refractive_index": {"n": 1.5, "k": 0.0}, "mirror": 0.0} | item["material"]
+    six = np.stack([np.linspace(0.1, 0.9, 61) ** p for p in range(6)], axis=1)
+    textured = dataclasses.replace(material(beta=2.0, mu=0.2), basis=six, coefficients=np.ones((4, 8, 6), np.float32))
+    made = make_renderer(scene, [BALL], [textured], room(), OPTIONS, white=room().upward_white())
+    made.light(Moment())
+    assert made.representation == "coefficients"

@@ -25,12 +25,14 @@ import numpy as np
 
 from irodori.jit.ray_vectors import width_of
 from irodori.rendering.interactive.quadrature import Quadrature
-from irodori.rendering.scene_arrays import Light, Objects
+from irodori.rendering.scene_arrays import Light, Objects, gloss_of, textures
 from irodori.spectra.grid import SAMPLES
 
 REPRESENTATIONS = ("spectral", "coefficients", "quadrature", "rgb")
-#: Vectors for the light that objects reflect on each other, beside those of the light.
-_REFLECTED = 3
+#: Vectors, at most, for the light that objects reflect on each other, beside those of the light.
+REFLECTED = 3
+#: Part of what objects reflect on each other that is rounding.
+_ROUNDING = 1e-6
 #: Linear sRGB primaries and D65, for `rgb`: XYZ of 1, 1, 1 is the white of D65 with Y = 1.
 _XYZ_FROM_RGB = np.array(
     [[0.4123908, 0.3575843, 0.1804808], [0.2126390, 0.7151687, 0.0721923], [0.0193308, 0.1191948, 0.9505322]]
@@ -92,9 +94,8 @@ def _bases(objects: Objects) -> list[np.ndarray]:
 def mean_spectra(objects: Objects) -> list[np.ndarray]:
     """Return the mean S(λ) over the texels of each object, (61,)."""
     means = []
-    for i, start in enumerate(objects.first_texel):
-        columns, rows = objects.texture_size[i]
-        weights = objects.texels[start : start + rows * columns, : objects.bases[i]]
+    for i, texels in enumerate(textures(objects)):
+        weights = texels[..., : objects.bases[i]].reshape(-1, objects.bases[i])
         means.append(weights.mean(axis=0, dtype=np.float64) @ objects.basis[i, : objects.bases[i]])
     return means
 
@@ -163,20 +164,20 @@ def rgb_channels(objects: Objects, light: Light, lamps: np.ndarray, matrix: np.n
     )
 
 
-def reflected_basis(objects: Objects, basis: np.ndarray) -> np.ndarray:
-    """Return the vectors beside the light's basis that what objects reflect of it needs most, (61, up to 3)."""
+def reflected_basis(objects: Objects, basis: np.ndarray, most: int = REFLECTED) -> np.ndarray:
+    """Return the vectors beside the light's basis that what objects reflect of it needs most, (61, up to ``most``)."""
     spectra = np.concatenate([mean[:, None] * basis for mean in mean_spectra(objects)], axis=1)
     rest = spectra - basis @ (np.linalg.pinv(basis) @ spectra)
     left, values, _ = np.linalg.svd(rest, full_matrices=False)
-    return left[:, : min(_REFLECTED, int((values > 1e-6 * np.linalg.norm(spectra)).sum()))]
+    return left[:, : min(most, int((values > _ROUNDING * np.linalg.norm(spectra)).sum()))]
 
 
 def coefficient_channels(
-    objects: Objects, light: Light, lamps: np.ndarray, matrix: np.ndarray, ambient: bool
+    objects: Objects, light: Light, lamps: np.ndarray, matrix: np.ndarray, ambient: bool, most: int = REFLECTED
 ) -> Channels:
     """Return the bilinear forms from coefficients to XYZ: X, Y, Z one after the other, each over the light's basis.
 
-    Where objects throw light on each other (``ambient``) it leaves that basis, and the forms have up to three more
+    Where objects throw light on each other (``ambient``) it leaves that basis, and the forms have up to ``most`` more
     vectors for it: the one place where coefficients err by more than their rounding.
 
     Raises
@@ -191,7 +192,7 @@ def coefficient_channels(
         )
     basis = light.basis.T
     k = basis.shape[1]
-    wide = np.concatenate([basis, reflected_basis(objects, basis)], axis=1) if ambient else basis
+    wide = np.concatenate([basis, reflected_basis(objects, basis, most)], axis=1) if ambient else basis
     lit = wide.shape[1]
     # Lamps are further vectors of the light.
     spectra = np.concatenate([wide, lamps.T], axis=1)
@@ -224,10 +225,31 @@ def coefficient_channels(
     )
 
 
+def exact_representation(objects: Objects, light: Light, lamps: int, ambient: bool) -> tuple[str, int, str]:
+    """Return the cheapest representation whose XYZ are those of the 61 bands within rounding.
+
+    Returns
+    -------
+    representation : str
+        ``coefficients`` or ``spectral``.
+    reflected : int
+        Vectors for the light that objects throw on each other, all that it needs.
+    why : str
+    """
+    if not is_grey(objects):
+        return "spectral", 0, "gloss or a mirror has a refractive index that varies with the wavelength"
+    basis = light.basis.T
+    reflected = reflected_basis(objects, basis, SAMPLES).shape[1] if ambient else 0
+    numbers = 3 * (basis.shape[1] + reflected + lamps)
+    if width_of(numbers + 2) > width_of(SAMPLES + 2):
+        return "spectral", 0, f"{numbers} products of light and surface are more than {SAMPLES} bands"
+    why = f"one surface a path and grey mirrors: XYZ by {numbers} products of light and surface are exact"
+    return "coefficients", reflected, why
+
+
 def is_grey(objects: Objects) -> bool:
     """Return whether no gloss and no mirror of the scene has a colour of its own."""
     shines = objects.mirror > 0
-    for i, first in enumerate(objects.first_texel):
-        columns, rows = objects.texture_size[i]
-        shines[i] |= bool((objects.texels[first : first + columns * rows, -2] > 0).any())
+    for i, texels in enumerate(textures(objects)):
+        shines[i] |= any(beta.any() for beta, _ in gloss_of(objects, texels))
     return bool((objects.grey[shines] == 1).all())

@@ -10,7 +10,9 @@ from irodori.jit.array_views import Memory
 from irodori.jit.native import run_chunks
 from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.interactive.channels import (
+    REFLECTED,
     REPRESENTATIONS,
     Channels,
     coefficient_channels,
@@ -23,7 +25,7 @@ from irodori.rendering.interactive.packets import KEPT, PATHS, RAYS, TILE
 from irodori.rendering.interactive.prepared_scene import Frame, World, make_query, make_world
 from irodori.rendering.interactive.quadrature import Quadrature, path_spectra, solve_quadrature
 from irodori.rendering.interactive.representation_layout import Layout
-from irodori.rendering.interactive.round_lobes import TAPS
+from irodori.rendering.interactive.round_lobes import TAPS, lobe_table
 from irodori.rendering.interactive.tile_loop import FIGURES, RECALLED, STAGES, STORED, TRACED, Limits, render_tiles
 from irodori.rendering.scene_arrays import Light, Objects, View
 from irodori.rendering.view_cameras import ORTHOGRAPHIC
@@ -109,6 +111,7 @@ def prepare_scene(
     half: bool = True,
     ambient: bool = False,
     quadrature: Quadrature | None = None,
+    reflected: int = REFLECTED,
 ) -> Prepared:
     """Prepare a scene for `render_frame`.
 
@@ -140,6 +143,8 @@ def prepare_scene(
         in the same places.
     quadrature : Quadrature, optional
         For the representation of that name; solved for the scene where absent.
+    reflected : int
+        Vectors, at most, on which ``coefficients`` carry the light that objects throw on each other.
 
     Raises
     ------
@@ -153,26 +158,28 @@ def prepare_scene(
     if representation == "quadrature" and quadrature is None:
         spectra = path_spectra(objects, light, lamps, max_bounces)
         quadrature = solve_quadrature(spectra, matrix, white)
-    channels = _channels(representation, objects, light, lamps, matrix, white, quadrature, ambient)
+    if representation == "coefficients":
+        channels = coefficient_channels(objects, light, lamps, matrix, ambient, reflected)
+    else:
+        channels = _channels(representation, objects, light, lamps, matrix, white, quadrature)
     query = make_query(_COHERENT)
     functions = (tracer.intersect16_address, tracer.occluded16_address, query.ctypes.data)
     world = make_world(objects, light, gloss, tracer, channels, functions, half, ambient)
     limits = Limits(
         max_bounces, least_throughput, least_throughput / TAPS, TRACED, 1 + min(max_bounces, _KEPT_REFLECTIONS)
     )
-    layout = Layout(channels.surface, channels.light, channels.coloured)
+    parts = max(len(lobe_table(name).entries) for name in objects.lobes.names)
+    layout = Layout(channels.surface, channels.light, channels.coloured, False, objects.lobe.shape[1], parts)
     return Prepared(representation, world, layout, limits, len(lamps), quadrature, (tracer, query))
 
 
-def _channels(representation, objects, light, lamps, matrix, white, quadrature, ambient) -> Channels:
+def _channels(representation, objects, light, lamps, matrix, white, quadrature) -> Channels:
     coloured = not is_grey(objects)
     if representation == "spectral":
         return spectral_channels(objects, light, lamps, matrix)
     if representation == "quadrature":
         return quadrature_channels(objects, light, lamps, quadrature, coloured)
-    if representation == "rgb":
-        return rgb_channels(objects, light, lamps, matrix, white, coloured)
-    return coefficient_channels(objects, light, lamps, matrix, ambient)
+    return rgb_channels(objects, light, lamps, matrix, white, coloured)
 
 
 def _single(values) -> Memory:
@@ -214,6 +221,8 @@ def frame_of(prepared: Prepared, view: View, world_from_light, lamps) -> Frame:
         lamps=len(lamps),
         lamp_direction=_single(directions),
         lamp_strength=_single([lamp.strength for lamp in lamps]),
+        rays=_single([]),
+        listed=0,
     )
 
 
@@ -290,7 +299,7 @@ def render_frame(
         kept,
         Memory(counted.ravel()),
     )
-    run_chunks(render_tiles, columns * rows, columns, *scene)
+    run_chunks(resolved(render_tiles, *scene, 0, 0), columns * rows, columns, *scene)
     if figures is not None:
         figures |= dict(zip(STAGES, counted.sum(axis=0).tolist(), strict=True))
     return image

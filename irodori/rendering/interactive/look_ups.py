@@ -24,7 +24,6 @@ from irodori.rendering.interactive.cube_maps import bilinear, cell_of, face_of
 from irodori.rendering.interactive.packets import (
     COSINE,
     DIRECTION,
-    GLOSS,
     LIT_MIRROR,
     LIT_NORMAL,
     OBJECT,
@@ -41,7 +40,7 @@ from irodori.rendering.interactive.representation_layout import (
     surface_black,
     surface_lanes,
 )
-from irodori.rendering.interactive.round_lobes import ENTRY, TAPS
+from irodori.rendering.interactive.round_lobes import ENTRY, POWER, TAPS
 
 # Fields of a look-up, each sixteen wide, and whole numbers.
 _X, _Y, _MIX, _WEIGHT, _COS_H, _FIELDS = 0, 1, 2, 3, 4, 5
@@ -114,7 +113,7 @@ def sky_at(world, layout, look, number, ray):
 
 @njit(cache=True, forceinline=True)
 def find_lobes(world, layout, hit, numbers, entries, look, number):
-    """Fill where the lobes of a packet's hits are looked up, from their entries of the table."""
+    """Fill where a row of lobes of a packet's hits is looked up, from their entries of the table."""
     cosine = load(hit, COSINE * RAYS, 16)
     nx, ny, nz = (
         load(hit, LIT_NORMAL * RAYS, 16),
@@ -134,7 +133,7 @@ def find_lobes(world, layout, hit, numbers, entries, look, number):
     store(look, _MIX * RAYS, level - as_float(lower))
     store(number, _LEVEL * RAYS, lower)
     sine2 = 1.0 - cosine * cosine
-    power = load(hit, GLOSS * RAYS, 16)
+    power = gather(entries, at + POWER)
     object_ = load(numbers, OBJECT * RAYS, 16)
     width = surface_lanes(layout)
     n, k = gather(world.index, object_ * (2 * width)), gather(world.index, object_ * (2 * width) + width)

@@ -1,26 +1,55 @@
 """Interactive rendering of chosen pixels without the rest of the picture."""
 
-from concurrent.futures import ThreadPoolExecutor
-
-import numba
 import numpy as np
 
 from irodori.jit.array_views import Memory
+from irodori.jit.native import run_chunks
+from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.interactive.frame_renderer import Lamp, Prepared, frame_of
-from irodori.rendering.interactive.tile_loop import FIGURES, TRACED, render_tiles
+from irodori.rendering.interactive.packets import PATHS, TILE
+from irodori.rendering.interactive.tile_loop import FIGURES, LISTED, TRACED, render_tiles
 from irodori.rendering.scene_arrays import View
 from irodori.rendering.single_pixels import pixel_view
+from irodori.rendering.view_cameras import ORTHOGRAPHIC
 
 
-def _ray(prepared: Prepared, seen: View, lamps) -> np.ndarray:
-    """Return XYZ of a view of one pixel, (3,): `render_frame` without the threads of a whole frame."""
-    image, counted = np.empty(3, dtype=np.float32), np.zeros(FIGURES, dtype=np.int64)
-    limits = prepared.limits._replace(visibility=TRACED)
-    frame = frame_of(prepared, seen, None, lamps)
-    none = np.zeros(0, dtype=np.float32)
-    scene = (prepared.world, frame, prepared.layout, limits, Memory(image), 3, Memory(none), Memory(counted))
-    render_tiles(*scene, 0, 1)
-    return image
+def rays_through(view: View, places: np.ndarray) -> np.ndarray:
+    """Return the rays through points of a view's picture, (n, LISTED), each with the cone of a pixel.
+
+    Parameters
+    ----------
+    view : View
+    places : (n, 2) float
+        In pixels from the upper left corner.
+
+    Raises
+    ------
+    ValueError
+        If the view has a lens: its rays are many.
+    """
+    rays = np.zeros((len(places), LISTED), dtype=np.float32)
+    for ray, place in zip(rays, places, strict=True):
+        seen = pixel_view(view, *place)
+        ray[:3], ray[3:6] = seen.position_mm, seen.world_from_camera[:, 2]
+        ray[6 if view.kind == ORTHOGRAPHIC else 7] = 1.0 / view.focal_px
+    return rays
+
+
+def render_rays(prepared: Prepared, view: View, rays: np.ndarray, lamps: tuple[Lamp, ...] = ()) -> np.ndarray:
+    """Return XYZ along rays of a view, (n, 3) float64; ``rays`` are those of `rays_through`."""
+    rows = -(-len(rays) // TILE)
+    if rows == 0:
+        return np.zeros((0, 3))
+    # The last row is filled up with rays that nobody asks for.
+    whole = np.concatenate([rays, np.repeat(rays[-1:], rows * TILE - len(rays), axis=0)])
+    frame = frame_of(prepared, view._replace(width=TILE, height=rows), None, lamps)
+    frame = frame._replace(rays=Memory(whole.ravel()), listed=1)
+    tiles = -(-len(whole) // PATHS)
+    image, counted = np.empty((len(whole), 3), dtype=np.float32), np.zeros((tiles, FIGURES), dtype=np.int64)
+    limits, kept = prepared.limits._replace(visibility=TRACED), Memory(np.zeros(0, dtype=np.float32))
+    scene = (prepared.world, frame, prepared.layout, limits, Memory(image.ravel()), 3, kept, Memory(counted.ravel()))
+    run_chunks(resolved(render_tiles, *scene, 0, 0), tiles, 1, *scene)
+    return image[: len(rays)].astype(np.float64)
 
 
 def render_pixels(
@@ -39,13 +68,7 @@ def render_pixels(
     lamps : tuple of Lamp
     """
     fine = view._replace(focal_px=view.focal_px * side, width=view.width * side, height=view.height * side)
-
-    def one(pixel: np.ndarray) -> np.ndarray:
-        total = np.zeros(3)
-        for part in range(side * side):
-            place = side * pixel + np.array([part % side, part // side]) + 0.5
-            total += _ray(prepared, pixel_view(fine, *place), lamps)
-        return total / side**2
-
-    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        return np.array(list(pool.map(one, pixels))).reshape(-1, 3)
+    parts = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(1, -1, 2)
+    places = side * np.asarray(pixels).reshape(-1, 1, 2) + parts + 0.5
+    found = render_rays(prepared, fine, rays_through(fine, places.reshape(-1, 2)), lamps)
+    return found.reshape(-1, side * side, 3).mean(axis=1)

@@ -13,11 +13,20 @@ from irodori.geometry.shapes.shape_rows import COLUMNS, MIRROR, ROWS, shape_row
 from irodori.geometry.surfaces import Surfaces, make_surfaces
 from irodori.jit.array_views import Memory
 from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.reflection.lobes import Lobes
 from irodori.rendering.interactive.channels import Channels, mean_spectra
 from irodori.rendering.interactive.cube_maps import FACES, environment_pyramid, from_equirectangular, give_back
 from irodori.rendering.interactive.mesh_shadows import MeshShadows, make_mesh_shadows, no_mesh_shadows
-from irodori.rendering.interactive.round_lobes import lobe_table, roughness_at, roughness_place
-from irodori.rendering.scene_arrays import Light, Objects
+from irodori.rendering.interactive.round_lobes import (
+    ROUGHNESSES,
+    gloss_power,
+    joined_tables,
+    ladder,
+    lobe_table,
+    roughness_place,
+)
+from irodori.rendering.interactive.shading import FURTHER
+from irodori.rendering.scene_arrays import Light, Objects, gloss_of, textures
 
 #: Objects of a scene whose bounds are asked one by one.
 _MOST_BOUNDED = 12
@@ -52,9 +61,12 @@ class World(NamedTuple):
     gloss_side: Memory  # (levels,) int32
     gloss_levels: int
     gloss_level: float  # the finest's place in the ladder
-    lobes: Memory
-    roughness_start: float
-    roughness_step: float
+    lobes: Lobes
+    lobe: Memory  # (objects * components,) int64 which of the lobes a gloss component is
+    rows: Memory  # see `irodori.rendering.interactive.round_lobes.joined_tables`
+    ladder: Memory  # (lobes * 2,) float64 ln μ of the first roughness, and the step
+    further: Memory  # (texels * FURTHER,) of the gloss components from the second on
+    further_first: Memory  # (objects,) int64
     decode: Memory
     lamp_light: Memory
     lamp_colour: Memory
@@ -79,6 +91,8 @@ class Frame(NamedTuple):
     lamps: int
     lamp_direction: Memory  # (lamps * 3,) towards the lamp
     lamp_strength: Memory  # (lamps,)
+    rays: Memory  # (rays * LISTED,) of a list in place of a picture, see `irodori.rendering.interactive.tile_loop`
+    listed: int  # 1 where there is a list, whose rays fill a picture of TILE columns
 
 
 def padded(rows: np.ndarray, width: int) -> np.ndarray:
@@ -97,29 +111,46 @@ def make_shapes(tracer: Tracer, objects: Objects) -> np.ndarray:
     return table.ravel()
 
 
-def make_textures(objects: Objects, channels: Channels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the texels with their borders, where each object's begin, and the texels of a stored row.
+def make_textures(objects: Objects, channels: Channels) -> dict:
+    """Return the fields of a `World` that hold the texels.
 
     Sides that are joined have each other in the border, other edges themselves.
     """
-    parts, first, stride = [], [0], []
-    for i, start in enumerate(objects.first_texel):
-        columns, rows = objects.texture_size[i]
-        texels = objects.texels[start : start + rows * columns].reshape(rows, columns, -1)
+    parts, further, rows, stride = [], [], [], []
+    for i, texels in enumerate(textures(objects)):
         weights = texels[..., : objects.bases[i]].astype(np.float64)
-        stored = np.zeros((rows + 2, columns + 2, channels.surface), dtype=np.float32)
-        inner = stored[1:-1, 1:-1]
-        inner[..., : channels.count] = weights @ channels.texel_from_weights[i].T
-        # β μ², the gloss' power: one number less to compute at a hit.
-        inner[..., -2] = np.where(texels[..., -1] > 0, texels[..., -2] * texels[..., -1].astype(np.float64) ** 2, 0.0)
-        inner[..., -1] = roughness_place(np.where(texels[..., -1] > 0, texels[..., -1], 1.0))
+        stored = np.zeros((*texels.shape[:2], channels.surface), dtype=np.float32)
+        stored[..., : channels.count] = weights @ channels.texel_from_weights[i].T
+        others = np.zeros((*texels.shape[:2], FURTHER), dtype=np.float32)
+        for component, (beta, mu) in enumerate(gloss_of(objects, texels)):
+            name = objects.lobes.names[objects.lobe[i, component]]
+            # β times a quarter of the lobe's strength, its power: one number less to compute at a hit.
+            pair = stored[..., -2:] if component == 0 else others[..., 2 * component - 2 : 2 * component]
+            pair[..., 0] = gloss_power(beta, mu, name)
+            pair[..., 1] = roughness_place(np.where(mu > 0, mu, 1.0), name)
         wraps = objects.wraps[i] == 1
-        stored[:, 0], stored[:, -1] = (stored[:, -2], stored[:, 1]) if wraps else (stored[:, 1], stored[:, -2])
-        stored[0], stored[-1] = stored[1], stored[-2]
-        parts.append(stored.ravel())
-        first.append(first[-1] + stored.size)
-        stride.append(columns + 2)
-    return np.concatenate(parts), np.array(first[:-1], dtype=np.int64), np.array(stride, dtype=np.int64)
+        parts.append(_bordered(stored, wraps))
+        if objects.lobe.shape[1] > 1:
+            further.append(_bordered(others, wraps))
+        rows.append((texels.shape[0] + 2) * (texels.shape[1] + 2))
+        stride.append(texels.shape[1] + 2)
+    first = np.concatenate([[0], np.cumsum(rows)[:-1]]).astype(np.int64)
+    return {
+        "texels": np.concatenate(parts),
+        "texture_first": first * channels.surface,
+        "texture_stride": np.array(stride, dtype=np.int64),
+        "further": np.concatenate(further) if further else np.zeros(0, dtype=np.float32),
+        "further_first": first * FURTHER,
+    }
+
+
+def _bordered(texels: np.ndarray, wraps: bool) -> np.ndarray:
+    """Return a texture, (rows, columns, numbers), with a border of one texel, flat."""
+    stored = np.zeros((texels.shape[0] + 2, texels.shape[1] + 2, texels.shape[2]), dtype=np.float32)
+    stored[1:-1, 1:-1] = texels
+    stored[:, 0], stored[:, -1] = (stored[:, -2], stored[:, 1]) if wraps else (stored[:, 1], stored[:, -2])
+    stored[0], stored[-1] = stored[1], stored[-2]
+    return stored.ravel()
 
 
 def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
@@ -135,20 +166,30 @@ def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
 
 def needed_gloss(gloss: GlossMaps, objects: Objects) -> GlossMaps:
     """Return the maps without the finest ones, narrower than any lobe of the scene's materials at any view angle."""
-    smoothest = math.inf
-    for i, start in enumerate(objects.first_texel):
-        texels = objects.texels[start : start + int(np.prod(objects.texture_size[i]))]
-        glossy = texels[(texels[:, -2] > 0) & (texels[:, -1] > 0), -1]
-        # Texels are interpolated: what has no gloss may lend its roughness to a neighbour.
-        if glossy.size:
-            smoothest = min(smoothest, float(texels[texels[:, -1] > 0, -1].min()))
     last = len(gloss.levels) - 1
-    if smoothest == math.inf:
-        spare = last
-    else:
-        finest = lobe_table()[0][int(roughness_place(smoothest)) :, :, 0].min()
-        spare = min(max(math.floor(finest) - gloss.first, 0), last)
+    finest = min((level for level, _ in levels_by_lobe(objects, whole=True)), default=math.inf)
+    spare = last if finest == math.inf else min(max(math.floor(finest) - gloss.first, 0), last)
     return replace(gloss, first=gloss.first + spare, levels=gloss.levels[spare:])
+
+
+def levels_by_lobe(objects: Objects, traced: tuple[bool, ...] | None = None, whole: bool = False) -> list:
+    """Return the finest and the coarsest level that each gloss component of the scene is looked up at, fractional.
+
+    Of a lobe's table all entries between the least and the largest roughness are taken, at every angle, from the least
+    on if ``whole``. Texels are interpolated: what has no gloss may lend its roughness to a neighbour.
+    """
+    found = []
+    for i, texels in enumerate(textures(objects)):
+        for component, (beta, mu) in enumerate(gloss_of(objects, texels)):
+            if not beta.any() or (traced is not None and not traced[i]):
+                continue
+            name = objects.lobes.names[objects.lobe[i, component]]
+            rough = mu[mu > 0] if whole else mu[beta > 0]
+            first, last = np.clip(roughness_place([rough.min(), rough.max()], name), 0, ROUGHNESSES - 1)
+            end = ROUGHNESSES if whole else int(np.ceil(last)) + 1
+            entries = lobe_table(name).entries[:, int(first) : end, :, 0]
+            found.append((float(entries.min()), float(entries.max())))
+    return found
 
 
 def make_gloss(gloss: GlossMaps, channels: Channels, half: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -200,28 +241,27 @@ def _light_fields(light: Light, gloss: GlossMaps, pyramid, channels: Channels, h
         "gloss_side": gloss_side,
         "gloss_levels": len(gloss_side),
         "gloss_level": float(gloss.first),
-        "lobes": lobe_table()[0].ravel(),
-        "roughness_start": float(np.log(roughness_at(0))),
-        "roughness_step": float(np.log(roughness_at(1) / roughness_at(0))),
     }
 
 
 def _surface_fields(objects: Objects, tracer: Tracer, channels: Channels) -> dict:
     """Return the fields of a `World` that shapes and materials fill."""
-    texels, first, stride = make_textures(objects, channels)
+    fields = make_textures(objects, channels)
     index = np.concatenate(
         [channels.index, np.repeat(channels.index[..., -1:], channels.surface - channels.count, axis=2)], axis=2
     )
-    return {
+    scatters = fields["texels"].reshape(-1, channels.surface)[:, :-1].any()
+    return fields | {
         "shape": make_shapes(tracer, objects),
         "objects": len(tracer.placements),
         "surfaces": Surfaces(*(Memory(array) for array in make_surfaces(tracer.placements))),
         "brought_singly": sum(p.shape.kernels.point is None for p in tracer.placements),
-        "scatters": int(texels.reshape(-1, channels.surface)[:, :-1].any()),
+        "scatters": int(scatters or fields["further"].reshape(-1, 2)[:, 0].any()),
+        "lobes": objects.lobes,
+        "lobe": objects.lobe.ravel(),
+        "rows": joined_tables(objects.lobes).ravel(),
+        "ladder": ladder(objects.lobes).ravel(),
         "bounded": len(tracer.placements) if len(tracer.placements) <= _MOST_BOUNDED else 0,
-        "texels": texels,
-        "texture_first": first,
-        "texture_stride": stride,
         "index": index.astype(np.float32).ravel(),
         "scene": tracer.scene,
     }

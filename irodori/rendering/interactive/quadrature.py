@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from irodori.colour.colorimetry import delta_e, lab_from_xyz
-from irodori.rendering.scene_arrays import Light, Objects
+from irodori.rendering.scene_arrays import Light, Objects, coefficients_of
 
 #: Numbers of wavelengths that fill a vector of 8, 16, 32, 64 with the two numbers of gloss beside them.
 COUNTS = (6, 14, 30)
@@ -47,7 +47,7 @@ def path_spectra(objects: Objects, light: Light, lamps: np.ndarray, bounces: int
     which = rng.integers(len(objects.bases), size=count)
     texel = objects.first_texel[which] + rng.integers(objects.texture_size[which].prod(axis=1))
     weights = objects.texels[texel].astype(np.float64)
-    surface = np.einsum("pk,pkl->pl", weights[:, :-2], objects.basis[which])
+    surface = np.einsum("pk,pkl->pl", coefficients_of(objects, weights), objects.basis[which])
     spectra = np.concatenate([sky, surface * lit])
     # Coloured mirrors, met 0..bounces times; grey ones change no spectrum's shape.
     coloured = np.flatnonzero(objects.grey == 0)

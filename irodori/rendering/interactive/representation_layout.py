@@ -16,7 +16,8 @@ class Layout:
     Parameters
     ----------
     surface : int
-        Lanes of a texel: the channels of the reflected colour, then β and the place of μ in the table of lobes.
+        Lanes of a texel: the channels of the reflected colour, then the power and the place of the
+        roughness of the first gloss component.
     light : int
         Lanes of the environment's stored light.
     coloured : bool
@@ -24,12 +25,18 @@ class Layout:
         becomes a colour once a pixel.
     profiled : bool
         Whether cycles are counted by stage.
+    components : int
+        Gloss components of a texel, at most 5.
+    parts : int
+        Rows of round lobes that a component may have, see `irodori.rendering.interactive.round_lobes`.
     """
 
     surface: int
     light: int
     coloured: bool
     profiled: bool = False
+    components: int = 1
+    parts: int = 1
 
 
 class _LayoutType(types.Type):
@@ -80,5 +87,6 @@ def _black(field: str, times: int = 1):
 
 surface_lanes, light_lanes = _constant("surface"), _constant("light")
 is_coloured, is_profiled = _constant("coloured"), _constant("profiled")
+gloss_components, gloss_parts = _constant("components"), _constant("parts")
 #: Vectors of zeros: of a texel's lanes, of the light's, and of light at two levels.
 surface_black, light_black, pair_black = _black("surface"), _black("light"), _black("light", 2)

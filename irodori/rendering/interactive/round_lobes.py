@@ -1,30 +1,46 @@
 """Gloss lobe of equation (5) as four round lobes, tabulated for look-up at every hit.
 
 `irodori.light.gloss.lobe_table` has up to forty lobes to each entry of a table, of which a look-up mixes four entries.
-Here the lobe D G / cosθ_r is a row of four Gaussians of the sphere in the plane of incidence, of one width and evenly
-spaced: mean, spread along the plane and spread across it are those of the true lobe (where it is very long the row is
-as long as four lobes may be without gaps), the weights are least squares of its shape and of its first and second
-moments. All entries have the same form, so the parameters of one look-up are interpolated, not its results.
+Here the lobe D G / cosθ_r of any form that is registered is one to three rows of four Gaussians of the sphere in the
+plane of incidence, those of a row of one width and evenly spaced. A lobe whose facets' law is nearly Gaussian takes one
+row; one with long tails is split by φ into parts that are, each with its row (`split`). Mean, spread along the plane
+and spread across it of a row are those of its part of the true lobe (where it is very long the row is as long as four
+lobes may be without gaps); the weights of all together are least squares of the lobe's shape and of its first and
+second moments. All entries have the same form, so the parameters of one look-up are interpolated, not its results.
 """
 
+import hashlib
 import math
+import os
 from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import nnls
 
+from irodori.core.provenance import code_hash
+from irodori.jit.kernel_cache import cache_folder
+from irodori.jit.native import njit
 from irodori.light.blurred_light import WIDTHS_RAD
-from irodori.light.gloss.make_lobe_table import lobe_samples
-from irodori.reflection.equation5 import MU_MAX_RAD, MU_MIN_RAD
+from irodori.light.gloss.make_lobe_table import _cells, unit
 from irodori.reflection.fresnel import fresnel
+from irodori.reflection.lobes import Lobes, constants, features, strength, value
+from irodori.reflection.registry import lobe
 
 TAPS = 4
 #: Entries over ln μ and over the square root of cosθ_r.
 ROUGHNESSES, ANGLES = 17, 17
-#: Numbers an entry: level, then for each tap its weight, its place p and cosθ_H; padded to a vector.
-ENTRY = 16
+#: Numbers an entry: level, then for each tap its weight, its place p and cosθ_H; then room for the hit's power; padded
+#: to a vector.
+ENTRY, POWER = 16, 13
+#: Rows that a lobe may be split into, and the distance to the true lobe, where that is short, that fewer must keep.
+MOST_PARTS, _NEAR = 3, 0.12
+_PLACES, _ANGLES_RAD = (4, 7, 10), (0.01, 0.5, 0.9)  # where that is tried
 _LONGEST = 7.0  # variance of the row over that of a lobe in it
-_NODES = (48, 32)
+_NODES, _NODES_OF_PARTS = (48, 32), (72, 48)
+_STEPS = 60  # of the search for the parts
+_STARTS = {2: (0.7, 2.5), 3: (0.6, 1.6, 5.0)}  # widths of the parts, over that of a Gaussian of the lobe's strength
 _ENERGY_WEIGHT = 3.0
 _MOMENT_WEIGHTS = np.array([5.0, 5.0, 2.5, 2.5, 2.5])  # mean direction; then squares and product of its coordinates
 _EVEN_WEIGHT = 0.02  # keeps the weights of lobes that nearly coincide from being any
@@ -32,15 +48,110 @@ _INDEX = 1.5  # for which the mean Fresnel reflectance of a lobe is kept
 _COSINES = np.linspace(0.0, 1.0, 2001)
 
 
-def roughness_place(mu_rad) -> np.ndarray:
-    """Return the place in the table of roughnesses, 0..ROUGHNESSES - 1; held at the bounds of μ."""
-    mu = np.clip(mu_rad, MU_MIN_RAD, MU_MAX_RAD)
-    return np.log(mu / MU_MIN_RAD) * ((ROUGHNESSES - 1) / math.log(MU_MAX_RAD / MU_MIN_RAD))
+class LobeTable(NamedTuple):
+    """The rows of one form of lobe.
+
+    ``entries`` are (parts, ROUGHNESSES, ANGLES, ENTRY) float32: the level of
+    `irodori.light.blurred_light.WIDTHS_RAD`, fractional; then weight, place p and cosθ_H of each tap. A weight is the
+    power over π / 4 times the lobe's strength, π μ² of the Gaussian. With R the mirror direction and N the normal the
+    axis is p R + q N, its angle from N has the sine p sinθ_r. ``distance`` is ∫ |rows - lobe| dω / ∫ lobe dω.
+    """
+
+    entries: np.ndarray
+    distance: np.ndarray  # (ROUGHNESSES, ANGLES) float64
 
 
-def roughness_at(place):
-    """Return μ, rad, at a place in the table."""
-    return MU_MIN_RAD * np.exp(np.asarray(place) * (math.log(MU_MAX_RAD / MU_MIN_RAD) / (ROUGHNESSES - 1)))
+class Samples(NamedTuple):
+    """A lobe over half the sphere of light; the other half is its mirror image.
+
+    The normal is +z, the view in the x-z plane at x < 0; ``solid_angle``, sr, is that of both halves together.
+    """
+
+    direction: np.ndarray  # (n, 3)
+    value: np.ndarray  # (n,) D G / cosθ_r
+    cos_h: np.ndarray
+    phi: np.ndarray
+    solid_angle: np.ndarray
+
+
+class Row(NamedTuple):
+    """Rows of one lobe, see `fit_row`."""
+
+    width: np.ndarray  # (parts,) rad
+    angle: np.ndarray  # (parts, 4) of the axes from the normal, away from the view, rad
+    weight: np.ndarray  # (parts, 4) whose sum is 1
+    cos_h: np.ndarray  # (parts, 4) cosine of the incidence θ_H at which each one's light is reflected
+    power: float  # ∫ D G / cosθ_r dω
+    distance: float
+
+
+def _step(name: str) -> tuple[float, float]:
+    """Return ln μ of the first roughness of a lobe's ladder, and the step."""
+    bounds = lobe(name).roughness
+    return math.log(bounds.low), math.log(bounds.high / bounds.low) / (ROUGHNESSES - 1)
+
+
+def roughness_place(mu, name: str = "gaussian") -> np.ndarray:
+    """Return the place in the ladder of a lobe's roughnesses, 0..ROUGHNESSES - 1; held at the bounds of μ."""
+    bounds = lobe(name).roughness
+    place = np.log(np.clip(mu, bounds.low, bounds.high) / bounds.low)
+    return place * ((ROUGHNESSES - 1) / math.log(bounds.high / bounds.low))
+
+
+def roughness_at(place, name: str = "gaussian"):
+    """Return μ at a place in the ladder."""
+    first, step = _step(name)
+    return math.exp(first) * np.exp(np.asarray(place) * step)
+
+
+def ladder(lobes: Lobes) -> np.ndarray:
+    """Return ln μ of the first roughness and the step of each lobe's ladder, (lobes, 2)."""
+    return np.array([_step(name) for name in lobes.names])
+
+
+@njit(cache=True, error_model="numpy")
+def _strengths(lobes, mu, out):
+    for i in range(mu.size):
+        out[i] = strength(lobes, 0, mu[i])
+
+
+def gloss_power(beta: np.ndarray, mu: np.ndarray, name: str = "gaussian") -> np.ndarray:
+    """Return β times a quarter of the lobe's strength, (...) float64, 0 where μ is 0: β μ² of the Gaussian."""
+    flat = np.where(mu > 0, mu, 1.0).astype(np.float64).ravel()
+    out = np.empty_like(flat)
+    _strengths(Lobes((name,)), flat, out)
+    return np.where(mu > 0, beta * (0.25 * out.reshape(np.shape(mu))), 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _fill_values(lobes, t, cos_i, cos_r, cos_phi, cos_h, phi, out):
+    constant = constants(lobes, t)
+    for i in range(out.size):
+        if cos_i[i] > 0.0 and cos_phi[i] > 0.0 and cos_h[i] > 1e-9:
+            factor, f0, f1, f2 = features(lobes, cos_i[i], cos_r, cos_phi[i], cos_h[i], phi[i])
+            out[i] = factor * value(lobes, constant, f0, f1, f2)
+
+
+def lobe_samples(name: str, mu: float, theta_r: float, grid: tuple[int, int] = _NODES) -> Samples:
+    """Return samples of a lobe on a grid that is narrowest about the mirror direction; angles in rad."""
+    law = lobe(name)
+    width = math.sqrt(0.5 * law.strength(mu))
+    reach = min(2.8 * law.reach(mu), 2.0 * math.pi) + 0.02
+    low, high = max(-reach, -0.5 * math.pi - 0.3 - theta_r), min(reach, 0.5 * math.pi + min(reach, 1.5) - theta_r)
+    along, along_step = _cells(0.5 * width, low, high, grid[0])
+    across, across_step = _cells(0.5 * width * math.cos(theta_r), 0.0, min(reach, 0.5 * math.pi), grid[1])
+    direction = unit(*np.meshgrid(theta_r + along, across, indexing="ij")).reshape(-1, 3)
+    solid_angle = np.outer(along_step, 2.0 * across_step * np.cos(across)).ravel()
+    view = unit(np.array(-theta_r), np.array(0.0))
+    half = direction + view
+    length = np.linalg.norm(half, axis=1)
+    half = np.divide(half, length[:, None], out=np.zeros_like(half), where=length[:, None] > 1e-9)
+    cos_h, phi = half @ view, np.arctan2(np.hypot(half[:, 0], half[:, 1]), half[:, 2])
+    values = np.zeros(len(phi))
+    cosines = (np.ascontiguousarray(c) for c in (direction[:, 2], half[:, 2], cos_h))
+    cos_i, cos_phi, cos_h = cosines
+    _fill_values(Lobes((name,)), math.log(mu), cos_i, math.cos(theta_r), cos_phi, cos_h, phi, values)
+    return Samples(direction, values, cos_h, phi, solid_angle)
 
 
 @lru_cache(maxsize=1)
@@ -62,74 +173,146 @@ def _moments_of(direction: np.ndarray, share: np.ndarray) -> np.ndarray:
     return share @ np.stack([x, z, x * x, z * z, x * z], axis=1)
 
 
-def fit_row(mu: float, theta_r: float) -> tuple[float, np.ndarray, np.ndarray, np.ndarray, float, float]:
-    """Fit the row of one lobe.
+def split(name: str, mu: float, parts: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return shares and squared widths, rad², of the Gaussians of φ that a lobe is mixed from, each (parts,).
 
-    Returns
-    -------
-    width : float, rad
-    angle : (4,) of the axes from the normal, away from the view, rad
-    weight : (4,) whose sum is 1
-    cos_h : (4,) cosine of the incidence θ_H at which each one's light is reflected
-    power : float, ∫ D G / cosθ_r dω
-    distance : float, ∫ |row - lobe| dω / ∫ lobe dω
+    For a steep view, the likeliest mixture, by expectation and maximisation from widths that depend on the lobe's
+    strength alone, so that the parts of one roughness pass over into those of the next.
     """
-    direction, value, cos_h, solid_angle = lobe_samples(mu, theta_r, _NODES)
-    share = value * solid_angle
-    power = float(share.sum())
-    share = share / power
+    if parts == 1:
+        return np.ones(1), np.ones(1)
+    seen = lobe_samples(name, mu, 1e-2, _NODES_OF_PARTS)
+    mass = seen.value * seen.solid_angle / float(seen.value @ seen.solid_angle)
+    share, square = np.full(parts, 1.0 / parts), 0.25 * lobe(name).strength(mu) * np.square(_STARTS[parts])
+    for _ in range(_STEPS):
+        belongs = _belongs(seen.phi, share, square)
+        share = np.maximum(mass @ belongs, 1e-12)
+        square = (mass * seen.phi**2) @ belongs / share
+    return share, square
+
+
+def _belongs(phi: np.ndarray, share: np.ndarray, square: np.ndarray) -> np.ndarray:
+    """Return how much of a lobe at φ belongs to each of its parts, (n, parts)."""
+    if len(share) == 1:
+        return np.ones((len(phi), 1))
+    exponent = np.log(share / square) - phi[:, None] ** 2 / square
+    weight = np.exp(exponent - exponent.max(axis=1, keepdims=True))
+    return weight / weight.sum(axis=1, keepdims=True)
+
+
+def _placed(direction: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the axes of a row, (4,) rad from the normal, and the variance of its lobes; ``share`` is of its part."""
     middle = math.atan2(float(share @ direction[:, 0]), float(share @ direction[:, 2]))
     along = np.arcsin(np.clip(direction[:, 0] * math.cos(middle) - direction[:, 2] * math.sin(middle), -1.0, 1.0))
     across = np.arcsin(np.clip(direction[:, 1], -1.0, 1.0))
     long, short = float(share @ along**2), float(share @ across**2)
     variance = max(short, long / _LONGEST)
     spacing = math.sqrt(max(long - variance, 0.0) / ((TAPS**2 - 1) / 12.0))
-    angle = np.minimum(middle + spacing * (np.arange(TAPS) - 0.5 * (TAPS - 1)), 0.5 * np.pi - 1e-3)
-    kappa = 1.0 / variance
-    cosine = direction[:, :1] * np.sin(angle) + direction[:, 2:] * np.cos(angle)
-    shapes = kappa / (2 * np.pi * -np.expm1(-2 * kappa)) * np.exp(kappa * (cosine - 1.0))
-    scale = np.sqrt(solid_angle) / math.sqrt(float(((value / power) ** 2 * solid_angle).sum()))
-    moments, wanted = _moments(angle, kappa), _moments_of(direction, share)
-    rows = [shapes * scale[:, None], np.full((1, TAPS), _ENERGY_WEIGHT), _EVEN_WEIGHT * np.eye(TAPS)]
-    rows.append(moments * _MOMENT_WEIGHTS[:, None])
-    targets = [value / power * scale, [_ENERGY_WEIGHT], np.zeros(TAPS), wanted * _MOMENT_WEIGHTS]
+    return np.minimum(middle + spacing * (np.arange(TAPS) - 0.5 * (TAPS - 1)), 0.5 * np.pi - 1e-3), variance
+
+
+def fit_row(name: str, mu: float, theta_r: float, mixture: tuple[np.ndarray, np.ndarray]) -> Row:
+    """Fit the rows of one lobe; ``mixture`` is that of `split`."""
+    parts = len(mixture[0])
+    seen = lobe_samples(name, mu, theta_r, _NODES if parts == 1 else _NODES_OF_PARTS)
+    direction, solid_angle, cos_h = seen.direction, seen.solid_angle, seen.cos_h
+    share = seen.value * solid_angle
+    power = float(share.sum())
+    share, density = share / power, seen.value / power
+    belongs = _belongs(seen.phi, *mixture)
+    width, angles, shapes, moments = np.empty(parts), np.empty((parts, TAPS)), [], []
+    for part in range(parts):
+        mass = float(share @ belongs[:, part])
+        own = share * belongs[:, part] / mass if mass > 1e-12 else share
+        angles[part], variance = _placed(direction, own)
+        kappa, width[part] = 1.0 / variance, math.sqrt(variance)
+        cosine = direction[:, :1] * np.sin(angles[part]) + direction[:, 2:] * np.cos(angles[part])
+        shapes.append(kappa / (2 * np.pi * -np.expm1(-2 * kappa)) * np.exp(kappa * (cosine - 1.0)))
+        moments.append(_moments(angles[part], kappa))
+    shape, moment, count = np.hstack(shapes), np.hstack(moments), parts * TAPS
+    scale = np.sqrt(solid_angle) / math.sqrt(float((density**2 * solid_angle).sum()))
+    rows = [shape * scale[:, None], np.full((1, count), _ENERGY_WEIGHT), _EVEN_WEIGHT * np.eye(count)]
+    rows.append(moment * _MOMENT_WEIGHTS[:, None])
+    wanted = _moments_of(direction, share)
+    targets = [density * scale, [_ENERGY_WEIGHT], np.zeros(count), wanted * _MOMENT_WEIGHTS]
     weight = nnls(np.vstack(rows), np.concatenate(targets))[0]
     weight /= weight.sum()
-    parts = shapes * weight
-    found = parts.sum(axis=1)
-    distance = float((np.abs(found - value / power) * solid_angle).sum())
-    parts = parts / np.maximum(found, 1e-300)[:, None] * share[:, None]
+    pieces = shape * weight
+    found = pieces.sum(axis=1)
+    distance = float((np.abs(found - density) * solid_angle).sum())
+    pieces = pieces / np.maximum(found, 1e-300)[:, None] * share[:, None]
     # The angle at which a lacquer reflects the mean over the part of the lobe that each one stands for, and all
     # together what the lobe does.
     lacquer = _reflectance()
     reflected = np.interp(cos_h, _COSINES, lacquer)
-    mean = parts.T @ reflected / np.maximum(parts.sum(axis=0), 1e-300)
+    mean = pieces.T @ reflected / np.maximum(pieces.sum(axis=0), 1e-300)
     mean = np.where(weight > 0.0, mean * float(share @ reflected) / float(weight @ mean), lacquer[-1])
     incidence = np.interp(mean, lacquer[::-1], _COSINES[::-1])
-    return math.sqrt(variance), angle, weight, incidence, power, distance
+    return Row(width, angles, weight.reshape(parts, TAPS), incidence.reshape(parts, TAPS), power, distance)
 
 
-@lru_cache(maxsize=1)
-def lobe_table() -> tuple[np.ndarray, np.ndarray]:
-    """Return the table for compiled loops, and the distances of its entries.
+def parts_of(name: str) -> int:
+    """Return the fewest rows that keep near a lobe that is neither rough nor seen at grazing angles."""
+    for parts in range(1, MOST_PARTS):
+        rough = [float(mu) for mu in roughness_at(np.array(_PLACES), name)]
+        mixtures = {mu: split(name, mu, parts) for mu in rough}
+        rows = (fit_row(name, mu, theta, mixtures[mu]) for mu in rough for theta in _ANGLES_RAD)
+        if max(row.distance for row in rows) <= _NEAR:
+            return parts
+    return MOST_PARTS
 
-    Returns
-    -------
-    table : (ROUGHNESSES, ANGLES, ENTRY) float32
-        Level of `irodori.light.blurred_light.WIDTHS_RAD`, fractional; then weight, place p and cosθ_H of each tap. A
-        weight is the power over π μ². With R the mirror direction and N the normal the axis is p R + q N, its angle
-        from N has the sine p sinθ_r.
-    distance : (ROUGHNESSES, ANGLES) float64
-    """
-    table = np.zeros((ROUGHNESSES, ANGLES, ENTRY), dtype=np.float32)
+
+def _make_table(name: str) -> LobeTable:
+    parts = parts_of(name)
+    entries = np.zeros((parts, ROUGHNESSES, ANGLES, ENTRY), dtype=np.float32)
     distance = np.empty((ROUGHNESSES, ANGLES))
     # At the ends of the ladder of angles the limit is taken from a little inside.
     cosine = np.clip(np.linspace(0.0, 1.0, ANGLES) ** 2, 2e-3, math.cos(1e-2))
-    for i, mu in enumerate(roughness_at(np.arange(ROUGHNESSES))):
-        for j, theta_r in enumerate(np.arccos(cosine)):
-            width, angle, weight, cos_h, power, distance[i, j] = fit_row(float(mu), float(theta_r))
-            table[i, j, 0] = 2.0 * math.log2(width / WIDTHS_RAD[0])
-            table[i, j, 1 : 1 + 3 * TAPS : 3] = weight * power / (np.pi * mu**2)
-            table[i, j, 2 : 1 + 3 * TAPS : 3] = np.sin(angle) / math.sin(theta_r)
-            table[i, j, 3 : 1 + 3 * TAPS : 3] = cos_h
-    return table, distance
+    for i, mu in enumerate(map(float, roughness_at(np.arange(ROUGHNESSES), name))):
+        mixture, unit_power = split(name, mu, parts), np.pi * 0.25 * lobe(name).strength(mu)
+        for j, theta_r in enumerate(map(float, np.arccos(cosine))):
+            row = fit_row(name, mu, theta_r, mixture)
+            distance[i, j] = row.distance
+            entry = entries[:, i, j]
+            entry[:, 0] = 2.0 * np.log2(row.width / WIDTHS_RAD[0])
+            entry[:, 1 : 1 + 3 * TAPS : 3] = row.weight * row.power / unit_power
+            entry[:, 2 : 1 + 3 * TAPS : 3] = np.sin(row.angle) / math.sin(theta_r)
+            entry[:, 3 : 1 + 3 * TAPS : 3] = row.cos_h
+    return LobeTable(entries, distance)
+
+
+def _table_file(name: str) -> Path | None:
+    """Return where a lobe's table is kept: beside the kernels, by the lobe's source and this module's."""
+    folder = cache_folder()
+    if folder is None:
+        return None
+    key = hashlib.blake2b(f"{code_hash(__name__)} {lobe(name).digest}".encode(), digest_size=8).hexdigest()
+    return Path(folder) / f"{__name__}.{name}-{key}.npz"
+
+
+@lru_cache(maxsize=16)
+def _table(name: str, digest: str) -> LobeTable:
+    path = _table_file(name)
+    if path is not None and path.is_file():
+        with np.load(path) as kept:
+            return LobeTable(kept["entries"], kept["distance"])
+    table = _make_table(name)
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # Several processes may make it at once: the last one's stays.
+        temporary = path.with_name(f".{path.stem}.{os.getpid()}.npz")
+        np.savez(temporary, entries=table.entries, distance=table.distance)
+        os.replace(temporary, path)
+    return table
+
+
+def lobe_table(name: str = "gaussian") -> LobeTable:
+    """Return the table of a lobe; made once in seconds, and kept beside the kernels."""
+    return _table(name, lobe(name).digest)
+
+
+def joined_tables(lobes: Lobes) -> np.ndarray:
+    """Return the tables of lobes, (lobes, parts, ROUGHNESSES, ANGLES, ENTRY) float32; rows that one lacks weigh 0."""
+    tables = [lobe_table(name).entries for name in lobes.names]
+    most = max(len(table) for table in tables)
+    return np.stack([np.pad(table, ((0, most - len(table)), (0, 0), (0, 0), (0, 0))) for table in tables])

@@ -9,8 +9,8 @@ from irodori.geometry.shapes.shape_rows import CURVATURE, MIRROR, SHAPE
 from irodori.jit.array_views import Memory
 from irodori.jit.native import njit
 from irodori.jit.ray_vectors import compress, gather, largest, load, load_like, mask_bits, store, zeros_like
-from irodori.reflection.equation5 import attenuation_over_cosine, facet_distribution
 from irodori.reflection.fresnel import fresnel
+from irodori.reflection.lobes import constants_of, features_of, strength, value_of
 from irodori.rendering.interactive.ambient import ambient_light
 from irodori.rendering.interactive.cube_maps import bilinear
 from irodori.rendering.interactive.look_ups import (
@@ -25,7 +25,6 @@ from irodori.rendering.interactive.packets import (
     CONE,
     COSINE,
     DIRECTION,
-    GLOSS,
     NEXT,
     NORMAL,
     NORMAL_CELL,
@@ -45,13 +44,18 @@ from irodori.rendering.interactive.packets import (
     raised,
 )
 from irodori.rendering.interactive.representation_layout import (
+    gloss_components,
+    gloss_parts,
     is_coloured,
     light_black,
     light_lanes,
     surface_black,
     surface_lanes,
 )
-from irodori.rendering.interactive.round_lobes import ANGLES, ENTRY, ROUGHNESSES, TAPS
+from irodori.rendering.interactive.round_lobes import ANGLES, ENTRY, POWER, ROUGHNESSES, TAPS
+
+#: Numbers of a texel's further gloss components.
+FURTHER = 8
 
 
 class Sums(NamedTuple):
@@ -61,6 +65,7 @@ class Sums(NamedTuple):
     light: Memory  # (PATHS * light lanes,) float32, light as it is stored; not used where paths are coloured
     throughput: Memory  # (PATHS * surface lanes,) float32, used where paths are coloured
     texel: Memory  # (surface lanes,) buffer
+    gloss: Memory  # (FURTHER,) buffer: power and place of the second gloss component, of the third, ...
 
 
 class Hits(NamedTuple):
@@ -68,7 +73,7 @@ class Hits(NamedTuple):
 
     f: Memory
     i: Memory
-    entries: Memory  # (RAYS * ENTRY,)
+    entries: Memory  # (components * parts * RAYS * ENTRY,)
     look: Memory
     look_i: Memory
     lit: Memory  # (lamps * RAYS,) cosine with each lamp, 0 where it is hidden
@@ -109,28 +114,45 @@ def _add_colour(layout, paths, sums, base, ray, slot, colour):
 
 
 @njit(cache=True, forceinline=True)
-def _lobe_entry(world, hits, ray, power, place):
-    """Fill the entry of a hit's lobe from its place in the table of roughnesses, and its power β / π times π μ²."""
-    cosine = hits.f[COSINE * RAYS + ray]
+def _component(layout, sums, component):
+    """Return power and place of a gloss component of the texel in the buffers."""
+    if component > 0:
+        return sums.gloss[2 * component - 2], sums.gloss[2 * component - 1]
+    width = surface_lanes(layout)
+    return sums.texel[width - 2], sums.texel[width - 1]
+
+
+@njit(cache=True, forceinline=True)
+def _lobe_entry(world, layout, hits, ray, component, power, place):
+    """Fill the entries of a hit's lobe from its place in the ladder of roughnesses, and its power."""
+    cosine, parts = hits.f[COSINE * RAYS + ray], gloss_parts(layout)
     x, y = math.sqrt(cosine) * np.float32(ANGLES - 1), min(max(place, np.float32(0.0)), np.float32(ROUGHNESSES - 1))
     column, row = min(int(x), ANGLES - 2), min(int(y), ROUGHNESSES - 2)
-    entry = bilinear(world.lobes, 0, row * ANGLES + column, ANGLES, x - column, y - row, load(world.lobes, 0, ENTRY))
-    store(hits.entries, ray * ENTRY, entry)
-    hits.f[GLOSS * RAYS + ray] = power
+    which = world.lobe[hits.i[OBJECT * RAYS + ray] * gloss_components(layout) + component]
+    for part in range(parts):
+        first, at = (which * parts + part) * (ROUGHNESSES * ANGLES * ENTRY), (component * parts + part) * RAYS + ray
+        like = load(world.rows, 0, ENTRY)
+        entry = bilinear(world.rows, first, row * ANGLES + column, ANGLES, x - column, y - row, like)
+        store(hits.entries, at * ENTRY, entry)
+        hits.entries[at * ENTRY + POWER] = power
 
 
 @njit(cache=True, forceinline=True)
 def shade_surfaces(world, frame, layout, paths, hits, sums, base, seen, least_power):
-    """Add the diffuse light of the hits whose bits are set; look up their lobes. Returns the bits of glossy hits."""
+    """Add the diffuse light of the hits whose bits are set; look up their lobes. Returns the bits of glossy hits.
+
+    The bits of the first gloss component are the lowest sixteen, those of the second follow.
+    """
     glossy = 0
     width = surface_lanes(layout)
     for ray in range(RAYS):
         if not (seen >> ray) & 1:
             continue
         slot, shape = np.int64(paths.slot[base + ray]), hits.i[OBJECT * RAYS + ray]
-        x, y = hits.f[TEXEL_X * RAYS + ray], hits.f[TEXEL_Y * RAYS + ray]
-        first, stride, cell = world.texture_first[shape], world.texture_stride[shape], hits.i[TEXEL * RAYS + ray]
-        texel = bilinear(world.texels, first, np.int64(cell), stride, x, y, surface_black(layout))
+        texel_x, texel_y = hits.f[TEXEL_X * RAYS + ray], hits.f[TEXEL_Y * RAYS + ray]
+        texel_cell, texel_stride = np.int64(hits.i[TEXEL * RAYS + ray]), world.texture_stride[shape]
+        first, black = world.texture_first[shape], surface_black(layout)
+        texel = bilinear(world.texels, first, texel_cell, texel_stride, texel_x, texel_y, black)
         store(sums.texel, 0, texel)
         x, y = hits.f[NORMAL_X * RAYS + ray], hits.f[NORMAL_Y * RAYS + ray]
         cell, stride = np.int64(hits.i[NORMAL_CELL * RAYS + ray]), world.irradiance_side + 2
@@ -139,28 +161,32 @@ def shade_surfaces(world, frame, layout, paths, hits, sums, base, seen, least_po
             light = bilinear(world.irradiance, 0, cell, stride, x, y, texel)
         if world.ambient_inputs > 0:
             light = ambient_light(world, frame, layout, hits, ray, light)
-        power, place = sums.texel[width - 2], sums.texel[width - 1]
+        if gloss_components(layout) > 1:
+            like, place = load(world.further, 0, FURTHER), world.further_first[shape]
+            store(sums.gloss, 0, bilinear(world.further, place, texel_cell, texel_stride, texel_x, texel_y, like))
         for lamp in range(frame.lamps):
             cosine = hits.lit[lamp * RAYS + ray]
             if cosine > 0.0:
                 light = light + (frame.lamp_strength[lamp] * cosine) * load_like(world.lamp_light, lamp * width, texel)
-                if power > 0.0:
-                    _add_highlight(world, frame, layout, paths, hits, sums, base, ray, lamp)
+                for component in range(gloss_components(layout)):
+                    if _component(layout, sums, component)[0] > 0.0:
+                        _add_highlight(world, frame, layout, paths, hits, sums, base, ray, lamp, component)
         _add_colour(layout, paths, sums, base, ray, slot, texel * light)
-        if power * paths.f[THROUGHPUT * STRIDE + base + ray] > least_power:
-            glossy |= 1 << ray
-            _lobe_entry(world, hits, ray, power, place)
-        else:
-            hits.f[GLOSS * RAYS + ray] = 0.0
+        for component in range(gloss_components(layout)):
+            power, place = _component(layout, sums, component)
+            if power * paths.f[THROUGHPUT * STRIDE + base + ray] > least_power:
+                glossy |= 1 << (component * RAYS + ray)
+                _lobe_entry(world, layout, hits, ray, component, power, place)
     return glossy
 
 
 @njit(cache=True)
-def _add_highlight(world, frame, layout, paths, hits, sums, base, ray, lamp):
-    """Add β F D G / cosθ_r of a lamp to a pixel."""
+def _add_highlight(world, frame, layout, paths, hits, sums, base, ray, lamp, component):
+    """Add β F D G / cosθ_r of a lamp and a gloss component to a pixel."""
     width = surface_lanes(layout)
-    power, place = sums.texel[width - 2], sums.texel[width - 1]
-    mu = math.exp(place * world.roughness_step + world.roughness_start)
+    power, place = _component(layout, sums, component)
+    which = np.int64(world.lobe[hits.i[OBJECT * RAYS + ray] * gloss_components(layout) + component])
+    t = np.float64(place) * world.ladder[2 * which + 1] + world.ladder[2 * which]
     along = h2 = cos_nh = 0.0
     for axis in range(3):
         to_light = np.float64(frame.lamp_direction[3 * lamp + axis])
@@ -174,8 +200,9 @@ def _add_highlight(world, frame, layout, paths, hits, sums, base, ray, lamp):
     cos_nh, cos_h = cos_nh / math.sqrt(h2), math.sqrt(max(0.5 * (1.0 + along), 0.0))
     cos_i, cos_r = np.float64(hits.lit[lamp * RAYS + ray]), np.float64(hits.f[COSINE * RAYS + ray])
     phi = math.acos(min(max(cos_nh, -1.0), 1.0))
-    value = power / (mu * mu) * facet_distribution(phi, mu) * attenuation_over_cosine(cos_i, cos_r, cos_nh, cos_h)
-    value *= frame.lamp_strength[lamp]
+    factor, f0, f1, f2 = features_of(world.lobes, which, cos_i, cos_r, cos_nh, cos_h, phi)
+    value = factor * value_of(world.lobes, which, constants_of(world.lobes, which, t), f0, f1, f2)
+    value *= 4.0 * power / strength(world.lobes, which, math.exp(t)) * frame.lamp_strength[lamp]
     index = hits.i[OBJECT * RAYS + ray] * 2 * width
     colour = load_like(world.lamp_colour, lamp * width, surface_black(layout))
     n, k = load_like(world.index, index, colour), load_like(world.index, index + width, colour)

@@ -49,6 +49,8 @@ from irodori.rendering.interactive.packets import (
     trace_packet,
 )
 from irodori.rendering.interactive.representation_layout import (
+    gloss_components,
+    gloss_parts,
     is_coloured,
     is_profiled,
     light_black,
@@ -58,6 +60,7 @@ from irodori.rendering.interactive.representation_layout import (
 )
 from irodori.rendering.interactive.round_lobes import ENTRY
 from irodori.rendering.interactive.shading import (
+    FURTHER,
     Hits,
     Sums,
     advance,
@@ -73,6 +76,10 @@ TRACED, STORED, RECALLED = 0, 1, 2
 STAGES = ("tracing", "geometry", "surfaces", "gloss", "sky", "mirror", "colour", "rays")
 _TRACE, _PLACE, _SURFACE, _GLOSS, _SKY, _MIRROR, _COLOUR, _RAYS = range(8)
 FIGURES = len(STAGES)
+
+
+#: Numbers of a listed ray: origin, mm; direction; width of its cone, mm, and its growth with the distance.
+LISTED = 8
 
 
 class Limits(NamedTuple):
@@ -97,9 +104,10 @@ class Scratch(NamedTuple):
 @njit(cache=True)
 def _singles(layout, lamps):
     """Return how many float32 a thread's buffers take."""
-    fixed = PACKET_SINGLES + (PATH_FIELDS + 1) * STRIDE + (HIT_FIELDS + HIT_NUMBERS + ENTRY + LOOK_FIELDS) * RAYS
+    entries = gloss_components(layout) * gloss_parts(layout) * ENTRY
+    fixed = PACKET_SINGLES + (PATH_FIELDS + 1) * STRIDE + (HIT_FIELDS + HIT_NUMBERS + entries + LOOK_FIELDS) * RAYS
     lanes = (2 * PATHS + 1) * surface_lanes(layout) + PATHS * light_lanes(layout)
-    return fixed + (LOOK_NUMBERS + max(lamps, 1)) * RAYS + lanes
+    return fixed + (LOOK_NUMBERS + max(lamps, 1)) * RAYS + lanes + FURTHER
 
 
 @njit(cache=True)
@@ -109,7 +117,7 @@ def scratch_in(layout, lamps, singles, doubles):
     at = moved(singles, PACKET_SINGLES)
     paths = Paths(at, as_integers(moved(at, PATH_FIELDS * STRIDE)))
     at = moved(at, (PATH_FIELDS + 1) * STRIDE)
-    look = moved(at, (HIT_FIELDS + HIT_NUMBERS + ENTRY) * RAYS)
+    look = moved(at, (HIT_FIELDS + HIT_NUMBERS + gloss_components(layout) * gloss_parts(layout) * ENTRY) * RAYS)
     hits = Hits(
         at,
         as_integers(moved(at, HIT_FIELDS * RAYS)),
@@ -120,7 +128,8 @@ def scratch_in(layout, lamps, singles, doubles):
     )
     at = moved(look, (LOOK_FIELDS + LOOK_NUMBERS + max(lamps, 1)) * RAYS)
     colour, light = PATHS * surface_lanes(layout), PATHS * light_lanes(layout)
-    sums = Sums(at, moved(at, colour), moved(at, colour + light), moved(at, 2 * colour + light))
+    texel = moved(at, 2 * colour + light)
+    sums = Sums(at, moved(at, colour), moved(at, colour + light), texel, moved(texel, surface_lanes(layout)))
     return Scratch(packet, paths, hits, sums)
 
 
@@ -151,6 +160,24 @@ def start_tile(frame, left, top, paths):
         while bits:
             bits &= bits - 1
             count += 1
+    return count
+
+
+@njit(cache=True)
+def start_rays(frame, tile, paths):
+    """Start a path at each of a tile's share of the frame's listed rays, which fill rows of TILE; return how many."""
+    first = tile * PATHS
+    count = min(frame.height * TILE - first, PATHS)
+    for number in range(count):
+        at = (first + number) * LISTED
+        for field in range(3):
+            paths.f[(ORIGIN + field) * STRIDE + number] = frame.rays[at + field]
+            paths.f[(DIRECTION + field) * STRIDE + number] = frame.rays[at + 3 + field]
+        paths.f[CONE * STRIDE + number], paths.f[SPREAD * STRIDE + number] = frame.rays[at + 6], frame.rays[at + 7]
+        paths.f[THROUGHPUT * STRIDE + number] = 1.0
+        # A tile's pixels are numbered block by block, and the picture row by row.
+        x, y = number % TILE, number // TILE
+        paths.slot[number] = ((y // 4) * 4 + x // 4) * RAYS + (y % 4) * 4 + x % 4
     return count
 
 
@@ -200,8 +227,12 @@ def _shade_packet(world, frame, layout, limits, scratch, base, count, after, las
         glossy = shade_surfaces(world, frame, layout, paths, hits, sums, base, bits, limits.least_lobe)
     since = _count(layout, figures, _SURFACE, since)
     if glossy and world.gloss_levels > 0:
-        find_lobes(world, layout, hits.f, hits.i, hits.entries, hits.look, hits.look_i)
-        shade_gloss(world, layout, paths, hits, sums, base, glossy, limits.least_lobe)
+        for row in range(gloss_components(layout) * gloss_parts(layout)):
+            bits_of_row = (glossy >> (row // gloss_parts(layout) * RAYS)) & 0xFFFF
+            if bits_of_row:
+                entries = moved(hits.entries, row * RAYS * ENTRY)
+                find_lobes(world, layout, hits.f, hits.i, entries, hits.look, hits.look_i)
+                shade_gloss(world, layout, paths, hits, sums, base, bits_of_row, limits.least_lobe)
         since = _count(layout, figures, _GLOSS, since)
     if not last:
         reflect_packet(world, layout, paths, hits, sums, base, bits)
@@ -264,7 +295,8 @@ def _finish_tile(world, frame, layout, sums, left, top, image, channels):
 def _render_tile(world, frame, layout, limits, scratch, tile, image, channels, kept, figures):
     columns = (frame.width + TILE - 1) // TILE
     left, top = (tile % columns) * TILE, (tile // columns) * TILE
-    count = start_tile(frame, left, top, scratch.paths)
+    listed = frame.listed > 0
+    count = start_rays(frame, tile, scratch.paths) if listed else start_tile(frame, left, top, scratch.paths)
     if is_coloured(layout):
         for number in range(PATHS * surface_lanes(layout)):
             scratch.sums.throughput[number] = 1.0

@@ -13,10 +13,11 @@ from irodori.light.gloss.point_sources import PointLights
 from irodori.rendering.interactive.channels import reflected_basis
 from irodori.rendering.interactive.cube_maps import FACES, environment_side
 from irodori.rendering.interactive.frame_renderer import Prepared, light_of, prepare_scene
+from irodori.rendering.interactive.prepared_scene import levels_by_lobe
 from irodori.rendering.interactive.quadrature import Quadrature, path_spectra, solve_quadrature
-from irodori.rendering.interactive.round_lobes import ANGLES, ROUGHNESSES, TAPS, lobe_table, roughness_place
+from irodori.rendering.interactive.round_lobes import TAPS, lobe_table
 from irodori.rendering.planning.probe_look_ups import coarser, texture_of
-from irodori.rendering.scene_arrays import Light, Objects, make_light
+from irodori.rendering.scene_arrays import Light, Objects, coefficients_of, gloss_of, make_light
 from irodori.spectra.grid import SAMPLES
 
 _CORNERS = 4  # of a bilinear look-up
@@ -116,13 +117,12 @@ def full_model(parts: Parts, max_bounces: int, ambient: bool) -> Model:
 def is_diffuse(objects: Objects, index: int) -> bool:
     """Return whether an object has a diffuse term anywhere."""
     used = objects.basis[index].any(axis=1)
-    return bool(texture_of(objects, index)[..., :-2][..., used].any())
+    return bool(coefficients_of(objects, texture_of(objects, index))[..., used].any())
 
 
 def beta_of(objects: Objects, index: int) -> np.ndarray:
-    """Return β of an object's texels, (rows, columns), 0 where μ is 0."""
-    texture = texture_of(objects, index)
-    return np.where(texture[..., -1] > 0, texture[..., -2], 0.0)
+    """Return the largest β of the gloss components of an object's texels, (rows, columns), 0 where μ is 0."""
+    return np.maximum.reduce([beta for beta, _ in gloss_of(objects, texture_of(objects, index))])
 
 
 def levels_of_lobes(objects: Objects, gloss: tuple[bool, ...], finest: int) -> tuple[int, int]:
@@ -130,16 +130,13 @@ def levels_of_lobes(objects: Objects, gloss: tuple[bool, ...], finest: int) -> t
 
     Of the table of lobes all entries between the objects' least and largest roughness are taken, at every angle.
     """
-    rough = [texture_of(objects, i) for i, traced in enumerate(gloss) if traced]
-    rough = np.concatenate([t[..., -1][(t[..., -1] > 0) & (t[..., -2] > 0)] for t in rough]) if rough else np.zeros(0)
-    if not rough.size:
+    levels = levels_by_lobe(objects, gloss)
+    if not levels:
         return 0, 0
-    place = np.clip(roughness_place([rough.min(), rough.max()]), 0, ROUGHNESSES - 1)
-    entries = lobe_table()[0][int(place[0]) : int(np.ceil(place[1])) + 1, :ANGLES, 0]
     last = len(WIDTHS_RAD) - 1
     # A look-up is between a level and the next.
-    first = int(np.clip(np.floor(entries.min()), finest, last))
-    return first, int(np.clip(np.floor(entries.max()) + 1, first, last)) + 1
+    first = int(np.clip(np.floor(min(level for level, _ in levels)), finest, last))
+    return first, int(np.clip(np.floor(max(level for _, level in levels)) + 1, first, last)) + 1
 
 
 def leading_basis(light: Light, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -214,7 +211,7 @@ def reduced_objects(objects: Objects, model: Model) -> Objects:
         texture = coarser(texture_of(objects, index), model.texture_halvings[index])
         if not model.gloss[index]:
             texture = texture.copy()
-            texture[..., -2] = 0.0
+            texture[..., coefficients_of(objects, texture).shape[-1] :: 2] = 0.0
         texels.append(texture.reshape(-1, texture.shape[2]))
         first.append(first[-1] + len(texels[-1]))
         sizes.append(texture.shape[1::-1])
@@ -279,20 +276,28 @@ class Widths:
     light: int
     coloured: bool
     reflected: int  # channels of the light that objects throw on each other
+    rows: int  # of round lobes that a glossy hit is looked up in
+
+
+def objects_rows(objects: Objects) -> int:
+    """Return the rows of round lobes of the gloss components of the object that has most."""
+    rows = np.array([len(lobe_table(name).entries) for name in objects.lobes.names])
+    return int(rows[objects.lobe].sum(axis=1).max())
 
 
 def widths_of(parts: Parts, model: Model) -> Widths:
     """Return how many numbers a model's look-ups take."""
+    rows = objects_rows(parts.objects)
     light, lamps, coloured = model.light_bases, len(parts.lamp_spectra), not stays_grey(parts.objects, model)
     if model.representation == "spectral":
-        return Widths(width_of(SAMPLES + 2), width_of(light), True, SAMPLES)
+        return Widths(width_of(SAMPLES + 2), width_of(light), True, SAMPLES, rows)
     if model.representation == "quadrature":
-        return Widths(width_of(model.nodes + 2), width_of(light), coloured, model.nodes)
+        return Widths(width_of(model.nodes + 2), width_of(light), coloured, model.nodes, rows)
     extra = 0
     if model.ambient:
         basis = leading_basis(light_of(parts.environment), light)[1]
         extra = reflected_basis(parts.objects, basis.T).shape[1]
-    return Widths(width_of(3 * (light + extra + lamps) + 2), width_of(light), False, light)
+    return Widths(width_of(3 * (light + extra + lamps) + 2), width_of(light), False, light, rows)
 
 
 def memory_mb(parts: Parts, model: Model, widths: Widths) -> float:
@@ -326,7 +331,7 @@ def look_up_numbers(model: Model, widths: Widths, met: dict[str, float], objects
     if model.ambient:
         a_hit += (objects - 1) * (_CORNERS + widths.reflected) * widths.surface
     blurred = model.gloss_levels[1] > model.gloss_levels[0]
-    a_lobe = TAPS * (2 * _CORNERS * widths.light + decoding) if blurred else 0
+    a_lobe = widths.rows * TAPS * (2 * _CORNERS * widths.light + decoding) if blurred else 0
     a_sky = 2 * _CORNERS * widths.light + decoding if model.environment else 0
     total = met["hits"] * a_hit + met["glossy"] * a_lobe + met["misses"] * a_sky
     return total + 3 * (widths.surface + (0 if widths.coloured else widths.light))

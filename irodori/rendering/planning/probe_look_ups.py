@@ -4,6 +4,7 @@ Arrays of points in NumPy, in double precision and 61 bands: the terms of the in
 that each can be left out.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,9 +18,17 @@ from irodori.geometry.surfaces import face_viewer, make_surfaces, surface_at
 from irodori.jit.native import njit
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.irradiance import irradiance_at
-from irodori.reflection.equation5 import angles_from_directions, facet_distribution, gloss_factor
+from irodori.reflection.equation5 import angles_from_directions
 from irodori.reflection.fresnel import fresnel
-from irodori.rendering.interactive.round_lobes import ANGLES, ENTRY, ROUGHNESSES, TAPS, lobe_table, roughness_place
+from irodori.reflection.lobes import Lobes, constants, features, value
+from irodori.rendering.interactive.round_lobes import (
+    ANGLES,
+    ROUGHNESSES,
+    TAPS,
+    gloss_power,
+    lobe_table,
+    roughness_place,
+)
 from irodori.rendering.scene_arrays import Light, Objects
 from irodori.spectra.grid import SAMPLES
 
@@ -92,7 +101,7 @@ def fresnel_rows(cosine: np.ndarray, shape: np.ndarray, objects: Objects) -> np.
 
 
 def texture_of(objects: Objects, index: int) -> np.ndarray:
-    """Return an object's texels, (rows, columns, k + 2)."""
+    """Return an object's texels, (rows, columns, k + 2 c)."""
     columns, rows = objects.texture_size[index]
     first = objects.first_texel[index]
     return objects.texels[first : first + rows * columns].reshape(rows, columns, -1)
@@ -113,7 +122,7 @@ def coarser(texture: np.ndarray, level: int) -> np.ndarray:
 
 
 def texels_at(texture: np.ndarray, uv: np.ndarray, wraps: bool) -> np.ndarray:
-    """Return a texture between its texels' centres, (n, k + 2) float64; edges hold, joined sides join."""
+    """Return a texture between its texels' centres, (n, k + 2 c) float64; edges hold, joined sides join."""
     rows, columns = texture.shape[:2]
     x, y = uv[:, 0] * columns - 0.5, np.clip(uv[:, 1] * rows - 0.5, 0.0, rows - 1.0)
     if not wraps:
@@ -128,48 +137,80 @@ def texels_at(texture: np.ndarray, uv: np.ndarray, wraps: bool) -> np.ndarray:
     return top * (1 - fy) + (texture[lower, a] * (1 - fx) + texture[lower, b] * fx) * fy
 
 
-def lobe_entries(mu: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """Return the entries of lobes in the table of `irodori.rendering.interactive.round_lobes`, (n, ENTRY)."""
-    table = lobe_table()[0].astype(np.float64)
-    x, y = np.sqrt(cosine) * (ANGLES - 1), np.clip(roughness_place(mu), 0, ROUGHNESSES - 1)
+def rows_by_lobe(objects: Objects, shape: np.ndarray, component: int) -> list[tuple[str, np.ndarray]]:
+    """Return, for each lobe that a gloss component of some hits has, its name and which hits, (n,) bool."""
+    which = objects.lobe[shape, component]
+    return [(objects.lobes.names[number], which == number) for number in np.unique(which)]
+
+
+def powers(objects: Objects, shape: np.ndarray, pairs: list[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
+    """Return the power of each gloss component at hits, (n,), from its β and μ; see `round_lobes.gloss_power`."""
+    found = []
+    for component, (beta, mu) in enumerate(pairs):
+        power = np.zeros(len(shape))
+        for name, chosen in rows_by_lobe(objects, shape, component):
+            power[chosen] = gloss_power(beta[chosen], mu[chosen], name)
+        found.append(power)
+    return found
+
+
+def lobe_entries(name: str, mu: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    """Return the entries of lobes in the table of `irodori.rendering.interactive.round_lobes`, (parts, n, ENTRY)."""
+    table = lobe_table(name).entries.astype(np.float64)
+    x, y = np.sqrt(cosine) * (ANGLES - 1), np.clip(roughness_place(mu, name), 0, ROUGHNESSES - 1)
     column, row = np.minimum(x.astype(int), ANGLES - 2), np.minimum(y.astype(int), ROUGHNESSES - 2)
     fx, fy = (x - column)[:, None], (y - row)[:, None]
-    top = table[row, column] * (1 - fx) + table[row, column + 1] * fx
-    return top * (1 - fy) + (table[row + 1, column] * (1 - fx) + table[row + 1, column + 1] * fx) * fy
+    top = table[:, row, column] * (1 - fx) + table[:, row, column + 1] * fx
+    return top * (1 - fy) + (table[:, row + 1, column] * (1 - fx) + table[:, row + 1, column + 1] * fx) * fy
 
 
 def lobes(
-    maps: GlossMaps, points: Points, direction: np.ndarray, mu: np.ndarray
+    maps: GlossMaps, objects: Objects, points: Points, direction: np.ndarray, component: int, mu: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the four lobes of hits in the blurred light.
+    """Return the round lobes of a gloss component of hits in the blurred light.
 
     Returns
     -------
-    light : (n, TAPS, k) float64, coefficients
-    weight : (n, TAPS) float64
-        For β μ² = 1, without the Fresnel reflectance.
+    light : (n, lobes, k) float64, coefficients
+    weight : (n, lobes) float64
+        For a power of 1, without the Fresnel reflectance.
     cos_h : (n,) float64
         Mean cosine of the incidence at which the lobes are reflected.
     """
-    entries = lobe_entries(mu, points.cosine)
-    mirrored = direction + 2.0 * points.cosine[:, None] * points.normal
-    level = np.clip(entries[:, 0] - maps.first, 0, len(maps.levels) - 1)
-    lower = np.minimum(level.astype(int), len(maps.levels) - 1)
-    upper, mix = np.minimum(lower + 1, len(maps.levels) - 1), (level - lower)[:, None]
-    sine2 = 1.0 - points.cosine**2
-    light = np.zeros((len(mu), TAPS, maps.levels[0].shape[2]))
-    weight, cosines = entries[:, 1 : ENTRY - 3 : 3], entries[:, 3:ENTRY:3]
-    for tap in range(TAPS):
-        p = entries[:, 2 + 3 * tap]
-        q = np.sqrt(np.maximum(1.0 - p * p * sine2, 0.0)) - p * points.cosine
-        axis = p[:, None] * mirrored + q[:, None] * points.normal
-        for at, share in ((lower, 1.0 - mix), (upper, mix)):
-            for number in np.unique(at):
-                chosen = at == number
-                light[chosen, tap] += share[chosen] * irradiance_at(maps.levels[number], axis[chosen])
-    weight = weight[:, :TAPS]
-    cos_h = np.sum(weight * cosines[:, :TAPS], axis=1) / np.maximum(weight.sum(axis=1), 1e-300)
+    named = rows_by_lobe(objects, points.shape, component)
+    most = TAPS * max(len(lobe_table(name).entries) for name, _ in named)
+    light, weight = np.zeros((len(mu), most, maps.levels[0].shape[2])), np.zeros((len(mu), most))
+    cos_h = np.zeros(len(mu))
+    for name, chosen in named:
+        own = Points(*(field[chosen] for field in points))
+        found, weights, cosines = _lobes(maps, own, direction[chosen], lobe_entries(name, mu[chosen], own.cosine))
+        light[chosen, : found.shape[1]], weight[chosen, : found.shape[1]] = found, weights
+        cos_h[chosen] = np.sum(weights * cosines, axis=1) / np.maximum(weights.sum(axis=1), 1e-300)
     return light, weight, np.clip(cos_h, 0.0, 1.0)
+
+
+def _lobes(maps: GlossMaps, points: Points, direction: np.ndarray, entries: np.ndarray):
+    """Return light (n, lobes, k), weights (n, lobes) and cosθ_H (n, lobes) of the rows of entries of one lobe."""
+    mirrored = direction + 2.0 * points.cosine[:, None] * points.normal
+    sine2, light, last = 1.0 - points.cosine**2, [], len(maps.levels) - 1
+    for row in entries:
+        level = np.clip(row[:, 0] - maps.first, 0, last)
+        lower = np.minimum(level.astype(int), last)
+        upper, mix = np.minimum(lower + 1, last), (level - lower)[:, None]
+        for tap in range(TAPS):
+            p = row[:, 2 + 3 * tap]
+            q = np.sqrt(np.maximum(1.0 - p * p * sine2, 0.0)) - p * points.cosine
+            axis = p[:, None] * mirrored + q[:, None] * points.normal
+            found = np.zeros((len(p), maps.levels[0].shape[2]))
+            for at, share in ((lower, 1.0 - mix), (upper, mix)):
+                for number in np.unique(at):
+                    chosen = at == number
+                    found[chosen] += share[chosen] * irradiance_at(maps.levels[number], axis[chosen])
+            light.append(found)
+    weight, cosines = (
+        np.concatenate([row[:, first : 1 + 3 * TAPS : 3] for row in entries], axis=1) for first in (1, 3)
+    )
+    return np.stack(light, axis=1), weight, cosines
 
 
 _hides = chain("hides", "row, at, x, y, z, normal", __name__)
@@ -234,29 +275,37 @@ def sky_of(light: Light, direction: np.ndarray, level: np.ndarray) -> np.ndarray
     return out
 
 
-@njit(cache=True)
-def _highlights(angles, mu, cosine_free, which, n, k, out):
+@njit(cache=True, error_model="numpy")
+def _highlights(lobes, angles, mu, free, which, n, k, out):
     for r in range(mu.size):
-        if not cosine_free[r]:
+        if not free[r]:
             continue
-        value = facet_distribution(angles[r, 3], mu[r])
+        cosines = math.cos(angles[r, 0]), math.cos(angles[r, 1]), math.cos(angles[r, 3]), math.cos(angles[r, 2])
+        factor, f0, f1, f2 = features(lobes, cosines[0], cosines[1], cosines[2], cosines[3], angles[r, 3])
+        found = factor * value(lobes, constants(lobes, math.log(mu[r])), f0, f1, f2)
         for band in range(n.shape[1]):
-            out[r, band] = value * gloss_factor(
-                angles[r, 0], angles[r, 1], angles[r, 2], angles[r, 3], n[which[r], band], k[which[r], band]
-            )
+            out[r, band] = found * fresnel(cosines[3], n[which[r], band], k[which[r], band])
 
 
 class Lit(NamedTuple):
-    """What collimated lamps give at points, (n, 61): the diffuse term's light over π, and gloss for β μ² = 1."""
+    """What collimated lamps give at points: the diffuse term's light over π; by component, gloss for a power of 1."""
 
-    diffuse: np.ndarray
-    gloss: np.ndarray
+    diffuse: np.ndarray  # (n, 61)
+    gloss: list[np.ndarray]  # of (n, 61)
 
 
-def lamps_at(tracer, objects, points: Points, direction, mu, towards: np.ndarray, spectra: np.ndarray) -> Lit:
+def lamps_at(
+    tracer: Tracer,
+    objects: Objects,
+    points: Points,
+    direction: np.ndarray,
+    roughness: list[np.ndarray],
+    towards: np.ndarray,
+    spectra: np.ndarray,
+) -> Lit:
     """Return what lamps, (m, 3) directions and (m, 61) irradiances, give at points with hard shadows."""
     count = len(points.shape)
-    found = Lit(np.zeros((count, SAMPLES)), np.zeros((count, SAMPLES)))
+    found = Lit(np.zeros((count, SAMPLES)), [np.zeros((count, SAMPLES)) for _ in roughness])
     start = raised(points)
     for axis, spectrum in zip(towards, spectra, strict=True):
         cosine = points.normal @ axis
@@ -264,7 +313,10 @@ def lamps_at(tracer, objects, points: Points, direction, mu, towards: np.ndarray
         free[free] = ~tracer.occluded(start[free], np.repeat(axis[None], free.sum(), axis=0))
         found.diffuse[...] += np.where(free, cosine, 0.0)[:, None] * spectrum / np.pi
         angles = angles_from_directions(points.normal, axis, -direction)
-        value = np.zeros((count, SAMPLES))
-        _highlights(angles, mu, free, points.shape, objects.n, objects.k, value)
-        found.gloss[...] += value * spectrum / np.pi / mu[:, None] ** 2
+        for component, (mu, gloss) in enumerate(zip(roughness, found.gloss, strict=True)):
+            for name, chosen in rows_by_lobe(objects, points.shape, component):
+                values = np.zeros((count, SAMPLES))
+                _highlights(Lobes((name,)), angles, mu, free & chosen, points.shape, objects.n, objects.k, values)
+                power = gloss_power(np.ones(count), mu, name)
+                gloss[chosen] += (values * spectrum / np.pi / power[:, None])[chosen]
     return found

@@ -24,12 +24,13 @@ from irodori.rendering.planning.probe_look_ups import (
     lamps_at,
     lobes,
     meet,
+    powers,
     raised,
     sky_of,
     texels_at,
     texture_of,
 )
-from irodori.rendering.scene_arrays import Light, Objects, View
+from irodori.rendering.scene_arrays import Light, Objects, View, coefficients_of, gloss_of
 from irodori.rendering.single_pixels import pixel_view
 from irodori.rendering.view_cameras import ORTHOGRAPHIC
 from irodori.spectra.grid import SAMPLES
@@ -63,11 +64,11 @@ class Hits(NamedTuple):
     throughput: np.ndarray  # (n, 61)
     passed: np.ndarray  # (n, mirrors) objects whose mirrors the path came by
     points: Points
-    texel: np.ndarray  # (n, k + 2)
+    texel: np.ndarray  # (n, k + 2 c)
     irradiance: np.ndarray  # (n, k) coefficients
     ambient: Ambient | None
     lit: Lit | None
-    gloss: tuple[np.ndarray, np.ndarray, np.ndarray] | None  # light of the lobes, their weights, their reflectance
+    gloss: list[tuple[np.ndarray, np.ndarray, np.ndarray]]  # by component: light of the lobes, weights, reflectance
 
 
 class Misses(NamedTuple):
@@ -204,7 +205,7 @@ def _texels(objects: Objects, points: Points, texture_level: dict, known: dict) 
 def _shaded(scene: Scene, probe, throughput, passed, points: Points, direction) -> Hits:
     """Look up what surfaces send back."""
     texel = _texels(scene.objects, points, {}, {})
-    mu = np.where(texel[:, -1] > 0, texel[:, -1], 1.0)
+    roughness = [np.where(mu > 0, mu, 1.0) for _, mu in gloss_of(scene.objects, texel)]
     hidden = ambient(scene.tracer, scene.light, points) if scene.ambient and points.shape.size else None
     irradiance = irradiance_of(scene.light, points.normal)
     if hidden is not None:
@@ -212,11 +213,12 @@ def _shaded(scene: Scene, probe, throughput, passed, points: Points, direction) 
     lit = None
     if len(scene.lamp_spectra):
         lamps = (scene.lamp_towards, scene.lamp_spectra)
-        lit = lamps_at(scene.tracer, scene.objects, points, direction, mu, *lamps)
-    gloss = None
+        lit = lamps_at(scene.tracer, scene.objects, points, direction, roughness, *lamps)
+    gloss = []
     if scene.gloss is not None and points.shape.size:
-        light, weight, cos_h = lobes(scene.gloss, points, direction, mu)
-        gloss = light, weight, fresnel_rows(cos_h, points.shape, scene.objects)
+        for component, mu in enumerate(roughness):
+            light, weight, cos_h = lobes(scene.gloss, scene.objects, points, direction, component, mu)
+            gloss.append((light, weight, fresnel_rows(cos_h, points.shape, scene.objects)))
     return Hits(probe, throughput, passed, points, texel, irradiance, hidden, lit, gloss)
 
 
@@ -254,7 +256,7 @@ def _reflected(probes: Probes, hits: Hits, basis: np.ndarray, changes: Changes) 
     texel = (
         _texels(objects, hits.points, changes.texture_level, probes.textures) if changes.texture_level else hits.texel
     )
-    surface = np.einsum("pk,pkl->pl", texel[:, :-2], objects.basis[shape])
+    surface = np.einsum("pk,pkl->pl", coefficients_of(objects, texel), objects.basis[shape])
     light = hits.irradiance @ basis / np.pi
     if hits.ambient is not None:
         for index, rows, coefficients in hits.ambient.reflected:
@@ -262,15 +264,15 @@ def _reflected(probes: Probes, hits: Hits, basis: np.ndarray, changes: Changes) 
             if changes.reflected_basis is not None:
                 thrown = thrown @ np.linalg.pinv(changes.reflected_basis) @ changes.reflected_basis
             light[rows] += thrown
-    power = np.where(texel[:, -1] > 0, texel[:, -2] * texel[:, -1] ** 2, 0.0)
-    power = np.where(np.isin(shape, list(changes.without_gloss)), 0.0, power)
+    glossy = ~np.isin(shape, list(changes.without_gloss))
+    power = [glossy * own for own in powers(objects, shape, gloss_of(objects, texel))]
     out = np.zeros_like(light)
     if hits.lit is not None:
         light = light + hits.lit.diffuse
-        out += power[:, None] * hits.lit.gloss
-    if hits.gloss is not None:
-        lobe, weight, reflectance = hits.gloss
-        strength = weight * power[:, None] * (hits.throughput * reflectance).max(axis=1, keepdims=True)
-        weight = np.where(strength > changes.least_throughput / TAPS, weight, 0.0) * power[:, None]
+        for own, gloss in zip(power, hits.lit.gloss, strict=True):
+            out += own[:, None] * gloss
+    for own, (lobe, weight, reflectance) in zip(power, hits.gloss, strict=False):
+        strength = weight * own[:, None] * (hits.throughput * reflectance).max(axis=1, keepdims=True)
+        weight = np.where(strength > changes.least_throughput / TAPS, weight, 0.0) * own[:, None]
         out += np.einsum("pt,ptk->pk", weight, lobe) @ basis * reflectance
     return out + surface * light

@@ -12,7 +12,7 @@ from irodori.rendering.interactive.quadrature import Quadrature
 from irodori.rendering.planning.modelled_scene import Model, Parts, look_up_numbers, solved_nodes, widths_of
 from irodori.rendering.planning.probes import Changes, Probes, Scene, radiance, trace_probes
 from irodori.rendering.planning.tolerance import bound_of_share, differences
-from irodori.rendering.scene_arrays import Light, View
+from irodori.rendering.scene_arrays import Light, View, gloss_of
 
 #: Probes of a view, and the seed of their places; pixels that are checked have another.
 PROBES, SEED = 2000, 1
@@ -135,7 +135,9 @@ class Planner:
                     stays &= ~(events.passed == index).any(axis=1)
                 found[name] += float(stays.sum())
                 if name == "hits" and stays.any():
-                    rough = (events.texel[stays, -2] > 0) & np.take(model.gloss, events.points.shape[stays])
+                    pairs = gloss_of(self.parts.objects, events.texel[stays])
+                    rough = np.any([beta > 0 for beta, _ in pairs], axis=0)
+                    rough &= np.take(model.gloss, events.points.shape[stays])
                     found["glossy"] += float(rough.sum())
         found["rays"] = found["hits"] + found["misses"]
         return {key: value / self.probes.count for key, value in found.items()}

@@ -16,6 +16,9 @@ from irodori.geometry.shapes import Placement, reaches
 from irodori.geometry.surfaces import make_surfaces
 from irodori.jit.native import run_chunks
 from irodori.light.environment_file import Environment
+from irodori.reflection.lobes import Lobes
+from irodori.reflection.registry import lobe
+from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.reference.band_loops import padded
 from irodori.rendering.reference.random_numbers import Numbers, make_numbers
 from irodori.rendering.reference.row_statistics import render_some_rows
@@ -80,7 +83,8 @@ def render_rows(scene: Scene, view: View, numbers: Numbers, rows: tuple[int, int
     count = rows[1] - rows[0]
     image = np.zeros((count, view.width, BANDS), dtype=np.float32)
     error, cut = np.zeros_like(image), np.zeros(count, dtype=np.int64)
-    run_chunks(render_some_rows, count, 1, scene.world, view, numbers, rows[0], image, error, cut)
+    arguments = (scene.world, view, numbers, rows[0], image, error, cut)
+    run_chunks(resolved(render_some_rows, *arguments, 0, 0), count, 1, *arguments)
     return Picture(image, error, int(cut.sum()))
 
 
@@ -175,7 +179,10 @@ def picture_key(scene: Scene, view: View, samples: int, seed: int) -> str:
         view,
     ):
         for value in part:
-            digest.update(np.ascontiguousarray(value).data)
+            if isinstance(value, Lobes):
+                digest.update(" ".join(f"{name} {lobe(name).digest}" for name in value.names).encode())
+            else:
+                digest.update(np.ascontiguousarray(value).data)
     digest.update(f"{samples} {seed}".encode())
     return digest.hexdigest()
 

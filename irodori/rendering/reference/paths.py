@@ -14,6 +14,8 @@ from irodori.geometry.embree import hit_distance, hit_shape, is_blocked, trace
 from irodori.geometry.surfaces import face_viewer
 from irodori.jit.native import njit
 from irodori.reflection.fresnel import fresnel
+from irodori.reflection.lobes import constants_of, features_of, strength, value_of
+from irodori.reflection.lobes import density as lobe_density
 from irodori.rendering.reference.band_loops import (
     PADDED,
     add_product,
@@ -27,7 +29,7 @@ from irodori.rendering.reference.band_loops import (
     summed,
     summed_product,
 )
-from irodori.rendering.reference.lobe_sampling import draw_cosine, draw_gloss, gloss_at, gloss_share
+from irodori.rendering.reference.lobe_sampling import draw_cosine, draw_gloss, half_angles
 from irodori.rendering.reference.random_numbers import CHOICE, LIGHT, LOBE, PER_VERTEX, PICK, SURVIVAL, VERTEX, draw
 from irodori.rendering.reference.sky_sampling import look_at_sky, sample_sky
 from irodori.rendering.scene_lights import COLLIMATED, density_towards, sample_towards, unobstructed
@@ -41,6 +43,8 @@ _ROULETTE_FROM = 4  # the fifth surface
 #: At the first surface the mirror term is followed beside the others, and not as a choice among them: a lamp in a faint
 #: mirror, drawn seldom, would be a heap of bright dots. One sample in so many does, of a share under one in so many.
 MIRRORED = 4
+# Columns of `Work.gloss`.
+_SHARE, _BETA, _MU, _CONSTANT = 0, 1, 2, 3
 
 
 @njit(cache=True, _nrt=False, forceinline=True)
@@ -85,12 +89,33 @@ def _meet_light(world, work, index, density):
             add_product(work.throughput, work.radiance, weight, work.total)
 
 
+@njit(cache=True, _nrt=False, forceinline=True, error_model="numpy")
+def _gloss(world, work, index, direction, cos_i, cos_r):
+    """Return the gloss towards a direction of light without its Fresnel reflectance, its density, and cosθ_H.
+
+    The first is Σ β D G / (π cosθ_r), in 1/sr: times F and radiance, integrated over the directions of light, it is
+    radiance. The second, in 1/sr, is that of a component chosen by its share, and a direction drawn from its lobe.
+    """
+    cos_phi, cos_h, phi = half_angles(work.normal, work.to_eye, direction, cos_i, cos_r)
+    factor, drawn, lobes = 0.0, 0.0, world.objects.lobes
+    for component in range(world.objects.lobe.shape[1]):
+        share = work.gloss[component, _SHARE]
+        if share <= 0.0:
+            continue
+        which = world.objects.lobe[index, component]
+        constant = (work.gloss[component, _CONSTANT], work.gloss[component, _CONSTANT + 1])
+        geometry, f0, f1, f2 = features_of(lobes, which, cos_i, cos_r, cos_phi, cos_h, phi)
+        factor += work.gloss[component, _BETA] / math.pi * geometry * value_of(lobes, which, constant, f0, f1, f2)
+        drawn += share * lobe_density(lobes, which, work.gloss[component, _MU], cos_r, cos_phi, cos_h, phi)
+    return factor, drawn, cos_h
+
+
 @njit(cache=True, _nrt=False, forceinline=True)
-def _reflect(world, work, index, direction, probability, gloss):
+def _reflect(world, work, index, direction, probability):
     """Fill ``work.mixture`` with the rough terms towards a direction of light; return the density of its drawing.
 
-    ``probability`` is that of the diffuse and of the gloss term, ``gloss`` is (β, μ). 0 is returned, and nothing
-    filled, where the direction lies below the surface.
+    ``probability`` is that of the diffuse and of the gloss term. 0 is returned, and nothing filled, where the direction
+    lies below the surface.
     """
     normal, facet = work.normal, work.facet
     cos_i, above, cos_r = 0.0, 0.0, 0.0
@@ -100,11 +125,11 @@ def _reflect(world, work, index, direction, probability, gloss):
         cos_r += work.to_eye[axis] * normal[axis]
     if cos_i <= 0.0 or above <= 0.0:
         return 0.0
-    density = probability[0] * cos_i / math.pi
+    drawn = probability[0] * cos_i / math.pi
     if probability[1] <= 0.0:
         fill_mixture_grey(work.diffuse, cos_i / math.pi, 0.0, work.mixture)
-        return density
-    factor, of_gloss, cos_h = gloss_at(normal, work.to_eye, direction, cos_i, cos_r, gloss[0], gloss[1])
+        return drawn
+    factor, of_gloss, cos_h = _gloss(world, work, index, direction, cos_i, cos_r)
     objects = world.objects
     if objects.grey[index] == 1:
         reflected = factor * fresnel(cos_h, objects.n[index, 0], objects.k[index, 0])
@@ -112,7 +137,7 @@ def _reflect(world, work, index, direction, probability, gloss):
     else:
         fill_fresnel(min(cos_h, 1.0), world.bands.n, world.bands.k, index, work.fresnel)
         fill_mixture(work.diffuse, cos_i / math.pi, work.fresnel, factor, work.mixture)
-    return density + probability[1] * of_gloss
+    return drawn + probability[1] * of_gloss
 
 
 @njit(cache=True, _nrt=False, forceinline=True)
@@ -125,7 +150,7 @@ def _leave(world, work, index, origin):
 
 
 @njit(cache=True, _nrt=False, forceinline=True)
-def _add_chosen_light(world, ray, work, index, probability, gloss, numbers, at):
+def _add_chosen_light(world, ray, work, index, probability, numbers, at):
     """Add what one chosen light sends over the surface towards the eye.
 
     ``at`` is the stream of random numbers and the first dimension of the surface.
@@ -149,7 +174,7 @@ def _add_chosen_light(world, ray, work, index, probability, gloss, numbers, at):
         density = sample_towards(world.lights, chosen, work.origin, u, v, work.light, work.tangent, work.bitangent)
     if density <= 0.0:
         return
-    other = _reflect(world, work, index, work.light, probability, gloss)
+    other = _reflect(world, work, index, work.light, probability)
     if other <= 0.0:
         return
     share = work.share[chosen]
@@ -173,29 +198,54 @@ def _add_chosen_light(world, ray, work, index, probability, gloss, numbers, at):
     add_product(work.throughput, work.mixture, 1.0, work.total)
 
 
+@njit(cache=True, _nrt=False, forceinline=True, error_model="numpy")
+def _fill_gloss(world, work, index):
+    """Fill ``work.gloss`` from the texel; return the sum of the components' β times the strength of their lobes."""
+    objects, whole = world.objects, 0.0
+    components = objects.lobe.shape[1]
+    for component in range(components):
+        at = work.texel.size - 2 * (components - component)
+        beta, mu, share = work.texel[at], work.texel[at + 1], 0.0
+        if beta > 0.0 and mu > 0.0:
+            which = objects.lobe[index, component]
+            share = beta * strength(objects.lobes, which, mu)
+            constant = constants_of(objects.lobes, which, math.log(mu))
+            work.gloss[component, _BETA], work.gloss[component, _MU] = beta, mu
+            work.gloss[component, _CONSTANT], work.gloss[component, _CONSTANT + 1] = constant
+        work.gloss[component, _SHARE] = share
+        whole += share
+    if whole > 0.0:
+        for component in range(components):
+            work.gloss[component, _SHARE] /= whole
+    return whole
+
+
 @njit(cache=True, _nrt=False, forceinline=True)
 def _shares_of_terms(world, work, index, cos_r):
-    """Return the shares of diffuse, gloss and mirror term in the light that is reflected, about; and β, μ.
+    """Return the shares of diffuse, gloss and mirror term in the light that is reflected, about; and F of a mirror.
 
-    Fills ``work.diffuse``, and ``work.fresnel`` with the mirror's reflectance where the index varies with the band.
+    Fills ``work.gloss``, ``work.diffuse``, and ``work.fresnel`` with the mirror's reflectance where the index varies
+    with the band.
     """
-    objects, size = world.objects, work.texel.size
+    objects = world.objects
     decode(world.bands.basis, index, objects.bases[index], work.texel, work.diffuse)
-    beta, mu, chi = work.texel[size - 2], work.texel[size - 1], objects.mirror[index]
+    chi = objects.mirror[index]
     diffuse = summed_product(work.throughput, work.diffuse)
     total = summed(work.throughput)
+    glossy = _fill_gloss(world, work, index)
     reflectance = 0.0
-    if beta > 0.0 or chi > 0.0:
+    if glossy > 0.0 or chi > 0.0:
         reflectance = fresnel(cos_r, objects.n[index, _GREEN], objects.k[index, _GREEN])
-    gloss = total * gloss_share(beta, mu, max(reflectance, _LEAST_REFLECTANCE)) if beta > 0.0 and mu > 0.0 else 0.0
+    # About β F ∫ D G / (π cosθ_r) dω for a smooth surface seen steeply: never 0 where there is gloss.
+    gloss = total * glossy * max(reflectance, _LEAST_REFLECTANCE)
     mirror = total * chi * reflectance
     if chi > 0.0 and objects.grey[index] == 0:
         fill_fresnel(min(cos_r, 1.0), world.bands.n, world.bands.k, index, work.fresnel)
         mirror = chi * summed_product(work.throughput, work.fresnel)
     whole = diffuse + gloss + mirror
     if not whole > 0.0:
-        return 0.0, 0.0, 0.0, beta, mu, reflectance
-    return diffuse / whole, gloss / whole, mirror / whole, beta, mu, reflectance
+        return 0.0, 0.0, 0.0, reflectance
+    return diffuse / whole, gloss / whole, mirror / whole, reflectance
 
 
 @njit(cache=True, _nrt=False, forceinline=True)
@@ -222,7 +272,7 @@ def _keep_mirror(world, work, index, terms, seldom):
 
     ``seldom`` is what this sample counts where the mirror reflects little, 0 in the samples that leave it out.
     """
-    diffuse, gloss, mirror, beta, mu, reflectance = terms
+    diffuse, gloss, mirror, reflectance = terms
     rough = diffuse + gloss
     if mirror <= 0.0 or rough <= 0.0:
         return terms, False
@@ -233,7 +283,20 @@ def _keep_mirror(world, work, index, terms, seldom):
         follows = _mirror(world, work, index, reflectance, weight, work.kept_direction, work.kept)
         for axis in range(3):
             work.kept_origin[axis] = work.origin[axis]
-    return (diffuse / rough, gloss / rough, 0.0, beta, mu, reflectance), follows
+    return (diffuse / rough, gloss / rough, 0.0, reflectance), follows
+
+
+@njit(cache=True, _nrt=False, forceinline=True)
+def _component(work, choice):
+    """Return the gloss component that a number from 0 to 1 chooses by the shares, none of share 0."""
+    chosen = 0
+    for component in range(work.gloss.shape[0]):
+        if work.gloss[component, _SHARE] > 0.0:
+            chosen = component
+            if choice < work.gloss[component, _SHARE]:
+                break
+            choice -= work.gloss[component, _SHARE]
+    return chosen
 
 
 @njit(cache=True, _nrt=False, forceinline=True)
@@ -243,7 +306,7 @@ def _turn(world, work, index, terms, numbers, at):
     Returns the density of the direction in 1/sr, below 0 for the mirror's, 0 where the path ends.
     """
     stream, first = at
-    diffuse, gloss, mirror, beta, mu, reflectance = terms
+    diffuse, gloss, mirror, reflectance = terms
     choice = draw(numbers, stream, first + CHOICE)
     d, normal = work.direction, work.normal
     if choice < mirror:
@@ -251,14 +314,17 @@ def _turn(world, work, index, terms, numbers, at):
     u, v = draw(numbers, stream, first + LOBE), draw(numbers, stream, first + LOBE + 1)
     frame(normal, work.tangent, work.bitangent)
     if choice < mirror + gloss:
-        if not draw_gloss(normal, work.tangent, work.bitangent, work.to_eye, mu, u, v, d):
+        component = _component(work, (choice - mirror) / gloss)
+        which, mu = world.objects.lobe[index, component], work.gloss[component, _MU]
+        lobes = world.objects.lobes
+        if not draw_gloss(lobes, which, normal, work.tangent, work.bitangent, work.to_eye, mu, u, v, d):
             return 0.0
     else:
         draw_cosine(normal, work.tangent, work.bitangent, u, v, d)
-    density = _reflect(world, work, index, d, (diffuse, gloss), (beta, mu))
-    if density > 0.0:
-        scale_by(work.throughput, work.mixture, 1.0 / density)
-    return density
+    drawn = _reflect(world, work, index, d, (diffuse, gloss))
+    if drawn > 0.0:
+        scale_by(work.throughput, work.mixture, 1.0 / drawn)
+    return drawn
 
 
 @njit(cache=True, _nrt=False, forceinline=True)
@@ -303,7 +369,7 @@ def follow(world, ray, work, numbers, stream, seldom):
             _meet_light(world, work, index, density)
         else:
             cos_r = _arrive(world, work, ray, index)
-            terms = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            terms = (0.0, 0.0, 0.0, 0.0)
             if cos_r > 0.0:
                 terms = _shares_of_terms(world, work, index, cos_r)
             if terms[0] + terms[1] + terms[2] > 0.0:
@@ -312,7 +378,7 @@ def follow(world, ray, work, numbers, stream, seldom):
                 if vertex == 0:
                     terms, kept = _keep_mirror(world, work, index, terms, seldom)
                 if terms[0] + terms[1] > 0.0 and _fill_shares(world, work.origin, work.share):
-                    _add_chosen_light(world, ray, work, index, (terms[0], terms[1]), (terms[3], terms[4]), numbers, at)
+                    _add_chosen_light(world, ray, work, index, (terms[0], terms[1]), numbers, at)
                 density = _turn(world, work, index, terms, numbers, at)
                 goes_on = density != 0.0 and (vertex < _ROULETTE_FROM or _survives(work, numbers, at))
         vertex += 1

@@ -50,7 +50,8 @@ class Work(NamedTuple):
     tangent: np.ndarray  # (3,)
     bitangent: np.ndarray  # (3,)
     light: np.ndarray  # (3,) towards a light
-    texel: np.ndarray  # (k + 2,)
+    texel: np.ndarray  # (k + 2 c,)
+    gloss: np.ndarray  # (c, 5) of each gloss component: share of the gloss, β, μ, and the lobe's two constants
     coefficients: np.ndarray  # (k + 1,) of the environment
     share: np.ndarray  # (lights + 1,) of the choice among lights, the environment last
     throughput: np.ndarray  # (64,) float32, as are the others
@@ -78,6 +79,7 @@ def new_work(world):
         np.empty(3),
         np.empty(3),
         np.empty(world.objects.texels.shape[1]),
+        np.zeros((world.objects.lobe.shape[1], 5)),
         np.empty(world.sky.pixels.shape[1]),
         np.zeros(world.lights.kind.size + 1),
         np.zeros(PADDED, np.float32),

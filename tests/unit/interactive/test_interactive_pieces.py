@@ -188,7 +188,7 @@ def test_a_mapped_picture_gives_its_memory_back_and_stays_what_it_is(tmp_path):
 
 
 def test_rows_of_lobes_are_near_the_true_ones_where_these_are_short():
-    distance = lobe_table()[1]
+    distance = lobe_table().distance
     theta = np.degrees(np.arccos(np.linspace(0, 1, ANGLES) ** 2))
     mu = roughness_at(np.arange(ROUGHNESSES))
     short = np.ix_(mu < 0.22, theta < 60)
@@ -201,7 +201,7 @@ def test_rows_of_lobes_are_near_the_true_ones_where_these_are_short():
 @pytest.mark.parametrize(("place", "tolerance"), [(6, 5e-3), (10, 1e-2), (12, 1.5e-2), (14, 2e-2), (16, 2e-2)])
 def test_a_row_reflects_even_light_as_its_lobe_does(place, tolerance, index):
     """At every view angle: what Fresnel makes of a lobe is not what it makes of the lobe's middle."""
-    table, mu = lobe_table()[0][place], float(roughness_at(place))
+    table, mu = lobe_table().entries[0, place], float(roughness_at(place))
     for cosine, entry in zip(np.linspace(0, 1, ANGLES)[4:] ** 2, table[4:], strict=True):
         _, value, cos_h, solid_angle = lobe_samples(mu, math.acos(min(cosine, math.cos(1e-2))), (110, 45))
         true = float((value * solid_angle) @ fresnel(cos_h, *index)) / (math.pi * mu**2)
@@ -212,7 +212,7 @@ def test_a_row_reflects_even_light_as_its_lobe_does(place, tolerance, index):
 @given(place=st.floats(0, ROUGHNESSES - 1.001), root=st.floats(0.25, 0.999))
 @settings(deadline=None, max_examples=40)
 def test_between_its_entries_the_table_keeps_the_power(place, root):
-    table = lobe_table()[0]
+    table = lobe_table().entries[0]
     i, j = int(place), int(root * (ANGLES - 1))
     fi, fj = place - i, root * (ANGLES - 1) - j
     entry = (table[i, j] * (1 - fj) + table[i, j + 1] * fj) * (1 - fi)
@@ -234,7 +234,7 @@ def test_blurred_light_that_no_lobe_asks_for_is_left_out(mu, dropped):
         assert kept.first + len(kept.levels) == fine.first + len(fine.levels)
         if one.beta.max() > 0:
             assert (kept.first > 0) == dropped
-            assert kept.first <= lobe_table()[0][int(roughness_place(mu)) :, :, 0].min() or kept.first == 0
+            assert kept.first <= lobe_table().entries[0, int(roughness_place(mu)) :, :, 0].min() or kept.first == 0
         else:
             assert len(kept.levels) == 1
 
