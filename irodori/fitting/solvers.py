@@ -12,8 +12,10 @@ from irodori.fitting import judge, nlopt_loop, texels
 from irodori.fitting.index_errors import index_errors
 from irodori.fitting.index_search import fit_index
 from irodori.fitting.observations import Rules, camera_noise, pose_variance
-from irodori.fitting.reported_parameters import state
+from irodori.fitting.reported_parameters import report_parameters
+from irodori.fitting.texel_rows import COSINE, LOBE, LOBE_SLOPE, RESPONSE, WEIGHT
 from irodori.fitting.varpro import NODE_STEP
+from irodori.reflection.lobes import Lobes
 
 MODEL_PARAMETERS = ("alpha", "beta", "mu")
 _MAX_RELATIVE_ERROR = judge.MAX_RELATIVE_ERROR
@@ -68,6 +70,8 @@ class FitOptions:
         `irodori.fitting.pooling`; 0 for none. `fit` itself knows no neighbours.
     bounds : dict
         ``alpha``, ``beta``, ``mu_rad``, ``n``: lower and upper bound.
+    lobes : tuple of str
+        Lobes of the gloss, one or two, see `irodori.reflection.registry`; the bounds of μ are in the unit of each.
     """
 
     solver: str = "varpro"
@@ -82,6 +86,7 @@ class FitOptions:
     refractive_index: str = "fixed"
     pooling_radius_texels: int = 0
     bounds: dict | None = None
+    lobes: tuple[str, ...] = ("gaussian",)
 
     def __post_init__(self):
         if self.solver not in SOLVERS:
@@ -195,7 +200,7 @@ def _solve_varpro(problem: texels.Problem, rules: Rules, options: FitOptions) ->
 def _solve_nlopt(problem: texels.Problem, rules: Rules, options: FitOptions) -> texels.Output:
     library = nlopt_loop.Nlopt(
         **_addresses(),
-        objective=nlopt_loop.nlopt_objective.address,
+        objective=nlopt_loop.nlopt_objective(problem.lobes).address,
         algorithm=algorithm_number(options.algorithm),
         xtol_rel=float(options.xtol_rel),
         max_evaluations=int(options.max_evaluations),
@@ -205,19 +210,19 @@ def _solve_nlopt(problem: texels.Problem, rules: Rules, options: FitOptions) -> 
     return out
 
 
-def _cost(rows, weight: np.ndarray, scale: np.ndarray, factor: float):
-    """Return the objective of one texel in NLopt's Python signature; rows are cosθ_i, F G / cosθ_r, φ², ρ."""
-    cosine, gloss, square, response = rows
+def _cost(rows: np.ndarray, lobes, scale: np.ndarray, factor: float):
+    """Return the objective of one texel in NLopt's Python signature; the unknowns are those over their scale."""
+    cosine, response, weight = rows[COSINE], rows[RESPONSE], rows[WEIGHT]
+    lobe, slope = rows[LOBE], rows[LOBE_SLOPE]
 
     def cost(x, gradient):
-        ratio2 = square * np.exp(-2.0 * x[2])
-        lobe = gloss * np.exp(-ratio2)
+        nlopt_loop.fill_lobe_and_slope(rows, lobes, x[2])
         residual = x[0] * scale[0] * cosine + x[1] * scale[1] * lobe - response
         if gradient.size:
             weighted = 2.0 * factor * weight * residual
             gradient[0] = scale[0] * weighted @ cosine
             gradient[1] = scale[1] * weighted @ lobe
-            gradient[2] = x[1] * scale[1] * weighted @ (lobe * 2.0 * ratio2)
+            gradient[2] = x[1] * scale[1] * weighted @ slope
         return factor * float(weight @ residual**2)
 
     return cost
@@ -227,19 +232,18 @@ def _solve_reference(problem: texels.Problem, rules: Rules, options: FitOptions)
     """Fit with NLopt from Python: the yardstick for time and the witness for the compiled loops."""
     number = algorithm_number(options.algorithm)
     out = _empty_output(len(problem.response))
-    data, block, angles, sums = nlopt_loop.new_data(problem)
+    data, rows, sums = nlopt_loop.new_data(problem)
     low = np.array([rules.low_alpha, rules.low_beta, rules.low_log_mu])
     high = np.array([rules.high_alpha, rules.high_beta, rules.high_log_mu])
     for t in range(len(problem.response)):
-        used, lost, floor = nlopt_loop.load_own(t, problem, rules, block, angles)
+        used, floor = nlopt_loop.load_own(t, problem, rules, rows)
         if used <= judge.PARAMETERS:
-            texels.give_up(t, used, lost, problem, out)
+            texels.write_too_few(t, used, problem, rows, out)
             continue
-        fixed, *start, best = nlopt_loop.start_of(block, problem, rules, used, floor, sums)
-        nlopt_loop.set_scales(data, block, fixed[2], start[0], start[1])
+        fixed, *start, best = nlopt_loop.start_of(rows, problem, rules, used, floor, sums)
+        nlopt_loop.set_scales(data, rows, fixed[2], start[0], start[1])
         scale = np.append(data[1:3], 1.0)
-        kept = block[nlopt_loop.WEIGHT] > 0
-        cost = _cost(block[:4, kept], block[nlopt_loop.WEIGHT, kept], scale, data[3])
+        cost = _cost(rows, problem.lobes, scale, data[3])
         optimiser = nlopt.opt(number, nlopt_loop.PARAMETERS)
         optimiser.set_lower_bounds(low / scale)
         optimiser.set_upper_bounds(high / scale)
@@ -258,7 +262,7 @@ def _solve_reference(problem: texels.Problem, rules: Rules, options: FitOptions)
             start = x * scale
         count = optimiser.get_numevals() + problem.nodes.size
         found = tuple(map(float, start))
-        nlopt_loop.finish(t, block, fixed, found, used, floor, count, problem, rules, sums, out)
+        nlopt_loop.finish(t, rows, fixed, found, used, floor, count, problem, rules, sums, out)
     return out
 
 
@@ -285,7 +289,7 @@ def problem_of(response, geometry, weight, n, k, options: FitOptions, noise, cli
     camera, known = camera_noise(noise, captures)
     problem = texels.Problem(
         response, weight, geometry, np.require(clipped, requirements="CW"), n, float(k), camera, nodes,
-        2.0 * np.exp(-2.0 * nodes), options.scan_per_octave // 2,
+        2.0 * np.exp(-2.0 * nodes), options.scan_per_octave // 2, Lobes((options.lobes[0],)),
     )  # fmt: skip
     rules = Rules(
         *options.limits("alpha"), *options.limits("beta"), float(nodes[-1]), float(nodes[0]), known,
@@ -351,7 +355,7 @@ def fit(
 def _result(out: texels.Output, problem: texels.Problem) -> FitResult:
     """Return what the fit states."""
     count = len(out.status)
-    stated, gloss = state(out)
+    stated, gloss = report_parameters(out)
     return FitResult(
         **stated,
         status=out.status,

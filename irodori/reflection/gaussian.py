@@ -5,8 +5,7 @@ D = exp(-(φ/μ)²) and G = min(1, 2 cosφ cosθ_r / cosθ_H, 2 cosφ cosθ_i / 
 
 import math
 
-from irodori.jit.exponential import exp_negative
-from irodori.jit.lanes import lower_of, select
+from irodori.jit.lanes import exponential, lower_of, select
 from irodori.jit.native import njit
 from irodori.reflection.lobe import Parameter
 
@@ -21,31 +20,38 @@ _REACH = 3.0  # exp(-9) is 1.2e-4
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def features(cos_i, cos_r, cos_phi, cos_h, phi):
-    """Return G / cosθ_r, bounded by 2 cosφ / cosθ_H however small cosθ_r becomes; and φ²."""
+    """Return G / cosθ_r, bounded by 2 cosφ / cosθ_H however small cosθ_r becomes; φ², and nothing else."""
     facet = 2.0 * cos_phi / (cos_h + _TINY)
     bounded = lower_of(lower_of(facet * cos_i, 1.0) / (cos_r + _TINY), facet)
     lit = (cos_i > 0.0) & (cos_r > 0.0) & (cos_h > 0.0) & (cos_phi > 0.0)
-    return select(lit, bounded, 0.0 * bounded), phi * phi, phi, phi
+    nothing = 0.0 * bounded
+    return select(lit, bounded, nothing), phi * phi, nothing, nothing
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def constants(t):
     """Return -1 / μ²."""
-    return -math.exp(-2.0 * t), 0.0
+    return -exponential(-2.0 * t), 0.0
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def value(constant, f0, f1, f2):
     """Return D."""
-    return exp_negative(constant[0] * f0)
+    return exponential(constant[0] * f0)
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def derivatives(constant, f0, f1, f2):
     """Return D and its derivatives by ln μ."""
     x = constant[0] * f0
-    d = exp_negative(x)
+    d = exponential(x)
     return d, -2.0 * x * d, 4.0 * x * (x + 1.0) * d
+
+
+@njit(cache=True, forceinline=True, error_model="numpy")
+def flank(constant, f0, f1, f2):
+    """Return D and (2 φ / μ²)²."""
+    return exponential(constant[0] * f0), 4.0 * constant[0] * constant[0] * f0
 
 
 @njit(cache=True, forceinline=True)

@@ -10,7 +10,7 @@ With D scaled to 1 at φ = 0 the term is D G₂ / (4 cosθ_r cosθ_i) times 4 co
 
 import math
 
-from irodori.jit.lanes import root, select
+from irodori.jit.lanes import exponential, root, select
 from irodori.jit.native import njit
 from irodori.reflection.lobe import Parameter
 
@@ -36,7 +36,7 @@ def features(cos_i, cos_r, cos_phi, cos_h, phi):
 @njit(cache=True, forceinline=True, error_model="numpy")
 def constants(t):
     """Return μ² and 0."""
-    return math.exp(2.0 * t), 0.0
+    return exponential(2.0 * t), 0.0
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
@@ -66,6 +66,15 @@ def derivatives(constant, f0, f1, f2):
     second = slope * slope - bend - 8.0 * f0 * facing / (base * base)
     v = ratio * ratio / total
     return v, v * first, v * (second + first * first)
+
+
+@njit(cache=True, forceinline=True, error_model="numpy")
+def flank(constant, f0, f1, f2):
+    """Return D scaled to 1 at φ = 0, and the square of its logarithm's slope along φ."""
+    m2 = constant[0]
+    base = m2 * (1.0 - f0) + f0
+    ratio, slope = m2 / base, (1.0 - m2) / base
+    return ratio * ratio, 16.0 * f0 * (1.0 - f0) * slope * slope
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
