@@ -184,12 +184,11 @@ def load_eight(problem, rules, first, last, rows):
     ordinary : mask
         Whose weights need no other scale.
     """
-    captures = problem.response.shape[1]
-    for i in range(COUNT):
-        t = min(first + i, last - 1)
-        for j in range(captures):
-            rows[RESPONSE, j * COUNT + i] = problem.response[t, j]
-            rows[WEIGHT, j * COUNT + i] = problem.weight[t, j]
+    for j in range(problem.response.shape[1]):
+        for i in range(COUNT):
+            rows[RESPONSE, j * COUNT + i] = problem.response[min(first + i, last - 1), j]
+        for i in range(COUNT):
+            rows[WEIGHT, j * COUNT + i] = problem.weight[min(first + i, last - 1), j]
     zero = spread(0.0)
     used, total, power, largest = screen(rows, zero)
     floor = expect_noise(rows, problem.noise, rules, used, total, power, zero)

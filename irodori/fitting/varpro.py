@@ -74,7 +74,7 @@ def _fill_value(rows, lobes, log_mu):
         put(rows, LOBE, j, lobe_kernels.value(lobes, constant, get(rows, F0, j), get(rows, F1, j), get(rows, F2, j)))
 
 
-@uncounted(error_model="numpy")
+@njit(cache=True, forceinline=True)
 def _put_node(sums, i, found, zero):
     cg, rg, gg, cg1, rg1, gg1 = found
     put_item(sums, CG, i, folded(cg, zero), zero)
@@ -166,7 +166,7 @@ def _cubic_minimum(width, f0, f1, d0, d1):
     return s * width, h00 * f0 + h01 * f1 + width * (h10 * d0 + h11 * d1)
 
 
-@uncounted(error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def interval_minimum(width, f0, f1, d0, d1):
     """Return the estimated minimum within an interval and its place from the lower end; infinite where it holds none.
 

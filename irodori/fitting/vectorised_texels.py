@@ -55,6 +55,8 @@ def _best_interval(problem, sums, least, top):
         d0, d1 = item(sums, DESCENT, i + 1, zero), item(sums, DESCENT, i, zero)
         f0, f1 = item(sums, VALUE, i + 1, zero), item(sums, VALUE, i, zero)
         estimate, offset = interval_minimum(problem.nodes[i] - problem.nodes[i + 1], f0, f1, d0, d1)
+        if bits(estimate < np.inf) == 0:
+            continue
         better = estimate < best
         rival = select(better, best, lower_of(estimate, rival))
         enclosed = (d0 < 0.0) & (d1 > 0.0) & ((top == float(i)) | (top == i + 1.0))
