@@ -20,7 +20,8 @@ from irodori import __version__
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
 
-SCHEMA_VERSION = 1
+#: 2: materials and fitted tiles name their lobes (attribute ``lobes``).
+SCHEMA_VERSION = 2
 _CHUNK_BYTES = 1 << 20
 #: Chunks held open while a dataset is written in pieces, so that one that two pieces share is packed once.
 _CACHE_BYTES = 16 << 20

@@ -253,6 +253,7 @@ def fit_brdf(observations, output, options: FitOptions, n, k, provenance: store.
         store.write_maps(out, maps, "texel,band")
         for name, value in carried.items():
             out.attribute(name, value)
+        out.attribute("lobes", ["gaussian"])
         out.attribute("fit_seconds", seconds)
         out.attribute("pool_seconds", pool_seconds)
         out.attribute("texels_fitted", fitted)

@@ -7,13 +7,12 @@ import numpy as np
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
+from irodori.material.material_file import gloss_maps, gloss_names, read_lobes
 
-#: What a material's file keeps of the fit beside α, β and μ: units and quantity.
+#: What a material's file keeps of the fit beside α, β and μ, whatever the lobes: units and quantity.
 COLUMNS = {
     "texel": ("1", "1 where a surface lies under the texel's centre"),
     "alpha_error": ("1", "standard error of alpha"),
-    "beta_error": ("1", "standard error of beta"),
-    "mu_error": ("rad", "standard error of mu"),
     "residual_rms": ("1", "root mean square residual in response"),
     "status": ("1", "outcome of the fit"),
     "relative_residual": ("1", "root mean square residual over root mean square response"),
@@ -21,6 +20,12 @@ COLUMNS = {
     "evaluations": ("1", "evaluations of the objective"),
     "nlopt_result": ("1", "return code of NLopt, 0 where not called"),
 }
+
+
+def columns(lobes: tuple[str, ...]) -> dict[str, tuple[str, str]]:
+    """Return `COLUMNS` and the standard errors of β and μ of every gloss component: name -> (units, quantity)."""
+    errors = {f"{name}_error": (units, f"standard error of {name}") for name, (units, _) in gloss_maps(lobes).items()}
+    return COLUMNS | errors
 
 
 class FittedTiles:
@@ -36,17 +41,20 @@ class FittedTiles:
     ----------
     filters : list of str
         Filter states of the bands.
+    lobes : tuple of str
+        Lobe of each gloss component.
     speed : dict
         ``fit_seconds`` without start-up and compilation, and ``texels_fitted``.
 
     Raises
     ------
     InputError
-        If the tiles do not cover the texture exactly, or differ in their filter states.
+        If the tiles do not cover the texture exactly, or differ in their filter states or lobes.
     """
 
     def __init__(self, paths: list, height: int, width: int) -> None:
         self.first, self.height, self.width, self.filters = paths[0], height, width, None
+        self.lobes: tuple[str, ...] = ()
         self.speed = {"fit_seconds": 0.0, "texels_fitted": 0}
         covered, tiles = np.zeros(height, dtype=int), []
         for path in paths:
@@ -56,6 +64,10 @@ class FittedTiles:
                     accepted = f"{', '.join(self.filters)}, as in the other tiles"
                     raise InputError(path, "filters", ", ".join(found), accepted)
                 self.filters = found
+                lobes = read_lobes(file)
+                if self.lobes not in ((), lobes):
+                    raise InputError(path, "lobes", ", ".join(lobes), f"{', '.join(self.lobes)}, as in the other tiles")
+                self.lobes = lobes
                 for name in self.speed:
                     self.speed[name] += file.attribute(name)
                 first, last = file.attribute("rows")
@@ -74,18 +86,26 @@ class FittedTiles:
             shape = last - first, self.width
             yield slice(first, last), {name: one.reshape(*shape, *one.shape[1:]) for name, one in maps.items()}
 
-    def typical_gloss(self) -> tuple[float, float]:
-        """Return the medians of β and μ over the better-determined half of the texels; (0, 1) where there are none."""
-        parts = []
-        for _, maps in self.read("beta", "mu", "mu_error"):
-            stacked = np.stack(list(maps.values()), axis=-1)
-            parts.append(stacked[np.isfinite(stacked).all(axis=-1)])
-        beta, mu, mu_error = np.concatenate(parts).T
-        if not beta.size:
-            return 0.0, 1.0
-        relative = mu_error / mu
-        best = relative <= np.median(relative)
-        return float(np.median(beta[best])), float(np.median(mu[best]))
+    def typical_gloss(self) -> tuple[float, ...]:
+        """Return the medians of β and μ over the better-determined half of the texels, a pair for each component.
+
+        A component that no texel has is (0, 1).
+        """
+        typical: list[float] = []
+        for component in range(len(self.lobes)):
+            beta_name, mu_name = gloss_names(component)
+            parts = []
+            for _, maps in self.read(beta_name, mu_name, f"{mu_name}_error"):
+                stacked = np.stack(list(maps.values()), axis=-1)
+                parts.append(stacked[np.isfinite(stacked).all(axis=-1)])
+            beta, mu, mu_error = np.concatenate(parts).T
+            if not beta.size:
+                typical += [0.0, 1.0]
+                continue
+            relative = mu_error / mu
+            best = relative <= np.median(relative)
+            typical += [float(np.median(beta[best])), float(np.median(mu[best]))]
+        return tuple(typical)
 
     def is_noise_known(self) -> bool:
         """Whether the camera's noise was measured for all texels that have a diffuse response.

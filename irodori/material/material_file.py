@@ -7,18 +7,21 @@ import numpy as np
 from scipy import ndimage
 
 from irodori.core import store
+from irodori.core.errors import InputError
 from irodori.material.coefficients import read_coefficients, write_coefficients
+from irodori.reflection.registry import lobe, names
 from irodori.spectra.grid import SAMPLES
 
 _DARKEST_GREEN = 1e-3
-#: Maps of a material's own file: units and quantity.
+#: Maps of a material's own file beside those of its gloss: units and quantity.
 MAPS = {
     "alpha": ("1", "diffuse weight"),
-    "beta": ("1", "gloss weight"),
-    "mu": ("rad", "roughness"),
     "green_response": ("1", "green-band response of S"),
 }
 COEFFICIENTS, QUANTITY = "reflectance/coefficients", "coefficients of the reflectance factor"
+DEFAULT_LOBES = ("gaussian",)
+#: The first version of the files that names the lobes; before it there was one, the Gaussian.
+_LOBES_SINCE = 2
 
 
 class Status(IntEnum):
@@ -35,24 +38,73 @@ class Status(IntEnum):
     POOLED = 8  # β and μ are those of the texels around it, whose observations agree with its own
 
 
+def gloss_names(component: int) -> tuple[str, str]:
+    """Return the datasets of β and μ of a gloss component, counted from 0: ``beta``, ``mu``; ``beta_2``, ``mu_2``."""
+    return ("beta", "mu") if component == 0 else (f"beta_{component + 1}", f"mu_{component + 1}")
+
+
+def gloss_maps(lobes: tuple[str, ...]) -> dict[str, tuple[str, str]]:
+    """Return the datasets of the gloss components of these lobes: name -> (units, quantity)."""
+    maps = {}
+    for component, name in enumerate(lobes):
+        beta, mu = gloss_names(component)
+        kind, which = lobe(name), "" if component == 0 else f" of gloss component {component + 1}"
+        maps[beta] = ("1", f"gloss weight{which}")
+        maps[mu] = (kind.roughness.unit, f"{kind.roughness.quantity}{which}")
+    return maps
+
+
+def read_lobes(file: store.Reader) -> tuple[str, ...]:
+    """Return the lobes of the gloss components in an open file of fitted tiles or of a material.
+
+    Files of schema version 1 do not name them: in all of them it is one Gaussian lobe.
+
+    Raises
+    ------
+    InputError
+        If a newer file does not name its lobes, or names one that is not registered.
+    """
+    if not file.has_attribute("lobes") and file.attribute("schema_version", int) < _LOBES_SINCE:
+        return DEFAULT_LOBES
+    found = file.attribute("lobes", list)
+    if not found or any(name not in names() for name in found):
+        listed = ", ".join(map(str, found)) or "an empty list"
+        raise InputError(file.path, "lobes", listed, f"one or more of: {', '.join(names())}")
+    return tuple(found)
+
+
 @dataclass(frozen=True)
 class Material:
-    """Parameters of equation (5) over a texture.
+    """Diffuse reflection, gloss components and perfect mirror over a texture.
+
+    The model is α S cosθ_i + Σ β F D G / cosθ_r over the gloss components, each with a lobe of
+    `irodori.reflection.registry`; equation (5) has one, ``gaussian``.
 
     Parameters
     ----------
     alpha, beta, mu, green_response : (height, width) float
-        Weights, roughness in rad and S_G; NaN where the data does not determine them.
+        Weights, roughness of the first gloss component in the unit of its lobe, and S_G; NaN where the data does not
+        determine them.
     coefficients : (height, width, k) float32
     basis : (61, k) float
         S(λ) = basis @ coefficients, absolute reflectance factor.
     n, k : (61,) float
         Complex refractive index.
     mirror : float, χ
-    typical_gloss : (2,) tuple
-        β and μ of the object's well-determined texels, for those whose own data is silent.
+    typical_gloss : tuple of float
+        β and μ of the object's well-determined texels, for those whose own data is silent; one pair after the other
+        for each component.
     extra : dict
         Further maps: name -> (values, units, quantity).
+    lobes : tuple of str
+        Lobe of each gloss component.
+    further_gloss : tuple of (beta, mu)
+        Maps of the components after the first, (height, width) float each.
+
+    Raises
+    ------
+    ValueError
+        For an unknown lobe, or another number of components in ``further_gloss`` or ``typical_gloss`` than of lobes.
     """
 
     alpha: np.ndarray
@@ -64,11 +116,31 @@ class Material:
     n: np.ndarray
     k: np.ndarray
     mirror: float
-    typical_gloss: tuple[float, float]
+    typical_gloss: tuple[float, ...]
     extra: dict = field(default_factory=dict)
+    lobes: tuple[str, ...] = DEFAULT_LOBES
+    further_gloss: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in self.lobes:
+            lobe(name)
+        for what, count in (("maps", 1 + len(self.further_gloss)), ("typical gloss", len(self.typical_gloss) / 2)):
+            if count != len(self.lobes):
+                raise ValueError(f"{what} of {count:g} gloss components; accepted: {len(self.lobes)}, one a lobe")
 
     @classmethod
-    def uniform(cls, reflectance, beta: float = 0.0, mu: float = 0.1, mirror: float = 0.0, n=1.5, k=0.0) -> "Material":
+    def uniform(
+        cls,
+        reflectance,
+        beta: float = 0.0,
+        mu: float = 0.1,
+        mirror: float = 0.0,
+        *,
+        n=1.5,
+        k=0.0,
+        lobes: tuple[str, ...] = DEFAULT_LOBES,
+        further_gloss: tuple[tuple[float, float], ...] = (),
+    ) -> "Material":
         """Return the same parameters everywhere.
 
         Parameters
@@ -76,9 +148,13 @@ class Material:
         reflectance : float or (61,) float
             Absolute reflectance factor α S / S_G of the diffuse term.
         beta, mu, mirror : float
-            Weight of the gloss and its roughness in rad, weight of the mirror term.
+            Weight of the first gloss component and its roughness in the unit of its lobe, weight of the mirror term.
         n, k : float or (61,) float
             Complex refractive index.
+        lobes : tuple of str
+            Lobe of each gloss component.
+        further_gloss : tuple of (beta, mu)
+            Of the components after the first.
         """
         one = np.ones((2, 2))
         spectrum, n, k = (np.broadcast_to(np.asarray(v, dtype=np.float64), SAMPLES).copy() for v in (reflectance, n, k))
@@ -91,7 +167,9 @@ class Material:
             n=n,
             k=k,
             mirror=mirror,
-            typical_gloss=(beta, mu),
+            typical_gloss=(beta, mu, *(value for pair in further_gloss for value in pair)),
+            lobes=tuple(lobes),
+            further_gloss=tuple((b * one, m * one) for b, m in further_gloss),
         )
 
     def save(
@@ -109,6 +187,10 @@ class Material:
         """
         with store.create(path, provenance) as out:
             maps = {name: (getattr(self, name), units, what) for name, (units, what) in MAPS.items()}
+            for component, (_, beta, mu) in enumerate(self.gloss):
+                described = [gloss_maps(self.lobes)[name] for name in gloss_names(component)]
+                pairs = zip(gloss_names(component), (beta, mu), described, strict=True)
+                maps |= {name: (values, *what) for name, values, what in pairs}
             store.write_maps(out, maps | self.extra, "row,column,component")
             write_coefficients(
                 out,
@@ -118,7 +200,8 @@ class Material:
                 storage=storage,
                 codec=codec,
             )
-            write_constants(out, self.basis, self.n, self.k, self.mirror, self.typical_gloss, errors)
+            constants = (self.basis, self.n, self.k, self.mirror)
+            write_constants(out, *constants, errors, lobes=self.lobes, typical_gloss=self.typical_gloss)
 
     @classmethod
     def load(cls, path) -> "Material":
@@ -127,26 +210,43 @@ class Material:
         Raises
         ------
         InputError
-            If it is none, damaged, or its datasets do not fit together.
+            If it is none, damaged, its datasets do not fit together, or it has a lobe that is not registered.
         """
         axes = {
-            **dict.fromkeys(MAPS, "row,column"),
             COEFFICIENTS: "row,column,basis",
             "reflectance/basis": "wavelength,basis",
             "refractive_index/n": "wavelength",
             "refractive_index/k": "wavelength",
         }
         with store.open_file(path) as file:
-            file.require_axes(axes, wavelength=SAMPLES)
+            lobes = read_lobes(file)
+            maps = dict.fromkeys([*MAPS, *gloss_maps(lobes)], "row,column")
+            file.require_axes(maps | axes, wavelength=SAMPLES)
+            typical = file.attribute("typical_gloss", list)
+            if len(typical) != 2 * len(lobes):
+                raise InputError(path, "typical_gloss", f"{len(typical)} numbers", f"{2 * len(lobes)}: β and μ a lobe")
+            further = [gloss_names(component) for component in range(1, len(lobes))]
             return cls(
-                **{name: file.read(name) for name in MAPS},
+                **{name: file.read(name) for name in (*MAPS, *gloss_names(0))},
                 coefficients=read_coefficients(file, COEFFICIENTS),
                 basis=file.read("reflectance/basis"),
                 n=file.read("refractive_index/n"),
                 k=file.read("refractive_index/k"),
                 mirror=file.attribute("mirror", (float, int)),
-                typical_gloss=tuple(file.attribute("typical_gloss", list)),
+                typical_gloss=tuple(typical),
+                lobes=lobes,
+                further_gloss=tuple((file.read(beta), file.read(mu)) for beta, mu in further),
             )
+
+    @property
+    def gloss(self) -> list[tuple[str, np.ndarray, np.ndarray]]:
+        """Lobe, β and μ of every gloss component."""
+        return [(n, *pair) for n, pair in zip(self.lobes, [(self.beta, self.mu), *self.further_gloss], strict=True)]
+
+    def with_gloss(self, pairs) -> "Material":
+        """Return a copy with other maps of (β, μ), one pair a component."""
+        (beta, mu), *further = pairs
+        return replace(self, beta=beta, mu=mu, further_gloss=tuple(further))
 
     @property
     def observed(self) -> np.ndarray:
@@ -181,15 +281,16 @@ class Material:
         wrapped = np.concatenate([observed, observed, observed], axis=1)
         row, column = ndimage.distance_transform_edt(~wrapped, return_distances=False, return_indices=True)
         row, column = row[:, width : 2 * width], column[:, width : 2 * width] % width
-        beta, mu = self.typical_gloss
-        known = np.isfinite(self.beta) & np.isfinite(self.mu)
+        typical = zip(self.typical_gloss[::2], self.typical_gloss[1::2], strict=True)
+        pairs = []
+        for (_, beta, mu), (usual_beta, usual_mu) in zip(self.gloss, typical, strict=True):
+            known = np.isfinite(beta) & np.isfinite(mu)
+            pairs.append((np.where(known, beta, usual_beta), np.where(known, mu, usual_mu)))
         filled = replace(
-            self,
+            self.with_gloss(pairs),
             alpha=self.alpha[row, column],
             green_response=self.green_response[row, column],
             coefficients=self.coefficients[row, column],
-            beta=np.where(known, self.beta, beta),
-            mu=np.where(known, self.mu, mu),
         )
         return filled, float(1.0 - observed.mean())
 
@@ -200,7 +301,8 @@ class Material:
         inside, _ = own.filled()
         row, column = ndimage.distance_transform_edt(~covered, return_distances=False, return_indices=True)
         maps = {name: getattr(inside, name)[row, column] for name in (*MAPS, "coefficients")}
-        return replace(inside, **maps), float(1.0 - observed.sum() / covered.sum())
+        padded = inside.with_gloss([(beta[row, column], mu[row, column]) for _, beta, mu in inside.gloss])
+        return replace(padded, **maps), float(1.0 - observed.sum() / covered.sum())
 
     def spectra(self) -> np.ndarray:
         """Return S(λ) of every texel, (height, width, 61)."""
@@ -208,7 +310,15 @@ class Material:
 
 
 def write_constants(
-    out: store.Writer, basis, n, k, mirror: float, typical_gloss: tuple[float, float], errors: dict | None
+    out: store.Writer,
+    basis,
+    n,
+    k,
+    mirror: float,
+    errors: dict | None,
+    *,
+    lobes: tuple[str, ...],
+    typical_gloss: tuple[float, ...],
 ) -> None:
     """Write what a material's file holds beside its maps into an open file; see `Material` and `Material.save`."""
     out.write("reflectance/basis", basis, units="1", dims="wavelength,basis", quantity="spectral basis")
@@ -216,5 +326,6 @@ def write_constants(
     for name, values in (("n", n), ("k", k)):
         out.write(f"refractive_index/{name}", values, **names)
     out.attribute("mirror", mirror)
+    out.attribute("lobes", list(lobes))
     out.attribute("typical_gloss", list(typical_gloss))
     out.attribute("errors", errors or {})

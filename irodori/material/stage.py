@@ -14,8 +14,8 @@ from irodori.colour.colorimetry import xyz_from_reflectance
 from irodori.core import store
 from irodori.core.progress import LOGGER
 from irodori.material.coefficients import reserve_coefficients
-from irodori.material.fitted_tiles import COLUMNS, FittedTiles
-from irodori.material.material_file import COEFFICIENTS, MAPS, QUANTITY, write_constants
+from irodori.material.fitted_tiles import FittedTiles, columns
+from irodori.material.material_file import COEFFICIENTS, MAPS, QUANTITY, gloss_maps, write_constants
 from irodori.material.principal_components.basis_count import Compression, CompressOptions, choose
 from irodori.material.principal_components.decomposition import WEIGHTINGS
 from irodori.material.principal_components.repeated_reflection import drift
@@ -23,7 +23,6 @@ from irodori.material.principal_components.second_moments import second_moments
 from irodori.spectra.published import refractive_index
 
 _GREEN = 1
-_OWN = ("alpha", "beta", "mu")
 _RESPONSE = ("diffuse_response", "diffuse_variance")
 
 
@@ -144,8 +143,8 @@ def compress_reflectance(
             "compression": compared,
             **fitted.speed,
         }
-        mirror, gloss = float(definition["mirror_weight"]), fitted.typical_gloss()
-        write_constants(out, compression.basis, n, k, mirror, gloss, errors)
+        constants = (compression.basis, n, k, float(definition["mirror_weight"]))
+        write_constants(out, *constants, errors, lobes=fitted.lobes, typical_gloss=fitted.typical_gloss())
     _log(compression, gathered, fitted.height * fitted.width)
 
 
@@ -158,13 +157,15 @@ def _write_maps(out: store.Writer, reflectance: _Reflectance, compression: Compr
         out, COEFFICIENTS, shape, quantity=QUANTITY, storage=compression.storage, codec=codec, scale=scale
     )
     datasets = {}
-    for rows, maps in fitted.read(*_OWN, *_RESPONSE, *COLUMNS):
+    described_maps, kept = MAPS | gloss_maps(fitted.lobes), columns(fitted.lobes)
+    own_names = ("alpha", *gloss_maps(fitted.lobes))
+    for rows, maps in fitted.read(*own_names, *_RESPONSE, *kept):
         weights, response = reflectance.of(maps), maps["diffuse_response"]
         stored = compression.encode(weights.reshape(-1, weights.shape[-1]))
         coefficients[rows] = stored.reshape(*weights.shape[:2], -1)
-        own = {name: maps[name] for name in _OWN} | {"green_response": response[..., _GREEN]}
-        described = {name: (values, *MAPS[name]) for name, values in own.items()}
-        described |= {name: (maps[name], *what) for name, what in COLUMNS.items()}
+        own = {name: maps[name] for name in own_names} | {"green_response": response[..., _GREEN]}
+        described = {name: (values, *described_maps[name]) for name, values in own.items()}
+        described |= {name: (maps[name], *what) for name, what in kept.items()}
         described |= confidence(calibration, response, reflectance.variance(maps))
         for name, (values, units, quantity) in described.items():
             if name not in datasets:

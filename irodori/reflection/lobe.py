@@ -5,8 +5,8 @@ With β its weight and F the Fresnel reflectance, it gives the gloss term of the
 
     π L_o / E_n = β F(θ_H) D G / cosθ_r
 
-in the form ``D G / cosθ_r = factor * value``, where only ``value`` depends on the roughness μ. Both lobes of the package
-are scaled so that the term is β F at normal incidence and reflection.
+in the form ``D G / cosθ_r = factor * value``, where only ``value`` depends on the roughness μ. Both lobes of the
+package are scaled so that the term is β F at normal incidence and reflection.
 
 The functions are compiled kernels (`irodori.jit`) and take numbers or vectors alike, but for ``draw`` and ``density``,
 which take numbers. Cosines are cosθ_i = N·L, cosθ_r = N·V, cosφ = N·H and cosθ_H = V·H; t is ln μ.

@@ -8,8 +8,8 @@ import pytest
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.core import store
 from irodori.core.errors import InputError
-from irodori.material.fitted_tiles import COLUMNS, FittedTiles
-from irodori.material.material_file import Material
+from irodori.material.fitted_tiles import FittedTiles, columns
+from irodori.material.material_file import Material, gloss_maps
 from irodori.material.principal_components.basis_count import CompressOptions
 from irodori.material.stage import compress_reflectance
 from irodori.spectra.published import spectrum
@@ -19,7 +19,7 @@ BASIS = np.linalg.svd(np.stack([spectrum(f"TCS{i}") for i in range(99)]), full_m
 FILTERS = ["out", "in"]
 
 
-def write_tile(path, rows, width, seed, filters=FILTERS, noise=1e-6):
+def write_tile(path, rows, width, seed, filters=FILTERS, noise=1e-6, lobes=("gaussian",)):
     """A fitted tile of random measured colours; the first texel of each row was not seen."""
     first, last = rows
     count = (last - first) * width
@@ -29,12 +29,13 @@ def write_tile(path, rows, width, seed, filters=FILTERS, noise=1e-6):
     response[::width] = np.nan
     alpha = np.where(np.isfinite(response[:, 1]), rng.uniform(0.2, 0.8, count), np.nan)
     values = {"diffuse_response": response, "diffuse_variance": np.full_like(response, noise), "alpha": alpha}
-    values |= {name: rng.uniform(0.1, 0.5, count).astype(np.float32) for name in ("beta", "mu", *COLUMNS)}
+    values |= {name: rng.uniform(0.1, 0.5, count).astype(np.float32) for name in gloss_maps(lobes) | columns(lobes)}
     values["texel"] = np.ones(count, np.uint8)
     with store.create(path, PROVENANCE) as out:
         for name, one in values.items():
             out.write(name, one, units="1", dims=",".join(["texel", "band"][: one.ndim]), quantity=name)
         out.attribute("filters", filters)
+        out.attribute("lobes", list(lobes))
         out.attribute("rows", list(rows))
         out.attribute("fit_seconds", 0.5)
         out.attribute("texels_fitted", count)
@@ -78,7 +79,7 @@ def test_every_texel_of_every_tile_is_in_its_place(tmp_path, calibration, storag
     better = whole["mu_error"] / whole["mu"] <= np.median(whole["mu_error"] / whole["mu"])
     assert found.typical_gloss == pytest.approx((np.median(whole["beta"][better]), np.median(whole["mu"][better])))
     with store.open_file(tmp_path / "m.h5") as file:
-        for name in COLUMNS:
+        for name in columns(found.lobes):
             assert np.array_equal(file.read(name), whole[name])
         errors = file.attribute("errors")
         reliability = file.read("reflectance_error")
@@ -86,6 +87,25 @@ def test_every_texel_of_every_tile_is_in_its_place(tmp_path, calibration, storag
     assert errors["observed_fraction"] == pytest.approx(29 / 30)
     assert errors["compression"]["masked_pixels"] == 20 and errors["compression"]["pixels"] == 600
     assert errors["reflectance_error_median"] == pytest.approx(float(np.median(reliability[found.observed])))
+
+
+def test_every_gloss_component_has_its_maps_its_unit_and_its_typical_values(tmp_path, calibration):
+    lobes = ("ggx", "gaussian")
+    tile = write_tile(tmp_path / "a.h5", (0, 8), 12, 4, lobes=lobes)
+    found = compress([tmp_path / "a.h5"], calibration, (8, 12), tmp_path / "m.h5")
+    assert [name for name, _, _ in found.gloss] == list(lobes)
+    for (_, beta, mu), names in zip(found.gloss, (("beta", "mu"), ("beta_2", "mu_2")), strict=True):
+        assert np.array_equal(beta, tile[names[0]]) and np.array_equal(mu, tile[names[1]])
+    medians = []
+    for beta, mu, error in (("beta", "mu", "mu_error"), ("beta_2", "mu_2", "mu_2_error")):
+        relative = tile[error] / tile[mu]
+        better = relative <= np.median(relative)
+        medians += [np.median(tile[beta][better]), np.median(tile[mu][better])]
+    assert found.typical_gloss == pytest.approx(medians)
+    with store.open_file(tmp_path / "m.h5") as file:
+        assert [file.dataset(name).attrs["units"] for name in ("mu", "mu_2", "mu_error", "mu_2_error")] == [
+            "1", "rad", "1", "rad"
+        ]  # fmt: skip
 
 
 def test_noise_that_one_texel_lacks_has_no_part_in_any(tmp_path, calibration):
@@ -108,6 +128,9 @@ def test_tiles_that_do_not_make_the_texture_are_refused(tmp_path, calibration):
         FittedTiles([tmp_path / "a.h5"], 8, 10)
     with pytest.raises(InputError, match="as in the other tiles"):
         FittedTiles([tmp_path / "a.h5", tmp_path / "c.h5"], 8, 10)
+    write_tile(tmp_path / "e.h5", (4, 8), 10, 2, lobes=("ggx",))
+    with pytest.raises(InputError, match=r"lobes.*ggx.*gaussian, as in the other tiles"):
+        FittedTiles([tmp_path / "a.h5", tmp_path / "e.h5"], 8, 10)
     write_tile(tmp_path / "d.h5", (0, 4), 1, 3)  # its only column was not seen
     with pytest.raises(InputError, match="no texel with enough observations"):
         compress([tmp_path / "d.h5"], calibration, (4, 1), tmp_path / "m.h5")

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import h5py
 import numpy as np
 import pytest
 from scenes import (
@@ -10,6 +11,7 @@ from scenes import (
 )
 
 from irodori.core import store
+from irodori.core.errors import InputError
 from irodori.material.material_file import Material
 
 
@@ -49,10 +51,70 @@ def test_a_material_of_gaps_alone_is_refused():
         empty.filled()
 
 
+def same(a: Material, b: Material) -> bool:
+    names = [field.name for field in dataclasses.fields(Material) if field.name not in ("extra", "lobes")]
+    return a.lobes == b.lobes and all(np.array_equal(getattr(a, n), getattr(b, n), equal_nan=True) for n in names)
+
+
 def test_a_material_survives_its_file(tmp_path):
     saved = material(np.linspace(0.1, 0.9, 61), beta=np.nan, mu=np.nan, mirror=0.4, n=np.linspace(1.4, 1.6, 61))
     saved.save(tmp_path / "m.h5", store.Provenance("test"))
     loaded = Material.load(tmp_path / "m.h5")
-    for field in dataclasses.fields(Material):
-        assert np.array_equal(getattr(loaded, field.name), getattr(saved, field.name), equal_nan=field.name != "extra")
+    assert same(loaded, saved)
     assert np.allclose(loaded.spectra(), np.linspace(0.1, 0.9, 61))
+
+
+def two_components() -> Material:
+    return Material.uniform(0.3, 2.0, 0.4, lobes=("ggx", "gaussian"), further_gloss=((5.0, 0.05),))
+
+
+def test_every_gloss_component_survives_the_file_in_the_unit_of_its_lobe(tmp_path):
+    saved = two_components()
+    saved.save(tmp_path / "m.h5", store.Provenance("test"))
+    loaded = Material.load(tmp_path / "m.h5")
+    assert same(loaded, saved) and loaded.typical_gloss == (2.0, 0.4, 5.0, 0.05)
+    assert [(name, beta[0, 0], mu[0, 0]) for name, beta, mu in loaded.gloss] == [
+        ("ggx", 2.0, 0.4), ("gaussian", 5.0, 0.05)
+    ]  # fmt: skip
+    with store.open_file(tmp_path / "m.h5") as file:
+        assert [file.dataset(name).attrs["units"] for name in ("mu", "mu_2")] == ["1", "rad"]
+
+
+def test_gaps_of_a_component_take_its_own_typical_gloss():
+    gaps = two_components()
+    hole = np.array([[True, False], [False, False]])
+    (_, beta, mu), (_, beta_2, mu_2) = gaps.gloss
+    gaps = gaps.with_gloss([(beta, mu), (np.where(hole, np.nan, beta_2 * 3), mu_2 * 2)])
+    whole, _ = gaps.filled()
+    assert np.array_equal(whole.beta, beta) and np.array_equal(whole.mu, mu)
+    (further,) = whole.further_gloss
+    assert np.array_equal(further[0], np.where(hole, 5.0, 15.0)) and np.array_equal(
+        further[1], np.where(hole, 0.05, 0.1)
+    )
+    # Beside the surface a texel has all components of the nearest that lies on it.
+    padded, _ = gaps.filled(np.array([[False, True], [False, True]]))
+    assert np.array_equal(padded.further_gloss[0][0], np.full((2, 2), 15.0))
+
+
+def test_the_components_of_a_material_fit_together():
+    with pytest.raises(ValueError, match="accepted: 2, one a lobe"):
+        dataclasses.replace(material(0.5), lobes=("gaussian", "ggx"))
+    with pytest.raises(ValueError, match="no lobe 'beckmann'"):
+        dataclasses.replace(material(0.5), lobes=("beckmann",))
+
+
+def test_a_file_names_its_lobes_or_is_of_the_version_that_knew_one(tmp_path):
+    path = tmp_path / "m.h5"
+    two_components().save(path, store.Provenance("test"))
+    with h5py.File(path, "r+") as file:
+        file.attrs["lobes"] = 'json:["ggx", "beckmann"]'
+    with pytest.raises(InputError, match=r"lobes: found ggx, beckmann; accepted: one or more of: gaussian, ggx"):
+        Material.load(path)
+    material(0.5).save(path, store.Provenance("test"))
+    with h5py.File(path, "r+") as file:
+        del file.attrs["lobes"]
+    with pytest.raises(InputError, match="lobes: found no such attribute"):
+        Material.load(path)
+    with h5py.File(path, "r+") as file:
+        file.attrs["schema_version"] = 1
+    assert Material.load(path).lobes == ("gaussian",)
