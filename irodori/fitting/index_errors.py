@@ -60,8 +60,7 @@ def _add(rows, lobes, above, tilt, found, rules, normal, middle):
 
 @njit(cache=True, error_model="numpy")
 def _pack(geometry, lobes, index, k, log_mu, rows, above, tilt):
-    """Fill the rows; ``above`` with the gloss at a larger n, ``tilt`` with the squared slope of a lobe of
-    β = 1 along θ_i and θ_r.
+    """Fill the rows; ``above`` with the gloss at a larger n, ``tilt`` with a lobe's squared slope along θ_i and θ_r.
 
     n is told by grazing views, and there F G / cosθ_r is steep.
     """

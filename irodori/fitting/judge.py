@@ -1,10 +1,10 @@
 """What the data says about a texel whose minimum is known: residual, standard errors, model, status.
 
 Most is for one texel and for eight, see `irodori.fitting.texel_rows`. The covariance is that of least squares with
-weights that need not be the inverse variances, A⁻¹ (Σ w² v J Jᵀ) A⁻¹ with A = Σ w J Jᵀ. The variance v of an observation is that of noise and model error, and what an
-error of the pose does to it: on a steep flank of the lobe, far more than to the response. It is multiplied by χ² over
-degrees of freedom where that exceeds 1. An error that all photographs share, such as the level of the light, leaves no
-residual: it is added to α and β in full.
+weights that need not be the inverse variances, A⁻¹ (Σ w² v J Jᵀ) A⁻¹ with A = Σ w J Jᵀ. The variance v of an
+observation is that of noise and model error, and what an error of the pose does to it: on a steep flank of the lobe,
+far more than to the response. It is multiplied by χ² over degrees of freedom where that exceeds 1. An error that all
+photographs share, such as the level of the light, leaves no residual: it is added to α and β in full.
 """
 
 import math
@@ -53,7 +53,7 @@ SEEN = math.exp(-2.0)
 _WITHIN = math.exp(-1.0)  # share of its peak down to which a lobe is a highlight
 SINGULAR = 1e-10
 _TOLD_APART = 1e-6
-_LEAST_LEFT = 0.05  # of an observation's error that its residual is taken to show at least
+LEAST_LEFT = 0.05  # of an observation's error that its residual is taken to show at least
 
 
 class Verdict(NamedTuple):
@@ -177,7 +177,7 @@ def scatter(rows, a, b, correlation, scale, determinant):
         w, c, g, s = get(rows, WEIGHT, j), get(rows, COSINE, j), get(rows, LOBE, j), b * get(rows, LOBE_SLOPE, j)
         u0, u1, u2 = c * scale[0], g * scale[1], s * scale[2]
         form = u0 * (i0 * u0 + 2.0 * (i01 * u1 + i02 * u2)) + u1 * (i1 * u1 + 2.0 * i12 * u2) + i2 * u2 * u2
-        left = upper_of(1.0 - w * form * inverse, _LEAST_LEFT)
+        left = upper_of(1.0 - w * form * inverse, LEAST_LEFT)
         off = (a * c + b * g - get(rows, RESPONSE, j)) / left
         u = w * w * upper_of(off * off, get(rows, EXPECTED, j))
         uc, ug = u * c, u * g

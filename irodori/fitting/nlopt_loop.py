@@ -214,7 +214,8 @@ def start_of(rows, problem, rules, used, floor, sums):
 
 @njit(cache=True, error_model="numpy")
 def _scanned(rows, problem, rules, sums):
-    box, lobes, nodes = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta), problem.lobes, problem.nodes
+    box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
+    lobes, nodes = problem.lobes, problem.nodes
     fixed = weigh(rows, 0.0)
     scan(rows, problem, sums, 0.0)
     _, top = value_nodes(fixed, sums, nodes.size, box, 0.0)

@@ -147,7 +147,8 @@ def _conclude(members, lobes, blocks, log_mu, beta, value, used, nodes, rules, b
         return False
     inside = nodes[nodes.size - 1] + 1e-4 < log_mu < nodes[0] - 1e-4 and beta < rules.high_beta * (1.0 - 1e-6)
     bb, bt, tt = pool_sums.covariance(blocks, lobes, beta, log_mu, rules, excess)
-    if not (inside and math.sqrt(bb) < _BETA * beta and math.sqrt(tt) < _MU and pool_sums.top_is_seen(blocks, lobes, log_mu)):
+    told = math.sqrt(bb) < _BETA * beta and math.sqrt(tt) < _MU
+    if not (inside and told and pool_sums.top_is_seen(blocks, lobes, log_mu)):
         return False
     alpha, by_beta, by_mu, cc = pool_sums.own_alpha(blocks[0], lobes, beta, log_mu, rules.low_alpha, rules.high_alpha)
     variance = excess / cc + by_beta * by_beta * bb + 2.0 * by_beta * by_mu * bt + by_mu * by_mu * tt

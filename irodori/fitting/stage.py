@@ -12,11 +12,10 @@ from irodori.core.progress import LOGGER
 from irodori.fitting.band_fresnel import BandGloss, band_gloss, uniform, varies
 from irodori.fitting.pooling import pool
 from irodori.fitting.solvers import FitOptions, FitResult, fit
-from irodori.fitting.texel_rows import COSINE, GLOSS, LOBE, SPOILED, fill_lobe, new_rows, pack_geometry
+from irodori.fitting.texel_rows import COSINE, LOBE, SPOILED, fill_lobe, new_rows, pack_geometry
 from irodori.jit.native import njit
-from irodori.material.material_file import Status
+from irodori.material.material_file import Status, gloss_maps
 from irodori.reflection.lobes import Lobes
-from irodori.reflection.registry import lobe as lobe_of
 
 GREEN = 1  # green without the filter, the band of equation (7)
 _RESPONSE_NOISE = 0.01  # where the camera's is not known
@@ -183,13 +182,13 @@ def _fresnel(n, k, calibration, bands: int) -> BandGloss:
 
 def _maps(result: FitResult) -> dict[str, tuple]:
     """Return what a file keeps of a fit: name -> values, unit, quantity."""
-    return {
+    gloss = {}
+    for name, (unit, quantity) in gloss_maps(result.lobes).items():
+        gloss[name] = getattr(result, name), unit, quantity
+        gloss[f"{name}_error"] = getattr(result, f"{name}_error"), unit, f"standard error of {name}"
+    return gloss | {
         "alpha": (result.alpha, "1", "diffuse weight"),
-        "beta": (result.beta, "1", "gloss weight"),
-        "mu": (result.mu, "rad", "roughness"),
         "alpha_error": (result.alpha_error, "1", "standard error of alpha"),
-        "beta_error": (result.beta_error, "1", "standard error of beta"),
-        "mu_error": (result.mu_error, "rad", "standard error of mu"),
         "residual_rms": (result.residual_rms, "1", "root mean square residual in response"),
         "relative_residual": (result.relative_residual, "1", "residual over root mean square response"),
         "status": (result.status, "1", ", ".join(f"{s.value} {s.name.lower()}" for s in Status)),
@@ -216,7 +215,8 @@ def fit_brdf(observations, output, options: FitOptions, n, k, provenance: store.
 
     Notes
     -----
-    Datasets, one entry a texel: ``/alpha``, ``/beta``, ``/mu`` (rad), their ``*_error``, ``/residual_rms``,
+    Datasets, one entry a texel: ``/alpha``, ``/beta``, ``/mu`` (in the unit of the lobe), of a second lobe ``/beta_2``
+    and ``/mu_2``, their ``*_error``, ``/residual_rms``,
     ``/status`` (see `Status`), ``/model``, ``/pooled_from``, ``/evaluations``, ``/nlopt_result``, ``/refractive_index``
     and ``/refractive_index_error`` (NaN where the index was given), ``/diffuse_response`` (texel, bands) and
     ``/diffuse_variance``, what the camera's noise gives it; ``/texel``, 0 where the texture shows no surface.
@@ -253,7 +253,7 @@ def fit_brdf(observations, output, options: FitOptions, n, k, provenance: store.
         store.write_maps(out, maps, "texel,band")
         for name, value in carried.items():
             out.attribute(name, value)
-        out.attribute("lobes", ["gaussian"])
+        out.attribute("lobes", list(result.lobes))
         out.attribute("fit_seconds", seconds)
         out.attribute("pool_seconds", pool_seconds)
         out.attribute("texels_fitted", fitted)

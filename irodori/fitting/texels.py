@@ -127,12 +127,6 @@ def write(out, t, verdict, fixed, evaluations):
     row[judge.POWER], row[judge.VARIANCE] = fixed[2] / fixed[3], verdict.variance / fixed[3]
 
 
-@njit(cache=True, inline="always")
-def clipped_of(t, problem):
-    """Return which observations of a texel clip; empty where that is not known."""
-    return problem.clipped[t if problem.clipped.shape[0] > 1 else 0]
-
-
 @uncounted(error_model="numpy")
 def _scan(rows, shared, problem, sums):
     if shared.nodes.shape[1] == 0:
