@@ -109,7 +109,7 @@ def conclude(rows, fixed, a, b, log_mu, used, floor, clipped, problem, sums, rul
     )
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, inline="always")
 def clipped_of(t, problem):
     """Return which observations of a texel clip; empty where that is not known."""
     return problem.clipped[t if problem.clipped.shape[0] > 1 else 0]
