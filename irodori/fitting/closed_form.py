@@ -15,12 +15,13 @@ _PARALLEL = 1e-13  # of 1 - cos² between the columns: under it α and β cannot
 _TINY = 1e-300
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _clamp(x, low, high):
+@njit(cache=True, error_model="numpy", forceinline=True)
+def clamp(x, low, high):
+    """Return a number, or lanes, within bounds."""
     return lower_of(upper_of(x, low), high)
 
 
-@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy", inline="always")
+@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy", forceinline=True)
 def best_pair(fixed, cg, rg, gg, box):
     """Return the bounded α, β that minimise the sum of squares, and that sum; without branches.
 
@@ -41,10 +42,10 @@ def best_pair(fixed, cg, rg, gg, box):
     scale = 1.0 / select(regular, determinant, 1.0)
     free_a = select(regular, (cr * gg - rg * cg) * scale, box[0])
     free_b = select(regular, (rg * cc - cr * cg) * scale, box[2])
-    b1 = _clamp(free_b, box[2], box[3])
-    a1 = _clamp((cr - b1 * cg) / (cc + _TINY), box[0], box[1])
-    a2 = _clamp(free_a, box[0], box[1])
-    b2 = _clamp((rg - a2 * cg) / (gg + _TINY), box[2], box[3])
+    b1 = clamp(free_b, box[2], box[3])
+    a1 = clamp((cr - b1 * cg) / (cc + _TINY), box[0], box[1])
+    a2 = clamp(free_a, box[0], box[1])
+    b2 = clamp((rg - a2 * cg) / (gg + _TINY), box[2], box[3])
     v1 = rr + a1 * (a1 * cc - 2.0 * cr) + b1 * (b1 * gg + 2.0 * (a1 * cg - rg))
     v2 = rr + a2 * (a2 * cc - 2.0 * cr) + b2 * (b2 * gg + 2.0 * (a2 * cg - rg))
     first = v1 <= v2

@@ -4,107 +4,113 @@ For one μ the loss is convex in α and β, and repeated weighted least squares 
 minima over the whole range of μ, because least squares may have been led to another valley by the outlier itself.
 """
 
-import math
-
 import numpy as np
 
 from irodori.fitting.closed_form import best_pair
-from irodori.fitting.observations import expect, weigh
+from irodori.fitting.observations import every_lane, expect_fitted, weigh
 from irodori.fitting.texel_rows import (
     COSINE,
-    FAST,
-    GLOSS,
     LOBE,
     RESPONSE,
-    SQUARE,
+    SHARE,
     TRUST,
     VARIANCE,
     WEIGHT,
-    exp_negative,
+    fill_lobe,
+    folded,
+    get,
+    put,
+    vectors_of,
 )
 from irodori.fitting.varpro import NODE_STEP, newton
-from irodori.jit.native import njit
+from irodori.jit.lanes import magnitude, root, select, spread
+from irodori.jit.native import uncounted
 
 _AT_NODE = 8  # weighted least squares at a node of the scan
 _SETTLING = 100  # at most, from the best node on
+_MAX_STEPS = 24  # of Newton
 _SETTLED = 1e-6  # change of log μ, and of α and β relative to themselves
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def fill_lobe(block, log_mu):
-    """Fill the gloss of every observation for β = 1."""
-    factor = -math.exp(-2.0 * log_mu)
-    for j in range(block.shape[1]):
-        block[LOBE, j] = block[GLOSS, j] * exp_negative(block[SQUARE, j] * factor)
+@uncounted()
+def copy_row(rows, source, target):
+    """Copy a row to another."""
+    for j in range(vectors_of(rows)):
+        put(rows, target, j, get(rows, source, j))
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def reweigh(block, a, b, huber):
+@uncounted(error_model="numpy")
+def reweigh(rows, a, b, huber):
     """Give observations beyond ``huber`` deviations the weight that makes their loss linear; return the loss."""
-    loss = 0.0
-    for j in range(block.shape[1]):
-        v = block[VARIANCE, j]
-        deviation = abs(a * block[COSINE, j] + b * block[LOBE, j] - block[RESPONSE, j]) / math.sqrt(v)
+    loss = spread(0.0)
+    for j in range(vectors_of(rows)):
+        v, trust = get(rows, VARIANCE, j), get(rows, TRUST, j)
+        deviation = magnitude(a * get(rows, COSINE, j) + b * get(rows, LOBE, j) - get(rows, RESPONSE, j)) / root(v)
         far = deviation > huber
-        block[WEIGHT, j] = block[TRUST, j] * (huber / deviation if far else 1.0)
-        loss += block[TRUST, j] * v * (huber * (2.0 * deviation - huber) if far else deviation * deviation)
-    return loss
+        share = select(far, huber / deviation, 1.0)
+        put(rows, SHARE, j, share)
+        put(rows, WEIGHT, j, trust * share)
+        loss = loss + trust * v * select(far, huber * (2.0 * deviation - huber), deviation * deviation)
+    return folded(loss, 0.0)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _pair(block, box):
+@uncounted(error_model="numpy")
+def _pair(rows, box):
     """Return the best α and β for the lobe and the weights at hand."""
-    cc, cr, rr, cg, rg, gg = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(block.shape[1]):
-        w, c, r, g = block[WEIGHT, j], block[COSINE, j], block[RESPONSE, j], block[LOBE, j]
-        cc += w * c * c
-        cr += w * c * r
-        rr += w * r * r
-        cg += w * c * g
-        rg += w * r * g
-        gg += w * g * g
-    a, b, _ = best_pair((cc, cr, rr, 0.0), cg, rg, gg, box)
+    zero = spread(0.0)
+    cc, cr, rr, cg, rg, gg = zero, zero, zero, zero, zero, zero
+    for j in range(vectors_of(rows)):
+        w, c, r, g = get(rows, WEIGHT, j), get(rows, COSINE, j), get(rows, RESPONSE, j), get(rows, LOBE, j)
+        wc, wr = w * c, w * r
+        cc, cr, rr = cc + wc * c, cr + wc * r, rr + wr * r
+        cg, rg, gg = cg + wc * g, rg + wr * g, gg + w * g * g
+    fixed = (folded(cc, 0.0), folded(cr, 0.0), folded(rr, 0.0), 0.0)
+    a, b, _ = best_pair(fixed, folded(cg, 0.0), folded(rg, 0.0), folded(gg, 0.0), box)
     return a, b
 
 
-@njit(cache=True, error_model="numpy")
-def _least_loss(block, nodes, box, rules):
+@uncounted(error_model="numpy")
+def _least_loss(rows, lobes, nodes, box, rules):
     """Return log μ of the node with the least Huber loss, and α and β there."""
     best, log_mu, a, b = np.inf, nodes[0], 0.0, 0.0
     for i in range(nodes.size):
-        fill_lobe(block, nodes[i])
-        for j in range(block.shape[1]):
-            block[WEIGHT, j] = block[TRUST, j]
+        fill_lobe(rows, lobes, nodes[i])
+        copy_row(rows, TRUST, WEIGHT)
         x, y, loss = 0.0, 0.0, np.inf
         for _ in range(_AT_NODE):
-            x, y = _pair(block, box)
-            loss = reweigh(block, x, y, rules.huber)
+            x, y = _pair(rows, box)
+            loss = reweigh(rows, x, y, rules.huber)
         if loss < best:
             best, log_mu, a, b = loss, nodes[i], x, y
     return log_mu, a, b
 
 
-@njit(cache=True, error_model="numpy")
-def robust(block, nodes, rules):
+@uncounted(error_model="numpy")
+def robust(rows, problem, rules):
     """Return the sums without lobe, α, β, log μ of the least Huber loss, the evaluations, and whether it settled.
 
-    The block is left with the weights that make the loss linear for outliers.
+    The rows are left with the weights that make the loss linear for outliers.
     """
     box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
-    log_mu, a, b = _least_loss(block, nodes, box, rules)
+    lobes, nodes = problem.lobes, problem.nodes
+    copy_row(rows, WEIGHT, TRUST)
+    log_mu, a, b = _least_loss(rows, lobes, nodes, box, rules)
     if rules.weighted:
         # The variance of a reading that lost its light would be small, and its pull large.
-        expect(block, a, b, log_mu, rules)
-        log_mu, a, b = _least_loss(block, nodes, box, rules)
+        copy_row(rows, TRUST, WEIGHT)
+        expect_fitted(rows, lobes, problem.noise, rules, a, b, log_mu, every_lane())
+        copy_row(rows, WEIGHT, TRUST)
+        log_mu, a, b = _least_loss(rows, lobes, nodes, box, rules)
     settled, evaluations = False, nodes.size * _AT_NODE
-    fixed = weigh(block)
+    fixed = weigh(rows, 0.0)
     for _ in range(_SETTLING):
-        fill_lobe(block, log_mu)
-        reweigh(block, a, b, rules.huber)
-        fixed = weigh(block)
+        fill_lobe(rows, lobes, log_mu)
+        reweigh(rows, a, b, rules.huber)
+        fixed = weigh(rows, 0.0)
         low, high = max(log_mu - NODE_STEP, rules.low_log_mu), min(log_mu + NODE_STEP, rules.high_log_mu)
-        t, x, y, count = newton(block, fixed, box, log_mu, low, high, False)
-        evaluations += count
+        bracket = (low, high, np.nan, np.nan)
+        t, x, y, count, _found = newton(rows, lobes, fixed, box, log_mu, bracket, False, True, _MAX_STEPS)
+        evaluations += int(count)
         settled = abs(t - log_mu) + abs(x - a) / (abs(x) + 1e-30) + abs(y - b) / (abs(y) + 1e-30) < _SETTLED
         log_mu, a, b = t, x, y
         if settled:

@@ -3,26 +3,29 @@
 The column of n is found by differences: what the gloss of an observation changes with n.
 """
 
-import math
-
 import numpy as np
 
 from irodori.fitting import judge
-from irodori.fitting.huber import fill_lobe, reweigh
-from irodori.fitting.observations import expect, load
+from irodori.fitting.huber import copy_row, reweigh
+from irodori.fitting.observations import every_lane, expect_fitted, load_one
 from irodori.fitting.texel_rows import (
     COSINE,
+    F0,
+    F1,
+    F2,
     GLOSS,
+    LOBE,
     RESPONSE,
-    SQUARE,
+    SHARE,
     TRUST,
     VARIANCE,
     WEIGHT,
-    exp_negative,
+    fill_lobe,
+    new_rows,
     pack_geometry,
 )
-from irodori.fitting.texels import new_block
 from irodori.jit.native import njit, run_chunks
+from irodori.reflection import lobes as lobe_kernels
 
 _STEP = 1e-3  # of n, relative
 _TILT = 1e-3  # of an angle, rad
@@ -31,21 +34,22 @@ UNKNOWNS = 4  # α, β, log μ, n
 
 
 @njit(cache=True, error_model="numpy")
-def _add(block, above, tilt, found, rules, normal, middle):
+def _add(rows, lobes, above, tilt, found, rules, normal, middle):
     """Add an observation's part to Σ w J Jᵀ and Σ w² v J Jᵀ; return χ²."""
     a, b, log_mu, width = found
-    factor, chi2 = -math.exp(-2.0 * log_mu), 0.0
+    constant, chi2 = lobe_kernels.constants(lobes, log_mu), 0.0
     row = np.empty(UNKNOWNS)
-    for j in range(block.shape[1]):
-        w, c, x = block[WEIGHT, j], block[COSINE, j], block[SQUARE, j] * factor
+    for j in range(rows.shape[1]):
+        w, c, gloss = rows[WEIGHT, j], rows[COSINE, j], rows[GLOSS, j]
         if not w > 0.0:
             continue
-        lobe = exp_negative(x)
-        row[0], row[1], row[2] = c, block[GLOSS, j] * lobe, -2.0 * b * x * block[GLOSS, j] * lobe
-        row[3] = b * lobe * (above[j] - block[GLOSS, j]) / width
-        pose = 2.0 * block[SQUARE, j] * (b * factor * row[1]) ** 2 + a * a * (1.0 - c * c)
-        v = block[VARIANCE, j] + rules.pose_variance * (pose + (b * lobe) ** 2 * tilt[j])
-        off = w * (a * c + b * row[1] - block[RESPONSE, j]) / block[TRUST, j]
+        value, slope, _ = lobe_kernels.derivatives(lobes, constant, rows[F0, j], rows[F1, j], rows[F2, j])
+        steepness = lobe_kernels.flank(lobes, constant, rows[F0, j], rows[F1, j], rows[F2, j])[1]
+        row[0], row[1], row[2] = c, gloss * value, b * slope * gloss
+        row[3] = b * value * (above[j] - gloss) / width
+        pose = 0.5 * steepness * (b * row[1]) ** 2 + a * a * (1.0 - c * c)
+        v = rows[VARIANCE, j] + rules.pose_variance * (pose + b * b * tilt[j])
+        off = rows[SHARE, j] * (a * c + b * row[1] - rows[RESPONSE, j])
         chi2 += off * off / v
         for i in range(UNKNOWNS):
             for k in range(UNKNOWNS):
@@ -55,44 +59,47 @@ def _add(block, above, tilt, found, rules, normal, middle):
 
 
 @njit(cache=True, error_model="numpy")
-def _pack(geometry, index, k, angles, block, above, tilt):
-    """Fill the block; ``above`` with the gloss at a larger n, ``tilt`` with its squared slope along θ_i and θ_r.
+def _pack(geometry, lobes, index, k, log_mu, rows, above, tilt):
+    """Fill the rows; ``above`` with the gloss at a larger n, ``tilt`` with a lobe's squared slope along θ_i and θ_r.
 
     n is told by grazing views, and there F G / cosθ_r is steep.
     """
-    pack_geometry(geometry, index, k, angles, block)
-    base = block[GLOSS].copy()
+    pack_geometry(geometry, lobes, index, k, rows)
+    fill_lobe(rows, lobes, log_mu)
+    base = rows[LOBE].copy()
     tilt[:] = 0.0
     moved = geometry.copy()
     for side in range(2):
         for j in range(geometry.shape[0]):
             moved[j, 0], moved[j, 1], moved[j, 2] = geometry[j, 0], geometry[j, 1], geometry[j, 2] + 0.5 * _TILT
             moved[j, side] += _TILT
-        pack_geometry(moved, index, k, angles, block)
+        pack_geometry(moved, lobes, index, k, rows)
+        fill_lobe(rows, lobes, log_mu)
         for j in range(tilt.size):
-            tilt[j] += ((block[GLOSS, j] - base[j]) / _TILT) ** 2
-    pack_geometry(geometry, index * (1.0 + _STEP), k, angles, block)
+            tilt[j] += ((rows[LOBE, j] - base[j]) / _TILT) ** 2
+    pack_geometry(geometry, lobes, index * (1.0 + _STEP), k, rows)
     for j in range(above.size):
-        above[j] = block[GLOSS, j]
-    pack_geometry(geometry, index, k, angles, block)
+        above[j] = rows[GLOSS, j]
+    pack_geometry(geometry, lobes, index, k, rows)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _sums(problem, rules, index, found, normal, middle, excess, first, last):
-    block, angles, _ = new_block(problem)
-    above, tilt = np.empty(block.shape[1]), np.empty(block.shape[1])
+    rows, lobes = new_rows(problem.response.shape[1]), problem.lobes
+    above, tilt = np.empty(rows.shape[1]), np.empty(rows.shape[1])
     for t in range(first, last):
         a, b, log_mu = found[t, 0], found[t, 1], found[t, 2]
         geometry = problem.geometry[t if problem.geometry.shape[0] > 1 else 0]
-        _pack(geometry, index[t], problem.k, angles, block, above, tilt)
-        used, _, _ = load(problem.response[t], problem.weight[t], rules, block)
+        _pack(geometry, lobes, index[t], problem.k, log_mu, rows, above, tilt)
+        used, _ = load_one(problem.response[t], problem.weight[t], problem.noise, rules, rows)
         if rules.weighted:
-            expect(block, a, b, log_mu, rules)
+            expect_fitted(rows, lobes, problem.noise, rules, a, b, log_mu, every_lane())
         if rules.huber > 0.0:
-            fill_lobe(block, log_mu)
-            reweigh(block, a, b, rules.huber)
-        chi2 = _add(block, above, tilt, (a, b, log_mu, _STEP * index[t]), rules, normal[t], middle[t])
-        excess[t] = judge.excess_of(chi2, max(used - UNKNOWNS, 1))
+            copy_row(rows, WEIGHT, TRUST)
+            fill_lobe(rows, lobes, log_mu)
+            reweigh(rows, a, b, rules.huber)
+        chi2 = _add(rows, lobes, above, tilt, (a, b, log_mu, _STEP * index[t]), rules, normal[t], middle[t])
+        excess[t] = judge.excess_of(chi2, float(max(used - UNKNOWNS, 1)))
 
 
 def index_errors(problem, rules, index: np.ndarray, found: np.ndarray) -> np.ndarray:

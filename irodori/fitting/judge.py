@@ -1,10 +1,10 @@
 """Assessment of a fitted texel: residual, standard errors, choice of model, status.
 
-The covariance is that of least squares with weights that need not be the inverse variances,
-A⁻¹ (Σ w² v J Jᵀ) A⁻¹ with A = Σ w J Jᵀ. The variance v of an observation is that of noise and model error, and what an
-error of the pose does to it: on a steep flank of the lobe, far more than to the response. It is multiplied by χ² over
-degrees of freedom where that exceeds 1. An error that all photographs share, such as the level of the light, leaves no
-residual: it is added to α and β in full.
+Most is for one texel and for eight, see `irodori.fitting.texel_rows`. The covariance is that of least squares with
+weights that need not be the inverse variances, A⁻¹ (Σ w² v J Jᵀ) A⁻¹ with A = Σ w J Jᵀ. The variance v of an
+observation is that of noise and model error, and what an error of the pose does to it: on a steep flank of the lobe,
+far more than to the response. It is multiplied by χ² over degrees of freedom where that exceeds 1. An error that all
+photographs share, such as the level of the light, leaves no residual: it is added to α and β in full.
 """
 
 import math
@@ -12,11 +12,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.fitting.texel_rows import COSINE, FAST, GLOSS, RESPONSE, SQUARE, TRUST, WEIGHT, exp_negative
+from irodori.fitting.texel_rows import (
+    COSINE,
+    F0,
+    F1,
+    F2,
+    GLOSS,
+    LOBE,
+    LOBE_SLOPE,
+    RESPONSE,
+    SPOILED,
+    WEIGHT,
+    folded,
+    folded_mask,
+    get,
+    put,
+    share_at,
+    vectors_of,
+)
 from irodori.fitting.texel_rows import VARIANCE as EXPECTED
-from irodori.jit.lanes import log, root, select, upper_of
-from irodori.jit.native import njit
+from irodori.jit.lanes import log, lower_of, root, select, spread, upper_of
+from irodori.jit.native import njit, uncounted
 from irodori.material.material_file import Status
+from irodori.reflection import lobes as lobe_kernels
 
 #: Relative standard error beyond which a parameter is not stated.
 MAX_RELATIVE_ERROR = {"beta": 0.3, "mu": 0.2}
@@ -30,9 +48,10 @@ COLUMNS = 9
 _OK, _AT_BOUND, _DIFFUSE_ONLY = int(Status.OK), int(Status.AT_BOUND), int(Status.DIFFUSE_ONLY)
 _UNIDENTIFIABLE, _FEW_STATUS = int(Status.MU_UNIDENTIFIABLE), int(Status.TOO_FEW_OBSERVATIONS)
 _NON_FINITE, _SATURATED, _DARK = int(Status.NON_FINITE), int(Status.SATURATED), int(Status.DARK)
-#: The lobe must be seen where D is at least this, or its height is an extrapolation.
-LOG_LEAST_LOBE = -2.0
-_SINGULAR = 1e-10
+#: Share of its peak at which a lobe must be seen at least, or its height is an extrapolation.
+SEEN = math.exp(-2.0)
+_WITHIN = math.exp(-1.0)  # share of its peak down to which a lobe is a highlight
+SINGULAR = 1e-10
 _TOLD_APART = 1e-6
 LEAST_LEFT = 0.05  # of an observation's error that its residual is taken to show at least
 
@@ -54,59 +73,76 @@ class Verdict(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """Standard errors of α, β, log μ (infinite where undetermined), sum of squares, χ² over degrees of freedom."""
+    """Standard errors of α, β, log μ (infinite where undetermined), sum of squares, whether the lobe is seen."""
 
     alpha: float
     beta: float
     log_mu: float
     squares: float
-    excess: float
+    seen: bool
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _normal(block, a, b, log_mu, pose_variance):
-    """Return the sum of squares and χ², Σ w J Jᵀ, and Σ w² v J Jᵀ, J along α, β, log μ; six numbers a matrix."""
-    factor = -math.exp(-2.0 * log_mu)
-    slope_factor = 2.0 * b * b * factor * factor
-    n0, n1, n2, n3, n4, n5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    m0, m1, m2, m3, m4, m5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    squares, chi2 = 0.0, 0.0
-    for j in range(block.shape[1]):
-        x = block[SQUARE, j] * factor
-        c, w = block[COSINE, j], block[WEIGHT, j]
-        g = block[GLOSS, j] * exp_negative(x)
-        s = -2.0 * b * x * g
+@uncounted(error_model="numpy")
+def sums_at_minimum(rows, lobes, a, b, log_mu, rules):
+    """Return what is summed over the observations of one texel, or of each of eight, at the minimum.
+
+    Leaves the gloss of every observation for β = 1, and its slope along log μ.
+
+    Returns
+    -------
+    squares, chi2 : float or lanes
+    normal, middle : tuples of six
+        Σ w J Jᵀ and Σ w² v J Jᵀ, J along α, β, log μ.
+    seen : bool or mask
+        Whether an observation with weight lies where the lobe is high.
+    """
+    constant, zero = lobe_kernels.constants(lobes, log_mu), spread(0.0)
+    n0, n1, n2, n3, n4, n5, squares = zero, zero, zero, zero, zero, zero, zero
+    m0, m1, m2, m3, m4, m5, chi2 = zero, zero, zero, zero, zero, zero, zero
+    seen = zero > 0.0
+    for j in range(vectors_of(rows)):
+        f0, f1, f2 = get(rows, F0, j), get(rows, F1, j), get(rows, F2, j)
+        c, w, plain = get(rows, COSINE, j), get(rows, WEIGHT, j), get(rows, GLOSS, j)
+        value, slope, _ = lobe_kernels.derivatives(lobes, constant, f0, f1, f2)
+        share, steepness = lobe_kernels.flank(lobes, constant, f0, f1, f2)
+        g, g1 = plain * value, plain * slope
+        put(rows, LOBE, j, g)
+        put(rows, LOBE_SLOPE, j, g1)
+        s, gloss = b * g1, b * g
         # Both angles of the rig are off: θ_i by one, φ = |θ_i - θ_r| / 2 by 1/√2 of it.
-        pose = slope_factor * block[SQUARE, j] * g * g + a * a * (1.0 - c * c)
-        v = block[EXPECTED, j] + pose_variance * pose
-        r = a * c + b * g - block[RESPONSE, j]
-        squares += w * r * r
-        trust = block[TRUST, j]
-        kept = w * r / (trust if trust > 0.0 else 1.0)  # an outlier counts as far as the loss lets it
-        chi2 += kept * kept / v
-        u = w * w * v
-        n0 += w * c * c
-        n1 += w * c * g
-        n2 += w * g * g
-        n3 += w * c * s
-        n4 += w * g * s
-        n5 += w * s * s
-        m0 += u * c * c
-        m1 += u * c * g
-        m2 += u * g * g
-        m3 += u * c * s
-        m4 += u * g * s
-        m5 += u * s * s
-    return squares, chi2, (n0, n1, n2, n3, n4, n5), (m0, m1, m2, m3, m4, m5)
+        pose = 0.5 * steepness * gloss * gloss + a * a * (1.0 - c * c)
+        v = get(rows, EXPECTED, j) + rules.pose_variance * pose
+        r = a * c + gloss - get(rows, RESPONSE, j)
+        squares = squares + w * r * r
+        kept = share_at(rows, j, log_mu) * r  # an outlier counts as far as the loss lets it
+        chi2 = chi2 + select(w > 0.0, kept * kept / v, 0.0)
+        seen = seen | ((w > 0.0) & (plain > 0.0) & (share >= SEEN))
+        wc, wg, ws, wv = w * c, w * g, w * s, w * v
+        n0, n1, n2 = n0 + wc * c, n1 + wc * g, n2 + wg * g
+        n3, n4, n5 = n3 + wc * s, n4 + wg * s, n5 + ws * s
+        m0, m1, m2 = m0 + wc * c * wv, m1 + wc * g * wv, m2 + wg * g * wv
+        m3, m4, m5 = m3 + wc * s * wv, m4 + wg * s * wv, m5 + ws * s * wv
+    return (
+        folded(squares, log_mu), folded(chi2, log_mu), _folded_six((n0, n1, n2, n3, n4, n5), log_mu),
+        _folded_six((m0, m1, m2, m3, m4, m5), log_mu), folded_mask(seen, log_mu),
+    )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, forceinline=True)
+def _folded_six(m, zero):
+    return (
+        folded(m[0], zero), folded(m[1], zero), folded(m[2], zero),
+        folded(m[3], zero), folded(m[4], zero), folded(m[5], zero),
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _sandwich(m, i0, i1, i2):
     """Return i M iᵀ for a symmetric M in six numbers."""
     return i0 * (i0 * m[0] + 2.0 * (i1 * m[1] + i2 * m[3])) + i1 * (i1 * m[2] + 2.0 * i2 * m[4]) + i2 * i2 * m[5]
 
 
-@njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def excess_of(chi2, degrees):
     """Return by what variances are multiplied: χ² over degrees of freedom where that exceeds 1, with Student's factor.
 
@@ -116,7 +152,7 @@ def excess_of(chi2, degrees):
     return select(chi2 > degrees, chi2 / degrees * student * student, 1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def _lone_alpha(normal, middle, told, excess, a, rules):
     """Return the standard error of α where β and μ are open; ``told`` is the part of its column that is theirs."""
     if not (normal > 0.0 and 1.0 - told > _TOLD_APART):
@@ -125,64 +161,55 @@ def _lone_alpha(normal, middle, told, excess, a, rules):
     return math.sqrt(excess * middle / (normal * normal * (1.0 - told)) + common * common)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _scatter(block, a, b, log_mu, correlation, scale, determinant):
+@uncounted(error_model="numpy")
+def scatter(rows, a, b, correlation, scale, determinant):
     """Return Σ w² v J Jᵀ where the variances v are not known: those of the residuals, at least the expected ones.
 
     A residual is smaller than the error by what the observation decides itself, its leverage h: v = r² / (1 - h)²
-    (HC3; MacKinnon and White, J. Econometrics 29, 1985).
+    (HC3; MacKinnon and White, J. Econometrics 29, 1985). After `sums_at_minimum`, for one texel or for eight.
     """
     p, q, r = correlation
     i0, i1, i2 = 1.0 - r * r, 1.0 - q * q, 1.0 - p * p
     i01, i02, i12 = q * r - p, p * r - q, p * q - r
-    factor, inverse = -math.exp(-2.0 * log_mu), 1.0 / determinant
-    m0, m1, m2, m3, m4, m5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(block.shape[1]):
-        x, w = block[SQUARE, j] * factor, block[WEIGHT, j]
-        c, g = block[COSINE, j], block[GLOSS, j] * exp_negative(x)
-        s = -2.0 * b * x * g
+    inverse, zero = 1.0 / determinant, spread(0.0)
+    m0, m1, m2, m3, m4, m5 = zero, zero, zero, zero, zero, zero
+    for j in range(vectors_of(rows)):
+        w, c, g, s = get(rows, WEIGHT, j), get(rows, COSINE, j), get(rows, LOBE, j), b * get(rows, LOBE_SLOPE, j)
         u0, u1, u2 = c * scale[0], g * scale[1], s * scale[2]
         form = u0 * (i0 * u0 + 2.0 * (i01 * u1 + i02 * u2)) + u1 * (i1 * u1 + 2.0 * i12 * u2) + i2 * u2 * u2
-        left = 1.0 - w * form * inverse
-        left = left if left > LEAST_LEFT else LEAST_LEFT
-        off = (a * c + b * g - block[RESPONSE, j]) / left
-        v, expected = off * off, block[EXPECTED, j]
-        u = w * w * (v if v > expected else expected)
-        m0 += u * c * c
-        m1 += u * c * g
-        m2 += u * g * g
-        m3 += u * c * s
-        m4 += u * g * s
-        m5 += u * s * s
-    return m0, m1, m2, m3, m4, m5
+        left = upper_of(1.0 - w * form * inverse, LEAST_LEFT)
+        off = (a * c + b * g - get(rows, RESPONSE, j)) / left
+        u = w * w * upper_of(off * off, get(rows, EXPECTED, j))
+        uc, ug = u * c, u * g
+        m0, m1, m2 = m0 + uc * c, m1 + uc * g, m2 + ug * g
+        m3, m4, m5 = m3 + uc * s, m4 + ug * s, m5 + u * s * s
+    return _folded_six((m0, m1, m2, m3, m4, m5), b)
 
 
-@njit(cache=True, error_model="numpy")
-def full_errors(block, a, b, log_mu, used, rules, with_alpha):
-    """Return the standard errors of α, β, log μ, or of β and log μ alone."""
-    squares, chi2, normal, middle = _normal(block, a, b, log_mu, rules.pose_variance)
-    excess = excess_of(chi2, max(used - (3 if with_alpha else 2), 1))
+@uncounted(error_model="numpy")
+def full_errors(rows, lobes, a, b, log_mu, used, rules, with_alpha):
+    """Return the standard errors of α, β, log μ of a texel, or of β and log μ alone."""
+    squares, chi2, normal, middle, seen = sums_at_minimum(rows, lobes, a, b, log_mu, rules)
+    excess = excess_of(chi2, float(max(used - (3 if with_alpha else 2), 1)))
     if not (normal[0] > 0.0 and normal[2] > 0.0 and normal[5] > 0.0):
         lone = _lone_alpha(normal[0], middle[0], 0.0, excess, a, rules) if with_alpha else np.inf
-        return Errors(lone, np.inf, np.inf, squares, excess)
-    scale, correlation, determinant = correlations(normal)
-    s0, s1, s2 = scale
-    p, q, r = correlation
+        return Errors(lone, np.inf, np.inf, squares, seen)
+    scale, (p, q, r), determinant = correlations(normal)
     if not with_alpha:
         p, q, determinant = 0.0, 0.0, 1.0 - r * r
-    if not determinant > _SINGULAR:
+    if not determinant > SINGULAR:
         apart = 1.0 - r * r
-        told = (p * p + q * q - 2.0 * p * q * r) / apart if apart > _SINGULAR else p * p
+        told = (p * p + q * q - 2.0 * p * q * r) / apart if apart > SINGULAR else p * p
         lone = _lone_alpha(normal[0], middle[0], told, excess, a, rules) if with_alpha else np.inf
-        return Errors(lone, np.inf, np.inf, squares, excess)
+        return Errors(lone, np.inf, np.inf, squares, seen)
     if not rules.known:
-        middle = _scatter(block, a, b, log_mu, (p, q, r), (s0, s1, s2), determinant)
+        middle = scatter(rows, a, b, (p, q, r), scale, determinant)
         excess = 1.0
-    alpha, beta, along = parameter_errors(middle, (s0, s1, s2), (p, q, r), determinant, excess, a, b, rules)
-    return Errors(alpha if with_alpha else np.inf, beta, along, squares, excess)
+    alpha, beta, along = parameter_errors(middle, scale, (p, q, r), determinant, excess, a, b, rules)
+    return Errors(alpha if with_alpha else np.inf, beta, along, squares, seen)
 
 
-@njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def correlations(normal):
     """Return what scales Σ w J Jᵀ to a unit diagonal, its three numbers beside it then, and its determinant.
 
@@ -193,7 +220,7 @@ def correlations(normal):
     return (s0, s1, s2), (p, q, r), 1.0 + 2.0 * p * q * r - p * p - q * q - r * r
 
 
-@njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def parameter_errors(middle, scale, correlation, determinant, excess, a, b, rules):
     """Return the standard errors of α, β, log μ from Σ w² v J Jᵀ and what `correlations` says; numbers or lanes."""
     s0, s1, s2 = scale
@@ -214,26 +241,39 @@ def parameter_errors(middle, scale, correlation, determinant, excess, a, b, rule
     )
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def diffuse_errors(block, a, used, rules):
+@uncounted(error_model="numpy")
+def diffuse_errors(rows, a, used, rules):
     """Return the standard error of α where there is no gloss, and the sum of squares."""
-    normal, middle, squares, chi2 = 0.0, 0.0, 0.0, 0.0
-    for j in range(block.shape[1]):
-        c, w = block[COSINE, j], block[WEIGHT, j]
-        v = block[EXPECTED, j] + rules.pose_variance * a * a * (1.0 - c * c)
-        r = a * c - block[RESPONSE, j]
-        squares += w * r * r
-        trust = block[TRUST, j]
-        kept = w * r / (trust if trust > 0.0 else 1.0)  # an outlier counts as far as the loss lets it
-        chi2 += kept * kept / v
-        normal += w * c * c
-        middle += w * w * v * c * c
-    excess = excess_of(chi2, max(used - 1, 1))
-    variance = excess * middle / (normal * normal) if normal > 0.0 else np.inf
-    return math.sqrt(variance + (rules.model_error * a) ** 2), squares
+    normal, middle, squares, chi2 = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    for j in range(vectors_of(rows)):
+        c, w = get(rows, COSINE, j), get(rows, WEIGHT, j)
+        v = get(rows, EXPECTED, j) + rules.pose_variance * a * a * (1.0 - c * c)
+        r = a * c - get(rows, RESPONSE, j)
+        kept = share_at(rows, j, a) * r
+        squares = squares + w * r * r
+        chi2 = chi2 + select(w > 0.0, kept * kept / v, 0.0)
+        normal = normal + w * c * c
+        middle = middle + w * w * v * c * c
+    information = folded(normal, a)
+    excess = excess_of(folded(chi2, a), float(max(used - 1, 1)))
+    variance = excess * folded(middle, a) / (information * information) if information > 0.0 else np.inf
+    return math.sqrt(variance + (rules.model_error * a) ** 2), folded(squares, a)
 
 
-@njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
+def without_gloss(fixed, used, floor, rules):
+    """Return the best α without gloss, and the criteria of the models of diffuse light alone and of nothing.
+
+    For one texel or for eight.
+    """
+    diffuse = select(fixed[0] > 0.0, fixed[1] / fixed[0], 0.0)
+    diffuse = lower_of(upper_of(diffuse, rules.low_alpha), rules.high_alpha)
+    squares = upper_of(fixed[2] + diffuse * (diffuse * fixed[0] - 2.0 * fixed[1]), 0.0)
+    alone = information_criterion(squares, used, floor, log(upper_of(used, 1.0)))
+    return diffuse, alone, information_criterion(fixed[2], used, floor, 0.0)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
 def information_criterion(squares, used, floor, penalty):
     """Return Schwarz's BIC where the variance is unknown but at least the expected one; log(used) an unknown."""
     floor = upper_of(floor, 1e-300)
@@ -241,49 +281,47 @@ def information_criterion(squares, used, floor, penalty):
     return used * select(excess > 1.0, log(upper_of(excess, 1.0)) + 1.0, excess) + penalty
 
 
-@njit(cache=True, error_model="numpy")
-def lobe_is_seen(block, log_mu):
-    """Return whether an observation with weight lies where the lobe is high."""
-    limit = -LOG_LEAST_LOBE * math.exp(2.0 * log_mu)
-    for j in range(block.shape[1]):
-        if block[WEIGHT, j] > 0.0 and block[GLOSS, j] > 0.0 and block[SQUARE, j] <= limit:
-            return True
-    return False
+@uncounted(error_model="numpy")
+def highlight_clips(rows, lobes, clipped, log_mu, glossy):
+    """Return whether most of a texel's observations within the highlight clip; without a fitted one, whether any does.
 
-
-@njit(cache=True, error_model="numpy")
-def highlight_clips(block, clipped, log_mu, glossy):
-    """Return whether most of the observations within the highlight clip; without a fitted one, whether any does."""
-    if glossy:
-        limit = math.exp(2.0 * log_mu)
-    else:
-        limit = -1.0
+    Without one the highlight reaches as far as what clips.
+    """
+    constant, furthest = lobe_kernels.constants(lobes, log_mu), -1.0
+    if not glossy:
         for j in range(clipped.size):
-            if clipped[j] and block[GLOSS, j] > 0.0:
-                limit = max(limit, block[SQUARE, j])
+            if clipped[j] and rows[GLOSS, j] > 0.0:
+                furthest = max(furthest, rows[F0, j])
     clips, good = 0, 0
     for j in range(clipped.size):
-        if block[SQUARE, j] <= limit and block[GLOSS, j] > 0.0:
+        within = rows[F0, j] <= furthest
+        if glossy:
+            within = lobe_kernels.flank(lobes, constant, rows[F0, j], rows[F1, j], rows[F2, j])[0] >= _WITHIN
+        if within and rows[GLOSS, j] > 0.0:
             clips += clipped[j] != 0
-            good += block[WEIGHT, j] > 0.0
+            good += rows[WEIGHT, j] > 0.0
     return clips > 0 and clips >= good
 
 
-@njit(cache=True)
-def hopeless(used, lost, clipped):
+@uncounted()
+def status_of_too_few(used, response, weight, rows, clipped):
     """Return the status of a texel with too few observations, by what became of the others."""
-    clips = 0
+    clips, lost = 0, 0
     for j in range(clipped.size):
         clips += clipped[j] != 0
+    for j in range(response.size):
+        offered = weight[j] > 0.0 or math.isnan(weight[j])
+        fine = math.isfinite(response[j] + rows[SPOILED, j]) and weight[j] < np.inf
+        lost += offered and not fine
     if used + clips > _FEW:
         return _SATURATED
     return _NON_FINITE if used + lost > _FEW else _FEW_STATUS
 
 
-@njit(cache=True, error_model="numpy")
-def diffuse_status(block, clipped, model, diffuse, rules):
+@uncounted(error_model="numpy")
+def diffuse_status(rows, lobes, clipped, model, diffuse, rules):
     """Return the status of a texel whose data shows no gloss."""
-    if highlight_clips(block, clipped, 0.0, False):
+    if highlight_clips(rows, lobes, clipped, 0.0, False):
         return _SATURATED
     if model == NOTHING:
         return _DARK
@@ -291,23 +329,22 @@ def diffuse_status(block, clipped, model, diffuse, rules):
     return _AT_BOUND if pinned else _DIFFUSE_ONLY
 
 
-@njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def shown_dark(a, error, fixed):
     """Return whether α is known to be small: its share of the power, two standard errors up, is under a tenth."""
     high = a + 2.0 * error
     return high * high * fixed[0] < 0.1 * fixed[2]
 
 
-@njit(cache=True, error_model="numpy")
-def gloss_status(block, clipped, a, b, log_mu, errors, rules):
+@uncounted(error_model="numpy")
+def gloss_status(rows, lobes, clipped, a, b, log_mu, errors, rules):
     """Return the status of a texel whose data shows gloss."""
-    if highlight_clips(block, clipped, log_mu, True):
+    if highlight_clips(rows, lobes, clipped, log_mu, True):
         return _SATURATED
-    seen = lobe_is_seen(block, log_mu)
-    return int(gloss_status_of(a, b, log_mu, (errors.alpha, errors.beta, errors.log_mu), seen, rules))
+    return int(gloss_status_of(a, b, log_mu, (errors.alpha, errors.beta, errors.log_mu), errors.seen, rules))
 
 
-@njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def gloss_status_of(a, b, log_mu, errors, seen, rules):
     """Return the status of gloss that does not clip; numbers or lanes, ``seen`` says whether the lobe is."""
     edge = (a >= rules.high_alpha * (1.0 - 1e-6)) | (b >= rules.high_beta * (1.0 - 1e-6))

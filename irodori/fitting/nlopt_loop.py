@@ -1,11 +1,11 @@
 """Compiled loop over texels that calls NLopt's C functions with a compiled objective.
 
 NLopt sees the unknowns (α / scale, β / scale, log μ), so that one step fits all three, and starts from the best
-place of the scan. A texel's data is its block behind four header words: length of a row, scales of α, of β, and of the
+place of the scan. A texel's data are its rows behind four header words: length of a row, scales of α, of β, and of the
 objective.
 """
 
-import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numba
@@ -15,25 +15,40 @@ from numba.extending import intrinsic
 
 from irodori.fitting import judge
 from irodori.fitting.huber import robust
-from irodori.fitting.observations import expect, load, telling, weigh
-from irodori.fitting.shared_geometry import padded_nodes
+from irodori.fitting.observations import every_lane, expect_fitted, weigh
 from irodori.fitting.texel_rows import (
-    CONSTANT,
     COSINE,
-    FAST,
+    F0,
+    F1,
+    F2,
     GLOSS,
+    LOBE,
+    LOBE_SLOPE,
     RESPONSE,
     ROWS,
-    SLOPE,
-    SQUARE,
+    SHARE,
     WEIGHT,
-    exp_negative,
-    pack_geometry,
+    folded,
+    get,
     padded,
+    put,
+    vectors_of,
 )
-from irodori.fitting.texels import clipped_of, conclude, doubt, give_up, is_noisy, write
-from irodori.fitting.varpro import SUMS, find_intervals, pair_at, scan_own, value_nodes
-from irodori.jit.native import c_function, cfunc, njit
+from irodori.fitting.texels import (
+    clipped_of,
+    conclude,
+    is_noisy,
+    leave_gloss_open,
+    load_texel,
+    new_sums,
+    pack_texel,
+    write,
+    write_too_few,
+)
+from irodori.fitting.varpro import ESTIMATE, PLACE, find_intervals, pair_at, scan, value_nodes
+from irodori.jit.lanes import spread
+from irodori.jit.native import c_function, cfunc, njit, uncounted
+from irodori.reflection import lobes as lobe_kernels
 
 HEADER = 4
 PARAMETERS = 3
@@ -62,51 +77,61 @@ def _as_floats(typingctx, address):
     return signature, codegen
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def objective(alpha, beta, log_mu, block):
+@uncounted(error_model="numpy")
+def objective(alpha, beta, log_mu, rows, lobes):
     """Return the weighted sum of squares of equation (7) and its derivatives by α, β, log μ."""
-    factor = -math.exp(-2.0 * log_mu)
-    total, ga, gb, gt = 0.0, 0.0, 0.0, 0.0
-    for j in range(block.shape[1]):
-        x = block[SQUARE, j] * factor
-        g = block[GLOSS, j] * exp_negative(x)
-        residual = alpha * block[COSINE, j] + beta * g - block[RESPONSE, j]
-        weighted = block[WEIGHT, j] * residual
-        total += weighted * residual
-        ga += weighted * block[COSINE, j]
-        gb += weighted * g
-        gt += weighted * g * x
-    return total, 2.0 * ga, 2.0 * gb, -4.0 * beta * gt
+    constant, zero = lobe_kernels.constants(lobes, log_mu), spread(0.0)
+    total, ga, gb, gt = zero, zero, zero, zero
+    for j in range(vectors_of(rows)):
+        v, v1, _ = lobe_kernels.derivatives(lobes, constant, get(rows, F0, j), get(rows, F1, j), get(rows, F2, j))
+        c, g, g1 = get(rows, COSINE, j), get(rows, GLOSS, j) * v, get(rows, GLOSS, j) * v1
+        residual = alpha * c + beta * g - get(rows, RESPONSE, j)
+        weighted = get(rows, WEIGHT, j) * residual
+        total, ga, gb, gt = total + weighted * residual, ga + weighted * c, gb + weighted * g, gt + weighted * g1
+    return (
+        folded(total, log_mu), 2.0 * folded(ga, log_mu), 2.0 * folded(gb, log_mu), 2.0 * beta * folded(gt, log_mu)
+    )  # fmt: skip
 
 
-@cfunc(
-    types.float64(types.uint32, types.CPointer(types.float64), types.uintp, types.uintp),
-    cache=True,
-    error_model="numpy",
-)
-def nlopt_objective(count, x, gradient_address, data_address):
-    """Objective in NLopt's C signature, with its gradient where NLopt asks for one."""
-    header = numba.carray(_as_floats(data_address), (HEADER,))
-    row, scale_a, scale_b, scale = int(header[0]), header[1], header[2], header[3]
-    block = numba.carray(_as_floats(data_address), (HEADER + ROWS * row,))[HEADER:].reshape((ROWS, row))
-    value, ga, gb, gt = objective(x[0] * scale_a, x[1] * scale_b, x[2], block)
-    if gradient_address != 0:
-        gradient = numba.carray(_as_floats(gradient_address), (3,))
-        gradient[0], gradient[1], gradient[2] = scale * ga * scale_a, scale * gb * scale_b, scale * gt
-    return scale * value
+@uncounted(error_model="numpy")
+def fill_lobe_and_slope(rows, lobes, log_mu):
+    """Fill the gloss of every observation for β = 1, and its slope along log μ."""
+    constant = lobe_kernels.constants(lobes, log_mu)
+    for j in range(vectors_of(rows)):
+        v, v1, _ = lobe_kernels.derivatives(lobes, constant, get(rows, F0, j), get(rows, F1, j), get(rows, F2, j))
+        put(rows, LOBE, j, get(rows, GLOSS, j) * v)
+        put(rows, LOBE_SLOPE, j, get(rows, GLOSS, j) * v1)
+
+
+@lru_cache
+def nlopt_objective(lobes):
+    """Return the objective for one lobe in NLopt's C signature, with its gradient where the algorithm asks for one."""
+
+    @cfunc(types.float64(types.uint32, types.CPointer(types.float64), types.uintp, types.uintp), error_model="numpy")
+    def called(count, x, gradient_address, data_address):
+        header = numba.carray(_as_floats(data_address), (HEADER,))
+        row, scale_a, scale_b, scale = int(header[0]), header[1], header[2], header[3]
+        rows = numba.carray(_as_floats(data_address), (HEADER + ROWS * row,))[HEADER:].reshape((ROWS, row))
+        value, ga, gb, gt = objective(x[0] * scale_a, x[1] * scale_b, x[2], rows, lobes)
+        if gradient_address != 0:
+            gradient = numba.carray(_as_floats(gradient_address), (3,))
+            gradient[0], gradient[1], gradient[2] = scale * ga * scale_a, scale * gb * scale_b, scale * gt
+        return scale * value
+
+    return called
 
 
 @njit(cache=True, error_model="numpy")
-def set_scales(data, block, power_sum, alpha, beta):
+def set_scales(data, rows, power_sum, alpha, beta):
     """Store scales: of α and β, their start or a hundredth of the largest response; of the objective.
 
     The objective is relative to the power of the responses, so that NLopt stops at the same place whatever the unit
     of light.
     """
     peak, peak_gloss = 1e-300, 1e-300
-    for j in range(block.shape[1]):
-        peak = max(peak, abs(block[RESPONSE, j]))
-        peak_gloss = max(peak_gloss, block[GLOSS, j])
+    for j in range(rows.shape[1]):
+        peak = max(peak, abs(rows[RESPONSE, j]))
+        peak_gloss = max(peak_gloss, rows[GLOSS, j])
     data[3] = _PRECISION / max(power_sum, 1e-300)
     data[1] = max(alpha, 0.01 * peak)
     data[2] = max(beta, 0.01 * peak / peak_gloss)
@@ -124,7 +149,7 @@ class Nlopt(NamedTuple):
     set_maxeval: int
     optimize: int
     get_numevals: int
-    objective: int  # address of `nlopt_objective`
+    objective: int  # address of `nlopt_objective` for the lobe
     algorithm: int
     xtol_rel: float
     max_evaluations: int
@@ -132,13 +157,13 @@ class Nlopt(NamedTuple):
 
 @njit(cache=True)
 def new_data(problem):
-    """Return the data of a texel, its block within, scratch for angles, and for the sums of the scan."""
+    """Return the data of a texel, its rows within, and room for the sums of the scan."""
     p = padded(problem.response.shape[1])
     data = np.zeros(HEADER + ROWS * p)
     data[0] = p
-    block = data[HEADER:].reshape((ROWS, p))
-    block[CONSTANT], block[SLOPE] = problem.noise[0], problem.noise[1]
-    return data, block, np.zeros((4, p)), np.zeros((SUMS, padded_nodes(problem.nodes.size)))
+    rows = data[HEADER:].reshape((ROWS, p))
+    rows[SHARE] = 1.0
+    return data, rows, new_sums(problem)
 
 
 @njit(cache=True)
@@ -167,77 +192,76 @@ def _polish(nlopt, optimiser, data, start, rules, vectors):
 
 
 @njit(cache=True, error_model="numpy")
-def start_of(block, problem, rules, used, floor, sums):
+def start_of(rows, problem, rules, used, floor, sums):
     """Return the sums without lobe, and the best α, β, log μ that the scan knows with their sum of squares."""
-    start = _scanned(block, problem, rules, sums)
+    start = _scanned(rows, problem, rules, sums)
     if is_noisy(used, floor, start[0], rules):
-        expect(block, start[1], start[2], start[3], rules)
-        start = _scanned(block, problem, rules, sums)
+        expect_fitted(rows, problem.lobes, problem.noise, rules, start[1], start[2], start[3], every_lane())
+        start = _scanned(rows, problem, rules, sums)
     return start
 
 
 @njit(cache=True, error_model="numpy")
-def _scanned(block, problem, rules, sums):
+def _scanned(rows, problem, rules, sums):
     box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
-    fixed = weigh(block)
-    scan_own(block, problem.nodes, problem.steepness, problem.chains, sums)
-    value_nodes(fixed, sums, box)
-    log_mu = problem.nodes[find_intervals(problem.nodes, sums)]
-    a, b, value = pair_at(block, fixed, box, log_mu)
+    lobes, nodes = problem.lobes, problem.nodes
+    fixed = weigh(rows, 0.0)
+    scan(rows, problem, sums, 0.0)
+    _, top = value_nodes(fixed, sums, nodes.size, box, 0.0)
+    find_intervals(nodes, sums, int(top))
+    log_mu = nodes[int(top)]
+    a, b, value = pair_at(rows, lobes, fixed, box, log_mu)
     likely = 0
-    for i in range(problem.nodes.size - 1):
-        if sums[8, i] < sums[8, likely]:
+    for i in range(nodes.size - 1):
+        if sums[ESTIMATE, i] < sums[ESTIMATE, likely]:
             likely = i
-    if sums[8, likely] < np.inf:
-        between = pair_at(block, fixed, box, sums[9, likely])
+    if sums[ESTIMATE, likely] < np.inf:
+        between = pair_at(rows, lobes, fixed, box, sums[PLACE, likely])
         if between[2] <= value:
-            return fixed, between[0], between[1], sums[9, likely], between[2]
+            return fixed, between[0], between[1], sums[PLACE, likely], between[2]
     return fixed, a, b, log_mu, value
 
 
 @njit(cache=True, error_model="numpy")
-def load_own(t, problem, rules, block, angles):
-    """Fill a texel's block."""
-    n = problem.n[t if problem.n.size > 1 else 0]
-    pack_geometry(problem.geometry[t if problem.geometry.shape[0] > 1 else 0], n, problem.k, angles, block)
-    used, lost, floor = load(problem.response[t], problem.weight[t], rules, block)
-    return telling(block, used), lost, floor
-
-
-@njit(cache=True, error_model="numpy")
-def finish(t, block, fixed, found, used, floor, evaluations, problem, rules, sums, out):
+def finish(t, rows, fixed, found, used, floor, evaluations, problem, rules, sums, out):
     """Judge α, β, log μ that a solver found, after reweighting if that is asked for, and write the texel."""
     a, b, log_mu = found
     settled = True
     if rules.huber > 0.0:
-        fixed, a, b, log_mu, count, settled = robust(block, problem.nodes, rules)
-        scan_own(block, problem.nodes, problem.steepness, problem.chains, sums)
+        fixed, a, b, log_mu, count, settled = robust(rows, problem, rules)
+        scan(rows, problem, sums, 0.0)
         evaluations += count + problem.nodes.size
-    clipped = clipped_of(t, problem)
-    verdict = conclude(block, fixed, a, b, log_mu, used, floor, clipped, problem.nodes, sums, rules)
+    verdict = conclude(rows, fixed, a, b, log_mu, used, floor, clipped_of(t, problem), problem, sums, rules)
     write(out, t, verdict, fixed, evaluations)
     if not settled:
-        doubt(out, t)
+        leave_gloss_open(out, t)
+
+
+@njit(cache=True, error_model="numpy")
+def load_own(t, problem, rules, rows):
+    """Fill a texel's rows; return its observations and the expected w r²."""
+    pack_texel(t, problem, rows)
+    return load_texel(t, problem, rules, rows)
 
 
 @njit(cache=True, error_model="numpy")
 def _fit_chunk(nlopt, problem, rules, out, first, last):
-    data, block, angles, sums = new_data(problem)
+    data, rows, sums = new_data(problem)
     vectors = (np.empty(3), np.empty(3), np.empty(3), np.empty(1))
     optimiser = _new_optimiser(nlopt, data)
     for t in range(first, last):
-        used, lost, floor = load_own(t, problem, rules, block, angles)
+        used, floor = load_own(t, problem, rules, rows)
         if used <= judge.PARAMETERS:
-            give_up(t, used, lost, problem, out)
+            write_too_few(t, used, problem, rows, out)
             continue
-        fixed, a, b, log_mu, squares = start_of(block, problem, rules, used, floor, sums)
-        set_scales(data, block, fixed[2], a, b)
+        fixed, a, b, log_mu, squares = start_of(rows, problem, rules, used, floor, sums)
+        set_scales(data, rows, fixed[2], a, b)
         code, count, pa, pb, pt = _polish(nlopt, optimiser, data, (a, b, log_mu), rules, vectors)
-        if objective(pa, pb, pt, block)[0] <= squares:
+        if objective(pa, pb, pt, rows, problem.lobes)[0] <= squares:
             a, b, log_mu = pa, pb, pt
         out.result[t] = code
         evaluations = count + problem.nodes.size
-        finish(t, block, fixed, (a, b, log_mu), used, floor, evaluations, problem, rules, sums, out)
+        finish(t, rows, fixed, (a, b, log_mu), used, floor, evaluations, problem, rules, sums, out)
     nlopt_destroy(nlopt.destroy, optimiser)
 
 

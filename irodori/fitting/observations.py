@@ -1,4 +1,4 @@
-"""Observations of one texel as the solvers take them: responses, expected variances, weights."""
+"""Observations of one texel or of eight as the solvers take them: responses, expected variances, weights."""
 
 import math
 from typing import NamedTuple
@@ -6,29 +6,36 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.fitting.texel_rows import (
-    CONSTANT,
+    BEFORE,
     COSINE,
-    FAST,
+    F0,
+    F1,
+    F2,
     GLOSS,
     RESPONSE,
-    SLOPE,
     SPOILED,
-    SQUARE,
-    TRUST,
     VARIANCE,
     WEIGHT,
     WEIGHTED_COSINE,
     WEIGHTED_RESPONSE,
-    exp_negative,
+    all_of,
+    folded,
+    get,
+    highest,
+    item,
+    noise_at,
     padded,
+    put,
+    vectors_of,
 )
-from irodori.jit.lanes import magnitude
-from irodori.jit.native import njit
+from irodori.jit.lanes import COUNT, bits, magnitude, negated, select, spread, upper_of
+from irodori.jit.native import njit, uncounted
+from irodori.reflection import lobes as lobe_kernels
 
 LEAST_VARIANCE = 1e-8  # of the mean square response: no observation counts ten thousand times another
 TINY = 1e-60
 LARGE = 1e30  # a common weight beyond this, or below its inverse, is taken out
-_SAME = 1e-6  # of cosine, φ² and gloss: what single precision makes of one angle
+_SAME = 1e-6  # of cosine, features and gloss: what single precision makes of one angle
 ENOUGH = 4  # geometries that determine three unknowns and can object to them
 
 
@@ -85,136 +92,211 @@ def camera_noise(model, captures: int) -> tuple[np.ndarray, bool]:
     return out, known
 
 
-@njit(cache=True, error_model="numpy")
-def _rescale(block, largest):
+@uncounted(error_model="numpy")
+def screen(rows, zero):
+    """Leave out what is not finite or has no weight.
+
+    Returns
+    -------
+    used, total, power, largest : float or lanes
+        Observations that are left, Σ w, Σ w ρ², and the largest weight.
+    """
+    used, total, power, largest = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    for j in range(vectors_of(rows)):
+        given, trust = get(rows, RESPONSE, j), get(rows, WEIGHT, j)
+        fine = (magnitude(given + get(rows, SPOILED, j)) < np.inf) & (trust > 0.0) & (trust < np.inf)
+        r, t = select(fine, given, 0.0), select(fine, trust, 0.0)
+        put(rows, RESPONSE, j, r)
+        put(rows, WEIGHT, j, t)
+        used = used + select(fine, 1.0, 0.0)
+        largest = upper_of(largest, t)
+        total = total + t
+        power = power + t * r * r
+    return folded(used, zero), folded(total, zero), folded(power, zero), highest(largest, zero)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def in_range(used, total, largest):
+    """Return whether weights keep their squares within the range of numbers."""
+    return (largest <= LARGE) & (total * LARGE >= used)
+
+
+@uncounted(error_model="numpy")
+def expect_noise(rows, noise, rules, used, total, power, zero):
+    """Fill the variances that noise and light give the responses, and the weights; return the expected w r²."""
+    power = power / select(total > 0.0, total, 1.0)
+    relative = rules.model_error * rules.model_error
+    common = TINY + (LEAST_VARIANCE if rules.known else relative) * power
+    relative = relative if rules.known else 0.0
+    floor = spread(0.0)
+    for j in range(vectors_of(rows)):
+        r, w = get(rows, RESPONSE, j), get(rows, WEIGHT, j)
+        v = common + noise_at(noise, 0, j, zero) + noise_at(noise, 1, j, zero) * upper_of(r, 0.0) + relative * r * r
+        put(rows, VARIANCE, j, v)
+        if rules.weighted:
+            w = w / v
+            put(rows, WEIGHT, j, w)
+        floor = floor + w * v
+    return folded(floor, zero) / upper_of(used, 1.0)
+
+
+@uncounted(error_model="numpy")
+def _rescale(rows, largest):
     """Divide weights whose squares would leave the range of numbers by the largest; return Σ w and Σ w ρ²."""
     total, power = 0.0, 0.0
-    for j in range(block.shape[1]):
-        t = block[TRUST, j] / largest if largest > 0.0 else 0.0
-        block[TRUST, j] = t
-        total += t
-        power += t * block[RESPONSE, j] * block[RESPONSE, j]
+    for j in range(rows.shape[1]):
+        w = rows[WEIGHT, j] / largest if largest > 0.0 else 0.0
+        rows[WEIGHT, j] = w
+        total += w
+        power += w * rows[RESPONSE, j] * rows[RESPONSE, j]
     return total, power
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def load(response, weight, rules, block):
+@uncounted(error_model="numpy")
+def load_one(response, weight, noise, rules, rows):
     """Fill responses, variances and weights of a texel.
 
     Returns
     -------
     used : int
         Observations with weight.
-    lost : int
-        Observations that would have weight, were they finite.
     floor : float
         Expected weighted square of a residual.
     """
-    used, offered, total, power, largest = 0.0, 0.0, 0.0, 0.0, 0.0
     for j in range(response.size):
-        given, trust = np.float64(response[j]), np.float64(weight[j])
-        fine = abs(given + block[SPOILED, j]) < np.inf and trust > 0.0 and trust < np.inf
-        r = given if fine else 0.0
-        t = trust if fine else 0.0
-        block[RESPONSE, j], block[TRUST, j] = r, t
-        used += 1.0 if fine else 0.0
-        offered += 0.0 if trust <= 0.0 else 1.0
-        largest = t if t > largest else largest
-        total += t
-        power += t * r * r
-    if largest > LARGE or total < used / LARGE:
-        total, power = _rescale(block, largest)
-    power /= total if total > 0.0 else 1.0
-    relative = rules.model_error * rules.model_error
-    common = TINY + (LEAST_VARIANCE if rules.known else relative) * power
-    relative = relative if rules.known else 0.0
-    floor = 0.0
-    for j in range(block.shape[1]):
-        r = block[RESPONSE, j]
-        v = common + block[CONSTANT, j] + block[SLOPE, j] * (r if r > 0.0 else 0.0) + relative * r * r
-        block[VARIANCE, j] = v
-        w = block[TRUST, j] / (v if rules.weighted else 1.0)
-        block[TRUST, j] = w
-        block[WEIGHT, j] = w
-        floor += w * v
-    return int(used), int(offered - used), floor / max(used, 1.0)
+        rows[RESPONSE, j], rows[WEIGHT, j] = response[j], weight[j]
+    for j in range(response.size, rows.shape[1]):
+        rows[RESPONSE, j], rows[WEIGHT, j] = 0.0, 0.0
+    used, total, power, largest = screen(rows, 0.0)
+    if not in_range(used, total, largest):
+        total, power = _rescale(rows, largest)
+    return int(used), expect_noise(rows, noise, rules, used, total, power, 0.0)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def expect(block, a, b, log_mu, rules):
+@uncounted(error_model="numpy")
+def load_eight(problem, rules, first, last, rows):
+    """Fill responses, variances and weights of eight texels; the last stands for those beyond the end.
+
+    Returns
+    -------
+    used, floor : lanes
+        As for one.
+    ordinary : mask
+        Whose weights need no other scale.
+    """
+    for j in range(problem.response.shape[1]):
+        for i in range(COUNT):
+            rows[RESPONSE, j * COUNT + i] = problem.response[min(first + i, last - 1), j]
+        for i in range(COUNT):
+            rows[WEIGHT, j * COUNT + i] = problem.weight[min(first + i, last - 1), j]
+    zero = spread(0.0)
+    used, total, power, largest = screen(rows, zero)
+    floor = expect_noise(rows, problem.noise, rules, used, total, power, zero)
+    return used, floor, in_range(used, total, largest) & (total > 0.0)
+
+
+@uncounted(error_model="numpy")
+def expect_fitted(rows, lobes, noise, rules, a, b, log_mu, which):
     """Weigh observations by the variance that the fitted response calls for, not the one with its noise.
 
     A reading that is too low by chance has too small a variance, and counts for too much.
+
+    Parameters
+    ----------
+    which : mask
+        Of lanes; the others stay as they are.
     """
-    factor = -math.exp(-2.0 * log_mu)
-    relative = rules.model_error * rules.model_error
-    for j in range(block.shape[1]):
-        r, v = block[RESPONSE, j], block[VARIANCE, j]
-        fitted = a * block[COSINE, j] + b * block[GLOSS, j] * exp_negative(block[SQUARE, j] * factor)
-        given = r if r > 0.0 else 0.0
-        u = v + block[SLOPE, j] * (fitted - given) + relative * (fitted * fitted - r * r)
-        least = LEAST_VARIANCE * v
-        u = u if u > least else least
-        block[VARIANCE, j] = u
-        block[TRUST, j] *= v / u
-        block[WEIGHT, j] = block[TRUST, j]
+    constant, relative = lobe_kernels.constants(lobes, log_mu), rules.model_error * rules.model_error
+    for j in range(vectors_of(rows)):
+        r, v, w = get(rows, RESPONSE, j), get(rows, VARIANCE, j), get(rows, WEIGHT, j)
+        value = lobe_kernels.value(lobes, constant, get(rows, F0, j), get(rows, F1, j), get(rows, F2, j))
+        fitted = a * get(rows, COSINE, j) + b * get(rows, GLOSS, j) * value
+        u = v + noise_at(noise, 1, j, log_mu) * (fitted - upper_of(r, 0.0)) + relative * (fitted * fitted - r * r)
+        u = select(which, upper_of(u, LEAST_VARIANCE * v), v)
+        put(rows, VARIANCE, j, u)
+        put(rows, WEIGHT, j, select(which, w * v / u, w))
 
 
-@njit(cache=True, error_model="numpy")
-def telling(block, used):
-    """Return the number of observations with weight, or of their geometries where these are fewer than `ENOUGH`.
+@njit(cache=True, forceinline=True)
+def every_lane():
+    """Return a mask that is set everywhere."""
+    return spread(0.0) == 0.0
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _is_same(one, other):
+    """Return whether two geometries, each cosθ_i, features and gloss, are one; numbers or lanes."""
+    near = (magnitude(one[0] - other[0]) <= _SAME) & (magnitude(one[1] - other[1]) <= _SAME)
+    near = near & (magnitude(one[2] - other[2]) <= _SAME) & (magnitude(one[3] - other[3]) <= _SAME)
+    return near & (magnitude(one[4] - other[4]) <= _SAME * (1.0 + one[4]))
+
+
+@njit(cache=True, forceinline=True)
+def _replaced(mask, now, before):
+    return (
+        select(mask, now[0], before[0]), select(mask, now[1], before[1]), select(mask, now[2], before[2]),
+        select(mask, now[3], before[3]), select(mask, now[4], before[4]),
+    )  # fmt: skip
+
+
+@uncounted(error_model="numpy")
+def distinct_geometries(rows, observations, zero):
+    """Return how many geometries of observations with weight differ and carry light, counted up to `ENOUGH`.
 
     A repeated geometry adds certainty to what it tells, and nothing else; one that carries no light tells nothing.
     """
-    count, first, second, third = 0, 0, 0, 0
-    for j in range(block.shape[1]):
-        if not (block[WEIGHT, j] > 0.0 and (block[COSINE, j] > 0.0 or block[GLOSS, j] > 0.0)):
-            continue
-        if count > 0 and _same(block, j, first):
-            continue
-        if count > 1 and _same(block, j, second):
-            continue
-        if count > 2 and _same(block, j, third):
-            continue
-        count += 1
-        if count == ENOUGH:
-            return used
-        if count == 1:
-            first = j
-        elif count == 2:
-            second = j
-        else:
-            third = j
+    none, count = zero + np.nan, zero
+    first = (none, none, none, none, none)
+    second, third = first, first
+    for j in range(observations):
+        now = (
+            item(rows, COSINE, j, zero), item(rows, F0, j, zero), item(rows, F1, j, zero), item(rows, F2, j, zero),
+            item(rows, GLOSS, j, zero),
+        )  # fmt: skip
+        known = _is_same(now, first) | _is_same(now, second) | _is_same(now, third)
+        lit = (now[0] > 0.0) | (now[4] > 0.0)
+        new = (item(rows, WEIGHT, j, zero) > 0.0) & lit & negated(known)
+        third = _replaced(new & (count == 2.0), now, third)
+        second = _replaced(new & (count == 1.0), now, second)
+        first = _replaced(new & (count == 0.0), now, first)
+        count = select(new, count + 1.0, count)
+        if all_of(count >= float(ENOUGH)):
+            break
     return count
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def is_same(one, other):
-    """Return whether two geometries, each cosθ_i, φ², F G / cosθ_r, are one; numbers or lanes."""
-    near = (magnitude(one[0] - other[0]) <= _SAME) & (magnitude(one[1] - other[1]) <= _SAME)
-    return near & (magnitude(one[2] - other[2]) <= _SAME * (1.0 + one[2]))
+@uncounted(error_model="numpy")
+def telling(rows, observations, used):
+    """Return the number of a texel's observations with weight, or of their geometries where these are few."""
+    count = distinct_geometries(rows, observations, 0.0)
+    return used if count >= ENOUGH else int(count)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _same(block, i, j):
-    return is_same(
-        (block[COSINE, i], block[SQUARE, i], block[GLOSS, i]), (block[COSINE, j], block[SQUARE, j], block[GLOSS, j])
-    )
-
-
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def weigh(block):
+@uncounted(error_model="numpy")
+def weigh(rows, zero):
     """Fill the weighted rows and return Σ w c², Σ w c ρ, Σ w ρ², Σ w."""
-    cc, cr, rr, total = 0.0, 0.0, 0.0, 0.0
-    for j in range(block.shape[1]):
-        w, c, r = block[WEIGHT, j], block[COSINE, j], block[RESPONSE, j]
-        block[WEIGHTED_COSINE, j] = w * c
-        block[WEIGHTED_RESPONSE, j] = w * r
-        cc += w * c * c
-        cr += w * c * r
-        rr += w * r * r
-        total += w
-    return cc, cr, rr, total
+    cc, cr, rr, total = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    for j in range(vectors_of(rows)):
+        w, c, r = get(rows, WEIGHT, j), get(rows, COSINE, j), get(rows, RESPONSE, j)
+        wc, wr = w * c, w * r
+        put(rows, WEIGHTED_COSINE, j, wc)
+        put(rows, WEIGHTED_RESPONSE, j, wr)
+        cc = cc + wc * c
+        cr = cr + wc * r
+        rr = rr + wr * r
+        total = total + w
+    return folded(cc, zero), folded(cr, zero), folded(rr, zero), folded(total, zero)
+
+
+@uncounted()
+def weights_changed(rows):
+    """Return whether weights differ from those at the last call."""
+    same = every_lane()
+    for j in range(vectors_of(rows)):
+        w = get(rows, WEIGHT, j)
+        same = same & (w == get(rows, BEFORE, j))
+        put(rows, BEFORE, j, w)
+    return bits(same) != 255
 
 
 def pose_variance(pose_error_deg: float) -> float:

@@ -2,7 +2,8 @@
 
 With a texel's own α eliminated (variable projection), its sum of squares at one μ is a parabola in β,
 A - 2 B β + C β²; the parabolas of several texels add, so a joint fit is one-dimensional in log μ like that of one
-texel. A texel is packed as rows cosθ_i, F G / cosθ_r, φ², response, and weight, the inverse of a variance.
+texel. A texel is packed as rows cosθ_i, gloss,
+features, response, and weight, the inverse of a variance.
 """
 
 import math
@@ -10,72 +11,76 @@ import math
 import numba
 import numpy as np
 
-from irodori.fitting.observations import load, telling
+from irodori.fitting import judge
 from irodori.fitting.texel_rows import (
     COSINE,
-    FAST,
+    F0,
+    F1,
+    F2,
     GLOSS,
     LOBE,
     RESPONSE,
-    SQUARE,
     VARIANCE,
     WEIGHT,
-    exp_negative,
-    pack_geometry,
+    fill_lobe,
+    folded,
+    get,
+    new_rows,
+    vectors_of,
 )
-from irodori.fitting.texels import new_block
-from irodori.jit.native import njit
+from irodori.fitting.texels import load_texel, pack_texel
+from irodori.jit.lanes import spread
+from irodori.jit.native import njit, uncounted
+from irodori.reflection import lobes as lobe_kernels
 
-PACKED = 5
-_C, _G, _Q, _R, _W = range(PACKED)
+PACKED = 7
+_C, _G, _F0, _F1, _F2, _R, _W = range(PACKED)
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 _CHUNK = 128
 
 
 @njit(cache=True, error_model="numpy")
-def _weights(block, beta, mu, used, floor, rules, out):
+def _weights(rows, lobes, beta, mu, used, floor, rules, out):
     """Fill inverse variances: the weights over what the texel's own residual says of them, outliers by Huber's loss."""
+    fill_lobe(rows, lobes, math.log(mu))
     squares, cc, cr, huber = 0.0, 0.0, 0.0, rules.huber
-    for j in range(block.shape[1]):
-        block[LOBE, j] = block[GLOSS, j] * exp_negative(-block[SQUARE, j] / (mu * mu))
-        wc = block[WEIGHT, j] * block[COSINE, j]
-        cc += wc * block[COSINE, j]
-        cr += wc * (block[RESPONSE, j] - beta * block[LOBE, j])
+    for j in range(rows.shape[1]):
+        wc = rows[WEIGHT, j] * rows[COSINE, j]
+        cc += wc * rows[COSINE, j]
+        cr += wc * (rows[RESPONSE, j] - beta * rows[LOBE, j])
     alpha = min(max(cr / cc if cc > 0.0 else 0.0, rules.low_alpha), rules.high_alpha)
-    for j in range(block.shape[1]):
-        lobe = block[LOBE, j]
-        r = alpha * block[COSINE, j] + beta * lobe - block[RESPONSE, j]
-        w = block[WEIGHT, j]
+    for j in range(rows.shape[1]):
+        r = alpha * rows[COSINE, j] + beta * rows[LOBE, j] - rows[RESPONSE, j]
+        w = rows[WEIGHT, j]
         if huber > 0.0:
-            deviation = abs(r) / math.sqrt(block[VARIANCE, j])
+            deviation = abs(r) / math.sqrt(rows[VARIANCE, j])
             w *= huber / deviation if deviation > huber else 1.0
         out[_W, j] = w
         squares += w * r * r
     scatter = max(squares / max(used - 3, 1), floor)
-    for j in range(block.shape[1]):
-        out[_C, j], out[_G, j], out[_Q, j], out[_R, j] = (
-            block[COSINE, j], block[GLOSS, j], block[SQUARE, j], block[RESPONSE, j]
-        )  # fmt: skip
+    for j in range(rows.shape[1]):
+        out[_C, j], out[_G, j], out[_R, j] = rows[COSINE, j], rows[GLOSS, j], rows[RESPONSE, j]
+        out[_F0, j], out[_F1, j], out[_F2, j] = rows[F0, j], rows[F1, j], rows[F2, j]
         out[_W, j] = out[_W, j] / scatter if scatter > 0.0 else 0.0
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def evaluate(block, log_mu):
+@uncounted(error_model="numpy")
+def evaluate(block, lobes, log_mu):
     """Return A, B, C of one packed texel at one log μ."""
-    factor = -math.exp(-2.0 * log_mu)
-    cc, cr, rr, cg, rg, gg = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(block.shape[1]):
-        c, r, w = block[_C, j], block[_R, j], block[_W, j]
-        g = block[_G, j] * exp_negative(block[_Q, j] * factor)
-        cc += w * c * c
-        cr += w * c * r
-        rr += w * r * r
-        cg += w * c * g
-        rg += w * r * g
-        gg += w * g * g
-    if not cc > 0.0:
+    constant, zero = lobe_kernels.constants(lobes, log_mu), spread(0.0)
+    cc, cr, rr, cg, rg, gg = zero, zero, zero, zero, zero, zero
+    for j in range(vectors_of(block)):
+        c, r, w = get(block, _C, j), get(block, _R, j), get(block, _W, j)
+        value = lobe_kernels.value(lobes, constant, get(block, _F0, j), get(block, _F1, j), get(block, _F2, j))
+        g = get(block, _G, j) * value
+        wc, wr = w * c, w * r
+        cc, cr, rr = cc + wc * c, cr + wc * r, rr + wr * r
+        cg, rg, gg = cg + wc * g, rg + wr * g, gg + w * g * g
+    c2, cr1, cg1 = folded(cc, 0.0), folded(cr, 0.0), folded(cg, 0.0)
+    if not c2 > 0.0:
         return 0.0, 0.0, 0.0
-    return max(rr - cr * cr / cc, 0.0), rg - cr * cg / cc, max(gg - cg * cg / cc, 0.0)
+    a, b, c = folded(rr, 0.0) - cr1 * cr1 / c2, folded(rg, 0.0) - cr1 * cg1 / c2, folded(gg, 0.0) - cg1 * cg1 / c2
+    return max(a, 0.0), b, max(c, 0.0)
 
 
 @njit(cache=True, error_model="numpy")
@@ -87,11 +92,11 @@ def lowest(a, b, c, low, high):
 
 
 @njit(cache=True, error_model="numpy")
-def together(blocks, log_mu, high):
+def together(blocks, lobes, log_mu, high):
     """Return the least sum of squares of several texels with one β and this μ, and the β."""
     a, b, c = 0.0, 0.0, 0.0
     for m in range(blocks.shape[0]):
-        one = evaluate(blocks[m], log_mu)
+        one = evaluate(blocks[m], lobes, log_mu)
         a += one[0]
         b += one[1]
         c += one[2]
@@ -99,53 +104,51 @@ def together(blocks, log_mu, high):
 
 
 @njit(cache=True, error_model="numpy")
-def polish(blocks, left, right, high, steps):
+def polish(blocks, lobes, left, right, high, steps):
     """Return log μ, β and the sum of squares of the minimum in a bracket: golden section, then a parabola."""
     x1, x2 = right - _GOLDEN * (right - left), left + _GOLDEN * (right - left)
-    (f1, _), (f2, _) = together(blocks, x1, high), together(blocks, x2, high)
+    (f1, _), (f2, _) = together(blocks, lobes, x1, high), together(blocks, lobes, x2, high)
     for _ in range(steps):
         if f1 <= f2:
             right, x2, f2 = x2, x1, f1
             x1 = right - _GOLDEN * (right - left)
-            f1, _b = together(blocks, x1, high)
+            f1, _b = together(blocks, lobes, x1, high)
         else:
             left, x1, f1 = x1, x2, f2
             x2 = left + _GOLDEN * (right - left)
-            f2, _b = together(blocks, x2, high)
-    fl, _ = together(blocks, left, high)
+            f2, _b = together(blocks, lobes, x2, high)
+    fl, _ = together(blocks, lobes, left, high)
     slope, other = (f1 - fl) / (x1 - left), (f2 - f1) / (x2 - x1)
     bend = (other - slope) / (x2 - left)
     t = x1 if f1 <= f2 else x2
     if bend > 0.0:
         vertex = 0.5 * (left + x1 - slope / bend)
-        if left < vertex < right and together(blocks, vertex, high)[0] <= min(f1, f2):
+        if left < vertex < right and together(blocks, lobes, vertex, high)[0] <= min(f1, f2):
             t = vertex
-    value, beta = together(blocks, t, high)
+    value, beta = together(blocks, lobes, t, high)
     return t, beta, value
 
 
 @njit(cache=True, error_model="numpy")
 def _pack_chunk(problem, rules, own, nodes, packed, used, sums, first, last):
-    block, angles, _ = new_block(problem)
+    rows, lobes = new_rows(problem.response.shape[1]), problem.lobes
     for t in range(first, last):
-        n = problem.n[t if problem.n.size > 1 else 0]
-        pack_geometry(problem.geometry[t if problem.geometry.shape[0] > 1 else 0], n, problem.k, angles, block)
-        count, _lost, floor = load(problem.response[t], problem.weight[t], rules, block)
-        used[t] = count
-        count = telling(block, count)
-        if count <= 3 or not math.isfinite(own[t, 0]):
+        pack_texel(t, problem, rows)
+        count, floor = load_texel(t, problem, rules, rows)
+        used[t] = (rows[WEIGHT] > 0.0).sum()
+        if count <= judge.PARAMETERS or not math.isfinite(own[t, 0]):
             used[t] = 0
             continue
-        _weights(block, own[t, 0], own[t, 1], count, floor, rules, packed[t])
+        _weights(rows, lobes, own[t, 0], own[t, 1], count, floor, rules, packed[t])
         best = 0
         for i in range(nodes.size):
-            a, sums[t, 1, i], sums[t, 2, i] = evaluate(packed[t], nodes[i])
+            a, sums[t, 1, i], sums[t, 2, i] = evaluate(packed[t], lobes, nodes[i])
             sums[t, 0, i] = lowest(a, sums[t, 1, i], sums[t, 2, i], 0.0, rules.high_beta)[0]
             sums[t, 3, 0] = a
             if sums[t, 0, i] < sums[t, 0, best]:
                 best = i
         left, right = nodes[min(best + 1, nodes.size - 1)], nodes[max(best - 1, 0)]
-        sums[t, 3, 2], _b, sums[t, 3, 1] = polish(packed[t : t + 1], left, right, rules.high_beta, 10)
+        sums[t, 3, 2], _b, sums[t, 3, 1] = polish(packed[t : t + 1], lobes, left, right, rules.high_beta, 10)
 
 
 @njit(cache=True, parallel=True, nogil=True)
@@ -172,33 +175,40 @@ def pack(problem, rules, own, nodes, packed, used, sums):
         _pack_chunk(problem, rules, own, nodes, packed, used, sums, chunk * _CHUNK, min(texels, (chunk + 1) * _CHUNK))
 
 
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _gloss_of(block, lobes, constant, j):
+    """Return the gloss of an observation for β = 1, its slope along log μ, and along φ, squared and over its square."""
+    f0, f1, f2 = block[_F0, j], block[_F1, j], block[_F2, j]
+    value, slope, _ = lobe_kernels.derivatives(lobes, constant, f0, f1, f2)
+    return block[_G, j] * value, block[_G, j] * slope, lobe_kernels.flank(lobes, constant, f0, f1, f2)[1]
+
+
 @njit(cache=True, error_model="numpy")
-def own_alpha(block, beta, log_mu, low, high):
+def own_alpha(block, lobes, beta, log_mu, low, high):
     """Return a texel's α for given gloss and, along β and log μ, its slopes; then Σ w c²."""
-    factor = -math.exp(-2.0 * log_mu)
+    constant = lobe_kernels.constants(lobes, log_mu)
     cc, cr, cg, cs = 0.0, 0.0, 0.0, 0.0
     for j in range(block.shape[1]):
-        x = block[_Q, j] * factor
         wc = block[_W, j] * block[_C, j]
-        g = block[_G, j] * exp_negative(x)
+        g, slope, _ = _gloss_of(block, lobes, constant, j)
         cc += wc * block[_C, j]
         cr += wc * block[_R, j]
         cg += wc * g
-        cs += wc * (-2.0 * beta * x * g)
+        cs += wc * beta * slope
     return min(max((cr - beta * cg) / cc, low), high), -cg / cc, -cs / cc, cc
 
 
 @njit(cache=True, error_model="numpy")
-def spread_by_pose(blocks, beta, log_mu, rules):
+def spread_by_pose(blocks, lobes, beta, log_mu, rules):
     """Lower the weights by the variance that an error of the pose gives an observation of this gloss."""
-    factor = -math.exp(-2.0 * log_mu)
+    constant = lobe_kernels.constants(lobes, log_mu)
     for m in range(blocks.shape[0]):
         block = blocks[m]
-        alpha = own_alpha(block, beta, log_mu, rules.low_alpha, rules.high_alpha)[0]
+        alpha = own_alpha(block, lobes, beta, log_mu, rules.low_alpha, rules.high_alpha)[0]
         for j in range(block.shape[1]):
-            g = beta * factor * block[_G, j] * exp_negative(block[_Q, j] * factor)
+            g, _, steepness = _gloss_of(block, lobes, constant, j)
             # As in `irodori.fitting.judge`: θ_i is off by one error, φ by 1/√2 of it.
-            pose = 2.0 * block[_Q, j] * g * g + alpha * alpha * (1.0 - block[_C, j] ** 2)
+            pose = 0.5 * steepness * (beta * g) ** 2 + alpha * alpha * (1.0 - block[_C, j] ** 2)
             block[_W, j] /= 1.0 + block[_W, j] * rules.pose_variance * pose
 
 
@@ -210,25 +220,26 @@ def _add(matrix, x, y, weight):
 
 
 @njit(cache=True, error_model="numpy")
-def covariance(blocks, beta, log_mu, rules, excess):
+def covariance(blocks, lobes, beta, log_mu, rules, excess):
     """Return the covariance of (β, log μ) as three numbers; infinite where they are not determined.
 
     Noise is independent from observation to observation. Drift of the light and errors of the pose are those of a
     photograph: all texels share them, and averaging over texels does not lower them.
     """
-    factor = -math.exp(-2.0 * log_mu)
+    constant = lobe_kernels.constants(lobes, log_mu)
     normal, middle = np.zeros(3), np.zeros(3)
     common = np.zeros((blocks.shape[2], 3, 2))
     for m in range(blocks.shape[0]):
         block = blocks[m]
-        alpha, by_beta, by_mu, _ = own_alpha(block, beta, log_mu, rules.low_alpha, rules.high_alpha)
+        alpha, by_beta, by_mu, _ = own_alpha(block, lobes, beta, log_mu, rules.low_alpha, rules.high_alpha)
         for j in range(block.shape[1]):
-            c, w, x = block[_C, j], block[_W, j], block[_Q, j] * factor
-            g = block[_G, j] * exp_negative(x)
-            jb, jt = g + c * by_beta, -2.0 * beta * x * g + c * by_mu
+            c, w = block[_C, j], block[_W, j]
+            g, slope, steepness = _gloss_of(block, lobes, constant, j)
+            jb, jt = g + c * by_beta, beta * slope + c * by_mu
             _add(normal, jb, jt, w)
             light = rules.model_error * (alpha * c + beta * g)
-            flank = math.sqrt(2.0 * rules.pose_variance * block[_Q, j]) * beta * factor * g
+            # Below the peak a lobe falls with φ: the same error of a photograph moves all texels one way.
+            flank = -math.sqrt(0.5 * rules.pose_variance * steepness) * beta * g
             tilt = math.sqrt(rules.pose_variance * max(1.0 - c * c, 0.0)) * alpha
             for i, size in enumerate((light, flank, tilt)):
                 common[j, i, 0] += w * size * jb
@@ -249,13 +260,13 @@ def covariance(blocks, beta, log_mu, rules, excess):
 
 
 @njit(cache=True, error_model="numpy")
-def residual(block, alpha, beta, log_mu):
+def residual(block, lobes, alpha, beta, log_mu):
     """Return Σ w r², Σ w ρ² and Σ w of a texel."""
-    factor = -math.exp(-2.0 * log_mu)
+    constant = lobe_kernels.constants(lobes, log_mu)
     squares, power, total = 0.0, 0.0, 0.0
     for j in range(block.shape[1]):
         w, r = block[_W, j], block[_R, j]
-        off = alpha * block[_C, j] + beta * block[_G, j] * exp_negative(block[_Q, j] * factor) - r
+        off = alpha * block[_C, j] + beta * _gloss_of(block, lobes, constant, j)[0] - r
         squares += w * off * off
         power += w * r * r
         total += w
@@ -263,11 +274,13 @@ def residual(block, alpha, beta, log_mu):
 
 
 @njit(cache=True, error_model="numpy")
-def top_is_seen(blocks, log_mu):
-    """Return whether an observation with weight lies where the lobe is above exp(-2) of its peak."""
-    limit = 2.0 * math.exp(2.0 * log_mu)
+def top_is_seen(blocks, lobes, log_mu):
+    """Return whether an observation with weight lies where the lobe is high."""
+    constant = lobe_kernels.constants(lobes, log_mu)
     for m in range(blocks.shape[0]):
-        for j in range(blocks.shape[2]):
-            if blocks[m, _W, j] > 0.0 and blocks[m, _G, j] > 0.0 and blocks[m, _Q, j] <= limit:
+        block = blocks[m]
+        for j in range(block.shape[1]):
+            share = lobe_kernels.flank(lobes, constant, block[_F0, j], block[_F1, j], block[_F2, j])[0]
+            if block[_W, j] > 0.0 and block[_G, j] > 0.0 and share >= judge.SEEN:
                 return True
     return False

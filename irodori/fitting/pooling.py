@@ -61,7 +61,7 @@ def _valley(members, count, sums, nodes):
 
 
 @njit(cache=True, error_model="numpy")
-def _agree(t, k, packed, sums, nodes, high):
+def _agree(t, k, lobes, packed, sums, nodes, high):
     """Return whether one gloss explains two texels nearly as well as a gloss each."""
     apart = sums[t, 3, 1] + sums[k, 3, 1] + _PAIR_FOREIGN
     a = sums[t, 3, 0] + sums[k, 3, 0]
@@ -73,12 +73,12 @@ def _agree(t, k, packed, sums, nodes, high):
         if value < least:
             best, least = i, value
     pair = np.stack((packed[t], packed[k]))
-    _t, _b, value = polish(pair, nodes[min(best + 1, nodes.size - 1)], nodes[max(best - 1, 0)], high, 8)
+    _t, _b, value = polish(pair, lobes, nodes[min(best + 1, nodes.size - 1)], nodes[max(best - 1, 0)], high, 8)
     return value <= apart
 
 
 @njit(cache=True, error_model="numpy")
-def _around(t, radius, width, rows, used, packed, sums, nodes, high, members, distance):
+def _around(t, radius, width, rows, lobes, used, packed, sums, nodes, high, members, distance):
     """Fill the texel and those around it that agree with it, nearest to farthest not sorted; return their count."""
     members[0], distance[0], count = t, 0, 1
     row, column = t // width, t % width
@@ -87,54 +87,54 @@ def _around(t, radius, width, rows, used, packed, sums, nodes, high, members, di
             k, square = y * width + x, (y - row) ** 2 + (x - column) ** 2
             if k == t or square > radius * radius or used[k] == 0:
                 continue
-            if _agree(t, k, packed, sums, nodes, high):
+            if _agree(t, k, lobes, packed, sums, nodes, high):
                 members[count], distance[count] = k, square
                 count += 1
     return count
 
 
 @njit(cache=True, error_model="numpy")
-def _misfit(block, own_log_mu, beta, log_mu, high):
+def _misfit(block, lobes, own_log_mu, beta, log_mu, high):
     """Return by how much χ² of a texel exceeds its own least with the pool's gloss."""
-    a, b, c = evaluate(block, own_log_mu)
+    a, b, c = evaluate(block, lobes, own_log_mu)
     own, _ = lowest(a, b, c, 0.0, high)
-    a, b, c = evaluate(block, log_mu)
+    a, b, c = evaluate(block, lobes, log_mu)
     return a + beta * (beta * c - 2.0 * b) - own
 
 
 @njit(cache=True, error_model="numpy")
-def _fit_members(members, packed, sums, nodes, rules):
+def _fit_members(members, lobes, packed, sums, nodes, rules):
     """Return the members' blocks with weights that know the pose error, log μ, β and the sum of squares."""
     best, _ = _valley(members, members.size, sums, nodes)
     left, right = nodes[min(best + 1, nodes.size - 1)], nodes[max(best - 1, 0)]
     blocks = packed[members]
-    log_mu, beta, value = polish(blocks, left, right, rules.high_beta, 6)
-    pool_sums.spread_by_pose(blocks, beta, log_mu, rules)
+    log_mu, beta, value = polish(blocks, lobes, left, right, rules.high_beta, 6)
+    pool_sums.spread_by_pose(blocks, lobes, beta, log_mu, rules)
     low, high = nodes[nodes.size - 1], nodes[0]
     left, right = max(min(left, log_mu - 0.2), low), min(max(right, log_mu + 0.2), high)
-    log_mu, beta, value = polish(blocks, left, right, rules.high_beta, _POLISH)
+    log_mu, beta, value = polish(blocks, lobes, left, right, rules.high_beta, _POLISH)
     return blocks, log_mu, beta, value
 
 
 @njit(cache=True, error_model="numpy")
-def _sift(members, blocks, log_mu, beta, sums, excess, high):
+def _sift(members, lobes, blocks, log_mu, beta, sums, excess, high):
     """Return to which members the gloss is foreign, whether to too many, how many see it, and the first's misfit."""
     foreign = np.zeros(members.size, dtype=np.bool_)
     wrong, able = 0, 0
     first = 0.0
     for m in range(members.size):
-        off = _misfit(blocks[m], sums[members[m], 3, 2], beta, log_mu, high) / excess
+        off = _misfit(blocks[m], lobes, sums[members[m], 3, 2], beta, log_mu, high) / excess
         foreign[m] = off > _FOREIGN
         wrong += foreign[m]
         # Only a texel that would see this gloss can object to it.
-        able += foreign[m] or beta * beta * evaluate(blocks[m], log_mu)[2] > _FOREIGN
+        able += foreign[m] or beta * beta * evaluate(blocks[m], lobes, log_mu)[2] > _FOREIGN
         if m == 0:
             first = off
     return foreign, wrong > max(1.0, _FOREIGN_SHARE * able), able - wrong, first
 
 
 @njit(cache=True, error_model="numpy")
-def _conclude(members, blocks, log_mu, beta, value, used, nodes, rules, block, row):
+def _conclude(members, lobes, blocks, log_mu, beta, value, used, nodes, rules, block, row):
     """Fill the outcome of a pool that agrees with itself, if it determines the gloss; return whether it does."""
     observations = 0
     for m in range(members.size):
@@ -142,16 +142,17 @@ def _conclude(members, blocks, log_mu, beta, value, used, nodes, rules, block, r
     excess = max(value / max(observations - members.size - 2, 1), 1.0)
     without = 0.0
     for m in range(members.size):
-        without += evaluate(blocks[m], log_mu)[0]
+        without += evaluate(blocks[m], lobes, log_mu)[0]
     if not (without - value) / excess > 2.0 * math.log(observations):  # Schwarz's criterion for β and μ
         return False
     inside = nodes[nodes.size - 1] + 1e-4 < log_mu < nodes[0] - 1e-4 and beta < rules.high_beta * (1.0 - 1e-6)
-    bb, bt, tt = pool_sums.covariance(blocks, beta, log_mu, rules, excess)
-    if not (inside and math.sqrt(bb) < _BETA * beta and math.sqrt(tt) < _MU and pool_sums.top_is_seen(blocks, log_mu)):
+    bb, bt, tt = pool_sums.covariance(blocks, lobes, beta, log_mu, rules, excess)
+    told = math.sqrt(bb) < _BETA * beta and math.sqrt(tt) < _MU
+    if not (inside and told and pool_sums.top_is_seen(blocks, lobes, log_mu)):
         return False
-    alpha, by_beta, by_mu, cc = pool_sums.own_alpha(blocks[0], beta, log_mu, rules.low_alpha, rules.high_alpha)
+    alpha, by_beta, by_mu, cc = pool_sums.own_alpha(blocks[0], lobes, beta, log_mu, rules.low_alpha, rules.high_alpha)
     variance = excess / cc + by_beta * by_beta * bb + 2.0 * by_beta * by_mu * bt + by_mu * by_mu * tt
-    squares, power, total = pool_sums.residual(block, alpha, beta, log_mu)
+    squares, power, total = pool_sums.residual(block, lobes, alpha, beta, log_mu)
     row[_ALPHA], row[_BETA_OUT], row[_LOG_MU] = alpha, beta, log_mu
     row[_ALPHA_ERROR] = math.sqrt(variance + (rules.model_error * alpha) ** 2)
     row[_BETA_ERROR], row[_LOG_MU_ERROR] = math.sqrt(bb), math.sqrt(tt)
@@ -197,12 +198,12 @@ def _widen(t, radius, width, rows, own, row):
 
 
 @njit(cache=True, error_model="numpy")
-def _pool_texel(t, radius, width, rows, status, own, packed, used, sums, nodes, rules, row):
+def _pool_texel(t, radius, width, rows, lobes, status, own, packed, used, sums, nodes, rules, row):
     """Fill the outcome of one texel in need; leave it as it is where the neighbourhood says nothing."""
     size, reach = (2 * radius + 1) ** 2, radius
     members, distance = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
     high = rules.high_beta
-    count = _around(t, radius, width, rows, used, packed, sums, nodes, high, members, distance)
+    count = _around(t, radius, width, rows, lobes, used, packed, sums, nodes, high, members, distance)
     while radius > 0 and count > 1:
         kept = 0
         for m in range(count):
@@ -214,28 +215,28 @@ def _pool_texel(t, radius, width, rows, status, own, packed, used, sums, nodes, 
         if not _PROMISING * _valley(chosen, count, sums, nodes)[1] > 2.0 * math.log(used[chosen].sum()):
             radius -= max(1, radius // 3)
             continue
-        blocks, log_mu, beta, value = _fit_members(chosen, packed, sums, nodes, rules)
+        blocks, log_mu, beta, value = _fit_members(chosen, lobes, packed, sums, nodes, rules)
         excess = max(value / max(used[chosen].sum() - count - 2, 1), 1.0)
-        foreign, mixed, witnesses, off = _sift(chosen, blocks, log_mu, beta, sums, excess, high)
+        foreign, mixed, witnesses, off = _sift(chosen, lobes, blocks, log_mu, beta, sums, excess, high)
         limit = _SILENT if status[t] == _DIFFUSE_ONLY else _FOREIGN
         if not mixed and not foreign[0]:
             if foreign.any():
                 chosen = chosen[~foreign]
-                blocks, log_mu, beta, value = _fit_members(chosen, packed, sums, nodes, rules)
-                off = _misfit(blocks[0], sums[t, 3, 2], beta, log_mu, high) / excess
+                blocks, log_mu, beta, value = _fit_members(chosen, lobes, packed, sums, nodes, rules)
+                off = _misfit(blocks[0], lobes, sums[t, 3, 2], beta, log_mu, high) / excess
             able = off <= limit and witnesses >= _WITNESSES
-            if able and _conclude(chosen, blocks, log_mu, beta, value, used, nodes, rules, packed[t], row):
+            if able and _conclude(chosen, lobes, blocks, log_mu, beta, value, used, nodes, rules, packed[t], row):
                 _widen(t, 2 * reach, width, rows, own, row)
             return
         radius -= max(1, radius // 3)
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def _pool_all(targets, radius, width, status, own, packed, used, sums, nodes, rules, out):
+def _pool_all(targets, radius, width, lobes, status, own, packed, used, sums, nodes, rules, out):
     rows = status.size // width
     for i in numba.prange(targets.size):
         t = targets[i]
-        _pool_texel(t, radius, width, rows, status, own, packed, used, sums, nodes, rules, out[t])
+        _pool_texel(t, radius, width, rows, lobes, status, own, packed, used, sums, nodes, rules, out[t])
 
 
 def pool(result: FitResult, response, geometry, weight, n, k, options: FitOptions, noise, width: int) -> FitResult:
@@ -286,7 +287,7 @@ def pool(result: FitResult, response, geometry, weight, n, k, options: FitOption
     targets = np.flatnonzero(in_need & (used > 0))
     known = _own_gloss(result)
     radius = options.pooling_radius_texels
-    _pool_all(targets, radius, width, result.status, known, packed, used, sums, nodes, rules, out)
+    _pool_all(targets, radius, width, problem.lobes, result.status, known, packed, used, sums, nodes, rules, out)
     return _merge(result, out)
 
 

@@ -12,12 +12,12 @@ _ALPHA, _BETA, _MU, _ALPHA_ERROR, _BETA_ERROR, _MU_ERROR, _RMS, _RELATIVE = rang
 _NAMES = (
     "alpha", "beta", "mu", "alpha_error", "beta_error", "mu_error", "residual_rms", "relative_residual",
 )  # fmt: skip
-_CHUNK = 16384  # texels that a thread states before it asks for more
+_CHUNK = 16384  # texels that a thread reports before it asks for more
 _IS_OK, _AT_BOUND = int(judge.Status.OK), int(judge.Status.AT_BOUND)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _state_some(out, stated, gloss, first, last):
+def _report_some(out, stated, gloss, first, last):
     """Fill what a fit states of some texels: NaN where a parameter is not determined."""
     for t in range(first, last):
         status, model, nan = out.status[t], out.model[t], np.nan
@@ -38,12 +38,12 @@ def _state_some(out, stated, gloss, first, last):
         gloss[t, 0], gloss[t, 1] = out.table[t, judge.BETA] if glossy else 0.0, mu if glossy else 1.0
 
 
-def state(out: Output) -> tuple[dict[str, np.ndarray], np.ndarray]:
+def report_parameters(out: Output) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return parameters, errors and residuals by name, (texels,) each, and the best β and μ, (texels, 2).
 
     Names and meaning are those of `irodori.fitting.solvers.FitResult`.
     """
     count = len(out.status)
     stated, gloss = np.empty((len(_NAMES), count)), np.empty((count, 2))
-    run_chunks(_state_some, count, _CHUNK, out, stated, gloss)
+    run_chunks(_report_some, count, _CHUNK, out, stated, gloss)
     return dict(zip(_NAMES, stated, strict=True)), gloss

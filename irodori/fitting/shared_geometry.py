@@ -7,11 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.fitting.texel_rows import GLOSS, LEAST_LOBE, SQUARE, WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE
-from irodori.jit.native import aligned, njit, vector_times_table
+from irodori.fitting.texel_rows import F0, F1, F2, GLOSS, WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE, item
+from irodori.fitting.varpro import CG, CG1, GG, GG1, LEAST_LOBE, RG, RG1
+from irodori.jit.lanes import COUNT, lanes_times_tables
+from irodori.jit.native import aligned, njit, uncounted, vector_times_table
+from irodori.reflection import lobes as lobe_kernels
 
 WIDTH = 24  # nodes that are summed together
+GROUP = 6  # nodes that are summed together for eight texels
 _times_nodes = vector_times_table(WIDTH, 2)
+_eight_times_nodes = lanes_times_tables(GROUP)
 
 
 class Shared(NamedTuple):
@@ -39,23 +44,33 @@ def _table(values: np.ndarray) -> np.ndarray:
     return out
 
 
-def tabulate(block: np.ndarray, nodes: np.ndarray) -> Shared:
+@njit(cache=True, error_model="numpy")
+def _at_nodes(rows, lobes, nodes, out):
+    for i in range(nodes.size):
+        constant = lobe_kernels.constants(lobes, nodes[i])
+        for j in range(rows.shape[1]):
+            f0, f1, f2 = item(rows, F0, j, 0.0), item(rows, F1, j, 0.0), item(rows, F2, j, 0.0)
+            value, slope, _ = lobe_kernels.derivatives(lobes, constant, f0, f1, f2)
+            g, g1 = rows[GLOSS, j] * value, rows[GLOSS, j] * slope
+            out[0, j, i], out[1, j, i], out[2, j, i], out[3, j, i] = g, g1, g * g, 2.0 * g * g1
+
+
+def tabulate(rows: np.ndarray, lobes, nodes: np.ndarray) -> Shared:
     """Return the tables of one geometry.
 
     Parameters
     ----------
-    block : (ROWS, P) float64
-        Of which F G / cosθ_r and φ² are read.
+    rows : (ROWS, P) float64
+        Of which the gloss and its features are read.
+    lobes : Lobes
+        One lobe.
     nodes : (nodes,) float64
         log μ, falling.
     """
-    gloss, square = block[GLOSS], block[SQUARE]
-    x = square[:, None] * np.exp(-2.0 * nodes)
-    g = gloss[:, None] * np.exp(-x)
     width = padded_nodes(nodes.size)
-    at_nodes = np.zeros((4, square.size, width))
-    at_nodes[..., : nodes.size] = g, 2.0 * x * g, g * g, 4.0 * x * g * g
-    at_nodes = at_nodes.reshape(4, square.size, width // WIDTH, WIDTH).transpose(0, 2, 1, 3)
+    at_nodes = np.zeros((4, rows.shape[1], width))
+    _at_nodes(rows, lobes, nodes, at_nodes)
+    at_nodes = at_nodes.reshape(4, rows.shape[1], width // WIDTH, WIDTH).transpose(0, 2, 1, 3)
     return Shared(_table(at_nodes))
 
 
@@ -65,20 +80,38 @@ def padded_nodes(nodes):
     return (nodes + WIDTH - 1) // WIDTH * WIDTH
 
 
-@njit(cache=True)
-def _node_sums(shared, kind, block, row, sums, into):
+@uncounted()
+def _node_sums(shared, kind, rows, row, sums, into):
     blocks, size = shared.nodes.shape[1], shared.nodes.shape[2] * WIDTH
     for b in range(blocks):
-        _times_nodes(block, row, shared.nodes, (kind * blocks + b) * size, sums, into * sums.shape[1] + b * WIDTH)
+        _times_nodes(rows, row, shared.nodes, (kind * blocks + b) * size, sums, into * sums.shape[1] + b * WIDTH)
 
 
-@njit(cache=True, error_model="numpy")
-def scan_shared(block, shared, sums, changed):
-    """Fill the sums of all nodes; those without the response stay as they are unless ``changed``."""
-    _node_sums(shared, 0, block, WEIGHTED_RESPONSE, sums, 1)
-    _node_sums(shared, 1, block, WEIGHTED_RESPONSE, sums, 4)
+@uncounted(error_model="numpy")
+def scan_shared(rows, shared, sums, changed):
+    """Fill a texel's sums of all nodes; those without the response stay as they are unless ``changed``."""
+    _node_sums(shared, 0, rows, WEIGHTED_RESPONSE, sums, RG)
+    _node_sums(shared, 1, rows, WEIGHTED_RESPONSE, sums, RG1)
     if changed:
-        _node_sums(shared, 0, block, WEIGHTED_COSINE, sums, 0)
-        _node_sums(shared, 1, block, WEIGHTED_COSINE, sums, 3)
-        _node_sums(shared, 2, block, WEIGHT, sums, 2)
-        _node_sums(shared, 3, block, WEIGHT, sums, 5)
+        _node_sums(shared, 0, rows, WEIGHTED_COSINE, sums, CG)
+        _node_sums(shared, 1, rows, WEIGHTED_COSINE, sums, CG1)
+        _node_sums(shared, 2, rows, WEIGHT, sums, GG)
+        _node_sums(shared, 3, rows, WEIGHT, sums, GG1)
+
+
+@uncounted()
+def scan_shared_eight(rows, shared, sums, changed):
+    """Fill the sums of all nodes of eight texels; those without the response stay as they are unless ``changed``."""
+    blocks, height, captures = shared.nodes.shape[1], shared.nodes.shape[2], rows.shape[1] // COUNT
+    table, row, step = height * WIDTH, rows.shape[1], sums.shape[1]
+    flat = blocks * table
+    for group in range(step // (GROUP * COUNT)):
+        into = group * GROUP * COUNT
+        kind = group * GROUP // WIDTH * table + group * GROUP % WIDTH
+        _eight_times_nodes(rows, WEIGHTED_RESPONSE * row, captures, shared.nodes, kind, kind + flat, WIDTH,
+                           sums, into + RG * step, (RG1 - RG) * step)  # fmt: skip
+        if changed:
+            _eight_times_nodes(rows, WEIGHTED_COSINE * row, captures, shared.nodes, kind, kind + flat, WIDTH,
+                               sums, into + CG * step, (CG1 - CG) * step)  # fmt: skip
+            _eight_times_nodes(rows, WEIGHT * row, captures, shared.nodes, kind + 2 * flat, kind + 3 * flat, WIDTH,
+                               sums, into + GG * step, (GG1 - GG) * step)  # fmt: skip

@@ -3,21 +3,26 @@
 import ctypes
 import math
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from functools import lru_cache
 
 import nlopt
 import numpy as np
 
-from irodori.fitting import judge, nlopt_loop, texels
+from irodori.fitting import judge, nlopt_loop, texels, two_lobes
 from irodori.fitting.index_errors import index_errors
 from irodori.fitting.index_search import fit_index
 from irodori.fitting.observations import Rules, camera_noise, pose_variance
-from irodori.fitting.reported_parameters import state
+from irodori.fitting.reported_parameters import report_parameters
+from irodori.fitting.texel_rows import COSINE, LOBE, LOBE_SLOPE, RESPONSE, WEIGHT
 from irodori.fitting.varpro import NODE_STEP
+from irodori.reflection.lobes import Lobes
+from irodori.reflection.registry import names
 
 # NLopt's fastest bounded algorithm of those that reach the minimum on noisy texels, and where it stops.
 _ALGORITHM, _XTOL_REL, _MAX_EVALUATIONS = nlopt.LD_LBFGS, 1e-8, 400
 MAX_POOLING_RADIUS_TEXELS = 8
+MAX_LOBES = 2
 _SETTINGS = ("objective", "algorithm", "xtol_rel", "max_evaluations")
 _BOUNDS = {"alpha": (0.0, 2.0), "beta": (0.0, 1e4), "mu_rad": (0.005, 1.2), "n": (1.2, 2.5)}
 _CHOICES = {"weights": ("noise", "equal"), "refractive_index": ("fixed", "fitted"), "scan_per_octave": (2, 4)}
@@ -49,6 +54,8 @@ class FitOptions:
         `irodori.fitting.pooling`; 0 for none. `fit` itself knows no neighbours.
     bounds : dict
         ``alpha``, ``beta``, ``mu_rad``, ``n``: lower and upper bound.
+    lobes : tuple of str
+        Lobes of the gloss, one or two, see `irodori.reflection.registry`; the bounds of μ are in the unit of each.
     """
 
     solver: str = "varpro"
@@ -60,6 +67,7 @@ class FitOptions:
     refractive_index: str = "fixed"
     pooling_radius_texels: int = 0
     bounds: dict | None = None
+    lobes: tuple[str, ...] = ("gaussian",)
 
     def __post_init__(self):
         if self.solver not in SOLVERS:
@@ -67,6 +75,7 @@ class FitOptions:
         for name, accepted in _CHOICES.items():
             if getattr(self, name) not in accepted:
                 raise ValueError(f"fit.{name} {getattr(self, name)!r}; accepted: {', '.join(map(str, accepted))}")
+        self._check_lobes()
         if not 0 <= self.pooling_radius_texels <= MAX_POOLING_RADIUS_TEXELS:
             found = f"fit.pooling_radius_texels {self.pooling_radius_texels}"
             raise ValueError(f"{found}; accepted: 0 to {MAX_POOLING_RADIUS_TEXELS}")
@@ -74,6 +83,17 @@ class FitOptions:
             low, high = self.limits(name)
             if not low < high * (0.99 if name == "mu_rad" else 1.0) < np.inf:
                 raise ValueError(f"fit.bounds {name} of {low:g} to {high:g}; accepted: a range, lower bound first")
+
+    def _check_lobes(self) -> None:
+        check_lobes(self.lobes)
+        if len(self.lobes) == 1:
+            return
+        for name, value, accepted in (
+            ("solver", self.solver, "varpro"), ("refractive_index", self.refractive_index, "fixed"),
+            ("pooling_radius_texels", self.pooling_radius_texels, 0), ("huber", self.huber, None),
+        ):  # fmt: skip
+            if value != accepted:
+                raise ValueError(f"fit.{name} {value!r} of an object with two lobes; accepted: {accepted!r}")
 
     def limits(self, name: str) -> tuple[float, float]:
         """Return lower and upper bound of a parameter."""
@@ -107,12 +127,18 @@ class FitResult:
     evaluations : (n,) int32, of the objective
     nlopt_result : (n,) int8, NLopt's return code, 0 where it was not called
     gloss : (n, 2) float64
-        β and μ that explain the observations best, determined or not; β is 0 where gloss explains nothing.
+        β and μ that explain the observations best, determined or not; β is 0 where gloss explains nothing. Of two lobes
+        (n, 4), the second's after the first's.
     index, index_error : (n,) float64
         Real refractive index and its standard error; NaN where it was fitted and is not determined. The error is NaN
         where the index was given.
     pooled_from : (n,) int32
         Texels that the gloss comes from where the status is POOLED, else 0.
+    lobes : tuple of str
+        Lobe of each component.
+    beta_2, mu_2, beta_2_error, mu_2_error : (n,) float64
+        Of the second component; None where there is one lobe. Where the data calls for one component, the weight of
+        the other is 0 and its roughness NaN.
     """
 
     alpha: np.ndarray
@@ -131,6 +157,27 @@ class FitResult:
     index: np.ndarray
     index_error: np.ndarray
     pooled_from: np.ndarray
+    lobes: tuple[str, ...] = ("gaussian",)
+    beta_2: np.ndarray | None = None
+    mu_2: np.ndarray | None = None
+    beta_2_error: np.ndarray | None = None
+    mu_2_error: np.ndarray | None = None
+
+
+def check_lobes(lobes) -> None:
+    """Check the names of an object's lobes.
+
+    Raises
+    ------
+    ValueError
+        For none or more than two, and for an unknown name, with the nearest one.
+    """
+    if not 1 <= len(lobes) <= MAX_LOBES:
+        raise ValueError(f"{len(lobes)} lobes; accepted: 1 to {MAX_LOBES}")
+    for name in lobes:
+        if name not in names():
+            near = get_close_matches(str(name), names(), 1, 0.0)[0]
+            raise ValueError(f"lobe {name!r}; did you mean {near!r}? Accepted: {', '.join(names())}")
 
 
 @lru_cache(maxsize=1)
@@ -159,7 +206,7 @@ def _solve_varpro(problem: texels.Problem, rules: Rules, options: FitOptions) ->
 def _solve_nlopt(problem: texels.Problem, rules: Rules, options: FitOptions) -> texels.Output:
     library = nlopt_loop.Nlopt(
         **_addresses(),
-        objective=nlopt_loop.nlopt_objective.address,
+        objective=nlopt_loop.nlopt_objective(problem.lobes).address,
         algorithm=_ALGORITHM,
         xtol_rel=_XTOL_REL,
         max_evaluations=_MAX_EVALUATIONS,
@@ -169,19 +216,19 @@ def _solve_nlopt(problem: texels.Problem, rules: Rules, options: FitOptions) -> 
     return out
 
 
-def _cost(rows, weight: np.ndarray, scale: np.ndarray, factor: float):
-    """Return the objective of one texel in NLopt's Python signature; rows are cosθ_i, F G / cosθ_r, φ², ρ."""
-    cosine, gloss, square, response = rows
+def _cost(rows: np.ndarray, lobes, scale: np.ndarray, factor: float):
+    """Return the objective of one texel in NLopt's Python signature; the unknowns are those over their scale."""
+    cosine, response, weight = rows[COSINE], rows[RESPONSE], rows[WEIGHT]
+    lobe, slope = rows[LOBE], rows[LOBE_SLOPE]
 
     def cost(x, gradient):
-        ratio2 = square * np.exp(-2.0 * x[2])
-        lobe = gloss * np.exp(-ratio2)
+        nlopt_loop.fill_lobe_and_slope(rows, lobes, x[2])
         residual = x[0] * scale[0] * cosine + x[1] * scale[1] * lobe - response
         if gradient.size:
             weighted = 2.0 * factor * weight * residual
             gradient[0] = scale[0] * weighted @ cosine
             gradient[1] = scale[1] * weighted @ lobe
-            gradient[2] = x[1] * scale[1] * weighted @ (lobe * 2.0 * ratio2)
+            gradient[2] = x[1] * scale[1] * weighted @ slope
         return factor * float(weight @ residual**2)
 
     return cost
@@ -190,19 +237,18 @@ def _cost(rows, weight: np.ndarray, scale: np.ndarray, factor: float):
 def _solve_reference(problem: texels.Problem, rules: Rules, options: FitOptions) -> texels.Output:
     """Fit with NLopt from Python: the yardstick for time and the witness for the compiled loops."""
     out = _empty_output(len(problem.response))
-    data, block, angles, sums = nlopt_loop.new_data(problem)
+    data, rows, sums = nlopt_loop.new_data(problem)
     low = np.array([rules.low_alpha, rules.low_beta, rules.low_log_mu])
     high = np.array([rules.high_alpha, rules.high_beta, rules.high_log_mu])
     for t in range(len(problem.response)):
-        used, lost, floor = nlopt_loop.load_own(t, problem, rules, block, angles)
+        used, floor = nlopt_loop.load_own(t, problem, rules, rows)
         if used <= judge.PARAMETERS:
-            texels.give_up(t, used, lost, problem, out)
+            texels.write_too_few(t, used, problem, rows, out)
             continue
-        fixed, *start, best = nlopt_loop.start_of(block, problem, rules, used, floor, sums)
-        nlopt_loop.set_scales(data, block, fixed[2], start[0], start[1])
+        fixed, *start, best = nlopt_loop.start_of(rows, problem, rules, used, floor, sums)
+        nlopt_loop.set_scales(data, rows, fixed[2], start[0], start[1])
         scale = np.append(data[1:3], 1.0)
-        kept = block[nlopt_loop.WEIGHT] > 0
-        cost = _cost(block[:4, kept], block[nlopt_loop.WEIGHT, kept], scale, data[3])
+        cost = _cost(rows, problem.lobes, scale, data[3])
         optimiser = nlopt.opt(_ALGORITHM, nlopt_loop.PARAMETERS)
         optimiser.set_lower_bounds(low / scale)
         optimiser.set_upper_bounds(high / scale)
@@ -219,7 +265,7 @@ def _solve_reference(problem: texels.Problem, rules: Rules, options: FitOptions)
             start = x * scale
         count = optimiser.get_numevals() + problem.nodes.size
         found = tuple(map(float, start))
-        nlopt_loop.finish(t, block, fixed, found, used, floor, count, problem, rules, sums, out)
+        nlopt_loop.finish(t, rows, fixed, found, used, floor, count, problem, rules, sums, out)
     return out
 
 
@@ -246,7 +292,7 @@ def problem_of(response, geometry, weight, n, k, options: FitOptions, noise, cli
     camera, known = camera_noise(noise, captures)
     problem = texels.Problem(
         response, weight, geometry, np.require(clipped, requirements="CW"), n, float(k), camera, nodes,
-        2.0 * np.exp(-2.0 * nodes), options.scan_per_octave // 2,
+        2.0 * np.exp(-2.0 * nodes), options.scan_per_octave // 2, Lobes((options.lobes[0],)),
     )  # fmt: skip
     rules = Rules(
         *options.limits("alpha"), *options.limits("beta"), float(nodes[-1]), float(nodes[0]), known,
@@ -296,6 +342,8 @@ def fit(
     options = options or FitOptions()
     problem, rules = problem_of(response, geometry, weight, n, k, options, noise, clipped)
     solve = SOLVERS[options.solver]
+    if len(options.lobes) > 1:
+        return _fit_two(problem, rules, options)
     if options.refractive_index == "fixed":
         return _result(solve(problem, rules, options), problem)
 
@@ -312,7 +360,7 @@ def fit(
 def _result(out: texels.Output, problem: texels.Problem) -> FitResult:
     """Return what the fit states."""
     count = len(out.status)
-    stated, gloss = state(out)
+    stated, gloss = report_parameters(out)
     return FitResult(
         **stated,
         status=out.status,
@@ -323,4 +371,55 @@ def _result(out: texels.Output, problem: texels.Problem) -> FitResult:
         index=np.broadcast_to(problem.n, out.status.shape).copy(),
         index_error=np.full(count, math.nan),
         pooled_from=np.zeros(count, dtype=np.int32),
+        lobes=problem.lobes.names,
+    )
+
+
+def _fit_two(problem: texels.Problem, rules: Rules, options: FitOptions) -> FitResult:
+    """Fit two components where the data calls for them, and one elsewhere."""
+    second = Lobes((options.lobes[1],))
+    one = _solve_varpro(problem, rules, options)
+    two = one if second == problem.lobes else _solve_varpro(problem._replace(lobes=second), rules, options)
+    found = two_lobes.fit_two(problem, second, rules, one, two)
+    first, other = _result(one, problem), _result(two, problem)
+    both, of_second = found.both == 1, found.second == 1
+    table = found.table
+    errors = table[:, two_lobes.ERRORS : two_lobes.ERRORS + two_lobes.PARAMETERS]
+    free = both & np.isin(found.status, [judge.Status.OK, judge.Status.MU_UNIDENTIFIABLE])
+
+    def stated(values, known):
+        return np.where(free & known, values, np.nan)
+
+    def chosen(name: str, values):
+        return np.where(both, values, np.where(of_second, getattr(other, name), getattr(first, name)))
+
+    known = [np.isfinite(errors[:, i]) for i in range(two_lobes.PARAMETERS)]
+    mu, mu_2 = np.exp(table[:, two_lobes.LOG_MU]), np.exp(table[:, two_lobes.LOG_MU_2])
+    sure = known[0] | (found.model == judge.GLOSS_ALONE)
+    alone = np.where(np.isfinite(first.beta), 0.0, np.nan)  # weight of a component that the other leaves nothing to
+    alone_2 = np.where(np.isfinite(other.beta), 0.0, np.nan)
+    power, squares = table[:, two_lobes.POWER], table[:, two_lobes.SQUARES]
+    nothing = np.tile([0.0, 1.0], (len(both), 1))
+    gloss = np.where(of_second[:, None], np.hstack([nothing, other.gloss]), np.hstack([first.gloss, nothing]))
+    pairs = np.column_stack([table[:, two_lobes.BETA], mu, table[:, two_lobes.BETA_2], mu_2])
+    edge = found.status == judge.Status.AT_BOUND
+    return replace(
+        first,
+        alpha=chosen("alpha", np.where(sure, table[:, two_lobes.ALPHA], np.nan)),
+        alpha_error=chosen("alpha_error", np.where(known[0] & ~edge, errors[:, 0], np.nan)),
+        beta=np.where(of_second, alone_2, np.where(both, stated(table[:, two_lobes.BETA], known[1]), first.beta)),
+        mu=np.where(of_second, np.nan, np.where(both, stated(mu, known[2]), first.mu)),
+        beta_error=np.where(of_second, np.nan, np.where(both, stated(errors[:, 1], known[1]), first.beta_error)),
+        mu_error=np.where(of_second, np.nan, np.where(both, stated(errors[:, 2] * mu, known[2]), first.mu_error)),
+        beta_2=np.where(of_second, other.beta, np.where(both, stated(table[:, two_lobes.BETA_2], known[3]), alone)),
+        mu_2=np.where(of_second, other.mu, stated(mu_2, known[4])),
+        beta_2_error=np.where(of_second, other.beta_error, stated(errors[:, 3], known[3])),
+        mu_2_error=np.where(of_second, other.mu_error, stated(errors[:, 4] * mu_2, known[4])),
+        residual_rms=chosen("residual_rms", np.sqrt(squares)),
+        relative_residual=chosen("relative_residual", np.sqrt(squares / np.where(power > 0.0, power, np.nan))),
+        status=chosen("status", found.status),
+        model=chosen("model", found.model),
+        evaluations=first.evaluations + (0 if two is one else other.evaluations) + found.evaluations,
+        gloss=np.where(both[:, None], pairs, gloss),
+        lobes=tuple(options.lobes),
     )

@@ -12,20 +12,10 @@ from irodori.core.progress import LOGGER
 from irodori.fitting.band_fresnel import BandGloss, band_gloss, uniform, varies
 from irodori.fitting.pooling import pool
 from irodori.fitting.solvers import FitOptions, FitResult, fit
-from irodori.fitting.texel_rows import (
-    COSINE,
-    FAST,
-    GLOSS,
-    LOBE,
-    ROWS,
-    SPOILED,
-    SQUARE,
-    exp_negative,
-    pack_geometry,
-    padded,
-)
+from irodori.fitting.texel_rows import COSINE, LOBE, SPOILED, fill_lobe, new_rows, pack_geometry
 from irodori.jit.native import njit
-from irodori.material.material_file import Status
+from irodori.material.material_file import Status, gloss_maps
+from irodori.reflection.lobes import Lobes
 
 GREEN = 1  # green without the filter, the band of equation (7)
 _RESPONSE_NOISE = 0.01  # where the camera's is not known
@@ -47,13 +37,6 @@ _AXES = {
 _CARRIED = {"rows": list, "width": int, "filters": list}
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _lobe(block, beta, mu):
-    """Fill the gloss of every observation of a texel."""
-    for j in range(block.shape[1]):
-        block[LOBE, j] = beta * block[GLOSS, j] * exp_negative(-block[SQUARE, j] / (mu * mu))
-
-
 @njit(cache=True, error_model="numpy")
 def _expected(noise, j, b, gloss, fitted, model_error):
     """Return the variance of an observation: of noise and light at the ``fitted`` response, else of an even camera."""
@@ -63,19 +46,19 @@ def _expected(noise, j, b, gloss, fitted, model_error):
 
 
 @njit(cache=True, error_model="numpy")
-def _combine_texel(response, weight, noise, model_error, theta_h, ratio, block, out, variance):
+def _combine_texel(response, weight, noise, model_error, theta_h, ratio, rows, fitted, out, variance):
     step = 0.5 * math.pi / (ratio.shape[1] - 1)
     for b in range(response.shape[1]):
         diffuse = np.nan  # not known in the first of two rounds
         for _ in range(2):
             top, bottom, spread = 0.0, 0.0, 0.0
             for j in range(response.shape[0]):
-                rho, cosine = response[j, b], block[COSINE, j]
-                if not weight[j] > 0.0 or not math.isfinite(rho) or block[SPOILED, j] != 0.0:
+                rho, cosine = response[j, b], rows[COSINE, j]
+                if not weight[j] > 0.0 or not math.isfinite(rho) or rows[SPOILED, j] != 0.0:
                     continue
                 place = min(max(theta_h[j] / step, 0.0), ratio.shape[1] - 1.0)
                 i = min(int(place), ratio.shape[1] - 2)
-                gloss = block[LOBE, j] * (ratio[b, i] + (place - i) * (ratio[b, i + 1] - ratio[b, i]))
+                gloss = fitted[j] * (ratio[b, i] + (place - i) * (ratio[b, i + 1] - ratio[b, i]))
                 expected = _expected(noise, j, b, gloss, diffuse * cosine + gloss, model_error)
                 w = weight[j] * cosine / expected
                 top += w * (rho - gloss)
@@ -87,21 +70,39 @@ def _combine_texel(response, weight, noise, model_error, theta_h, ratio, block, 
 
 
 @njit(cache=True, error_model="numpy")
-def _combine_chunk(response, geometry, weight, gloss, n, k, ratio, noise, model_error, out, variance, first, last):
-    p = padded(response.shape[1])
-    block, angles = np.zeros((ROWS, p)), np.zeros((4, p))
+def _add_gloss(rows, lobes, geometry, n, k, beta, mu, fitted):
+    """Add a component's gloss to that of every observation of a texel, and fill the rows of its geometry."""
+    pack_geometry(geometry, lobes, n, k, rows)
+    if beta > 0.0:
+        fill_lobe(rows, lobes, math.log(mu))
+        for j in range(fitted.size):
+            fitted[j] += beta * rows[LOBE, j]
+
+
+@njit(cache=True, error_model="numpy")
+def _combine_chunk(
+    lobes, response, geometry, weight, gloss, n, k, ratio, noise, model_error, out, variance, first, last
+):
+    rows = new_rows(response.shape[1])
+    fitted = np.empty(rows.shape[1])
     for t in range(first, last):
-        pack_geometry(geometry[t], n[t], k, angles, block)
-        _lobe(block, gloss[t, 0], gloss[t, 1])
-        _combine_texel(response[t], weight[t], noise, model_error, geometry[t, :, 2], ratio, block, out[t], variance[t])
+        fitted[:] = 0.0
+        _add_gloss(rows, lobes[0], geometry[t], n[t], k, gloss[t, 0], gloss[t, 1], fitted)
+        if gloss.shape[1] > 2 and gloss[t, 2] > 0.0:
+            _add_gloss(rows, lobes[1], geometry[t], n[t], k, gloss[t, 2], gloss[t, 3], fitted)
+        _combine_texel(
+            response[t], weight[t], noise, model_error, geometry[t, :, 2], ratio, rows, fitted, out[t], variance[t]
+        )
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def _combine(response, geometry, weight, gloss, n, k, ratio, noise, model_error, out, variance):
+def _combine(lobes, response, geometry, weight, gloss, n, k, ratio, noise, model_error, out, variance):
     texels = response.shape[0]
     for c in numba.prange((texels + _CHUNK - 1) // _CHUNK):
         first, last = c * _CHUNK, min(texels, (c + 1) * _CHUNK)
-        _combine_chunk(response, geometry, weight, gloss, n, k, ratio, noise, model_error, out, variance, first, last)
+        _combine_chunk(
+            lobes, response, geometry, weight, gloss, n, k, ratio, noise, model_error, out, variance, first, last
+        )
 
 
 def diffuse_response(
@@ -132,7 +133,9 @@ def diffuse_response(
     out, variance = np.empty((2, len(response), response.shape[2]))
     noise = np.ascontiguousarray(noise, dtype=np.float64)
     index = np.where(np.isfinite(result.index), result.index, fresnel.n)
+    alone = tuple(Lobes((name,)) for name in (result.lobes if len(result.lobes) > 1 else result.lobes * 2))
     _combine(
+        alone,
         response,
         geometry,
         weight,
@@ -179,13 +182,13 @@ def _fresnel(n, k, calibration, bands: int) -> BandGloss:
 
 def _maps(result: FitResult) -> dict[str, tuple]:
     """Return what a file keeps of a fit: name -> values, unit, quantity."""
-    return {
+    gloss = {}
+    for name, (unit, quantity) in gloss_maps(result.lobes).items():
+        gloss[name] = getattr(result, name), unit, quantity
+        gloss[f"{name}_error"] = getattr(result, f"{name}_error"), unit, f"standard error of {name}"
+    return gloss | {
         "alpha": (result.alpha, "1", "diffuse weight"),
-        "beta": (result.beta, "1", "gloss weight"),
-        "mu": (result.mu, "rad", "roughness"),
         "alpha_error": (result.alpha_error, "1", "standard error of alpha"),
-        "beta_error": (result.beta_error, "1", "standard error of beta"),
-        "mu_error": (result.mu_error, "rad", "standard error of mu"),
         "residual_rms": (result.residual_rms, "1", "root mean square residual in response"),
         "relative_residual": (result.relative_residual, "1", "residual over root mean square response"),
         "status": (result.status, "1", ", ".join(f"{s.value} {s.name.lower()}" for s in Status)),
@@ -212,7 +215,8 @@ def fit_brdf(observations, output, options: FitOptions, n, k, provenance: store.
 
     Notes
     -----
-    Datasets, one entry a texel: ``/alpha``, ``/beta``, ``/mu`` (rad), their ``*_error``, ``/residual_rms``,
+    Datasets, one entry a texel: ``/alpha``, ``/beta``, ``/mu`` (in the unit of the lobe), of a second lobe ``/beta_2``
+    and ``/mu_2``, their ``*_error``, ``/residual_rms``,
     ``/status`` (see `Status`), ``/model``, ``/pooled_from``, ``/evaluations``, ``/nlopt_result``, ``/refractive_index``
     and ``/refractive_index_error`` (NaN where the index was given), ``/diffuse_response`` (texel, bands) and
     ``/diffuse_variance``, what the camera's noise gives it; ``/texel``, 0 where the texture shows no surface.
@@ -249,7 +253,7 @@ def fit_brdf(observations, output, options: FitOptions, n, k, provenance: store.
         store.write_maps(out, maps, "texel,band")
         for name, value in carried.items():
             out.attribute(name, value)
-        out.attribute("lobes", ["gaussian"])
+        out.attribute("lobes", list(result.lobes))
         out.attribute("fit_seconds", seconds)
         out.attribute("pool_seconds", pool_seconds)
         out.attribute("texels_fitted", fitted)

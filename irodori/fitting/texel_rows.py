@@ -1,37 +1,140 @@
-"""Geometry factors of one texel's observations, in loops that vectorise.
+"""Rows of observations for compiled loops: those of one texel, or of eight texels side by side.
 
-numba calls the C library for `math.cos`, one number at a time. The polynomial here is exact to a few units in the last
-place, and a loop over observations that calls it is vectorised; `irodori.jit.exponential` does the same for `math.exp`.
-
-Rows of a texel's observations are padded to a multiple of `LANES` with observations of weight 0, so that no loop has
-a remainder; each step of the geometry is a loop of its own, because the compiler vectorises short ones.
+A row is a line of numbers that loops take eight at a time. Where the rows are one texel's, the eight are its
+observations, the last padded with observations of weight 0; where they are eight texels', one observation of each. A
+function that loops over rows is the same for both, for only what is summed over observations differs, and `folded` adds
+that up for one texel and leaves it alone for eight. Which of the two is meant is told by the type of an argument, often
+a parameter of the texel, else ``zero``: a number where rows are one texel's, lanes where they are eight texels'.
 """
 
 import math
 
-from irodori.jit.exponential import exp_negative as exp_negative
-from irodori.jit.lanes import lower_of, select, upper_of
-from irodori.jit.native import njit
+from numba import types
+from numba.extending import overload
+
+from irodori.jit.lanes import (
+    COUNT,
+    bits,
+    lane,
+    load,
+    lower_of,
+    magnitude,
+    select,
+    spread,
+    store,
+    upper_of,
+)
+from irodori.jit.native import aligned, njit, uncounted
+from irodori.reflection import lobes as lobe_kernels
 from irodori.reflection.fresnel import fresnel
 
-LANES = 8
-#: Rows of a texel's block: cosθ_i, F G / cosθ_r, φ², response, weight, weight times cosine and times response, expected
-#: variance, weight before outliers lose theirs, D, c0 and c1 of the camera's variance, and what is not a number.
+#: cosθ_i; the gloss for a lobe's value of 1, F times its factor; the lobe's features; what is not a number; response,
+#: weight, expected variance, weight times cosine and times response; of the last lobe that was summed the gloss for
+#: β = 1 and its slope along log μ; weights at the last scan, before outliers lose theirs, and what outliers keep.
 (
-    COSINE, GLOSS, SQUARE, RESPONSE, WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE, VARIANCE, TRUST, LOBE, CONSTANT, SLOPE,
-    SPOILED,
-) = range(13)  # fmt: skip
-ROWS = 13
+    COSINE, GLOSS, F0, F1, F2, SPOILED, RESPONSE, WEIGHT, VARIANCE, WEIGHTED_COSINE, WEIGHTED_RESPONSE, LOBE,
+    LOBE_SLOPE, BEFORE, TRUST, SHARE,
+) = range(16)  # fmt: skip
+ROWS = 16
+_ANGLES = RESPONSE  # θ_i, θ_r, θ_H, φ stand in this row and the next three until the responses do
 _TINY = 1e-300
-
-#: Sums may be reordered and products fused; NaN and infinity keep their meaning.
-FAST = {"reassoc", "contract", "nsz", "arcp"}
-
-LEAST_LOBE = 1e-74
 _HALF_PI_HIGH, _HALF_PI_LOW = 1.5707963267948966, 6.123233995736766e-17
 
 
-@njit(cache=True, fastmath={"contract"}, inline="always")
+@njit(cache=True, forceinline=True)
+def vectors_of(rows):
+    """Return how many times eight numbers a row has."""
+    return rows.shape[1] // COUNT
+
+
+@njit(cache=True, forceinline=True)
+def get(rows, row, j):
+    """Return eight numbers of a row."""
+    return load(rows, row * rows.shape[1] + j * COUNT)
+
+
+@njit(cache=True, forceinline=True)
+def put(rows, row, j, value):
+    """Store eight numbers of a row."""
+    store(rows, row * rows.shape[1] + j * COUNT, value)
+
+
+def _by_kind(about: str, names: str, number, lanes):
+    """Return a function for compiled code that is one thing for one texel and another for eight, told by its last."""
+    namespace: dict = {"number": number, "lanes": lanes, "types": types}
+    last = names.split(", ")[-1]
+    exec(
+        f"def made({names}):\n    raise NotImplementedError('in compiled code only')\n"
+        f"def chosen({names}):\n    return number if isinstance({last}, (types.Number, types.Boolean)) else lanes\n",
+        namespace,
+    )
+    made = namespace["made"]
+    made.__doc__ = about
+    overload(made, jit_options={"forceinline": True, "error_model": "numpy"})(namespace["chosen"])
+    return made
+
+
+@njit(cache=True, forceinline=True)
+def _sum_of(x):
+    return ((lane(x, 0) + lane(x, 4)) + (lane(x, 1) + lane(x, 5))) + (
+        (lane(x, 2) + lane(x, 6)) + (lane(x, 3) + lane(x, 7))
+    )
+
+
+@njit(cache=True, forceinline=True)
+def _highest_of(x):
+    low = max(max(lane(x, 0), lane(x, 1)), max(lane(x, 2), lane(x, 3)))
+    return max(low, max(max(lane(x, 4), lane(x, 5)), max(lane(x, 6), lane(x, 7))))
+
+
+folded = _by_kind(
+    "Return a sum of lanes over all observations of a texel.",
+    "total, zero", lambda total, zero: _sum_of(total), lambda total, zero: total,
+)  # fmt: skip
+highest = _by_kind(
+    "Return the largest of lanes over all observations of a texel.",
+    "total, zero", lambda total, zero: _highest_of(total), lambda total, zero: total,
+)  # fmt: skip
+folded_mask = _by_kind(
+    "Return whether a mask is set for any observation of a texel.",
+    "mask, zero", lambda mask, zero: bits(mask) != 0, lambda mask, zero: mask,
+)  # fmt: skip
+any_of = _by_kind(
+    "Return whether something is true of any texel.", "mask", lambda mask: mask, lambda mask: bits(mask) != 0
+)
+all_of = _by_kind(
+    "Return whether something is true of all texels.", "mask", lambda mask: mask, lambda mask: bits(mask) == 255
+)
+item = _by_kind(
+    "Return one observation of a row, a texel's or one of each of eight.",
+    "rows, row, j, zero", lambda rows, row, j, zero: rows[row, j], lambda rows, row, j, zero: get(rows, row, j),
+)  # fmt: skip
+noise_at = _by_kind(
+    "Return a coefficient of the camera's noise for the observations at place j of a row; ``noise`` is (2, P).",
+    "noise, i, j, zero",
+    lambda noise, i, j, zero: load(noise, i * noise.shape[1] + j * COUNT),
+    lambda noise, i, j, zero: noise[i, j],
+)
+share_at = _by_kind(
+    "Return what outliers keep of their residual; eight texels are fitted together where there are none.",
+    "rows, j, zero", lambda rows, j, zero: get(rows, SHARE, j), lambda rows, j, zero: 1.0,
+)  # fmt: skip
+
+
+def _put_number(rows, row, j, value, zero):
+    rows[row, j] = value
+
+
+def _put_lanes(rows, row, j, value, zero):
+    put(rows, row, j, value)
+
+
+put_item = _by_kind(
+    "Store one number of a row, or one for each of eight texels.", "rows, row, j, value, zero", _put_number, _put_lanes
+)
+
+
+@njit(cache=True, fastmath={"contract"}, forceinline=True)
 def cosine_of(angle):
     """Return cos of an angle in rad, clipped to 0..π, to 1e-16; a number or lanes."""
     x = lower_of(upper_of(angle, 0.0), math.pi)  # NaN becomes 0
@@ -50,57 +153,96 @@ def cosine_of(angle):
     return y + y * s * p
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
-def attenuation(cos_i, cos_r, cos_h, cos_phi):
-    """Return `equation5.attenuation_over_cosine` without branches: zero unless all four cosines are positive."""
-    facet = 2.0 * cos_phi / (cos_h + _TINY)
-    bounded = lower_of(lower_of(facet * cos_i, 1.0) / (cos_r + _TINY), facet)
-    bounded = select(cos_i > 0.0, bounded, 0.0)
-    bounded = select(cos_r > 0.0, bounded, 0.0)
-    bounded = select(cos_h > 0.0, bounded, 0.0)
-    return select(cos_phi > 0.0, bounded, 0.0)
+@uncounted(error_model="numpy")
+def _fill_geometry(rows, lobes, n, k):
+    """Fill cosine, gloss, features and what is not a number from the angles; n is a number or lanes."""
+    for j in range(vectors_of(rows)):
+        theta_i, theta_r = get(rows, _ANGLES, j), get(rows, _ANGLES + 1, j)
+        theta_h, phi = get(rows, _ANGLES + 2, j), get(rows, _ANGLES + 3, j)
+        put(rows, SPOILED, j, 0.0 * (theta_i + theta_r + (theta_h + phi)))
+        phi = select(magnitude(phi) < math.pi, phi, math.pi)
+        cos_i, cos_r, cos_h = cosine_of(theta_i), cosine_of(theta_r), cosine_of(theta_h)
+        factor, f0, f1, f2 = lobe_kernels.features(lobes, cos_i, cos_r, cosine_of(phi), cos_h, phi)
+        put(rows, GLOSS, j, fresnel(cos_h, n, k) * factor)
+        put(rows, F0, j, f0)
+        put(rows, F1, j, f1)
+        put(rows, F2, j, f2)
+        # Light and eye are on the outer side, or no light is carried.
+        put(rows, COSINE, j, select((cos_i > 0.0) & (cos_r > 0.0), cos_i, 0.0))
 
 
-@njit(cache=True, error_model="numpy")
-def _gather(geometry, angles, block):
-    for j in range(geometry.shape[0]):
-        block[SPOILED, j] = 0.0 * (geometry[j, 0] + geometry[j, 1] + (geometry[j, 2] + geometry[j, 3]))
-    for i in range(4):
-        for j in range(geometry.shape[0]):
-            angles[i, j] = geometry[j, i]
-
-
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def pack_geometry(geometry, n, k, angles, block):
-    """Fill cosθ_i, F G / cosθ_r, φ² of a texel's block, and NaN where an observation's angles are not all finite.
+@uncounted(error_model="numpy")
+def pack_geometry(geometry, lobes, n, k, rows):
+    """Fill what a texel's geometry gives, and NaN where an observation's angles are not all finite.
 
     Parameters
     ----------
     geometry : (J, 4) float
         θ_i, θ_r, θ_H, φ in rad; where one is not finite, what is filled is of no use, but finite.
+    lobes : Lobes
+        One lobe.
     n, k : float
-    angles : (4, P) float64
-        Scratch; P is J padded to a multiple of `LANES`.
-    block : (ROWS, P) float64
+    rows : (ROWS, P) float64
+        P is J padded to a multiple of eight; the rows of responses and weights are used as scratch.
     """
-    _gather(geometry, angles, block)
-    for j in range(block.shape[1]):
-        phi = angles[3, j] if abs(angles[3, j]) < math.pi else math.pi
-        block[SQUARE, j] = phi * phi
-    flat = angles.reshape(angles.size)
-    for j in range(flat.size):
-        flat[j] = cosine_of(flat[j])
-    for j in range(block.shape[1]):
-        cos_i, cos_r, cos_h, cos_phi = angles[0, j], angles[1, j], angles[2, j], angles[3, j]
-        block[LOBE, j] = cos_r
-        angles[1, j] = attenuation(cos_i, cos_r, cos_h, cos_phi)
-    for j in range(block.shape[1]):
-        # Light and eye are on the outer side, or no light is carried.
-        block[COSINE, j] = angles[0, j] if angles[0, j] > 0.0 and block[LOBE, j] > 0.0 else 0.0
-        block[GLOSS, j] = fresnel(angles[2, j], n, k) * angles[1, j]
+    for i in range(4):
+        for j in range(geometry.shape[0]):
+            rows[_ANGLES + i, j] = geometry[j, i]
+        for j in range(geometry.shape[0], rows.shape[1]):
+            rows[_ANGLES + i, j] = 0.0
+    _fill_geometry(rows, lobes, n, k)
+
+
+@uncounted(error_model="numpy")
+def pack_eight(problem, first, last, rows):
+    """Fill the rows of the geometries of eight texels; the last stands for those beyond the end."""
+    captures, many = problem.geometry.shape[1], problem.n.size > 1
+    for i in range(COUNT):
+        t = min(first + i, last - 1)
+        for j in range(captures):
+            for angle in range(4):
+                rows[_ANGLES + angle, j * COUNT + i] = problem.geometry[t, j, angle]
+        rows[LOBE, i] = problem.n[t if many else 0]
+    _fill_geometry(rows, problem.lobes, get(rows, LOBE, 0), problem.k)
+
+
+@uncounted()
+def spread_geometry(common, rows):
+    """Fill the rows of eight texels with the geometry that all share."""
+    for row in range(SPOILED + 1):
+        for j in range(vectors_of(rows)):
+            put(rows, row, j, spread(common[row, j]))
+
+
+@uncounted(error_model="numpy")
+def fill_lobe(rows, lobes, log_mu):
+    """Fill the gloss of every observation for β = 1."""
+    constant = lobe_kernels.constants(lobes, log_mu)
+    for j in range(vectors_of(rows)):
+        value = lobe_kernels.value(lobes, constant, get(rows, F0, j), get(rows, F1, j), get(rows, F2, j))
+        put(rows, LOBE, j, get(rows, GLOSS, j) * value)
 
 
 @njit(cache=True)
 def padded(observations: int) -> int:
-    """Return a row's length: observations, rounded up to a multiple of `LANES`."""
-    return (observations + LANES - 1) // LANES * LANES
+    """Return a row's length for one texel: observations, rounded up to a multiple of eight."""
+    return (observations + COUNT - 1) // COUNT * COUNT
+
+
+@njit(cache=True)
+def new_rows(observations):
+    """Return empty rows for one texel."""
+    width = padded(observations)
+    rows = aligned(ROWS * width).reshape((ROWS, width))
+    for j in range(width):
+        rows[SHARE, j], rows[BEFORE, j] = 1.0, math.nan
+    return rows
+
+
+@njit(cache=True)
+def new_rows_of_eight(observations):
+    """Return empty rows for eight texels."""
+    rows = aligned(ROWS * observations * COUNT).reshape((ROWS, observations * COUNT))
+    for j in range(observations * COUNT):
+        rows[BEFORE, j] = math.nan
+    return rows

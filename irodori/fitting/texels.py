@@ -7,16 +7,15 @@ import numpy as np
 
 from irodori.fitting import judge
 from irodori.fitting.huber import robust
-from irodori.fitting.observations import Rules, expect, load, telling, weigh
+from irodori.fitting.observations import Rules, every_lane, expect_fitted, load_one, telling, weigh, weights_changed
 from irodori.fitting.shared_geometry import no_shared, padded_nodes, scan_shared, tabulate
-from irodori.fitting.texel_rows import CONSTANT, ROWS, SLOPE, WEIGHT, pack_geometry, padded
-from irodori.fitting.varpro import SUMS, minimise, scan_own
-from irodori.fitting.vectorised_judge import SURE
-from irodori.fitting.vectorised_rows import new_abreast, spread_geometry
-from irodori.fitting.vectorised_texels import NOISY, fit_abreast, write_abreast
+from irodori.fitting.texel_rows import new_rows, pack_geometry, spread_geometry
+from irodori.fitting.varpro import SUMS, minimise, scan
+from irodori.fitting.vectorised_texels import NOISY, SURE, fit_eight, new_eight, write_eight
 from irodori.jit.lanes import COUNT
 from irodori.jit.native import aligned, njit, run_chunks, uncounted
 from irodori.material.material_file import Status
+from irodori.reflection.lobes import Lobes
 
 _CHUNK = 8192  # texels that a thread fits before it asks for more
 _OK, _UNIDENTIFIABLE = int(Status.OK), int(Status.MU_UNIDENTIFIABLE)
@@ -40,6 +39,8 @@ class Problem(NamedTuple):
         2 / μ² there.
     chains : int
         Steps of the nodes in √2.
+    lobes : Lobes
+        The one lobe that is fitted.
     """
 
     response: np.ndarray
@@ -52,6 +53,7 @@ class Problem(NamedTuple):
     nodes: np.ndarray
     steepness: np.ndarray
     chains: int
+    lobes: Lobes
 
 
 class Output(NamedTuple):
@@ -65,55 +67,55 @@ class Output(NamedTuple):
 
 
 @njit(cache=True)
-def new_block(problem):
-    """Return an empty block for one texel, scratch for angles, and for the sums of the scan."""
-    p, nodes = padded(problem.response.shape[1]), padded_nodes(problem.nodes.size)
-    block = aligned(ROWS * p).reshape((ROWS, p))
-    for j in range(p):  # an assignment of whole rows compiles the text of its error, for seconds
-        block[CONSTANT, j], block[SLOPE, j] = problem.noise[0, j], problem.noise[1, j]
-    return block, aligned(4 * p).reshape((4, p)), aligned(SUMS * nodes).reshape((SUMS, nodes))
+def new_sums(problem):
+    """Return room for a texel's sums of the scan."""
+    nodes = padded_nodes(problem.nodes.size)
+    return aligned(SUMS * nodes).reshape((SUMS, nodes))
 
 
-@njit(cache=True, error_model="numpy")
-def conclude(block, fixed, a, b, log_mu, used, floor, clipped, nodes, sums, rules):
-    """Choose the model by BIC, state errors and status; the scan's sums are those of the block."""
-    diffuse = fixed[1] / fixed[0] if fixed[0] > 0.0 else 0.0
-    diffuse = min(max(diffuse, rules.low_alpha), rules.high_alpha)
-    squares = max(fixed[2] + diffuse * (diffuse * fixed[0] - 2.0 * fixed[1]), 0.0)
-    unknown = math.log(used)
-    model, best = judge.DIFFUSE_ALONE, judge.information_criterion(squares, used, floor, unknown)
-    nothing = judge.information_criterion(fixed[2], used, floor, 0.0)
+@uncounted(error_model="numpy")
+def conclude(rows, fixed, a, b, log_mu, used, floor, clipped, problem, sums, rules):
+    """Choose the model by BIC, state errors and status; the scan's sums are those of the rows."""
+    lobes, unknown = problem.lobes, math.log(used)
+    diffuse, best, nothing = judge.without_gloss(fixed, used, floor, rules)
+    model = judge.DIFFUSE_ALONE
     if rules.low_alpha == 0.0 and nothing <= best:
         model, best = judge.NOTHING, nothing
-    errors = judge.Errors(np.inf, np.inf, np.inf, squares, 1.0)
+    errors = judge.Errors(np.inf, np.inf, np.inf, 0.0, False)
     evaluations = 0
     if b > 0.0:
-        both = judge.full_errors(block, a, b, log_mu, used, rules, True)
+        both = judge.full_errors(rows, lobes, a, b, log_mu, used, rules, True)
         criterion = judge.information_criterion(both.squares, used, floor, 3.0 * unknown)
         if criterion < best or rules.low_beta > 0.0:
             model, best, errors = judge.BOTH, criterion, both
         # That gloss alone explains the data says nothing where the data cannot tell α from gloss.
         if rules.low_alpha == 0.0 and not a > SURE * both.alpha and judge.shown_dark(a, both.alpha, fixed):
             box = (0.0, 0.0, rules.low_beta, rules.high_beta)
-            alone_mu, _, alone_b, evaluations = minimise(block, fixed, box, nodes, sums)
-            alone = judge.full_errors(block, 0.0, alone_b, alone_mu, used, rules, False)
+            alone_mu, _, alone_b, evaluations = minimise(rows, lobes, fixed, box, problem.nodes, sums)
+            alone = judge.full_errors(rows, lobes, 0.0, alone_b, alone_mu, used, rules, False)
             if judge.information_criterion(alone.squares, used, floor, 2.0 * unknown) < best:
                 model, errors, a, b, log_mu = judge.GLOSS_ALONE, alone, 0.0, alone_b, alone_mu
     if model == judge.NOTHING or model == judge.DIFFUSE_ALONE:
-        status = judge.diffuse_status(block, clipped, model, diffuse, rules)
-        diffuse_error, squares = judge.diffuse_errors(block, diffuse, used, rules)
+        status = judge.diffuse_status(rows, lobes, clipped, model, diffuse, rules)
+        diffuse_error, squares = judge.diffuse_errors(rows, diffuse, used, rules)
         variance = max(squares / (used - 1), floor)
         return judge.Verdict(
             status, model, diffuse, 0.0, 0.0, diffuse_error, np.inf, np.inf, squares, variance, evaluations
         )
-    status = judge.gloss_status(block, clipped, a, b, log_mu, errors, rules)
+    status = judge.gloss_status(rows, lobes, clipped, a, b, log_mu, errors, rules)
     variance = max(errors.squares / (used - judge.PARAMETERS), floor)
     return judge.Verdict(
         status, model, a, b, log_mu, errors.alpha, errors.beta, errors.log_mu, errors.squares, variance, evaluations
     )
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
+def clipped_of(t, problem):
+    """Return which observations of a texel clip; empty where that is not known."""
+    return problem.clipped[t if problem.clipped.shape[0] > 1 else 0]
+
+
+@uncounted()
 def write(out, t, verdict, fixed, evaluations):
     """Store a verdict."""
     out.status[t], out.model[t] = verdict.status, verdict.model
@@ -125,127 +127,123 @@ def write(out, t, verdict, fixed, evaluations):
     row[judge.POWER], row[judge.VARIANCE] = fixed[2] / fixed[3], verdict.variance / fixed[3]
 
 
-@njit(cache=True, inline="always")
-def clipped_of(t, problem):
-    """Return which observations of a texel clip; empty where that is not known."""
-    return problem.clipped[t if problem.clipped.shape[0] > 1 else 0]
-
-
-@njit(cache=True)
-def _weights_changed(block, before):
-    changed = False
-    for j in range(before.size):
-        changed |= block[WEIGHT, j] != before[j]
-        before[j] = block[WEIGHT, j]
-    return changed
-
-
-@njit(cache=True, error_model="numpy")
-def _scan(block, shared, problem, sums, before):
+@uncounted(error_model="numpy")
+def _scan(rows, shared, problem, sums):
     if shared.nodes.shape[1] == 0:
-        scan_own(block, problem.nodes, problem.steepness, problem.chains, sums)
+        scan(rows, problem, sums, 0.0)
     else:
-        scan_shared(block, shared, sums, _weights_changed(block, before))
+        scan_shared(rows, shared, sums, weights_changed(rows))
 
 
-@njit(cache=True, error_model="numpy")
-def _fit_texel(t, block, shared, used, floor, problem, rules, sums, before, out):
+@uncounted(error_model="numpy")
+def _fit_texel(t, rows, shared, used, floor, problem, rules, sums, out):
     """Scan, polish and judge one loaded texel."""
-    box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
-    fixed = weigh(block)
-    _scan(block, shared, problem, sums, before)
-    log_mu, a, b, evaluations = minimise(block, fixed, box, problem.nodes, sums)
+    box, lobes = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta), problem.lobes
+    fixed = weigh(rows, 0.0)
+    _scan(rows, shared, problem, sums)
+    log_mu, a, b, evaluations = minimise(rows, lobes, fixed, box, problem.nodes, sums)
     settled = True
     if is_noisy(used, floor, fixed, rules):
-        expect(block, a, b, log_mu, rules)
-        fixed = weigh(block)
-        _scan(block, shared, problem, sums, before)
-        log_mu, a, b, count = minimise(block, fixed, box, problem.nodes, sums)
+        expect_fitted(rows, lobes, problem.noise, rules, a, b, log_mu, every_lane())
+        fixed = weigh(rows, 0.0)
+        _scan(rows, shared, problem, sums)
+        log_mu, a, b, count = minimise(rows, lobes, fixed, box, problem.nodes, sums)
         evaluations += count
     if rules.huber > 0.0:
-        fixed, a, b, log_mu, count, settled = robust(block, problem.nodes, rules)
-        _scan(block, shared, problem, sums, before)
+        fixed, a, b, log_mu, count, settled = robust(rows, problem, rules)
+        _scan(rows, shared, problem, sums)
         evaluations += count + problem.nodes.size
     clipped = clipped_of(t, problem)
-    verdict = conclude(block, fixed, a, b, log_mu, used, floor, clipped, problem.nodes, sums, rules)
+    verdict = conclude(rows, fixed, a, b, log_mu, used, floor, clipped, problem, sums, rules)
     write(out, t, verdict, fixed, evaluations)
     if not settled:
-        doubt(out, t)
+        leave_gloss_open(out, t)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def is_noisy(used, floor, fixed, rules):
     """Return whether weights of noisy responses would pull α by more than a fifth of its standard error."""
     return rules.weighted and used * used * floor > NOISY * fixed[2]
 
 
-@njit(cache=True)
-def doubt(out, t):
+@uncounted()
+def leave_gloss_open(out, t):
     """Take back that the gloss of a texel is determined."""
     if out.status[t] == _OK:
         out.status[t] = _UNIDENTIFIABLE
 
 
-@njit(cache=True)
-def give_up(t, used, lost, problem, out):
+@uncounted()
+def write_too_few(t, used, problem, rows, out):
     """Store the status of a texel with too few observations."""
-    out.status[t] = judge.hopeless(used, lost, clipped_of(t, problem))
+    out.status[t] = judge.status_of_too_few(used, problem.response[t], problem.weight[t], rows, clipped_of(t, problem))
     for column in range(judge.COLUMNS):
         out.table[t, column] = np.nan
+
+
+@uncounted(error_model="numpy")
+def load_texel(t, problem, rules, rows):
+    """Fill responses, variances and weights of a texel; return its observations and the expected w r²."""
+    used, floor = load_one(problem.response[t], problem.weight[t], problem.noise, rules, rows)
+    return telling(rows, problem.response.shape[1], used), floor
+
+
+@uncounted(error_model="numpy")
+def pack_texel(t, problem, rows):
+    """Fill what the geometry of a texel gives."""
+    n = problem.n[t if problem.n.size > 1 else 0]
+    pack_geometry(problem.geometry[t if problem.geometry.shape[0] > 1 else 0], problem.lobes, n, problem.k, rows)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fit_chunk(problem, shared, rules, common, out, first, last):
     """Fit some texels, each with a geometry of its own unless there is something ``shared``."""
-    block, angles, sums = new_block(problem)
+    rows, sums = new_rows(problem.response.shape[1]), new_sums(problem)
     for i in range(common.shape[0]):
         for j in range(common.shape[1]):
-            block[i, j] = common[i, j]
-    buffers = new_abreast(problem.response.shape[1], problem.nodes.size)
+            rows[i, j] = common[i, j]
+    eight = new_eight(problem.response.shape[1], problem.nodes.size)
     if common.shape[0] > 0:
-        spread_geometry(common, buffers.rows, problem.response.shape[1])
-    before = np.full(block.shape[1], np.nan)
-    _fit_range(problem, shared, rules, block, angles, sums, before, buffers, out, first, last)
+        spread_geometry(common, eight.rows)
+    _fit_range(problem, shared, rules, rows, sums, eight, out, first, last)
 
 
 @uncounted(error_model="numpy")
-def _fit_range(problem, shared, rules, block, angles, sums, before, buffers, out, first, last):
+def _fit_range(problem, shared, rules, rows, sums, eight, out, first, last):
     """Fit texels eight at a time, and alone those that are not done then."""
     together = rules.huber == 0.0 and (problem.geometry.shape[0] > 1 or shared.nodes.shape[1] > 0)
     for batch in range(first, last, COUNT):
-        done = fit_abreast(problem, shared, rules, batch, last, buffers) if together else 0
-        write_abreast(buffers.results, done, batch, out)
+        done = fit_eight(problem, shared, rules, batch, last, eight) if together else 0
+        write_eight(eight.results, done, batch, out)
         for i in range(min(COUNT, last - batch)):
             if not done >> i & 1:
-                _fit_alone(batch + i, block, angles, shared, problem, rules, sums, before, out)
+                _fit_alone(batch + i, rows, shared, problem, rules, sums, out)
 
 
-@njit(cache=True, error_model="numpy")
-def _fit_alone(t, block, angles, shared, problem, rules, sums, before, out):
+@uncounted(error_model="numpy")
+def _fit_alone(t, rows, shared, problem, rules, sums, out):
     """Load, fit and judge one texel."""
     if shared.nodes.shape[1] == 0:
-        n = problem.n[t if problem.n.size > 1 else 0]
-        pack_geometry(problem.geometry[t if problem.geometry.shape[0] > 1 else 0], n, problem.k, angles, block)
-    used, lost, floor = load(problem.response[t], problem.weight[t], rules, block)
-    used = telling(block, used)
+        pack_texel(t, problem, rows)
+    used, floor = load_texel(t, problem, rules, rows)
     if used <= judge.PARAMETERS:
-        give_up(t, used, lost, problem, out)
+        write_too_few(t, used, problem, rows, out)
     else:
-        _fit_texel(t, block, shared, used, floor, problem, rules, sums, before, out)
+        _fit_texel(t, rows, shared, used, floor, problem, rules, sums, out)
 
 
 @njit(cache=True)
-def _common_block(problem):
-    """Return a block with the geometry that all texels share."""
-    block, angles, _ = new_block(problem)
-    pack_geometry(problem.geometry[0], problem.n[0], problem.k, angles, block)
-    return block
+def _common_rows(problem):
+    """Return rows with the geometry that all texels share."""
+    rows = new_rows(problem.response.shape[1])
+    pack_texel(0, problem, rows)
+    return rows
 
 
 def fit_texels(problem: Problem, rules: Rules, out: Output) -> None:
     """Fit every texel by variable projection, with the geometry of its own or the one that all share."""
     shared, common = no_shared(), np.zeros((0, 0))
     if problem.geometry.shape[0] == 1 and problem.n.size == 1:
-        common = _common_block(problem)
-        shared = tabulate(common, problem.nodes)
+        common = _common_rows(problem)
+        shared = tabulate(common, problem.lobes, problem.nodes)
     run_chunks(_fit_chunk, len(problem.response), _CHUNK, problem, shared, rules, common, out)

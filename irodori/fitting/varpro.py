@@ -1,183 +1,202 @@
 """Variable projection: scan Φ(log μ), then safeguarded Newton in each interval that brackets a minimum.
 
-From one roughness of the scan to the next, smaller by √2, the lobe D = exp(-(φ/μ)²) is squared: a scan costs one
+Where a lobe is exp(-f0 / μ²) it is squared from one roughness of the scan to the next, smaller by √2: a scan costs one
 exponential an observation. Value and slope at every node tell which intervals hold a minimum, and a cubic through them
 where; the best is polished, and any other that may come as low. Texels that share one geometry share tables of lobes
 (`irodori.fitting.shared_geometry`), and where their weights agree too, the scan's sums but those with the response.
+
+All but `find_intervals` and `minimise` is for one texel and for eight, see `irodori.fitting.texel_rows`.
 """
 
 import math
 
 import numpy as np
 
-from irodori.fitting.closed_form import best_pair, slope_and_curvature
+from irodori.fitting.closed_form import best_pair, clamp, slope_and_curvature
 from irodori.fitting.texel_rows import (
-    FAST,
+    F0,
+    F1,
+    F2,
     GLOSS,
-    LEAST_LOBE,
     LOBE,
-    SQUARE,
     WEIGHT,
     WEIGHTED_COSINE,
     WEIGHTED_RESPONSE,
-    exp_negative,
+    any_of,
+    folded,
+    get,
+    item,
+    put,
+    put_item,
+    vectors_of,
 )
-from irodori.jit.lanes import lower_of, root, select, upper_of
-from irodori.jit.native import njit
+from irodori.jit.lanes import lower_of, magnitude, negated, root, select, spread, upper_of
+from irodori.jit.native import njit, uncounted
+from irodori.reflection import lobes as lobe_kernels
 
 NODE_STEP = 0.5 * math.log(2.0)  # of log μ
 RIVAL = 1.05  # an interval whose estimate is below this multiple of the best is polished too
-_CONVERGED = 1e-4  # last Newton step of log μ; what is left is of the order of its square
+LEAST_LOBE = 1e-74  # keeps squares of squares from becoming denormal numbers, which are slow
+_CONVERGED = 3e-5  # last Newton step of log μ; what is left is of the order of its square
 _MAX_STEPS = 24
-#: Rows of sums of the scan: Σ w c g, Σ w ρ g, Σ w g², their slopes along log μ, Φ, Φ', and of the interval below the
-#: node the estimated minimum and its place.
+#: Rows of sums at the nodes of the scan: Σ w c g, Σ w ρ g, Σ w g², their slopes along log μ, Φ, Φ', and for one texel
+#: of the interval below the node the estimated minimum and its place.
+CG, RG, GG, CG1, RG1, GG1, VALUE, DESCENT, ESTIMATE, PLACE = range(10)
 SUMS = 10
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def moments(block, log_mu):
+@uncounted(error_model="numpy")
+def moments(rows, lobes, log_mu):
     """Return value, slope and curvature along log μ of Σ w c g, Σ w ρ g and Σ w g²."""
-    factor = -math.exp(-2.0 * log_mu)
-    cg, cg1, cg2, rg, rg1, rg2, gg, gg1, gg2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(block.shape[1]):
-        x = block[SQUARE, j] * factor
-        g = block[GLOSS, j] * exp_negative(x)
-        c = block[WEIGHTED_COSINE, j] * g
-        r = block[WEIGHTED_RESPONSE, j] * g
-        s = block[WEIGHT, j] * g * g
-        cg += c
-        rg += r
-        gg += s
-        c *= x
-        r *= x
-        s *= x
-        cg1 += c
-        rg1 += r
-        gg1 += s
-        cg2 += c * x
-        rg2 += r * x
-        gg2 += s * x
-    # x = -(φ/μ)²: dg/dt = -2 x g, d²g/dt² = (4 x² + 4 x) g; g² has twice the exponent.
+    constant = lobe_kernels.constants(lobes, log_mu)
+    cg, cg1, cg2, rg, rg1 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    rg2, gg, gg1, gg2 = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    for j in range(vectors_of(rows)):
+        plain = get(rows, GLOSS, j)
+        v, v1, v2 = lobe_kernels.derivatives(lobes, constant, get(rows, F0, j), get(rows, F1, j), get(rows, F2, j))
+        g, g1, g2 = plain * v, plain * v1, plain * v2
+        wc, wr, w = get(rows, WEIGHTED_COSINE, j), get(rows, WEIGHTED_RESPONSE, j), get(rows, WEIGHT, j)
+        cg, cg1, cg2 = cg + wc * g, cg1 + wc * g1, cg2 + wc * g2
+        rg, rg1, rg2 = rg + wr * g, rg1 + wr * g1, rg2 + wr * g2
+        wg = w * g
+        gg, gg1, gg2 = gg + wg * g, gg1 + wg * g1, gg2 + (w * g1 * g1 + wg * g2)
     return (
-        cg, -2.0 * cg1, 4.0 * (cg2 + cg1),
-        rg, -2.0 * rg1, 4.0 * (rg2 + rg1),
-        gg, -4.0 * gg1, 16.0 * gg2 + 8.0 * gg1,
+        folded(cg, log_mu), folded(cg1, log_mu), folded(cg2, log_mu),
+        folded(rg, log_mu), folded(rg1, log_mu), folded(rg2, log_mu),
+        folded(gg, log_mu), 2.0 * folded(gg1, log_mu), 2.0 * folded(gg2, log_mu),
     )  # fmt: skip
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _first_lobe(block, log_mu):
-    factor = -math.exp(-2.0 * log_mu)
-    for j in range(block.shape[1]):
-        block[LOBE, j] = exp_negative(block[SQUARE, j] * factor)
+@uncounted(error_model="numpy")
+def _fill_value(rows, lobes, log_mu):
+    constant = lobe_kernels.constants(lobes, log_mu)
+    for j in range(vectors_of(rows)):
+        put(rows, LOBE, j, lobe_kernels.value(lobes, constant, get(rows, F0, j), get(rows, F1, j), get(rows, F2, j)))
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _node(block, factor, sums, i):
-    """Fill the sums of node i and square the lobe; ``factor`` is 2 / μ²."""
-    cg, rg, gg, cg1, rg1, gg1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(block.shape[1]):
-        g = block[GLOSS, j] * block[LOBE, j]
-        x = block[SQUARE, j]
-        c = block[WEIGHTED_COSINE, j] * g
-        r = block[WEIGHTED_RESPONSE, j] * g
-        s = block[WEIGHT, j] * g * g
-        cg += c
-        rg += r
-        gg += s
-        cg1 += c * x
-        rg1 += r * x
-        gg1 += s * x
-    sums[0, i], sums[1, i], sums[2, i] = cg, rg, gg
-    sums[3, i], sums[4, i], sums[5, i] = factor * cg1, factor * rg1, 2.0 * factor * gg1
-    # A loop of its own: a store among the sums would keep the compiler from vectorising them.
-    for j in range(block.shape[1]):
-        block[LOBE, j] = block[LOBE, j] * block[LOBE, j] + LEAST_LOBE
+@njit(cache=True, forceinline=True)
+def _put_node(sums, i, found, zero):
+    cg, rg, gg, cg1, rg1, gg1 = found
+    put_item(sums, CG, i, folded(cg, zero), zero)
+    put_item(sums, RG, i, folded(rg, zero), zero)
+    put_item(sums, GG, i, folded(gg, zero), zero)
+    put_item(sums, CG1, i, folded(cg1, zero), zero)
+    put_item(sums, RG1, i, folded(rg1, zero), zero)
+    put_item(sums, GG1, i, folded(gg1, zero), zero)
 
 
-@njit(cache=True, error_model="numpy")
-def scan_own(block, nodes, steepness, chains, sums):
+@uncounted(error_model="numpy")
+def _sum_squared_node(steepness, rows, sums, i, zero):
+    """Fill the sums of node i and square the lobe, whose slope along log μ is 2 / μ², ``steepness``, times f0."""
+    cg, rg, gg, cg1, rg1, gg1 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    for j in range(vectors_of(rows)):
+        lobe, x = get(rows, LOBE, j), get(rows, F0, j)
+        g = get(rows, GLOSS, j) * lobe
+        c, r, s = get(rows, WEIGHTED_COSINE, j) * g, get(rows, WEIGHTED_RESPONSE, j) * g, get(rows, WEIGHT, j) * g * g
+        cg, rg, gg = cg + c, rg + r, gg + s
+        cg1, rg1, gg1 = cg1 + c * x, rg1 + r * x, gg1 + s * x
+        put(rows, LOBE, j, lobe * lobe + LEAST_LOBE)
+    _put_node(sums, i, (cg, rg, gg, steepness * cg1, steepness * rg1, 2.0 * steepness * gg1), zero)
+
+
+@uncounted(error_model="numpy")
+def _sum_node(lobes, log_mu, rows, sums, i, zero):
+    """Fill the sums of node i of any lobe."""
+    constant = lobe_kernels.constants(lobes, log_mu)
+    cg, rg, gg, cg1, rg1, gg1 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    for j in range(vectors_of(rows)):
+        v, v1, _ = lobe_kernels.derivatives(lobes, constant, get(rows, F0, j), get(rows, F1, j), get(rows, F2, j))
+        plain = get(rows, GLOSS, j)
+        g, g1 = plain * v, plain * v1
+        wc, wr, wg = get(rows, WEIGHTED_COSINE, j), get(rows, WEIGHTED_RESPONSE, j), get(rows, WEIGHT, j) * g
+        cg, rg, gg = cg + wc * g, rg + wr * g, gg + wg * g
+        cg1, rg1, gg1 = cg1 + wc * g1, rg1 + wr * g1, gg1 + wg * g1
+    _put_node(sums, i, (cg, rg, gg, cg1, rg1, 2.0 * gg1), zero)
+
+
+@uncounted(error_model="numpy")
+def scan(rows, problem, sums, zero):
     """Fill the sums of all nodes.
 
     Parameters
     ----------
-    block : (ROWS, P) float64
-    nodes : (nodes,) float64
-        log μ, falling by `NODE_STEP` / ``chains``, but for the last, the smallest.
-    steepness : (nodes,) float64
-        2 / μ².
-    chains : int
-    sums : (SUMS, nodes) float64
+    rows : (ROWS, P) float64
+    problem : irodori.fitting.texels.Problem
+        Its nodes, log μ, fall by `NODE_STEP` / ``chains``, but for the last, the smallest.
+    sums : (SUMS, nodes) float64, or for eight texels (SUMS, 8 nodes)
+    zero : float or lanes
     """
-    count = nodes.size
-    for chain in range(chains):
-        _first_lobe(block, nodes[chain])
-        for i in range(chain, count - 1, chains):
-            _node(block, steepness[i], sums, i)
-    _first_lobe(block, nodes[count - 1])
-    _node(block, steepness[count - 1], sums, count - 1)
+    lobes, count = problem.lobes, problem.nodes.size
+    if lobe_kernels.squares_at_half_octave(lobes):
+        for chain in range(problem.chains + 1):
+            first, step = (chain, problem.chains) if chain < problem.chains else (count - 1, count)
+            _fill_value(rows, lobes, problem.nodes[first])
+            for i in range(first, count - 1 if chain < problem.chains else count, step):
+                _sum_squared_node(problem.steepness[i], rows, sums, i, zero)
+    else:
+        for i in range(count):
+            _sum_node(lobes, problem.nodes[i], rows, sums, i, zero)
 
 
-@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
-def value_nodes(fixed, sums, box):
-    """Fill Φ and Φ' of all nodes."""
-    for i in range(sums.shape[1]):
-        a, b, value = best_pair(fixed, sums[0, i], sums[1, i], sums[2, i], box)
-        sums[6, i] = value
-        sums[7, i] = b * (b * sums[5, i] + 2.0 * (a * sums[3, i] - sums[4, i]))
+@uncounted(error_model="numpy")
+def value_nodes(fixed, sums, nodes, box, zero):
+    """Fill Φ and Φ' of all nodes; return the least and its node."""
+    least, top = zero + np.inf, zero
+    for i in range(nodes):
+        cg, rg, gg = item(sums, CG, i, zero), item(sums, RG, i, zero), item(sums, GG, i, zero)
+        a, b, value = best_pair(fixed, cg, rg, gg, box)
+        cg1, rg1, gg1 = item(sums, CG1, i, zero), item(sums, RG1, i, zero), item(sums, GG1, i, zero)
+        put_item(sums, VALUE, i, value, zero)
+        put_item(sums, DESCENT, i, b * (b * gg1 + 2.0 * (a * cg1 - rg1)), zero)
+        top = select(value < least, float(i), top)
+        least = lower_of(value, least)
+    return least, top
 
 
-@njit(cache=True, error_model="numpy")
-def cubic_minimum(width, f0, f1, d0, d1):
-    """Return where in an interval, from 0 to its width, the cubic through values and slopes is least, and its value.
-
-    Numbers or lanes.
-    """
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _cubic_minimum(width, f0, f1, d0, d1):
+    """Return where in an interval, from 0 to its width, the cubic through values and slopes is least, and its value."""
     u = d0 + d1 - 3.0 * (f1 - f0) / width
     half = root(upper_of(u * u - d0 * d1, 0.0))
     bottom = d1 - d0 + 2.0 * half
     s = select(bottom > 0.0, 1.0 - (d1 + half - u) / select(bottom > 0.0, bottom, 1.0), 0.5)
-    s = lower_of(upper_of(s, 0.02), 0.98)
+    s = clamp(s, 0.02, 0.98)
     h00, h01 = (1.0 + 2.0 * s) * (1.0 - s) * (1.0 - s), s * s * (3.0 - 2.0 * s)
     h10, h11 = s * (1.0 - s) * (1.0 - s), s * s * (s - 1.0)
     return s * width, h00 * f0 + h01 * f1 + width * (h10 * d0 + h11 * d1)
 
 
-@njit(cache=True, error_model="numpy")
-def _dips(width, f0, f1, d0, d1):
-    """Return whether the cubic through values and slopes of one sign has a minimum inside all the same."""
-    # All times the width, for a division in every interval would cost as much as the rest.
-    both = d0 * d1 * width * width
-    u = (d0 + d1) * width - 3.0 * (f1 - f0)
-    return both > 0.0 and u * d0 > 0.0 and u * u > both
+@njit(cache=True, error_model="numpy", forceinline=True)
+def interval_minimum(width, f0, f1, d0, d1):
+    """Return the estimated minimum within an interval and its place from the lower end; infinite where it holds none.
+
+    Parameters
+    ----------
+    width : float
+    f0, f1, d0, d1 : float or lanes
+        Φ at the ends, the smaller μ first, and Φ'.
+    """
+    # A slope of 0 is where the best β is at its bound.
+    sure = (d0 <= 0.0) & (d1 >= 0.0) & (d0 < d1)
+    # Slopes of one sign may enclose one all the same. All times the width: a division in every interval is costly.
+    both, u = d0 * d1 * (width * width), (d0 + d1) * width - 3.0 * (f1 - f0)
+    holds = sure | ((both > 0.0) & (u * d0 > 0.0) & (u * u > both))
+    if not any_of(holds):
+        return select(holds, f0, np.inf), 0.0 * f0
+    offset, found = _cubic_minimum(width, f0, f1, d0, d1)
+    ends = lower_of(f0, f1)
+    return select(holds & (sure | (found < ends)), lower_of(found, ends), np.inf), offset
 
 
-@njit(cache=True, error_model="numpy")
-def find_intervals(nodes, sums):
-    """Fill the estimated minimum of every interval, infinite where it holds none; return the best node."""
-    value, slope, estimate, place = sums[6], sums[7], sums[8], sums[9]
-    best = 0
-    for i in range(nodes.size):
-        if value[i] < value[best]:
-            best = i
+@uncounted(error_model="numpy")
+def find_intervals(nodes, sums, best):
+    """Fill the estimated minimum of every interval of one texel, infinite where it holds none."""
+    value, slope, estimate, place = sums[VALUE], sums[DESCENT], sums[ESTIMATE], sums[PLACE]
     for i in range(nodes.size - 1):
-        estimate[i] = np.inf
-        width = nodes[i] - nodes[i + 1]
-        # Node i + 1 has the smaller μ. A slope of 0 is where the best β is at its bound.
-        sure = slope[i + 1] <= 0.0 <= slope[i] and slope[i + 1] < slope[i]
-        if sure or _dips(width, value[i + 1], value[i], slope[i + 1], slope[i]):
-            offset, least = cubic_minimum(width, value[i + 1], value[i], slope[i + 1], slope[i])
-            ends = min(value[i], value[i + 1])
-            if sure or least < ends:
-                estimate[i] = min(least, ends)
-                place[i] = nodes[i + 1] + offset
-    _mark_beside(nodes, value, slope, estimate, place, best)
-    return best
-
-
-@njit(cache=True, error_model="numpy")
-def _mark_beside(nodes, value, slope, estimate, place, best):
-    """Mark the interval to which Φ falls from the best node: its far end is higher, so it holds a minimum."""
+        width = nodes[i] - nodes[i + 1]  # node i + 1 has the smaller μ
+        estimate[i], offset = interval_minimum(width, value[i + 1], value[i], slope[i + 1], slope[i])
+        place[i] = nodes[i + 1] + offset
+    # The interval to which Φ falls from the best node: its far end is higher, so it holds a minimum.
     if slope[best] > 0.0 and best + 1 < nodes.size and estimate[best] == np.inf:
         estimate[best] = value[best]
         place[best] = 0.8 * nodes[best] + 0.2 * nodes[best + 1]
@@ -186,70 +205,106 @@ def _mark_beside(nodes, value, slope, estimate, place, best):
         place[best - 1] = 0.8 * nodes[best] + 0.2 * nodes[best - 1]
 
 
-@njit(cache=True, error_model="numpy")
-def newton(block, fixed, box, log_mu, low, high, flat_above):
-    """Return log μ, α and β of the minimum in a bracket, and the evaluations it took.
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _through_ends(slope, curvature, low, high, low_slope, high_slope):
+    """Return where the cubic through Φ' and Φ'' at 0 and through Φ' at both ends of the bracket is 0.
+
+    What Newton's first step would leave to the second.
+    """
+    above = (high_slope - slope - curvature * high) / (high * high)
+    below = (low_slope - slope - curvature * low) / (low * low)
+    third = (above - below) / (high - low)
+    second = above - third * high
+    x = -slope / curvature
+    for _ in range(2):
+        x = x - (slope + x * (curvature + x * (second + x * third))) / (
+            curvature + x * (2.0 * second + 3.0 * x * third)
+        )
+    return x
+
+
+@uncounted(error_model="numpy")
+def newton(rows, lobes, fixed, box, start, bracket, flat_above, wanted, most):
+    """Return log μ, α and β of the minimum in a bracket, the evaluations it took, and where it converged.
 
     Parameters
     ----------
-    log_mu, low, high : float
-        Start and bracket.
-    flat_above : bool
+    rows, lobes, fixed, box
+    start : float or lanes
+        log μ.
+    bracket : tuple of four
+        Lower and upper end, and Φ' there; NaN where that is not known.
+    flat_above : bool or mask
         Where β is at its bound, Φ is flat: says on which side of the minimum.
+    wanted : bool or mask
+        Which texels are asked for.
+    most : int
+        Evaluations, at most.
     """
-    t, steps = log_mu, 0
-    while steps < _MAX_STEPS:
-        steps += 1
-        a, b, da, db, slope, curvature = slope_and_curvature(fixed, moments(block, t), box)
-        if slope > 0.0 or (slope == 0.0 and flat_above):
-            high = t
-        else:
-            low = t
-        following = t - slope / curvature if curvature > 0.0 and slope != 0.0 else low - 1.0
-        inside = low <= following <= high
-        if not inside:
-            following = 0.5 * (low + high)
+    zero = 0.0 * start
+    t, a, b, steps, active = start, zero, zero, zero, wanted
+    low, high, low_slope, high_slope = bracket
+    for number in range(most):
+        now_a, now_b, da, db, slope, curvature = slope_and_curvature(fixed, moments(rows, lobes, t), box)
+        proposed = t - slope / curvature
+        if number == 0:
+            better = t + _through_ends(slope, curvature, low - t, high - t, low_slope, high_slope)
+            proposed = select(better == better, better, proposed)
+        above = (slope > 0.0) | ((slope == 0.0) & flat_above)
+        high, low = select(above, t, high), select(above, low, t)
+        inside = (curvature > 0.0) & (proposed >= low) & (proposed <= high)
+        following = select(inside, proposed, 0.5 * (low + high))
         change = following - t
-        t = following
-        if abs(change) < (_CONVERGED if inside else 1e-9):
+        steps = steps + select(active, 1.0, 0.0)
+        a = select(active, clamp(now_a + change * da, box[0], box[1]), a)
+        b = select(active, clamp(now_b + change * db, box[2], box[3]), b)
+        t = select(active, following, t)
+        active = active & (magnitude(change) >= select(inside, _CONVERGED, 1e-9))
+        if not any_of(active):
             break
-    return t, min(max(a + change * da, box[0]), box[1]), min(max(b + change * db, box[2]), box[3]), steps
+    return t, a, b, steps, wanted & negated(active)
 
 
-@njit(cache=True, error_model="numpy")
-def pair_at(block, fixed, box, log_mu):
+@uncounted(error_model="numpy")
+def pair_at(rows, lobes, fixed, box, log_mu):
     """Return the best α and β at one log μ, and the sum of squares."""
-    m = moments(block, log_mu)
+    m = moments(rows, lobes, log_mu)
     return best_pair(fixed, m[0], m[3], m[6], box)
 
 
-@njit(cache=True, error_model="numpy")
-def minimise(block, fixed, box, nodes, sums):
-    """Return log μ, α and β of the lowest minimum of Φ, and the evaluations; the nodes' sums are filled already."""
-    value_nodes(fixed, sums, box)
-    top = find_intervals(nodes, sums)
-    best_t, best = nodes[top], sums[6, top]
-    evaluations = nodes.size
+@uncounted(error_model="numpy")
+def minimise(rows, lobes, fixed, box, nodes, sums):
+    """Return log μ, α and β of one texel's lowest minimum of Φ, and the evaluations; the scan has been made."""
+    best, found = value_nodes(fixed, sums, nodes.size, box, 0.0)
+    top = int(found)
+    find_intervals(nodes, sums, top)
+    best_t, evaluations = nodes[top], nodes.size
     for attempt in range(nodes.size):
         i, rival = 0, np.inf
         for other in range(1, nodes.size - 1):
-            if sums[8, other] < sums[8, i]:
-                rival, i = sums[8, i], other
+            if sums[ESTIMATE, other] < sums[ESTIMATE, i]:
+                rival, i = sums[ESTIMATE, i], other
             else:
-                rival = min(rival, sums[8, other])
-        if not sums[8, i] <= RIVAL * best:
+                rival = min(rival, sums[ESTIMATE, other])
+        if not sums[ESTIMATE, i] <= RIVAL * best:
             break
-        above = sums[7, i] == 0.0
-        t, a, b, count = newton(block, fixed, box, sums[9, i], nodes[i + 1], nodes[i], above)
-        sums[8, i] = np.inf
-        evaluations += count
+        low_slope, high_slope = sums[DESCENT, i + 1], sums[DESCENT, i]
         # Where slopes of both signs enclose it the minimum is lower than both nodes; any other has to be compared.
-        sure = sums[7, i + 1] <= 0.0 <= sums[7, i] and (i == top or i + 1 == top)
+        sure = low_slope <= 0.0 <= high_slope and (i == top or i + 1 == top)
+        enclosed = low_slope < 0.0 < high_slope
+        bracket = (
+            nodes[i + 1], nodes[i], low_slope if enclosed else np.nan, high_slope if enclosed else np.nan
+        )  # fmt: skip
+        t, a, b, count, _ = newton(
+            rows, lobes, fixed, box, sums[PLACE, i], bracket, high_slope == 0.0, True, _MAX_STEPS
+        )
+        sums[ESTIMATE, i] = np.inf
+        evaluations += int(count)
         if attempt == 0 and sure and not rival <= RIVAL * best:
             return t, a, b, evaluations
-        _, _, value = pair_at(block, fixed, box, t)
+        _, _, value = pair_at(rows, lobes, fixed, box, t)
         evaluations += 1
         if value <= best:
             best_t, best = t, value
-    a, b, _ = pair_at(block, fixed, box, best_t)
+    a, b, _ = pair_at(rows, lobes, fixed, box, best_t)
     return best_t, a, b, evaluations + 1

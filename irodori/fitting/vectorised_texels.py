@@ -1,65 +1,150 @@
 """Variable projection of eight texels at once, for the ordinary case.
 
 A texel takes this way where one interval of the scan certainly holds the lowest minimum, no other comes near, and the
-data calls for both diffuse light and gloss. Every step is that of `irodori.fitting.texels`, and where a lane meets
-anything else it is handed back, to be fitted alone. The rows of observations are
-filled by `irodori.fitting.vectorised_rows`, the minimum is found by `lane_scan` and judged by `lane_judge`.
+data calls for both diffuse light and gloss. Every formula is that of one texel (`irodori.fitting.texels`); where a lane
+meets anything else it is handed back, to be fitted alone.
 """
 
+from typing import NamedTuple
+
+import numpy as np
+
 from irodori.fitting import judge
-from irodori.fitting.vectorised_judge import judge_lanes
-from irodori.fitting.vectorised_rows import expect, load_rows, pack_own, tell, weigh_rows
-from irodori.fitting.vectorised_scan import best_interval, newton, scan_squares, scan_tables, value_nodes
-from irodori.jit.lanes import COUNT, bits, select, store
-from irodori.jit.native import uncounted
+from irodori.fitting.observations import (
+    ENOUGH,
+    distinct_geometries,
+    expect_fitted,
+    load_eight,
+    weigh,
+    weights_changed,
+)
+from irodori.fitting.shared_geometry import GROUP, scan_shared_eight
+from irodori.fitting.texel_rows import item, new_rows_of_eight, pack_eight
+from irodori.fitting.varpro import DESCENT, RIVAL, SUMS, VALUE, interval_minimum, newton, scan, value_nodes
+from irodori.jit.lanes import COUNT, bits, log, lower_of, negated, select, spread, store, upper_of
+from irodori.jit.native import aligned, njit, uncounted
 
 NOISY = 0.01  # relative variance of an observation times their number, from which on weights are of the fitted response
+SURE = 4.0  # standard errors of α from zero, from which on a model without diffuse light is not tried
+_MAX_STEPS = 12  # of Newton; a texel that takes more is fitted alone
+
+
+class Eight(NamedTuple):
+    """Buffers of one thread for eight texels."""
+
+    rows: np.ndarray  # (ROWS, J * COUNT)
+    sums: np.ndarray  # (SUMS, nodes * COUNT), nodes padded to a multiple of GROUP
+    results: np.ndarray  # (judge.COLUMNS + 2, COUNT): the columns, status, evaluations
+
+
+@njit(cache=True)
+def new_eight(captures, nodes):
+    """Return buffers for so many photographs and nodes of the scan."""
+    width = (nodes + GROUP - 1) // GROUP * GROUP * COUNT
+    sums = aligned(SUMS * width).reshape((SUMS, width))
+    return Eight(new_rows_of_eight(captures), sums, np.zeros((judge.COLUMNS + 2, COUNT)))
+
+
+@uncounted(error_model="numpy")
+def _best_interval(problem, sums, least, top):
+    """Return where the lowest minimum is estimated, its bracket with Φ' at the ends, and which lanes have no other."""
+    zero = spread(0.0)
+    best, rival = zero + np.inf, zero + np.inf
+    place, low, high, ordinary, low_slope, high_slope = zero, zero, zero, zero, zero, zero
+    for i in range(problem.nodes.size - 1):
+        d0, d1 = item(sums, DESCENT, i + 1, zero), item(sums, DESCENT, i, zero)
+        f0, f1 = item(sums, VALUE, i + 1, zero), item(sums, VALUE, i, zero)
+        estimate, offset = interval_minimum(problem.nodes[i] - problem.nodes[i + 1], f0, f1, d0, d1)
+        if bits(estimate < np.inf) == 0:
+            continue
+        better = estimate < best
+        rival = select(better, best, lower_of(estimate, rival))
+        enclosed = (d0 < 0.0) & (d1 > 0.0) & ((top == float(i)) | (top == i + 1.0))
+        ordinary = select(better, select(enclosed, 1.0, 0.0), ordinary)
+        place = select(better, problem.nodes[i + 1] + offset, place)
+        low, high = select(better, problem.nodes[i + 1], low), select(better, problem.nodes[i], high)
+        low_slope, high_slope = select(better, d0, low_slope), select(better, d1, high_slope)
+        best = select(better, estimate, best)
+    ordinary_lanes = (ordinary > 0.0) & (best <= RIVAL * least) & (rival > RIVAL * least)
+    return place, (low, high, low_slope, high_slope), ordinary_lanes
 
 
 @uncounted(error_model="numpy")
 def _minimise(problem, shared, rules, rows, sums, ordinary):
     """Return the fixed sums, log μ, α, β, the steps, and which lanes stayed ordinary."""
-    captures, nodes = problem.response.shape[1], problem.nodes.size
-    box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
-    fixed, changed = weigh_rows(rows, captures)
+    box, zero = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta), spread(0.0)
+    fixed = weigh(rows, zero)
     if shared.nodes.shape[1] == 0:
-        scan_squares(problem, rows, sums)
+        scan(rows, problem, sums, zero)
     else:
-        scan_tables(shared, rows, captures, nodes, sums, changed)
-    least, top = value_nodes(fixed, sums, nodes, box)
-    place, bracket, single = best_interval(problem, sums, least, top)
-    t, a, b, steps, converged = newton(rows, captures, fixed, box, place, bracket, ordinary & single)
+        scan_shared_eight(rows, shared, sums, weights_changed(rows))
+    least, top = value_nodes(fixed, sums, problem.nodes.size, box, zero)
+    place, bracket, single = _best_interval(problem, sums, least, top)
+    wanted = ordinary & single
+    t, a, b, steps, converged = newton(
+        rows, problem.lobes, fixed, box, place, bracket, zero > 0.0, wanted, _MAX_STEPS
+    )  # fmt: skip
     return fixed, t, a, b, steps, converged
 
 
 @uncounted(error_model="numpy")
-def fit_abreast(problem, shared, rules, first, last, buffers):
+def _judge(rows, lobes, fixed, found, used, floor, rules, results):
+    """Fill the results of lanes that call for diffuse light and gloss; return which they are."""
+    a, b, log_mu = found
+    squares, chi2, normal, middle, seen = judge.sums_at_minimum(rows, lobes, a, b, log_mu, rules)
+    scale, correlation, determinant = judge.correlations(normal)
+    plain = (normal[0] > 0.0) & (normal[2] > 0.0) & (normal[5] > 0.0) & (determinant > judge.SINGULAR) & (b > 0.0)
+    excess = judge.excess_of(chi2, upper_of(used - 3.0, 1.0))
+    if not rules.known:
+        middle = judge.scatter(rows, a, b, correlation, scale, determinant)
+        excess = spread(1.0)
+    errors = judge.parameter_errors(middle, scale, correlation, determinant, excess, a, b, rules)
+    _, simpler, nothing = judge.without_gloss(fixed, used, floor, rules)
+    if rules.low_alpha == 0.0:
+        simpler = lower_of(simpler, nothing)
+        plain = plain & ((a > SURE * errors[0]) | negated(judge.shown_dark(a, errors[0], fixed)))
+    if not rules.low_beta > 0.0:
+        unknown = log(upper_of(used, 1.0))
+        plain = plain & (judge.information_criterion(squares, used, floor, 3.0 * unknown) < simpler)
+    status = judge.gloss_status_of(a, b, log_mu, errors, seen, rules)
+    variance = upper_of(squares / (used - judge.PARAMETERS), floor)
+    for column, value in (
+        (judge.ALPHA, a), (judge.BETA, b), (judge.LOG_MU, log_mu), (judge.ALPHA_ERROR, errors[0]),
+        (judge.BETA_ERROR, errors[1]), (judge.LOG_MU_ERROR, errors[2]), (judge.SQUARES, squares / fixed[3]),
+        (judge.POWER, fixed[2] / fixed[3]), (judge.VARIANCE, variance / fixed[3]), (judge.COLUMNS, status),
+    ):  # fmt: skip
+        store(results, column * COUNT, value)
+    return plain
+
+
+@uncounted(error_model="numpy")
+def fit_eight(problem, shared, rules, first, last, eight):
     """Fit texels ``first`` .. ``first + 7``, those before ``last``; return a bit for each that is done.
 
     Parameters
     ----------
     problem, shared, rules
         As in `irodori.fitting.texels`; the rows of a shared geometry are filled already.
-    buffers : Abreast
+    eight : Eight
         Its results are filled.
     """
-    captures, rows, sums = problem.response.shape[1], buffers.rows, buffers.sums
+    captures, rows, sums = problem.response.shape[1], eight.rows, eight.sums
     if shared.nodes.shape[1] == 0:
-        pack_own(problem, first, last, rows)
-    used, floor, ordinary = load_rows(problem, rules, first, last, rows)
-    ordinary = ordinary & tell(rows, captures)
+        pack_eight(problem, first, last, rows)
+    used, floor, ordinary = load_eight(problem, rules, first, last, rows)
+    ordinary = ordinary & (distinct_geometries(rows, captures, spread(0.0)) >= float(ENOUGH))
     fixed, t, a, b, steps, ordinary = _minimise(problem, shared, rules, rows, sums, ordinary)
     if rules.weighted:
         noisy = ordinary & (used * used * floor > NOISY * fixed[2])
         if bits(noisy) != 0:
-            expect(problem, rules, rows, a, b, t, noisy)
+            expect_fitted(rows, problem.lobes, problem.noise, rules, a, b, t, noisy)
             before = steps
             fixed, t, a, b, steps, ordinary = _minimise(problem, shared, rules, rows, sums, ordinary)
             steps = select(noisy, steps + before, steps)
     if bits(ordinary) == 0:
         return 0
-    ordinary = ordinary & judge_lanes(rows, captures, fixed, (a, b, t), used, floor, rules, buffers.results)
-    store(buffers.results, (judge.COLUMNS + 1) * COUNT, steps + problem.nodes.size)
+    ordinary = ordinary & _judge(rows, problem.lobes, fixed, (a, b, t), used, floor, rules, eight.results)
+    store(eight.results, (judge.COLUMNS + 1) * COUNT, steps + float(problem.nodes.size))
     return int(bits(ordinary)) & _unclipped(problem, first, last)
 
 
@@ -76,7 +161,7 @@ def _unclipped(problem, first, last):
 
 
 @uncounted()
-def write_abreast(results, done, first, out):
+def write_eight(results, done, first, out):
     """Store the results of the lanes that are ``done`` as those of the texels from ``first`` on."""
     for i in range(COUNT):
         if done >> i & 1:

@@ -48,6 +48,12 @@ def derivatives(constant, f0, f1, f2):
     return d, -2.0 * x * d, 4.0 * x * (x + 1.0) * d
 
 
+@njit(cache=True, forceinline=True, error_model="numpy")
+def flank(constant, f0, f1, f2):
+    """Return D and (2 φ / μ²)²."""
+    return exponential(constant[0] * f0), 4.0 * constant[0] * constant[0] * f0
+
+
 @njit(cache=True, forceinline=True)
 def _inside(mu):
     """Return 1 - exp(-(π/2μ)²), the share of the facets' law that lies within a quarter turn."""

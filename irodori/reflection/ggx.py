@@ -70,6 +70,15 @@ def derivatives(constant, f0, f1, f2):
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
+def flank(constant, f0, f1, f2):
+    """Return D scaled to 1 at φ = 0, and the square of its logarithm's slope along φ."""
+    m2 = constant[0]
+    base = m2 * (1.0 - f0) + f0
+    ratio, slope = m2 / base, (1.0 - m2) / base
+    return ratio * ratio, 16.0 * f0 * (1.0 - f0) * slope * slope
+
+
+@njit(cache=True, forceinline=True, error_model="numpy")
 def draw(mu, v0, v1, v2, u0, u1):
     """Draw a facet's normal as often as the viewer sees it."""
     s0, s1, s2 = mu * v0, mu * v1, max(v2, 1e-7)

@@ -52,13 +52,18 @@ class Lobe:
     roughness : Parameter
         The parameter μ. The weight β, which is linear, belongs to every lobe.
     features : kernel (cosθ_i, cosθ_r, cosφ, cosθ_H, φ) -> (factor, f0, f1, f2)
-        What an observation's geometry is to the lobe; ``factor`` is 0 unless all cosines are positive.
+        What an observation's geometry is to the lobe; ``factor`` is 0 unless all cosines are positive, ``f0`` is 0 at
+        φ = 0 and grows with φ, and what the lobe has no use for is 0.
     constants : kernel (t) -> tuple of two numbers
         What a roughness is to the lobe, computed once for all observations.
     value : kernel (constants, f0, f1, f2) -> value
     derivatives : kernel (constants, f0, f1, f2) -> (value, ∂value/∂t, ∂²value/∂t²)
+    flank : kernel (constants, f0, f1, f2) -> (share, steepness)
+        The value over that at φ = 0, and the square of the slope of its logarithm along φ, 1/rad²: what an error of
+        the pose does to an observation.
     squares_at_half_octave : bool
-        Whether the value at μ / √2 is the square of that at μ, which a scan over roughnesses makes use of.
+        Whether the value is exp(-f0 / μ²): at μ / √2 it is the square of that at μ, which a scan over roughnesses makes
+        use of.
     draw : kernel (μ, v0, v1, v2, u0, u1) -> (h0, h1, h2)
         A half vector from two random numbers in 0..1; v is the unit vector to the viewer, both in a frame whose third
         axis is the normal.
@@ -79,6 +84,7 @@ class Lobe:
     constants: Callable
     value: Callable
     derivatives: Callable
+    flank: Callable
     squares_at_half_octave: bool
     draw: Callable
     density: Callable

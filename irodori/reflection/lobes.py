@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from llvmlite import ir
 from numba import types
 from numba.core.cgutils import get_null_value
+from numba.core.imputils import lower_constant
 from numba.extending import NativeValue, models, overload, register_model, typeof_impl, unbox
 
 from irodori.reflection.registry import lobe
@@ -65,6 +66,11 @@ class _Model(models.PrimitiveModel):
         super().__init__(manager, kind, ir.IntType(8))
 
 
+@lower_constant(LobesType)
+def _constant(context, builder, kind, value):
+    return get_null_value(ir.IntType(8))
+
+
 @unbox(LobesType)
 def _unbox(kind, value, context):
     return NativeValue(get_null_value(ir.IntType(8)))
@@ -101,6 +107,7 @@ features = _specialised("features", _ARGUMENTS, "See `Lobe.features`.", False)
 constants = _specialised("constants", "t", "See `Lobe.constants`.", False)
 value = _specialised("value", "constant, f0, f1, f2", "See `Lobe.value`.", False)
 derivatives = _specialised("derivatives", "constant, f0, f1, f2", "See `Lobe.derivatives`.", False)
+flank = _specialised("flank", "constant, f0, f1, f2", "See `Lobe.flank`.", False)
 draw = _specialised("draw", "mu, v0, v1, v2, u0, u1", "See `Lobe.draw`.", True)
 density = _specialised("density", "mu, cos_r, cos_phi, cos_h, phi", "See `Lobe.density`.", True)
 strength = _specialised("strength", "mu", "See `Lobe.strength`.", True)
@@ -108,3 +115,16 @@ reach = _specialised("reach", "mu", "See `Lobe.reach`.", True)
 features_of = _specialised("features_of", _ARGUMENTS, "See `Lobe.features`; of one of several.", True, "features")
 constants_of = _specialised("constants_of", "t", "See `Lobe.constants`; of one of several.", True, "constants")
 value_of = _specialised("value_of", "constant, f0, f1, f2", "See `Lobe.value`; of one of several.", True, "value")
+
+
+def squares_at_half_octave(lobes):
+    """See `Lobe.squares_at_half_octave`; of one lobe, in compiled code only."""
+    raise NotImplementedError("in compiled code only")
+
+
+@overload(squares_at_half_octave, jit_options={"forceinline": True})
+def _squares(lobes):
+    if isinstance(lobes, LobesType) and len(lobes.names) == 1:
+        flag = lobe(lobes.names[0]).squares_at_half_octave
+        return lambda lobes: flag
+    return None

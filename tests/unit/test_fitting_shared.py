@@ -9,11 +9,13 @@ from hypothesis.extra import numpy as hnp
 
 from irodori.fitting.shared_geometry import padded_nodes, scan_shared, tabulate
 from irodori.fitting.solvers import FitOptions, fit
-from irodori.fitting.texel_rows import ROWS, WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE, pack_geometry, padded
+from irodori.fitting.texel_rows import WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE, new_rows, pack_geometry
 from irodori.fitting.varpro import SUMS, moments
 from irodori.jit.native import LANES, aligned, vector_times_table
 from irodori.material.material_file import Status
 from irodori.reflection.equation5 import reflect
+from irodori.reflection.lobes import Lobes
+from irodori.reflection.registry import names
 
 NODES = FitOptions().nodes()
 _times_16 = vector_times_table(2 * LANES, 2)
@@ -31,23 +33,26 @@ def poses(light_deg, camera_deg) -> np.ndarray:
     return np.stack([light, np.abs(camera), np.abs(light + camera) / 2, np.abs(light - camera) / 2], axis=-1)
 
 
-def block_of(geometry, seed: int) -> np.ndarray:
+def block_of(geometry, lobes: Lobes, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    block, angles = np.zeros((ROWS, padded(len(geometry)))), np.zeros((4, padded(len(geometry))))
-    pack_geometry(geometry, 1.5, 0.0, angles, block)
-    rows = [WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE]
-    block[rows, : len(geometry)] = rng.uniform(0.1, 2.0, (3, len(geometry)))
+    block = new_rows(len(geometry))
+    pack_geometry(geometry, lobes, 1.5, 0.0, block)
+    filled = [WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE]
+    block[filled] = 0.0
+    block[filled, : len(geometry)] = rng.uniform(0.1, 2.0, (3, len(geometry)))
     return block
 
 
+@pytest.mark.parametrize("name", names())
 @given(spread=st.floats(0.5, 60.0), seed=st.integers(0, 99))
-def test_tables_hold_the_sums_and_their_slopes_at_every_node(spread, seed):
+def test_tables_hold_the_sums_and_their_slopes_at_every_node(name, spread, seed):
+    lobes = Lobes((name,))
     light = np.array([20.0, 40.0, 60.0])[np.arange(13) % 3]
-    block = block_of(poses(light, light - np.linspace(0.0, spread, 13)), seed)
+    block = block_of(poses(light, light - np.linspace(0.0, spread, 13)), lobes, seed)
     sums = aligned(SUMS * padded_nodes(NODES.size)).reshape(SUMS, -1)
-    scan_shared(block, tabulate(block, NODES), sums, True)
+    scan_shared(block, tabulate(block, lobes, NODES), sums, True)
     for i, log_mu in enumerate(NODES):
-        expected = np.array(moments(block, log_mu))[[0, 3, 6, 1, 4, 7]]
+        expected = np.array(moments(block, lobes, log_mu))[[0, 3, 6, 1, 4, 7]]
         np.testing.assert_allclose(sums[:6, i], expected, rtol=1e-12, atol=1e-70)
 
 

@@ -10,8 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from irodori.fitting import judge
 from irodori.fitting.shared_geometry import no_shared
 from irodori.fitting.solvers import SOLVERS, FitOptions, problem_of
-from irodori.fitting.vectorised_rows import new_abreast
-from irodori.fitting.vectorised_texels import fit_abreast
+from irodori.fitting.vectorised_texels import fit_eight, new_eight
 from irodori.reflection.equation5 import reflect
 
 LIGHT = np.radians(np.array([25.0, 45.0, 65.0]))[np.arange(24) % 3]
@@ -96,7 +95,7 @@ def test_eight_at_once_are_as_each_alone(shared, noise, seed, level, scale, hole
 
 @numba.njit
 def _done(problem, rules, captures):
-    return fit_abreast(problem, no_shared(), rules, 0, len(problem.response), new_abreast(captures, problem.nodes.size))
+    return fit_eight(problem, no_shared(), rules, 0, len(problem.response), new_eight(captures, problem.nodes.size))
 
 
 @pytest.mark.parametrize("count", [8, 5])

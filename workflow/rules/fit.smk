@@ -17,6 +17,7 @@ rule fit_brdf:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         fit=lookup(within=config, dpath="fit"),
+        lobes=lookup(within=config, dpath="objects/{object}/lobes"),
         refractive_index=lookup(within=config, dpath="objects/{object}/refractive_index"),
         code=code_hash("irodori.fitting.stage", "irodori.spectra.published"),
     script:

@@ -7,7 +7,7 @@ with run_rule(snakemake) as provenance:
     fit_brdf(
         snakemake.input.observations,
         snakemake.output.brdf,
-        FitOptions(**snakemake.params.fit),
+        FitOptions(**snakemake.params.fit, lobes=tuple(snakemake.params.lobes)),
         *refractive_index(snakemake.params.refractive_index),
         provenance,
         next(iter(snakemake.input.calibration), None),

@@ -18,6 +18,7 @@ from irodori.config.cross_checks.captures_on_rig import (
 from irodori.config.cross_checks.display_files import check_display
 from irodori.config.cross_checks.environment_sources import check_source, is_photographed
 from irodori.config.cross_checks.named_spectra import check_chart, check_spectra
+from irodori.config.cross_checks.object_lobes import check_lobes
 from irodori.config.cross_checks.plan_overrides import check_plan
 from irodori.config.cross_checks.rig_motion import check_motion
 from irodori.config.cross_checks.scene_photographs import check_aim, check_photograph
@@ -171,6 +172,7 @@ class _Checks:
             self._reach(camera).check_shots(shots, table)
         shape_files(definition["shape"], self.root)
         self._check_index(definition["refractive_index"], "refractive_index", file)
+        check_lobes(definition, self.all["fit"], file)
         for key in ("alpha", "beta", "mu_rad"):
             low, high = definition["plan"][key]
             if low > high:

@@ -1,0 +1,33 @@
+"""The lobes of an object's gloss, and what of the fit's settings two of them leave no choice of."""
+
+from irodori.config.validation import suggest
+from irodori.core.errors import InputError
+
+_DEFAULT = ["gaussian"]
+#: Settings of the fit that an object with two lobes must leave as they are.
+_OF_ONE_LOBE = {"solver": "varpro", "refractive_index": "fixed", "pooling_radius_texels": 0, "huber": None}
+
+
+def check_lobes(definition: dict, fit: dict, file) -> None:
+    """Refuse lobes that are not registered, and settings of the fit that do not go with two.
+
+    Raises
+    ------
+    InputError
+    """
+    lobes = definition["lobes"]
+    if lobes == _DEFAULT:
+        return
+    from irodori.reflection.registry import names  # with the compiler behind it, which most configurations do not need
+
+    for place, name in enumerate(lobes):
+        if name not in names():
+            raise InputError(file, f"lobes[{place}]", repr(name), suggest(name, names(), "lobes"))
+    if len(lobes) == 1:
+        return
+    for key, accepted in _OF_ONE_LOBE.items():
+        if fit[key] != accepted:
+            stated = "null" if accepted is None else accepted
+            raise InputError(
+                file, "lobes", f"two lobes with fit.{key}: {fit[key]}", f"one lobe, or fit.{key}: {stated}"
+            )
