@@ -48,8 +48,9 @@ _LENGTHS = ("shift_px", "repeat_rms_px")
 class CostRow:
     """One line of ``imperfections.csv``: the errors of an object's reflectance with one set of faults.
 
-    ``beta`` and ``mu``, of the first gloss component, are medians of the relative error where the fit states them, NaN where the truth has no such
-    parameter; ``known`` is the share of observed texels on which it does. Texels at seams are left out of all.
+    ``beta`` and ``mu``, of the first gloss component, are medians of the relative error where the fit states them, NaN
+    where the truth has no such parameter; ``known`` is the share of observed texels on which it does. Texels at seams
+    are left out of all.
     """
 
     faults: str
