@@ -59,7 +59,7 @@ def surface(components, n=1.5, k=0.0, reflectance=0.0) -> Material:
     return dataclasses.replace(one, lobes=tuple(c[0] for c in components), further_gloss=maps, typical_gloss=typical)
 
 
-def integral(normal, view, components, n, k) -> float:
+def integral(normal, view, components, n, k, light_of=smooth_light) -> float:
     """Σ β/π ∫ L F D G / cosθ_r dω over half vectors, each component with nodes that follow its own width and tails."""
     nodes, weights = np.polynomial.legendre.leggauss(200)
     around = (np.arange(256) + 0.5) * 2 * np.pi / 256
@@ -78,29 +78,25 @@ def integral(normal, view, components, n, k) -> float:
         light = 2 * cos_h[..., None] * half - view
         lit = (cos_h > 1e-9) & (light @ normal > 1e-9)
         cos_i, cos_h = np.where(lit, light @ normal, 1.0), np.where(lit, cos_h, 1.0)
-        found = smooth_light(light) * fresnel(cos_h, n, k) * term(name, mu, cos_i, normal @ view, np.cos(phi), cos_h)
+        found = light_of(light) * fresnel(cos_h, n, k) * term(name, mu, cos_i, normal @ view, np.cos(phi), cos_h)
         solid_angle = np.sin(phi) * dphi[:, None] * 2 * np.pi / 256 * 4 * cos_h
         whole += beta / np.pi * float(np.sum(np.where(lit, found, 0.0) * solid_angle))
     return whole
 
 
 @GLOSSY
+@pytest.mark.parametrize("theta_deg", [0.0, 50.0, 80.0])
 @pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.4)], ids=["lacquer", "metal"])
-def test_reference_renders_the_lobes_integrated_over_the_light(components, n, k):
-    light = sky(lambda direction: smooth_light(direction)[..., None])
-    picture = traced([BALL], [surface(components, n, k)], light, 4096, size=(11, 11))
-    ray, normal = sphere_hits(size=(11, 11))
-    places = [(5, 5), (3, 5), (5, 8), (8, 3), (2, 4)]
-    found = np.array([picture.radiance[y, x, 30] for y, x in places])
-    error = np.array([picture.standard_error[y, x].mean() for y, x in places])
-    # A pixel is a square of directions: its middle stands for the mean but for the light's and the lobe's curvature.
-    true = np.array([integral(normal[y, x], -ray[y, x], components, n, k) for y, x in places])
-    assert (np.abs(found - true) < 5 * error + 0.006 * true).all()
-    assert (error < 0.01 * true).all()
-
-
-def white_metal(components):
-    return surface(components, n=0.01, k=20.0)
+def test_reference_renders_the_lobes_integrated_over_the_light(components, theta_deg, n, k):
+    """A small part of a plate under light that varies slowly, as the Gaussian lobe is tested."""
+    theta = np.radians(theta_deg)
+    view = np.array([0.0, -np.sin(theta), np.cos(theta)])
+    picture = traced([plate(2000.0)], [surface(components, n, k)],
+                     sky(lambda d: smooth_light(d)[..., None], 2048, 1024), 8192, position=500 * view, size=(1, 1),
+                     fov=0.1, up=(0.0, np.cos(theta), np.sin(theta)))  # fmt: skip
+    expected = integral(np.array([0.0, 0.0, 1.0]), view, components, n, k)
+    assert picture.standard_error[0, 0, 0] <= 5e-3 * expected
+    assert abs(picture.radiance[0, 0, 0] - expected) <= 5 * picture.standard_error[0, 0, 0] + 5e-4 * expected
 
 
 @pytest.mark.parametrize("mu", [0.02, 0.1, 0.3, 0.7])
@@ -108,9 +104,12 @@ def white_metal(components):
 def test_a_furnace_gives_no_more_light_than_it_has(lobes, mu):
     """β F of each component is such that its facets cover the surface once; of two, each covers half of it."""
     components = tuple((name, 1 / (4 * mu**2) / len(lobes), mu) for name in lobes)
-    picture = traced([BALL], [white_metal(components)], constant_light(1.0), 1024, size=(11, 11))
+    picture = traced([BALL], [surface(components, n=0.01, k=20.0)], constant_light(1.0), 1024, size=(11, 11))
     assert deviations(picture, 1.0).max() < 6
-    assert picture.radiance[5, 5].min() > 0.6
+    # What is missing has met a second facet, which a lobe does not follow.
+    steep = np.array([0.0, 0.0, 1.0])
+    expected = integral(steep, steep, components, 0.01, 20.0, lambda direction: np.ones(direction.shape[:-1]))
+    assert picture.radiance[5, 5, 30] == pytest.approx(expected, rel=0.01)
 
 
 @GLOSSY
@@ -180,7 +179,8 @@ def test_interactive_and_reference_show_the_same_ball(components):
     ray, _ = sphere_hits(size=(21, 21))
     facing = -np.sum(ray * normal, axis=-1) > 0.5
     difference = np.abs(fast - slow)[facing] / slow[facing]
-    assert np.median(difference) < 0.01 and difference.max() < 0.06
+    rough = max(mu for _, _, mu in components) > 0.3
+    assert np.median(difference) < (0.03 if rough else 0.01) and difference.max() < 0.06
 
 
 @pytest.mark.parametrize(("name", "parts"), [("gaussian", 1), ("ggx", 3), ("toy", 1)])

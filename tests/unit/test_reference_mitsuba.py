@@ -133,10 +133,10 @@ def test_mitsuba_agrees_on_a_rough_golden_plate(mu):
     gold = dataclasses.replace(
         material(beta=1 / (4 * mu**2), mu=mu, n=np.array(GOLD_N)[THIRDS], k=np.array(GOLD_K)[THIRDS]), lobes=("ggx",)
     )
-    view = {"position": (0.0, -110.0, 220.0), "target": (0.0, 0.0, 0.0), "fov": 22.0, "size": (20, 16)}
+    view = {"position": (0.0, -110.0, 220.0), "target": (0.0, 0.0, 0.0), "fov": 22.0, "size": (12, 10)}
     panel = {"width_mm": 60.0, "height_mm": 40.0, "rotation_deg": [155.0, 0.0, 0.0], "position_mm": [0.0, 90.0, 180.0]}
     lamp = {"kind": "rectangle", "spectrum": "D65", "radiance": 3.0, **panel}
-    ours = traced([plate(120.0)], [gold], constant_light(SKY[THIRDS]), 1024, lights=[lamp], **view)
+    ours = traced([plate(120.0)], [gold], constant_light(SKY[THIRDS]), 4096, lights=[lamp], **view)
     turn = rotation_xyz(panel["rotation_deg"])
     bsdf = {"type": "roughconductor", "distribution": "ggx", "alpha": mu, "eta": rgb(GOLD_N), "k": rgb(GOLD_K)}
     parts = {
@@ -147,7 +147,7 @@ def test_mitsuba_agrees_on_a_rough_golden_plate(mu):
         },
         "sky": sky_light,
     }  # fmt: skip
-    agree(ours, mitsuba_picture(parts, samples=64, **view))
+    agree(ours, mitsuba_picture(parts, samples=512, **view))
 
 
 def walls():
