@@ -185,10 +185,18 @@ def load_eight(problem, rules, first, last, rows):
         Whose weights need no other scale.
     """
     for j in range(problem.response.shape[1]):
-        for i in range(COUNT):
-            rows[RESPONSE, j * COUNT + i] = problem.response[min(first + i, last - 1), j]
-        for i in range(COUNT):
-            rows[WEIGHT, j * COUNT + i] = problem.weight[min(first + i, last - 1), j]
+        if first + COUNT <= last:
+            for i in range(COUNT):
+                rows[RESPONSE, j * COUNT + i] = problem.response[first + i, j]
+            for i in range(COUNT):
+                rows[WEIGHT, j * COUNT + i] = problem.weight[first + i, j]
+        else:
+            for i in range(COUNT):
+                t = min(first + i, last - 1)
+                rows[RESPONSE, j * COUNT + i], rows[WEIGHT, j * COUNT + i] = (
+                    problem.response[t, j],
+                    problem.weight[t, j],
+                )
     zero = spread(0.0)
     used, total, power, largest = screen(rows, zero)
     floor = expect_noise(rows, problem.noise, rules, used, total, power, zero)

@@ -382,7 +382,8 @@ def _fit_two(problem: texels.Problem, rules: Rules, options: FitOptions) -> FitR
     two = one if second == problem.lobes else _solve_varpro(problem._replace(lobes=second), rules, options)
     found = two_lobes.fit_two(problem, second, rules, one, two)
     first, other = _result(one, problem), _result(two, problem)
-    both, of_second = found.both == 1, found.second == 1
+    both = found.both == 1
+    of_second = (found.second == 1) & ~both
     table = found.table
     errors = table[:, two_lobes.ERRORS : two_lobes.ERRORS + two_lobes.PARAMETERS]
     free = both & np.isin(found.status, [judge.Status.OK, judge.Status.MU_UNIDENTIFIABLE])

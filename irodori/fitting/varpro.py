@@ -30,7 +30,7 @@ from irodori.fitting.texel_rows import (
     put_item,
     vectors_of,
 )
-from irodori.jit.lanes import lower_of, magnitude, negated, root, select, spread, upper_of
+from irodori.jit.lanes import exponential, lower_of, magnitude, negated, root, select, spread, upper_of
 from irodori.jit.native import njit, uncounted
 from irodori.reflection import lobes as lobe_kernels
 
@@ -48,6 +48,40 @@ SUMS = 10
 @uncounted(error_model="numpy")
 def moments(rows, lobes, log_mu):
     """Return value, slope and curvature along log μ of Σ w c g, Σ w ρ g and Σ w g²."""
+    if lobe_kernels.squares_at_half_octave(lobes):
+        return _exponential_moments(rows, lobes, log_mu)
+    return _moments(rows, lobes, log_mu)
+
+
+@uncounted(error_model="numpy")
+def _exponential_moments(rows, lobes, log_mu):
+    """Return the moments of a lobe exp(x), x = -f0 / μ², whose derivatives are multiples of it: half the numbers."""
+    constant, factor = lobe_kernels.constants(lobes, log_mu), -exponential(-2.0 * log_mu)
+    cg, cg1, cg2, rg, rg1 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    rg2, gg, gg1, gg2 = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    for j in range(vectors_of(rows)):
+        f0 = get(rows, F0, j)
+        x = f0 * factor
+        g = get(rows, GLOSS, j) * lobe_kernels.value(lobes, constant, f0, get(rows, F1, j), get(rows, F2, j))
+        c = get(rows, WEIGHTED_COSINE, j) * g
+        r = get(rows, WEIGHTED_RESPONSE, j) * g
+        s = get(rows, WEIGHT, j) * g * g
+        cg, rg, gg = cg + c, rg + r, gg + s
+        c, r, s = c * x, r * x, s * x
+        cg1, rg1, gg1 = cg1 + c, rg1 + r, gg1 + s
+        cg2, rg2, gg2 = cg2 + c * x, rg2 + r * x, gg2 + s * x
+    # dg/dt = -2 x g, d²g/dt² = (4 x² + 4 x) g; g² has twice the exponent.
+    cg1, rg1, gg1 = folded(cg1, log_mu), folded(rg1, log_mu), folded(gg1, log_mu)
+    return (
+        folded(cg, log_mu), -2.0 * cg1, 4.0 * (folded(cg2, log_mu) + cg1),
+        folded(rg, log_mu), -2.0 * rg1, 4.0 * (folded(rg2, log_mu) + rg1),
+        folded(gg, log_mu), -4.0 * gg1, 16.0 * folded(gg2, log_mu) + 8.0 * gg1,
+    )  # fmt: skip
+
+
+@uncounted(error_model="numpy")
+def _moments(rows, lobes, log_mu):
+    """Return the moments of any lobe."""
     constant = lobe_kernels.constants(lobes, log_mu)
     cg, cg1, cg2, rg, rg1 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     rg2, gg, gg1, gg2 = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
@@ -91,11 +125,14 @@ def _sum_squared_node(steepness, rows, sums, i, zero):
     cg, rg, gg, cg1, rg1, gg1 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for j in range(vectors_of(rows)):
         lobe, x = get(rows, LOBE, j), get(rows, F0, j)
-        g = get(rows, GLOSS, j) * lobe
-        c, r, s = get(rows, WEIGHTED_COSINE, j) * g, get(rows, WEIGHTED_RESPONSE, j) * g, get(rows, WEIGHT, j) * g * g
-        cg, rg, gg = cg + c, rg + r, gg + s
-        cg1, rg1, gg1 = cg1 + c * x, rg1 + r * x, gg1 + s * x
         put(rows, LOBE, j, lobe * lobe + LEAST_LOBE)
+        g = get(rows, GLOSS, j) * lobe
+        c = get(rows, WEIGHTED_COSINE, j) * g
+        cg, cg1 = cg + c, cg1 + c * x
+        r = get(rows, WEIGHTED_RESPONSE, j) * g
+        rg, rg1 = rg + r, rg1 + r * x
+        s = get(rows, WEIGHT, j) * g * g
+        gg, gg1 = gg + s, gg1 + s * x
     _put_node(sums, i, (cg, rg, gg, steepness * cg1, steepness * rg1, 2.0 * steepness * gg1), zero)
 
 

@@ -53,7 +53,9 @@ def test_tables_hold_the_sums_and_their_slopes_at_every_node(name, spread, seed)
     scan_shared(block, tabulate(block, lobes, NODES), sums, True)
     for i, log_mu in enumerate(NODES):
         expected = np.array(moments(block, lobes, log_mu))[[0, 3, 6, 1, 4, 7]]
-        np.testing.assert_allclose(sums[:6, i], expected, rtol=1e-12, atol=1e-70)
+        # Slopes of either sign cancel: their digits are those of the largest sum.
+        slack = 1e-14 * np.abs(expected).max() + 1e-70
+        np.testing.assert_allclose(sums[:6, i], expected, rtol=1e-12, atol=slack)
 
 
 @pytest.mark.parametrize("scan_per_octave", [2, 4])
