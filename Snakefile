@@ -15,7 +15,6 @@ workflow.register_resource("rig", 1)
 
 
 include: "workflow/rules/common.smk"
-include: "workflow/rules/common_scenes.smk"
 
 
 wildcard_constraints:
@@ -57,8 +56,8 @@ localrules:
 rule all:
     default_target: True
     input:
-        pictures,
-        calibrations,
+        scenes.pictures,
+        sets.calibrations,
         "results/errors.csv",
         "results/report.html",
 
