@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from keyword import iskeyword
 from typing import Any, Self, Union
 
-__all__ = ["Definition", "as_plain", "field_name"]
+__all__ = ["Definition", "as_plain", "field_name", "typed"]
 
 
 def field_name(key: str) -> str:
@@ -37,14 +37,18 @@ class Definition:
         ValueError
             If a key is unknown, a needed one is missing or no variant of a block fits. Ranges are for the schema.
         """
-        types_of = _types_of(cls)
+        own: Any = cls
+        types_of = _types_of(own)
+        kind = cls.__dict__.get("kind")
+        if kind is not None and given.get("kind", kind) != kind:
+            raise ValueError(f"{cls.__name__} is of the kind {kind!r}, not {given['kind']!r}")
         unknown = [key for key in given if field_name(key) not in types_of]
         if unknown:
-            raise ValueError(f"{cls.__name__} has no key {unknown[0]!r}; its keys: {', '.join(_keys_of(cls))}")
-        missing = [key for key in _needed_keys(cls) if key not in given]
+            raise ValueError(f"{cls.__name__} has no key {unknown[0]!r}; its keys: {', '.join(_keys_of(own))}")
+        missing = [key for key in _needed_keys(own) if key not in given]
         if missing:
             raise ValueError(f"{cls.__name__} needs the key {missing[0]!r}")
-        return cls(**{field_name(key): _typed(value, types_of[field_name(key)]) for key, value in given.items()})
+        return cls(**{field_name(key): typed(types_of[field_name(key)], value) for key, value in given.items()})
 
     def plain(self) -> dict[str, Any]:
         """Return the keys and values as a file gives them, every default written out and absent keys left out."""
@@ -68,24 +72,30 @@ def as_plain(value: Any) -> Any:
 
 
 @functools.cache
-def _types_of(cls: type[Definition]) -> dict[str, Any]:
+def _types_of(cls: Any) -> dict[str, Any]:
     return typing.get_type_hints(cls)
 
 
 @functools.cache
-def _keys_of(cls: type[Definition]) -> tuple[str, ...]:
+def _keys_of(cls: Any) -> tuple[str, ...]:
     return tuple(name.rstrip("_") for name in _types_of(cls))
 
 
 @functools.cache
-def _needed_keys(cls: type[Definition]) -> tuple[str, ...]:
+def _needed_keys(cls: Any) -> tuple[str, ...]:
     missing = dataclasses.MISSING
     fields = dataclasses.fields(cls)
     return tuple(f.name.rstrip("_") for f in fields if f.default is missing and f.default_factory is missing)
 
 
-def _typed(value: Any, kind: Any) -> Any:
-    """Return a value of a file as its field's type has it."""
+def typed(kind: Any, value: Any) -> Any:
+    """Return a value of a file as a type has it: a definition, a union of some, or tuples and mappings of these.
+
+    Raises
+    ------
+    ValueError
+        As of `Definition.of`.
+    """
     if isinstance(value, Definition):
         return value
     origin, parts = typing.get_origin(kind), typing.get_args(kind)
@@ -94,18 +104,18 @@ def _typed(value: Any, kind: Any) -> Any:
     if isinstance(kind, type) and issubclass(kind, Definition):
         return kind.of(value)
     if isinstance(value, list | tuple) and origin is tuple:
-        return tuple(_typed(item, parts[0]) for item in value)
+        return tuple(typed(parts[0], item) for item in value)
     if isinstance(value, Mapping) and origin is Mapping:
-        return {key: _typed(item, parts[1]) for key, item in value.items()}
+        return {key: typed(parts[1], item) for key, item in value.items()}
     return value
 
 
 def _variant(value: Any, parts: tuple[Any, ...]) -> Any:
     """Return a value of a union: of several blocks the one of its kind, or else the one whose keys fit."""
-    blocks = [part for part in parts if isinstance(part, type) and issubclass(part, Definition)]
+    blocks: list[Any] = [part for part in parts if isinstance(part, type) and issubclass(part, Definition)]
     if not isinstance(value, Mapping):
         plain = [part for part in parts if part not in blocks]
-        return _typed(value, plain[0]) if len(plain) == 2 and type(None) in plain else value
+        return typed(plain[0], value) if len(plain) == 2 and type(None) in plain else value
     if len(blocks) == 1:
         return blocks[0].of(value)
     for block in blocks:

@@ -4,11 +4,18 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, Self
 
+from irodori.config.definition import Definition
 from irodori.config.models import Camera, Config, Environment, Object, Rig, Scene
 
 __all__ = ["Loaded"]
 
-_CLASSES = {"scenes": Scene, "objects": Object, "environments": Environment, "cameras": Camera, "rigs": Rig}
+_CLASSES: dict[str, type[Definition]] = {
+    "scenes": Scene,
+    "objects": Object,
+    "environments": Environment,
+    "cameras": Camera,
+    "rigs": Rig,
+}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -26,7 +33,7 @@ class Loaded:
     def of(cls, definitions: Mapping[str, Any]) -> Self:
         """Make the dataclasses of what `irodori.config.definitions.load_definitions` returned."""
         rest = {key: value for key, value in definitions.items() if key not in _CLASSES}
-        kinds = {
+        kinds: dict[str, Any] = {
             kind: {name: made.of(given) for name, given in definitions[kind].items()} for kind, made in _CLASSES.items()
         }
         return cls(config=Config.of(rest), **kinds)

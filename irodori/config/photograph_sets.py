@@ -14,6 +14,7 @@ from irodori.config.definition import Definition, as_plain
 from irodori.config.definitions import captures_of, is_taken_here, is_virtual
 from irodori.config.loaded import Loaded
 from irodori.config.models import CapturesSource, MeshShape, PlateShape
+from irodori.config.parts import RigGeometry
 from irodori.geometry.mesh_sources import mesh_files
 from irodori.rectification.texture_tiles import tile_rows
 from irodori.spectra.spectral_files import SUFFIXES
@@ -235,8 +236,7 @@ class PhotographSets:
     def rig_geometry(self, wildcards) -> dict:
         """Return what the geometry of an object's photographs needs of their rig; no distance of a far light."""
         rig = self.loaded.rigs[self.rig_of(wildcards)]
-        near = {} if rig.light.distance_mm is None else {"distance_mm": rig.light.distance_mm}
-        return {"camera_distance_mm": rig.camera_distance_mm, "table_radius_mm": rig.table_radius_mm, "light": near}
+        return RigGeometry.of_rig(rig).plain()
 
     def light(self, wildcards) -> str:
         """Return the spectrum of the light of a set's rig."""

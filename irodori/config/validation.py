@@ -254,7 +254,7 @@ def accepts(schema: dict) -> str:
         return ", or ".join(accepts({**schema, "type": kind}) for kind in schema["type"])
     if schema.get("type") == "null":
         return "null"
-    text = _TYPE_WORDS.get(schema.get("type"), "a value")
+    text = _TYPE_WORDS.get(schema.get("type", ""), "a value")
     if schema.get("type") == "object" and schema.get("properties"):
         kind = schema["properties"].get("kind", {}).get("const")
         return (f"of kind {kind}, " if kind else "") + f"{text} ({', '.join(schema['properties'])})"
@@ -317,7 +317,9 @@ def _complete(schema: dict, instance):
         schema = schema["oneOf"][branch] if branch is not None else {}
     if isinstance(instance, dict):
         patterns = schema.get("patternProperties", {})
-        rules = {key: next((r for p, r in patterns.items() if re.search(p, key)), {}) for key in instance}
+        rules: dict[str, dict] = {
+            key: next((r for p, r in patterns.items() if re.search(p, key)), {}) for key in instance
+        }
         rules.update(schema.get("properties", {}))
         given = {
             key: instance[key] if key in instance else rule["default"]

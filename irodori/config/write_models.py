@@ -62,7 +62,8 @@ def models_text() -> str:
     found: dict[str, _Class | str] = {}
     for name in SCHEMAS:
         _type_of({**load_schema(name), "title": name.capitalize()}, found)
-    parts, before = [_HEAD], ""
+    parts: list[str] = [_HEAD]
+    before: _Class | str = ""
     for name, what in found.items():
         text = f"{name}: TypeAlias = {what}\n" if isinstance(what, str) else _class_text(name, what)
         parts.append("\n" if isinstance(what, str) and isinstance(before, str) and before else "\n\n")
@@ -86,7 +87,7 @@ def _type_of(schema: dict, found: dict) -> str:
     if schema["type"] == "array":
         inner, count = _type_of(schema["items"], found), schema.get("maxItems")
         fixed = schema.get("minItems") == count
-        return f"tuple[{', '.join([inner] * count)}]" if fixed else f"tuple[{inner}, ...]"
+        return f"tuple[{', '.join([inner] * count)}]" if fixed and count else f"tuple[{inner}, ...]"
     if schema["type"] != "object":
         return _SCALARS[schema["type"]]
     if "patternProperties" in schema:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from irodori.config.models import BodyShape, ObjectShape
 from irodori.geometry.atlas import Texels, mesh_texels, rasterise
 from irodori.geometry.mesh import Mesh
 from irodori.jit.native import njit
@@ -49,7 +50,7 @@ class Shape:
     file: str = "mesh"
 
     @classmethod
-    def from_definition(cls, shape: dict) -> "Shape":
+    def from_definition(cls, shape: ObjectShape | BodyShape) -> "Shape":
         """Return the shape of a configuration's `shape` block; a mesh is read from its file.
 
         Raises
@@ -59,20 +60,22 @@ class Shape:
         InputError
             If a mesh is refused, see `irodori.geometry.mesh_files.read_mesh`.
         """
-        if shape["kind"] == "plate":
-            return cls(PLATE, (float(shape["width_mm"]), float(shape["height_mm"])))
-        if shape["kind"] == "sphere":
-            return cls(SPHERE, (float(shape["radius_mm"]), float(shape["radius_mm"])))
-        if shape["kind"] == "mesh":
+        if shape.kind == "plate":
+            return cls(PLATE, (float(shape.width_mm), float(shape.height_mm)))
+        if shape.kind == "sphere":
+            return cls(SPHERE, (float(shape.radius_mm), float(shape.radius_mm)))
+        if shape.kind == "mesh":
             from irodori.geometry.mesh_files import read_mesh
 
-            options = {key: shape[key] for key in ("unit", "up", "pivot_mm", "crease_deg") if key in shape}
-            return cls.from_mesh(read_mesh(shape["file"], **options), shape["file"])
-        if shape["kind"] == "disc":
-            return cls(DISC, (2.0 * shape["radius_mm"],) * 2)
-        if shape["kind"] == "plane":
+            mesh = read_mesh(
+                shape.file, unit=shape.unit, up=shape.up, pivot_mm=shape.pivot_mm, crease_deg=shape.crease_deg
+            )
+            return cls.from_mesh(mesh, shape.file)
+        if shape.kind == "disc":
+            return cls(DISC, (2.0 * shape.radius_mm,) * 2)
+        if shape.kind == "plane":
             return cls(PLANE, (0.0, 0.0))
-        raise ValueError(f"unknown shape {shape['kind']!r}; accepted: plate, sphere, mesh, disc, plane")
+        raise ValueError(f"unknown shape {shape.kind!r}; accepted: plate, sphere, mesh, disc, plane")
 
     @classmethod
     def from_mesh(cls, mesh: Mesh, file: str = "mesh") -> "Shape":

@@ -12,9 +12,12 @@ import threading
 import time
 from pathlib import Path
 
+from made import made
 from sessions import MADE, ROOT, definitions, target
 
 from irodori.capture.stage import capture_object
+from irodori.config.models import Object
+from irodori.config.parts import PhotographedObject
 
 
 class Killable:
@@ -80,7 +83,7 @@ def main() -> None:
                 setattr(os, name, stretched(getattr(os, name), slow_s))
             definition, aim = target(Path(folder), motion)
             try:
-                capture_object(definition, aim, Path(folder) / "session.json", MADE)
+                capture_object(made(Object | PhotographedObject, definition), aim, Path(folder) / "session.json", MADE)
             except BaseException as error:
                 print(repr(error), file=sys.stderr, flush=True)
                 os._exit(1)

@@ -90,7 +90,7 @@ def test_the_pose_of_the_white_counts_where_the_lamp_is_near(root):
     edit(root, "rigs/virtual.yaml", "light.distance_mm", 800.0)
     near = PhotographSets(load(root))
     assert near.white_pose(plate) == near.loaded.cameras["d5100-comb"].poses.white.plain()
-    assert near.rig_geometry(plate)["light"] == {"distance_mm": 800.0}
+    assert near.rig_geometry(plate)["lamp_distance_mm"] == 800.0
 
 
 def test_tables_that_definitions_name_are_found():

@@ -6,6 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
+from irodori.config.models import ChecksPattern, MeasuredMaterial, Object
+from irodori.config.parts import PhotographedObject
 from irodori.geometry.shapes import Shape
 from irodori.reflection.equation5 import fresnel
 from irodori.simulation.virtual_rig.sample_reflection import MODELS, measured_lobe, read_measured
@@ -50,30 +52,35 @@ class Sample:
     k: np.ndarray
 
     @classmethod
-    def from_definition(cls, definition: dict) -> "Sample":
+    def from_definition(cls, definition: Object | PhotographedObject) -> "Sample":
         """Return the sample of an object's definition with its ``virtual`` block."""
-        virtual = definition["virtual"]
-        pattern, materials = virtual["pattern"], virtual["materials"]
-        n, k = refractive_index(definition["refractive_index"])
-        checks = pattern["kind"] == "checks"
-        files = sorted({m["file"] for m in materials if m["kind"] == "measured"})
+        virtual = definition.virtual
+        if virtual is None:
+            raise ValueError("an object without the block virtual; accepted: an object of the virtual rig")
+        pattern, materials = virtual.pattern, virtual.materials
+        n, k = refractive_index(definition.refractive_index)
+        columns, rows = (pattern.columns, pattern.rows) if isinstance(pattern, ChecksPattern) else (1, 1)
+        measured = {m.file for m in materials if isinstance(m, MeasuredMaterial)}
+        files = sorted(measured)
         tables = [read_measured(file) for file in files]
         return cls(
-            shape=Shape.from_definition(definition["shape"]),
-            columns=pattern["columns"] if checks else 1,
-            rows=pattern["rows"] if checks else 1,
+            shape=Shape.from_definition(definition.shape),
+            columns=columns,
+            rows=rows,
             reflectance=np.stack(
                 [
-                    spectrum(m["spectrum"]) if "spectrum" in m else _reflectance_factor(tables[files.index(m["file"])])
+                    _reflectance_factor(tables[files.index(m.file)])
+                    if isinstance(m, MeasuredMaterial)
+                    else spectrum(m.spectrum)
                     for m in materials
                 ]
             ),
-            model=np.array([MODELS[m["kind"]] for m in materials]),
-            beta=np.array([m.get("beta", 0.0) for m in materials], dtype=np.float64),
-            mu_rad=np.array([m.get("mu_rad", 1.0) for m in materials], dtype=np.float64),
-            table=np.array([files.index(m["file"]) if "file" in m else 0 for m in materials]),
+            model=np.array([MODELS[m.kind] for m in materials]),
+            beta=np.array([getattr(m, "beta", 0.0) for m in materials], dtype=np.float64),
+            mu_rad=np.array([getattr(m, "mu_rad", 1.0) for m in materials], dtype=np.float64),
+            table=np.array([files.index(m.file) if isinstance(m, MeasuredMaterial) else 0 for m in materials]),
             measured=np.stack(tables) if tables else np.zeros((1, 2, 2, SAMPLES)),
-            mirror=float(definition["mirror_weight"]),
+            mirror=definition.mirror_weight,
             n=n,
             k=k,
         )
