@@ -1,5 +1,6 @@
 """What the Snakefile asks: files and parameters of jobs, from wildcards."""
 
+import dataclasses
 import itertools
 import json
 from types import SimpleNamespace
@@ -7,10 +8,13 @@ from types import SimpleNamespace
 import pytest
 from definitions import CAMERA_FILE, PLATE_FILE, ROOT, edit, load
 
-from irodori.config import models
+from irodori.config import models, parts
 from irodori.config.photograph_sets import PhotographSets, named_tables
 from irodori.config.scene_files import SceneFiles
 from irodori.core.errors import InputError
+from irodori.fitting.solvers import FitOptions
+from irodori.ingest.ingest_options import IngestOptions
+from irodori.material.principal_components.basis_count import CompressOptions
 
 
 def job(**wildcards):
@@ -64,6 +68,40 @@ def test_parameters_are_plain_and_as_the_files_say(sets, scenes, definitions):
     assert set(asked["photographed"]) == photographed
     assert all(asked["photographed"][key] == definitions["objects"]["tile-plate"][key] for key in photographed)
     assert set(asked["plates"]) == {"tile-plate"} == {asked["subject"]["name"]}
+
+
+def test_scripts_make_the_parts_of_what_the_snakefile_gives(sets, scenes):
+    plate, still_life = job(object="tile-plate"), job(scene="still-life", photograph="front")
+    photographed = parts.PhotographedObject.of(sets.photographed(plate))
+    whole = sets.loaded.objects["tile-plate"]
+    assert all(value == getattr(whole, key) for key, value in vars(photographed).items())
+    planned = {name: parts.PlannedPlate.of(given) for name, given in sets.plates().items()}
+    assert planned["tile-plate"].definition.plan == whole.plan
+    assert planned["tile-plate"].sensor == sets.loaded.cameras[whole.camera].virtual.sensor
+    assert parts.ImperfectObject.of(sets.imperfect_object()).definition == whole
+    assert parts.RigGeometry.of(sets.rig_geometry(plate)) == parts.RigGeometry.of_rig(sets.loaded.rigs["virtual"])
+    assert models.Optics.of(sets.optics(plate)) == sets.loaded.cameras[whole.camera].optics
+    scene = sets.loaded.scenes["still-life"]
+    staging = parts.Staging.of(scenes.part("objects", "bodies", "lights", "display")(still_life))
+    assert (staging.objects, staging.display) == (scene.objects, scene.display)
+    assert [one.shape for one in map(parts.Subject.of, scenes.subjects(still_life))] == parts.typed_shapes(
+        scenes.shapes(still_life)
+    )
+    assert models.ScenePhotograph.of(scenes.photograph(still_life)) == scene.photographs["front"]
+    assert models.Camera.of(scenes.photograph_camera(still_life)).optics == sets.loaded.cameras[whole.camera].optics
+
+
+def test_options_of_stages_have_the_defaults_of_the_configuration():
+    """Three stages check their options themselves: their classes repeat defaults, which must not drift apart."""
+    for own, block in (
+        (FitOptions(), models.Fit()),
+        (IngestOptions(), models.Ingest()),
+        (CompressOptions(), models.Compress()),
+    ):
+        for field in dataclasses.fields(own):
+            if field.name != "bounds":
+                assert getattr(own, field.name) == getattr(block, field.name), field.name
+    assert {name: FitOptions().limits(name) for name in vars(models.FitBounds())} == vars(models.FitBounds())
 
 
 def test_tiles_cover_the_texture(sets, definitions):
