@@ -76,7 +76,7 @@ def prepare_all(parts: Parts):
 def measure_scene(name: str, parts: Parts, studio: Studio, arguments) -> list[dict]:
     """Return the rows of one scene."""
     view = make_view(studio.scene.views["front"], studio.image)
-    names = [item["object"] for item in studio.scene["objects"]]
+    names = [item.object for item in studio.scene.objects]
     lamps, matrix = tuple(Lamp(towards) for towards in parts.lamp_towards), xyz_from_radiance(parts.white)
     task = (parts, [view], names, arguments.tolerance, _BOUNCES, True)
     planner = choose(*task)

@@ -46,10 +46,10 @@ def definitions(poses=POSES, motion: bool = False) -> tuple[dict, dict, dict]:
     return definition, camera, rig
 
 
-def target(folder: Path, motion: bool = False, **changes) -> tuple[dict, Target]:
+def target(folder: Path, motion: bool = False, **changes) -> tuple[Object, Target]:
     """Return an object and a target whose table stands in a folder."""
     definition, camera, rig = definitions(motion=motion, **changes)
-    return definition, Target(
+    return made(Object, definition), Target(
         "plate", made(CameraDefinition, camera), made(Rig, rig), "virtual", folder / "captures.csv"
     )
 

@@ -30,7 +30,7 @@ from irodori.capture.shot_planner.planner import (
     subject_of,
 )
 from irodori.config.capture_table import Pose
-from irodori.config.models import AxisLimit, Object, Rig, RigLimits
+from irodori.config.models import AxisLimit, Fit, Object, Rig, RigLimits
 from irodori.config.parts import PlannedObject
 from irodori.fitting import solvers
 from irodori.geometry.rig_frame import to_camera, to_light
@@ -272,7 +272,7 @@ def test_the_noise_of_a_virtual_rig_has_its_imperfections_and_their_switches():
     noise = default_noise(made(Rig, RIG | {"virtual": {"imperfections": faults}}))
     assert (noise.relative, noise.pose_rms_deg) == (0.0, 0.2)
     assert default_noise(made(Rig, RIG)) == Noise()
-    assert default_noise(made(Rig, RIG), fit={"model_error": 0.03, "pose_error_deg": 0.1}) == Noise(
+    assert default_noise(made(Rig, RIG), fit=Fit(model_error=0.03, pose_error_deg=0.1)) == Noise(
         relative=0.03, pose_rms_deg=0.1
     )
 

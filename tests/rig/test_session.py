@@ -258,12 +258,13 @@ def python(folder: Path, code: str, **how) -> subprocess.Popen:
 
 ASKING = """
 import sys
+from dataclasses import replace
 from pathlib import Path
 from sessions import MADE, target
 from irodori.capture.stage import capture_object
 folder = Path(sys.argv[1])
 definition, aim = target(folder, poses=[{"light_deg": [45.0, 60.0], "camera_deg": [0.0]}])
-aim.rig["operator"] = "%s"
+aim = replace(aim, rig=replace(aim.rig, operator="%s"))
 capture_object(definition, aim, folder / "session.json", MADE)
 """
 
@@ -326,12 +327,15 @@ def test_a_session_asks_on_a_terminal_and_q_stops_it(tmp_path):
 
 INTERRUPTED = """
 import sys, time
+from dataclasses import replace
+from irodori.config.models import SimulatorOptions
 from pathlib import Path
 from sessions import MADE, definitions, target
-from irodori.rig import stage
+from irodori.capture import stage
 folder = Path(sys.argv[1])
 definition, aim = target(folder, motion=True, poses=[{"light_deg": [45.0], "camera_deg": [0.0, 70.0, 140.0]}])
-aim.rig["motion"]["simulator"] = {"time_scale": 8.0, "seed": 0, "homing_rms_units": 0.0}
+slow = SimulatorOptions(time_scale=8.0, seed=0, homing_rms_units=0.0)
+aim = replace(aim, rig=replace(aim.rig, motion=replace(aim.rig.motion, simulator=slow)))
 
 def kept_open(rig):
     opened = real(rig)
