@@ -194,7 +194,7 @@ def test_options_of_the_fit_are_those_of_the_configuration(planned, tmp_path):
     with pytest.raises(ValueError, match=r"fit\.solver 'guess'"):
         measure_plan(
             made(Mapping[str, PlannedPlate], {"x": made(PlannedPlate, planned)}),
-            {"solver": "guess"},
+            FitOptions(solver="guess"),
             80.0,
             made(Planning, {"poses": [4], "materials": 10}),
             tmp_path / "x.csv",
