@@ -25,7 +25,7 @@ class Killable:
 
     def __init__(self, motion: bool, slow_s: float) -> None:
         self.motion, self.slow_s = motion, slow_s
-        path = os.pathsep.join([str(ROOT), str(ROOT / "tests/rig")])
+        path = os.pathsep.join([str(ROOT), str(ROOT / "tests"), str(ROOT / "tests/rig")])
         self._process = subprocess.Popen(
             [sys.executable, "-W", "error", __file__], env={**os.environ, "PYTHONPATH": path},
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,

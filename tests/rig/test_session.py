@@ -249,7 +249,7 @@ def test_the_person_is_asked_as_often_as_the_estimate_says(tmp_path, motion, kin
 
 def python(folder: Path, code: str, **how) -> subprocess.Popen:
     """Start a process that runs a session of these tests in a folder."""
-    path = os.pathsep.join([str(ROOT), str(ROOT / "tests/rig")])
+    path = os.pathsep.join([str(ROOT), str(ROOT / "tests"), str(ROOT / "tests/rig")])
     return subprocess.Popen(
         [sys.executable, "-W", "error", "-c", code, str(folder)],
         env={**os.environ, "PYTHONPATH": path}, cwd=folder, text=True, **how,
