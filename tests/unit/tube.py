@@ -77,7 +77,7 @@ class Tube(Shape):
 
     @classmethod
     def from_block(cls, block):
-        return cls(float(block["radius_mm"]), float(block["height_mm"]))
+        return cls(float(block.radius_mm), float(block.height_mm))
 
     @property
     def size_mm(self):

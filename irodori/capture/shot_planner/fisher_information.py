@@ -17,6 +17,7 @@ import numba
 import numpy as np
 
 from irodori.config.capture_table import Pose
+from irodori.config.models import SensorOptions
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_object, to_camera, to_light
 from irodori.geometry.shapes import Shape, on_table
@@ -54,27 +55,26 @@ class Noise:
     saturation_response: float = math.inf
 
     @classmethod
-    def of_sensor(cls, sensor: dict, exposures_s=(), **others) -> "Noise":
+    def of_sensor(cls, sensor: SensorOptions, exposures_s=(), **others) -> "Noise":
         """Return the noise of a camera's ``virtual.sensor`` block for its brightest band.
 
         Parameters
         ----------
-        sensor : dict
-            ``full_well_e``, ``read_noise_e``, ``response_at_full_well``, ``base_exposure_s``.
+        sensor : SensorOptions
         exposures_s : sequence of float
             Exposure times of a bracket, s; the longest sets the noise and the shortest what saturates. The base
             exposure where empty.
         **others
             Further fields.
         """
-        base = sensor["base_exposure_s"]
+        base = sensor.base_exposure_s
         exposures = list(exposures_s) or [base]
-        per_response = sensor["full_well_e"] / sensor["response_at_full_well"]
+        per_response = sensor.full_well_e / sensor.response_at_full_well
         longest, shortest = max(exposures) / base, min(exposures) / base
         return cls(
-            read_variance=(sensor["read_noise_e"] / (per_response * longest)) ** 2,
+            read_variance=(sensor.read_noise_e / (per_response * longest)) ** 2,
             shot_variance=1.0 / (per_response * longest),
-            saturation_response=sensor["response_at_full_well"] / shortest,
+            saturation_response=sensor.response_at_full_well / shortest,
             **others,
         )
 
