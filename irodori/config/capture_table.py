@@ -14,12 +14,14 @@ import re
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from irodori.config.models import PoseGroup
 from irodori.config.validation import suggest
 from irodori.core.errors import InputError
 from irodori.core.provenance import file_sha256
+
+if TYPE_CHECKING:
+    from irodori.config.models import PoseGroup
 
 ROLES = ("object", "chart", "white", "dark", "environment", "scene")
 #: What a session takes where a camera's file does not say; where others take the photographs the keys are refused.
@@ -87,7 +89,7 @@ def chart_capture(name: str) -> str:
     return _FURTHER_CHART + name if name else "chart"
 
 
-def expand_poses(groups: Iterable[PoseGroup]) -> list[Pose]:
+def expand_poses(groups: "Iterable[PoseGroup]") -> list[Pose]:
     """Return every combination of the lists of each group, in order.
 
     Parameters

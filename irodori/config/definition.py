@@ -5,11 +5,14 @@
 
 import dataclasses
 import functools
+import json
 import types
 import typing
 from collections.abc import Mapping
 from keyword import iskeyword
 from typing import Any, Self, Union
+
+from irodori.geometry.shape_blocks import outside_schema
 
 __all__ = ["Definition", "as_plain", "field_name", "typed"]
 
@@ -110,6 +113,18 @@ def typed(kind: Any, value: Any) -> Any:
     return value
 
 
+@functools.cache
+def _outside_class(title: str, schema: str) -> Any:
+    """Return the dataclass of a shape from outside the package, of which `irodori.config.models` knows nothing."""
+    block, needed, others = json.loads(schema), [], []
+    for key, rules in block["properties"].items():
+        if "const" in rules or "default" in rules or key not in block.get("required", ()):
+            others.append((field_name(key), Any, dataclasses.field(default=rules.get("const", rules.get("default")))))
+        else:
+            needed.append((field_name(key), Any))
+    return dataclasses.make_dataclass(title, [*needed, *others], bases=(Definition,), frozen=True, kw_only=True)
+
+
 def _variant(value: Any, parts: tuple[Any, ...]) -> Any:
     """Return a value of a union: of several blocks the one of its kind, or else the one whose keys fit."""
     blocks: list[Any] = [part for part in parts if isinstance(part, type) and issubclass(part, Definition)]
@@ -124,5 +139,8 @@ def _variant(value: Any, parts: tuple[Any, ...]) -> Any:
             continue
         if set(_needed_keys(block)) <= set(value) <= set(_keys_of(block)):
             return block.of(value)
+    outside = outside_schema(value.get("kind", ""))
+    if outside is not None:
+        return _outside_class(outside["title"], json.dumps(outside)).of(value)
     kinds = ", ".join(str(block.__dict__.get("kind", block.__name__)) for block in blocks)
     raise ValueError(f"{value!r} fits none of the kinds {kinds}")

@@ -6,12 +6,15 @@ Mosaic coordinates run from 0 at the left edge of the first mosaic pixel.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from irodori.config.models import Optics
 from irodori.core.errors import InputError
 from irodori.geometry.distortion import COEFFICIENTS, coefficients_of, distort_all, fold_radius, undistort_all
+
+if TYPE_CHECKING:
+    from irodori.config.models import Optics
 
 #: Beyond its edge the picture must have directions too: pixels gather light about them, plates shift it.
 _MARGIN_PX = 16
@@ -62,7 +65,7 @@ class Pinhole:
     distortion: tuple[float, ...] = (0.0,) * len(COEFFICIENTS)
 
     @classmethod
-    def from_optics(cls, optics: Optics) -> "Pinhole":
+    def from_optics(cls, optics: "Optics") -> "Pinhole":
         """Return the camera of a configuration's `optics` (focal length in mm, pitch in µm).
 
         Raises

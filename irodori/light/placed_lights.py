@@ -1,14 +1,17 @@
 """Environments made of lights of known spectrum in given directions, each a disc or a single texel."""
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights
-from irodori.config.models import PlacedLight
 from irodori.light.environment_file import directions
 from irodori.light.omnidirectional import Picture, bands
 from irodori.spectra.published import light
+
+if TYPE_CHECKING:
+    from irodori.config.models import PlacedLight
 
 _PARTS = 16  # points along each side of a pixel that a disc's edge crosses
 
@@ -52,7 +55,7 @@ def _coverage(towards: np.ndarray, radius: float, size: tuple[int, int], rows: s
     return covered
 
 
-def raster(definition: PlacedLight, size: tuple[int, int]) -> Callable[[slice], np.ndarray]:
+def raster(definition: "PlacedLight", size: tuple[int, int]) -> Callable[[slice], np.ndarray]:
     """Return what gives the radiance of one light over rows of a picture, (rows, width) float64, its energy kept.
 
     Parameters
@@ -97,7 +100,7 @@ def raster(definition: PlacedLight, size: tuple[int, int]) -> Callable[[slice], 
     return lambda rows: factor * shape(rows)
 
 
-def lights_picture(lights: Sequence[PlacedLight], width: int, height: int) -> Picture:
+def lights_picture(lights: "Sequence[PlacedLight]", width: int, height: int) -> Picture:
     """Return the light of placed lights, one basis vector a light.
 
     Parameters

@@ -6,14 +6,12 @@ texel: see `irodori.geometry.lamp` for what the white reference has divided alre
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numba
 import numpy as np
 
 from irodori.config.capture_table import Pose
-from irodori.config.models import Object, Optics, RigPose
-from irodori.config.parts import RigGeometry, TexturedObject
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
@@ -25,6 +23,10 @@ from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_came
 from irodori.geometry.shapes import Shape, on_table
 from irodori.jit.native import njit
 from irodori.reflection.equation5 import angles_from_directions
+
+if TYPE_CHECKING:
+    from irodori.config.models import Object, Optics, RigPose
+    from irodori.config.parts import RigGeometry, TexturedObject
 
 #: Of a sample's noise power, what bilinear interpolation leaves on average over the places between samples.
 _INTERPOLATED = 4.0 / 9.0
@@ -53,7 +55,7 @@ class RigSetup:
     white_pose: Pose | None = None
 
     @classmethod
-    def from_definitions(cls, optics: Optics, rig: RigGeometry, white_pose: RigPose | None = None) -> "RigSetup":
+    def from_definitions(cls, optics: "Optics", rig: "RigGeometry", white_pose: "RigPose | None" = None) -> "RigSetup":
         """Return the setup of a camera and its rig.
 
         Parameters
@@ -276,7 +278,7 @@ def _maps(observed: _Observed, weight, texels: Texels, near: bool) -> dict:
 
 def rectify_object(
     linear: list,
-    definition: Object | TexturedObject,
+    definition: "Object | TexturedObject",
     setup: RigSetup,
     rows: tuple[int, int],
     max_angle_deg: float,

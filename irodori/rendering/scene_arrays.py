@@ -1,12 +1,9 @@
 """Scene as flat arrays for compiled loops: objects, textures, light and camera."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from irodori.config.models import OrthographicView, Scene, Size
-from irodori.config.models import View as SeenFrom
-from irodori.config.parts import Staging
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import look_at, rotation_xyz
 from irodori.geometry.shapes import Placement, Shape
@@ -14,6 +11,11 @@ from irodori.light.environment_file import Environment, directions
 from irodori.material.material_file import Material
 from irodori.reflection.lobes import Lobes
 from irodori.rendering.view_cameras import KINDS, PERSPECTIVE
+
+if TYPE_CHECKING:
+    from irodori.config.models import Scene, Size
+    from irodori.config.models import View as SeenFrom
+    from irodori.config.parts import Staging
 
 _COARSEST_ROWS = 4
 
@@ -84,7 +86,7 @@ class View(NamedTuple):
     focus_mm: float = 1.0  # along the line of sight to the plane in focus; not read without a lens
 
 
-def make_placements(scene: Scene | Staging, shapes: list[Shape]) -> list[Placement]:
+def make_placements(scene: "Scene | Staging", shapes: list[Shape]) -> list[Placement]:
     """Return where the scene's objects stand, then its bodies."""
     return [
         Placement(shape, rotation_xyz(item.rotation_deg), np.asarray(item.position_mm, float), item.scale)
@@ -188,7 +190,7 @@ def make_light(environment: Environment) -> Light:
     )
 
 
-def make_view(view: SeenFrom, image: Size) -> View:
+def make_view(view: "SeenFrom", image: "Size") -> View:
     """Return the camera of a scene's view.
 
     Parameters
@@ -198,7 +200,7 @@ def make_view(view: SeenFrom, image: Size) -> View:
         Of the picture, px.
     """
     diameter_mm, focus_mm = 0.0, 1.0
-    if isinstance(view, OrthographicView):
+    if view.kind == "orthographic":
         focal = image.height / view.height_mm
     else:
         focal = 0.5 * image.height / np.tan(np.radians(view.field_of_view_deg) / 2)

@@ -6,11 +6,10 @@ tabulated (100 at 560 nm), and an irradiance of 1 gives a perfect diffuser that 
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from irodori.config.models import CollimatedLight, RectangleLight, SceneLight, SphereLight
 from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes import Placement
 from irodori.geometry.shapes.plate import Plate
@@ -18,6 +17,9 @@ from irodori.geometry.shapes.sphere import Sphere
 from irodori.jit.native import njit
 from irodori.light.placed_lights import direction_of, unit_luminance
 from irodori.rendering.surface_hits import frame
+
+if TYPE_CHECKING:
+    from irodori.config.models import RectangleLight, SceneLight, SphereLight
 
 COLLIMATED, RECTANGLE, BALL = 0, 1, 2
 KINDS = {"collimated": COLLIMATED, "rectangle": RECTANGLE, "sphere": BALL}
@@ -45,7 +47,7 @@ class Lights(NamedTuple):
     surface: np.ndarray  # (lights,)
 
 
-def make_lights(definitions: Sequence[SceneLight], first_surface: int) -> tuple[Lights, list[Placement]]:
+def make_lights(definitions: "Sequence[SceneLight]", first_surface: int) -> tuple[Lights, list[Placement]]:
     """Return the lights of a scene, and the shapes of those that have one.
 
     Parameters
@@ -68,7 +70,7 @@ def make_lights(definitions: Sequence[SceneLight], first_surface: int) -> tuple[
     for i, light in enumerate(definitions):
         lights.kind[i] = KINDS[light.kind]
         spectrum = unit_luminance(light.spectrum)
-        if isinstance(light, CollimatedLight):
+        if light.kind == "collimated":
             lights.spectrum[i, :BANDS] = math.pi * light.irradiance * spectrum
             lights.rotation[i, :, 2] = direction_of(light.azimuth_deg, light.elevation_deg)
         else:
@@ -82,9 +84,9 @@ def make_lights(definitions: Sequence[SceneLight], first_surface: int) -> tuple[
     return lights, placements
 
 
-def _placement(light: RectangleLight | SphereLight) -> Placement:
+def _placement(light: "RectangleLight | SphereLight") -> Placement:
     position = np.asarray(light.position_mm, dtype=np.float64)
-    if isinstance(light, SphereLight):
+    if light.kind == "sphere":
         return Placement(Sphere(light.radius_mm), np.eye(3), position)
     return Placement(Plate(light.width_mm, light.height_mm), rotation_xyz(light.rotation_deg), position)
 

@@ -91,7 +91,7 @@ def test_a_block_becomes_the_dataclass_of_its_kind():
         ("Size", {"width": 4, "hight": 3}, "Size has no key 'hight'; its keys: width, height"),
         ("Size", {"width": 4}, "Size needs the key 'height'"),
         ("Body", {"shape": {"kind": "cube"}, "position_mm": [0, 0, 0], "material": {"spectrum": "A"}},
-         "fits none of the kinds plate, sphere, disc, plane"),
+         "fits none of the kinds disc, plane, plate, sphere"),
     ],
 )  # fmt: skip
 def test_what_is_no_definition_is_refused(cls, given, message):

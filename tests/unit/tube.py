@@ -46,6 +46,7 @@ class Tube(Shape):
     name = "tube"
     schema = {  # noqa: RUF012
         of: {
+            "title": "TubeShape",
             "type": "object",
             "additionalProperties": False,
             "required": ["kind", "radius_mm", "height_mm"],

@@ -12,18 +12,21 @@ serve both, but how the two components of one texel are told apart is not in it,
 
 import math
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
 
 from irodori.config.capture_table import Pose
-from irodori.config.models import SensorOptions
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_object, to_camera, to_light
 from irodori.geometry.shapes import Shape, on_table
 from irodori.jit.native import njit
 from irodori.reflection.equation5 import angles_from_directions, gloss_factors
 from irodori.reflection.lobes import Lobes, constants, derivatives, features, value
+
+if TYPE_CHECKING:
+    from irodori.config.models import SensorOptions
 
 PARAMETERS = 3
 _OFFSET_MM = 1e-3
@@ -55,7 +58,7 @@ class Noise:
     saturation_response: float = math.inf
 
     @classmethod
-    def of_sensor(cls, sensor: SensorOptions, exposures_s=(), **others) -> "Noise":
+    def of_sensor(cls, sensor: "SensorOptions", exposures_s=(), **others) -> "Noise":
         """Return the noise of a camera's ``virtual.sensor`` block for its brightest band.
 
         Parameters
