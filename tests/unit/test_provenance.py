@@ -28,7 +28,7 @@ SOURCES = {
     "sub/deep/core.py": "from .. import inner as other\nfrom . import sibling\n",
     "sub/deep/sibling.py": "",
     "named.py": "from pkg.sub import inner\n",
-    "hinted.py": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import pkg.middle\nelse:\n    import pkg.alone\n",
+    "hinted.py": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import pkg.middle\nimport pkg.alone\n",
 }
 
 
