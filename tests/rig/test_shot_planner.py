@@ -218,7 +218,7 @@ def test_a_plan_for_a_sphere_turns_the_table_and_determines_more_than_one_side_d
 
 def test_an_object_of_two_lobes_is_planned_with_materials_of_either_and_wants_six_poses():
     definition = PLATE_OBJECT | {"lobes": ["ggx", "gaussian"]}
-    planner = Planner(definition, RIG)
+    planner = Planner(made(Object, definition), made(Rig, RIG))
     (first, of_first), (second, of_second) = planner.sample.of_lobes()
     assert (first, second) == ("ggx", "gaussian") and len(of_first) == len(of_second)
     # Either half of the materials fills the range.

@@ -96,7 +96,7 @@ def test_a_plane_is_met_by_every_ray_that_goes_down_and_by_no_other(scale):
 
 
 def test_unknown_shapes_list_what_there_is():
-    with pytest.raises(ValueError, match="fits none of the kinds .*disc.*plane"):
+    with pytest.raises(ValueError, match=r"fits none of the kinds .*disc.*plane"):
         Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "cone"}))
     assert disc(3.0) == Disc(3.0) and disc(3.0).reach_mm == 3.0 and Plane() == FLOOR
 

@@ -17,6 +17,7 @@ from scenes import BALL, OPTIONS, constant_light, material, plate, sky
 
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_radiance
 from irodori.config.models import Frames, ObjectShape, Render, Scene
+from irodori.config.validation import validate
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.light.environment_file import Environment
@@ -343,8 +344,8 @@ def golden() -> list:
     return [PAINTS[0], gold]
 
 
-def differences(made, reference, moment, white):
-    found, figures = made.picture("v", moment)
+def differences(renderer, reference, moment, white):
+    found, figures = renderer.picture("v", moment)
     bands = reference.picture("v", moment)[0]
     matrix = xyz_from_radiance(white)
     labs = [lab_from_xyz(p.reshape(-1, 3).astype(float), matrix @ white) for p in (found, bands @ matrix.T)]
@@ -355,9 +356,9 @@ def differences(made, reference, moment, white):
 def test_pictures_in_xyz_are_carried_by_coefficients_where_these_are_exact(ambient):
     """Grey mirrors, light and surfaces on bases, two objects that throw light on each other: rounding is all."""
     scene, white = scene_of({"kind": "interactive", "ambient": ambient}), room().upward_white()
-    made = make_renderer(scene, SHAPES, PAINTS, room(), OPTIONS, white=white)
+    planned = make_renderer(made(Scene, scene), SHAPES, PAINTS, room(), OPTIONS, white=white)
     for moment in (Moment(), Moment(environment_deg=70.0, filter=tuple(np.linspace(0.5, 1.5, 61)))):
-        found, figures = differences(made, renderer(scene), moment, white)
+        found, figures = differences(planned, renderer(scene), moment, white)
         assert figures["representation"] == "coefficients"
         assert found.max() < 0.01
 
@@ -365,14 +366,14 @@ def test_pictures_in_xyz_are_carried_by_coefficients_where_these_are_exact(ambie
 def test_pictures_are_carried_in_bands_where_coefficients_would_err(caplog):
     caplog.set_level("INFO", logger="irodori")
     scene, white = scene_of({"kind": "interactive", "ambient": False}), room().upward_white()
-    coloured = make_renderer(scene, SHAPES, golden(), room(), OPTIONS, white=white)
+    coloured = make_renderer(made(Scene, scene), SHAPES, golden(), room(), OPTIONS, white=white)
     picture, figures = coloured.picture("v")
     assert picture.shape[-1] == 61 and figures["representation"] == "spectral"
     assert "varies with the wavelength" in caplog.text
     # A light of so many vectors that their products with the surfaces are more than the bands.
     values = np.random.default_rng(0).random((61, 24))
     many = Environment(np.ones((16, 32, 24), np.float32), values, np.full((8, 16, 24), np.pi, np.float32))
-    wide = make_renderer(scene, SHAPES, PAINTS, many, OPTIONS, white=white)
+    wide = make_renderer(made(Scene, scene), SHAPES, PAINTS, many, OPTIONS, white=white)
     wide.light(Moment())
     assert wide.representation == "spectral" and "more than 61 bands" in wide.why
     assert renderer(scene).picture("v")[0].shape[-1] == 61  # and where bands are asked for
@@ -381,13 +382,9 @@ def test_pictures_are_carried_in_bands_where_coefficients_would_err(caplog):
 def test_the_frames_of_the_turntable_that_is_shipped_are_carried_by_coefficients():
     path = Path(__file__).resolve().parents[2] / "config" / "scenes" / "turntable.yaml"
     shipped = yaml.safe_load(path.read_text(encoding="utf-8"))
-    scene = {"lights": [], **shipped}
-    for item in [*scene["objects"], *scene["bodies"]]:
-        item |= {"rotation_deg": item.get("rotation_deg", [0.0, 0.0, 0.0]), "scale": 1.0}
-        if "material" in item:
-            item["material"] = {"refractive_index": {"n": 1.5, "k": 0.0}, "mirror": 0.0} | item["material"]
+    scene = Scene.of(validate(shipped, "scene", path))
     six = np.stack([np.linspace(0.1, 0.9, 61) ** p for p in range(6)], axis=1)
     textured = dataclasses.replace(material(beta=2.0, mu=0.2), basis=six, coefficients=np.ones((4, 8, 6), np.float32))
-    made = make_renderer(scene, [BALL], [textured], room(), OPTIONS, white=room().upward_white())
-    made.light(Moment())
-    assert made.representation == "coefficients"
+    shown = make_renderer(scene, [BALL], [textured], room(), OPTIONS, white=room().upward_white())
+    shown.light(Moment())
+    assert shown.representation == "coefficients"
