@@ -194,11 +194,14 @@ def fit_errors(sitting: Sitting, poses: list[Pose], count: int, options: FitOpti
     noise = sitting.planner.noise
     camera = np.tile([noise.read_variance, noise.shot_variance], (len(poses), 1))
     # In the precision of photographs, for which the loops of the fit are compiled by then.
-    result = fit(response.astype(np.float32), geometry, weight, materials.n, materials.k, options, camera)
-    out = {}
-    for name, relative in _RELATIVE.items():
-        truth = getattr(materials, name)
-        out[name] = np.abs(getattr(result, name) - truth) / (truth if relative else 1.0)
+    response = response.astype(np.float32)
+    out = {name: np.empty(count) for name in _RELATIVE}
+    for lobe, of in materials.of_lobes():
+        own = replace(options, lobes=(lobe,))
+        result = fit(response[of], geometry[of], weight[of], materials.n, materials.k, own, camera)
+        for name, relative in _RELATIVE.items():
+            truth = getattr(materials, name)[of]
+            out[name][of] = np.abs(getattr(result, name) - truth) / (truth if relative else 1.0)
     return out
 
 

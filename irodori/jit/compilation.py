@@ -104,17 +104,19 @@ class Kernel(CPUDispatcher):
             self.py_func, self.targetdescr, self.targetoptions, self._compiler.locals, self._compiler.pipeline_class
         )
         self._parts: set[tuple] = set()  # argument types for which the function is a part of others only
+        self._kept = False
 
     def enable_caching(self) -> None:
-        """Keep what is compiled, where there is a place for it."""
-        if cache_folder() is not None:
-            self._cache = KernelCache(self.py_func)
+        """Keep what is compiled, where there is a place for it; found when something is, for most kernels are parts."""
+        self._kept = True
 
     def compile(self, sig):
         """Load or compile the function for a signature."""
         with global_compiler_lock:
             if Kernel._depth and not self.targetoptions.get("parallel"):
                 return self._compile_part(sig)
+            if self._kept and not isinstance(self._cache, KernelCache) and cache_folder() is not None:
+                self._cache = KernelCache(self.py_func)
             args, _ = normalize_signature(sig)
             if tuple(args) in self._parts:  # now Python calls it
                 self._parts.remove(tuple(args))

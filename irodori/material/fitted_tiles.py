@@ -89,22 +89,25 @@ class FittedTiles:
     def typical_gloss(self) -> tuple[float, ...]:
         """Return the medians of β and μ over the better-determined half of the texels, a pair for each component.
 
-        A component that no texel has is (0, 1).
+        A component that no texel has is (0, 1). One of several that most of the texels which state it lack, β = 0, has
+        a β of 0.
         """
         typical: list[float] = []
         for component in range(len(self.lobes)):
             beta_name, mu_name = gloss_names(component)
-            parts = []
+            parts, lacking = [], 0
             for _, maps in self.read(beta_name, mu_name, f"{mu_name}_error"):
                 stacked = np.stack(list(maps.values()), axis=-1)
                 parts.append(stacked[np.isfinite(stacked).all(axis=-1)])
+                lacking += int((maps[beta_name] == 0.0).sum())
             beta, mu, mu_error = np.concatenate(parts).T
             if not beta.size:
                 typical += [0.0, 1.0]
                 continue
             relative = mu_error / mu
             best = relative <= np.median(relative)
-            typical += [float(np.median(beta[best])), float(np.median(mu[best]))]
+            is_rare = len(self.lobes) > 1 and lacking > beta.size
+            typical += [0.0 if is_rare else float(np.median(beta[best])), float(np.median(mu[best]))]
         return tuple(typical)
 
     def is_noise_known(self) -> bool:

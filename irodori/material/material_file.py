@@ -264,7 +264,8 @@ class Material:
         """Return a copy without gaps, and the share of texels that were filled.
 
         A texel that no capture determined takes the colour of the nearest observed texel (the texture's sides are
-        joined), and gloss that its own data is silent about is the object's typical gloss.
+        joined), and gloss that its own data is silent about is the object's typical gloss. Of several components one
+        that reflects nothing in a texel, β = 0, stays so.
 
         Parameters
         ----------
@@ -285,7 +286,9 @@ class Material:
         pairs = []
         for (_, beta, mu), (usual_beta, usual_mu) in zip(self.gloss, typical, strict=True):
             known = np.isfinite(beta) & np.isfinite(mu)
-            pairs.append((np.where(known, beta, usual_beta), np.where(known, mu, usual_mu)))
+            # A component that the others of the texel leave nothing to has no roughness, but its weight is known: 0.
+            weighed = known | (beta == 0.0) if self.further_gloss else known
+            pairs.append((np.where(weighed, beta, usual_beta), np.where(known, mu, usual_mu)))
         filled = replace(
             self.with_gloss(pairs),
             alpha=self.alpha[row, column],

@@ -54,11 +54,11 @@ def edit(file: Path, old: str, new: str) -> None:
 def test_an_edited_equation_is_not_served_from_the_cache_and_an_edit_elsewhere_costs_nothing(package):
     before, compiled, _ = result(start(package))
     assert compiled == 1
-    edit(package / "irodori/report/markup.py", "import html", "import html\n\nUNUSED = 1\n# a comment")
-    equation = package / "irodori/reflection/equation5.py"
-    edit(equation, "    # n² - k² - sin² without", "    # a line more\n    # n² - k² - sin² without")
+    edit(package / "irodori/report/page.py", "import csv", "import csv\n\nUNUSED = 1\n# a comment")
+    equation = package / "irodori/reflection/fresnel.py"
+    edit(equation, "    # Both are 0 at", "    # a line more\n    # Both are 0 at")
     assert result(start(package))[:2] == (before, 0)
-    edit(equation, "return 0.5 * rs * (1.0 +", "return 0.25 * rs * (1.0 +")
+    edit(equation, "return lower_of(1.0,", "return 0.5 * lower_of(1.0,")
     assert result(start(package))[:2] == (before / 2, 1)
 
 

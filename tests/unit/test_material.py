@@ -91,6 +91,10 @@ def test_gaps_of_a_component_take_its_own_typical_gloss():
     assert np.array_equal(further[0], np.where(hole, 5.0, 15.0)) and np.array_equal(
         further[1], np.where(hole, 0.05, 0.1)
     )
+    # A component that reflects nothing has no roughness to be known.
+    nothing = gaps.with_gloss([(beta, mu), (np.where(hole, 0.0, beta_2), np.where(hole, np.nan, mu_2))])
+    (further,) = nothing.filled()[0].further_gloss
+    assert np.array_equal(further[0], np.where(hole, 0.0, beta_2)) and np.isfinite(further[1]).all()
     # Beside the surface a texel has all components of the nearest that lies on it.
     padded, _ = gaps.filled(np.array([[False, True], [False, True]]))
     assert np.array_equal(padded.further_gloss[0][0], np.full((2, 2), 15.0))

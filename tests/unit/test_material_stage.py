@@ -2,6 +2,7 @@
 
 import tracemalloc
 
+import h5py
 import numpy as np
 import pytest
 from made import made
@@ -117,6 +118,16 @@ def test_every_gloss_component_has_its_maps_its_unit_and_its_typical_values(tmp_
         assert [file.dataset(name).attrs["units"] for name in ("mu", "mu_2", "mu_error", "mu_2_error")] == [
             "1", "rad", "1", "rad"
         ]  # fmt: skip
+
+
+def test_a_component_that_most_texels_lack_is_not_typical(tmp_path, calibration):
+    write_tile(tmp_path / "a.h5", (0, 8), 12, 4, lobes=("ggx", "gaussian"))
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        for name, value in (("beta_2", 0.0), ("mu_2", np.nan), ("mu_2_error", np.nan)):
+            file[name][:60] = value
+    assert FittedTiles([tmp_path / "a.h5"], 8, 12).typical_gloss()[2] == 0.0
+    found = compress([tmp_path / "a.h5"], calibration, (8, 12), tmp_path / "m.h5")
+    assert (found.filled()[0].further_gloss[0][0].ravel()[:60] == 0.0).all()
 
 
 def test_noise_that_one_texel_lacks_has_no_part_in_any(tmp_path, calibration):
