@@ -172,7 +172,7 @@ def test_bands_do_not_matter_where_the_index_has_no_colour():
 
 
 def test_the_bands_are_read_from_the_calibration_and_missed_where_they_are_needed(tmp_path):
-    made = store.Provenance("test", "", "")
+    provenance = store.Provenance("test", "", "")
     calibration = solve(
         made_up_camera.training(),
         made(CalibrationOptions, {"estimator": "pinv", "bases": 6}),
@@ -181,7 +181,7 @@ def test_the_bands_are_read_from_the_calibration_and_missed_where_they_are_neede
         False,
     ).calibration
     for name, content in (("whole", calibration), ("old", dataclasses.replace(calibration, band_response=None))):
-        with store.create(tmp_path / f"{name}.h5", made) as out:
+        with store.create(tmp_path / f"{name}.h5", provenance) as out:
             content.write(out)
     np.testing.assert_array_equal(Calibration.load(tmp_path / "whole.h5").band_response, calibration.band_response)
     found, expected = _fresnel(*GOLD, tmp_path / "whole.h5", 6), band_gloss(*GOLD, calibration.band_response, 1)

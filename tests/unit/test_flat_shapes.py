@@ -1,5 +1,7 @@
 """Discs and endless planes in the tracer and in both integrators."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +12,6 @@ from scenes import BALL, OPTIONS, constant_light, material, pixel_rays, plate, s
 from irodori.config.models import (
     BodyShape,
     ObjectShape,
-    Render,
     Scene,
     Size,
     View,
@@ -46,7 +47,7 @@ def seen(shapes, materials, places, integrator, light=None, position=(0.0, -300.
         "lights": list(lights),
     }  # fmt: skip
     light = constant_light() if light is None else light
-    return render_image(made(Scene, scene), "v", shapes, materials, light, made(Render, OPTIONS | options))[0]
+    return render_image(made(Scene, scene), "v", shapes, materials, light, replace(OPTIONS, **options))[0]
 
 
 # --- the tracer --------------------------------------------------------------------------------------------------
@@ -237,9 +238,9 @@ def test_an_eye_exactly_in_the_plane_of_a_flat_shape_sees_what_the_tracer_says(s
     objects, _ = make_objects(placements, [material(0.5, mirror=0.2)] * 2)
     light = constant_light()
     gloss, white = GlossMaps.of(light.coefficients), light.upward_white()
-    made = prepare_scene(objects, light_of(light), gloss, make_tracer(placements), "spectral", white, half=False)
-    everything = dataclasses.replace(made, world=made.world._replace(bounded=0))
+    ready = prepare_scene(objects, light_of(light), gloss, make_tracer(placements), "spectral", white, half=False)
+    everything = dataclasses.replace(ready, world=ready.world._replace(bounded=0))
     eye = rotation_xyz(turn) @ np.array([-30.0, -70.0, 0.0])
     definition = {"position_mm": eye, "target_mm": [3.0, 5.0, 4.0], "up": [0.0, 0.0, 1.0], "field_of_view_deg": 90.0}
     view = make_view(made(View, definition), made(Size, {"width": 33, "height": 33}))
-    assert np.array_equal(render_frame(made, view, bands=True), render_frame(everything, view, bands=True))
+    assert np.array_equal(render_frame(ready, view, bands=True), render_frame(everything, view, bands=True))

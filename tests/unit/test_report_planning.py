@@ -25,7 +25,7 @@ def planned():
     definitions = load(ROOT)
     definition = definitions["objects"]["tile-plate"]
     return {
-        "definition": definition,
+        "definition": {key: definition[key] for key in ("shape", "refractive_index", "plan")},
         "rig": definitions["rigs"]["virtual"],
         "sensor": definitions["cameras"]["d5100-comb"]["virtual"]["sensor"],
         "exposures_s": definition["exposure_s"]["out"],
