@@ -18,6 +18,8 @@ import numpy as np
 from benchmarks.render import Studio, make_inputs
 from benchmarks.table import COLUMNS, arguments_of, least_processor_s, own_peak_mb, report
 from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.config.definition import typed
+from irodori.config.models import SceneLight
 from irodori.core.threads import use_threads
 from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
@@ -47,7 +49,7 @@ def scenes(studio: Studio) -> dict[str, Parts]:
     nobody = np.zeros((0, 3)), np.zeros((0, 61))
     white = room.upward_white()
     black = Environment(0 * room.coefficients, room.basis, 0 * room.irradiance)
-    lights, _ = make_lights([_LAMP], 0)
+    lights, _ = make_lights([typed(SceneLight, _LAMP)], 0)
     lamp = lights.rotation[:, :, 2].copy(), lights.spectrum[:, :61].astype(np.float64)
     return {
         "still-life": Parts(objects, room, studio.tracer, *nobody, white),
@@ -73,8 +75,8 @@ def prepare_all(parts: Parts):
 
 def measure_scene(name: str, parts: Parts, studio: Studio, arguments) -> list[dict]:
     """Return the rows of one scene."""
-    view = make_view(studio.scene["views"]["front"], studio.image)
-    names = [item["object"] for item in studio.scene["objects"]]
+    view = make_view(studio.scene.views["front"], studio.image)
+    names = [item.object for item in studio.scene.objects]
     lamps, matrix = tuple(Lamp(towards) for towards in parts.lamp_towards), xyz_from_radiance(parts.white)
     task = (parts, [view], names, arguments.tolerance, _BOUNCES, True)
     planner = choose(*task)

@@ -14,6 +14,8 @@ import numba
 import numpy as np
 import yaml
 
+from irodori.config.definition import typed
+from irodori.config.models import Camera
 from irodori.ingest.registration.similarity import Registration
 from irodori.simulation.virtual_rig.aperture import gather_rows, place_in_cell
 from irodori.simulation.virtual_rig.sensor import Sensor, band_weights
@@ -50,7 +52,7 @@ class Scene:
 @cache
 def white_weights() -> np.ndarray:
     """Return (6, 61) weights that give a perfect diffuser the response 1 in every band."""
-    weights = band_weights(CAMERA, spectrum("A"))
+    weights = band_weights(typed(Camera, CAMERA), spectrum("A"))
     return weights / weights.sum(axis=1, keepdims=True)
 
 
@@ -208,7 +210,7 @@ def photograph(mosaic: np.ndarray, state: int, rng: np.random.Generator, light: 
     reference as a flat field, so only its noise remains.
     """
     device = sensor()
-    white = band_weights(CAMERA, spectrum("A"))[3 * state : 3 * state + 3].sum(axis=1)
+    white = band_weights(typed(Camera, CAMERA), spectrum("A"))[3 * state : 3 * state + 3].sum(axis=1)
     y, x = np.ogrid[: mosaic.shape[0], : mosaic.shape[1]]
     radius2 = (x - mosaic.shape[1] / 2) ** 2 + (y - mosaic.shape[0] / 2) ** 2
     flat = 1.0 - vignetting * radius2 / radius2.max()

@@ -38,6 +38,9 @@ from benchmarks.table import (
     why_it_fails,
 )
 from irodori.colour.colorimetry import colour_matching_weights, delta_e, lab_from_xyz, xyz_from_radiance
+from irodori.config.definition import typed
+from irodori.config.models import BodyShape, ObjectShape, SceneLight, Size
+from irodori.config.models import View as SeenFrom
 from irodori.core.threads import use_threads
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.rig_frame import rotation_x, rotation_xyz, rotation_y
@@ -129,7 +132,7 @@ def shape_of(body: Body) -> Shape:
     size = (
         {"width_mm": body.size_mm, "height_mm": body.size_mm} if body.kind == "plate" else {"radius_mm": body.size_mm}
     )
-    return Shape.from_definition({"kind": body.kind, **size})
+    return Shape.from_definition(typed(ObjectShape | BodyShape, {"kind": body.kind, **size}))
 
 
 class Ours:
@@ -141,7 +144,7 @@ class Ours:
         placements = [Placement(shape_of(b), b.turn, np.array(b.place_mm, float)) for b in stage.bodies]
         objects, _ = make_objects(placements, [uniform(b.reflectance) for b in stage.bodies])
         lights = [PANEL | {"position_mm": list(stage.panel_mm)}]
-        self.scene = make_scene(placements, objects, even_light(stage.sky), lights)
+        self.scene = make_scene(placements, objects, even_light(stage.sky), [typed(SceneLight, one) for one in lights])
         self.view = view_of(stage, size)
         self.matrix = xyz_from_radiance(white)
 
@@ -153,7 +156,8 @@ class Ours:
 def view_of(stage: Stage, size: tuple[int, int]) -> View:
     """Return the camera of a stage."""
     eye = {"position_mm": stage.eye_mm, "target_mm": stage.target_mm, "up": (0, 0, 1)}
-    return make_view(eye | {"field_of_view_deg": stage.field_deg}, {"width": size[0], "height": size[1]})
+    seen = typed(SeenFrom, eye | {"field_of_view_deg": stage.field_deg})
+    return make_view(seen, Size(width=size[0], height=size[1]))
 
 
 def name_of(variant: str) -> str:
@@ -311,7 +315,8 @@ def growth(runs: int) -> None:
         bodies = [stage.bodies[0]]
         placements = [Placement(shape_of(bodies[0])), Placement(shape, np.eye(3), np.array([0.0, 0.0, 30.0]))]
         objects, _ = make_objects(placements, [uniform(bodies[0].reflectance), uniform(spectrum("TCS3"))])
-        scene = make_scene(placements, objects, even_light(stage.sky), [PANEL | {"position_mm": [0, 0, 180]}])
+        panel = typed(SceneLight, PANEL | {"position_mm": [0, 0, 180]})
+        scene = make_scene(placements, objects, even_light(stage.sky), [panel])
         close = stage._replace(field_deg=14.0)
         view = view_of(close, (96, 72))
         render(scene, view, 8)

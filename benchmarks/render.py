@@ -13,6 +13,7 @@ that are compiled for it.
 import pickle
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -22,6 +23,8 @@ import numpy as np
 from benchmarks.table import arguments_of, least_processor_s, medians_s, own_peak_mb, printed_by, report
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, summary, xyz_from_radiance
 from irodori.config.definitions import load_definitions, read_yaml
+from irodori.config.loaded import Loaded
+from irodori.config.models import Size
 from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes import Shape
 from irodori.light.environment_file import Environment
@@ -62,12 +65,12 @@ SIZES = {
 
 def make_inputs(width: int, folder: Path) -> None:
     """Write the scene for an environment ``width`` px wide to a folder."""
-    definitions = load_definitions(read_yaml(_ROOT / "config/config.yaml"), _ROOT)
-    scene, rig = definitions["scenes"]["still-life"], definitions["rigs"]["virtual"]
-    objects = [definitions["objects"][item["object"]] for item in scene["objects"]]
-    materials = [true_material(o, definitions["cameras"][o["camera"]], rig) for o in objects]
-    room = definitions["environments"][scene["environment"]]["virtual"]
-    spectra = source_spectra(room, light(rig["light"]["spectrum"]))[1]
+    loaded = Loaded.of(load_definitions(read_yaml(_ROOT / "config/config.yaml"), _ROOT))
+    scene, rig = loaded.scenes["still-life"], loaded.rigs["virtual"]
+    objects = [loaded.objects[item.object] for item in scene.objects]
+    materials = [true_material(o, loaded.cameras[o.camera], rig) for o in objects]
+    room = loaded.environments[scene.environment].virtual
+    spectra = source_spectra(room, light(rig.light.spectrum))[1]
     # The room is traced at half the width: blurred light needs no more, and the picture is as large as any.
     sources = room_coefficients(room, width // 2, width // 4)
     flat = sources.reshape(-1, len(spectra))
@@ -81,7 +84,7 @@ def make_inputs(width: int, folder: Path) -> None:
         np.save(folder / f"gloss-{number}.npy", level)
     blurred = (gloss.first, len(gloss.levels), gloss.points)
     with (folder / "scene.pickle").open("wb") as out:
-        pickle.dump((scene, [o["shape"] for o in objects], materials, basis, irradiance, blurred), out)
+        pickle.dump((scene, [o.shape for o in objects], materials, basis, irradiance, blurred), out)
 
 
 class Studio:
@@ -97,7 +100,7 @@ class Studio:
         self.objects, _ = make_objects(placements, materials)
         self.environment = Environment(np.load(folder / "coefficients.npy", mmap_mode="r"), basis, irradiance)
         self.white = self.environment.upward_white()
-        self.image = {"width": width, "height": height}
+        self.image = Size(width=width, height=height)
 
     def prepare(self, representation: str, lamps: int = 0, stored: bool = False, **options):
         """Return the scene prepared for a representation; its light decoded before where all bands are ``stored``."""
@@ -123,11 +126,12 @@ class Studio:
     def frame(self, prepared, number: int, **options) -> np.ndarray:
         """Return a frame; the light always turns, the camera unless it rests."""
         turn = 0.0 if options.get("keep_visibility") else number * _STEP_DEG
-        view = dict(self.scene["views"]["front"])
-        view["position_mm"] = rotation_xyz([0.0, 0.0, turn]) @ np.asarray(view["position_mm"])
+        view = self.scene.views["front"]
+        x, y, z = rotation_xyz([0.0, 0.0, turn]) @ np.asarray(view.position_mm)
+        view = make_view(replace(view, position_mm=(x, y, z)), self.image)
         lamps = tuple(Lamp(np.array(_LAMP_DIRECTION)) for _ in range(prepared.lamps))
         rotation = rotation_xyz([0.0, 0.0, number * _STEP_DEG])
-        return render_frame(prepared, make_view(view, self.image), world_from_light=rotation, lamps=lamps, **options)
+        return render_frame(prepared, view, world_from_light=rotation, lamps=lamps, **options)
 
 
 def own_resident_mb() -> float:

@@ -7,6 +7,7 @@ import numpy as np
 from irodori.calibration.chart_grid import even_picture, fit_to_edges, homography, nodes, pitch_px, project
 from irodori.calibration.detection import COLUMNS, ROWS, find_chart
 from irodori.calibration.patches import ChartReading, read_squares
+from irodori.config.models import Chart
 from irodori.core.errors import InputError
 from irodori.geometry.pinhole import samples_from_superpixels, superpixels_from_samples
 from irodori.spectra.published import chart_spectra
@@ -46,36 +47,37 @@ class Located:
     found: dict
 
 
-def patch_centres(chart: dict) -> np.ndarray:
+def patch_centres(chart: Chart) -> np.ndarray:
     """Return patch centres in superpixels by the perspective map that the four corner patches fix.
 
     Parameters
     ----------
-    chart : dict
-        ``rows``, ``columns`` and ``centres_px`` with first, row_end, column_end and last.
+    chart : Chart
+        With ``centres_px``.
 
     Returns
     -------
     (rows * columns, 2) float64, x then y, row by row
     """
-    return project(_from_corners(chart), nodes(chart["rows"], chart["columns"]))
+    return project(_from_corners(chart), nodes(chart.rows, chart.columns))
 
 
-def _from_corners(chart: dict) -> np.ndarray:
-    rows, columns = chart["rows"], chart["columns"]
+def _from_corners(chart: Chart) -> np.ndarray:
+    if chart.centres_px is None:
+        raise ValueError("a chart without centres_px; accepted: the centres of its four corner patches")
+    rows, columns = chart.rows, chart.columns
     grid = np.array([[0, 0], [columns - 1, 0], [0, rows - 1], [columns - 1, rows - 1]], dtype=np.float64)
-    return homography(grid, np.array([chart["centres_px"][k] for k in _CORNERS], dtype=np.float64))
+    return homography(grid, np.array([getattr(chart.centres_px, k) for k in _CORNERS], dtype=np.float64))
 
 
-def locate_patches(response: np.ndarray, valid: np.ndarray, chart: dict, file, sample_px: int = 2) -> Located:
+def locate_patches(response: np.ndarray, valid: np.ndarray, chart: Chart, file, sample_px: int = 2) -> Located:
     """Return where the patches lie: as configured, fitted to their edges, or found.
 
     Parameters
     ----------
     response : (height, width, bands) float
     valid : (height, width) bool
-    chart : dict
-        Definition of the chart; ``find`` is ``nothing`` (the default), ``edges`` or ``chart``.
+    chart : Chart
     file : path, for error messages
     sample_px : int
         Mosaic pixels along the side of a sample of the picture: 2 for superpixels, 1 at full resolution.
@@ -83,16 +85,18 @@ def locate_patches(response: np.ndarray, valid: np.ndarray, chart: dict, file, s
     Raises
     ------
     ValueError
-        For an unknown ``find``.
+        For an unknown ``find``, or if a chart that is not looked for has no ``centres_px`` or no ``patch_px``.
     InputError
         If the edges do not bear the corners out, or no chart is found, or several.
     """
-    find = chart.get("find", "nothing")
+    find = chart.find
     if find not in FINDS:
         raise ValueError(f"unknown chart.find {find!r}; accepted: {', '.join(FINDS)}")
-    layout = chart["rows"], chart["columns"]
+    layout = chart.rows, chart.columns
     if find == "nothing":
-        return Located(patch_centres(chart), float(chart["patch_px"]), *layout, np.nan, {})
+        if chart.patch_px is None:
+            raise ValueError("a chart that nothing finds without patch_px; accepted: with it")
+        return Located(patch_centres(chart), float(chart.patch_px), *layout, np.nan, {})
     to_superpixels = sample_px / 2.0
     if find == "edges":
         centres, side, found = _by_edges(response, valid, chart, file, sample_px)
@@ -103,14 +107,14 @@ def locate_patches(response: np.ndarray, valid: np.ndarray, chart: dict, file, s
     if find == "edges":
         found["moved_px"] = float(np.linalg.norm(centres - patch_centres(chart), axis=1).max())
     patch_side_px = side * to_superpixels
-    side_px = float(chart.get("patch_px") or _DEFAULT_SHARE * patch_side_px)
+    side_px = float(chart.patch_px or _DEFAULT_SHARE * patch_side_px)
     if side_px > patch_side_px:
         raise InputError(file, "chart.patch_px", f"{side_px:g}", f"at most {patch_side_px:.0f}, the patches' own side")
     return Located(centres, side_px, *layout, patch_side_px, found)
 
 
-def _by_edges(response, valid, chart: dict, file, sample_px: int) -> tuple[np.ndarray, float, dict]:
-    rows, columns = chart["rows"], chart["columns"]
+def _by_edges(response, valid, chart: Chart, file, sample_px: int) -> tuple[np.ndarray, float, dict]:
+    rows, columns = chart.rows, chart.columns
     start = samples_from_superpixels(patch_centres(chart), sample_px)
     pitch = pitch_px(start, rows, columns)
     try:
@@ -135,11 +139,11 @@ def _around(centres: np.ndarray, pitch: float, shape: tuple[int, int]) -> tuple[
     return tuple(slice(max(0, low[a]), min(shape[1 - a], high[a] + 1)) for a in (1, 0))
 
 
-def _by_itself(response, valid, chart: dict, file) -> tuple[np.ndarray, float, dict]:
-    if (chart["rows"], chart["columns"]) != (ROWS, COLUMNS):
-        found = f"chart for {chart['rows']} x {chart['columns']} patches"
+def _by_itself(response, valid, chart: Chart, file) -> tuple[np.ndarray, float, dict]:
+    if (chart.rows, chart.columns) != (ROWS, COLUMNS):
+        found = f"chart for {chart.rows} x {chart.columns} patches"
         raise InputError(file, "chart.find", found, f"{ROWS} x {COLUMNS} patches; for other layouts chart.centres_px")
-    seen = find_chart(response, valid, chart_spectra(chart["spectra"])[1], file)
+    seen = find_chart(response, valid, chart_spectra(chart.spectra)[1], file)
     found = {name: getattr(seen, name) for name in ("edges", "residual_px", "turn_deg", "rmse", "next_rmse")}
     return seen.centres, seen.side, found
 

@@ -9,6 +9,7 @@ from irodori.calibration.illumination import Illumination, illumination
 from irodori.calibration.jitter import Jitter, jitter
 from irodori.calibration.patches import ChartReading
 from irodori.calibration.training import Noise
+from irodori.config.models import Chart
 from irodori.core import store
 from irodori.core.errors import InputError
 
@@ -45,13 +46,13 @@ class ChartPhotograph:
     light: Illumination | None
 
     @classmethod
-    def load(cls, path, chart: dict, count: int) -> "ChartPhotograph":
+    def load(cls, path, chart: Chart, count: int) -> "ChartPhotograph":
         """Read a chart's linear responses and find its patches.
 
         Parameters
         ----------
         path : path
-        chart : dict
+        chart : Chart
             Definition of the chart.
         count : int
             Spectra of the chart.
@@ -61,9 +62,9 @@ class ChartPhotograph:
         InputError
             If the layout does not have one patch a spectrum, or the patches cannot be read.
         """
-        if count != chart["rows"] * chart["columns"]:
-            found = f"{count} spectra for {chart['rows']} x {chart['columns']} patches"
-            raise InputError(chart["spectra"], "chart", found, "one spectrum a patch, row by row")
+        if count != chart.rows * chart.columns:
+            found = f"{count} spectra for {chart.rows} x {chart.columns} patches"
+            raise InputError(chart.spectra, "chart", found, "one spectrum a patch, row by row")
         with store.open_file(path) as file:
             response, valid = file.read("response"), file.read("valid")
             # Ingestion writes a rate, 1/s, where no white reference has evened the light.

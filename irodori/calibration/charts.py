@@ -15,6 +15,8 @@ from irodori.calibration.patch_order import check_order
 from irodori.calibration.patches import ChartReading
 from irodori.calibration.training import Noise
 from irodori.config.capture_table import chart_capture
+from irodori.config.models import Camera, Chart
+from irodori.config.parts import CalibratedCamera
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.spectra.published import chart_spectra
@@ -51,15 +53,14 @@ class Charts:
     number: np.ndarray
 
     @classmethod
-    def load(cls, linear, camera: dict) -> "Charts":
+    def load(cls, linear, camera: Camera | CalibratedCamera) -> "Charts":
         """Read all charts.
 
         Parameters
         ----------
         linear : path or sequence of paths
             Linear responses of each chart, in the order of the definition; one path where there is one chart.
-        camera : dict
-            Definition of the camera: ``chart`` and ``further_charts``.
+        camera : Camera or CalibratedCamera
 
         Raises
         ------
@@ -70,12 +71,14 @@ class Charts:
             If there is not one file a chart.
         """
         files = [linear] if isinstance(linear, str | Path) else list(linear)
-        definitions = {"": camera["chart"], **camera.get("further_charts", {})}
+        definitions = {"": camera.chart, **camera.further_charts}
         if len(files) != len(definitions):
             raise ValueError(f"{len(files)} files of charts; accepted: {len(definitions)}, one for each chart")
-        photographs, readings, patches, spectra = [], [], [], []
+        photographs: list[ChartPhotograph] = []
+        readings: list[ChartReading] = []
+        patches, spectra = [], []
         for file, (name, chart) in zip(files, definitions.items(), strict=True):
-            names, reflectances = chart_spectra(chart["spectra"])
+            names, reflectances = chart_spectra(chart.spectra)
             with _naming(name):
                 photograph = ChartPhotograph.load(file, chart, len(names))
                 reading = photograph.read()
@@ -173,9 +176,9 @@ def _level(ratios: np.ndarray, patches: int) -> tuple[float, float]:
     return float(np.exp(middle)), 1.2533 * spread / np.sqrt(patches)
 
 
-def _check_order(photograph: ChartPhotograph, reading: ChartReading, spectra: np.ndarray, chart: dict) -> None:
+def _check_order(photograph: ChartPhotograph, reading: ChartReading, spectra: np.ndarray, chart: Chart) -> None:
     try:
-        check_order(photograph.responses(reading), spectra, chart["rows"], chart["columns"])
+        check_order(photograph.responses(reading), spectra, chart.rows, chart.columns)
     except ValueError as error:
         raise InputError(photograph.path, "chart", str(error), "a chart that determines every band") from None
 

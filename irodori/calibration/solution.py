@@ -17,6 +17,7 @@ from irodori.calibration.estimator_choice import BASES, ON_REQUEST, SelectionRow
 from irodori.calibration.estimators import ESTIMATORS, fit_checked
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.training import Training
+from irodori.config.models import CalibrationOptions
 from irodori.core.progress import LOGGER
 
 _AUTO = "auto"
@@ -37,19 +38,18 @@ class Solution:
     numbers: dict[str, float]
 
 
-def solve(training: Training, settings: dict, filters: tuple[str, ...], lights, timed: bool, charts=None) -> Solution:
+def solve(
+    training: Training, settings: CalibrationOptions, filters: tuple[str, ...], lights, timed: bool, charts=None
+) -> Solution:
     """Check the charts, judge, choose and fit; ValueError says what is wrong.
 
     ``charts``, (m,) int, is the number of the chart of each patch; None is one chart.
     """
-    limits = Limits(
-        settings.get("max_condition", Limits.condition),
-        settings.get("max_noise_amplification", Limits.noise_amplification),
-    )
+    limits = Limits(settings.max_condition, settings.max_noise_amplification)
     check_responses(training.response, limits.condition, training.noise.patch, filters)
     check_brightest(training, filters)
     rows, recovered, by_chart = _judge(training, settings, lights, timed, charts)
-    chosen = choose(rows, settings["estimator"], settings["bases"])
+    chosen = choose(rows, settings.estimator, settings.bases)
     calibration = replace(
         fit_checked(chosen[0], training, chosen[1], limits.condition),
         filters=filters,
@@ -62,13 +62,13 @@ def solve(training: Training, settings: dict, filters: tuple[str, ...], lights, 
     return Solution(calibration, rows, chosen, recovered[chosen], by_chart.get(chosen), numbers)
 
 
-def _judge(training: Training, settings: dict, lights, timed: bool, charts):
+def _judge(training: Training, settings: CalibrationOptions, lights, timed: bool, charts):
     """Return the table of estimators and bases, and what each recovers of patches and of charts left out.
 
     The table is whole where it is written or the choice is open. Patches are left out in turn; where there are several
     charts, the table goes on with whole charts left out.
     """
-    estimator, bases = settings["estimator"], settings["bases"]
+    estimator, bases = settings.estimator, settings.bases
     if estimator not in (_AUTO, *ESTIMATORS):
         raise ValueError(f"unknown estimator {estimator!r}; accepted: {_AUTO}, {', '.join(ESTIMATORS)}")
     counts = BASES if timed or bases == _AUTO else ()

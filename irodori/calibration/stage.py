@@ -17,6 +17,8 @@ from irodori.calibration.training import Noise, Training
 from irodori.calibration.unseen_patches import error_of_unseen
 from irodori.calibration.verdict import judge
 from irodori.colour.colorimetry import delta_e_reflectance, goodness_of_fit, spectral_rmse, summary
+from irodori.config.models import Camera
+from irodori.config.parts import CalibratedCamera
 from irodori.core import store
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
@@ -29,7 +31,7 @@ _MAX_INVALID_SHARE = 0.05  # of a patch, beyond which the report names it
 
 def calibrate_camera(
     linear,
-    camera: dict,
+    camera: Camera | CalibratedCamera,
     light_name: str,
     output,
     table,
@@ -44,9 +46,8 @@ def calibrate_camera(
     ----------
     linear : path or sequence of paths
         Linear responses of the chart; where there are several charts, of each, the first chart's first.
-    camera : dict
-        Definition of the camera: blocks ``chart``, ``further_charts`` (none where absent) and ``calibration``. Where no
-        white reference has evened the light, it is told from each chart itself.
+    camera : Camera or CalibratedCamera
+        Where no white reference has evened the light, it is told from each chart itself.
     light_name : str
         Spectrum of the light on the charts.
     output : path of the HDF5 file
@@ -71,9 +72,7 @@ def calibrate_camera(
         spectra = charts.spectra
         training = Training(charts.responses(), spectra, light(light_name), charts.noise() if noise is None else noise)
         try:
-            solved = solve(
-                training, camera["calibration"], charts.filters, lights, selection is not None, charts.number
-            )
+            solved = solve(training, camera.calibration, charts.filters, lights, selection is not None, charts.number)
         except ValueError as error:
             raise charts.refusal(error) from None
         errors = {"leave_one_out": _errors(spectra, solved.recovered, lights)}

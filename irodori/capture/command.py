@@ -26,7 +26,9 @@ from irodori.capture.shot_planner.fisher_information import Weighting
 from irodori.capture.shot_planner.planner import default_noise, plan_best
 from irodori.capture.stage import Target, capture_camera, capture_object
 from irodori.config.capture_table import Pose, Shot
+from irodori.config.definition import as_plain
 from irodori.config.definitions import load_one
+from irodori.config.models import Object
 from irodori.core.errors import InputError, PlainError
 from irodori.core.progress import LOGGER
 from irodori.core.provenance import code_hash, config_hash
@@ -105,11 +107,11 @@ def _angle(text: str) -> tuple[str, float]:
 @contextmanager
 def _rig(name: str):
     """Open a rig by name."""
-    definition = load_one("rigs", name)["rigs"][name]
-    if "motion" not in definition:
+    definition = load_one("rigs", name).rigs[name]
+    if definition.motion is None:
         raise InputError(f"config/rigs/{name}.yaml", "motion", "no such key", "a rig with motors")
     with ending_in_order(), open_rig(definition) as rig:
-        rig.on_hold = PromptOperator(definition.get("operator_deadline_s")).confirm
+        rig.on_hold = PromptOperator(definition.operator_deadline_s).confirm
         yield rig
 
 
@@ -168,11 +170,11 @@ def _ready(rig: Rig, home: bool) -> None:
 
 
 def _shoot(options) -> None:
-    camera = load_one("cameras", options.camera)["cameras"][options.camera]
-    if "driver" not in camera:
+    camera = load_one("cameras", options.camera).cameras[options.camera]
+    if camera.driver is None:
         raise InputError(f"config/cameras/{options.camera}.yaml", "driver", "no such key", "a camera that is driven")
     shot = Shot(options.file.name, "object", Pose(0.0, 0.0), "out", options.exposure)
-    with GphotoCamera(camera["driver"]) as device:
+    with GphotoCamera(camera.driver) as device:
         with storing(options.file):
             device.capture(shot, options.file)
         print(", ".join(f"{key} {value}" for key, value in device.status().items()))
@@ -180,33 +182,32 @@ def _shoot(options) -> None:
     print(options.file)
 
 
-def _target(options) -> tuple[Target, dict | None]:
+def _target(options) -> tuple[Target, Object | None]:
     """Return what a session of the named object or camera photographs, and the object's definition."""
     kind = "cameras" if options.camera else "objects"
     loaded = load_one(kind, options.name)
-    definition = loaded[kind][options.name]
-    camera_name = options.name if options.camera else definition["camera"]
-    camera = loaded["cameras"][camera_name]
-    rig = loaded["rigs"][camera["rig"]]
-    if "exposure_s" not in definition:
-        found = f"a rig of kind {rig['kind']}, whose photographs somebody else takes"
+    definition = None if options.camera else loaded.objects[options.name]
+    camera = loaded.cameras[options.name if definition is None else definition.camera]
+    rig, named = loaded.rigs[camera.rig], definition or camera
+    if named.exposure_s is None:
+        found = f"a rig of kind {rig.kind}, whose photographs somebody else takes"
         raise InputError(f"config/{kind}/{options.name}.yaml", "rig", found, "a rig of kind driven or virtual")
-    captures = definition.get("captures")
+    captures = named.captures
     # What is computed at the bench, for practice, stands apart from what the workflow has computed.
-    table = captures["table"] if captures else Path("results/rig/bench", options.name, "captures.csv")
-    target = Target(options.name, camera, rig, camera["rig"], table, (captures or {}).get("folder"))
-    return target, None if options.camera else definition
+    table = captures.table if captures else Path("results/rig/bench", options.name, "captures.csv")
+    target = Target(options.name, camera, rig, camera.rig, table, captures.folder if captures else None)
+    return target, definition
 
 
-def _as_fitted(definition: dict, target: Target) -> dict:
+def _as_fitted(definition: Object, target: Target) -> dict:
     """Return noise, weights and largest angle as the configuration's fit will have them."""
-    config = load_one("objects", target.name)
-    fit, sensor = config["fit"], target.camera.get("virtual", {}).get("sensor")
-    exposures_s = definition["exposure_s"]["out"] if sensor else ()
+    config = load_one("objects", target.name).config
+    fit, sensor = config.fit, target.camera.virtual.sensor if target.camera.virtual else None
+    exposures_s = definition.exposure_s.out if sensor and definition.exposure_s else ()
     return {
         "noise": default_noise(target.rig, sensor, exposures_s, fit),
-        "weighting": Weighting(fit["weights"], fit["model_error"]),
-        "max_angle_deg": config["rectify"]["max_angle_deg"],
+        "weighting": Weighting(fit.weights, fit.model_error),
+        "max_angle_deg": config.rectify.max_angle_deg,
     }
 
 
@@ -221,8 +222,10 @@ def _plan(options) -> None:
             raise InputError("--best", "", str(options.best), str(error)) from None
         print("\n".join(best.lines()))
         return
-    shots = camera_shots(target.camera, target.suffix) if definition is None else None
-    shots = shots if shots is not None else object_shots(definition, target.camera, target.suffix)
+    if definition is None:
+        shots = camera_shots(target.camera, target.suffix)
+    else:
+        shots = object_shots(definition, target.camera, target.suffix)
     planned = target.ordered(shots)
     for shot in planned:
         angles = " ".join(f"{name.removesuffix('_deg')} {value:g}" for name, value in vars(shot.pose).items())
@@ -232,7 +235,7 @@ def _plan(options) -> None:
 
 def _capture(options) -> None:
     target, definition = _target(options)
-    described = {"definition": definition, "camera": target.camera, "rig": target.rig}
+    described = as_plain({"definition": definition, "camera": target.camera, "rig": target.rig})
     made = Provenance("bench", config_hash(described), code_hash("irodori.capture.stage"))
     # Not the workflow's record: it would take photographs for whole that another definition asked for.
     record = Path(target.table).with_suffix(".json")

@@ -4,21 +4,35 @@ File names follow from what a photograph is and not from when it was taken, so t
 knows what is missing.
 """
 
-from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-from irodori.config.capture_table import Pose, Shot, expand_poses
+from irodori.config.capture_table import SESSION_DEFAULTS, Pose, Shot, expand_poses
+from irodori.config.models import Camera, Environment, Exposures, Object, ScenePhotograph
+from irodori.config.parts import PhotographedObject
 
 #: Where everything stands when nothing needs a place: the cap is on the lens, or the camera is in another room.
 _NOWHERE = Pose(0.0, 0.0)
 
 
-def _settings(camera: dict) -> dict[str, float]:
+def _settings(camera: Camera) -> dict[str, float]:
     """Return the sensitivity and the aperture that the camera is set to, 0 where nobody knows them."""
-    block = camera.get("driver") or camera.get("virtual") or {}
-    known = {key: block.get(key) for key in ("iso", "f_number")}
+    block = camera.driver or camera.virtual
+    known = {key: getattr(block, key, None) for key in ("iso", "f_number")}
     # A lens with a ring has an aperture that the camera cannot tell.
     return {key: float(value) if isinstance(value, int | float) else 0.0 for key, value in known.items()}
+
+
+def _times(exposure_s: Exposures | None) -> dict[str, tuple[float, ...]]:
+    """Return the exposure times of each filter state, s.
+
+    Raises
+    ------
+    ValueError
+        If there are none.
+    """
+    if exposure_s is None:
+        raise ValueError("a definition without exposure_s; accepted: one whose photographs the workflow takes")
+    return {"out": exposure_s.out} if exposure_s.in_ is None else {"out": exposure_s.out, "in": exposure_s.in_}
 
 
 def _file(subject: str, state: str, exposure_s: float, suffix: str, frame: int | None = None) -> str:
@@ -27,62 +41,71 @@ def _file(subject: str, state: str, exposure_s: float, suffix: str, frame: int |
 
 
 def _bracket(
-    role: str, pose: Pose, exposure_s: Mapping[str, Iterable[float]], settings: dict, suffix: str, chart: str = ""
+    role: str,
+    pose: Pose,
+    exposure_s: Exposures | None,
+    settings: dict[str, float],
+    suffix: str,
+    chart: str = "",
 ):
-    for state, exposures in exposure_s.items():
+    for state, exposures in _times(exposure_s).items():
         for exposure in exposures:
             shot = Shot("", role, pose, state, exposure, **settings, chart=chart)
             yield replace(shot, file=_file(shot.capture, state, exposure, suffix))
 
 
-def object_shots(definition: dict, camera: dict, suffix: str) -> list[Shot]:
+def object_shots(definition: Object | PhotographedObject, camera: Camera, suffix: str) -> list[Shot]:
     """Return the photographs of an object: every pose, filter state and exposure time.
 
     Parameters
     ----------
-    definition, camera : dict
-        Validated definitions.
+    definition : Object or PhotographedObject
+    camera : Camera
     suffix : str
         End of the files' names, with the dot.
     """
     settings = _settings(camera)
     return [
         shot
-        for pose in expand_poses(definition["poses"])
-        for shot in _bracket("object", pose, definition["exposure_s"], settings, suffix)
+        for pose in expand_poses(definition.poses or ())
+        for shot in _bracket("object", pose, definition.exposure_s, settings, suffix)
     ]
 
 
-def environment_shots(definition: dict, camera: dict, suffix: str) -> list[Shot]:
+def environment_shots(definition: Environment, camera: Camera, suffix: str) -> list[Shot]:
     """Return the photographs of an environment; parameters as of `object_shots`."""
-    return list(_bracket("environment", _NOWHERE, definition["exposure_s"], _settings(camera), suffix))
+    return list(_bracket("environment", _NOWHERE, definition.exposure_s, _settings(camera), suffix))
 
 
-def scene_shots(definition: dict, camera: dict, suffix: str) -> list[Shot]:
+def scene_shots(definition: ScenePhotograph, camera: Camera, suffix: str) -> list[Shot]:
     """Return the photographs of a scene from one place; parameters as of `object_shots`."""
-    return list(_bracket("scene", _NOWHERE, definition["exposure_s"], _settings(camera), suffix))
+    return list(_bracket("scene", _NOWHERE, definition.exposure_s, _settings(camera), suffix))
 
 
-def camera_shots(camera: dict, suffix: str) -> list[Shot]:
+def camera_shots(camera: Camera, suffix: str) -> list[Shot]:
     """Return the photographs that calibrate a camera: dark frames, white references, the chart, further charts.
 
     Dark frames are taken at every exposure time of ``exposure_s``, the white reference ``white_frames`` times at each
     exposure time, with the filter out also at those of ``linearity_exposure_s``.
     """
-    settings, exposure_s = _settings(camera), camera["exposure_s"]
+    if camera.poses is None:
+        raise ValueError("a camera without poses; accepted: one whose photographs the workflow takes")
+    settings, exposure_s = _settings(camera), _times(camera.exposure_s)
+    given = {key: getattr(camera, key) for key in SESSION_DEFAULTS}
+    frames = SESSION_DEFAULTS | {key: value for key, value in given.items() if value is not None}
     white = {state: list(exposures) for state, exposures in exposure_s.items()}
-    white["out"] += [e for e in camera["linearity_exposure_s"] if e not in white["out"]]
-    pose = {role: Pose(**angles) for role, angles in camera["poses"].items()}
+    white["out"] += [e for e in frames["linearity_exposure_s"] if e not in white["out"]]
+    pose = {role: Pose(**vars(angles)) for role, angles in vars(camera.poses).items() if angles is not None}
     shots = []
     for exposure in sorted({e for group in exposure_s.values() for e in group}):
-        for frame in range(camera["dark_frames"]):
+        for frame in range(frames["dark_frames"]):
             file = _file("dark", "out", exposure, suffix, frame)
             shots.append(Shot(file, "dark", _NOWHERE, "out", exposure, **settings))
     for state, exposures in white.items():
         for exposure in exposures:
-            for frame in range(camera["white_frames"]):
+            for frame in range(frames["white_frames"]):
                 file = _file("white", state, exposure, suffix, frame)
                 shots.append(Shot(file, "white", pose["white"], state, exposure, **settings))
-    for chart in ("", *camera.get("further_charts", {})):
-        shots += _bracket("chart", pose["chart"], exposure_s, settings, suffix, chart)
+    for chart in ("", *camera.further_charts):
+        shots += _bracket("chart", pose["chart"], camera.exposure_s, settings, suffix, chart)
     return shots

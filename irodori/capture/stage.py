@@ -17,12 +17,16 @@ from irodori.capture.session import Session, take_stock
 from irodori.capture.shot_list import camera_shots, environment_shots, object_shots, scene_shots
 from irodori.capture.shot_order import Estimate, estimate_s, order_shots
 from irodori.config.capture_table import Shot
+from irodori.config.models import Camera as CameraDefinition
+from irodori.config.models import Environment, Object, ScenePhotograph
+from irodori.config.models import Rig as RigDefinition
+from irodori.config.parts import PhotographedObject, SceneRadiance
 from irodori.core.progress import LOGGER
 from irodori.core.provenance import file_sha256
 from irodori.core.store import Provenance
 from irodori.core.termination import ending_in_order
 from irodori.simulation.virtual_rig.bench import Bench
-from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
+from irodori.simulation.virtual_rig.virtual_camera import Photographed, VirtualCamera
 
 #: What a hand step costs against travel when photographs are ordered; the virtual rig's hands are quick.
 _STEP_S = {"prompt": 30.0, "file": 30.0, "auto": 0.0}
@@ -40,8 +44,8 @@ class Target:
     ----------
     name : str
         Of the object, the camera or the environment.
-    camera, rig : dict
-        Validated definitions.
+    camera, rig : Camera, Rig
+        Definitions.
     rig_name : str
         Names the folder of the operator's confirmation files.
     table : path
@@ -51,8 +55,8 @@ class Target:
     """
 
     name: str
-    camera: dict
-    rig: dict
+    camera: CameraDefinition
+    rig: RigDefinition
     rig_name: str = ""
     table: str | Path = "captures.csv"
     folder: str | Path | None = None
@@ -60,33 +64,35 @@ class Target:
     @property
     def is_virtual(self) -> bool:
         """Whether the photographs are computed."""
-        return self.rig["kind"] == "virtual"
+        return self.rig.kind == "virtual"
 
     @property
     def suffix(self) -> str:
         """End of the names of the RAW files, with the dot."""
         if self.is_virtual:
             return VirtualCamera.suffix
-        model = self.camera["driver"]["model"]
+        if self.camera.driver is None:
+            raise ValueError("a camera without the block driver on a rig that is not virtual; accepted: one with it")
+        model = self.camera.driver.model
         return next((known[0] for maker, known in RAW_SUFFIXES.items() if model.startswith(maker)), ".raw")
 
     @property
     def settle_s(self) -> float:
         """Time from the arrival of the motors to the shutter, s."""
-        return self.rig["motion"]["settle_s"] if "motion" in self.rig else 0.0
+        return self.rig.motion.settle_s if self.rig.motion else 0.0
 
     def axes(self) -> dict[str, Axis]:
         """Return the motorised axes; those of the pose that are not here are set by hand."""
-        return {name: drive.axis for name, drive in drives_of(self.rig).items()} if "motion" in self.rig else {}
+        return {name: drive.axis for name, drive in drives_of(self.rig).items()} if self.rig.motion else {}
 
     def ordered(self, shots: Sequence[Shot]) -> list[Shot]:
         """Return photographs in the order in which they are taken."""
-        return order_shots(shots, self.axes(), {}, _STEP_S[self.rig["operator"]])
+        return order_shots(shots, self.axes(), {}, _STEP_S[self.rig.operator])
 
     def estimate(self, shots: Sequence[Shot]) -> Estimate:
         """Return the time that photographs take in their order; nothing is known of where things stand."""
         overhead_s = 0.0 if self.is_virtual else _READ_OUT_S
-        return estimate_s(shots, self.axes(), {}, _STEP_S[self.rig["operator"]], overhead_s, self.settle_s)
+        return estimate_s(shots, self.axes(), {}, _STEP_S[self.rig.operator], overhead_s, self.settle_s)
 
 
 class _VirtualHands(Operator):
@@ -105,20 +111,21 @@ class _VirtualHands(Operator):
 
 @contextmanager
 def _equipment(
-    target: Target, planned: Sequence[Shot], subject: dict | None, on_rig: bool
+    target: Target, planned: Sequence[Shot], subject: Photographed | None, on_rig: bool
 ) -> Iterator[tuple[Rig | None, Camera, Operator]]:
     """Open the rig, the camera and the operator of a session."""
     rig = target.rig
-    moved = open_rig(rig) if on_rig and "motion" in rig else nullcontext()
+    moved = open_rig(rig) if on_rig and rig.motion else nullcontext()
     with moved as opened:
         folder = Path("results/rig") / target.rig_name
         if not target.is_virtual:
-            with GphotoCamera(target.camera["driver"]) as camera:
+            assert target.camera.driver is not None  # `suffix` has refused a camera without
+            with GphotoCamera(target.camera.driver) as camera:
                 LOGGER.info("camera: %s", ", ".join(f"{key} {value}" for key, value in camera.status().items()))
-                yield opened, camera, make_operator(rig["operator"], folder, rig.get("operator_deadline_s"))
+                yield opened, camera, make_operator(rig.operator, folder, rig.operator_deadline_s)
             return
         bench = Bench(motors_deg=lambda: true_position_deg(opened) if opened is not None else {})
-        operator = make_operator(rig["operator"], folder, rig.get("operator_deadline_s"), set_bench=bench.set)
+        operator = make_operator(rig.operator, folder, rig.operator_deadline_s, set_bench=bench.set)
         if not isinstance(operator, AutoOperator):
             operator = _VirtualHands(operator, bench)
         yield opened, VirtualCamera(target.camera, rig, bench, target.name, planned, subject), operator
@@ -127,7 +134,7 @@ def _equipment(
 def photograph(
     shots: Sequence[Shot],
     target: Target,
-    subject: dict | None,
+    subject: Photographed | None,
     record,
     provenance: Provenance,
     owner: str,
@@ -142,8 +149,8 @@ def photograph(
     shots : sequence of Shot
         In any order.
     target : Target
-    subject : dict or None
-        Definition of the object or the environment, for a virtual camera.
+    subject : Photographed or None
+        What stands before a virtual camera.
     record : path
         JSON to write when the session is complete: what was done, the hash of the table.
     provenance : Provenance
@@ -205,7 +212,7 @@ def _write_record(path: Path, content: Mapping) -> None:
         os.replace(temporary, path)
 
 
-def capture_object(definition: dict, target: Target, record, provenance: Provenance) -> None:
+def capture_object(definition: Object | PhotographedObject, target: Target, record, provenance: Provenance) -> None:
     """Photograph an object in all its poses, without and with the comb filter; see `photograph`."""
     shots = object_shots(definition, target.camera, target.suffix)
     photograph(shots, target, definition, record, provenance, f"object {target.name}")
@@ -217,22 +224,21 @@ def capture_camera(target: Target, record, provenance: Provenance) -> None:
     photograph(shots, target, None, record, provenance, f"camera {target.name}")
 
 
-def capture_environment(definition: dict, target: Target, record, provenance: Provenance) -> None:
+def capture_environment(definition: Environment, target: Target, record, provenance: Provenance) -> None:
     """Photograph a virtual room with an omnidirectional camera; see `photograph`."""
     shots = environment_shots(definition, target.camera, target.suffix)
     photograph(shots, target, definition, record, provenance, f"environment {target.name}", on_rig=False)
 
 
-def capture_photograph(definition: dict, radiance, target: Target, record, provenance: Provenance) -> None:
+def capture_photograph(definition: ScenePhotograph, radiance, target: Target, record, provenance: Provenance) -> None:
     """Photograph a scene from one place with a virtual camera; see `photograph`.
 
     Parameters
     ----------
-    definition : dict
-        Of the photograph, in the scene's file.
+    definition : ScenePhotograph
     radiance : path
         What stands before the camera, see `irodori.simulation.virtual_rig.scene_view`.
     """
     shots = scene_shots(definition, target.camera, target.suffix)
-    subject = {"radiance": str(radiance)}
+    subject = SceneRadiance(radiance=str(radiance))
     photograph(shots, target, subject, record, provenance, f"photograph {target.name}", on_rig=False)

@@ -15,6 +15,14 @@ import numpy as np
 from irodori.colour.icc import Profile, read_profile, write_profile
 from irodori.colour.measured_display import measured_display
 from irodori.colour.tone_curves import SRGB, Curve, ParametricCurve
+from irodori.config.models import (
+    DisplayDevice,
+    GammaTone,
+    MeasuredDisplay,
+    PrimariesDisplay,
+    ProfileDisplay,
+    StandardDisplay,
+)
 from irodori.core.errors import InputError
 
 ADAPTATION = "CAT16"
@@ -127,26 +135,26 @@ def _listed(values) -> str:
     return " ".join(f"{value:.6g}" for value in values)
 
 
-def make_display(definition: dict) -> Display:
+def make_display(definition: DisplayDevice) -> Display:
     """Return the display of a scene's ``display.device``.
 
     Parameters
     ----------
-    definition : dict
-        ``kind`` ``standard`` with ``name``; ``primaries`` with ``red_xy``, ``green_xy``, ``blue_xy``, ``white_xy`` and
-        ``tone``; ``measured`` with ``file``, see `irodori.colour.measured_display`; ``profile`` with ``file``.
+    definition : DisplayDevice
+        Of a measured one see `irodori.colour.measured_display`.
 
     Raises
     ------
     InputError
         If a file is at fault.
     ValueError
-        If the kind is unknown, or primaries do not enclose their white.
+        If primaries do not enclose their white.
     """
-    makers = {"standard": _standard, "primaries": _primaries, "measured": _measured, "profile": _profile}
-    if definition["kind"] not in makers:
-        raise ValueError(f"unknown kind of display {definition['kind']!r}; accepted: {', '.join(makers)}")
-    return makers[definition["kind"]](definition)
+    if isinstance(definition, StandardDisplay):
+        return standard_display(definition.name)
+    if isinstance(definition, PrimariesDisplay):
+        return _primaries(definition)
+    return _measured(definition) if isinstance(definition, MeasuredDisplay) else _profile(definition)
 
 
 def standard_display(name: str) -> Display:
@@ -177,29 +185,25 @@ def _made(name: str, matrix: np.ndarray, curves, profile: bytes | None = None, b
     return Display(name, matrix, curves, matrix.sum(axis=1) + black, black, profile)
 
 
-def _standard(definition: dict) -> Display:
-    return standard_display(definition["name"])
-
-
-def _primaries(definition: dict) -> Display:
-    corners = np.array([definition[f"{name}_xy"] for name in ("red", "green", "blue", "white")])
+def _primaries(definition: PrimariesDisplay) -> Display:
+    corners = np.array([definition.red_xy, definition.green_xy, definition.blue_xy, definition.white_xy])
     xyz = np.column_stack([corners[:, 0], corners[:, 1], 1.0 - corners.sum(axis=1)]).T
     white = xyz[:, 3] / xyz[1, 3]
     amounts = np.linalg.solve(xyz[:, :3], white)
     if (amounts <= 0.0).any():
-        raise ValueError(f"the white {definition['white_xy']}; accepted: one within the triangle of the primaries")
-    tone = definition["tone"]
-    curve = SRGB if tone["kind"] == "srgb" else ParametricCurve(tone["gamma"])
+        raise ValueError(f"the white {list(definition.white_xy)}; accepted: one within the triangle of the primaries")
+    tone = definition.tone
+    curve = ParametricCurve(tone.gamma) if isinstance(tone, GammaTone) else SRGB
     return _made("display of given primaries", xyz[:, :3] * amounts, (curve,) * 3)
 
 
-def _measured(definition: dict) -> Display:
-    matrix, curves, black = measured_display(definition["file"])
-    return _made(Path(definition["file"]).stem, matrix, curves, black=black)
+def _measured(definition: MeasuredDisplay) -> Display:
+    matrix, curves, black = measured_display(definition.file)
+    return _made(Path(definition.file).stem, matrix, curves, black=black)
 
 
-def _profile(definition: dict) -> Display:
-    path = Path(definition["file"])
+def _profile(definition: ProfileDisplay) -> Display:
+    path = Path(definition.file)
     if not path.is_file():
         raise InputError(path, "", "no such file", "the ICC profile of a display")
     data = path.read_bytes()

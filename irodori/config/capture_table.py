@@ -12,13 +12,20 @@ import os
 import posixpath
 import re
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from irodori.config.validation import suggest
 from irodori.core.errors import InputError
 from irodori.core.provenance import file_sha256
 
+if TYPE_CHECKING:
+    from irodori.config.models import PoseGroup
+
 ROLES = ("object", "chart", "white", "dark", "environment", "scene")
+#: What a session takes where a camera's file does not say; where others take the photographs the keys are refused.
+SESSION_DEFAULTS: dict[str, Any] = {"dark_frames": 0, "white_frames": 2, "linearity_exposure_s": []}
 #: A further chart has its name behind the role, such as ``chart-sg``.
 _FURTHER_CHART = "chart-"
 _NAME = re.compile(r"[a-z0-9-]+")
@@ -82,13 +89,12 @@ def chart_capture(name: str) -> str:
     return _FURTHER_CHART + name if name else "chart"
 
 
-def expand_poses(groups) -> list[Pose]:
+def expand_poses(groups: "Iterable[PoseGroup]") -> list[Pose]:
     """Return every combination of the lists of each group, in order.
 
     Parameters
     ----------
-    groups : iterable of dict
-        Lists in degrees: ``light_deg``, ``camera_deg``, and ``tilt_deg``, ``turn_deg``, [0.0] where absent.
+    groups : iterable of PoseGroup
 
     Raises
     ------
@@ -98,10 +104,10 @@ def expand_poses(groups) -> list[Pose]:
     poses, seen = [], set()
     for group in groups:
         lists = [
-            group["light_deg"],
-            group["camera_deg"],
-            group.get("tilt_deg", [0.0]),
-            group.get("turn_deg", [0.0]),
+            group.light_deg,
+            group.camera_deg,
+            group.tilt_deg,
+            group.turn_deg,
         ]
         for angles in itertools.product(*lists):
             pose = Pose(*map(float, angles))

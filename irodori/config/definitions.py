@@ -9,9 +9,11 @@ from pathlib import Path
 
 import yaml
 
-from irodori.config.capture_table import chart_capture, expand_poses, read_captures
+from irodori.config.capture_table import SESSION_DEFAULTS, chart_capture, expand_poses, read_captures
 from irodori.config.cross_checks.captures_on_rig import table_and_folder
 from irodori.config.cross_checks.consistency import check_agreement, rig_of
+from irodori.config.loaded import Loaded
+from irodori.config.models import PoseGroup
 from irodori.config.validation import dotted, suggest, validate
 from irodori.core.errors import InputError, is_file
 
@@ -36,8 +38,6 @@ KINDS = {
 }
 
 _CONFIG_FILE = "config/config.yaml"
-#: What a session takes where a camera's file does not say; where others take the photographs the keys are refused.
-_SESSION_DEFAULTS = {"dark_frames": 0, "white_frames": 2, "linearity_exposure_s": []}
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
@@ -125,7 +125,7 @@ def load_definitions(config: dict, root: Path, file=_CONFIG_FILE) -> dict:
         raise InputError(source, error.field, error.found, error.accepted) from None
 
 
-def load_one(kind: str, name: str, root: Path = Path(), file=_CONFIG_FILE) -> dict:
+def load_one(kind: str, name: str, root: Path = Path(), file=_CONFIG_FILE) -> Loaded:
     """Load one definition and what it needs, for the person at the bench; nothing else is asked for.
 
     Parameters
@@ -139,8 +139,7 @@ def load_one(kind: str, name: str, root: Path = Path(), file=_CONFIG_FILE) -> di
 
     Returns
     -------
-    dict
-        As `load_definitions` returns it.
+    Loaded
 
     Raises
     ------
@@ -149,8 +148,9 @@ def load_one(kind: str, name: str, root: Path = Path(), file=_CONFIG_FILE) -> di
     InputError
         For the first fault.
     """
-    wanted = {"scenes": [], "cameras": []}
-    return _load_definitions({**read_yaml(Path(root) / file), "make": wanted}, Path(root), file, (kind, name))
+    wanted: dict[str, list[str]] = {"scenes": [], "cameras": []}
+    config = {**read_yaml(Path(root) / file), "make": wanted}
+    return Loaded.of(_load_definitions(config, Path(root), file, (kind, name)))
 
 
 def _load_definitions(config: dict, root: Path, file, also: tuple[str, str] | None = None) -> dict:
@@ -166,7 +166,7 @@ def _load_definitions(config: dict, root: Path, file, also: tuple[str, str] | No
     check_agreement(definitions, root, file, loader.file)
     for camera in definitions["cameras"].values():
         if "exposure_s" in camera:
-            camera.update({key: value for key, value in _SESSION_DEFAULTS.items() if key not in camera})
+            camera.update({key: value for key, value in SESSION_DEFAULTS.items() if key not in camera})
     return definitions
 
 
@@ -202,8 +202,12 @@ class _Loader:
         ValueError
             If there is no such kind.
         """
-        loaders = {"objects": self._object, "cameras": self.camera, "environments": self._environment}
-        loaders["rigs"] = lambda name, by, path: list(self._load("rigs", name, by, path))
+        loaders = {
+            "objects": self._object,
+            "cameras": self.camera,
+            "environments": self._environment,
+            "rigs": self._rig,
+        }
         if kind not in loaders:
             raise ValueError(f"no definitions of {kind!r}; {suggest(kind, loaders, 'kinds')}")
         loaders[kind](name, self.config_file, (kind,))
@@ -219,6 +223,9 @@ class _Loader:
     def camera(self, name: str, by, path: tuple) -> None:
         for camera, file in self._load("cameras", name, by, path):
             list(self._load("rigs", camera["rig"], file, ("rig",)))
+
+    def _rig(self, name: str, by, path: tuple) -> None:
+        list(self._load("rigs", name, by, path))
 
     def _object(self, name: str, by, path: tuple) -> None:
         for definition, file in self._load("objects", name, by, path):
@@ -273,7 +280,7 @@ def captures_of(definitions: dict, kind: str, name: str, root=".") -> list[str]:
     if kind == "cameras":
         return [chart_capture(chart) for chart in ["", *definition.get("further_charts", {})]]
     if is_taken_here(definitions, kind, name):
-        return sorted(pose.name for pose in expand_poses(definition["poses"]))
+        return sorted(pose.name for pose in expand_poses(map(PoseGroup.of, definition["poses"])))
     table, _ = table_and_folder(definition, Path(root))
     return sorted({shot.capture for shot in read_captures(table) if shot.role == "object"})
 

@@ -243,19 +243,24 @@ def _at(schema: dict, instance, path: tuple) -> dict:
 
 def describe(schema: dict) -> str:
     """Return in words what a schema accepts, and its description: ``a number above 0 (Radius, in mm)``."""
-    text = _accepts(schema)
+    text = accepts(schema)
     about = schema.get("description", "").rstrip(".")
     return f"{text} ({about})" if about else text
 
 
-def _accepts(schema: dict) -> str:
+def accepts(schema: dict) -> str:
+    """Return in words what a schema accepts: ``a number above 0``."""
     if "const" in schema:
         return str(schema["const"])
     if "enum" in schema:
         return "one of " + ", ".join(map(str, schema["enum"]))
     if "oneOf" in schema:
-        return ", or ".join(_accepts(variant) for variant in schema["oneOf"])
-    text = _TYPE_WORDS.get(schema.get("type"), "a value")
+        return ", or ".join(accepts(variant) for variant in schema["oneOf"])
+    if isinstance(schema.get("type"), list):
+        return ", or ".join(accepts({**schema, "type": kind}) for kind in schema["type"])
+    if schema.get("type") == "null":
+        return "null"
+    text = _TYPE_WORDS.get(schema.get("type", ""), "a value")
     if schema.get("type") == "object" and schema.get("properties"):
         kind = schema["properties"].get("kind", {}).get("const")
         return (f"of kind {kind}, " if kind else "") + f"{text} ({', '.join(schema['properties'])})"
@@ -273,7 +278,7 @@ def _accepts(schema: dict) -> str:
 def _list_words(schema: dict) -> str:
     low, high = schema.get("minItems", 0), schema.get("maxItems")
     count = f"exactly {low}" if low == high else f"{low} or more" if high is None else f"{low} to {high}"
-    return f"a list of {count} items, each {_accepts(schema.get('items', {}))}"
+    return f"a list of {count} items, each {accepts(schema.get('items', {}))}"
 
 
 def _range_words(schema: dict) -> str:
@@ -301,7 +306,7 @@ def _found(value) -> str:
 def _hint(value, schema: dict) -> str:
     """Return a word on YAML 1.1, for which 1e4 is text and only 1.0e+4 a number."""
     types = [rules.get("type") for rules in (schema, *schema.get("oneOf", ()))]
-    if not isinstance(value, str) or not {"number", "integer"} & set(types):
+    if not isinstance(value, str) or not any(kind in ("number", "integer", ["number", "null"]) for kind in types):
         return ""
     try:
         number = float(value)
@@ -318,7 +323,9 @@ def _complete(schema: dict, instance):
         schema = schema["oneOf"][branch] if branch is not None else {}
     if isinstance(instance, dict):
         patterns = schema.get("patternProperties", {})
-        rules = {key: next((r for p, r in patterns.items() if re.search(p, key)), {}) for key in instance}
+        rules: dict[str, dict] = {
+            key: next((r for p, r in patterns.items() if re.search(p, key)), {}) for key in instance
+        }
         rules.update(schema.get("properties", {}))
         given = {
             key: instance[key] if key in instance else rule["default"]

@@ -4,6 +4,7 @@ import ast
 import functools
 import hashlib
 import json
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 
@@ -107,7 +108,7 @@ def imported_modules(file: Path, root: Path) -> list[str]:
 
 
 def _imports(name: str, file: Path, root: Path) -> list[str]:
-    """Return the local modules that a file imports, wherever in the file the import stands."""
+    """Return the local modules that a file imports, wherever in the file; not those for type checkers alone."""
     status = file.stat()
     return list(_parsed_imports(name, file, root, status.st_mtime_ns, status.st_size))
 
@@ -117,7 +118,7 @@ def _parsed_imports(name: str, file: Path, root: Path, _modified_ns: int, _size:
     # Each rule hashes what its script imports: without the cache a file is parsed for every one of them.
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
     wanted = []
-    for node in ast.walk(ast.parse(file.read_bytes(), filename=str(file))):
+    for node in _executed(ast.parse(file.read_bytes(), filename=str(file))):
         if isinstance(node, ast.Import):
             wanted += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -129,6 +130,18 @@ def _parsed_imports(name: str, file: Path, root: Path, _modified_ns: int, _size:
             # What follows "import" may be a submodule or a name inside the module.
             wanted += [base, *(f"{base}.{alias.name}" for alias in node.names)]
     return tuple(module for module in wanted if _exists(module, root))
+
+
+def _executed(tree: ast.AST) -> Iterator[ast.AST]:
+    """Yield all nodes under one but what stands under ``if TYPE_CHECKING:``, which no run comes to."""
+    waiting = [tree]
+    while waiting:
+        node = waiting.pop()
+        yield node
+        if isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING"):
+            waiting += node.orelse
+        else:
+            waiting += ast.iter_child_nodes(node)
 
 
 def config_hash(obj) -> str:

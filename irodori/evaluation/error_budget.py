@@ -8,14 +8,17 @@ its error of what is compressed here, which is the truth.
 """
 
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.colour.colorimetry import summary, xyz_from_reflectance
+from irodori.config.models import Compress, EnvironmentMaps, Fit, ReferenceIntegrator, Render, Scene, Size
+from irodori.config.parts import Subject
 from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER, track
 from irodori.evaluation import error_prediction as draws
@@ -148,16 +151,26 @@ def compressed_light(truth: Environment, options: CompressOptions) -> tuple[Envi
     return Environment(kept[0], kept[1], irradiance.astype(np.float32)), stated
 
 
+class BudgetOptions(NamedTuple):
+    """The blocks of the configuration on which a budget depends."""
+
+    render: Render
+    fit: Fit
+    compress: Compress
+    environment: EnvironmentMaps
+
+
 class _Pictures:
     """Small pictures of one view from whatever materials and light."""
 
-    def __init__(self, scene: dict, view: str, shapes: list[Shape], options: dict) -> None:
+    def __init__(self, scene: Scene, view: str, shapes: list[Shape], options: Render) -> None:
         self.scene, self.by_paths = scene, Paths(scene, view, shapes)
         self._view, self._shapes, self._options = view, shapes, options
 
-    def _image(self, width_px: float) -> dict[str, int]:
-        scale = min(1.0, width_px / self.scene["image"]["width"])
-        return {side: max(1, round(scale * n)) for side, n in self.scene["image"].items()}
+    def _image(self, width_px: float) -> Size:
+        image = self.scene.image
+        scale = min(1.0, width_px / image.width)
+        return Size(width=max(1, round(scale * image.width)), height=max(1, round(scale * image.height)))
 
     def paths(self, materials: list[Material], light: Environment, samples=_SAMPLES, width_px=_WIDTH_PX) -> np.ndarray:
         """Return radiance (height, width, 61) by the integrator `reference`, always with the same random numbers."""
@@ -165,7 +178,7 @@ class _Pictures:
 
     def own(self, materials: list[Material], light: Environment, width_px: float) -> np.ndarray:
         """Return radiance (height, width, 61) by the scene's own integrator."""
-        scene = self.scene | {"image": self._image(width_px)}
+        scene = replace(self.scene, image=self._image(width_px))
         return render_image(scene, self._view, self._shapes, materials, light, self._options)[0]
 
 
@@ -270,8 +283,8 @@ class _Budget:
 
     def add_renderer(self) -> None:
         """Add what the scene's integrator is off: of the path tracer its noise, of another its difference to paths."""
-        if self._pictures.scene["integrator"]["kind"] == "reference":
-            self._add_noise()
+        if isinstance(self._pictures.scene.integrator, ReferenceIntegrator):
+            self._add_noise(self._pictures.scene.integrator.samples)
             return
         width_px = _WIDTH_PX / _LONG_SHARE
         long, own = (
@@ -284,9 +297,9 @@ class _Budget:
             "renderer: what the integrator leaves out", radiance_delta_e(long, own, self._white)[shown], np.nan, by
         )
 
-    def _add_noise(self) -> None:
-        paths, samples = self._pictures.by_paths, self._pictures.scene["integrator"]["samples"]
-        rows = traced_rows(self._pictures.scene["image"], samples)
+    def _add_noise(self, samples: int) -> None:
+        paths = self._pictures.by_paths
+        rows = traced_rows(self._pictures.scene.image, samples)
         pair = (paths.picture(m, self._true_light, REPLICATES, rows=rows) for m in (self._truths, self._estimates))
         shown = np.not_equal(*pair).any(axis=-1)
         values = measured_noise(paths, rows, self._truths, self._true_light, self._white)[shown]
@@ -296,34 +309,33 @@ class _Budget:
 
 
 def error_budget(
-    scene: dict,
+    scene: Scene,
     view: str,
     shapes: list[Shape],
     objects: list[Measured],
     lights: tuple[Environment, Environment],
-    options: dict,
+    options: BudgetOptions,
     calibration: Calibration | None = None,
 ) -> list[BudgetRow]:
     """Return the rows of a view's budget.
 
     Parameters
     ----------
-    scene : dict
-        Validated definition.
+    scene : Scene
     view : str
     shapes, objects : one an object of the scene
     lights : (Environment, Environment)
         The measured light and the true one.
-    options : dict
-        ``render``: of the integrator; ``compress`` and ``environment``: those keys of the configuration.
+    options : BudgetOptions
     calibration : Calibration, optional
         Of the camera that photographed the light.
     """
     wanted = [f.name for f in fields(CompressOptions)]
     of_materials, of_light = (
-        CompressOptions(**{name: options[key][name] for name in wanted}) for key in ("compress", "environment")
+        CompressOptions(**{name: getattr(block, name) for name in wanted})
+        for block in (options.compress, options.environment)
     )
-    budget = _Budget(_Pictures(scene, view, shapes, options["render"]), objects, lights, calibration)
+    budget = _Budget(_Pictures(scene, view, shapes, options.render), objects, lights, calibration)
     for step in track(
         (
             budget.add_materials,
@@ -338,7 +350,9 @@ def error_budget(
     return budget.rows
 
 
-def measure_error_budget(inputs: dict, scene: dict, view: str, subjects: list[dict], options: dict, output) -> None:
+def measure_error_budget(
+    inputs: dict, scene: Scene, view: str, subjects: Sequence[Subject], options: BudgetOptions, output
+) -> None:
     """Write ``error_budget.csv`` of a view.
 
     Parameters
@@ -348,12 +362,11 @@ def measure_error_budget(inputs: dict, scene: dict, view: str, subjects: list[di
         those of all objects; ``environment``, ``true_environment`` and ``light_calibration``, a list of one file, or
         of none where no camera photographed the light; ``plan``, a list of the scene's plan, or of none.
     scene, view, options : see `error_budget`
-        ``options`` has ``fit`` too, that key of the configuration.
-    subjects : list of dict
-        One an object: ``shape``, its definition, and ``sample_mm``, the side of a sample of its photographs on it.
+    subjects : sequence of Subject
+        One an object.
     output : path
     """
-    shapes = [Shape.from_definition(one["shape"]) for one in subjects]
+    shapes = [Shape.from_definition(one.shape) for one in subjects]
     objects = []
     for material, truth, calibration, shape, one in zip(
         *(inputs[name] for name in ("materials", "true_materials", "calibrations")), shapes, subjects, strict=True
@@ -361,7 +374,7 @@ def measure_error_budget(inputs: dict, scene: dict, view: str, subjects: list[di
         folder = Path(material).parent
         own = {name: [p for p in inputs[name] if folder in Path(p).parents] for name in ("tiles", "observations")}
         files = own | {"material": material, "calibration": calibration}
-        objects.append(Measured(Known.load(files, shape, one["sample_mm"], options["fit"]), Material.load(truth)))
+        objects.append(Measured(Known.load(files, shape, one.sample_mm, options.fit), Material.load(truth)))
     lights = Environment.load(inputs["environment"]), Environment.load(inputs["true_environment"])
     of_light = [Calibration.load(path) for path in inputs["light_calibration"]]
     for path in inputs["plan"]:

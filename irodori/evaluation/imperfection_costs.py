@@ -4,13 +4,13 @@ An object is photographed, ingested, calibrated, rectified, fitted and compresse
 of its own, at half the camera's resolution and in some of its poses, once for every set of faults.
 """
 
-import copy
 import csv
 import math
 import tempfile
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,19 @@ from irodori.calibration.stage import calibrate_camera
 from irodori.capture.shot_list import camera_shots, object_shots
 from irodori.colour.colorimetry import delta_e_reflectance, summary
 from irodori.config.capture_table import Shot, expand_poses, write_captures
+from irodori.config.models import (
+    Camera,
+    ChartCorners,
+    GgxMaterial,
+    Imperfections,
+    Object,
+    PaperMaterial,
+    PoseGroup,
+    Rectify,
+    Rig,
+    Size,
+)
+from irodori.config.parts import RigGeometry
 from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER, track
 from irodori.core.provenance import config_hash
@@ -40,8 +53,6 @@ from irodori.spectra.published import refractive_index
 _MAX_TEXELS = 64
 _MAX_POSES = 6
 _MADE = Provenance("measure_imperfections")
-#: Keys of an imperfection that count in pixels and shrink with the picture.
-_LENGTHS = ("shift_px", "repeat_rms_px")
 
 
 @dataclass(frozen=True)
@@ -64,6 +75,16 @@ class CostRow:
     known: float
 
 
+class Settings(NamedTuple):
+    """The blocks of the configuration on which the small chain depends, and the lights that colours are judged by."""
+
+    ingest: IngestOptions
+    rectify: Rectify
+    fit: FitOptions
+    compress: CompressOptions
+    lights: Sequence[str]
+
+
 @dataclass(frozen=True)
 class Chain:
     """Inputs of the small chain.
@@ -72,60 +93,82 @@ class Chain:
     ----------
     name : str
         Of the object.
-    definition, camera, rig : dict
-        Validated definitions; the rig is virtual.
-    settings : dict
-        Blocks ``ingest``, ``rectify``, ``fit`` and ``compress`` of the configuration, and the list ``lights``.
+    definition, camera, rig : Object, Camera, Rig
+        The rig is virtual.
+    settings : Settings
     """
 
     name: str
-    definition: dict
-    camera: dict
-    rig: dict
-    settings: dict
+    definition: Object
+    camera: Camera
+    rig: Rig
+    settings: Settings
 
     def halved(self) -> "Chain":
         """Return the same with half the camera's resolution, one chart, at most 64 texels a side and some 6 poses."""
-        camera, rig, definition = (copy.deepcopy(block) for block in (self.camera, self.rig, self.definition))
-        optics, chart = camera["optics"], camera["chart"]
-        camera.pop("further_charts", None)
-        # Superpixels are whole: sides stay even.
-        optics.update({side: optics[side] // 4 * 2 for side in ("width_px", "height_px")})
-        optics["pixel_pitch_um"] *= 2.0
-        optics["principal_point_px"] = [p / 2.0 for p in optics["principal_point_px"]]
-        if "centres_px" in chart:
-            chart["centres_px"] = {k: [(p + 0.5) / 2.0 - 0.5 for p in xy] for k, xy in chart["centres_px"].items()}
-        if "patch_px" in chart:
-            chart["patch_px"] = max(1, chart["patch_px"] // 2)
-        plate = rig["virtual"]["imperfections"]["filter_plate"]
-        plate.update({key: (np.asarray(plate[key]) / 2.0).tolist() for key in _LENGTHS})
-        definition["texels"] = {side: min(size, _MAX_TEXELS) for side, size in definition["texels"].items()}
-        poses = expand_poses(definition["poses"])
+        optics, chart, faults = self.camera.optics, self.camera.chart, self.faults
+        assert optics is not None  # checked: a camera of objects has optics
+        x, y = optics.principal_point_px
+        smaller = replace(
+            optics,
+            # Superpixels are whole: sides stay even.
+            width_px=optics.width_px // 4 * 2,
+            height_px=optics.height_px // 4 * 2,
+            pixel_pitch_um=2.0 * optics.pixel_pitch_um,
+            principal_point_px=(x / 2.0, y / 2.0),
+        )
+        if chart.centres_px is not None:
+            corners = {k: tuple((p + 0.5) / 2.0 - 0.5 for p in xy) for k, xy in vars(chart.centres_px).items()}
+            chart = replace(chart, centres_px=ChartCorners(**corners))
+        if chart.patch_px is not None:
+            chart = replace(chart, patch_px=max(1, chart.patch_px // 2))
+        (x, y), repeat = faults.filter_plate.shift_px, faults.filter_plate.repeat_rms_px
+        plate = replace(faults.filter_plate, shift_px=(x / 2.0, y / 2.0), repeat_rms_px=repeat / 2.0)
+        texels, poses = self.definition.texels, expand_poses(self.definition.poses or ())
         thinned = poses[:: math.ceil(len(poses) / _MAX_POSES)]
-        definition["poses"] = [{name: [angle] for name, angle in vars(pose).items()} for pose in thinned]
-        return Chain(self.name, definition, camera, rig, self.settings)
+        return replace(
+            self,
+            camera=replace(self.camera, optics=smaller, chart=chart, further_charts={}),
+            definition=replace(
+                self.definition,
+                texels=Size(width=min(texels.width, _MAX_TEXELS), height=min(texels.height, _MAX_TEXELS)),
+                poses=tuple(PoseGroup(**{name: (angle,) for name, angle in vars(pose).items()}) for pose in thinned),
+            ),
+        ).with_faults(replace(faults, filter_plate=plate))
+
+    @property
+    def faults(self) -> Imperfections:
+        """Faults of the rig."""
+        assert self.rig.virtual is not None  # the schema has it: the rig is virtual
+        return self.rig.virtual.imperfections
+
+    def with_faults(self, faults: Imperfections) -> "Chain":
+        """Return the same on a rig of other faults."""
+        assert self.rig.virtual is not None
+        return replace(self, rig=replace(self.rig, virtual=replace(self.rig.virtual, imperfections=faults)))
 
     def variants(self) -> Iterator[tuple[str, "Chain"]]:
         """Yield each set of faults with its name: none, each alone, all, and all on another kind of material."""
-        faults = self.rig["virtual"]["imperfections"]
-        enabled = [name for name, fault in faults.items() if fault["enabled"]]
+        faults = vars(self.faults)
+        enabled = [name for name, fault in faults.items() if fault.enabled]
         for label, wanted in (("none", []), *((f"{name} alone", [name]) for name in enabled), ("all", enabled)):
-            rig = copy.deepcopy(self.rig)
-            for name, fault in rig["virtual"]["imperfections"].items():
-                fault["enabled"] = name in wanted
-            yield label.replace("_", " "), Chain(self.name, self.definition, self.camera, rig, self.settings)
-        if any(material["kind"] == "paper" for material in self.definition["virtual"]["materials"]):
-            definition = copy.deepcopy(self.definition)
-            for material in definition["virtual"]["materials"]:
-                material["kind"] = {"paper": "ggx"}.get(material["kind"], material["kind"])
-            yield (
-                "all, and GGX in place of equation (5)",
-                Chain(self.name, definition, self.camera, self.rig, self.settings),
+            switched = {name: replace(fault, enabled=name in wanted) for name, fault in faults.items()}
+            yield label.replace("_", " "), self.with_faults(Imperfections(**switched))
+        virtual = self.definition.virtual
+        assert virtual is not None  # checked: an object of a virtual rig
+        if any(isinstance(material, PaperMaterial) for material in virtual.materials):
+            others = tuple(
+                GgxMaterial(spectrum=one.spectrum, beta=one.beta, mu_rad=one.mu_rad)
+                if isinstance(one, PaperMaterial)
+                else one
+                for one in virtual.materials
             )
+            definition = replace(self.definition, virtual=replace(virtual, materials=others))
+            yield "all, and GGX in place of equation (5)", replace(self, definition=definition)
 
 
 def _photograph(
-    shots: list[Shot], chain: Chain, session: str, subject: dict | None, folder: Path, seen: dict | None = None
+    shots: list[Shot], chain: Chain, session: str, subject: Object | None, folder: Path, seen: dict | None = None
 ) -> Path:
     """Take all photographs of a session and return its table."""
     folder.mkdir()
@@ -141,13 +184,12 @@ def _photograph(
 def _calibrate(chain: Chain, folder: Path) -> tuple[Path, Path]:
     """Return the camera's reference and its calibration."""
     table = _photograph(camera_shots(chain.camera, ".dng"), chain, "camera", None, folder / "camera")
-    options, light = IngestOptions(**chain.settings["ingest"]), chain.rig["light"]["spectrum"]
+    options, light = chain.settings.ingest, chain.rig.light.spectrum
     reference, chart, calibration = (folder / f"{name}.h5" for name in ("reference", "chart", "calibration"))
-    white = chain.camera["white"]["reflectance_factor"]
+    white = chain.camera.white.reflectance_factor if chain.camera.white else 1.0
     ingest_reference(table, table.parent, reference, _MADE, white, options)
     ingest_raw(table, table.parent, "chart", reference, chart, _MADE, options)
-    camera = {key: chain.camera[key] for key in ("chart", "calibration")}
-    calibrate_camera(chart, camera, light, calibration, folder / "chart.csv", _MADE)
+    calibrate_camera(chart, chain.camera, light, calibration, folder / "chart.csv", _MADE)
     return reference, calibration
 
 
@@ -162,23 +204,23 @@ def run_chain(chain: Chain, folder: Path, seen: dict | None = None) -> Material:
     seen : dict, optional
         See `VirtualCamera`; of one definition of the object and one of the camera.
     """
-    settings, texels = chain.settings, chain.definition["texels"]
+    settings, texels = chain.settings, chain.definition.texels
     reference, calibration = _calibrate(chain, folder)
     shots = object_shots(chain.definition, chain.camera, ".dng")
     table = _photograph(shots, chain, chain.name, chain.definition, folder / "object", seen)
     linear = []
     for capture in sorted({shot.capture for shot in shots}):
         linear.append(folder / f"{capture}.h5")
-        options = IngestOptions(**settings["ingest"])
-        ingest_raw(table, table.parent, capture, reference, linear[-1], _MADE, options)
+        ingest_raw(table, table.parent, capture, reference, linear[-1], _MADE, settings.ingest)
     tile, brdf, material = (folder / f"{name}.h5" for name in ("tile", "brdf", "material"))
-    setup = RigSetup.from_definitions(chain.camera, chain.rig)
-    limit = settings["rectify"]["max_angle_deg"]
-    rectify_object(linear, chain.definition, setup, (0, texels["height"]), limit, tile, _MADE)
-    index = refractive_index(chain.definition["refractive_index"])
-    fit_brdf(tile, brdf, FitOptions(**settings["fit"]), *index, _MADE, calibration)
-    options = CompressOptions(**settings["compress"])
-    compress_reflectance([brdf], calibration, chain.definition, material, options, settings["lights"], _MADE)
+    assert chain.camera.optics is not None  # checked: a camera of objects has optics
+    white = chain.camera.poses.white if chain.camera.poses else None
+    setup = RigSetup.from_definitions(chain.camera.optics, RigGeometry.of_rig(chain.rig), white)
+    limit = settings.rectify.max_angle_deg
+    rectify_object(linear, chain.definition, setup, (0, texels.height), limit, tile, _MADE)
+    index = refractive_index(chain.definition.refractive_index)
+    fit_brdf(tile, brdf, settings.fit, *index, _MADE, calibration)
+    compress_reflectance([brdf], calibration, chain.definition, material, settings.compress, settings.lights, _MADE)
     return Material.load(material)
 
 
@@ -195,7 +237,7 @@ def cost_rows(label: str, chain: Chain, seen: dict | None = None) -> list[CostRo
         gloss[name] = float(np.nanmedian(off)) if np.isfinite(off).any() else float("nan")
     known = float(np.isfinite(found.mu)[chosen].mean()) if chosen.any() else float("nan")
     rows = []
-    for light in chain.settings["lights"]:
+    for light in chain.settings.lights:
         total = summary(delta_e_reflectance(exact, estimate, light))
         rows.append(
             CostRow(label, light, total["count"], total["mean"], total["p95"], total["max"], **gloss, known=known)
@@ -217,7 +259,7 @@ def measure_imperfections(chain: Chain | None, output) -> None:
         writer = csv.DictWriter(stream, [f.name for f in fields(CostRow)])
         writer.writeheader()
         for label, variant in track(variants, "faults"):
-            for row in cost_rows(label, variant, seen.setdefault(config_hash(variant.definition), {})):
+            for row in cost_rows(label, variant, seen.setdefault(config_hash(variant.definition.plain()), {})):
                 writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(row).items()})
                 LOGGER.info("%s: CIEDE2000 under %s mean %.3f p95 %.3f", row.faults, row.light, row.mean, row.p95)
 

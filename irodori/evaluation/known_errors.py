@@ -6,6 +6,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.config.models import Fit
 from irodori.core import store
 from irodori.geometry.shapes import Shape
 from irodori.material.fitted_tiles import FittedTiles
@@ -208,7 +209,7 @@ class Known:
     covered: np.ndarray
 
     @classmethod
-    def load(cls, files: dict, shape: Shape, sample_mm: float, fit: dict) -> "Known":
+    def load(cls, files: dict, shape: Shape, sample_mm: float, fit: Fit) -> "Known":
         """Read an object's files.
 
         Parameters
@@ -218,7 +219,7 @@ class Known:
         shape : Shape
         sample_mm : float
             Side of a sample of the photographs on the object.
-        fit : dict
+        fit : Fit
             That key of the configuration.
         """
         own = Material.load(files["material"])
@@ -228,7 +229,7 @@ class Known:
         maps = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         with store.open_file(files["calibration"]) as file:
             left_out = float(file.read(f"leave_one_out/delta_e_{_LIGHT.lower()}").mean())
-        photographs = Photographs.load(files["observations"], maps["diffuse_response"][..., _GREEN], fit["model_error"])
+        photographs = Photographs.load(files["observations"], maps["diffuse_response"][..., _GREEN], fit.model_error)
         return cls(
             material=own,
             gloss_error=np.stack([maps[name] for name in of_gloss], axis=-1),
@@ -238,8 +239,8 @@ class Known:
             left_out=left_out,
             photographs=photographs,
             spread=Spread.of(shape, own.alpha.shape, sample_mm, photographs.stretch),
-            model_error=float(fit["model_error"]),
-            pose_error_rad=float(np.radians(fit["pose_error_deg"])),
+            model_error=fit.model_error,
+            pose_error_rad=float(np.radians(fit.pose_error_deg)),
             covered=shape.is_covered(*own.alpha.shape[::-1]),
         )
 

@@ -7,6 +7,7 @@ the recovered light. What noise alone would make of two equal pictures is drawn 
 
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +16,8 @@ import numpy as np
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.colour.colorimetry import summary, xyz_from_radiance
 from irodori.colour.display import make_display
+from irodori.config.models import ObjectShape, Optics, ScenePhotograph
+from irodori.config.parts import Staging
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
@@ -145,21 +148,21 @@ def compare(
     return Comparison(factor * shown, rendering.mean(axis=0), spread(difference), spread(apart), factor, factor * ratio)
 
 
-def shows_an_object(ideal: IdealView, placed: dict, placements: list) -> np.ndarray:
+def shows_an_object(ideal: IdealView, placed: ScenePhotograph, placements: list) -> np.ndarray:
     """Return which pixels show one of the placed shapes at their centre, (height, width) bool."""
-    axes = look_at(placed["position_mm"], placed["target_mm"], placed["up"])
+    axes = look_at(placed.position_mm, placed.target_mm, placed.up)
     rays = (ideal.rays() @ axes.T).reshape(-1, 3)
-    origins = np.broadcast_to(np.asarray(placed["position_mm"], dtype=np.float64), rays.shape)
+    origins = np.broadcast_to(np.asarray(placed.position_mm, dtype=np.float64), rays.shape)
     _, shape = Tracer(placements).intersect(origins, rays)
     return (shape != NO_HIT).reshape(ideal.height, ideal.width)
 
 
 def compare_photograph(
     inputs: dict,
-    scene: dict,
-    placed: dict,
-    optics: dict,
-    shapes: list[dict],
+    scene: Staging,
+    placed: ScenePhotograph,
+    optics: Optics,
+    shapes: Sequence[ObjectShape],
     outputs: dict,
     provenance: store.Provenance,
 ) -> None:
@@ -169,18 +172,17 @@ def compare_photograph(
     ----------
     inputs : dict
         Files: linear, calibration, environment; lists: materials, and radiance, of a virtual photograph one, else none.
-    scene : dict
-    placed : dict
-        The photograph's definition.
-    optics : dict
+    scene : Staging
+    placed : ScenePhotograph
+    optics : Optics
         Of the camera.
-    shapes : list of dict
+    shapes : sequence of ObjectShape
     outputs : dict
         Files: comparison, photograph and rendering (PNG), difference (HDF5), figures (JSON).
     """
-    display = make_display(scene["display"]["device"])
+    display = make_display(scene.display.device)
     calibration = Calibration.load(inputs["calibration"])
-    ideal = IdealView.covering(Pinhole.from_optics(optics), placed["block"])
+    ideal = IdealView.covering(Pinhole.from_optics(optics), placed.block)
     photograph = read_photograph(inputs["linear"], calibration, ideal)
     before = None
     if inputs["radiance"]:
@@ -189,13 +191,13 @@ def compare_photograph(
     environment = Environment.load(inputs["environment"])
     materials = [Material.load(path) for path in inputs["materials"]]
     solids = [Shape.from_definition(shape) for shape in shapes]
-    samples = placed["samples"] * placed["block"] ** 2
+    samples = placed.samples * placed.block**2
     # Other random numbers than those of a virtual photograph.
-    rendered = render_halves(scene, placed, ideal, solids, materials, environment, samples, placed["seed"] + HALVES)
+    rendered = render_halves(scene, placed, ideal, solids, materials, environment, samples, placed.seed + HALVES)
     white, _ = scene_white(scene, environment)
-    found = compare(photograph, calibration, rendered, white, placed["scale"], before)
-    all_shapes = [*solids, *(Shape.from_definition(body["shape"]) for body in scene["bodies"])]
-    placements = make_placements({"objects": [*scene["objects"], *scene["bodies"]]}, all_shapes)
+    found = compare(photograph, calibration, rendered, white, placed.scale, before)
+    all_shapes = [*solids, *(Shape.from_definition(body.shape) for body in scene.bodies)]
+    placements = make_placements(scene, all_shapes)
     objects = shows_an_object(ideal, placed, placements)
     figures = _figures(found, objects, photograph, before is not None)
     white_xyz = xyz_from_radiance(white) @ white

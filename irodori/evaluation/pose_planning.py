@@ -7,6 +7,7 @@ made with takes no part; its expectation is reported beside the outcome.
 
 import csv
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
@@ -15,6 +16,8 @@ from irodori.capture.shot_planner.exchange import TooFewPoses
 from irodori.capture.shot_planner.fisher_information import Materials, Weighting
 from irodori.capture.shot_planner.planner import Planner, axis_angles, default_noise
 from irodori.config.capture_table import Pose
+from irodori.config.models import Planning, RigLimits
+from irodori.config.parts import PlannedPlate
 from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER
 from irodori.fitting.solvers import FitOptions, fit
@@ -129,13 +132,13 @@ class PlanRow:
     expected_standard_error: float
 
 
-def even_poses(limits: dict, count: int, lights: int, max_angle_deg: float) -> list[Pose]:
+def even_poses(limits: RigLimits, count: int, lights: int, max_angle_deg: float) -> list[Pose]:
     """Return poses on an even grid: light angles and camera angles at the centres of equal parts of their reach.
 
     Parameters
     ----------
-    limits : dict
-        ``limits`` of the rig's definition; the table is level where it can be.
+    limits : RigLimits
+        The table is level where it can be.
     count : int
         Poses in all, shared out among the light angles.
     lights : int
@@ -150,12 +153,13 @@ def even_poses(limits: dict, count: int, lights: int, max_angle_deg: float) -> l
     """
 
     def centres(axis: str, parts: int) -> list[float]:
-        reach = axis_angles({**limits[axis], "max": min(limits[axis]["max"], max_angle_deg)}, limits[axis]["step"])
+        limit = getattr(limits, axis)
+        reach = axis_angles(replace(limit, max=min(limit.max, max_angle_deg)), limit.step)
         wanted = reach[0] + (reach[-1] - reach[0]) * (np.arange(parts) + 0.5) / parts
         return [float(reach[np.abs(reach - angle).argmin()]) for angle in wanted]
 
     lights = min(lights, count)
-    tilt, turn = limits["tilt_deg"]["min"], limits["turn_deg"]["min"]
+    tilt, turn = limits.tilt_deg.min, limits.turn_deg.min
     poses = [
         Pose(light, camera, tilt, turn)
         for index, light in enumerate(centres("light_deg", lights))
@@ -229,33 +233,30 @@ def measure_design(name: str, design: str, drawn: list, sitting: Sitting, count:
     return rows
 
 
-def measure_object(name: str, planned: dict, options: FitOptions, max_angle_deg: float, settings: dict):
+def measure_object(name: str, planned: PlannedPlate, options: FitOptions, max_angle_deg: float, settings: Planning):
     """Yield the rows of one plate.
 
     Parameters
     ----------
     name : str
-    planned : dict
-        ``definition`` of the object (shape, refractive_index, plan), ``rig``, ``sensor`` (None where it is not known),
-        ``exposures_s`` of the unfiltered bracket, ``shots_per_pose``.
+    planned : PlannedPlate
     options : FitOptions
     max_angle_deg : float
-    settings : dict
-        ``poses``, numbers to compare; ``materials``, how many.
+    settings : Planning
     """
-    definition, rig = planned["definition"], planned["rig"]
+    definition, rig = planned.definition, planned.rig
     planner = Planner(
         definition,
         rig,
-        noise=default_noise(rig, planned["sensor"], planned["exposures_s"], asdict(options)),
+        noise=default_noise(rig, planned.sensor, planned.exposures_s, options),
         max_angle_deg=max_angle_deg,
         weighting=Weighting(options.weights, options.model_error),
     )
-    drift = rig.get("virtual", {}).get("imperfections", {}).get("light_drift", {})
-    memory = drift.get("correlation_shots", Sitting.correlation_shots)
-    sitting = Sitting(planner, memory, planned["shots_per_pose"])
+    faults = rig.virtual.imperfections if rig.virtual else None
+    memory = faults.light_drift.correlation_shots if faults else Sitting.correlation_shots
+    sitting = Sitting(planner, memory, planned.shots_per_pose)
     rng = np.random.default_rng(_SEED)
-    limits, manual = rig["limits"], planner.max_manual
+    limits, manual = rig.limits, planner.max_manual
     designs = {
         "planned": lambda count: [planner.best(count).poses],
         "planned-determinant": lambda count: [planner.best(count, criterion="determinant").poses],
@@ -263,32 +264,31 @@ def measure_object(name: str, planned: dict, options: FitOptions, max_angle_deg:
         "even-one-light": lambda count: [even_poses(limits, count, 1, max_angle_deg)],
         "random": lambda count: [random_poses(planner.poses, count, manual, rng) for _ in range(_RANDOM_DRAWS)],
     }
-    for count in settings["poses"]:
+    for count in settings.poses:
         for design, draw in designs.items():
             try:
                 drawn = draw(count)
             except TooFewPoses as error:
                 LOGGER.warning("%s, %d poses, %s: left out, %s", name, count, design, error)
                 continue
-            yield from measure_design(name, design, drawn, sitting, settings["materials"], options, rng)
+            yield from measure_design(name, design, drawn, sitting, settings.materials, options, rng)
 
 
-def measure_plan(objects: dict[str, dict], fit_options: dict, max_angle_deg: float, settings: dict, output) -> None:
+def measure_plan(
+    objects: Mapping[str, PlannedPlate], options: FitOptions, max_angle_deg: float, settings: Planning, output
+) -> None:
     """Write ``planning.csv``: fit errors against the number of poses for every plate.
 
     Parameters
     ----------
-    objects : dict
-        Name -> as in `measure_object`. Without a plate the table has a header alone.
-    fit_options : dict
-        ``fit`` block of the configuration.
+    objects : mapping of name to PlannedPlate
+        Without a plate the table has a header alone.
+    options : FitOptions
     max_angle_deg : float
         ``rectify.max_angle_deg``.
-    settings : dict
-        ``report.planning`` block of the configuration.
+    settings : Planning
     output : path
     """
-    options = FitOptions(**fit_options)
     with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, [f.name for f in fields(PlanRow)])
         writer.writeheader()

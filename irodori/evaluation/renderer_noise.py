@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from irodori.config.models import ReferenceIntegrator, Scene, Size
 from irodori.evaluation.truth_errors import radiance_delta_e
 from irodori.geometry.shapes import Shape
 from irodori.light.environment_file import Environment
@@ -24,13 +25,12 @@ class Paths:
 
     Parameters
     ----------
-    scene : dict
-        Validated definition.
+    scene : Scene
     view : str
     shapes : one an object of the scene
     """
 
-    def __init__(self, scene: dict, view: str, shapes: list[Shape]) -> None:
+    def __init__(self, scene: Scene, view: str, shapes: list[Shape]) -> None:
         self.scene, self._view, self._shapes = scene, view, shapes
         self._numbers: dict[tuple[int, int], Numbers] = {}
         self._skies: list[tuple[Environment, Sky]] = []  # of the last lights, the latest first
@@ -52,16 +52,17 @@ class Paths:
         samples : int
             Paths a pixel, a multiple of 8.
         seed : int
-        image : dict, optional
-            ``width`` and ``height`` in place of the scene's.
+        image : Size, optional
+            In place of the scene's.
         rows : sequence of int, optional
             Those to trace, all where absent.
         """
-        scene, shapes, materials = with_bodies(self.scene, self._shapes, materials)
+        scene = self.scene
+        shapes, materials = with_bodies(scene, self._shapes, materials)
         placements = make_placements(scene, shapes)
         objects, _ = make_objects(placements, materials)
-        prepared = make_scene(placements, objects, self._lit(light), scene.get("lights"))
-        view = make_view(scene["views"][self._view], image or scene["image"])
+        prepared = make_scene(placements, objects, self._lit(light), scene.lights)
+        view = make_view(scene.views[self._view], image or scene.image)
         if (samples, seed) not in self._numbers:
             self._numbers[samples, seed] = make_numbers(samples, seed, REPLICATES)
         numbers = self._numbers[samples, seed]
@@ -69,11 +70,17 @@ class Paths:
         return np.concatenate([render_rows(prepared, view, numbers, part).radiance for part in parts])
 
 
-def traced_rows(image: dict, samples: int) -> np.ndarray:
+def traced_rows(image: Size, samples: int) -> np.ndarray:
     """Return the rows of a picture that its noise is taken from, evenly over it."""
-    count = round(_PATHS / (image["width"] * samples * (MORE + 3)))
-    count = min(max(count, 1), image["height"])
-    return ((np.arange(count) + 0.5) * image["height"] / count).astype(int)
+    count = round(_PATHS / (image.width * samples * (MORE + 3)))
+    count = min(max(count, 1), image.height)
+    return ((np.arange(count) + 0.5) * image.height / count).astype(int)
+
+
+def _samples(paths: Paths) -> int:
+    if not isinstance(paths.scene.integrator, ReferenceIntegrator):
+        raise ValueError("noise of an integrator that has none; accepted: a scene of the integrator reference")
+    return paths.scene.integrator.samples
 
 
 def measured_noise(paths: Paths, rows, materials: list[Material], light: Environment, white: np.ndarray) -> np.ndarray:
@@ -81,7 +88,7 @@ def measured_noise(paths: Paths, rows, materials: list[Material], light: Environ
 
     The noise of the many is taken out: of independent parts, squares add.
     """
-    samples = paths.scene["integrator"]["samples"]
+    samples = _samples(paths)
     few = paths.picture(materials, light, samples, _SEEDS[0], rows=rows)
     many = paths.picture(materials, light, MORE * samples, _SEEDS[1], rows=rows)
     return radiance_delta_e(many, few, white) / np.sqrt(1.0 + 1.0 / MORE)
@@ -93,6 +100,6 @@ def expected_noise(paths: Paths, rows, materials: list[Material], light: Environ
     Their difference has √2 times the noise of each, and its colour: the standard error that the integrator states of
     every band does not say how far the bands err together.
     """
-    samples = paths.scene["integrator"]["samples"]
+    samples = _samples(paths)
     one, other = (paths.picture(materials, light, samples, seed, rows=rows) for seed in _SEEDS[2:])
     return radiance_delta_e(one, other, white) / np.sqrt(2.0)

@@ -15,6 +15,7 @@ from irodori.colour.colorimetry import (
     summary,
     xyz_from_radiance,
 )
+from irodori.config.parts import Staging
 from irodori.core import store
 from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER
@@ -179,7 +180,7 @@ def measure_errors(inputs: dict, names: dict, lights: list[str], output) -> None
     for name, light, scene, file, path, truth in zip(
         names["views"],
         names["view_environments"],
-        names["view_scenes"],
+        map(Staging.of, names["view_scenes"]),
         inputs["view_lights"],
         inputs["views"],
         inputs["true_views"],

@@ -10,20 +10,24 @@ any more, and neither direction gives an answer.
 """
 
 import math
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
 
 from irodori.jit.native import njit
 
+if TYPE_CHECKING:
+    from irodori.config.models import Distortion
+
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _STEPS = 60
 _TOLERANCE = 1e-13  # of coordinates at unit distance; a pixel is some 1e-4
 
 
-def coefficients_of(definition: dict | None) -> np.ndarray:
+def coefficients_of(definition: "Distortion | None") -> np.ndarray:
     """Return a configuration's `distortion` block in the order of COEFFICIENTS, (8,) float64; zeros for none."""
-    return np.array([float((definition or {}).get(name, 0.0)) for name in COEFFICIENTS])
+    return np.array([getattr(definition, name, 0.0) for name in COEFFICIENTS], dtype=np.float64)
 
 
 def fold_radius(coefficients) -> float:

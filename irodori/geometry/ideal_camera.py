@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from irodori.config.models import PerspectiveView, ScenePhotograph, Size
 from irodori.geometry.pinhole import Pinhole, samples_from_superpixels
 
 _BORDER = 65  # points along each side of the sensor
@@ -53,14 +54,18 @@ class IdealView:
         return math.degrees(2.0 * math.atan(self.height / 2.0 / self.focal_px))
 
     @property
-    def image(self) -> dict[str, int]:
+    def image(self) -> Size:
         """Size as a scene's ``image`` has it."""
-        return {"width": self.width, "height": self.height}
+        return Size(width=self.width, height=self.height)
 
-    def view(self, placed: dict) -> dict:
-        """Return the view of a scene from where the camera stands: ``position_mm``, ``target_mm`` and ``up``."""
-        where = {key: placed[key] for key in ("position_mm", "target_mm", "up")}
-        return where | {"field_of_view_deg": self.field_of_view_deg}
+    def view(self, placed: ScenePhotograph) -> PerspectiveView:
+        """Return the view of a scene from where the camera of a photograph stands."""
+        return PerspectiveView(
+            position_mm=placed.position_mm,
+            target_mm=placed.target_mm,
+            up=placed.up,
+            field_of_view_deg=self.field_of_view_deg,
+        )
 
     def rays(self) -> np.ndarray:
         """Return unit directions of the pixels' centres in the camera's axes (x right, y down), (height, width, 3)."""
@@ -125,7 +130,9 @@ class IdealView:
         """Return this view of a finer one of the same camera, one superpixel a pixel, at least as wide: block means."""
         rows, columns = ((a - self.block * b) // 2 for a, b in zip(fine.shape, (self.height, self.width), strict=False))
         if min(rows, columns) < 0:
-            raise ValueError(f"a picture of {fine.shape[:2]} superpixels; accepted: one that covers {self.image}")
+            raise ValueError(
+                f"a picture of {fine.shape[:2]} superpixels; accepted: {self.width} x {self.height} or more"
+            )
         block = self.block
         inner = fine[rows : rows + block * self.height, columns : columns + block * self.width]
         return inner.reshape(self.height, block, self.width, block, -1).mean(axis=(1, 3))

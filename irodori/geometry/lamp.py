@@ -31,9 +31,9 @@ class Lamp:
     distance_mm: float = math.inf
 
     @classmethod
-    def from_definition(cls, light: dict) -> "Lamp":
-        """Return the lamp of a rig's `light` block."""
-        return cls(float(light.get("distance_mm", math.inf)))
+    def at(cls, distance_mm: float | None) -> "Lamp":
+        """Return the lamp at the `light.distance_mm` of a rig; a far one for None."""
+        return FAR if distance_mm is None else cls(distance_mm)
 
     @property
     def is_near(self) -> bool:

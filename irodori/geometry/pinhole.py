@@ -6,11 +6,15 @@ Mosaic coordinates run from 0 at the left edge of the first mosaic pixel.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from irodori.core.errors import InputError
 from irodori.geometry.distortion import COEFFICIENTS, coefficients_of, distort_all, fold_radius, undistort_all
+
+if TYPE_CHECKING:
+    from irodori.config.models import Optics
 
 #: Beyond its edge the picture must have directions too: pixels gather light about them, plates shift it.
 _MARGIN_PX = 16
@@ -61,7 +65,7 @@ class Pinhole:
     distortion: tuple[float, ...] = (0.0,) * len(COEFFICIENTS)
 
     @classmethod
-    def from_optics(cls, optics: dict) -> "Pinhole":
+    def from_optics(cls, optics: "Optics") -> "Pinhole":
         """Return the camera of a configuration's `optics` (focal length in mm, pitch in µm).
 
         Raises
@@ -70,11 +74,11 @@ class Pinhole:
             If the distortion folds inside the picture.
         """
         camera = cls(
-            focal_px=optics["focal_length_mm"] * 1000.0 / optics["pixel_pitch_um"],
-            centre_px=tuple(optics["principal_point_px"]),
-            width_px=optics["width_px"],
-            height_px=optics["height_px"],
-            distortion=tuple(coefficients_of(optics.get("distortion"))),
+            focal_px=optics.focal_length_mm * 1000.0 / optics.pixel_pitch_um,
+            centre_px=optics.principal_point_px,
+            width_px=optics.width_px,
+            height_px=optics.height_px,
+            distortion=tuple(coefficients_of(optics.distortion)),
         )
         camera._check_fold()
         return camera

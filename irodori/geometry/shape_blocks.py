@@ -1,4 +1,4 @@
-"""What configuration knows of the shapes, read from their files without importing them.
+"""Variants of the key ``shape`` in configuration, read from the shapes' files without importing them.
 
 Light enough for the Snakefile, nothing but the standard library is imported: a shape's file has its variants of the key
 ``shape`` as the literal ``SCHEMA``, and whether it is flat as the literal ``IS_FLAT``.
@@ -51,6 +51,12 @@ def variants(of: str) -> list[dict]:
         Objects that are photographed, or bodies of a scene.
     """
     return [block.schema[of] for block in [*_own(), *_outside] if of in block.schema]
+
+
+def outside_schema(name: str) -> dict | None:
+    """Return a variant of the key ``shape`` that a shape from outside the package brings, None if there is none."""
+    found = [variant for block in _outside if block.name == name for variant in block.schema.values()]
+    return found[0] if found else None
 
 
 def is_flat(name: str) -> bool:

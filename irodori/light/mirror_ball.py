@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from irodori.config.models import MirrorBallSource, Size
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.light.environment_file import directions
@@ -26,25 +27,27 @@ _RANK_TOLERANCE = 1e-5
 _LEAST_SHARE = 1e-3
 
 
-def ball_reflectance(source: dict, cos_h: np.ndarray) -> np.ndarray:
+def ball_reflectance(source: MirrorBallSource, cos_h: np.ndarray) -> np.ndarray:
     """Return the reflectance of the ball at cosines of its angle of incidence, (n, 61).
 
     Parameters
     ----------
-    source : dict
-        ``reflectance_factor``, a number or a spectrum, the same at all angles; or ``refractive_index``, of which the
+    source : MirrorBallSource
+        Its ``reflectance_factor``, a number or a spectrum, is the same at all angles; of its ``refractive_index`` the
         exact Fresnel reflectance is taken.
     cos_h : (n,) float
     """
-    if "reflectance_factor" in source:
-        given = source["reflectance_factor"]
+    given = source.reflectance_factor
+    if given is not None:
         values = spectrum(given) if isinstance(given, str) else np.full(SAMPLES, float(given))
         return np.broadcast_to(values, (len(cos_h), SAMPLES))
-    n, k = refractive_index(source["refractive_index"])
+    if source.refractive_index is None:
+        raise ValueError("a mirror ball without reflectance; accepted: refractive_index or reflectance_factor")
+    n, k = refractive_index(source.refractive_index)
     return np.array([[fresnel(c, a, b) for a, b in zip(n, k, strict=True)] for c in cos_h])
 
 
-def inverse_reflectance(source: dict, cos_h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def inverse_reflectance(source: MirrorBallSource, cos_h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return 1 / F over angle and wavelength as a short sum: factors (n, t) of the angle, spectra (61, t)."""
     angles = np.linspace(math.sqrt(1.0 - RIM**2), 1.0, _ANGLES)
     reflectance = ball_reflectance(source, angles)
@@ -57,7 +60,7 @@ def inverse_reflectance(source: dict, cos_h: np.ndarray) -> tuple[np.ndarray, np
 
 
 def ball_places(
-    source: dict, width: int, height: int, rows: slice = slice(None)
+    source: MirrorBallSource, width: int, height: int, rows: slice = slice(None)
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return where an equirectangular picture's directions, all or those of rows, are seen in the ball's photograph.
 
@@ -68,9 +71,9 @@ def ball_places(
     sine : (height, width) float64
         Distance from the ball's centre over its radius, before it is held at `RIM`.
     """
-    to_camera = direction_of(source["camera_azimuth_deg"], source["camera_elevation_deg"])
+    to_camera = direction_of(source.camera_azimuth_deg, source.camera_elevation_deg)
     # The upright camera's frame, turned by its roll about the line of sight.
-    azimuth, roll = np.radians([source["camera_azimuth_deg"], source["roll_deg"]])
+    azimuth, roll = np.radians([source.camera_azimuth_deg, source.roll_deg])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     up = np.cross(to_camera, right)
     right, up = np.cos(roll) * right + np.sin(roll) * up, np.cos(roll) * up - np.sin(roll) * right
@@ -80,8 +83,8 @@ def ball_places(
     half = np.divide(half, length, out=np.broadcast_to(right, half.shape).copy(), where=length > 1e-9)
     a, b = half @ right, half @ up
     sine = np.hypot(a, b)
-    held = np.minimum(sine, RIM) / np.maximum(sine, 1e-12) * source["radius_px"]
-    x, y = source["centre_px"]
+    held = np.minimum(sine, RIM) / np.maximum(sine, 1e-12) * source.radius_px
+    x, y = source.centre_px
     return x + a * held, y - b * held, sine
 
 
@@ -108,16 +111,14 @@ def _bilinear(values: np.ndarray, valid: np.ndarray, x: np.ndarray, y: np.ndarra
     return total / weight[..., None]
 
 
-def unwrapped(source: dict, image: dict, weights, valid, basis: np.ndarray, path) -> Picture:
+def unwrapped(source: MirrorBallSource, image: Size, weights, valid, basis: np.ndarray, path) -> Picture:
     """Return the light around a mirror ball; the photograph is held whole, for its pixels are wanted in no order.
 
     Parameters
     ----------
-    source : dict
-        ``centre_px`` (x, y), ``radius_px``, ``camera_azimuth_deg``, ``camera_elevation_deg`` (from the ball to the
-        camera), ``roll_deg``, and what `ball_reflectance` takes.
-    image : dict
-        ``width`` and ``height`` of the equirectangular picture, px.
+    source : MirrorBallSource
+    image : Size
+        Of the equirectangular picture, px.
     weights : (rows, columns, r) float
         The photograph, radiance on a basis.
     valid : (rows, columns) bool
@@ -131,14 +132,14 @@ def unwrapped(source: dict, image: dict, weights, valid, basis: np.ndarray, path
         If the ball does not lie within the photograph; while it is read, if masked pixels stand together.
     """
     rows, columns = valid.shape
-    (x, y), radius = source["centre_px"], source["radius_px"]
+    (x, y), radius = source.centre_px, source.radius_px
     if min(x, y) - radius < -0.5 or x + radius > columns - 0.5 or y + radius > rows - 0.5:
         found = f"a ball about {x:g}, {y:g} of radius {radius:g}, beyond the photograph"
         raise InputError(path, "response", found, f"a ball within {columns} x {rows} pixels")
     # The directions beyond the rim are a cone about the line of sight, of half the angle π - 2 asin(RIM).
     blind = 1.0 - RIM**2
     LOGGER.info("mirror ball: %.1f %% of the sphere lies behind it and takes the values of its rim", 100 * blind)
-    size = image["height"], image["width"]
+    size = image.height, image.width
     full = np.einsum("lt,lr->ltr", inverse_reflectance(source, np.ones(1))[1], basis).reshape(len(basis), -1)
 
     def read() -> Iterator[np.ndarray]:

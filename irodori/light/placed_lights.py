@@ -1,6 +1,7 @@
 """Environments made of lights of known spectrum in given directions, each a disc or a single texel."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -8,6 +9,9 @@ from irodori.colour.colorimetry import colour_matching_weights
 from irodori.light.environment_file import directions
 from irodori.light.omnidirectional import Picture, bands
 from irodori.spectra.published import light
+
+if TYPE_CHECKING:
+    from irodori.config.models import PlacedLight
 
 _PARTS = 16  # points along each side of a pixel that a disc's edge crosses
 
@@ -51,7 +55,7 @@ def _coverage(towards: np.ndarray, radius: float, size: tuple[int, int], rows: s
     return covered
 
 
-def raster(definition: dict, size: tuple[int, int]) -> Callable[[slice], np.ndarray]:
+def raster(definition: "PlacedLight", size: tuple[int, int]) -> Callable[[slice], np.ndarray]:
     """Return what gives the radiance of one light over rows of a picture, (rows, width) float64, its energy kept.
 
     Parameters
@@ -63,8 +67,8 @@ def raster(definition: dict, size: tuple[int, int]) -> Callable[[slice], np.ndar
         A disc smaller than a pixel is one pixel with its energy.
     """
     height, width = size
-    towards = direction_of(definition["azimuth_deg"], definition["elevation_deg"])
-    radius = 0.5 * np.radians(definition["diameter_deg"])
+    towards = direction_of(definition.azimuth_deg, definition.elevation_deg)
+    radius = 0.5 * np.radians(definition.diameter_deg)
 
     def disc(rows: slice) -> np.ndarray:
         return _coverage(towards, radius, size, rows)
@@ -88,27 +92,26 @@ def raster(definition: dict, size: tuple[int, int]) -> Callable[[slice], np.ndar
         unit, solid_angle = directions(width, height, rows)
         part = part * solid_angle
         power, facing = power + part.sum(), facing + (part * np.maximum(unit @ towards, 0.0)).sum()
-    if "irradiance" in definition:
+    if definition.irradiance is not None:
         # Σ L cosψ dΩ of a surface that faces the light is π times the radiance of a perfect diffuser.
-        factor = np.pi * definition["irradiance"] / facing
+        factor = np.pi * definition.irradiance / facing
     else:
-        factor = definition["radiance"] * 4.0 * np.pi * np.sin(0.5 * radius) ** 2 / power
+        factor = definition.radiance * 4.0 * np.pi * np.sin(0.5 * radius) ** 2 / power
     return lambda rows: factor * shape(rows)
 
 
-def lights_picture(lights: list[dict], width: int, height: int) -> Picture:
+def lights_picture(lights: "Sequence[PlacedLight]", width: int, height: int) -> Picture:
     """Return the light of placed lights, one basis vector a light.
 
     Parameters
     ----------
-    lights : list of dict
-        See `raster`; and ``spectrum``.
+    lights : sequence of PlacedLight
     width, height : int
         Size of the picture, px.
     """
     size = height, width
     shapes = [raster(one, size) for one in lights]
-    basis = np.stack([unit_luminance(one["spectrum"]) for one in lights], axis=1)
+    basis = np.stack([unit_luminance(one.spectrum) for one in lights], axis=1)
 
     def read() -> Iterator[np.ndarray]:
         for rows in bands(height):

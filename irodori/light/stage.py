@@ -6,6 +6,15 @@ import numpy as np
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.config.models import (
+    CapturesSource,
+    IrradianceMap,
+    LightsSource,
+    MirrorBallSource,
+    RgbSource,
+    Size,
+    SpectralSource,
+)
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
@@ -24,6 +33,7 @@ from irodori.spectra.published import spectrum
 
 #: Of the test colours of CIE 224 those least alike: light that keeps its colours on them keeps them on others.
 SURFACES = ("TCS2", "TCS56", "TCS77")
+_WHOLE = CapturesSource()
 _READERS = {"rgb": rgb_picture, "spectral": spectral_picture}
 
 
@@ -84,9 +94,9 @@ def _photographed(linear, calibration: Calibration, centre_azimuth_deg: float) -
     return Picture(valid.shape, basis, read, linear, {"kind": "captures"})
 
 
-def _mirror_ball(linear, calibration: Calibration, source: dict, image: dict) -> Picture:
+def _mirror_ball(linear, calibration: Calibration, source: MirrorBallSource, image: Size) -> Picture:
     """Return the light around a photographed mirror ball."""
-    (x, y), radius = source["centre_px"], source["radius_px"]
+    (x, y), radius = source.centre_px, source.radius_px
 
     def ball(height: int, width: int) -> np.ndarray:
         return np.hypot(np.arange(width) - x, np.arange(height)[:, None] - y) <= RIM * radius + 1.0
@@ -104,10 +114,10 @@ def prepare_environment(
     calibration_file,
     output,
     options: CompressOptions,
-    irradiance_options: dict,
+    irradiance_options: IrradianceMap,
     provenance: store.Provenance,
-    source: dict | None = None,
-    image: dict | None = None,
+    source: CapturesSource | MirrorBallSource = _WHOLE,
+    image: Size | None = None,
     gloss_lobes: Sequence[str] = (),
 ) -> None:
     """Write an environment's file from the linear responses of its omnidirectional picture or of a mirror ball.
@@ -119,10 +129,10 @@ def prepare_environment(
     ----------
     linear, calibration_file : path
     output, options, irradiance_options, provenance, gloss_lobes : see `write_environment`
-    source : dict, optional
-        Of the environment's definition; of the kind ``captures``, its middle at azimuth 0, where absent.
-    image : dict, optional
-        ``width`` and ``height`` of what a mirror ball is unwrapped to.
+    source : CapturesSource or MirrorBallSource
+        A panorama with its middle at azimuth 0 where absent.
+    image : Size, optional
+        Of what a mirror ball is unwrapped to.
 
     Raises
     ------
@@ -134,8 +144,10 @@ def prepare_environment(
     A single masked pixel, hot in the camera, is filled from its neighbours along the row; the log says how many.
     """
     calibration = Calibration.load(calibration_file)
-    if source is None or source["kind"] == "captures":
-        picture = _photographed(linear, calibration, source["centre_azimuth_deg"] if source else 0.0)
+    if isinstance(source, CapturesSource):
+        picture = _photographed(linear, calibration, source.centre_azimuth_deg)
+    elif image is None:
+        raise ValueError("a mirror ball without the size of its picture; accepted: image")
     else:
         picture = _mirror_ball(linear, calibration, source, image)
     # The colour of the light is judged against the rig's light as white.
@@ -143,11 +155,11 @@ def prepare_environment(
 
 
 def make_environment(
-    source: dict,
-    image: dict | None,
+    source: RgbSource | SpectralSource | LightsSource,
+    image: Size | None,
     output,
     options: CompressOptions,
-    irradiance_options: dict,
+    irradiance_options: IrradianceMap,
     provenance: store.Provenance,
     gloss_lobes: Sequence[str] = (),
 ) -> None:
@@ -155,10 +167,9 @@ def make_environment(
 
     Parameters
     ----------
-    source : dict
-        Of the kind ``rgb``, ``spectral`` or ``lights``.
-    image : dict or None
-        ``width`` and ``height`` of the picture of placed lights.
+    source : RgbSource, SpectralSource or LightsSource
+    image : Size or None
+        Of the picture of placed lights.
     output, options, irradiance_options, provenance, gloss_lobes : see `write_environment`
 
     Raises
@@ -166,14 +177,14 @@ def make_environment(
     InputError
         If the file is at fault.
     ValueError
-        For another kind.
+        For lights without the size of their picture.
     """
-    if source["kind"] == "lights":
-        picture = lights_picture(source["lights"], image["width"], image["height"])
-    elif source["kind"] in _READERS:
-        picture = _READERS[source["kind"]](source["file"], source["scale"], source["centre_azimuth_deg"])
+    if isinstance(source, RgbSource | SpectralSource):
+        picture = _READERS[source.kind](source.file, source.scale, source.centre_azimuth_deg)
+    elif image is None:
+        raise ValueError("placed lights without the size of their picture; accepted: image")
     else:
-        raise ValueError(f"no light is made from {source['kind']!r}; accepted: lights, {', '.join(_READERS)}")
+        picture = lights_picture(source.lights, image.width, image.height)
     write_environment(picture, None, output, options, irradiance_options, provenance, gloss_lobes)
 
 
@@ -192,7 +203,7 @@ def write_environment(
     white: np.ndarray | None,
     output,
     options: CompressOptions,
-    irradiance_options: dict,
+    irradiance_options: IrradianceMap,
     provenance: store.Provenance,
     gloss_lobes: Sequence[str] = (),
 ) -> None:
@@ -207,7 +218,7 @@ def write_environment(
         Radiance as which white is judged; the mean over the sphere where None.
     output : path
     options : CompressOptions
-    irradiance_options : dict
+    irradiance_options : IrradianceMap
         See `irodori.light.irradiance.fitted_irradiance_map`.
     provenance : Provenance
     gloss_lobes : sequence of str
@@ -232,7 +243,9 @@ def write_environment(
             out, "coefficients", tiles, picture.size, quantity=QUANTITY, codec=options.codec, decoded=coefficients
         )
         integrator = Integrator(coefficients)
-        irradiance, of_irradiance = fitted_irradiance_map(coefficients, **irradiance_options, integrate=integrator)
+        irradiance, of_irradiance = fitted_irradiance_map(
+            coefficients, **vars(irradiance_options), integrate=integrator
+        )
         gloss = GlossMaps.of(coefficients) if gloss_lobes else None
         errors = {
             "delta_e": compression.errors,

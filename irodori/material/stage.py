@@ -11,6 +11,8 @@ import numpy as np
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.colour.colorimetry import xyz_from_reflectance
+from irodori.config.models import Object
+from irodori.config.parts import Surface
 from irodori.core import store
 from irodori.core.progress import LOGGER
 from irodori.material.coefficients import reserve_coefficients
@@ -110,7 +112,7 @@ def confidence(calibration: Calibration, response, variance) -> dict[str, tuple]
 def compress_reflectance(
     tiles: list,
     calibration_file,
-    definition: dict,
+    definition: Object | Surface,
     output,
     options: CompressOptions,
     lights: list[str],
@@ -122,19 +124,18 @@ def compress_reflectance(
     ----------
     tiles : list of path
     calibration_file : path
-    definition : dict
-        Definition of the object.
+    definition : Object or Surface
     options : CompressOptions
     lights : list of str
         Under each of which the colours are compared.
     """
-    fitted = FittedTiles(tiles, definition["texels"]["height"], definition["texels"]["width"])
+    fitted = FittedTiles(tiles, definition.texels.height, definition.texels.width)
     calibration = Calibration.load(calibration_file)
     calibration.require_filters(fitted.filters, fitted.first)
     reflectance = _Reflectance(fitted, calibration, fitted.is_noise_known())
     observers = {name: (matrix := xyz_from_reflectance(name), matrix.sum(axis=1)) for name in lights}
     compression, compared = compress_maps(reflectance, calibration.basis, observers, options)
-    n, k = refractive_index(definition["refractive_index"])
+    n, k = refractive_index(definition.refractive_index)
     with store.create(output, provenance) as out:
         gathered = _write_maps(out, reflectance, compression, options.codec)
         errors = gathered.errors() | {
@@ -143,7 +144,7 @@ def compress_reflectance(
             "compression": compared,
             **fitted.speed,
         }
-        constants = (compression.basis, n, k, float(definition["mirror_weight"]))
+        constants = (compression.basis, n, k, definition.mirror_weight)
         write_constants(out, *constants, errors, lobes=fitted.lobes, typical_gloss=fitted.typical_gloss())
     _log(compression, gathered, fitted.height * fitted.width)
 

@@ -6,7 +6,7 @@ texel: see `irodori.geometry.lamp` for what the white reference has divided alre
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numba
 import numpy as np
@@ -23,6 +23,10 @@ from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_came
 from irodori.geometry.shapes import Shape, on_table
 from irodori.jit.native import njit
 from irodori.reflection.equation5 import angles_from_directions
+
+if TYPE_CHECKING:
+    from irodori.config.models import Object, Optics, RigPose
+    from irodori.config.parts import RigGeometry, TexturedObject
 
 #: Of a sample's noise power, what bilinear interpolation leaves on average over the places between samples.
 _INTERPOLATED = 4.0 / 9.0
@@ -51,32 +55,31 @@ class RigSetup:
     white_pose: Pose | None = None
 
     @classmethod
-    def from_definitions(cls, camera: dict, rig: dict, white_pose: dict | None = None) -> "RigSetup":
-        """Return the setup of a camera's and a rig's definition.
+    def from_definitions(cls, optics: "Optics", rig: "RigGeometry", white_pose: "RigPose | None" = None) -> "RigSetup":
+        """Return the setup of a camera and its rig.
 
         Parameters
         ----------
-        camera, rig : dict
-            Validated definitions.
-        white_pose : dict, optional
-            Angles in degrees; ``poses.white`` of the camera where absent.
+        optics : Optics
+        rig : RigGeometry
+        white_pose : RigPose, optional
+            Of the white reference; needed where the lamp is near.
 
         Raises
         ------
         InputError
             If the lamp is near and nothing says where the white reference stood.
         """
-        lamp = Lamp.from_definition(rig.get("light", {}))
-        angles = white_pose or camera.get("poses", {}).get("white")
-        if lamp.is_near and angles is None:
+        lamp = Lamp.at(rig.lamp_distance_mm)
+        if lamp.is_near and white_pose is None:
             found = "no pose of the white reference, though the rig's light is near"
             raise InputError("camera", "poses.white", found, "photographs of the role white")
         return cls(
-            Pinhole.from_optics(camera["optics"]),
-            rig["camera_distance_mm"],
-            rig["table_radius_mm"],
+            Pinhole.from_optics(optics),
+            rig.camera_distance_mm,
+            rig.table_radius_mm,
             lamp,
-            Pose(**angles) if lamp.is_near else None,
+            Pose(**vars(white_pose)) if lamp.is_near and white_pose is not None else None,
         )
 
     def light_gain(self, xy, power) -> np.ndarray:
@@ -275,7 +278,7 @@ def _maps(observed: _Observed, weight, texels: Texels, near: bool) -> dict:
 
 def rectify_object(
     linear: list,
-    definition: dict,
+    definition: "Object | TexturedObject",
     setup: RigSetup,
     rows: tuple[int, int],
     max_angle_deg: float,
@@ -288,8 +291,7 @@ def rectify_object(
     ----------
     linear : list of path
         Linear responses of the J captures; only the window that the tile covers is read.
-    definition : dict
-        Definition of the object: shape and texels.
+    definition : Object or TexturedObject
     setup : RigSetup
     rows : (int, int)
         First and last-plus-one texture row of the tile.
@@ -314,12 +316,12 @@ def rectify_object(
     Under a near light, ``/light_gain`` (texel, J) float32 is the factor that put a response from the white reference's
     irradiance to the texel's own; its variance is then gain² c0 + gain c1 * response.
     """
-    shape = Shape.from_definition(definition["shape"])
-    width = definition["texels"]["width"]
+    shape = Shape.from_definition(definition.shape)
+    width = definition.texels.width
     if setup.lamp.distance_mm <= shape.reach_mm:
         found = f"{setup.lamp.distance_mm:g} mm, within the reach of the object, {shape.reach_mm:.4g} mm"
         raise InputError("rig", "light.distance_mm", found, "a lamp outside the object, or no such key for a far one")
-    texels = shape.atlas(width, definition["texels"]["height"], tuple(rows))
+    texels = shape.atlas(width, definition.texels.height, tuple(rows))
     filters = _common_filters(linear)
     limit = np.radians(max_angle_deg)
     captures, weights = [], []

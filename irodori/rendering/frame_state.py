@@ -5,10 +5,11 @@ grows by as much. An integrator that cannot turn one of the four takes the momen
 """
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from irodori.config.models import Body, CollimatedLight, PlacedObject, RectangleLight, Scene, SceneLight, View
 from irodori.geometry.rig_frame import rotation_z
 from irodori.light.environment_file import Environment
 from irodori.rendering.scene_lights import Lights
@@ -50,39 +51,46 @@ class Moment(NamedTuple):
         return lights._replace(spectrum=spectrum, power=spectrum.sum(axis=1, dtype=np.float64))
 
 
+#: What stands somewhere, turned.
+Standing = TypeVar("Standing", PlacedObject, Body, RectangleLight)
+
 #: The scene as it is defined.
 STILL = Moment()
 
 
-def turned_scene(scene: dict, moment: Moment) -> dict:
+def turned_scene(scene: Scene, moment: Moment) -> Scene:
     """Return a scene's definition with its objects, bodies, views and lights turned; the environment is not read."""
-    return scene | {
-        "objects": [_turned_body(item, moment, "objects") for item in scene["objects"]],
-        "views": {name: _turned_view(view, moment) for name, view in scene["views"].items()},
-        "lights": [_turned_light(light, moment) for light in scene.get("lights", [])],
-    }
+    return replace(
+        scene,
+        objects=tuple(_turned_body(item, moment, "objects") for item in scene.objects),
+        bodies=tuple(_turned_body(item, moment, "objects") for item in scene.bodies),
+        views={name: _turned_view(view, moment) for name, view in scene.views.items()},
+        lights=tuple(_turned_light(light, moment) for light in scene.lights),
+    )
 
 
-def _place(position_mm, moment: Moment, part: str) -> list[float]:
+def _place(position_mm, moment: Moment, part: str) -> tuple[float, float, float]:
     pivot = np.asarray(moment.pivot_mm, dtype=np.float64)
-    return (moment.rotation(part) @ (np.asarray(position_mm, dtype=np.float64) - pivot) + pivot).tolist()
+    x, y, z = (moment.rotation(part) @ (np.asarray(position_mm, dtype=np.float64) - pivot) + pivot).tolist()
+    return x, y, z
 
 
-def _turned_body(item: dict, moment: Moment, part: str) -> dict:
-    x_deg, y_deg, z_deg = item["rotation_deg"]
+def _turned_body(item: Standing, moment: Moment, part: str) -> Standing:
+    x_deg, y_deg, z_deg = item.rotation_deg
     # The last of the three rotations is the one about the scene's z.
-    turn = [x_deg, y_deg, z_deg + getattr(moment, f"{part}_deg")]
-    return item | {"position_mm": _place(item["position_mm"], moment, part), "rotation_deg": turn}
+    turn = (x_deg, y_deg, z_deg + getattr(moment, f"{part}_deg"))
+    return replace(item, position_mm=_place(item.position_mm, moment, part), rotation_deg=turn)
 
 
-def _turned_view(view: dict, moment: Moment) -> dict:
-    places = {key: _place(view[key], moment, "eye") for key in ("position_mm", "target_mm")}
-    return view | places | {"up": (moment.rotation("eye") @ np.asarray(view["up"], dtype=np.float64)).tolist()}
+def _turned_view(view: View, moment: Moment) -> View:
+    x, y, z = (moment.rotation("eye") @ np.asarray(view.up, dtype=np.float64)).tolist()
+    position, target = (_place(place, moment, "eye") for place in (view.position_mm, view.target_mm))
+    return replace(view, position_mm=position, target_mm=target, up=(x, y, z))
 
 
-def _turned_light(light: dict, moment: Moment) -> dict:
-    if light["kind"] == "collimated":
-        return light | {"azimuth_deg": light["azimuth_deg"] + moment.lights_deg}
-    if light["kind"] == "rectangle":
+def _turned_light(light: SceneLight, moment: Moment) -> SceneLight:
+    if isinstance(light, CollimatedLight):
+        return replace(light, azimuth_deg=light.azimuth_deg + moment.lights_deg)
+    if isinstance(light, RectangleLight):
         return _turned_body(light, moment, "lights")
-    return light | {"position_mm": _place(light["position_mm"], moment, "lights")}
+    return replace(light, position_mm=_place(light.position_mm, moment, "lights"))

@@ -2,9 +2,11 @@
 
 import time
 from abc import ABC, abstractmethod
+from dataclasses import replace
 
 import numpy as np
 
+from irodori.config.models import InteractiveIntegrator, ReferenceIntegrator, Render, Scene, Size
 from irodori.core.progress import LOGGER
 from irodori.geometry.shapes import Shape
 from irodori.light.environment_file import Environment
@@ -13,20 +15,20 @@ from irodori.rendering.frame_state import STILL, Moment, turned_scene
 from irodori.rendering.scene_arrays import make_objects, make_placements, make_tracer, make_view
 from irodori.spectra.published import refractive_index, spectrum
 
-#: Kinds of `integrator` in a scene.
-INTEGRATORS = ("interactive", "reference")
+#: Options where a configuration gives none.
+DEFAULTS = Render()
 #: Up to which what rays met is kept between frames, 60 bytes a pixel.
 _KEPT_PIXELS = 1 << 22
 
 
 def render_image(
-    scene: dict,
+    scene: Scene,
     view_name: str,
     shapes: list[Shape],
     materials: list[Material],
     environment: Environment,
-    options: dict,
-    tile_rows: int = 60,
+    options: Render = DEFAULTS,
+    *,
     tiles_folder=None,
     plan: dict | None = None,
     check: bool = True,
@@ -35,16 +37,11 @@ def render_image(
 
     Parameters
     ----------
-    scene : dict
-        Validated definition of the scene.
+    scene : Scene
     view_name : str
     shapes, materials : one an object of the scene
     environment : Environment
-    options : dict
-        Of the `interactive` integrator: ``pixel_side``, rays along each side of a pixel; ``max_bounces``, mirror
-        reflections to follow; ``min_throughput`` under which a path ends.
-    tile_rows : int
-        Rows that the `reference` integrator renders between two reports of progress.
+    options : Render
     tiles_folder : path, optional
         Where the `reference` integrator keeps finished tiles until the picture is whole.
     plan : dict, optional
@@ -62,22 +59,27 @@ def render_image(
     Raises
     ------
     ValueError
-        If the integrator is unknown, or cannot render what the scene asks for.
+        If the integrator cannot render what the scene asks for.
     irodori.rendering.planning.planned_check.ToleranceError
         If a planned picture errs by more than the scene tolerates.
     """
     scene = with_planned_samples(scene, plan)
-    renderer = make_renderer(scene, shapes, materials, environment, options, tile_rows)
+    renderer = make_renderer(scene, shapes, materials, environment, options)
     if plan is None:
         return renderer.picture(view_name, tiles_folder=tiles_folder)
     return _planned(renderer, view_name, plan, check, tiles_folder)
 
 
-def with_planned_samples(scene: dict, plan: dict | None) -> dict:
+def with_planned_samples(scene: Scene, plan: dict | None) -> Scene:
     """Return a scene of the integrator `reference` with its plan's paths a pixel, any other as it is."""
-    if plan is None or scene["integrator"]["kind"] != "reference":
+    if plan is None or not isinstance(scene.integrator, ReferenceIntegrator):
         return scene
-    return scene | {"integrator": scene["integrator"] | {"samples": plan["decisions"]["samples"]["value"]}}
+    return replace(scene, integrator=replace(scene.integrator, samples=plan["decisions"]["samples"]["value"]))
+
+
+def has_ambient(scene: Scene) -> bool:
+    """Whether shapes of a scene of the integrator `interactive` hide light from all sides from each other."""
+    return not isinstance(scene.integrator, InteractiveIntegrator) or scene.integrator.ambient
 
 
 def _planned(renderer: "Renderer", view_name: str, plan: dict, check: bool, folder) -> tuple[np.ndarray, dict]:
@@ -98,12 +100,11 @@ def _planned(renderer: "Renderer", view_name: str, plan: dict, check: bool, fold
 
 
 def make_renderer(
-    scene: dict,
+    scene: Scene,
     shapes: list[Shape],
     materials: list[Material],
     environment: Environment,
-    options: dict,
-    tile_rows: int = 60,
+    options: Render = DEFAULTS,
     white: np.ndarray | None = None,
 ) -> "Renderer":
     """Return what renders any view of a scene at any moment; parameters and errors as of `render_image`.
@@ -111,11 +112,8 @@ def make_renderer(
     With a ``white``, (61,) radiance, pictures are asked for as XYZ whose white has Y = 100, and are (height, width, 3)
     where the integrator has them cheaper than the 61 bands and as exact.
     """
-    kind = scene["integrator"]["kind"]
-    if kind not in INTEGRATORS:
-        raise ValueError(f"unknown integrator {kind!r}; accepted: {', '.join(INTEGRATORS)}")
-    made = {"interactive": _Interactive, "reference": _Reference}[kind]
-    return made(scene, shapes, materials, environment, options, tile_rows, white)
+    made: type[Renderer] = _Reference if isinstance(scene.integrator, ReferenceIntegrator) else _Interactive
+    return made(scene, shapes, materials, environment, options, white)
 
 
 class Renderer(ABC):
@@ -123,13 +121,21 @@ class Renderer(ABC):
 
     kind = ""
 
-    def __init__(self, scene, shapes, materials, environment, options, tile_rows, white=None) -> None:
-        self.scene, self.shapes, materials = with_bodies(scene, shapes, materials)
-        self.environment, self.options, self.tile_rows, self.white = environment, options, tile_rows, white
+    def __init__(
+        self,
+        scene: Scene,
+        shapes: list[Shape],
+        materials: list[Material],
+        environment: Environment,
+        options: Render,
+        white: np.ndarray | None = None,
+    ) -> None:
+        self.scene, self.environment, self.options, self.white = scene, environment, options, white
+        self.shapes, materials = with_bodies(scene, shapes, materials)
         self.check()
         # Textures do not depend on where objects stand.
         self.objects, filled = make_objects(make_placements(self.scene, self.shapes), materials)
-        names = [item["object"] for item in self.scene["objects"] if "object" in item]
+        names = [item.object for item in self.scene.objects]
         self.filled = dict(zip(names, filled, strict=False))
         self._lit: tuple = ()
 
@@ -181,18 +187,14 @@ class Renderer(ABC):
         return picture, {"integrator": self.kind, **figures, "filled_fraction": self.filled}
 
 
-def with_bodies(scene: dict, shapes: list[Shape], materials: list[Material]) -> tuple[dict, list, list]:
-    """Return a scene, shapes and materials whose last objects are the scene's bodies."""
-    bodies = scene.get("bodies", [])
+def with_bodies(scene: Scene, shapes: list[Shape], materials: list[Material]) -> tuple[list[Shape], list[Material]]:
+    """Return shapes and materials of a scene's objects, then of its bodies."""
     made = []
-    for body in bodies:
-        n, k = refractive_index(body["material"]["refractive_index"])
-        gloss = {
-            key: body["material"][name] for key, name in (("beta", "beta"), ("mu", "mu_rad"), ("mirror", "mirror"))
-        }
-        made.append(Material.uniform(spectrum(body["material"]["spectrum"]), **gloss, n=n, k=k))
-    shapes = [*shapes, *(Shape.from_definition(body["shape"]) for body in bodies)]
-    return scene | {"objects": [*scene["objects"], *bodies]}, shapes, [*materials, *made]
+    for body in scene.bodies:
+        n, k = refractive_index(body.material.refractive_index)
+        own = body.material
+        made.append(Material.uniform(spectrum(own.spectrum), beta=own.beta, mu=own.mu_rad, mirror=own.mirror, n=n, k=k))
+    return [*shapes, *(Shape.from_definition(body.shape) for body in scene.bodies)], [*materials, *made]
 
 
 class _Interactive(Renderer):
@@ -204,7 +206,7 @@ class _Interactive(Renderer):
     representation, why = "spectral", "the picture is asked for in all bands"
 
     def check(self) -> None:
-        if any(light["kind"] != "collimated" for light in self.scene.get("lights", [])):
+        if any(light.kind != "collimated" for light in self.scene.lights):
             raise ValueError("area lights in a scene of the integrator 'interactive'; accepted: collimated lights")
 
     def make_light(self, moment: Moment):
@@ -215,8 +217,8 @@ class _Interactive(Renderer):
 
         start = time.perf_counter()
         environment = moment.environment(self.environment)
-        lights = moment.lights(make_lights(self.scene.get("lights", []), 0)[0])
-        light, ambient, reflected = light_of(environment), self.scene["integrator"]["ambient"], 0
+        lights = moment.lights(make_lights(self.scene.lights, 0)[0])
+        light, ambient, reflected = light_of(environment), has_ambient(self.scene), 0
         if self.white is not None:
             found = exact_representation(self.objects, light, len(lights.kind), ambient)
             self.representation, reflected, self.why = found
@@ -229,8 +231,8 @@ class _Interactive(Renderer):
             self.representation,
             np.ones(BANDS) if self.white is None else self.white,  # bands need none
             lamps=lights.spectrum[:, :BANDS],
-            max_bounces=self.options["max_bounces"],
-            least_throughput=self.options["min_throughput"],
+            max_bounces=self.scene.max_bounces,
+            least_throughput=self.options.min_throughput,
             half=False,
             ambient=ambient,
             reflected=reflected,
@@ -245,9 +247,9 @@ class _Interactive(Renderer):
         # Its objects cannot be turned without preparing them anew, all else can.
         moment = moment.seen_from("objects")
         scene, prepared = turned_scene(self.scene, moment), self.light(moment)
-        side, size = self.options["pixel_side"], scene["image"]
-        view = make_view(scene["views"][view_name], {key: side * count for key, count in size.items()})
-        lights = make_lights(scene["lights"], 0)[0]
+        side, size = self.options.pixel_side, scene.image
+        view = make_view(scene.views[view_name], Size(width=side * size.width, height=side * size.height))
+        lights = make_lights(scene.lights, 0)[0]
         frame = {
             "world_from_light": moment.rotation("environment"),
             "lamps": tuple(Lamp(rotation[:, 2]) for rotation in lights.rotation),
@@ -259,7 +261,7 @@ class _Interactive(Renderer):
         keep = keep and view.width * view.height <= _KEPT_PIXELS
         start, counted = time.perf_counter(), {}
         fine = render_frame(prepared, view, **frame, figures=counted, keep_visibility=keep)
-        radiance = fine.reshape(size["height"], side, size["width"], side, -1).mean(axis=(1, 3))
+        radiance = fine.reshape(size.height, side, size.width, side, -1).mean(axis=(1, 3))
         seconds, rays = time.perf_counter() - start, counted["rays"]
         return radiance, {
             "seconds": seconds,
@@ -295,11 +297,12 @@ class _Reference(Renderer):
         )
 
         scene = turned_scene(self.scene, moment.seen_from("environment"))
-        samples, seed = scene["integrator"]["samples"], scene["integrator"]["seed"]
+        assert isinstance(scene.integrator, ReferenceIntegrator)  # what `make_renderer` chose this one by
+        samples, seed = scene.integrator.samples, scene.integrator.seed
         placements = make_placements(scene, self.shapes)
-        prepared = make_scene(placements, self.objects, self.light(moment), scene["lights"])
+        prepared = make_scene(placements, self.objects, self.light(moment), scene.lights)
         prepared = prepared._replace(world=prepared.world._replace(lights=moment.lights(prepared.world.lights)))
-        view = make_view(scene["views"][view_name], scene["image"])
+        view = make_view(scene.views[view_name], scene.image)
         if not self.compiled:
             render(prepared, view._replace(width=1, height=1), REPLICATES)
             self.compiled = True
@@ -307,7 +310,7 @@ class _Reference(Renderer):
         if tiles_folder is not None:
             tiles = Tiles(tiles_folder, picture_key(prepared, view, samples, seed))
         start = time.perf_counter()
-        picture = render(prepared, view, samples, seed, self.tile_rows, f"render {view_name}", tiles, False)
+        picture = render(prepared, view, samples, seed, self.options.tile_rows, f"render {view_name}", tiles, False)
         seconds = time.perf_counter() - start
         if tiles is not None:
             tiles.remove()

@@ -1,7 +1,11 @@
 """Radiance before a camera in a scene, by path tracing in two independent halves that show its noise."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from irodori.config.models import ObjectShape, Optics, ReferenceIntegrator, Scene, ScenePhotograph
+from irodori.config.parts import Staging
 from irodori.core import store
 from irodori.geometry.ideal_camera import IdealView
 from irodori.geometry.pinhole import Pinhole
@@ -16,8 +20,8 @@ HALVES = 2
 
 
 def render_halves(
-    scene: dict,
-    placed: dict,
+    scene: Staging,
+    placed: ScenePhotograph,
     ideal: IdealView,
     shapes: list[Shape],
     materials: list[Material],
@@ -29,9 +33,9 @@ def render_halves(
 
     Parameters
     ----------
-    scene : dict
-    placed : dict
-        Where the camera stands: ``position_mm``, ``target_mm``, ``up``.
+    scene : Staging
+    placed : ScenePhotograph
+        Where the camera stands.
     ideal : IdealView
     shapes, materials : one an object of the scene
     environment : Environment
@@ -46,18 +50,26 @@ def render_halves(
     """
     halves = []
     for half in range(HALVES):
-        integrator = {"kind": "reference", "samples": samples // HALVES, "seed": seed + half}
-        seen = scene | {"integrator": integrator, "image": ideal.image, "views": {"photograph": ideal.view(placed)}}
-        radiance, _ = render_image(seen, "photograph", shapes, materials, environment, {})
+        seen = Scene(
+            environment="photographed",
+            image=ideal.image,
+            integrator=ReferenceIntegrator(samples=samples // HALVES, seed=seed + half),
+            views={"photograph": ideal.view(placed)},
+            objects=scene.objects,
+            bodies=scene.bodies,
+            lights=scene.lights,
+            display=scene.display,
+        )
+        radiance, _ = render_image(seen, "photograph", shapes, materials, environment)
         halves.append(radiance)
     return np.stack(halves)
 
 
 def render_photographed(
-    scene: dict,
-    placed: dict,
-    optics: dict,
-    shapes: list[dict],
+    scene: Staging,
+    placed: ScenePhotograph,
+    optics: Optics,
+    shapes: Sequence[ObjectShape],
     material_files: list,
     environment_file,
     output,
@@ -67,12 +79,11 @@ def render_photographed(
 
     Parameters
     ----------
-    scene : dict
-    placed : dict
-        The photograph's definition: where the camera stands, ``samples``, ``seed``.
-    optics : dict
+    scene : Staging
+    placed : ScenePhotograph
+    optics : Optics
         Of the camera.
-    shapes : list of dict
+    shapes : sequence of ObjectShape
     material_files, environment_file : path
         What really stands there, and the light that really falls.
     output : path
@@ -85,8 +96,8 @@ def render_photographed(
         [Shape.from_definition(shape) for shape in shapes],
         [Material.load(path) for path in material_files],
         Environment.load(environment_file),
-        placed["samples"],
-        placed["seed"],
+        placed.samples,
+        placed.seed,
     )
     with store.create(output, provenance) as out:
         names = {"units": "1", "dims": "half,row,column,wavelength", "quantity": "radiance before the camera"}

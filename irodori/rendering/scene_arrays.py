@@ -1,6 +1,6 @@
 """Scene as flat arrays for compiled loops: objects, textures, light and camera."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,11 @@ from irodori.light.environment_file import Environment, directions
 from irodori.material.material_file import Material
 from irodori.reflection.lobes import Lobes
 from irodori.rendering.view_cameras import KINDS, PERSPECTIVE
+
+if TYPE_CHECKING:
+    from irodori.config.models import Scene, Size
+    from irodori.config.models import View as SeenFrom
+    from irodori.config.parts import Staging
 
 _COARSEST_ROWS = 4
 
@@ -81,11 +86,11 @@ class View(NamedTuple):
     focus_mm: float = 1.0  # along the line of sight to the plane in focus; not read without a lens
 
 
-def make_placements(scene: dict, shapes: list[Shape]) -> list[Placement]:
-    """Return where the scene's objects stand."""
+def make_placements(scene: "Scene | Staging", shapes: list[Shape]) -> list[Placement]:
+    """Return where the scene's objects stand, then its bodies."""
     return [
-        Placement(shape, rotation_xyz(item["rotation_deg"]), np.asarray(item["position_mm"], float), item["scale"])
-        for item, shape in zip(scene["objects"], shapes, strict=True)
+        Placement(shape, rotation_xyz(item.rotation_deg), np.asarray(item.position_mm, float), item.scale)
+        for item, shape in zip((*scene.objects, *scene.bodies), shapes, strict=True)
     ]
 
 
@@ -185,40 +190,31 @@ def make_light(environment: Environment) -> Light:
     )
 
 
-def make_view(view: dict, image: dict) -> View:
+def make_view(view: "SeenFrom", image: "Size") -> View:
     """Return the camera of a scene's view.
 
     Parameters
     ----------
-    view : dict
-        ``position_mm``, ``target_mm``, ``up`` and ``kind``, ``perspective`` where absent: with ``field_of_view_deg``,
-        from the lower to the upper edge of the picture, and optionally ``lens`` (``diameter_mm`` and ``focus_mm``);
-        ``orthographic`` with ``height_mm`` of what the picture shows.
-    image : dict
-        ``width`` and ``height`` of the picture, px.
-
-    Raises
-    ------
-    ValueError
-        If the kind is unknown.
+    view : PerspectiveView or OrthographicView
+    image : Size
+        Of the picture, px.
     """
-    kind = view.get("kind", "perspective")
-    if kind not in KINDS:
-        raise ValueError(f"unknown view {kind!r}; accepted: {', '.join(KINDS)}")
-    if kind == "orthographic":
-        focal = image["height"] / view["height_mm"]
+    diameter_mm, focus_mm = 0.0, 1.0
+    if view.kind == "orthographic":
+        focal = image.height / view.height_mm
     else:
-        focal = 0.5 * image["height"] / np.tan(np.radians(view["field_of_view_deg"]) / 2)
-    lens = view.get("lens", {"diameter_mm": 0.0, "focus_mm": 1.0})
+        focal = 0.5 * image.height / np.tan(np.radians(view.field_of_view_deg) / 2)
+        if view.lens is not None:
+            diameter_mm, focus_mm = view.lens.diameter_mm, view.lens.focus_mm
     return View(
-        np.asarray(view["position_mm"], dtype=np.float64),
-        np.ascontiguousarray(look_at(view["position_mm"], view["target_mm"], view["up"])),
+        np.asarray(view.position_mm, dtype=np.float64),
+        np.ascontiguousarray(look_at(view.position_mm, view.target_mm, view.up)),
         float(focal),
-        image["width"],
-        image["height"],
-        KINDS[kind],
-        float(lens["diameter_mm"]),
-        float(lens["focus_mm"]),
+        image.width,
+        image.height,
+        KINDS[view.kind],
+        diameter_mm,
+        focus_mm,
     )
 
 

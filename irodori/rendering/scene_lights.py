@@ -5,7 +5,8 @@ tabulated (100 at 560 nm), and an irradiance of 1 gives a perfect diffuser that 
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from irodori.geometry.shapes.sphere import Sphere
 from irodori.jit.native import njit
 from irodori.light.placed_lights import direction_of, unit_luminance
 from irodori.rendering.surface_hits import frame
+
+if TYPE_CHECKING:
+    from irodori.config.models import RectangleLight, SceneLight, SphereLight
 
 COLLIMATED, RECTANGLE, BALL = 0, 1, 2
 KINDS = {"collimated": COLLIMATED, "rectangle": RECTANGLE, "sphere": BALL}
@@ -43,22 +47,14 @@ class Lights(NamedTuple):
     surface: np.ndarray  # (lights,)
 
 
-def make_lights(definitions: list[dict], first_surface: int) -> tuple[Lights, list[Placement]]:
+def make_lights(definitions: "Sequence[SceneLight]", first_surface: int) -> tuple[Lights, list[Placement]]:
     """Return the lights of a scene, and the shapes of those that have one.
 
     Parameters
     ----------
-    definitions : list of dict
-        ``kind`` and ``spectrum``; of a collimated light ``azimuth_deg`` and ``elevation_deg`` of the direction that
-        it comes from and ``irradiance``; of a rectangle or a sphere ``position_mm`` and ``radiance``, and
-        ``rotation_deg`` (it shines along +z before), ``width_mm`` and ``height_mm``, or ``radius_mm``.
+    definitions : sequence of SceneLight
     first_surface : int
         Number of the first light's shape among all shapes that are traced.
-
-    Raises
-    ------
-    ValueError
-        If a kind is unknown.
     """
     count = len(definitions)
     lights = Lights(
@@ -72,16 +68,14 @@ def make_lights(definitions: list[dict], first_surface: int) -> tuple[Lights, li
     )
     placements: list[Placement] = []
     for i, light in enumerate(definitions):
-        if light["kind"] not in KINDS:
-            raise ValueError(f"unknown light {light['kind']!r}; accepted: {', '.join(KINDS)}")
-        lights.kind[i] = KINDS[light["kind"]]
-        spectrum = unit_luminance(light["spectrum"])
-        if light["kind"] == "collimated":
-            lights.spectrum[i, :BANDS] = math.pi * light["irradiance"] * spectrum
-            lights.rotation[i, :, 2] = direction_of(light["azimuth_deg"], light["elevation_deg"])
+        lights.kind[i] = KINDS[light.kind]
+        spectrum = unit_luminance(light.spectrum)
+        if light.kind == "collimated":
+            lights.spectrum[i, :BANDS] = math.pi * light.irradiance * spectrum
+            lights.rotation[i, :, 2] = direction_of(light.azimuth_deg, light.elevation_deg)
         else:
             placement = _placement(light)
-            lights.spectrum[i, :BANDS] = light["radiance"] * spectrum
+            lights.spectrum[i, :BANDS] = light.radiance * spectrum
             lights.position_mm[i], lights.rotation[i] = placement.translation_mm, placement.rotation
             lights.size_mm[i] = placement.shape.size_mm
             lights.surface[i] = first_surface + len(placements)
@@ -90,12 +84,11 @@ def make_lights(definitions: list[dict], first_surface: int) -> tuple[Lights, li
     return lights, placements
 
 
-def _placement(light: dict) -> Placement:
-    position = np.asarray(light["position_mm"], dtype=np.float64)
-    if KINDS[light["kind"]] == BALL:
-        return Placement(Sphere(float(light["radius_mm"])), np.eye(3), position)
-    shape = Plate(float(light["width_mm"]), float(light["height_mm"]))
-    return Placement(shape, rotation_xyz(light["rotation_deg"]), position)
+def _placement(light: "RectangleLight | SphereLight") -> Placement:
+    position = np.asarray(light.position_mm, dtype=np.float64)
+    if light.kind == "sphere":
+        return Placement(Sphere(light.radius_mm), np.eye(3), position)
+    return Placement(Plate(light.width_mm, light.height_mm), rotation_xyz(light.rotation_deg), position)
 
 
 def upward_radiance(lights: Lights) -> np.ndarray:

@@ -9,7 +9,8 @@ import os
 import re
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,6 +18,8 @@ import numpy as np
 
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.colour.display import make_display
+from irodori.config.definition import as_plain
+from irodori.config.models import Frames, IlluminantChange, LightSweep, ObjectShape, Render, Scene, Turntable
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
@@ -31,57 +34,48 @@ from irodori.rendering.scene_white import shown_white
 from irodori.rendering.stage import write_picture
 from irodori.spectra.grid import WAVELENGTH_NM
 
-#: Kinds of `frames` in a scene.
-KINDS = ("turntable", "light_sweep", "illuminant_change")
 #: An illuminant must have this part of its peak everywhere to be divided by.
 _LEAST_POWER = 1e-4
 _KEY = "key.txt"
 
 
-def make_moments(frames: dict) -> list[tuple[dict, Moment]]:
+def make_moments(frames: Frames) -> list[tuple[dict, Moment]]:
     """Return what each frame of a sequence shows, for its figures, and its moment.
 
     Parameters
     ----------
-    frames : dict
-        Validated ``frames`` of a scene: ``turntable`` with ``count``, ``turned`` and ``pivot_mm``; ``light_sweep`` with
-        ``count``, ``turned``, ``from_deg`` and ``to_deg``; ``illuminant_change`` with ``from_illuminant``,
-        ``illuminants`` and ``count_between``.
+    frames : Turntable, LightSweep or IlluminantChange
 
     Raises
     ------
-    ValueError
-        If the kind is unknown.
     InputError
         If an illuminant is to be divided by that is dark somewhere.
     """
-    if frames["kind"] not in KINDS:
-        raise ValueError(f"unknown frames {frames['kind']!r}; accepted: {', '.join(KINDS)}")
-    if frames["kind"] == "illuminant_change":
+    if isinstance(frames, IlluminantChange):
         return list(_illuminants(frames))
-    if frames["kind"] == "turntable":
-        angles = 360.0 * np.arange(frames["count"]) / frames["count"]
-        parts, pivot = [f"{frames['turned']}_deg"], tuple(frames["pivot_mm"])
+    if isinstance(frames, Turntable):
+        angles = 360.0 * np.arange(frames.count) / frames.count
+        parts, pivot = [f"{frames.turned}_deg"], frames.pivot_mm
     else:
-        angles = np.linspace(frames["from_deg"], frames["to_deg"], frames["count"])
-        names = ("environment", "lights") if frames["turned"] == "both" else (frames["turned"],)
+        angles = np.linspace(frames.from_deg, frames.to_deg, frames.count)
+        names = ("environment", "lights") if frames.turned == "both" else (frames.turned,)
         parts, pivot = [f"{name}_deg" for name in names], (0.0, 0.0, 0.0)
     shown = [dict.fromkeys(parts, float(angle)) for angle in angles]
     return [(turned, Moment(**turned, pivot_mm=pivot)) for turned in shown]
 
 
-def _illuminants(frames: dict) -> Iterator[tuple[dict, Moment]]:
+def _illuminants(frames: IlluminantChange) -> Iterator[tuple[dict, Moment]]:
     """Yield the frames of an illuminant change; between two illuminants their power is mixed."""
-    name = frames["from_illuminant"]
+    name = frames.from_illuminant
     source = unit_luminance(name)
     least = source.argmin()
     if source[least] < _LEAST_POWER * source.max():
         found = f"{source[least] / source.max():.1g} of its peak at {WAVELENGTH_NM[least]:g} nm"
         accepted = f"a spectrum of at least {_LEAST_POWER:g} of its peak everywhere, for light is divided by it"
         raise InputError("scene", f"frames.from_illuminant {name}", found, accepted)
-    names = frames["illuminants"]
+    names = frames.illuminants
     filters = [unit_luminance(target) / source for target in names]
-    steps = np.arange(frames["count_between"] + 1) / (frames["count_between"] + 1)
+    steps = np.arange(frames.count_between + 1) / (frames.count_between + 1)
     for (one, a), (other, b) in pairwise(zip(names, filters, strict=True)):
         for step in steps:
             shown = {one: 1.0} if step == 0 else {one: float(1.0 - step), other: float(step)}
@@ -89,10 +83,10 @@ def _illuminants(frames: dict) -> Iterator[tuple[dict, Moment]]:
     yield {"illuminants": {names[-1]: 1.0}}, Moment(filter=tuple(filters[-1]))
 
 
-def sequence_key(scene: dict, view_name: str, shapes: list[dict], options: dict, inputs: list) -> str:
+def sequence_key(scene: Scene, view_name: str, shapes: Sequence[ObjectShape], options: Render, inputs: list) -> str:
     """Return a hash of everything that frames depend on: definition, files and this code."""
-    view = {view_name: scene["views"][view_name]}
-    text = json.dumps([scene | {"views": view}, shapes, options], sort_keys=True)
+    seen = replace(scene, views={view_name: scene.views[view_name]})
+    text = json.dumps(as_plain([seen, shapes, options]), sort_keys=True)
     digest = hashlib.blake2b(f"{code_hash(__name__)} {text}".encode(), digest_size=16)
     for path in inputs:
         digest.update(file_sha256(Path(path)).encode())
@@ -166,24 +160,23 @@ def write_animation(path, pictures: list[Path], frames_per_second: float) -> Non
 
 
 def render_frames(
-    scene: dict,
+    scene: Scene,
     view_name: str,
-    shapes: list[dict],
+    shapes: Sequence[ObjectShape],
     material_files: list,
     environment_file,
     inputs: list,
     folder,
     animation,
     figures_file,
-    options: dict,
-    tile_rows: int,
+    options: Render,
 ) -> None:
     """Render the frames of a view from files into a folder of PNG files, an animated PNG and a JSON of figures.
 
     Parameters
     ----------
-    scene : dict
-        Validated definition with ``frames``.
+    scene : Scene
+        With ``frames``.
     inputs : list of path
         All files that frames depend on; frames that an interrupted run left are used while these are the same.
     folder, animation, figures_file : path
@@ -191,7 +184,10 @@ def render_frames(
 
     Other parameters are those of `irodori.rendering.stage.render_view`.
     """
-    moments = make_moments(scene["frames"])
+    frames = scene.frames
+    if frames is None:
+        raise ValueError("a scene without frames; accepted: a turntable, a light_sweep or an illuminant_change")
+    moments = make_moments(frames)
     folder = Path(folder)
     kept = _Frames(folder.with_name(folder.name + ".part"), sequence_key(scene, view_name, shapes, options, inputs))
     missing = [number for number in range(len(moments)) if not kept.is_finished(number)]
@@ -201,17 +197,18 @@ def render_frames(
     made = [Shape.from_definition(shape) for shape in shapes]
     materials = [Material.load(path) for path in material_files]
     white, exposure = shown_white(scene, environment, environment_file)
-    if "tolerance_ciede2000" in scene:
+    if scene.tolerance_ciede2000 is not None:
         LOGGER.info("frames are rendered in full: a plan is made for the scene's own moment")
-    renderer = make_renderer(scene, made, materials, environment, options, tile_rows, white)
+    renderer = make_renderer(scene, made, materials, environment, options, white)
     matrix_of_white = xyz_from_radiance(white)
-    display = make_display(scene["display"]["device"])
-    stands = scene["frames"]["kind"] == "light_sweep"
+    display = make_display(scene.display.device)
+    stands = isinstance(frames, LightSweep)
+    first_white = isinstance(frames, IlluminantChange) and frames.white == "first"
     for number in track(missing, f"frames of {view_name}"):
         shown, moment = moments[number]
         start = time.perf_counter()
         picture, figures = renderer.picture(view_name, moment, stands, kept.folder / f"{number:05d}.tiles")
-        filtered = moments[0 if scene["frames"].get("white") == "first" else number][1].filter
+        filtered = moments[0 if first_white else number][1].filter
         seen = white if filtered is None else white * np.asarray(filtered)
         matrix = xyz_from_radiance(seen)
         if picture.shape[-1] == 3:  # XYZ for the scene's white: another's differs in the scale
@@ -221,8 +218,8 @@ def render_frames(
         figures |= write_picture(kept.picture(number), xyz, matrix @ seen, display)
         kept.finish(number, shown | figures | {"seconds_in_all": time.perf_counter() - start})
     numbers = range(len(moments))
-    write_animation(animation, [kept.picture(n) for n in numbers], scene["frames"]["frames_per_second"])
+    write_animation(animation, [kept.picture(n) for n in numbers], frames.frames_per_second)
     of_each = [json.loads(kept.figures(n).read_text(encoding="utf-8")) for n in numbers]
-    rest = {"kind": scene["frames"]["kind"], "frames_from_earlier_runs": len(moments) - len(missing)}
+    rest = {"kind": frames.kind, "frames_from_earlier_runs": len(moments) - len(missing)}
     _write_json(figures_file, rest | {"exposure": exposure, "frames": of_each})
     kept.move_to(folder)

@@ -1,12 +1,14 @@
 """Rendering stage: materials, light and a scene in; spectral EXR, PNG and figures out."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.colour.display import Display, make_display, srgb
+from irodori.config.models import ObjectShape, Render, Scene
 from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER
 from irodori.export.pictures import read_xyz, write_display_picture, write_spectral_exr, write_xyz_exr
@@ -18,16 +20,15 @@ from irodori.rendering.scene_white import scene_white, shown_white
 
 
 def render_view(
-    scene: dict,
+    scene: Scene,
     view_name: str,
-    shapes: list[dict],
+    shapes: Sequence[ObjectShape],
     material_files: list,
     environment_file,
     exr,
     png,
     figures_file,
-    options: dict,
-    tile_rows: int,
+    options: Render,
     plan_file=None,
     check: bool = True,
 ) -> None:
@@ -41,7 +42,7 @@ def render_view(
         from irodori.rendering.planning.plan_file import read_plan  # loads the interactive integrator
 
         plan = read_plan(plan_file)
-    display = make_display(scene["display"]["device"])
+    display = make_display(scene.display.device)
     materials = [Material.load(path) for path in material_files]
     environment = Environment.load(environment_file)
     white, exposure = shown_white(scene, environment, environment_file)
@@ -52,10 +53,9 @@ def render_view(
         materials,
         environment,
         options,
-        tile_rows,
-        Path(exr).with_suffix(".tiles"),
-        plan,
-        check,
+        tiles_folder=Path(exr).with_suffix(".tiles"),
+        plan=plan,
+        check=check,
     )
     matrix = xyz_from_radiance(white)
     white_xyz = matrix @ white
@@ -82,12 +82,12 @@ def write_picture(path, xyz: np.ndarray, white_xyz: np.ndarray, display: Display
     return figures
 
 
-def write_xyz(scene: dict, exr, environment_file, output) -> None:
+def write_xyz(scene: Scene, exr, environment_file, output) -> None:
     """Write the XYZ of a rendered view, not adapted; Y = 100 is the scene's white.
 
     Parameters
     ----------
-    scene : dict
+    scene : Scene
     exr : path
         Spectral EXR of the view.
     environment_file : path
@@ -103,13 +103,13 @@ def _xyz_attributes(white_xyz: np.ndarray) -> dict[str, str]:
     return observer | {"irodori:whiteXYZ": listed}
 
 
-def write_tiff(scene: dict, exr, environment_file, output) -> None:
+def write_tiff(scene: Scene, exr, environment_file, output) -> None:
     """Write a rendered view for its display with 16 bits a channel; parameters as of `write_xyz`."""
-    display = make_display(scene["display"]["device"])
+    display = make_display(scene.display.device)
     write_picture(output, *_view_xyz(scene, exr, environment_file), display, bits=16)
 
 
-def _view_xyz(scene: dict, exr, environment_file) -> tuple[np.ndarray, np.ndarray]:
+def _view_xyz(scene: Scene, exr, environment_file) -> tuple[np.ndarray, np.ndarray]:
     """Return the XYZ of a view's EXR, (height, width, 3) float32, and of its white."""
     white, _ = scene_white(scene, Environment.load(environment_file))
     matrix = xyz_from_radiance(white)

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from irodori.spectra.published_names import BLACKBODY_K, DAYLIGHT_K, synthetic_l
 from irodori.spectra.resampling import is_finer_than_grid, resample
 from irodori.spectra.spectral_files import SpectralTable, check_power, check_reflectance, spectral_table
 from irodori.spectra.tables import MAX_INDEX_GAP_NM, index_table
+
+if TYPE_CHECKING:
+    from irodori.config.models import RefractiveIndex
 
 _TCS_NAME = re.compile(r"TCS(\d{1,2})")
 _PATCH_NAME = re.compile(r"[A-Z]\d+")
@@ -180,26 +184,26 @@ def camera_sensitivities(name: str) -> np.ndarray:
     raise InputError("camera", name, repr(name), f"a file or one of: {', '.join(colour.MSDS_CAMERA_SENSITIVITIES)}")
 
 
-def refractive_index(definition: dict) -> tuple[np.ndarray, np.ndarray]:
+def refractive_index(definition: "RefractiveIndex") -> tuple[np.ndarray, np.ndarray]:
     """Return complex refractive index n + ik on the grid.
 
     Parameters
     ----------
-    definition : dict
-        ``{n: float, k: float}``, or ``{file: path}`` of a CSV with columns wavelength_nm, n, k.
+    definition : ConstantIndex or IndexTable
+        Of a file with columns wavelength_nm, n, k.
 
     Returns
     -------
     n, k : (61,) float64
     """
-    if "file" in definition:
-        wavelength_nm, n, k = index_table(definition["file"])
-        table = resample(wavelength_nm, np.array([n, k]), definition["file"], max_gap_nm=MAX_INDEX_GAP_NM)
+    if hasattr(definition, "file"):
+        wavelength_nm, n, k = index_table(definition.file)
+        table = resample(wavelength_nm, np.array([n, k]), definition.file, max_gap_nm=MAX_INDEX_GAP_NM)
         return table[0], table[1]
-    return np.full(SAMPLES, float(definition["n"])), np.full(SAMPLES, float(definition.get("k", 0.0)))
+    return np.full(SAMPLES, definition.n), np.full(SAMPLES, definition.k)
 
 
-def refractive_index_at(definition: dict, wavelength_nm: float = 550.0) -> tuple[float, float]:
+def refractive_index_at(definition: "RefractiveIndex", wavelength_nm: float = 550.0) -> tuple[float, float]:
     """Return n and k at one wavelength, by default where a green band is centred."""
     n, k = refractive_index(definition)
     return float(np.interp(wavelength_nm, WAVELENGTH_NM, n)), float(np.interp(wavelength_nm, WAVELENGTH_NM, k))

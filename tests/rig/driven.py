@@ -10,10 +10,12 @@ from fractions import Fraction
 from pathlib import Path
 
 import yaml
+from made import made
 from sessions import ROOT, definitions
 from simulated_gphoto2 import Bench
 
 from irodori.config.capture_table import Pose, Shot
+from irodori.config.models import Camera, Rig
 from irodori.simulation.virtual_rig import bench as virtual
 from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
 
@@ -40,7 +42,9 @@ class Studio:
             _, camera, rig = definitions()
             standing = virtual.Bench(by_hand_deg={"light_deg": 45.0}, subject="white")
             with tempfile.TemporaryDirectory() as folder:
-                VirtualCamera(camera, rig, standing, "standin", [shot]).capture(shot, Path(folder) / "a.dng")
+                VirtualCamera(made(Camera, camera), made(Rig, rig), standing, "standin", [shot]).capture(
+                    shot, Path(folder) / "a.dng"
+                )
                 self._made[key] = (Path(folder) / "a.dng").read_bytes()
         return self._made[key]
 

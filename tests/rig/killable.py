@@ -12,9 +12,12 @@ import threading
 import time
 from pathlib import Path
 
+from made import made
 from sessions import MADE, ROOT, definitions, target
 
 from irodori.capture.stage import capture_object
+from irodori.config.models import Object
+from irodori.config.parts import PhotographedObject
 
 
 class Killable:
@@ -22,7 +25,7 @@ class Killable:
 
     def __init__(self, motion: bool, slow_s: float) -> None:
         self.motion, self.slow_s = motion, slow_s
-        path = os.pathsep.join([str(ROOT), str(ROOT / "tests/rig")])
+        path = os.pathsep.join([str(ROOT), str(ROOT / "tests"), str(ROOT / "tests/rig")])
         self._process = subprocess.Popen(
             [sys.executable, "-W", "error", __file__], env={**os.environ, "PYTHONPATH": path},
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
@@ -80,7 +83,7 @@ def main() -> None:
                 setattr(os, name, stretched(getattr(os, name), slow_s))
             definition, aim = target(Path(folder), motion)
             try:
-                capture_object(definition, aim, Path(folder) / "session.json", MADE)
+                capture_object(made(Object | PhotographedObject, definition), aim, Path(folder) / "session.json", MADE)
             except BaseException as error:
                 print(repr(error), file=sys.stderr, flush=True)
                 os._exit(1)

@@ -1,9 +1,13 @@
 """Objects, rigs and poses that the tests of planning share."""
 
+from collections.abc import Sequence
+
 import numpy as np
+from made import made
 
 from irodori.capture.shot_planner.fisher_information import Subject
 from irodori.config.capture_table import Pose, expand_poses
+from irodori.config.models import PoseGroup
 from irodori.geometry.shapes.plate import Plate
 
 RIG = {
@@ -25,11 +29,14 @@ PLATE_OBJECT = {
 }
 SPHERE_OBJECT = PLATE_OBJECT | {"shape": {"kind": "sphere", "radius_mm": 30.0}}
 POSES = expand_poses(
-    [
-        {"light_deg": [45.0], "camera_deg": [0.0, 20.0, 35.0, 41.0, 45.0, 49.0, 55.0, 65.0]},
-        {"light_deg": [65.0], "camera_deg": [30.0, 55.0, 62.0, 66.0, 72.0]},
-        {"light_deg": [45.0], "camera_deg": [0.0, 3.0, 12.0, 25.0], "tilt_deg": [20.0]},
-    ]
+    made(
+        Sequence[PoseGroup],
+        [
+            {"light_deg": [45.0], "camera_deg": [0.0, 20.0, 35.0, 41.0, 45.0, 49.0, 55.0, 65.0]},
+            {"light_deg": [65.0], "camera_deg": [30.0, 55.0, 62.0, 66.0, 72.0]},
+            {"light_deg": [45.0], "camera_deg": [0.0, 3.0, 12.0, 25.0], "tilt_deg": [20.0]},
+        ],
+    )
 )
 
 

@@ -7,6 +7,7 @@ import zlib
 from pathlib import Path
 
 import numpy as np
+from made import made
 
 from irodori.capture.journal import Journal
 from irodori.capture.operator import AutoOperator
@@ -16,6 +17,9 @@ from irodori.capture.shot_list import object_shots
 from irodori.capture.stage import Target, capture_object
 from irodori.config.capture_table import Pose, Shot, read_captures
 from irodori.config.definitions import load_definitions, read_yaml
+from irodori.config.models import Camera as CameraDefinition
+from irodori.config.models import Object, Rig
+from irodori.config.parts import PhotographedObject
 from irodori.core.store import Provenance
 from irodori.ingest.mosaic import decode
 from irodori.simulation.virtual_rig.dng_writer import write_dng
@@ -42,10 +46,12 @@ def definitions(poses=POSES, motion: bool = False) -> tuple[dict, dict, dict]:
     return definition, camera, rig
 
 
-def target(folder: Path, motion: bool = False, **changes) -> tuple[dict, Target]:
+def target(folder: Path, motion: bool = False, **changes) -> tuple[Object, Target]:
     """Return an object and a target whose table stands in a folder."""
     definition, camera, rig = definitions(motion=motion, **changes)
-    return definition, Target("plate", camera, rig, "virtual", folder / "captures.csv")
+    return made(Object, definition), Target(
+        "plate", made(CameraDefinition, camera), made(Rig, rig), "virtual", folder / "captures.csv"
+    )
 
 
 def shots(count: int, exposure_s: float = 0.02, **settings) -> list[Shot]:
@@ -113,5 +119,5 @@ def assert_whole(folder: Path, planned: list[Shot]) -> None:
 def capture(folder: Path, motion: bool = False, **changes) -> list[Shot]:
     """Photograph the plate into a folder, or go on with it, and return the plan in its order."""
     definition, aim = target(folder, motion, **changes)
-    capture_object(definition, aim, folder / "session.json", MADE)
-    return aim.ordered(object_shots(definition, aim.camera, ".dng"))
+    capture_object(made(Object | PhotographedObject, definition), aim, folder / "session.json", MADE)
+    return aim.ordered(object_shots(made(Object | PhotographedObject, definition), made(Camera, aim.camera), ".dng"))

@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from made import made
 from simulated_gphoto2 import MODEL, Bench, make_module
 
 from irodori.capture.camera.gphoto_camera import GphotoCamera
 from irodori.capture.camera.gphoto_settings import WIDGETS
 from irodori.capture.rig.devices import Camera, DeviceError
 from irodori.config.capture_table import Pose, Shot
+from irodori.config.models import CameraDriver
 
 RAW = bytes(range(256)) * 64
 STATUS_KEYS = {"model", "battery", "storage", "settings"}
@@ -49,7 +51,7 @@ def shot(exposure_s: float) -> Shot:
 def simulated_gphoto(request) -> Case:
     bench = Bench(delivers=[(1.5, "capt{}.cr2", RAW)])
     request.getfixturevalue("monkeypatch").setitem(sys.modules, "gphoto2", make_module(bench))
-    camera = GphotoCamera(DRIVER, sleep=bench.clock.sleep, now=bench.clock.now)
+    camera = GphotoCamera(made(CameraDriver, DRIVER), sleep=bench.clock.sleep, now=bench.clock.now)
     return Case(camera, shot(0.02), shot(45.0), lambda path: path.read_bytes() == RAW)
 
 
@@ -75,7 +77,7 @@ def real_libgphoto2(request) -> Case:
     import gphoto2  # noqa: F401, reads the environment; sets IOLIBS itself only where it was not imported before
 
     monkeypatch.setenv("IOLIBS", os.fspath(ports))
-    camera = NikonOfLibgphoto2({**DRIVER, "model": "Nikon DSC D750", "deadline_s": 5.0})
+    camera = NikonOfLibgphoto2(made(CameraDriver, {**DRIVER, "model": "Nikon DSC D750", "deadline_s": 5.0}))
     return Case(camera, shot(0.02), shot(45.0), lambda path: path.read_bytes() == RAW)
 
 

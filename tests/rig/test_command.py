@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 from driven import CAMERA, Studio, project
+from made import made
 from sessions import ROOT, assert_whole
 from simulated_gphoto2 import make_module
 
@@ -20,6 +21,8 @@ from irodori.capture.rig.connect import open_rig, start_simulator, true_position
 from irodori.capture.rig.devices import DeviceError
 from irodori.config.capture_table import read_captures
 from irodori.config.definitions import load_one
+from irodori.config.models import Camera, Object, Rig
+from irodori.config.parts import PhotographedObject
 
 
 @pytest.fixture(autouse=True)
@@ -50,8 +53,8 @@ def run(capsys, *arguments: str, code: int = 0) -> tuple[list[str], list[str]]:
 @pytest.fixture
 def board(bench):
     """Return the simulated board of the rig ``gonio-grbl``, which runs on between two commands as a real one does."""
-    definition = load_one("rigs", "gonio-grbl")["rigs"]["gonio-grbl"]
-    with start_simulator(definition) as simulator:
+    definition = load_one("rigs", "gonio-grbl").rigs["gonio-grbl"]
+    with start_simulator(made(Rig, definition)) as simulator:
         change(
             bench / "config/rigs/gonio-grbl.yaml", lambda rig: rig["motion"].update(port=simulator.port, timeout_s=0.6)
         )
@@ -173,8 +176,12 @@ def test_plan_prints_the_order_and_what_it_takes(capsys):
     *lines, estimate = out
     assert len(lines) == 8
     found = load_one("objects", "tile-plate")
-    aim = stage.Target("tile-plate", found["cameras"]["d5100-comb"], found["rigs"]["virtual"])
-    planned = aim.ordered(stage.object_shots(found["objects"]["tile-plate"], aim.camera, ".dng"))
+    aim = stage.Target("tile-plate", made(Camera, found.cameras["d5100-comb"]), made(Rig, found.rigs["virtual"]))
+    planned = aim.ordered(
+        stage.object_shots(
+            made(Object | PhotographedObject, found.objects["tile-plate"]), made(Camera, aim.camera), ".dng"
+        )
+    )
     assert [line.split()[-1] for line in lines] == [shot.file for shot in planned]
     assert re.match(r"object light 45 camera \d+ tilt \d+ turn 0 filter (in|out) 0\.0\d s  l0450-", lines[0])
     assert estimate == str(aim.estimate(planned)) and estimate.startswith("8 shots, about ")
@@ -268,8 +275,8 @@ MOVE, JOG, HOME = ["move", "turn_deg=359.5"], ["jog", "turn_deg=359.5"], ["home"
 )
 def test_what_ends_a_command_from_outside_stops_the_rig_in_mid_move(bench, board, arguments, number, code, message):
     """The whole command in a process of its own, a real signal, the table in mid-move."""
-    definition = load_one("rigs", "gonio-grbl")["rigs"]["gonio-grbl"]
-    with open_rig(definition) as rig:
+    definition = load_one("rigs", "gonio-grbl").rigs["gonio-grbl"]
+    with open_rig(made(Rig, definition)) as rig:
         rig.home()
         rig.move({"turn_deg": 0.0})
     # At the pace of the board the table turns by 359.5 degrees in 18 s.

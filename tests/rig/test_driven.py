@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from driven import CAMERA, OBJECT, Studio, edit, project
+from made import made
 from simulated_gphoto2 import fault, make_module
 
 from irodori.capture import operator, stage
@@ -20,6 +21,8 @@ from irodori.capture.rig.serial_link import SerialLink
 from irodori.capture.shot_list import object_shots
 from irodori.config.capture_table import read_captures
 from irodori.config.definitions import load_one
+from irodori.config.models import Camera, Object, Rig
+from irodori.config.parts import PhotographedObject
 from irodori.ingest.mosaic import decode
 
 
@@ -58,9 +61,11 @@ def bench(tmp_path, monkeypatch):
 
 def planned(name: str = OBJECT):
     found = load_one("objects", name)
-    camera = found["cameras"][CAMERA]
-    aim = stage.Target(name, camera, found["rigs"]["gonio-grbl"])
-    return aim, aim.ordered(object_shots(found["objects"][name], camera, aim.suffix))
+    camera = found.cameras[CAMERA]
+    aim = stage.Target(name, made(Camera, camera), made(Rig, found.rigs["gonio-grbl"]))
+    return aim, aim.ordered(
+        object_shots(made(Object | PhotographedObject, found.objects[name]), made(Camera, camera), aim.suffix)
+    )
 
 
 def test_an_object_and_its_camera_are_photographed_into_the_folders_that_their_files_name(bench, studio, person):
@@ -188,8 +193,8 @@ def test_a_prompt_without_a_terminal_says_what_to_do(bench, studio, capsys, monk
 @pytest.mark.heavy
 def test_two_sessions_do_not_move_one_rig(bench, studio, person, capsys):
     """The lock of the port says so in words, and nothing is photographed."""
-    rig = load_one("rigs", "gonio-grbl")["rigs"]["gonio-grbl"]
-    with start_simulator(rig) as simulator:
+    rig = load_one("rigs", "gonio-grbl").rigs["gonio-grbl"]
+    with start_simulator(made(Rig, rig)) as simulator:
         edit(bench / "config/rigs/gonio-grbl.yaml", motion__port=simulator.port)
         held = SerialLink(simulator.port)
         assert main(["capture", OBJECT]) == 1

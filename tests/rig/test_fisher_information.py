@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 from plans import PLATE_OBJECT, POSES, RIG, SPHERE_OBJECT, flat_angles, texel
 from shortcuts import information
 
 from irodori.capture.shot_planner.fisher_information import Materials, Noise, Weighting, observe, standard_errors
 from irodori.capture.shot_planner.planner import subject_of
 from irodori.config.capture_table import Pose
+from irodori.config.models import Object, Rig, SensorOptions
+from irodori.config.parts import PlannedObject
 from irodori.fitting.solvers import FitOptions, fit
 from irodori.material.material_file import Status
 from irodori.reflection.equation5 import MU_MAX_RAD, MU_MIN_RAD, reflect
@@ -105,7 +108,7 @@ def test_the_steeper_the_flank_the_more_a_pose_error_takes_away():
 
 
 def test_information_adds_and_never_falls():
-    subject = subject_of(PLATE_OBJECT, RIG)
+    subject = subject_of(made(Object | PlannedObject, PLATE_OBJECT), made(Rig, RIG))
     few, many = POSES[:6], POSES
     material = Materials(np.array([0.1, 0.7]), np.array([1.0, 6.0]), np.array([0.08, 0.25]))
     whole = information(observe(subject, many, material, Noise()))
@@ -160,7 +163,7 @@ def test_expected_errors_are_those_that_the_fit_states(material, weights):
 
 @pytest.mark.parametrize("weights", ["noise", "equal"])
 def test_no_weights_reach_more_than_the_information_allows(weights):
-    subject = subject_of(PLATE_OBJECT, RIG)
+    subject = subject_of(made(Object | PlannedObject, PLATE_OBJECT), made(Rig, RIG))
     material = Materials(np.array([0.1, 0.7]), np.array([1.0, 6.0]), np.array([0.08, 0.25]))
     seen = observe(subject, POSES, material, Noise(), weighting=Weighting(weights))
     bound = np.sqrt(np.einsum("cii->ci", np.linalg.inv(information(seen))))
@@ -168,7 +171,10 @@ def test_no_weights_reach_more_than_the_information_allows(weights):
 
 
 def test_weights_of_the_fit_reach_the_information_where_they_are_the_inverse_variances():
-    subject, noise = subject_of(PLATE_OBJECT, RIG), replace(Noise(), pose_rms_deg=0.0)
+    subject, noise = (
+        subject_of(made(Object | PlannedObject, PLATE_OBJECT), made(Rig, RIG)),
+        replace(Noise(), pose_rms_deg=0.0),
+    )
     material = Materials(np.array([0.1, 0.7]), np.array([1.0, 6.0]), np.array([0.08, 0.25]))
     seen = observe(subject, POSES, material, noise, weighting=Weighting("noise", noise.relative))
     bound = np.sqrt(np.einsum("cii->ci", np.linalg.inv(information(seen))))
@@ -207,7 +213,7 @@ def test_beyond_the_largest_angle_and_from_saturation_on_nothing_is_told():
 
 
 def test_the_table_hides_a_spheres_underside_and_a_turn_shows_its_other_side():
-    subject = subject_of(SPHERE_OBJECT, RIG)
+    subject = subject_of(made(Object | PlannedObject, SPHERE_OBJECT), made(Rig, RIG))
     seen = np.isfinite(
         observe(subject, [Pose(45.0, 10.0), Pose(45.0, 10.0, 0.0, 180.0)], one(0.4, 3.0, 0.1), Noise()).variance
     )
@@ -219,9 +225,9 @@ def test_the_table_hides_a_spheres_underside_and_a_turn_shows_its_other_side():
 
 def test_the_noise_of_a_sensor_is_that_of_its_electrons():
     sensor = {"full_well_e": 40000.0, "read_noise_e": 6.0, "response_at_full_well": 1.6, "base_exposure_s": 0.02}
-    noise = Noise.of_sensor(sensor, relative=0.0)
+    noise = Noise.of_sensor(made(SensorOptions, sensor), relative=0.0)
     # 25 000 electrons at a response of 1.
     assert noise.shot_variance == pytest.approx(1 / 25000) and noise.read_variance == pytest.approx((6 / 25000) ** 2)
     assert noise.saturation_response == pytest.approx(1.6) and noise.relative == 0.0
-    bracket = Noise.of_sensor(sensor, [0.002, 0.02, 0.04])
+    bracket = Noise.of_sensor(made(SensorOptions, sensor), [0.002, 0.02, 0.04])
     assert bracket.shot_variance == pytest.approx(1 / 50000) and bracket.saturation_response == pytest.approx(16.0)

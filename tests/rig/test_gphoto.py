@@ -8,11 +8,13 @@ from dataclasses import replace
 
 import pytest
 import simulated_gphoto2
+from made import made
 from simulated_gphoto2 import MODEL, Bench, CameraStorageInformation, fault, make_module
 from test_camera_contract import DRIVER, RAW, shot
 
 from irodori.capture.camera.gphoto_camera import GphotoCamera
 from irodori.capture.rig.devices import CommandError, DeadlineError, DeviceError, LinkError
+from irodori.config.models import CameraDriver
 
 ARRIVES_S = 1.5
 FILE = (ARRIVES_S, "capt{}.cr2", RAW)
@@ -26,7 +28,7 @@ def bench(monkeypatch):
 
 
 def opened(bench, **changes) -> GphotoCamera:
-    return GphotoCamera({**DRIVER, **changes}, sleep=bench.clock.sleep, now=bench.clock.now)
+    return GphotoCamera(made(CameraDriver, {**DRIVER, **changes}), sleep=bench.clock.sleep, now=bench.clock.now)
 
 
 def busy(times: int) -> list:
@@ -340,7 +342,7 @@ def test_of_two_equal_cameras_the_port_names_one(bench, tmp_path):
 def test_without_python_gphoto2_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "gphoto2", None)
     with pytest.raises(DeviceError, match=r"pip install -r requirements-rig\.txt"):
-        GphotoCamera(DRIVER)
+        GphotoCamera(made(CameraDriver, DRIVER))
 
 
 # ---- what the camera says of itself

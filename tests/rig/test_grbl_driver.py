@@ -1,6 +1,7 @@
 """The Grbl driver against a controller that is set up in some way of its own."""
 
 import pytest
+from made import made
 from motion_rigs import TIMEOUT_S, at_port, definition, start_simulator
 
 from irodori.capture.rig.connect import grbl_settings, open_rig, true_position_deg
@@ -9,12 +10,13 @@ from irodori.capture.rig.drives import drives_of
 from irodori.capture.rig.grbl.driver import GrblRig
 from irodori.capture.rig.grbl.settings_check import check_settings
 from irodori.capture.rig.serial_link import SerialLink
+from irodori.config.models import Rig
 from irodori.simulation.controllers.grbl_machine import DEFAULTS
 from irodori.simulation.controllers.grbl_simulator import simulate
 from irodori.simulation.controllers.peer_client import run_simulator
 
 RIG = definition("grbl")
-DRIVES = drives_of(RIG)
+DRIVES = drives_of(made(Rig, RIG))
 FITTING = {**DEFAULTS, **grbl_settings(DRIVES, homing=True)}
 
 
@@ -48,7 +50,7 @@ def test_settings_that_contradict_the_rig_s_file_are_refused(number, value, word
 def test_a_controller_that_contradicts_the_rig_s_file_is_refused_before_anything_moves():
     with simulate({**grbl_settings(DRIVES, True), 130: 100.0}) as simulator:
         before = simulator.true_position()
-        with pytest.raises(SettingError, match=r"\$130"), open_rig(at_port(RIG, simulator.port)):
+        with pytest.raises(SettingError, match=r"\$130"), open_rig(made(Rig, at_port(RIG, simulator.port))):
             pass
         assert simulator.true_position() == before
         SerialLink(simulator.port).close()  # the port is free again
@@ -57,7 +59,10 @@ def test_a_controller_that_contradicts_the_rig_s_file_is_refused_before_anything
 def test_axes_slower_than_their_controller_move_at_their_own_speed():
     settings = grbl_settings(DRIVES, True)
     fast = {key: value * 4 if key in (110, 111) else value for key, value in settings.items()}
-    with simulate(fast, time_scale=10.0) as simulator, open_rig(at_port(RIG, simulator.port)) as rig:
+    with (
+        simulate(fast, time_scale=10.0) as simulator,
+        open_rig(made(Rig, at_port(RIG, simulator.port))) as rig,
+    ):
         rig.home()
         rig.move({"camera_deg": 0.0, "turn_deg": 0.0})
         sent = []
@@ -78,7 +83,7 @@ def test_axes_slower_than_their_controller_move_at_their_own_speed():
 @pytest.mark.parametrize("flow", ["send-response", "character-counting"])
 def test_a_long_path_runs_through_all_its_places(flow):
     rig = definition("grbl", flow)
-    with start_simulator(rig) as simulator, open_rig(at_port(rig, simulator.port)) as opened:
+    with start_simulator(made(Rig, rig)) as simulator, open_rig(made(Rig, at_port(rig, simulator.port))) as opened:
         opened.simulator = simulator
         opened.home()
         simulator.forget()
@@ -95,7 +100,7 @@ def test_a_rig_without_switches_counts_from_where_it_was_switched_on():
     rig["motion"]["homing"] = False
     for axis in rig["motion"]["axes"].values():
         axis["zero_deg"] = 0.0
-    with start_simulator(rig) as simulator, open_rig(at_port(rig, simulator.port)) as opened:
+    with start_simulator(made(Rig, rig)) as simulator, open_rig(made(Rig, at_port(rig, simulator.port))) as opened:
         opened.simulator = simulator
         assert opened.status().homed
         with pytest.raises(CommandError, match="no limit switches"):
@@ -110,7 +115,7 @@ def test_a_rig_without_switches_counts_from_where_it_was_switched_on():
 
 
 def test_the_operator_s_word_unlocks():
-    with start_simulator(RIG) as simulator, open_rig(at_port(RIG, simulator.port)) as rig:
+    with start_simulator(made(Rig, RIG)) as simulator, open_rig(made(Rig, at_port(RIG, simulator.port))) as rig:
         assert rig.status().state == "alarm"
         rig.unlock()
         assert rig.status().homed and rig.status().state == "idle"
@@ -120,7 +125,7 @@ def test_switches_that_do_not_repeat_shift_the_true_position_and_not_the_reporte
     rig = definition("grbl")
     rig["motion"]["simulator"]["homing_rms_units"] = 0.05
     errors = []
-    with open_rig(rig) as opened:
+    with open_rig(made(Rig, rig)) as opened:
         for _ in range(5):
             opened.home()
             opened.move({"camera_deg": 10.0})
@@ -130,16 +135,16 @@ def test_switches_that_do_not_repeat_shift_the_true_position_and_not_the_reporte
 
 
 def test_only_a_simulated_rig_knows_where_it_truly_stands():
-    with start_simulator(RIG) as simulator, open_rig(at_port(RIG, simulator.port)) as rig:
+    with start_simulator(made(Rig, RIG)) as simulator, open_rig(made(Rig, at_port(RIG, simulator.port))) as rig:
         assert rig.simulator is None
         with pytest.raises(ValueError, match="only a simulated rig"):
             true_position_deg(rig)
 
 
 def test_something_else_on_the_port_is_not_taken_for_grbl():
-    with start_simulator(definition("ascii")) as simulator:
+    with start_simulator(made(Rig, definition("ascii"))) as simulator:
         there = at_port(RIG, simulator.port)
-        with pytest.raises((DeadlineError, LinkError)), open_rig(there):
+        with pytest.raises((DeadlineError, LinkError)), open_rig(made(Rig, there)):
             pass
 
 
@@ -186,6 +191,6 @@ def test_the_driver_s_constructor_leaves_the_line_to_its_owner():
 def test_a_rig_without_motion_has_nothing_to_open():
     with (
         pytest.raises(SettingError, match="no block motion"),
-        open_rig({k: v for k, v in RIG.items() if k != "motion"}),
+        open_rig(made(Rig, {k: v for k, v in RIG.items() if k != "motion"})),
     ):
         pass

@@ -8,10 +8,21 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 from shortcuts import ball
 
 from irodori.config.capture_table import Pose
 from irodori.config.definitions import load_definitions, read_yaml
+from irodori.config.models import (
+    BodyShape,
+    Camera,
+    Object,
+    ObjectShape,
+    Optics,
+    Rig,
+    RigPose,
+)
+from irodori.config.parts import PhotographedObject, RigGeometry, TexturedObject
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.fitting.solvers import FitOptions
@@ -80,14 +91,16 @@ def superpixels(mosaic):
 
 def photographed(tmp_path, definition, camera, rig, poses):
     """Linear files of the poses: the virtual rig's pictures over the surface through its white, as ingestion does."""
-    weights = band_weights(camera, spectrum(rig["light"]["spectrum"]))[:3]
+    weights = band_weights(made(Camera, camera), spectrum(rig["light"]["spectrum"]))[:3]
     place = Pose(**camera["poses"]["white"])
-    white = superpixels(white_mosaic(camera, rig, place, STRAIGHT, weights))
+    white = superpixels(white_mosaic(made(Camera, camera), made(Rig, rig), place, STRAIGHT, weights))
     level = camera["white"]["reflectance_factor"] * math.cos(math.radians(place.light_deg - place.tilt_deg))
     flat = evaluate_flat(fit_flat(white, np.ones(white.shape[:2], dtype=bool)), *white.shape[:2]) / level
-    sample, files = Sample.from_definition(definition), []
+    sample, files = Sample.from_definition(made(Object | PhotographedObject, definition)), []
     for pose in poses:
-        response = superpixels(object_mosaic(sample, camera, rig, pose, STRAIGHT, weights)) / flat
+        response = (
+            superpixels(object_mosaic(sample, made(Camera, camera), made(Rig, rig), pose, STRAIGHT, weights)) / flat
+        )
         files.append(tmp_path / f"{pose.name}.h5")
         with store.create(files[-1], PROVENANCE) as out:
             out.write("response", response.astype("f4"), units="1", dims="row,column,band", quantity="response")
@@ -104,7 +117,9 @@ def photographed(tmp_path, definition, camera, rig, poses):
 def fitted(tmp_path, definitions, definition, files, setup):
     """Rectify and fit; return α, β, μ and where texels have observations enough."""
     rows = (0, definition["texels"]["height"])
-    rectify_object(files, definition, setup, rows, 75.0, tmp_path / "tile.h5", PROVENANCE)
+    rectify_object(
+        files, made(Object | TexturedObject, definition), setup, rows, 75.0, tmp_path / "tile.h5", PROVENANCE
+    )
     fit_brdf(tmp_path / "tile.h5", tmp_path / "brdf.h5", FitOptions(**definitions["fit"]), 1.5, 0.0, PROVENANCE)
     with store.open_file(tmp_path / "tile.h5") as file:
         enough = (file.read("weight") > 0).sum(axis=1) >= 6
@@ -119,9 +134,9 @@ def fitted(tmp_path, definitions, definition, files, setup):
 def errors(tmp_path, definitions, definition, camera, rig, poses, assumed):
     """Return 95th percentiles of the relative errors of α, β and μ, the rectification believing in ``assumed``."""
     files = photographed(tmp_path, definition, camera, rig, poses)
-    setup = RigSetup.from_definitions(camera, assumed)
+    setup = RigSetup.from_definitions(made(Optics, camera), made(RigGeometry, assumed))
     alpha, beta, mu, enough = fitted(tmp_path, definitions, definition, files, setup)
-    truth = true_material(definition, camera, rig)
+    truth = true_material(made(Object, definition), made(Camera, camera), made(Rig, rig))
     material = definition["virtual"]["materials"][0]
     assert enough.mean() > 0.15
     exact = (truth.alpha.ravel()[0], material["beta"], material["mu_rad"])
@@ -160,10 +175,15 @@ def test_a_mesh_under_a_near_lamp_is_recovered_like_the_sphere(tmp_path, definit
 def test_the_virtual_camera_photographs_a_sphere_of_triangles_as_the_sphere(tmp_path, definitions):
     camera, rig = small(definitions, distance_mm=None)
     write_obj(tmp_path / "ball.obj", *ball(28.0, 64, 128), digits=9)
-    weights = band_weights(camera, spectrum("A"))[:3]
+    weights = band_weights(made(Camera, camera), spectrum("A"))[:3]
     pictures = [
         object_mosaic(
-            Sample.from_definition(uniform(definitions, shape)), camera, rig, Pose(60.0, 20.0), STRAIGHT, weights
+            Sample.from_definition(made(Object | PhotographedObject, uniform(definitions, shape))),
+            made(Camera, camera),
+            made(Rig, rig),
+            Pose(60.0, 20.0),
+            STRAIGHT,
+            weights,
         )
         for shape in (SPHERE, {"kind": "mesh", "file": str(tmp_path / "ball.obj"), "unit": "mm"})
     ]
@@ -196,8 +216,8 @@ def test_a_distortion_left_out_moves_the_pattern(tmp_path, definitions):
     files = photographed(tmp_path, definition, camera, rig, [Pose(45.0, 0.0)])
     straight = copy.deepcopy(camera)
     del straight["optics"]["distortion"]
-    truth = true_material(definition, camera, rig).alpha
-    index = Sample.from_definition(definition).material_index(72, 56)
+    truth = true_material(made(Object, definition), made(Camera, camera), made(Rig, rig)).alpha
+    index = Sample.from_definition(made(Object | PhotographedObject, definition)).material_index(72, 56)
     inner = np.zeros_like(index, dtype=bool)
     inner[2:-2, 2:-2] = np.all(
         [index[2 + a : 54 + a, 2 + b : 70 + b] == index[2:-2, 2:-2] for a in (-2, 2, 0) for b in (-2, 2, 0)], axis=0
@@ -205,7 +225,13 @@ def test_a_distortion_left_out_moves_the_pattern(tmp_path, definitions):
     worst = []
     for known in (camera, straight):
         rectify_object(
-            files, definition, RigSetup.from_definitions(known, rig), (0, 56), 80.0, tmp_path / "t.h5", PROVENANCE
+            files,
+            made(Object | TexturedObject, definition),
+            RigSetup.from_definitions(made(Optics, known), made(RigGeometry, rig)),
+            (0, 56),
+            80.0,
+            tmp_path / "t.h5",
+            PROVENANCE,
         )
         with store.open_file(tmp_path / "t.h5") as file:
             diffuse = file.read("response")[:, 0, 1] / np.cos(math.radians(45.0))
@@ -235,7 +261,7 @@ def test_a_lamp_very_far_away_is_a_far_light(definitions):
     near, far = Lamp(1e9).seen_from(points, pose), Lamp().seen_from(points, pose)
     assert np.abs(near[0] - far[0]).max() < 1e-7 and np.abs(near[1] - far[1]).max() < 1e-6
     assert np.isinf(far[2]).all() and (far[0] == to_light(pose)).all()
-    pinhole = Pinhole.from_optics(small(definitions)[0]["optics"])
+    pinhole = Pinhole.from_optics(made(Optics, small(definitions)[0]["optics"]))
     xy = np.random.default_rng(2).uniform(0, 150, (100, 2))
     assert Lamp(1e9).on_white(xy, pinhole, 900.0, Pose(45.0, 0.0)) == pytest.approx(np.ones(100), abs=1e-6)
     assert (Lamp().on_white(xy, pinhole, 900.0, Pose(45.0, 0.0)) == 1.0).all()
@@ -244,10 +270,13 @@ def test_a_lamp_very_far_away_is_a_far_light(definitions):
 def test_a_perfect_diffuser_in_the_whites_place_has_the_cosine_of_its_own_incidence(definitions):
     # The white's fall-off divided once is the texel's own there: what is left is the cosine.
     camera, rig = small(definitions)
-    setup, pose = RigSetup.from_definitions(camera, rig), Pose(**camera["poses"]["white"])
+    setup, pose = (
+        RigSetup.from_definitions(made(Optics, camera), made(RigGeometry, rig)),
+        Pose(**camera["poses"]["white"]),
+    )
     position = np.random.default_rng(3).uniform(-40, 40, (200, 3)) * [1, 1, 0]
     normal = np.tile([0.0, 0.0, 1.0], (200, 1))
-    shape = Shape.from_definition(PLATE)
+    shape = Shape.from_definition(made(ObjectShape | BodyShape, PLATE))
     sight = observe(position, normal, Tracer([Placement(shape, rig_from_object(pose))]), pose, setup)
     assert np.ptp(sight.geometry[:, 0]) > math.radians(3.0)
     file_says = math.cos(math.radians(pose.light_deg))  # a picture of the white over the surface through it
@@ -259,31 +288,54 @@ def test_nothing_behind_a_near_lamp_casts_a_shadow(definitions):
     camera, rig = small(definitions, distance_mm=100.0)
     pose = Pose(45.0, 0.0)
     beyond = Placement(
-        Shape.from_definition({"kind": "sphere", "radius_mm": 20.0}), translation_mm=150 * to_light(pose)
+        Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "sphere", "radius_mm": 20.0})),
+        translation_mm=150 * to_light(pose),
     )
-    tracer = Tracer([Placement(Shape.from_definition(PLATE)), beyond])
+    tracer = Tracer(
+        [
+            Placement(Shape.from_definition(made(ObjectShape | BodyShape, PLATE))),
+            beyond,
+        ]
+    )
     point, normal = np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]])
-    assert observe(point, normal, tracer, pose, RigSetup.from_definitions(camera, rig)).lit[0]
+    assert observe(
+        point, normal, tracer, pose, RigSetup.from_definitions(made(Optics, camera), made(RigGeometry, rig))
+    ).lit[0]
     del rig["light"]["distance_mm"]
-    assert not observe(point, normal, tracer, pose, RigSetup.from_definitions(camera, rig)).lit[0]
+    assert not observe(
+        point, normal, tracer, pose, RigSetup.from_definitions(made(Optics, camera), made(RigGeometry, rig))
+    ).lit[0]
 
 
 def test_a_near_lamp_without_a_white_reference_is_refused(definitions):
     camera, rig = small(definitions)
     with pytest.raises(InputError, match=r"poses\.white.*near"):
-        RigSetup.from_definitions({"optics": camera["optics"]}, rig)
-    assert RigSetup.from_definitions({"optics": camera["optics"]}, rig, camera["poses"]["white"]).white_pose is not None
+        RigSetup.from_definitions(made(Optics, {"optics": camera["optics"]}), made(RigGeometry, rig))
+    assert (
+        RigSetup.from_definitions(
+            made(Optics, {"optics": camera["optics"]}), made(RigGeometry, rig), made(RigPose, camera["poses"]["white"])
+        ).white_pose
+        is not None
+    )
 
 
 def test_a_lamp_inside_the_object_is_refused(tmp_path, definitions):
     camera, rig = small(definitions, distance_mm=20.0)
-    setup = RigSetup.from_definitions(camera, rig)
+    setup = RigSetup.from_definitions(made(Optics, camera), made(RigGeometry, rig))
     with pytest.raises(InputError, match=r"light\.distance_mm.*20 mm, within the reach of the object, 28 mm"):
-        rectify_object([], uniform(definitions, SPHERE), setup, (0, 1), 80.0, tmp_path / "t.h5", PROVENANCE)
+        rectify_object(
+            [],
+            made(Object | TexturedObject, uniform(definitions, SPHERE)),
+            setup,
+            (0, 1),
+            80.0,
+            tmp_path / "t.h5",
+            PROVENANCE,
+        )
 
 
 def test_a_white_that_does_not_fill_the_picture_is_refused(definitions):
     camera, _ = small(definitions)
-    pinhole = Pinhole.from_optics(camera["optics"])
+    pinhole = Pinhole.from_optics(made(Optics, camera["optics"]))
     with pytest.raises(InputError, match="do not see lit"):
         Lamp(300.0).on_white(np.array([[0.0, 0.0], [400.0, 0.0], [200.0, 150.0]]), pinhole, 900.0, Pose(45.0, 89.0))

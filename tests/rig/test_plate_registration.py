@@ -6,11 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made import made
 from shortcuts import moving_from_fixed
 
 from benchmarks.plate_pictures import photograph
 from irodori.config.capture_table import Pose
 from irodori.config.definitions import load_definitions, read_yaml
+from irodori.config.models import Camera, Environment, Object, Rig
+from irodori.config.parts import PhotographedObject, SceneRadiance
 from irodori.ingest.registration.similarity import Registration, bayer_offsets_px, register
 from irodori.simulation.virtual_rig.samples import Sample
 from irodori.simulation.virtual_rig.sensor import band_weights
@@ -36,10 +39,10 @@ def ideal_from_seen(plate: Registration, width_px: int, height_px: int) -> np.nd
 def see(definitions, pose: Pose, plate: Registration, state: int) -> np.ndarray:
     """Return the mosaic of white-referenced responses of the tile plate through a filter plate."""
     camera, rig = definitions["cameras"]["d5100-comb"], definitions["rigs"]["virtual"]
-    sample = Sample.from_definition(definitions["objects"]["tile-plate"])
-    weights = band_weights(camera, spectrum("A"))[3 * state : 3 * state + 3]
+    sample = Sample.from_definition(made(Object | PhotographedObject, definitions["objects"]["tile-plate"]))
+    weights = band_weights(made(Camera, camera), spectrum("A"))[3 * state : 3 * state + 3]
     moved = ideal_from_seen(plate, camera["optics"]["width_px"], camera["optics"]["height_px"])
-    image = object_mosaic(sample, camera, rig, pose, moved, weights)
+    image = object_mosaic(sample, made(Camera, camera), made(Rig, rig), pose, moved, weights)
     row, column = np.indices(image.shape, sparse=True)
     return image / weights.sum(axis=1)[row % 2 + column % 2]
 
@@ -55,8 +58,12 @@ def found_error_px(definitions, unfiltered, pose: Pose, plate) -> float:
     dx, dy, rotation_deg, scale = plate
     rng = np.random.default_rng(3)
     truth = Registration(dx, dy, math.radians(rotation_deg), scale, 0.0, 0.0, (199.5, 149.5))
-    fixed, fixed_valid = photograph(unfiltered(pose), 0, rng)
-    moving, moving_valid = photograph(see(definitions, pose, truth, 1), 1, rng)
+    fixed, fixed_valid = photograph(
+        unfiltered(pose), 0, made(Object | PhotographedObject | Environment | SceneRadiance, rng)
+    )
+    moving, moving_valid = photograph(
+        see(definitions, pose, truth, 1), 1, made(Object | PhotographedObject | Environment | SceneRadiance, rng)
+    )
     found = register(fixed, moving, fixed_valid, moving_valid, band_offsets_px=bayer_offsets_px("RGGB"))
     row, column = np.nonzero(fixed.sum(axis=-1) > 0.02)
     place = np.stack([column, row], axis=-1)

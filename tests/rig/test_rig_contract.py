@@ -7,10 +7,12 @@ import sys
 import time
 
 import pytest
+from made import made
 from motion_rigs import at_port, definition, start_simulator
 
 from irodori.capture.rig.connect import open_rig, true_position_deg
 from irodori.capture.rig.devices import AlarmError, Axis, CommandError, HeldError, LimitError, LinkError, Rig, RigStatus
+from irodori.config.models import Rig as RigDefinition
 
 PEERS = {
     "grbl-send-response": ("grbl", "send-response"),
@@ -24,7 +26,7 @@ STATES = {"idle", "run", "hold", "home", "jog", "door", "check", "sleep", "alarm
 def peer(request):
     """Return (definition at the simulator's port, simulator)."""
     rig = definition(*PEERS[request.param])
-    with start_simulator(rig) as simulator:
+    with start_simulator(made(RigDefinition, rig)) as simulator:
         yield at_port(rig, simulator.port), simulator
 
 
@@ -34,7 +36,7 @@ def opened(peer):
     rig, simulator = peer
     simulator.clear()
     simulator.power()
-    with open_rig(rig) as opened:
+    with open_rig(made(Rig, rig)) as opened:
         opened.simulator = simulator
         opened.home()
         yield opened
@@ -108,7 +110,7 @@ def test_its_status_is_one_of_the_states(opened):
 def test_a_rig_that_was_not_homed_refuses_to_move(peer):
     rig, simulator = peer
     simulator.power()
-    with open_rig(rig) as opened:
+    with open_rig(made(Rig, rig)) as opened:
         assert not opened.status().homed
         before = simulator.true_position()
         with pytest.raises(AlarmError, match="home"):
@@ -252,7 +254,7 @@ def test_opening_a_held_rig_gives_up_its_move(peer, opened):
         opened.move({"camera_deg": 140.0})
     assert simulator.snapshot()["state"].lower() == "hold"
     held = simulator.true_position()
-    with open_rig(rig) as again:
+    with open_rig(made(Rig, rig)) as again:
         assert again.status().state == "idle"
         with pytest.raises(CommandError, match="not held"):
             again.resume()
@@ -264,7 +266,7 @@ def test_opening_a_held_rig_gives_up_its_move(peer, opened):
 
 def test_stop_and_close_may_be_repeated_and_never_raise(peer):
     rig, _ = peer
-    with open_rig(rig) as opened:
+    with open_rig(made(Rig, rig)) as opened:
         opened.stop()
         opened.stop()
         opened.close()
@@ -272,15 +274,15 @@ def test_stop_and_close_may_be_repeated_and_never_raise(peer):
         opened.stop()
         with pytest.raises(LinkError):
             opened.status()
-    with open_rig(rig) as opened:
+    with open_rig(made(Rig, rig)) as opened:
         opened.status()
 
 
 @pytest.mark.stability(stage="capture", case="port in use")
 def test_a_port_in_use_is_refused_by_name_in_this_process_and_in_another(peer):
     rig, simulator = peer
-    with open_rig(rig):
-        with pytest.raises(LinkError, match=f"{simulator.port}: in use"), open_rig(rig):
+    with open_rig(made(Rig, rig)):
+        with pytest.raises(LinkError, match=f"{simulator.port}: in use"), open_rig(made(Rig, rig)):
             pass
         code = (
             "import sys\nfrom irodori.capture.rig.serial_link import SerialLink\n"
@@ -291,7 +293,7 @@ def test_a_port_in_use_is_refused_by_name_in_this_process_and_in_another(peer):
             [sys.executable, "-c", code, simulator.port], capture_output=True, text=True, timeout=60, check=True
         )
         assert f"{simulator.port}: in use" in run.stdout
-    with open_rig(rig):
+    with open_rig(made(Rig, rig)):
         pass
 
 
@@ -329,7 +331,10 @@ def _alive(pid: int) -> bool:
 def test_a_described_controller_without_a_resume_says_whose_the_hold_is():
     rig = definition("ascii")
     del rig["motion"]["ascii"]["resume"]
-    with start_simulator(rig) as simulator, open_rig(at_port(rig, simulator.port)) as opened:
+    with (
+        start_simulator(made(RigDefinition, rig)) as simulator,
+        open_rig(made(RigDefinition, at_port(rig, simulator.port))) as opened,
+    ):
         opened.home()
         with pytest.raises(CommandError, match=r"no motion\.ascii\.resume"):
             opened.resume()

@@ -6,12 +6,14 @@ import time
 from pathlib import Path
 
 import pytest
+from made import made
 from motion_rigs import TIMEOUT_S, at_port, definition, failure, start_simulator, wait_until_still
 
 from irodori.capture.rig.connect import open_rig, true_position_deg
 from irodori.capture.rig.devices import AlarmError, CommandError, DeadlineError, HeldError, LimitError, LinkError
 from irodori.capture.rig.drives import drives_of
 from irodori.capture.rig.grbl.settings_check import homing_s
+from irodori.config.models import Rig
 
 PEERS = {
     "grbl": ("grbl", "send-response"),
@@ -62,7 +64,7 @@ def budget_s(rig, name: str) -> float:
 
 def check_inside(rig: dict, seen: dict, homing: bool) -> None:
     """Fail where an axis was beyond its limits; homing alone may go up to the switch, at 0, behind them."""
-    for drive in drives_of(rig).values():
+    for drive in drives_of(made(Rig, rig)).values():
         name, (low, high) = drive.channel, drive.reach
         # The described controller stands at the switch after homing, Grbl has pulled off to the end of the reach.
         end = 0.0 if homing or rig["motion"]["protocol"] == "ascii" else high
@@ -72,7 +74,7 @@ def check_inside(rig: dict, seen: dict, homing: bool) -> None:
 @pytest.fixture(scope="module", params=["grbl", "ascii"])
 def peer(request):
     rig = definition(*PEERS[request.param])
-    with start_simulator(rig) as simulator:
+    with start_simulator(made(Rig, rig)) as simulator:
         yield at_port(rig, simulator.port), simulator
 
 
@@ -97,7 +99,7 @@ def test_a_fault_in_a_command_ends_in_time_and_leaves_the_rig_still(peer, fault,
         pytest.skip("only Grbl has settings to read")
     simulator.clear()
     simulator.power()
-    with open_rig(rig) as opened:
+    with open_rig(made(Rig, rig)) as opened:
         opened.home()
         opened.move({"camera_deg": 20.0, "turn_deg": 60.0})
         simulator.forget()
@@ -137,12 +139,15 @@ def again(rig: dict, simulator) -> None:
     end = time.monotonic() + 5.0
     while error := failure(lambda: use(rig)):
         assert isinstance(error, LinkError) and time.monotonic() < end, error
-    here = {name: drive.to_deg(simulator.true_position()[drive.channel]) for name, drive in drives_of(rig).items()}
+    here = {
+        name: drive.to_deg(simulator.true_position()[drive.channel])
+        for name, drive in drives_of(made(Rig, rig)).items()
+    }
     assert here["camera_deg"] == pytest.approx(45.0, abs=0.005)
 
 
 def use(rig: dict) -> None:
-    with open_rig(rig) as opened:
+    with open_rig(made(Rig, rig)) as opened:
         opened.home()
         opened.move({"camera_deg": 45.0})
 
@@ -159,7 +164,7 @@ def test_random_commands_with_random_faults(batch, record_property):
     rig = definition(*list(PEERS.values())[batch % len(PEERS)], seed=batch)
     outcomes: collections.Counter = collections.Counter()
     worst = 0.0
-    with start_simulator(rig) as simulator:
+    with start_simulator(made(Rig, rig)) as simulator:
         there = at_port(rig, simulator.port)
         for _ in range(RUNS // BATCHES):
             worst = max(worst, random_run(rng, there, simulator, outcomes))
@@ -179,7 +184,7 @@ def random_run(rng: random.Random, rig: dict, simulator, outcomes: collections.C
     while not Path(simulator.port).exists():  # a line that hung up comes back a moment later
         assert time.monotonic() < end
         time.sleep(0.01)
-    with open_rig(rig) as opened:
+    with open_rig(made(Rig, rig)) as opened:
         opened.home()
         homed = True
         simulator.forget()

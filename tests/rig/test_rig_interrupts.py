@@ -7,11 +7,13 @@ import sys
 import time
 
 import pytest
+from made import made
 from motion_rigs import at_port, definition, start_simulator, wait_until_still
 
 from irodori.capture.rig.connect import open_rig
 from irodori.capture.rig.devices import AlarmError, DeviceError
 from irodori.capture.rig.drives import drives_of
+from irodori.config.models import Rig
 
 #: The rig of the program: it is slow, so that a signal meets it in mid-move. Its whole reach takes 3.5 s.
 TIME_SCALE = 0.1
@@ -32,7 +34,7 @@ with open_rig(at_port(rig, sys.argv[2])) as rig:
 @pytest.fixture(params=["grbl", "ascii"])
 def peer(request):
     """Return (protocol, simulator)."""
-    with start_simulator(definition(request.param)) as simulator:
+    with start_simulator(made(Rig, definition(request.param))) as simulator:
         yield request.param, simulator
 
 
@@ -50,7 +52,7 @@ def test_an_exception_from_a_signal_handler_stops_the_rig(peer):
 
     before = signal.signal(signal.SIGALRM, interrupt)
     try:
-        with open_rig(rig) as opened:
+        with open_rig(made(Rig, rig)) as opened:
             opened.home()
             opened.move({"camera_deg": 0.0})
             simulator.pace(TIME_SCALE)
@@ -78,7 +80,7 @@ def test_a_signal_in_mid_move(peer, kill):
     """
     protocol, simulator = peer
     rig = at_port(definition(protocol), simulator.port)
-    with open_rig(rig) as opened:
+    with open_rig(made(Rig, rig)) as opened:
         opened.home()
         opened.move({"camera_deg": 0.0})
     simulator.pace(TIME_SCALE)
@@ -98,31 +100,31 @@ def test_a_signal_in_mid_move(peer, kill):
             assert not seen["moving"] and seen["state"].lower() == "idle"
     simulator.pace(10.0)
     still = wait_until_still(simulator)
-    camera = drives_of(rig)["camera_deg"]
+    camera = drives_of(made(Rig, rig))["camera_deg"]
     angle = camera.to_deg(still["position"][camera.channel])
     if kill == signal.SIGINT:
         assert still["position"] == seen["position"] and 1.0 < angle < 139.0
     else:
         assert angle == pytest.approx(140.0, abs=0.005)
-    with open_rig(rig) as opened:
+    with open_rig(made(Rig, rig)) as opened:
         opened.home()
         opened.move({"camera_deg": 45.0})
 
 
 def test_a_rig_that_still_moves_is_brought_to_rest_when_it_is_opened():
     rig = definition("grbl")
-    with start_simulator(rig) as simulator:
+    with start_simulator(made(Rig, rig)) as simulator:
         there = at_port(rig, simulator.port)
-        with open_rig(there) as opened:
+        with open_rig(made(Rig, there)) as opened:
             opened.home()
             opened.move({"camera_deg": 0.0})
         simulator.pace(TIME_SCALE)
-        with open_rig(there) as opened:
+        with open_rig(made(Rig, there)) as opened:
             opened._talk.link.write(b"G21G90G53G0X-140.000\n")
             time.sleep(0.2)
             assert simulator.snapshot()["moving"]
             opened.close()
-        with open_rig(there) as opened:
+        with open_rig(made(Rig, there)) as opened:
             status = opened.status()
             assert status.state == "idle" and status.homed, "a hold with a ramp costs no position"
             assert not simulator.snapshot()["moving"]
@@ -131,7 +133,7 @@ def test_a_rig_that_still_moves_is_brought_to_rest_when_it_is_opened():
 
 def test_what_happens_behind_the_driver_s_back_is_noticed():
     rig = definition("grbl")
-    with start_simulator(rig) as simulator, open_rig(at_port(rig, simulator.port)) as opened:
+    with start_simulator(made(Rig, rig)) as simulator, open_rig(made(Rig, at_port(rig, simulator.port))) as opened:
         opened.home()
         simulator.power()
         status = opened.status()

@@ -7,7 +7,9 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from made import made
 
+from irodori.config.models import Camera, CombFilter
 from irodori.core import store
 from irodori.simulation.virtual_rig.dng_writer import write_dng
 from irodori.simulation.virtual_rig.sensor import Sensor, band_weights, comb_transmittance
@@ -87,13 +89,15 @@ def test_the_same_seed_gives_the_same_frame():
 
 
 def test_comb_transmits_its_peaks_and_half_of_them_at_the_edges():
-    comb = comb_transmittance(CAMERA["virtual"]["comb_filter"])
+    comb = comb_transmittance(made(CombFilter, CAMERA["virtual"]["comb_filter"]))
     floor = CAMERA["virtual"]["comb_filter"]["floor"]
     assert ((comb >= 0) & (comb <= 1)).all()
     for band in CAMERA["virtual"]["comb_filter"]["passbands"]:
         at = np.interp(band["centre_nm"], WAVELENGTH_NM, comb)
         assert at == pytest.approx(band["peak"] + floor, abs=0.01)
-    edge = comb_transmittance({"passbands": [{"centre_nm": 550, "width_nm": 40, "peak": 0.8}], "floor": 0.0})
+    edge = comb_transmittance(
+        made(CombFilter, {"passbands": [{"centre_nm": 550, "width_nm": 40, "peak": 0.8}], "floor": 0.0})
+    )
     assert edge[WAVELENGTH_NM == 530] == pytest.approx(0.4) and edge[WAVELENGTH_NM == 570] == pytest.approx(0.4)
 
 
@@ -107,16 +111,16 @@ def test_comb_transmits_its_peaks_and_half_of_them_at_the_edges():
     floor=st.floats(0, 1),
 )
 def test_no_comb_makes_light(passbands, floor):
-    comb = comb_transmittance({"passbands": passbands, "floor": floor})
+    comb = comb_transmittance(made(CombFilter, {"passbands": passbands, "floor": floor}))
     assert comb.shape == (61,) and ((comb >= 0) & (comb <= 1)).all()
 
 
 def test_band_weights_integrate_equation_one():
     light = spectrum("A")
-    weights = band_weights(CAMERA, light)
+    weights = band_weights(made(Camera, CAMERA), light)
     surface = spectrum("TCS20")
     sensitivities = camera_sensitivities(CAMERA["virtual"]["sensitivities"])
-    comb = comb_transmittance(CAMERA["virtual"]["comb_filter"])
+    comb = comb_transmittance(made(CombFilter, CAMERA["virtual"]["comb_filter"]))
     integrals = [
         np.trapezoid(light * surface * r * t, WAVELENGTH_NM) for t in (np.ones(61), comb) for r in sensitivities
     ]

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from made import made
 from sessions import (
     MADE,
     ROOT,
@@ -34,6 +35,8 @@ from irodori.capture.session import Session, take_stock
 from irodori.capture.shot_list import object_shots
 from irodori.capture.stage import Target, capture_camera, capture_environment, capture_object, photograph
 from irodori.config.capture_table import Pose, Shot
+from irodori.config.models import Camera, Environment, Object, Rig
+from irodori.config.parts import PhotographedObject, SceneRadiance
 from irodori.core.errors import InputError
 
 # ---- what a session leaves
@@ -62,7 +65,7 @@ def test_a_session_photographs_all_and_a_second_one_nothing(tmp_path, monkeypatc
 
 def test_a_camera_and_an_environment_are_photographed_too(tmp_path):
     _, camera, rig = definitions()
-    aim = Target("small", camera, rig, "virtual", tmp_path / "camera/captures.csv")
+    aim = Target("small", made(Camera, camera), made(Rig, rig), "virtual", tmp_path / "camera/captures.csv")
     capture_camera(aim, tmp_path / "camera/session.json", MADE)
     record = json.loads((tmp_path / "camera/session.json").read_text())
     # The cap goes on once, and the white reference and the chart are put in place with each filter state.
@@ -70,16 +73,16 @@ def test_a_camera_and_an_environment_are_photographed_too(tmp_path):
     room = yaml.safe_load((ROOT / "config/environments/classroom.yaml").read_text()) | {
         "image": {"width": 60, "height": 30}
     }
-    aim = Target("room", camera, rig, table=tmp_path / "room/captures.csv")
-    capture_environment(room, aim, tmp_path / "room/session.json", MADE)
+    aim = Target("room", made(Camera, camera), made(Rig, rig), table=tmp_path / "room/captures.csv")
+    capture_environment(made(Environment, room), aim, tmp_path / "room/session.json", MADE)
     assert json.loads((tmp_path / "room/session.json").read_text())["session"]["taken"] == 4
 
 
 def test_a_virtual_session_of_another_definition_begins_anew(tmp_path):
     definition, aim = target(tmp_path)
-    capture_object(definition, aim, tmp_path / "session.json", MADE)
+    capture_object(made(Object | PhotographedObject, definition), aim, tmp_path / "session.json", MADE)
     other = stage.Provenance("test", "another", "code")
-    capture_object(definition, aim, tmp_path / "session.json", other)
+    capture_object(made(Object | PhotographedObject, definition), aim, tmp_path / "session.json", other)
     assert json.loads((tmp_path / "session.json").read_text())["session"]["taken"] == 8
 
 
@@ -117,7 +120,7 @@ def test_an_exposure_that_the_camera_rounds_is_taken_for_the_one_asked_for(tmp_p
 
 @pytest.fixture
 def rig():
-    with open_rig(definitions(motion=True)[2]) as opened:
+    with open_rig(made(Rig, definitions(motion=True)[2])) as opened:
         opened.home()
         yield opened
 
@@ -136,7 +139,7 @@ def stands_still(rig, seconds: float = 0.4) -> dict[str, float]:
 @pytest.mark.parametrize("fault", [DeviceError("the battery is empty"), KeyboardInterrupt(), RuntimeError("a bug")])
 def test_whatever_breaks_a_session_off_leaves_the_rig_stopped_and_the_photographs_in_place(tmp_path, fault):
     planned = [Shot(f"{i}.dng", "object", Pose(45.0, 20.0 * i), "out", 0.02) for i in range(4)]
-    with pytest.raises(type(fault)), open_rig(definitions(motion=True)[2]) as opened:
+    with pytest.raises(type(fault)), open_rig(made(Rig, definitions(motion=True)[2])) as opened:
         try:
             hold(tmp_path, planned, QuickCamera([None, None, fault]), opened)
         finally:
@@ -157,7 +160,7 @@ def test_a_rig_that_fails_in_mid_move_ends_the_session_and_the_next_one_goes_on(
 
     definition = definitions(motion=True)[2]
     definition["motion"] = {**definition["motion"], "timeout_s": 0.5}
-    with pytest.raises(DeviceError), open_rig(definition) as opened:
+    with pytest.raises(DeviceError), open_rig(made(Rig, definition)) as opened:
         try:
             hold(tmp_path, planned, Faulty(), opened)
         finally:
@@ -166,7 +169,7 @@ def test_a_rig_that_fails_in_mid_move_ends_the_session_and_the_next_one_goes_on(
                 time.sleep(0.02)
             stands_still(opened)
     assert_whole(tmp_path, planned[:2])
-    with open_rig(definition) as opened:
+    with open_rig(made(Rig, definition)) as opened:
         camera = QuickCamera()
         hold(tmp_path, planned, camera, opened)
     assert camera.taken == ["2.dng", "3.dng"]
@@ -175,7 +178,7 @@ def test_a_rig_that_fails_in_mid_move_ends_the_session_and_the_next_one_goes_on(
 
 def test_a_plan_out_of_reach_is_refused_before_anything_moves(tmp_path):
     planned = [*shots(2), Shot("far.dng", "object", Pose(45.0, 150.0), "out", 0.02)]
-    with open_rig(definitions(motion=True)[2]) as opened:
+    with open_rig(made(Rig, definitions(motion=True)[2])) as opened:
         before = true_position_deg(opened)
         camera = QuickCamera()
         with pytest.raises(LimitError, match="camera_deg 150: out of reach"):
@@ -218,8 +221,12 @@ def test_the_person_is_asked_as_often_as_the_estimate_says(tmp_path, motion, kin
         poses=[{"light_deg": [45.0, 60.0], "camera_deg": [0.0, 20.0], "tilt_deg": [0.0, 10.0]}], motion=motion
     )
     rig["operator"] = "prompt"
-    aim = Target("plate", camera, rig)
-    taken = object_shots(definition, camera, ".dng") if kind == "object" else stage.camera_shots(camera, ".dng")
+    aim = Target("plate", made(Camera, camera), made(Rig, rig))
+    taken = (
+        object_shots(made(Object | PhotographedObject, definition), made(Camera, camera), ".dng")
+        if kind == "object"
+        else stage.camera_shots(made(Camera, camera), ".dng")
+    )
     planned = aim.ordered(taken)
     asked = []
 
@@ -233,7 +240,7 @@ def test_the_person_is_asked_as_often_as_the_estimate_says(tmp_path, motion, kin
         return Session(QuickCamera(), Counting(None), journal, rig, tally).run(planned, "test")
 
     if motion:
-        with open_rig(rig) as opened:
+        with open_rig(made(Rig, rig)) as opened:
             tally = hold_on(opened)
     else:
         tally = hold_on(None)
@@ -242,7 +249,7 @@ def test_the_person_is_asked_as_often_as_the_estimate_says(tmp_path, motion, kin
 
 def python(folder: Path, code: str, **how) -> subprocess.Popen:
     """Start a process that runs a session of these tests in a folder."""
-    path = os.pathsep.join([str(ROOT), str(ROOT / "tests/rig")])
+    path = os.pathsep.join([str(ROOT), str(ROOT / "tests"), str(ROOT / "tests/rig")])
     return subprocess.Popen(
         [sys.executable, "-W", "error", "-c", code, str(folder)],
         env={**os.environ, "PYTHONPATH": path}, cwd=folder, text=True, **how,
@@ -251,12 +258,13 @@ def python(folder: Path, code: str, **how) -> subprocess.Popen:
 
 ASKING = """
 import sys
+from dataclasses import replace
 from pathlib import Path
 from sessions import MADE, target
 from irodori.capture.stage import capture_object
 folder = Path(sys.argv[1])
 definition, aim = target(folder, poses=[{"light_deg": [45.0, 60.0], "camera_deg": [0.0]}])
-aim.rig["operator"] = "%s"
+aim = replace(aim, rig=replace(aim.rig, operator="%s"))
 capture_object(definition, aim, folder / "session.json", MADE)
 """
 
@@ -264,8 +272,10 @@ capture_object(definition, aim, folder / "session.json", MADE)
 def expected_steps() -> int:
     definition, camera, rig = definitions(poses=[{"light_deg": [45.0, 60.0], "camera_deg": [0.0]}])
     rig["operator"] = "file"
-    aim = Target("plate", camera, rig)
-    return aim.estimate(aim.ordered(object_shots(definition, camera, ".dng"))).steps
+    aim = Target("plate", made(Camera, camera), made(Rig, rig))
+    return aim.estimate(
+        aim.ordered(object_shots(made(Object | PhotographedObject, definition), made(Camera, camera), ".dng"))
+    ).steps
 
 
 @pytest.mark.heavy
@@ -317,12 +327,15 @@ def test_a_session_asks_on_a_terminal_and_q_stops_it(tmp_path):
 
 INTERRUPTED = """
 import sys, time
+from dataclasses import replace
+from irodori.config.models import SimulatorOptions
 from pathlib import Path
 from sessions import MADE, definitions, target
-from irodori.rig import stage
+from irodori.capture import stage
 folder = Path(sys.argv[1])
 definition, aim = target(folder, motion=True, poses=[{"light_deg": [45.0], "camera_deg": [0.0, 70.0, 140.0]}])
-aim.rig["motion"]["simulator"] = {"time_scale": 8.0, "seed": 0, "homing_rms_units": 0.0}
+slow = SimulatorOptions(time_scale=8.0, seed=0, homing_rms_units=0.0)
+aim = replace(aim, rig=replace(aim.rig, motion=replace(aim.rig.motion, simulator=slow)))
 
 def kept_open(rig):
     opened = real(rig)
@@ -380,7 +393,7 @@ def test_a_session_outside_the_main_thread_leaves_signals_alone(tmp_path):
 
 def test_the_record_appears_only_when_the_session_is_complete(tmp_path, monkeypatch):
     definition, aim = target(tmp_path)
-    planned = object_shots(definition, aim.camera, ".dng")
+    planned = object_shots(made(Object | PhotographedObject, definition), made(Camera, aim.camera), ".dng")
     whole = stage.VirtualCamera.capture
 
     def failing(self, shot, path):
@@ -390,9 +403,23 @@ def test_the_record_appears_only_when_the_session_is_complete(tmp_path, monkeypa
 
     monkeypatch.setattr(stage.VirtualCamera, "capture", failing)
     with pytest.raises(DeviceError, match="stuck"):
-        photograph(planned, aim, definition, tmp_path / "session.json", MADE, "object plate")
+        photograph(
+            planned,
+            aim,
+            made(Object | PhotographedObject | Environment | SceneRadiance, definition),
+            tmp_path / "session.json",
+            MADE,
+            "object plate",
+        )
     assert not (tmp_path / "session.json").exists()
     monkeypatch.undo()
-    photograph(planned, aim, definition, tmp_path / "session.json", MADE, "object plate")
+    photograph(
+        planned,
+        aim,
+        made(Object | PhotographedObject | Environment | SceneRadiance, definition),
+        tmp_path / "session.json",
+        MADE,
+        "object plate",
+    )
     record = json.loads((tmp_path / "session.json").read_text())
     assert (record["session"]["kept"], record["session"]["taken"]) == (5, 3)

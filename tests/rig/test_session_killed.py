@@ -5,9 +5,12 @@ from pathlib import Path
 
 import pytest
 from killable import Killable
+from made import made
 from sessions import assert_whole, capture, contents, target
 
 from irodori.capture.shot_list import object_shots
+from irodori.config.models import Camera, Object
+from irodori.config.parts import PhotographedObject
 
 
 def kill_and_continue(tmp_path: Path, sessions: Killable, kills: int, seed: int) -> set[int]:
@@ -17,7 +20,7 @@ def kill_and_continue(tmp_path: Path, sessions: Killable, kills: int, seed: int)
         whole_s = sessions.run(tmp_path / name)
     expected = contents(tmp_path / "whole")
     definition, aim = target(tmp_path / "whole", sessions.motion)
-    planned = aim.ordered(object_shots(definition, aim.camera, ".dng"))
+    planned = aim.ordered(object_shots(made(Object | PhotographedObject, definition), made(Camera, aim.camera), ".dng"))
     assert_whole(tmp_path / "whole", planned)
     assert contents(tmp_path / "again") == expected
     rng, stood = random.Random(seed), set()

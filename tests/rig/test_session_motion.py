@@ -4,6 +4,7 @@ import time
 from types import SimpleNamespace
 
 import pytest
+from made import made
 from sessions import QuickCamera, assert_whole, definitions, hold
 
 from irodori.capture import session
@@ -13,11 +14,12 @@ from irodori.capture.rig.connect import open_rig
 from irodori.capture.rig.devices import DeviceError
 from irodori.capture.session import Session, take_stock
 from irodori.config.capture_table import Pose, Shot
+from irodori.config.models import Rig
 
 
 @pytest.fixture
 def rig():
-    with open_rig(definitions(motion=True)[2]) as opened:
+    with open_rig(made(Rig, definitions(motion=True)[2])) as opened:
         opened.home()
         yield opened
 

@@ -1,15 +1,18 @@
 """The order of the photographs: fewest steps by hand, then least travel, and what the session will take."""
 
 import itertools
+from collections.abc import Sequence
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 
 from irodori.capture.rig.devices import Axis
 from irodori.capture.setup_steps import hand_settings, motor_targets
 from irodori.capture.shot_order import PHASES, estimate_s, order_shots
 from irodori.config.capture_table import ROLES, Pose, Shot, expand_poses
+from irodori.config.models import PoseGroup
 
 CAMERA = Axis("camera_deg", 0.0, 140.0, 0.1, 10.0, 20.0)
 TURN = Axis("turn_deg", 0.0, 359.5, 0.5, 20.0, 40.0)
@@ -28,7 +31,7 @@ def plan(lights, cameras, tilts=(0.0,), turns=(0.0,), states=("out", "in"), expo
     groups = [{"light_deg": lights, "camera_deg": cameras, "tilt_deg": tilts, "turn_deg": turns}]
     return [
         Shot(f"{role}-{pose.name}-{state}-{exposure:g}", role, pose, state, exposure)
-        for pose in expand_poses(groups)
+        for pose in expand_poses(made(Sequence[PoseGroup], groups))
         for state in states
         for exposure in exposures
     ]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 from plans import PLATE_OBJECT, POSES, RIG, SPHERE_OBJECT, texel
 from shortcuts import information
 
@@ -23,6 +24,8 @@ from irodori.capture.shot_planner.planner import (
     subject_of,
 )
 from irodori.config.capture_table import Pose
+from irodori.config.models import AxisLimit, Fit, Object, Rig, RigLimits
+from irodori.config.parts import PlannedObject
 from irodori.fitting import judge
 from irodori.geometry.rig_frame import to_camera, to_light
 
@@ -123,12 +126,23 @@ def test_a_plan_holds_only_poses_that_the_rig_can_take(light, camera, tilt, coun
     materials = MaterialRange(mu_rad=(0.1, 0.3))
     try:
         plan = plan_best(
-            PLATE_OBJECT, rig, count, manual, clearance_deg=clearance, coarse_deg=coarse, materials=materials
+            made(Object | PlannedObject, PLATE_OBJECT),
+            made(Rig, rig),
+            count,
+            manual,
+            clearance_deg=clearance,
+            coarse_deg=coarse,
+            materials=materials,
         )
     except TooFewPoses:
-        poses = candidate_poses(limits, coarse, clearance)
+        poses = candidate_poses(made(RigLimits, limits), coarse, clearance)
         if poses:
-            told = observe(subject_of(PLATE_OBJECT, rig), poses, materials.spread(40), Noise())
+            told = observe(
+                subject_of(made(Object | PlannedObject, PLATE_OBJECT), made(Rig, rig)),
+                poses,
+                materials.spread(40),
+                Noise(),
+            )
             useful = [
                 (p.light_deg, p.tilt_deg) for p, v in zip(poses, told.variance, strict=True) if np.isfinite(v).any()
             ]
@@ -157,7 +171,7 @@ def test_a_camera_in_the_lights_way_is_no_candidate():
         "turn_deg": {"min": 0.0, "max": 0.0, "step": 1.0},
     }
     coarse = {"light_deg": 1.0, "camera_deg": 1.0, "tilt_deg": 1.0, "turn_deg": 1.0}
-    poses = candidate_poses(limits, coarse, clearance_deg=5.0)
+    poses = candidate_poses(made(RigLimits, limits), coarse, clearance_deg=5.0)
     # The camera stands on the other side, at minus its angle: they coincide where the angles sum to nothing.
     assert {(p.light_deg, p.camera_deg) for p in poses} == {
         (a, c) for a in range(11) for c in range(-10, 11) if abs(a + c) >= 5
@@ -165,14 +179,20 @@ def test_a_camera_in_the_lights_way_is_no_candidate():
 
 
 def test_angles_of_an_axis_stay_on_its_steps_and_reach_no_further_than_asked():
-    np.testing.assert_array_equal(axis_angles({"min": 35.0, "max": 41.0, "step": 0.5}, 2.0), [35, 37, 39, 41])
-    np.testing.assert_array_equal(axis_angles({"min": 0.0, "max": 0.3, "step": 0.1}, 0.1), [0, 0.1, 0.2, 0.3])
-    np.testing.assert_array_equal(axis_angles({"min": 0.0, "max": 20.0, "step": 7.5}, 2.0), [0, 7.5, 15])
-    np.testing.assert_array_equal(axis_angles({"min": 5.0, "max": 5.0, "step": 1.0}, 2.0), [5])
+    np.testing.assert_array_equal(
+        axis_angles(made(AxisLimit, {"min": 35.0, "max": 41.0, "step": 0.5}), 2.0), [35, 37, 39, 41]
+    )
+    np.testing.assert_array_equal(
+        axis_angles(made(AxisLimit, {"min": 0.0, "max": 0.3, "step": 0.1}), 0.1), [0, 0.1, 0.2, 0.3]
+    )
+    np.testing.assert_array_equal(
+        axis_angles(made(AxisLimit, {"min": 0.0, "max": 20.0, "step": 7.5}), 2.0), [0, 7.5, 15]
+    )
+    np.testing.assert_array_equal(axis_angles(made(AxisLimit, {"min": 5.0, "max": 5.0, "step": 1.0}), 2.0), [5])
 
 
 def test_more_poses_and_more_manual_settings_promise_no_worse_design():
-    planner = Planner(PLATE_OBJECT, RIG)
+    planner = Planner(made(Object | PlannedObject, PLATE_OBJECT), made(Rig, RIG))
     errors = {k: planner.best(k).expected for k in (6, 12, 24)}
     for name in ("alpha", "beta", "mu"):
         assert errors[24][name][0] < errors[12][name][0] < errors[6][name][0]
@@ -183,7 +203,9 @@ def test_more_poses_and_more_manual_settings_promise_no_worse_design():
 
 @pytest.mark.heavy
 def test_a_plan_for_a_sphere_turns_the_table_and_determines_more_than_one_side_does():
-    planner = Planner(SPHERE_OBJECT, RIG, materials=MaterialRange(mu_rad=(0.1, 0.3)))
+    planner = Planner(
+        made(Object | PlannedObject, SPHERE_OBJECT), made(Rig, RIG), materials=MaterialRange(mu_rad=(0.1, 0.3))
+    )
     plan = planner.best(16)
     assert len({pose.turn_deg for pose in plan.poses}) > 2
     one_side = [Pose(light, camera) for light in (35.0, 50.0, 80.0) for camera in (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)][
@@ -196,7 +218,7 @@ def test_a_plan_for_a_sphere_turns_the_table_and_determines_more_than_one_side_d
 
 def test_an_object_of_two_lobes_is_planned_with_materials_of_either_and_wants_six_poses():
     definition = PLATE_OBJECT | {"lobes": ["ggx", "gaussian"]}
-    planner = Planner(definition, RIG)
+    planner = Planner(made(Object, definition), made(Rig, RIG))
     (first, of_first), (second, of_second) = planner.sample.of_lobes()
     assert (first, second) == ("ggx", "gaussian") and len(of_first) == len(of_second)
     # Either half of the materials fills the range.
@@ -221,7 +243,7 @@ def test_a_range_the_wrong_way_round_or_with_nothing_in_it_is_refused(span):
 
 
 def test_unknown_choices_and_impossible_counts_are_refused():
-    planner = Planner(PLATE_OBJECT, RIG)
+    planner = Planner(made(Object | PlannedObject, PLATE_OBJECT), made(Rig, RIG))
     with pytest.raises(ValueError, match="criterion 'trace'; accepted: determinant, variance"):
         planner.best(6, criterion="trace")
     with pytest.raises(ValueError, match="3 poses; accepted: 4 or more"):
@@ -231,11 +253,14 @@ def test_unknown_choices_and_impossible_counts_are_refused():
     with pytest.raises(TooFewPoses, match="accepted: at most"):
         planner.best(100_000)
     with pytest.raises(ValueError, match="accepted: light_deg, camera_deg, tilt_deg, turn_deg"):
-        Planner(PLATE_OBJECT, RIG, coarse_deg={"light_deg": 5.0})
+        Planner(made(Object | PlannedObject, PLATE_OBJECT), made(Rig, RIG), coarse_deg={"light_deg": 5.0})
 
 
 def test_the_planner_reckons_with_the_weights_that_it_is_told():
-    plans = [Planner(PLATE_OBJECT, RIG, weighting=Weighting(w)).best(8) for w in ("noise", "equal")]
+    plans = [
+        Planner(made(Object | PlannedObject, PLATE_OBJECT), made(Rig, RIG), weighting=Weighting(w)).best(8)
+        for w in ("noise", "equal")
+    ]
     # The best weights promise more of the same poses, and so of the best ones.
     for name in ("beta", "mu"):
         assert plans[0].expected[name][0] < plans[1].expected[name][0]
@@ -250,16 +275,16 @@ def test_the_noise_of_a_virtual_rig_has_its_imperfections_and_their_switches():
         "light_drift": {"enabled": False, "relative_rms": 0.02},
         "pose_error": {"enabled": True, "rms_deg": 0.2},
     }
-    noise = default_noise(RIG | {"virtual": {"imperfections": faults}})
+    noise = default_noise(made(Rig, RIG | {"virtual": {"imperfections": faults}}))
     assert (noise.relative, noise.pose_rms_deg) == (0.0, 0.2)
-    assert default_noise(RIG) == Noise()
-    assert default_noise(RIG, fit={"model_error": 0.03, "pose_error_deg": 0.1}) == Noise(
+    assert default_noise(made(Rig, RIG)) == Noise()
+    assert default_noise(made(Rig, RIG), fit=Fit(model_error=0.03, pose_error_deg=0.1)) == Noise(
         relative=0.03, pose_rms_deg=0.1
     )
 
 
 def test_a_plan_in_words_names_every_pose_and_expectation():
-    plan = plan_best(PLATE_OBJECT, RIG, 6)
+    plan = plan_best(made(Object | PlannedObject, PLATE_OBJECT), made(Rig, RIG), 6)
     text = "\n".join(plan.lines())
     assert all(f"{pose.camera_deg:g}" in text for pose in plan.poses)
     assert text.count("expected standard error") == 3 and text.count("light ") == plan.manual_settings

@@ -5,11 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made import made
 
 from irodori.calibration.chart import patch_centres
 from irodori.capture.shot_list import camera_shots, object_shots
 from irodori.config.capture_table import Pose, Shot
 from irodori.config.definitions import load_definitions, read_yaml
+from irodori.config.models import Camera, Chart, Environment, Imperfections, Object, Optics, Rig, VirtualRoom
+from irodori.config.parts import PhotographedObject, SceneRadiance
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera, to_light
 from irodori.ingest.mosaic import decode
@@ -56,9 +59,14 @@ def uniform(definitions, name: str, beta: float = 4.0, mu_rad: float = 0.15, mir
 
 def photograph(definition: dict, camera: dict, rig: dict, pose: Pose):
     """Return the two mosaics of a pose before the optics, with the sample and band weights."""
-    sample = Sample.from_definition(definition)
-    weights = band_weights(camera, spectrum(rig["light"]["spectrum"]))
-    image = np.stack([object_mosaic(sample, camera, rig, pose, STRAIGHT, weights[b : b + 3]) for b in (0, 3)])
+    sample = Sample.from_definition(made(Object | PhotographedObject, definition))
+    weights = band_weights(made(Camera, camera), spectrum(rig["light"]["spectrum"]))
+    image = np.stack(
+        [
+            object_mosaic(sample, made(Camera, camera), made(Rig, rig), pose, STRAIGHT, weights[b : b + 3])
+            for b in (0, 3)
+        ]
+    )
     return image, sample, weights
 
 
@@ -71,7 +79,15 @@ def standing(shot: Shot) -> Bench:
 def shoot(camera: dict, rig: dict, session: str, shots: list[Shot], folder: Path, subject=None, seen=None) -> None:
     """Take all photographs of a session into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    virtual = VirtualCamera(camera, rig, Bench(), session, shots, subject, seen)
+    virtual = VirtualCamera(
+        made(Camera, camera),
+        made(Rig, rig),
+        Bench(),
+        session,
+        shots,
+        made(Object | PhotographedObject | Environment | SceneRadiance, subject),
+        seen,
+    )
     for shot in shots:
         virtual.bench = standing(shot)
         virtual.capture(shot, folder / shot.file)
@@ -103,7 +119,7 @@ def test_a_plate_of_two_components_has_the_sum_of_their_terms_and_its_truth_has_
     plain = reflect(1.0, sample.reflectance[0] @ weights[1] / scale, 4.0, 0.15, geometry)
     expected = scale * (plain + reflect(0.0, 0.0, 1.5, 0.4, geometry, lobe="ggx"))
     assert image[0, 298:302, 398:402][0::2, 1::2].mean() == pytest.approx(float(expected), rel=2e-3)
-    truth = true_material(definition, *perfect)
+    truth = true_material(made(Object, definition), *perfect)
     assert [(name, beta[0, 0], mu[0, 0]) for name, beta, mu in truth.gloss] == [
         ("gaussian", 4.0, 0.15), ("ggx", 1.5, 0.4)
     ]  # fmt: skip
@@ -114,7 +130,7 @@ def test_the_truth_of_materials_with_different_lobes_has_a_component_for_each(de
     definition = uniform(definitions, "tile-plate")
     definition["virtual"]["pattern"] = {"kind": "checks", "columns": 2, "rows": 1}
     definition["virtual"]["materials"].append({"kind": "ggx", "spectrum": "TCS3", "beta": 2.0, "mu_rad": 0.3})
-    truth = true_material(definition, *perfect)
+    truth = true_material(made(Object, definition), *perfect)
     (one, beta, _), (other, further, mu) = truth.gloss
     assert (one, other) == ("gaussian", "ggx")
     left, right = (0, 0), (0, -1)
@@ -145,7 +161,11 @@ def test_cameras_that_share_what_they_see_take_the_same_pictures(definitions, tm
     still = copy.deepcopy(faulty)
     for name in ("pose_error", "filter_plate"):
         still["virtual"]["imperfections"][name]["enabled"] = False
-    shots = object_shots(subject | {"poses": [{"light_deg": [45.0], "camera_deg": [20.0]}]}, camera, ".dng")
+    shots = object_shots(
+        made(Object | PhotographedObject, subject | {"poses": [{"light_deg": [45.0], "camera_deg": [20.0]}]}),
+        made(Camera, camera),
+        ".dng",
+    )
     shots = list({shot.filter: shot for shot in shots}.values())
     seen: dict = {}
     for number, rig in enumerate((still, faulty, still)):
@@ -171,20 +191,20 @@ def test_the_lamps_mirror_image_saturates_where_the_sphere_reflects_it(definitio
     pose, radius = Pose(45.0, 25.0), 30.0
     half = to_light(pose) + to_camera(pose)
     point = radius * half / np.linalg.norm(half)
-    pinhole = Pinhole.from_optics(camera["optics"])
+    pinhole = Pinhole.from_optics(made(Optics, camera["optics"]))
     expected = pinhole.project(point, rig["camera_distance_mm"] * to_camera(pose), rig_from_camera(pose))
     assert np.hypot(x.mean() / 2 - expected[0], y.mean() / 2 - expected[1]) < 2.0
 
 
 def test_the_chart_stands_where_the_camera_file_says(perfect, tmp_path):
     camera, rig = perfect
-    shots = camera_shots(camera, ".dng")
+    shots = camera_shots(made(Camera, camera), ".dng")
     roles = [shot.role for shot in shots]
     assert roles.count("dark") == 8 and roles.count("white") == 10 and roles.count("chart") == 2
     chart = [shot for shot in shots if shot.role == "chart" and shot.filter == "out"]
     shoot(camera, rig, "d5100-comb", chart, tmp_path)
     picture = decode(tmp_path / chart[0].file).superpixels[..., 1]
-    for x, y in patch_centres(camera["chart"]):
+    for x, y in patch_centres(made(Chart, camera["chart"])):
         patch = picture[round(y) - 12 : round(y) + 13, round(x) - 12 : round(x) + 13]
         assert patch.std() < 0.1 * patch.mean() + 30, "a patch is even over 25 superpixels"
 
@@ -192,7 +212,7 @@ def test_the_chart_stands_where_the_camera_file_says(perfect, tmp_path):
 def faults_of(rig: dict, session: str, count: int) -> tuple[Faults, list[Shot]]:
     """Return the imperfections of a session of `count` photographs, filter in, each in a pose of its own."""
     shots = [Shot(f"{i}.dng", "object", Pose(45.0, 0.1 * i), "in", 0.02) for i in range(count)]
-    return Faults(rig["virtual"]["imperfections"], rig["virtual"]["seed"], session, shots), shots
+    return Faults(made(Imperfections, rig["virtual"]["imperfections"]), rig["virtual"]["seed"], session, shots), shots
 
 
 def test_faults_can_be_switched_off_one_by_one(definitions):
@@ -223,7 +243,7 @@ def test_the_pose_is_off_by_its_rms_and_only_after_a_move(definitions):
     off = np.array([faults.real_pose(shot, shot.pose).camera_deg - shot.pose.camera_deg for shot in shots])
     assert off.std() == pytest.approx(0.05, rel=0.05)
     pair = [Shot(f"{s}.dng", "object", Pose(45.0, 0.0), s, 0.02) for s in ("out", "in")]
-    still = Faults(definitions["rigs"]["virtual"]["virtual"]["imperfections"], 1, "pair", pair)
+    still = Faults(made(Imperfections, definitions["rigs"]["virtual"]["virtual"]["imperfections"]), 1, "pair", pair)
     assert still.real_pose(pair[0], pair[0].pose) == still.real_pose(pair[1], pair[1].pose)
 
 
@@ -239,9 +259,12 @@ def test_the_plate_moves_the_picture_as_its_file_says(definitions, perfect):
     moved = centre + 2.0 * np.array([3.0, -2.0]) + 1.01 * turn @ (point - centre)
     np.testing.assert_allclose(seen @ [*moved, 1.0], point, atol=1e-9)
     definition = uniform(definitions, "tile-plate")
-    sample = Sample.from_definition(definition)
-    weights = band_weights(camera, spectrum("A"))[3:]
-    straight, through = (object_mosaic(sample, camera, rig, Pose(45.0, 0.0), m, weights) for m in (STRAIGHT, seen))
+    sample = Sample.from_definition(made(Object | PhotographedObject, definition))
+    weights = band_weights(made(Camera, camera), spectrum("A"))[3:]
+    straight, through = (
+        object_mosaic(sample, made(Camera, camera), made(Rig, rig), Pose(45.0, 0.0), m, weights)
+        for m in (STRAIGHT, seen)
+    )
 
     def edge(picture, axis):
         """Return the centre and half the width of the bright square along an axis, mosaic pixels."""
@@ -259,7 +282,7 @@ def test_the_plate_moves_the_picture_as_its_file_says(definitions, perfect):
 def test_hot_pixels_belong_to_the_camera_and_not_to_a_session(definitions, tmp_path):
     camera, rig = definitions["cameras"]["d5100-comb"], copy.deepcopy(definitions["rigs"]["virtual"])
     rig["virtual"]["imperfections"]["hot_pixels"]["fraction"] = 0.001
-    dark = [shot for shot in camera_shots(camera, ".dng") if shot.role == "dark"][-1:]
+    dark = [shot for shot in camera_shots(made(Camera, camera), ".dng") if shot.role == "dark"][-1:]
     for session in ("one", "two"):
         shoot(camera, rig, session, dark, tmp_path / session)
     pictures = [decode(tmp_path / session / dark[0].file).superpixels for session in ("one", "two")]
@@ -276,13 +299,20 @@ def test_a_session_is_reproducible_sessions_differ_and_a_broken_off_one_continue
     rig = definitions["rigs"]["virtual"]
     definition = uniform(definitions, "tile-plate")
     definition["poses"] = [{"light_deg": [45.0], "camera_deg": [20.0, 30.0]}]
-    shots = object_shots(definition, camera, ".dng")
+    shots = object_shots(made(Object | PhotographedObject, definition), made(Camera, camera), ".dng")
     for folder, name in (("a", "one"), ("b", "one"), ("c", "two")):
         shoot(camera, rig, name, shots, tmp_path / folder, definition)
     contents = [[(tmp_path / folder / shot.file).read_bytes() for shot in shots] for folder in "abc"]
     assert contents[0] == contents[1]
     assert all(first != second for first, second in zip(contents[0], contents[2], strict=True))
-    late = VirtualCamera(camera, rig, standing(shots[-1]), "one", shots, definition)
+    late = VirtualCamera(
+        made(Camera, camera),
+        made(Rig, rig),
+        standing(shots[-1]),
+        "one",
+        shots,
+        made(Object | PhotographedObject | Environment | SceneRadiance, definition),
+    )
     late.capture(shots[-1], tmp_path / "late.dng")
     assert (tmp_path / "late.dng").read_bytes() == contents[0][-1]
 
@@ -290,8 +320,15 @@ def test_a_session_is_reproducible_sessions_differ_and_a_broken_off_one_continue
 def test_the_camera_photographs_what_stands_there_and_not_what_it_is_asked_for(definitions, perfect, tmp_path):
     camera, rig = perfect
     definition = uniform(definitions, "tile-plate")
-    shots = object_shots(definition, camera, ".dng")
-    virtual = VirtualCamera(camera, rig, standing(shots[0]), "bench", shots, definition)
+    shots = object_shots(made(Object | PhotographedObject, definition), made(Camera, camera), ".dng")
+    virtual = VirtualCamera(
+        made(Camera, camera),
+        made(Rig, rig),
+        standing(shots[0]),
+        "bench",
+        shots,
+        made(Object | PhotographedObject | Environment | SceneRadiance, definition),
+    )
     virtual.capture(shots[0], tmp_path / "out.dng")
     virtual.bench.filter = "in"
     virtual.capture(shots[0], tmp_path / "forgotten.dng")
@@ -301,14 +338,14 @@ def test_the_camera_photographs_what_stands_there_and_not_what_it_is_asked_for(d
 
 def test_the_room_has_windows_lamps_and_floor_where_they_should_be(definitions):
     room = definitions["environments"]["classroom"]["virtual"]
-    source, shading = trace_room(room, 400, 200)
-    names = source_spectra(room, spectrum("A"))[0]
+    source, shading = trace_room(made(VirtualRoom, room), 400, 200)
+    names = source_spectra(made(VirtualRoom, room), spectrum("A"))[0]
     rows = {name: np.nonzero(source == i)[0] for i, name in enumerate(names)}
     assert all(len(r) for r in rows.values())
     assert rows["ceiling"].max() < 100 <= rows["floor"].min()
     assert rows["lamps"].max() < 100
     assert (shading > 0).all() and (shading <= 1).all()
-    coefficients = room_coefficients(room, 100, 50)
+    coefficients = room_coefficients(made(VirtualRoom, room), 100, 50)
     # Each pixel's sources are shares of one: shading alone makes them less.
     assert (coefficients.sum(axis=-1) <= 1 + 1e-6).all() and (coefficients >= 0).all()
 
@@ -316,9 +353,9 @@ def test_the_room_has_windows_lamps_and_floor_where_they_should_be(definitions):
 def test_the_room_is_photographed_as_a_panorama_that_turns_to_the_right(definitions):
     definition = {**definitions["environments"]["classroom"], "image": {"width": 40, "height": 20}}
     rig_light = spectrum("A")
-    mosaic = room_mosaic(definition, rig_light, np.full((3, 61), 1 / 61))
-    expected = room_coefficients(definition["virtual"], 40, 20) @ (
-        source_spectra(definition["virtual"], rig_light)[1] / rig_light
+    mosaic = room_mosaic(made(Environment, definition), rig_light, np.full((3, 61), 1 / 61))
+    expected = room_coefficients(made(VirtualRoom, definition["virtual"]), 40, 20) @ (
+        source_spectra(made(VirtualRoom, definition["virtual"]), rig_light)[1] / rig_light
     ).mean(axis=1)
     assert np.allclose(from_panorama(mosaic[::2, ::2, None])[..., 0], expected, rtol=1e-6)
     assert not np.allclose(mosaic[::2, ::2], expected, rtol=0.1)
@@ -347,6 +384,10 @@ def test_a_measured_material_has_the_reflectance_of_its_table(definitions, tmp_p
         "pattern": {"kind": "uniform"},
         "materials": [{"kind": "measured", "file": str(tmp_path / "even.csv")}],
     }
-    truth = true_material(definition, definitions["cameras"]["d5100-comb"], definitions["rigs"]["virtual"])
+    truth = true_material(
+        made(Object, definition),
+        made(Camera, definitions["cameras"]["d5100-comb"]),
+        made(Rig, definitions["rigs"]["virtual"]),
+    )
     np.testing.assert_allclose(truth.basis[:, 0], np.pi * 0.2)
     assert np.isnan(truth.beta).all() and np.isnan(truth.mu).all()

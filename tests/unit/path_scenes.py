@@ -1,9 +1,19 @@
 """Scenes for the tests of the `reference` integrator."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import trimesh
+from made import made
 from scenes import constant_light
 
+from irodori.config.models import (
+    BodyShape,
+    ObjectShape,
+    SceneLight,
+    Size,
+    View,
+)
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.shapes import Placement, Shape
 from irodori.rendering.reference.converging_picture import Picture, make_scene, render
@@ -24,12 +34,14 @@ def traced(shapes, materials, light, samples, position=(0.0, -200.0, 0.0), targe
     ]
     objects, _ = make_objects(placements, materials)
     view = {"position_mm": position, "target_mm": target, "up": up, "field_of_view_deg": fov}
-    camera = make_view(view, {"width": size[0], "height": size[1]})
-    return render(make_scene(placements, objects, light, lights), camera, samples, **options)
+    camera = make_view(made(View, view), made(Size, {"width": size[0], "height": size[1]}))
+    return render(
+        make_scene(placements, objects, light, made(Sequence[SceneLight], lights)), camera, samples, **options
+    )
 
 
 def ball(radius_mm: float) -> Shape:
-    return Shape.from_definition({"kind": "sphere", "radius_mm": radius_mm})
+    return Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "sphere", "radius_mm": radius_mm}))
 
 
 def facetted_sphere(radius_mm: float, subdivisions: int, inward: bool = False) -> Shape:

@@ -3,15 +3,22 @@
 from pathlib import Path
 
 import numpy as np
+from made import made
 from shortcuts import irradiance_map
 
+from irodori.config.models import (
+    BodyShape,
+    ObjectShape,
+    Render,
+    Scene,
+)
 from irodori.geometry.shapes import Shape
 from irodori.light.environment_file import Environment, directions
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
-OPTIONS = {"pixel_side": 1, "max_bounces": 5, "min_throughput": 1e-9}
+OPTIONS = Render(pixel_side=1, min_throughput=1e-9)
 ONES = np.ones(61)
 # Gold at about 650, 550 and 450 nm (Johnson and Christy 1972), in thirds of the grid.
 GOLD_N, GOLD_K = (0.16, 0.42, 1.50), (3.80, 2.35, 1.88)
@@ -52,11 +59,16 @@ def sky(function, width=512, height=256, basis=None) -> Environment:
     return Environment(coefficients, basis, irradiance_map(coefficients, 128, 64))
 
 
-BALL = Shape.from_definition({"kind": "sphere", "radius_mm": 20.0})
+BALL = Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "sphere", "radius_mm": 20.0}))
 
 
 def plate(side_mm: float) -> Shape:
-    return Shape.from_definition({"kind": "plate", "width_mm": side_mm, "height_mm": side_mm})
+    return Shape.from_definition(
+        made(
+            ObjectShape | BodyShape,
+            {"kind": "plate", "width_mm": side_mm, "height_mm": side_mm},
+        )
+    )
 
 
 def render(shapes, materials, light, position=(0.0, -200.0, 0.0), target=(0.0, 0.0, 0.0), size=(41, 41), fov=13.0,
@@ -73,7 +85,7 @@ def render(shapes, materials, light, position=(0.0, -200.0, 0.0), target=(0.0, 0
                         "field_of_view_deg": fov}},
         "integrator": {"kind": "reference", "samples": samples, "seed": 0},
     }  # fmt: skip
-    return render_image(scene, "v", shapes, materials, light, OPTIONS)[0]
+    return render_image(made(Scene, scene), "v", shapes, materials, light, made(Render, OPTIONS))[0]
 
 
 def pixel_rays(position=(0.0, -200.0, 0.0), target=(0.0, 0.0, 0.0), size=(41, 41), fov=13.0):

@@ -8,6 +8,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 from shortcuts import leave_one_out, read_patches
 
 from irodori.calibration.chart import patch_centres
@@ -15,6 +16,8 @@ from irodori.calibration.paper_estimator import calibrate, spectral_basis
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.stage import calibrate_camera
 from irodori.colour.colorimetry import spectral_rmse
+from irodori.config.models import Camera, Chart
+from irodori.config.parts import CalibratedCamera
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.ingest.mosaic import decode
@@ -177,7 +180,7 @@ def test_patch_centres_follow_perspective(corners, rows, columns, size):
     truth = size * homogeneous[..., :2] / homogeneous[..., 2:]
     names = {"first": truth[0, 0], "row_end": truth[0, -1], "column_end": truth[-1, 0], "last": truth[-1, -1]}
     chart = {"rows": rows, "columns": columns, "centres_px": {k: v.tolist() for k, v in names.items()}}
-    assert np.allclose(patch_centres(chart), truth.reshape(-1, 2), atol=1e-7 * size * max(rows, columns))
+    assert np.allclose(patch_centres(made(Chart, chart)), truth.reshape(-1, 2), atol=1e-7 * size * max(rows, columns))
 
 
 CHART = {
@@ -197,16 +200,16 @@ def chart_picture(rng):
 def test_patches_are_read_row_by_row_and_specks_are_trimmed():
     picture, values = chart_picture(np.random.default_rng(5))
     valid = np.ones(picture.shape[:2], dtype=np.uint8)
-    assert np.allclose(read_patches(picture, valid, CHART, "x.h5").mean, values, rtol=1e-12)
+    assert np.allclose(read_patches(picture, valid, made(Chart, CHART), "x.h5").mean, values, rtol=1e-12)
     picture[9, 11] = 50.0  # dust that glitters, one pixel of 36
-    assert np.allclose(read_patches(picture, valid, CHART, "x.h5").mean, values, rtol=1e-12)
+    assert np.allclose(read_patches(picture, valid, made(Chart, CHART), "x.h5").mean, values, rtol=1e-12)
 
 
 def test_saturated_pixels_of_a_patch_are_left_out():
     picture, values = chart_picture(np.random.default_rng(6))
     valid = np.ones(picture.shape[:2], dtype=np.uint8)
     picture[7:10, 7:13], valid[7:10, 7:13] = 1e3, 0  # the upper half of the first patch, no more
-    assert np.allclose(read_patches(picture, valid, CHART, "x.h5").mean, values, rtol=1e-12)
+    assert np.allclose(read_patches(picture, valid, made(Chart, CHART), "x.h5").mean, values, rtol=1e-12)
 
 
 def test_a_saturated_patch_is_named():
@@ -214,7 +217,7 @@ def test_a_saturated_patch_is_named():
     valid = np.ones(picture.shape[:2], dtype=np.uint8)
     valid[5:15, 25:35] = 0
     with pytest.raises(InputError, match=r"chart\.h5.*patch 1 saturated"):
-        read_patches(picture, valid, CHART, "chart.h5")
+        read_patches(picture, valid, made(Chart, CHART), "chart.h5")
 
 
 @pytest.mark.parametrize("corner", [[-20.0, 10.0], [10.0, 2.0], [1.0, 10.0]])
@@ -222,7 +225,7 @@ def test_a_patch_outside_the_picture_is_named(corner):
     picture, _ = chart_picture(np.random.default_rng(8))
     chart = CHART | {"centres_px": CHART["centres_px"] | {"first": corner}}
     with pytest.raises(InputError, match=r"chart\.h5: chart\.centres_px.*patch 0"):
-        read_patches(picture, np.ones(picture.shape[:2]), chart, "chart.h5")
+        read_patches(picture, np.ones(picture.shape[:2]), made(Chart, chart), "chart.h5")
 
 
 def write_linear(path, picture, pose=(0.0, 0.0, 0.0, 0.0)):
@@ -253,7 +256,14 @@ def test_stage_writes_the_calibration_and_honest_errors(tmp_path):
     rng = np.random.default_rng(9)
     picture, definition, spectra = whole_chart("BabelColor Average", rng, light_deg=40.0)
     linear = write_linear(tmp_path / "chart.h5", picture, pose=(40.0, 0.0, 0.0, 0.0))
-    calibrate_camera(linear, definition, "D65", tmp_path / "c.h5", tmp_path / "c.csv", store.Provenance("test"))
+    calibrate_camera(
+        linear,
+        made(Camera | CalibratedCamera, definition),
+        "D65",
+        tmp_path / "c.h5",
+        tmp_path / "c.csv",
+        store.Provenance("test"),
+    )
     loaded = Calibration.load(tmp_path / "c.h5")
     # The light's angle is not the paint's colour: at normal incidence the same matrix must hold.
     direct = calibrate(picture[5::10, 5::10].reshape(24, 3) / np.cos(np.radians(40)), spectra, 3, spectrum("D65"))
@@ -278,7 +288,7 @@ def test_stage_refuses_as_input_error(tmp_path, fault):
     linear = write_linear(tmp_path / "chart.h5", picture)
     outputs = tmp_path / "c.h5", tmp_path / "c.csv"
     with pytest.raises(InputError):
-        calibrate_camera(linear, definition, "A", *outputs, store.Provenance("test"))
+        calibrate_camera(linear, made(Camera | CalibratedCamera, definition), "A", *outputs, store.Provenance("test"))
     assert not any(path.exists() for path in outputs)
 
 
@@ -295,7 +305,9 @@ def real_chart():
 
 def test_real_photograph_recovers_its_chart(real_chart):
     mosaic, definition = real_chart
-    patches = read_patches(mosaic.superpixels, mosaic.largest < 0.98, definition["chart"], "chart.crw").mean
+    patches = read_patches(
+        mosaic.superpixels, mosaic.largest < 0.98, made(Chart, definition["chart"]), "chart.crw"
+    ).mean
     spectra = dict(zip(*chart_spectra(definition["chart"]["spectra"]), strict=True))
     # Row A begins with dark skin, row D holds the greys; the photograph is read row by row.
     spectra = np.stack([spectra[f"{row}{column}"] for row in "ABCD" for column in range(1, 7)])
@@ -308,7 +320,14 @@ def test_real_photograph_recovers_its_chart(real_chart):
 def test_stage_matches_the_patches_of_a_real_photograph_with_their_spectra(real_chart, tmp_path):
     mosaic, definition = real_chart
     linear = write_linear(tmp_path / "chart.h5", mosaic.superpixels / mosaic.full_scale)
-    calibrate_camera(linear, definition, "A", tmp_path / "c.h5", tmp_path / "c.csv", store.Provenance("test"))
+    calibrate_camera(
+        linear,
+        made(Camera | CalibratedCamera, definition),
+        "A",
+        tmp_path / "c.h5",
+        tmp_path / "c.csv",
+        store.Provenance("test"),
+    )
     mean = {row[0]: row[1] for row in read_table(tmp_path / "c.csv")}["mean"]
     assert float(mean) <= 0.06
 
@@ -317,15 +336,15 @@ def test_a_chart_at_full_resolution_is_read_at_the_same_places():
     rng = np.random.default_rng(12)
     picture, definition, _ = whole_chart("BabelColor Average", rng, light_deg=0.0)
     valid = np.ones(picture.shape[:2], bool)
-    coarse = read_patches(picture, valid, definition["chart"], "a.h5").mean
+    coarse = read_patches(picture, valid, made(Chart, definition["chart"]), "a.h5").mean
     picture, valid = picture.repeat(2, axis=0).repeat(2, axis=1), valid.repeat(2, axis=0).repeat(2, axis=1)
-    assert np.allclose(read_patches(picture, valid, definition["chart"], "a.h5", sample_px=1).mean, coarse)
+    assert np.allclose(read_patches(picture, valid, made(Chart, definition["chart"]), "a.h5", sample_px=1).mean, coarse)
 
 
 def test_hot_pixels_in_a_patch_do_not_count():
     rng = np.random.default_rng(13)
     picture, definition, _ = whole_chart("BabelColor Average", rng, light_deg=0.0)
-    expected = read_patches(picture, np.ones(picture.shape[:2], bool), definition["chart"], "a.h5").mean
+    expected = read_patches(picture, np.ones(picture.shape[:2], bool), made(Chart, definition["chart"]), "a.h5").mean
     hot = rng.uniform(size=picture.shape[:2]) < 0.1
     picture[hot] = 50.0
-    assert np.allclose(read_patches(picture, ~hot, definition["chart"], "a.h5").mean, expected)
+    assert np.allclose(read_patches(picture, ~hot, made(Chart, definition["chart"]), "a.h5").mean, expected)

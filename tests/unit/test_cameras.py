@@ -1,10 +1,15 @@
 """Cameras: a thin lens by its formula, parallel rays by their sizes, and what an integrator refuses."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from made import made
 from path_scenes import DARK, ball
 from scenes import BALL, OPTIONS, constant_light, material, pixel_rays, plate
 
+from irodori.config.models import Render, Scene, SceneLight, Size, View
 from irodori.geometry.shapes import Placement
 from irodori.light.placed_lights import unit_luminance
 from irodori.rendering.integrators import render_image
@@ -38,8 +43,10 @@ INTEGRATORS = [
 
 def seen(view, shapes, materials, places, integrator, light=None, **more):
     light = constant_light() if light is None else light
-    options = OPTIONS | {"pixel_side": 4}
-    return render_image(scene_of(view, places, integrator, **more), "v", shapes, materials, light, options)[0]
+    options = replace(OPTIONS, pixel_side=4)
+    return render_image(
+        made(Scene, scene_of(view, places, integrator, **more)), "v", shapes, materials, light, made(Render, options)
+    )[0]
 
 
 def lamp_through(view, depth, samples=512, size=(SIDE, SIDE), radius=0.4):
@@ -53,8 +60,10 @@ def lamp_through(view, depth, samples=512, size=(SIDE, SIDE), radius=0.4):
         "radius_mm": radius,
         "radiance": 1.0,
     }
-    made = make_scene(placements, make_objects(placements, paints)[0], DARK, [lamp])
-    return render(made, make_view(view, {"width": size[0], "height": size[1]}), samples).radiance[..., 30]
+    prepared = make_scene(placements, make_objects(placements, paints)[0], DARK, made(Sequence[SceneLight], [lamp]))
+    return render(
+        prepared, make_view(made(View, view), made(Size, {"width": size[0], "height": size[1]})), samples
+    ).radiance[..., 30]
 
 
 def width_px(picture):
@@ -109,7 +118,7 @@ def test_an_edge_in_focus_stays_sharp_and_one_off_focus_does_not():
 
 
 def test_places_on_the_lens_are_even():
-    view = make_view(THROUGH_LENS, {"width": 8, "height": 8})
+    view = make_view(made(View, THROUGH_LENS), made(Size, {"width": 8, "height": 8}))
     origin, direction = np.empty((2, 3))
     u, v = np.meshgrid((np.arange(64) + 0.5) / 64, (np.arange(64) + 0.5) / 64)
     places = []
@@ -157,7 +166,7 @@ def test_parallel_rays_see_one_direction_of_the_sky_and_one_cosine_of_a_plate(in
 
 
 def test_without_a_lens_rays_leave_the_eye_as_they_did():
-    view = make_view(EYE, {"width": SIDE, "height": SIDE})
+    view = make_view(made(View, EYE), made(Size, {"width": SIDE, "height": SIDE}))
     truth = pixel_rays(EYE["position_mm"], size=(SIDE, SIDE))
     origin, direction = np.empty((2, 3))
     for x, y in ((0, 0), (13, 40), (63, 63)):
@@ -171,5 +180,5 @@ def test_what_samples_nothing_refuses_a_lens():
 
 
 def test_an_unknown_view_lists_the_kinds():
-    with pytest.raises(ValueError, match="unknown view 'fisheye'; accepted: perspective, orthographic"):
-        make_view(EYE | {"kind": "fisheye"}, {"width": 4, "height": 4})
+    with pytest.raises(ValueError, match=r"fisheye.*kinds perspective, orthographic"):
+        make_view(made(View, EYE | {"kind": "fisheye"}), made(Size, {"width": 4, "height": 4}))

@@ -1,11 +1,13 @@
 """Tables of photographs: round trip, every fault with its place, nothing but InputError for any bytes."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 
 from irodori.config.capture_table import (
     COLUMNS,
@@ -19,6 +21,7 @@ from irodori.config.capture_table import (
     shot_path,
     write_captures,
 )
+from irodori.config.models import PoseGroup
 from irodori.core.errors import InputError
 from irodori.core.provenance import file_sha256
 
@@ -65,7 +68,7 @@ def test_expand_poses_multiplies_within_a_group_and_keeps_the_order():
     groups = [{"light_deg": [45.0, 60.0], "camera_deg": [0.0, 10.0]},
               {"light_deg": [35.0], "camera_deg": [5.0], "tilt_deg": [20.0], "turn_deg": [0.0, 90.0]},
               ]  # fmt: skip
-    assert expand_poses(groups) == [
+    assert expand_poses(made(Sequence[PoseGroup], groups)) == [
         Pose(45.0, 0.0), Pose(45.0, 10.0), Pose(60.0, 0.0), Pose(60.0, 10.0),
         Pose(35.0, 5.0, 20.0, 0.0), Pose(35.0, 5.0, 20.0, 90.0),
     ]  # fmt: skip
@@ -75,7 +78,7 @@ def test_expand_poses_multiplies_within_a_group_and_keeps_the_order():
 def test_expand_poses_refuses_a_pose_twice(second):
     groups = [{"light_deg": [45.0], "camera_deg": [0.0]}, {"light_deg": [second], "camera_deg": [0.0]}]
     with pytest.raises(ValueError, match="l0450-c0000-t000-r0000 twice"):
-        expand_poses(groups)
+        expand_poses(made(Sequence[PoseGroup], groups))
 
 
 @settings(deadline=None)

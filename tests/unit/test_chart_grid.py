@@ -5,10 +5,12 @@ import pytest
 from chart_pictures import COLUMNS, NAME, ROWS, noisy, shot, truth, view
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 
 from irodori.calibration.chart import locate_patches, read_located
 from irodori.calibration.chart_grid import even_picture, fit_to_edges, homography, nodes, project
 from irodori.calibration.square_lattice import lattices
+from irodori.config.models import Chart
 from irodori.core.errors import InputError
 
 WIDTH, HEIGHT = 720, 520
@@ -75,11 +77,13 @@ def test_rough_corners_are_enough_where_the_grid_is_fitted_to_edges(barrel):
     picture, expected = barrel
     rough = expected[[0, 5, 18, 23]] + [[9, -6], [-8, 9], [5, 10], [-11, -4]]
     names = dict(zip(("first", "row_end", "column_end", "last"), rough.tolist(), strict=True))
-    located = locate_patches(picture, everywhere(picture), CHART | {"centres_px": names, "find": "edges"}, "x.h5")
+    located = locate_patches(
+        picture, everywhere(picture), made(Chart, CHART | {"centres_px": names, "find": "edges"}), "x.h5"
+    )
     assert np.linalg.norm(located.centres_px - expected, axis=1).max() < 0.2
     assert located.found["edges"] > 80 and 5 < located.found["moved_px"] < 20
     assert located.side_px == pytest.approx(0.5 * located.patch_side_px)
-    itself = locate_patches(picture, everywhere(picture), CHART | {"find": "chart"}, "x.h5")
+    itself = locate_patches(picture, everywhere(picture), made(Chart, CHART | {"find": "chart"}), "x.h5")
     assert np.abs(itself.centres_px - located.centres_px).max() < 0.05
 
 
@@ -87,8 +91,8 @@ def test_places_are_the_same_at_full_resolution(barrel):
     picture, _ = barrel
     valid = everywhere(picture)
     half = picture[:512, :720].reshape(256, 2, 360, 2, 3).mean(axis=(1, 3))
-    coarse = locate_patches(half, everywhere(half), CHART | {"find": "chart"}, "x.h5")
-    fine = locate_patches(picture[:512], valid[:512], CHART | {"find": "chart"}, "x.h5", sample_px=1)
+    coarse = locate_patches(half, everywhere(half), made(Chart, CHART | {"find": "chart"}), "x.h5")
+    fine = locate_patches(picture[:512], valid[:512], made(Chart, CHART | {"find": "chart"}), "x.h5", sample_px=1)
     assert np.abs(coarse.centres_px - fine.centres_px).max() < 0.1
     assert coarse.side_px == pytest.approx(fine.side_px, rel=0.01)
     one = read_located(half, everywhere(half), coarse, "x.h5")
@@ -101,35 +105,37 @@ def test_corners_off_the_patches_are_refused(barrel, shift_px):
     picture, expected = barrel
     chart = CHART | {"centres_px": corners(expected + np.array(shift_px)), "find": "edges"}
     with pytest.raises(InputError, match=r"x\.h5: chart\.centres_px"):
-        locate_patches(picture, everywhere(picture), chart, "x.h5")
+        locate_patches(picture, everywhere(picture), made(Chart, chart), "x.h5")
 
 
 def test_edges_that_are_not_there_are_refused():
     chart = CHART | {"centres_px": corners(truth(view(WIDTH, HEIGHT, 90))), "find": "edges"}
     picture = np.random.default_rng(12).uniform(0.4, 0.6, (HEIGHT, WIDTH, 3))
     with pytest.raises(InputError, match="of 96 patch edges"):
-        locate_patches(picture, everywhere(picture), chart, "x.h5")
+        locate_patches(picture, everywhere(picture), made(Chart, chart), "x.h5")
 
 
 def test_a_square_larger_than_its_patch_is_refused(barrel):
     picture, expected = barrel
     chart = CHART | {"centres_px": corners(expected), "find": "edges", "patch_px": 90}
     with pytest.raises(InputError, match=r"chart\.patch_px"):
-        locate_patches(picture, everywhere(picture), chart, "x.h5")
+        locate_patches(picture, everywhere(picture), made(Chart, chart), "x.h5")
 
 
 def test_other_layouts_and_unknown_ways_are_refused(barrel):
     picture, _ = barrel
     with pytest.raises(InputError, match=r"4 x 6 patches; for other layouts chart\.centres_px"):
-        locate_patches(picture, everywhere(picture), CHART | {"find": "chart", "rows": 10, "columns": 14}, "x.h5")
+        locate_patches(
+            picture, everywhere(picture), made(Chart, CHART | {"find": "chart", "rows": 10, "columns": 14}), "x.h5"
+        )
     with pytest.raises(ValueError, match="nothing, edges, chart"):
-        locate_patches(picture, everywhere(picture), CHART | {"find": "magic"}, "x.h5")
+        locate_patches(picture, everywhere(picture), made(Chart, CHART | {"find": "magic"}), "x.h5")
 
 
 def test_corners_alone_are_taken_as_they_are(barrel):
     picture, expected = barrel
     chart = CHART | {"centres_px": corners(expected), "patch_px": 30}
-    located = locate_patches(picture, everywhere(picture), chart, "x.h5")
+    located = locate_patches(picture, everywhere(picture), made(Chart, chart), "x.h5")
     assert np.allclose(located.centres_px[[0, 5, 18, 23]], expected[[0, 5, 18, 23]])
     assert located.side_px == 30 and np.isnan(located.patch_side_px) and not located.found
 

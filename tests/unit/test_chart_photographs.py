@@ -5,12 +5,14 @@ import pytest
 import yaml
 from chart_pictures import COLUMNS, ROWS
 from definitions import ROOT
+from made import made
 from shortcuts import leave_one_out
 
 from irodori.calibration.chart import locate_patches, read_located
 from irodori.calibration.illumination import illumination
 from irodori.calibration.jitter import jitter
 from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
+from irodori.config.models import Chart
 from irodori.core.errors import InputError
 from irodori.ingest.mosaic import decode
 from irodori.spectra.published import chart_spectra
@@ -37,7 +39,7 @@ def chart():
     response, valid = photograph("powershot_s40_chart.crw")
     configured = yaml.safe_load((ROOT / "config/cameras/powershot-s40.yaml").read_text())["chart"]
     configured["spectra"] = str(TABLE)
-    located = locate_patches(response, valid, FOUND | {"patch_px": configured["patch_px"]}, "chart.crw")
+    located = locate_patches(response, valid, made(Chart, FOUND | {"patch_px": configured["patch_px"]}), "chart.crw")
     return response, valid, configured, located
 
 
@@ -55,10 +57,10 @@ def distances(one, other) -> np.ndarray:
 def test_patches_found_and_by_corners_agree_to_two_superpixels(chart):
     response, valid, configured, found = chart
     assert configured["find"] == "edges"
-    by_corners = locate_patches(response, valid, configured, "chart.crw")
+    by_corners = locate_patches(response, valid, made(Chart, configured), "chart.crw")
     assert distances(found, by_corners).max() <= 2.0
     assert by_corners.found["moved_px"] <= 4.0, "the corners themselves, but for what the lens bends"
-    rough = locate_patches(response, valid, configured | {"centres_px": ROUGH}, "chart.crw")
+    rough = locate_patches(response, valid, made(Chart, configured | {"centres_px": ROUGH}), "chart.crw")
     assert distances(found, rough).max() <= 2.0 < rough.found["moved_px"]
     # The corner patches, where no perspective map is between the reading and the finding, as read by eye.
     read = np.array([configured["centres_px"][k] for k in ("first", "row_end", "column_end", "last")])
@@ -69,7 +71,7 @@ def test_patches_found_and_by_corners_agree_to_two_superpixels(chart):
 @pytest.mark.parametrize("quarters", [1, pytest.param(2, marks=pytest.mark.heavy)])
 def test_a_photograph_that_lies_on_its_side_or_head_is_read_right(chart, quarters):
     response, valid, _, upright = chart
-    found = locate_patches(np.rot90(response, quarters), np.rot90(valid, quarters), FOUND, "chart.crw")
+    found = locate_patches(np.rot90(response, quarters), np.rot90(valid, quarters), made(Chart, FOUND), "chart.crw")
     height, width = valid.shape
     x, y = upright.centres_px.T
     expected = {1: np.stack([y, width - 1 - x], axis=1), 2: np.stack([width - 1 - x, height - 1 - y], axis=1)}
@@ -86,7 +88,7 @@ def test_a_cut_chart_and_a_box_are_refused():
 
 def test_a_camera_with_oblong_pixels_shows_oblong_patches_and_is_found():
     response, valid = photograph("dc120_chart.kdc")
-    found = locate_patches(response, valid, FOUND, "chart.kdc")
+    found = locate_patches(response, valid, made(Chart, FOUND), "chart.kdc")
     steps = np.abs(np.diff(found.centres_px.reshape(ROWS, COLUMNS, 2), axis=1))[..., 0].mean()
     across = np.abs(np.diff(found.centres_px.reshape(ROWS, COLUMNS, 2), axis=0))[..., 1].mean()
     assert across / steps == pytest.approx(1.54, abs=0.05)

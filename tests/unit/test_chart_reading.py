@@ -5,11 +5,13 @@ import pytest
 from definitions import CAMERA_FILE, edit, fault, load
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 from scipy import stats
 from shortcuts import read_patches
 
 from irodori.calibration.chart import Located
 from irodori.calibration.jitter import SHIFTS, jitter
+from irodori.config.models import Chart
 from irodori.core.errors import InputError
 
 SIDE, PITCH = 40, 60
@@ -27,7 +29,7 @@ def picture(sigma: float = 0.0, rng=None) -> np.ndarray:
 
 
 def read(image, valid=None):
-    return read_patches(image, np.ones(image.shape[:2], bool) if valid is None else valid, CHART, "x.h5")
+    return read_patches(image, np.ones(image.shape[:2], bool) if valid is None else valid, made(Chart, CHART), "x.h5")
 
 
 def patch(number: int) -> tuple[slice, slice]:
@@ -112,7 +114,7 @@ def test_dirt_and_edges_are_flagged_on_their_patch_and_specks_are_not(number, wh
 @pytest.mark.parametrize("side", [1, 2, 3, 5])
 def test_tiny_patches_have_means_and_no_slopes(side):
     image = picture(0.001, np.random.default_rng(3))
-    reading = read_patches(image, np.ones((140, 200), bool), CHART | {"patch_px": side}, "x.h5")
+    reading = read_patches(image, np.ones((140, 200), bool), made(Chart, CHART | {"patch_px": side}), "x.h5")
     assert np.allclose(reading.mean, LEVELS, atol=0.01) and np.isfinite(reading.mean_variance).all()
     if side < 4:
         assert np.isnan(reading.gradient).all() and not reading.uneven.any()

@@ -5,10 +5,12 @@ import dataclasses
 import made_up_camera
 import numpy as np
 import pytest
+from made import made
 from test_fitting import GEOMETRY, K, N, gloss_over_beta, materials, run
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.solution import solve
+from irodori.config.models import CalibrationOptions
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.fitting.band_fresnel import band_gloss, uniform
@@ -139,9 +141,17 @@ def test_the_coloured_gloss_of_gold_is_subtracted_in_its_own_colour(known):
     plain = gloss_over_beta(GEOMETRY, mu[:, None]) / fresnel_exact(GEOMETRY, N, K)
     gloss = (beta[:, None] * plain)[..., None] * (true @ factor).T[None]
     response = bands[:, None, :] * np.cos(GEOMETRY[:, 0])[:, None] + gloss
-    seen = true if known == "camera" else solve(
-        made_up_camera.training(), {"estimator": "pinv", "bases": 6}, ("out", "in"), ("D65",), False
-    ).calibration.band_response  # fmt: skip
+    seen = (
+        true
+        if known == "camera"
+        else solve(
+            made_up_camera.training(),
+            made(CalibrationOptions, {"estimator": "pinv", "bases": 6}),
+            ("out", "in"),
+            ("D65",),
+            False,
+        ).calibration.band_response
+    )
     fresnel = band_gloss(*GOLD, seen, 1)
     geometry, weight = np.tile(GEOMETRY, (count, 1, 1)), np.ones(response.shape[:2])
     fitted = fit(response[..., 1], geometry, weight, fresnel.n, fresnel.k)
@@ -162,12 +172,16 @@ def test_bands_do_not_matter_where_the_index_has_no_colour():
 
 
 def test_the_bands_are_read_from_the_calibration_and_missed_where_they_are_needed(tmp_path):
-    made = store.Provenance("test", "", "")
+    provenance = store.Provenance("test", "", "")
     calibration = solve(
-        made_up_camera.training(), {"estimator": "pinv", "bases": 6}, ("out", "in"), ("D65",), False
+        made_up_camera.training(),
+        made(CalibrationOptions, {"estimator": "pinv", "bases": 6}),
+        ("out", "in"),
+        ("D65",),
+        False,
     ).calibration
     for name, content in (("whole", calibration), ("old", dataclasses.replace(calibration, band_response=None))):
-        with store.create(tmp_path / f"{name}.h5", made) as out:
+        with store.create(tmp_path / f"{name}.h5", provenance) as out:
             content.write(out)
     np.testing.assert_array_equal(Calibration.load(tmp_path / "whole.h5").band_response, calibration.band_response)
     found, expected = _fresnel(*GOLD, tmp_path / "whole.h5", 6), band_gloss(*GOLD, calibration.band_response, 1)

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
+from made import made
 
 from irodori.config.capture_table import Pose
+from irodori.config.models import Distortion, Optics
 from irodori.core.errors import InputError
 from irodori.geometry import rig_frame
 from irodori.geometry.distortion import COEFFICIENTS, coefficients_of, distort, fold_radius, undistort
@@ -96,7 +98,7 @@ def test_the_rational_part_folds_at_its_turning_point_or_its_pole():
 
 def test_coefficients_come_by_name_and_are_zero_where_absent():
     assert COEFFICIENTS == ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-    assert coefficients_of({"k3": 0.3, "p2": -0.1}).tolist() == [0, 0, 0, -0.1, 0.3, 0, 0, 0]
+    assert coefficients_of(made(Distortion, {"k3": 0.3, "p2": -0.1})).tolist() == [0, 0, 0, -0.1, 0.3, 0, 0, 0]
     assert not coefficients_of(None).any()
 
 
@@ -107,7 +109,7 @@ def test_coefficients_come_by_name_and_are_zero_where_absent():
 @settings(deadline=None, max_examples=100)
 def test_a_pixels_ray_projects_back_to_the_pixel_through_a_lens(k1, k2, p1, p2, mosaic, distance):
     lens = {"k1": k1, "k2": k2, "p1": p1, "p2": p2}
-    camera = Pinhole.from_optics({**OPTICS, "distortion": lens})
+    camera = Pinhole.from_optics(made(Optics, {**OPTICS, "distortion": lens}))
     rotation, position = rig_frame.rig_from_camera(Pose(45.0, 30.0)), np.array([10.0, -20.0, 500.0])
     direction = camera.directions(np.array(mosaic), rotation)
     assert np.linalg.norm(direction) == pytest.approx(1.0, abs=1e-14)
@@ -117,12 +119,12 @@ def test_a_pixels_ray_projects_back_to_the_pixel_through_a_lens(k1, k2, p1, p2, 
 
 def test_a_lens_that_folds_inside_its_picture_is_refused():
     with pytest.raises(InputError, match=r"optics\.distortion.*folds over"):
-        Pinhole.from_optics({**OPTICS, "distortion": {"k1": -2.0}})
-    assert Pinhole.from_optics({**OPTICS, "distortion": {"k1": -0.3}}).is_distorted
+        Pinhole.from_optics(made(Optics, {**OPTICS, "distortion": {"k1": -2.0}}))
+    assert Pinhole.from_optics(made(Optics, {**OPTICS, "distortion": {"k1": -0.3}})).is_distorted
 
 
 def test_what_lies_beyond_the_fold_is_not_seen():
-    camera = Pinhole.from_optics({**OPTICS, "distortion": {"k1": -0.3}})
+    camera = Pinhole.from_optics(made(Optics, {**OPTICS, "distortion": {"k1": -0.3}}))
     # At 1.5 the barrel would bring the point back to 0.49 of unit distance, well inside the picture.
     points = np.array([[0.4, 0.0, 1.0], [1.5, 0.0, 1.0], [0.0, 0.0, -1.0]])
     seen = camera.project(points, np.zeros(3), np.eye(3))
@@ -130,5 +132,8 @@ def test_what_lies_beyond_the_fold_is_not_seen():
 
 
 def test_a_camera_without_distortion_is_the_plain_pinhole():
-    plain, zero = Pinhole.from_optics(OPTICS), Pinhole.from_optics({**OPTICS, "distortion": {"k1": 0.0}})
+    plain, zero = (
+        Pinhole.from_optics(made(Optics, OPTICS)),
+        Pinhole.from_optics(made(Optics, {**OPTICS, "distortion": {"k1": 0.0}})),
+    )
     assert plain == zero and not plain.is_distorted

@@ -8,10 +8,12 @@ import pytest
 from compressing import compress
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 from shortcuts import irradiance_map
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_radiance
+from irodori.config.models import CapturesSource, IrradianceMap, MirrorBallSource
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.light.environment_file import Environment, directions
@@ -163,8 +165,14 @@ def write_inputs(folder, response, valid, calibration, clipped=None):
 
 
 def stage(folder, target=0.0):
-    prepare_environment(folder / "linear.h5", folder / "calibration.h5", folder / "e.h5", options(target, 4),
-                        {"max_error": 0.002, "max_height": 64}, store.Provenance("test"))  # fmt: skip
+    prepare_environment(
+        folder / "linear.h5",
+        folder / "calibration.h5",
+        folder / "e.h5",
+        options(target, 4),
+        made(IrradianceMap, {"max_error": 0.002, "max_height": 64}),
+        store.Provenance("test"),
+    )
     return Environment.load(folder / "e.h5")
 
 
@@ -200,8 +208,15 @@ def test_what_stood_to_the_right_of_a_photographs_middle_has_a_smaller_azimuth(t
     calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61), ("out",))
     write_inputs(tmp_path, response, np.ones((8, 16), np.uint8), calibration)
     source = {"kind": "captures", "centre_azimuth_deg": centre_azimuth_deg}
-    prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "e.h5", options(0.0, 4),
-                        {"max_error": 0.1, "max_height": 32}, store.Provenance("test"), source)  # fmt: skip
+    prepare_environment(
+        tmp_path / "linear.h5",
+        tmp_path / "calibration.h5",
+        tmp_path / "e.h5",
+        options(0.0, 4),
+        made(IrradianceMap, {"max_error": 0.1, "max_height": 32}),
+        store.Provenance("test"),
+        made(CapturesSource | MirrorBallSource, source),
+    )
     found = Environment.load(tmp_path / "e.h5").coefficients
     row, column = np.unravel_index(np.linalg.norm(found, axis=-1).argmax(), (8, 16))
     x, y, _ = directions(16, 8)[0][row, column]

@@ -1,16 +1,21 @@
 """The error budget: parts that sum to the whole, each fault in its own row, known errors predicted."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from made import made
 from scenes import OPTIONS, plate, sky, smooth_light
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.colour.colorimetry import delta_e_reflectance
+from irodori.config.models import Compress, EnvironmentMaps, Fit, Render, Scene
+from irodori.config.parts import Subject
 from irodori.core.store import Provenance
 from irodori.evaluation import error_budget as module
 from irodori.evaluation.error_budget import (
+    BudgetOptions,
     Measured,
     away_from_edges,
     compressed_light,
@@ -155,14 +160,20 @@ def scene_of(integrator: dict) -> dict:
 def rows():
     names = ("target_delta_e_mean", "target_delta_e_p99", "align", "weighting", "storage", "codec")
     compress = dict(zip(names, (0.1, 0.5, 4, "nothing", "half", "gzip"), strict=True))
-    options = {"render": OPTIONS, "compress": compress, "environment": compress}
+    options = BudgetOptions(
+        made(Render, OPTIONS), made(Fit, {}), made(Compress, compress), made(EnvironmentMaps, compress)
+    )
     light = light_of_three()
     warmer = replace(light, basis=PAINTS * np.linspace(0.9, 1.1, 61)[:, None])
     scene = scene_of({"kind": "reference", "samples": 16, "seed": 0})
 
     def budget(one, estimated, calibration):
-        return {row.stage.split(":")[0]: row for row in
-                error_budget(scene, "v", [plate(60.0)], [one], (estimated, light), options, calibration)}  # fmt: skip
+        return {
+            row.stage.split(":")[0]: row
+            for row in error_budget(
+                made(Scene, scene), "v", [plate(60.0)], [one], (estimated, light), options, calibration
+            )
+        }
 
     return (
         budget(measured(0.02, 0.01, gloss=(0.3, 0.01)), light, None),
@@ -215,12 +226,19 @@ def test_the_whole_is_no_more_than_its_parts(rows):
 @pytest.mark.parametrize(("samples", "kind"), [(64, "reference"), (None, "reference"), (64, "interactive")])
 def test_the_noise_of_a_planned_scene_is_that_of_the_paths_it_is_rendered_with(tmp_path, monkeypatch, samples, kind):
     taken = []
-    monkeypatch.setattr(module, "error_budget", lambda scene, *rest: taken.append(scene["integrator"]) or [])
+    monkeypatch.setattr(module, "error_budget", lambda scene, *rest: taken.append(scene.integrator) or [])
     light_of_three().save(tmp_path / "light.h5", Provenance("test", "", "", ""))
     write_plan(tmp_path / "plan.yaml", {"decisions": {"samples": {"value": samples}}})
     lists = ("materials", "true_materials", "calibrations", "tiles", "observations", "light_calibration")
     inputs = {key: [] for key in lists} | dict.fromkeys(("environment", "true_environment"), tmp_path / "light.h5")
     inputs["plan"] = [tmp_path / "plan.yaml"] if samples else []
-    scene = scene_of({"kind": kind, "samples": 512})
-    measure_error_budget(inputs, scene, "v", [], {}, tmp_path / "budget.csv")
-    assert taken[0]["samples"] == (samples if samples and kind == "reference" else 512)
+    scene = scene_of({"kind": kind} | ({"samples": 512} if kind == "reference" else {}))
+    measure_error_budget(
+        inputs,
+        made(Scene, scene),
+        "v",
+        made(Sequence[Subject], []),
+        BudgetOptions(*(None,) * 4),
+        tmp_path / "budget.csv",
+    )
+    assert getattr(taken[0], "samples", None) == (samples or 512 if kind == "reference" else None)

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 from scipy.ndimage import gaussian_filter
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.colour.colorimetry import delta_e_reflectance
+from irodori.config.models import BodyShape, ObjectShape
 from irodori.core import store
 from irodori.evaluation.error_budget import Measured, substitutes
 from irodori.evaluation.error_prediction import held_out, moved_texels, noisy, sharper, sources
@@ -153,11 +155,21 @@ def test_a_blur_is_undone_and_a_gap_has_no_part_in_it():
 
 
 def test_the_spread_of_a_sample_is_half_its_side_and_wider_at_a_slant():
-    flat = Shape.from_definition({"kind": "plate", "width_mm": 90.0, "height_mm": 60.0})
+    flat = Shape.from_definition(
+        made(
+            ObjectShape | BodyShape,
+            {"kind": "plate", "width_mm": 90.0, "height_mm": 60.0},
+        )
+    )
     one, slanted = (Spread.of(flat, (120, 180), 0.36, stretch) for stretch in (1.0, 4.0))
     assert one.border == "black" and one.rows == pytest.approx(0.18 / 0.5) and one.columns == pytest.approx(0.18 / 0.5)
     assert slanted.rows == pytest.approx(2 * one.rows)
-    ball = Spread.of(Shape.from_definition({"kind": "sphere", "radius_mm": 30.0}), (128, 256), 0.36, 1.0)
+    ball = Spread.of(
+        Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "sphere", "radius_mm": 30.0})),
+        (128, 256),
+        0.36,
+        1.0,
+    )
     assert ball.border == "joined" and ball.rows == pytest.approx(0.18 / (np.pi * 30 / 128), rel=1e-3)
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
+from made import made
 from made_up_camera import patches, system, training
 from shortcuts import leave_one_out
 
@@ -16,6 +17,8 @@ from irodori.calibration.stage import calibrate_camera
 from irodori.calibration.training import Training
 from irodori.calibration.unseen_patches import error_of_unseen, folds
 from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
+from irodori.config.models import Camera
+from irodori.config.parts import CalibratedCamera
 from irodori.core import store
 from irodori.core.errors import InputError
 
@@ -132,7 +135,14 @@ def run(folder, settings: dict, noise_model=None, name="a"):
     chart = photograph(folder / "chart.h5", noise_model)
     outputs = [folder / f"{name}.h5", folder / f"{name}.csv", folder / f"{name}-selection.csv"]
     camera = {"chart": chart, "calibration": settings}
-    calibrate_camera(folder / "chart.h5", camera, "A", *outputs[:2], store.Provenance("test"), selection=outputs[2])
+    calibrate_camera(
+        folder / "chart.h5",
+        made(Camera | CalibratedCamera, camera),
+        "A",
+        *outputs[:2],
+        store.Provenance("test"),
+        selection=outputs[2],
+    )
     return outputs
 
 
@@ -201,7 +211,12 @@ def test_a_chart_that_stands_on_its_head_is_refused(tmp_path):
     camera = {"chart": chart | {"centres_px": turned}, "calibration": {"estimator": "pinv", "bases": 6}}
     with pytest.raises(InputError, match="when the chart is turned"):
         calibrate_camera(
-            tmp_path / "chart.h5", camera, "A", tmp_path / "c.h5", tmp_path / "c.csv", store.Provenance("test")
+            tmp_path / "chart.h5",
+            made(Camera | CalibratedCamera, camera),
+            "A",
+            tmp_path / "c.h5",
+            tmp_path / "c.csv",
+            store.Provenance("test"),
         )
     assert not (tmp_path / "c.h5").exists()
 

@@ -1,11 +1,21 @@
 """Discs and endless planes in the tracer and in both integrators."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 from scenes import BALL, OPTIONS, constant_light, material, pixel_rays, plate, sky
 
+from irodori.config.models import (
+    BodyShape,
+    ObjectShape,
+    Scene,
+    Size,
+    View,
+)
 from irodori.geometry.embree import NO_HIT, Tracer
 from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes import Placement, Shape
@@ -13,13 +23,13 @@ from irodori.geometry.shapes.disc import Disc, hidden_by_disc
 from irodori.geometry.shapes.plane import Plane, hidden_by_plane
 from irodori.rendering.integrators import render_image
 
-FLOOR = Shape.from_definition({"kind": "plane"})
+FLOOR = Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "plane"}))
 EVERY = [{"kind": "interactive", "ambient": True}, {"kind": "reference", "samples": 64, "seed": 0}]
 EVERY_ONE = pytest.mark.parametrize("integrator", EVERY, ids=lambda i: i["kind"])
 
 
 def disc(radius_mm):
-    return Shape.from_definition({"kind": "disc", "radius_mm": radius_mm})
+    return Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "disc", "radius_mm": radius_mm}))
 
 
 def seen(shapes, materials, places, integrator, light=None, position=(0.0, -300.0, 120.0), target=(0.0, 0.0, 10.0),
@@ -37,7 +47,7 @@ def seen(shapes, materials, places, integrator, light=None, position=(0.0, -300.
         "lights": list(lights),
     }  # fmt: skip
     light = constant_light() if light is None else light
-    return render_image(scene, "v", shapes, materials, light, OPTIONS | options)[0]
+    return render_image(made(Scene, scene), "v", shapes, materials, light, replace(OPTIONS, **options))[0]
 
 
 # --- the tracer --------------------------------------------------------------------------------------------------
@@ -87,8 +97,8 @@ def test_a_plane_is_met_by_every_ray_that_goes_down_and_by_no_other(scale):
 
 
 def test_unknown_shapes_list_what_there_is():
-    with pytest.raises(ValueError, match=r"accepted: plate, sphere, mesh, disc, plane"):
-        Shape.from_definition({"kind": "cone"})
+    with pytest.raises(ValueError, match=r"fits none of the kinds .*disc.*plane"):
+        Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "cone"}))
     assert disc(3.0) == Disc(3.0) and disc(3.0).reach_mm == 3.0 and Plane() == FLOOR
 
 
@@ -228,9 +238,9 @@ def test_an_eye_exactly_in_the_plane_of_a_flat_shape_sees_what_the_tracer_says(s
     objects, _ = make_objects(placements, [material(0.5, mirror=0.2)] * 2)
     light = constant_light()
     gloss, white = GlossMaps.of(light.coefficients), light.upward_white()
-    made = prepare_scene(objects, light_of(light), gloss, make_tracer(placements), "spectral", white, half=False)
-    everything = dataclasses.replace(made, world=made.world._replace(bounded=0))
+    ready = prepare_scene(objects, light_of(light), gloss, make_tracer(placements), "spectral", white, half=False)
+    everything = dataclasses.replace(ready, world=ready.world._replace(bounded=0))
     eye = rotation_xyz(turn) @ np.array([-30.0, -70.0, 0.0])
     definition = {"position_mm": eye, "target_mm": [3.0, 5.0, 4.0], "up": [0.0, 0.0, 1.0], "field_of_view_deg": 90.0}
-    view = make_view(definition, {"width": 33, "height": 33})
-    assert np.array_equal(render_frame(made, view, bands=True), render_frame(everything, view, bands=True))
+    view = make_view(made(View, definition), made(Size, {"width": 33, "height": 33}))
+    assert np.array_equal(render_frame(ready, view, bands=True), render_frame(everything, view, bands=True))

@@ -7,8 +7,14 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from made import made
 
 from irodori.config.capture_table import Pose
+from irodori.config.models import (
+    BodyShape,
+    ObjectShape,
+    Optics,
+)
 from irodori.geometry import rig_frame
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.shapes import Placement, Shape, on_table
@@ -178,7 +184,7 @@ def test_the_ray_of_a_projected_point_passes_through_it(camera, point, position,
 def test_magnification_is_focal_length_over_distance():
     # 50 mm lens, 5 µm pixels, 1 m away: 10 mm are 0.5 mm on the sensor, 100 mosaic pixels, 50 superpixels.
     optics = {"focal_length_mm": 50, "pixel_pitch_um": 5, "principal_point_px": [300, 200], "width_px": 600}
-    camera = Pinhole.from_optics({**optics, "height_px": 400})
+    camera = Pinhole.from_optics(made(Optics, {**optics, "height_px": 400}))
     pose = Pose(45.0, 0.0)
     points = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]])
     centre, right, up = camera.project(points, [0.0, 0.0, 1000.0], rig_frame.rig_from_camera(pose))
@@ -241,10 +247,12 @@ def test_normals_point_out_of_the_shape():
 
 
 def test_configured_shapes_are_the_named_ones_and_others_are_refused():
-    assert Shape.from_definition({"kind": "plate", "width_mm": 30, "height_mm": 20}) == Plate(30.0, 20.0)
-    assert Shape.from_definition({"kind": "sphere", "radius_mm": 5}) == Sphere(5.0)
+    plate = made(ObjectShape | BodyShape, {"kind": "plate", "width_mm": 30, "height_mm": 20})
+    assert Shape.from_definition(plate) == Plate(30.0, 20.0)
+    sphere = made(ObjectShape | BodyShape, {"kind": "sphere", "radius_mm": 5})
+    assert Shape.from_definition(sphere) == Sphere(5.0)
     with pytest.raises(ValueError, match=r"torus.*plate, sphere"):
-        Shape.from_definition({"kind": "torus"})
+        Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "torus"}))
 
 
 # Placement

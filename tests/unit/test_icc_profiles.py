@@ -8,12 +8,14 @@ import OpenImageIO as oiio
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 from PIL import Image, ImageCms
 
 from irodori.colour.display import gamut, make_display, srgb, standard_display
 from irodori.colour.icc import D50_XYZ, Profile, bradford, read_profile, write_profile
 from irodori.colour.tone_curves import SRGB, ParametricCurve, SampledCurve
 from irodori.config.cross_checks.display_files import check_display
+from irodori.config.models import DisplayDevice
 from irodori.core.errors import InputError
 from irodori.export.pictures import write_display_picture, write_xyz_exr
 
@@ -49,7 +51,7 @@ def patches(path, matrix, powers=(2.2, 2.0, 1.8), black=(0.1, 0.1, 0.15), levels
 
 @pytest.mark.parametrize("name", ["sRGB", "Display P3", "Adobe RGB (1998)", "wide"])
 def test_littlecms_shows_the_adapted_colour_of_a_picture_with_its_profile(name):
-    display = make_display(WIDE if name == "wide" else {"kind": "standard", "name": name})
+    display = make_display(made(DisplayDevice, WIDE if name == "wide" else {"kind": "standard", "name": name}))
     linear = np.random.default_rng(1).uniform(0, 1, (400, 3))
     codes, found = display.encode(linear, bits=16)
     assert found.outside == 0
@@ -62,7 +64,7 @@ def test_littlecms_shows_the_adapted_colour_of_a_picture_with_its_profile(name):
 
 def test_a_pixel_in_a_tiff_and_a_png_is_the_scenes_colour_for_littlecms(tmp_path):
     """A wide display: LittleCMS takes its 8-bit picture to sRGB, where it agrees with the picture made for sRGB."""
-    display = make_display(WIDE)
+    display = make_display(made(DisplayDevice, WIDE))
     small = np.random.default_rng(2).uniform(0.2, 0.7, (30, 40, 3))
     xyz = small @ (100 * np.linalg.inv(srgb()._rgb_from_xyz(WHITE / 100)[0])).T
     assert gamut(display.linear_rgb(xyz, WHITE)).outside == 0
@@ -106,7 +108,9 @@ def test_a_tone_curve_and_its_inverse_cancel(curve):
 @given(gamma=st.floats(1.0, 3.5), white=st.tuples(st.floats(0.28, 0.36), st.floats(0.28, 0.36)))
 @settings(deadline=None, max_examples=30)
 def test_a_profile_read_back_is_the_display_that_was_written(gamma, white):
-    display = make_display(WIDE | {"white_xy": list(white), "tone": {"kind": "gamma", "gamma": gamma}})
+    display = make_display(
+        made(DisplayDevice, WIDE | {"white_xy": list(white), "tone": {"kind": "gamma", "gamma": gamma}})
+    )
     found = read_profile(display.profile, "a.icc")
     # The inverse of the adaptation stretches a rounding by at most three, over two of them.
     assert found.xyz_from_rgb == pytest.approx(display.xyz_from_rgb, abs=4 * FIXED_POINT)
@@ -127,7 +131,7 @@ def test_a_profile_made_by_littlecms_is_read_as_it_means_itself():
 
 def test_a_profile_of_version_2_tells_its_white_itself():
     """Without the adaptation's tag, white is what stands there, and Bradford is undone."""
-    display = make_display(WIDE)
+    display = make_display(made(DisplayDevice, WIDE))
     data = bytearray(display.profile)
     table = {bytes(data[132 + 12 * i : 136 + 12 * i]): 132 + 12 * i for i in range(11)}
     offset = int.from_bytes(data[table[b"wtpt"] + 4 : table[b"wtpt"] + 8], "big")
@@ -163,14 +167,16 @@ def test_sampled_curves_pass_through_a_profile():
 )
 def test_a_profile_of_something_else_is_refused_by_name(change, said):
     with pytest.raises(InputError, match=rf"monitor\.icc.*{said}"):
-        read_profile(change(make_display(WIDE).profile), "monitor.icc")
+        read_profile(change(make_display(made(DisplayDevice, WIDE)).profile), "monitor.icc")
 
 
 def test_a_measured_display_shows_a_colour_by_its_own_light(tmp_path):
     """Codes of a picture, put through the display that was measured, give the adapted XYZ, black included."""
     matrix = np.array([[41.0, 35.8, 18.0], [21.3, 71.5, 7.2], [1.9, 11.9, 95.0]])
     powers, black = np.array([2.2, 2.0, 1.8]), np.array([0.1, 0.1, 0.15])
-    display = make_display({"kind": "measured", "file": str(patches(tmp_path / "m.csv", matrix, powers, black))})
+    display = make_display(
+        made(DisplayDevice, {"kind": "measured", "file": str(patches(tmp_path / "m.csv", matrix, powers, black))})
+    )
     luminance = (matrix.sum(axis=1) + black)[1]
     assert display.white_xyz == pytest.approx((matrix.sum(axis=1) + black) / luminance, abs=1e-6)
     wanted = np.random.default_rng(5).uniform(0.02, 0.9, (200, 3))
@@ -195,7 +201,10 @@ def test_argylls_table_is_the_same_display(tmp_path):
         " ".join(map(repr, [i, *(100 * v for v in row[:3]), *row[3:]])) for i, row in enumerate(rows, start=1)
     )
     (tmp_path / "m.ti3").write_text(text + "\nEND_DATA\n")
-    a, b = (make_display({"kind": "measured", "file": str(tmp_path / name)}) for name in ("m.csv", "m.ti3"))
+    a, b = (
+        make_display(made(DisplayDevice, {"kind": "measured", "file": str(tmp_path / name)}))
+        for name in ("m.csv", "m.ti3")
+    )
     assert a.xyz_from_rgb == pytest.approx(b.xyz_from_rgb, abs=1e-9)
     assert a.curves[0].values == pytest.approx(b.curves[0].values, abs=1e-9)
 
@@ -219,7 +228,7 @@ def test_a_faulty_measurement_is_refused_by_name(tmp_path, change, said):
     path = patches(tmp_path / "m.csv", np.array([[41.0, 35.8, 18.0], [21.3, 71.5, 7.2], [1.9, 11.9, 95.0]]))
     path.write_text(change(path.read_text()))
     with pytest.raises(InputError, match=rf"m\.csv.*{said}"):
-        make_display({"kind": "measured", "file": str(path)})
+        make_display(made(DisplayDevice, {"kind": "measured", "file": str(path)}))
 
 
 def test_what_a_display_cannot_show_is_counted_on_each_side():
@@ -230,7 +239,10 @@ def test_what_a_display_cannot_show_is_counted_on_each_side():
     found = gamut(linear)
     assert (found.pixels, found.outside, found.below, found.above) == (20, 6, 4, 3)
     assert found.figures()["out_of_gamut_fraction"] == 0.3
-    wide = gamut(np.array([[1.2, 0.5, 0.5]]) @ (np.linalg.inv(make_display(WIDE).xyz_from_rgb) @ srgb().xyz_from_rgb).T)
+    wide = gamut(
+        np.array([[1.2, 0.5, 0.5]])
+        @ (np.linalg.inv(make_display(made(DisplayDevice, WIDE)).xyz_from_rgb) @ srgb().xyz_from_rgb).T
+    )
     assert wide.pixels == 1
 
 
@@ -240,13 +252,13 @@ def test_primaries_that_do_not_enclose_their_white_and_absent_files_are_refused(
         check_display(outside, tmp_path, "s.yaml")
     check_display(WIDE, tmp_path, "s.yaml")
     with pytest.raises(ValueError, match="within the triangle"):
-        make_display(outside)
+        make_display(made(DisplayDevice, outside))
     with pytest.raises(InputError, match=r"display\.device\.file.*no such file: a\.icc"):
         check_display({"kind": "profile", "file": "a.icc"}, tmp_path, "s.yaml")
     (tmp_path / "a.txt").write_text("red")
     with pytest.raises(InputError, match=r"\.csv or \.ti3"):
         check_display({"kind": "measured", "file": "a.txt"}, tmp_path, "s.yaml")
-    with pytest.raises(ValueError, match="accepted: standard, primaries, measured, profile"):
-        make_display({"kind": "crt"})
+    with pytest.raises(ValueError, match="kinds standard, primaries, measured, profile"):
+        make_display(made(DisplayDevice, {"kind": "crt"}))
     with pytest.raises(ValueError, match="accepted: sRGB, Display P3"):
         standard_display("NTSC")

@@ -1,15 +1,18 @@
 """Environments from other programs' files, placed lights and mirror balls: energy, colour, direction."""
 
 import tracemalloc
+from collections.abc import Sequence
 
 import numpy as np
 import OpenImageIO as oiio
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 from scenes import DATA
 
 from irodori.colour.colorimetry import colour_matching_weights, delta_e, lab_from_xyz, spectral_rmse
+from irodori.config.models import IrradianceMap, LightsSource, PlacedLight, RgbSource, Size, SpectralSource
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.export.pictures import read_layers, write_spectral_exr
@@ -26,7 +29,7 @@ from irodori.spectra.resampling import resample_picture
 
 OPTIONS = (
     CompressOptions(0.1, np.inf, 4, storage="single"),
-    {"max_error": 0.002, "max_height": 64},
+    IrradianceMap(max_error=0.002, max_height=64),
     store.Provenance("test"),
 )
 EXACT = CompressOptions(0.0, np.inf, 4, storage="single")
@@ -158,7 +161,13 @@ def test_an_rgb_environment_in_a_file(tmp_path):
     rng = np.random.default_rng(3)
     write_exr(tmp_path / "a.exr", rng.uniform(0, 1, (16, 32, 3)))
     source = {"kind": "rgb", "file": str(tmp_path / "a.exr"), "scale": 1.0, "centre_azimuth_deg": 0.0}
-    make_environment(source, None, tmp_path / "e.h5", *OPTIONS, gloss_lobes=["gaussian"])
+    make_environment(
+        made(RgbSource | SpectralSource | LightsSource, source),
+        None,
+        tmp_path / "e.h5",
+        *OPTIONS,
+        gloss_lobes=["gaussian"],
+    )
     found = Environment.load(tmp_path / "e.h5")
     expected = rgb_picture(tmp_path / "a.exr")
     truth = expected.weights @ expected.basis.T
@@ -170,8 +179,13 @@ def test_an_rgb_environment_in_a_file(tmp_path):
 
 
 def test_an_unknown_kind_of_light_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="no light is made from 'captures'"):
-        make_environment({"kind": "captures"}, None, tmp_path / "e.h5", *OPTIONS)
+    with pytest.raises(ValueError, match="kinds rgb, spectral, lights"):
+        make_environment(
+            made(RgbSource | SpectralSource | LightsSource, {"kind": "captures"}),
+            None,
+            tmp_path / "e.h5",
+            *OPTIONS,
+        )
 
 
 # --- spectral EXR --------------------------------------------------------------------------------------------------
@@ -264,8 +278,14 @@ def test_the_memory_for_an_environment_does_not_grow_with_its_spectra(tmp_path):
 
     picture = Picture(size, np.eye(61), read)
     tracemalloc.start()
-    write_environment(picture, None, tmp_path / "e.h5", CompressOptions(), {"max_error": 0.1, "max_height": 32},
-                      store.Provenance("test"))  # fmt: skip
+    write_environment(
+        picture,
+        None,
+        tmp_path / "e.h5",
+        CompressOptions(),
+        made(IrradianceMap, {"max_error": 0.1, "max_height": 32}),
+        store.Provenance("test"),
+    )
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     found = Environment.load(tmp_path / "e.h5")
@@ -317,14 +337,14 @@ def test_placed_lights_keep_their_energy(diameter, where):
     one = {"spectrum": "A", "azimuth_deg": where[0], "elevation_deg": where[1], "diameter_deg": diameter}
     width, height = 120, 60
     unit, solid_angle = directions(width, height)
-    facing = lights_picture([{**one, "irradiance": 2.0}], width, height)
+    facing = lights_picture(made(Sequence[PlacedLight], [{**one, "irradiance": 2.0}]), width, height)
     texel = unit.reshape(-1, 3)[(unit @ direction_of(*where)).argmax()]
     normal = texel if diameter < 3.0 else direction_of(*where)
     found = Integrator(facing.weights)(normal[None])[0, 0]
     # A diffuser of radiance 2.
     assert found / np.pi == pytest.approx(2.0, rel=0.002 if diameter != 0.5 and diameter != 0 else 0.01)
     if diameter > 0:
-        glowing = lights_picture([{**one, "radiance": 3.0}], width, height)
+        glowing = lights_picture(made(Sequence[PlacedLight], [{**one, "radiance": 3.0}]), width, height)
         disc = 2 * np.pi * (1 - np.cos(np.radians(diameter / 2)))
         assert (glowing.weights[..., 0] * solid_angle).sum() == pytest.approx(3.0 * disc, rel=1e-5)
         if diameter >= 20:
@@ -337,7 +357,7 @@ def test_lights_have_their_own_spectra_at_one_luminance():
     names = ["D65", "FL11", "P2856"]
     lights = [{"spectrum": n, "azimuth_deg": 120.0 * i, "elevation_deg": 10.0, "diameter_deg": 30.0, "radiance": 1.0}
               for i, n in enumerate(names)]  # fmt: skip
-    picture = lights_picture(lights, 64, 32)
+    picture = lights_picture(made(Sequence[PlacedLight], lights), 64, 32)
     luminance = xyz(picture.basis.T)[:, 1]
     assert np.allclose(luminance, 1.0)
     for i, name in enumerate(names):
@@ -349,7 +369,12 @@ def test_lights_have_their_own_spectra_at_one_luminance():
 
 def test_placed_lights_in_a_file(tmp_path):
     lights = [{"spectrum": "FL11", "azimuth_deg": 20.0, "elevation_deg": 50.0, "diameter_deg": 0.0, "irradiance": 1.0}]
-    make_environment({"kind": "lights", "lights": lights}, {"width": 64, "height": 32}, tmp_path / "e.h5", *OPTIONS)
+    make_environment(
+        made(RgbSource | SpectralSource | LightsSource, {"kind": "lights", "lights": lights}),
+        made(Size, {"width": 64, "height": 32}),
+        tmp_path / "e.h5",
+        *OPTIONS,
+    )
     found = Environment.load(tmp_path / "e.h5")
     place = np.unravel_index(np.linalg.norm(found.coefficients, axis=-1).argmax(), (32, 64))
     radiance = found.basis @ found.coefficients[place] * directions(64, 32)[1][place]

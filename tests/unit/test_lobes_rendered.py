@@ -9,9 +9,11 @@ import math
 import numpy as np
 import pytest
 import toy_lobe
+from made import made
 from path_scenes import DARK, deviations, traced
 from scenes import BALL, ONES, constant_light, fresnel, material, plate, sky, smooth_light, sphere_hits
 
+from irodori.config.models import Size, View
 from irodori.geometry.shapes import Placement
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.material.material_file import Material
@@ -137,8 +139,9 @@ def interactive(components, light, n=1.5, k=0.0, lamps=(), size=(41, 41)):
     ready = prepare_scene(objects, light_of(light), GlossMaps.of(light.coefficients), make_tracer(placements),
                           "coefficients", ONES, lamps=np.ones((len(lamps), 61)), least_throughput=0.0,
                           half=False)  # fmt: skip
-    view = make_view({"position_mm": (0.0, -200.0, 0.0), "target_mm": (0.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0),
-                      "field_of_view_deg": 13.0}, {"width": size[0], "height": size[1]})  # fmt: skip
+    seen = {"position_mm": (0.0, -200.0, 0.0), "target_mm": (0.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0),
+            "field_of_view_deg": 13.0}  # fmt: skip
+    view = make_view(made(View, seen), Size(width=size[0], height=size[1]))
     return render_frame(ready, view, lamps=tuple(Lamp(np.asarray(d)) for d in lamps))[..., 1] / 100
 
 

@@ -5,8 +5,11 @@ import tracemalloc
 import h5py
 import numpy as np
 import pytest
+from made import made
 
 from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.config.models import Object
+from irodori.config.parts import Surface
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.material.fitted_tiles import FittedTiles, columns
@@ -58,7 +61,15 @@ def definition(height, width):
 
 
 def compress(tiles, calibration, size, output, **options):
-    compress_reflectance(tiles, calibration, definition(*size), output, CompressOptions(**options), ["D65"], PROVENANCE)
+    compress_reflectance(
+        tiles,
+        calibration,
+        made(Object | Surface, definition(*size)),
+        output,
+        CompressOptions(**options),
+        ["D65"],
+        PROVENANCE,
+    )
     return Material.load(output)
 
 
@@ -158,8 +169,15 @@ def test_memory_is_that_of_a_tile_and_a_sample(tmp_path, calibration):
             write_tile(path, (i * rows, (i + 1) * rows), width, i)
         size = (tiles * rows, width)
         tracemalloc.start()
-        compress_reflectance(paths, calibration, definition(*size), tmp_path / "m.h5", CompressOptions(), ["D65"],
-                             PROVENANCE)  # fmt: skip
+        compress_reflectance(
+            paths,
+            calibration,
+            made(Object | Surface, definition(*size)),
+            tmp_path / "m.h5",
+            CompressOptions(),
+            ["D65"],
+            PROVENANCE,
+        )
         found = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return found

@@ -7,11 +7,19 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 from scenes import BALL, constant_light, material, plate, render, sky
 from shortcuts import ball
 from test_rectification import PLATE_POSES, pixel_of, rectify, setup_of
 
 from irodori.config.capture_table import Pose
+from irodori.config.models import (
+    BodyShape,
+    Object,
+    ObjectShape,
+    Rig,
+)
+from irodori.config.parts import PlannedObject
 from irodori.geometry.embree import NO_HIT, Tracer
 from irodori.geometry.lathe import LID_MM, lathe, write_obj
 from irodori.geometry.mesh import make_mesh
@@ -244,7 +252,7 @@ def test_texels_of_a_mesh_take_their_own_place_in_the_picture(tmp_path):
     write_obj(path, corners, uv, digits=9)
     definition = {"shape": {"kind": "mesh", "file": str(path), "unit": "mm", "pivot_mm": [0, 0, 0]},
                   "texels": {"width": 48, "height": 48}}  # fmt: skip
-    shape = Shape.from_definition(definition["shape"])
+    shape = Shape.from_definition(made(ObjectShape | BodyShape, definition["shape"]))
     found = rectify(tmp_path, definition, PLATE_POSES)
     for j, pose in enumerate(PLATE_POSES):
         position = shape.texels(48, 48)[0].reshape(-1, 3) @ rig_from_object(pose).T
@@ -352,7 +360,10 @@ def test_poses_are_planned_for_the_points_of_a_mesh_as_for_those_of_the_sphere(f
     from irodori.capture.shot_planner.planner import subject_of
 
     rig = {"camera_distance_mm": 900.0, "table_radius_mm": 40.0}
-    exact, found = (subject_of({"shape": definition["shape"]}, rig) for definition in (EXACT, facets))
+    exact, found = (
+        subject_of(made(Object | PlannedObject, {"shape": definition["shape"]}), made(Rig, rig))
+        for definition in (EXACT, facets)
+    )
     assert np.abs(np.linalg.norm(found.position, axis=1) - 25.0).max() < 0.05
     poses = [Pose(45.0, 20.0), Pose(80.0, 30.0, 10.0, 90.0)]
     seen = [

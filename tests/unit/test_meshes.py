@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 from scipy.spatial import Delaunay
 from shortcuts import ball
 
+from irodori.config.models import BodyShape, ObjectShape
 from irodori.core.errors import InputError
 from irodori.geometry.atlas import NO_FACE, mesh_texels, rasterise
 from irodori.geometry.lathe import lathe, write_lid, write_obj
@@ -329,7 +331,9 @@ def test_rows_of_the_atlas_are_those_of_the_whole():
 def test_a_sphere_of_triangles_has_the_texels_of_the_sphere(rings):
     shape = Shape.from_mesh(make_mesh(*ball(25.0, rings, 2 * rings)))
     position, normal = shape.texels(64, 32)
-    exact, direction = Shape.from_definition({"kind": "sphere", "radius_mm": 25.0}).texels(64, 32)
+    exact, direction = Shape.from_definition(
+        made(ObjectShape | BodyShape, {"kind": "sphere", "radius_mm": 25.0})
+    ).texels(64, 32)
     known = np.isfinite(position[..., 0])
     # At the poles the quadrangles are triangles that leave half of the texture free.
     assert known[1 + 64 // rings // 2 : -(1 + 64 // rings // 2)].all()

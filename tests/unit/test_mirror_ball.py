@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from made import made
 from scenes import DATA, fresnel
 from test_environment import write_inputs
 
 from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.config.models import CapturesSource, IrradianceMap, MirrorBallSource, RefractiveIndex, Size
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.light.environment_file import Environment, directions
@@ -17,7 +19,7 @@ from irodori.spectra.published import refractive_index
 
 OPTIONS = (
     CompressOptions(0.0, np.inf, 4, storage="single"),
-    {"max_error": 0.002, "max_height": 64},
+    IrradianceMap(max_error=0.002, max_height=64),
     store.Provenance("test"),
 )
 BALL = {"kind": "mirror_ball", "centre_px": [100.5, 90.0], "radius_px": 85.0, "camera_azimuth_deg": 0.0,
@@ -49,10 +51,16 @@ def smooth(unit):
 def test_a_mirror_ball_shows_the_light_where_it_comes_from(camera):
     source = {**BALL, "camera_azimuth_deg": camera[0], "camera_elevation_deg": camera[1]}
     weights = photograph(smooth, source)
-    picture = unwrapped(source, {"width": 64, "height": 32}, weights, np.ones(weights.shape[:2], bool),
-                        np.eye(61)[:, :3], "ball.h5")  # fmt: skip
+    picture = unwrapped(
+        made(MirrorBallSource, source),
+        made(Size, {"width": 64, "height": 32}),
+        weights,
+        np.ones(weights.shape[:2], bool),
+        np.eye(61)[:, :3],
+        "ball.h5",
+    )
     unit = directions(64, 32)[0]
-    seen = ball_places(source, 64, 32)[2] < RIM
+    seen = ball_places(made(MirrorBallSource, source), 64, 32)[2] < RIM
     found = (picture.weights @ picture.basis.T)[..., :3]
     assert np.abs(found - smooth(unit))[seen].max() <= 0.01
     assert picture.origin["blind_fraction"] == pytest.approx((1 - np.cos(np.pi - 2 * np.arcsin(RIM))) / 2, abs=0.01)
@@ -66,9 +74,15 @@ def test_the_balls_own_fresnel_reflectance_is_divided_out():
     source = {key: value for key, value in BALL.items() if key != "reflectance_factor"}
     source["refractive_index"] = {"n": n, "k": k}
     weights = photograph(smooth, source, lambda cosine: fresnel(cosine, n, k)[..., None])
-    picture = unwrapped(source, {"width": 64, "height": 32}, weights, np.ones(weights.shape[:2], bool),
-                        np.eye(61)[:, :3], "ball.h5")  # fmt: skip
-    seen = ball_places(source, 64, 32)[2] < RIM
+    picture = unwrapped(
+        made(MirrorBallSource, source),
+        made(Size, {"width": 64, "height": 32}),
+        weights,
+        np.ones(weights.shape[:2], bool),
+        np.eye(61)[:, :3],
+        "ball.h5",
+    )
+    seen = ball_places(made(MirrorBallSource, source), 64, 32)[2] < RIM
     found = (picture.weights @ picture.basis.T)[..., :3]
     assert np.abs(found - smooth(directions(64, 32)[0]))[seen].max() <= 0.015
 
@@ -81,9 +95,9 @@ def test_a_coloured_metal_is_divided_out_at_every_wavelength(tmp_path):
     source = {**BALL, "refractive_index": {"file": str(tables[0])}}
     del source["reflectance_factor"]
 
-    n, k = refractive_index(source["refractive_index"])
+    n, k = refractive_index(made(RefractiveIndex, source["refractive_index"]))
     cosine = np.linspace(0.21, 1.0, 50)
-    factors, spectra = inverse_reflectance(source, cosine)
+    factors, spectra = inverse_reflectance(made(MirrorBallSource, source), cosine)
     assert factors.shape[1] <= 6
     exact = np.array([fresnel(c, n, k) for c in cosine])
     assert np.abs((factors @ spectra.T) * exact - 1.0).max() <= 2e-3
@@ -93,18 +107,22 @@ def test_a_ball_that_is_not_in_the_picture_or_masked_is_refused():
     weights, valid = np.ones((190, 205, 3)), np.ones((190, 205), bool)
     size, basis = {"width": 32, "height": 16}, np.eye(61)[:, :3]
     with pytest.raises(InputError, match="beyond the photograph"):
-        unwrapped({**BALL, "radius_px": 120.0}, size, weights, valid, basis, "ball.h5")
+        unwrapped(
+            made(MirrorBallSource, {**BALL, "radius_px": 120.0}), made(Size, size), weights, valid, basis, "ball.h5"
+        )
     one = valid.copy()
     one[90, 100] = False
-    picture = unwrapped(BALL, size, weights, one, basis, "ball.h5")
+    picture = unwrapped(made(MirrorBallSource, BALL), made(Size, size), weights, one, basis, "ball.h5")
     assert np.allclose((picture.weights @ picture.basis.T)[..., :3], 1.0)
     # A direction whose place is the masked pixel's own centre.
     exact = {**BALL, "centre_px": [100.0, 90.0], "camera_azimuth_deg": 180.0}
-    picture = unwrapped(exact, {"width": 1, "height": 1}, weights, one, basis, "ball.h5")
+    picture = unwrapped(
+        made(MirrorBallSource, exact), made(Size, {"width": 1, "height": 1}), weights, one, basis, "ball.h5"
+    )
     assert np.allclose((picture.weights @ picture.basis.T)[..., :3], 1.0)
     one[80:100, 90:110] = False
     with pytest.raises(InputError, match="all masked"):
-        _ = unwrapped(BALL, size, weights, one, basis, "ball.h5").weights
+        _ = unwrapped(made(MirrorBallSource, BALL), made(Size, size), weights, one, basis, "ball.h5").weights
 
 
 def test_the_stage_unwraps_a_ball_and_minds_saturation_on_it_alone(tmp_path):
@@ -115,13 +133,13 @@ def test_the_stage_unwraps_a_ball_and_minds_saturation_on_it_alone(tmp_path):
     write_inputs(tmp_path, response, valid, calibration)
     size = {"width": 64, "height": 32}
     prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "e.h5", *OPTIONS,
-                        BALL, size)  # fmt: skip
+                        made(CapturesSource | MirrorBallSource, BALL), made(Size, size))  # fmt: skip
     found = Environment.load(tmp_path / "e.h5")
-    seen = ball_places(BALL, 64, 32)[2] < RIM
+    seen = ball_places(made(MirrorBallSource, BALL), 64, 32)[2] < RIM
     spectra = (found.coefficients @ found.basis.T)[..., [10, 30, 50]]
     assert np.abs(spectra - 2 * smooth(directions(64, 32)[0]))[seen].max() <= 0.03
     valid[90, 100] = 0
     write_inputs(tmp_path, response, valid, calibration)
     with pytest.raises(InputError, match="saturated in every bracket"):
         prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "f.h5", *OPTIONS,
-                            BALL, size)  # fmt: skip
+                            made(CapturesSource | MirrorBallSource, BALL), made(Size, size))  # fmt: skip

@@ -2,12 +2,14 @@
 
 import copy
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 from definitions import ROOT, edit, fault, load
+from made import made
 from PIL import Image
 from scenes import BALL, constant_light, material, plate
 from scipy import ndimage
@@ -16,6 +18,8 @@ from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.capture.stage import Target, capture_camera, capture_photograph
 from irodori.config.cross_checks.scene_photographs import check_photograph
 from irodori.config.definitions import load_definitions, read_yaml
+from irodori.config.models import Camera, ObjectShape, Optics, Rig, ScenePhotograph
+from irodori.config.parts import Staging
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.evaluation.photograph_comparison import compare, compare_photograph, read_photograph
@@ -66,12 +70,12 @@ def known_calibration(camera: dict, rig: dict, path: Path) -> Calibration:
     lamp = light(rig["light"]["spectrum"])
     spans = np.stack([np.ones(61), PAINT, PAINT**2, PAINT**3, OTHER, spectrum("TCS56")], axis=1)
     basis = np.linalg.qr(spans)[0]
-    weights = band_weights(camera, lamp)
+    weights = band_weights(made(Camera, camera), lamp)
     response_from_weights = weights @ basis / weights.sum(axis=1, keepdims=True)
-    made = Calibration(basis, np.linalg.inv(response_from_weights).T, lamp, ("out", "in"))
+    exact = Calibration(basis, np.linalg.inv(response_from_weights).T, lamp, ("out", "in"))
     with store.create(path, MADE) as out:
-        made.write(out)
-    return made
+        exact.write(out)
+    return exact
 
 
 @pytest.fixture(scope="module")
@@ -86,14 +90,29 @@ def studio(tmp_path_factory):
         material(paint, beta=1.0, mu=0.2).save(folder / f"{name}.h5", MADE)
     table = folder / "camera" / "captures.csv"
     table.parent.mkdir()
-    capture_camera(Target("camera", camera, rig, table=table), folder / "camera.json", MADE)
+    capture_camera(Target("camera", made(Camera, camera), made(Rig, rig), table=table), folder / "camera.json", MADE)
     options = IngestOptions()
     ingest_reference(table, table.parent, folder / "reference.h5", MADE, 0.99, options)
     files = [folder / "plate.h5", folder / "red.h5"]
-    render_photographed(SCENE, PLACED, camera["optics"], SHAPES, files, folder / "light.h5", folder / "seen.h5", MADE)
+    render_photographed(
+        made(Staging, SCENE),
+        made(ScenePhotograph, PLACED),
+        made(Optics, camera["optics"]),
+        made(Sequence[ObjectShape], SHAPES),
+        files,
+        folder / "light.h5",
+        folder / "seen.h5",
+        MADE,
+    )
     table = folder / "photograph" / "captures.csv"
     table.parent.mkdir()
-    capture_photograph(PLACED, folder / "seen.h5", Target("s-front", camera, rig, table=table), folder / "p.json", MADE)
+    capture_photograph(
+        made(ScenePhotograph, PLACED),
+        folder / "seen.h5",
+        Target("s-front", made(Camera, camera), made(Rig, rig), table=table),
+        folder / "p.json",
+        MADE,
+    )
     ingest_raw(table, table.parent, "scene", folder / "reference.h5", folder / "scene.h5", MADE, options)
     return folder, camera
 
@@ -105,7 +124,15 @@ def compared(studio, out: Path, materials, **placed) -> tuple[dict, dict]:
     inputs |= {"environment": folder / "light.h5", "materials": [folder / f"{name}.h5" for name in materials]}
     outputs = {key: out / f"{key}.png" for key in ("comparison", "photograph", "rendering")}
     outputs |= {"difference": out / "difference.h5", "figures": out / "figures.json"}
-    compare_photograph(inputs, SCENE, PLACED | placed, camera["optics"], SHAPES, outputs, MADE)
+    compare_photograph(
+        inputs,
+        made(Staging, SCENE),
+        made(ScenePhotograph, PLACED | placed),
+        made(Optics, camera["optics"]),
+        made(Sequence[ObjectShape], SHAPES),
+        outputs,
+        MADE,
+    )
     with h5py.File(outputs["difference"]) as file:
         data = {name: file[name][()] for name in file}
     return json.loads(outputs["figures"].read_text()), data
@@ -139,7 +166,7 @@ def test_a_photograph_of_the_very_materials_differs_by_noise_alone(studio, tmp_p
 def test_a_changed_material_shows_at_its_own_pixels(studio, tmp_path):
     figures, data = compared(studio, tmp_path, ("plate", "other"))
     _, camera = studio
-    ideal = IdealView.covering(Pinhole.from_optics(camera["optics"]), 2)
+    ideal = IdealView.covering(Pinhole.from_optics(made(Optics, camera["optics"])), 2)
     centre = ideal.pinhole.project([10.0, 0.0, 20.1], np.array(PLACED["position_mm"]), _axes())
     x, y = ideal.pixels_of(2.0 * (centre + 0.5))
     rows, columns = np.indices(data["delta_e"].shape)
@@ -242,7 +269,7 @@ def test_a_photograph_of_another_camera_is_refused_by_name(studio, tmp_path, cha
         with h5py.File(linear, "a") as file:
             file["response"].attrs["units"] = change["unit"]
     with pytest.raises(InputError, match=said):
-        read_photograph(linear, calibration, IdealView.covering(Pinhole.from_optics(optics), 2))
+        read_photograph(linear, calibration, IdealView.covering(Pinhole.from_optics(made(Optics, optics)), 2))
 
 
 FRONT = "photographs.front"
@@ -315,8 +342,8 @@ def test_a_plate_seen_straight_is_where_the_shapes_say():
 
     ideal = IdealView.covering(Pinhole(1000.0, (100.0, 100.0), 200, 200), 1)
     placed = {"position_mm": [0.0, 0.0, 1000.0], "target_mm": [0.0, 0.0, 0.0], "up": [0.0, 1.0, 0.0]}
-    seen = shows_an_object(ideal, placed, [Placement(plate(100.0), np.eye(3), np.zeros(3))])
+    seen = shows_an_object(ideal, made(ScenePhotograph, placed), [Placement(plate(100.0), np.eye(3), np.zeros(3))])
     rows, columns = np.nonzero(seen)
     assert seen.sum() == 50 * 50 and rows.min() == columns.min() == 25
-    ball = shows_an_object(ideal, placed, [Placement(BALL, np.eye(3), np.zeros(3))])
+    ball = shows_an_object(ideal, made(ScenePhotograph, placed), [Placement(BALL, np.eye(3), np.zeros(3))])
     assert ball.sum() == pytest.approx(np.pi * 10.0**2, rel=0.05)

@@ -1,14 +1,17 @@
 """Pictures in files: every bit kept, channels named as published, broken files refused."""
 
 import json
+from collections.abc import Sequence
 
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+from made import made
 from PIL import Image
 from scenes import DATA, OPTIONS, constant_light, material
 
 from irodori.colour.display import srgb
+from irodori.config.models import ObjectShape, Render, Scene
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.export.pictures import channel_names, read_spectral_exr, write_display_picture, write_spectral_exr
@@ -102,8 +105,17 @@ def test_a_view_in_files_shows_a_white_diffuser_as_white(tmp_path):
         "views": {"v": {"position_mm": [0, -0.01, 500.0], "target_mm": [0, 0, 0], "up": [0, 0, 1],
                         "field_of_view_deg": 11.0}},
     }  # fmt: skip
-    render_view(scene, "v", shapes, [tmp_path / "white.h5", tmp_path / "grey.h5"], tmp_path / "e.h5",
-                tmp_path / "v.exr", tmp_path / "v.png", tmp_path / "v.json", OPTIONS, 10)  # fmt: skip
+    render_view(
+        made(Scene, scene),
+        "v",
+        made(Sequence[ObjectShape], shapes),
+        [tmp_path / "white.h5", tmp_path / "grey.h5"],
+        tmp_path / "e.h5",
+        tmp_path / "v.exr",
+        tmp_path / "v.png",
+        tmp_path / "v.json",
+        made(Render, OPTIONS),
+    )
     radiance = read_spectral_exr(tmp_path / "v.exr")
     assert np.allclose(radiance[2, 2], np.linspace(0.3, 3.0, 61), rtol=2e-3)
     with Image.open(tmp_path / "v.png") as image:
@@ -120,12 +132,12 @@ def test_a_view_in_files_shows_a_white_diffuser_as_white(tmp_path):
 
 def _check_further_outputs(scene, folder, pixels):
     """XYZ and a TIFF of the view's EXR: the grey ball has Y = 20 and the same code as in the PNG, 16 bits of it."""
-    write_xyz(scene, folder / "v.exr", folder / "e.h5", folder / "v.xyz.exr")
+    write_xyz(made(Scene, scene), folder / "v.exr", folder / "e.h5", folder / "v.xyz.exr")
     source = oiio.ImageInput.open(str(folder / "v.xyz.exr"))
     xyz, white = source.read_image("float"), source.spec().getattribute("irodori:whiteXYZ")
     source.close()
     assert xyz[15, 15] == pytest.approx(0.2 * np.array(list(map(float, white.split()))), rel=0.01)
-    write_tiff(scene, folder / "v.exr", folder / "e.h5", folder / "v.tif")
+    write_tiff(made(Scene, scene), folder / "v.exr", folder / "e.h5", folder / "v.tif")
     source = oiio.ImageInput.open(str(folder / "v.tif"))
     assert np.abs(source.read_image("uint16") / 257 - pixels).max() <= 0.51
     source.close()
@@ -149,7 +161,15 @@ def test_a_view_by_paths_in_files_tells_its_error_and_leaves_no_tiles(tmp_path):
     }  # fmt: skip
     outputs = [tmp_path / f"v.{suffix}" for suffix in ("exr", "png", "json")]
     shapes = [{"kind": "plate", "width_mm": 100.0, "height_mm": 100.0}]
-    arguments = (scene, "v", shapes, [tmp_path / "white.h5"], tmp_path / "e.h5", *outputs, OPTIONS, 2)
+    arguments = (
+        made(Scene, scene),
+        "v",
+        made(Sequence[ObjectShape], shapes),
+        [tmp_path / "white.h5"],
+        tmp_path / "e.h5",
+        *outputs,
+        OPTIONS,
+    )
     render_view(*arguments)
     with Image.open(tmp_path / "v.png") as image:
         assert (np.asarray(image) >= 252).all()
@@ -158,9 +178,9 @@ def test_a_view_by_paths_in_files_tells_its_error_and_leaves_no_tiles(tmp_path):
     assert 0 < figures["relative_standard_error"]["mean"] <= figures["relative_standard_error"]["max"] < 0.02
     assert not (tmp_path / "v.tiles").exists()
     with pytest.raises(ValueError, match=r"area lights .* accepted: collimated"):
-        render_view(scene | {"integrator": {"kind": "interactive", "ambient": True}}, *arguments[1:])
-    with pytest.raises(ValueError, match="accepted: interactive, reference"):
-        render_view(scene | {"integrator": {"kind": "bidirectional"}}, *arguments[1:])
+        render_view(made(Scene, scene | {"integrator": {"kind": "interactive", "ambient": True}}), *arguments[1:])
+    with pytest.raises(ValueError, match="kinds interactive, reference"):
+        render_view(made(Scene, scene | {"integrator": {"kind": "bidirectional"}}), *arguments[1:])
 
 
 def test_a_scene_in_the_dark_is_refused_before_anything_is_written(tmp_path):
@@ -175,7 +195,15 @@ def test_a_scene_in_the_dark_is_refused_before_anything_is_written(tmp_path):
     outputs = [tmp_path / f"v.{suffix}" for suffix in ("exr", "png", "json")]
     shapes = [{"kind": "plate", "width_mm": 100.0, "height_mm": 100.0}]
     with pytest.raises(InputError, match=r"dark\.h5: found no light on a surface that faces up"):
-        render_view(scene, "v", shapes, [tmp_path / "white.h5"], tmp_path / "dark.h5", *outputs, OPTIONS, 2)
+        render_view(
+            made(Scene, scene),
+            "v",
+            made(Sequence[ObjectShape], shapes),
+            [tmp_path / "white.h5"],
+            tmp_path / "dark.h5",
+            *outputs,
+            OPTIONS,
+        )
     assert not any(path.exists() for path in outputs)
 
 
@@ -193,7 +221,15 @@ def test_an_interactive_view_in_files_has_the_light_of_its_lamp(tmp_path):
     }  # fmt: skip
     outputs = [tmp_path / f"v.{suffix}" for suffix in ("exr", "png", "json")]
     shapes = [{"kind": "plate", "width_mm": 100.0, "height_mm": 100.0}]
-    render_view(scene, "v", shapes, [tmp_path / "white.h5"], tmp_path / "e.h5", *outputs, OPTIONS, 2)
+    render_view(
+        made(Scene, scene),
+        "v",
+        made(Sequence[ObjectShape], shapes),
+        [tmp_path / "white.h5"],
+        tmp_path / "e.h5",
+        *outputs,
+        OPTIONS,
+    )
     from irodori.light.placed_lights import unit_luminance
 
     expected = np.linspace(0.3, 3.0, 61) + 4.0 * 0.5 * unit_luminance("A")
@@ -233,9 +269,15 @@ def test_a_body_is_rendered_from_its_names_alone(tmp_path, integrator):
     for name, x in (("left", -100), ("right", 100)):
         scene["views"][name] = {"position_mm": [x, -0.01, 5000.0], "target_mm": [x, 0, 0], "up": [0, 1, 0],
                                 "field_of_view_deg": 0.002}  # fmt: skip
-        render_view(scene, name, [{"kind": "plate", "width_mm": 10.0, "height_mm": 10.0}], [tmp_path / "plate.h5"],
-                    tmp_path / "e.h5", *(tmp_path / f"{name}.{s}" for s in ("exr", "png", "json")), OPTIONS,
-                    4)  # fmt: skip
+        render_view(
+            made(Scene, scene),
+            name,
+            made(Sequence[ObjectShape], [{"kind": "plate", "width_mm": 10.0, "height_mm": 10.0}]),
+            [tmp_path / "plate.h5"],
+            tmp_path / "e.h5",
+            *(tmp_path / f"{name}.{s}" for s in ("exr", "png", "json")),
+            OPTIONS,
+        )
     left, right = (read_spectral_exr(tmp_path / f"{name}.exr")[0, 1] for name in ("left", "right"))
     # Each sees nothing but the light; the second adds its mirror term to its diffuse one.
     assert np.allclose(left, 2.0 * np.maximum(spectrum("TCS12"), 0), rtol=2e-3)

@@ -28,6 +28,7 @@ SOURCES = {
     "sub/deep/core.py": "from .. import inner as other\nfrom . import sibling\n",
     "sub/deep/sibling.py": "",
     "named.py": "from pkg.sub import inner\n",
+    "hinted.py": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import pkg.middle\nimport pkg.alone\n",
 }
 
 
@@ -48,6 +49,8 @@ def root(tmp_path):
         ("pkg.stage", {"pkg", "pkg.stage", "pkg.middle", "pkg.leaf"}),
         ("pkg.loop", {"pkg", "pkg.loop", "pkg.knot"}),
         ("pkg.sub", {"pkg", "pkg.sub", "pkg.sub.inner", "pkg.leaf"}),
+        # What type checkers alone read is not run: kernels outlive a change of a definition's class.
+        ("pkg.hinted", {"pkg", "pkg.hinted", "pkg.alone"}),
         ("pkg.named", {"pkg", "pkg.named", "pkg.sub", "pkg.sub.inner", "pkg.leaf"}),
         # pkg.sub.deep has no __init__, so that it adds no source of its own.
         ("pkg.sub.deep.core", {"pkg", "pkg.sub", "pkg.sub.inner", "pkg.leaf", "pkg.sub.deep.core",
@@ -75,6 +78,11 @@ def test_beside_installed_packages_only_the_package_asked_for_is_local(root):
     root.rename(installed)
     (installed / "other-1.0.dist-info").mkdir()
     assert set(local_sources("pkg.user", installed)) == {"pkg", "pkg.user", "pkg.leaf"}
+
+
+def test_compiled_loops_do_not_depend_on_the_definitions():
+    for module in ("irodori.rectification.stage", "irodori.rendering.reference.paths", "irodori.geometry.surfaces"):
+        assert "irodori.config.models" not in local_sources(module)
 
 
 def test_an_edit_changes_the_hash_of_those_who_import_it(root):

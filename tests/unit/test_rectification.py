@@ -9,8 +9,16 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 
 from irodori.config.capture_table import Pose
+from irodori.config.models import (
+    BodyShape,
+    Object,
+    ObjectShape,
+    Optics,
+)
+from irodori.config.parts import RigGeometry, TexturedObject
 from irodori.core import store
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_object
@@ -27,7 +35,8 @@ SPHERE = {"shape": {"kind": "sphere", "radius_mm": 25.0}, "texels": {"width": 48
 
 def setup_of(table_radius_mm=0.0) -> RigSetup:
     return RigSetup.from_definitions(
-        {"optics": OPTICS}, {"camera_distance_mm": DISTANCE, "table_radius_mm": table_radius_mm}
+        made(Optics, OPTICS),
+        made(RigGeometry, {"camera_distance_mm": DISTANCE, "table_radius_mm": table_radius_mm}),
     )
 
 
@@ -88,7 +97,15 @@ def linear_file(path, pose, response=None, valid=None, clipped=None, sample_px=2
 def rectify(tmp_path, definition, poses, rows=None, max_angle_deg=85.0, table=0.0, name="obs.h5", **picture):
     files = [linear_file(tmp_path / f"{pose.name}.h5", pose, **picture) for pose in poses]
     rows = rows or (0, definition["texels"]["height"])
-    rectify_object(files, definition, setup_of(table), rows, max_angle_deg, tmp_path / name, PROVENANCE)
+    rectify_object(
+        files,
+        made(Object | TexturedObject, definition),
+        setup_of(table),
+        rows,
+        max_angle_deg,
+        tmp_path / name,
+        PROVENANCE,
+    )
     with store.open_file(tmp_path / name) as file:
         return {name: file.read(name) for name in ("response", "geometry", "weight", "shadowed", "clipped", "texel")}
 
@@ -115,7 +132,7 @@ def test_texels_take_their_own_place_in_the_picture(tmp_path, definition):
 @settings(deadline=None, max_examples=60)
 def test_angles_at_a_plates_centre_are_those_of_the_rig(light, camera, tilt):
     pose = Pose(light, camera, tilt)
-    shape = Shape.from_definition(PLATE["shape"])
+    shape = Shape.from_definition(made(ObjectShape | BodyShape, PLATE["shape"]))
     rotation = rig_from_object(pose)
     tracer = Tracer([Placement(shape, rotation)])
     xy, geometry, visible, lit, power = observe(np.zeros((1, 3)), rotation[:, 2][None], tracer, pose, setup_of())

@@ -304,5 +304,5 @@ def test_samples_that_replicates_cannot_share_are_refused(samples):
 
 
 def test_an_unknown_light_lists_the_kinds():
-    with pytest.raises(ValueError, match="accepted: collimated, rectangle, sphere"):
+    with pytest.raises(ValueError, match="kinds collimated, rectangle, sphere"):
         traced([BALL], [material(0.5)], DARK, 8, size=(1, 1), lights=[lamp("disc", radius_mm=3.0)])

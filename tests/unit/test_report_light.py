@@ -4,7 +4,9 @@ import re
 
 import numpy as np
 import pytest
+from made import made
 
+from irodori.config.models import IrradianceMap, LightsSource, RgbSource, Size, SpectralSource
 from irodori.core import store
 from irodori.evaluation.coefficient_storage import storage_sentence
 from irodori.light.stage import make_environment
@@ -21,9 +23,15 @@ LIGHTS = [{"spectrum": "A", "azimuth_deg": 20.0, "elevation_deg": 50.0, "diamete
 @pytest.mark.parametrize("with_gloss", [False, True])
 def test_every_figure_of_the_gloss_table_is_the_files(tmp_path, with_gloss):
     path = tmp_path / "room.h5"
-    make_environment({"kind": "lights", "lights": LIGHTS}, {"width": 64, "height": 32}, path, CompressOptions(),
-                     {"max_error": 0.01, "max_height": 64}, store.Provenance("test"),
-                     LOBES if with_gloss else ())  # fmt: skip
+    make_environment(
+        made(RgbSource | SpectralSource | LightsSource, {"kind": "lights", "lights": LIGHTS}),
+        made(Size, {"width": 64, "height": 32}),
+        path,
+        CompressOptions(),
+        made(IrradianceMap, {"max_error": 0.01, "max_height": 64}),
+        store.Provenance("test"),
+        LOBES if with_gloss else (),
+    )
     page = fragment("light.html.j2", environments=environments(["room & hall"], [path]))
     assert "room &amp; hall" in page and "Source: lights." in page
     with store.open_file(path) as file:

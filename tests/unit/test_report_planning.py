@@ -1,14 +1,18 @@
 """The report's experiment: fit errors of planned poses against even and random ones."""
 
 import csv
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
 from definitions import ROOT, load
+from made import made
 
 from irodori.capture.shot_planner.exchange import TooFewPoses
 from irodori.capture.shot_planner.fisher_information import observe
 from irodori.capture.shot_planner.planner import Planner, default_noise
+from irodori.config.models import Environment, Object, Planning, Rig, RigLimits, SensorOptions
+from irodori.config.parts import PhotographedObject, PlannedObject, PlannedPlate, SceneRadiance
 from irodori.evaluation.pose_planning import Sitting, even_poses, measure_plan, random_poses, read_plan
 from irodori.fitting.solvers import FitOptions
 from irodori.report.figures import planning_figure
@@ -21,7 +25,7 @@ def planned():
     definitions = load(ROOT)
     definition = definitions["objects"]["tile-plate"]
     return {
-        "definition": definition,
+        "definition": {key: definition[key] for key in ("shape", "refractive_index", "plan")},
         "rig": definitions["rigs"]["virtual"],
         "sensor": definitions["cameras"]["d5100-comb"]["virtual"]["sensor"],
         "exposures_s": definition["exposure_s"]["out"],
@@ -32,7 +36,13 @@ def planned():
 @pytest.fixture(scope="module")
 def table(planned, tmp_path_factory):
     path = tmp_path_factory.mktemp("planning") / "planning.csv"
-    measure_plan({"tile-plate": planned}, {}, 80.0, {"poses": COUNTS, "materials": 1000}, path)
+    measure_plan(
+        made(Mapping[str, PlannedPlate], {"tile-plate": made(PlannedPlate, planned)}),
+        FitOptions(),
+        80.0,
+        made(Planning, {"poses": COUNTS, "materials": 1000}),
+        path,
+    )
     return path
 
 
@@ -94,12 +104,24 @@ def test_the_table_has_its_columns_and_one_row_for_each_design_and_parameter(tab
 
 def test_the_same_seed_gives_the_same_table(planned, tmp_path):
     for name in ("a", "b"):
-        measure_plan({"x": planned}, {}, 80.0, {"poses": [4], "materials": 100}, tmp_path / name)
+        measure_plan(
+            made(Mapping[str, PlannedPlate], {"x": made(PlannedPlate, planned)}),
+            FitOptions(),
+            80.0,
+            made(Planning, {"poses": [4], "materials": 100}),
+            tmp_path / name,
+        )
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
 def test_without_plates_the_table_has_a_header_alone(tmp_path):
-    measure_plan({}, {}, 80.0, {"poses": [4], "materials": 100}, tmp_path / "none.csv")
+    measure_plan(
+        made(Mapping[str, PlannedPlate], {}),
+        FitOptions(),
+        80.0,
+        made(Planning, {"poses": [4], "materials": 100}),
+        tmp_path / "none.csv",
+    )
     assert read_plan(tmp_path / "none.csv") == []
 
 
@@ -110,14 +132,20 @@ def test_the_figure_is_a_picture(table):
 def test_a_rig_with_few_poses_leaves_designs_out(planned, tmp_path):
     limits = planned["rig"]["limits"] | {"camera_deg": {"min": 0.0, "max": 80.0, "step": 20.0}}
     small = planned | {"rig": planned["rig"] | {"limits": limits}}
-    measure_plan({"x": small}, {}, 80.0, {"poses": [4, 24], "materials": 50}, tmp_path / "few.csv")
+    measure_plan(
+        made(Mapping[str, PlannedPlate], {"x": made(PlannedPlate, small)}),
+        FitOptions(),
+        80.0,
+        made(Planning, {"poses": [4, 24], "materials": 50}),
+        tmp_path / "few.csv",
+    )
     counts = {row.poses for row in read_plan(tmp_path / "few.csv")}
     assert counts == {4}
 
 
 @pytest.mark.parametrize(("count", "lights"), [(4, 1), (7, 3), (24, 3)])
 def test_an_even_grid_is_even_and_within_reach(planned, count, lights):
-    poses = even_poses(planned["rig"]["limits"], count, lights, 80.0)
+    poses = even_poses(made(RigLimits, planned["rig"]["limits"]), count, lights, 80.0)
     assert len(set(poses)) == count and len({pose.light_deg for pose in poses}) == lights
     for light in {pose.light_deg for pose in poses}:
         cameras = [pose.camera_deg for pose in poses if pose.light_deg == light]
@@ -127,18 +155,18 @@ def test_an_even_grid_is_even_and_within_reach(planned, count, lights):
 def test_an_even_grid_finer_than_the_steps_is_refused(planned):
     limits = planned["rig"]["limits"] | {"camera_deg": {"min": 0.0, "max": 80.0, "step": 20.0}}
     with pytest.raises(TooFewPoses, match="an even grid of 24 poses"):
-        even_poses(limits, 24, 1, 80.0)
+        even_poses(made(RigLimits, limits), 24, 1, 80.0)
 
 
 def test_random_poses_keep_to_the_manual_settings(planned):
-    planner = Planner(planned["definition"], planned["rig"])
+    planner = Planner(made(Object | PlannedObject, planned["definition"]), made(Rig, planned["rig"]))
     poses = random_poses(planner.poses, 12, 3, np.random.default_rng(1))
     assert len(set(poses)) == 12 and len({(p.light_deg, p.tilt_deg) for p in poses}) <= 3
 
 
 def test_simulated_photographs_scatter_as_the_noise_says(planned):
-    noise = default_noise(planned["rig"], planned["sensor"])
-    planner = Planner(planned["definition"], planned["rig"], noise=noise)
+    noise = default_noise(made(Rig, planned["rig"]), made(SensorOptions, planned["sensor"]))
+    planner = Planner(made(Object | PlannedObject, planned["definition"]), made(Rig, planned["rig"]), noise=noise)
     sitting, rng = Sitting(planner), np.random.default_rng(3)
     light = sitting.light(4000, 40, rng) - 1.0
     np.testing.assert_allclose(light.std(axis=0), noise.relative, rtol=0.06)
@@ -147,7 +175,9 @@ def test_simulated_photographs_scatter_as_the_noise_says(planned):
     assert shared == pytest.approx(np.exp(-2 / 60), rel=0.06)
     poses = planner.best(6).poses
     material = planner.range.at(np.tile([[0.5, 0.5, 0.5]], (6000, 1)))
-    response, geometry, weight = sitting.photograph(poses, material, 3000, rng)
+    response, geometry, weight = sitting.photograph(
+        poses, material, made(Object | PhotographedObject | Environment | SceneRadiance, 3000), rng
+    )
     assert response.shape == weight.shape == (6000, 6) and geometry.shape == (6000, 6, 4)
     one = planner.range.at(np.array([[0.5, 0.5, 0.5]]))
     seen = observe(planner.subject, poses, one, noise)
@@ -162,5 +192,11 @@ def test_simulated_photographs_scatter_as_the_noise_says(planned):
 
 def test_options_of_the_fit_are_those_of_the_configuration(planned, tmp_path):
     with pytest.raises(ValueError, match=r"fit\.solver 'guess'"):
-        measure_plan({"x": planned}, {"solver": "guess"}, 80.0, {"poses": [4], "materials": 10}, tmp_path / "x.csv")
+        measure_plan(
+            made(Mapping[str, PlannedPlate], {"x": made(PlannedPlate, planned)}),
+            FitOptions(solver="guess"),
+            80.0,
+            made(Planning, {"poses": [4], "materials": 10}),
+            tmp_path / "x.csv",
+        )
     assert FitOptions().solver == "varpro"

@@ -5,10 +5,12 @@ import copy
 import pytest
 import yaml
 from definitions import ROOT
+from made import made
 
 from irodori.capture.rig.connect import open_rig
 from irodori.config.cross_checks.rig_motion import check_motion
 from irodori.config.definitions import read_yaml
+from irodori.config.models import Rig
 from irodori.config.validation import validate
 from irodori.core.errors import InputError
 
@@ -49,7 +51,7 @@ def test_the_documentation_s_examples_are_in_order_and_move_on_the_simulator(pro
     motion["port"], motion["simulator"] = "simulator", {"time_scale": 200.0}
     example = rig(motion)
     check_motion(example, "rig.yaml")
-    with open_rig(example) as opened:
+    with open_rig(made(Rig, example)) as opened:
         opened.home()
         opened.move({"camera_deg": 12.5})
         assert opened.position()["camera_deg"] == pytest.approx(12.5, abs=0.05)

@@ -7,8 +7,9 @@ from pathlib import Path
 from irodori.core.provenance import local_sources
 
 ROOT = Path(__file__).resolve().parents[2]
-#: Log, threads and provenance: what every script uses and no result depends on.
-COMMON = "irodori.core.run_rule"
+#: Log, threads and provenance, on which no result depends; and the dataclasses of a rule's parameters, which Snakemake
+#: compares itself.
+COMMON = {"irodori.core.run_rule", "irodori.config.models", "irodori.config.parts"}
 
 
 def imports(script: Path) -> set[str]:
@@ -17,7 +18,7 @@ def imports(script: Path) -> set[str]:
     for node in ast.walk(ast.parse(script.read_text())):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(("irodori", "benchmarks")):
             names.add(node.module)
-    return names - {COMMON}
+    return names - COMMON
 
 
 def hashed() -> dict[str, set[str]]:

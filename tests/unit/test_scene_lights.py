@@ -1,12 +1,15 @@
 """Directions drawn towards rectangles and spheres: their density is what is told for them, on both sides of a path."""
 
 import math
+from collections.abc import Sequence
 
 import numba
 import numpy as np
 import pytest
+from made import made
 from scipy.stats import qmc
 
+from irodori.config.models import SceneLight
 from irodori.rendering.scene_lights import density_towards, make_lights, sample_towards
 
 POINTS = qmc.Sobol(2, seed=1).random_base2(14)
@@ -50,7 +53,7 @@ def test_what_is_drawn_from_a_rectangle_over_its_density_is_its_light(place, tur
     """Over it, beside it, far away and all but in its plane."""
     panel = {"kind": "rectangle", "spectrum": "D65", "radiance": 1.0, "rotation_deg": turn_deg,
              "position_mm": [scale, 2 * scale, 3 * scale], "width_mm": 60 * scale, "height_mm": 40 * scale}  # fmt: skip
-    lights, _ = make_lights([panel], 0)
+    lights, _ = make_lights(made(Sequence[SceneLight], [panel]), 0)
     centre, turn = lights.position_mm[0], lights.rotation[0]
     point = centre + turn @ (scale * np.array(place, dtype=np.float64))
     towards, density = drawn(lights, point)
@@ -63,7 +66,7 @@ def test_what_is_drawn_from_a_rectangle_over_its_density_is_its_light(place, tur
 def test_from_behind_and_from_within_its_plane_a_rectangle_gives_nothing():
     panel = {"kind": "rectangle", "spectrum": "D65", "radiance": 1.0, "rotation_deg": [0, 0, 0],
              "position_mm": [0, 0, 0], "width_mm": 60, "height_mm": 40}  # fmt: skip
-    lights, _ = make_lights([panel], 0)
+    lights, _ = make_lights(made(Sequence[SceneLight], [panel]), 0)
     for point in ([0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [100.0, 0.0, 0.0]):
         density, towards = np.empty((2, 1)), np.zeros((1, 3))
         towards[0, 2] = 1.0
@@ -74,7 +77,7 @@ def test_from_behind_and_from_within_its_plane_a_rectangle_gives_nothing():
 @pytest.mark.parametrize("distance", [10.0 + 1e-6, 11.0, 100.0, 1e6])
 def test_what_is_drawn_from_a_sphere_over_its_density_is_its_light(distance):
     bulb = {"kind": "sphere", "spectrum": "D65", "radiance": 1.0, "position_mm": [3, -4, 12], "radius_mm": 10.0}
-    lights, _ = make_lights([bulb], 0)
+    lights, _ = make_lights(made(Sequence[SceneLight], [bulb]), 0)
     axis = np.array([3.0, -4.0, 12.0]) / 13.0
     towards, density = drawn(lights, lights.position_mm[0] - distance * axis)
     expected = math.pi * (10.0 / distance) ** 2 * axis

@@ -3,16 +3,21 @@
 import copy
 import dataclasses
 import json
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
 import yaml
+from made import made
 from PIL import Image
 from scenes import BALL, OPTIONS, constant_light, material, plate, sky
 
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_radiance
+from irodori.config.models import Frames, ObjectShape, Render, Scene
+from irodori.config.validation import validate
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.light.environment_file import Environment
@@ -52,7 +57,7 @@ def scene_of(integrator, size=(30, 24), frames=None):
 
 
 def renderer(scene, light=None):
-    return make_renderer(scene, SHAPES, PAINTS, light or room(), OPTIONS)
+    return make_renderer(made(Scene, scene), SHAPES, PAINTS, light or room(), made(Render, OPTIONS))
 
 
 def alike(one, other, integrator):
@@ -96,7 +101,7 @@ def test_a_part_that_is_turned_looks_as_if_it_had_been_placed_so(integrator, par
     scene = scene_of(integrator)
     found = renderer(scene).picture("v", Moment(**{f"{part}_deg": 90.0}))[0]
     light = room(int(part == "environment"))
-    truth = render_image(quarter(scene, part), "v", SHAPES, PAINTS, light, OPTIONS)[0]
+    truth = render_image(made(Scene, quarter(scene, part)), "v", SHAPES, PAINTS, light, made(Render, OPTIONS))[0]
     still = renderer(scene).picture("v")[0]
     assert alike(found, truth, integrator)
     assert not alike(found, still, integrator)
@@ -109,10 +114,10 @@ def test_area_lights_turn_about_the_pivot():
     ]
     scene = scene_of(REFERENCE) | {"lights": lights}
     moment = Moment(lights_deg=90.0, pivot_mm=(10.0, 0.0, 0.0))
-    panel, bulb = turned_scene(scene, moment)["lights"]
+    panel, bulb = turned_scene(made(Scene, scene), moment)["lights"]
     assert np.allclose(panel["position_mm"], [10.0, 30.0, 90.0]) and panel["rotation_deg"] == [180.0, 10.0, 95.0]
     assert np.allclose(bulb["position_mm"], [3.0, 30.0, 90.0]) and bulb["radius_mm"] == 3.0
-    assert turned_scene(scene, moment)["objects"] == turned_scene(scene, Moment())["objects"]
+    assert turned_scene(made(Scene, scene), moment)["objects"] == turned_scene(made(Scene, scene), Moment())["objects"]
 
 
 @EVERY
@@ -141,12 +146,12 @@ def change(illuminants, between=0, white="first", source="D65"):
 
 
 def test_a_turntable_makes_one_turn_without_its_first_frame_twice():
-    moments = sequence.make_moments(turntable(8))
+    moments = sequence.make_moments(made(Frames, turntable(8)))
     assert [m.objects_deg for _, m in moments] == [0, 45, 90, 135, 180, 225, 270, 315]
     assert all(
         m.eye_deg == m.lights_deg == m.environment_deg == 0 and m.pivot_mm == (1.0, 2.0, 0.0) for _, m in moments
     )
-    assert [m.eye_deg for _, m in sequence.make_moments(turntable(2, "eye"))] == [0, 180]
+    assert [m.eye_deg for _, m in sequence.make_moments(made(Frames, turntable(2, "eye")))] == [0, 180]
 
 
 @pytest.mark.parametrize(("turned", "parts"), [("environment", {"environment"}), ("lights", {"lights"}),
@@ -154,12 +159,12 @@ def test_a_turntable_makes_one_turn_without_its_first_frame_twice():
 def test_a_sweep_goes_from_its_first_angle_to_its_last(turned, parts):
     frames = {"kind": "light_sweep", "count": 5, "turned": turned, "from_deg": -30.0, "to_deg": 90.0}
     for part in ("objects", "eye", "lights", "environment"):
-        angles = [getattr(m, f"{part}_deg") for _, m in sequence.make_moments(frames)]
+        angles = [getattr(m, f"{part}_deg") for _, m in sequence.make_moments(made(Frames, frames))]
         assert angles == ([-30, 0, 30, 60, 90] if part in parts else [0] * 5)
 
 
 def test_a_change_of_illuminant_is_the_quotient_of_two_spectra_of_one_luminance():
-    moments = sequence.make_moments(change(["D65", "A", "FL2"], between=1))
+    moments = sequence.make_moments(made(Frames, change(["D65", "A", "FL2"], between=1)))
     assert [set(shown["illuminants"]) for shown, _ in moments] == [{"D65"}, {"D65", "A"}, {"A"}, {"A", "FL2"}, {"FL2"}]
     source = unit_luminance("D65")
     lit = [np.asarray(m.filter) * source for _, m in moments]
@@ -173,9 +178,9 @@ def test_light_is_not_divided_by_darkness(tmp_path):
     rows = [f"{w},{1.0 if w == 550 else 0.0}" for w in range(380, 785, 5)]
     dark.write_text("wavelength_nm,laser\n" + "\n".join(rows), encoding="utf-8")
     with pytest.raises(InputError, match="of its peak at 400 nm"):
-        sequence.make_moments(change(["A"], source=str(dark)))
-    with pytest.raises(ValueError, match="accepted: turntable, light_sweep, illuminant_change"):
-        sequence.make_moments({"kind": "zoom"})
+        sequence.make_moments(made(Frames, change(["A"], source=str(dark))))
+    with pytest.raises(ValueError, match="kinds turntable, light_sweep, illuminant_change"):
+        sequence.make_moments(made(Frames, {"kind": "zoom"}))
 
 
 # --- files -------------------------------------------------------------------------------------------------------
@@ -192,7 +197,16 @@ def in_files(folder, scene, **options):
         room().save(inputs[2], provenance)
     shapes = [{"kind": "plate", "width_mm": 160.0, "height_mm": 160.0}, {"kind": "sphere", "radius_mm": 20.0}]
     outputs = [folder / "v" / "frames", folder / "v.frames.png", folder / "v.frames.json"]
-    sequence.render_frames(scene, "v", shapes, inputs[:2], inputs[2], inputs, *outputs, OPTIONS | options, 10)
+    sequence.render_frames(
+        made(Scene, scene),
+        "v",
+        made(Sequence[ObjectShape], shapes),
+        inputs[:2],
+        inputs[2],
+        inputs,
+        *outputs,
+        replace(OPTIONS, **options),
+    )
     return outputs
 
 
@@ -229,7 +243,16 @@ def test_the_display_s_white_is_the_first_illuminant_s_or_each_ones_own(tmp_path
     scene["views"]["v"] |= {"position_mm": [0, -1, 300.0], "target_mm": [0, 0, 0], "field_of_view_deg": 5.0}
     shapes, inputs = [{"kind": "plate", "width_mm": 160.0, "height_mm": 160.0}], [tmp_path / "w.h5", tmp_path / "e.h5"]
     outputs = [tmp_path / "frames", tmp_path / "f.png", tmp_path / "f.json"]
-    sequence.render_frames(scene, "v", shapes, inputs[:1], inputs[1], inputs, *outputs, OPTIONS, 10)
+    sequence.render_frames(
+        made(Scene, scene),
+        "v",
+        made(Sequence[ObjectShape], shapes),
+        inputs[:1],
+        inputs[1],
+        inputs,
+        *outputs,
+        OPTIONS,
+    )
     one, other = (pixels(outputs[0] / f"{n:05d}.png")[2, 2].astype(int) for n in range(2))
     assert (one >= 254).all()
     assert (other >= 254).all() if white == "each" else other[0] >= 254 and other[2] < 200
@@ -321,8 +344,8 @@ def golden() -> list:
     return [PAINTS[0], gold]
 
 
-def differences(made, reference, moment, white):
-    found, figures = made.picture("v", moment)
+def differences(renderer, reference, moment, white):
+    found, figures = renderer.picture("v", moment)
     bands = reference.picture("v", moment)[0]
     matrix = xyz_from_radiance(white)
     labs = [lab_from_xyz(p.reshape(-1, 3).astype(float), matrix @ white) for p in (found, bands @ matrix.T)]
@@ -333,9 +356,9 @@ def differences(made, reference, moment, white):
 def test_pictures_in_xyz_are_carried_by_coefficients_where_these_are_exact(ambient):
     """Grey mirrors, light and surfaces on bases, two objects that throw light on each other: rounding is all."""
     scene, white = scene_of({"kind": "interactive", "ambient": ambient}), room().upward_white()
-    made = make_renderer(scene, SHAPES, PAINTS, room(), OPTIONS, white=white)
+    planned = make_renderer(made(Scene, scene), SHAPES, PAINTS, room(), OPTIONS, white=white)
     for moment in (Moment(), Moment(environment_deg=70.0, filter=tuple(np.linspace(0.5, 1.5, 61)))):
-        found, figures = differences(made, renderer(scene), moment, white)
+        found, figures = differences(planned, renderer(scene), moment, white)
         assert figures["representation"] == "coefficients"
         assert found.max() < 0.01
 
@@ -343,14 +366,14 @@ def test_pictures_in_xyz_are_carried_by_coefficients_where_these_are_exact(ambie
 def test_pictures_are_carried_in_bands_where_coefficients_would_err(caplog):
     caplog.set_level("INFO", logger="irodori")
     scene, white = scene_of({"kind": "interactive", "ambient": False}), room().upward_white()
-    coloured = make_renderer(scene, SHAPES, golden(), room(), OPTIONS, white=white)
+    coloured = make_renderer(made(Scene, scene), SHAPES, golden(), room(), OPTIONS, white=white)
     picture, figures = coloured.picture("v")
     assert picture.shape[-1] == 61 and figures["representation"] == "spectral"
     assert "varies with the wavelength" in caplog.text
     # A light of so many vectors that their products with the surfaces are more than the bands.
     values = np.random.default_rng(0).random((61, 24))
     many = Environment(np.ones((16, 32, 24), np.float32), values, np.full((8, 16, 24), np.pi, np.float32))
-    wide = make_renderer(scene, SHAPES, PAINTS, many, OPTIONS, white=white)
+    wide = make_renderer(made(Scene, scene), SHAPES, PAINTS, many, OPTIONS, white=white)
     wide.light(Moment())
     assert wide.representation == "spectral" and "more than 61 bands" in wide.why
     assert renderer(scene).picture("v")[0].shape[-1] == 61  # and where bands are asked for
@@ -359,13 +382,9 @@ def test_pictures_are_carried_in_bands_where_coefficients_would_err(caplog):
 def test_the_frames_of_the_turntable_that_is_shipped_are_carried_by_coefficients():
     path = Path(__file__).resolve().parents[2] / "config" / "scenes" / "turntable.yaml"
     shipped = yaml.safe_load(path.read_text(encoding="utf-8"))
-    scene = {"lights": [], **shipped}
-    for item in [*scene["objects"], *scene["bodies"]]:
-        item |= {"rotation_deg": item.get("rotation_deg", [0.0, 0.0, 0.0]), "scale": 1.0}
-        if "material" in item:
-            item["material"] = {"refractive_index": {"n": 1.5, "k": 0.0}, "mirror": 0.0} | item["material"]
+    scene = Scene.of(validate(shipped, "scene", path))
     six = np.stack([np.linspace(0.1, 0.9, 61) ** p for p in range(6)], axis=1)
     textured = dataclasses.replace(material(beta=2.0, mu=0.2), basis=six, coefficients=np.ones((4, 8, 6), np.float32))
-    made = make_renderer(scene, [BALL], [textured], room(), OPTIONS, white=room().upward_white())
-    made.light(Moment())
-    assert made.representation == "coefficients"
+    shown = make_renderer(scene, [BALL], [textured], room(), OPTIONS, white=room().upward_white())
+    shown.light(Moment())
+    assert shown.representation == "coefficients"

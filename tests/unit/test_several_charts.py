@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from definitions import CAMERA_FILE, ROOT, edit, fault, load
+from made import made
 
 from irodori.calibration.estimator_choice import ON_REQUEST, choose, cross_validate, scores_of
 from irodori.calibration.estimators import fit
@@ -17,6 +18,8 @@ from irodori.calibration.training import Training
 from irodori.capture.shot_list import camera_shots
 from irodori.config.capture_table import Pose, Shot, read_captures, write_captures
 from irodori.config.definitions import captures_of
+from irodori.config.models import CalibrationOptions, Camera, Rig
+from irodori.config.parts import CalibratedCamera
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.ingest.camera_reference import ingest_reference
@@ -66,8 +69,8 @@ def session(tmp_path_factory):
     shutil.copytree(ROOT / "config", root / "config")
     definitions = two_charts(root)
     camera, rig = definitions["cameras"]["d5100-comb"], definitions["rigs"]["virtual"]
-    shots, bench = camera_shots(camera, ".dng"), Bench()
-    virtual = VirtualCamera(camera, rig, bench, "camera", shots)
+    shots, bench = camera_shots(made(Camera, camera), ".dng"), Bench()
+    virtual = VirtualCamera(made(Camera, camera), made(Rig, rig), bench, "camera", shots)
     for shot in shots:
         bench.set({"subject": shot.subject, "filter": shot.filter, **vars(shot.pose)})
         virtual.capture(shot, root / shot.file)
@@ -79,7 +82,14 @@ def session(tmp_path_factory):
         linear.append(root / f"{capture}.h5")
         ingest_raw(table, root, capture, root / "reference.h5", linear[-1], MADE, IngestOptions())
     outputs = [root / name for name in ("c.h5", "errors.csv", "selection.csv")]
-    calibrate_camera(linear, camera, rig["light"]["spectrum"], *outputs[:2], MADE, selection=outputs[2])
+    calibrate_camera(
+        linear,
+        made(Camera | CalibratedCamera, camera),
+        rig["light"]["spectrum"],
+        *outputs[:2],
+        MADE,
+        selection=outputs[2],
+    )
     return root, camera, linear
 
 
@@ -144,7 +154,7 @@ def test_charts_of_other_filter_states_or_in_other_number_are_refused(session, t
     _, camera, linear = session
     outputs = tmp_path / "c.h5", tmp_path / "c.csv"
     with pytest.raises(ValueError, match="1 files of charts; accepted: 2"):
-        calibrate_camera(linear[:1], camera, "A", *outputs, MADE)
+        calibrate_camera(linear[:1], made(Camera | CalibratedCamera, camera), "A", *outputs, MADE)
     with store.open_file(linear[1]) as file, store.create(tmp_path / "out.h5", MADE) as out:
         for name in ("response", "valid"):
             values = file.read(name)[..., :3] if name == "response" else file.read(name)
@@ -153,7 +163,7 @@ def test_charts_of_other_filter_states_or_in_other_number_are_refused(session, t
         out.attribute("sample_px", 2)
         out.attribute("filters", ["out"])
     with pytest.raises(InputError, match="filters: found out; accepted: out, in"):
-        calibrate_camera([linear[0], tmp_path / "out.h5"], camera, "A", *outputs, MADE)
+        calibrate_camera([linear[0], tmp_path / "out.h5"], made(Camera | CalibratedCamera, camera), "A", *outputs, MADE)
     assert not outputs[0].exists()
 
 
@@ -195,7 +205,14 @@ def test_a_further_chart_that_is_at_fault_is_named_with_its_file(session, tmp_pa
     _, camera, linear = session
     spoiled = altered(linear[1], tmp_path / "spoiled.h5", change)
     with pytest.raises(InputError, match=found) as caught:
-        calibrate_camera([linear[0], spoiled], camera, "A", tmp_path / "c.h5", tmp_path / "c.csv", MADE)
+        calibrate_camera(
+            [linear[0], spoiled],
+            made(Camera | CalibratedCamera, camera),
+            "A",
+            tmp_path / "c.h5",
+            tmp_path / "c.csv",
+            MADE,
+        )
     assert (caught.value.file, caught.value.field) == (str(spoiled), field)
     assert not (tmp_path / "c.h5").exists()
 
@@ -210,7 +227,9 @@ def test_a_key_of_a_further_chart_that_its_photograph_refutes_is_named(session, 
     chart = camera["further_charts"]["pmc"] | {"find": "edges" if key == "patch_px" else "nothing"} | {key: value}
     camera = camera | {"further_charts": {"pmc": chart}}
     with pytest.raises(InputError) as caught:
-        calibrate_camera(linear, camera, "A", tmp_path / "c.h5", tmp_path / "c.csv", MADE)
+        calibrate_camera(
+            linear, made(Camera | CalibratedCamera, camera), "A", tmp_path / "c.h5", tmp_path / "c.csv", MADE
+        )
     assert (caught.value.file, caught.value.field) == (str(linear[1]), field)
 
 
@@ -218,7 +237,9 @@ def test_what_all_charts_together_lack_names_all_of_them(session, tmp_path):
     _, camera, linear = session
     camera = camera | {"calibration": {"estimator": "pinv", "bases": 6, "max_condition": 2.0}}
     with pytest.raises(InputError, match="condition number") as caught:
-        calibrate_camera(linear, camera, "A", tmp_path / "c.h5", tmp_path / "c.csv", MADE)
+        calibrate_camera(
+            linear, made(Camera | CalibratedCamera, camera), "A", tmp_path / "c.h5", tmp_path / "c.csv", MADE
+        )
     assert (caught.value.file, caught.value.field) == (str(linear[0]), "chart, further_charts.pmc")
 
 
@@ -254,7 +275,9 @@ def test_a_chart_that_alone_would_determine_nothing_is_never_all_that_is_left():
     small = np.r_[0:4, 24:28]
     few = replace(both, response=both.response[small], spectra=both.spectra[small])
     assert cross_validate(few, ("D65",), charts=charts[small], bases=(6,), estimators=("pinv",)) == ([], {})
-    solved = solve(few, {"estimator": "pinv", "bases": 3}, ("out", "in"), ("D65",), False, charts[small])
+    solved = solve(
+        few, made(CalibrationOptions, {"estimator": "pinv", "bases": 3}), ("out", "in"), ("D65",), False, charts[small]
+    )
     assert solved.recovered_by_chart is None and {row.left_out for row in solved.rows} == {"patch"}
 
 
@@ -282,7 +305,7 @@ def test_a_name_with_capitals_is_no_chart(tmp_path):
 def test_the_captures_of_a_camera_are_its_charts(root):
     definitions = two_charts(root)
     assert captures_of(definitions, "cameras", "d5100-comb", root) == ["chart", "chart-pmc"]
-    shots = camera_shots(definitions["cameras"]["d5100-comb"], ".dng")
+    shots = camera_shots(made(Camera, definitions["cameras"]["d5100-comb"]), ".dng")
     assert "chart-pmc-in-50000us.dng" in {shot.file for shot in shots}
 
 

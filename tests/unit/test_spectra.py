@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 
 from irodori.colour.colorimetry import delta_e_reflectance
+from irodori.config.models import RefractiveIndex
 from irodori.core.errors import InputError
 from irodori.spectra.grid import TRAPEZOID_NM, WAVELENGTH_NM
 from irodori.spectra.published import (
@@ -271,13 +273,13 @@ def test_a_camera_with_two_bands_is_refused(tmp_path):
 
 
 def test_refractive_index_is_constant_or_from_a_file_and_never_unphysical(tmp_path):
-    n, k = refractive_index({"n": 1.5})
+    n, k = refractive_index(made(RefractiveIndex, {"n": 1.5, "k": 0.0}))
     assert (n == 1.5).all() and (k == 0.0).all() and n.shape == k.shape == (61,)
     file = columns(tmp_path / "gold.csv", [[w, w / 500, w / 200] for w in GRID], header="wavelength_nm,n,k")
-    n, k = refractive_index({"file": str(file)})
+    n, k = refractive_index(made(RefractiveIndex, {"file": str(file)}))
     assert n == pytest.approx(WAVELENGTH_NM / 500) and k == pytest.approx(WAVELENGTH_NM / 200)
     negative = columns(tmp_path / "bad.csv", [[w, 1.5, -0.1] for w in GRID], header="wavelength_nm,n,k")
-    assert refusal(refractive_index, {"file": str(negative)}).file == str(negative)
+    assert refusal(refractive_index, made(RefractiveIndex, {"file": str(negative)})).file == str(negative)
     swapped = columns(tmp_path / "swapped.csv", [[w, 1, 2] for w in GRID], header="wavelength_nm,k,n")
     assert refusal(refractive_index, {"file": str(swapped)}).file == str(swapped)
 

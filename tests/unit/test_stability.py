@@ -13,6 +13,7 @@ from depth import examples
 from hard_scenes import SCENES, brightest_of, hard_scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 from made_up_camera import LIGHT, system, training
 from path_scenes import traced
 from sky_draws import densities, shares
@@ -23,6 +24,7 @@ from test_principal_components import line, observers, picture
 
 from irodori.calibration.estimators import ESTIMATORS, fit
 from irodori.calibration.training import Training
+from irodori.config.models import IrradianceMap
 from irodori.core import store
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.solvers import fit as fit_texels
@@ -244,9 +246,15 @@ def test_a_sun_of_one_texel_and_one_line_at_the_pole_in_the_smallest_sky(
     weights *= np.float32(10.0**exponent)
     basis = np.stack([spectrum("D65") / 100, SPECTRA[lamp]], axis=1)
     path = tmp_path_factory.mktemp("sky") / "e.h5"
-    write_environment(Picture(size, basis, lambda: iter([weights])), None, path, CompressOptions(storage=storage),
-                      {"max_error": 0.01, "max_height": 16}, store.Provenance("test"),
-                      gloss_lobes=["gaussian"] if gloss else ())  # fmt: skip
+    write_environment(
+        Picture(size, basis, lambda: iter([weights])),
+        None,
+        path,
+        CompressOptions(storage=storage),
+        made(IrradianceMap, {"max_error": 0.01, "max_height": 16}),
+        store.Provenance("test"),
+        gloss_lobes=["gaussian"] if gloss else (),
+    )
     found = Environment.load(path)
     radiance, expected = found.coefficients @ found.basis.T, weights @ basis.T
     assert np.isfinite(radiance).all() and np.isfinite(found.irradiance).all()

@@ -7,9 +7,11 @@ import pytest
 from definitions import CAMERA_FILE, edit, fault, load
 from hypothesis import given
 from hypothesis import strategies as st
+from made import made
 from raw_studio import CAMERA, PROVENANCE, SUPERPIXELS, Studio
 
 from irodori.config.capture_table import Pose
+from irodori.config.models import Camera, Rig
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.ingest.camera_reference import ingest_reference
@@ -104,6 +106,8 @@ def test_the_virtual_rig_photographs_the_tiles_spectrum(tmp_path):
     file = tile(tmp_path, np.linspace(0.80, 0.98, 36))
     pose = Pose(40.0, 0.0)
     rig = {"light": {"spectrum": "A"}, "camera_distance_mm": 900.0}
-    mosaic = white_mosaic(CAMERA | {"white": {"reflectance_factor": file}}, rig, pose, np.eye(2, 3), WEIGHTS)
+    mosaic = white_mosaic(
+        made(Camera, CAMERA | {"white": {"reflectance_factor": file}}), made(Rig, rig), pose, np.eye(2, 3), WEIGHTS
+    )
     expected = WEIGHTS @ spectrum(file) * np.cos(np.radians(40.0))
     assert sorted(set(mosaic.ravel())) == pytest.approx(sorted(expected))

@@ -42,6 +42,12 @@ def derivatives(constant, f0, f1, f2):
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
+def flank(constant, f0, f1, f2):
+    """Return D and (p tanφ)²."""
+    return math.exp(constant[0] * f0), constant[0] * constant[0] * math.expm1(2.0 * f0)
+
+
+@njit(cache=True, forceinline=True, error_model="numpy")
 def draw(mu, v0, v1, v2, u0, u1):
     """Draw a half vector with the density (p + 1) / 2π cos^p φ."""
     cosine = math.exp(math.log1p(-u0) / (2.0 / (mu * mu) + 1.0))

@@ -46,6 +46,7 @@ class Tube(Shape):
     name = "tube"
     schema = {  # noqa: RUF012
         of: {
+            "title": "TubeShape",
             "type": "object",
             "additionalProperties": False,
             "required": ["kind", "radius_mm", "height_mm"],
@@ -77,7 +78,7 @@ class Tube(Shape):
 
     @classmethod
     def from_block(cls, block):
-        return cls(float(block["radius_mm"]), float(block["height_mm"]))
+        return cls(float(block.radius_mm), float(block.height_mm))
 
     @property
     def size_mm(self):

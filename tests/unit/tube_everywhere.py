@@ -19,6 +19,8 @@ from test_flat_shapes import seen  # noqa: E402
 from test_rectification import pixel_of, rectify  # noqa: E402
 
 from irodori.config.capture_table import Pose  # noqa: E402
+from irodori.config.definition import typed  # noqa: E402
+from irodori.config.models import ObjectShape  # noqa: E402
 from irodori.config.validation import load_schema  # noqa: E402
 from irodori.geometry.embree import Tracer  # noqa: E402
 from irodori.geometry.rig_frame import rig_from_object, rotation_xyz  # noqa: E402
@@ -30,7 +32,7 @@ BLOCK = {"kind": "tube", "radius_mm": 20.0, "height_mm": 60.0}
 
 def traced() -> dict:
     """Distances and surfaces of rays; the shape from configuration."""
-    shape = Shape.from_definition(BLOCK)
+    shape = Shape.from_definition(typed(ObjectShape, BLOCK))
     placement = Placement(shape, rotation_xyz((20.0, 30.0, 40.0)), np.array([5.0, -3.0, 8.0]), 1.5)
     rng = np.random.default_rng(3)
     origin = rng.normal(size=(4000, 3))
@@ -56,7 +58,7 @@ def rectified() -> dict:
     pose = Pose(35.0, 0.0, 45.0, 40.0)  # light and camera before the same side
     with tempfile.TemporaryDirectory() as folder:
         found = rectify(Path(folder), definition, [pose], max_angle_deg=88.0)
-    position = Shape.from_definition(BLOCK).texels(48, 24)[0].reshape(-1, 3)
+    position = Shape.from_definition(typed(ObjectShape, BLOCK)).texels(48, 24)[0].reshape(-1, 3)
     rotation = rig_from_object(pose)
     return {
         "response": found["response"],
@@ -72,7 +74,7 @@ FLOOR_VIEW = {"position": (0.0, -300.0, 20.0), "target": (0.0, 0.0, -30.0), "siz
 
 def rendered(integrator: str) -> dict:
     """Pictures of the tube under a smooth sky, in a white furnace on a floor, and of the floor alone."""
-    shape, grey, white = Shape.from_definition(BLOCK), material(0.5), material(1.0)
+    shape, grey, white = Shape.from_definition(typed(ObjectShape, BLOCK)), material(0.5), material(1.0)
     kind = {"kind": "interactive", "ambient": True}
     if integrator == "reference":
         kind = {"kind": "reference", "samples": 256, "seed": 0}

@@ -1,12 +1,12 @@
 rule calibrate:
     input:
-        calibrations,
+        sets.calibrations,
 
 
 rule calibrate_camera:
     input:
-        linear=chart_files,
-        spectra=tables_of_calibration,
+        linear=sets.charts,
+        spectra=sets.tables_of_calibration,
     output:
         calibration="results/cameras/{camera}/calibration.h5",
         errors=report(
@@ -36,7 +36,7 @@ rule calibrate_camera:
         chart=lookup(within=config, dpath="cameras/{camera}/chart"),
         further_charts=lookup(within=config, dpath="cameras/{camera}/further_charts"),
         calibration=lookup(within=config, dpath="cameras/{camera}/calibration"),
-        light=of_rig("light/spectrum"),
+        light=sets.light,
         lights=lookup(within=config, dpath="report/lights"),
         code=code_hash("irodori.calibration.stage"),
     script:

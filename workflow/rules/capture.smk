@@ -2,8 +2,8 @@
 # job before it runs, so neither is an output. The record is: it exists once the session is complete.
 rule capture_object:
     input:
-        spectra=tables_of_capture,
-        mesh=mesh_of_capture,
+        spectra=sets.tables_of_session,
+        mesh=sets.mesh_of_session,
     output:
         session="results/{object}/captures/session.json",
     log:
@@ -15,14 +15,14 @@ rule capture_object:
     threads: 1
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
-        rig=rigs_taken,
+        rig=sets.rigs_taken,
     params:
-        definition=photographed,
-        camera=definition_of("cameras"),
-        rig=definition_of("rigs"),
-        rig_name=rig_of,
-        table=captures_table,
-        folder=captures_folder,
+        definition=sets.photographed,
+        camera=sets.camera,
+        rig=sets.rig,
+        rig_name=sets.rig_of,
+        table=sets.table,
+        folder=sets.folder,
         code=code_hash("irodori.capture.stage"),
     script:
         "../scripts/capture_object.py"
@@ -30,7 +30,7 @@ rule capture_object:
 
 rule capture_camera:
     input:
-        spectra=tables_of_capture,
+        spectra=sets.tables_of_session,
     output:
         session="results/cameras/{camera}/captures/session.json",
     log:
@@ -44,13 +44,13 @@ rule capture_camera:
     threads: 1
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
-        rig=rigs_taken,
+        rig=sets.rigs_taken,
     params:
         camera=lookup(within=config, dpath="cameras/{camera}"),
-        rig=definition_of("rigs"),
-        rig_name=rig_of,
-        table=captures_table,
-        folder=captures_folder,
+        rig=sets.rig,
+        rig_name=sets.rig_of,
+        table=sets.table,
+        folder=sets.folder,
         code=code_hash("irodori.capture.stage"),
     script:
         "../scripts/capture_camera.py"
@@ -58,7 +58,7 @@ rule capture_camera:
 
 rule capture_environment:
     input:
-        spectra=tables_of_capture,
+        spectra=sets.tables_of_session,
     output:
         session="results/environments/{environment}/captures/session.json",
     log:
@@ -73,9 +73,9 @@ rule capture_environment:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         definition=lookup(within=config, dpath="environments/{environment}"),
-        camera=definition_of("cameras"),
-        rig=definition_of("rigs"),
-        table=captures_table,
+        camera=sets.camera,
+        rig=sets.rig,
+        table=sets.table,
         code=code_hash("irodori.capture.stage"),
     script:
         "../scripts/capture_environment.py"
@@ -83,4 +83,4 @@ rule capture_environment:
 
 rule capture:
     input:
-        sessions,
+        sets.sessions,

@@ -1,10 +1,8 @@
 rule compress_reflectance:
     input:
-        tiles=lambda wildcards: expand(
-            "results/{object}/brdf/tile-{tile}.h5", object=wildcards.object, tile=tile_numbers(wildcards)
-        ),
-        index=tables_of_index,
-        calibration=camera_file("results/cameras/{camera}/calibration.h5"),
+        tiles=sets.fitted_tiles,
+        index=sets.tables_of_index,
+        calibration=sets.camera_file("results/cameras/{camera}/calibration.h5"),
     output:
         material="results/{object}/material.h5",
     log:

@@ -1,6 +1,6 @@
 rule prepare_environment:
     input:
-        unpack(environment_inputs),
+        unpack(sets.environment_inputs),
     output:
         environment="results/environments/{environment}.h5",
     log:
@@ -18,8 +18,8 @@ rule prepare_environment:
         compress=lookup(within=config, dpath="environment"),
         source=lookup(within=config, dpath="environments/{environment}/source"),
         image=lookup(within=config, dpath="environments/{environment}/image", default=None),
-        photographed=photographed_environment,
-        lobes=sorted({name for one in config["objects"].values() for name in one.get("lobes", ["gaussian"])}),
+        photographed=sets.is_photographed,
+        lobes=sets.lobes(),
         code=code_hash("irodori.light.stage"),
     script:
         "../scripts/prepare_environment.py"

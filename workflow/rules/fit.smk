@@ -1,8 +1,8 @@
 rule fit_brdf:
     input:
         observations="results/{object}/observations/tile-{tile}.h5",
-        index=tables_of_index,
-        calibration=calibration_of_index,
+        index=sets.tables_of_index,
+        calibration=sets.calibration_of_index,
     output:
         brdf="results/{object}/brdf/tile-{tile}.h5",
     log:

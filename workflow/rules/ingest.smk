@@ -1,7 +1,7 @@
 rule check_captures:
     input:
-        made=captures_made,
-        raw=raw_files,
+        made=sets.made,
+        raw=sets.raw_files,
     output:
         table="results/{object}/captures.csv",
     log:
@@ -16,10 +16,10 @@ rule check_captures:
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
-        table=captures_table,
-        folder=captures_folder,
-        roles=roles_of,
-        size_px=mosaic_size,
+        table=sets.table,
+        folder=sets.folder,
+        roles=sets.roles,
+        size_px=sets.size_px,
         code=code_hash("irodori.ingest.first_look"),
     script:
         "../scripts/check_captures.py"
@@ -46,7 +46,7 @@ use rule check_captures as check_environment_captures with:
 rule ingest_reference:
     input:
         table="results/cameras/{camera}/captures.csv",
-        white=tables_of_white,
+        white=sets.tables_of_white,
     output:
         reference="results/cameras/{camera}/reference.h5",
     log:
@@ -61,9 +61,9 @@ rule ingest_reference:
     resources:
         mem_mb=lambda wildcards, attempt: 2500 * attempt,
     params:
-        folder=captures_folder,
-        options=ingest_options,
-        white_reflectance=of_camera("white/reflectance_factor", default=1.0),
+        folder=sets.folder,
+        options=sets.ingest_options,
+        white_reflectance=sets.white_reflectance,
         code=code_hash("irodori.ingest.camera_reference"),
     script:
         "../scripts/ingest_reference.py"
@@ -71,8 +71,8 @@ rule ingest_reference:
 
 rule ingest_chart:
     input:
-        table=checked_table,
-        reference=camera_file("results/cameras/{camera}/reference.h5"),
+        table=sets.checked_table,
+        reference=sets.camera_file("results/cameras/{camera}/reference.h5"),
     output:
         linear="results/cameras/{camera}/linear/{capture}.h5",
     log:
@@ -87,8 +87,8 @@ rule ingest_chart:
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
-        folder=captures_folder,
-        options=ingest_options,
+        folder=sets.folder,
+        options=sets.ingest_options,
         code=code_hash("irodori.ingest.stage"),
     script:
         "../scripts/ingest_raw.py"
@@ -105,14 +105,14 @@ use rule ingest_chart as ingest_environment with:
 
 # A job ingests several captures of an object, for starting takes longer than ingesting one. No wildcard stands for
 # a list of files, so that every such job is a rule of its own.
-for part in ingest_parts():
+for part in sets.ingest_parts():
 
     rule:
         name:
             part.rule_name
         input:
-            table=checked_table,
-            reference=camera_file("results/cameras/{camera}/reference.h5"),
+            table=sets.checked_table,
+            reference=sets.camera_file("results/cameras/{camera}/reference.h5"),
         output:
             linear=expand("results/{{object}}/linear/{capture}.h5", capture=part.captures),
         log:
@@ -127,8 +127,8 @@ for part in ingest_parts():
         resources:
             mem_mb=lambda wildcards, attempt: 1500 * attempt,
         params:
-            folder=captures_folder,
-            options=ingest_options,
+            folder=sets.folder,
+            options=sets.ingest_options,
             code=code_hash("irodori.ingest.stage"),
         script:
             "../scripts/ingest_raw.py"

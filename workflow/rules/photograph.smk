@@ -1,10 +1,10 @@
 # A scene beside its photograph. What stands before a virtual camera is rendered from the true materials.
 rule render_photographed:
     input:
-        materials=scene_materials("results/{object}/truth.h5"),
-        environment=true_light,
-        meshes=scene_meshes,
-        tables=scene_tables,
+        materials=scenes.materials("results/{object}/truth.h5"),
+        environment=scenes.true_light,
+        meshes=scenes.meshes,
+        tables=scenes.tables,
     output:
         radiance="results/{scene}/photographs/{photograph}/radiance.h5",
     log:
@@ -19,10 +19,10 @@ rule render_photographed:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        scene=part_of_scene("objects", "bodies", "lights"),
-        placed=photograph_of,
-        optics=lambda wildcards: photograph_camera(wildcards)["optics"],
-        shapes=scene_shapes,
+        scene=scenes.part("objects", "bodies", "lights"),
+        placed=scenes.photograph,
+        optics=scenes.photograph_optics,
+        shapes=scenes.shapes,
         code=code_hash("irodori.rendering.photographed_view"),
     script:
         "../scripts/render_photographed.py"
@@ -31,9 +31,7 @@ rule render_photographed:
 rule capture_photograph:
     input:
         radiance="results/{scene}/photographs/{photograph}/radiance.h5",
-        spectra=lambda wildcards: named_tables(
-            photograph_camera(wildcards), config["rigs"][photograph_camera(wildcards)["rig"]]
-        ),
+        spectra=scenes.photograph_tables,
     output:
         session="results/{scene}/photographs/{photograph}/captures/session.json",
     log:
@@ -46,10 +44,10 @@ rule capture_photograph:
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
-        placed=photograph_of,
-        camera=photograph_camera,
-        rig=lambda wildcards: config["rigs"][photograph_camera(wildcards)["rig"]],
-        table=photograph_table,
+        placed=scenes.photograph,
+        camera=scenes.photograph_camera,
+        rig=scenes.photograph_rig,
+        table=scenes.photograph_table,
         code=code_hash("irodori.capture.stage"),
     script:
         "../scripts/capture_photograph.py"
@@ -57,8 +55,8 @@ rule capture_photograph:
 
 rule ingest_photograph:
     input:
-        made=photograph_made,
-        reference=of_photograph("results/cameras/{camera}/reference.h5"),
+        made=scenes.photograph_made,
+        reference=scenes.of_photograph("results/cameras/{camera}/reference.h5"),
     output:
         linear="results/{scene}/photographs/{photograph}/linear/scene.h5",
     log:
@@ -71,9 +69,9 @@ rule ingest_photograph:
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
-        table=photograph_table,
-        folder=photograph_folder,
-        options=ingest_options,
+        table=scenes.photograph_table,
+        folder=scenes.photograph_folder,
+        options=sets.ingest_options,
         code=code_hash("irodori.ingest.stage"),
     script:
         "../scripts/ingest_photograph.py"
@@ -82,13 +80,13 @@ rule ingest_photograph:
 rule compare_photograph:
     input:
         linear="results/{scene}/photographs/{photograph}/linear/scene.h5",
-        calibration=of_photograph("results/cameras/{camera}/calibration.h5"),
-        radiance=photograph_radiance,
-        materials=scene_materials("results/{object}/material.h5"),
-        environment=scene_environment,
-        meshes=scene_meshes,
-        tables=scene_tables,
-        display=display_file,
+        calibration=scenes.of_photograph("results/cameras/{camera}/calibration.h5"),
+        radiance=scenes.photograph_radiance,
+        materials=scenes.materials("results/{object}/material.h5"),
+        environment=scenes.environment,
+        meshes=scenes.meshes,
+        tables=scenes.tables,
+        display=scenes.display_file,
     output:
         comparison=report(
             "results/{scene}/photographs/{photograph}/comparison.png",
@@ -110,10 +108,10 @@ rule compare_photograph:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        scene=part_of_scene("objects", "bodies", "lights", "display"),
-        placed=photograph_of,
-        optics=lambda wildcards: photograph_camera(wildcards)["optics"],
-        shapes=scene_shapes,
+        scene=scenes.part("objects", "bodies", "lights", "display"),
+        placed=scenes.photograph,
+        optics=scenes.photograph_optics,
+        shapes=scenes.shapes,
         code=code_hash("irodori.evaluation.photograph_comparison"),
     script:
         "../scripts/compare_photograph.py"

@@ -1,7 +1,7 @@
 rule rectify_object:
     input:
-        linear=linear_files,
-        mesh=mesh_of,
+        linear=sets.linear_files,
+        mesh=sets.mesh,
     output:
         observations="results/{object}/observations/tile-{tile}.h5",
     log:
@@ -16,14 +16,10 @@ rule rectify_object:
     params:
         shape=lookup(within=config, dpath="objects/{object}/shape"),
         texels=lookup(within=config, dpath="objects/{object}/texels"),
-        rows=lambda wildcards: tiles_of(wildcards)[int(wildcards.tile)],
-        optics=of_camera("optics"),
-        white_pose=lambda wildcards: white_pose(wildcards) if light_place(wildcards) else None,
-        rig=lambda wildcards: {
-            "camera_distance_mm": of_rig("camera_distance_mm")(wildcards),
-            "table_radius_mm": of_rig("table_radius_mm")(wildcards),
-            "light": light_place(wildcards),
-        },
+        rows=sets.tile_rows,
+        optics=sets.optics,
+        white_pose=sets.white_pose,
+        rig=sets.rig_geometry,
         max_angle_deg=lookup(within=config, dpath="rectify/max_angle_deg"),
         code=code_hash("irodori.rectification.stage"),
     script:

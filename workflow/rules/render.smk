@@ -1,9 +1,9 @@
 rule plan_scene:
     input:
-        materials=scene_materials("results/{object}/material.h5"),
-        environment=scene_environment,
-        meshes=scene_meshes,
-        tables=scene_tables,
+        materials=scenes.materials("results/{object}/material.h5"),
+        environment=scenes.environment,
+        meshes=scenes.meshes,
+        tables=scenes.tables,
     output:
         plan="results/{scene}/plan.yaml",
     log:
@@ -17,7 +17,7 @@ rule plan_scene:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
         scene=lookup(within=config, dpath="scenes/{scene}"),
-        shapes=scene_shapes,
+        shapes=scenes.shapes,
         render=lookup(within=config, dpath="render"),
         code=code_hash("irodori.rendering.planning.stage"),
     script:
@@ -26,12 +26,12 @@ rule plan_scene:
 
 rule render_view:
     input:
-        materials=scene_materials("results/{object}/material.h5"),
-        environment=scene_environment,
-        meshes=scene_meshes,
-        tables=scene_tables,
-        plan=scene_plan,
-        display=display_file,
+        materials=scenes.materials("results/{object}/material.h5"),
+        environment=scenes.environment,
+        meshes=scenes.meshes,
+        tables=scenes.tables,
+        plan=scenes.plan,
+        display=scenes.display_file,
     output:
         exr="results/{scene}/{view}.exr",
         png=report(
@@ -52,7 +52,7 @@ rule render_view:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
         scene=lookup(within=config, dpath="scenes/{scene}"),
-        shapes=scene_shapes,
+        shapes=scenes.shapes,
         render=lookup(within=config, dpath="render"),
         check=True,
         code=code_hash("irodori.rendering.stage"),
@@ -63,12 +63,12 @@ rule render_view:
 # The same view from the true materials, for the report alone.
 use rule render_view as render_truth with:
     input:
-        materials=scene_materials("results/{object}/truth.h5"),
-        environment=scene_environment,
-        meshes=scene_meshes,
-        tables=scene_tables,
-        plan=scene_plan,
-        display=display_file,
+        materials=scenes.materials("results/{object}/truth.h5"),
+        environment=scenes.environment,
+        meshes=scenes.meshes,
+        tables=scenes.tables,
+        plan=scenes.plan,
+        display=scenes.display_file,
     output:
         exr="results/{scene}/truth/{view}.exr",
         png="results/{scene}/truth/{view}.png",
@@ -83,7 +83,7 @@ use rule render_view as render_truth with:
     # The plan is that of the measured materials, whose picture is checked: the same light is seen in both.
     params:
         scene=lookup(within=config, dpath="scenes/{scene}"),
-        shapes=scene_shapes,
+        shapes=scenes.shapes,
         render=lookup(within=config, dpath="render"),
         check=False,
         code=code_hash("irodori.rendering.stage"),
@@ -92,11 +92,11 @@ use rule render_view as render_truth with:
 # One job a sequence: the frames that an interrupted one had finished stay in frames.part, which is no output.
 rule render_frames:
     input:
-        materials=scene_materials("results/{object}/material.h5"),
-        environment=scene_environment,
-        meshes=scene_meshes,
-        tables=scene_tables,
-        display=display_file,
+        materials=scenes.materials("results/{object}/material.h5"),
+        environment=scenes.environment,
+        meshes=scenes.meshes,
+        tables=scenes.tables,
+        display=scenes.display_file,
     output:
         frames=directory("results/{scene}/{view}/frames"),
         animation=report(
@@ -114,10 +114,10 @@ rule render_frames:
         "../../envs/irodori.yaml"
     threads: 2
     resources:
-        mem_mb=lambda wildcards, attempt: 3000 * attempt + memory_of_frames(wildcards),
+        mem_mb=lambda wildcards, attempt: 3000 * attempt + scenes.memory_of_frames_mb(wildcards),
     params:
-        scene=scene_with_frames,
-        shapes=scene_shapes,
+        scene=scenes.with_frames,
+        shapes=scenes.shapes,
         render=lookup(within=config, dpath="render"),
         code=code_hash("irodori.rendering.sequence"),
     script:
@@ -127,8 +127,8 @@ rule render_frames:
 rule write_xyz:
     input:
         exr="results/{scene}/{view}.exr",
-        environment=scene_environment,
-        tables=scene_tables,
+        environment=scenes.environment,
+        tables=scenes.tables,
     output:
         picture="results/{scene}/{view}.xyz.exr",
     log:
@@ -150,9 +150,9 @@ rule write_xyz:
 rule write_tiff:
     input:
         exr="results/{scene}/{view}.exr",
-        environment=scene_environment,
-        tables=scene_tables,
-        display=display_file,
+        environment=scenes.environment,
+        tables=scenes.tables,
+        display=scenes.display_file,
     output:
         picture="results/{scene}/{view}.tif",
     log:

@@ -1,6 +1,6 @@
 rule write_truth:
     input:
-        mesh=mesh_of,
+        mesh=sets.mesh,
     output:
         truth="results/{object}/truth.h5",
     log:
@@ -15,8 +15,8 @@ rule write_truth:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         definition=lookup(within=config, dpath="objects/{object}"),
-        camera=definition_of("cameras"),
-        rig=definition_of("rigs"),
+        camera=sets.camera,
+        rig=sets.rig,
         code=code_hash("irodori.simulation.virtual_rig.ground_truth"),
     script:
         "../scripts/write_truth.py"
@@ -38,7 +38,7 @@ rule write_true_environment:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
         definition=lookup(within=config, dpath="environments/{environment}"),
-        rig=definition_of("rigs"),
+        rig=sets.rig,
         irradiance=lookup(within=config, dpath="environment/irradiance"),
         code=code_hash("irodori.simulation.virtual_rig.ground_truth"),
     script:
@@ -47,14 +47,16 @@ rule write_true_environment:
 
 rule measure_errors:
     input:
-        materials=expand("results/{object}/material.h5", object=virtual("objects")),
-        true_materials=expand("results/{object}/truth.h5", object=virtual("objects")),
-        environments=expand("results/environments/{environment}.h5", environment=virtual("environments")),
-        true_environments=expand("results/environments/{environment}/truth.h5", environment=virtual("environments")),
+        materials=expand("results/{object}/material.h5", object=sets.virtual("objects")),
+        true_materials=expand("results/{object}/truth.h5", object=sets.virtual("objects")),
+        environments=expand("results/environments/{environment}.h5", environment=sets.virtual("environments")),
+        true_environments=expand(
+            "results/environments/{environment}/truth.h5", environment=sets.virtual("environments")
+        ),
         calibrations=expand("results/cameras/{camera}/calibration.h5", camera=config["cameras"]),
-        view_lights=views("results/environments/{environment}.h5", virtual_only=True),
-        views=views("results/{scene}/{view}.exr", virtual_only=True),
-        true_views=views("results/{scene}/truth/{view}.exr", virtual_only=True),
+        view_lights=scenes.views("results/environments/{environment}.h5", virtual_only=True),
+        views=scenes.views("results/{scene}/{view}.exr", virtual_only=True),
+        true_views=scenes.views("results/{scene}/truth/{view}.exr", virtual_only=True),
     output:
         errors=report("results/errors.csv", caption="../report/errors.rst", category="Errors"),
     log:
@@ -67,12 +69,12 @@ rule measure_errors:
     resources:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
-        objects=virtual("objects"),
-        environments=virtual("environments"),
+        objects=sets.virtual("objects"),
+        environments=sets.virtual("environments"),
         cameras=list(config["cameras"]),
-        views=views("{scene}/{view}", virtual_only=True),
-        view_environments=views("{environment}", virtual_only=True),
-        view_scenes=view_scenes(virtual_only=True),
+        views=scenes.views("{scene}/{view}", virtual_only=True),
+        view_environments=scenes.views("{environment}", virtual_only=True),
+        view_scenes=scenes.view_scenes(virtual_only=True),
         lights=lookup(within=config, dpath="report/lights"),
         code=code_hash("irodori.evaluation.truth_errors"),
     script:
@@ -81,7 +83,7 @@ rule measure_errors:
 
 rule measure_plan:
     input:
-        tables=tables_of_plates,
+        tables=sets.tables_of_plates,
     output:
         planning=report("results/planning.csv", caption="../report/planning.rst", category="Poses"),
     log:
@@ -96,7 +98,7 @@ rule measure_plan:
     resources:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
-        objects=plates,
+        objects=sets.plates,
         fit=lookup(within=config, dpath="fit"),
         max_angle_deg=lookup(within=config, dpath="rectify/max_angle_deg"),
         planning=lookup(within=config, dpath="report/planning"),
@@ -107,8 +109,8 @@ rule measure_plan:
 
 rule measure_imperfections:
     input:
-        tables=tables_of_imperfections,
-        mesh=mesh_of_imperfections,
+        tables=sets.tables_of_imperfections,
+        mesh=sets.mesh_of_imperfections,
     output:
         costs=report(
             "results/imperfections.csv",
@@ -127,8 +129,8 @@ rule measure_imperfections:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        subject=imperfect_object,
-        ingest=ingest_options,
+        subject=sets.imperfect_object,
+        ingest=sets.ingest_options,
         rectify=lookup(within=config, dpath="rectify"),
         fit=lookup(within=config, dpath="fit"),
         compress=lookup(within=config, dpath="compress"),
@@ -140,17 +142,17 @@ rule measure_imperfections:
 
 rule measure_error_budget:
     input:
-        materials=scene_materials("results/{object}/material.h5"),
-        true_materials=scene_materials("results/{object}/truth.h5"),
-        calibrations=scene_calibrations,
-        tiles=scene_tiles,
-        observations=scene_observations,
-        environment=scene_environment,
-        true_environment=true_light,
-        light_calibration=light_calibration,
-        meshes=scene_meshes,
-        tables=scene_tables,
-        plan=scene_plan,
+        materials=scenes.materials("results/{object}/material.h5"),
+        true_materials=scenes.materials("results/{object}/truth.h5"),
+        calibrations=scenes.calibrations,
+        tiles=scenes.tiles,
+        observations=scenes.observations,
+        environment=scenes.environment,
+        true_environment=scenes.true_light,
+        light_calibration=scenes.light_calibration,
+        meshes=scenes.meshes,
+        tables=scenes.tables,
+        plan=scenes.plan,
     output:
         budget=report(
             "results/{scene}/error_budget/{view}.csv",
@@ -171,7 +173,7 @@ rule measure_error_budget:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
         scene=lookup(within=config, dpath="scenes/{scene}"),
-        subjects=scene_subjects,
+        subjects=scenes.subjects,
         render=lookup(within=config, dpath="render"),
         fit=lookup(within=config, dpath="fit"),
         compress=lookup(within=config, dpath="compress"),
@@ -183,7 +185,7 @@ rule measure_error_budget:
 
 rule measure_registration:
     input:
-        linear=linear_files,
+        linear=sets.linear_files,
     output:
         registration="results/{object}/registration.csv",
     log:
@@ -208,20 +210,20 @@ rule write_report:
         errors="results/errors.csv",
         planning="results/planning.csv",
         imperfections="results/imperfections.csv",
-        budgets=views("results/{scene}/error_budget/{view}.csv", virtual_only=True),
+        budgets=scenes.views("results/{scene}/error_budget/{view}.csv", virtual_only=True),
         references=expand("results/cameras/{camera}/reference.h5", camera=config["cameras"]),
         registrations=expand("results/{object}/registration.csv", object=config["objects"]),
         materials=expand("results/{object}/material.h5", object=config["objects"]),
-        true_materials=expand("results/{object}/truth.h5", object=virtual("objects")),
+        true_materials=expand("results/{object}/truth.h5", object=sets.virtual("objects")),
         environments=expand("results/environments/{environment}.h5", environment=config["environments"]),
         calibrations=expand("results/cameras/{camera}/calibration.h5", camera=config["cameras"]),
         selections=expand("results/cameras/{camera}/calibration_selection.csv", camera=config["cameras"]),
         calibration_errors=expand("results/cameras/{camera}/calibration_errors.csv", camera=config["cameras"]),
-        pictures=views("results/{scene}/{view}.png"),
-        figures=views("results/{scene}/{view}.json"),
-        true_pictures=views("results/{scene}/truth/{view}.png", virtual_only=True),
-        comparisons=photographs("results/{scene}/photographs/{photograph}/comparison.png"),
-        comparison_figures=photographs("results/{scene}/photographs/{photograph}/comparison.json"),
+        pictures=scenes.views("results/{scene}/{view}.png"),
+        figures=scenes.views("results/{scene}/{view}.json"),
+        true_pictures=scenes.views("results/{scene}/truth/{view}.png", virtual_only=True),
+        comparisons=scenes.photographs("results/{scene}/photographs/{photograph}/comparison.png"),
+        comparison_figures=scenes.photographs("results/{scene}/photographs/{photograph}/comparison.json"),
     output:
         page=report("results/report.html", caption="../report/report.rst", category="Errors"),
     log:
@@ -235,12 +237,12 @@ rule write_report:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         objects=list(config["objects"]),
-        virtual_objects=virtual("objects"),
+        virtual_objects=sets.virtual("objects"),
         environments=list(config["environments"]),
         cameras=list(config["cameras"]),
-        views=views("{scene}/{view}"),
-        virtual_views=views("{scene}/{view}", virtual_only=True),
-        photographs=photographs("{scene}/{photograph}"),
+        views=scenes.views("{scene}/{view}"),
+        virtual_views=scenes.views("{scene}/{view}", virtual_only=True),
+        photographs=scenes.photographs("{scene}/{photograph}"),
         benchmarks="results/benchmarks",
         code=code_hash("irodori.report.page"),
     script:

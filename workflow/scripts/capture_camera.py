@@ -1,12 +1,13 @@
 from irodori.capture.stage import Target, capture_camera
+from irodori.config.models import Camera, Rig
 from irodori.core.run_rule import run_rule
 
 with run_rule(snakemake) as provenance:
     capture_camera(
         Target(
             snakemake.wildcards.camera,
-            snakemake.params.camera,
-            snakemake.params.rig,
+            Camera.of(snakemake.params.camera),
+            Rig.of(snakemake.params.rig),
             snakemake.params.rig_name,
             snakemake.params.table,
             snakemake.params.folder,

@@ -1,13 +1,14 @@
 from irodori.capture.stage import Target, capture_environment
+from irodori.config.models import Camera, Environment, Rig
 from irodori.core.run_rule import run_rule
 
 with run_rule(snakemake) as provenance:
     capture_environment(
-        snakemake.params.definition,
+        Environment.of(snakemake.params.definition),
         Target(
             snakemake.wildcards.environment,
-            snakemake.params.camera,
-            snakemake.params.rig,
+            Camera.of(snakemake.params.camera),
+            Rig.of(snakemake.params.rig),
             table=snakemake.params.table,
         ),
         snakemake.output.session,

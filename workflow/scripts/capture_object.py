@@ -1,13 +1,15 @@
 from irodori.capture.stage import Target, capture_object
+from irodori.config.models import Camera, Rig
+from irodori.config.parts import PhotographedObject
 from irodori.core.run_rule import run_rule
 
 with run_rule(snakemake) as provenance:
     capture_object(
-        snakemake.params.definition,
+        PhotographedObject.of(snakemake.params.definition),
         Target(
             snakemake.wildcards.object,
-            snakemake.params.camera,
-            snakemake.params.rig,
+            Camera.of(snakemake.params.camera),
+            Rig.of(snakemake.params.rig),
             snakemake.params.rig_name,
             snakemake.params.table,
             snakemake.params.folder,

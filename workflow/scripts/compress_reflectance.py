@@ -1,3 +1,4 @@
+from irodori.config.parts import Surface
 from irodori.core.run_rule import run_rule
 from irodori.material.principal_components.basis_count import CompressOptions
 from irodori.material.stage import compress_reflectance
@@ -6,7 +7,7 @@ with run_rule(snakemake) as provenance:
     compress_reflectance(
         snakemake.input.tiles,
         snakemake.input.calibration,
-        {key: snakemake.params[key] for key in ("texels", "refractive_index", "mirror_weight")},
+        Surface.of({key: snakemake.params[key] for key in ("texels", "refractive_index", "mirror_weight")}),
         snakemake.output.material,
         CompressOptions(**snakemake.params.compress),
         snakemake.params.lights,

@@ -1,3 +1,4 @@
+from irodori.config.parts import typed_index
 from irodori.core.run_rule import run_rule
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import fit_brdf
@@ -8,7 +9,7 @@ with run_rule(snakemake) as provenance:
         snakemake.input.observations,
         snakemake.output.brdf,
         FitOptions(**snakemake.params.fit, lobes=tuple(snakemake.params.lobes)),
-        *refractive_index(snakemake.params.refractive_index),
+        *refractive_index(typed_index(snakemake.params.refractive_index)),
         provenance,
         next(iter(snakemake.input.calibration), None),
     )

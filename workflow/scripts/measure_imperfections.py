@@ -1,10 +1,21 @@
+from irodori.config.models import Rectify
+from irodori.config.parts import ImperfectObject
 from irodori.core.run_rule import run_rule
-from irodori.evaluation.imperfection_costs import Chain, measure_imperfections
+from irodori.evaluation.imperfection_costs import Chain, Settings, measure_imperfections
+from irodori.fitting.solvers import FitOptions
+from irodori.ingest.ingest_options import IngestOptions
+from irodori.material.principal_components.basis_count import CompressOptions
 
 with run_rule(snakemake):
-    settings = {key: snakemake.params[key] for key in ("ingest", "rectify", "fit", "compress", "lights")}
+    settings = Settings(
+        IngestOptions(**snakemake.params.ingest),
+        Rectify.of(snakemake.params.rectify),
+        FitOptions(**snakemake.params.fit),
+        CompressOptions(**snakemake.params.compress),
+        snakemake.params.lights,
+    )
     subject = snakemake.params.subject
     measure_imperfections(
-        Chain(**subject, settings=settings) if subject else None,
+        Chain(**vars(ImperfectObject.of(subject)), settings=settings) if subject else None,
         snakemake.output.costs,
     )

@@ -1,11 +1,14 @@
+from irodori.config.models import Planning
+from irodori.config.parts import PlannedPlate
 from irodori.core.run_rule import run_rule
 from irodori.evaluation.pose_planning import measure_plan
+from irodori.fitting.solvers import FitOptions
 
 with run_rule(snakemake):
     measure_plan(
-        snakemake.params.objects,
-        snakemake.params.fit,
+        {name: PlannedPlate.of(planned) for name, planned in snakemake.params.objects.items()},
+        FitOptions(**snakemake.params.fit),
         snakemake.params.max_angle_deg,
-        snakemake.params.planning,
+        Planning.of(snakemake.params.planning),
         snakemake.output.planning,
     )

@@ -1,13 +1,15 @@
+from irodori.config.models import Render, Scene
+from irodori.config.parts import typed_shapes
 from irodori.core.run_rule import run_rule
 from irodori.rendering.planning.stage import plan_scene
 
 with run_rule(snakemake):
     plan_scene(
         snakemake.wildcards.scene,
-        snakemake.params.scene,
-        snakemake.params.shapes,
+        Scene.of(snakemake.params.scene),
+        typed_shapes(snakemake.params.shapes),
         snakemake.input.materials,
         snakemake.input.environment,
-        snakemake.params.render,
+        Render.of(snakemake.params.render),
         snakemake.output.plan,
     )

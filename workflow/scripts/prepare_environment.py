@@ -1,12 +1,16 @@
+from irodori.config.models import IrradianceMap, Size
+from irodori.config.parts import typed_source
 from irodori.core.run_rule import run_rule
 from irodori.light.stage import make_environment, prepare_environment
 from irodori.material.principal_components.basis_count import CompressOptions
 
 with run_rule(snakemake) as provenance:
     options = dict(snakemake.params.compress)
-    irradiance, gloss = options.pop("irradiance"), snakemake.params.lobes if options.pop("gloss_maps") else ()
+    irradiance = IrradianceMap.of(options.pop("irradiance"))
+    gloss = snakemake.params.lobes if options.pop("gloss_maps") else ()
     common = snakemake.output.environment, CompressOptions(**options), irradiance, provenance
-    source, image = snakemake.params.source, snakemake.params.image
+    source = typed_source(snakemake.params.source)
+    image = Size.of(snakemake.params.image) if snakemake.params.image else None
     if snakemake.params.photographed:
         prepare_environment(snakemake.input.linear, snakemake.input.calibration, *common, source, image, gloss)
     else:

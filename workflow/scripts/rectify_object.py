@@ -1,12 +1,17 @@
+from irodori.config.models import Optics, RigPose
+from irodori.config.parts import RigGeometry, TexturedObject
 from irodori.core.run_rule import run_rule
 from irodori.rectification.stage import RigSetup, rectify_object
 
 with run_rule(snakemake) as provenance:
+    white = snakemake.params.white_pose
     rectify_object(
         snakemake.input.linear,
-        {"shape": snakemake.params.shape, "texels": snakemake.params.texels},
+        TexturedObject.of({"shape": snakemake.params.shape, "texels": snakemake.params.texels}),
         RigSetup.from_definitions(
-            {"optics": snakemake.params.optics}, snakemake.params.rig, snakemake.params.white_pose
+            Optics.of(snakemake.params.optics),
+            RigGeometry.of(snakemake.params.rig),
+            RigPose.of(white) if white else None,
         ),
         snakemake.params.rows,
         snakemake.params.max_angle_deg,

@@ -1,17 +1,18 @@
+from irodori.config.models import Render, Scene
+from irodori.config.parts import typed_shapes
 from irodori.core.run_rule import run_rule
 from irodori.rendering.sequence import render_frames
 
 with run_rule(snakemake):
     render_frames(
-        snakemake.params.scene,
+        Scene.of(snakemake.params.scene),
         snakemake.wildcards.view,
-        snakemake.params.shapes,
+        typed_shapes(snakemake.params.shapes),
         snakemake.input.materials,
         snakemake.input.environment,
         list(snakemake.input),
         snakemake.output.frames,
         snakemake.output.animation,
         snakemake.output.figures,
-        {**snakemake.params.render, "max_bounces": snakemake.params.scene["max_bounces"]},
-        snakemake.params.render["tile_rows"],
+        Render.of(snakemake.params.render),
     )

@@ -1,18 +1,19 @@
+from irodori.config.models import Render, Scene
+from irodori.config.parts import typed_shapes
 from irodori.core.run_rule import run_rule
 from irodori.rendering.stage import render_view
 
 with run_rule(snakemake):
     render_view(
-        snakemake.params.scene,
+        Scene.of(snakemake.params.scene),
         snakemake.wildcards.view,
-        snakemake.params.shapes,
+        typed_shapes(snakemake.params.shapes),
         snakemake.input.materials,
         snakemake.input.environment,
         snakemake.output.exr,
         snakemake.output.png,
         snakemake.output.figures,
-        {**snakemake.params.render, "max_bounces": snakemake.params.scene["max_bounces"]},
-        snakemake.params.render["tile_rows"],
+        Render.of(snakemake.params.render),
         next(iter(snakemake.input.plan), None),
         snakemake.params.check,
     )

@@ -1,5 +1,8 @@
+from irodori.config.models import Scene
 from irodori.core.run_rule import run_rule
 from irodori.rendering.stage import write_tiff
 
 with run_rule(snakemake):
-    write_tiff(snakemake.params.scene, snakemake.input.exr, snakemake.input.environment, snakemake.output.picture)
+    write_tiff(
+        Scene.of(snakemake.params.scene), snakemake.input.exr, snakemake.input.environment, snakemake.output.picture
+    )

@@ -15,6 +15,7 @@ from irodori.capture.camera.gphoto_line import FIRST_WAIT_S, GphotoLine
 from irodori.capture.camera.gphoto_settings import WIDGETS, find_choice, means, offer
 from irodori.capture.rig.devices import Camera, CommandError, DeadlineError, DeviceError
 from irodori.config.capture_table import Shot
+from irodori.config.models import CameraDriver
 from irodori.core.progress import LOGGER
 
 #: Ends of the names of RAW files, by maker as libgphoto2 begins its models; the first is expected before a photograph.
@@ -47,9 +48,7 @@ class GphotoCamera(Camera):
 
     Parameters
     ----------
-    driver : dict
-        The block ``driver`` of a camera's definition, validated: ``model``, ``port``, ``iso``, ``f_number`` (a number,
-        or ``manual`` for a lens with a ring), ``white_balance``, ``image_format``, ``deadline_s``, ``retries``.
+    driver : CameraDriver
     sleep, now : callable
         Waiting and time, s; handed over so that a simulated camera need not be waited for.
 
@@ -69,12 +68,13 @@ class GphotoCamera(Camera):
     raw_suffixes: tuple[str, ...] = _ANY_RAW
 
     def __init__(
-        self, driver: dict, sleep: Callable[[float], None] = time.sleep, now: Callable[[], float] = time.monotonic
+        self,
+        driver: CameraDriver,
+        sleep: Callable[[float], None] = time.sleep,
+        now: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.model = driver["model"]
-        self._line = GphotoLine(
-            self.model, driver.get("port"), driver["deadline_s"], driver["retries"], sleep=sleep, now=now
-        )
+        self.model = driver.model
+        self._line = GphotoLine(self.model, driver.port, driver.deadline_s, driver.retries, sleep=sleep, now=now)
         self._gp, self._driver = self._line.gp, driver
         self.suffix = next((s[0] for maker, s in RAW_SUFFIXES.items() if self.model.startswith(maker)), ".raw")
         #: Whether a photograph of an earlier attempt may still arrive.
@@ -157,13 +157,13 @@ class GphotoCamera(Camera):
     def _set_all(self, shot: Shot, end: float) -> None:
         wanted = {
             "capture_target": _RAM,
-            "image_format": self._driver["image_format"],
-            "white_balance": self._driver["white_balance"],
-            "iso": shot.iso or self._driver["iso"],
-            "f_number": shot.f_number or self._driver["f_number"],
+            "image_format": self._driver.image_format,
+            "white_balance": self._driver.white_balance,
+            "iso": shot.iso or self._driver.iso,
+            "f_number": shot.f_number or self._driver.f_number,
             "exposure_s": shot.exposure_s,
         }
-        if self._driver["f_number"] == "manual":
+        if self._driver.f_number == "manual":
             del wanted["f_number"]
         if not self._line.names.intersection(self.widgets["capture_target"]):
             del wanted["capture_target"]  # where the file lies does not matter: it is fetched and then deleted
@@ -208,7 +208,7 @@ class GphotoCamera(Camera):
                 self._finish(folder, name, end)
                 return name, data
         found = f"only {', '.join(others)}, is image_format a RAW format?" if others else "no file"
-        waited = self._driver["deadline_s"] + shot.exposure_s
+        waited = self._driver.deadline_s + shot.exposure_s
         self._line.let_go()
         raise DeadlineError(f"{self.model}: {found} in {waited:g} s after the shutter was released")
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from irodori.capture.rig.devices import GarbledError
+from irodori.config.models import AsciiProtocol
 
 LINE_ENDS = {"lf": b"\n", "cr": b"\r", "crlf": b"\r\n"}
 #: Command: placeholders that it must have, and those that it may have.
@@ -79,13 +80,13 @@ class Description:
     alarm: tuple[str, ...]
 
     @classmethod
-    def of(cls, block: Mapping) -> "Description":
+    def of(cls, block: AsciiProtocol) -> "Description":
         """Return the description that a validated block gives."""
         return cls(
-            LINE_ENDS[block["line_end"]],
-            {name: block[name] for name in (*COMMANDS, *OPTIONAL) if name in block},
-            {name: re.compile(text, re.ASCII) for name, text in block["replies"].items()},
-            *(tuple(block[state]) for state in STATES),
+            LINE_ENDS[block.line_end],
+            {name: text for name in (*COMMANDS, *OPTIONAL) if (text := getattr(block, name)) is not None},
+            {name: re.compile(text, re.ASCII) for name, text in vars(block.replies).items() if text is not None},
+            *(getattr(block, state) for state in STATES),
         )
 
     def line(self, command: str, **values) -> bytes:

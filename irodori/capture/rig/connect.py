@@ -10,6 +10,8 @@ from irodori.capture.rig.drives import Drive, drives_of
 from irodori.capture.rig.grbl.driver import GrblRig
 from irodori.capture.rig.grbl.settings_check import ACCELERATION, RATE, STEPS, TRAVEL, number
 from irodori.capture.rig.serial_link import SerialLink
+from irodori.config.models import Motion
+from irodori.config.models import Rig as RigDefinition
 from irodori.simulation.controllers import ascii_simulator
 from irodori.simulation.controllers import grbl_simulator as grbl_simulator
 from irodori.simulation.controllers.peer_client import Simulator
@@ -18,14 +20,26 @@ SIMULATOR = "simulator"
 _HOMING_SEARCH = 4.0
 
 
+def _motion(rig: RigDefinition) -> Motion:
+    if rig.motion is None:
+        raise SettingError("the rig's file has no block motion: nothing of this rig is driven")
+    return rig.motion
+
+
+def _description(motion: Motion) -> Description:
+    if motion.ascii is None:
+        raise SettingError("the rig's file has no block motion.ascii, which describes its controller")
+    return Description.of(motion.ascii)
+
+
 @contextmanager
-def open_rig(rig: Mapping) -> Iterator[Rig]:
+def open_rig(rig: RigDefinition) -> Iterator[Rig]:
     """Open the rig of a definition; stop it on an exception, and let go of its line at the end.
 
     Parameters
     ----------
-    rig : dict
-        Validated, with the blocks ``limits`` and ``motion``. The port ``simulator`` starts a simulated controller.
+    rig : Rig
+        With the block ``motion``. The port ``simulator`` starts a simulated controller.
 
     Yields
     ------
@@ -37,31 +51,29 @@ def open_rig(rig: Mapping) -> Iterator[Rig]:
     ------
     DeviceError
     """
-    motion = rig.get("motion")
-    if motion is None:
-        raise SettingError("the rig's file has no block motion: nothing of this rig is driven")
+    motion = _motion(rig)
     with ExitStack() as stack:
-        simulator = stack.enter_context(start_simulator(rig)) if motion["port"] == SIMULATOR else None
+        simulator = stack.enter_context(start_simulator(rig)) if motion.port == SIMULATOR else None
         link = SerialLink(
-            simulator.port if simulator else motion["port"],
-            motion["baud"],
-            write_timeout_s=motion["timeout_s"],
-            line_end=b"\n" if motion["protocol"] == "grbl" else Description.of(motion["ascii"]).line_end,
+            simulator.port if simulator else motion.port,
+            motion.baud,
+            write_timeout_s=motion.timeout_s,
+            line_end=b"\n" if motion.protocol == "grbl" else _description(motion).line_end,
         )
         stack.callback(link.close)
-        opened = _DRIVERS[motion["protocol"]](link, drives_of(rig), motion)
+        opened = _DRIVERS[motion.protocol](link, drives_of(rig), motion)
         opened.simulator = simulator
         yield stack.enter_context(opened)
 
 
 @contextmanager
-def start_simulator(rig: Mapping) -> Iterator[Simulator]:
+def start_simulator(rig: RigDefinition) -> Iterator[Simulator]:
     """Start the simulated controller of a definition, set up as the definition wants it; see `open_rig`."""
-    motion = rig["motion"]
-    given = motion["simulator"]
-    how = {"time_scale": given["time_scale"], "seed": given["seed"], "homing_rms": given["homing_rms_units"]}
-    if motion["protocol"] == "grbl":
-        running = grbl_simulator.simulate(grbl_settings(drives_of(rig), motion["homing"]), **how)
+    motion = _motion(rig)
+    given = motion.simulator
+    how = {"time_scale": given.time_scale, "seed": given.seed, "homing_rms": given.homing_rms_units}
+    if motion.protocol == "grbl":
+        running = grbl_simulator.simulate(grbl_settings(drives_of(rig), motion.homing), **how)
     else:
         running = ascii_simulator.simulate(rig, **how)
     with running as simulator:
@@ -106,13 +118,13 @@ def true_position_deg(rig: Rig) -> dict[str, float]:
     return {name: drive.to_deg(places[drive.channel]) for name, drive in rig.drives.items()}
 
 
-def _open_grbl(link: Link, drives: Mapping[str, Drive], motion: Mapping) -> Rig:
-    return GrblRig(link, drives, timeout_s=motion["timeout_s"], flow=motion["flow"], homing=motion["homing"])
+def _open_grbl(link: Link, drives: Mapping[str, Drive], motion: Motion) -> Rig:
+    return GrblRig(link, drives, timeout_s=motion.timeout_s, flow=motion.flow, homing=motion.homing)
 
 
-def _open_ascii(link: Link, drives: Mapping[str, Drive], motion: Mapping) -> Rig:
-    words = Description.of(motion["ascii"])
-    return AsciiRig(link, drives, words, timeout_s=motion["timeout_s"], homing=motion["homing"])
+def _open_ascii(link: Link, drives: Mapping[str, Drive], motion: Motion) -> Rig:
+    words = _description(motion)
+    return AsciiRig(link, drives, words, timeout_s=motion.timeout_s, homing=motion.homing)
 
 
-_DRIVERS: dict[str, Callable[[Link, Mapping[str, Drive], Mapping], Rig]] = {"grbl": _open_grbl, "ascii": _open_ascii}
+_DRIVERS: dict[str, Callable[[Link, Mapping[str, Drive], Motion], Rig]] = {"grbl": _open_grbl, "ascii": _open_ascii}

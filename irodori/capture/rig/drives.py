@@ -1,10 +1,10 @@
 """Conversion of axis angles to controller channels and units, for straight moves of several axes."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from irodori.capture.rig.devices import Axis
+from irodori.config.models import Rig
 
 
 @dataclass(frozen=True)
@@ -52,20 +52,23 @@ class Drive:
         return min(ends), max(ends)
 
 
-def drives_of(rig: Mapping) -> dict[str, Drive]:
+def drives_of(rig: Rig) -> dict[str, Drive]:
     """Return the drives of a rig's definition by the name of their angle.
 
     Parameters
     ----------
-    rig : dict
-        Validated, with the blocks ``limits`` and ``motion``.
+    rig : Rig
+        Without ``motion`` it has none.
     """
     drives = {}
-    for name, given in rig["motion"]["axes"].items():
-        limit = rig["limits"][name]
-        rates = given["speed_deg_per_s"], given["acceleration_deg_per_s2"]
-        axis = Axis(name, limit["min"], limit["max"], limit["step"], *rates)
-        drives[name] = Drive(axis, given["channel"], given["units_per_deg"], given["zero_deg"])
+    axes = vars(rig.motion.axes) if rig.motion else {}
+    for name, given in axes.items():
+        if given is None:
+            continue
+        limit = getattr(rig.limits, name)
+        rates = given.speed_deg_per_s, given.acceleration_deg_per_s2
+        axis = Axis(name, limit.min, limit.max, limit.step, *rates)
+        drives[name] = Drive(axis, given.channel, given.units_per_deg, given.zero_deg)
     return drives
 
 

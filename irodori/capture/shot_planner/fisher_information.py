@@ -12,6 +12,7 @@ serve both, but how the two components of one texel are told apart is not in it,
 
 import math
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
@@ -23,6 +24,9 @@ from irodori.geometry.shapes import Shape, on_table
 from irodori.jit.native import njit
 from irodori.reflection.equation5 import angles_from_directions, gloss_factors
 from irodori.reflection.lobes import Lobes, constants, derivatives, features, value
+
+if TYPE_CHECKING:
+    from irodori.config.models import SensorOptions
 
 PARAMETERS = 3
 _OFFSET_MM = 1e-3
@@ -54,27 +58,26 @@ class Noise:
     saturation_response: float = math.inf
 
     @classmethod
-    def of_sensor(cls, sensor: dict, exposures_s=(), **others) -> "Noise":
+    def of_sensor(cls, sensor: "SensorOptions", exposures_s=(), **others) -> "Noise":
         """Return the noise of a camera's ``virtual.sensor`` block for its brightest band.
 
         Parameters
         ----------
-        sensor : dict
-            ``full_well_e``, ``read_noise_e``, ``response_at_full_well``, ``base_exposure_s``.
+        sensor : SensorOptions
         exposures_s : sequence of float
             Exposure times of a bracket, s; the longest sets the noise and the shortest what saturates. The base
             exposure where empty.
         **others
             Further fields.
         """
-        base = sensor["base_exposure_s"]
+        base = sensor.base_exposure_s
         exposures = list(exposures_s) or [base]
-        per_response = sensor["full_well_e"] / sensor["response_at_full_well"]
+        per_response = sensor.full_well_e / sensor.response_at_full_well
         longest, shortest = max(exposures) / base, min(exposures) / base
         return cls(
-            read_variance=(sensor["read_noise_e"] / (per_response * longest)) ** 2,
+            read_variance=(sensor.read_noise_e / (per_response * longest)) ** 2,
             shot_variance=1.0 / (per_response * longest),
-            saturation_response=sensor["response_at_full_well"] / shortest,
+            saturation_response=sensor.response_at_full_well / shortest,
             **others,
         )
 

@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from scipy.stats import qmc
@@ -19,6 +20,8 @@ from irodori.capture.shot_planner.fisher_information import (
     standard_errors,
 )
 from irodori.config.capture_table import Pose
+from irodori.config.models import AxisLimit, Object, Rig, RigLimits, SensorOptions
+from irodori.config.parts import PlannedObject
 from irodori.geometry.rig_frame import to_camera, to_light
 from irodori.geometry.shapes import Shape
 from irodori.spectra.published import refractive_index_at
@@ -72,11 +75,11 @@ class MaterialRange:
                 raise ValueError(f"plan.{name} [{low:g}, {high:g}]; accepted: two numbers above 0, the smaller first")
 
     @classmethod
-    def from_definition(cls, definition: dict) -> "MaterialRange":
+    def from_definition(cls, definition: Object | PlannedObject) -> "MaterialRange":
         """Return the range of an object's validated definition: ``plan``, ``refractive_index`` and ``lobes``."""
-        n, k = refractive_index_at(definition["refractive_index"])
-        spans = {key: tuple(definition["plan"][key]) for key in ("alpha", "beta", "mu_rad")}
-        return cls(**spans, n=n, k=k, lobes=tuple(definition.get("lobes", ("gaussian",))))
+        n, k = refractive_index_at(definition.refractive_index)
+        plan = definition.plan
+        return cls(alpha=plan.alpha, beta=plan.beta, mu_rad=plan.mu_rad, n=n, k=k, lobes=definition.lobes)
 
     def at(self, unit: np.ndarray) -> Materials:
         """Return the materials at points of the unit cube, (m, 3)."""
@@ -136,44 +139,40 @@ class Plan:
         return [*out, f"{self.determined_fraction:.0%} of materials and texels determined"]
 
 
-def subject_of(definition: dict, rig: dict) -> Subject:
+def subject_of(definition: Object | PlannedObject, rig: Rig) -> Subject:
     """Return the texels that stand for an object.
 
     Parameters
     ----------
-    definition : dict
-        Validated definition of the object.
-    rig : dict
-        Validated definition of the rig.
+    definition : Object or PlannedObject
+    rig : Rig
     """
-    shape = Shape.from_definition(definition["shape"])
+    shape = Shape.from_definition(definition.shape)
     position, normal = shape.samples(_SPHERE_TEXELS)
-    return Subject(shape, position, normal, rig["camera_distance_mm"], rig["table_radius_mm"])
+    return Subject(shape, position, normal, rig.camera_distance_mm, rig.table_radius_mm)
 
 
-def axis_angles(limit: Mapping[str, float], coarse_deg: float) -> np.ndarray:
+def axis_angles(limit: AxisLimit, coarse_deg: float) -> np.ndarray:
     """Return angles of an axis from its smallest on, on its steps, about `coarse_deg` apart, degrees.
 
     Parameters
     ----------
-    limit : dict
-        ``min``, ``max``, ``step`` of the rig's definition, degrees.
+    limit : AxisLimit
     coarse_deg : float
         Largest distance between two angles; one step where that is larger.
     """
-    step = limit["step"] * max(1, math.floor(coarse_deg / limit["step"] + _TOLERANCE_DEG))
-    count = math.floor((limit["max"] - limit["min"]) / step + _TOLERANCE_DEG) + 1
+    step = limit.step * max(1, math.floor(coarse_deg / limit.step + _TOLERANCE_DEG))
+    count = math.floor((limit.max - limit.min) / step + _TOLERANCE_DEG) + 1
     # Sums of steps such as 0.1 leave digits that no one set.
-    return np.round(limit["min"] + step * np.arange(count), 9)
+    return np.round(limit.min + step * np.arange(count), 9)
 
 
-def candidate_poses(limits: Mapping[str, Mapping], coarse_deg: Mapping[str, float], clearance_deg: float) -> list[Pose]:
+def candidate_poses(limits: RigLimits, coarse_deg: Mapping[str, float], clearance_deg: float) -> list[Pose]:
     """Return the poses of a rig on a coarse grid of its steps where the camera does not stand in the light's way.
 
     Parameters
     ----------
-    limits : dict
-        ``limits`` of the rig's definition.
+    limits : RigLimits
     coarse_deg : dict
         Distance of the candidates along each axis of AXES, degrees.
     clearance_deg : float
@@ -187,42 +186,57 @@ def candidate_poses(limits: Mapping[str, Mapping], coarse_deg: Mapping[str, floa
     """
     if set(coarse_deg) != set(AXES):
         raise ValueError(f"coarse_deg for {', '.join(coarse_deg) or 'nothing'}; accepted: {', '.join(AXES)}")
-    light, camera, tilt, turn = (axis_angles(limits[axis], coarse_deg[axis]) for axis in AXES)
+    light, camera, tilt, turn = (axis_angles(getattr(limits, axis), coarse_deg[axis]) for axis in AXES)
     away = math.cos(math.radians(clearance_deg)) + 1e-12
     free = [(a, b) for a in light for b in camera if float(to_light(Pose(a, b)) @ to_camera(Pose(a, b))) <= away]
     return [Pose(float(a), float(b), float(c), float(d)) for a, b in free for c in tilt for d in turn]
 
 
 def open_poses(
-    shape: Shape, limits: Mapping[str, Mapping], clearance_deg: float = 5.0, coarse_deg: Mapping | None = None
+    shape: Shape, limits: RigLimits, clearance_deg: float = 5.0, coarse_deg: Mapping | None = None
 ) -> list[Pose]:
     """Return the candidates for a shape: `candidate_poses` on its default grid; no turns for a flat one."""
     if not shape.is_flat:
         return candidate_poses(limits, coarse_deg or SPHERE_COARSE_DEG, clearance_deg)
-    still = {**limits["turn_deg"], "max": limits["turn_deg"]["min"]}
-    return candidate_poses({**limits, "turn_deg": still}, coarse_deg or COARSE_DEG, clearance_deg)
+    still = replace(limits.turn_deg, max=limits.turn_deg.min)
+    return candidate_poses(replace(limits, turn_deg=still), coarse_deg or COARSE_DEG, clearance_deg)
 
 
-def default_noise(rig: dict, sensor: dict | None = None, exposures_s=(), fit: dict | None = None) -> Noise:
+class StatedErrors(Protocol):
+    """Errors that a fit reckons with: the configuration's ``fit``, or the options of the fit made of it."""
+
+    @property
+    def model_error(self) -> float:
+        """Relative error of an observation apart from noise."""
+
+    @property
+    def pose_error_deg(self) -> float:
+        """Standard deviation of the angle of light or camera, degrees."""
+
+
+def default_noise(
+    rig: Rig, sensor: SensorOptions | None = None, exposures_s=(), fit: StatedErrors | None = None
+) -> Noise:
     """Return the noise of a rig and of its camera where their definitions state it, else what the fit reckons with.
 
     Parameters
     ----------
-    rig : dict
-        Validated definition; ``virtual.imperfections`` gives light drift and pose error.
-    sensor : dict, optional
-        ``virtual.sensor`` of the camera's definition.
+    rig : Rig
+        Its ``virtual.imperfections`` give light drift and pose error.
+    sensor : SensorOptions, optional
+        Of a virtual camera.
     exposures_s : sequence of float
         Bracket of the unfiltered photographs, s.
-    fit : dict, optional
-        ``fit`` block of the configuration: ``model_error`` and ``pose_error_deg``, where the rig's own are not stated.
+    fit : StatedErrors, optional
+        Its ``model_error`` and ``pose_error_deg``, where the rig's own are not stated.
     """
-    faults = rig.get("virtual", {}).get("imperfections", {})
-    names = {"relative": "model_error", "pose_rms_deg": "pose_error_deg"}
-    own = {field: fit[key] for field, key in names.items() if fit and key in fit}
-    for field, fault, key in (("relative", "light_drift", "relative_rms"), ("pose_rms_deg", "pose_error", "rms_deg")):
-        if fault in faults:
-            own[field] = faults[fault][key] if faults[fault]["enabled"] else 0.0
+    own = {"relative": fit.model_error, "pose_rms_deg": fit.pose_error_deg} if fit else {}
+    if rig.virtual is not None:
+        drift, pose = rig.virtual.imperfections.light_drift, rig.virtual.imperfections.pose_error
+        own = {
+            "relative": drift.relative_rms if drift.enabled else 0.0,
+            "pose_rms_deg": pose.rms_deg if pose.enabled else 0.0,
+        }
     return Noise(**own) if sensor is None else Noise.of_sensor(sensor, exposures_s, **own)
 
 
@@ -231,10 +245,8 @@ class Planner:
 
     Parameters
     ----------
-    definition : dict
-        Validated definition of the object: ``shape``, ``refractive_index``, ``plan``.
-    rig : dict
-        Validated definition of the rig: ``limits``, distances, imperfections.
+    definition : Object or PlannedObject
+    rig : Rig
     materials : MaterialRange, optional
         The object's own where absent.
     noise : Noise, optional
@@ -256,8 +268,8 @@ class Planner:
 
     def __init__(
         self,
-        definition: dict,
-        rig: dict,
+        definition: Object | PlannedObject,
+        rig: Rig,
         materials: MaterialRange | None = None,
         noise: Noise | None = None,
         max_angle_deg: float = 80.0,
@@ -266,9 +278,9 @@ class Planner:
         weighting: Weighting = WEIGHTING,
     ) -> None:
         self.subject = subject_of(definition, rig)
-        self.max_manual = definition["plan"]["max_manual"]
+        self.max_manual = definition.plan.max_manual
         flat = self.subject.shape.is_flat
-        poses = open_poses(self.subject.shape, rig["limits"], clearance_deg, coarse_deg)
+        poses = open_poses(self.subject.shape, rig.limits, clearance_deg, coarse_deg)
         if not poses:
             raise TooFewPoses(
                 f"a rig whose camera never stands {clearance_deg:g} degrees from the light; accepted: some poses"
@@ -308,8 +320,8 @@ class Planner:
 
 
 def plan_best(
-    definition: dict,
-    rig: dict,
+    definition: Object | PlannedObject,
+    rig: Rig,
     count: int | None = None,
     max_manual: int | None = None,
     criterion: str = DEFAULT_CRITERION,
@@ -319,8 +331,8 @@ def plan_best(
 
     Parameters
     ----------
-    definition, rig : dict
-        Validated definitions of the object and the rig.
+    definition : Object or PlannedObject
+    rig : Rig
     count : int, optional
         How many poses, at least 4: three parameters and one observation more; 6 for two gloss components.
         ``plan.count`` where absent.
@@ -346,7 +358,7 @@ def plan_best(
         Where the rig has fewer poses than wanted.
     """
     planner = Planner(definition, rig, **others)
-    return planner.best(definition["plan"]["count"] if count is None else count, max_manual, criterion)
+    return planner.best(definition.plan.count if count is None else count, max_manual, criterion)
 
 
 def expected_errors(seen: Observations, materials: Materials) -> tuple[dict[str, tuple[float, float]], float]:

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from irodori.config.capture_table import FILTERS, Shot, chart_capture, expand_poses, read_captures
+from irodori.config.models import PoseGroup
 from irodori.core.errors import InputError, is_file
 
 _ANGLE_TOLERANCE_DEG = 1e-6
@@ -51,7 +52,7 @@ class Reach:
                 for item, angle in enumerate(angles):
                     self.check_angle(axis, angle, file, f"poses[{index}].{axis}[{item}]")
         try:
-            expand_poses(groups)
+            expand_poses(map(PoseGroup.of, groups))
         except ValueError as error:
             raise InputError(file, "poses", str(error), "each pose once, at least 0.1 degrees apart") from None
 

@@ -32,7 +32,7 @@ _BANDS_OF_A_STATE = 3
 #: Keys that not every kind of rig reads: which of them a definition must give, and which it may.
 _TAKEN_HERE = ("poses", "exposure_s", "dark_frames", "white_frames", "linearity_exposure_s")
 _ONLY_SOME = (*_TAKEN_HERE, "virtual", "driver", "captures")
-_NEEDED = {
+_NEEDED: dict[str, dict[str, tuple[str, ...]]] = {
     "virtual": {
         "cameras": ("virtual", "optics", "white", "poses", "exposure_s"),
         "environments": ("virtual", "exposure_s"),
@@ -316,7 +316,8 @@ class _Checks:
         wanted = of_role(shots, role, table)
         camera = definition["camera"]
         if camera in self.charts:
-            check_states(wanted, table, *reversed(self.charts[camera]))
+            of_chart, chart = self.charts[camera]
+            check_states(wanted, table, chart, of_chart)
         else:
             accepted = set(self.all["cameras"][camera]["exposure_s"])
             check_states_are(wanted, table, accepted, self.file("cameras", camera))

@@ -6,6 +6,7 @@ integral of n · (r × dr) / |r|²: a quotient of first-order trigonometric poly
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +23,9 @@ from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Kernels, ball_may_be_met
 from irodori.geometry.shapes.shape_rows import RADIUS
 from irodori.jit.native import njit
+
+if TYPE_CHECKING:
+    from irodori.config.models import DiscShape
 
 IS_FLAT = True
 SCHEMA = {
@@ -152,9 +156,9 @@ class Disc(FlatShape):
     )
 
     @classmethod
-    def from_block(cls, block: dict) -> "Disc":
+    def from_block(cls, block: "DiscShape") -> "Disc":
         """Return the disc of a block with its radius."""
-        return cls(float(block["radius_mm"]))
+        return cls(float(block.radius_mm))
 
     @property
     def size_mm(self) -> tuple[float, float]:

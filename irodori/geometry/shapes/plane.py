@@ -1,6 +1,7 @@
 """Endless planes."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from irodori.geometry.shapes.shape import Kernels
 from irodori.geometry.shapes.shape_rows import RADIUS, TURN
 from irodori.jit.native import njit
 from irodori.jit.ray_vectors import absolute, greatest
+
+if TYPE_CHECKING:
+    from irodori.config.models import PlaneShape
 
 IS_FLAT = True
 SCHEMA = {
@@ -98,7 +102,7 @@ class Plane(FlatShape):
     )
 
     @classmethod
-    def from_block(cls, block: dict) -> "Plane":
+    def from_block(cls, block: "PlaneShape") -> "Plane":
         """Return the plane; there is but one."""
         return cls()
 

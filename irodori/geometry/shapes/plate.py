@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from irodori.geometry.shapes.shape import SLACK, Kernels
 from irodori.geometry.shapes.shape_rows import HIGH, RADIUS, TURN, WIDE
 from irodori.jit.native import njit
 from irodori.jit.ray_vectors import absolute
+
+if TYPE_CHECKING:
+    from irodori.config.models import PlateShape
 
 IS_FLAT = True
 SCHEMA = {
@@ -188,9 +192,9 @@ class Plate(FlatShape):
     )
 
     @classmethod
-    def from_block(cls, block: dict) -> "Plate":
+    def from_block(cls, block: "PlateShape") -> "Plate":
         """Return the plate of a block with its two sizes."""
-        return cls(float(block["width_mm"]), float(block["height_mm"]))
+        return cls(float(block.width_mm), float(block.height_mm))
 
     @property
     def size_mm(self) -> tuple[float, float]:

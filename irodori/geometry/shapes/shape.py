@@ -7,7 +7,7 @@ None.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from irodori.jit.native import njit
 from irodori.jit.ray_vectors import absolute
 
 if TYPE_CHECKING:
+    from irodori.config.models import BodyShape, ObjectShape
     from irodori.geometry.shapes.placement import Placement
     from irodori.geometry.shapes.shadow_nodes import Nodes
 
@@ -94,8 +95,8 @@ class Shape(ABC):
 
     @classmethod
     @abstractmethod
-    def from_block(cls, block: dict) -> "Shape":
-        """Return the shape of a validated block of configuration."""
+    def from_block(cls, block: Any) -> "Shape":
+        """Return the shape of a validated block of configuration, whose keys are attributes."""
 
     @property
     @abstractmethod
@@ -170,7 +171,7 @@ class Shape(ABC):
     # --- what follows from these, or has one answer for most ------------------------------------------------------
 
     @classmethod
-    def from_definition(cls, shape: dict) -> "Shape":
+    def from_definition(cls, shape: "ObjectShape | BodyShape") -> "Shape":
         """Return the shape of a configuration's `shape` block; a mesh is read from its file.
 
         Raises
@@ -181,9 +182,9 @@ class Shape(ABC):
             If a mesh is refused, see `irodori.geometry.mesh_files.read_mesh`.
         """
         known = {one.name: one for one in shapes()}
-        if shape["kind"] not in known:
-            raise ValueError(f"unknown shape {shape['kind']!r}; accepted: {', '.join(known)}")
-        return known[shape["kind"]].from_block(shape)
+        if shape.kind not in known:
+            raise ValueError(f"unknown shape {shape.kind!r}; accepted: {', '.join(known)}")
+        return known[shape.kind].from_block(shape)
 
     @classmethod
     def from_mesh(cls, mesh: Mesh, file: str = "mesh") -> "Shape":

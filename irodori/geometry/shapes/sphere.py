@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from irodori.geometry.shapes.shape import Kernels, Shape, ball_may_be_met, in_fr
 from irodori.geometry.shapes.shape_rows import RADIUS
 from irodori.jit.native import njit
 from irodori.jit.ray_vectors import absolute, greatest, least, root, select, with_sign
+
+if TYPE_CHECKING:
+    from irodori.config.models import SphereShape
 
 IS_FLAT = False
 SCHEMA = {
@@ -178,9 +182,9 @@ class Sphere(Shape):
     )
 
     @classmethod
-    def from_block(cls, block: dict) -> "Sphere":
+    def from_block(cls, block: "SphereShape") -> "Sphere":
         """Return the sphere of a block with its radius."""
-        return cls(float(block["radius_mm"]))
+        return cls(float(block.radius_mm))
 
     @property
     def size_mm(self) -> tuple[float, float]:

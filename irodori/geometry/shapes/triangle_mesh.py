@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shadow_nodes import Nodes
 from irodori.geometry.shapes.shape import Kernels, Shape, ball_may_be_met, hides_nothing
 from irodori.jit.native import njit
+
+if TYPE_CHECKING:
+    from irodori.config.models import MeshShape
 
 IS_FLAT = False
 SCHEMA = {
@@ -133,12 +137,12 @@ class TriangleMesh(Shape):
     )
 
     @classmethod
-    def from_block(cls, block: dict) -> "TriangleMesh":
+    def from_block(cls, block: "MeshShape") -> "TriangleMesh":
         """Return the mesh of a block that names its file."""
         from irodori.geometry.mesh_files import read_mesh
 
-        options = {key: block[key] for key in ("unit", "up", "pivot_mm", "crease_deg") if key in block}
-        return cls(read_mesh(block["file"], **options), str(block["file"]))
+        mesh = read_mesh(block.file, unit=block.unit, up=block.up, pivot_mm=block.pivot_mm, crease_deg=block.crease_deg)
+        return cls(mesh, block.file)
 
     @property
     def triangles(self) -> Mesh:

@@ -6,6 +6,8 @@ from dataclasses import asdict
 import numpy as np
 
 from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.config.models import ReferenceIntegrator
+from irodori.config.models import Scene as SceneDefinition
 from irodori.core.progress import LOGGER
 from irodori.light.environment_file import Environment
 from irodori.rendering.planning.planned_check import chosen_pixels, measure, refuse_above
@@ -48,7 +50,13 @@ def render_pixels(prepared: Scene, view: View, pixels: np.ndarray, samples: int,
 
 
 def plan_reference(
-    scene_name: str, scene: dict, placements, objects: Objects, environment: Environment, views: list[View], own: dict
+    scene_name: str,
+    scene: SceneDefinition,
+    placements,
+    objects: Objects,
+    environment: Environment,
+    views: list[View],
+    own: dict,
 ) -> dict:
     """Return the plan of a scene of the reference integrator: the paths of a pixel.
 
@@ -58,7 +66,7 @@ def plan_reference(
     Parameters
     ----------
     scene_name : str
-    scene : dict
+    scene : Scene
     placements, objects, environment
         As of `irodori.rendering.reference.converging_picture.make_scene`.
     views : list of View
@@ -67,7 +75,7 @@ def plan_reference(
     """
     white, _ = scene_white(scene, environment)
     matrix = xyz_from_radiance(white)
-    prepared = make_scene(placements, objects, environment, scene.get("lights"))
+    prepared = make_scene(placements, objects, environment, scene.lights)
     found, bounds = 0, []
     for number, view in enumerate(views):
         pixels = chosen_pixels(view, PILOTS, number)
@@ -76,8 +84,10 @@ def plan_reference(
         found += len(pixels)
     # Each picture is checked alone. Two differ by √2 times what one errs, and the check's own noise is seen too.
     noise = max(bounds) / math.sqrt(2.0) * math.sqrt(1.0 + 1.0 / MORE)
-    most = scene["integrator"]["samples"]
-    samples = own.get("samples") or _samples_for(noise, scene["tolerance_ciede2000"], most)
+    assert isinstance(scene.integrator, ReferenceIntegrator)  # whose plan this is
+    assert scene.tolerance_ciede2000 is not None
+    most = scene.integrator.samples
+    samples = own.get("samples") or _samples_for(noise, scene.tolerance_ciede2000, most)
     predicted = float(f"{noise * math.sqrt(PILOT_PATHS / samples):.4g}")
     decision = {
         "value": samples,
@@ -90,7 +100,7 @@ def plan_reference(
     return {
         "scene": scene_name,
         "integrator": "reference",
-        "tolerance_ciede2000": scene["tolerance_ciede2000"],
+        "tolerance_ciede2000": scene.tolerance_ciede2000,
         "pixels_within": SHARE,
         "predicted_delta_e": predicted,
         "cost": {"paths_per_pixel": samples},
@@ -108,7 +118,7 @@ def _samples_for(noise: float, tolerance: float, most: int) -> int:
 
 
 def check_reference(
-    scene: dict,
+    scene: SceneDefinition,
     view_name: str,
     placements,
     objects: Objects,
@@ -125,8 +135,8 @@ def check_reference(
     """
     white, _ = scene_white(scene, environment)
     matrix = xyz_from_radiance(white)
-    prepared = make_scene(placements, objects, environment, scene.get("lights"))
-    view = make_view(scene["views"][view_name], scene["image"])
+    prepared = make_scene(placements, objects, environment, scene.lights)
+    view = make_view(scene.views[view_name], scene.image)
     pixels = chosen_pixels(view, PIXELS)
     samples = MORE * plan["decisions"]["samples"]["value"]
     truth = render_pixels(prepared, view, pixels, samples, _CHECK_SEED) @ matrix.T

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from irodori.config.models import Scene
 from irodori.core.atomic_files import written_whole
 from irodori.rendering.interactive.quadrature import Quadrature
 from irodori.rendering.planning.modelled_scene import Model, memory_mb, widths_of
@@ -116,17 +117,17 @@ def model_of(document: dict, full: Model, names: list[str]) -> Model:
     )
 
 
-def object_names(scene: dict) -> list[str]:
+def object_names(scene: Scene) -> list[str]:
     """Return a name for every object of a scene, each once, then for its bodies.
 
     An object that stands in several places is ``jar``, ``jar#2``, ``jar#3``; the first body is ``bodies[0]``.
     """
     seen: dict[str, int] = {}
     names = []
-    for item in scene["objects"]:
-        number = seen[item["object"]] = seen.get(item["object"], 0) + 1
-        names.append(item["object"] if number == 1 else f"{item['object']}#{number}")
-    return names + [f"bodies[{index}]" for index in range(len(scene.get("bodies", [])))]
+    for item in scene.objects:
+        number = seen[item.object] = seen.get(item.object, 0) + 1
+        names.append(item.object if number == 1 else f"{item.object}#{number}")
+    return names + [f"bodies[{index}]" for index in range(len(scene.bodies))]
 
 
 def write_plan(path, document: dict) -> None:

@@ -6,9 +6,11 @@ from dataclasses import asdict
 import numpy as np
 
 from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.config.models import Render, Scene
 from irodori.core.progress import LOGGER
 from irodori.geometry.embree import Tracer
 from irodori.light.environment_file import Environment
+from irodori.rendering.integrators import has_ambient
 from irodori.rendering.interactive.frame_renderer import Lamp, render_frame
 from irodori.rendering.interactive.pixel_rays import render_pixels
 from irodori.rendering.planning.modelled_scene import Parts, full_model, prepare
@@ -19,7 +21,7 @@ from irodori.rendering.scene_lights import BANDS, make_lights
 from irodori.rendering.scene_white import scene_white
 
 
-def parts_of(scene: dict, objects: Objects, environment: Environment, tracer: Tracer) -> Parts:
+def parts_of(scene: Scene, objects: Objects, environment: Environment, tracer: Tracer) -> Parts:
     """Return a scene as the planner wants it.
 
     Raises
@@ -27,27 +29,25 @@ def parts_of(scene: dict, objects: Objects, environment: Environment, tracer: Tr
     ValueError
         If a light is not collimated.
     """
-    if any(light["kind"] != "collimated" for light in scene.get("lights", [])):
+    if any(light.kind != "collimated" for light in scene.lights):
         raise ValueError("area lights in a scene of the integrator 'interactive'; accepted: collimated lights")
-    lights, _ = make_lights(scene.get("lights", []), 0)
+    lights, _ = make_lights(scene.lights, 0)
     towards = lights.rotation[:, :, 2].copy()
     white, _ = scene_white(scene, environment)
     return Parts(objects, environment, tracer, towards, lights.spectrum[:, :BANDS].astype(np.float64), white)
 
 
 def render_planned(
-    scene: dict, view_name: str, parts: Parts, options: dict, plan: dict, check: bool = True
+    scene: Scene, view_name: str, parts: Parts, options: Render, plan: dict, check: bool = True
 ) -> tuple[np.ndarray, dict]:
     """Render a view by a plan and check it.
 
     Parameters
     ----------
-    scene : dict
-        Its objects include its bodies.
+    scene : Scene
     view_name : str
     parts : Parts
-    options : dict
-        ``pixel_side`` and ``max_bounces``, as of `irodori.rendering.integrators.render_image`.
+    options : Render
     plan : dict
         Content of ``plan.yaml``.
     check : bool
@@ -63,15 +63,15 @@ def render_planned(
     irodori.rendering.planning.planned_check.ToleranceError
         If the check finds more than the plan's tolerance.
     """
-    side, matrix = options["pixel_side"], xyz_from_radiance(parts.white)
-    full = full_model(parts, options["max_bounces"], scene["integrator"].get("ambient", True))
-    model = model_of(plan, full, plan_names(scene))
+    side, matrix = options.pixel_side, xyz_from_radiance(parts.white)
+    full = full_model(parts, scene.max_bounces, has_ambient(scene))
+    model = model_of(plan, full, object_names(scene))
     bands = model.representation == "spectral"
     start = time.perf_counter()
     prepared = prepare(parts, model, matrix)
     prepared_s = time.perf_counter() - start
     lamps = tuple(Lamp(towards) for towards in parts.lamp_towards)
-    view = make_view(scene["views"][view_name], scene["image"])
+    view = make_view(scene.views[view_name], scene.image)
     fine = view._replace(focal_px=view.focal_px * side, width=view.width * side, height=view.height * side)
     render_frame(prepared, fine._replace(width=side, height=side), lamps=lamps, bands=bands)  # compile
     start, counted = time.perf_counter(), {}
@@ -96,9 +96,3 @@ def render_planned(
         LOGGER.info("plan: predicted %.3g, measured %.3g ΔE2000", plan["predicted_delta_e"], measured.p99)
         refuse_above(measured, plan, view_name)
     return picture, figures
-
-
-def plan_names(scene: dict) -> list[str]:
-    """Return the names of a scene's objects where its bodies stand among them."""
-    return object_names({"objects": [item for item in scene["objects"] if "object" in item],
-                         "bodies": [item for item in scene["objects"] if "object" not in item]})  # fmt: skip

@@ -1,33 +1,41 @@
 """Planning stage: a scene, its materials and its light in; ``plan.yaml`` out."""
 
+from collections.abc import Sequence
+
+from irodori.config.models import ObjectShape, ReferenceIntegrator, Render, Scene
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.geometry.shapes import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
-from irodori.rendering.integrators import with_bodies
+from irodori.rendering.integrators import has_ambient, with_bodies
 from irodori.rendering.planning.choices import choose
-from irodori.rendering.planning.plan_file import document_of, write_plan
-from irodori.rendering.planning.planned_picture import parts_of, plan_names
+from irodori.rendering.planning.plan_file import document_of, object_names, write_plan
+from irodori.rendering.planning.planned_picture import parts_of
 from irodori.rendering.scene_arrays import View, make_objects, make_placements, make_tracer, make_view
 from irodori.rendering.scene_white import scene_white
 
 
 def plan_scene(
-    scene_name: str, scene: dict, shapes: list[dict], material_files: list, environment_file, options: dict, output
+    scene_name: str,
+    scene: Scene,
+    shapes: Sequence[ObjectShape],
+    material_files: list,
+    environment_file,
+    options: Render,
+    output,
 ) -> None:
     """Decide what to model of a scene and write it down.
 
     Parameters
     ----------
     scene_name : str
-    scene : dict
-        Validated definition, with ``tolerance_ciede2000``.
-    shapes : list of dict
+    scene : Scene
+        With ``tolerance_ciede2000``.
+    shapes : sequence of ObjectShape
         One an object.
     material_files, environment_file : paths
-    options : dict
-        The configuration's ``render``.
+    options : Render
     output : path
 
     Raises
@@ -53,33 +61,35 @@ def plan_scene(
 
 
 def plan_of(
-    scene_name: str, scene: dict, shapes: list, materials: list, environment: Environment, options: dict
+    scene_name: str, scene: Scene, shapes: list, materials: list, environment: Environment, options: Render
 ) -> dict:
     """Return the content of the plan of a scene; parameters and errors are those of `plan_scene`."""
     if not scene_white(scene, environment)[0].any():
         found = "no light on a surface that faces up at the scene's origin"
         raise InputError(f"scene {scene_name}", "tolerance_ciede2000", found, "a white that colours are seen against")
-    scene, shapes, materials = with_bodies(scene, shapes, materials)
+    if scene.tolerance_ciede2000 is None:
+        raise ValueError("a scene without tolerance_ciede2000; accepted: one with it")
+    shapes, materials = with_bodies(scene, shapes, materials)
     placements = make_placements(scene, shapes)
     objects, _ = make_objects(placements, materials)
-    views = [make_view(view, scene["image"]) for view in scene["views"].values()]
-    overrides = scene.get("plan", {})
-    if scene["integrator"]["kind"] == "reference":
+    views = [make_view(view, scene.image) for view in scene.views.values()]
+    overrides = scene.plan.plain()
+    if isinstance(scene.integrator, ReferenceIntegrator):
         from irodori.rendering.planning.paths_per_pixel import plan_reference
 
         return plan_reference(scene_name, scene, placements, objects, environment, views, overrides)
     parts = parts_of(scene, objects, environment, make_tracer(placements))
     planner = choose(
         parts,
-        [_of_rays(view, options["pixel_side"]) for view in views],
-        plan_names(scene),
-        scene["tolerance_ciede2000"],
-        scene["max_bounces"],
-        scene["integrator"].get("ambient", True),
+        [_of_rays(view, options.pixel_side) for view in views],
+        object_names(scene),
+        scene.tolerance_ciede2000,
+        scene.max_bounces,
+        has_ambient(scene),
         overrides,
         f"scene {scene_name}",
     )
-    return document_of(scene_name, planner, options["pixel_side"])
+    return document_of(scene_name, planner, options.pixel_side)
 
 
 def _of_rays(view: View, side: int) -> View:

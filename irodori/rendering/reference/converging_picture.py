@@ -1,13 +1,14 @@
 """Reference integrator: progressive pictures with standard errors, resumable by tile."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import convolve1d
 
+from irodori.config.models import SceneLight
 from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER, track
 from irodori.core.provenance import code_hash
@@ -55,7 +56,7 @@ class Picture(NamedTuple):
 
 
 def make_scene(
-    placements: list[Placement], objects: Objects, environment: Environment | Sky, lights: list[dict] | None = None
+    placements: list[Placement], objects: Objects, environment: Environment | Sky, lights: Sequence[SceneLight] = ()
 ) -> Scene:
     """Return a scene for `render_rows`.
 
@@ -65,10 +66,10 @@ def make_scene(
         Of the objects, one for one, see `irodori.rendering.scene_arrays`.
     environment : Environment or Sky
         A sky that is made already serves several scenes.
-    lights : list of dict, optional
-        Definitions, see `irodori.rendering.scene_lights.make_lights`.
+    lights : sequence of SceneLight
+        See `irodori.rendering.scene_lights.make_lights`.
     """
-    placed, shapes = make_lights(lights or [], len(placements))
+    placed, shapes = make_lights(lights, len(placements))
     tracer = Tracer([*placements, *shapes])
     surfaces = make_surfaces(list(tracer.placements))
     bands = Bands(padded(objects.basis), padded(objects.n, "edge"), padded(objects.k, "edge"))

@@ -15,6 +15,7 @@ from contextlib import AbstractContextManager
 
 from irodori.capture.rig.ascii_description import COMMANDS, OPTIONAL, Description, template_pattern
 from irodori.capture.rig.drives import Drive, drives_of
+from irodori.config.models import Rig
 from irodori.simulation.controllers.peer_client import Simulator, run_simulator
 from irodori.simulation.controllers.peer_server import Machine, add_arguments, serve
 from irodori.simulation.controllers.trapezoidal_motion import Block, Stage
@@ -173,18 +174,18 @@ class AsciiMachine(Machine):
 
 
 def simulate(
-    rig: Mapping, *, time_scale: float = 1.0, seed: int = 0, homing_rms: float = 0.0, faults: Sequence[str] = ()
+    rig: Rig, *, time_scale: float = 1.0, seed: int = 0, homing_rms: float = 0.0, faults: Sequence[str] = ()
 ) -> AbstractContextManager[Simulator]:
     """Start the simulator as a process that ends with this one, and with the block.
 
     Parameters
     ----------
-    rig : dict
-        Validated definition, whose ``motion`` has the block ``ascii``.
+    rig : Rig
+        Its ``motion`` has the block ``ascii``.
     time_scale, seed, homing_rms, faults
         See `irodori.simulation.controllers.grbl_simulator.simulate`.
     """
-    described = json.dumps({"limits": rig["limits"], "motion": rig["motion"]})
+    described = json.dumps(rig.plain())
     arguments = [described, "--time-scale", repr(time_scale), "--seed", str(seed), "--homing-rms", repr(homing_rms)]
     for fault in faults:
         arguments += ["--fault", fault]
@@ -194,7 +195,7 @@ def simulate(
 def main(arguments: Sequence[str] | None = None, prog: str = f"python -m {_MODULE}") -> None:
     """Run the simulator from the command line."""
     parser = argparse.ArgumentParser(prog=prog, description=__doc__)
-    parser.add_argument("rig", help="the rig's file, or the JSON of its blocks limits and motion")
+    parser.add_argument("rig", help="the rig's file, or the same as JSON")
     parser.add_argument("--homing-rms", type=float, default=0.0, help="repeatability of the switches, units")
     add_arguments(parser)
     given = parser.parse_args(arguments)
@@ -205,9 +206,12 @@ def main(arguments: Sequence[str] | None = None, prog: str = f"python -m {_MODUL
         from irodori.config.validation import validate
 
         rig = validate(read_yaml(given.rig), "rig", given.rig)
-    block = rig["motion"]["ascii"]
+    rig = Rig.of(rig)
+    block = rig.motion.ascii if rig.motion else None
+    if block is None:
+        parser.error("the rig's file has no block motion.ascii, which describes its controller")
     description = Description.of(block)
-    machine = AsciiMachine(drives_of(rig), description, block["simulated_replies"], given.seed, given.homing_rms)
+    machine = AsciiMachine(drives_of(rig), description, block.simulated_replies.plain(), given.seed, given.homing_rms)
     serve(machine, given)
 
 

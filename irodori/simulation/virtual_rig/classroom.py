@@ -7,6 +7,7 @@ Radiance is relative: 1 is a perfect diffuser lit at normal incidence by the rig
 import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights
+from irodori.config.models import VirtualRoom
 from irodori.spectra.published import light, spectrum
 
 
@@ -16,7 +17,7 @@ def equal_luminance(power: np.ndarray, rig_light: np.ndarray) -> np.ndarray:
     return power * (weight @ rig_light) / (weight @ power)
 
 
-def source_spectra(room: dict, rig_light: np.ndarray) -> tuple[list[str], np.ndarray]:
+def source_spectra(room: VirtualRoom, rig_light: np.ndarray) -> tuple[list[str], np.ndarray]:
     """Return the room's sources.
 
     Returns
@@ -24,15 +25,16 @@ def source_spectra(room: dict, rig_light: np.ndarray) -> tuple[list[str], np.nda
     names : list of str
     radiance : (sources, 61) float64; a surface is lit by the ambient light, a lamp has its own spectrum
     """
-    ambient = equal_luminance(light(room["ambient_light"]), rig_light)
+    ambient = equal_luminance(light(room.ambient_light), rig_light)
     names, spectra = [], []
     for name in ("ceiling", "floor", "walls", "board"):
-        surface = room["surfaces"][name]
+        surface = getattr(room.surfaces, name)
         names.append(name)
-        spectra.append(surface["irradiance"] * spectrum(surface["spectrum"]) * ambient)
-    for name in ("window", "lamps"):
+        spectra.append(surface.irradiance * spectrum(surface.spectrum) * ambient)
+    sources = {"window": room.window, "lamps": room.lamps}
+    for name, source in sources.items():
         names.append(name)
-        spectra.append(room[name]["radiance"] * equal_luminance(light(room[name]["spectrum"]), rig_light))
+        spectra.append(source.radiance * equal_luminance(light(source.spectrum), rig_light))
     return names, np.stack(spectra)
 
 
@@ -43,7 +45,7 @@ def _directions(width: int, height: int) -> np.ndarray:
     return np.stack([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1)
 
 
-def trace_room(room: dict, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+def trace_room(room: VirtualRoom, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     """Return which source each direction sees, and its shading.
 
     Returns
@@ -51,8 +53,8 @@ def trace_room(room: dict, width: int, height: int) -> tuple[np.ndarray, np.ndar
     source : (height, width) int8, index into `source_spectra`
     shading : (height, width) float64, factor on the source's radiance
     """
-    size = np.array([room["room_m"]["width"], room["room_m"]["depth"], room["room_m"]["height"]])
-    eye = np.asarray(room["eye_m"])
+    size = np.array([room.room_m.width, room.room_m.depth, room.room_m.height])
+    eye = np.asarray(room.eye_m)
     low, high = np.array([-size[0] / 2, -size[1] / 2, 0.0]), np.array([size[0] / 2, size[1] / 2, size[2]])
     direction = _directions(width, height)
     with np.errstate(divide="ignore"):
@@ -66,22 +68,22 @@ def trace_room(room: dict, width: int, height: int) -> tuple[np.ndarray, np.ndar
     source[(axis == 2) & upward] = 0
     source[(axis == 2) & ~upward] = 1
     source[(axis == 1) & upward & (np.abs(x) < 2.0) & (np.abs(z - 1.5) < 0.6)] = 3
-    columns = room["window"]["columns"]
+    columns = room.window.columns
     pane = (y / size[1] + 0.5) * columns
     glass = (np.abs(pane - np.floor(pane) - 0.5) < 0.42) & (z > 0.9) & (z < size[2] - 0.4)
     source[(axis == 0) & upward & glass] = 4
-    lamps = room["lamps"]
-    across = (x / size[0] + 0.5) * lamps["columns"]
-    along = (y / size[1] + 0.5) * lamps["rows"]
-    inside_x = np.abs(across - np.floor(across) - 0.5) * size[0] / lamps["columns"] < lamps["width_m"] / 2
-    inside_y = np.abs(along - np.floor(along) - 0.5) * size[1] / lamps["rows"] < lamps["depth_m"] / 2
+    lamps = room.lamps
+    across = (x / size[0] + 0.5) * lamps.columns
+    along = (y / size[1] + 0.5) * lamps.rows
+    inside_x = np.abs(across - np.floor(across) - 0.5) * size[0] / lamps.columns < lamps.width_m / 2
+    inside_y = np.abs(along - np.floor(along) - 0.5) * size[1] / lamps.rows < lamps.depth_m / 2
     source[(axis == 2) & upward & inside_x & inside_y] = 5
     # Surfaces darken away from the windows and towards the floor; lamps and panes are even.
     shading = np.where(source < 4, 0.7 + 0.2 * (x / size[0] + 0.5) + 0.1 * z / size[2], 1.0)
     return source, shading
 
 
-def room_coefficients(room: dict, width: int, height: int) -> np.ndarray:
+def room_coefficients(room: VirtualRoom, width: int, height: int) -> np.ndarray:
     """Return how much of each source every pixel sees, 2 x 2 directions a pixel, (height, width, sources) float32."""
     source, shading = trace_room(room, 2 * width, 2 * height)
     sources = len(source_spectra(room, np.ones(61))[0])

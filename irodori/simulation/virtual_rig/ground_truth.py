@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from irodori.config.models import Camera, IrradianceMap, Object, Rig
+from irodori.config.models import Environment as Place
 from irodori.core import store
 from irodori.light.environment_file import Environment
 from irodori.light.irradiance import fitted_irradiance_map
@@ -14,16 +16,16 @@ from irodori.spectra.published import light
 _GREEN = 1
 
 
-def true_material(definition: dict, camera: dict, rig: dict) -> Material:
+def true_material(definition: Object, camera: Camera, rig: Rig) -> Material:
     """Return what stands on the virtual rig as a material; its spectra are one-hot on the true spectra.
 
     α is the response of the green band to S(λ) under the rig's light, as the fit defines it [design, §3]. The gloss
     components are those of the sample, see `_gloss`; β and μ are NaN for a measured material.
     """
     sample = Sample.from_definition(definition)
-    width, height = definition["texels"]["width"], definition["texels"]["height"]
+    width, height = definition.texels.width, definition.texels.height
     index = sample.material_index(width, height)
-    weights = band_weights(camera, light(rig["light"]["spectrum"]))[_GREEN]
+    weights = band_weights(camera, light(rig.light.spectrum))[_GREEN]
     green = sample.reflectance @ weights / weights.sum()
     lobes, gloss, typical = _gloss(sample)
     (beta, mu), *further = [(beta[index], mu[index]) for beta, mu in gloss]
@@ -73,22 +75,24 @@ def _gloss(sample: Sample) -> tuple[tuple[str, ...], list[tuple[np.ndarray, np.n
     return tuple(name for name, _ in places), gloss, tuple(typical)
 
 
-def true_environment(definition: dict, rig: dict, irradiance_options: dict) -> Environment:
+def true_environment(definition: Place, rig: Rig, irradiance_options: IrradianceMap) -> Environment:
     """Return the virtual room's light: one basis vector a source."""
-    width, height = definition["image"]["width"], definition["image"]["height"]
-    spectra = source_spectra(definition["virtual"], light(rig["light"]["spectrum"]))[1]
-    coefficients = room_coefficients(definition["virtual"], width, height)
-    irradiance, _ = fitted_irradiance_map(coefficients, **irradiance_options)
+    image, room = definition.image, definition.virtual
+    if image is None or room is None:
+        raise ValueError("an environment without the blocks image and virtual; accepted: a room of the virtual rig")
+    spectra = source_spectra(room, light(rig.light.spectrum))[1]
+    coefficients = room_coefficients(room, image.width, image.height)
+    irradiance, _ = fitted_irradiance_map(coefficients, **vars(irradiance_options))
     return Environment(coefficients, spectra.T, irradiance)
 
 
-def write_true_material(definition: dict, camera: dict, rig: dict, output, provenance: store.Provenance) -> None:
+def write_true_material(definition: Object, camera: Camera, rig: Rig, output, provenance: store.Provenance) -> None:
     """Write the true material of an object."""
     true_material(definition, camera, rig).save(output, provenance)
 
 
 def write_true_environment(
-    definition: dict, rig: dict, irradiance_options: dict, output, provenance: store.Provenance
+    definition: Place, rig: Rig, irradiance_options: IrradianceMap, output, provenance: store.Provenance
 ) -> None:
     """Write the true light of an environment."""
     true_environment(definition, rig, irradiance_options).save(output, provenance)

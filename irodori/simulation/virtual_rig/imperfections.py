@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from irodori.config.capture_table import Pose, Shot
+from irodori.config.models import Imperfections
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,7 @@ class Faults:
 
     Parameters
     ----------
-    definition : dict
-        ``imperfections`` of the rig's ``virtual`` block.
+    definition : Imperfections
     seed : int
         Of the rig.
     session : str
@@ -50,14 +50,14 @@ class Faults:
         All photographs of the session, in order.
     """
 
-    def __init__(self, definition: dict, seed: int, session: str, shots: Sequence[Shot]) -> None:
+    def __init__(self, definition: Imperfections, seed: int, session: str, shots: Sequence[Shot]) -> None:
         self._definition, self._seed, self._session = definition, seed, session
         self._places = places(shots)
         self._light = self._drift(len(shots))
 
     def _value(self, name: str, key: str, off: float = 0.0):
-        fault = self._definition[name]
-        return fault[key] if fault["enabled"] else off
+        fault = getattr(self._definition, name)
+        return getattr(fault, key) if fault.enabled else off
 
     def _rng(self, *key) -> np.random.Generator:
         text = "/".join(map(str, (self._session, *key)))
@@ -66,7 +66,7 @@ class Faults:
     def _drift(self, count: int) -> np.ndarray:
         """Return the light's relative power at each photograph: a process of first order about 1."""
         rms = self._value("light_drift", "relative_rms")
-        memory = math.exp(-1.0 / self._definition["light_drift"]["correlation_shots"])
+        memory = math.exp(-1.0 / self._definition.light_drift.correlation_shots)
         noise = self._rng("light").normal(size=count)
         light, level = np.ones(count), 0.0
         for i in range(count):
@@ -108,14 +108,14 @@ class Faults:
         -------
         (2, 3) float64, affine map of mosaic coordinates; the identity where the filter is out
         """
-        if shot.filter == "out" or not self._definition["filter_plate"]["enabled"]:
+        if shot.filter == "out" or not self._definition.filter_plate.enabled:
             return np.eye(2, 3)
-        plate = self._definition["filter_plate"]
-        repeat = self._rng("plate", self._places[shot.file].insertion).normal(size=2) * plate["repeat_rms_px"]
+        plate = self._definition.filter_plate
+        repeat = self._rng("plate", self._places[shot.file].insertion).normal(size=2) * plate.repeat_rms_px
         centre = np.array([width_px / 2, height_px / 2])
         # The plate's shift counts in superpixels of two mosaic pixels.
-        shift = 2.0 * (np.array(plate["shift_px"]) + repeat)
-        angle, scale = math.radians(plate["rotation_deg"]), plate["magnification"]
+        shift = 2.0 * (np.array(plate.shift_px) + repeat)
+        angle, scale = math.radians(plate.rotation_deg), plate.magnification
         c, s = math.cos(angle) / scale, math.sin(angle) / scale
         turn = np.array([[c, s], [-s, c]])
         return np.column_stack([turn, centre - turn @ (centre + shift)])
@@ -125,5 +125,5 @@ class Faults:
         fraction = self._value("hot_pixels", "fraction")
         rng = np.random.default_rng([self._seed, zlib.crc32(b"hot pixels")])
         hot = rng.random((height_px, width_px)) < fraction
-        rate = rng.exponential(self._definition["hot_pixels"]["mean_rate_e_per_s"], size=(height_px, width_px))
+        rate = rng.exponential(self._definition.hot_pixels.mean_rate_e_per_s, size=(height_px, width_px))
         return np.where(hot, rate, 0.0)

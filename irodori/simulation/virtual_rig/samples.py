@@ -6,9 +6,19 @@ from functools import cached_property
 
 import numpy as np
 
+from irodori.config.models import (
+    ChecksPattern,
+    FurtherGloss,
+    GgxMaterial,
+    MeasuredMaterial,
+    Object,
+    PaperMaterial,
+    TrueMaterial,
+)
+from irodori.config.parts import PhotographedObject
 from irodori.geometry.shapes import Shape
 from irodori.reflection.fresnel import fresnel
-from irodori.simulation.virtual_rig.sample_reflection import MEASURED, lobe_of_kind, measured_lobe, read_measured
+from irodori.simulation.virtual_rig.sample_reflection import lobe_of_kind, measured_lobe, read_measured
 from irodori.spectra.grid import SAMPLES
 from irodori.spectra.published import refractive_index, spectrum
 
@@ -52,36 +62,40 @@ class Sample:
     k: np.ndarray
 
     @classmethod
-    def from_definition(cls, definition: dict) -> "Sample":
+    def from_definition(cls, definition: Object | PhotographedObject) -> "Sample":
         """Return the sample of an object's definition with its ``virtual`` block."""
-        virtual = definition["virtual"]
-        pattern, materials = virtual["pattern"], virtual["materials"]
-        n, k = refractive_index(definition["refractive_index"])
-        checks = pattern["kind"] == "checks"
-        files = sorted({m["file"] for m in materials if m["kind"] == "measured"})
+        virtual = definition.virtual
+        if virtual is None:
+            raise ValueError("an object without the block virtual; accepted: an object of the virtual rig")
+        pattern, materials = virtual.pattern, virtual.materials
+        n, k = refractive_index(definition.refractive_index)
+        columns, rows = (pattern.columns, pattern.rows) if isinstance(pattern, ChecksPattern) else (1, 1)
+        files = sorted({m.file for m in materials if isinstance(m, MeasuredMaterial)})
         tables = [read_measured(file) for file in files]
         gloss = [_components(material) for material in materials]
         most = max(1, *map(len, gloss))
         beta, mu = np.zeros((len(gloss), most)), np.ones((len(gloss), most))
         for m, components in enumerate(gloss):
             for c, component in enumerate(components):
-                beta[m, c], mu[m, c] = component["beta"], component["mu_rad"]
+                beta[m, c], mu[m, c] = component.beta, component.mu_rad
         return cls(
-            shape=Shape.from_definition(definition["shape"]),
-            columns=pattern["columns"] if checks else 1,
-            rows=pattern["rows"] if checks else 1,
+            shape=Shape.from_definition(definition.shape),
+            columns=columns,
+            rows=rows,
             reflectance=np.stack(
                 [
-                    spectrum(m["spectrum"]) if "spectrum" in m else _reflectance_factor(tables[files.index(m["file"])])
+                    _reflectance_factor(tables[files.index(m.file)])
+                    if isinstance(m, MeasuredMaterial)
+                    else spectrum(m.spectrum)
                     for m in materials
                 ]
             ),
-            lobes=tuple(tuple(lobe_of_kind(c["kind"]) for c in components) for components in gloss),
+            lobes=tuple(tuple(lobe_of_kind(c.kind) for c in components) for components in gloss),
             beta=beta,
             mu=mu,
-            table=np.array([files.index(m["file"]) if "file" in m else -1 for m in materials]),
+            table=np.array([files.index(m.file) if isinstance(m, MeasuredMaterial) else -1 for m in materials]),
             measured=np.stack(tables) if tables else np.zeros((1, 2, 2, SAMPLES)),
-            mirror=float(definition["mirror_weight"]),
+            mirror=definition.mirror_weight,
             n=n,
             k=k,
         )
@@ -99,9 +113,9 @@ class Sample:
         return (row[:, None] * self.columns + column[None, :]) % len(self.reflectance)
 
 
-def _components(material: dict) -> list[dict]:
+def _components(material: TrueMaterial) -> list[PaperMaterial | GgxMaterial | FurtherGloss]:
     """Return the gloss components of a virtual material's definition: ``kind``, ``beta`` and ``mu_rad`` of each."""
-    return [] if material["kind"] == MEASURED else [material, *material.get("further_gloss", ())]
+    return [] if isinstance(material, MeasuredMaterial) else [material, *material.further_gloss]
 
 
 def _reflectance_factor(table: np.ndarray) -> np.ndarray:

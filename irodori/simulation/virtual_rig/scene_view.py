@@ -3,6 +3,7 @@
 import numpy as np
 from scipy import ndimage
 
+from irodori.config.models import Optics
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.geometry.ideal_camera import IdealView
@@ -11,7 +12,7 @@ from irodori.geometry.pinhole import Pinhole
 _BLOCK_ROWS = 32
 
 
-def scene_radiance(path, optics: dict) -> np.ndarray:
+def scene_radiance(path, optics: Optics) -> np.ndarray:
     """Read the radiance before a camera, (rows, columns, 61) float32, the mean of its halves.
 
     Raises
@@ -28,7 +29,7 @@ def scene_radiance(path, optics: dict) -> np.ndarray:
     return radiance
 
 
-def scene_mosaic(radiance: np.ndarray, light: np.ndarray, optics: dict, ideal_from_seen, band_weights) -> np.ndarray:
+def scene_mosaic(radiance: np.ndarray, light: np.ndarray, optics: Optics, ideal_from_seen, band_weights) -> np.ndarray:
     """Return the picture of a scene on the sensor.
 
     Parameters
@@ -37,7 +38,7 @@ def scene_mosaic(radiance: np.ndarray, light: np.ndarray, optics: dict, ideal_fr
         Around the camera's axis, without distortion, a pixel a superpixel.
     light : (61,) float
         E(λ) of the rig.
-    optics : dict
+    optics : Optics
         Of the camera.
     ideal_from_seen : (2, 3) float
         What the filter's plate does, see `irodori.simulation.virtual_rig.imperfections`.

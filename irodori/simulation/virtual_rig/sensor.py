@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from irodori.config.models import Camera, CombFilter
 from irodori.spectra.grid import SAMPLES, TRAPEZOID_NM, WAVELENGTH_NM
 from irodori.spectra.published import camera_sensitivities
 
@@ -77,29 +78,28 @@ class Sensor:
         return np.clip(numbers, 0, self.white_level).astype(np.uint16)
 
 
-def comb_transmittance(definition: dict) -> np.ndarray:
+def comb_transmittance(definition: CombFilter) -> np.ndarray:
     """Return the transmittance of a comb filter, (61,), 0..1.
 
     Parameters
     ----------
-    definition : dict
-        ``passbands`` with centre_nm, width_nm (full width at half maximum) and peak; ``floor`` between them.
+    definition : CombFilter
         Each passband is a super-Gaussian of order 8, the shape of an interference coating.
     """
-    transmittance = np.full(SAMPLES, float(definition["floor"]))
-    for band in definition["passbands"]:
-        distance = np.abs(2.0 * (WAVELENGTH_NM - band["centre_nm"]) / band["width_nm"])
-        transmittance += band["peak"] * np.exp(-np.log(2.0) * distance**8)
+    transmittance = np.full(SAMPLES, definition.floor)
+    for band in definition.passbands:
+        distance = np.abs(2.0 * (WAVELENGTH_NM - band.centre_nm) / band.width_nm)
+        transmittance += band.peak * np.exp(-np.log(2.0) * distance**8)
     return np.minimum(transmittance, 1.0)
 
 
-def band_weights(camera: dict, light: np.ndarray) -> np.ndarray:
+def band_weights(camera: Camera, light: np.ndarray) -> np.ndarray:
     """Return weights that turn a reflectance spectrum into band responses [eq. 1].
 
     Parameters
     ----------
-    camera : dict
-        Camera definition with its ``virtual`` block.
+    camera : Camera
+        With the block ``virtual``.
     light : (61,) float
         E(λ) of the rig.
 
@@ -108,7 +108,9 @@ def band_weights(camera: dict, light: np.ndarray) -> np.ndarray:
     (6, 61) float64; red, green, blue without the filter, then with it. The sum over λ of the brightest unfiltered
     band is 1, so that the response of a perfect diffuser keeps the true balance between the bands.
     """
-    sensitivities = camera_sensitivities(camera["virtual"]["sensitivities"])
-    comb = comb_transmittance(camera["virtual"]["comb_filter"])
+    if camera.virtual is None:
+        raise ValueError("a camera without the block virtual; accepted: a camera of the virtual rig")
+    sensitivities = camera_sensitivities(camera.virtual.sensitivities)
+    comb = comb_transmittance(camera.virtual.comb_filter)
     weights = np.concatenate([sensitivities, sensitivities * comb]) * light * TRAPEZOID_NM
     return weights / weights[:3].sum(axis=1).max()

@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from irodori.config.capture_table import Pose
+from irodori.config.models import Camera, Chart, Environment, Rig
 from irodori.geometry.embree import Tracer
 from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
@@ -33,14 +34,13 @@ def in_mosaic(bands: np.ndarray) -> np.ndarray:
     return np.take_along_axis(bands, (y % 2 + x % 2)[..., None], axis=2)[..., 0]
 
 
-def object_mosaic(sample: Sample, camera: dict, rig: dict, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
+def object_mosaic(sample: Sample, camera: Camera, rig: Rig, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
     """Return the picture of an object on the table.
 
     Parameters
     ----------
     sample : Sample
-    camera, rig : dict
-        Definitions.
+    camera, rig : Camera, Rig
     pose : Pose
         Where everything really stands.
     ideal_from_seen : (2, 3) float
@@ -50,42 +50,42 @@ def object_mosaic(sample: Sample, camera: dict, rig: dict, pose: Pose, ideal_fro
     """
     rotation = rig_from_object(pose)
     view = View(
-        pinhole=Pinhole.from_optics(camera["optics"]),
-        position_mm=rig["camera_distance_mm"] * to_camera(pose),
+        pinhole=Pinhole.from_optics(camera.optics),
+        position_mm=rig.camera_distance_mm * to_camera(pose),
         world_from_camera=rig_from_camera(pose),
         to_light=to_light(pose),
-        lamp=Lamp.from_definition(rig["light"]),
-        lamp_radius_rad=math.radians(rig["virtual"]["light_angular_radius_deg"]),
+        lamp=Lamp.at(rig.light.distance_mm),
+        lamp_radius_rad=math.radians(rig.virtual.light_angular_radius_deg),
         ideal_from_seen=ideal_from_seen,
     )
-    tracer = Tracer(on_table(sample.shape, rotation, rig["table_radius_mm"]))
+    tracer = Tracer(on_table(sample.shape, rotation, rig.table_radius_mm))
     return expose_object(sample, tracer, view, band_weights)
 
 
-def white_mosaic(camera: dict, rig: dict, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
+def white_mosaic(camera: Camera, rig: Rig, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
     """Return the picture of the white reference, which fills it; parameters as of `object_mosaic`."""
-    optics = camera["optics"]
-    reflectance, _ = white_reflectance(camera["white"]["reflectance_factor"], band_weights)
+    optics = camera.optics
+    reflectance, _ = white_reflectance(camera.white.reflectance_factor, band_weights)
     level = reflectance * math.cos(flat_incidence_rad(pose)) * band_weights.sum(axis=1)
-    picture = in_mosaic(np.broadcast_to(level, (optics["height_px"], optics["width_px"], 3)))
+    picture = in_mosaic(np.broadcast_to(level, (optics.height_px, optics.width_px, 3)))
     return picture * _fall_off(camera, rig, pose, ideal_from_seen)
 
 
-def _fall_off(camera: dict, rig: dict, pose: Pose, ideal_from_seen) -> np.ndarray | float:
+def _fall_off(camera: Camera, rig: Rig, pose: Pose, ideal_from_seen) -> np.ndarray | float:
     """Return the irradiance of a flat subject over that at its centre in each mosaic pixel; 1 under a far light."""
-    lamp = Lamp.from_definition(rig["light"])
+    lamp = Lamp.at(rig.light.distance_mm)
     if not lamp.is_near:
         return 1.0
-    pinhole = Pinhole.from_optics(camera["optics"])
+    pinhole = Pinhole.from_optics(camera.optics)
     y, x = np.indices((pinhole.height_px, pinhole.width_px)) + 0.5
     point = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.asarray(ideal_from_seen).T
-    return lamp.on_white(point, pinhole, rig["camera_distance_mm"], pose)
+    return lamp.on_white(point, pinhole, rig.camera_distance_mm, pose)
 
 
-def chart_mosaic(chart: dict, camera: dict, rig: dict, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
+def chart_mosaic(chart: Chart, camera: Camera, rig: Rig, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
     """Return the picture of a colour chart of that definition; other parameters as of `object_mosaic`."""
-    pinhole = Pinhole.from_optics(camera["optics"])
-    _names, patches = chart_spectra(chart["spectra"])
+    pinhole = Pinhole.from_optics(camera.optics)
+    _names, patches = chart_spectra(chart.spectra)
     spectra = np.concatenate([patches, np.full((1, patches.shape[1]), _BORDER_REFLECTANCE)])
     bands = spectra @ band_weights.T * math.cos(flat_incidence_rad(pose))
     image = np.empty((pinhole.height_px, pinhole.width_px))
@@ -98,14 +98,14 @@ def chart_mosaic(chart: dict, camera: dict, rig: dict, pose: Pose, ideal_from_se
     return image * _fall_off(camera, rig, pose, ideal_from_seen)
 
 
-def _patch_at(mosaic_xy, chart: dict, camera: dict, rig: dict, pose: Pose, pinhole: Pinhole) -> np.ndarray:
+def _patch_at(mosaic_xy, chart: Chart, camera: Camera, rig: Rig, pose: Pose, pinhole: Pinhole) -> np.ndarray:
     """Return the patch that each point of the picture shows, the number of patches between them."""
-    rows, columns = chart["rows"], chart["columns"]
+    rows, columns = chart.rows, chart.columns
     rotation = rig_from_object(pose)
     view = pinhole.directions(mosaic_xy, rig_from_camera(pose)) @ rotation
-    eye = rig["camera_distance_mm"] * to_camera(pose) @ rotation
+    eye = rig.camera_distance_mm * to_camera(pose) @ rotation
     point = eye - view * (eye[2] / view[..., 2:])
-    pitch = camera["virtual"]["chart_width_mm"] / columns
+    pitch = camera.virtual.chart_width_mm / columns
     across, along = point[..., 0] / pitch + columns / 2, rows / 2 - point[..., 1] / pitch
     column, row = np.floor(across).astype(int), np.floor(along).astype(int)
     patch = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
@@ -113,20 +113,21 @@ def _patch_at(mosaic_xy, chart: dict, camera: dict, rig: dict, pose: Pose, pinho
     return np.where(patch, row * columns + column, rows * columns)
 
 
-def room_mosaic(definition: dict, light: np.ndarray, band_weights) -> np.ndarray:
+def room_mosaic(definition: Environment, light: np.ndarray, band_weights) -> np.ndarray:
     """Return the omnidirectional picture of a virtual room, a panorama as it is photographed, its middle towards +x.
 
     Parameters
     ----------
-    definition : dict
-        Of the environment.
+    definition : Environment
     light : (61,) float
         E(λ) of the rig.
     band_weights : (3, 61) float
     """
-    image = definition["image"]
-    coefficients = room_coefficients(definition["virtual"], image["width"], image["height"])
-    _names, spectra = source_spectra(definition["virtual"], light)
+    image, room = definition.image, definition.virtual
+    if image is None or room is None:
+        raise ValueError("an environment without the blocks image and virtual; accepted: a room of the virtual rig")
+    coefficients = room_coefficients(room, image.width, image.height)
+    _names, spectra = source_spectra(room, light)
     # Band weights are for reflectances under the rig's light; a radiance is that light times a reflectance.
     bands = coefficients @ (spectra / light @ band_weights.T)
     # A panorama is resampled from many photographs: the four mosaic pixels of a superpixel see the same directions.

@@ -3,11 +3,15 @@
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
 from irodori.capture.rig.devices import Camera, DeviceError
 from irodori.config.capture_table import FILTERS, Pose, Shot, chart_capture
+from irodori.config.models import Camera as CameraDefinition
+from irodori.config.models import Chart, Environment, Object, Rig
+from irodori.config.parts import PhotographedObject, SceneRadiance
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.dng_writer import write_dng
 from irodori.simulation.virtual_rig.imperfections import Faults
@@ -17,23 +21,24 @@ from irodori.simulation.virtual_rig.sensor import Sensor, band_weights
 from irodori.simulation.virtual_rig.subjects import chart_mosaic, object_mosaic, room_mosaic, white_mosaic
 from irodori.spectra.published import light
 
+Photographed: TypeAlias = Object | PhotographedObject | Environment | SceneRadiance
+
 
 class VirtualCamera(Camera):
     """A camera of a configuration's ``virtual`` block.
 
     Parameters
     ----------
-    camera, rig : dict
-        Definitions of the camera and of its rig.
+    camera, rig : Camera, Rig
+        Definitions.
     bench : Bench
         What stands before it; that, and not the shot it is asked for, is what it photographs.
     session : str
         Name of what is photographed.
     shots : sequence of Shot
         All photographs of the session in order: its light drifts along them.
-    subject : dict, optional
-        Definition of the object or of the environment that stands before it, or ``radiance``, the file of what is seen
-        of a scene; a camera's own session has none.
+    subject : Object, PhotographedObject, Environment or SceneRadiance, optional
+        What stands before it; a camera's own session has none.
     seen : dict, optional
         Objects as they look without optics and noise, filled here. Cameras that differ in their faults alone may share
         one: what a fault does not change is then made once.
@@ -43,41 +48,50 @@ class VirtualCamera(Camera):
 
     def __init__(
         self,
-        camera: dict,
-        rig: dict,
+        camera: CameraDefinition,
+        rig: Rig,
         bench: Bench,
         session: str,
         shots: Sequence[Shot],
-        subject: dict | None = None,
+        subject: Photographed | None = None,
         seen: dict | None = None,
     ) -> None:
+        if camera.virtual is None or rig.virtual is None or camera.optics is None:
+            raise ValueError(
+                "a camera without the blocks virtual and optics, or a rig without virtual; accepted: with them"
+            )
         self.camera, self.rig, self.bench, self.subject = camera, rig, bench, subject
-        self.sensor = Sensor(**camera["virtual"]["sensor"])
-        self.light = light(rig["light"]["spectrum"])
+        self.optics = camera.optics
+        self.sensor = Sensor(**vars(camera.virtual.sensor))
+        self.light = light(rig.light.spectrum)
         self.band_weights = band_weights(camera, self.light)
-        self.faults = Faults(rig["virtual"]["imperfections"], rig["virtual"]["seed"], session, shots)
+        self.faults = Faults(rig.virtual.imperfections, rig.virtual.seed, session, shots)
         self._known = seen
 
     @cached_property
     def sample(self) -> Sample:
         """Sample on the table."""
+        if not isinstance(self.subject, Object | PhotographedObject):
+            raise DeviceError("nothing stands on the table; accepted: a session of an object")
         return Sample.from_definition(self.subject)
 
     @cached_property
     def _scene(self) -> np.ndarray:
         """Radiance of the scene before the lens, (rows, columns, 61)."""
-        return scene_radiance(self.subject["radiance"], self.camera["optics"])
+        if not isinstance(self.subject, SceneRadiance):
+            raise DeviceError("nothing is known of a scene; accepted: a session that photographs one")
+        return scene_radiance(self.subject.radiance, self.optics)
 
     @property
-    def _charts(self) -> dict[str, dict]:
+    def _charts(self) -> dict[str, Chart]:
         """Definition of every chart, by what the bench calls it."""
-        further = self.camera.get("further_charts", {})
-        return {"chart": self.camera["chart"], **{chart_capture(name): chart for name, chart in further.items()}}
+        further = {chart_capture(name): chart for name, chart in self.camera.further_charts.items()}
+        return {"chart": self.camera.chart, **further}
 
     @cached_property
     def _hot_rate_e_per_s(self) -> np.ndarray:
-        optics = self.camera["optics"]
-        return self.faults.hot_rate_e_per_s(optics["height_px"], optics["width_px"])
+        optics = self.optics
+        return self.faults.hot_rate_e_per_s(optics.height_px, optics.width_px)
 
     def capture(self, shot: Shot, path: Path) -> None:
         """Photograph the bench; the shot gives the exposure time and the place in the session."""
@@ -100,11 +114,11 @@ class VirtualCamera(Camera):
         """Return the responses behind the optics and the extra dark current of hot pixels."""
         subject, state = self.bench.subject, FILTERS.index(self.bench.filter)
         weights = self.band_weights[3 * state : 3 * state + 3]
-        if subject == "environment":
+        if subject == "environment" and isinstance(self.subject, Environment):
             # A panorama is stitched or unwrapped: vignetting and hot pixels are corrected there.
             return room_mosaic(self.subject, self.light, weights), 0.0
-        optics = self.camera["optics"]
-        height, width = optics["height_px"], optics["width_px"]
+        optics = self.optics
+        height, width = optics.height_px, optics.width_px
         if subject == "dark":
             return np.zeros((height, width)), self._hot_rate_e_per_s
         pose = self.faults.real_pose(shot, self.bench.pose())
@@ -134,8 +148,8 @@ class VirtualCamera(Camera):
 
     def status(self) -> dict[str, str]:
         """Return the camera's sensor and settings."""
-        sensor = self.camera["virtual"]["sensor"]
-        return {"model": "virtual camera", "battery": "100 %", "storage": "unlimited", "bits": str(sensor["bits"])}
+        bits = str(self.sensor.bits)
+        return {"model": "virtual camera", "battery": "100 %", "storage": "unlimited", "bits": bits}
 
     def close(self) -> None:
         """Nothing to let go of."""

@@ -1,10 +1,12 @@
 """Small scenes for the interactive integrator, and what a plain loop says of them."""
 
 import numpy as np
+from made import made
 from scenes import fresnel, pixel_rays
 from shortcuts import irradiance_map
 
 from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.config.models import Size, View
 from irodori.geometry.shapes import Placement
 from irodori.geometry.shapes.sphere import Sphere
 from irodori.light.environment_file import Environment, directions
@@ -48,7 +50,7 @@ def prepared(shapes, materials, light, representation="coefficients", places=Non
 def view_of(position=(0.0, -200.0, 0.0), target=(0.0, 0.0, 0.0), size=(41, 41), fov=13.0, scale=1.0):
     seen = {"position_mm": scale * np.asarray(position), "target_mm": scale * np.asarray(target),
             "up": [0.0, 0.0, 1.0], "field_of_view_deg": fov}  # fmt: skip
-    return make_view(seen, {"width": size[0], "height": size[1]})
+    return make_view(made(View, seen), made(Size, {"width": size[0], "height": size[1]}))
 
 
 def picture(shapes, materials, light, representation="coefficients", view=None, frame=None, **scene):

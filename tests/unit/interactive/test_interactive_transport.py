@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from made import made
 from scenes import BALL, OPTIONS, fresnel, material, plate, sphere_hits
 from studio import even_light, levels, picture, prepared, sky_of, smooth_light, spectrum_of, view_of
 
 from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.config.models import Render, Scene
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes import Shape
@@ -146,7 +148,7 @@ def test_a_scene_of_lamps_alone_has_a_picture():
     where = {"object": "ball", "position_mm": [0, 0, 0], "rotation_deg": [0, 0, 0], "scale": 1.0}
     scene = {"integrator": {"kind": "interactive", "ambient": False}, "image": {"width": 8, "height": 6},
              "objects": [where], "views": {"front": seen}, "lights": [sun]}  # fmt: skip
-    radiance, _ = render_image(scene, "front", [BALL], [material(0.5)], DARK, OPTIONS)
+    radiance, _ = render_image(made(Scene, scene), "front", [BALL], [material(0.5)], DARK, made(Render, OPTIONS))
     assert np.isfinite(radiance).all() and (radiance[2:4, 3:5] > 0).all()
 
 

@@ -1,14 +1,23 @@
 """Occlusion by triangle meshes against closed forms, form factors and converged paths."""
 
+from dataclasses import replace
+
 import numba
 import numpy as np
 import pytest
+from made import made
 from scenes import BALL, OPTIONS, constant_light, material, pixel_rays, plate
 from shortcuts import ball
 from studio import even_light, picture, placed, prepared, spectrum_of, view_of
 from test_interactive_representations import uneven_light
 
 from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.config.models import (
+    BodyShape,
+    ObjectShape,
+    Render,
+    Scene,
+)
 from irodori.geometry.embree import Tracer
 from irodori.geometry.lathe import LID_MM, lathe
 from irodori.geometry.mesh import Mesh, make_mesh
@@ -20,9 +29,11 @@ from irodori.rendering.interactive.frame_renderer import render_frame
 
 LIGHT = even_light()
 WHITE = xyz_from_radiance(LIGHT.upward_white())[1] @ spectrum_of()
-DISC = Shape.from_definition({"kind": "disc", "radius_mm": 15.0})
-FAR_BALL, SMALL_BALL = (Shape.from_definition({"kind": "sphere", "radius_mm": r}) for r in (60.0, 5.0))
-PLANE = Shape.from_definition({"kind": "plane"})
+DISC = Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "disc", "radius_mm": 15.0}))
+FAR_BALL, SMALL_BALL = (
+    Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "sphere", "radius_mm": r})) for r in (60.0, 5.0)
+)
+PLANE = Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "plane"}))
 FLOOR_VIEW = {"position": (0, -400.0, 150.0), "target": (0, 0, 0), "size": (80, 50), "fov": 20}
 
 
@@ -103,7 +114,7 @@ def assert_alike(found, truth, rms, largest):
 
 RECEIVERS = {
     "plate": (plate(400.0), plate(400.0)),
-    "disc": (Shape.from_definition({"kind": "disc", "radius_mm": 200.0}),) * 2,
+    "disc": (Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "disc", "radius_mm": 200.0})),) * 2,
     "plane": (PLANE, PLANE),
     "mesh": (sheet(400.0), plate(400.0)),
     "large plate": (plate(1e5), plate(1e5)),
@@ -168,7 +179,7 @@ def test_what_two_shapes_hide_together_counts_once(grey):
 @pytest.mark.parametrize("grey", [0.0, 0.9])
 def test_what_hangs_in_front_of_a_ceiling_hides_it_although_it_hides_no_sky(grey):
     """A ball of triangles between a floor and a ceiling so wide that no ray to the sky meets the ball."""
-    ceiling = Shape.from_definition({"kind": "disc", "radius_mm": 4000.0})
+    ceiling = Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "disc", "radius_mm": 4000.0}))
     turns = [np.eye(3), rotation_xyz((180.0, 0.0, 0.0)), np.eye(3)]
     colours, places = [material(0.8), material(0.9), material(grey)], [(0, 0, 0), (0, 0, 62.0), (0, 0, 40.0)]
     view = {"position": (0, -300.0, 50.0), "target": (0, 0, 0), "size": (1, 1), "fov": 0.05}
@@ -222,10 +233,10 @@ def test_a_lid_on_a_plate_is_shaded_as_the_reference_integrator_shades_it(cover,
     }  # fmt: skip
     kinds = [{"kind": "interactive", "ambient": a} for a in (True, False)]
     kinds.append({"kind": "reference", "samples": 256, "seed": 0})
-    options = OPTIONS | {"pixel_side": 4}
+    options = replace(OPTIONS, pixel_side=4)
     found, bare, truth = (
-        render_image(scene | {"integrator": kind}, "v", shapes, [material(table), material(cover)],
-                     constant_light(), options)[0][..., 30] for kind in kinds
+        render_image(made(Scene, scene | {"integrator": kind}), "v", shapes, [material(table), material(cover)],
+                     constant_light(), made(Render, options))[0][..., 30] for kind in kinds
     )  # fmt: skip
     # Pixels that show one shape only.
     rays = pixel_rays(eye, target, (4 * size[0], 4 * size[1]), fov).reshape(-1, 3)
@@ -361,7 +372,7 @@ def test_of_many_meshes_the_strongest_reflect_and_all_hide():
     places = [(0, 0, 0)] + [(20 * np.cos(a), 20 * np.sin(a), 8.0) for a in angles]
     view = {"position": (0.0, -10.0, 300.0), "target": (0, 0, 0), "size": (15, 15), "fov": 2.0}
     colours = [material(0.8)] + [material(0.0)] * 6
-    exact = Shape.from_definition({"kind": "sphere", "radius_mm": 8.0})
+    exact = Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "sphere", "radius_mm": 8.0}))
     found = shares([plate(400.0), *posts], colours, places, view)
     truth = shares([plate(400.0), exact, *[exact] * 5], colours, places, view)
     # Closed forms multiply what each leaves, rays add what each hides.

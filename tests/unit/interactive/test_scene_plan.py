@@ -1,16 +1,21 @@
 """A plan of a scene: what it leaves out, what it predicts, how it is checked."""
 
 import dataclasses
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 from scenes import BALL, GOLD_K, GOLD_N, ONES, THIRDS, material, plate, sky
 from studio import BASIS, even_light
 
 from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.config.models import BodyShape, ObjectShape, Render, Scene, Size, View
+from irodori.config.parts import Staging
 from irodori.core.errors import InputError
 from irodori.core.store import Provenance
 from irodori.export.pictures import read_xyz, write_spectral_exr, write_xyz_exr
@@ -23,7 +28,7 @@ from irodori.rendering.interactive.pixel_rays import render_pixels
 from irodori.rendering.planning.modelled_scene import full_model, prepare
 from irodori.rendering.planning.plan_file import model_of, object_names, read_plan, write_plan
 from irodori.rendering.planning.planned_check import ToleranceError, chosen_pixels
-from irodori.rendering.planning.planned_picture import parts_of, plan_names
+from irodori.rendering.planning.planned_picture import parts_of
 from irodori.rendering.planning.probes import radiance
 from irodori.rendering.planning.scene_planner import PROBES, SEED, make_probes
 from irodori.rendering.planning.stage import plan_of
@@ -31,7 +36,7 @@ from irodori.rendering.planning.tolerance import bound_of_share, differences
 from irodori.rendering.scene_arrays import make_light, make_objects, make_placements, make_tracer, make_view
 from irodori.rendering.stage import render_view
 
-OPTIONS = {"pixel_side": 1, "max_bounces": 4, "min_throughput": 1e-3}
+OPTIONS = Render(pixel_side=1, min_throughput=1e-3)
 GREENISH = 0.1 + 0.6 * np.exp(-(((np.arange(61) - 28) / 9.0) ** 2))
 PARALLEL = {"kind": "orthographic", "position_mm": [0.0, -200.0, 90.0], "target_mm": [0.0, 0.0, 12.0],
             "up": [0.0, 0.0, 1.0], "height_mm": 80.0}  # fmt: skip
@@ -74,11 +79,11 @@ def black() -> Environment:
 def planned(materials, light, **scene):
     """The plan's document, and the scene as the renderer has it for that plan."""
     definition = scene_of(**scene)
-    document = plan_of("table-top", definition, [TABLE, JAR], materials, light, OPTIONS)
-    placements = make_placements(definition, [TABLE, JAR])
+    document = plan_of("table-top", made(Scene, definition), [TABLE, JAR], materials, light, made(Render, OPTIONS))
+    placements = make_placements(made(Scene | Staging, definition), [TABLE, JAR])
     objects, _ = make_objects(placements, materials)
-    parts = parts_of(definition, objects, light, make_tracer(placements))
-    model = model_of(document, full_model(parts, 4, True), plan_names(definition))
+    parts = parts_of(made(Scene, definition), objects, light, make_tracer(placements))
+    model = model_of(document, full_model(parts, 4, True), object_names(made(Scene, definition)))
     return document, parts, model, definition
 
 
@@ -87,7 +92,9 @@ def values(document) -> dict:
 
 
 def picture(materials, light, document, definition):
-    return render_image(definition, "v", [TABLE, JAR], materials, light, OPTIONS, plan=document)
+    return render_image(
+        made(Scene, definition), "v", [TABLE, JAR], materials, light, made(Render, OPTIONS), plan=document
+    )
 
 
 def test_a_matte_scene_pays_for_no_mirror_and_no_gloss():
@@ -96,7 +103,7 @@ def test_a_matte_scene_pays_for_no_mirror_and_no_gloss():
     document, parts, model, definition = planned(matte, room())
     found = values(document)
     assert found["gloss"] == found["mirror"] == [] and found["max_bounces"] == 0 and found["gloss_levels"] == [0, 0]
-    view = make_view(definition["views"]["v"], definition["image"])
+    view = make_view(made(View, definition["views"]["v"]), made(Size, definition["image"]))
     prepared, figures = prepare(parts, model, np.ones((3, 61))), {}
     render_frame(prepared, view, figures=figures)
     assert figures["rays"] == view.width * view.height
@@ -177,12 +184,21 @@ def test_nothing_is_left_of_a_picture_that_is_refused(tmp_path):
         what.save(path, origin)
     shapes = [{"kind": "plate", "width_mm": 90.0, "height_mm": 90.0}, {"kind": "sphere", "radius_mm": 20.0}]
     outputs = [tmp_path / name for name in ("v.exr", "v.png", "v.json")]
-    for overrides, made in (({"mirror": []}, False), ({}, True)):
+    for overrides, whole in (({"mirror": []}, False), ({}, True)):
         document, _, _, definition = planned(MIRRORS, room(), overrides=overrides)
         write_plan(tmp_path / "plan.yaml", document)
         before = set(tmp_path.iterdir())
-        job = (definition, "v", shapes, files[:2], files[2], *outputs, OPTIONS, 60, tmp_path / "plan.yaml")
-        if made:
+        job = (
+            made(Scene, definition),
+            "v",
+            made(Sequence[ObjectShape], shapes),
+            files[:2],
+            files[2],
+            *outputs,
+            OPTIONS,
+            tmp_path / "plan.yaml",
+        )
+        if whole:
             render_view(*job)
             assert all(path.exists() for path in outputs)
             continue
@@ -226,7 +242,7 @@ def test_single_pixels_are_those_of_the_picture(parallel):
     _, parts, _, definition = planned(shiny, room())
     definition |= {"views": {"v": PARALLEL}} if parallel else {}
     prepared = prepare(parts, full_model(parts, 4, True), np.ones((3, 61)))
-    view = make_view(definition["views"]["v"], definition["image"])
+    view = make_view(made(View, definition["views"]["v"]), made(Size, definition["image"]))
     pixels = chosen_pixels(view, 300)
     assert len(np.unique(pixels, axis=0)) == 300
     fine = view._replace(focal_px=2 * view.focal_px, width=80, height=60)
@@ -296,11 +312,13 @@ def test_textures_are_as_fine_as_the_picture_shows_them():
 def test_probes_see_what_every_kind_of_shape_hides_and_throws(ground):
     matte, definition = [material(GREENISH), material(0.7)], scene_of()
     definition["objects"][0] |= {"scale": 1.2, "position_mm": [5.0, 0.0, -3.0], "rotation_deg": [0.0, 0.0, 20.0]}
-    placements = make_placements(definition, [Shape.from_definition(ground), JAR])
+    placements = make_placements(
+        made(Scene | Staging, definition), [Shape.from_definition(made(ObjectShape | BodyShape, ground)), JAR]
+    )
     objects, _ = make_objects(placements, matte)
-    parts = parts_of(definition, objects, room(), make_tracer(placements))
+    parts = parts_of(made(Scene, definition), objects, room(), make_tracer(placements))
     full, matrix = full_model(parts, 0, True), xyz_from_radiance(parts.white)
-    view = make_view(definition["views"]["v"], definition["image"])
+    view = make_view(made(View, definition["views"]["v"]), made(Size, definition["image"]))
     seen = radiance(make_probes(parts, [view], full, make_light(parts.environment))) @ matrix.T
     place = np.random.default_rng(SEED).random((PROBES, 2)) * (view.width, view.height)
     rendered = render_pixels(prepare(parts, full, matrix), view, place - 0.5)
@@ -318,17 +336,19 @@ def test_an_environment_of_straight_edges_is_halved_no_further_than_its_check_al
         y, x, rows, columns = *rng.integers(0, [height, 2 * height]), *rng.integers(5, height // 6, 2)
         panels[y : y + rows, x : x + columns] = rng.uniform(0.1, 4.0, 3)
     light, mirrors = sky(lambda unit: panels, 2 * height, height, BASIS), [MIRRORS[0], material(GREENISH)]
-    definition, options = scene_of(), OPTIONS | {"pixel_side": side}
+    definition, options = scene_of(), replace(OPTIONS, pixel_side=side)
     definition["views"]["v"]["field_of_view_deg"] = 45.0
-    document = plan_of("table-top", definition, [TABLE, JAR], mirrors, light, options)
-    _, figures = render_image(definition, "v", [TABLE, JAR], mirrors, light, options, plan=document)
+    document = plan_of("table-top", made(Scene, definition), [TABLE, JAR], mirrors, light, made(Render, options))
+    _, figures = render_image(
+        made(Scene, definition), "v", [TABLE, JAR], mirrors, light, made(Render, options), plan=document
+    )
     assert figures["plan"]["measured_delta_e"]["p99"] <= document["predicted_delta_e"] + 0.02
 
 
 def test_a_view_of_parallel_rays_is_predicted_and_checked_as_it_is_rendered():
     shiny = [material(0.5, mirror=0.3), material(GREENISH, beta=3.0, mu=0.15, mirror=0.4)]
     definition = scene_of() | {"views": {"v": PARALLEL}}
-    document = plan_of("table-top", definition, [TABLE, JAR], shiny, room(), OPTIONS)
+    document = plan_of("table-top", made(Scene, definition), [TABLE, JAR], shiny, room(), made(Render, OPTIONS))
     # The table and the jar fill most of the picture, and throw rays at each other.
     assert document["cost_of_full_model"]["rays_per_pixel"] > 1.5
     _, figures = picture(shiny, room(), document, definition)
@@ -342,8 +362,10 @@ def test_rays_that_all_leave_the_scene_are_planned_for():
     away = definition["views"]["v"] | {"target_mm": [0.0, -400.0, 250.0]}
     for views in ({"v": definition["views"]["v"]}, {"v": away}):
         definition |= {"views": views}
-        document = plan_of("table-top", definition, [JAR], mirrors, room(), OPTIONS)
-        _, figures = render_image(definition, "v", [JAR], mirrors, room(), OPTIONS, plan=document)
+        document = plan_of("table-top", made(Scene, definition), [JAR], mirrors, room(), made(Render, OPTIONS))
+        _, figures = render_image(
+            made(Scene, definition), "v", [JAR], mirrors, room(), made(Render, OPTIONS), plan=document
+        )
         assert figures["plan"]["measured_delta_e"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
 
 
@@ -364,7 +386,7 @@ def test_a_picture_without_spectra_is_read_as_the_xyz_that_it_is(tmp_path):
 
 def test_objects_that_stand_twice_and_bodies_have_names_of_their_own():
     scene = {"objects": [{"object": "jar"}, {"object": "lid"}, {"object": "jar"}], "bodies": [{}, {}]}
-    assert object_names(scene) == ["jar", "lid", "jar#2", "bodies[0]", "bodies[1]"]
+    assert object_names(made(Scene, scene)) == ["jar", "lid", "jar#2", "bodies[0]", "bodies[1]"]
 
 
 def test_the_bound_of_a_share_holds_for_the_whole():

@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+from made import made
 from scenes import BALL, material, plate, sky, smooth_light
 
+from irodori.config.models import Render, Scene, Size, View
+from irodori.config.parts import Staging
 from irodori.rendering.integrators import render_image
 from irodori.rendering.planning.paths_per_pixel import render_pixels
 from irodori.rendering.planning.planned_check import ToleranceError
@@ -11,7 +14,7 @@ from irodori.rendering.planning.stage import plan_of
 from irodori.rendering.reference.converging_picture import make_scene, render
 from irodori.rendering.scene_arrays import make_objects, make_placements, make_view
 
-OPTIONS = {"pixel_side": 1, "max_bounces": 4, "min_throughput": 1e-3}
+OPTIONS = Render(pixel_side=1, min_throughput=1e-3)
 SHAPES, MATERIALS = [plate(90.0), BALL], [material(0.6), material(0.3, beta=2.0, mu=0.2)]
 
 
@@ -36,7 +39,7 @@ def light():
 
 
 def plan(definition) -> dict:
-    return plan_of("table-top", definition, SHAPES, MATERIALS, light(), OPTIONS)
+    return plan_of("table-top", made(Scene, definition), SHAPES, MATERIALS, light(), made(Render, OPTIONS))
 
 
 def test_half_the_tolerance_takes_about_four_times_the_paths_and_the_check_agrees():
@@ -45,7 +48,9 @@ def test_half_the_tolerance_takes_about_four_times_the_paths_and_the_check_agree
     assert samples[1] == 4 * samples[0] < 4096
     for tolerance, document in zip((4.0, 2.0), plans, strict=True):
         assert tolerance / 2 < document["predicted_delta_e"] <= tolerance
-        _, figures = render_image(scene_of(tolerance), "v", SHAPES, MATERIALS, light(), OPTIONS, plan=document)
+        _, figures = render_image(
+            made(Scene, scene_of(tolerance)), "v", SHAPES, MATERIALS, light(), made(Render, OPTIONS), plan=document
+        )
         assert figures["samples"] == document["decisions"]["samples"]["value"]
         # Sobol points err by less than the root law says, pilots by luck.
         assert 0.3 * document["predicted_delta_e"] < figures["plan"]["measured_delta_e"]["p99"] <= tolerance
@@ -64,7 +69,7 @@ def test_too_few_paths_are_refused():
     document = plan(definition)
     assert document["decisions"]["samples"]["by"] == "scene" and document["predicted_delta_e"] > 0.5
     with pytest.raises(ToleranceError, match=r"table-top.* or the samples of the integrator"):
-        render_image(definition, "v", SHAPES, MATERIALS, light(), OPTIONS, plan=document)
+        render_image(made(Scene, definition), "v", SHAPES, MATERIALS, light(), made(Render, OPTIONS), plan=document)
 
 
 LENS = {"lens": {"diameter_mm": 30.0, "focus_mm": 150.0}}
@@ -75,9 +80,12 @@ PARALLEL = {"kind": "orthographic", "height_mm": 90.0}
 def test_single_pixels_converge_to_those_of_the_picture(kind):
     definition = scene_of(1.0)
     definition["views"]["v"] |= kind
-    placements = make_placements(definition, SHAPES)
+    placements = make_placements(made(Scene | Staging, definition), SHAPES)
     objects, _ = make_objects(placements, MATERIALS)
-    prepared, view = make_scene(placements, objects, light()), make_view(definition["views"]["v"], definition["image"])
+    prepared, view = (
+        make_scene(placements, objects, light()),
+        make_view(made(View, definition["views"]["v"]), made(Size, definition["image"])),
+    )
     pixels = np.array([[0, 0], [23, 17], [12, 9], [3, 14], [20, 2]])
     whole = render(prepared, view, 2048, seed=5, replicates=8)
     single = render_pixels(prepared, view, pixels, 2048, 7)

@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made import made
 from scenes import BALL, OPTIONS, material, sky
 from studio import BASIS
 
+from irodori.config.models import Render, Scene
 from irodori.core.store import Provenance
 from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
@@ -29,7 +31,7 @@ SCENE = {
 
 
 def picture(light, plan=None) -> np.ndarray:
-    return render_image(SCENE, "v", [BALL], SHINY, light, OPTIONS, plan=plan)[0]
+    return render_image(made(Scene, SCENE), "v", [BALL], SHINY, light, made(Render, OPTIONS), plan=plan)[0]
 
 
 def saved(light: Environment, path, gloss: GlossMaps | None) -> Environment:
@@ -58,7 +60,7 @@ def test_the_stored_maps_give_the_picture_of_light_that_is_blurred_anew(light, t
 def test_the_stored_maps_are_those_that_are_read(light, tmp_path):
     gloss = GlossMaps.of(light.coefficients)
     dark = replace(gloss, levels=tuple(0 * level for level in gloss.levels))
-    matte = render_image(SCENE, "v", [BALL], [material(0.3)], light, OPTIONS)[0]
+    matte = render_image(made(Scene, SCENE), "v", [BALL], [material(0.3)], light, made(Render, OPTIONS))[0]
     found = picture(saved(light, tmp_path / "dark.h5", dark))
     assert np.allclose(found, matte, rtol=1e-5, atol=1e-6 * matte.max())
     ball = slice(10, 14), slice(10, 14)
@@ -67,11 +69,15 @@ def test_the_stored_maps_are_those_that_are_read(light, tmp_path):
 
 def test_a_plan_finds_the_stored_maps_on_its_own_basis(light, tmp_path):
     found = saved(light, tmp_path / "light.h5", GlossMaps.of(light.coefficients))
-    document = plan_of("ball", SCENE, [BALL], SHINY, light, OPTIONS)
+    document = plan_of("ball", made(Scene, SCENE), [BALL], SHINY, light, made(Render, OPTIONS))
     assert document["decisions"]["gloss_levels"]["value"][1] > 0
     document["decisions"]["light_bases"]["value"] = light.basis.shape[1] - 1
-    truth = render_image(SCENE, "v", [BALL], SHINY, light, OPTIONS, plan=document, check=False)[0]
-    same = render_image(SCENE, "v", [BALL], SHINY, found, OPTIONS, plan=document, check=False)[0]
+    truth = render_image(
+        made(Scene, SCENE), "v", [BALL], SHINY, light, made(Render, OPTIONS), plan=document, check=False
+    )[0]
+    same = render_image(
+        made(Scene, SCENE), "v", [BALL], SHINY, found, made(Render, OPTIONS), plan=document, check=False
+    )[0]
     assert np.allclose(same, truth, rtol=2e-3, atol=1e-4 * truth.max())
 
 

@@ -1,0 +1,1967 @@
+"""Definitions as dataclasses, one for each block of the schemas beside this module.
+
+Written by ``python -m irodori.config.write_models``; change the schemas instead.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
+
+from irodori.config.definition import Definition
+
+
+@dataclass(frozen=True, kw_only=True)
+class Make(Definition):
+    """What a run makes."""
+
+    #: Names of the scenes to render; their objects, environments and cameras are made too.
+    scenes: tuple[str, ...] = ()
+
+    #: Names of cameras to calibrate besides those that the scenes need.
+    cameras: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ingest(Definition):
+    """From RAW files to linear bands."""
+
+    #: A pixel at or above this fraction of the range from black to white is not valid (ratio).
+    saturation: float = 0.98
+
+    #: How the mosaic becomes bands; superpixel interpolates nothing and gives half the resolution, the others are
+    #: LibRaw's algorithms at full resolution.
+    demosaic: Literal["superpixel", "linear", "vng", "ppg", "ahd", "dcb", "dht"] = "superpixel"
+
+    #: Whether the shots without and with the filter are laid on each other (true or false).
+    register: bool = True
+
+    #: Largest residual of the registration, in superpixels; above it the capture is refused.
+    max_registration_px: float = 0.3
+
+    #: Largest deviation of the response rate over an exposure series (ratio); above it, and above what repeated frames
+    #: scatter, the camera is refused.
+    max_nonlinearity: float = 0.02
+
+    #: Captures of an object that one job ingests, one after the other (count).
+    captures_per_job: int = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rectify(Definition):
+    """From pictures to observations of each texel."""
+
+    #: Texels in one tile, the unit of work and the bound of memory (count).
+    tile_texels: int = 40000
+
+    #: Observations lit or seen at a larger angle carry no weight in the fit, in degrees.
+    max_angle_deg: float = 80.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitBounds(Definition):
+    """Smallest and largest value of each parameter."""
+
+    #: Smallest and largest diffuse weight (ratio).
+    alpha: tuple[float, float] = (0.0, 2.0)
+
+    #: Smallest and largest gloss weight (ratio).
+    beta: tuple[float, float] = (0.0, 10000.0)
+
+    #: Smallest and largest roughness, in rad.
+    mu_rad: tuple[float, float] = (0.005, 1.2)
+
+    #: Smallest and largest refractive index where it is fitted (ratio).
+    n: tuple[float, float] = (1.2, 2.5)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit(Definition):
+    """From observations to diffuse weight, gloss weight and roughness of each texel."""
+
+    #: How the fit is computed; varpro is variable projection, nlopt calls NLopt's L-BFGS from a compiled loop,
+    #: nlopt-reference from Python.
+    solver: Literal["varpro", "nlopt", "nlopt-reference"] = "varpro"
+
+    #: Values of the roughness that the scan tries for every factor 2 (count).
+    scan_per_octave: Literal[2, 4] = 2
+
+    #: Whether observations count by inverse variance, where the noise of the camera is known, or all the same.
+    weights: Literal["noise", "equal"] = "noise"
+
+    #: Relative error of an observation apart from noise, such as the drift of the light (ratio).
+    model_error: float = 0.01
+
+    #: Standard deviation of the angle of light or camera, in degrees; enters the standard errors.
+    pose_error_deg: float = 0.05
+
+    #: Residual beyond which the loss is linear, in standard deviations (ratio); null for least squares.
+    huber: float | None = field(default=None, metadata={"null": True})
+
+    #: Whether the real refractive index is the one of the object's definition or fitted texel by texel.
+    refractive_index: Literal["fixed", "fitted"] = "fixed"
+
+    #: Distance, in texels, up to which a texel whose own observations leave its gloss open takes it from those around
+    #: it within the tile; 0 for none.
+    pooling_radius_texels: int = 0
+
+    #: Smallest and largest value of each parameter.
+    bounds: FitBounds = FitBounds()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compress(Definition):
+    """Compression of the reflectance maps."""
+
+    #: Mean colour error that the number of bases must keep under, in CIEDE2000, under every light.
+    target_delta_e_mean: float = 0.1
+
+    #: 99th percentile of the colour error that it must keep under too, in CIEDE2000.
+    target_delta_e_p99: float = 0.5
+
+    #: The number of bases is a multiple of this (count), or the image's rank; 1 allows any number.
+    align: int = 4
+
+    #: What counts in the decomposition; all wavelengths alike, or as the colour-matching functions and the lights weigh
+    #: them (no unit).
+    weighting: Literal["nothing", "visual"] = "nothing"
+
+    #: Precision of stored coefficients, 16 bits with a scale for each basis or 32 (no unit).
+    storage: Literal["half", "single"] = "half"
+
+    #: How they are packed; bit-shuffled LZ4 in Blosc2, or gzip, which needs no plugin of HDF5 (no unit).
+    codec: Literal["blosc2", "gzip"] = "blosc2"
+
+
+@dataclass(frozen=True, kw_only=True)
+class IrradianceMap(Definition):
+    """The irradiance map, which is as fine as its light needs."""
+
+    #: Error of the look-up between the map's normals that its height keeps under, relative to the largest irradiance
+    #: (ratio).
+    max_error: float = 0.002
+
+    #: Rows at which the map stops growing, in pixels; it has twice as many columns.
+    max_height: int = 512
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvironmentMaps(Definition):
+    """Compression of the environment and its prepared maps."""
+
+    #: Mean colour error that the number of bases must keep under, in CIEDE2000, under every light.
+    target_delta_e_mean: float = 0.1
+
+    #: 99th percentile of the colour error that it must keep under too, in CIEDE2000.
+    target_delta_e_p99: float = 0.5
+
+    #: The number of bases is a multiple of this (count), or the image's rank; 1 allows any number.
+    align: int = 4
+
+    #: What counts in the decomposition; all wavelengths alike, or as the colour-matching functions and the lights weigh
+    #: them (no unit).
+    weighting: Literal["nothing", "visual"] = "nothing"
+
+    #: Precision of stored coefficients, 16 bits with a scale for each basis or 32 (no unit).
+    storage: Literal["half", "single"] = "half"
+
+    #: How they are packed; bit-shuffled LZ4 in Blosc2, or gzip, which needs no plugin of HDF5 (no unit).
+    codec: Literal["blosc2", "gzip"] = "blosc2"
+
+    #: Whether light blurred for rough reflection is stored too, for the integrator interactive, with the errors of its
+    #: look-up for the report (no unit).
+    gloss_maps: bool = True
+
+    #: The irradiance map, which is as fine as its light needs.
+    irradiance: IrradianceMap = IrradianceMap()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Render(Definition):
+    """From scene to picture."""
+
+    #: Samples of the integrator interactive along each side of a pixel (count); 2 means four rays a pixel.
+    pixel_side: int = 2
+
+    #: A mirror path of the integrator interactive ends where it would add less than this part of what it meets (ratio).
+    min_throughput: float = 0.001
+
+    #: Rows of the picture between two reports of progress, in pixels; the picture is held whole, memory does not depend
+    #: on it.
+    tile_rows: int = 60
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planning(Definition):
+    """Fit error against the number of poses, simulated for every plate."""
+
+    #: Numbers of poses to compare (count).
+    poses: tuple[int, ...] = (4, 6, 8, 12, 16, 24)
+
+    #: Random materials photographed with each design (count).
+    materials: int = 2000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report(Definition):
+    """What the reports compare."""
+
+    #: Lights under which colour errors are computed.
+    lights: tuple[str, ...] = ("D65", "A")
+
+    #: Fit error against the number of poses, simulated for every plate.
+    planning: Planning = Planning()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config(Definition):
+    """What to make, and the parameters that every object shares."""
+
+    #: Folder that holds objects/, scenes/, cameras/, environments/ and rigs/.
+    definitions: str = "config"
+
+    #: How much `snakemake benchmark` measures; small is every stage and peer on small inputs, some minutes, full is
+    #: more variants on large inputs, for publication (no unit).
+    benchmark_size: Literal["small", "full"] = "small"
+
+    #: What a run makes.
+    make: Make
+
+    #: From RAW files to linear bands.
+    ingest: Ingest = Ingest()
+
+    #: From pictures to observations of each texel.
+    rectify: Rectify = Rectify()
+
+    #: From observations to diffuse weight, gloss weight and roughness of each texel.
+    fit: Fit = Fit()
+
+    #: Compression of the reflectance maps.
+    compress: Compress = Compress()
+
+    #: Compression of the environment and its prepared maps.
+    environment: EnvironmentMaps = EnvironmentMaps()
+
+    #: From scene to picture.
+    render: Render = Render()
+
+    #: What the reports compare.
+    report: Report = Report()
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlateShape(Definition):
+    """A flat rectangle on the table, its centre at the origin of the rig."""
+
+    #: A flat rectangle on the table, its centre at the origin of the rig.
+    kind: Literal["plate"] = "plate"
+
+    #: Size along x, in mm.
+    width_mm: float
+
+    #: Size along y, in mm.
+    height_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SphereShape(Definition):
+    """A sphere, its centre at the origin of the rig."""
+
+    #: A sphere, its centre at the origin of the rig.
+    kind: Literal["sphere"] = "sphere"
+
+    #: Radius, in mm.
+    radius_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshShape(Definition):
+    """Triangles with UV coordinates, standing with their lowest point on the table."""
+
+    #: Triangles with UV coordinates, standing with their lowest point on the table.
+    kind: Literal["mesh"] = "mesh"
+
+    #: Path of an OBJ, PLY, GLB or glTF whose UV coordinates put every place of the surface into one texture.
+    file: str
+
+    #: Unit of the file's coordinates.
+    unit: Literal["mm", "cm", "m", "inch"]
+
+    #: Axis of the file that points up; glTF has y.
+    up: Literal["z", "y"] = "z"
+
+    #: The point that stands at the origin of the rig, x, y, z, in mm, after unit and up; the middle of the bounding box
+    #: where absent.
+    pivot_mm: tuple[float, float, float] | None = None
+
+    #: Where the file has no normals; facets that meet at a larger angle keep an edge, in degrees.
+    crease_deg: float = 40.0
+
+
+ObjectShape: TypeAlias = PlateShape | SphereShape | MeshShape
+
+
+@dataclass(frozen=True, kw_only=True)
+class Size(Definition):
+    """Size of the object's maps, in texels; on a sphere longitude by latitude, on a mesh its UV atlas."""
+
+    #: Width, in pixels.
+    width: int
+
+    #: Height, in pixels.
+    height: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConstantIndex(Definition):
+    """Complex refractive index n + ik of the surface."""
+
+    #: Real part, the same at every wavelength (ratio).
+    n: float
+
+    #: Imaginary part, the same at every wavelength (ratio).
+    k: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class IndexTable(Definition):
+    """Complex refractive index n + ik of the surface."""
+
+    #: Path of a CSV with the columns wavelength_nm, n, k that covers 400 to 700 nm.
+    file: str
+
+
+RefractiveIndex: TypeAlias = ConstantIndex | IndexTable
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseGroup(Definition):
+    """One group of poses."""
+
+    #: Light angles from +z toward +x, in degrees.
+    light_deg: tuple[float, ...]
+
+    #: Camera angles from +z toward -x, in degrees.
+    camera_deg: tuple[float, ...]
+
+    #: Tilts of the table about y, towards the light, in degrees.
+    tilt_deg: tuple[float, ...] = (0.0,)
+
+    #: Turns of the table about its own axis, in degrees.
+    turn_deg: tuple[float, ...] = (0.0,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PosePlan(Definition):
+    """What poses are planned for; the photographs themselves do not depend on it."""
+
+    #: Smallest and largest diffuse weight expected (ratio).
+    alpha: tuple[float, float] = (0.02, 0.9)
+
+    #: Smallest and largest gloss weight expected (ratio).
+    beta: tuple[float, float] = (0.5, 8.0)
+
+    #: Smallest and largest roughness expected, in rad.
+    mu_rad: tuple[float, float] = (0.05, 0.3)
+
+    #: Poses to plan (count).
+    count: int = 12
+
+    #: Different light angles and tilts that a person will set (count).
+    max_manual: int = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exposures(Definition):
+    """Exposure times for each state of the comb filter, in seconds. Several times make a bracket."""
+
+    #: Exposure times with the comb filter out of the light path, in seconds.
+    out: tuple[float, ...]
+
+    #: Exposure times with the comb filter in the light path, in seconds.
+    in_: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Captures(Definition):
+    """The photographs of a real rig; needed where the rig is of kind files or driven."""
+
+    #: Path of the CSV that lists the photographs, one a line.
+    table: str
+
+    #: Folder of the RAW files that the table names; the table's own folder where absent.
+    folder: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class UniformPattern(Definition):
+    """The first material everywhere."""
+
+    #: The first material everywhere.
+    kind: Literal["uniform"] = "uniform"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChecksPattern(Definition):
+    """Rectangles of equal size that take the materials in turn."""
+
+    #: Rectangles of equal size that take the materials in turn.
+    kind: Literal["checks"] = "checks"
+
+    #: Rectangles across the map (count).
+    columns: int
+
+    #: Rectangles down the map (count).
+    rows: int
+
+
+MaterialPattern: TypeAlias = UniformPattern | ChecksPattern
+
+
+@dataclass(frozen=True, kw_only=True)
+class FurtherGloss(Definition):
+    """One gloss component."""
+
+    #: The component's facets, as of the materials.
+    kind: Literal["paper", "ggx"]
+
+    #: Weight of the gloss term (ratio).
+    beta: float
+
+    #: Roughness, in rad; of GGX facets a ratio.
+    mu_rad: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperMaterial(Definition):
+    """The reflection model of equation (5)."""
+
+    #: The reflection model of equation (5).
+    kind: Literal["paper"] = "paper"
+
+    #: Diffuse reflectance factor; the name of a CIE test colour (TCS0 to TCS98) or the path of a file.
+    spectrum: str
+
+    #: Weight of the gloss term (ratio).
+    beta: float
+
+    #: Roughness, in rad; of GGX facets a ratio.
+    mu_rad: float
+
+    #: A second gloss component, added to the first.
+    further_gloss: tuple[FurtherGloss, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class GgxMaterial(Definition):
+    """GGX facets, a lobe with longer tails, of the same height at normal incidence."""
+
+    #: GGX facets, a lobe with longer tails, of the same height at normal incidence.
+    kind: Literal["ggx"] = "ggx"
+
+    #: Diffuse reflectance factor; the name of a CIE test colour (TCS0 to TCS98) or the path of a file.
+    spectrum: str
+
+    #: Weight of the gloss term (ratio).
+    beta: float
+
+    #: Roughness, in rad; of GGX facets a ratio.
+    mu_rad: float
+
+    #: A second gloss component, added to the first.
+    further_gloss: tuple[FurtherGloss, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredMaterial(Definition):
+    """A table of measured reflection, diffuse and gloss together."""
+
+    #: A table of measured reflection, diffuse and gloss together.
+    kind: Literal["measured"] = "measured"
+
+    #: Path of a CSV of theta_i_rad, phi_i_rad, theta_r_rad, phi_r_rad, then the BRDF in 1/sr at each wavelength in nm.
+    file: str
+
+
+TrueMaterial: TypeAlias = PaperMaterial | GgxMaterial | MeasuredMaterial
+
+
+@dataclass(frozen=True, kw_only=True)
+class VirtualObject(Definition):
+    """What the virtual rig shows to its camera; needed where the rig is of kind virtual."""
+
+    #: How the materials are laid out over the object's map.
+    pattern: MaterialPattern
+
+    #: The true materials, row by row of the pattern, repeated where there are fewer than rectangles.
+    materials: tuple[TrueMaterial, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Object(Definition):
+    """One object, what it is and how it is photographed."""
+
+    #: What the object is, for people.
+    description: str | None = None
+
+    #: Name of the camera that photographs the object.
+    camera: str
+
+    #: Shape and size of the object.
+    shape: ObjectShape
+
+    #: Size of the object's maps, in texels; on a sphere longitude by latitude, on a mesh its UV atlas.
+    texels: Size
+
+    #: Complex refractive index n + ik of the surface.
+    refractive_index: RefractiveIndex = ConstantIndex(n=1.5, k=0.0)
+
+    #: Forms of the rough gloss that the fit takes the object to have; of two, the second where the data calls for it.
+    lobes: tuple[str, ...] = ("gaussian",)
+
+    #: Weight of the mirror term, by which the object shows its surroundings (ratio).
+    mirror_weight: float = 0.0
+
+    #: Groups of poses that a session takes, on a virtual or a driven rig; a group stands for every combination of its
+    #: lists.
+    poses: tuple[PoseGroup, ...] | None = None
+
+    #: What poses are planned for; the photographs themselves do not depend on it.
+    plan: PosePlan = PosePlan()
+
+    #: Exposure times for each state of the comb filter, in seconds. Several times make a bracket.
+    exposure_s: Exposures | None = None
+
+    #: The photographs of a real rig; needed where the rig is of kind files or driven.
+    captures: Captures | None = None
+
+    #: What the virtual rig shows to its camera; needed where the rig is of kind virtual.
+    virtual: VirtualObject | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class InteractiveIntegrator(Definition):
+    """Look-ups in irradiance and blurred light, mirror reflections, hard shadows; nothing is sampled."""
+
+    #: Look-ups in irradiance and blurred light, mirror reflections, hard shadows; nothing is sampled.
+    kind: Literal["interactive"] = "interactive"
+
+    #: Whether bodies and objects hide light from all sides from each other, meshes from themselves too (true or false).
+    ambient: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReferenceIntegrator(Definition):
+    """Paths that carry all bands and converge to the rendering equation; max_bounces is not read."""
+
+    #: Paths that carry all bands and converge to the rendering equation; max_bounces is not read.
+    kind: Literal["reference"] = "reference"
+
+    #: Paths a pixel (count), a multiple of 8; powers of two are spread best.
+    samples: int = 128
+
+    #: Seed of the random numbers (count).
+    seed: int = 0
+
+
+Integrator: TypeAlias = InteractiveIntegrator | ReferenceIntegrator
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanOverrides(Definition):
+    """Decisions taken out of the plan's hands; needs tolerance_ciede2000."""
+
+    #: Objects whose gloss is traced.
+    gloss: tuple[str, ...] | None = None
+
+    #: Objects whose mirror is traced.
+    mirror: tuple[str, ...] | None = None
+
+    #: Mirror reflections followed (count).
+    max_bounces: int | None = None
+
+    #: Part of the light that a path passes under which it ends (ratio).
+    least_throughput: float | None = None
+
+    #: Vectors that the environment's spectra are kept on (count).
+    light_bases: int | None = None
+
+    #: How colour is carried along paths.
+    representation: Literal["quadrature", "coefficients", "spectral"] | None = None
+
+    #: Wavelengths of the representation quadrature (count).
+    nodes: Literal[6, 14, 30] | None = None
+
+    #: How often the environment's resolution is halved (count).
+    environment_halvings: int | None = None
+
+    #: How often the resolution of every texture is halved, down to two texels a side (count).
+    texture_halvings: int | None = None
+
+    #: Paths a pixel of the integrator reference (count), a multiple of 8.
+    samples: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiscShape(Definition):
+    """A flat disc that faces +z before it is turned, and is black behind."""
+
+    #: A flat disc that faces +z before it is turned, and is black behind.
+    kind: Literal["disc"] = "disc"
+
+    #: Radius, in mm.
+    radius_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaneShape(Definition):
+    """An endless plane, a floor unless it is turned; it faces +z before, and is black behind."""
+
+    #: An endless plane, a floor unless it is turned; it faces +z before, and is black behind.
+    kind: Literal["plane"] = "plane"
+
+
+BodyShape: TypeAlias = DiscShape | PlaneShape | PlateShape | SphereShape
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyMaterial(Definition):
+    """Parameters of equation (5), the same all over the body."""
+
+    #: Reflectance factor of the diffuse term; a CIE test colour (TCS0 to TCS98) or the path of a file.
+    spectrum: str
+
+    #: Gloss weight (ratio).
+    beta: float = 0.0
+
+    #: Roughness of the gloss, in rad.
+    mu_rad: float = 0.1
+
+    #: Mirror weight (ratio).
+    mirror: float = 0.0
+
+    #: Complex refractive index n + ik of the surface.
+    refractive_index: RefractiveIndex = ConstantIndex(n=1.5, k=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Body(Definition):
+    """One body in its place."""
+
+    #: Shape and size of the body.
+    shape: BodyShape
+
+    #: Where the body's centre stands, x, y, z, in mm; of a plane any point of it.
+    position_mm: tuple[float, float, float]
+
+    #: Factor on the body's size (ratio); without effect on a plane.
+    scale: float = 1.0
+
+    #: Rotations about the scene's x, then y, then z axis, before the body is moved, in degrees.
+    rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    #: Parameters of equation (5), the same all over the body.
+    material: BodyMaterial
+
+
+@dataclass(frozen=True, kw_only=True)
+class CollimatedLight(Definition):
+    """Parallel light from far away, with hard shadows."""
+
+    #: Parallel light from far away, with hard shadows.
+    kind: Literal["collimated"] = "collimated"
+
+    #: Spectrum of the light; the name of a CIE illuminant or the path of a measured one.
+    spectrum: str
+
+    #: Direction that it comes from, from +x towards +y, in degrees.
+    azimuth_deg: float
+
+    #: That direction over the horizon, in degrees.
+    elevation_deg: float
+
+    #: Irradiance of a surface that faces the light (ratio; 1 gives a perfect diffuser radiance 1).
+    irradiance: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class RectangleLight(Definition):
+    """A rectangle that shines along +z before it is turned, and is black behind."""
+
+    #: A rectangle that shines along +z before it is turned, and is black behind.
+    kind: Literal["rectangle"] = "rectangle"
+
+    #: Spectrum of the light; the name of a CIE illuminant or the path of a measured one.
+    spectrum: str
+
+    #: Where the light's centre stands, x, y, z, in mm.
+    position_mm: tuple[float, float, float]
+
+    #: Rotations about the scene's x, then y, then z axis, before it is moved, in degrees.
+    rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    #: Size along x before it is turned, in mm.
+    width_mm: float
+
+    #: Size along y before it is turned, in mm.
+    height_mm: float
+
+    #: Radiance (ratio to the luminance of D65 as tabulated).
+    radiance: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SphereLight(Definition):
+    """A sphere that shines all around."""
+
+    #: A sphere that shines all around.
+    kind: Literal["sphere"] = "sphere"
+
+    #: Spectrum of the light; the name of a CIE illuminant or the path of a measured one.
+    spectrum: str
+
+    #: Where the light's centre stands, x, y, z, in mm.
+    position_mm: tuple[float, float, float]
+
+    #: Radius, in mm.
+    radius_mm: float
+
+    #: Radiance (ratio to the luminance of D65 as tabulated).
+    radiance: float
+
+
+SceneLight: TypeAlias = CollimatedLight | RectangleLight | SphereLight
+
+
+@dataclass(frozen=True, kw_only=True)
+class StandardDisplay(Definition):
+    """A display that follows a standard."""
+
+    #: A display that follows a standard.
+    kind: Literal["standard"] = "standard"
+
+    #: The standard.
+    name: Literal["sRGB", "Display P3", "Adobe RGB (1998)"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SrgbTone(Definition):
+    """The curve of sRGB, IEC 61966-2-1."""
+
+    #: The curve of sRGB, IEC 61966-2-1.
+    kind: Literal["srgb"] = "srgb"
+
+
+@dataclass(frozen=True, kw_only=True)
+class GammaTone(Definition):
+    """A power."""
+
+    #: A power.
+    kind: Literal["gamma"] = "gamma"
+
+    #: Its exponent (ratio).
+    gamma: float
+
+
+ToneCurve: TypeAlias = SrgbTone | GammaTone
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrimariesDisplay(Definition):
+    """A display of stated primaries, white and tone curve."""
+
+    #: A display of stated primaries, white and tone curve.
+    kind: Literal["primaries"] = "primaries"
+
+    #: CIE 1931 chromaticity of red, x, y (ratio).
+    red_xy: tuple[float, float]
+
+    #: CIE 1931 chromaticity of green, x, y (ratio).
+    green_xy: tuple[float, float]
+
+    #: CIE 1931 chromaticity of blue, x, y (ratio).
+    blue_xy: tuple[float, float]
+
+    #: CIE 1931 chromaticity of white, x, y (ratio).
+    white_xy: tuple[float, float]
+
+    #: Linear light of a code value, the same in all channels.
+    tone: ToneCurve = SrgbTone()
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredDisplay(Definition):
+    """A display of which patches were measured."""
+
+    #: A display of which patches were measured.
+    kind: Literal["measured"] = "measured"
+
+    #: Path of a CSV with the columns red, green, blue, X, Y, Z, or of Argyll's .ti3.
+    file: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProfileDisplay(Definition):
+    """A display that an ICC profile describes."""
+
+    #: A display that an ICC profile describes.
+    kind: Literal["profile"] = "profile"
+
+    #: Path of an ICC profile of a matrix and tone curves.
+    file: str
+
+
+DisplayDevice: TypeAlias = StandardDisplay | PrimariesDisplay | MeasuredDisplay | ProfileDisplay
+
+
+@dataclass(frozen=True, kw_only=True)
+class DisplayOptions(Definition):
+    """How radiance becomes the displayed picture."""
+
+    #: Factor on the radiance before the display (ratio), or auto.
+    exposure: Literal["auto"] | float = "auto"
+
+    #: The display for which PNG and TIFF are made.
+    device: DisplayDevice = StandardDisplay(name="sRGB")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Turntable(Definition):
+    """One whole turn about a vertical axis, in equal steps."""
+
+    #: One whole turn about a vertical axis, in equal steps.
+    kind: Literal["turntable"] = "turntable"
+
+    #: Frames of the turn (count).
+    count: int
+
+    #: Whether objects and bodies turn in light that stands, or the eye goes round them (a name).
+    turned: Literal["objects", "eye"] = "objects"
+
+    #: A point of the axis, x, y, z, in mm.
+    pivot_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    #: Speed of the animated picture, in frames per second.
+    frames_per_second: float = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightSweep(Definition):
+    """Light that turns about the vertical axis through the scene's origin."""
+
+    #: Light that turns about the vertical axis through the scene's origin.
+    kind: Literal["light_sweep"] = "light_sweep"
+
+    #: Frames, the first and the last angle included (count).
+    count: int
+
+    #: Whether the environment turns, the lights that stand in the scene, or both (a name).
+    turned: Literal["environment", "lights", "both"]
+
+    #: Angle of the first frame against the definition, from +x towards +y, in degrees.
+    from_deg: float
+
+    #: Angle of the last frame, in degrees.
+    to_deg: float
+
+    #: Speed of the animated picture, in frames per second.
+    frames_per_second: float = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class IlluminantChange(Definition):
+    """All light is multiplied by a spectrum over another, both of one luminance."""
+
+    #: All light is multiplied by a spectrum over another, both of one luminance.
+    kind: Literal["illuminant_change"] = "illuminant_change"
+
+    #: What lights the scene as it is defined; the name of a CIE illuminant or the path of a measured one.
+    from_illuminant: str
+
+    #: What is to light it, one after the other.
+    illuminants: tuple[str, ...]
+
+    #: Frames between two of them, in which one fades and the other comes (count).
+    count_between: int = 0
+
+    #: Whose white the display shows as white, that of the first frame or each frame's own (a name).
+    white: Literal["first", "each"] = "first"
+
+    #: Speed of the animated picture, in frames per second.
+    frames_per_second: float = 10.0
+
+
+Frames: TypeAlias = Turntable | LightSweep | IlluminantChange
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lens(Definition):
+    """A thin lens in the eye's place, for the integrator reference; without it all is in focus."""
+
+    #: Diameter of the aperture, in mm.
+    diameter_mm: float
+
+    #: Distance of the plane in focus along the line of sight, in mm.
+    focus_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PerspectiveView(Definition):
+    """Everything is seen from one point, or through a lens about it."""
+
+    #: Everything is seen from one point, or through a lens about it.
+    kind: Literal["perspective"] = "perspective"
+
+    #: Where the eye stands, x, y, z, in mm.
+    position_mm: tuple[float, float, float]
+
+    #: The point in the middle of the picture, x, y, z, in mm.
+    target_mm: tuple[float, float, float]
+
+    #: Direction that points up in the picture (ratio, any length).
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    #: Vertical field of view, from the lower to the upper edge of the picture, in degrees.
+    field_of_view_deg: float
+
+    #: A thin lens in the eye's place, for the integrator reference; without it all is in focus.
+    lens: Lens | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrthographicView(Definition):
+    """Parallel rays: sizes do not change with the distance."""
+
+    #: Parallel rays: sizes do not change with the distance.
+    kind: Literal["orthographic"] = "orthographic"
+
+    #: The middle of the plane where the rays start, x, y, z, in mm; what lies behind it is not seen.
+    position_mm: tuple[float, float, float]
+
+    #: The point in the middle of the picture, x, y, z, in mm.
+    target_mm: tuple[float, float, float]
+
+    #: Direction that points up in the picture (ratio, any length).
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    #: Height of what the picture shows, from its lower to its upper edge, in mm.
+    height_mm: float
+
+
+View: TypeAlias = PerspectiveView | OrthographicView
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScenePhotograph(Definition):
+    """One photograph, taken with the lens and the focal length of the camera's file."""
+
+    #: Name of the camera that took it, whose calibration makes spectra of it.
+    camera: str
+
+    #: Where the centre of projection stands, x, y, z, in mm.
+    position_mm: tuple[float, float, float]
+
+    #: A point on the axis of the lens, x, y, z, in mm.
+    target_mm: tuple[float, float, float]
+
+    #: Direction that points up in the picture (ratio, any length).
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    #: Table and folder of the RAW files, of the role scene; unless the rig is virtual.
+    captures: Captures | None = None
+
+    #: Virtual rig: exposure times of each filter state, in seconds.
+    exposure_s: Exposures | None = None
+
+    #: Superpixels along the side of a pixel of the comparison (count).
+    block: int = 3
+
+    #: Paths for each superpixel (count), of the rendering and of what a virtual camera sees.
+    samples: int = 16
+
+    #: First of four seeds of the random numbers (count).
+    seed: int = 0
+
+    #: Factor on the photograph (ratio), or auto, which makes the median ratio of its luminance to the rendering's 1.
+    scale: Literal["auto"] | float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacedObject(Definition):
+    """One object in its place."""
+
+    #: Name of the object.
+    object: str
+
+    #: Where the object's centre stands, x, y, z, in mm.
+    position_mm: tuple[float, float, float]
+
+    #: Factor on the object's size (ratio).
+    scale: float = 1.0
+
+    #: Rotations about the scene's x, then y, then z axis, before the object is moved, in degrees.
+    rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene(Definition):
+    """One scene, objects in an environment seen from one side or several. World frame right-handed, z up, mm."""
+
+    #: What the scene shows, for people.
+    description: str | None = None
+
+    #: Name of the environment that lights the scene.
+    environment: str
+
+    #: Size of the rendered picture, in pixels.
+    image: Size
+
+    #: Mirror reflections that the integrator interactive follows from object to object (count).
+    max_bounces: int = 5
+
+    #: How the picture is computed.
+    integrator: Integrator = ReferenceIntegrator()
+
+    #: Colour error that 99 of 100 pixels may have to the full model (CIEDE2000); a plan is made within it. Everything
+    #: is modelled where absent.
+    tolerance_ciede2000: float | None = None
+
+    #: Decisions taken out of the plan's hands; needs tolerance_ciede2000.
+    plan: PlanOverrides = PlanOverrides()
+
+    #: Things of one material that nobody photographed, beside the objects.
+    bodies: tuple[Body, ...] = ()
+
+    #: Lights that stand in the scene beside its environment; for the integrator reference, collimated ones for
+    #: interactive too.
+    lights: tuple[SceneLight, ...] = ()
+
+    #: How radiance becomes the displayed picture.
+    display: DisplayOptions = DisplayOptions()
+
+    #: Files of each view beside the spectral EXR and the PNG, which are always made.
+    further_outputs: tuple[Literal["xyz-exr", "tiff"], ...] = ()
+
+    #: A sequence of frames of every view, beside its picture; none where this is left out.
+    frames: Frames | None = None
+
+    #: The sides from which the scene is rendered, by name.
+    views: Mapping[str, View] = field(hash=False)
+
+    #: Photographs of the scene that no material was fitted to, by name; each is compared with its view rendered.
+    photographs: Mapping[str, ScenePhotograph] = field(default_factory=dict, hash=False)
+
+    #: The objects of the scene.
+    objects: tuple[PlacedObject, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distortion(Definition):
+    """Distortion of the lens in the coefficients of OpenCV, over coordinates at unit distance.
+
+    None where absent. It must not fold inside the picture.
+    """
+
+    #: Coefficient of OpenCV's model (ratio).
+    k1: float = 0.0
+
+    #: Coefficient of OpenCV's model (ratio).
+    k2: float = 0.0
+
+    #: Coefficient of OpenCV's model (ratio).
+    p1: float = 0.0
+
+    #: Coefficient of OpenCV's model (ratio).
+    p2: float = 0.0
+
+    #: Coefficient of OpenCV's model (ratio).
+    k3: float = 0.0
+
+    #: Coefficient of OpenCV's model (ratio).
+    k4: float = 0.0
+
+    #: Coefficient of OpenCV's model (ratio).
+    k5: float = 0.0
+
+    #: Coefficient of OpenCV's model (ratio).
+    k6: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Optics(Definition):
+    """Geometry of the picture; needed where the camera photographs objects."""
+
+    #: Focal length, in mm.
+    focal_length_mm: float
+
+    #: Distance from one mosaic pixel to the next, in micrometres.
+    pixel_pitch_um: float
+
+    #: Width of the RAW picture, in mosaic pixels.
+    width_px: int
+
+    #: Height of the RAW picture, in mosaic pixels.
+    height_px: int
+
+    #: Where the optical axis meets the picture, x then y, in mosaic pixels.
+    principal_point_px: tuple[float, float]
+
+    #: Distortion of the lens in the coefficients of OpenCV, over coordinates at unit distance; none where absent. It
+    #: must not fold inside the picture.
+    distortion: Distortion | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class WhiteReference(Definition):
+    """The white reference photographed in place of the object.
+
+    None where absent. A session needs one, and so does a camera that photographs objects or environments.
+    """
+
+    #: Reflectance factor of the white reference, a number or its measured spectrum (ratio, 1 = perfect diffuser).
+    reflectance_factor: float | str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChartCorners(Definition):
+    """Centres of the four corner patches, x then y, in superpixels of 2 x 2 mosaic pixels.
+
+    Needed unless find is chart, and not given with it.
+    """
+
+    #: Centre of the first patch of the first row, x then y, in superpixels.
+    first: tuple[float, float]
+
+    #: Centre of the last patch of the first row, x then y, in superpixels.
+    row_end: tuple[float, float]
+
+    #: Centre of the first patch of the last row, x then y, in superpixels.
+    column_end: tuple[float, float]
+
+    #: Centre of the last patch of the last row, x then y, in superpixels.
+    last: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chart(Definition):
+    """The colour chart that calibrates the camera; where there are several, the first."""
+
+    #: Reflectance factors of the patches, row by row; the name of a published chart (BabelColor Average) or the path of
+    #: a CSV.
+    spectra: str
+
+    #: Rows of patches (count).
+    rows: int
+
+    #: Columns of patches (count).
+    columns: int
+
+    #: What is looked for in the photograph; nothing takes centres_px as they are, edges fits the grid to the patches'
+    #: edges about centres_px, chart finds a ColorChecker Classic of 4 x 6 patches without centres_px.
+    find: Literal["nothing", "edges", "chart"] = "nothing"
+
+    #: Centres of the four corner patches, x then y, in superpixels of 2 x 2 mosaic pixels; needed unless find is chart,
+    #: and not given with it.
+    centres_px: ChartCorners | None = None
+
+    #: Side of the square that is averaged in each patch, in superpixels; needed where find is nothing, else half of a
+    #: patch's side where absent.
+    patch_px: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationOptions(Definition):
+    """How spectra are recovered from responses."""
+
+    #: How spectra are found from responses; pinv is the pseudo-inverse of the paper, ridge its damped form, wiener
+    #: knows the noise and the chart's reflectances, local a Wiener estimator for every neighbourhood of colours, kernel
+    #: a regression in polynomials of the response, broad the same for objects that are no paint; auto takes the best in
+    #: cross-validation.
+    estimator: Literal["pinv", "ridge", "wiener", "local", "kernel", "broad", "auto"] = "pinv"
+
+    #: Principal vectors of the chart's spectra that are kept (count), with pinv no more than the camera has bands; auto
+    #: takes the best of 3 to 8, 10 and 12 in cross-validation.
+    bases: int | Literal["auto"] = 6
+
+    #: Largest condition number of the chart's responses, every band divided by its largest patch (ratio).
+    max_condition: float = 100000.0
+
+    #: Largest standard deviation of the recovered reflectance, root mean square over wavelengths, over that of a band's
+    #: noise in units of the chart's largest response (ratio).
+    max_noise_amplification: float = 100.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigPose(Definition):
+    """Pose for the colour chart."""
+
+    #: Light angle from +z toward +x, in degrees.
+    light_deg: float
+
+    #: Camera angle from +z toward -x, in degrees.
+    camera_deg: float
+
+    #: Tilt of the table about y, towards the light, in degrees.
+    tilt_deg: float = 0.0
+
+    #: Turn of the table about its own axis, in degrees.
+    turn_deg: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraPoses(Definition):
+    """Where the rig stands for the camera's own photographs; the light falls on the sample at 0 to below 80 degrees."""
+
+    #: Pose for the colour chart.
+    chart: RigPose
+
+    #: Pose for the white reference; needed where white is given.
+    white: RigPose | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraDriver(Definition):
+    """How the real camera is driven at the bench; none where absent."""
+
+    #: Driver; gphoto2 is libgphoto2 through python-gphoto2, requirements-rig.txt.
+    kind: Literal["gphoto2"]
+
+    #: Name of the camera as libgphoto2 writes it, such as Canon EOS 40D (PTP mode).
+    model: str
+
+    #: Port of the camera, such as usb:001,004; found by itself where only one camera of the model is there.
+    port: str | None = None
+
+    #: Sensitivity (ISO speed).
+    iso: float
+
+    #: Aperture; a number that the camera is set to (ratio), or manual for a lens with a ring.
+    f_number: float | Literal["manual"]
+
+    #: White balance, one of the camera's own choices; RAW values do not depend on it.
+    white_balance: str = "Daylight"
+
+    #: File format, the camera's own choice that is RAW.
+    image_format: str = "RAW"
+
+    #: Time that a photograph may take beyond its exposure, repetitions included, in seconds.
+    deadline_s: float = 30.0
+
+    #: Repetitions of what a busy camera or a lost line refused (count).
+    retries: int = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Passband(Definition):
+    """One passband."""
+
+    #: Wavelength of the middle, in nm.
+    centre_nm: float
+
+    #: Full width at half maximum, in nm.
+    width_nm: float
+
+    #: Largest transmittance (ratio).
+    peak: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class CombFilter(Definition):
+    """The comb filter that splits red, green and blue into six bands."""
+
+    #: The parts of the spectrum that pass.
+    passbands: tuple[Passband, ...]
+
+    #: Transmittance between the passbands (ratio).
+    floor: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorOptions(Definition):
+    """The sensor and its noise."""
+
+    #: Charge at saturation, in electrons.
+    full_well_e: float
+
+    #: Standard deviation of the read noise, in electrons.
+    read_noise_e: float
+
+    #: Dark current, in electrons a second.
+    dark_current_e_per_s: float
+
+    #: RAW value without light (RAW counts).
+    black_level: int
+
+    #: Depth of the RAW values, in bits.
+    bits: int
+
+    #: Camera response that just saturates at base_exposure_s (ratio, 1 = perfect diffuser).
+    response_at_full_well: float
+
+    #: Exposure time for which response_at_full_well holds, in seconds.
+    base_exposure_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class VirtualCameraOptions(Definition):
+    """The camera inside the virtual rig; needed where the rig is of kind virtual."""
+
+    #: Spectral sensitivities of red, green and blue; the name of a published camera or the path of a CSV.
+    sensitivities: str
+
+    #: The comb filter that splits red, green and blue into six bands.
+    comb_filter: CombFilter
+
+    #: The sensor and its noise.
+    sensor: SensorOptions
+
+    #: Sensitivity that the files state (ISO 12232); it changes nothing else.
+    iso: float = 100.0
+
+    #: Relative aperture that the files state (ratio of focal length to diameter); it changes nothing else.
+    f_number: float = 8.0
+
+    #: Width of every colour chart over its columns of patches, half a gap on either side included, in mm.
+    chart_width_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera(Definition):
+    """One camera, how it is built and how it is calibrated."""
+
+    #: What the camera is, for people.
+    description: str | None = None
+
+    #: Name of the rig that carries the camera.
+    rig: str
+
+    #: Geometry of the picture; needed where the camera photographs objects.
+    optics: Optics | None = None
+
+    #: The white reference photographed in place of the object; none where absent. A session needs one, and so does a
+    #: camera that photographs objects or environments.
+    white: WhiteReference | None = None
+
+    #: The colour chart that calibrates the camera; where there are several, the first.
+    chart: Chart
+
+    #: Further colour charts by name, photographed in the pose and under the light of the first; a photograph of NAME
+    #: has the role chart-NAME in the table. The calibration is trained on the patches of all.
+    further_charts: Mapping[str, Chart] = field(default_factory=dict, hash=False)
+
+    #: How spectra are recovered from responses.
+    calibration: CalibrationOptions = CalibrationOptions()
+
+    #: Where the rig stands for the camera's own photographs; the light falls on the sample at 0 to below 80 degrees.
+    poses: CameraPoses | None = None
+
+    #: Exposure times for each state of the comb filter, in seconds. Several times make a bracket.
+    exposure_s: Exposures | None = None
+
+    #: Photographs with the lens covered that a session takes at every exposure time (count); 0 where absent.
+    dark_frames: int | None = None
+
+    #: Photographs of the white reference that a session takes at every exposure time (count); 2 where absent, two or
+    #: more measure the noise.
+    white_frames: int | None = None
+
+    #: Further exposure times of the white reference without the comb filter, which show whether the camera is linear,
+    #: in seconds; none where absent.
+    linearity_exposure_s: tuple[float, ...] | None = None
+
+    #: The photographs of a real rig; needed where the rig is of kind files or driven.
+    captures: Captures | None = None
+
+    #: How the real camera is driven at the bench; none where absent.
+    driver: CameraDriver | None = None
+
+    #: The camera inside the virtual rig; needed where the rig is of kind virtual.
+    virtual: VirtualCameraOptions | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CapturesSource(Definition):
+    """Photographs of every direction, longitude by latitude; clockwise, the zenith on top."""
+
+    #: Photographs of every direction, longitude by latitude; clockwise, the zenith on top.
+    kind: Literal["captures"] = "captures"
+
+    #: Azimuth of the middle of the panorama, in degrees.
+    centre_azimuth_deg: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class MirrorBallSource(Definition):
+    """Photographs of a mirror ball by a camera far away."""
+
+    #: Photographs of a mirror ball by a camera far away.
+    kind: Literal["mirror_ball"] = "mirror_ball"
+
+    #: Centre of the ball in the photograph, x then y, in pixels of the linear picture (superpixels).
+    centre_px: tuple[float, float]
+
+    #: Radius of the ball in the photograph, in pixels of the linear picture (superpixels).
+    radius_px: float
+
+    #: Azimuth of the direction from the ball to the camera, in degrees.
+    camera_azimuth_deg: float = 0.0
+
+    #: Elevation of that direction over the horizon, in degrees.
+    camera_elevation_deg: float = 0.0
+
+    #: Turn of the camera about its line of sight, counter-clockwise seen from behind it, in degrees.
+    roll_deg: float = 0.0
+
+    #: Complex refractive index n + ik of the ball, whose Fresnel reflectance is divided out.
+    refractive_index: RefractiveIndex | None = None
+
+    #: Reflectance of the ball in place of its refractive index, the same at all angles (ratio).
+    reflectance_factor: float | str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RgbSource(Definition):
+    """A panorama of high dynamic range, EXR or Radiance HDR, in linear sRGB."""
+
+    #: A panorama of high dynamic range, EXR or Radiance HDR, in linear sRGB.
+    kind: Literal["rgb"] = "rgb"
+
+    #: Path of the panorama; clockwise, the zenith on top.
+    file: str
+
+    #: Factor on the file's radiance (ratio); radiance 1 of RGB has the luminance of D65 as tabulated.
+    scale: float = 1.0
+
+    #: Azimuth of the middle of the panorama, in degrees.
+    centre_azimuth_deg: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpectralSource(Definition):
+    """A spectral EXR panorama in the published layout, of any wavelengths."""
+
+    #: A spectral EXR panorama in the published layout, of any wavelengths.
+    kind: Literal["spectral"] = "spectral"
+
+    #: Path of the panorama; clockwise, the zenith on top.
+    file: str
+
+    #: Factor on the file's radiance (ratio); radiance 1 of RGB has the luminance of D65 as tabulated.
+    scale: float = 1.0
+
+    #: Azimuth of the middle of the panorama, in degrees.
+    centre_azimuth_deg: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacedLight(Definition):
+    """One light, a disc; either radiance or irradiance is given."""
+
+    #: Spectrum of the light; the name of a CIE illuminant or the path of a measured one.
+    spectrum: str
+
+    #: Direction from +x towards +y, in degrees.
+    azimuth_deg: float
+
+    #: Direction over the horizon, in degrees.
+    elevation_deg: float
+
+    #: Angular diameter, in degrees; a disc under a pixel is one pixel with its energy.
+    diameter_deg: float = 0.0
+
+    #: Radiance of the disc (ratio to the luminance of D65 as tabulated).
+    radiance: float | None = None
+
+    #: Irradiance of a surface that faces the light (ratio; 1 gives a perfect diffuser radiance 1).
+    irradiance: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightsSource(Definition):
+    """Lights of known spectrum placed in directions; all else is dark."""
+
+    #: Lights of known spectrum placed in directions; all else is dark.
+    kind: Literal["lights"] = "lights"
+
+    #: The lights.
+    lights: tuple[PlacedLight, ...]
+
+
+EnvironmentSource: TypeAlias = CapturesSource | MirrorBallSource | RgbSource | SpectralSource | LightsSource
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoomSize(Definition):
+    """Inside of the room, in m."""
+
+    #: Size along x, in m.
+    width: float
+
+    #: Size along y, in m.
+    depth: float
+
+    #: Size along z, in m.
+    height: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoomSurface(Definition):
+    """One surface, lit by ambient_light."""
+
+    #: Reflectance factor; the name of a CIE test colour (TCS0 to TCS98) or the path of a file.
+    spectrum: str
+
+    #: Irradiance of the surface (ratio to the rig's light on a white facing it).
+    irradiance: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoomSurfaces(Definition):
+    """What the room is covered with. Radiances are relative to a perfect diffuser under the rig's light."""
+
+    #: One surface, lit by ambient_light.
+    ceiling: RoomSurface
+
+    #: One surface, lit by ambient_light.
+    floor: RoomSurface
+
+    #: One surface, lit by ambient_light.
+    walls: RoomSurface
+
+    #: One surface, lit by ambient_light.
+    board: RoomSurface
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoomWindow(Definition):
+    """The wall of windows."""
+
+    #: Light through the window; the name of a CIE illuminant or the path of a file.
+    spectrum: str
+
+    #: Radiance (ratio to a perfect diffuser under the rig's light).
+    radiance: float
+
+    #: Panes side by side (count).
+    columns: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoomLamps(Definition):
+    """The panels in the ceiling."""
+
+    #: Light of the panels; the name of a CIE illuminant or the path of a file.
+    spectrum: str
+
+    #: Radiance (ratio to a perfect diffuser under the rig's light).
+    radiance: float
+
+    #: Rows of panels along y (count).
+    rows: int
+
+    #: Panels in a row, along x (count).
+    columns: int
+
+    #: Size of a panel along x, in m.
+    width_m: float
+
+    #: Size of a panel along y, in m.
+    depth_m: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class VirtualRoom(Definition):
+    """The room that the virtual rig photographs; needed where the camera's rig is of kind virtual."""
+
+    #: Inside of the room, in m.
+    room_m: RoomSize
+
+    #: Where the camera stands, x, y, z from the centre of the floor, in m.
+    eye_m: tuple[float, float, float]
+
+    #: What the room is covered with. Radiances are relative to a perfect diffuser under the rig's light.
+    surfaces: RoomSurfaces
+
+    #: Light on the surfaces; the name of a CIE illuminant or the path of a file.
+    ambient_light: str
+
+    #: The wall of windows.
+    window: RoomWindow
+
+    #: The panels in the ceiling.
+    lamps: RoomLamps
+
+
+@dataclass(frozen=True, kw_only=True)
+class Environment(Definition):
+    """One environment, the light that comes from every direction of a place."""
+
+    #: What the place is, for people.
+    description: str | None = None
+
+    #: Name of the camera that photographs the place; needed for the sources captures and mirror_ball.
+    camera: str | None = None
+
+    #: Size of the omnidirectional picture, in pixels; longitude by latitude. Needed for the sources captures,
+    #: mirror_ball and lights; files bring their own.
+    image: Size | None = None
+
+    #: Where the light comes from.
+    source: EnvironmentSource = CapturesSource()
+
+    #: Exposure times for each state of the comb filter, in seconds. Several times make a bracket.
+    exposure_s: Exposures | None = None
+
+    #: The photographs of a real rig; needed where the rig is of kind files or driven.
+    captures: Captures | None = None
+
+    #: The room that the virtual rig photographs; needed where the camera's rig is of kind virtual.
+    virtual: VirtualRoom | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisLimit(Definition):
+    """Light angle from +z toward +x, in degrees."""
+
+    #: Smallest angle, in degrees.
+    min: float
+
+    #: Largest angle, in degrees.
+    max: float
+
+    #: Step of the axis, counted from min, in degrees.
+    step: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigLimits(Definition):
+    """What each axis can reach, in degrees."""
+
+    #: Light angle from +z toward +x, in degrees.
+    light_deg: AxisLimit
+
+    #: Camera angle from +z toward -x, in degrees.
+    camera_deg: AxisLimit
+
+    #: Tilt of the table about y, towards the light, in degrees.
+    tilt_deg: AxisLimit
+
+    #: Turn of the table about its own axis, in degrees.
+    turn_deg: AxisLimit
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigLight(Definition):
+    """The lamp."""
+
+    #: Spectral power of the lamp; the name of a CIE illuminant or the path of a file.
+    spectrum: str
+
+    #: From the origin of the rig to the lamp, in mm; its direction and power then differ from point to point, by the
+    #: inverse square of the distance. Where absent the light is far.
+    distance_mm: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motor(Definition):
+    """One motorised axis; its reach and step are those of limits."""
+
+    #: What the controller calls the axis; for Grbl a letter, X, Y or Z.
+    channel: str
+
+    #: Controller units in one degree (ratio), negative where they count the other way.
+    units_per_deg: float
+
+    #: Angle at the controller's position 0, in degrees.
+    zero_deg: float = 0.0
+
+    #: Largest speed, in degrees a second.
+    speed_deg_per_s: float
+
+    #: Largest acceleration, in degrees a second squared.
+    acceleration_deg_per_s2: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axes(Definition):
+    """The motorised axes by the name of their angle."""
+
+    #: One motorised axis; its reach and step are those of limits.
+    camera_deg: Motor | None = None
+
+    #: One motorised axis; its reach and step are those of limits.
+    turn_deg: Motor | None = None
+
+    #: One motorised axis; its reach and step are those of limits.
+    light_deg: Motor | None = None
+
+    #: One motorised axis; its reach and step are those of limits.
+    tilt_deg: Motor | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatorOptions(Definition):
+    """The simulated controller of the port simulator."""
+
+    #: Simulated seconds in a real one (ratio).
+    time_scale: float = 20.0
+
+    #: Start of the random numbers (count); where the axes stand at first follows from it.
+    seed: int = 0
+
+    #: Repeatability of the limit switches, standard deviation, in controller units.
+    homing_rms_units: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class AsciiReplies(Definition):
+    """Regular expressions (Python) of whole lines."""
+
+    #: Reply to a home, move or stop that is obeyed.
+    accepted: str
+
+    #: With the group position, and axis where it is told.
+    position: str
+
+    #: With the group state.
+    status: str
+
+    #: Reply to what is refused, with the group message.
+    refused: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class AsciiProtocol(Definition):
+    """The controller's own commands and replies; needed for the protocol ascii, refused for grbl."""
+
+    #: What ends a line in both directions.
+    line_end: Literal["lf", "cr", "crlf"] = "crlf"
+
+    #: Template of the command that homes, with {axis}.
+    home: str
+
+    #: Template of a move, with {axis} and {target:.3f}.
+    move: str
+
+    #: The command that stops all axes.
+    stop: str
+
+    #: Template of the question for the position, with {axis}.
+    position: str
+
+    #: Template of the question for the state, with {axis}.
+    status: str
+
+    #: The command that ends a feed hold and lets all axes go on, where the controller has one; needs the words hold.
+    resume: str | None = None
+
+    #: Regular expressions (Python) of whole lines.
+    replies: AsciiReplies
+
+    #: Words of the state for an axis at rest.
+    idle: tuple[str, ...]
+
+    #: Words of the state for an axis that moves.
+    busy: tuple[str, ...]
+
+    #: Words of the state for a feed hold, in which axes stand and keep their move.
+    hold: tuple[str, ...] = ()
+
+    #: Words of the state for a controller that stopped by itself.
+    alarm: tuple[str, ...] = ()
+
+    #: Templates of the replies for the simulator; each must fit its regular expression.
+    simulated_replies: AsciiReplies
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion(Definition):
+    """The controller that moves the motorised axes; axes that it does not name are set by hand."""
+
+    #: How the controller is spoken to; grbl is Grbl 1.1, ascii is what the block ascii describes.
+    protocol: Literal["grbl", "ascii"]
+
+    #: Path of the serial port (/dev/ttyACM0), or simulator for a simulated controller.
+    port: str
+
+    #: Speed of the line (bits a second), with 8 data bits, no parity and 1 stop bit.
+    baud: int = 115200
+
+    #: Flow control of Grbl; wait for each answer, or fill its serial buffer of 128 bytes.
+    flow: Literal["send-response", "character-counting"] = "send-response"
+
+    #: Time that an answer may take, in seconds; a board that starts when its port is opened needs 2.
+    timeout_s: float = 3.0
+
+    #: Time from the arrival of the motors to the shutter, in seconds, for the arm to stop swinging.
+    settle_s: float = 0.0
+
+    #: Whether the axes have limit switches to home to (true or false).
+    homing: bool = True
+
+    #: The motorised axes by the name of their angle.
+    axes: Axes
+
+    #: The simulated controller of the port simulator.
+    simulator: SimulatorOptions = SimulatorOptions()
+
+    #: The controller's own commands and replies; needed for the protocol ascii, refused for grbl.
+    ascii: AsciiProtocol | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightDrift(Definition):
+    """The lamp's power changes from photograph to photograph."""
+
+    #: Whether the rig has this fault (true or false).
+    enabled: bool = True
+
+    #: Standard deviation of the power (ratio to its mean).
+    relative_rms: float = 0.01
+
+    #: Photographs after which the drift has forgotten itself to 1/e (count).
+    correlation_shots: float = 60.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Vignetting(Definition):
+    """The picture darkens toward its corners."""
+
+    #: Whether the rig has this fault (true or false).
+    enabled: bool = True
+
+    #: Light lost in the corner (ratio to the centre).
+    corner_loss: float = 0.08
+
+
+@dataclass(frozen=True, kw_only=True)
+class StrayLight(Definition):
+    """A part of the light spreads over the whole picture."""
+
+    #: Whether the rig has this fault (true or false).
+    enabled: bool = True
+
+    #: Part of the mean of the picture that is added to every pixel (ratio).
+    fraction: float = 0.002
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseError(Definition):
+    """Light and camera do not stand exactly where they are told to."""
+
+    #: Whether the rig has this fault (true or false).
+    enabled: bool = True
+
+    #: Standard deviation of the light angle and of the camera angle, in degrees.
+    rms_deg: float = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilterPlate(Definition):
+    """The plate of the comb filter moves the picture.
+
+    A point at p from the centre is seen at shift + magnification * rotation * p.
+    """
+
+    #: Whether the rig has this fault (true or false).
+    enabled: bool = True
+
+    #: Shift of the picture, x then y, in superpixels of 2 x 2 mosaic pixels.
+    shift_px: tuple[float, float] = (1.6, -0.9)
+
+    #: Standard deviation of the shift from one insertion to the next, in superpixels.
+    repeat_rms_px: float = 0.3
+
+    #: Size of the picture through the plate (ratio to that without).
+    magnification: float = 1.0015
+
+    #: Rotation of the picture about its centre, x towards y, in degrees.
+    rotation_deg: float = 0.03
+
+
+@dataclass(frozen=True, kw_only=True)
+class HotPixels(Definition):
+    """Some pixels of the sensor have a large dark current."""
+
+    #: Whether the rig has this fault (true or false).
+    enabled: bool = True
+
+    #: Part of the mosaic pixels that are hot (ratio).
+    fraction: float = 0.0002
+
+    #: Mean of their dark currents, which are distributed exponentially, in electrons a second.
+    mean_rate_e_per_s: float = 50000.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imperfections(Definition):
+    """Faults of the rig, each with its switch."""
+
+    #: The lamp's power changes from photograph to photograph.
+    light_drift: LightDrift = LightDrift()
+
+    #: The picture darkens toward its corners.
+    vignetting: Vignetting = Vignetting()
+
+    #: A part of the light spreads over the whole picture.
+    stray_light: StrayLight = StrayLight()
+
+    #: Light and camera do not stand exactly where they are told to.
+    pose_error: PoseError = PoseError()
+
+    #: The plate of the comb filter moves the picture; a point at p from the centre is seen at shift + magnification *
+    #: rotation * p.
+    filter_plate: FilterPlate = FilterPlate()
+
+    #: Some pixels of the sensor have a large dark current.
+    hot_pixels: HotPixels = HotPixels()
+
+
+@dataclass(frozen=True, kw_only=True)
+class VirtualRig(Definition):
+    """The virtual rig and its faults; needed for the kind virtual, refused for the others."""
+
+    #: Start of the random numbers (count); the same seed gives the same photographs.
+    seed: int
+
+    #: Angular radius of the lamp seen from the object, in degrees; 0 is a collimated beam.
+    light_angular_radius_deg: float = 0.25
+
+    #: Faults of the rig, each with its switch.
+    imperfections: Imperfections = Imperfections()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rig(Definition):
+    """One rig, where light, camera and table can stand. Plane of incidence x-z, angles from +z."""
+
+    #: What the rig is, for people.
+    description: str | None = None
+
+    #: Where the photographs come from; virtual computes them, driven takes them with the motors and the camera of a
+    #: real rig, files reads what somebody took.
+    kind: Literal["virtual", "driven", "files"]
+
+    #: What each axis can reach, in degrees.
+    limits: RigLimits
+
+    #: From the origin of the rig to the camera's entrance pupil, in mm.
+    camera_distance_mm: float
+
+    #: Half the side of the square table top under the object, in mm; 0 is no table.
+    table_radius_mm: float = 0.0
+
+    #: The lamp.
+    light: RigLight
+
+    #: The controller that moves the motorised axes; axes that it does not name are set by hand.
+    motion: Motion | None = None
+
+    #: How what no motor drives is set; prompt asks on the terminal, file waits for a file that the message names, auto
+    #: is for the virtual rig.
+    operator: Literal["prompt", "file", "auto"] = "prompt"
+
+    #: Longest wait for the person at the bench, in seconds; no end where absent.
+    operator_deadline_s: float | None = None
+
+    #: The virtual rig and its faults; needed for the kind virtual, refused for the others.
+    virtual: VirtualRig | None = None

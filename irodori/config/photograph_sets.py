@@ -1,0 +1,368 @@
+"""Files and parameters of the rules about photographs: what the Snakefile asks of objects, cameras and places.
+
+Light enough for the Snakefile. Every method whose argument is `wildcards` is what Snakemake calls a function of the
+wildcards: it takes anything with the wildcards as attributes.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from irodori.config.capture_table import read_captures
+from irodori.config.definition import Definition, as_plain
+from irodori.config.definitions import captures_of, is_taken_here, is_virtual
+from irodori.config.loaded import Loaded
+from irodori.config.models import CapturesSource
+from irodori.config.parts import RigGeometry
+from irodori.geometry.mesh_sources import shape_files
+from irodori.geometry.shape_blocks import is_flat
+from irodori.rectification.texture_tiles import tile_rows
+from irodori.spectra.spectral_files import SUFFIXES
+
+__all__ = ["IngestPart", "PhotographSets", "named_tables"]
+
+_FOLDERS = {"objects": "results", "cameras": "results/cameras", "environments": "results/environments"}
+_ROLES = {"objects": ["object"], "cameras": ["chart", "white", "dark"], "environments": ["environment"]}
+_SET_OF = {"object": "objects", "camera": "cameras", "environment": "environments"}
+#: Keys of an object on which a photograph of it depends.
+_PHOTOGRAPHED = ("shape", "refractive_index", "mirror_weight", "poses", "exposure_s", "virtual")
+
+
+def named_tables(*values: Any) -> list[str]:
+    """Return the user's tables that definitions name, so that a change of one is seen."""
+    found: list[str] = []
+    for value in values:
+        if isinstance(value, Definition):
+            found += named_tables(*vars(value).values())
+        elif isinstance(value, Mapping):
+            found += named_tables(*value.values())
+        elif isinstance(value, list | tuple):
+            found += named_tables(*value)
+        elif isinstance(value, str) and value.lower().endswith(SUFFIXES):
+            found.append(value)
+    return found
+
+
+class IngestPart(NamedTuple):
+    """Captures of an object that one job ingests."""
+
+    object_name: str
+    number: str
+    captures: list[str]
+
+    @property
+    def rule_name(self) -> str:
+        """The job's rule: names of rules hold no hyphen."""
+        return f"ingest_raw_{self.object_name}_{self.number}".replace("-", "_")
+
+
+class PhotographSets:
+    """Sets of photographs: those of an object, of a camera's charts and white, or of a place.
+
+    Parameters
+    ----------
+    definitions : dict
+        Result of `irodori.config.definitions.load_definitions`.
+
+    Raises
+    ------
+    InputError
+        If a table of photographs is at fault.
+    """
+
+    def __init__(self, definitions: dict) -> None:
+        self._plain, self.loaded = definitions, Loaded.of(definitions)
+        self.captures = {
+            kind: {name: captures_of(definitions, kind, name) for name in definitions[kind]} for kind in _FOLDERS
+        }
+
+    # ---- which set a job is about
+
+    def _set(self, wildcards) -> tuple[str, str]:
+        """Return kind and name of the set that a job's wildcards name."""
+        return next((kind, getattr(wildcards, key)) for key, kind in _SET_OF.items() if hasattr(wildcards, key))
+
+    def _definition(self, wildcards) -> Any:
+        kind, name = self._set(wildcards)
+        return getattr(self.loaded, kind)[name]
+
+    def _is_virtual(self, wildcards) -> bool:
+        return is_virtual(self._plain, *self._set(wildcards))
+
+    def camera_of(self, wildcards) -> str:
+        """Return the camera of a set."""
+        kind, name = self._set(wildcards)
+        return name if kind == "cameras" else self._definition(wildcards).camera
+
+    def rig_of(self, wildcards) -> str:
+        """Return the rig of a set."""
+        return self.loaded.cameras[self.camera_of(wildcards)].rig
+
+    def camera(self, wildcards) -> dict:
+        """Return the definition of a set's camera."""
+        return self.loaded.cameras[self.camera_of(wildcards)].plain()
+
+    def rig(self, wildcards) -> dict:
+        """Return the definition of a set's rig."""
+        return self.loaded.rigs[self.rig_of(wildcards)].plain()
+
+    def camera_file(self, pattern: str) -> Callable[[Any], str]:
+        """Return a function from wildcards to a file of the set's camera."""
+        return lambda wildcards: pattern.format(camera=self.camera_of(wildcards))
+
+    # ---- RAW files
+
+    def table(self, wildcards) -> str:
+        """Return the capture table of a set: the virtual rig's, or the user's own."""
+        kind, name = self._set(wildcards)
+        if self._is_virtual(wildcards):
+            return f"{_FOLDERS[kind]}/{name}/captures/captures.csv"
+        return self._definition(wildcards).captures.table
+
+    def made(self, wildcards) -> str:
+        """Return the file that says that a set's photographs are there: a session's record, or the user's own table."""
+        kind, name = self._set(wildcards)
+        if is_taken_here(self._plain, kind, name):
+            return f"{_FOLDERS[kind]}/{name}/captures/session.json"
+        return self.table(wildcards)
+
+    def folder(self, wildcards) -> str:
+        """Return the folder of a set's RAW files."""
+        own = None if self._is_virtual(wildcards) else self._definition(wildcards).captures.folder
+        return own or str(Path(self.table(wildcards)).parent)
+
+    def raw_files(self, wildcards) -> list[str]:
+        """Return a user's RAW files; those of a session stand in its capture table with their hashes."""
+        kind, name = self._set(wildcards)
+        if is_taken_here(self._plain, kind, name):
+            return []
+        folder = self.folder(wildcards)
+        shots = read_captures(self.table(wildcards), folder)
+        return [f"{folder}/{shot.file}" for shot in shots if shot.role in _ROLES[kind]]
+
+    def checked_table(self, wildcards) -> str:
+        """Return the table of a set after every file of it was decoded once."""
+        kind, name = self._set(wildcards)
+        return f"{_FOLDERS[kind]}/{name}/captures.csv"
+
+    def roles(self, wildcards) -> list[str]:
+        """Return the roles whose shots belong to a set."""
+        return _ROLES[self._set(wildcards)[0]]
+
+    def size_px(self, wildcards) -> list[int] | None:
+        """Return width and height in pixels that a set's RAW files must have, where its definition states them."""
+        kind, _ = self._set(wildcards)
+        if kind == "environments":
+            place = self._definition(wildcards)
+            image = place.image if isinstance(place.source, CapturesSource) else None
+            return [2 * image.width, 2 * image.height] if image else None
+        optics = self.loaded.cameras[self.camera_of(wildcards)].optics
+        return [optics.width_px, optics.height_px] if optics else None
+
+    def sessions(self, wildcards) -> list[str]:
+        """Return the records of the sessions to hold."""
+        return [
+            f"{folder}/{name}/captures/session.json"
+            for kind, folder in _FOLDERS.items()
+            for name in self._plain[kind]
+            if is_taken_here(self._plain, kind, name)
+        ]
+
+    def rigs_taken(self, wildcards) -> int:
+        """Return 1 where a session moves a real rig, of which there is one at a time, 0 on a virtual one."""
+        return int(self.loaded.rigs[self.rig_of(wildcards)].kind == "driven")
+
+    def virtual(self, kind: str) -> list[str]:
+        """Return the names of a kind whose ground truth is known."""
+        return [name for name in self._plain[kind] if is_virtual(self._plain, kind, name)]
+
+    # ---- tables and meshes that a job reads
+
+    def tables_of_session(self, wildcards) -> list[str]:
+        """Return the tables of spectra that the virtual rig reads for a set; a real one reads none."""
+        if not self._is_virtual(wildcards):
+            return []
+        camera = self.loaded.cameras[self.camera_of(wildcards)]
+        return named_tables(self._definition(wildcards), camera, self.loaded.rigs[camera.rig])
+
+    def tables_of_calibration(self, wildcards) -> list[str]:
+        """Return the tables of spectra that a calibration reads."""
+        camera = self.loaded.cameras[wildcards.camera]
+        return named_tables(camera.chart, camera.further_charts, self.loaded.rigs[camera.rig].light)
+
+    def tables_of_white(self, wildcards) -> list[str]:
+        """Return the table of the white reference's spectrum, where it has one."""
+        return named_tables(self.loaded.cameras[wildcards.camera].white)
+
+    def tables_of_index(self, wildcards) -> list[str]:
+        """Return the table of an object's refractive index, where it has one."""
+        return named_tables(self.loaded.objects[wildcards.object].refractive_index)
+
+    def meshes_of(self, *names: str) -> list[str]:
+        """Return the files of the meshes among objects; a changed one is seen."""
+        shapes = [self.loaded.objects[name].shape for name in names]
+        return [file for shape in shapes for file in shape_files(shape.plain())]
+
+    def mesh(self, wildcards) -> list[str]:
+        """Return the files of an object's mesh."""
+        return self.meshes_of(wildcards.object)
+
+    def mesh_of_session(self, wildcards) -> list[str]:
+        """Return the files of the mesh that the virtual rig photographs; a real one reads none."""
+        return self.mesh(wildcards) if self._is_virtual(wildcards) else []
+
+    # ---- cameras
+
+    def white_reflectance(self, wildcards) -> float | str:
+        """Return the reflectance factor of a camera's white reference, 1 where it has none."""
+        white = self.loaded.cameras[self.camera_of(wildcards)].white
+        return white.reflectance_factor if white else 1.0
+
+    def white_pose(self, wildcards) -> dict | None:
+        """Return the pose of a camera's white reference, degrees; None where it has none or the light is far."""
+        camera = self.loaded.cameras[self.camera_of(wildcards)]
+        if self.loaded.rigs[camera.rig].light.distance_mm is None:
+            return None
+        if camera.poses is not None:
+            return as_plain(camera.poses.white)
+        assert camera.captures is not None  # a camera without a session has a table
+        whites = [shot.pose for shot in read_captures(camera.captures.table) if shot.role == "white"]
+        return dataclasses.asdict(whites[0]) if whites else None
+
+    def optics(self, wildcards) -> dict:
+        """Return the optics of a set's camera."""
+        return as_plain(self.loaded.cameras[self.camera_of(wildcards)].optics)
+
+    def rig_geometry(self, wildcards) -> dict:
+        """Return what the geometry of an object's photographs needs of their rig; no distance of a far light."""
+        rig = self.loaded.rigs[self.rig_of(wildcards)]
+        return RigGeometry.of_rig(rig).plain()
+
+    def light(self, wildcards) -> str:
+        """Return the spectrum of the light of a set's rig."""
+        return self.loaded.rigs[self.rig_of(wildcards)].light.spectrum
+
+    def charts(self, wildcards) -> list[str]:
+        """Return the linear files of a camera's charts, the first chart's first."""
+        charts = self.captures["cameras"][wildcards.camera]
+        return [f"results/cameras/{wildcards.camera}/linear/{chart}.h5" for chart in charts]
+
+    def calibrations(self, wildcards) -> list[str]:
+        """Return the calibrations to make."""
+        return [f"results/cameras/{name}/calibration.h5" for name in self.loaded.cameras]
+
+    def calibration_of_index(self, wildcards) -> list[str]:
+        """Return the calibration of an object's camera, where its refractive index varies with the wavelength."""
+        if not self.tables_of_index(wildcards):
+            return []
+        return [f"results/cameras/{self.camera_of(wildcards)}/calibration.h5"]
+
+    # ---- objects
+
+    def photographed(self, wildcards) -> dict:
+        """Return the parts of an object's definition that a photograph depends on."""
+        definition = self.loaded.objects[wildcards.object].plain()
+        return {key: definition[key] for key in _PHOTOGRAPHED if key in definition}
+
+    def ingest_parts(self) -> Iterator[IngestPart]:
+        """Yield the parts in which the captures of every object are ingested."""
+        size = self.loaded.config.ingest.captures_per_job
+        for name, captures in self.captures["objects"].items():
+            for number, first in enumerate(range(0, len(captures), size)):
+                yield IngestPart(name, f"{number:03d}", captures[first : first + size])
+
+    def ingest_options(self, wildcards) -> dict:
+        """Return what ingestion does to a capture."""
+        return {key: value for key, value in self.loaded.config.ingest.plain().items() if key != "captures_per_job"}
+
+    def linear_files(self, wildcards) -> list[str]:
+        """Return the linear files of all captures of an object."""
+        captures = self.captures["objects"][wildcards.object]
+        return [f"results/{wildcards.object}/linear/{capture}.h5" for capture in captures]
+
+    def tiles_of(self, name: str) -> list[tuple[int, int]]:
+        """Return the texture rows of every tile of an object."""
+        texels = self.loaded.objects[name].texels
+        return tile_rows(texels.height, texels.width, self.loaded.config.rectify.tile_texels)
+
+    def tile_rows(self, wildcards) -> tuple[int, int]:
+        """Return the texture rows of a tile."""
+        return self.tiles_of(wildcards.object)[int(wildcards.tile)]
+
+    def tile_files(self, name: str, kind: str = "brdf") -> list[str]:
+        """Return the fitted tiles of an object; or another kind of them."""
+        return [f"results/{name}/{kind}/tile-{number:03d}.h5" for number in range(len(self.tiles_of(name)))]
+
+    def fitted_tiles(self, wildcards) -> list[str]:
+        """Return the fitted tiles of a job's object."""
+        return self.tile_files(wildcards.object)
+
+    def lobes(self) -> list[str]:
+        """Return the lobes with which the gloss of any object is fitted, sorted."""
+        return sorted({name for definition in self.loaded.objects.values() for name in definition.lobes})
+
+    # ---- places
+
+    def is_photographed(self, wildcards) -> bool:
+        """Whether a camera photographed a place, as against a file of another program or placed lights."""
+        return self.loaded.environments[wildcards.environment].camera is not None
+
+    def environment_inputs(self, wildcards) -> dict:
+        """Return the files that an environment's light is made from."""
+        source = self.loaded.environments[wildcards.environment].source
+        tables = named_tables(source)
+        if self.is_photographed(wildcards):
+            made = {
+                "linear": f"results/environments/{wildcards.environment}/linear/environment.h5",
+                "calibration": f"results/cameras/{self.camera_of(wildcards)}/calibration.h5",
+            }
+        else:
+            made = {"picture": source.file} if hasattr(source, "file") else {}
+        return made | ({"tables": tables} if tables else {})
+
+    # ---- measurements of the rig and of poses
+
+    def imperfect_object(self, wildcards=None) -> dict | None:
+        """Return the object on which the faults of the virtual rig are measured, a plate if there is one, or None."""
+        known = self.virtual("objects")
+        if not known:
+            return None
+        objects = self.loaded.objects
+        name = next((n for n in known if is_flat(objects[n].shape.kind)), known[0])
+        camera = self.loaded.cameras[objects[name].camera]
+        parts = {"definition": objects[name], "camera": camera, "rig": self.loaded.rigs[camera.rig]}
+        return {"name": name, **as_plain(parts)}
+
+    def mesh_of_imperfections(self, wildcards) -> list[str]:
+        """Return the files of the mesh that the measurement of the faults reads."""
+        subject = self.imperfect_object()
+        return self.meshes_of(subject["name"]) if subject else []
+
+    def tables_of_imperfections(self, wildcards) -> list[str]:
+        """Return the tables of spectra that the measurement of the faults reads."""
+        subject = self.imperfect_object() or {}
+        return named_tables(*(value for key, value in subject.items() if key != "name"))
+
+    def plates(self, wildcards=None) -> dict:
+        """Return what the simulation of poses needs to know of every plate."""
+        found = {}
+        for name, definition in self.loaded.objects.items():
+            if not is_flat(definition.shape.kind):
+                continue
+            camera = self.loaded.cameras[definition.camera]
+            exposures = as_plain(definition.exposure_s) or {"out": []}
+            found[name] = {
+                "definition": as_plain(
+                    {key: getattr(definition, key) for key in ("shape", "refractive_index", "plan")}
+                ),
+                "rig": self.loaded.rigs[camera.rig].plain(),
+                "sensor": as_plain(camera.virtual.sensor) if camera.virtual else None,
+                "exposures_s": exposures["out"],
+                "shots_per_pose": max(sum(map(len, exposures.values())), 1),
+            }
+        return found
+
+    def tables_of_plates(self, wildcards) -> list[str]:
+        """Return the tables of refractive indices of the plates."""
+        return named_tables(*(planned["definition"] for planned in self.plates().values()))

@@ -1,0 +1,252 @@
+"""Files and parameters of the rules that make pictures: what the Snakefile asks of scenes, their views and photographs.
+
+Light enough for the Snakefile. Every method whose argument is `wildcards` is what Snakemake calls a function of the
+wildcards: it takes anything with the wildcards as attributes.
+"""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from irodori.config.capture_table import read_captures
+from irodori.config.definition import as_plain
+from irodori.config.models import (
+    Camera,
+    IlluminantChange,
+    MeasuredDisplay,
+    PaperMaterial,
+    ProfileDisplay,
+    Scene,
+    ScenePhotograph,
+)
+from irodori.config.photograph_sets import PhotographSets, named_tables
+from irodori.core.errors import InputError
+
+__all__ = ["SceneFiles"]
+
+#: Files that a scene may ask for beside the spectral EXR and the PNG of each view.
+_FURTHER_OUTPUTS = {"xyz-exr": "results/{scene}/{view}.xyz.exr", "tiff": "results/{scene}/{view}.tif"}
+
+
+class SceneFiles:
+    """Scenes of a run.
+
+    Parameters
+    ----------
+    sets : PhotographSets
+        The photographs that the scenes' objects, places and comparisons come from.
+    """
+
+    def __init__(self, sets: PhotographSets) -> None:
+        self._sets, self.loaded = sets, sets.loaded
+
+    def _scene(self, wildcards) -> Scene:
+        return self.loaded.scenes[wildcards.scene]
+
+    def objects(self, wildcards) -> list[str]:
+        """Return the objects of a scene, in its order."""
+        return [placed.object for placed in self._scene(wildcards).objects]
+
+    def materials(self, pattern: str) -> Callable[[Any], list[str]]:
+        """Return a function from wildcards to a file of every object of the scene."""
+        return lambda wildcards: [pattern.format(object=name) for name in self.objects(wildcards)]
+
+    def environment(self, wildcards) -> str:
+        """Return the file of a scene's light."""
+        return f"results/environments/{self._scene(wildcards).environment}.h5"
+
+    def true_light(self, wildcards) -> str:
+        """Return the file of the light that really falls on a scene; where no camera photographed it, the given one."""
+        name = self._scene(wildcards).environment
+        known = name in self._sets.virtual("environments")
+        return f"results/environments/{name}/truth.h5" if known else f"results/environments/{name}.h5"
+
+    def calibrations(self, wildcards) -> list[str]:
+        """Return the calibration of the camera that photographed each object of a scene."""
+        cameras = [self.loaded.objects[name].camera for name in self.objects(wildcards)]
+        return [f"results/cameras/{camera}/calibration.h5" for camera in cameras]
+
+    def light_calibration(self, wildcards) -> list[str]:
+        """Return the calibration of the camera that photographed a scene's light; of other light there is none."""
+        camera = self.loaded.environments[self._scene(wildcards).environment].camera
+        return [] if camera is None else [f"results/cameras/{camera}/calibration.h5"]
+
+    def tiles(self, wildcards, kind: str = "brdf") -> list[str]:
+        """Return the fitted tiles of a scene's objects, each object's once; or another kind of them."""
+        return [file for name in dict.fromkeys(self.objects(wildcards)) for file in self._sets.tile_files(name, kind)]
+
+    def observations(self, wildcards) -> list[str]:
+        """Return what the fitted tiles of a scene's objects were fitted to."""
+        return self.tiles(wildcards, "observations")
+
+    def subjects(self, wildcards) -> list[dict]:
+        """Return of each object of a scene its shape and the side of two mosaic pixels of its photographs on it, mm."""
+        found = []
+        for name in self.objects(wildcards):
+            definition = self.loaded.objects[name]
+            optics, rig = self.loaded.cameras[definition.camera].optics, self.loaded.rig_of_camera(definition.camera)
+            assert optics is not None  # checked: a camera of objects has optics
+            pixel_mm = optics.pixel_pitch_um / 1000.0 * rig.camera_distance_mm / optics.focal_length_mm
+            found.append({"shape": definition.shape.plain(), "sample_mm": 2.0 * pixel_mm})
+        return found
+
+    def shapes(self, wildcards) -> list[dict]:
+        """Return the shapes of a scene's objects."""
+        return [self.loaded.objects[name].shape.plain() for name in self.objects(wildcards)]
+
+    def meshes(self, wildcards) -> list[str]:
+        """Return the files of the meshes among a scene's objects."""
+        return self._sets.meshes_of(*dict.fromkeys(self.objects(wildcards)))
+
+    def tables(self, wildcards) -> list[str]:
+        """Return the tables that a scene's own lights, bodies and frames are made of."""
+        scene = self._scene(wildcards)
+        return named_tables(scene.lights, scene.bodies, scene.frames)
+
+    def plan(self, wildcards) -> list[str]:
+        """Return the plan of a scene that tolerates an error, as a list; others are rendered in full."""
+        tolerant = self._scene(wildcards).tolerance_ciede2000 is not None
+        return [f"results/{wildcards.scene}/plan.yaml"] if tolerant else []
+
+    def display_file(self, wildcards) -> list[str]:
+        """Return the file that says how a scene's display shows colours, as a list; a standard one needs none."""
+        device = self._scene(wildcards).display.device
+        return [device.file] if isinstance(device, MeasuredDisplay | ProfileDisplay) else []
+
+    def part(self, *keys: str) -> Callable[[Any], dict]:
+        """Return a function from wildcards to keys of a scene's definition; another key's change reruns nothing."""
+        return lambda wildcards: as_plain({key: getattr(self._scene(wildcards), key) for key in keys})
+
+    # ---- frames
+
+    def with_frames(self, wildcards) -> dict:
+        """Return the definition of a scene that has frames.
+
+        Raises
+        ------
+        InputError
+            If it has none.
+        """
+        scene = self._scene(wildcards)
+        if scene.frames is None:
+            file = Path(self.loaded.config.definitions) / "scenes" / f"{wildcards.scene}.yaml"
+            found = f"the scene {wildcards.scene} defines no frames, so there are none to render"
+            raise InputError(file, "frames", found, "a turntable, a light_sweep or an illuminant_change")
+        return scene.plain()
+
+    def memory_of_frames_mb(self, wildcards) -> int:
+        """Return what the pictures of a sequence take, MB: they are joined in memory."""
+        self.with_frames(wildcards)
+        scene = self._scene(wildcards)
+        frames = scene.frames
+        if isinstance(frames, IlluminantChange):
+            count = len(frames.illuminants) * (1 + frames.count_between)
+        else:
+            count = frames.count if frames else 0
+        return 8 * scene.image.width * scene.image.height * count // 1_000_000
+
+    # ---- views
+
+    def _follows_the_model(self, name: str) -> bool:
+        """Whether a virtual object's true materials are those of equation (5), which alone is rendered."""
+        virtual = self.loaded.objects[name].virtual
+        return virtual is not None and all(isinstance(one, PaperMaterial) for one in virtual.materials)
+
+    def _views(self, virtual_only: bool) -> Iterator[tuple[str, str, Scene]]:
+        """Yield scene, view and definition of every view, or of those whose objects' truth is known."""
+        known = {name for name in self._sets.virtual("objects") if self._follows_the_model(name)}
+        for scene, definition in self.loaded.scenes.items():
+            if not virtual_only or known.issuperset(placed.object for placed in definition.objects):
+                for view in definition.views:
+                    yield scene, view, definition
+
+    def views(self, pattern: str, virtual_only: bool = False) -> list[str]:
+        """Return a pattern filled for every view of every scene, or of those whose objects' truth is known."""
+        return [
+            pattern.format(scene=scene, view=view, environment=definition.environment)
+            for scene, view, definition in self._views(virtual_only)
+        ]
+
+    def view_scenes(self, virtual_only: bool = False) -> list[dict]:
+        """Return of each view of `views` what its scene's white follows from."""
+        return [as_plain({"lights": one.lights, "display": one.display}) for _, _, one in self._views(virtual_only)]
+
+    def pictures(self, wildcards) -> list[str]:
+        """Return the pictures to make."""
+        further, frames = [], []
+        for scene, view, definition in self._views(virtual_only=False):
+            further += [_FURTHER_OUTPUTS[kind].format(scene=scene, view=view) for kind in definition.further_outputs]
+            frames += [f"results/{scene}/{view}.frames.png"] if definition.frames is not None else []
+        return self.views("results/{scene}/{view}.png") + self.views("results/{scene}/{view}.exr") + further + frames
+
+    # ---- photographs of scenes
+
+    def photographs(self, pattern: str) -> list[str]:
+        """Return a pattern filled for every photograph of a scene that its rendering is compared with."""
+        return [
+            pattern.format(scene=scene, photograph=photograph)
+            for scene, definition in self.loaded.scenes.items()
+            for photograph in definition.photographs
+        ]
+
+    def _photograph(self, wildcards) -> ScenePhotograph:
+        return self._scene(wildcards).photographs[wildcards.photograph]
+
+    def _camera(self, wildcards) -> Camera:
+        return self.loaded.cameras[self._photograph(wildcards).camera]
+
+    def _is_virtual(self, wildcards) -> bool:
+        return self.loaded.rigs[self._camera(wildcards).rig].kind == "virtual"
+
+    def photograph(self, wildcards) -> dict:
+        """Return the definition of a photograph of a scene."""
+        return self._photograph(wildcards).plain()
+
+    def photograph_camera(self, wildcards) -> dict:
+        """Return the definition of the camera of a photograph."""
+        return self._camera(wildcards).plain()
+
+    def photograph_rig(self, wildcards) -> dict:
+        """Return the definition of the rig of a photograph's camera."""
+        return self.loaded.rigs[self._camera(wildcards).rig].plain()
+
+    def photograph_optics(self, wildcards) -> dict:
+        """Return the optics of a photograph's camera."""
+        return as_plain(self._camera(wildcards).optics)
+
+    def photograph_tables(self, wildcards) -> list[str]:
+        """Return the tables of spectra of a photograph's camera and its rig."""
+        camera = self._camera(wildcards)
+        return named_tables(camera, self.loaded.rigs[camera.rig])
+
+    def of_photograph(self, pattern: str) -> Callable[[Any], str]:
+        """Return a function from wildcards to a file of the camera of a photograph."""
+        return lambda wildcards: pattern.format(camera=self._photograph(wildcards).camera)
+
+    def photograph_folder(self, wildcards) -> str:
+        """Return the folder of a photograph's RAW files."""
+        if self._is_virtual(wildcards):
+            return f"results/{wildcards.scene}/photographs/{wildcards.photograph}/captures"
+        captures = self._photograph(wildcards).captures
+        assert captures is not None  # checked: a photograph by a real camera has a table
+        return captures.folder or str(Path(captures.table).parent)
+
+    def photograph_table(self, wildcards) -> str:
+        """Return the capture table of a photograph: the virtual camera's, or the user's own."""
+        captures = self._photograph(wildcards).captures
+        if self._is_virtual(wildcards) or captures is None:
+            return f"{self.photograph_folder(wildcards)}/captures.csv"
+        return captures.table
+
+    def photograph_made(self, wildcards) -> list[str]:
+        """Return the files that say that a photograph is there: the session's record, or the user's own files."""
+        folder, table = self.photograph_folder(wildcards), self.photograph_table(wildcards)
+        if self._is_virtual(wildcards):
+            return [f"{folder}/session.json"]
+        return [table, *(f"{folder}/{shot.file}" for shot in read_captures(table, folder) if shot.role == "scene")]
+
+    def photograph_radiance(self, wildcards) -> list[str]:
+        """Return what stood before a virtual camera, as a list; nobody knows it of a real one."""
+        if not self._is_virtual(wildcards):
+            return []
+        return [f"results/{wildcards.scene}/photographs/{wildcards.photograph}/radiance.h5"]

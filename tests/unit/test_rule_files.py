@@ -1,0 +1,172 @@
+"""What the Snakefile asks: files and parameters of jobs, from wildcards."""
+
+import dataclasses
+import itertools
+import json
+from types import SimpleNamespace
+
+import pytest
+from definitions import CAMERA_FILE, PLATE_FILE, ROOT, edit, load
+
+from irodori.config import models, parts
+from irodori.config.photograph_sets import PhotographSets, named_tables
+from irodori.config.scene_files import SceneFiles
+from irodori.core.errors import InputError
+from irodori.fitting.solvers import FitOptions
+from irodori.ingest.ingest_options import IngestOptions
+from irodori.material.principal_components.basis_count import CompressOptions
+
+
+def job(**wildcards):
+    return SimpleNamespace(**wildcards)
+
+
+@pytest.fixture(scope="module")
+def definitions():
+    return load(ROOT)
+
+
+@pytest.fixture(scope="module")
+def sets(definitions):
+    return PhotographSets(definitions)
+
+
+@pytest.fixture(scope="module")
+def scenes(sets):
+    return SceneFiles(sets)
+
+
+def test_a_set_is_found_by_its_wildcard(sets):
+    assert sets.table(job(object="tile-plate", tile="000")) == "results/tile-plate/captures/captures.csv"
+    assert sets.made(job(camera="d5100-comb")) == "results/cameras/d5100-comb/captures/session.json"
+    assert sets.folder(job(environment="classroom")) == "results/environments/classroom/captures"
+    assert sets.camera_of(job(camera="d5100-comb")) == sets.camera_of(job(object="tile-plate")) == "d5100-comb"
+    assert sets.rig_of(job(environment="classroom")) == "virtual"
+    assert sets.roles(job(camera="d5100-comb")) == ["chart", "white", "dark"]
+    assert sets.camera_file("{camera}.h5")(job(object="tile-plate")) == "d5100-comb.h5"
+
+
+def test_parameters_are_plain_and_as_the_files_say(sets, scenes, definitions):
+    plate = job(object="tile-plate", tile="001")
+    asked = {
+        "camera": sets.camera(plate),
+        "rig": sets.rig(plate),
+        "optics": sets.optics(plate),
+        "photographed": sets.photographed(plate),
+        "plates": sets.plates(plate),
+        "subject": sets.imperfect_object(plate),
+        "shapes": scenes.shapes(job(scene="still-life")),
+        "part": scenes.part("objects", "display")(job(scene="still-life")),
+        "views": scenes.view_scenes(),
+    }
+    assert json.loads(json.dumps(asked)) == asked
+    assert asked["camera"] == definitions["cameras"]["d5100-comb"]
+    assert asked["rig"] == definitions["rigs"]["virtual"]
+    scene = definitions["scenes"]["still-life"]
+    assert asked["part"] == {"objects": scene["objects"], "display": scene["display"]}
+    photographed = {"shape", "refractive_index", "mirror_weight", "poses", "exposure_s", "virtual"}
+    assert set(asked["photographed"]) == photographed
+    assert all(asked["photographed"][key] == definitions["objects"]["tile-plate"][key] for key in photographed)
+    assert set(asked["plates"]) == {"tile-plate"} == {asked["subject"]["name"]}
+
+
+def test_scripts_make_the_parts_of_what_the_snakefile_gives(sets, scenes):
+    plate, still_life = job(object="tile-plate"), job(scene="still-life", photograph="front")
+    photographed = parts.PhotographedObject.of(sets.photographed(plate))
+    whole = sets.loaded.objects["tile-plate"]
+    assert all(value == getattr(whole, key) for key, value in vars(photographed).items())
+    planned = {name: parts.PlannedPlate.of(given) for name, given in sets.plates().items()}
+    assert planned["tile-plate"].definition.plan == whole.plan
+    assert planned["tile-plate"].sensor == sets.loaded.cameras[whole.camera].virtual.sensor
+    assert parts.ImperfectObject.of(sets.imperfect_object()).definition == whole
+    assert parts.RigGeometry.of(sets.rig_geometry(plate)) == parts.RigGeometry.of_rig(sets.loaded.rigs["virtual"])
+    assert models.Optics.of(sets.optics(plate)) == sets.loaded.cameras[whole.camera].optics
+    scene = sets.loaded.scenes["still-life"]
+    staging = parts.Staging.of(scenes.part("objects", "bodies", "lights", "display")(still_life))
+    assert (staging.objects, staging.display) == (scene.objects, scene.display)
+    assert [one.shape for one in map(parts.Subject.of, scenes.subjects(still_life))] == parts.typed_shapes(
+        scenes.shapes(still_life)
+    )
+    assert models.ScenePhotograph.of(scenes.photograph(still_life)) == scene.photographs["front"]
+    assert models.Camera.of(scenes.photograph_camera(still_life)).optics == sets.loaded.cameras[whole.camera].optics
+
+
+def test_options_of_stages_have_the_defaults_of_the_configuration():
+    """Three stages check their options themselves: their classes repeat defaults, which must not drift apart."""
+    for own, block in (
+        (FitOptions(), models.Fit()),
+        (IngestOptions(), models.Ingest()),
+        (CompressOptions(), models.Compress()),
+    ):
+        for field in dataclasses.fields(own):
+            if field.name not in ("bounds", "lobes"):
+                assert getattr(own, field.name) == getattr(block, field.name), field.name
+    assert FitOptions().lobes == models.Object.__dataclass_fields__["lobes"].default
+    assert {name: FitOptions().limits(name) for name in vars(models.FitBounds())} == vars(models.FitBounds())
+
+
+def test_tiles_cover_the_texture(sets, definitions):
+    texels = definitions["objects"]["tile-plate"]["texels"]
+    rows = sets.tiles_of("tile-plate")
+    assert rows[0][0] == 0 and rows[-1][1] == texels["height"]
+    assert all(first[1] == second[0] for first, second in itertools.pairwise(rows))
+    assert sets.tile_files("tile-plate") == [f"results/tile-plate/brdf/tile-{n:03d}.h5" for n in range(len(rows))]
+    assert sets.tile_rows(job(object="tile-plate", tile="000")) == rows[0]
+
+
+def test_every_capture_is_ingested_once(sets, definitions):
+    parts = list(sets.ingest_parts())
+    for name, captures in sets.captures["objects"].items():
+        assert [one for part in parts if part.object_name == name for one in part.captures] == captures
+    assert max(len(part.captures) for part in parts) <= definitions["ingest"]["captures_per_job"]
+    assert "captures_per_job" not in sets.ingest_options(job())
+    assert len({part.rule_name for part in parts}) == len(parts)
+
+
+def test_the_pose_of_the_white_counts_where_the_lamp_is_near(root):
+    plate = job(object="tile-plate")
+    assert PhotographSets(load(root)).white_pose(plate) is None
+    edit(root, "rigs/virtual.yaml", "light.distance_mm", 800.0)
+    near = PhotographSets(load(root))
+    assert near.white_pose(plate) == near.loaded.cameras["d5100-comb"].poses.white.plain()
+    assert near.rig_geometry(plate)["lamp_distance_mm"] == 800.0
+
+
+def test_tables_that_definitions_name_are_found():
+    body = models.BodyMaterial(spectrum="wall.csv", refractive_index=models.IndexTable(file="gold.CSV"))
+    assert named_tables([body], {"a": "lamp.spd"}, "D65", None, 3.0) == ["wall.csv", "gold.CSV", "lamp.spd"]
+
+
+def test_tables_of_a_camera_and_an_object_are_inputs_of_their_jobs(root):
+    (root / "white.csv").write_text("wavelength_nm,a\n" + "".join(f"{nm},0.9\n" for nm in range(400, 701, 5)))
+    edit(root, CAMERA_FILE, "white.reflectance_factor", "white.csv")
+    (root / "n.csv").write_text("wavelength_nm,n,k\n" + "".join(f"{nm},0.2,3.0\n" for nm in range(400, 701, 5)))
+    edit(root, PLATE_FILE, "refractive_index", {"file": "n.csv"})
+    asked = PhotographSets(load(root))
+    assert asked.tables_of_white(job(camera="d5100-comb")) == ["white.csv"]
+    assert asked.tables_of_index(job(object="tile-plate")) == ["n.csv"]
+    assert asked.calibration_of_index(job(object="tile-plate")) == ["results/cameras/d5100-comb/calibration.h5"]
+
+
+def test_views_of_objects_of_unknown_truth_are_left_out(root):
+    assert SceneFiles(PhotographSets(load(root))).views("{view}", virtual_only=True)
+    edit(root, "scenes/still-life.yaml", "photographs", {})
+    edit(root, PLATE_FILE, "virtual.materials.0.kind", "ggx")
+    scenes = SceneFiles(PhotographSets(load(root)))
+    assert scenes.views("{scene}/{view}", virtual_only=True) == []
+    assert scenes.views("{scene}/{view}")
+
+
+def test_frames_of_a_scene_without_frames_are_refused(scenes):
+    with pytest.raises(InputError, match="the scene still-life defines no frames"):
+        scenes.with_frames(job(scene="still-life"))
+
+
+def test_pictures_are_those_that_scenes_ask_for(root):
+    edit(root, "scenes/still-life.yaml", "further_outputs", ["tiff"])
+    edit(root, "scenes/still-life.yaml", "frames", {"kind": "turntable", "count": 4})
+    scenes = SceneFiles(PhotographSets(load(root)))
+    wanted = scenes.pictures(job())
+    assert {"results/still-life/front.tif", "results/still-life/front.frames.png"} <= set(wanted)
+    image = scenes.loaded.scenes["still-life"].image
+    assert scenes.memory_of_frames_mb(job(scene="still-life")) == 8 * image.width * image.height * 4 // 1_000_000

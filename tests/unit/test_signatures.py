@@ -1,0 +1,57 @@
+"""Functions take six parameters by position at most; what more they need is named by the caller."""
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+MOST = 6
+#: What compiles a function, or hands it to the compiler: kernels take what they need by position.
+COMPILED = ("njit", "uncounted", "overload", "intrinsic", "vectorize", "cfunc", "lower_builtin")
+#: Functions that still take more. None may join them; one that is mended leaves the list.
+STILL = {
+    "calibration": ["calibrate_camera", "cross_validate", "jitter", "local_weights", "rank_filters", "responses"],
+    "capture": ["Planner.__init__", "Session.__init__", "photograph"],
+    "evaluation": ["compare_photograph", "error_budget", "measure_design"],
+    "fitting": ["_conclude", "diffuse_response", "fit", "fit_brdf", "pool", "problem_of"],
+    "ingest": ["_write", "ingest_raw", "make_level"],
+    "jit": ["typed", "typed"],
+    "light": ["gloss_radiance", "make_environment", "prepare_environment", "write_environment"],
+    "material": ["compress_reflectance", "write_constants"],
+    "rectification": ["rectify_object"],
+    "reflection": ["reflect"],
+    "rendering": [
+        "_channels", "check_reference", "choose", "lamps_at", "make_world", "plan_reference", "plan_scene", "render",
+        "render_frames", "render_halves", "render_photographed", "render_view",
+    ],
+    "simulation": ["VirtualCamera.__init__"],
+}  # fmt: skip
+
+
+def functions(tree: ast.AST, prefix: str = ""):
+    """Yield name and definition of every function that nothing compiles."""
+    for node in ast.iter_child_nodes(tree):
+        compiled = [ast.unparse(one) for one in getattr(node, "decorator_list", ())]
+        if isinstance(node, ast.FunctionDef) and not any(word in one for one in compiled for word in COMPILED):
+            yield prefix + node.name, node
+        name = f"{node.name}." if isinstance(node, ast.ClassDef) else ""
+        yield from functions(node, name)
+
+
+def by_position(node) -> int:
+    names = [one.arg for one in (*node.args.posonlyargs, *node.args.args)]
+    return len(names) - (names[:1] in (["self"], ["cls"]))
+
+
+def test_functions_take_six_parameters_by_position_at_most():
+    found: dict[str, set[str]] = {}
+    for file in sorted((ROOT / "irodori").rglob("*.py")):
+        for name, node in functions(ast.parse(file.read_text(encoding="utf-8"))):
+            if by_position(node) > MOST:
+                found.setdefault(file.relative_to(ROOT / "irodori").parts[0], set()).add(name)
+    new = {room: names - set(STILL.get(room, ())) for room, names in found.items()}
+    assert {room: names for room, names in new.items() if names} == {}
+
+
+def test_the_scan_counts_what_a_caller_gives_by_position():
+    source = "class A:\n    def f(self, a, b, c, d, e, f, *, g): ...\n@njit\ndef h(a, b, c, d, e, f, g): ...\n"
+    assert [(name, by_position(node)) for name, node in functions(ast.parse(source))] == [("A.f", 6)]
