@@ -8,8 +8,8 @@ The sums over observations come as ``fixed`` = (Σ w c², Σ w c ρ, Σ w ρ², 
 slope and curvature along t of Σ w c g, of Σ w ρ g and of Σ w g², g = F G D / cosθ_r. All may be numbers or lanes.
 """
 
-from irodori.jit.lanes import lower_of, negated, select, upper_of
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
+from irodori.jit.functions import lower_of, negated, select, upper_of
 
 _PARALLEL = 1e-13  # of 1 - cos² between the columns: under it α and β cannot be told apart
 _TINY = 1e-300

@@ -23,8 +23,9 @@ from irodori.fitting.texel_rows import (
     vectors_of,
 )
 from irodori.fitting.varpro import NODE_STEP, newton
-from irodori.jit.lanes import magnitude, root, select, spread
-from irodori.jit.native import uncounted
+from irodori.jit.compilation import uncounted
+from irodori.jit.functions import magnitude, root, select
+from irodori.jit.vector_memory import spread
 
 _AT_NODE = 8  # weighted least squares at a node of the scan
 _SETTLING = 100  # at most, from the best node on

@@ -24,7 +24,8 @@ from irodori.fitting.texel_rows import (
     new_rows,
     pack_geometry,
 )
-from irodori.jit.native import njit, run_chunks
+from irodori.jit.chunks import run_chunks
+from irodori.jit.compilation import njit
 from irodori.reflection import lobes as lobe_kernels
 
 _STEP = 1e-3  # of n, relative

@@ -31,8 +31,9 @@ from irodori.fitting.texel_rows import (
     vectors_of,
 )
 from irodori.fitting.texel_rows import VARIANCE as EXPECTED
-from irodori.jit.lanes import log, lower_of, root, select, spread, upper_of
-from irodori.jit.native import njit, uncounted
+from irodori.jit.compilation import njit, uncounted
+from irodori.jit.functions import log, lower_of, root, select, upper_of
+from irodori.jit.vector_memory import spread
 from irodori.material.material_file import Status
 from irodori.reflection import lobes as lobe_kernels
 

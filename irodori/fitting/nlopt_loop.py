@@ -46,8 +46,9 @@ from irodori.fitting.texels import (
     write_too_few,
 )
 from irodori.fitting.varpro import ESTIMATE, PLACE, find_intervals, pair_at, scan, value_nodes
-from irodori.jit.lanes import spread
-from irodori.jit.native import c_function, cfunc, njit, uncounted
+from irodori.jit.c_functions import c_function
+from irodori.jit.compilation import cfunc, njit, uncounted
+from irodori.jit.vector_memory import spread
 from irodori.reflection import lobes as lobe_kernels
 
 HEADER = 4

@@ -28,8 +28,10 @@ from irodori.fitting.texel_rows import (
     put,
     vectors_of,
 )
-from irodori.jit.lanes import COUNT, bits, magnitude, negated, select, spread, upper_of
-from irodori.jit.native import njit, uncounted
+from irodori.jit.compilation import njit, uncounted
+from irodori.jit.functions import magnitude, negated, select, upper_of
+from irodori.jit.vector_memory import mask_bits, spread
+from irodori.jit.vectors import LANES
 from irodori.reflection import lobes as lobe_kernels
 
 LEAST_VARIANCE = 1e-8  # of the mean square response: no observation counts ten thousand times another
@@ -185,15 +187,15 @@ def load_eight(problem, rules, first, last, rows):
         Whose weights need no other scale.
     """
     for j in range(problem.response.shape[1]):
-        if first + COUNT <= last:
-            for i in range(COUNT):
-                rows[RESPONSE, j * COUNT + i] = problem.response[first + i, j]
-            for i in range(COUNT):
-                rows[WEIGHT, j * COUNT + i] = problem.weight[first + i, j]
+        if first + LANES <= last:
+            for i in range(LANES):
+                rows[RESPONSE, j * LANES + i] = problem.response[first + i, j]
+            for i in range(LANES):
+                rows[WEIGHT, j * LANES + i] = problem.weight[first + i, j]
         else:
-            for i in range(COUNT):
+            for i in range(LANES):
                 t = min(first + i, last - 1)
-                rows[RESPONSE, j * COUNT + i], rows[WEIGHT, j * COUNT + i] = (
+                rows[RESPONSE, j * LANES + i], rows[WEIGHT, j * LANES + i] = (
                     problem.response[t, j],
                     problem.weight[t, j],
                 )
@@ -304,7 +306,7 @@ def weights_changed(rows):
         w = get(rows, WEIGHT, j)
         same = same & (w == get(rows, BEFORE, j))
         put(rows, BEFORE, j, w)
-    return bits(same) != 255
+    return mask_bits(same) != 255
 
 
 def pose_variance(pose_error_deg: float) -> float:

@@ -29,8 +29,8 @@ from irodori.fitting.texel_rows import (
     vectors_of,
 )
 from irodori.fitting.texels import load_texel, pack_texel
-from irodori.jit.lanes import spread
-from irodori.jit.native import njit, uncounted
+from irodori.jit.compilation import njit, uncounted
+from irodori.jit.vector_memory import spread
 from irodori.reflection import lobes as lobe_kernels
 
 PACKED = 7

@@ -20,7 +20,7 @@ from irodori.fitting import pool_sums
 from irodori.fitting.judge import MAX_RELATIVE_ERROR
 from irodori.fitting.pool_sums import PACKED, evaluate, lowest, polish
 from irodori.fitting.solvers import FitOptions, FitResult, problem_of
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.material.material_file import Status
 
 _BETA, _MU = MAX_RELATIVE_ERROR["beta"], MAX_RELATIVE_ERROR["mu"]

@@ -6,7 +6,8 @@ import numpy as np
 
 from irodori.fitting import judge
 from irodori.fitting.texels import Output
-from irodori.jit.native import njit, run_chunks
+from irodori.jit.chunks import run_chunks
+from irodori.jit.compilation import njit
 
 _ALPHA, _BETA, _MU, _ALPHA_ERROR, _BETA_ERROR, _MU_ERROR, _RMS, _RELATIVE = range(8)
 _NAMES = (

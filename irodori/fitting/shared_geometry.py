@@ -9,8 +9,10 @@ import numpy as np
 
 from irodori.fitting.texel_rows import F0, F1, F2, GLOSS, WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE, item
 from irodori.fitting.varpro import CG, CG1, GG, GG1, LEAST_LOBE, RG, RG1
-from irodori.jit.lanes import COUNT, lanes_times_tables
-from irodori.jit.native import aligned, njit, uncounted, vector_times_table
+from irodori.jit.compilation import njit, uncounted
+from irodori.jit.table_sums import lanes_times_tables, vector_times_table
+from irodori.jit.vector_memory import aligned
+from irodori.jit.vectors import LANES
 from irodori.reflection import lobes as lobe_kernels
 
 WIDTH = 24  # nodes that are summed together
@@ -102,11 +104,11 @@ def scan_shared(rows, shared, sums, changed):
 @uncounted()
 def scan_shared_eight(rows, shared, sums, changed):
     """Fill the sums of all nodes of eight texels; those without the response stay as they are unless ``changed``."""
-    blocks, height, captures = shared.nodes.shape[1], shared.nodes.shape[2], rows.shape[1] // COUNT
+    blocks, height, captures = shared.nodes.shape[1], shared.nodes.shape[2], rows.shape[1] // LANES
     table, row, step = height * WIDTH, rows.shape[1], sums.shape[1]
     flat = blocks * table
-    for group in range(step // (GROUP * COUNT)):
-        into = group * GROUP * COUNT
+    for group in range(step // (GROUP * LANES)):
+        into = group * GROUP * LANES
         kind = group * GROUP // WIDTH * table + group * GROUP % WIDTH
         _eight_times_nodes(rows, WEIGHTED_RESPONSE * row, captures, shared.nodes, kind, kind + flat, WIDTH,
                            sums, into + RG * step, (RG1 - RG) * step)  # fmt: skip

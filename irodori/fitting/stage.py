@@ -13,7 +13,7 @@ from irodori.fitting.band_fresnel import BandGloss, band_gloss, uniform, varies
 from irodori.fitting.pooling import pool
 from irodori.fitting.solvers import FitOptions, FitResult, fit
 from irodori.fitting.texel_rows import COSINE, LOBE, SPOILED, fill_lobe, new_rows, pack_geometry
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.material.material_file import Status, gloss_maps
 from irodori.reflection.lobes import Lobes
 

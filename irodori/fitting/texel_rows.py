@@ -12,19 +12,10 @@ import math
 from numba import types
 from numba.extending import overload
 
-from irodori.jit.lanes import (
-    COUNT,
-    bits,
-    lane,
-    load,
-    lower_of,
-    magnitude,
-    select,
-    spread,
-    store,
-    upper_of,
-)
-from irodori.jit.native import aligned, njit, uncounted
+from irodori.jit.compilation import njit, uncounted
+from irodori.jit.functions import lower_of, magnitude, select, upper_of
+from irodori.jit.vector_memory import aligned, lane, load, mask_bits, spread, store
+from irodori.jit.vectors import LANES
 from irodori.reflection import lobes as lobe_kernels
 from irodori.reflection.fresnel import fresnel
 
@@ -44,19 +35,19 @@ _HALF_PI_HIGH, _HALF_PI_LOW = 1.5707963267948966, 6.123233995736766e-17
 @njit(cache=True, forceinline=True)
 def vectors_of(rows):
     """Return how many times eight numbers a row has."""
-    return rows.shape[1] // COUNT
+    return rows.shape[1] // LANES
 
 
 @njit(cache=True, forceinline=True)
 def get(rows, row, j):
     """Return eight numbers of a row."""
-    return load(rows, row * rows.shape[1] + j * COUNT)
+    return load(rows, row * rows.shape[1] + j * LANES)
 
 
 @njit(cache=True, forceinline=True)
 def put(rows, row, j, value):
     """Store eight numbers of a row."""
-    store(rows, row * rows.shape[1] + j * COUNT, value)
+    store(rows, row * rows.shape[1] + j * LANES, value)
 
 
 def _by_kind(about: str, names: str, number, lanes):
@@ -97,13 +88,13 @@ highest = _by_kind(
 )  # fmt: skip
 folded_mask = _by_kind(
     "Return whether a mask is set for any observation of a texel.",
-    "mask, zero", lambda mask, zero: bits(mask) != 0, lambda mask, zero: mask,
+    "mask, zero", lambda mask, zero: mask_bits(mask) != 0, lambda mask, zero: mask,
 )  # fmt: skip
 any_of = _by_kind(
-    "Return whether something is true of any texel.", "mask", lambda mask: mask, lambda mask: bits(mask) != 0
+    "Return whether something is true of any texel.", "mask", lambda mask: mask, lambda mask: mask_bits(mask) != 0
 )
 all_of = _by_kind(
-    "Return whether something is true of all texels.", "mask", lambda mask: mask, lambda mask: bits(mask) == 255
+    "Return whether something is true of all texels.", "mask", lambda mask: mask, lambda mask: mask_bits(mask) == 255
 )
 item = _by_kind(
     "Return one observation of a row, a texel's or one of each of eight.",
@@ -112,7 +103,7 @@ item = _by_kind(
 noise_at = _by_kind(
     "Return a coefficient of the camera's noise for the observations at place j of a row; ``noise`` is (2, P).",
     "noise, i, j, zero",
-    lambda noise, i, j, zero: load(noise, i * noise.shape[1] + j * COUNT),
+    lambda noise, i, j, zero: load(noise, i * noise.shape[1] + j * LANES),
     lambda noise, i, j, zero: noise[i, j],
 )
 share_at = _by_kind(
@@ -197,11 +188,11 @@ def pack_geometry(geometry, lobes, n, k, rows):
 def pack_eight(problem, first, last, rows):
     """Fill the rows of the geometries of eight texels; the last stands for those beyond the end."""
     captures, many = problem.geometry.shape[1], problem.n.size > 1
-    for i in range(COUNT):
+    for i in range(LANES):
         t = min(first + i, last - 1)
         for j in range(captures):
             for angle in range(4):
-                rows[_ANGLES + angle, j * COUNT + i] = problem.geometry[t, j, angle]
+                rows[_ANGLES + angle, j * LANES + i] = problem.geometry[t, j, angle]
         rows[LOBE, i] = problem.n[t if many else 0]
     _fill_geometry(rows, problem.lobes, get(rows, LOBE, 0), problem.k)
 
@@ -226,7 +217,7 @@ def fill_lobe(rows, lobes, log_mu):
 @njit(cache=True)
 def padded(observations: int) -> int:
     """Return a row's length for one texel: observations, rounded up to a multiple of eight."""
-    return (observations + COUNT - 1) // COUNT * COUNT
+    return (observations + LANES - 1) // LANES * LANES
 
 
 @njit(cache=True)
@@ -242,7 +233,7 @@ def new_rows(observations):
 @njit(cache=True)
 def new_rows_of_eight(observations):
     """Return empty rows for eight texels."""
-    rows = aligned(ROWS * observations * COUNT).reshape((ROWS, observations * COUNT))
-    for j in range(observations * COUNT):
+    rows = aligned(ROWS * observations * LANES).reshape((ROWS, observations * LANES))
+    for j in range(observations * LANES):
         rows[BEFORE, j] = math.nan
     return rows

@@ -12,8 +12,10 @@ from irodori.fitting.shared_geometry import no_shared, padded_nodes, scan_shared
 from irodori.fitting.texel_rows import new_rows, pack_geometry, spread_geometry
 from irodori.fitting.varpro import SUMS, minimise, scan
 from irodori.fitting.vectorised_texels import NOISY, SURE, fit_eight, new_eight, write_eight
-from irodori.jit.lanes import COUNT
-from irodori.jit.native import aligned, njit, run_chunks, uncounted
+from irodori.jit.chunks import run_chunks
+from irodori.jit.compilation import njit, uncounted
+from irodori.jit.vector_memory import aligned
+from irodori.jit.vectors import LANES
 from irodori.material.material_file import Status
 from irodori.reflection.lobes import Lobes
 
@@ -212,10 +214,10 @@ def _fit_chunk(problem, shared, rules, common, out, first, last):
 def _fit_range(problem, shared, rules, rows, sums, eight, out, first, last):
     """Fit texels eight at a time, and alone those that are not done then."""
     together = rules.huber == 0.0 and (problem.geometry.shape[0] > 1 or shared.nodes.shape[1] > 0)
-    for batch in range(first, last, COUNT):
+    for batch in range(first, last, LANES):
         done = fit_eight(problem, shared, rules, batch, last, eight) if together else 0
         write_eight(eight.results, done, batch, out)
-        for i in range(min(COUNT, last - batch)):
+        for i in range(min(LANES, last - batch)):
             if not done >> i & 1:
                 _fit_alone(batch + i, rows, shared, problem, rules, sums, out)
 

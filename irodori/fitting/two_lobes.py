@@ -35,8 +35,9 @@ from irodori.fitting.texel_rows import (
     vectors_of,
 )
 from irodori.fitting.texels import Output, Problem, clipped_of, is_noisy, load_texel
-from irodori.jit.lanes import spread
-from irodori.jit.native import aligned, njit, run_chunks, uncounted
+from irodori.jit.chunks import run_chunks
+from irodori.jit.compilation import njit, uncounted
+from irodori.jit.vector_memory import aligned, spread
 from irodori.material.material_file import Status
 from irodori.reflection import lobes as lobe_kernels
 

@@ -30,8 +30,9 @@ from irodori.fitting.texel_rows import (
     put_item,
     vectors_of,
 )
-from irodori.jit.lanes import exponential, lower_of, magnitude, negated, root, select, spread, upper_of
-from irodori.jit.native import njit, uncounted
+from irodori.jit.compilation import njit, uncounted
+from irodori.jit.functions import exp, lower_of, magnitude, negated, root, select, upper_of
+from irodori.jit.vector_memory import spread
 from irodori.reflection import lobes as lobe_kernels
 
 NODE_STEP = 0.5 * math.log(2.0)  # of log μ
@@ -56,7 +57,7 @@ def moments(rows, lobes, log_mu):
 @uncounted(error_model="numpy")
 def _exponential_moments(rows, lobes, log_mu):
     """Return the moments of a lobe exp(x), x = -f0 / μ², whose derivatives are multiples of it: half the numbers."""
-    constant, factor = lobe_kernels.constants(lobes, log_mu), -exponential(-2.0 * log_mu)
+    constant, factor = lobe_kernels.constants(lobes, log_mu), -exp(-2.0 * log_mu)
     cg, cg1, cg2, rg, rg1 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     rg2, gg, gg1, gg2 = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for j in range(vectors_of(rows)):

@@ -21,8 +21,10 @@ from irodori.fitting.observations import (
 from irodori.fitting.shared_geometry import GROUP, scan_shared_eight
 from irodori.fitting.texel_rows import item, new_rows_of_eight, pack_eight
 from irodori.fitting.varpro import DESCENT, RIVAL, SUMS, VALUE, interval_minimum, newton, scan, value_nodes
-from irodori.jit.lanes import COUNT, bits, log, lower_of, negated, select, spread, store, upper_of
-from irodori.jit.native import aligned, njit, uncounted
+from irodori.jit.compilation import njit, uncounted
+from irodori.jit.functions import log, lower_of, negated, select, upper_of
+from irodori.jit.vector_memory import aligned, mask_bits, spread, store
+from irodori.jit.vectors import LANES
 
 NOISY = 0.01  # relative variance of an observation times their number, from which on weights are of the fitted response
 SURE = 4.0  # standard errors of α from zero, from which on a model without diffuse light is not tried
@@ -32,17 +34,17 @@ _MAX_STEPS = 12  # of Newton; a texel that takes more is fitted alone
 class Eight(NamedTuple):
     """Buffers of one thread for eight texels."""
 
-    rows: np.ndarray  # (ROWS, J * COUNT)
-    sums: np.ndarray  # (SUMS, nodes * COUNT), nodes padded to a multiple of GROUP
-    results: np.ndarray  # (judge.COLUMNS + 2, COUNT): the columns, status, evaluations
+    rows: np.ndarray  # (ROWS, J * LANES)
+    sums: np.ndarray  # (SUMS, nodes * LANES), nodes padded to a multiple of GROUP
+    results: np.ndarray  # (judge.COLUMNS + 2, LANES): the columns, status, evaluations
 
 
 @njit(cache=True)
 def new_eight(captures, nodes):
     """Return buffers for so many photographs and nodes of the scan."""
-    width = (nodes + GROUP - 1) // GROUP * GROUP * COUNT
+    width = (nodes + GROUP - 1) // GROUP * GROUP * LANES
     sums = aligned(SUMS * width).reshape((SUMS, width))
-    return Eight(new_rows_of_eight(captures), sums, np.zeros((judge.COLUMNS + 2, COUNT)))
+    return Eight(new_rows_of_eight(captures), sums, np.zeros((judge.COLUMNS + 2, LANES)))
 
 
 @uncounted(error_model="numpy")
@@ -55,7 +57,7 @@ def _best_interval(problem, sums, least, top):
         d0, d1 = item(sums, DESCENT, i + 1, zero), item(sums, DESCENT, i, zero)
         f0, f1 = item(sums, VALUE, i + 1, zero), item(sums, VALUE, i, zero)
         estimate, offset = interval_minimum(problem.nodes[i] - problem.nodes[i + 1], f0, f1, d0, d1)
-        if bits(estimate < np.inf) == 0:
+        if mask_bits(estimate < np.inf) == 0:
             continue
         better = estimate < best
         rival = select(better, best, lower_of(estimate, rival))
@@ -113,7 +115,7 @@ def _judge(rows, lobes, fixed, found, used, floor, rules, results):
         (judge.BETA_ERROR, errors[1]), (judge.LOG_MU_ERROR, errors[2]), (judge.SQUARES, squares / fixed[3]),
         (judge.POWER, fixed[2] / fixed[3]), (judge.VARIANCE, variance / fixed[3]), (judge.COLUMNS, status),
     ):  # fmt: skip
-        store(results, column * COUNT, value)
+        store(results, column * LANES, value)
     return plain
 
 
@@ -136,23 +138,23 @@ def fit_eight(problem, shared, rules, first, last, eight):
     fixed, t, a, b, steps, ordinary = _minimise(problem, shared, rules, rows, sums, ordinary)
     if rules.weighted:
         noisy = ordinary & (used * used * floor > NOISY * fixed[2])
-        if bits(noisy) != 0:
+        if mask_bits(noisy) != 0:
             expect_fitted(rows, problem.lobes, problem.noise, rules, a, b, t, noisy)
             before = steps
             fixed, t, a, b, steps, ordinary = _minimise(problem, shared, rules, rows, sums, ordinary)
             steps = select(noisy, steps + before, steps)
-    if bits(ordinary) == 0:
+    if mask_bits(ordinary) == 0:
         return 0
     ordinary = ordinary & _judge(rows, problem.lobes, fixed, (a, b, t), used, floor, rules, eight.results)
-    store(eight.results, (judge.COLUMNS + 1) * COUNT, steps + float(problem.nodes.size))
-    return int(bits(ordinary)) & _unclipped(problem, first, last)
+    store(eight.results, (judge.COLUMNS + 1) * LANES, steps + float(problem.nodes.size))
+    return int(mask_bits(ordinary)) & _unclipped(problem, first, last)
 
 
 @uncounted()
 def _unclipped(problem, first, last):
     """Return a bit for each texel of which no observation clips."""
-    found = (1 << min(COUNT, last - first)) - 1
-    for i in range(min(COUNT, last - first)):
+    found = (1 << min(LANES, last - first)) - 1
+    for i in range(min(LANES, last - first)):
         t = first + i if problem.clipped.shape[0] > 1 else 0
         for j in range(problem.clipped.shape[1]):
             if problem.clipped[t, j] != 0:
@@ -163,7 +165,7 @@ def _unclipped(problem, first, last):
 @uncounted()
 def write_eight(results, done, first, out):
     """Store the results of the lanes that are ``done`` as those of the texels from ``first`` on."""
-    for i in range(COUNT):
+    for i in range(LANES):
         if done >> i & 1:
             for column in range(judge.COLUMNS):
                 out.table[first + i, column] = results[column, i]

@@ -11,7 +11,7 @@ import numpy as np
 
 from irodori.core.errors import InputError
 from irodori.geometry.mesh import Mesh
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 NO_FACE = -1
 #: Neighbours whose common edge was rounded apart may both own a centre this near to it, texels; they do not overlap.

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 if TYPE_CHECKING:
     from irodori.config.models import Distortion

@@ -15,7 +15,8 @@ import numba
 import numpy as np
 from numba import types
 
-from irodori.jit.native import c_function, njit
+from irodori.jit.c_functions import c_function
+from irodori.jit.compilation import njit
 
 if TYPE_CHECKING:
     from irodori.geometry.shapes.placement import Placement

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 
 @njit(cache=True, inline="always")

@@ -7,8 +7,8 @@ the loops are the ones that a chain written by hand would give. Shapes that shar
 from collections.abc import Callable
 
 from irodori.geometry.shape_registry import settle
-from irodori.jit.native import njit
-from irodori.jit.ray_vectors import select
+from irodori.jit.compilation import njit
+from irodori.jit.functions import select
 
 
 def _branches(kernel: str, module: str) -> list[tuple[Callable, list[int]]]:

@@ -7,7 +7,7 @@ import numpy as np
 from irodori.geometry.shape_dispatch import chain
 from irodori.geometry.shape_registry import number_of
 from irodori.geometry.shapes import Placement
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 
 class Surfaces(NamedTuple):

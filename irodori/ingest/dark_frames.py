@@ -9,7 +9,7 @@ from irodori.config.capture_table import Shot, shot_path
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
 from irodori.ingest.mosaic import decode
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 _HOT_SIGMAS = 8.0
 _HOT_CHANCE = 1e-9  # of a sound pixel to show such a variance

@@ -7,7 +7,7 @@ noise and dust do not enter the object, and 15 numbers a band replace a picture.
 import numba
 import numpy as np
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 DEGREE = 4
 POWERS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]  # of x, of y

@@ -19,7 +19,7 @@ import numba
 import numpy as np
 
 from irodori.ingest import flat_field as flat_field
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 _BLOCK = 8  # samples along the side of a block
 _FADE_FROM, _FADE_TO = 0.6, 0.85  # of the range from black to clip level

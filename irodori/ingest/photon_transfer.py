@@ -13,7 +13,7 @@ import numpy as np
 from irodori.config.capture_table import Shot, shot_path
 from irodori.core.progress import LOGGER, track
 from irodori.ingest.mosaic import Mosaic, decode
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 ROUNDING_DN2 = 1 / 12
 _TILE = 16  # pixels of one colour along the side of a tile

@@ -4,7 +4,7 @@ import math
 
 import numba
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 TWO_PI = 2.0 * math.pi
 

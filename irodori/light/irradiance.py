@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from irodori.core.progress import LOGGER
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.light.environment_file import directions
 from irodori.light.equirectangular import look_up
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.reflection.lobes import Lobes, constants, features, value
 from irodori.reflection.registry import lobe
 

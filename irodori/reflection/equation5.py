@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobe_arrays import evaluate
 

@@ -5,8 +5,8 @@ D = exp(-(φ/μ)²) and G = min(1, 2 cosφ cosθ_r / cosθ_H, 2 cosφ cosθ_i / 
 
 import math
 
-from irodori.jit.lanes import exponential, lower_of, select
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
+from irodori.jit.functions import exp, lower_of, select
 from irodori.reflection.lobe import Parameter
 
 NAME = "gaussian"
@@ -31,27 +31,27 @@ def features(cos_i, cos_r, cos_phi, cos_h, phi):
 @njit(cache=True, forceinline=True, error_model="numpy")
 def constants(t):
     """Return -1 / μ²."""
-    return -exponential(-2.0 * t), 0.0
+    return -exp(-2.0 * t), 0.0
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def value(constant, f0, f1, f2):
     """Return D."""
-    return exponential(constant[0] * f0)
+    return exp(constant[0] * f0)
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def derivatives(constant, f0, f1, f2):
     """Return D and its derivatives by ln μ."""
     x = constant[0] * f0
-    d = exponential(x)
+    d = exp(x)
     return d, -2.0 * x * d, 4.0 * x * (x + 1.0) * d
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def flank(constant, f0, f1, f2):
     """Return D and (2 φ / μ²)²."""
-    return exponential(constant[0] * f0), 4.0 * constant[0] * constant[0] * f0
+    return exp(constant[0] * f0), 4.0 * constant[0] * constant[0] * f0
 
 
 @njit(cache=True, forceinline=True)

@@ -10,8 +10,8 @@ With D scaled to 1 at φ = 0 the term is D G₂ / (4 cosθ_r cosθ_i) times 4 co
 
 import math
 
-from irodori.jit.lanes import exponential, root, select
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
+from irodori.jit.functions import exp, root, select
 from irodori.reflection.lobe import Parameter
 
 NAME = "ggx"
@@ -37,7 +37,7 @@ def features(cos_i, cos_r, cos_phi, cos_h, phi):
 @njit(cache=True, forceinline=True, error_model="numpy")
 def constants(t):
     """Return μ² and 0."""
-    return exponential(2.0 * t), 0.0
+    return exp(2.0 * t), 0.0
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")

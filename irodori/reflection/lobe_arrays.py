@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.reflection.lobes import Lobes, constants, derivatives, features
 
 

@@ -12,7 +12,7 @@ def resolved(kernel, *arguments):
     Parameters
     ----------
     kernel : callable
-        Made by `irodori.jit.native.njit`.
+        Made by `irodori.jit.compilation.njit`.
     arguments
         Of one call.
     """

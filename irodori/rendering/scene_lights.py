@@ -14,7 +14,7 @@ from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes import Placement
 from irodori.geometry.shapes.plate import Plate
 from irodori.geometry.shapes.sphere import Sphere
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.light.placed_lights import direction_of, unit_luminance
 from irodori.rendering.surface_hits import frame
 

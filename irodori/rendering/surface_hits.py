@@ -3,7 +3,7 @@
 import math
 
 from irodori.geometry.surfaces import surface_at
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 
 @njit(cache=True, inline="always")

@@ -8,7 +8,7 @@ the mean radiance over the lens: no fall-off towards the corners is added.
 
 import math
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 PERSPECTIVE, ORTHOGRAPHIC = 0, 1
 KINDS = {"perspective": PERSPECTIVE, "orthographic": ORTHOGRAPHIC}

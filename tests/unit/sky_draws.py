@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.light.environment_file import Environment, directions
 from irodori.rendering.reference.sky_sampling import Sky, look_at_sky, sample_sky
 

@@ -11,7 +11,9 @@ from irodori.fitting.shared_geometry import padded_nodes, scan_shared, tabulate
 from irodori.fitting.solvers import FitOptions, fit
 from irodori.fitting.texel_rows import WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE, new_rows, pack_geometry
 from irodori.fitting.varpro import SUMS, moments
-from irodori.jit.native import LANES, aligned, vector_times_table
+from irodori.jit.table_sums import vector_times_table
+from irodori.jit.vector_memory import aligned
+from irodori.jit.vectors import LANES
 from irodori.material.material_file import Status
 from irodori.reflection.equation5 import reflect
 from irodori.reflection.lobes import Lobes

@@ -9,8 +9,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from irodori.jit.lanes import COUNT, load, store
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
+from irodori.jit.vector_memory import load, store
+from irodori.jit.vectors import LANES
 from irodori.reflection import lobes as kernels
 from irodori.reflection.albedo import albedo_table
 from irodori.reflection.equation5 import angles_from_directions
@@ -188,7 +189,7 @@ def test_strength_is_about_the_albedo_of_a_steep_view(name):
 @njit(cache=False, error_model="numpy")
 def _by_lanes(lobes, t, cosines, factor, out):
     constant = kernels.constants(lobes, t)
-    for place in range(0, cosines.shape[1], COUNT):
+    for place in range(0, cosines.shape[1], LANES):
         c = load(cosines[0], place), load(cosines[1], place), load(cosines[2], place), load(cosines[3], place)
         f, f0, f1, f2 = kernels.features(lobes, c[0], c[1], c[2], c[3], load(cosines[4], place))
         store(factor, place, f)
@@ -214,7 +215,7 @@ def _by_numbers(lobes, t, cosines, factor, out):
 @pytest.mark.parametrize("mu", [0.005, 0.1, 1.2])
 def test_vectors_are_as_good_as_numbers(name, mu):
     rng = np.random.default_rng(3)
-    count = 40 * COUNT
+    count = 40 * LANES
     theta_i, theta_r = rng.uniform(0.0, 1.57, (2, count))
     theta_i[: count // 2] = theta_r[: count // 2] + rng.normal(0.0, mu, count // 2)
     angles = geometry(

@@ -16,7 +16,7 @@ from irodori.geometry.shapes.shape import (
     no_nodes,
     texel_centres,
 )
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 SIDES = 512
 

@@ -10,8 +10,9 @@ import numba
 import numpy as np
 
 from irodori.calibration.recovery.mapping_loops import BLOCK, FAST, LANES, SERIAL, load, store
-from irodori.jit.native import njit
-from irodori.jit.vectorised import OUTPUTS, TILE, any_above_zero, blend_tile, decaying, logarithm
+from irodori.jit.compilation import njit
+from irodori.jit.functions import exp, log
+from irodori.jit.table_sums import OUTPUTS, TILE, any_above_zero, blend_tile
 
 _LEAST_EXPONENT = -16.5  # of an anchor's share
 _LEAST_SHARE = 1e-7  # of an anchor in a pixel's map; less would not show in float32
@@ -74,7 +75,7 @@ def _place_levels(own, bands, levels, spread, width, length, position, inverse):
         ratio = ratio if ratio > _LEAST_RATIO else _LEAST_RATIO
         ratio = ratio if ratio < _LARGEST_RATIO else _LARGEST_RATIO
         length[j] = length[j] if own[j] >= 0.0 else np.nan
-        place = (logarithm(ratio) - levels[0]) / step
+        place = (log(ratio) - levels[0]) / step
         place = place if place > 0.0 else 0.0
         position[j] = place if place < last else last
         ratio = ratio if ratio > least else least
@@ -99,7 +100,7 @@ def _shares(count, inverse, share, largest, total):
     for a in range(count):
         for j in range(LANES):
             exponent = (share[a, j] - largest[j]) * inverse[j]
-            value = decaying(exponent)
+            value = exp(exponent)
             share[a, j] = value if exponent > least_exponent else zero
         for j in range(LANES):
             total[j] += share[a, j]

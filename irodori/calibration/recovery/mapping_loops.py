@@ -9,7 +9,7 @@ import math
 import numba
 import numpy as np
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 LANES = 64
 BLOCK = 16 * LANES  # pixels that a thread takes at a time

@@ -20,7 +20,7 @@ import numba
 import numpy as np
 
 from irodori.capture.shot_planner.fisher_information import PARAMETERS, Observations
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 CRITERIA = ("determinant", "variance", "fit-determinant", "fit-variance")
 _MIN_GAIN = 1e-9

@@ -22,7 +22,7 @@ from irodori.geometry.shapes.flat import (
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Kernels, ball_may_be_met
 from irodori.geometry.shapes.shape_rows import RADIUS
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 if TYPE_CHECKING:
     from irodori.config.models import DiscShape

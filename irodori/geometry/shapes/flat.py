@@ -25,7 +25,7 @@ from irodori.geometry.shapes.shadow_nodes import (
 )
 from irodori.geometry.shapes.shape import Shape, in_frame, texel_centres
 from irodori.geometry.shapes.shape_rows import CENTRE, TURN
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 #: Nodes along each side of a grid.
 FLAT_SIDE = 128

@@ -11,7 +11,7 @@ import numpy as np
 
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.shapes.shadow_nodes import GRID, Nodes, raised
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 if TYPE_CHECKING:
     from irodori.geometry.shapes.placement import Placement

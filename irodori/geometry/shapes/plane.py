@@ -18,8 +18,8 @@ from irodori.geometry.shapes.flat import (
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Kernels
 from irodori.geometry.shapes.shape_rows import RADIUS, TURN
-from irodori.jit.native import njit
-from irodori.jit.ray_vectors import absolute, greatest
+from irodori.jit.compilation import njit
+from irodori.jit.functions import magnitude, upper_of
 
 if TYPE_CHECKING:
     from irodori.config.models import PlaneShape
@@ -77,7 +77,7 @@ def distance_to_plane(row, at, centre, direction, reach):
     height, steepness = x * nx + y * ny + z * nz, dx * nx + dy * ny + dz * nz
     distance = height / steepness
     # A ray that starts in the plane, but for rounding, Embree may let meet it: at no distance.
-    return distance, (distance >= 0.0) | (absolute(height) <= greatest(reach, row[at + RADIUS]) * IN_PLANE)
+    return distance, (distance >= 0.0) | (magnitude(height) <= upper_of(reach, row[at + RADIUS]) * IN_PLANE)
 
 
 @njit(cache=True, forceinline=True)

@@ -19,8 +19,8 @@ from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.plane import distance_to_plane
 from irodori.geometry.shapes.shape import SLACK, Kernels
 from irodori.geometry.shapes.shape_rows import HIGH, RADIUS, TURN, WIDE
-from irodori.jit.native import njit
-from irodori.jit.ray_vectors import absolute
+from irodori.jit.compilation import njit
+from irodori.jit.functions import magnitude
 
 if TYPE_CHECKING:
     from irodori.config.models import PlateShape
@@ -158,11 +158,11 @@ def _may_be_met(row, at, centre, direction, along, reach):
     dx, dy, dz = direction
     radius = row[at + RADIUS]
     distance, near = distance_to_plane(row, at, centre, direction, reach)
-    slack = absolute(distance) * SLACK + radius * SLACK
+    slack = magnitude(distance) * SLACK + radius * SLACK
     for axis in range(2):
         a, b, c = row[at + TURN + axis], row[at + TURN + axis + 3], row[at + TURN + axis + 6]
         across = (distance * dx - x) * a + (distance * dy - y) * b + (distance * dz - z) * c
-        near = near & (absolute(across) * row[at + WIDE + axis] <= 0.5 + slack * row[at + WIDE + axis])
+        near = near & (magnitude(across) * row[at + WIDE + axis] <= 0.5 + slack * row[at + WIDE + axis])
     return near
 
 

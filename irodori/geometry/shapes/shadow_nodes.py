@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 #: Nodes rise this part of their coordinates, or of their shape's reach, above the surface, as hits do.
 _RISE = 2.0**-18

@@ -16,8 +16,8 @@ from irodori.geometry.embree import Primitive
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.shape_registry import shapes
 from irodori.geometry.shapes.shape_rows import RADIUS
-from irodori.jit.native import njit
-from irodori.jit.ray_vectors import absolute
+from irodori.jit.compilation import njit
+from irodori.jit.functions import magnitude
 
 if TYPE_CHECKING:
     from irodori.config.models import BodyShape, ObjectShape
@@ -32,7 +32,7 @@ class Kernels(NamedTuple):
     """Compiled functions of a shape. Loops choose among those of all shapes, see `irodori.geometry.shape_dispatch`.
 
     ``row`` and ``at`` are a table and the place in it at which the shape's numbers begin, see
-    `irodori.geometry.shapes.shape_rows`. Lanes are vectors of `irodori.jit.ray_vectors`, one ray each.
+    `irodori.geometry.shapes.shape_rows`. Lanes are vectors of `irodori.jit.vectors`, one ray each.
 
     Parameters
     ----------
@@ -272,6 +272,6 @@ def ball_may_be_met(row, at, centre, direction, along, reach):
     dx, dy, dz = direction
     radius = row[at + RADIUS]
     px, py, pz = x - along * dx, y - along * dy, z - along * dz
-    bound = radius + (radius + absolute(along)) * SLACK
+    bound = radius + (radius + magnitude(along)) * SLACK
     inside = x * x + y * y + z * z < radius * radius * (1.0 + 2e-6)
     return (px * px + py * py + pz * pz <= bound * bound) & ((along > 0.0) | inside)

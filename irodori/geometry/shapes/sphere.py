@@ -12,8 +12,8 @@ from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shadow_nodes import GRID, Nodes, grid_place, grid_size, quadrangles, raised
 from irodori.geometry.shapes.shape import Kernels, Shape, ball_may_be_met, in_frame, texel_centres
 from irodori.geometry.shapes.shape_rows import RADIUS
-from irodori.jit.native import njit
-from irodori.jit.ray_vectors import absolute, greatest, least, root, select, with_sign
+from irodori.jit.compilation import njit
+from irodori.jit.functions import lower_of, magnitude, root, select, upper_of, with_sign
 
 if TYPE_CHECKING:
     from irodori.config.models import SphereShape
@@ -82,7 +82,7 @@ def _surface_at(surfaces, index, ray, point, normal, facet):
 @njit(cache=True, forceinline=True)
 def _point(offset, facing, radius):
     x, y, z = offset
-    inverse = 1.0 / greatest(root(x * x + y * y + z * z), 1e-30)
+    inverse = 1.0 / upper_of(root(x * x + y * y + z * z), 1e-30)
     nx, ny, nz = x * inverse, y * inverse, z * inverse
     return radius * nx, radius * ny, radius * nz, nx, ny, nz
 
@@ -90,8 +90,8 @@ def _point(offset, facing, radius):
 @njit(cache=True, forceinline=True)
 def arc_tangent(y, x):
     """Return atan2 of vectors within 1e-5 rad."""
-    ax, ay = absolute(x), absolute(y)
-    ratio = least(ax, ay) / greatest(greatest(ax, ay), 1e-30)
+    ax, ay = magnitude(x), magnitude(y)
+    ratio = lower_of(ax, ay) / upper_of(upper_of(ax, ay), 1e-30)
     s = ratio * ratio
     angle = ratio * (
         0.99997726 + s * (-0.33262347 + s * (0.19354346 + s * (-0.11643287 + s * (0.05265332 + s * -0.01172120))))

@@ -13,7 +13,7 @@ from irodori.geometry.shapes.mesh_shadow_nodes import mesh_nodes, nodes_about_me
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shadow_nodes import Nodes
 from irodori.geometry.shapes.shape import Kernels, Shape, ball_may_be_met, hides_nothing
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 if TYPE_CHECKING:
     from irodori.config.models import MeshShape

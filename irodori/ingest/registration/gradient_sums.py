@@ -12,7 +12,7 @@ import math
 import numba
 import numpy as np
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 TAPS = 6
 _SUMS = 4 + 16 + 5

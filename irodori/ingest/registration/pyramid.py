@@ -10,7 +10,7 @@ import numba
 import numpy as np
 
 from irodori.ingest.registration.band_layout import flatten
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 _LEAST_NOISE = 1e-9
 

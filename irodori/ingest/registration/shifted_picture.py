@@ -4,7 +4,7 @@ import numba
 import numpy as np
 
 from irodori.ingest.registration.band_layout import flatten
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 
 @njit(cache=True, inline="always")

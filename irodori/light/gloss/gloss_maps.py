@@ -22,7 +22,7 @@ import numpy as np
 
 from irodori.core import store
 from irodori.core.errors import InputError
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.light.blurred_light import WIDTHS_RAD, prefiltered
 from irodori.light.environment_file import Environment
 from irodori.light.equirectangular import add_interpolated

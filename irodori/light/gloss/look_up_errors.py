@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.light.gloss.gloss_maps import GlossMaps, gloss_radiance
 from irodori.light.gloss.make_lobe_table import farthest
 from irodori.light.irradiance import Integrator

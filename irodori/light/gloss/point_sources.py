@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.light.irradiance import make_pixels
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import constants, features, reach, value

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irodori.jit.lanes import COUNT, load, spread, store
-from irodori.jit.native import uncounted
+from irodori.jit.compilation import uncounted
+from irodori.jit.vector_memory import load, spread, store
+from irodori.jit.vectors import LANES
 from irodori.material.principal_components.pixel_tiles import Tiles
 
 SAMPLE_PIXELS = 1 << 16
@@ -63,7 +64,7 @@ def _multiply_two(block, side, i, j, moment):
     a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = spread(0.0)
     b0 = b1 = b2 = b3 = b4 = b5 = b6 = b7 = spread(0.0)
     for p in range(0, _BLOCK * side, side):
-        y, z, x = load(block, p + j), load(block, p + j + COUNT), p + i
+        y, z, x = load(block, p + j), load(block, p + j + LANES), p + i
         a0, b0 = a0 + block[x] * y, b0 + block[x] * z
         a1, b1 = a1 + block[x + 1] * y, b1 + block[x + 1] * z
         a2, b2 = a2 + block[x + 2] * y, b2 + block[x + 2] * z
@@ -73,7 +74,7 @@ def _multiply_two(block, side, i, j, moment):
         a6, b6 = a6 + block[x + 6] * y, b6 + block[x + 6] * z
         a7, b7 = a7 + block[x + 7] * y, b7 + block[x + 7] * z
     _add(moment, side, i * side + j, a0, a1, a2, a3, a4, a5, a6, a7)
-    _add(moment, side, i * side + j + COUNT, b0, b1, b2, b3, b4, b5, b6, b7)
+    _add(moment, side, i * side + j + LANES, b0, b1, b2, b3, b4, b5, b6, b7)
 
 
 @uncounted(nogil=True, error_model="numpy")
@@ -105,11 +106,11 @@ def _add(moment, side, place, a0, a1, a2, a3, a4, a5, a6, a7):
 @uncounted(nogil=True, error_model="numpy")
 def _multiply(block, side, moment):
     """Add the products of a block's columns with one another, upper blocks of 8 x 8; both flat, rows of ``side``."""
-    for i in range(0, side, COUNT):
+    for i in range(0, side, LANES):
         j = i
-        while j + COUNT < side:
+        while j + LANES < side:
             _multiply_two(block, side, i, j, moment)
-            j += 2 * COUNT
+            j += 2 * LANES
         if j < side:
             _multiply_one(block, side, i, j, moment)
 
@@ -152,7 +153,7 @@ class _Sums:
     """Sums of one worker."""
 
     def __init__(self, bands: int) -> None:
-        self.bands, self._side = bands, -(-bands // COUNT) * COUNT
+        self.bands, self._side = bands, -(-bands // LANES) * LANES
         self.totals = np.zeros(2)
         self._moments = np.zeros((_CLASSES, self._side**2))
         self._blocks, self._waiting = np.zeros((_CLASSES, _BLOCK, self._side)), np.zeros(_CLASSES, dtype=np.int64)

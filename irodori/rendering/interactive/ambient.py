@@ -12,8 +12,8 @@ import numpy as np
 
 from irodori.geometry.shape_dispatch import chain
 from irodori.geometry.shapes.shape_rows import CENTRE, KIND, SHAPE
-from irodori.jit.native import njit
-from irodori.jit.ray_vectors import lane, load_like, repeated, zeros_like
+from irodori.jit.compilation import njit
+from irodori.jit.vector_memory import lane, load_like, spread, zeros_like
 from irodori.rendering.interactive.cube_maps import bilinear, cell_of, face_of
 from irodori.rendering.interactive.mesh_shadows import (
     COUNT,
@@ -49,8 +49,8 @@ def _reflected(world, frame, layout, shape, facing, like):
     x = turn[0] * facing[0] + turn[1] * facing[1] + turn[2] * facing[2]
     y = turn[3] * facing[0] + turn[4] * facing[1] + turn[5] * facing[2]
     z = turn[6] * facing[0] + turn[7] * facing[1] + turn[8] * facing[2]
-    face, u, v = face_of(repeated(np.float32(x), 4), repeated(np.float32(y), 4), repeated(np.float32(z), 4))
-    cell, fx, fy = cell_of(face, u, v, repeated(np.float32(world.irradiance_side), 4))
+    face, u, v = face_of(spread(np.float32(x), 4), spread(np.float32(y), 4), spread(np.float32(z), 4))
+    cell, fx, fy = cell_of(face, u, v, spread(np.float32(world.irradiance_side), 4))
     at, stride = np.int64(lane(cell, 0)), world.irradiance_side + 2
     light = bilinear(world.irradiance, 0, at, stride, lane(fx, 0), lane(fy, 0), like)
     out, width = zeros_like(like), surface_lanes(layout)

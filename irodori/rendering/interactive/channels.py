@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irodori.jit.ray_vectors import width_of
+from irodori.jit.vectors import width_of
 from irodori.rendering.interactive.quadrature import Quadrature
 from irodori.rendering.scene_arrays import Light, Objects, gloss_of, textures
 from irodori.spectra.grid import SAMPLES

@@ -16,19 +16,9 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from irodori.jit.native import njit
-from irodori.jit.ray_vectors import (
-    absolute,
-    as_float,
-    channel_count,
-    greatest,
-    lane,
-    least,
-    load,
-    load_like,
-    select,
-    truncated,
-)
+from irodori.jit.compilation import njit
+from irodori.jit.functions import as_float, lower_of, magnitude, select, truncated, upper_of
+from irodori.jit.vector_memory import channel_count, lane, load, load_like
 from irodori.light.equirectangular import direction_uv, look_up
 
 FACES = 6
@@ -226,15 +216,15 @@ def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, chan
 @njit(cache=True, forceinline=True)
 def face_of(x, y, z):
     """Return faces, as float, and places on them, -1..1, of directions of any length; vectors of rays."""
-    ax, ay, az = absolute(x), absolute(y), absolute(z)
+    ax, ay, az = magnitude(x), magnitude(y), magnitude(z)
     along_x = (ax >= ay) & (ax >= az)
     along_y = ay >= az
     main = select(along_x, x, select(along_y, y, z))
     a = select(along_x, y, select(along_y, z, x))
     b = select(along_x, z, select(along_y, x, y))
-    axis = select(along_x, 0.0, select(along_y, absolute(x) * 0.0 + 2.0, 4.0))
-    inverse = 1.0 / greatest(absolute(main), 1e-30)
-    return axis + select(main < 0.0, absolute(x) * 0.0 + 1.0, 0.0), a * inverse, b * inverse
+    axis = select(along_x, 0.0, select(along_y, magnitude(x) * 0.0 + 2.0, 4.0))
+    inverse = 1.0 / upper_of(magnitude(main), 1e-30)
+    return axis + select(main < 0.0, magnitude(x) * 0.0 + 1.0, 0.0), a * inverse, b * inverse
 
 
 @njit(cache=True, forceinline=True)
@@ -244,10 +234,10 @@ def cell_of(face, u, v, side):
     ``side`` is a vector of float, whole numbers.
     """
     # A place that is not a number becomes the first texel: what is looked up there is never used.
-    x = least(greatest((u + 1.0) * (side * 0.5) + 0.5, 0.0), side + 0.5)
-    y = least(greatest((v + 1.0) * (side * 0.5) + 0.5, 0.0), side + 0.5)
+    x = lower_of(upper_of((u + 1.0) * (side * 0.5) + 0.5, 0.0), side + 0.5)
+    y = lower_of(upper_of((v + 1.0) * (side * 0.5) + 0.5, 0.0), side + 0.5)
     column, row, stride = truncated(x), truncated(y), truncated(side + 2.0)
-    start = truncated(least(greatest(face, 0.0), 5.0)) * stride
+    start = truncated(lower_of(upper_of(face, 0.0), 5.0)) * stride
     return (start + row) * stride + column, x - as_float(column), y - as_float(row)
 
 

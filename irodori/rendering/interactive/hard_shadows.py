@@ -3,8 +3,10 @@
 import numpy as np
 from numba import types
 
-from irodori.jit.native import c_function, njit
-from irodori.jit.ray_vectors import greatest, load, mask_bits, repeated, select, store
+from irodori.jit.c_functions import c_function
+from irodori.jit.compilation import njit
+from irodori.jit.functions import select, upper_of
+from irodori.jit.vector_memory import load, mask_bits, spread, store
 from irodori.rendering.interactive.packets import FACET, NORMAL, RAYS, raised
 
 _occluded = c_function(types.void, types.uintp, types.uintp, types.uintp, types.uintp)
@@ -30,9 +32,9 @@ def light_hits(world, frame, packet, hits, seen):
         if mask_bits(facing):
             for axis in range(3):
                 store(f, RAYS + _ORIGIN + axis * RAYS, raised(hit, axis))
-                store(f, RAYS + _DIRECTION + axis * RAYS, repeated(frame.lamp_direction[3 * lamp + axis], 16))
-            store(f, RAYS + _FAR, repeated(np.float32(np.inf), 16))
-            store(i, 0, select(facing, repeated(-1, 16), 0))
+                store(f, RAYS + _DIRECTION + axis * RAYS, spread(frame.lamp_direction[3 * lamp + axis], 16))
+            store(f, RAYS + _FAR, spread(np.float32(np.inf), 16))
+            store(i, 0, select(facing, spread(-1, 16), 0))
             _occluded(world.occluded, packet.valid, world.scene, packet.rays, world.query)
             facing = facing & (load(f, RAYS + _FAR, 16) >= 0.0)
-        store(hits.lit, lamp * RAYS, select(facing, greatest(cosine, 0.0), 0.0))
+        store(hits.lit, lamp * RAYS, select(facing, upper_of(cosine, 0.0), 0.0))

@@ -2,23 +2,9 @@
 
 import numpy as np
 
-from irodori.jit.native import njit
-from irodori.jit.ray_vectors import (
-    as_float,
-    bits_as_float,
-    bits_as_int,
-    gather,
-    greatest,
-    lane,
-    least,
-    load,
-    load_like,
-    numbered,
-    pair_mixed,
-    root,
-    store,
-    truncated,
-)
+from irodori.jit.compilation import njit
+from irodori.jit.functions import as_float, bits_as_float, bits_as_int, lower_of, root, truncated, upper_of
+from irodori.jit.vector_memory import gather, lane, load, load_like, numbered, pair_mixed, store
 from irodori.reflection.fresnel import fresnel
 from irodori.rendering.interactive.cube_maps import bilinear, cell_of, face_of
 from irodori.rendering.interactive.packets import (
@@ -79,12 +65,12 @@ def find_sky(world, frame, paths, base, look, number):
     face, u, v = face_of(turned(turn, 0, dx, dy, dz), turned(turn, 1, dx, dy, dz), turned(turn, 2, dx, dy, dz))
     spread = load(paths.f, SPREAD * STRIDE + base, 16)
     last = float(world.environment_levels - 1)
-    level = logarithm(greatest(spread * world.texels_per_rad, 1.0))
-    level = least(greatest(level, 0.0), last)
+    level = logarithm(upper_of(spread * world.texels_per_rad, 1.0))
+    level = lower_of(upper_of(level, 0.0), last)
     lower = truncated(level)
     store(look, _MIX * RAYS, level - as_float(lower))
     for step in range(2):
-        chosen = truncated(least(as_float(lower + step), last))
+        chosen = truncated(lower_of(as_float(lower + step), last))
         side = as_float(gather(world.environment_side, chosen))
         cell, x, y = cell_of(face, u, v, side)
         store(number, (step * _NUMBERS + _CELL) * RAYS, cell)
@@ -127,7 +113,7 @@ def find_lobes(world, layout, hit, numbers, entries, look, number):
     )
     at = numbered(16) * ENTRY
     last = float(world.gloss_levels - 1)
-    level = least(greatest(gather(entries, at) - world.gloss_level, 0.0), last)
+    level = lower_of(upper_of(gather(entries, at) - world.gloss_level, 0.0), last)
     lower = truncated(level)
     side = as_float(gather(world.gloss_side, lower))
     store(look, _MIX * RAYS, level - as_float(lower))
@@ -140,7 +126,7 @@ def find_lobes(world, layout, hit, numbers, entries, look, number):
     for tap in range(TAPS):
         weight, p = gather(entries, at + (1 + 3 * tap)), gather(entries, at + (2 + 3 * tap))
         cos_h = gather(entries, at + (3 + 3 * tap))
-        q = root(greatest(1.0 - p * p * sine2, 0.0)) - p * cosine
+        q = root(upper_of(1.0 - p * p * sine2, 0.0)) - p * cosine
         face, u, v = face_of(p * rx + q * nx, p * ry + q * ny, p * rz + q * nz)
         cell, x, y = cell_of(face, u, v, side)
         store(number, (tap * _NUMBERS + _CELL) * RAYS, cell)

@@ -18,7 +18,8 @@ from irodori.geometry.embree import NO_HIT, Tracer, hit_shape, is_blocked, new_r
 from irodori.geometry.shapes import Placement, reaches
 from irodori.geometry.shapes.shadow_nodes import GRID, Nodes
 from irodori.jit.array_views import Memory
-from irodori.jit.native import njit, run_chunks
+from irodori.jit.chunks import run_chunks
+from irodori.jit.compilation import njit
 
 #: Rays of a node, a power of two; the least of them, where a scene has more nodes than `_FULL_NODES`.
 RAYS_PER_NODE, _LEAST_RAYS, _FULL_NODES = 512, 64, 1 << 18

@@ -10,23 +10,10 @@ from irodori.geometry.shape_dispatch import chain, lane_chain, lanes_are
 from irodori.geometry.shapes.shape_rows import COLUMNS, HIGH, KIND, RADIUS, ROWS, SHAPE, TURN, WIDE
 from irodori.geometry.surfaces import surface_at
 from irodori.jit.array_views import Memory, address_of, as_integers, moved
-from irodori.jit.native import c_function, njit
-from irodori.jit.ray_vectors import (
-    absolute,
-    as_float,
-    bits_as_float,
-    bits_as_int,
-    gather,
-    greatest,
-    least,
-    load,
-    mask_bits,
-    numbered,
-    repeated,
-    select,
-    store,
-    truncated,
-)
+from irodori.jit.c_functions import c_function
+from irodori.jit.compilation import njit
+from irodori.jit.functions import as_float, bits_as_float, bits_as_int, lower_of, magnitude, select, truncated, upper_of
+from irodori.jit.vector_memory import gather, load, mask_bits, numbered, spread, store
 from irodori.rendering.interactive.cube_maps import cell_of, face_of
 
 RAYS = 16
@@ -112,9 +99,9 @@ def trace_packet(world, packet, paths, base, active):
     for axis in range(3):
         store(f, RAYS + _ORIGIN + axis * RAYS, load(paths.f, (ORIGIN + axis) * STRIDE + base, 16))
         store(f, RAYS + _DIRECTION + axis * RAYS, load(paths.f, (DIRECTION + axis) * STRIDE + base, 16))
-    store(f, RAYS + _FAR, repeated(np.float32(np.inf), 16))
-    store(i, RAYS + _GEOMETRY, repeated(-1, 16))
-    store(i, 0, select(active, repeated(-1, 16), 0))
+    store(f, RAYS + _FAR, spread(np.float32(np.inf), 16))
+    store(i, RAYS + _GEOMETRY, spread(-1, 16))
+    store(i, 0, select(active, spread(-1, 16), 0))
     _trace(world.intersect, packet.valid, world.scene, packet.rays, world.query)
 
 
@@ -134,7 +121,7 @@ def may_meet(world, paths, base, active):
         load(paths.f, (DIRECTION + 1) * STRIDE + base, 16),
         load(paths.f, (DIRECTION + 2) * STRIDE + base, 16),
     )
-    reach = greatest(absolute(ox), greatest(absolute(oy), absolute(oz)))
+    reach = upper_of(magnitude(ox), upper_of(magnitude(oy), magnitude(oz)))
     found = active & ~active
     for shape in range(world.bounded):
         at, table = shape * SHAPE, world.shape
@@ -147,7 +134,7 @@ def may_meet(world, paths, base, active):
 @njit(cache=True, forceinline=True)
 def meet_nothing(packet):
     """Note that no ray of a packet met anything."""
-    store(packet.i, RAYS + _GEOMETRY, repeated(-1, 16))
+    store(packet.i, RAYS + _GEOMETRY, spread(-1, 16))
 
 
 @njit(cache=True, forceinline=True)
@@ -269,7 +256,7 @@ def prepare_hits(world, frame, paths, hit, number, base, met, placed):
     cosine = -(nx * dx + ny * dy + nz * dz)
     away = cosine <= 0.0
     nx, ny, nz = select(away, fx, nx), select(away, fy, ny), select(away, fz, nz)
-    cosine = least(greatest(select(away, front, cosine), 0.0), 1.0)
+    cosine = lower_of(upper_of(select(away, front, cosine), 0.0), 1.0)
     rx, ry, rz = dx + 2.0 * cosine * nx, dy + 2.0 * cosine * ny, dz + 2.0 * cosine * nz
     store(hit, COSINE * RAYS, cosine)
     store(hit, NORMAL * RAYS, nx)
@@ -283,7 +270,10 @@ def prepare_hits(world, frame, paths, hit, number, base, met, placed):
     # The texture has a border, which its sides or its edges fill.
     columns, rows = gather(table, at + COLUMNS), gather(table, at + ROWS)
     u, v = load(hit, TEXTURE_U * RAYS, 16), load(hit, TEXTURE_V * RAYS, 16)
-    x, y = least(greatest(u * columns + 0.5, 0.0), columns + 0.5), least(greatest(v * rows + 0.5, 0.0), rows + 0.5)
+    x, y = (
+        lower_of(upper_of(u * columns + 0.5, 0.0), columns + 0.5),
+        lower_of(upper_of(v * rows + 0.5, 0.0), rows + 0.5),
+    )
     column, row = truncated(x), truncated(y)
     store(hit, TEXEL_X * RAYS, x - as_float(column))
     store(hit, TEXEL_Y * RAYS, y - as_float(row))
@@ -298,7 +288,7 @@ def prepare_hits(world, frame, paths, hit, number, base, met, placed):
     store(hit, (LIT_MIRROR + 1) * RAYS, turned(turn, 1, rx, ry, rz))
     store(hit, (LIT_MIRROR + 2) * RAYS, turned(turn, 2, rx, ry, rz))
     face, a, b = face_of(lx, ly, lz)
-    cell, sx, sy = cell_of(face, a, b, repeated(np.float32(world.irradiance_side), 16))
+    cell, sx, sy = cell_of(face, a, b, spread(np.float32(world.irradiance_side), 16))
     store(number, NORMAL_CELL * RAYS, cell)
     store(hit, NORMAL_X * RAYS, sx)
     store(hit, NORMAL_Y * RAYS, sy)
@@ -310,7 +300,7 @@ def raised(hit, axis):
     """Return one coordinate of the hits' points, raised from the surface by what single precision needs."""
     facet = load(hit, (FACET + axis) * RAYS, 16)
     x, y, z = load(hit, POINT * RAYS, 16), load(hit, (POINT + 1) * RAYS, 16), load(hit, (POINT + 2) * RAYS, 16)
-    reach = greatest(greatest(absolute(x), absolute(y)), greatest(absolute(z), load(hit, SIZE * RAYS, 16)))
+    reach = upper_of(upper_of(magnitude(x), magnitude(y)), upper_of(magnitude(z), load(hit, SIZE * RAYS, 16)))
     return load(hit, (POINT + axis) * RAYS, 16) + reach * _RISE * facet
 
 

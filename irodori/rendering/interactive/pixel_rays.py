@@ -3,7 +3,7 @@
 import numpy as np
 
 from irodori.jit.array_views import Memory
-from irodori.jit.native import run_chunks
+from irodori.jit.chunks import run_chunks
 from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.interactive.frame_renderer import Lamp, Prepared, frame_of
 from irodori.rendering.interactive.packets import PATHS, TILE

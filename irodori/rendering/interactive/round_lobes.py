@@ -20,8 +20,8 @@ import numpy as np
 from scipy.optimize import nnls
 
 from irodori.core.provenance import code_hash
+from irodori.jit.compilation import njit
 from irodori.jit.kernel_cache import cache_folder
-from irodori.jit.native import njit
 from irodori.light.blurred_light import WIDTHS_RAD
 from irodori.light.gloss.make_lobe_table import _cells, unit
 from irodori.reflection.fresnel import fresnel

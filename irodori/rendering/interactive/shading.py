@@ -7,8 +7,8 @@ import numpy as np
 
 from irodori.geometry.shapes.shape_rows import CURVATURE, MIRROR, SHAPE
 from irodori.jit.array_views import Memory
-from irodori.jit.native import njit
-from irodori.jit.ray_vectors import compress, gather, largest, load, load_like, mask_bits, store, zeros_like
+from irodori.jit.compilation import njit
+from irodori.jit.vector_memory import compress, gather, largest, load, load_like, mask_bits, store, zeros_like
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import constants_of, features_of, strength, value_of
 from irodori.rendering.interactive.ambient import ambient_light

@@ -5,7 +5,7 @@ import numpy as np
 from irodori.geometry.shape_dispatch import chain
 from irodori.geometry.shapes.shadow_nodes import NodeHit
 from irodori.geometry.shapes.shape_rows import KIND, SHAPE
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.rendering.interactive.mesh_shadows import FIRST, SHAPE_NUMBERS, STRIDE
 from irodori.rendering.interactive.packets import (
     BARYCENTRIC_B,

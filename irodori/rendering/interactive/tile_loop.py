@@ -5,19 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.jit.array_views import as_integers, memory_of, moved
-from irodori.jit.native import njit
-from irodori.jit.ray_vectors import (
-    as_float,
-    compress,
-    cycles,
-    load_like,
-    mask_bits,
-    numbered,
-    repeated,
-    root,
-    store,
-    total,
-)
+from irodori.jit.c_functions import cycles
+from irodori.jit.compilation import njit
+from irodori.jit.functions import as_float, root
+from irodori.jit.vector_memory import compress, load_like, mask_bits, numbered, spread, store, total
 from irodori.rendering.interactive.hard_shadows import light_hits
 from irodori.rendering.interactive.look_ups import LOOK_FIELDS, LOOK_NUMBERS, find_lobes
 from irodori.rendering.interactive.packets import (
@@ -152,9 +143,9 @@ def start_tile(frame, left, top, paths):
             along = (a * across + turn[3 * axis + 2]) * scale
             compress(paths.f, (DIRECTION + axis) * STRIDE + count, inside, along)
             compress(paths.f, (ORIGIN + axis) * STRIDE + count, inside, b * across + frame.position_mm[axis])
-        store(paths.f, THROUGHPUT * STRIDE + count, repeated(np.float32(1.0), 16))
-        store(paths.f, CONE * STRIDE + count, repeated(np.float32(frame.pixel * frame.parallel), 16))
-        store(paths.f, SPREAD * STRIDE + count, repeated(np.float32(frame.pixel * (1 - frame.parallel)), 16))
+        store(paths.f, THROUGHPUT * STRIDE + count, spread(np.float32(1.0), 16))
+        store(paths.f, CONE * STRIDE + count, spread(np.float32(frame.pixel * frame.parallel), 16))
+        store(paths.f, SPREAD * STRIDE + count, spread(np.float32(frame.pixel * (1 - frame.parallel)), 16))
         compress(paths.slot, count, inside, number + block * RAYS)
         bits = mask_bits(inside)
         while bits:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from irodori.geometry.embree import Tracer
-from irodori.jit.ray_vectors import width_of
+from irodori.jit.vectors import width_of
 from irodori.light.blurred_light import WIDTHS_RAD, first_level, level_height, prefiltered
 from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps

@@ -15,7 +15,7 @@ from irodori.geometry.shape_registry import number_of
 from irodori.geometry.shapes import Placement
 from irodori.geometry.shapes.shape_rows import CENTRE, KIND, shape_row
 from irodori.geometry.surfaces import face_viewer, make_surfaces, surface_at
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.irradiance import irradiance_at
 from irodori.reflection.equation5 import angles_from_directions

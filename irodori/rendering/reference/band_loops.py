@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.jit.vector_memory import load, spread, store
 from irodori.reflection.fresnel import fresnel
 from irodori.rendering.scene_lights import BANDS, PADDED

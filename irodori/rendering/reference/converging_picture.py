@@ -15,7 +15,7 @@ from irodori.core.provenance import code_hash
 from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes import Placement, reaches
 from irodori.geometry.surfaces import make_surfaces
-from irodori.jit.native import run_chunks
+from irodori.jit.chunks import run_chunks
 from irodori.light.environment_file import Environment
 from irodori.reflection.lobes import Lobes
 from irodori.reflection.registry import lobe

@@ -2,7 +2,7 @@
 
 import math
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.reflection.lobes import draw
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from irodori.geometry.embree import hit_distance, hit_shape, is_blocked, trace
 from irodori.geometry.surfaces import face_viewer
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import constants_of, features_of, strength, value_of
 from irodori.reflection.lobes import density as lobe_density

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import qmc
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 PIXEL, LENS = 0, 2
 VERTEX = 4  # first dimension of the first surface

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from irodori.geometry.embree import new_ray
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.rendering.reference.band_loops import BANDS, PADDED
 from irodori.rendering.reference.paths import MIRRORED, follow
 from irodori.rendering.reference.random_numbers import LENS, PIXEL, draw, pixel_key, stream_of

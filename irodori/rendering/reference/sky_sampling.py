@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.light.environment_file import Environment, directions
 from irodori.light.equirectangular import direction_uv
 from irodori.rendering.reference.band_loops import padded

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.geometry.surfaces import Surfaces
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.rendering.reference.sky_sampling import Sky
 from irodori.rendering.scene_arrays import Objects
 from irodori.rendering.scene_lights import PADDED, Lights

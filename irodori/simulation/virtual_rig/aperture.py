@@ -3,7 +3,7 @@
 import numpy as np
 from numba.extending import register_jitable
 
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 
 #: Irrational steps of the rays' places from row to row and from column to column: the golden and the silver ratio.
 _ROW_STEP, _COLUMN_STEP = (np.sqrt(5.0) - 1.0) / 2.0, np.sqrt(2.0) - 1.0

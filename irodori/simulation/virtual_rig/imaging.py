@@ -11,7 +11,8 @@ from irodori.geometry.embree import Tracer, hit_distance, hit_shape, is_blocked,
 from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.surfaces import Surfaces, face_viewer, make_surfaces, surface_at
-from irodori.jit.native import njit, run_chunks, uncounted
+from irodori.jit.chunks import run_chunks
+from irodori.jit.compilation import njit, uncounted
 from irodori.simulation.virtual_rig.aperture import gather_rows, place_in_cell
 from irodori.simulation.virtual_rig.sample_reflection import (
     GlossComponents,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.core.errors import InputError
-from irodori.jit.native import njit
+from irodori.jit.compilation import njit
 from irodori.reflection.lobes import Lobes, features_of, value_of
 from irodori.reflection.registry import lobe
 from irodori.spectra.resampling import resample
