@@ -83,6 +83,9 @@ def test_texels_with_gloss_of_their_own_keep_it_and_every_field_agrees_with_the_
     kept = pooled.status != Status.POOLED
     for field in dataclasses.fields(alone):
         before, after = getattr(alone, field.name), getattr(pooled, field.name)
+        if not isinstance(before, np.ndarray):  # the lobes, and what a second one would have
+            assert after == before
+            continue
         np.testing.assert_array_equal(after[kept], before[kept])
         assert after.dtype == before.dtype and after.shape == before.shape
     stated = np.isin(pooled.status, (Status.OK, Status.POOLED))
