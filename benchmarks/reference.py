@@ -44,7 +44,8 @@ from irodori.config.models import View as SeenFrom
 from irodori.core.threads import use_threads
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.rig_frame import rotation_x, rotation_xyz, rotation_y
-from irodori.geometry.shapes import Placement, Shape
+from irodori.geometry.shapes.placement import Placement
+from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.light.placed_lights import unit_luminance
 from irodori.material.material_file import Material

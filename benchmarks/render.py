@@ -26,7 +26,7 @@ from irodori.config.definitions import load_definitions, read_yaml
 from irodori.config.loaded import Loaded
 from irodori.config.models import Size
 from irodori.geometry.rig_frame import rotation_xyz
-from irodori.geometry.shapes import Shape
+from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.irradiance import fitted_irradiance_map

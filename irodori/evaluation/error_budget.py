@@ -26,7 +26,7 @@ from irodori.evaluation.known_errors import Known, colours, with_colours
 from irodori.evaluation.light_prediction import drawn_lights, family
 from irodori.evaluation.renderer_noise import MORE, Paths, expected_noise, measured_noise, traced_rows
 from irodori.evaluation.truth_errors import interior, radiance_delta_e
-from irodori.geometry.shapes import Shape
+from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.light.stage import observers
 from irodori.material.material_file import Material

@@ -8,7 +8,7 @@ from scipy.special import ndtr
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.config.models import Fit
 from irodori.core import store
-from irodori.geometry.shapes import Shape
+from irodori.geometry.shapes.shape import Shape
 from irodori.material.fitted_tiles import FittedTiles
 from irodori.material.material_file import Material, gloss_maps
 

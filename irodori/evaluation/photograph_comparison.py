@@ -26,7 +26,7 @@ from irodori.geometry.embree import NO_HIT, Tracer
 from irodori.geometry.ideal_camera import IdealView
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.rig_frame import look_at
-from irodori.geometry.shapes import Shape
+from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.photographed_view import HALVES, render_halves

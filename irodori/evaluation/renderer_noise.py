@@ -4,7 +4,7 @@ import numpy as np
 
 from irodori.config.models import ReferenceIntegrator, Scene, Size
 from irodori.evaluation.truth_errors import radiance_delta_e
-from irodori.geometry.shapes import Shape
+from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import with_bodies

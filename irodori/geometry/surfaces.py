@@ -6,7 +6,7 @@ import numpy as np
 
 from irodori.geometry.shape_dispatch import chain
 from irodori.geometry.shape_registry import number_of
-from irodori.geometry.shapes import Placement
+from irodori.geometry.shapes.placement import Placement
 from irodori.jit.compilation import njit
 
 

@@ -20,7 +20,8 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.lamp import FAR, Lamp
 from irodori.geometry.pinhole import Pinhole, samples_from_superpixels
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera
-from irodori.geometry.shapes import Shape, on_table
+from irodori.geometry.shapes.placement import on_table
+from irodori.geometry.shapes.shape import Shape
 from irodori.jit.compilation import njit
 from irodori.reflection.equation5 import angles_from_directions
 

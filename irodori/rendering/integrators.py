@@ -8,7 +8,7 @@ import numpy as np
 
 from irodori.config.models import InteractiveIntegrator, ReferenceIntegrator, Render, Scene, Size
 from irodori.core.progress import LOGGER
-from irodori.geometry.shapes import Shape
+from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.frame_state import STILL, Moment, turned_scene

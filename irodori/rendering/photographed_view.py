@@ -9,7 +9,7 @@ from irodori.config.parts import Staging
 from irodori.core import store
 from irodori.geometry.ideal_camera import IdealView
 from irodori.geometry.pinhole import Pinhole
-from irodori.geometry.shapes import Shape
+from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image

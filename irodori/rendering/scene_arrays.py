@@ -6,7 +6,8 @@ import numpy as np
 
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import look_at, rotation_xyz
-from irodori.geometry.shapes import Placement, Shape
+from irodori.geometry.shapes.placement import Placement
+from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment, directions
 from irodori.material.material_file import Material
 from irodori.reflection.lobes import Lobes

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from irodori.geometry.rig_frame import rotation_xyz
-from irodori.geometry.shapes import Placement
+from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.plate import Plate
 from irodori.geometry.shapes.sphere import Sphere
 from irodori.jit.compilation import njit

@@ -24,7 +24,7 @@ from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
 from irodori.core.provenance import code_hash, file_sha256
-from irodori.geometry.shapes import Shape
+from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.light.placed_lights import unit_luminance
 from irodori.material.material_file import Material

@@ -12,7 +12,7 @@ from irodori.config.models import ObjectShape, Render, Scene
 from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER
 from irodori.export.pictures import read_xyz, write_display_picture, write_spectral_exr, write_xyz_exr
-from irodori.geometry.shapes import Shape
+from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image

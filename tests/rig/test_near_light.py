@@ -32,7 +32,8 @@ from irodori.geometry.lamp import Lamp
 from irodori.geometry.lathe import write_obj
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.rig_frame import rig_from_object, to_light
-from irodori.geometry.shapes import Placement, Shape
+from irodori.geometry.shapes.placement import Placement
+from irodori.geometry.shapes.shape import Shape
 from irodori.ingest.flat_field import evaluate_flat, fit_flat
 from irodori.rectification.stage import RigSetup, observe, rectify_object
 from irodori.simulation.virtual_rig.ground_truth import true_material

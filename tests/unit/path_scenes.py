@@ -15,7 +15,8 @@ from irodori.config.models import (
     View,
 )
 from irodori.geometry.mesh import Mesh
-from irodori.geometry.shapes import Placement, Shape
+from irodori.geometry.shapes.placement import Placement
+from irodori.geometry.shapes.shape import Shape
 from irodori.rendering.reference.converging_picture import Picture, make_scene, render
 from irodori.rendering.scene_arrays import make_objects, make_view
 

@@ -12,7 +12,7 @@ from irodori.config.models import (
     Render,
     Scene,
 )
-from irodori.geometry.shapes import Shape
+from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment, directions
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image

@@ -10,7 +10,7 @@ from path_scenes import DARK, ball
 from scenes import BALL, OPTIONS, constant_light, material, pixel_rays, plate
 
 from irodori.config.models import Render, Scene, SceneLight, Size, View
-from irodori.geometry.shapes import Placement
+from irodori.geometry.shapes.placement import Placement
 from irodori.light.placed_lights import unit_luminance
 from irodori.rendering.integrators import render_image
 from irodori.rendering.reference.converging_picture import make_scene, render

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from irodori.geometry.embree import NO_HIT, Tracer
 from irodori.geometry.rig_frame import rotation_xyz
-from irodori.geometry.shapes import Placement
+from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.plate import Plate
 from irodori.geometry.shapes.sphere import Sphere
 from irodori.geometry.surfaces import make_surfaces

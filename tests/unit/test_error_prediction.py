@@ -18,7 +18,7 @@ from irodori.evaluation.error_prediction import held_out, moved_texels, noisy, s
 from irodori.evaluation.known_errors import Known, Photographs, Spread
 from irodori.evaluation.light_prediction import drawn_lights, family, posterior, responses_from_light, sensitivity
 from irodori.evaluation.truth_errors import radiance_delta_e
-from irodori.geometry.shapes import Shape
+from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.spectra.published import camera_sensitivities, chart_spectra, light, spectrum

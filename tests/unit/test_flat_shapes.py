@@ -18,9 +18,10 @@ from irodori.config.models import (
 )
 from irodori.geometry.embree import NO_HIT, Tracer
 from irodori.geometry.rig_frame import rotation_xyz
-from irodori.geometry.shapes import Placement, Shape
 from irodori.geometry.shapes.disc import Disc, hidden_by_disc
+from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.plane import Plane, hidden_by_plane
+from irodori.geometry.shapes.shape import Shape
 from irodori.rendering.integrators import render_image
 
 FLOOR = Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "plane"}))

@@ -17,9 +17,10 @@ from irodori.config.models import (
 )
 from irodori.geometry import rig_frame
 from irodori.geometry.pinhole import Pinhole
-from irodori.geometry.shapes import Placement, Shape, on_table
 from irodori.geometry.shapes.flat import THICKNESS_MM, uv_of_flat
+from irodori.geometry.shapes.placement import Placement, on_table
 from irodori.geometry.shapes.plate import Plate
+from irodori.geometry.shapes.shape import Shape
 from irodori.geometry.shapes.sphere import Sphere, uv_of_sphere
 
 ANGLE = st.floats(-180.0, 180.0)

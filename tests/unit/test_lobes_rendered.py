@@ -14,7 +14,7 @@ from path_scenes import DARK, deviations, traced
 from scenes import BALL, ONES, constant_light, fresnel, material, plate, sky, smooth_light, sphere_hits
 
 from irodori.config.models import Size, View
-from irodori.geometry.shapes import Placement
+from irodori.geometry.shapes.placement import Placement
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.material.material_file import Material
 from irodori.reflection.lobe import Lobe

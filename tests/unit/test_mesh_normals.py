@@ -7,7 +7,7 @@ from shortcuts import ball
 from test_meshes import SEEDS, body, in_order
 
 from irodori.geometry.mesh import make_mesh
-from irodori.geometry.shapes import Shape
+from irodori.geometry.shapes.shape import Shape
 
 
 def cube(seed):

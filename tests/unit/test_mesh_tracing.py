@@ -24,8 +24,9 @@ from irodori.geometry.embree import NO_HIT, Tracer
 from irodori.geometry.lathe import LID_MM, lathe, write_obj
 from irodori.geometry.mesh import make_mesh
 from irodori.geometry.rig_frame import rig_from_object, rotation_xyz
-from irodori.geometry.shapes import Placement, Shape, on_table
+from irodori.geometry.shapes.placement import Placement, on_table
 from irodori.geometry.shapes.plate import Plate
+from irodori.geometry.shapes.shape import Shape
 from irodori.geometry.shapes.sphere import Sphere
 from irodori.rectification.stage import observe
 

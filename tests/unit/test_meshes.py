@@ -15,7 +15,8 @@ from irodori.geometry.lathe import lathe, write_lid, write_obj
 from irodori.geometry.mesh import make_mesh
 from irodori.geometry.mesh_files import MM_IN, read_mesh
 from irodori.geometry.mesh_sources import mesh_files
-from irodori.geometry.shapes import Shape, on_table
+from irodori.geometry.shapes.placement import on_table
+from irodori.geometry.shapes.shape import Shape
 
 trimesh = pytest.importorskip("trimesh")
 SEEDS = st.integers(0, 2**32 - 1)

@@ -338,7 +338,7 @@ def test_a_users_photograph_needs_its_files_in_the_filter_states_of_the_chart(tm
 
 def test_a_plate_seen_straight_is_where_the_shapes_say():
     from irodori.evaluation.photograph_comparison import shows_an_object
-    from irodori.geometry.shapes import Placement
+    from irodori.geometry.shapes.placement import Placement
 
     ideal = IdealView.covering(Pinhole(1000.0, (100.0, 100.0), 200, 200), 1)
     placed = {"position_mm": [0.0, 0.0, 1000.0], "target_mm": [0.0, 0.0, 0.0], "up": [0.0, 1.0, 0.0]}

@@ -22,7 +22,8 @@ from irodori.config.parts import RigGeometry, TexturedObject
 from irodori.core import store
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_object
-from irodori.geometry.shapes import Placement, Shape
+from irodori.geometry.shapes.placement import Placement
+from irodori.geometry.shapes.shape import Shape
 from irodori.rectification.stage import RigSetup, _sample, observe, rectify_object
 
 ROOT = Path(__file__).resolve().parents[2]

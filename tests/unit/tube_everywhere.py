@@ -24,7 +24,8 @@ from irodori.config.models import ObjectShape  # noqa: E402
 from irodori.config.validation import load_schema  # noqa: E402
 from irodori.geometry.embree import Tracer  # noqa: E402
 from irodori.geometry.rig_frame import rig_from_object, rotation_xyz  # noqa: E402
-from irodori.geometry.shapes import Placement, Shape  # noqa: E402
+from irodori.geometry.shapes.placement import Placement  # noqa: E402
+from irodori.geometry.shapes.shape import Shape  # noqa: E402
 from irodori.rendering.planning.probe_look_ups import meet  # noqa: E402
 
 BLOCK = {"kind": "tube", "radius_mm": 20.0, "height_mm": 60.0}

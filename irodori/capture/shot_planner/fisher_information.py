@@ -20,7 +20,8 @@ import numpy as np
 from irodori.config.capture_table import Pose
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_object, to_camera, to_light
-from irodori.geometry.shapes import Shape, on_table
+from irodori.geometry.shapes.placement import on_table
+from irodori.geometry.shapes.shape import Shape
 from irodori.jit.compilation import njit
 from irodori.reflection.equation5 import angles_from_directions, gloss_factors
 from irodori.reflection.lobes import Lobes, constants, derivatives, features, value

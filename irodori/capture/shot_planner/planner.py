@@ -23,7 +23,7 @@ from irodori.config.capture_table import Pose
 from irodori.config.models import AxisLimit, Object, Rig, RigLimits, SensorOptions
 from irodori.config.parts import PlannedObject
 from irodori.geometry.rig_frame import to_camera, to_light
-from irodori.geometry.shapes import Shape
+from irodori.geometry.shapes.shape import Shape
 from irodori.spectra.published import refractive_index_at
 
 AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")

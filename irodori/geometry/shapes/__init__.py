@@ -4,8 +4,3 @@ A texture has `height` rows and `width` columns; texel (row, column) has u = (co
 v = (row + 0.5) / height. What a shape is, in all that the package asks of it, stands in its own file behind the
 interface of `irodori.geometry.shapes.shape`; `irodori.geometry.shape_registry` lists them.
 """
-
-from irodori.geometry.shapes.placement import Placement, on_table, reaches
-from irodori.geometry.shapes.shape import Shape
-
-__all__ = ["Placement", "Shape", "on_table", "reaches"]

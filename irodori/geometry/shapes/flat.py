@@ -1,4 +1,4 @@
-"""What flat shapes share: they lie in z = 0 of their frame, face +z, and have u along +x and v along -y.
+"""Common parts of flat shapes, which lie in z = 0 of their frame, face +z, and have u along +x and v along -y.
 
 So the texture reads as seen from above.
 """

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.geometry.embree import NO_HIT, Tracer, hit_shape, is_blocked, new_ray, trace
-from irodori.geometry.shapes import Placement, reaches
+from irodori.geometry.shapes.placement import Placement, reaches
 from irodori.geometry.shapes.shadow_nodes import GRID, Nodes
 from irodori.jit.array_views import Memory
 from irodori.jit.chunks import run_chunks

@@ -8,7 +8,7 @@ import numpy as np
 
 from irodori.geometry.embree import Tracer
 from irodori.geometry.shape_registry import number_of
-from irodori.geometry.shapes import reaches
+from irodori.geometry.shapes.placement import reaches
 from irodori.geometry.shapes.shape_rows import COLUMNS, MIRROR, ROWS, shape_row
 from irodori.geometry.surfaces import Surfaces, make_surfaces
 from irodori.jit.array_views import Memory

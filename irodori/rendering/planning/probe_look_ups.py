@@ -12,7 +12,7 @@ import numpy as np
 from irodori.geometry.embree import Tracer, hit_distance, hit_shape, new_ray, trace
 from irodori.geometry.shape_dispatch import chain
 from irodori.geometry.shape_registry import number_of
-from irodori.geometry.shapes import Placement
+from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape_rows import CENTRE, KIND, shape_row
 from irodori.geometry.surfaces import face_viewer, make_surfaces, surface_at
 from irodori.jit.compilation import njit

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from irodori.config.models import ObjectShape, ReferenceIntegrator, Render, Scene
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
-from irodori.geometry.shapes import Shape
+from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import has_ambient, with_bodies

@@ -13,7 +13,7 @@ from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER, track
 from irodori.core.provenance import code_hash
 from irodori.geometry.embree import Tracer
-from irodori.geometry.shapes import Placement, reaches
+from irodori.geometry.shapes.placement import Placement, reaches
 from irodori.geometry.surfaces import make_surfaces
 from irodori.jit.chunks import run_chunks
 from irodori.light.environment_file import Environment

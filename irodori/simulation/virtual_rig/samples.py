@@ -16,7 +16,7 @@ from irodori.config.models import (
     TrueMaterial,
 )
 from irodori.config.parts import PhotographedObject
-from irodori.geometry.shapes import Shape
+from irodori.geometry.shapes.shape import Shape
 from irodori.reflection.fresnel import fresnel
 from irodori.simulation.virtual_rig.sample_reflection import lobe_of_kind, measured_lobe, read_measured
 from irodori.spectra.grid import SAMPLES

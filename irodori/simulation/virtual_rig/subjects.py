@@ -14,7 +14,7 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.rig_frame import flat_incidence_rad, rig_from_camera, rig_from_object, to_camera, to_light
-from irodori.geometry.shapes import on_table
+from irodori.geometry.shapes.placement import on_table
 from irodori.light.omnidirectional import to_panorama
 from irodori.simulation.virtual_rig.aperture import gather_rows, place_in_cell
 from irodori.simulation.virtual_rig.classroom import room_coefficients, source_spectra

@@ -7,7 +7,7 @@ from shortcuts import irradiance_map
 
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.config.models import Size, View
-from irodori.geometry.shapes import Placement
+from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.sphere import Sphere
 from irodori.light.environment_file import Environment, directions
 from irodori.light.gloss.gloss_maps import GlossMaps

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import BALL, fresnel, material
 
-from irodori.geometry.shapes import Placement
+from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.plate import hidden_by_corners
 from irodori.geometry.shapes.sphere import arc_tangent, hidden_by_sphere
 from irodori.jit import ray_vectors

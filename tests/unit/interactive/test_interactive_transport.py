@@ -15,7 +15,7 @@ from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.config.models import Render, Scene
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.rig_frame import rotation_xyz
-from irodori.geometry.shapes import Shape
+from irodori.geometry.shapes.shape import Shape
 from irodori.reflection.equation5 import angles_from_directions, reflect
 from irodori.rendering.integrators import render_image
 from irodori.rendering.interactive.frame_renderer import Lamp, render_frame

@@ -22,7 +22,8 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.lathe import LID_MM, lathe
 from irodori.geometry.mesh import Mesh, make_mesh
 from irodori.geometry.rig_frame import rotation_xyz
-from irodori.geometry.shapes import Shape, flat, mesh_shadow_nodes, sphere
+from irodori.geometry.shapes import flat, mesh_shadow_nodes, sphere
+from irodori.geometry.shapes.shape import Shape
 from irodori.rendering.integrators import render_image
 from irodori.rendering.interactive import mesh_shadows
 from irodori.rendering.interactive.frame_renderer import render_frame

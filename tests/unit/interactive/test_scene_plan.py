@@ -19,7 +19,7 @@ from irodori.config.parts import Staging
 from irodori.core.errors import InputError
 from irodori.core.store import Provenance
 from irodori.export.pictures import read_xyz, write_spectral_exr, write_xyz_exr
-from irodori.geometry.shapes import Shape
+from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
