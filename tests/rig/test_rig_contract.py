@@ -36,7 +36,7 @@ def opened(peer):
     rig, simulator = peer
     simulator.clear()
     simulator.power()
-    with open_rig(made(Rig, rig)) as opened:
+    with open_rig(made(RigDefinition, rig)) as opened:
         opened.simulator = simulator
         opened.home()
         yield opened
@@ -110,7 +110,7 @@ def test_its_status_is_one_of_the_states(opened):
 def test_a_rig_that_was_not_homed_refuses_to_move(peer):
     rig, simulator = peer
     simulator.power()
-    with open_rig(made(Rig, rig)) as opened:
+    with open_rig(made(RigDefinition, rig)) as opened:
         assert not opened.status().homed
         before = simulator.true_position()
         with pytest.raises(AlarmError, match="home"):
@@ -254,7 +254,7 @@ def test_opening_a_held_rig_gives_up_its_move(peer, opened):
         opened.move({"camera_deg": 140.0})
     assert simulator.snapshot()["state"].lower() == "hold"
     held = simulator.true_position()
-    with open_rig(made(Rig, rig)) as again:
+    with open_rig(made(RigDefinition, rig)) as again:
         assert again.status().state == "idle"
         with pytest.raises(CommandError, match="not held"):
             again.resume()
@@ -266,7 +266,7 @@ def test_opening_a_held_rig_gives_up_its_move(peer, opened):
 
 def test_stop_and_close_may_be_repeated_and_never_raise(peer):
     rig, _ = peer
-    with open_rig(made(Rig, rig)) as opened:
+    with open_rig(made(RigDefinition, rig)) as opened:
         opened.stop()
         opened.stop()
         opened.close()
@@ -274,15 +274,15 @@ def test_stop_and_close_may_be_repeated_and_never_raise(peer):
         opened.stop()
         with pytest.raises(LinkError):
             opened.status()
-    with open_rig(made(Rig, rig)) as opened:
+    with open_rig(made(RigDefinition, rig)) as opened:
         opened.status()
 
 
 @pytest.mark.stability(stage="capture", case="port in use")
 def test_a_port_in_use_is_refused_by_name_in_this_process_and_in_another(peer):
     rig, simulator = peer
-    with open_rig(made(Rig, rig)):
-        with pytest.raises(LinkError, match=f"{simulator.port}: in use"), open_rig(made(Rig, rig)):
+    with open_rig(made(RigDefinition, rig)):
+        with pytest.raises(LinkError, match=f"{simulator.port}: in use"), open_rig(made(RigDefinition, rig)):
             pass
         code = (
             "import sys\nfrom irodori.capture.rig.serial_link import SerialLink\n"
@@ -293,7 +293,7 @@ def test_a_port_in_use_is_refused_by_name_in_this_process_and_in_another(peer):
             [sys.executable, "-c", code, simulator.port], capture_output=True, text=True, timeout=60, check=True
         )
         assert f"{simulator.port}: in use" in run.stdout
-    with open_rig(made(Rig, rig)):
+    with open_rig(made(RigDefinition, rig)):
         pass
 
 
@@ -306,7 +306,8 @@ def test_the_time_of_a_move_is_that_of_its_slowest_axis(opened):
 def test_a_simulator_ends_with_the_process_that_started_it(tmp_path):
     code = (
         "import time, sys\nsys.path.insert(0, 'tests/rig')\nfrom motion_rigs import *\n"
-        "with start_simulator(definition('grbl')) as s:\n    print(s.process.pid, flush=True)\n    time.sleep(60)\n"
+        "from irodori.config.models import Rig\n"
+        "with start_simulator(Rig.of(definition('grbl'))) as s:\n    print(s.process.pid, flush=True)\n    time.sleep(60)\n"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
         pid = int(parent.stdout.readline())

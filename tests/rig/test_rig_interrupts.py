@@ -22,9 +22,10 @@ import sys
 sys.path.insert(0, "tests/rig")
 from motion_rigs import at_port, definition
 from irodori.capture.rig.connect import open_rig
+from irodori.config.models import Rig
 rig = definition(sys.argv[1])
 rig["motion"]["timeout_s"] = 60.0  # deadlines are of the axes' own speed, and the simulated ones are slowed down
-with open_rig(at_port(rig, sys.argv[2])) as rig:
+with open_rig(Rig.of(at_port(rig, sys.argv[2]))) as rig:
     rig._homed = True  # the ascii rig forgets that it was homed; homing again would take too long here
     print("ready", flush=True)
     rig.move({"camera_deg": float(sys.argv[3])})

@@ -24,7 +24,7 @@ DARK = constant_light(0.0)
 
 
 def traced(shapes, materials, light, samples, position=(0.0, -200.0, 0.0), target=(0.0, 0.0, 0.0), size=(41, 41),
-           fov=13.0, places=None, rotations=None, lights=None, up=(0.0, 0.0, 1.0), **options) -> Picture:  # fmt: skip
+           fov=13.0, places=None, rotations=None, lights=(), up=(0.0, 0.0, 1.0), **options) -> Picture:  # fmt: skip
     """Render a view of shapes by paths, in 8 replicates: their spread says something of a single pixel."""
     options.setdefault("replicates", 8)
     places = places or [(0.0, 0.0, 0.0)] * len(shapes)

@@ -1,4 +1,4 @@
-"""What the Snakefile asks: files and parameters of jobs, from wildcards."""
+"""Answers to the Snakefile: files and parameters of jobs, from wildcards."""
 
 import dataclasses
 import itertools
