@@ -86,9 +86,9 @@ def make_lights(definitions: "Sequence[SceneLight]", first_surface: int) -> tupl
 
 def _placement(light: "RectangleLight | SphereLight") -> Placement:
     position = np.asarray(light.position_mm, dtype=np.float64)
-    if light.kind == "sphere":
-        return Placement(Sphere(light.radius_mm), np.eye(3), position)
-    return Placement(Plate(light.width_mm, light.height_mm), rotation_xyz(light.rotation_deg), position)
+    if light.kind == "rectangle":
+        return Placement(Plate(light.width_mm, light.height_mm), rotation_xyz(light.rotation_deg), position)
+    return Placement(Sphere(light.radius_mm), np.eye(3), position)
 
 
 def upward_radiance(lights: Lights) -> np.ndarray:

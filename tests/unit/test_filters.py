@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made import made
 
 from irodori.calibration.filters import main, read_filters
 from irodori.calibration.ranking import NO_FILTER, rank_filters, wiener_estimator
 from irodori.calibration.simulated_responses import EXPOSURES, band_weights, responses
 from irodori.colour.colorimetry import delta_e_reflectance
-from irodori.config.models import Camera
 from irodori.core.errors import InputError
 from irodori.spectra.grid import TRAPEZOID_NM, WAVELENGTH_NM
 from irodori.spectra.published import camera_sensitivities, chart_spectra, light, spectrum
@@ -83,13 +81,13 @@ def test_noise_is_that_of_the_seed():
 
 def test_a_simulation_refuses_what_has_no_meaning():
     with pytest.raises(ValueError, match="per_band, per_shot, same_time"):
-        band_weights(made(Camera, CAMERA), LIGHT, exposure="auto")
+        band_weights(CAMERA, LIGHT, exposure="auto")
     with pytest.raises(ValueError, match="61 wavelengths"):
-        band_weights(made(Camera, CAMERA[:, :31]), LIGHT)
+        band_weights(CAMERA[:, :31], LIGHT)
     with pytest.raises(ValueError, match="finite values from 0"):
-        band_weights(made(Camera, CAMERA), -LIGHT)
+        band_weights(CAMERA, -LIGHT)
     with pytest.raises(ValueError, match="sees nothing"):
-        band_weights(made(Camera, CAMERA), np.zeros(61))
+        band_weights(CAMERA, np.zeros(61))
     with pytest.raises(ValueError, match="band 3 sees nothing"):
         responses(reflectances(1), CAMERA, LIGHT, np.zeros(61))
     with pytest.raises(ValueError, match="from 0"):
@@ -106,7 +104,7 @@ def test_the_prediction_is_what_a_brute_force_simulation_gives(exposure, noise):
     score = next(
         s for s in rank_filters(CAMERA, {"comb": COMB}, LIGHT, training, test, noise, exposure) if s.name == "comb"
     )
-    weights = band_weights(made(Camera, CAMERA), LIGHT, COMB, exposure)
+    weights = band_weights(CAMERA, LIGHT, COMB, exposure)
     moments = training.T @ training / len(training)
     white = weights.sum(axis=1)
     estimator = wiener_estimator(weights, moments, noise)
@@ -124,7 +122,7 @@ def test_the_prediction_is_what_a_brute_force_simulation_gives(exposure, noise):
 
 def test_the_wiener_filter_has_the_smallest_error_of_linear_estimators_on_its_own_training_set():
     training, noise = reflectances(60, 1), 0.01
-    weights = band_weights(made(Camera, CAMERA), LIGHT, COMB)
+    weights = band_weights(CAMERA, LIGHT, COMB)
     best = wiener_estimator(weights, training.T @ training / len(training), noise)
 
     def expected(estimator):

@@ -25,6 +25,7 @@ from irodori.light.placed_lights import unit_luminance
 from irodori.rendering import sequence
 from irodori.rendering.frame_state import Moment, turned_scene
 from irodori.rendering.integrators import make_renderer, render_image
+from irodori.rendering.interactive import frame_renderer
 
 BASIS = np.stack([np.linspace(0.6, 1.4, 61), np.linspace(1.5, 0.2, 61)], axis=1)
 SUN = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": 20.0, "elevation_deg": 50.0, "irradiance": 0.015}
@@ -114,10 +115,10 @@ def test_area_lights_turn_about_the_pivot():
     ]
     scene = scene_of(REFERENCE) | {"lights": lights}
     moment = Moment(lights_deg=90.0, pivot_mm=(10.0, 0.0, 0.0))
-    panel, bulb = turned_scene(made(Scene, scene), moment)["lights"]
-    assert np.allclose(panel["position_mm"], [10.0, 30.0, 90.0]) and panel["rotation_deg"] == [180.0, 10.0, 95.0]
-    assert np.allclose(bulb["position_mm"], [3.0, 30.0, 90.0]) and bulb["radius_mm"] == 3.0
-    assert turned_scene(made(Scene, scene), moment)["objects"] == turned_scene(made(Scene, scene), Moment())["objects"]
+    panel, bulb = turned_scene(made(Scene, scene), moment).lights
+    assert np.allclose(panel.position_mm, [10.0, 30.0, 90.0]) and [*panel.rotation_deg] == [180.0, 10.0, 95.0]
+    assert np.allclose(bulb.position_mm, [3.0, 30.0, 90.0]) and bulb.radius_mm == 3.0
+    assert turned_scene(made(Scene, scene), moment).objects == turned_scene(made(Scene, scene), Moment()).objects
 
 
 @EVERY
@@ -318,16 +319,14 @@ def test_threads_do_not_change_a_bit_of_a_sequence(tmp_path, integrator):
 
 
 def test_a_sweep_keeps_what_the_eye_met_and_a_turntable_does_not(monkeypatch):
-    from irodori.rendering import interactive
-
     kept = []
-    real = interactive.render_frame
+    real = frame_renderer.render_frame
 
     def noted(*arguments, keep_visibility=False, **options):
         kept.append(keep_visibility)
         return real(*arguments, keep_visibility=keep_visibility, **options)
 
-    monkeypatch.setattr(interactive, "render_frame", noted)
+    monkeypatch.setattr(frame_renderer, "render_frame", noted)
     made = renderer(scene_of(INTERACTIVE))
     moments = [Moment(environment_deg=a, lights_deg=a) for a in (0.0, 40.0)]
     fresh = [made.picture("v", m)[0] for m in moments]

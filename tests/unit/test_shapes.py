@@ -127,7 +127,7 @@ def tube(tmp_path, part: str) -> dict:
     """What `tube_everywhere` finds in a process in which the tube is registered."""
     output, here = tmp_path / "found.npz", Path(__file__).parent
     command = [sys.executable, "-W", "error", here / "tube_everywhere.py", output, part]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(here)])}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(here.parent), str(here)])}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
     with np.load(output) as found:

@@ -281,7 +281,7 @@ def test_refractive_index_is_constant_or_from_a_file_and_never_unphysical(tmp_pa
     negative = columns(tmp_path / "bad.csv", [[w, 1.5, -0.1] for w in GRID], header="wavelength_nm,n,k")
     assert refusal(refractive_index, made(RefractiveIndex, {"file": str(negative)})).file == str(negative)
     swapped = columns(tmp_path / "swapped.csv", [[w, 1, 2] for w in GRID], header="wavelength_nm,k,n")
-    assert refusal(refractive_index, {"file": str(swapped)}).file == str(swapped)
+    assert refusal(refractive_index, made(RefractiveIndex, {"file": str(swapped)})).file == str(swapped)
 
 
 # Published spectra
