@@ -307,7 +307,8 @@ def test_a_simulator_ends_with_the_process_that_started_it(tmp_path):
     code = (
         "import time, sys\nsys.path.insert(0, 'tests/rig')\nfrom motion_rigs import *\n"
         "from irodori.config.models import Rig\n"
-        "with start_simulator(Rig.of(definition('grbl'))) as s:\n    print(s.process.pid, flush=True)\n    time.sleep(60)\n"
+        "with start_simulator(Rig.of(definition('grbl'))) as s:\n"
+        "    print(s.process.pid, flush=True)\n    time.sleep(60)\n"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
         pid = int(parent.stdout.readline())
