@@ -14,7 +14,7 @@ from scenes import BALL, fresnel, material
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.plate import hidden_by_corners
 from irodori.geometry.shapes.sphere import arc_tangent, hidden_by_sphere
-from irodori.jit import ray_vectors
+from irodori.jit import functions, vector_memory
 from irodori.light.environment_file import directions
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.gloss.make_lobe_table import lobe_samples
@@ -44,16 +44,14 @@ from irodori.rendering.scene_arrays import make_objects
 
 @numba.njit
 def _exercise(a, b, numbers, out):
-    x, y = ray_vectors.load(a, 0, 16), ray_vectors.load(b, 0, 16)
+    x, y = vector_memory.load(a, 0, 16), vector_memory.load(b, 0, 16)
     mask = (x > y) & ~(y < 0.25)
-    ray_vectors.store(
-        out, 0, ray_vectors.select(mask, x * 2.0 - y, ray_vectors.root(ray_vectors.absolute(y)) / (1.0 + x))
-    )
-    ray_vectors.store(out, 16, ray_vectors.gather(a, ray_vectors.load(numbers, 0, 16)))
-    ray_vectors.store(out, 32, arc_tangent(y, x))
-    ray_vectors.store(out, 48, ray_vectors.with_sign(ray_vectors.least(ray_vectors.greatest(x, 0.1), 0.6), -y))
-    ray_vectors.compress(out, 64, mask, x)
-    return ray_vectors.mask_bits(mask), ray_vectors.total(x), ray_vectors.largest(x)
+    vector_memory.store(out, 0, functions.select(mask, x * 2.0 - y, functions.root(functions.magnitude(y)) / (1.0 + x)))
+    vector_memory.store(out, 16, vector_memory.gather(a, vector_memory.load(numbers, 0, 16)))
+    vector_memory.store(out, 32, arc_tangent(y, x))
+    vector_memory.store(out, 48, functions.with_sign(functions.lower_of(functions.upper_of(x, 0.1), 0.6), -y))
+    vector_memory.compress(out, 64, mask, x)
+    return vector_memory.mask_bits(mask), vector_memory.total(x), vector_memory.largest(x)
 
 
 def test_vectors_compute_what_numpy_computes():
@@ -79,7 +77,7 @@ def test_halves_are_read_as_the_numbers_that_they_are():
 
     @numba.njit
     def read(halves, out):
-        ray_vectors.store(out, 0, ray_vectors.load(halves, 0, 4))
+        vector_memory.store(out, 0, vector_memory.load(halves, 0, 4))
 
     read(values.view(np.uint16), out)
     assert np.array_equal(out, values.astype(np.float32))
@@ -118,13 +116,17 @@ def test_a_map_errs_with_the_square_of_a_texel_over_edges_and_corners_too():
 def _compiled_look_up(texels, side, unit, out):
     for i in range(0, unit.shape[1], 16):
         face, u, v = face_of(
-            ray_vectors.load(unit[0], i, 16), ray_vectors.load(unit[1], i, 16), ray_vectors.load(unit[2], i, 16)
+            vector_memory.load(unit[0], i, 16), vector_memory.load(unit[1], i, 16), vector_memory.load(unit[2], i, 16)
         )
-        cell, x, y = cell_of(face, u, v, ray_vectors.repeated(np.float32(side), 16))
+        cell, x, y = cell_of(face, u, v, vector_memory.spread(np.float32(side), 16))
         for ray in range(16):
-            place, fx, fy = np.int64(ray_vectors.lane(cell, ray)), ray_vectors.lane(x, ray), ray_vectors.lane(y, ray)
-            ray_vectors.store(
-                out, (i + ray) * 4, bilinear(texels, 0, place, side + 2, fx, fy, ray_vectors.load(texels, 0, 4))
+            place, fx, fy = (
+                np.int64(vector_memory.lane(cell, ray)),
+                vector_memory.lane(x, ray),
+                vector_memory.lane(y, ray),
+            )
+            vector_memory.store(
+                out, (i + ray) * 4, bilinear(texels, 0, place, side + 2, fx, fy, vector_memory.load(texels, 0, 4))
             )
 
 
