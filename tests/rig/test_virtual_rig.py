@@ -119,7 +119,9 @@ def test_a_plate_of_two_components_has_the_sum_of_their_terms_and_its_truth_has_
     plain = reflect(1.0, sample.reflectance[0] @ weights[1] / scale, 4.0, 0.15, geometry)
     expected = scale * (plain + reflect(0.0, 0.0, 1.5, 0.4, geometry, lobe="ggx"))
     assert image[0, 298:302, 398:402][0::2, 1::2].mean() == pytest.approx(float(expected), rel=2e-3)
-    truth = true_material(made(Object, definition), *perfect)
+    truth = true_material(
+        made(Object, definition), *(made(kind, one) for kind, one in zip((Camera, Rig), perfect, strict=True))
+    )
     assert [(name, beta[0, 0], mu[0, 0]) for name, beta, mu in truth.gloss] == [
         ("gaussian", 4.0, 0.15), ("ggx", 1.5, 0.4)
     ]  # fmt: skip
@@ -130,7 +132,9 @@ def test_the_truth_of_materials_with_different_lobes_has_a_component_for_each(de
     definition = uniform(definitions, "tile-plate")
     definition["virtual"]["pattern"] = {"kind": "checks", "columns": 2, "rows": 1}
     definition["virtual"]["materials"].append({"kind": "ggx", "spectrum": "TCS3", "beta": 2.0, "mu_rad": 0.3})
-    truth = true_material(made(Object, definition), *perfect)
+    truth = true_material(
+        made(Object, definition), *(made(kind, one) for kind, one in zip((Camera, Rig), perfect, strict=True))
+    )
     (one, beta, _), (other, further, mu) = truth.gloss
     assert (one, other) == ("gaussian", "ggx")
     left, right = (0, 0), (0, -1)
