@@ -177,9 +177,9 @@ def fit_transfer(points: np.ndarray) -> tuple[float, float, float, float]:
     # Single electrons of many digital numbers scatter more than a normal distribution would.
     scatter = np.sum(weight * (variance - model) ** 2) / max(len(variance) - len(columns), 1)
     error = np.sqrt(np.diag(np.linalg.inv(normal)) * max(scatter, 1.0))
-    read2 = max(float(solution[0]), 0.0)
-    read = np.sqrt(read2)
-    read_error = float(error[0] / (2.0 * read)) if read > 0 else np.nan
+    # Rounding alone leaves this much; pairs without dark frames may extrapolate to less, even below zero.
+    read = np.sqrt(max(float(solution[0]), ROUNDING_DN2))
+    read_error = float(error[0] / (2.0 * read))
     if not lit or solution[1] <= 0:
         return np.nan, np.nan, float(read), read_error
     return float(1.0 / solution[1]), float(error[1] / solution[1] ** 2), float(read), read_error
