@@ -7,6 +7,7 @@ from definitions import CAMERA_FILE, PLATE_FILE, ROOM_FILE, edit, fault, load
 
 from irodori.config.capture_table import COLUMNS
 from irodori.config.definitions import captures_of, is_taken_here, is_virtual, load_one
+from irodori.config.loaded import Loaded
 from irodori.core.errors import InputError
 
 DRIVER = {"kind": "gphoto2", "model": "Canon EOS 40D (PTP mode)", "iso": 100, "f_number": 8.0}
@@ -45,7 +46,7 @@ def test_the_example_of_a_real_rig_is_whole_and_nobody_asks_for_it(root):
     assert all(
         0 < 2 * x < camera["optics"]["width_px"] and 0 < 2 * y < camera["optics"]["height_px"] for x, y in corners
     )
-    assert load_one("rigs", "gonio-grbl", root)["rigs"] == found["rigs"]
+    assert load_one("rigs", "gonio-grbl", root).rigs == Loaded.of(found).rigs
 
 
 def test_a_driven_rig_loads_before_a_photograph_is_taken(bench):
@@ -150,8 +151,8 @@ def test_two_sessions_do_not_write_into_one_folder_or_table(bench, captures, fie
 
 def test_one_definition_is_loaded_for_the_person_at_the_bench(bench):
     found = load_one("objects", "tile-plate", bench)
-    assert set(found["objects"]) == {"tile-plate"} and set(found["rigs"]) == {"gonio-grbl"}
-    assert not found["scenes"] and not found["environments"]
+    assert set(found.objects) == {"tile-plate"} and set(found.rigs) == {"gonio-grbl"}
+    assert not found.scenes and not found.environments
     with pytest.raises(InputError, match="tile-plate"):
         load_one("objects", "tile-plat", bench)
     with pytest.raises(ValueError, match="no definitions of 'object'"):
