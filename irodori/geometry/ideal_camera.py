@@ -131,7 +131,8 @@ class IdealView:
         rows, columns = ((a - self.block * b) // 2 for a, b in zip(fine.shape, (self.height, self.width), strict=False))
         if min(rows, columns) < 0:
             raise ValueError(
-                f"a picture of {fine.shape[:2]} superpixels; accepted: {self.width} x {self.height} or more"
+                f"a picture of {fine.shape[1]} x {fine.shape[0]} pixels; "
+                f"accepted: one that covers {self.width} x {self.height}"
             )
         block = self.block
         inner = fine[rows : rows + block * self.height, columns : columns + block * self.width]
