@@ -77,6 +77,12 @@ def small(definitions, distance_mm=NEAR_MM, distortion=None):
     return camera, rig
 
 
+def setup_of(camera, rig, white=True):
+    """Return the setup of a camera and a rig; the white reference stands in the camera's pose for it, if asked for."""
+    pose = made(RigPose, camera["poses"]["white"]) if white else None
+    return RigSetup.from_definitions(made(Optics, camera["optics"]), RigGeometry.of_rig(made(Rig, rig)), pose)
+
+
 def uniform(definitions, shape, beta=4.0, mu_rad=0.15):
     definition = copy.deepcopy(definitions["objects"]["tile-plate"])
     material = {"kind": "paper", "spectrum": "TCS16", "beta": beta, "mu_rad": mu_rad}
@@ -135,7 +141,7 @@ def fitted(tmp_path, definitions, definition, files, setup):
 def errors(tmp_path, definitions, definition, camera, rig, poses, assumed):
     """Return 95th percentiles of the relative errors of α, β and μ, the rectification believing in ``assumed``."""
     files = photographed(tmp_path, definition, camera, rig, poses)
-    setup = RigSetup.from_definitions(made(Optics, camera), made(RigGeometry, assumed))
+    setup = setup_of(camera, assumed)
     alpha, beta, mu, enough = fitted(tmp_path, definitions, definition, files, setup)
     truth = true_material(made(Object, definition), made(Camera, camera), made(Rig, rig))
     material = definition["virtual"]["materials"][0]
@@ -228,7 +234,7 @@ def test_a_distortion_left_out_moves_the_pattern(tmp_path, definitions):
         rectify_object(
             files,
             made(Object | TexturedObject, definition),
-            RigSetup.from_definitions(made(Optics, known), made(RigGeometry, rig)),
+            setup_of(known, rig),
             (0, 56),
             80.0,
             tmp_path / "t.h5",
@@ -272,7 +278,7 @@ def test_a_perfect_diffuser_in_the_whites_place_has_the_cosine_of_its_own_incide
     # The white's fall-off divided once is the texel's own there: what is left is the cosine.
     camera, rig = small(definitions)
     setup, pose = (
-        RigSetup.from_definitions(made(Optics, camera), made(RigGeometry, rig)),
+        setup_of(camera, rig),
         Pose(**camera["poses"]["white"]),
     )
     position = np.random.default_rng(3).uniform(-40, 40, (200, 3)) * [1, 1, 0]
@@ -299,30 +305,21 @@ def test_nothing_behind_a_near_lamp_casts_a_shadow(definitions):
         ]
     )
     point, normal = np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]])
-    assert observe(
-        point, normal, tracer, pose, RigSetup.from_definitions(made(Optics, camera), made(RigGeometry, rig))
-    ).lit[0]
+    assert observe(point, normal, tracer, pose, setup_of(camera, rig)).lit[0]
     del rig["light"]["distance_mm"]
-    assert not observe(
-        point, normal, tracer, pose, RigSetup.from_definitions(made(Optics, camera), made(RigGeometry, rig))
-    ).lit[0]
+    assert not observe(point, normal, tracer, pose, setup_of(camera, rig)).lit[0]
 
 
 def test_a_near_lamp_without_a_white_reference_is_refused(definitions):
     camera, rig = small(definitions)
     with pytest.raises(InputError, match=r"poses\.white.*near"):
-        RigSetup.from_definitions(made(Optics, {"optics": camera["optics"]}), made(RigGeometry, rig))
-    assert (
-        RigSetup.from_definitions(
-            made(Optics, {"optics": camera["optics"]}), made(RigGeometry, rig), made(RigPose, camera["poses"]["white"])
-        ).white_pose
-        is not None
-    )
+        setup_of(camera, rig, white=False)
+    assert setup_of(camera, rig).white_pose is not None
 
 
 def test_a_lamp_inside_the_object_is_refused(tmp_path, definitions):
     camera, rig = small(definitions, distance_mm=20.0)
-    setup = RigSetup.from_definitions(made(Optics, camera), made(RigGeometry, rig))
+    setup = setup_of(camera, rig)
     with pytest.raises(InputError, match=r"light\.distance_mm.*20 mm, within the reach of the object, 28 mm"):
         rectify_object(
             [],
