@@ -44,7 +44,7 @@ def chain(kernel: str, parameters: str, module: str, **options) -> Callable:
     module : str
         That asks.
     **options
-        Of ``numba.njit``.
+        Of `irodori.jit.compilation.njit`.
     """
     branches = _branches(kernel, module)
     lines = [f"def {kernel}(kind, {parameters}):"]

@@ -273,4 +273,5 @@ def _log(compression: Compression, errors: dict) -> None:
         100 * compression.negative.fraction,
     )
     for row in errors.get("gloss", []):
-        LOGGER.info("gloss by look-up, mu %.2f rad, view %.0f degrees: rms error %.3f", *list(row.values())[:3])
+        told = (row["lobe"], row["mu"], row["theta_r_deg"], row["rms"])
+        LOGGER.info("gloss by look-up, %s of roughness %.2f, view %.0f degrees: rms error %.3f", *told)
