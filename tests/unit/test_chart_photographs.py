@@ -81,9 +81,9 @@ def test_a_photograph_that_lies_on_its_side_or_head_is_read_right(chart, quarter
 @pytest.mark.heavy
 def test_a_cut_chart_and_a_box_are_refused():
     with pytest.raises(InputError, match=r"3 x 5 squares.*cut by the picture's edge.*corners as chart\.centres_px"):
-        locate_patches(*photograph("powershot_s40_chart_zoom.crw"), FOUND, "zoom.crw")
+        locate_patches(*photograph("powershot_s40_chart_zoom.crw"), made(Chart, FOUND), "zoom.crw")
     with pytest.raises(InputError, match="no chart"):
-        locate_patches(*photograph("powershot_s40_glossy_box.crw"), FOUND, "box.crw")
+        locate_patches(*photograph("powershot_s40_glossy_box.crw"), made(Chart, FOUND), "box.crw")
 
 
 def test_a_camera_with_oblong_pixels_shows_oblong_patches_and_is_found():
