@@ -23,7 +23,9 @@ from benchmarks.table import COLUMNS, arguments_of, median_s, own_peak_mb, peak_
 from irodori.core.threads import use_threads
 from irodori.fitting.solvers import FitOptions, fit
 from irodori.material.material_file import Status
-from irodori.reflection.equation5 import gloss_factors, reflect
+from irodori.reflection.equation5 import reflect
+from irodori.reflection.fresnel import fresnel_array
+from irodori.reflection.lobe_arrays import evaluate
 
 ROOT = Path(__file__).resolve().parents[1]
 N, K = 1.5, 0.0
@@ -70,13 +72,13 @@ def inputs(response: np.ndarray, kind: str):
 def brute_force(response: np.ndarray, mus: np.ndarray) -> np.ndarray:
     """Return the least sum of squares over α, β >= 0 on a dense grid of μ, (texels,)."""
     geometry = angles(response.shape[1]).astype(np.float32).astype(np.float64)
-    c, plain = np.cos(geometry[:, 0]), gloss_factors(geometry, N, K)
+    c, reflectance = np.cos(geometry[:, 0]), fresnel_array(np.cos(geometry[:, 2]), N, K)
     rho = response.astype(np.float64)
     # At a minimum over α, β the sum of squares is what the fit explains less than the whole: no residual is formed.
     whole, on_c, cc = np.sum(rho**2, axis=1), rho @ c, c @ c
     best = whole - np.maximum(on_c, 0) ** 2 / cc
     for mu in mus:
-        g = plain * np.exp(-np.square(geometry[:, 3] / mu))
+        g = reflectance * evaluate("gaussian", mu, geometry)
         gg, cg, on_g = g @ g, c @ g, rho @ g
         if not gg > 0:
             continue

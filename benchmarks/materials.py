@@ -23,7 +23,9 @@ import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
 from irodori.fitting.solvers import FitOptions, fit
-from irodori.reflection.equation5 import angles_from_directions, gloss_factors, reflect
+from irodori.reflection.equation5 import angles_from_directions, reflect
+from irodori.reflection.fresnel import fresnel_array
+from irodori.reflection.lobe_arrays import evaluate
 
 DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 CORNELL = ("cornell_acryl_blue", "cornell_garnet_red", "cornell_krylon_blue")
@@ -85,27 +87,21 @@ def read(name: str, folder: Path = DATA) -> list[Measured]:
     return out
 
 
+def _lobe_of(name: str, geometry: np.ndarray) -> Callable[[float], np.ndarray]:
+    """Return F D G / cosθ_r of a lobe as a function of its roughness."""
+    reflectance = fresnel_array(np.cos(geometry[:, 2]), N, K)
+    return lambda roughness: reflectance * evaluate(name, roughness, geometry)
+
+
 def gauss(geometry: np.ndarray) -> Callable[[float], np.ndarray]:
     """Return F D G / cosθ_r of equation (5) as a function of μ in rad."""
-    plain = gloss_factors(geometry, N, K)
-    return lambda mu: plain * np.exp(-np.square(geometry[:, 3] / mu))
+    return _lobe_of("gaussian", geometry)
 
 
 def ggx(geometry: np.ndarray) -> Callable[[float], np.ndarray]:
     """Return π F D G₂ / (4 cosθ_r), D of GGX and G₂ Smith's, as a function of its roughness α_g."""
-    cos_i, cos_r, cos_phi = (np.cos(geometry[:, i]) for i in (0, 1, 3))
-    # F alone: at normal angles of light and view the geometric factor of `gloss_factors` is 1.
-    plain = np.zeros_like(geometry)
-    plain[:, 2] = geometry[:, 2]
-    fresnel = gloss_factors(plain, N, K)
-
-    def lobe(roughness: float) -> np.ndarray:
-        a2 = roughness * roughness
-        d = a2 / (np.pi * np.square(1.0 + (a2 - 1.0) * cos_phi**2))
-        shadow = cos_r * np.sqrt(a2 + (1.0 - a2) * cos_i**2) + cos_i * np.sqrt(a2 + (1.0 - a2) * cos_r**2)
-        return np.pi * fresnel * d * (2.0 * cos_i * cos_r / shadow) / (4.0 * cos_r)
-
-    return lobe
+    lobe = _lobe_of("ggx", geometry)
+    return lambda roughness: lobe(roughness) / (4.0 * roughness * roughness)
 
 
 def best_pair(cosine: np.ndarray, lobe: np.ndarray, response: np.ndarray) -> tuple[float, float, float]:

@@ -354,7 +354,7 @@ class PhotographSets:
             exposures = as_plain(definition.exposure_s) or {"out": []}
             found[name] = {
                 "definition": as_plain(
-                    {key: getattr(definition, key) for key in ("shape", "refractive_index", "plan")}
+                    {key: getattr(definition, key) for key in ("shape", "refractive_index", "plan", "lobes")}
                 ),
                 "rig": self.loaded.rigs[camera.rig].plain(),
                 "sensor": as_plain(camera.virtual.sensor) if camera.virtual else None,

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from irodori.reflection.equation5 import gloss_factors
+from irodori.reflection.fresnel import fresnel_array
 
 _ANGLES = 512
 _COARSE = slice(None, None, 8)
@@ -40,14 +40,6 @@ def varies(n, k) -> bool:
     return bool(np.ptp(n) > 0.0 or np.ptp(k) > 0.0)
 
 
-def fresnel_of(theta_h: np.ndarray, n: float, k: float) -> np.ndarray:
-    """Return the Fresnel reflectance at angles θ_H in rad, (angles,)."""
-    geometry = np.zeros((len(theta_h), 4))
-    geometry[:, 2] = theta_h
-    # G / cosθ_r is 2 / cosθ_H or 1, whichever is less, for light and camera at the normal: 1.
-    return gloss_factors(geometry, float(n), float(k))
-
-
 def band_gloss(n, k, band_response: np.ndarray, band: int) -> BandGloss:
     """Return F by band of a refractive index that varies with the wavelength.
 
@@ -61,15 +53,17 @@ def band_gloss(n, k, band_response: np.ndarray, band: int) -> BandGloss:
         That of the fit.
     """
     theta = np.linspace(0.0, 0.5 * np.pi, _ANGLES)
-    spectral = np.stack([fresnel_of(theta, a, b) for a, b in zip(n, k, strict=True)])
+    spectral = np.stack([fresnel_array(np.cos(theta), a, b) for a, b in zip(n, k, strict=True)])
     weight = band_response / band_response.sum(axis=1, keepdims=True)
     by_band = weight @ spectral
     start = np.maximum([weight[band] @ n, weight[band] @ k], [1e-3, 0.0])
     found = least_squares(
-        lambda x: fresnel_of(theta[_COARSE], *x) - by_band[band, _COARSE], start, bounds=([1e-4, 0.0], np.inf)
+        lambda x: fresnel_array(np.cos(theta[_COARSE]), *x) - by_band[band, _COARSE],
+        start,
+        bounds=([1e-4, 0.0], np.inf),
     )
     own_n, own_k = map(float, found.x)
-    return BandGloss(own_n, own_k, by_band / fresnel_of(theta, own_n, own_k))
+    return BandGloss(own_n, own_k, by_band / fresnel_array(np.cos(theta), own_n, own_k))
 
 
 def uniform(n: float, k: float, bands: int) -> BandGloss:

@@ -1,5 +1,7 @@
 """Fresnel reflectance of a surface n + ik in air, for unpolarised light."""
 
+import numpy as np
+
 from irodori.jit.compilation import njit
 from irodori.jit.functions import lower_of, magnitude, root, select, upper_of
 
@@ -47,3 +49,17 @@ def fresnel(cosine, n, k):
     under = square * (square + b2) * (even + 2.0 * (a * c * s2))
     # Both are 0 at grazing incidence where light is totally reflected, b > 0, and where there is no surface.
     return lower_of(1.0, select(under > 0.0, over / under, select(b2 > 0.0, 1.0, b2)))
+
+
+@njit(cache=True, error_model="numpy")
+def _fill(cosine, n, k, out):
+    for j in range(cosine.size):
+        out[j] = fresnel(cosine[j], n, k)
+
+
+def fresnel_array(cosine, n: float, k: float) -> np.ndarray:
+    """Return `fresnel` over an array of cosines, (...) float64."""
+    cosine = np.ascontiguousarray(cosine, dtype=np.float64)
+    out = np.empty(cosine.size)
+    _fill(cosine.reshape(-1), float(n), float(k), out)
+    return out.reshape(cosine.shape)

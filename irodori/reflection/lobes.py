@@ -3,7 +3,8 @@
 A `Lobes` is an argument like any other in Python. In compiled code it has no value, only a type, which holds the names
 of the lobes and the hashes of their sources; the functions below become calls of those lobes' own kernels, and a chain
 of comparisons where there are several. A loop for one lobe is therefore the code that would stand there without
-any choice, and a changed lobe compiles anew just what was compiled for it.
+any choice. The hashes keep the kernels of lobes from outside the package apart; those of the package are part of the
+import closure of whatever uses them.
 
 Functions whose second argument is ``which`` take the number of one lobe of several; the others take a `Lobes` of one.
 """

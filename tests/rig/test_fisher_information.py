@@ -17,7 +17,8 @@ from irodori.config.models import Object, Rig, SensorOptions
 from irodori.config.parts import PlannedObject
 from irodori.fitting.solvers import FitOptions, fit
 from irodori.material.material_file import Status
-from irodori.reflection.equation5 import MU_MAX_RAD, MU_MIN_RAD, reflect
+from irodori.reflection.equation5 import reflect
+from irodori.reflection.gaussian import ROUGHNESS
 from irodori.reflection.registry import names
 
 SHOT = Noise(read_variance=6e-8, shot_variance=4e-5, relative=0.0, pose_rms_deg=0.0)
@@ -37,7 +38,7 @@ materials = st.builds(
     one,
     st.floats(0.01, 1.5),
     st.floats(0.01, 50.0),
-    st.floats(MU_MIN_RAD, MU_MAX_RAD),
+    st.floats(ROUGHNESS.low, ROUGHNESS.high),
     st.sampled_from([1.3, 1.5, 0.2]),
     st.sampled_from([0.0, 3.2]),
     st.sampled_from(names()),
@@ -183,7 +184,7 @@ def test_weights_of_the_fit_reach_the_information_where_they_are_the_inverse_var
         Weighting("inverse")
 
 
-@pytest.mark.parametrize("mu", [MU_MIN_RAD, MU_MAX_RAD])
+@pytest.mark.parametrize("mu", [ROUGHNESS.low, ROUGHNESS.high])
 @pytest.mark.parametrize(("alpha", "beta"), [(0.4, 0.0), (0.0, 3.0), (0.0, 0.0), (0.4, 3.0)])
 def test_what_a_material_lacks_is_undetermined_and_nothing_overflows(alpha, beta, mu):
     seen = observe(texel(), POSES, one(alpha, beta, mu), Noise())

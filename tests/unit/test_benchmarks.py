@@ -5,12 +5,12 @@ import subprocess
 
 import numpy as np
 import pytest
+from equation5_written_out import gloss_factors
 from scipy.optimize import nnls
 
 from benchmarks import compress, reference, table
 from benchmarks.fit import K, N, angles, brute_force, scene
 from benchmarks.table import COLUMNS, printed_by, row_without_figures, why_it_fails
-from irodori.reflection.equation5 import gloss_factors
 from irodori.report.speed_page import front, is_measured, read_rows, write_speed_report
 
 

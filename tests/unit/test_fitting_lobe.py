@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from equation5_written_out import gloss_factors
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from irodori.fitting.texel_rows import COSINE, F0, GLOSS, LOBE, SPOILED, fill_lobe, new_rows, pack_geometry
-from irodori.reflection.equation5 import gloss_factors
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import Lobes
 from irodori.reflection.registry import lobe, names

@@ -13,9 +13,9 @@ from irodori.jit.kernel_cache import closure_hash, is_private, prune, source_has
 ROOT = Path(__file__).resolve().parents[2]
 PROBE = """
 import numpy as np
-from irodori.reflection import equation5
-value = float(equation5.gloss_factors(np.array([[0.5, 0.4, 0.45, 0.05]]), 1.5, 0.0)[0])
-compiled = sum(equation5.gloss_factors.stats.cache_misses.values())
+from irodori.reflection import fresnel
+value = float(fresnel.fresnel_array(np.array([0.9]), 1.5, 0.0)[0])
+compiled = sum(fresnel._fill.stats.cache_misses.values())
 print(repr(value), compiled)
 """
 

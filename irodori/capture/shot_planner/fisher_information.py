@@ -23,7 +23,8 @@ from irodori.geometry.rig_frame import rig_from_object, to_camera, to_light
 from irodori.geometry.shapes.placement import on_table
 from irodori.geometry.shapes.shape import Shape
 from irodori.jit.compilation import njit
-from irodori.reflection.equation5 import angles_from_directions, gloss_factors
+from irodori.reflection.equation5 import angles_from_directions
+from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobes import Lobes, constants, derivatives, features, value
 
 if TYPE_CHECKING:
@@ -266,10 +267,7 @@ def observe(
     geometry = np.stack([subject.geometry(group) for group in moved], axis=2)  # (poses, t, 5, 4)
     limit = np.radians(max_angle_deg) + 1e-9
     seen = (geometry[:, :, 0, :2] <= limit).all(axis=-1) & subject.unobstructed(poses)
-    # With light and view at the normal of a facet that stands on it G / cosθ_r is 1, and F is left.
-    facing = np.zeros_like(geometry)
-    facing[..., 2] = geometry[..., 2]
-    reflectance = gloss_factors(facing, float(materials.n), float(materials.k))
+    reflectance = fresnel_array(np.cos(geometry[..., 2]), materials.n, materials.k)
     parameters = materials.parameters()
     cases = geometry.shape[1] * len(parameters)
     shape = (len(poses), cases)
