@@ -59,7 +59,7 @@ def _fill(cosine, n, k, out):
 
 def fresnel_array(cosine, n: float, k: float) -> np.ndarray:
     """Return `fresnel` over an array of cosines, (...) float64."""
-    cosine = np.ascontiguousarray(cosine, dtype=np.float64)
+    cosine = np.asarray(cosine, dtype=np.float64, order="C")
     out = np.empty(cosine.size)
     _fill(cosine.reshape(-1), float(n), float(k), out)
     return out.reshape(cosine.shape)

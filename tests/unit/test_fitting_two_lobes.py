@@ -10,7 +10,7 @@ from irodori.config.cross_checks.object_lobes import check_lobes
 from irodori.core.errors import InputError
 from irodori.fitting.solvers import FitOptions, fit
 from irodori.material.material_file import Status
-from irodori.reflection.equation5 import fresnel
+from irodori.reflection.fresnel import fresnel
 from irodori.reflection.registry import lobe
 
 LIGHT = np.radians(np.array([25.0, 45.0, 65.0]))[np.arange(60) % 3]
