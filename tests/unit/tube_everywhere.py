@@ -22,13 +22,36 @@ from irodori.config.capture_table import Pose  # noqa: E402
 from irodori.config.definition import typed  # noqa: E402
 from irodori.config.models import ObjectShape  # noqa: E402
 from irodori.config.validation import load_schema  # noqa: E402
-from irodori.geometry.embree import Tracer  # noqa: E402
+from irodori.geometry.embree import Tracer, hit_distance, hit_shape, new_ray, trace  # noqa: E402
 from irodori.geometry.rig_frame import rig_from_object, rotation_xyz  # noqa: E402
 from irodori.geometry.shapes.placement import Placement  # noqa: E402
 from irodori.geometry.shapes.shape import Shape  # noqa: E402
-from irodori.rendering.planning.probe_look_ups import meet  # noqa: E402
+from irodori.geometry.surfaces import face_viewer, make_surfaces, surface_at  # noqa: E402
+from irodori.jit.compilation import njit  # noqa: E402
 
 BLOCK = {"kind": "tube", "radius_mm": 20.0, "height_mm": 60.0}
+
+
+@njit
+def _meet(surfaces, intersect, scene, origin, direction, shape, point, normal, uv):
+    ray, facet = new_ray(), np.empty(3)
+    for r in range(shape.size):
+        trace(intersect, scene, ray, origin[r], direction[r], np.inf)
+        shape[r] = hit_shape(ray)
+        if shape[r] >= 0:
+            point[r] = origin[r] + hit_distance(ray) * direction[r]
+            uv[r, 0], uv[r, 1] = surface_at(surfaces, shape[r], ray, point[r], normal[r], facet)
+            if face_viewer(normal[r], facet, direction[r]) <= 0.0:
+                shape[r] = -2
+
+
+def meet(tracer, origin, direction) -> tuple:
+    """Shapes that rays meet, -1 for none and -2 for a back; points, normals and uv."""
+    count = len(origin)
+    found = np.empty(count, dtype=np.int64), np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 2))
+    surfaces = make_surfaces(list(tracer.placements))
+    _meet(surfaces, tracer.intersect_address, tracer.scene, origin, direction, *found)
+    return found
 
 
 def traced() -> dict:
@@ -42,12 +65,12 @@ def traced() -> dict:
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     tracer = Tracer([placement])
     distance, hit = tracer.intersect(origin, direction)
-    points = meet(tracer, origin, direction)
+    seen, point, normal, uv = meet(tracer, origin, direction)
     reached = origin + np.where(hit == 0, distance, 0.0)[:, None] * direction
-    local = (points.point - placement.translation_mm) @ placement.rotation / placement.scale
+    local = (point - placement.translation_mm) @ placement.rotation / placement.scale
     variants = [v["properties"]["kind"]["const"] for v in load_schema("object")["properties"]["shape"]["oneOf"]]
     return {
-        "hit": hit, "seen": points.shape, "local": local, "uv": points.uv, "normal": points.normal @ placement.rotation,
+        "hit": hit, "seen": seen, "local": local, "uv": uv, "normal": normal @ placement.rotation,
         "exact": (reached - placement.translation_mm) @ placement.rotation / placement.scale,
         "variants": np.array(variants),
     }  # fmt: skip

@@ -112,6 +112,7 @@ def prepare_scene(
     ambient: bool = False,
     quadrature: Quadrature | None = None,
     reflected: int = REFLECTED,
+    spare_texels: int = 0,
 ) -> Prepared:
     """Prepare a scene for `render_frame`.
 
@@ -145,6 +146,8 @@ def prepare_scene(
         For the representation of that name; solved for the scene where absent.
     reflected : int
         Vectors, at most, on which ``coefficients`` carry the light that objects throw on each other.
+    spare_texels : int
+        Room beside the objects' texels, for a caller that tries other textures.
 
     Raises
     ------
@@ -164,7 +167,7 @@ def prepare_scene(
         channels = _channels(representation, objects, light, lamps, matrix, white, quadrature)
     query = make_query(_COHERENT)
     functions = (tracer.intersect16_address, tracer.occluded16_address, query.ctypes.data)
-    world = make_world(objects, light, gloss, tracer, channels, functions, half, ambient)
+    world = make_world(objects, light, gloss, tracer, channels, functions, half, ambient, spare_texels)
     limits = Limits(
         max_bounces, least_throughput, least_throughput / TAPS, TRACED, 1 + min(max_bounces, _KEPT_REFLECTIONS)
     )
@@ -266,8 +269,9 @@ def render_frame(
     keep_visibility : bool
         Keep what the rays met, and use it in frames of the same view. The picture is the same to the bit.
     figures : dict, optional
-        Filled with ``rays``, those that the shapes' bounds answer included, and, if a scene was prepared by `profiled`,
-        with the cycles of each stage, all threads together.
+        Filled with ``rays``, those that the shapes' bounds answer included; the ``hits`` among them, the ``glossy``
+        ones of these, and the ``misses``; and, if a scene was prepared by `profiled`, with the cycles of each stage,
+        all threads together.
     out : optional
         Picture to fill.
 

@@ -7,10 +7,11 @@ from irodori.jit.chunks import run_chunks
 from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.interactive.frame_renderer import Lamp, Prepared, frame_of
 from irodori.rendering.interactive.packets import PATHS, TILE
-from irodori.rendering.interactive.tile_loop import FIGURES, LISTED, TRACED, render_tiles
+from irodori.rendering.interactive.tile_loop import FIGURES, LISTED, STAGES, TRACED, render_tiles
 from irodori.rendering.scene_arrays import View
 from irodori.rendering.single_pixels import pixel_view
 from irodori.rendering.view_cameras import ORTHOGRAPHIC
+from irodori.spectra.grid import SAMPLES
 
 
 def rays_through(view: View, places: np.ndarray) -> np.ndarray:
@@ -35,20 +36,46 @@ def rays_through(view: View, places: np.ndarray) -> np.ndarray:
     return rays
 
 
-def render_rays(prepared: Prepared, view: View, rays: np.ndarray, lamps: tuple[Lamp, ...] = ()) -> np.ndarray:
-    """Return XYZ along rays of a view, (n, 3) float64; ``rays`` are those of `rays_through`."""
-    rows = -(-len(rays) // TILE)
+def render_rays(
+    prepared: Prepared,
+    view: View,
+    rays: np.ndarray,
+    lamps: tuple[Lamp, ...] = (),
+    *,
+    bands: bool = False,
+    figures: dict | None = None,
+) -> np.ndarray:
+    """Render along rays of a view.
+
+    Parameters
+    ----------
+    prepared : Prepared
+    view : View
+    rays : (n, LISTED) float32
+        Of `rays_through`.
+    lamps : tuple of Lamp
+    bands : bool
+        Whether to return the 61 bands; of the representation ``spectral`` only.
+    figures : dict, optional
+        Filled with what was counted, see `irodori.rendering.interactive.frame_renderer.render_frame`.
+
+    Returns
+    -------
+    (n, 3) float64 XYZ, or (n, 61) radiance
+    """
+    rows, channels = -(-len(rays) // TILE), SAMPLES if bands else 3
     if rows == 0:
-        return np.zeros((0, 3))
-    # The last row is filled up with rays that nobody asks for.
-    whole = np.concatenate([rays, np.repeat(rays[-1:], rows * TILE - len(rays), axis=0)])
+        return np.zeros((0, channels))
     frame = frame_of(prepared, view._replace(width=TILE, height=rows), None, lamps)
-    frame = frame._replace(rays=Memory(whole.ravel()), listed=1)
-    tiles = -(-len(whole) // PATHS)
-    image, counted = np.empty((len(whole), 3), dtype=np.float32), np.zeros((tiles, FIGURES), dtype=np.int64)
+    frame = frame._replace(rays=Memory(rays.ravel()), listed=len(rays))
+    tiles = -(-len(rays) // PATHS)
+    image, counted = np.empty((rows * TILE, channels), dtype=np.float32), np.zeros((tiles, FIGURES), dtype=np.int64)
     limits, kept = prepared.limits._replace(visibility=TRACED), Memory(np.zeros(0, dtype=np.float32))
-    scene = (prepared.world, frame, prepared.layout, limits, Memory(image.ravel()), 3, kept, Memory(counted.ravel()))
+    pixels = Memory(image.ravel())
+    scene = (prepared.world, frame, prepared.layout, limits, pixels, channels, kept, Memory(counted.ravel()))
     run_chunks(resolved(render_tiles, *scene, 0, 0), tiles, 1, *scene)
+    if figures is not None:
+        figures |= dict(zip(STAGES, counted.sum(axis=0).tolist(), strict=True))
     return image[: len(rays)].astype(np.float64)
 
 

@@ -15,7 +15,7 @@ from irodori.jit.array_views import Memory
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.reflection.lobes import Lobes
 from irodori.rendering.interactive.channels import Channels, mean_spectra
-from irodori.rendering.interactive.cube_maps import FACES, environment_pyramid, from_equirectangular, give_back
+from irodori.rendering.interactive.cube_maps import FACES, Pyramid, environment_pyramid, from_equirectangular, give_back
 from irodori.rendering.interactive.mesh_shadows import MeshShadows, make_mesh_shadows, no_mesh_shadows
 from irodori.rendering.interactive.round_lobes import (
     ROUGHNESSES,
@@ -92,7 +92,7 @@ class Frame(NamedTuple):
     lamp_direction: Memory  # (lamps * 3,) towards the lamp
     lamp_strength: Memory  # (lamps,)
     rays: Memory  # (rays * LISTED,) of a list in place of a picture, see `irodori.rendering.interactive.tile_loop`
-    listed: int  # 1 where there is a list, whose rays fill a picture of TILE columns
+    listed: int  # rays of the list, which fill a picture of TILE columns; 0 where there is none
 
 
 def padded(rows: np.ndarray, width: int) -> np.ndarray:
@@ -111,36 +111,57 @@ def make_shapes(tracer: Tracer, objects: Objects) -> np.ndarray:
     return table.ravel()
 
 
-def make_textures(objects: Objects, channels: Channels) -> dict:
-    """Return the fields of a `World` that hold the texels.
+def bordered_size(rows: int, columns: int) -> int:
+    """Return how many texels a texture takes with its border of one texel."""
+    return (int(rows) + 2) * (int(columns) + 2)
+
+
+def stored_texels(
+    objects: Objects, index: int, texels: np.ndarray, channels: Channels
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return an object's texture, (rows, columns, k + 2 c), as the kernel reads it, with a border of one texel.
 
     Sides that are joined have each other in the border, other edges themselves.
+
+    Returns
+    -------
+    texels : (texels * surface lanes,) float32
+    further : (texels * FURTHER,) float32
+        Empty where the scene's objects have one gloss component.
     """
-    parts, further, rows, stride = [], [], [], []
+    weights = texels[..., : objects.bases[index]].astype(np.float64)
+    stored = np.zeros((*texels.shape[:2], channels.surface), dtype=np.float32)
+    stored[..., : channels.count] = weights @ channels.texel_from_weights[index].T
+    others = np.zeros((*texels.shape[:2], FURTHER), dtype=np.float32)
+    for component, (beta, mu) in enumerate(gloss_of(objects, texels)):
+        name = objects.lobes.names[objects.lobe[index, component]]
+        # β times a quarter of the lobe's strength, its power: one number less to compute at a hit.
+        pair = stored[..., -2:] if component == 0 else others[..., 2 * component - 2 : 2 * component]
+        pair[..., 0] = gloss_power(beta, mu, name)
+        pair[..., 1] = roughness_place(np.where(mu > 0, mu, 1.0), name)
+    wraps = objects.wraps[index] == 1
+    return _bordered(stored, wraps), _bordered(others, wraps) if _has_further(objects) else np.zeros(0, np.float32)
+
+
+def _has_further(objects: Objects) -> bool:
+    return objects.lobe.shape[1] > 1
+
+
+def make_textures(objects: Objects, channels: Channels, spare: int = 0) -> dict:
+    """Return the fields of a `World` that hold the texels, with room for some that nothing points at."""
+    sizes = [bordered_size(rows, columns) for columns, rows in objects.texture_size]
+    first = np.cumsum([0, *sizes]).astype(np.int64)
+    widths = channels.surface, FURTHER if _has_further(objects) else 0
+    room = [np.empty((int(first[-1]) + spare) * width, dtype=np.float32) for width in widths]
     for i, texels in enumerate(textures(objects)):
-        weights = texels[..., : objects.bases[i]].astype(np.float64)
-        stored = np.zeros((*texels.shape[:2], channels.surface), dtype=np.float32)
-        stored[..., : channels.count] = weights @ channels.texel_from_weights[i].T
-        others = np.zeros((*texels.shape[:2], FURTHER), dtype=np.float32)
-        for component, (beta, mu) in enumerate(gloss_of(objects, texels)):
-            name = objects.lobes.names[objects.lobe[i, component]]
-            # β times a quarter of the lobe's strength, its power: one number less to compute at a hit.
-            pair = stored[..., -2:] if component == 0 else others[..., 2 * component - 2 : 2 * component]
-            pair[..., 0] = gloss_power(beta, mu, name)
-            pair[..., 1] = roughness_place(np.where(mu > 0, mu, 1.0), name)
-        wraps = objects.wraps[i] == 1
-        parts.append(_bordered(stored, wraps))
-        if objects.lobe.shape[1] > 1:
-            further.append(_bordered(others, wraps))
-        rows.append((texels.shape[0] + 2) * (texels.shape[1] + 2))
-        stride.append(texels.shape[1] + 2)
-    first = np.concatenate([[0], np.cumsum(rows)[:-1]]).astype(np.int64)
+        for flat, numbers, width in zip(room, stored_texels(objects, i, texels, channels), widths, strict=True):
+            flat[first[i] * width : first[i + 1] * width] = numbers
     return {
-        "texels": np.concatenate(parts),
-        "texture_first": first * channels.surface,
-        "texture_stride": np.array(stride, dtype=np.int64),
-        "further": np.concatenate(further) if further else np.zeros(0, dtype=np.float32),
-        "further_first": first * FURTHER,
+        "texels": room[0],
+        "texture_first": first[:-1] * channels.surface,
+        "texture_stride": objects.texture_size[:, 0].astype(np.int64) + 2,
+        "further": room[1],
+        "further_first": first[:-1] * FURTHER,
     }
 
 
@@ -224,16 +245,22 @@ def make_query(flags: int) -> np.ndarray:
     return query
 
 
-def _light_fields(light: Light, gloss: GlossMaps, pyramid, channels: Channels, half: bool) -> dict:
-    """Return the fields of a `World` that are looked up in light; ``channels`` are those of the scaled pyramid."""
-    irradiance, irradiance_side = make_irradiance(light, channels)
-    blurred, gloss_first, gloss_side = make_gloss(gloss, channels, half)
+def environment_fields(pyramid: Pyramid) -> dict:
+    """Return the fields of a `World` that hold the environment."""
     return {
         "environment": pyramid.texels,
         "environment_first": pyramid.first.astype(np.int64),
         "environment_side": pyramid.side.astype(np.int32),
         "environment_levels": len(pyramid.side),
         "texels_per_rad": float(pyramid.side.max(initial=0) * np.sqrt(FACES / (4.0 * np.pi))),
+    }
+
+
+def _light_fields(light: Light, gloss: GlossMaps, pyramid: Pyramid, channels: Channels, half: bool) -> dict:
+    """Return the fields of a `World` that are looked up in light; ``channels`` are those of the scaled pyramid."""
+    irradiance, irradiance_side = make_irradiance(light, channels)
+    blurred, gloss_first, gloss_side = make_gloss(gloss, channels, half)
+    return environment_fields(pyramid) | {
         "irradiance": irradiance,
         "irradiance_side": irradiance_side,
         "gloss": blurred,
@@ -244,19 +271,20 @@ def _light_fields(light: Light, gloss: GlossMaps, pyramid, channels: Channels, h
     }
 
 
-def _surface_fields(objects: Objects, tracer: Tracer, channels: Channels) -> dict:
+def _surface_fields(objects: Objects, tracer: Tracer, channels: Channels, spare: int) -> dict:
     """Return the fields of a `World` that shapes and materials fill."""
-    fields = make_textures(objects, channels)
+    fields = make_textures(objects, channels, spare)
     index = np.concatenate(
         [channels.index, np.repeat(channels.index[..., -1:], channels.surface - channels.count, axis=2)], axis=2
     )
-    scatters = fields["texels"].reshape(-1, channels.surface)[:, :-1].any()
+    texels = sum(bordered_size(rows, columns) for columns, rows in objects.texture_size)
+    scatters = fields["texels"].reshape(-1, channels.surface)[:texels, :-1].any()
     return fields | {
         "shape": make_shapes(tracer, objects),
         "objects": len(tracer.placements),
         "surfaces": Surfaces(*(Memory(array) for array in make_surfaces(tracer.placements))),
         "brought_singly": sum(p.shape.kernels.point is None for p in tracer.placements),
-        "scatters": int(scatters or fields["further"].reshape(-1, 2)[:, 0].any()),
+        "scatters": int(scatters or fields["further"][: texels * FURTHER : 2].any()),
         "lobes": objects.lobes,
         "lobe": objects.lobe.ravel(),
         "rows": joined_tables(objects.lobes).ravel(),
@@ -267,7 +295,7 @@ def _surface_fields(objects: Objects, tracer: Tracer, channels: Channels) -> dic
     }
 
 
-def _colour_fields(channels: Channels) -> dict:
+def colour_fields(channels: Channels) -> dict:
     """Return the fields of a `World` that lead from what light is stored in to colours."""
     decode = padded(channels.colour_from_light, channels.light).reshape(channels.count, channels.light)
     return {
@@ -288,6 +316,7 @@ def make_world(
     functions: tuple[int, int, int],
     half: bool,
     ambient: bool,
+    spare: int,
 ) -> World:
     """Return the flat scene of a representation.
 
@@ -302,13 +331,15 @@ def make_world(
         Whether the environment and its blurred light are stored in half precision.
     ambient : bool
         Whether objects hide light from all sides.
+    spare : int
+        Texels to make room for beside the objects' own.
     """
     columns, rows = light.size[0]
     picture = light.pixels[: columns * rows].reshape(rows, columns, light.pixels.shape[1])
     pyramid = environment_pyramid(picture, channels.stored_from_light, channels.light, half)
     channels = _stored_scaled(channels, pyramid.scale)
     fields = _light_fields(light, needed_gloss(gloss, objects), pyramid, channels, half)
-    fields |= _surface_fields(objects, tracer, channels) | _colour_fields(channels)
+    fields |= _surface_fields(objects, tracer, channels, spare) | colour_fields(channels)
     reflected = np.stack([channels.reflected(mean) for mean in mean_spectra(objects)])
     reflects = ambient and fields["irradiance_side"] > 0
     shadows = make_mesh_shadows(tracer) if reflects else None

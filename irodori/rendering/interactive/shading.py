@@ -220,17 +220,19 @@ def shade_gloss(world, layout, paths, hits, sums, base, glossy, least_weight):
         slot, throughput = np.int64(paths.slot[base + ray]), paths.f[THROUGHPUT * STRIDE + base + ray]
         light, colour = light_black(layout), surface_black(layout)
         for tap in range(TAPS):
-            weight = lobe_weight(hits.look, ray, tap)
-            if weight * throughput <= least_weight:
-                continue
-            found = weight * lobe_at(world, layout, hits.look, hits.look_i, ray, tap)
+            weight, passed = lobe_weight(hits.look, ray, tap), colour
             if is_coloured(layout):
                 index = np.int64(hits.i[OBJECT * RAYS + ray]) * 2 * width
                 n, k = load_like(world.index, index, colour), load_like(world.index, index + width, colour)
-                cosine = zeros_like(colour) + lobe_incidence(hits.look, ray, tap)
-                colour = colour + fresnel(cosine, n, k) * decoded(world, layout, found)
+                passed = weight * fresnel(zeros_like(colour) + lobe_incidence(hits.look, ray, tap), n, k)
+                weight = largest(passed)
+            if weight * throughput <= least_weight:
+                continue
+            found = lobe_at(world, layout, hits.look, hits.look_i, ray, tap)
+            if is_coloured(layout):
+                colour = colour + passed * decoded(world, layout, found)
             else:
-                light = light + found
+                light = light + weight * found
         if is_coloured(layout):
             _add_coloured(layout, sums, slot, colour)
         else:
@@ -269,7 +271,7 @@ def advance(world, paths, hits, base, seen, least_throughput, after):
     """Write the paths that go on close together from ``after`` on; return where they end."""
     throughput = load(hits.f, NEXT * RAYS, 16)
     going = seen & (throughput > least_throughput)
-    count = _bits(mask_bits(going))
+    count = bits_set(mask_bits(going))
     if count == 0:
         return after
     shape = load(hits.i, OBJECT * RAYS, 16)
@@ -290,7 +292,7 @@ def advance(world, paths, hits, base, seen, least_throughput, after):
 
 
 @njit(cache=True, forceinline=True)
-def _bits(mask):
+def bits_set(mask):
     """Return how many bits of a mask of sixteen are set."""
     mask = mask - ((mask >> 1) & 0x5555)
     mask = (mask & 0x3333) + ((mask >> 2) & 0x3333)

@@ -55,6 +55,7 @@ from irodori.rendering.interactive.shading import (
     Hits,
     Sums,
     advance,
+    bits_set,
     reflect_packet,
     shade_gloss,
     shade_sky,
@@ -63,9 +64,9 @@ from irodori.rendering.interactive.shading import (
 
 #: What `Limits.visibility` says of the hits of earlier frames: trace all, trace and keep, use what was kept.
 TRACED, STORED, RECALLED = 0, 1, 2
-#: Stages whose cycles are counted, and then the rays.
-STAGES = ("tracing", "geometry", "surfaces", "gloss", "sky", "mirror", "colour", "rays")
-_TRACE, _PLACE, _SURFACE, _GLOSS, _SKY, _MIRROR, _COLOUR, _RAYS = range(8)
+#: Stages whose cycles are counted; then the rays, the surfaces that they meet, those with gloss, and what they miss.
+STAGES = ("tracing", "geometry", "surfaces", "gloss", "sky", "mirror", "colour", "rays", "hits", "glossy", "misses")
+_TRACE, _PLACE, _SURFACE, _GLOSS, _SKY, _MIRROR, _COLOUR, _RAYS, _HITS, _GLOSSY, _MISSES = range(11)
 FIGURES = len(STAGES)
 
 
@@ -158,7 +159,7 @@ def start_tile(frame, left, top, paths):
 def start_rays(frame, tile, paths):
     """Start a path at each of a tile's share of the frame's listed rays, which fill rows of TILE; return how many."""
     first = tile * PATHS
-    count = min(frame.height * TILE - first, PATHS)
+    count = min(frame.listed - first, PATHS)
     for number in range(count):
         at = (first + number) * LISTED
         for field in range(3):
@@ -216,6 +217,11 @@ def _shade_packet(world, frame, layout, limits, scratch, base, count, after, las
     glossy = 0
     if world.scatters > 0:
         glossy = shade_surfaces(world, frame, layout, paths, hits, sums, base, bits, limits.least_lobe)
+    figures[_HITS] += bits_set(bits)
+    of_any = glossy
+    for component in range(1, gloss_components(layout)):
+        of_any |= glossy >> (component * RAYS)
+    figures[_GLOSSY] += bits_set(of_any & 0xFFFF)
     since = _count(layout, figures, _SURFACE, since)
     if glossy and world.gloss_levels > 0:
         for row in range(gloss_components(layout) * gloss_parts(layout)):
@@ -242,6 +248,7 @@ def _follow(world, frame, layout, limits, scratch, count, kept, figures):
             since = cycles() if is_profiled(layout) else 0
             met, missed = _meet(world, limits, scratch, base, bounce, count, kept, packets * KEPT)
             packets += 1
+            figures[_MISSES] += bits_set(missed)
             since = _count(layout, figures, _TRACE, since)
             if missed and world.environment_levels > 0:
                 shade_sky(world, frame, layout, scratch.paths, scratch.hits, scratch.sums, base, missed)

@@ -22,8 +22,8 @@ from irodori.rendering.planning.modelled_scene import (
     levels_of_lobes,
     stays_grey,
 )
-from irodori.rendering.planning.probes import Changes
-from irodori.rendering.planning.scene_planner import Planner, make_probes
+from irodori.rendering.planning.probes import BLACK, Changes, Probes, halvings_of
+from irodori.rendering.planning.scene_planner import MOST_VIEWS, PROBES, SEED, Planner
 from irodori.rendering.scene_arrays import View, make_light
 
 _THROUGHPUTS = tuple(10.0 ** (-0.5 * n) for n in range(2, 11))
@@ -75,7 +75,7 @@ def choose(
         If an override asks for more than there is.
     """
     ladder, model = make_light(parts.environment), full_model(parts, max_bounces, ambient)
-    probes = make_probes(parts, views, model, ladder)
+    probes = Probes(parts, model, ladder, views, PROBES * min(len(views), MOST_VIEWS), SEED)
     planner = Planner(parts, probes, model, tolerance, names, overrides or {}, ladder, where)
     _decide_lobes(planner)
     _decide_bounces(planner)
@@ -118,21 +118,24 @@ def _decide_lobes(planner: Planner) -> None:
 
 
 def _without_the_weakest(planner: Planner, key: str, own: tuple[bool, ...]) -> tuple[bool, ...]:
-    seen = np.zeros(len(own), dtype=bool)
-    for hits in planner.probes.hits:
-        seen[np.unique(hits.points.shape)] = True
-    # Of many objects the weakest lobes are tried: each try sums over all probes.
+    # Of many objects the weakest lobes are tried: each try is a picture.
     weight = [float(beta_of(planner.parts.objects, i).max(initial=0.0)) for i in range(len(own))]
     if key == "without_mirror":
         weight = list(planner.parts.objects.mirror)
-    order = [i for i in np.argsort(weight, kind="stable") if own[i] and seen[i]][:_MOST_TRIED]
-    traced, without = list(own), frozenset()
+    order = [int(i) for i in np.argsort(weight, kind="stable") if own[i]]
+    traced, without, tried = list(own), frozenset(), 0
+    before = planner.seen
     for index in order:
-        changes = Changes(**{key: without | {int(index)}})
-        alone = float(planner.errors(changes).max())
-        together = replace(planner.changes, **{key: without | {int(index)}})
-        if planner.fits(alone, together):
-            without, traced[index] = without | {int(index)}, False
+        changes = Changes(**{key: without | {index}})
+        found = planner.probes.radiance(changes)
+        if np.array_equal(found, before):
+            continue  # no probe sees this lobe: the picture may
+        tried += 1
+        alone = float(planner.differences(found).max())
+        if planner.fits(alone, replace(planner.changes, **{key: without | {index}})):
+            without, traced[index], before = without | {index}, False, found
+        if tried == _MOST_TRIED:
+            break
     return tuple(traced)
 
 
@@ -267,10 +270,9 @@ def _decide_environment(planner: Planner) -> None:
     rows = planner.ladder.size[:, 1]
     coarsest = max(int((rows >= min(_LEAST_ROWS, rows[0])).sum()) - 1, 0) if planner.model.environment else 0
 
-    sky = [misses.probe for misses in planner.probes.misses]
-
     def of_halvings(halvings: int):
-        alone = planner.bound_where_seen(planner.errors(Changes(sky_level=halvings)), sky) if halvings else 0.0
+        changes = Changes(sky_level=halvings)
+        alone = planner.bound_where(planner.showing(changes), changes) if halvings else 0.0
         return alone, replace(planner.changes, sky_level=halvings), None
 
     candidates = list(range(coarsest, -1, -1))
@@ -281,7 +283,7 @@ def _decide_environment(planner: Planner) -> None:
 
 def _decide_textures(planner: Planner) -> None:
     objects, count = planner.parts.objects, len(planner.names)
-    most = [max(int(np.log2(max(int(size.min()), 1))) - 1, 0) for size in objects.texture_size]
+    most = [halvings_of(*size) for size in objects.texture_size]
     wanted = planner.overrides.get("texture_halvings")
     if wanted is not None:
         halvings = {i: min(wanted, most[i]) for i in range(count) if min(wanted, most[i])}
@@ -296,22 +298,27 @@ def _decide_textures(planner: Planner) -> None:
 
 def _texture_error(planner: Planner, index: int, level: int) -> float:
     """Return what a halved texture costs where its object is seen."""
-    met = [hits.probe[hits.points.shape == index] for hits in planner.probes.hits]
-    return planner.bound_where_seen(planner.errors(Changes(texture_level={index: level})), met)
+    seen = planner.showing(Changes(texture_level={index: BLACK}))
+    return planner.bound_where(seen, Changes(texture_level={index: level}))
 
 
 def _halvings_that_fit(planner: Planner, most: list[int]) -> dict[int, int]:
     """Return how often each texture is halved, by what it costs where its object is seen."""
-    seen = np.unique(np.concatenate([hits.points.shape for hits in planner.probes.hits]))
     sizes = planner.parts.objects.texture_size.prod(axis=1)
-    tried = sorted(sorted(seen, key=lambda i: -sizes[i])[:_MOST_TRIED])
+    largest = [int(i) for i in np.argsort(-sizes, kind="stable") if most[i]]
     share = (planner.tolerance - planner.spent) / planner.left
-    halvings = {}
-    for index in tried:
+    halvings, tried = {}, 0
+    for index in largest:
+        seen = planner.showing(Changes(texture_level={index: BLACK}))
+        if not seen.any():
+            continue
         for level in range(1, most[index] + 1):
-            if _texture_error(planner, int(index), level) > share:
+            if planner.bound_where(seen, Changes(texture_level={index: level})) > share:
                 break
-            halvings[int(index)] = level
+            halvings[index] = level
+        tried += 1
+        if tried == _MOST_TRIED:
+            break
     # Each fits alone; where mirrors show several of them their errors add up.
     while halvings and not planner.fits(0.0, replace(planner.changes, texture_level=halvings)):
         halvings = {i: level - 1 for i, level in halvings.items() if level > 1}

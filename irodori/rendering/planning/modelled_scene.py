@@ -16,7 +16,6 @@ from irodori.rendering.interactive.frame_renderer import Prepared, light_of, pre
 from irodori.rendering.interactive.prepared_scene import levels_by_lobe
 from irodori.rendering.interactive.quadrature import Quadrature, path_spectra, solve_quadrature
 from irodori.rendering.interactive.round_lobes import TAPS, lobe_table
-from irodori.rendering.planning.probe_look_ups import coarser, texture_of
 from irodori.rendering.scene_arrays import Light, Objects, coefficients_of, gloss_of, make_light
 from irodori.spectra.grid import SAMPLES
 
@@ -112,6 +111,27 @@ def full_model(parts: Parts, max_bounces: int, ambient: bool) -> Model:
         irradiance=shines and diffuse,
         ambient=ambient and shines and diffuse and (count > 1 or parts.tracer.placements[0].shape.hides_by_rays),
     )
+
+
+def texture_of(objects: Objects, index: int) -> np.ndarray:
+    """Return an object's texels, (rows, columns, k + 2 c)."""
+    columns, rows = objects.texture_size[index]
+    first = objects.first_texel[index]
+    return objects.texels[first : first + rows * columns].reshape(rows, columns, -1)
+
+
+def coarser(texture: np.ndarray, level: int) -> np.ndarray:
+    """Return a texture whose texels are the means of squares of 2**level texels, fewer at the ends."""
+    side = 2**level
+    if level == 0:
+        return texture
+    rows, columns = (np.arange(0, size, side) for size in texture.shape[:2])
+    sums = np.add.reduceat(np.add.reduceat(texture, rows, axis=0, dtype=np.float64), columns, axis=1)
+    counts = np.outer(
+        np.diff(np.append(rows, texture.shape[0])),
+        np.diff(np.append(columns, texture.shape[1])),
+    )
+    return (sums / counts[..., None]).astype(np.float32)
 
 
 def is_diffuse(objects: Objects, index: int) -> bool:
@@ -229,7 +249,9 @@ def solved_nodes(parts: Parts, bounces: int, matrix: np.ndarray, count: int) -> 
     return solve_quadrature(spectra, matrix, parts.white, counts=(count,))
 
 
-def prepare(parts: Parts, model: Model, matrix: np.ndarray, ladder: Light | None = None) -> Prepared:
+def prepare(
+    parts: Parts, model: Model, matrix: np.ndarray, ladder: Light | None = None, *, spare_texels: int = 0
+) -> Prepared:
     """Prepare a scene for the frames of a model.
 
     Parameters
@@ -240,6 +262,8 @@ def prepare(parts: Parts, model: Model, matrix: np.ndarray, ladder: Light | None
         XYZ from radiance.
     ladder : Light, optional
         Of the environment; made where it is needed and absent.
+    spare_texels : int
+        See `irodori.rendering.interactive.frame_renderer.prepare_scene`.
     """
     if ladder is None and model.environment_halvings:
         ladder = make_light(parts.environment)
@@ -259,6 +283,7 @@ def prepare(parts: Parts, model: Model, matrix: np.ndarray, ladder: Light | None
         half=False,
         ambient=model.ambient,
         quadrature=quadrature,
+        spare_texels=spare_texels,
     )
 
 

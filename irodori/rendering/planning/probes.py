@@ -1,96 +1,36 @@
-"""Probe rays through random pixels, whose light is kept term by term.
+"""Rays through random points of a scene's pictures, rendered by the interactive integrator with what a plan changes.
 
-Every term is kept with the throughput that brings it to the eye, so that the picture without it, or with a coarser one,
-is a sum over what is left. Nothing of the renderer that is being planned is run.
+The scene is prepared once, in full and in 61 bands. A change is a change of that prepared scene: a limit, an entry of
+a table, another picture of the environment; so that many candidates are rendered in little more time than one.
 """
 
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from irodori.geometry.embree import Tracer
-from irodori.light.gloss.gloss_maps import GlossMaps
-from irodori.rendering.interactive.channels import mean_spectra
-from irodori.rendering.interactive.round_lobes import TAPS
-from irodori.rendering.planning.probe_look_ups import (
-    Ambient,
-    Lit,
-    Points,
-    ambient,
-    coarser,
-    fresnel_rows,
-    irradiance_of,
-    lamps_at,
-    lobes,
-    meet,
-    powers,
-    raised,
-    sky_of,
-    texels_at,
-    texture_of,
+from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.geometry.shapes.shape_rows import COLUMNS, MIRROR, ROWS, SHAPE
+from irodori.jit.array_views import Memory
+from irodori.rendering.interactive.channels import mean_spectra, spectral_channels
+from irodori.rendering.interactive.cube_maps import environment_pyramid
+from irodori.rendering.interactive.frame_renderer import Lamp, Prepared, light_of
+from irodori.rendering.interactive.pixel_rays import rays_through, render_rays
+from irodori.rendering.interactive.prepared_scene import (
+    World,
+    bordered_size,
+    colour_fields,
+    environment_fields,
+    make_irradiance,
+    padded,
+    stored_texels,
 )
-from irodori.rendering.scene_arrays import Light, Objects, View, coefficients_of, gloss_of
-from irodori.rendering.single_pixels import pixel_view
-from irodori.rendering.view_cameras import ORTHOGRAPHIC
-from irodori.spectra.grid import SAMPLES
+from irodori.rendering.interactive.round_lobes import TAPS
+from irodori.rendering.interactive.shading import FURTHER
+from irodori.rendering.planning.modelled_scene import Model, Parts, coarser, prepare, texture_of
+from irodori.rendering.scene_arrays import Light, View
 
-#: A path whose mirrors pass less than this is not followed: single precision.
-_NOTHING = 1e-7
-#: Levels by which the probes' sky is finer than their cones: the map of a coarser picture has its texels elsewhere.
-_FINER = 2
-
-
-class Scene(NamedTuple):
-    """What probes travel in.
-
-    ``gloss`` is the environment blurred, from a small picture of it: it weighs the lobes, and no more. ``ambient`` says
-    whether objects hide light from all sides.
-    """
-
-    objects: Objects
-    light: Light
-    gloss: GlossMaps | None
-    tracer: Tracer
-    lamp_towards: np.ndarray  # (m, 3)
-    lamp_spectra: np.ndarray  # (m, 61)
-    ambient: bool
-
-
-class Hits(NamedTuple):
-    """Surfaces that the probes meet after as many mirrors as there are columns in ``passed``."""
-
-    probe: np.ndarray  # (n,)
-    throughput: np.ndarray  # (n, 61)
-    passed: np.ndarray  # (n, mirrors) objects whose mirrors the path came by
-    points: Points
-    texel: np.ndarray  # (n, k + 2 c)
-    irradiance: np.ndarray  # (n, k) coefficients
-    ambient: Ambient | None
-    lit: Lit | None
-    gloss: list[tuple[np.ndarray, np.ndarray, np.ndarray]]  # by component: light of the lobes, weights, reflectance
-
-
-class Misses(NamedTuple):
-    """Probes that meet the environment."""
-
-    probe: np.ndarray
-    throughput: np.ndarray
-    passed: np.ndarray
-    direction: np.ndarray  # (n, 3)
-    level: np.ndarray  # (n,) of the environment's ladder that is finer than the ray's cone
-
-
-class Probes(NamedTuple):
-    """Probes of a scene."""
-
-    count: int
-    views: int  # probe i is of view i modulo this
-    scene: Scene
-    hits: list[Hits]  # one for each number of mirrors
-    misses: list[Misses]
-    mean: list[np.ndarray]  # mean reflectance of each object, (61,)
-    textures: dict[tuple[int, int], np.ndarray]  # those that were halved so far
+#: In place of a level: a texture that reflects nothing.
+BLACK = -1
 
 
 @dataclass(frozen=True)
@@ -108,7 +48,7 @@ class Changes:
     sky_level : int
         Finest level of the environment's ladder.
     texture_level : dict
-        Object -> level, halvings of its texture.
+        Object -> level, halvings of its texture, or `BLACK`.
     reflected_basis : (m, 61), optional
         On which light is thrown from object to object.
     """
@@ -123,156 +63,172 @@ class Changes:
     reflected_basis: np.ndarray | None = None
 
 
-def trace_probes(scene: Scene, views: list[View], count: int, max_bounces: int, seed: int) -> Probes:
-    """Send rays through random points of pictures and follow them from mirror to mirror.
+@dataclass(frozen=True)
+class Texture:
+    """Where an object's texels stand in the prepared scene; of a level that is not yet made ``first`` is -1."""
+
+    rows: int
+    columns: int
+    first: int
+
+
+class Probes:
+    """Rays of a scene's pictures, and the scene prepared for them.
 
     Parameters
     ----------
-    scene : Scene
+    parts : Parts
+    model : Model
+        In full.
+    ladder : Light
+        Of the environment, with all its levels.
     views : list of View
-        Which have equal shares of the rays.
+        Which have equal shares of the rays: ray i is of view i modulo their number.
     count : int
         Rays.
-    max_bounces : int
-        Mirrors that are followed.
     seed : int
+        Of their places.
     """
-    rng = np.random.default_rng(seed)
-    origin, direction = np.empty((2, count, 3))
-    cone, spread = np.zeros((2, count))
-    for probe in range(count):
-        view = views[probe % len(views)]
-        x, y = rng.random(2) * (view.width, view.height)
-        seen = pixel_view(view, x, y)
-        origin[probe], direction[probe] = seen.position_mm, seen.world_from_camera[:, 2]
-        (cone if view.kind == ORTHOGRAPHIC else spread)[probe] = 1.0 / view.focal_px
-    probe, throughput = np.arange(count), np.ones((count, SAMPLES))
-    passed = np.zeros((count, 0), dtype=np.int64)
-    hits, misses = [], []
-    for bounce in range(max_bounces + 1):
-        points = meet(scene.tracer, origin, direction)
-        missed = points.shape == -1
-        level = _level(scene.light, spread)
-        misses.append(Misses(*(a[missed] for a in (probe, throughput, passed, direction, level))))
-        met = points.shape >= 0
-        points = Points(*(a[met] for a in points))
-        probe, throughput, passed = probe[met], throughput[met], passed[met]
-        origin, direction, cone, spread = origin[met], direction[met], cone[met], spread[met]
-        hits.append(_shaded(scene, probe, throughput, passed, points, direction))
-        if bounce == max_bounces or not probe.size:
-            break
-        cone = cone + points.distance * spread
-        spread = spread + cone * _curvature(scene.tracer)[points.shape]
-        reflectance = fresnel_rows(points.cosine, points.shape, scene.objects)
-        throughput = throughput * scene.objects.mirror[points.shape, None] * reflectance
-        going = throughput.max(axis=1) > _NOTHING
-        passed = np.concatenate([passed, points.shape[:, None]], axis=1)[going]
-        origin = raised(points)[going]
-        direction = (direction + 2.0 * points.cosine[:, None] * points.normal)[going]
-        probe, throughput, cone, spread = probe[going], throughput[going], cone[going], spread[going]
-        if not probe.size:
-            break
-    return Probes(count, len(views), scene, hits, misses, mean_spectra(scene.objects), {})
+
+    def __init__(self, parts: Parts, model: Model, ladder: Light, views: list[View], count: int, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        rays = [rays_through(view, [rng.random(2) * (view.width, view.height)])
+                for view in (views[i % len(views)] for i in range(count))]  # fmt: skip
+        self.count, self.views, self.view = count, len(views), views[0]
+        self.rays = np.concatenate(rays)
+        self._parts, self._ladder = parts, ladder
+        self._lamps = tuple(Lamp(towards) for towards in parts.lamp_towards)
+        matrix = xyz_from_radiance(parts.white)
+        self._levels = self._places_of_textures()
+        spare = sum(bordered_size(t.rows, t.columns) for (_, level), t in self._levels.items() if level)
+        self._prepared = prepare(parts, model, matrix, spare_texels=spare)
+        self._channels = spectral_channels(parts.objects, light_of(parts.environment), parts.lamp_spectra, matrix)
+        self._skies: dict[int, dict] = {}
+        self._met: dict[tuple, dict[str, float]] = {}
+        self._fill = self._prepared.world.texture_first.array[-1] // self._channels.surface + bordered_size(
+            *(int(size) for size in parts.objects.texture_size[-1])
+        )
+
+    def radiance(self, changes: Changes = Changes()) -> np.ndarray:
+        """Return the radiance of every ray, (count, 61) float64, of the picture with changes."""
+        return self._render(changes)[0]
+
+    def met(self, changes: Changes) -> dict[str, float]:
+        """Return what a ray of the eye meets: rays traced, surfaces, glossy ones, and the environment.
+
+        Only lobes, mirrors and the limits of paths count.
+        """
+        limits = changes.max_bounces, changes.least_throughput, changes.without_gloss, changes.without_mirror
+        if limits not in self._met:
+            figures = self._render(Changes(*limits))[1]
+            self._met[limits] = {name: figures[name] / self.count for name in ("rays", "hits", "glossy", "misses")}
+        return self._met[limits]
+
+    def _render(self, changes: Changes) -> tuple[np.ndarray, dict[str, int]]:
+        prepared, figures = self._with(changes), {}
+        gloss = [self._gloss_of(i, changes.texture_level.get(i, 0)) for i in changes.without_gloss]
+        kept = [[numbers.copy() for numbers in powers] for powers in gloss]
+        for powers in gloss:
+            for numbers in powers:
+                numbers[...] = 0.0
+        try:
+            found = render_rays(prepared, self.view, self.rays, self._lamps, bands=True, figures=figures)
+        finally:
+            for powers, before in zip(gloss, kept, strict=True):
+                for numbers, old in zip(powers, before, strict=True):
+                    numbers[...] = old
+        return found, figures
+
+    def _with(self, changes: Changes) -> Prepared:
+        """Return the scene with all changes but the lobes that are left out."""
+        world, limits = self._prepared.world, self._prepared.limits
+        least = changes.least_throughput
+        bounces = limits.max_bounces if changes.max_bounces is None else changes.max_bounces
+        limits = limits._replace(max_bounces=bounces, least_throughput=least, least_lobe=least / TAPS)
+        fields: dict = {}
+        if changes.light_basis is not None:
+            fields |= self._on_basis(changes.light_basis)
+        if changes.sky_level:
+            fields |= self._sky(changes.sky_level)
+        if changes.reflected_basis is not None:
+            fields["ambient"] = self._thrown(changes.reflected_basis)
+        if changes.without_mirror or changes.texture_level:
+            fields |= self._tables(world, changes)
+        fields = {name: Memory(v) if isinstance(v, np.ndarray) else v for name, v in fields.items()}
+        return replace(self._prepared, world=world._replace(**fields), limits=limits)
+
+    def _on_basis(self, basis: np.ndarray) -> dict:
+        light = light_of(self._parts.environment)._replace(basis=basis)
+        matrix = xyz_from_radiance(self._parts.white)
+        channels = spectral_channels(self._parts.objects, light, self._parts.lamp_spectra, matrix)
+        fields = colour_fields(channels)
+        if self._prepared.world.irradiance_side > 0:
+            fields["irradiance"] = make_irradiance(light, channels)[0]
+        return fields
+
+    def _sky(self, level: int) -> dict:
+        if level not in self._skies:
+            first, (columns, rows) = self._ladder.first_pixel[level], self._ladder.size[level]
+            picture = self._ladder.pixels[first : first + columns * rows].reshape(rows, columns, -1)
+            pyramid = environment_pyramid(picture, self._channels.stored_from_light, self._channels.light, half=False)
+            self._skies[level] = environment_fields(pyramid)
+        return self._skies[level]
+
+    def _thrown(self, basis: np.ndarray) -> np.ndarray:
+        onto = np.linalg.pinv(basis) @ basis
+        rows = np.stack([self._channels.reflected(mean) @ onto for mean in mean_spectra(self._parts.objects)])
+        return padded(rows, self._channels.surface)
+
+    def _tables(self, world: World, changes: Changes) -> dict:
+        shape = world.shape.array.copy().reshape(-1, SHAPE)
+        shape[list(changes.without_mirror), MIRROR] = 0.0
+        first, stride = world.texture_first.array.copy(), world.texture_stride.array.copy()
+        further = world.further_first.array.copy()
+        for index, level in changes.texture_level.items():
+            texture = self._texture(index, level)
+            shape[index, COLUMNS], shape[index, ROWS] = texture.columns, texture.rows
+            stride[index] = texture.columns + 2
+            first[index], further[index] = texture.first * self._channels.surface, texture.first * FURTHER
+        return {"shape": shape.ravel(), "texture_first": first, "texture_stride": stride, "further_first": further}
+
+    def _places_of_textures(self) -> dict[tuple[int, int], Texture]:
+        places, at = {}, 0
+        for index, (columns, rows) in enumerate(self._parts.objects.texture_size):
+            places[index, 0] = Texture(int(rows), int(columns), at)
+            at += bordered_size(rows, columns)
+            places[index, BLACK] = Texture(1, 1, -1)
+            for level in range(1, halvings_of(columns, rows) + 1):
+                places[index, level] = Texture(-(-int(rows) // 2**level), -(-int(columns) // 2**level), -1)
+        return places
+
+    def _texture(self, index: int, level: int) -> Texture:
+        """Return where a texture of a level stands; it is made after all others when it is first asked for."""
+        texture = self._levels[index, level]
+        if texture.first >= 0:
+            return texture
+        objects, world = self._parts.objects, self._prepared.world
+        own = texture_of(objects, index)
+        made = np.zeros_like(own[:1, :1]) if level == BLACK else coarser(own, level)
+        found = stored_texels(objects, index, made, self._channels)
+        texture = self._levels[index, level] = replace(texture, first=int(self._fill))
+        self._fill += bordered_size(texture.rows, texture.columns)
+        for flat, numbers in zip((world.texels.array, world.further.array), found, strict=True):
+            if flat.size:
+                width = numbers.size // bordered_size(texture.rows, texture.columns)
+                flat[texture.first * width : texture.first * width + numbers.size] = numbers
+        return texture
+
+    def _gloss_of(self, index: int, level: int) -> list[np.ndarray]:
+        """Return the powers of an object's gloss components, views of the prepared texels."""
+        texture, world = self._texture(index, level), self._prepared.world
+        chosen = slice(texture.first, texture.first + bordered_size(texture.rows, texture.columns))
+        powers = [world.texels.array.reshape(-1, self._channels.surface)[chosen, -2]]
+        if world.further.array.size:
+            further = world.further.array.reshape(-1, FURTHER)[chosen]
+            powers += [further[:, 2 * i] for i in range(self._parts.objects.lobe.shape[1] - 1)]
+        return powers
 
 
-def _level(light: Light, spread: np.ndarray) -> np.ndarray:
-    """Return the level that is as wide as cones, less `_FINER`."""
-    pitch = np.pi / light.size[0, 1]
-    return np.clip(np.log2(np.maximum(spread / pitch, 1.0)).astype(int) - _FINER, 0, len(light.size) - 1)
-
-
-def _curvature(tracer: Tracer) -> np.ndarray:
-    return np.array([p.shape.curvature_per_mm(p.scale) for p in tracer.placements])
-
-
-def _texture(objects: Objects, index: int, level: int, known: dict) -> np.ndarray:
-    if level == 0:
-        return texture_of(objects, index)
-    if (index, level) not in known:
-        known[index, level] = coarser(texture_of(objects, index), level)
-    return known[index, level]
-
-
-def _texels(objects: Objects, points: Points, texture_level: dict, known: dict) -> np.ndarray:
-    out = np.zeros((len(points.shape), objects.texels.shape[1]))
-    for index in map(int, np.unique(points.shape)):
-        chosen = points.shape == index
-        texture = _texture(objects, index, texture_level.get(index, 0), known)
-        out[chosen] = texels_at(texture, points.uv[chosen], objects.wraps[index] == 1)
-    return out
-
-
-def _shaded(scene: Scene, probe, throughput, passed, points: Points, direction) -> Hits:
-    """Look up what surfaces send back."""
-    texel = _texels(scene.objects, points, {}, {})
-    roughness = [np.where(mu > 0, mu, 1.0) for _, mu in gloss_of(scene.objects, texel)]
-    hidden = ambient(scene.tracer, scene.light, points) if scene.ambient and points.shape.size else None
-    irradiance = irradiance_of(scene.light, points.normal)
-    if hidden is not None:
-        irradiance = hidden.seen[:, None] * irradiance
-    lit = None
-    if len(scene.lamp_spectra):
-        lamps = (scene.lamp_towards, scene.lamp_spectra)
-        lit = lamps_at(scene.tracer, scene.objects, points, direction, roughness, *lamps)
-    gloss = []
-    if scene.gloss is not None and points.shape.size:
-        for component, mu in enumerate(roughness):
-            light, weight, cos_h = lobes(scene.gloss, scene.objects, points, direction, component, mu)
-            gloss.append((light, weight, fresnel_rows(cos_h, points.shape, scene.objects)))
-    return Hits(probe, throughput, passed, points, texel, irradiance, hidden, lit, gloss)
-
-
-def radiance(probes: Probes, changes: Changes = Changes()) -> np.ndarray:
-    """Return the radiance of every probe, (count, 61) float64, of the picture with changes."""
-    out = np.zeros((probes.count, SAMPLES))
-    for bounce, (hits, misses) in enumerate(zip(probes.hits, probes.misses, strict=True)):
-        if changes.max_bounces is not None and bounce > changes.max_bounces:
-            break
-        basis = probes.scene.light.basis if changes.light_basis is None else changes.light_basis
-        stays = _stays(misses, changes, bounce)
-        if stays.any():
-            level = np.maximum(misses.level[stays], changes.sky_level)
-            sky = sky_of(probes.scene.light, misses.direction[stays], level) @ basis
-            np.add.at(out, misses.probe[stays], misses.throughput[stays] * sky)
-        if hits.probe.size:
-            stays = _stays(hits, changes, bounce)
-            found = _reflected(probes, hits, basis, changes)
-            np.add.at(out, hits.probe[stays], hits.throughput[stays] * found[stays])
-    return out
-
-
-def _stays(events, changes: Changes, bounce: int) -> np.ndarray:
-    stays = np.ones(len(events.probe), dtype=bool)
-    if bounce and changes.least_throughput > 0.0:
-        stays &= events.throughput.max(axis=1) > changes.least_throughput
-    for index in changes.without_mirror:
-        stays &= ~(events.passed == index).any(axis=1)
-    return stays
-
-
-def _reflected(probes: Probes, hits: Hits, basis: np.ndarray, changes: Changes) -> np.ndarray:
-    """Return what surfaces send towards the eye without their mirrors, (n, 61)."""
-    objects, shape = probes.scene.objects, hits.points.shape
-    texel = (
-        _texels(objects, hits.points, changes.texture_level, probes.textures) if changes.texture_level else hits.texel
-    )
-    surface = np.einsum("pk,pkl->pl", coefficients_of(objects, texel), objects.basis[shape])
-    light = hits.irradiance @ basis / np.pi
-    if hits.ambient is not None:
-        for index, rows, coefficients in hits.ambient.reflected:
-            thrown = (coefficients @ basis) * probes.mean[index] / np.pi
-            if changes.reflected_basis is not None:
-                thrown = thrown @ np.linalg.pinv(changes.reflected_basis) @ changes.reflected_basis
-            light[rows] += thrown
-    glossy = ~np.isin(shape, list(changes.without_gloss))
-    power = [glossy * own for own in powers(objects, shape, gloss_of(objects, texel))]
-    out = np.zeros_like(light)
-    if hits.lit is not None:
-        light = light + hits.lit.diffuse
-        for own, gloss in zip(power, hits.lit.gloss, strict=True):
-            out += own[:, None] * gloss
-    for own, (lobe, weight, reflectance) in zip(power, hits.gloss, strict=False):
-        strength = weight * own[:, None] * (hits.throughput * reflectance).max(axis=1, keepdims=True)
-        weight = np.where(strength > changes.least_throughput / TAPS, weight, 0.0) * own[:, None]
-        out += np.einsum("pt,ptk->pk", weight, lobe) @ basis * reflectance
-    return out + surface * light
+def halvings_of(columns: int, rows: int) -> int:
+    """Return how often a texture can be halved."""
+    return max(int(np.log2(max(min(int(columns), int(rows)), 1))) - 1, 0)

@@ -6,20 +6,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from irodori.colour.colorimetry import xyz_from_radiance
-from irodori.light.blurred_light import prefiltered
-from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.rendering.interactive.quadrature import Quadrature
 from irodori.rendering.planning.modelled_scene import Model, Parts, look_up_numbers, solved_nodes, widths_of
-from irodori.rendering.planning.probes import Changes, Probes, Scene, radiance, trace_probes
+from irodori.rendering.planning.probes import Changes, Probes
 from irodori.rendering.planning.tolerance import bound_of_share, differences
-from irodori.rendering.scene_arrays import Light, View, gloss_of
+from irodori.rendering.scene_arrays import Light
 
 #: Probes of a view, and the seed of their places; pixels that are checked have another.
 PROBES, SEED = 2000, 1
-#: Rows of the picture whose blurred light weighs the lobes for the planner.
-_SMALL_ROWS = 64
 #: Views with so many probes; more of them share these.
-_MOST_VIEWS = 4
+MOST_VIEWS = 4
 #: Decisions that may cost colour.
 _LOSSY = 8
 
@@ -72,12 +68,17 @@ class Planner:
     def __post_init__(self) -> None:
         self.full, self.matrix = self.model, xyz_from_radiance(self.parts.white)
         self.white_xyz = self.matrix @ self.parts.white
-        self.truth = radiance(self.probes) @ self.matrix.T
+        self.seen = self.probes.radiance()
+        self.truth = self.seen @ self.matrix.T
         self.xyz = lambda spectra: spectra @ self.matrix.T
 
     def errors(self, changes: Changes, xyz: Callable | None = None) -> np.ndarray:
         """Return CIEDE2000 of every probe of the picture with changes."""
-        found = (xyz or (lambda spectra: spectra @ self.matrix.T))(radiance(self.probes, changes))
+        return self.differences(self.probes.radiance(changes), xyz)
+
+    def differences(self, radiance: np.ndarray, xyz: Callable | None = None) -> np.ndarray:
+        """Return CIEDE2000 of every probe of a picture, (count, 61) radiance."""
+        found = (xyz or (lambda spectra: spectra @ self.matrix.T))(radiance)
         return differences(self.truth, found, self.white_xyz)
 
     def bound(self, errors: np.ndarray) -> float:
@@ -85,10 +86,13 @@ class Planner:
         views = self.probes.views
         return max(bound_of_share(errors[view::views]) for view in range(min(views, len(errors))))
 
-    def bound_where_seen(self, errors: np.ndarray, events: list) -> float:
-        """Return the bound of the share among the probes that meet something, so that what is small counts too."""
-        meeting = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *events]))
-        return bound_of_share(errors[meeting]) if meeting.size else 0.0
+    def showing(self, changes: Changes) -> np.ndarray:
+        """Return which probes show a change at all, (count,) bool."""
+        return (self.probes.radiance(changes) != self.seen).any(axis=1)
+
+    def bound_where(self, chosen: np.ndarray, changes: Changes) -> float:
+        """Return the bound of the share among chosen probes, so that what is small in the picture counts too."""
+        return bound_of_share(self.errors(changes)[chosen]) if chosen.any() else 0.0
 
     def solve(self, nodes: int) -> Quadrature:
         """Return the quadrature of a number of wavelengths for the paths of the model."""
@@ -122,40 +126,15 @@ class Planner:
     def met(self, model: Model | None = None) -> dict[str, float]:
         """Return what a ray of the eye meets: surfaces, glossy ones, the environment, and rays traced."""
         model = model or self.model
-        without = [i for i, (a, b) in enumerate(zip(self.full.mirror, model.mirror, strict=True)) if a and not b]
-        found = {"hits": 0.0, "glossy": 0.0, "misses": 0.0}
-        for bounce, (hits, misses) in enumerate(zip(self.probes.hits, self.probes.misses, strict=True)):
-            if bounce > model.max_bounces:
-                break
-            for name, events in (("hits", hits), ("misses", misses)):
-                stays = np.ones(len(events.probe), dtype=bool)
-                if bounce:
-                    stays &= events.throughput.max(axis=1) > model.least_throughput
-                for index in without:
-                    stays &= ~(events.passed == index).any(axis=1)
-                found[name] += float(stays.sum())
-                if name == "hits" and stays.any():
-                    pairs = gloss_of(self.parts.objects, events.texel[stays])
-                    rough = np.any([beta > 0 for beta, _ in pairs], axis=0)
-                    rough &= np.take(model.gloss, events.points.shape[stays])
-                    found["glossy"] += float(rough.sum())
-        found["rays"] = found["hits"] + found["misses"]
-        return {key: value / self.probes.count for key, value in found.items()}
+
+        def without(before, after) -> frozenset:
+            return frozenset(i for i, (a, b) in enumerate(zip(before, after, strict=True)) if a and not b)
+
+        limits = model.max_bounces, model.least_throughput
+        left = without(self.full.gloss, model.gloss), without(self.full.mirror, model.mirror)
+        return self.probes.met(Changes(*limits, *left))
 
     def numbers(self, model: Model | None = None) -> float:
         """Return the numbers that a ray of the eye costs."""
         model = model or self.model
         return look_up_numbers(model, widths_of(self.parts, model), self.met(model), len(self.names))
-
-
-def make_probes(parts: Parts, views: list[View], model: Model, ladder: Light) -> Probes:
-    """Return the probes of a scene's views; their lobes see a small picture of the environment."""
-    gloss = None
-    if model.gloss_levels[1] > model.gloss_levels[0]:
-        level = int(np.argmax(ladder.size[:, 1] <= _SMALL_ROWS)) if (ladder.size[:, 1] <= _SMALL_ROWS).any() else 0
-        first, (columns, rows) = ladder.first_pixel[level], ladder.size[level]
-        small = ladder.pixels[first : first + columns * rows].reshape(rows, columns, -1)
-        start, levels = prefiltered(small)
-        gloss = GlossMaps(start, tuple(levels), None)
-    scene = Scene(parts.objects, ladder, gloss, parts.tracer, parts.lamp_towards, parts.lamp_spectra, model.ambient)
-    return trace_probes(scene, views, PROBES * min(len(views), _MOST_VIEWS), model.max_bounces, SEED)

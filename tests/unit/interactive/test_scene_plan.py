@@ -14,25 +14,23 @@ from scenes import BALL, GOLD_K, GOLD_N, ONES, THIRDS, material, plate, sky
 from studio import BASIS, even_light
 
 from irodori.colour.colorimetry import xyz_from_radiance
-from irodori.config.models import BodyShape, ObjectShape, Render, Scene, Size, View
+from irodori.config.models import ObjectShape, Render, Scene, Size, View
 from irodori.config.parts import Staging
 from irodori.core.errors import InputError
 from irodori.core.store import Provenance
 from irodori.export.pictures import read_xyz, write_spectral_exr, write_xyz_exr
-from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
-from irodori.rendering.interactive.frame_renderer import render_frame
-from irodori.rendering.interactive.pixel_rays import render_pixels
-from irodori.rendering.planning.modelled_scene import full_model, prepare
+from irodori.rendering.interactive.frame_renderer import Lamp, light_of, render_frame
+from irodori.rendering.interactive.pixel_rays import render_pixels, render_rays
+from irodori.rendering.planning.modelled_scene import full_model, leading_basis, prepare
 from irodori.rendering.planning.plan_file import model_of, object_names, read_plan, write_plan
 from irodori.rendering.planning.planned_check import ToleranceError, chosen_pixels
 from irodori.rendering.planning.planned_picture import parts_of
-from irodori.rendering.planning.probes import radiance
-from irodori.rendering.planning.scene_planner import PROBES, SEED, make_probes
+from irodori.rendering.planning.probes import Changes, Probes
 from irodori.rendering.planning.stage import plan_of
-from irodori.rendering.planning.tolerance import bound_of_share, differences
+from irodori.rendering.planning.tolerance import bound_of_share
 from irodori.rendering.scene_arrays import make_light, make_objects, make_placements, make_tracer, make_view
 from irodori.rendering.stage import render_view
 
@@ -299,32 +297,65 @@ def test_textures_are_as_fine_as_the_picture_shows_them():
     assert found[1] >= found[0] + 2
 
 
-@pytest.mark.parametrize(
-    "ground",
-    [
-        {"kind": "plate", "width_mm": 90.0, "height_mm": 60.0},
-        {"kind": "disc", "radius_mm": 45.0},
-        {"kind": "plane"},
-        {"kind": "sphere", "radius_mm": 19.0},
-    ],
-    ids=lambda shape: shape["kind"],
-)
-def test_probes_see_what_every_kind_of_shape_hides_and_throws(ground):
-    matte, definition = [material(GREENISH), material(0.7)], scene_of()
-    definition["objects"][0] |= {"scale": 1.2, "position_mm": [5.0, 0.0, -3.0], "rotation_deg": [0.0, 0.0, 20.0]}
-    placements = make_placements(
-        made(Scene | Staging, definition), [Shape.from_definition(made(ObjectShape | BodyShape, ground)), JAR]
+def checked_texture(rng, beta: float, mirror: float) -> Material:
+    """Texels of no pattern, whose halvings all differ."""
+    plain = Material.uniform(0.4 * ONES)
+    texels = 24, 40
+    maps = {key: np.ones(texels) for key in ("alpha", "green_response")}
+    coefficients = rng.uniform(0.3, 1.6, (*texels, 1)).astype(np.float32)
+    zero, own = np.zeros(texels), rng.uniform(0.5, 1.5, texels)
+    return dataclasses.replace(
+        plain, **maps, beta=zero + beta * own, mu=zero + 0.1 * own, coefficients=coefficients, mirror=mirror
     )
-    objects, _ = make_objects(placements, matte)
+
+
+def projected(parts, full, bases):
+    """What changes, and the model, where the light is kept on a few vectors."""
+    to, basis = leading_basis(light_of(parts.environment), bases)
+    return Changes(light_basis=to @ basis), replace(full, light_bases=bases)
+
+
+CHANGED = {
+    "nothing": lambda parts, full: (Changes(), full),
+    "bounces": lambda parts, full: (Changes(max_bounces=1), replace(full, max_bounces=1)),
+    "throughput": lambda parts, full: (Changes(least_throughput=0.1), replace(full, least_throughput=0.1)),
+    "gloss": lambda parts, full: (Changes(without_gloss=frozenset([1])), replace(full, gloss=(True, False))),
+    "mirror": lambda parts, full: (Changes(without_mirror=frozenset([0])), replace(full, mirror=(False, True))),
+    "light": lambda parts, full: projected(parts, full, 1),
+    "sky": lambda parts, full: (Changes(sky_level=2), replace(full, environment_halvings=2)),
+    "textures": lambda parts, full: (Changes(texture_level={0: 1, 1: 3}), replace(full, texture_halvings=(1, 3))),
+    "several": lambda parts, full: (
+        Changes(1, 1e-3, frozenset([0]), frozenset([1]), sky_level=1, texture_level={0: 2}),
+        replace(full, max_bounces=1, least_throughput=1e-3, gloss=(False, True), mirror=(True, False),
+                environment_halvings=1, texture_halvings=(2, 0)),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("lamps", [0, 1])
+@pytest.mark.parametrize("change", CHANGED)
+def test_a_change_of_the_probes_scene_is_what_a_scene_prepared_without_it_shows(change, lamps):
+    rng = np.random.default_rng(4)
+    materials = [checked_texture(rng, 1.0, 0.4), checked_texture(rng, 2.0, 0.8)]
+    definition = scene_of(lights=[LAMP] * lamps)
+    placements = make_placements(made(Scene | Staging, definition), [TABLE, JAR])
+    objects, _ = make_objects(placements, materials)
     parts = parts_of(made(Scene, definition), objects, room(), make_tracer(placements))
-    full, matrix = full_model(parts, 0, True), xyz_from_radiance(parts.white)
+    full, matrix = full_model(parts, 4, True), xyz_from_radiance(parts.white)
     view = make_view(made(View, definition["views"]["v"]), made(Size, definition["image"]))
-    seen = radiance(make_probes(parts, [view], full, make_light(parts.environment))) @ matrix.T
-    place = np.random.default_rng(SEED).random((PROBES, 2)) * (view.width, view.height)
-    rendered = render_pixels(prepare(parts, full, matrix), view, place - 0.5)
-    off = differences(seen, rendered, matrix @ parts.white)
-    # Maps of the renderer are cubes; a ray that grazes an edge may fall on the other side of it.
-    assert np.percentile(off, 99) < 0.1
+    ladder = make_light(parts.environment)
+    probes = Probes(parts, full, ladder, [view], 500, 7)
+    changes, model = CHANGED[change](parts, full)
+    for _ in range(2):  # what was changed is taken back
+        shown = probes.radiance(changes) @ matrix.T
+        whole = probes.radiance() @ matrix.T
+    lights = tuple(Lamp(towards) for towards in parts.lamp_towards)
+    for found, own in ((shown, model), (whole, full)):
+        expected = render_rays(prepare(parts, own, matrix, ladder), view, probes.rays, lights)
+        assert np.abs(found - expected).max() < 1e-5 * expected.max()
+    assert (np.abs(shown - whole).max() > 1e-4 * whole.max()) == (change != "nothing")
+    met = probes.met(changes)
+    assert met["rays"] == pytest.approx(met["hits"] + met["misses"]) and 0 < met["glossy"] <= met["hits"]
 
 
 @pytest.mark.parametrize("side", [1, 2])
