@@ -11,9 +11,9 @@ from pathlib import Path
 
 from irodori.capture.rig.devices import DeviceError
 from irodori.config.capture_table import COLUMNS, EXTRA_COLUMNS, Shot, read_captures, shot_cells
+from irodori.core.atomic_files import file_sha256
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
-from irodori.core.provenance import file_sha256
 
 _HEADER = ",".join((*COLUMNS, *EXTRA_COLUMNS)) + "\n"
 #: Photographs that a changed plan no longer asks for; their files stay.

@@ -16,9 +16,9 @@ from irodori.capture.operator import HandSettings, Operator
 from irodori.capture.rig.devices import Camera, Rig
 from irodori.capture.setup_steps import hand_settings, motor_targets
 from irodori.config.capture_table import Shot
+from irodori.core.atomic_files import file_sha256
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
-from irodori.core.provenance import file_sha256
 from irodori.ingest.mosaic import decode
 
 _TRIES = 3

@@ -21,8 +21,8 @@ from irodori.config.models import Camera as CameraDefinition
 from irodori.config.models import Environment, Object, ScenePhotograph
 from irodori.config.models import Rig as RigDefinition
 from irodori.config.parts import PhotographedObject, SceneRadiance
+from irodori.core.atomic_files import file_sha256
 from irodori.core.progress import LOGGER
-from irodori.core.provenance import file_sha256
 from irodori.core.store import Provenance
 from irodori.core.termination import ending_in_order
 from irodori.simulation.virtual_rig.bench import Bench

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from irodori.config.validation import suggest
+from irodori.core.atomic_files import file_sha256
 from irodori.core.errors import InputError
-from irodori.core.provenance import file_sha256
 
 if TYPE_CHECKING:
     from irodori.config.models import PoseGroup

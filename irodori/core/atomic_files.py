@@ -2,6 +2,7 @@
 
 import argparse
 import errno
+import hashlib
 import os
 import re
 import secrets
@@ -11,7 +12,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from irodori.core.errors import InputError, PlainError
-from irodori.core.provenance import file_sha256
 
 _DAMAGED = ".damaged"
 #: Errors that writing alone has: what a block reads is not blamed on its output.
@@ -70,6 +70,18 @@ def _unfinished(path: Path) -> list[Path]:
     with suppress(FileNotFoundError):
         return [p for p in path.parent.iterdir() if p.name.startswith(before) and p.name.endswith(after)]
     return []
+
+
+def file_sha256(path) -> str:
+    """Return the SHA-256 of a file's bytes: 64 hexadecimal digits.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    """
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def digest_path(path) -> Path:

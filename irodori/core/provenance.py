@@ -1,12 +1,11 @@
 """Hashes of the code, configuration and files behind a result."""
 
-import ast
 import functools
 import hashlib
 import json
-from collections.abc import Iterator
-from functools import lru_cache
 from pathlib import Path
+
+from irodori.core.parsed_sources import parsed
 
 _ROOT = Path(__file__).resolve().parents[2]
 _DIGITS = 16
@@ -109,39 +108,17 @@ def imported_modules(file: Path, root: Path) -> list[str]:
 
 def _imports(name: str, file: Path, root: Path) -> list[str]:
     """Return the local modules that a file imports, wherever in the file; not those for type checkers alone."""
-    status = file.stat()
-    return list(_parsed_imports(name, file, root, status.st_mtime_ns, status.st_size))
-
-
-@lru_cache(maxsize=4096)
-def _parsed_imports(name: str, file: Path, root: Path, _modified_ns: int, _size: int) -> tuple[str, ...]:
-    # Each rule hashes what its script imports: without the cache a file is parsed for every one of them.
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
     wanted = []
-    for node in _executed(ast.parse(file.read_bytes(), filename=str(file))):
-        if isinstance(node, ast.Import):
-            wanted += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            base = node.module or ""
-            if node.level:
-                parents = package.split(".")
-                parents = parents[: len(parents) - node.level + 1]
-                base = ".".join([*parents, base] if base else parents)
-            # What follows "import" may be a submodule or a name inside the module.
-            wanted += [base, *(f"{base}.{alias.name}" for alias in node.names)]
-    return tuple(module for module in wanted if _exists(module, root))
-
-
-def _executed(tree: ast.AST) -> Iterator[ast.AST]:
-    """Yield all nodes under one but what stands under ``if TYPE_CHECKING:``, which no run comes to."""
-    waiting = [tree]
-    while waiting:
-        node = waiting.pop()
-        yield node
-        if isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING"):
-            waiting += node.orelse
-        else:
-            waiting += ast.iter_child_nodes(node)
+    for level, module, names in parsed(file).imports:
+        base = module
+        if level:
+            parents = package.split(".")
+            parents = parents[: len(parents) - level + 1]
+            base = ".".join([*parents, module] if module else parents)
+        # What follows "import" may be a submodule or a name inside the module.
+        wanted += [base, *(f"{base}.{name}" for name in names)]
+    return [module for module in wanted if _exists(module, root)]
 
 
 def config_hash(obj) -> str:
@@ -171,15 +148,3 @@ def _canonical(value):
     if isinstance(value, float) and value.is_integer():
         return int(value)
     return str(value) if isinstance(value, Path) else value
-
-
-def file_sha256(path) -> str:
-    """Return the SHA-256 of a file's bytes: 64 hexadecimal digits.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    """
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

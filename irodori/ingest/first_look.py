@@ -1,9 +1,9 @@
 """First check of a set of RAW files: every file is decoded once before any long work."""
 
 from irodori.config.capture_table import check_unchanged, read_captures, shot_path, write_captures
+from irodori.core.atomic_files import file_sha256
 from irodori.core.errors import InputError
 from irodori.core.progress import track
-from irodori.core.provenance import file_sha256
 from irodori.ingest.exposure_settings import settle, settle_set
 from irodori.ingest.mosaic import decode
 

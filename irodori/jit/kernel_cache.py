@@ -8,7 +8,6 @@ processors, signatures and versions of Python apart, so that hosts which share a
 Of several processes that need the same kernel one compiles it, and the others wait for it and load what it stored.
 """
 
-import ast
 import fcntl
 import functools
 import hashlib
@@ -25,34 +24,17 @@ import numba
 import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
+from irodori.core.parsed_sources import parsed, recall, store
 from irodori.core.provenance import imported_modules, local_sources
 from irodori.jit.outside_sources import outside_sources, revision
 
 _LOGGER = logging.getLogger("irodori")
 _PACKAGE = Path(__file__).resolve().parents[1]
 _DIGITS = 16
+#: File, beside the kernels, of what was read out of sources that have not changed.
+_SOURCES = "sources.json"
 #: States of a module whose kernels are kept, besides every one that was used within the last days.
 _KEPT_STATES, _KEPT_S = 2, 14 * 24 * 3600.0
-
-
-class _WithoutDocstrings(ast.NodeTransformer):
-    """Remove docstrings, so that only what is executed is left of a syntax tree."""
-
-    def _strip(self, node):
-        self.generic_visit(node)
-        first = node.body[0] if node.body else None
-        if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and isinstance(first.value.value, str):
-            node.body = node.body[1:] or [ast.Pass()]
-        return node
-
-    visit_Module = visit_ClassDef = visit_FunctionDef = visit_AsyncFunctionDef = _strip
-
-
-@functools.lru_cache(maxsize=4096)
-def source_hash(file: Path) -> str:
-    """Return the hash of a file's syntax tree without docstrings and comments: 16 hexadecimal digits."""
-    tree = _WithoutDocstrings().visit(ast.parse(file.read_bytes(), filename=str(file)))
-    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:_DIGITS]
 
 
 def closure_hash(module: str, root: Path) -> str:
@@ -72,9 +54,9 @@ def closure_hash(module: str, root: Path) -> str:
         for name in {used for file in sources.values() for used in imported_modules(file, _PACKAGE.parent)}:
             sources |= local_sources(name, _PACKAGE.parent)
     for name, file in sorted(sources.items()):
-        digest.update(f"{name} {source_hash(file)}\n".encode())
+        digest.update(f"{name} {parsed(file).code}\n".encode())
     for file in outside_sources(sources):
-        digest.update(f"outside {source_hash(file)}\n".encode())
+        digest.update(f"outside {parsed(file).code}\n".encode())
     return digest.hexdigest()[:_DIGITS]
 
 
@@ -146,7 +128,10 @@ def _folder_of(module: str, file: str, _revision: int) -> Path | None:
         root = source.parents[depth]
     else:  # a script, or a module that was loaded under another name than its file's
         module, root = source.stem, source.parent
+    if not _folder_of.cache_info().currsize:
+        recall(base / _SOURCES)
     folder = base / f"{module}-{closure_hash(module, root)}"
+    store(base / _SOURCES)
     if folder.is_dir():
         os.utime(folder)
     else:

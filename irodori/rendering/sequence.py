@@ -20,10 +20,10 @@ from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.colour.display import make_display
 from irodori.config.definition import as_plain
 from irodori.config.models import Frames, IlluminantChange, LightSweep, ObjectShape, Render, Scene, Turntable
-from irodori.core.atomic_files import written_whole
+from irodori.core.atomic_files import file_sha256, written_whole
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
-from irodori.core.provenance import code_hash, file_sha256
+from irodori.core.provenance import code_hash
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.light.placed_lights import unit_luminance

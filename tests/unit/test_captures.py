@@ -22,8 +22,8 @@ from irodori.config.capture_table import (
     write_captures,
 )
 from irodori.config.models import PoseGroup
+from irodori.core.atomic_files import file_sha256
 from irodori.core.errors import InputError
-from irodori.core.provenance import file_sha256
 
 HEADER = ",".join(COLUMNS)
 GOOD = "a.dng,object,45,20,0,0,out,0.02"

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from irodori.jit.kernel_cache import closure_hash, is_private, prune, source_hash
+from irodori.core.parsed_sources import parsed
+from irodori.jit.kernel_cache import closure_hash, is_private, prune
 
 ROOT = Path(__file__).resolve().parents[2]
 PROBE = """
@@ -75,10 +76,42 @@ def test_a_hash_ignores_what_is_not_executed(tmp_path):
         '"""A module."""\n\n# a comment\ndef f(x):\n    """Add one."""\n    return x + 1\n',
         "def f(x):\n    return x + 2\n",
     ):
-        source_hash.cache_clear()
         module.write_text(text)
-        hashes.append(source_hash(module))
+        hashes.append(parsed(module).code)
     assert hashes[0] == hashes[1] != hashes[2]
+
+
+def test_what_was_read_of_a_source_is_remembered_by_its_content_and_no_longer(tmp_path):
+    package, stored = tmp_path / "package", tmp_path / "sources.json"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "other.py").write_text("ANSWER = 42\n")
+    module = package / "module.py"
+    module.write_text("from . import other\n")
+    program = (
+        "import sys; from pathlib import Path; import irodori.core.parsed_sources as p;"
+        "from irodori.jit.kernel_cache import closure_hash; import ast; stored = Path(sys.argv[2]); p.recall(stored);"
+        "print(len(p._known), closure_hash('package.module', Path(sys.argv[1])), len(p._new)); p.store(stored)"
+    )
+
+    def run() -> list[str]:
+        done = subprocess.run(
+            [sys.executable, "-c", program, tmp_path, stored], cwd=ROOT, check=True, capture_output=True, text=True
+        )
+        return done.stdout.split()
+
+    first, second = run(), run()
+    assert first[0] == second[2] == "0" and first[2] == second[0] != "0" and first[1] == second[1]
+    module.write_text("from . import other  \n")
+    assert run()[1] == first[1]
+    module.write_text("from . import other\nprint(other)\n")
+    changed = run()
+    assert changed[1] != first[1] and changed[2] == "1"
+    (package / "other.py").write_text("ANSWER = 43\n")
+    assert run()[1] != changed[1]
+    for damaged in ("", "[1, 2]", '{"3.11 ab": 7}', "{"):
+        stored.write_text(damaged)
+        assert run()[0] == "0"
 
 
 def test_a_closure_is_what_a_module_imports():

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from irodori.core.provenance import code_hash, config_hash, file_sha256, local_sources, modules_of
+from irodori.core.atomic_files import file_sha256
+from irodori.core.provenance import code_hash, config_hash, local_sources, modules_of
 
 _JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),

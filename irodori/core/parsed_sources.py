@@ -1,0 +1,120 @@
+"""Imports and executed code of source files, remembered from process to process by the files' content."""
+
+import ast
+import hashlib
+import json
+import sys
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+from irodori.core.atomic_files import written_whole
+
+#: Sources that are remembered, at most; the latest stay.
+_MOST = 4000
+
+
+class ImportStatement(NamedTuple):
+    """One import: ``from LEVEL dots MODULE import NAMES``; without names, ``import MODULE``."""
+
+    level: int
+    module: str
+    names: tuple[str, ...]
+
+
+class Source(NamedTuple):
+    """What a file imports wherever it runs, and the hash of its syntax tree without docstrings and comments."""
+
+    imports: tuple[ImportStatement, ...]
+    code: str
+
+
+_known: dict[str, Source] = {}
+_new: set[str] = set()
+
+
+def parsed(file: Path) -> Source:
+    """Return what a Python file imports and the hash of what it executes.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    SyntaxError
+        If it is no Python.
+    """
+    status = file.stat()
+    return _parsed(file, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=4096)
+def _parsed(file: Path, _modified_ns: int, _size: int) -> Source:
+    content = file.read_bytes()
+    # The syntax tree of the same text differs between versions of Python.
+    key = f"{sys.version_info[0]}.{sys.version_info[1]} {hashlib.sha256(content).hexdigest()}"
+    if key not in _known:
+        tree = ast.parse(content, filename=str(file))
+        imports = tuple(_imports(tree))
+        code = hashlib.sha256(ast.dump(_WithoutDocstrings().visit(tree)).encode()).hexdigest()
+        _known[key] = Source(imports, code)
+        _new.add(key)
+    return _known[key]
+
+
+def _imports(tree: ast.AST) -> Iterator[ImportStatement]:
+    for node in _executed(tree):
+        if isinstance(node, ast.Import):
+            yield from (ImportStatement(0, alias.name, ()) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield ImportStatement(node.level, node.module or "", tuple(alias.name for alias in node.names))
+
+
+def _executed(tree: ast.AST) -> Iterator[ast.AST]:
+    """Yield all nodes under one but what stands under ``if TYPE_CHECKING:``, which no run comes to."""
+    waiting = [tree]
+    while waiting:
+        node = waiting.pop()
+        yield node
+        if isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING"):
+            waiting += node.orelse
+        else:
+            waiting += ast.iter_child_nodes(node)
+
+
+class _WithoutDocstrings(ast.NodeTransformer):
+    """Remove docstrings, so that only what is executed is left of a syntax tree."""
+
+    def _strip(self, node):
+        self.generic_visit(node)
+        first = node.body[0] if node.body else None
+        if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and isinstance(first.value.value, str):
+            node.body = node.body[1:] or [ast.Pass()]
+        return node
+
+    visit_Module = visit_ClassDef = visit_FunctionDef = visit_AsyncFunctionDef = _strip
+
+
+def recall(file: Path) -> None:
+    """Read what an earlier process stored; a file that is absent or damaged counts as empty."""
+    try:
+        stored = json.loads(file.read_bytes())
+        for key, (imports, code) in stored.items():
+            statements = tuple(ImportStatement(level, module, tuple(names)) for level, module, names in imports)
+            _known.setdefault(key, Source(statements, code))
+    except (OSError, ValueError, TypeError, AttributeError):
+        return
+
+
+def store(file: Path) -> None:
+    """Store what was parsed since, beside what others have stored; a file that cannot be written is left as it is."""
+    if not _new:
+        return
+    recall(file)
+    latest = dict(list(_known.items())[-_MOST:])
+    try:
+        with written_whole(file) as temporary:
+            temporary.write_text(json.dumps(latest), encoding="utf-8")
+    except OSError:
+        return
+    _new.clear()
