@@ -83,9 +83,8 @@ def _check_known(definitions: dict, scene: dict, file, field: str) -> None:
             raise InputError(
                 file, f"{field}.camera", found, "a real camera, virtual objects alone, or no such photograph"
             )
-        other = next((m["kind"] for m in known["virtual"]["materials"] if m["kind"] != "paper"), None)
-        if other is not None:
-            found = f"a virtual camera before {item['object']!r}, which has materials of kind {other}"
+        if any(material["kind"] == "measured" for material in known["virtual"]["materials"]):
+            found = f"a virtual camera before {item['object']!r}, which has materials of kind measured"
             raise InputError(
-                file, f"{field}.camera", found, "materials of kind paper, which are rendered, or no such photograph"
+                file, f"{field}.camera", found, "materials of other kinds, which are rendered, or no such photograph"
             )

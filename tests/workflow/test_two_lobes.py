@@ -1,0 +1,86 @@
+"""An object of two lobes goes through the whole chain, from its configuration to a picture and the report."""
+
+import json
+
+import numpy as np
+import pytest
+from project import edit, small_project, snakemake
+
+from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.evaluation.truth_errors import interior
+from irodori.export.pictures import read_xyz
+from irodori.material.material_file import Material, Status
+from irodori.spectra.grid import SAMPLES
+
+#: A narrow highlight over a broad one, as under a coat of varnish: β and μ of the paper's lobe, then of GGX.
+PAINTS = [("TCS20", 2.0, 0.07, 1.5, 0.35), ("TCS81", 1.5, 0.09, 2.0, 0.4),
+          ("TCS31", 2.5, 0.08, 1.2, 0.3), ("TCS56", 2.0, 0.1, 1.5, 0.45)]  # fmt: skip
+
+
+QUICK = "classroom-page"
+
+
+def component(material: Material, name: str) -> np.ndarray:
+    """β or μ of a gloss component, (height, width)."""
+    ((beta_2, mu_2),) = material.further_gloss
+    return {"beta": material.beta, "mu": material.mu, "beta_2": beta_2, "mu_2": mu_2}[name]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = small_project(tmp_path_factory.mktemp("lobes") / "project")
+    materials = [
+        {"spectrum": s, "beta": b1, "mu_rad": m1, "further_gloss": [{"kind": "ggx", "beta": b2, "mu_rad": m2}]}
+        for s, b1, m1, b2, m2 in PAINTS
+    ]
+    camera = [0.0, 20.0, 30.0, 35.0, 38.0, 41.0, 43.0, 45.0, 47.0, 49.0, 52.0, 55.0, 60.0, 65.0, 75.0]
+    edit(
+        folder / "config/objects/tile-plate.yaml",
+        {
+            "lobes": ["gaussian", "ggx"],
+            "mirror_weight": 0.0,
+            "virtual.materials": materials,
+            "poses": [{"light_deg": [light], "camera_deg": camera} for light in (45.0, 60.0)],
+        },
+    )
+    edit(folder / "config/objects/leaf-sphere.yaml", {"lobes": ["ggx"]})
+    edit(folder / "config/scenes/still-life.yaml", {"integrator": {"kind": "reference", "samples": 64}})
+    interactive = (folder / "config/scenes/still-life.yaml").read_text()
+    (folder / f"config/scenes/{QUICK}.yaml").write_text(interactive)
+    edit(
+        folder / f"config/scenes/{QUICK}.yaml",
+        {"integrator": {"kind": "interactive"}, "tolerance_ciede2000": 1.0, "photographs": {}},
+    )
+    run = snakemake(folder)
+    assert run.returncode == 0, run.stderr[-4000:]
+    return folder
+
+
+@pytest.mark.heavy
+def test_both_lobes_are_recovered_where_the_data_calls_for_them(finished):
+    found, truth = (Material.load(finished / f"results/tile-plate/{name}.h5") for name in ("material", "truth"))
+    assert found.lobes == truth.lobes == ("gaussian", "ggx")
+    chosen = found.observed & interior(truth) & (found.status == int(Status.OK))
+    second = chosen & (component(found, "beta_2") > 0)
+    assert chosen.mean() > 0.2 and second.sum() > 0.5 * chosen.sum()
+    for name, limit in (("beta", 0.15), ("mu", 0.1), ("beta_2", 0.35), ("mu_2", 0.25)):
+        ratio = component(found, name)[second] / component(truth, name)[second]
+        assert np.nanmedian(np.abs(ratio - 1.0)) < limit, name
+
+
+@pytest.mark.heavy
+def test_pictures_photograph_and_report_have_both_lobes(finished):
+    results = finished / "results"
+    # The path tracer with the true materials, and what was measured: noise of 64 paths and the fit's errors.
+    table = json.loads((results / "still-life/photographs/front/comparison.json").read_text())
+    assert table["delta_e"]["mean"] < 4.0 and table["compared_fraction"] > 0.8
+    # What the interactive integrator leaves out of the full model is predicted and checked.
+    plan = json.loads((results / QUICK / "front.json").read_text())["plan"]
+    assert plan["measured_delta_e"]["p99"] <= 1.0
+    matrix = xyz_from_radiance(np.ones(SAMPLES))
+    traced, quick = (read_xyz(results / scene / "front.exr", matrix)[..., 1] for scene in ("still-life", QUICK))
+    shown = traced > 0.05 * traced.max()
+    ratio = quick[shown] / traced[shown]
+    assert np.median(np.abs(ratio / np.median(ratio) - 1.0)) < 0.1
+    page = (results / "report.html").read_text()
+    assert "ggx" in page.lower()
