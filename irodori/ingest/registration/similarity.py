@@ -288,7 +288,7 @@ def _spread(covariance, cell_scores, part) -> float:
     """Return the trace of the covariance that the scatter of the scores of ``part`` implies."""
     scores = np.zeros((int(part.max()) + 1, 4))
     np.add.at(scores, part, cell_scores)
-    parts = np.count_nonzero(np.abs(scores).sum(axis=1))
+    parts = int(np.count_nonzero(np.abs(scores).sum(axis=1)))
     moved = scores @ covariance
     return float((moved**2).sum()) * parts / max(parts - 4, 1)
 
