@@ -7,10 +7,10 @@ of its own, at half the camera's resolution and in some of its poses, once for e
 import csv
 import math
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_type_hints
 
 import numpy as np
 
@@ -82,7 +82,7 @@ class Settings(NamedTuple):
     rectify: Rectify
     fit: FitOptions
     compress: CompressOptions
-    lights: Sequence[str]
+    lights: list[str]
 
 
 @dataclass(frozen=True)
@@ -240,7 +240,7 @@ def cost_rows(label: str, chain: Chain, seen: dict | None = None) -> list[CostRo
     for light in chain.settings.lights:
         total = summary(delta_e_reflectance(exact, estimate, light))
         rows.append(
-            CostRow(label, light, total["count"], total["mean"], total["p95"], total["max"], **gloss, known=known)
+            CostRow(label, light, int(total["count"]), total["mean"], total["p95"], total["max"], **gloss, known=known)
         )
     return rows
 
@@ -267,5 +267,5 @@ def measure_imperfections(chain: Chain | None, output) -> None:
 def read_costs(path) -> list[CostRow]:
     """Return the rows of ``imperfections.csv``."""
     with open(path, newline="", encoding="utf-8") as stream:
-        kinds = {f.name: f.type for f in fields(CostRow)}
+        kinds = get_type_hints(CostRow)
         return [CostRow(**{key: kinds[key](text) for key, text in row.items()}) for row in csv.DictReader(stream)]

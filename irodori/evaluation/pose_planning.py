@@ -9,6 +9,7 @@ import csv
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
+from typing import get_type_hints
 
 import numpy as np
 
@@ -300,5 +301,5 @@ def measure_plan(
 def read_plan(path) -> list[PlanRow]:
     """Return the rows of ``planning.csv``."""
     with open(path, newline="", encoding="utf-8") as stream:
-        kinds = {f.name: f.type for f in fields(PlanRow)}
+        kinds = get_type_hints(PlanRow)
         return [PlanRow(**{key: kinds[key](text) for key, text in row.items()}) for row in csv.DictReader(stream)]
