@@ -72,6 +72,7 @@ class Session:
         journal: Journal,
         rig: Rig | None,
         tally: Tally | None = None,
+        *,
         clock: Callable[[], float] = time.monotonic,
         settle_s: float = 0.0,
     ) -> None:

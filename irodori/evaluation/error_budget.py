@@ -315,6 +315,7 @@ def error_budget(
     objects: list[Measured],
     lights: tuple[Environment, Environment],
     options: BudgetOptions,
+    *,
     calibration: Calibration | None = None,
 ) -> list[BudgetRow]:
     """Return the rows of a view's budget.
@@ -376,12 +377,12 @@ def measure_error_budget(
         files = own | {"material": material, "calibration": calibration}
         objects.append(Measured(Known.load(files, shape, one.sample_mm, options.fit), Material.load(truth)))
     lights = Environment.load(inputs["environment"]), Environment.load(inputs["true_environment"])
-    of_light = [Calibration.load(path) for path in inputs["light_calibration"]]
+    of_light = next((Calibration.load(path) for path in inputs["light_calibration"]), None)
     for path in inputs["plan"]:
         from irodori.rendering.planning.plan_file import read_plan  # loads the interactive integrator
 
         scene = with_planned_samples(scene, read_plan(path))
-    rows = error_budget(scene, view, shapes, objects, lights, options, *of_light)
+    rows = error_budget(scene, view, shapes, objects, lights, options, calibration=of_light)
     with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, [f.name for f in fields(BudgetRow)])
         writer.writeheader()

@@ -173,7 +173,7 @@ def _photograph(
     """Take all photographs of a session and return its table."""
     folder.mkdir()
     bench = Bench()
-    camera = VirtualCamera(chain.camera, chain.rig, bench, session, shots, subject, seen)
+    camera = VirtualCamera(chain.camera, chain.rig, bench, session, shots, subject, seen=seen)
     for shot in shots:
         bench.set({"subject": shot.subject, "filter": shot.filter, **vars(shot.pose)})
         camera.capture(shot, folder / shot.file)
@@ -188,7 +188,7 @@ def _calibrate(chain: Chain, folder: Path) -> tuple[Path, Path]:
     reference, chart, calibration = (folder / f"{name}.h5" for name in ("reference", "chart", "calibration"))
     white = chain.camera.white.reflectance_factor if chain.camera.white else 1.0
     ingest_reference(table, table.parent, reference, _MADE, white, options)
-    ingest_raw(table, table.parent, "chart", reference, chart, _MADE, options)
+    ingest_raw(table, table.parent, "chart", reference, chart, _MADE, options=options)
     calibrate_camera(chart, chain.camera, light, calibration, folder / "chart.csv", _MADE)
     return reference, calibration
 
@@ -211,13 +211,13 @@ def run_chain(chain: Chain, folder: Path, seen: dict | None = None) -> Material:
     linear = []
     for capture in sorted({shot.capture for shot in shots}):
         linear.append(folder / f"{capture}.h5")
-        ingest_raw(table, table.parent, capture, reference, linear[-1], _MADE, settings.ingest)
+        ingest_raw(table, table.parent, capture, reference, linear[-1], _MADE, options=settings.ingest)
     tile, brdf, material = (folder / f"{name}.h5" for name in ("tile", "brdf", "material"))
     assert chain.camera.optics is not None  # checked: a camera of objects has optics
     white = chain.camera.poses.white if chain.camera.poses else None
     setup = RigSetup.from_definitions(chain.camera.optics, RigGeometry.of_rig(chain.rig), white)
     limit = settings.rectify.max_angle_deg
-    rectify_object(linear, chain.definition, setup, (0, texels.height), limit, tile, _MADE)
+    rectify_object(linear, chain.definition, setup, (0, texels.height), limit, output=tile, provenance=_MADE)
     index = refractive_index(chain.definition.refractive_index)
     fit_brdf(tile, brdf, settings.fit, *index, _MADE, calibration)
     compress_reflectance([brdf], calibration, chain.definition, material, settings.compress, settings.lights, _MADE)

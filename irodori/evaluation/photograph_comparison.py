@@ -163,6 +163,7 @@ def compare_photograph(
     placed: ScenePhotograph,
     optics: Optics,
     shapes: Sequence[ObjectShape],
+    *,
     outputs: dict,
     provenance: store.Provenance,
 ) -> None:

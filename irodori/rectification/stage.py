@@ -285,6 +285,7 @@ def rectify_object(
     setup: RigSetup,
     rows: tuple[int, int],
     max_angle_deg: float,
+    *,
     output,
     provenance: store.Provenance,
 ) -> None:

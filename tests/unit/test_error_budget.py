@@ -171,7 +171,7 @@ def rows():
         return {
             row.stage.split(":")[0]: row
             for row in error_budget(
-                made(Scene, scene), "v", [plate(60.0)], [one], (estimated, light), options, calibration
+                made(Scene, scene), "v", [plate(60.0)], [one], (estimated, light), options, calibration=calibration
             )
         }
 

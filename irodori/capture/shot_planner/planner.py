@@ -270,6 +270,7 @@ class Planner:
         self,
         definition: Object | PlannedObject,
         rig: Rig,
+        *,
         materials: MaterialRange | None = None,
         noise: Noise | None = None,
         max_angle_deg: float = 80.0,

@@ -194,7 +194,15 @@ class _Pair:
 
     def level(self, n: int, places: int, local: bool) -> Level:
         scale = float(2**n)
-        return make_level(self.fixed[n], self.moving[n], scale, self.shape, places, self.band_offsets_px, local)
+        return make_level(
+            self.fixed[n],
+            self.moving[n],
+            scale,
+            shape=self.shape,
+            count=places,
+            offsets_px=self.band_offsets_px,
+            local=local,
+        )
 
     def first(self, start: Registration | None) -> Fit | None:
         """Return the most coherent fit at the coarsest level from all starting points."""
