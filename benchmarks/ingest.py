@@ -138,7 +138,13 @@ def libraw(folder: Path, arrays: dict, threads: int) -> None:
 def ingest(folder: Path, options: IngestOptions) -> None:
     """Ingest the pose."""
     ingest_raw(
-        folder / "object.csv", folder, POSE.name, folder / "reference.h5", folder / "linear.h5", PROVENANCE, options
+        folder / "object.csv",
+        folder,
+        POSE.name,
+        folder / "reference.h5",
+        folder / "linear.h5",
+        PROVENANCE,
+        options=options,
     )
 
 

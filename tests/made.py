@@ -14,7 +14,8 @@ _SCENE = {"environment": "light", "image": {"width": 1, "height": 1}, "views": {
 def made(kind, value):
     """Return a definition of a kind, or of one of a union's; needed keys that a test does not give are None.
 
-    A sequence or a mapping of definitions is made item by item; what is a definition already stays as it is.
+    A sequence or a mapping of definitions is made item by item; what is a definition already stays as it is. Keys of
+    what is no definition are a TypeError.
     """
     if value is None or isinstance(value, Definition):
         return value
@@ -27,8 +28,10 @@ def made(kind, value):
         kept = [one for one in parts if one is not types.NoneType]
         return made(kept[0], value) if len(kept) == 1 else value
     blocks = [one for one in (parts or (kind,)) if isinstance(one, type) and issubclass(one, Definition)]
-    if not blocks or not isinstance(value, Mapping):
+    if not isinstance(value, Mapping):
         return typed(kind, value)
+    if not blocks:
+        raise TypeError(f"{kind} is no definition; accepted: one of irodori.config, or a union of some")
     fitting = [one for one in blocks if set(map(field_name, value)) <= set(one.__dataclass_fields__)]
     if len(blocks) > 1 and "kind" in value:
         fitting = [one for one in blocks if getattr(one, "kind", None) == value["kind"]]

@@ -79,15 +79,15 @@ class Change:
 
     def __str__(self) -> str:
         if self.name == "filter":
-            return _FILTER_PHRASES[self.new]
+            return _FILTER_PHRASES[str(self.new)]
         if self.name == "subject":
             # After dark frames, and after a restart, the cap may be on.
             capped = self.new != "dark" and self.old in (None, "dark")
             chart = _further_chart(self.new)
-            phrase = f"put the colour chart {chart} in place" if chart else _SUBJECT_PHRASES[self.new]
+            phrase = f"put the colour chart {chart} in place" if chart else _SUBJECT_PHRASES[str(self.new)]
             return ("take the lens cap off and " if capped else "") + phrase
-        phrase = _ANGLE_PHRASES[self.name].format(_degrees(self.new))
-        return phrase if self.old is None else f"{phrase} (it stands at {_degrees(self.old)})"
+        phrase = _ANGLE_PHRASES[self.name].format(_degrees(float(self.new)))
+        return phrase if self.old is None else f"{phrase} (it stands at {_degrees(float(self.old))})"
 
 
 @dataclass(frozen=True)

@@ -72,6 +72,7 @@ class Session:
         journal: Journal,
         rig: Rig | None,
         tally: Tally | None = None,
+        *,
         clock: Callable[[], float] = time.monotonic,
         settle_s: float = 0.0,
     ) -> None:
@@ -96,7 +97,9 @@ class Session:
         """
         begun = self._clock()
         if self.rig is not None:
-            self._check_reach(planned)
+            # A plan that leaves the rig's limits is refused before anything moves.
+            for shot in planned:
+                self.rig.check(motor_targets(shot, self.rig.axes))
             if not self.rig.status().homed:
                 LOGGER.info("%s: homing the rig", label)
                 self.rig.home()
@@ -106,15 +109,10 @@ class Session:
         self.tally.seconds = self._clock() - begun
         return self.tally
 
-    def _check_reach(self, planned: Sequence[Shot]) -> None:
-        """Refuse a plan that leaves the rig's limits before anything moves."""
-        for shot in planned:
-            self.rig.check(motor_targets(shot, self.rig.axes))
-
     def _take(self, shot: Shot) -> None:
         motorised = self.rig.axes if self.rig is not None else {}
         # Motors first: nobody has a hand at the lens while the arm swings.
-        if targets := motor_targets(shot, motorised):
+        if self.rig is not None and (targets := motor_targets(shot, motorised)):
             self.rig.move(targets)
             if targets != self._stands:
                 self._stands, self._settled_at = targets, self._clock() + self._settle_s
@@ -166,8 +164,8 @@ def take_stock(journal: Journal, planned: Sequence[Shot]) -> Tally:
     tally.kept = len(planned) - len(missing)
     with storing(journal.folder):
         for pattern in _LEFT_OVER:
-            for path in journal.folder.glob(pattern):
-                path.unlink()
+            for left_over in journal.folder.glob(pattern):
+                left_over.unlink()
     for shot in missing:
         path = journal.stray(shot)
         if path is None:

@@ -8,7 +8,7 @@ Costs are tuples that compare from the left: settings changed by hand, travel in
 
 import functools
 import itertools
-from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 
 from irodori.capture.rig.devices import Axis
 
@@ -16,6 +16,8 @@ from irodori.capture.rig.devices import Axis
 Place = tuple
 #: A block is its phase, its settings by hand, and its places.
 Block = tuple[int, dict, list[Place]]
+#: Settings changed, travel in s, unrest.
+_Cost = tuple[float, float, float]
 
 #: More points than these are not moved singly, and not searched at all but swept: it would take longer than it saves.
 _MOVED_POINTS, _SEARCH_POINTS = 120, 400
@@ -41,10 +43,10 @@ def shortest_blocks(
     """
     travel = _Travel(axes)
     ways = functools.cache(lambda places: _ways(list(places), axes, travel))  # most blocks have the same places
-    frontier = [((0, 0.0, 0.0), dict(hand), start, [])]
+    frontier: list[tuple[_Cost, dict, Place, list]] = [((0, 0.0, 0.0), dict(hand), start, [])]
     for _, group in itertools.groupby(sorted(blocks, key=lambda block: block[0]), key=lambda block: block[0]):
         phase = [(block, ways(tuple(block[2]))) for block in group]
-        ends: dict[Hashable, tuple] = {}
+        ends: dict[Hashable, tuple[_Cost, dict, Place, list]] = {}
         for cost, stands, place, done in frontier:
             for more, order in _phase(phase, stands, place, travel):
                 block, way = order[-1]
@@ -61,7 +63,8 @@ class _Travel:
     """Time from place to place, s, remembered. Axes run together; an unknown angle costs nothing."""
 
     def __init__(self, axes: Sequence[Axis]) -> None:
-        self._axes, self._known = axes, {}
+        self._axes = axes
+        self._known: dict[tuple[Place, Place], float] = {}
 
     def __call__(self, here: Place, there: Place) -> float:
         key = (here, there)
@@ -106,7 +109,7 @@ def _exact_ways(places: list[Place], travel: _Travel) -> Iterator[list[Place]]:
 
 def _snakes(points: Collection[tuple], order: Sequence[int]) -> Iterator[list[tuple]]:
     """Yield boustrophedon orders of points, ``order[0]`` the slowest coordinate, from the corners."""
-    corners = itertools.product((False, True), repeat=len(order))
+    corners: Iterable[tuple[bool, ...]] = itertools.product((False, True), repeat=len(order))
     if len(points) > _MOVED_POINTS:
         corners = ((flip,) * len(order) for flip in (False, True))
     for flips in corners:
@@ -196,7 +199,7 @@ def _phase(phase: list[tuple], hand: dict, place: Place, travel: _Travel) -> Ite
         return
     costs = [(_hand_cost_along([block for block, _ in order], hand), order) for order in _orders(phase, hand)]
     fewest = min(cost[0] for cost, _ in costs)
-    seen = set()
+    seen: set[tuple[int, ...]] = set()
     for cost, order in sorted((pair for pair in costs if pair[0][0] == fewest), key=lambda pair: pair[0]):
         key = tuple(id(block) for block, _ in order)
         if key not in seen and len(seen) < 4 * _FRONTIER:
@@ -252,7 +255,7 @@ def _orders(phase: list[tuple], hand: dict) -> Iterator[list[tuple]]:
 
 def _choose_ways(order: list[tuple], place: Place, travel: _Travel) -> Iterator[tuple]:
     """Yield, for each way through the last block, the least travel through all blocks in their order."""
-    reached = [(0.0, place, [])]
+    reached: list[tuple[float, Place, tuple]] = [(0.0, place, ())]
     for block, ways in order:
         following = []
         for way, length in ways:
@@ -285,10 +288,10 @@ def _hand_cost_along(order: list[Block], hand: Mapping) -> tuple[int, float, flo
     return sum(c[0] for c in costs), 0.0, sum(c[2] for c in costs)
 
 
-def _sum(a: tuple, b: tuple) -> tuple:
+def _sum(a: _Cost, b: _Cost) -> _Cost:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-def _rounded(cost: tuple) -> tuple:
+def _rounded(cost: _Cost) -> _Cost:
     """Return a cost whose rounding errors decide nothing."""
     return cost[0], round(cost[1], 6), round(cost[2], 9)

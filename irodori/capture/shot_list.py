@@ -14,12 +14,13 @@ from irodori.config.parts import PhotographedObject
 _NOWHERE = Pose(0.0, 0.0)
 
 
-def _settings(camera: Camera) -> dict[str, float]:
+def _settings(camera: Camera) -> tuple[float, float]:
     """Return the sensitivity and the aperture that the camera is set to, 0 where nobody knows them."""
     block = camera.driver or camera.virtual
-    known = {key: getattr(block, key, None) for key in ("iso", "f_number")}
+    known = (getattr(block, key, None) for key in ("iso", "f_number"))
     # A lens with a ring has an aperture that the camera cannot tell.
-    return {key: float(value) if isinstance(value, int | float) else 0.0 for key, value in known.items()}
+    iso, f_number = (float(value) if isinstance(value, int | float) else 0.0 for value in known)
+    return iso, f_number
 
 
 def _times(exposure_s: Exposures | None) -> dict[str, tuple[float, ...]]:
@@ -44,13 +45,13 @@ def _bracket(
     role: str,
     pose: Pose,
     exposure_s: Exposures | None,
-    settings: dict[str, float],
+    settings: tuple[float, float],
     suffix: str,
     chart: str = "",
 ):
     for state, exposures in _times(exposure_s).items():
         for exposure in exposures:
-            shot = Shot("", role, pose, state, exposure, **settings, chart=chart)
+            shot = Shot("", role, pose, state, exposure, *settings, chart)
             yield replace(shot, file=_file(shot.capture, state, exposure, suffix))
 
 
@@ -100,12 +101,12 @@ def camera_shots(camera: Camera, suffix: str) -> list[Shot]:
     for exposure in sorted({e for group in exposure_s.values() for e in group}):
         for frame in range(frames["dark_frames"]):
             file = _file("dark", "out", exposure, suffix, frame)
-            shots.append(Shot(file, "dark", _NOWHERE, "out", exposure, **settings))
+            shots.append(Shot(file, "dark", _NOWHERE, "out", exposure, *settings))
     for state, exposures in white.items():
         for exposure in exposures:
             for frame in range(frames["white_frames"]):
                 file = _file("white", state, exposure, suffix, frame)
-                shots.append(Shot(file, "white", pose["white"], state, exposure, **settings))
+                shots.append(Shot(file, "white", pose["white"], state, exposure, *settings))
     for chart in ("", *camera.further_charts):
         shots += _bracket("chart", pose["chart"], camera.exposure_s, settings, suffix, chart)
     return shots

@@ -137,6 +137,7 @@ def photograph(
     subject: Photographed | None,
     record,
     provenance: Provenance,
+    *,
     owner: str,
     on_rig: bool = True,
 ) -> None:
@@ -215,19 +216,19 @@ def _write_record(path: Path, content: Mapping) -> None:
 def capture_object(definition: Object | PhotographedObject, target: Target, record, provenance: Provenance) -> None:
     """Photograph an object in all its poses, without and with the comb filter; see `photograph`."""
     shots = object_shots(definition, target.camera, target.suffix)
-    photograph(shots, target, definition, record, provenance, f"object {target.name}")
+    photograph(shots, target, definition, record, provenance, owner=f"object {target.name}")
 
 
 def capture_camera(target: Target, record, provenance: Provenance) -> None:
     """Photograph dark frames, the white reference and the chart that calibrate a camera; see `photograph`."""
     shots = camera_shots(target.camera, target.suffix)
-    photograph(shots, target, None, record, provenance, f"camera {target.name}")
+    photograph(shots, target, None, record, provenance, owner=f"camera {target.name}")
 
 
 def capture_environment(definition: Environment, target: Target, record, provenance: Provenance) -> None:
     """Photograph a virtual room with an omnidirectional camera; see `photograph`."""
     shots = environment_shots(definition, target.camera, target.suffix)
-    photograph(shots, target, definition, record, provenance, f"environment {target.name}", on_rig=False)
+    photograph(shots, target, definition, record, provenance, owner=f"environment {target.name}", on_rig=False)
 
 
 def capture_photograph(definition: ScenePhotograph, radiance, target: Target, record, provenance: Provenance) -> None:
@@ -241,4 +242,4 @@ def capture_photograph(definition: ScenePhotograph, radiance, target: Target, re
     """
     shots = scene_shots(definition, target.camera, target.suffix)
     subject = SceneRadiance(radiance=str(radiance))
-    photograph(shots, target, subject, record, provenance, f"photograph {target.name}", on_rig=False)
+    photograph(shots, target, subject, record, provenance, owner=f"photograph {target.name}", on_rig=False)

@@ -11,7 +11,7 @@ import csv
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_type_hints
 
 import numpy as np
 
@@ -225,7 +225,7 @@ class _Budget:
 
     def add_materials(self) -> None:
         """Add noise, calibration, seams, coverage and gloss."""
-        noisy = self._moved(self._drawn(lambda *one: draws.noisy(*one, self._rng)))
+        noisy = self._moved(self._drawn(lambda one, own: draws.noisy(one, own, self._rng)))
         by = "camera's noise and the fit's model_error and pose_error_deg of every photograph, through the calibration"
         self._add_part("noise", "noise: scatter of the colour within a paint", noisy, by)
         left_out = float(np.mean([one.known.left_out for one in self._objects]))
@@ -270,9 +270,9 @@ class _Budget:
     def add_compression(self, of_materials: CompressOptions, of_light: CompressOptions) -> None:
         """Add the compression of materials and of light."""
         made = [compressed_material(truth, of_materials) for truth in self._truths]
-        materials, stated = zip(*made, strict=True)
+        materials, worst = zip(*made, strict=True)
         by = "errors that compression states, the worst object's"
-        self._add("compression of the materials", self._off(list(materials), self._true_light), max(stated), by)
+        self._add("compression of the materials", self._off(list(materials), self._true_light), max(worst), by)
         light, stated = compressed_light(self._true_light, of_light)
         self._add("compression of the light", self._off(self._truths, light), stated, "error that compression states")
 
@@ -315,6 +315,7 @@ def error_budget(
     objects: list[Measured],
     lights: tuple[Environment, Environment],
     options: BudgetOptions,
+    *,
     calibration: Calibration | None = None,
 ) -> list[BudgetRow]:
     """Return the rows of a view's budget.
@@ -376,12 +377,12 @@ def measure_error_budget(
         files = own | {"material": material, "calibration": calibration}
         objects.append(Measured(Known.load(files, shape, one.sample_mm, options.fit), Material.load(truth)))
     lights = Environment.load(inputs["environment"]), Environment.load(inputs["true_environment"])
-    of_light = [Calibration.load(path) for path in inputs["light_calibration"]]
+    of_light = next((Calibration.load(path) for path in inputs["light_calibration"]), None)
     for path in inputs["plan"]:
         from irodori.rendering.planning.plan_file import read_plan  # loads the interactive integrator
 
         scene = with_planned_samples(scene, read_plan(path))
-    rows = error_budget(scene, view, shapes, objects, lights, options, *of_light)
+    rows = error_budget(scene, view, shapes, objects, lights, options, calibration=of_light)
     with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, [f.name for f in fields(BudgetRow)])
         writer.writeheader()
@@ -393,4 +394,5 @@ def measure_error_budget(
 def read_budget(path) -> list[BudgetRow]:
     """Return the rows of a budget's file."""
     with open(path, newline="", encoding="utf-8") as stream:
-        return [BudgetRow(**{f.name: f.type(row[f.name]) for f in fields(BudgetRow)}) for row in csv.DictReader(stream)]
+        kinds = get_type_hints(BudgetRow)
+        return [BudgetRow(**{key: kinds[key](text) for key, text in row.items()}) for row in csv.DictReader(stream)]

@@ -67,7 +67,7 @@ def held_out(known: Known, rng: np.random.Generator) -> tuple[np.ndarray, np.nda
         Row and column; a texel with data stands for itself and fills itself.
     """
     observed, size = known.material.observed & known.covered, np.array(known.material.alpha.shape)
-    texel = np.stack(np.indices(observed.shape), axis=-1)
+    texel = np.stack(list(np.indices(observed.shape)), axis=-1)
     filler = texel.copy()
     source, joined = sources(known), known.spread.border == "joined"
     hole = np.argwhere(known.covered & ~observed)
@@ -83,7 +83,7 @@ def held_out(known: Known, rng: np.random.Generator) -> tuple[np.ndarray, np.nda
         ends = np.stack([hole[left] + moved, hole[left] + moved - away[left]])
         if joined:
             ends[..., 1] %= size[1]
-        fits = ((ends >= 0) & (ends < size)).all(axis=(0, 2))
+        fits = np.logical_and.reduce((ends >= 0) & (ends < size), axis=(0, 2))
         fits[fits] = observed[ends[0, fits, 0], ends[0, fits, 1]] & observed[ends[1, fits, 0], ends[1, fits, 1]]
         chosen = tuple(hole[left[fits]].T)
         texel[chosen], filler[chosen] = ends[0, fits], ends[1, fits]

@@ -7,10 +7,10 @@ of its own, at half the camera's resolution and in some of its poses, once for e
 import csv
 import math
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_type_hints
 
 import numpy as np
 
@@ -82,7 +82,7 @@ class Settings(NamedTuple):
     rectify: Rectify
     fit: FitOptions
     compress: CompressOptions
-    lights: Sequence[str]
+    lights: list[str]
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ def _photograph(
     """Take all photographs of a session and return its table."""
     folder.mkdir()
     bench = Bench()
-    camera = VirtualCamera(chain.camera, chain.rig, bench, session, shots, subject, seen)
+    camera = VirtualCamera(chain.camera, chain.rig, bench, session, shots, subject, seen=seen)
     for shot in shots:
         bench.set({"subject": shot.subject, "filter": shot.filter, **vars(shot.pose)})
         camera.capture(shot, folder / shot.file)
@@ -188,7 +188,7 @@ def _calibrate(chain: Chain, folder: Path) -> tuple[Path, Path]:
     reference, chart, calibration = (folder / f"{name}.h5" for name in ("reference", "chart", "calibration"))
     white = chain.camera.white.reflectance_factor if chain.camera.white else 1.0
     ingest_reference(table, table.parent, reference, _MADE, white, options)
-    ingest_raw(table, table.parent, "chart", reference, chart, _MADE, options)
+    ingest_raw(table, table.parent, "chart", reference, chart, _MADE, options=options)
     calibrate_camera(chart, chain.camera, light, calibration, folder / "chart.csv", _MADE)
     return reference, calibration
 
@@ -211,13 +211,13 @@ def run_chain(chain: Chain, folder: Path, seen: dict | None = None) -> Material:
     linear = []
     for capture in sorted({shot.capture for shot in shots}):
         linear.append(folder / f"{capture}.h5")
-        ingest_raw(table, table.parent, capture, reference, linear[-1], _MADE, settings.ingest)
+        ingest_raw(table, table.parent, capture, reference, linear[-1], _MADE, options=settings.ingest)
     tile, brdf, material = (folder / f"{name}.h5" for name in ("tile", "brdf", "material"))
     assert chain.camera.optics is not None  # checked: a camera of objects has optics
     white = chain.camera.poses.white if chain.camera.poses else None
     setup = RigSetup.from_definitions(chain.camera.optics, RigGeometry.of_rig(chain.rig), white)
     limit = settings.rectify.max_angle_deg
-    rectify_object(linear, chain.definition, setup, (0, texels.height), limit, tile, _MADE)
+    rectify_object(linear, chain.definition, setup, (0, texels.height), limit, output=tile, provenance=_MADE)
     index = refractive_index(chain.definition.refractive_index)
     fit_brdf(tile, brdf, settings.fit, *index, _MADE, calibration)
     compress_reflectance([brdf], calibration, chain.definition, material, settings.compress, settings.lights, _MADE)
@@ -240,7 +240,7 @@ def cost_rows(label: str, chain: Chain, seen: dict | None = None) -> list[CostRo
     for light in chain.settings.lights:
         total = summary(delta_e_reflectance(exact, estimate, light))
         rows.append(
-            CostRow(label, light, total["count"], total["mean"], total["p95"], total["max"], **gloss, known=known)
+            CostRow(label, light, int(total["count"]), total["mean"], total["p95"], total["max"], **gloss, known=known)
         )
     return rows
 
@@ -267,5 +267,5 @@ def measure_imperfections(chain: Chain | None, output) -> None:
 def read_costs(path) -> list[CostRow]:
     """Return the rows of ``imperfections.csv``."""
     with open(path, newline="", encoding="utf-8") as stream:
-        kinds = {f.name: f.type for f in fields(CostRow)}
+        kinds = get_type_hints(CostRow)
         return [CostRow(**{key: kinds[key](text) for key, text in row.items()}) for row in csv.DictReader(stream)]

@@ -42,7 +42,8 @@ def responses_from_light(calibration: Calibration) -> np.ndarray:
     """
     model = sensitivity(calibration)
     matrix = calibration.weights_from_response
-    if calibration.mapping.kind == LinearMapping.kind and matrix.shape[1] >= matrix.shape[0]:
+    is_linear = isinstance(calibration.mapping, LinearMapping)
+    if is_linear and matrix is not None and matrix.shape[1] >= matrix.shape[0]:
         return np.linalg.pinv(matrix.T) @ np.linalg.pinv(calibration.basis * calibration.light[:, None])
     return model
 

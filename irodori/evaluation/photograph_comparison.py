@@ -163,6 +163,7 @@ def compare_photograph(
     placed: ScenePhotograph,
     optics: Optics,
     shapes: Sequence[ObjectShape],
+    *,
     outputs: dict,
     provenance: store.Provenance,
 ) -> None:
@@ -219,13 +220,13 @@ def _figures(found: Comparison, objects: np.ndarray, photograph: Photograph, is_
         + ["camera"] * (photograph.variance is not None),
     }
     for name, chosen in parts.items():
-        figures[f"delta_e{name}"] = summary(found.delta_e[chosen])
-        figures[f"noise_floor{name}"] = summary(found.noise[chosen])
+        figures[f"delta_e{name}"] = off = summary(found.delta_e[chosen])
+        figures[f"noise_floor{name}"] = floor = summary(found.noise[chosen])
         LOGGER.info(
             "CIEDE2000 to the photograph%s: mean %.2f p95 %.2f p99 %.2f max %.2f; by noise alone %.2f, %.2f, %.2f",
             name.replace("_", ", "),
-            *(figures[f"delta_e{name}"][key] for key in ("mean", "p95", "p99", "max")),
-            *(figures[f"noise_floor{name}"][key] for key in ("mean", "p95", "p99")),
+            *(off[key] for key in ("mean", "p95", "p99", "max")),
+            *(floor[key] for key in ("mean", "p95", "p99")),
         )
     if photograph.variance is None:
         LOGGER.warning("the camera's noise was not measured: it is not in the noise floor")

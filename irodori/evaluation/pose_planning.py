@@ -9,6 +9,7 @@ import csv
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
+from typing import get_type_hints
 
 import numpy as np
 
@@ -205,7 +206,9 @@ def fit_errors(sitting: Sitting, poses: list[Pose], count: int, options: FitOpti
     return out
 
 
-def measure_design(name: str, design: str, drawn: list, sitting: Sitting, count: int, options, rng) -> list[PlanRow]:
+def measure_design(
+    name: str, design: str, drawn: list, sitting: Sitting, *, count: int, options: FitOptions, rng: np.random.Generator
+) -> list[PlanRow]:
     """Return the rows of one design; several draws of it share the materials and are pooled."""
     share = max(count // len(drawn), 1)
     errors = [fit_errors(sitting, poses, share, options, rng) for poses in drawn]
@@ -271,7 +274,7 @@ def measure_object(name: str, planned: PlannedPlate, options: FitOptions, max_an
             except TooFewPoses as error:
                 LOGGER.warning("%s, %d poses, %s: left out, %s", name, count, design, error)
                 continue
-            yield from measure_design(name, design, drawn, sitting, settings.materials, options, rng)
+            yield from measure_design(name, design, drawn, sitting, count=settings.materials, options=options, rng=rng)
 
 
 def measure_plan(
@@ -300,5 +303,5 @@ def measure_plan(
 def read_plan(path) -> list[PlanRow]:
     """Return the rows of ``planning.csv``."""
     with open(path, newline="", encoding="utf-8") as stream:
-        kinds = {f.name: f.type for f in fields(PlanRow)}
+        kinds = get_type_hints(PlanRow)
         return [PlanRow(**{key: kinds[key](text) for key, text in row.items()}) for row in csv.DictReader(stream)]

@@ -4,6 +4,7 @@ import csv
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 
@@ -91,17 +92,17 @@ def measure_registration(linear: Sequence, output) -> None:
 def read_registration(path) -> list[RegistrationRow]:
     """Return the rows of a ``registration.csv``."""
     with open(path, newline="", encoding="utf-8") as stream:
-        kinds = {f.name: f.type for f in fields(RegistrationRow)}
+        kinds = get_type_hints(RegistrationRow)
         rows = list(csv.DictReader(stream))
     return [RegistrationRow(**{key: kinds[key](text) for key, text in row.items()}) for row in rows]
 
 
 def summarise(rows: Sequence[RegistrationRow]) -> RegistrationSummary:
     """Return what the report says of an object's captures."""
-    counts = [sum(row.source == source for row in rows) for source in SOURCES]
+    by_capture, by_chart, by_none = (sum(row.source == source for row in rows) for source in SOURCES)
     own = [row for row in rows if row.source == "capture"]
     if not own:
-        return RegistrationSummary(*counts, float("nan"), float("nan"), "")
+        return RegistrationSummary(by_capture, by_chart, by_none, float("nan"), float("nan"), "")
     worst = max(own, key=lambda row: row.residual_px)
     median = float(np.median([row.residual_px for row in own]))
-    return RegistrationSummary(*counts, median, worst.residual_px, worst.capture)
+    return RegistrationSummary(by_capture, by_chart, by_none, median, worst.residual_px, worst.capture)

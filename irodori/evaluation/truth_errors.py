@@ -41,7 +41,9 @@ class ErrorRow:
 
 
 def _row(subject: str, quantity: str, values, light: str = "") -> ErrorRow:
-    return ErrorRow(subject, quantity, light, **summary(values))
+    figures = summary(values)
+    count = int(figures.pop("count"))
+    return ErrorRow(subject, quantity, light, count, **figures)
 
 
 def interior(truth: Material) -> np.ndarray:
@@ -124,13 +126,13 @@ def environment_errors(name: str, environment: Environment, truth: Environment) 
     """Return the errors of recovered light: of the picture and of its irradiance map."""
     white = truth.upward_white()
     step = 4
-    picture = [e.coefficients[::step, ::step] @ e.basis.T for e in (truth, environment)]
+    exact, found = (e.coefficients[::step, ::step] @ e.basis.T for e in (truth, environment))
     # The maps are as fine as their own light needs.
     normals = directions(128, 64)[0]
-    irradiance = [irradiance_at(e.irradiance, normals) @ e.basis.T / np.pi for e in (truth, environment)]
+    exact_map, found_map = (irradiance_at(e.irradiance, normals) @ e.basis.T / np.pi for e in (truth, environment))
     return [
-        _row(name, "light CIEDE2000", radiance_delta_e(*picture, white)),
-        _row(name, "irradiance CIEDE2000", radiance_delta_e(*irradiance, white)),
+        _row(name, "light CIEDE2000", radiance_delta_e(exact, found, white)),
+        _row(name, "irradiance CIEDE2000", radiance_delta_e(exact_map, found_map, white)),
     ]
 
 

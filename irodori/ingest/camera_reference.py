@@ -55,10 +55,10 @@ class Reference:
             white = file.read("white") if "white" in file else np.zeros((0, 3, 15))
             fields = ("gain_e_per_dn", "gain_error", "read_noise_dn", "read_noise_error")
             noise = Noise(
-                *(file.attribute(name) for name in fields),
-                tuple(file.read("gain")[:, 0]),
-                tuple(file.read("gain")[:, 1]),
-                file.attribute("gain_iso"),
+                **{name: file.attribute(name) for name in fields},
+                gain_by_colour=tuple(file.read("gain")[:, 0]),
+                gain_error_by_colour=tuple(file.read("gain")[:, 1]),
+                iso=file.attribute("gain_iso"),
             )
             alignment = Alignment.read(file) if "registration" in file else None
             size = tuple(file.attribute("size_px"))

@@ -118,7 +118,7 @@ def measure_dark(shots: list[Shot], table, folder) -> Dark | None:
         raise InputError(table, "iso", found, "dark frames of one ISO")
     times = sorted({s.exposure_s for s in shots})
     frames = np.array([sum(s.exposure_s == t for s in shots) for t in times])
-    sums = None
+    sums: dict[str, np.ndarray] | None = None
     for time_s in track(times, "dark frames"):
         group = [s for s in shots if s.exposure_s == time_s]
         total, squares = _sum_frames(group, table, folder, sums)
@@ -127,6 +127,7 @@ def measure_dark(shots: list[Shot], table, folder) -> Dark | None:
         sums["plain"] += total
         sums["by_time"] += np.float32(time_s) * total
         sums["within"] += np.maximum(squares - total * total / np.float32(len(group)), 0.0)
+    assert sums is not None  # there is a shot
     freedom = int((frames - 1).sum())
     variance = sums["within"] / np.float32(freedom) if freedom else None
     hot = hot_pixels(sums["plain"] / np.float32(frames.sum()), variance, freedom)
@@ -144,11 +145,12 @@ def measure_dark(shots: list[Shot], table, folder) -> Dark | None:
 
 def _sum_frames(group: list[Shot], table, folder, sums) -> tuple[np.ndarray, np.ndarray]:
     """Return sum and sum of squares of the signals above black of equal frames, float32."""
-    total = squares = None
+    total: np.ndarray | None = None
+    squares: np.ndarray | None = None
     for shot in group:
         path = shot_path(shot, table, folder)
         mosaic = decode(path)
-        if total is None:
+        if total is None or squares is None:
             total, squares = (np.zeros(mosaic.values.shape, dtype=np.float32) for _ in range(2))
         before = total if sums is None else sums["plain"]
         if mosaic.values.shape != before.shape:
@@ -156,6 +158,7 @@ def _sum_frames(group: list[Shot], table, folder, sums) -> tuple[np.ndarray, np.
             found = f"{mosaic.size[0]} x {mosaic.size[1]} pixels"
             raise InputError(path, "size", found, f"{width} x {height}, as the first dark frame")
         _add(mosaic.values, mosaic.black, total, squares)
+    assert total is not None and squares is not None  # there is a shot
     return total, squares
 
 
@@ -172,5 +175,5 @@ def _line(sums: dict, times: np.ndarray, frames: np.ndarray):
 def _in_steps(values: np.ndarray, hot: np.ndarray) -> tuple[np.ndarray, float]:
     """Return values as whole steps, and the step; hot pixels, which would make it coarse, are 0."""
     values = np.where(hot, 0.0, values)
-    step = max(float(np.abs(values).max()) / _STEPS, np.finfo(np.float32).tiny)
+    step = max(float(np.abs(values).max()) / _STEPS, float(np.finfo(np.float32).tiny))
     return np.rint(values / step).astype(np.int16), step

@@ -160,8 +160,9 @@ def merge_frames(reference, frames: list[Frame], options: IngestOptions, white, 
     on_sensor = _is_sensor(reference, frames[0].shot, first)
     if white is not None and not on_sensor:
         white = white[:, 0]  # at the centre both coordinates are 0
-    shape = tuple(2 * side // options.sample_px // 2 for side in first.values.shape)
-    out = empty_response(*shape, 1) if out is None else out
+    height, width = (2 * side // options.sample_px // 2 for side in first.values.shape)
+    shape = (height, width)
+    out = empty_response(height, width, 1) if out is None else out
     clipped = np.zeros(shape, dtype=np.bool_)
     bracket = _bracket(reference, frames)
     shares = merge(_planes(reference, frames, options, on_sensor), bracket, white, options.sample_px, out, clipped)
@@ -195,15 +196,15 @@ def _bracket(reference, frames: list[Frame]) -> Bracket:
 
 def _planes(reference, frames: list[Frame], options: IngestOptions, on_sensor: bool) -> Planes:
     if options.sample_px == 1:
-        stack = frames[0].bands[None] if len(frames) == 1 else np.stack([f.bands for f in frames])
+        pictures = [f.bands for f in frames if f.bands is not None]  # all have them: they were demosaiced
+        stack = pictures[0][None] if len(pictures) == 1 else np.stack(pictures)
         # Green stands twice, like its two places in a mosaic, so that the loops are compiled for four places only.
         bands = np.array([0, 1, 1, 2])
         black, clip = (
             np.ascontiguousarray(np.array([getattr(f, n) for f in frames]).T[bands]) for n in ("black", "clip")
         )
         absent = (ABSENT,) * 4
-        samples = tuple(stack[..., band] for band in bands)
-        return Planes(samples, bands, black, clip, absent, absent, (0.0, 0.0))
+        return Planes(tuple(stack[..., band] for band in bands), bands, black, clip, absent, absent, (0.0, 0.0))
     places = frames[0].mosaic.places()
     stack = frames[0].mosaic.values[None] if len(frames) == 1 else np.stack([f.mosaic.values for f in frames])
     samples = tuple(stack[:, row::2, column::2] for row, column, _ in places)
@@ -212,15 +213,15 @@ def _planes(reference, frames: list[Frame], options: IngestOptions, on_sensor: b
     white = np.array([[float(f.mosaic.white[row, column]) for f in frames] for row, column, _ in places])
     clip = black + options.saturation * (white - black)
     dark = reference.dark
-    absent = (ABSENT,) * len(places)
+    nothing = (ABSENT,) * len(places)
     if dark is None or not on_sensor:
         level = 0.0 if dark is None else np.array([_mean_dark(dark, _dark_seconds(reference, f.shot)) for f in frames])
-        return Planes(samples, bands, black + level, clip, absent, absent, (0.0, 0.0))
-    views = [
-        absent if values is None else tuple(values[row::2, column::2] for row, column, _ in places)
+        return Planes(samples, bands, black + level, clip, nothing, nothing, (0.0, 0.0))
+    offset, rate = (
+        nothing if values is None else tuple(values[row::2, column::2] for row, column, _ in places)
         for values in (dark.offset, dark.rate)
-    ]
-    return Planes(samples, bands, black, clip, *views, (dark.offset_step_dn, dark.rate_step_dn_per_s))
+    )
+    return Planes(samples, bands, black, clip, offset, rate, (dark.offset_step_dn, dark.rate_step_dn_per_s))
 
 
 def _mean_dark(dark, seconds: float) -> float:

@@ -33,7 +33,9 @@ def _repeats(content) -> list[tuple[int, int]]:
     order = {b"II*\0": "<", b"MM\0*": ">"}.get(content[:4])
     if order is None:
         return []
-    found, seen, waiting = [], set(), _numbers(content, order, 4, _LONG, 1)
+    found: list[tuple[int, int]] = []
+    seen: set[int] = set()
+    waiting = _numbers(content, order, 4, _LONG, 1)
     while waiting and len(seen) < _MOST_DIRECTORIES:
         place = waiting.pop()
         if place in seen:
@@ -44,7 +46,8 @@ def _repeats(content) -> list[tuple[int, int]]:
         for at in range(first, min(first + _ENTRY_BYTES * count, len(content) - _ENTRY_BYTES + 1), _ENTRY_BYTES):
             tag, kind, number = struct.unpack_from(order + "HHI", content, at)
             if tag == _BLACK_LEVEL_REPEAT and number == 2 and kind == _SHORT:
-                found.append(tuple(_numbers(content, order, at + 8, kind, number)))
+                rows, columns = _numbers(content, order, at + 8, kind, number)
+                found.append((rows, columns))
             elif tag == _SUB_DIRECTORIES and kind in (_LONG, _IFD) and 1 <= number <= _MOST_DIRECTORIES:
                 value = at + 8 if number == 1 else sum(_numbers(content, order, at + 8, _LONG, 1))
                 waiting += _numbers(content, order, value, _LONG, number)

@@ -206,16 +206,16 @@ def measure_noise(shots: list[Shot], table, folder, hot_px: np.ndarray) -> Noise
     iso = max(sorted(set(lit)), key=lit.count)
     pairs = [pair for pair in pairs if pair[0].iso == iso]
     pairs = _spread(pairs)[:_MAX_PAIRS]
-    points = []
+    found = []
     for first, second in track(pairs, "photon transfer"):
         a, b = (decode(shot_path(shot, table, folder)) for shot in (first, second))
         if np.array_equal(a.values, b.values):
             LOGGER.warning("%s and %s hold the same picture: they tell nothing of noise", first.file, second.file)
             continue
-        points.append(transfer_points(a, b, hot_px))
-    if not points:
+        found.append(transfer_points(a, b, hot_px))
+    if not found:
         return Noise()
-    points = np.concatenate(points)
+    points = np.concatenate(found)
     overall = fit_transfer(points)
     by_colour = [fit_transfer(points[points[:, 0] == band]) for band in range(3)]
     noise = Noise(*overall, tuple(c[0] for c in by_colour), tuple(c[1] for c in by_colour), iso)

@@ -64,8 +64,8 @@ def _align(fixed: Developed, moving: Developed, start: Alignment | None, sample_
     offsets = bayer_offsets_px(fixed.pattern) if sample_px == 2 else None
     guess = None if start is None else _registration(start)
     found = register(image_a, image_b, valid_a, valid_b, guess, band_offsets_px=offsets)
-    transform = (found.dx_px, found.dy_px, found.rotation_rad, found.scale)
-    return Alignment(tuple(map(float, transform)), float(found.residual_px), float(found.sigma_px), "capture")
+    transform = (float(found.dx_px), float(found.dy_px), float(found.rotation_rad), float(found.scale))
+    return Alignment(transform, float(found.residual_px), float(found.sigma_px), "capture")
 
 
 def _registration(alignment: Alignment, scale: float = 1.0) -> Registration:
@@ -80,7 +80,7 @@ def _superpixels(image: np.ndarray, valid: np.ndarray, sample_px: int) -> tuple[
         return image, valid
     blocks = [image[row::2, column::2] for row in (0, 1) for column in (0, 1)]
     masks = [valid[row::2, column::2] for row in (0, 1) for column in (0, 1)]
-    return np.mean(blocks, axis=0, dtype=np.float32), np.logical_and.reduce(masks)
+    return np.stack(blocks).mean(axis=0, dtype=np.float32), np.logical_and.reduce(masks)
 
 
 def align_states(
@@ -133,11 +133,11 @@ def nominal_alignment(reference, white: dict, shots: list[Shot], table, folder, 
     if not options.register or len(states) < 2:
         return None
     on_superpixels = options.superpixels()
-    pictures = [
+    fixed, moving = (
         develop(reference, [s for s in shots if s.filter == state], table, folder, on_superpixels, white.get(state))
         for state in states
-    ]
-    alignment = align_states(*pictures, None, on_superpixels, table, "chart")
+    )
+    alignment = align_states(fixed, moving, None, on_superpixels, table, "chart")
     LOGGER.info(
         "filter's transform from the chart: shift %.3f, %.3f superpixels, rotation %.5f rad, scale %.6f, residual %.3f",
         *alignment.transform, alignment.residual_px,

@@ -9,7 +9,7 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.ingest.camera_reference import Reference
-from irodori.ingest.develop import Developed, empty_response, load_frames, merge_frames
+from irodori.ingest.develop import Developed, Frame, empty_response, load_frames, merge_frames
 from irodori.ingest.exposure_settings import filter_states, known_settings, settle_set
 from irodori.ingest.ingest_options import IngestOptions
 from irodori.ingest.shot_alignment import Alignment, align_states, move
@@ -19,7 +19,7 @@ _ENVIRONMENT = "environment"
 
 
 def ingest_raw(
-    table, folder, capture: str, reference, output, provenance: store.Provenance, options: IngestOptions
+    table, folder, capture: str, reference, output, provenance: store.Provenance, *, options: IngestOptions
 ) -> None:
     """Turn the RAW files of one capture into linear responses.
 
@@ -75,7 +75,8 @@ def ingest_raw(
     if align:
         alignment = align_states(developed[0], developed[1], camera.alignment, options, table, capture)
         developed[1] = move(developed[1], alignment, options.sample_px, response[..., _BANDS:])
-    _write(output, provenance, response, developed, alignment, bool(camera.white), options, settled, frames)
+    unit = "1" if camera.white else "1/s"
+    _write(output, provenance, response, developed, unit=unit, alignment=alignment, options=options, frames=frames)
 
 
 def _check_filters(camera: Reference, states: list[str], capture: str, table) -> None:
@@ -95,8 +96,18 @@ def _check_settings(camera: Reference, shots: list[Shot], table) -> None:
         raise InputError(table, column, found, accepted)
 
 
-def _write(output, provenance, response, developed: list[Developed], alignment: Alignment | None, white: bool,
-           options: IngestOptions, shots: list[Shot], frames) -> None:  # fmt: skip
+def _write(
+    output,
+    provenance: store.Provenance,
+    response: np.ndarray,
+    developed: list[Developed],
+    *,
+    unit: str,
+    alignment: Alignment | None,
+    options: IngestOptions,
+    frames: list[Frame],
+) -> None:
+    shots = [frame.shot for frame in frames]
     valid = np.logical_and.reduce([state.valid for state in developed])
     clipped = np.logical_or.reduce([state.clipped for state in developed])
     LOGGER.info(
@@ -104,7 +115,7 @@ def _write(output, provenance, response, developed: list[Developed], alignment: 
         100 * (1.0 - (valid | clipped).mean()),
     )  # fmt: skip
     with store.create(output, provenance) as out:
-        unit, dims = "1" if white else "1/s", "row,column"
+        dims = "row,column"
         out.write("response", response, units=unit, dims=f"{dims},band", quantity="response", compression="fast")
         for name, mask, quantity in (
             ("valid", valid, "1 where every band is measured"),

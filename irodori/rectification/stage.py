@@ -95,6 +95,7 @@ class RigSetup:
         """
         if not self.lamp.is_near:
             return np.ones(len(xy))
+        assert self.white_pose is not None  # a near lamp has the white reference's
         white = self.lamp.on_white(2.0 * (xy + 0.5), self.pinhole, self.camera_distance_mm, self.white_pose)
         return white / power
 
@@ -250,13 +251,14 @@ def _common_filters(linear: list) -> list[str]:
     InputError
         If one capture has others: its bands would be mistaken for those of the rest.
     """
-    first = None
+    first: list[str] | None = None
     for path in linear:
         with store.open_file(path) as file:
             filters = file.attribute("filters")
-        if first not in (None, filters):
+        if first is not None and first != filters:
             raise InputError(path, "filters", ", ".join(filters), f"{', '.join(first)}, as in the other captures")
         first = filters
+    assert first is not None  # there is a capture
     return first
 
 
@@ -283,6 +285,7 @@ def rectify_object(
     setup: RigSetup,
     rows: tuple[int, int],
     max_angle_deg: float,
+    *,
     output,
     provenance: store.Provenance,
 ) -> None:
@@ -320,9 +323,9 @@ def rectify_object(
     shape = Shape.from_definition(definition.shape)
     width = definition.texels.width
     if setup.lamp.distance_mm <= shape.reach_mm:
-        found = f"{setup.lamp.distance_mm:g} mm, within the reach of the object, {shape.reach_mm:.4g} mm"
-        raise InputError("rig", "light.distance_mm", found, "a lamp outside the object, or no such key for a far one")
-    texels = shape.atlas(width, definition.texels.height, tuple(rows))
+        near = f"{setup.lamp.distance_mm:g} mm, within the reach of the object, {shape.reach_mm:.4g} mm"
+        raise InputError("rig", "light.distance_mm", near, "a lamp outside the object, or no such key for a far one")
+    texels = shape.atlas(width, definition.texels.height, (rows[0], rows[1]))
     filters = _common_filters(linear)
     limit = np.radians(max_angle_deg)
     captures, weights = [], []

@@ -120,4 +120,4 @@ def capture(folder: Path, motion: bool = False, **changes) -> list[Shot]:
     """Photograph the plate into a folder, or go on with it, and return the plan in its order."""
     definition, aim = target(folder, motion, **changes)
     capture_object(made(Object | PhotographedObject, definition), aim, folder / "session.json", MADE)
-    return aim.ordered(object_shots(made(Object | PhotographedObject, definition), made(Camera, aim.camera), ".dng"))
+    return aim.ordered(object_shots(made(Object | PhotographedObject, definition), aim.camera, ".dng"))

@@ -125,7 +125,13 @@ def fitted(tmp_path, definitions, definition, files, setup):
     """Rectify and fit; return α, β, μ and where texels have observations enough."""
     rows = (0, definition["texels"]["height"])
     rectify_object(
-        files, made(Object | TexturedObject, definition), setup, rows, 75.0, tmp_path / "tile.h5", PROVENANCE
+        files,
+        made(Object | TexturedObject, definition),
+        setup,
+        rows,
+        75.0,
+        output=tmp_path / "tile.h5",
+        provenance=PROVENANCE,
     )
     fit_brdf(tmp_path / "tile.h5", tmp_path / "brdf.h5", FitOptions(**definitions["fit"]), 1.5, 0.0, PROVENANCE)
     with store.open_file(tmp_path / "tile.h5") as file:
@@ -237,8 +243,8 @@ def test_a_distortion_left_out_moves_the_pattern(tmp_path, definitions):
             setup_of(known, rig),
             (0, 56),
             80.0,
-            tmp_path / "t.h5",
-            PROVENANCE,
+            output=tmp_path / "t.h5",
+            provenance=PROVENANCE,
         )
         with store.open_file(tmp_path / "t.h5") as file:
             diffuse = file.read("response")[:, 0, 1] / np.cos(math.radians(45.0))
@@ -327,8 +333,8 @@ def test_a_lamp_inside_the_object_is_refused(tmp_path, definitions):
             setup,
             (0, 1),
             80.0,
-            tmp_path / "t.h5",
-            PROVENANCE,
+            output=tmp_path / "t.h5",
+            provenance=PROVENANCE,
         )
 
 

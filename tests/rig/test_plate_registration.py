@@ -12,8 +12,8 @@ from shortcuts import moving_from_fixed
 from benchmarks.plate_pictures import photograph
 from irodori.config.capture_table import Pose
 from irodori.config.definitions import load_definitions, read_yaml
-from irodori.config.models import Camera, Environment, Object, Rig
-from irodori.config.parts import PhotographedObject, SceneRadiance
+from irodori.config.models import Camera, Object, Rig
+from irodori.config.parts import PhotographedObject
 from irodori.ingest.registration.similarity import Registration, bayer_offsets_px, register
 from irodori.simulation.virtual_rig.samples import Sample
 from irodori.simulation.virtual_rig.sensor import band_weights
@@ -58,12 +58,8 @@ def found_error_px(definitions, unfiltered, pose: Pose, plate) -> float:
     dx, dy, rotation_deg, scale = plate
     rng = np.random.default_rng(3)
     truth = Registration(dx, dy, math.radians(rotation_deg), scale, 0.0, 0.0, (199.5, 149.5))
-    fixed, fixed_valid = photograph(
-        unfiltered(pose), 0, made(Object | PhotographedObject | Environment | SceneRadiance, rng)
-    )
-    moving, moving_valid = photograph(
-        see(definitions, pose, truth, 1), 1, made(Object | PhotographedObject | Environment | SceneRadiance, rng)
-    )
+    fixed, fixed_valid = photograph(unfiltered(pose), 0, rng)
+    moving, moving_valid = photograph(see(definitions, pose, truth, 1), 1, rng)
     found = register(fixed, moving, fixed_valid, moving_valid, band_offsets_px=bayer_offsets_px("RGGB"))
     row, column = np.nonzero(fixed.sum(axis=-1) > 0.02)
     place = np.stack([column, row], axis=-1)

@@ -409,7 +409,7 @@ def test_the_record_appears_only_when_the_session_is_complete(tmp_path, monkeypa
             made(Object | PhotographedObject | Environment | SceneRadiance, definition),
             tmp_path / "session.json",
             MADE,
-            "object plate",
+            owner="object plate",
         )
     assert not (tmp_path / "session.json").exists()
     monkeypatch.undo()
@@ -419,7 +419,7 @@ def test_the_record_appears_only_when_the_session_is_complete(tmp_path, monkeypa
         made(Object | PhotographedObject | Environment | SceneRadiance, definition),
         tmp_path / "session.json",
         MADE,
-        "object plate",
+        owner="object plate",
     )
     record = json.loads((tmp_path / "session.json").read_text())
     assert (record["session"]["kept"], record["session"]["taken"]) == (5, 3)

@@ -86,7 +86,7 @@ def shoot(camera: dict, rig: dict, session: str, shots: list[Shot], folder: Path
         session,
         shots,
         made(Object | PhotographedObject | Environment | SceneRadiance, subject),
-        seen,
+        seen=seen,
     )
     for shot in shots:
         virtual.bench = standing(shot)

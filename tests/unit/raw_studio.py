@@ -98,7 +98,7 @@ class Studio:
 
     def linear(self, capture: str, options=SUPERPIXELS) -> Path:
         reference, output = self.reference(options), self.folder / "linear.h5"
-        ingest_raw(self.table(), self.folder, capture, reference, output, PROVENANCE, options)
+        ingest_raw(self.table(), self.folder, capture, reference, output, PROVENANCE, options=options)
         return output
 
     def ingest(self, capture: str, options=SUPERPIXELS):

@@ -123,7 +123,7 @@ def test_a_real_camera_file_is_ingested_either_way(tmp_path):
     for name in ("superpixel", "ahd"):
         options = full(name)
         ingest_reference(table, DATA, tmp_path / "r.h5", PROVENANCE, 1.0, options)
-        ingest_raw(table, DATA, "chart", tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE, options)
+        ingest_raw(table, DATA, "chart", tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE, options=options)
         with store.open_file(tmp_path / "l.h5") as file:
             pictures.append(file.read("response"))
             assert file.attribute("sample_px") == options.sample_px
@@ -145,7 +145,7 @@ def test_an_eight_bit_camera_file_is_ingested(tmp_path):
     write_captures(table, [Shot(source.name, "chart", Pose(0.0, 0.0), "out", 0.00376)])
     options = IngestOptions()
     ingest_reference(table, DATA, tmp_path / "r.h5", PROVENANCE, 1.0, options)
-    ingest_raw(table, DATA, "chart", tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE, options)
+    ingest_raw(table, DATA, "chart", tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE, options=options)
     with store.open_file(tmp_path / "l.h5") as file:
         assert file.read("response").shape == (488, 424, 3) and file.read("valid").mean() > 0.99
 

@@ -171,7 +171,7 @@ def rows():
         return {
             row.stage.split(":")[0]: row
             for row in error_budget(
-                made(Scene, scene), "v", [plate(60.0)], [one], (estimated, light), options, calibration
+                made(Scene, scene), "v", [plate(60.0)], [one], (estimated, light), options, calibration=calibration
             )
         }
 
@@ -226,7 +226,7 @@ def test_the_whole_is_no_more_than_its_parts(rows):
 @pytest.mark.parametrize(("samples", "kind"), [(64, "reference"), (None, "reference"), (64, "interactive")])
 def test_the_noise_of_a_planned_scene_is_that_of_the_paths_it_is_rendered_with(tmp_path, monkeypatch, samples, kind):
     taken = []
-    monkeypatch.setattr(module, "error_budget", lambda scene, *rest: taken.append(scene.integrator) or [])
+    monkeypatch.setattr(module, "error_budget", lambda scene, *_, **__: taken.append(scene.integrator) or [])
     light_of_three().save(tmp_path / "light.h5", Provenance("test", "", "", ""))
     write_plan(tmp_path / "plan.yaml", {"decisions": {"samples": {"value": samples}}})
     lists = ("materials", "true_materials", "calibrations", "tiles", "observations", "light_calibration")

@@ -93,7 +93,7 @@ def test_a_picture_without_white_reference_is_in_full_scales_per_second(tmp_path
     write_captures(tmp_path / "captures.csv", [Shot("a.dng", "chart", Pose(0.0, 0.0), "out", 0.25)])
     table = tmp_path / "captures.csv"
     ingest_reference(table, tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
-    ingest_raw(table, tmp_path, "chart", tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE, SUPERPIXELS)
+    ingest_raw(table, tmp_path, "chart", tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE, options=SUPERPIXELS)
     with store.open_file(tmp_path / "l.h5") as file:
         assert file.read("response").shape == (32, 32, 3)
         assert np.allclose(file.read("response"), 5000 / (WHITE - BLACK) / 0.25, rtol=1e-6)
@@ -206,7 +206,7 @@ def run(folder, shots):
     table = own_dng(folder, shots)
     ingest_reference(table, folder, folder / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
     capture = Pose(0.0, 0.0).name
-    ingest_raw(table, folder, capture, folder / "r.h5", folder / "l.h5", PROVENANCE, SUPERPIXELS)
+    ingest_raw(table, folder, capture, folder / "r.h5", folder / "l.h5", PROVENANCE, options=SUPERPIXELS)
     with store.open_file(folder / "l.h5") as file:
         return file.read("response")
 
@@ -237,7 +237,7 @@ def test_white_and_captures_are_normalised_alike_or_not_at_all(tmp_path, known):
         ingest_reference(tmp_path / "white.csv", tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
         ingest_raw(
             tmp_path / "object.csv", tmp_path, Pose(0.0, 0.0).name, tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE,
-            SUPERPIXELS,
+            options=SUPERPIXELS,
         )  # fmt: skip
 
 

@@ -113,7 +113,7 @@ def studio(tmp_path_factory):
         folder / "p.json",
         MADE,
     )
-    ingest_raw(table, table.parent, "scene", folder / "reference.h5", folder / "scene.h5", MADE, options)
+    ingest_raw(table, table.parent, "scene", folder / "reference.h5", folder / "scene.h5", MADE, options=options)
     return folder, camera
 
 
@@ -130,8 +130,8 @@ def compared(studio, out: Path, materials, **placed) -> tuple[dict, dict]:
         made(ScenePhotograph, PLACED | placed),
         made(Optics, camera["optics"]),
         made(Sequence[ObjectShape], SHAPES),
-        outputs,
-        MADE,
+        outputs=outputs,
+        provenance=MADE,
     )
     with h5py.File(outputs["difference"]) as file:
         data = {name: file[name][()] for name in file}

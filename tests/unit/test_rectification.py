@@ -104,8 +104,8 @@ def rectify(tmp_path, definition, poses, rows=None, max_angle_deg=85.0, table=0.
         setup_of(table),
         rows,
         max_angle_deg,
-        tmp_path / name,
-        PROVENANCE,
+        output=tmp_path / name,
+        provenance=PROVENANCE,
     )
     with store.open_file(tmp_path / name) as file:
         return {name: file.read(name) for name in ("response", "geometry", "weight", "shadowed", "clipped", "texel")}

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made import made
 from shortcuts import moving_from_fixed
 
 from benchmarks.plate_pictures import (
@@ -19,8 +18,6 @@ from benchmarks.plate_pictures import (
     render,
     white_weights,
 )
-from irodori.config.models import Environment, Object
-from irodori.config.parts import PhotographedObject, SceneRadiance
 from irodori.ingest.registration.similarity import Registration, bayer_offsets_px, register, resample
 
 STILL = Registration.identity()
@@ -34,13 +31,11 @@ def similarity(dx=0.0, dy=0.0, rotation_deg=0.0, scale=1.0) -> Registration:
 
 def shoot(scene, truth, rng, width=WIDTH, height=HEIGHT, light=1.0, barrel_px=0.0):
     """Return both pictures and their masks."""
-    fixed, fixed_valid = photograph(
-        render(scene, width, height, 0, STILL), 0, made(Object | PhotographedObject | Environment | SceneRadiance, rng)
-    )
+    fixed, fixed_valid = photograph(render(scene, width, height, 0, STILL), 0, rng)
     moving, moving_valid = photograph(
         render(scene, width, height, 1, truth, barrel_px),
         1,
-        made(Object | PhotographedObject | Environment | SceneRadiance, rng),
+        rng,
         light,
     )
     return [fixed, moving, fixed_valid, moving_valid]
@@ -56,7 +51,7 @@ def noise(rng, width=WIDTH, height=HEIGHT, level=0.0):
             photograph(
                 np.full((2 * height, 2 * width), level),
                 state,
-                made(Object | PhotographedObject | Environment | SceneRadiance, rng),
+                rng,
             )[0]
             for state in range(2)
         ),
@@ -146,7 +141,7 @@ def test_highlights_dust_and_hot_pixels_do_not_pull(leaves):
             at = (61, 47) if _ == 0 else (40 + 55 * _, 220 - 30 * _)
             mosaic[np.hypot(x - at[0], y - at[1]) < 7] *= 0.4
         mosaic[31, 41] = mosaic[200, 333] = 1.2
-        picture, valid = photograph(mosaic, state, made(Object | PhotographedObject | Environment | SceneRadiance, rng))
+        picture, valid = photograph(mosaic, state, rng)
         picture[~valid] = np.nan
         pictures.append(picture)
         masks.append(valid)

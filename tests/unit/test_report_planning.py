@@ -11,8 +11,8 @@ from made import made
 from irodori.capture.shot_planner.exchange import TooFewPoses
 from irodori.capture.shot_planner.fisher_information import observe
 from irodori.capture.shot_planner.planner import Planner, default_noise
-from irodori.config.models import Environment, Object, Planning, Rig, RigLimits, SensorOptions
-from irodori.config.parts import PhotographedObject, PlannedObject, PlannedPlate, SceneRadiance
+from irodori.config.models import Object, Planning, Rig, RigLimits, SensorOptions
+from irodori.config.parts import PlannedObject, PlannedPlate
 from irodori.evaluation.pose_planning import Sitting, even_poses, measure_plan, random_poses, read_plan
 from irodori.fitting.solvers import FitOptions
 from irodori.report.figures import planning_figure
@@ -175,9 +175,7 @@ def test_simulated_photographs_scatter_as_the_noise_says(planned):
     assert shared == pytest.approx(np.exp(-2 / 60), rel=0.06)
     poses = planner.best(6).poses
     material = planner.range.at(np.tile([[0.5, 0.5, 0.5]], (6000, 1)))
-    response, geometry, weight = sitting.photograph(
-        poses, material, made(Object | PhotographedObject | Environment | SceneRadiance, 3000), rng
-    )
+    response, geometry, weight = sitting.photograph(poses, material, 3000, rng)
     assert response.shape == weight.shape == (6000, 6) and geometry.shape == (6000, 6, 4)
     one = planner.range.at(np.array([[0.5, 0.5, 0.5]]))
     seen = observe(planner.subject, poses, one, noise)

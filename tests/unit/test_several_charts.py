@@ -80,7 +80,7 @@ def session(tmp_path_factory):
     linear = []
     for capture in captures_of(definitions, "cameras", "d5100-comb", root):
         linear.append(root / f"{capture}.h5")
-        ingest_raw(table, root, capture, root / "reference.h5", linear[-1], MADE, IngestOptions())
+        ingest_raw(table, root, capture, root / "reference.h5", linear[-1], MADE, options=IngestOptions())
     outputs = [root / name for name in ("c.h5", "errors.csv", "selection.csv")]
     calibrate_camera(
         linear,

@@ -134,7 +134,7 @@ def test_a_residual_above_the_limit_names_the_capture(tmp_path):
     write_captures(tmp_path / "captures.csv", studio.shots)
     reference = studio.reference(OPTIONS)
     with pytest.raises(InputError, match=rf"{POSE}.*max_registration_px"):
-        ingest_raw(tmp_path / "captures.csv", tmp_path, POSE, reference, tmp_path / "l.h5", PROVENANCE, OPTIONS)
+        ingest_raw(tmp_path / "captures.csv", tmp_path, POSE, reference, tmp_path / "l.h5", PROVENANCE, options=OPTIONS)
     assert not (tmp_path / "l.h5").exists()
 
 

@@ -10,6 +10,6 @@ with run_rule(snakemake) as provenance:
         ScenePhotograph.of(snakemake.params.placed),
         Optics.of(snakemake.params.optics),
         typed_shapes(snakemake.params.shapes),
-        dict(snakemake.output.items()),
-        provenance,
+        outputs=dict(snakemake.output.items()),
+        provenance=provenance,
     )

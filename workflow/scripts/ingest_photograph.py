@@ -10,5 +10,5 @@ with run_rule(snakemake) as provenance:
         snakemake.input.reference,
         snakemake.output.linear,
         provenance,
-        IngestOptions(**snakemake.params.options),
+        options=IngestOptions(**snakemake.params.options),
     )

@@ -14,5 +14,5 @@ with run_rule(snakemake) as provenance:
             snakemake.input.reference,
             linear,
             provenance,
-            IngestOptions(**snakemake.params.options),
+            options=IngestOptions(**snakemake.params.options),
         )

@@ -15,6 +15,6 @@ with run_rule(snakemake) as provenance:
         ),
         snakemake.params.rows,
         snakemake.params.max_angle_deg,
-        snakemake.output.observations,
-        provenance,
+        output=snakemake.output.observations,
+        provenance=provenance,
     )

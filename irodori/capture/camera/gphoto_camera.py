@@ -155,7 +155,7 @@ class GphotoCamera(Camera):
         return name
 
     def _set_all(self, shot: Shot, end: float) -> None:
-        wanted = {
+        wanted: dict[str, float | str] = {
             "capture_target": _RAM,
             "image_format": self._driver.image_format,
             "white_balance": self._driver.white_balance,

@@ -8,6 +8,7 @@ import difflib
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from typing import Any
 
 from irodori.capture.rig.devices import CommandError, DeadlineError, DeviceError, LinkError
 from irodori.core.progress import LOGGER
@@ -55,7 +56,7 @@ class GphotoLine:
         self.sleep, self.now = sleep, now
         #: Names of the settings that the camera has.
         self.names: frozenset[str] = frozenset()
-        self._camera = None
+        self._camera: Any = None  # gphoto2's, which has no types
         self._closed = self._was_open = False
         self._lost_codes = {
             gp.GP_ERROR_IO,

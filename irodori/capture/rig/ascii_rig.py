@@ -128,8 +128,8 @@ class AsciiRig(ControlledRig):
                     raise
         places, self._in_step = self._places(), True
         for name, drive in self.drives.items():
-            left = self._last.get(name, places[name])
-            ends, slack = (left, self._goal.get(name, left)), self._tolerance(drive)
+            last = self._last.get(name, places[name])
+            ends, slack = (last, self._goal.get(name, last)), self._tolerance(drive)
             if not min(ends) - slack <= places[name] <= max(ends) + slack:
                 self._homed = False
         self._last, self._goal = places, {}

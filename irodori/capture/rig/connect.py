@@ -71,11 +71,12 @@ def start_simulator(rig: RigDefinition) -> Iterator[Simulator]:
     """Start the simulated controller of a definition, set up as the definition wants it; see `open_rig`."""
     motion = _motion(rig)
     given = motion.simulator
-    how = {"time_scale": given.time_scale, "seed": given.seed, "homing_rms": given.homing_rms_units}
+    scale, seed, rms = given.time_scale, given.seed, given.homing_rms_units
     if motion.protocol == "grbl":
-        running = grbl_simulator.simulate(grbl_settings(drives_of(rig), motion.homing), **how)
+        settings = grbl_settings(drives_of(rig), motion.homing)
+        running = grbl_simulator.simulate(settings, time_scale=scale, seed=seed, homing_rms=rms)
     else:
-        running = ascii_simulator.simulate(rig, **how)
+        running = ascii_simulator.simulate(rig, time_scale=scale, seed=seed, homing_rms=rms)
     with running as simulator:
         yield simulator
 

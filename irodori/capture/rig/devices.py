@@ -10,9 +10,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from irodori.config.capture_table import Shot
 from irodori.core.errors import PlainError
+
+if TYPE_CHECKING:
+    from irodori.capture.rig.drives import Drive
+    from irodori.simulation.controllers.peer_client import Simulator
 
 ANGLE_TOLERANCE_DEG = 1e-6
 
@@ -143,8 +148,10 @@ class Rig(ABC):
 
     #: Motorised axes by name; the others of a pose are set by hand.
     axes: Mapping[str, Axis]
+    #: How each of them is driven.
+    drives: "Mapping[str, Drive]"
     #: Handle on the simulated controller, None for a real one; see `irodori.capture.rig.connect`.
-    simulator = None
+    simulator: "Simulator | None" = None
     #: Asked, with a sentence, when a move meets a feed hold: returns once the rig may go on, raises where it may not.
     #: Where it is None, a hold ends the move with `HeldError`.
     on_hold: Callable[[str], None] | None = None

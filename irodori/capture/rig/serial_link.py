@@ -104,7 +104,7 @@ def _reason(error: Exception) -> str:
     text = str(error)
     if "exclusively lock" in text or number in (errno.EWOULDBLOCK, errno.EBUSY):
         return "in use by another program, or opened twice"
-    words = {
+    words: dict[int | None, str] = {
         errno.ENOENT: "no such port",
         errno.EACCES: "no permission to open it; is the user in the port's group (ls -l shows it)?",
         errno.EIO: "hung up",

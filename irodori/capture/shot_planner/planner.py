@@ -270,6 +270,7 @@ class Planner:
         self,
         definition: Object | PlannedObject,
         rig: Rig,
+        *,
         materials: MaterialRange | None = None,
         noise: Noise | None = None,
         max_angle_deg: float = 80.0,
@@ -383,8 +384,8 @@ def expected_errors(seen: Observations, materials: Materials) -> tuple[dict[str,
     if not known.any():
         return dict.fromkeys(names, (math.nan, math.nan)), 0.0
     errors[:, 0] *= np.tile(materials.alpha, len(errors) // len(materials.alpha))
-    quantiles = np.percentile(errors[known], [50, 95], axis=0)
-    return {name: tuple(map(float, quantiles[:, i])) for i, name in enumerate(names)}, float(known.mean())
+    median, high = np.percentile(errors[known], [50, 95], axis=0)
+    return {name: (float(median[i]), float(high[i])) for i, name in enumerate(names)}, float(known.mean())
 
 
 def _hand(pose: Pose) -> tuple[float, float]:

@@ -49,8 +49,8 @@ def _second(t):
 
 def spline_power() -> tuple[float, float, float]:
     """Return the sums of the squared weights of the spline and of its two derivatives, at a pixel."""
-    value, first = _quintic(0.0)
-    return tuple(float(np.square(weights).sum()) for weights in (value, first, _second(0.0)))
+    own, first, second = (float(np.square(weights).sum()) for weights in (*_quintic(0.0), _second(0.0)))
+    return own, first, second
 
 
 @njit(cache=True, inline="always", fastmath={"contract"})

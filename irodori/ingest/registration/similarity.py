@@ -194,7 +194,15 @@ class _Pair:
 
     def level(self, n: int, places: int, local: bool) -> Level:
         scale = float(2**n)
-        return make_level(self.fixed[n], self.moving[n], scale, self.shape, places, self.band_offsets_px, local)
+        return make_level(
+            self.fixed[n],
+            self.moving[n],
+            scale,
+            shape=self.shape,
+            count=places,
+            offsets_px=self.band_offsets_px,
+            local=local,
+        )
 
     def first(self, start: Registration | None) -> Fit | None:
         """Return the most coherent fit at the coarsest level from all starting points."""
@@ -288,7 +296,7 @@ def _spread(covariance, cell_scores, part) -> float:
     """Return the trace of the covariance that the scatter of the scores of ``part`` implies."""
     scores = np.zeros((int(part.max()) + 1, 4))
     np.add.at(scores, part, cell_scores)
-    parts = np.count_nonzero(np.abs(scores).sum(axis=1))
+    parts = int(np.count_nonzero(np.abs(scores).sum(axis=1)))
     moved = scores @ covariance
     return float((moved**2).sum()) * parts / max(parts - 4, 1)
 

@@ -57,7 +57,7 @@ class Fit(NamedTuple):
     noise_share: float  # of the variance of residuals that is the fixed picture's noise, at most 1/2, over the bands
 
 
-def make_level(fixed, moving, scale: float, shape, count: int, offsets_px, local: bool) -> Level:
+def make_level(fixed, moving, scale: float, *, shape, count: int, offsets_px, local: bool) -> Level:
     """Choose the places of one level and take the fixed picture's derivatives there; ``shape`` is that of level 0."""
     cell = int(min(32, max(8, min(fixed.shape[:2]) // 6)))
     noise = noise_of(fixed)

@@ -63,7 +63,8 @@ class AsciiMachine(Machine):
         for stage in self.stages:
             stage.clear()
         self._origin = {name: stage.position[0] for name, stage in self._named()}
-        self._line, self._alarm, self._held, self._homing = b"", False, False, set()
+        self._line, self._alarm, self._held = b"", False, False
+        self._homing: set[str] = set()
 
     def press_hold(self) -> None:
         """Bring the axes to rest on their ramp; they go on after ``resume``."""

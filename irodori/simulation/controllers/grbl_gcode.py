@@ -129,9 +129,10 @@ def _words(line: str):
 def _take_g(value: float, groups: dict[str, int], jog: bool) -> None:
     if value not in _GROUPS or (jog and value not in _JOG_G):
         raise GcodeError(16 if jog and value in _GROUPS else 20)
-    if _GROUPS[value] in groups:
+    code = int(value)
+    if _GROUPS[code] in groups:
         raise GcodeError(21)
-    groups[_GROUPS[value]] = int(value)
+    groups[_GROUPS[code]] = code
 
 
 def _move(words: dict[str, float], groups: dict[str, int], new: Modes, letters: str, jog: bool) -> Move:

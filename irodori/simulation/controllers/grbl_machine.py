@@ -46,6 +46,8 @@ class GrblMachine(Machine):
         Repeatability of the switches, standard deviation, units.
     """
 
+    state = "Idle"
+
     def __init__(self, settings=None, letters: str = "XYZ", seed: int = 0, homing_rms: float = 0.0) -> None:
         super().__init__()
         self.settings = {**DEFAULTS, **(settings or {})}
@@ -88,7 +90,8 @@ class GrblMachine(Machine):
 
     def _restart(self) -> None:
         self._rx, self._line, self._too_long = bytearray(), "", False
-        self._modes, self._locked, self._blocked, self._suspended = Modes(), False, None, False
+        self._modes, self._locked, self._suspended = Modes(), False, False
+        self._blocked: Move | tuple[Move, bool] | None = None
         self._dwell_s, self._alarm_when_still, self._reports, self._report_due = 0.0, 0, 0, False
         self._homing: list[tuple[list[float], float]] = []
         self._say(_BANNER)

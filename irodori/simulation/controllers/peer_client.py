@@ -31,7 +31,9 @@ class Simulator:
     """
 
     def __init__(self, process: subprocess.Popen, port: str) -> None:
+        assert process.stdin is not None and process.stdout is not None
         self.process, self.port = process, port
+        self._commands, self._answers = process.stdin, process.stdout
         self._lock, self._buffer = threading.Lock(), b""
 
     def fault(self, text: str) -> None:
@@ -82,8 +84,8 @@ class Simulator:
             except subprocess.TimeoutExpired:
                 self.process.kill()
                 self.process.wait()
-        self.process.stdin.close()
-        self.process.stdout.close()
+        self._commands.close()
+        self._answers.close()
 
     def read_line(self, seconds: float) -> str:
         """Return the next line of the process.
@@ -95,8 +97,8 @@ class Simulator:
         """
         deadline = Deadline(seconds)
         while b"\n" not in self._buffer:
-            ready = select.select([self.process.stdout], [], [], deadline.remaining_s)[0]
-            got = os.read(self.process.stdout.fileno(), 4096) if ready else b""
+            ready = select.select([self._answers], [], [], deadline.remaining_s)[0]
+            got = os.read(self._answers.fileno(), 4096) if ready else b""
             if not got:
                 raise DeviceError("the simulator has ended" if ready else "the simulator does not answer")
             self._buffer += got
@@ -106,8 +108,8 @@ class Simulator:
     def _ask(self, command: str) -> dict:
         with self._lock:
             try:
-                self.process.stdin.write(command.encode() + b"\n")
-                self.process.stdin.flush()
+                self._commands.write(command.encode() + b"\n")
+                self._commands.flush()
             except (OSError, ValueError):
                 raise DeviceError("the simulator has ended") from None
             answer = json.loads(self.read_line(_ANSWER_S))

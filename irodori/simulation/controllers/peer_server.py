@@ -46,16 +46,19 @@ class Machine(ABC):
         What it has sent and the line has not taken yet.
     lines : int
         Lines that have arrived.
-    state : str
     """
 
     channels: tuple[str, ...]
     stages: tuple[Stage, ...]
-    state: str
 
     def __init__(self) -> None:
         self.output = bytearray()
         self.lines = 0
+
+    @property
+    @abstractmethod
+    def state(self) -> str:
+        """Return what it does, in its own words."""
 
     @property
     def moving(self) -> bool:

@@ -29,10 +29,9 @@ class Bench:
 
     def set(self, settings: Mapping[str, float | str]) -> None:
         """Set what a hand sets: ``subject``, ``filter``, or the angle of an axis without motor, degrees."""
-        angles = dict(settings)
-        self.subject = angles.pop("subject", self.subject)
-        self.filter = angles.pop("filter", self.filter)
-        self.by_hand_deg.update(angles)
+        self.subject = str(settings.get("subject", self.subject))
+        self.filter = str(settings.get("filter", self.filter))
+        self.by_hand_deg |= {k: float(angle) for k, angle in settings.items() if k not in ("subject", "filter")}
 
     def pose(self) -> Pose:
         """Return where light, camera and table stand; what nobody has moved stands at 0."""

@@ -7,7 +7,7 @@ Radiance is relative: 1 is a perfect diffuser lit at normal incidence by the rig
 import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights
-from irodori.config.models import VirtualRoom
+from irodori.config.models import RoomLamps, RoomWindow, VirtualRoom
 from irodori.spectra.published import light, spectrum
 
 
@@ -31,7 +31,7 @@ def source_spectra(room: VirtualRoom, rig_light: np.ndarray) -> tuple[list[str],
         surface = getattr(room.surfaces, name)
         names.append(name)
         spectra.append(surface.irradiance * spectrum(surface.spectrum) * ambient)
-    sources = {"window": room.window, "lamps": room.lamps}
+    sources: dict[str, RoomWindow | RoomLamps] = {"window": room.window, "lamps": room.lamps}
     for name, source in sources.items():
         names.append(name)
         spectra.append(source.radiance * equal_luminance(light(source.spectrum), rig_light))

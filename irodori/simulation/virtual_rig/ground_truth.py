@@ -60,7 +60,8 @@ def _gloss(sample: Sample) -> tuple[tuple[str, ...], list[tuple[np.ndarray, np.n
             places.setdefault((names[c], broader), [None] * len(sample.lobes))[m] = c
     if not places:
         places = {("gaussian", 0): [None] * len(sample.lobes)}
-    gloss, typical = [], []
+    gloss: list[tuple[np.ndarray, np.ndarray]] = []
+    typical: list[float] = []
     # A narrower component is met first where it stands first.
     places = dict(sorted(places.items(), key=lambda item: item[0][1]))
     for components in places.values():

@@ -306,6 +306,6 @@ def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) 
         fresnel=sample.fresnel @ band_weights.T,
     )
     image = np.empty((view.pinhole.height_px, view.pinhole.width_px))
-    surfaces: Surfaces = make_surfaces(tracer.placements[:1])
+    surfaces: Surfaces = make_surfaces(list(tracer.placements[:1]))
     run_chunks(_expose, len(image), _BLOCK_ROWS, setup, subject, surfaces, image)
     return image

@@ -17,7 +17,7 @@ from irodori.spectra.resampling import resample
 from irodori.spectra.tables import brdf_table
 
 #: Kinds of virtual materials that are no names of lobes; ``paper`` is equation (5), the lobe ``gaussian``.
-PAPER, MEASURED = "paper", "measured"
+PAPER = "paper"
 
 _HALF_NODES = 46
 _DIFFERENCE_NODES = 10
@@ -33,15 +33,15 @@ class GlossComponents(NamedTuple):
     constant: np.ndarray  # (m, c, 2) of the lobe at the component's roughness
 
 
-def lobe_of_kind(kind: str) -> str | None:
-    """Return the lobe of a virtual material's kind: ``paper``, or the lobe's own name; None of ``measured``.
+def lobe_of_kind(kind: str) -> str:
+    """Return the lobe of a gloss component's kind: ``paper``, or the lobe's own name.
 
     Raises
     ------
     ValueError
         If there is no lobe of that name.
     """
-    return None if kind == MEASURED else lobe("gaussian" if kind == PAPER else kind).name
+    return lobe("gaussian" if kind == PAPER else kind).name
 
 
 def gloss_components(lobes: list[tuple[str, ...]], beta: np.ndarray, mu: np.ndarray) -> GlossComponents:
@@ -125,8 +125,7 @@ def read_measured(path) -> np.ndarray:
     InputError
         If the table is at fault or no sample has both angles below 80 degrees.
     """
-    wavelength_nm, angles, brdf = brdf_table(path)
-    angles, brdf = np.array(angles), np.array(brdf)
+    wavelength_nm, angles, brdf = map(np.array, brdf_table(path))
     usable = (angles[:, 0] < _MAX_ANGLE_RAD) & (angles[:, 2] < _MAX_ANGLE_RAD)
     if not usable.any():
         raise InputError(path, "", "no sample with both angles below 80 degrees", "measured BRDF samples")

@@ -30,7 +30,7 @@ _BLOCK_ROWS = 64
 
 def in_mosaic(bands: np.ndarray) -> np.ndarray:
     """Return the RGGB mosaic of a picture of three bands, (height, width, 3) to (height, width)."""
-    y, x = np.indices(bands.shape[:2], sparse=True)
+    y, x = np.indices((bands.shape[0], bands.shape[1]), sparse=True)
     return np.take_along_axis(bands, (y % 2 + x % 2)[..., None], axis=2)[..., 0]
 
 
@@ -48,6 +48,7 @@ def object_mosaic(sample: Sample, camera: Camera, rig: Rig, pose: Pose, ideal_fr
     band_weights : (3, 61) float
         Those of the filter state.
     """
+    assert camera.optics is not None and rig.virtual is not None  # checked: the rig is virtual, its camera has optics
     rotation = rig_from_object(pose)
     view = View(
         pinhole=Pinhole.from_optics(camera.optics),
@@ -65,6 +66,7 @@ def object_mosaic(sample: Sample, camera: Camera, rig: Rig, pose: Pose, ideal_fr
 def white_mosaic(camera: Camera, rig: Rig, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
     """Return the picture of the white reference, which fills it; parameters as of `object_mosaic`."""
     optics = camera.optics
+    assert camera.white is not None and optics is not None  # checked: a camera that photographs a white has both
     reflectance, _ = white_reflectance(camera.white.reflectance_factor, band_weights)
     level = reflectance * math.cos(flat_incidence_rad(pose)) * band_weights.sum(axis=1)
     picture = in_mosaic(np.broadcast_to(level, (optics.height_px, optics.width_px, 3)))
@@ -76,6 +78,7 @@ def _fall_off(camera: Camera, rig: Rig, pose: Pose, ideal_from_seen) -> np.ndarr
     lamp = Lamp.at(rig.light.distance_mm)
     if not lamp.is_near:
         return 1.0
+    assert camera.optics is not None  # checked: a camera on a rig has optics
     pinhole = Pinhole.from_optics(camera.optics)
     y, x = np.indices((pinhole.height_px, pinhole.width_px)) + 0.5
     point = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.asarray(ideal_from_seen).T
@@ -84,6 +87,7 @@ def _fall_off(camera: Camera, rig: Rig, pose: Pose, ideal_from_seen) -> np.ndarr
 
 def chart_mosaic(chart: Chart, camera: Camera, rig: Rig, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
     """Return the picture of a colour chart of that definition; other parameters as of `object_mosaic`."""
+    assert camera.optics is not None  # checked: a camera on a rig has optics
     pinhole = Pinhole.from_optics(camera.optics)
     _names, patches = chart_spectra(chart.spectra)
     spectra = np.concatenate([patches, np.full((1, patches.shape[1]), _BORDER_REFLECTANCE)])
@@ -105,6 +109,7 @@ def _patch_at(mosaic_xy, chart: Chart, camera: Camera, rig: Rig, pose: Pose, pin
     view = pinhole.directions(mosaic_xy, rig_from_camera(pose)) @ rotation
     eye = rig.camera_distance_mm * to_camera(pose) @ rotation
     point = eye - view * (eye[2] / view[..., 2:])
+    assert camera.virtual is not None  # checked: on a virtual rig the camera is virtual
     pitch = camera.virtual.chart_width_mm / columns
     across, along = point[..., 0] / pitch + columns / 2, rows / 2 - point[..., 1] / pitch
     column, row = np.floor(across).astype(int), np.floor(along).astype(int)

@@ -54,6 +54,7 @@ class VirtualCamera(Camera):
         session: str,
         shots: Sequence[Shot],
         subject: Photographed | None = None,
+        *,
         seen: dict | None = None,
     ) -> None:
         if camera.virtual is None or rig.virtual is None or camera.optics is None:
