@@ -271,7 +271,7 @@ def _grid(name: str, mu: float, nodes: int, furthest: float = math.pi / 2):
 @VIEWS
 @WIDTHS
 def test_density_adds_up_to_the_share_of_useful_draws(name, mu, theta):
-    phi, step, azimuth, around = _grid(name, mu, 400)
+    phi, step, azimuth, around = _grid(name, mu, 200)
     value = half_density(name, mu, theta, phi[:, None], azimuth[None])
     view, count = view_at(theta), 100_000
     cos_h = math.cos(theta) * np.cos(phi)[:, None] + math.sin(theta) * np.sin(phi)[:, None] * np.cos(azimuth)
