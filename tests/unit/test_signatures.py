@@ -14,15 +14,9 @@ STILL = {
     "evaluation": ["compare_photograph", "error_budget", "measure_design"],
     "fitting": ["_conclude", "diffuse_response", "fit", "fit_brdf", "pool", "problem_of"],
     "ingest": ["_write", "ingest_raw", "make_level"],
-    "jit": ["typed", "typed"],
-    "light": ["gloss_radiance", "make_environment", "prepare_environment", "write_environment"],
     "material": ["compress_reflectance", "write_constants"],
     "rectification": ["rectify_object"],
     "reflection": ["reflect"],
-    "rendering": [
-        "_channels", "check_reference", "choose", "lamps_at", "make_world", "plan_reference", "plan_scene", "render",
-        "render_frames", "render_halves", "render_photographed", "render_view",
-    ],
     "simulation": ["VirtualCamera.__init__"],
 }  # fmt: skip
 
