@@ -56,7 +56,7 @@ def main() -> None:
         work[f"gloss{name}"] = lambda light=light: GlossMaps.of(light)
         errors[f"irradiance{name}"] = work[f"irradiance{name}"]()[1]["max_error"]
     for mu in LOOKUP_MU_RAD:
-        work[f"look-up-{mu:g}"] = lambda mu=mu: gloss_radiance(tables, normal, view, 1.0, mu, 1.5, 0.0)
+        work[f"look-up-{mu:g}"] = lambda mu=mu: gloss_radiance(tables, normal, view, 1.0, mu, (1.5, 0.0))
     seconds = medians_s(work, arguments.runs)
     rows = []
     for name, median in seconds.items():

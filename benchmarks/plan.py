@@ -78,13 +78,13 @@ def measure_scene(name: str, parts: Parts, studio: Studio, arguments) -> list[di
     view = make_view(studio.scene.views["front"], studio.image)
     names = [item.object for item in studio.scene.objects]
     lamps, matrix = tuple(Lamp(towards) for towards in parts.lamp_towards), xyz_from_radiance(parts.white)
-    task = (parts, [view], names, arguments.tolerance, _BOUNCES, True)
-    planner = choose(*task)
+    plan = partial(choose, parts, [view], names, arguments.tolerance, max_bounces=_BOUNCES, ambient=True)
+    planner = plan()
     pixels = chosen_pixels(view)
     truth = render_pixels(prepare(parts, planner.full, matrix), view, pixels, 1, lamps)
     # The reference first: the rows of the plan are ratios to its.
     work = {"full": lambda: prepare_all(parts), "planned": lambda: prepare(parts, planner.model, matrix)}
-    processor_s, errors = {"plan": least_processor_s(lambda: choose(*task), 1)}, {}
+    processor_s, errors = {"plan": least_processor_s(plan, 1)}, {}
     for variant, make in work.items():
         prepared = make()
         processor_s[f"{variant}, prepare"] = least_processor_s(make, 1)

@@ -194,7 +194,8 @@ def compare_photograph(
     solids = [Shape.from_definition(shape) for shape in shapes]
     samples = placed.samples * placed.block**2
     # Other random numbers than those of a virtual photograph.
-    rendered = render_halves(scene, placed, ideal, solids, materials, environment, samples, placed.seed + HALVES)
+    seed = placed.seed + HALVES
+    rendered = render_halves(scene, placed, ideal, solids, materials, environment, samples=samples, seed=seed)
     white, _ = scene_white(scene, environment)
     found = compare(photograph, calibration, rendered, white, placed.scale, before)
     all_shapes = [*solids, *(Shape.from_definition(body.shape) for body in scene.bodies)]

@@ -7,6 +7,7 @@ cache the compiled code between processes.
 
 import ctypes
 import os
+from collections.abc import Sequence
 from functools import lru_cache
 from importlib.metadata import files
 from typing import TYPE_CHECKING, NamedTuple
@@ -80,7 +81,9 @@ def _device() -> int:
 
 
 def _address(name: str) -> int:
-    return ctypes.cast(getattr(_library(), name), ctypes.c_void_p).value
+    address = ctypes.cast(getattr(_library(), name), ctypes.c_void_p).value
+    assert address is not None  # a function of a loaded library has one
+    return address
 
 
 class Ray(NamedTuple):
@@ -91,7 +94,7 @@ class Ray(NamedTuple):
 
     f: np.ndarray
     i: np.ndarray
-    address: int
+    address: np.uintp
     at: int
 
 
@@ -223,9 +226,9 @@ class Tracer:
         For those that lay out packets of sixteen rays.
     """
 
-    def __init__(self, placements) -> None:
+    def __init__(self, placements: "Sequence[Placement]") -> None:
         self._library = _library()
-        self._buffers = []
+        self._buffers: list[np.ndarray] = []
         self.placements = tuple(placements)
         self.scene = self._library.rtcNewScene(_device())
         self._library.rtcSetSceneFlags(self.scene, _ROBUST)

@@ -52,7 +52,8 @@ def lathe(profile_mm, segments: int, margin: float = 0.0) -> tuple[np.ndarray, n
     )
     coordinates = np.stack(np.broadcast_arrays(u[None, :], v[:, None]), axis=-1)
     coordinates = margin + (1.0 - 2.0 * margin) * coordinates
-    corners, uv = [], []
+    corners: list[np.ndarray] = []
+    uv: list[np.ndarray] = []
     for values, out in ((position, corners), (coordinates, uv)):
         a, b, c, d = values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1]
         for triangle in ((a, b, c), (a, c, d)):
@@ -80,7 +81,8 @@ def write_obj(path, corners_mm, uv, normals=None, digits: int = 6) -> None:
         tables["vn"] = np.asarray(normals).reshape(-1, 3)
     lines, columns = [], []
     for name, values in tables.items():
-        texts, numbers = {}, []
+        texts: dict[str, int] = {}
+        numbers = []
         for row in values:
             text = " ".join(f"{value + 0.0:.{digits}g}" for value in row)
             numbers.append(texts.setdefault(text, len(texts) + 1))

@@ -77,11 +77,16 @@ def _parts(path) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
                 part_list[-1] = None if part_list[-1] is None else part_list[-1][:, ::-1]
     if not corners:
         raise InputError(path, "faces", "no triangles", "a triangle mesh with UV coordinates")
-    uv = None if any(part is None for part in uvs) else np.concatenate(uvs)
+    uv = _joined(uvs)
     if uv is not None:
         uv = np.stack([uv[..., 0], 1.0 - uv[..., 1]], axis=-1)
-    known = not any(part is None for part in normals)
-    return np.concatenate(corners), uv, np.concatenate(normals) if known else None
+    return np.concatenate(corners), uv, _joined(normals)
+
+
+def _joined(parts: list[np.ndarray | None]) -> np.ndarray | None:
+    """Return the arrays of all parts one after the other, None where a part has none."""
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known) if len(known) == len(parts) else None
 
 
 def _normals(part, world) -> np.ndarray | None:

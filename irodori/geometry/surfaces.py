@@ -1,5 +1,6 @@
 """Placed shapes as flat arrays for compiled loops: points, normals and texture coordinates of ray hits."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ class Surfaces(NamedTuple):
     normals: np.ndarray  # (triangles, 3, 3) object frame
 
 
-def make_surfaces(placements: list[Placement]) -> Surfaces:
+def make_surfaces(placements: Sequence[Placement]) -> Surfaces:
     """Return placed shapes in flat arrays; shape i is placement i."""
     meshes = [p.shape.triangles for p in placements if p.shape.triangles is not None]
     sizes = np.array(

@@ -115,7 +115,7 @@ class Kernel(CPUDispatcher):
         with global_compiler_lock:
             if Kernel._depth and not self.targetoptions.get("parallel"):
                 return self._compile_part(sig)
-            if self._kept and not isinstance(self._cache, KernelCache) and cache_folder() is not None:
+            if self._kept and not isinstance(self._cache, KernelCache) and cache_folder() is not None:  # type: ignore[has-type]
                 self._cache = KernelCache(self.py_func)
             args, _ = normalize_signature(sig)
             if tuple(args) in self._parts:  # now Python calls it

@@ -63,11 +63,12 @@ def lanes_times_tables(width: int):
                 )
         return context.get_dummy_value()
 
+    @intrinsic
     def typed(typingctx, lanes, place, count, table, first, second, stride, sums, into, step):
         whole = types.intp
         return types.void(lanes, whole, whole, table, whole, whole, whole, sums, whole, whole), codegen
 
-    return intrinsic(typed)
+    return typed
 
 
 def vector_times_table(width: int, parts: int):
@@ -116,10 +117,11 @@ def vector_times_table(width: int, parts: int):
             store_vector(builder, whole, sums(_moved(builder, into, c * LANES)), _EIGHT)
         return context.get_dummy_value()
 
+    @intrinsic
     def typed(typingctx, vectors, v, table, offset, sums, place):
         return types.void(vectors, types.intp, table, types.intp, sums, types.intp), codegen
 
-    return intrinsic(typed)
+    return typed
 
 
 @intrinsic

@@ -33,7 +33,7 @@ def level_height(width_rad: float) -> int:
 def first_level(height: int, width: int) -> int:
     """Return the finest level of the ladder that a picture of a size fills."""
     pitch = max(np.pi / height, 2 * np.pi / width)
-    return int(min(np.searchsorted(WIDTHS_RAD, _FINEST_OF_PITCH * pitch), len(WIDTHS_RAD) - 1))
+    return min(int(np.searchsorted(WIDTHS_RAD, _FINEST_OF_PITCH * pitch)), len(WIDTHS_RAD) - 1)
 
 
 def _row_series(coefficients: np.ndarray, terms: int) -> np.ndarray:
@@ -170,10 +170,10 @@ def prefiltered(coefficients: np.ndarray, levels: tuple[int, int] | None = None)
     finest = WIDTHS_RAD[first]
     series = _row_series(coefficients, min(int(np.ceil(6.0 / finest)) + 1, level_height(finest)))
     series, theta = _divided(series, int(np.ceil(_PARTS_PER_WIDTH * np.pi / height / finest)))
-    levels = []
+    blurred = []
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
         for width_rad in WIDTHS_RAD[first:last]:
             while np.pi / (len(series) // 2 or 1) <= width_rad / _ROWS_PER_WIDTH:
                 series, theta = _thinned(series, theta)
-            levels.append(_level(series, theta, width_rad, pool))
-    return first, levels
+            blurred.append(_level(series, theta, width_rad, pool))
+    return first, blurred

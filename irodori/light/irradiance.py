@@ -130,8 +130,12 @@ def make_cells(pixels: Pixels) -> Cells:
     power, power_moment = np.zeros(rows * columns), np.zeros((rows * columns, 3))
     moment = np.zeros((rows * columns, bases, 3))
     _fill_blocks(pixels, columns, power, power_moment, moment)
-    levels = [(power.reshape(rows, columns), power_moment.reshape(rows, columns, 3),
-               moment.reshape(rows, columns, bases, 3))]  # fmt: skip
+    finest = (
+        power.reshape(rows, columns),
+        power_moment.reshape(rows, columns, 3),
+        moment.reshape(rows, columns, bases, 3),
+    )
+    levels: list[tuple[np.ndarray, ...]] = [finest]
     while levels[-1][0].size > _TOP_CELLS:
         levels.append(tuple(_halved(values) for values in levels[-1]))
     sizes = np.array([level[0].shape for level in levels])

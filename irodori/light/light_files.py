@@ -67,7 +67,8 @@ class _NotNegative:
     """Bands of a picture with what is negative set to 0 and counted; the counts are those of one reading."""
 
     def __init__(self, origin: dict) -> None:
-        self._origin, self._counts = origin, {}
+        self._origin = origin
+        self._counts: dict[int, tuple[int, float, float]] = {}
         origin |= {"negative_pixels": 0, "negative_sum_over_positive": 0.0}
 
     def __call__(self, band: np.ndarray, first: int) -> np.ndarray:

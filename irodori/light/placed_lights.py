@@ -60,9 +60,9 @@ def raster(definition: "PlacedLight", size: tuple[int, int]) -> Callable[[slice]
 
     Parameters
     ----------
-    definition : dict
-        ``azimuth_deg``, ``elevation_deg``, ``diameter_deg``, and either ``radiance`` or ``irradiance``: of a surface
-        that faces the light, 1 where a perfect diffuser there has radiance 1.
+    definition : PlacedLight
+        With either ``radiance`` or ``irradiance``: of a surface that faces the light, 1 where a perfect diffuser there
+        has radiance 1.
     size : (height, width)
         A disc smaller than a pixel is one pixel with its energy.
     """
@@ -96,6 +96,7 @@ def raster(definition: "PlacedLight", size: tuple[int, int]) -> Callable[[slice]
         # Σ L cosψ dΩ of a surface that faces the light is π times the radiance of a perfect diffuser.
         factor = np.pi * definition.irradiance / facing
     else:
+        assert definition.radiance is not None  # one of the two is given
         factor = definition.radiance * 4.0 * np.pi * np.sin(0.5 * radius) ** 2 / power
     return lambda rows: factor * shape(rows)
 

@@ -116,6 +116,7 @@ def prepare_environment(
     options: CompressOptions,
     irradiance_options: IrradianceMap,
     provenance: store.Provenance,
+    *,
     source: CapturesSource | MirrorBallSource = _WHOLE,
     image: Size | None = None,
     gloss_lobes: Sequence[str] = (),
@@ -151,7 +152,9 @@ def prepare_environment(
     else:
         picture = _mirror_ball(linear, calibration, source, image)
     # The colour of the light is judged against the rig's light as white.
-    write_environment(picture, calibration.light, output, options, irradiance_options, provenance, gloss_lobes)
+    write_environment(
+        picture, calibration.light, output, options, irradiance_options, provenance, gloss_lobes=gloss_lobes
+    )
 
 
 def make_environment(
@@ -161,6 +164,7 @@ def make_environment(
     options: CompressOptions,
     irradiance_options: IrradianceMap,
     provenance: store.Provenance,
+    *,
     gloss_lobes: Sequence[str] = (),
 ) -> None:
     """Write an environment's file from a file of another program or from lights placed in directions.
@@ -185,7 +189,7 @@ def make_environment(
         raise ValueError("placed lights without the size of their picture; accepted: image")
     else:
         picture = lights_picture(source.lights, image.width, image.height)
-    write_environment(picture, None, output, options, irradiance_options, provenance, gloss_lobes)
+    write_environment(picture, None, output, options, irradiance_options, provenance, gloss_lobes=gloss_lobes)
 
 
 def observers(white: np.ndarray) -> dict:
@@ -205,6 +209,7 @@ def write_environment(
     options: CompressOptions,
     irradiance_options: IrradianceMap,
     provenance: store.Provenance,
+    *,
     gloss_lobes: Sequence[str] = (),
 ) -> None:
     """Compress an omnidirectional picture, integrate its maps and write the environment's file.

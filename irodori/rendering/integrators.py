@@ -95,7 +95,7 @@ def _planned(renderer: "Renderer", view_name: str, plan: dict, check: bool, fold
         from irodori.rendering.planning.paths_per_pixel import check_reference
 
         own = renderer.objects, renderer.environment
-        figures["plan"] = check_reference(scene, view_name, placements, *own, picture, plan)
+        figures["plan"] = check_reference(scene, view_name, placements, *own, radiance=picture, plan=plan)
     return picture, figures
 
 
@@ -259,7 +259,8 @@ class _Interactive(Renderer):
             render_frame(prepared, view._replace(width=side, height=side), **frame)
             self.compiled = True
         keep = keep and view.width * view.height <= _KEPT_PIXELS
-        start, counted = time.perf_counter(), {}
+        counted: dict[str, int] = {}
+        start = time.perf_counter()
         fine = render_frame(prepared, view, **frame, figures=counted, keep_visibility=keep)
         radiance = fine.reshape(size.height, side, size.width, side, -1).mean(axis=(1, 3))
         seconds, rays = time.perf_counter() - start, counted["rays"]
@@ -310,7 +311,16 @@ class _Reference(Renderer):
         if tiles_folder is not None:
             tiles = Tiles(tiles_folder, picture_key(prepared, view, samples, seed))
         start = time.perf_counter()
-        picture = render(prepared, view, samples, seed, self.options.tile_rows, f"render {view_name}", tiles, False)
+        picture = render(
+            prepared,
+            view,
+            samples,
+            seed,
+            tile_rows=self.options.tile_rows,
+            label=f"render {view_name}",
+            tiles=tiles,
+            error_by_band=False,
+        )
         seconds = time.perf_counter() - start
         if tiles is not None:
             tiles.remove()

@@ -26,6 +26,7 @@ def render_halves(
     shapes: list[Shape],
     materials: list[Material],
     environment: Environment,
+    *,
     samples: int,
     seed: int,
 ) -> np.ndarray:
@@ -72,6 +73,7 @@ def render_photographed(
     shapes: Sequence[ObjectShape],
     material_files: list,
     environment_file,
+    *,
     output,
     provenance: store.Provenance,
 ) -> None:
@@ -96,8 +98,8 @@ def render_photographed(
         [Shape.from_definition(shape) for shape in shapes],
         [Material.load(path) for path in material_files],
         Environment.load(environment_file),
-        placed.samples,
-        placed.seed,
+        samples=placed.samples,
+        seed=placed.seed,
     )
     with store.create(output, provenance) as out:
         names = {"units": "1", "dims": "half,row,column,wavelength", "quantity": "radiance before the camera"}

@@ -14,7 +14,7 @@ from irodori.reflection.lobes import Lobes
 from irodori.rendering.view_cameras import KINDS, PERSPECTIVE
 
 if TYPE_CHECKING:
-    from irodori.config.models import Scene, Size
+    from irodori.config.models import Body, PlacedObject, Scene, Size
     from irodori.config.models import View as SeenFrom
     from irodori.config.parts import Staging
 
@@ -89,9 +89,10 @@ class View(NamedTuple):
 
 def make_placements(scene: "Scene | Staging", shapes: list[Shape]) -> list[Placement]:
     """Return where the scene's objects stand, then its bodies."""
+    items: tuple[PlacedObject | Body, ...] = (*scene.objects, *scene.bodies)
     return [
         Placement(shape, rotation_xyz(item.rotation_deg), np.asarray(item.position_mm, float), item.scale)
-        for item, shape in zip((*scene.objects, *scene.bodies), shapes, strict=True)
+        for item, shape in zip(items, shapes, strict=True)
     ]
 
 

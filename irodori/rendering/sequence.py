@@ -61,7 +61,7 @@ def make_moments(frames: Frames) -> list[tuple[dict, Moment]]:
         names = ("environment", "lights") if frames.turned == "both" else (frames.turned,)
         parts, pivot = [f"{name}_deg" for name in names], (0.0, 0.0, 0.0)
     shown = [dict.fromkeys(parts, float(angle)) for angle in angles]
-    return [(turned, Moment(**turned, pivot_mm=pivot)) for turned in shown]
+    return [(turned, Moment(**turned, pivot_mm=pivot, filter=None)) for turned in shown]
 
 
 def _illuminants(frames: IlluminantChange) -> Iterator[tuple[dict, Moment]]:
@@ -165,6 +165,7 @@ def render_frames(
     shapes: Sequence[ObjectShape],
     material_files: list,
     environment_file,
+    *,
     inputs: list,
     folder,
     animation,

@@ -25,6 +25,7 @@ def render_view(
     shapes: Sequence[ObjectShape],
     material_files: list,
     environment_file,
+    *,
     exr,
     png,
     figures_file,

@@ -215,7 +215,7 @@ def test_what_stood_to_the_right_of_a_photographs_middle_has_a_smaller_azimuth(t
         options(0.0, 4),
         made(IrradianceMap, {"max_error": 0.1, "max_height": 32}),
         store.Provenance("test"),
-        made(CapturesSource | MirrorBallSource, source),
+        source=made(CapturesSource | MirrorBallSource, source),
     )
     found = Environment.load(tmp_path / "e.h5").coefficients
     row, column = np.unravel_index(np.linalg.norm(found, axis=-1).argmax(), (8, 16))

@@ -170,11 +170,11 @@ def test_constant_light_is_reflected_as_the_lobe_says(constant, mu, limit, index
     for theta_r in (0.0, 33.0, 62.0, 74.0):
         normal, view = places(math.radians(theta_r), 3, seed=4)
         truth = true_gloss(integrator, normal, view, mu, index, name)
-        found = gloss_radiance(maps.tables(name), normal, view, 1.0, mu, *index)
+        found = gloss_radiance(maps.tables(name), normal, view, 1.0, mu, index)
         assert np.abs(found - truth).max() <= limit * truth.max()
     # Directly: radiance times Fresnel at normal view times ∫ D G 4 cosφ dω_h / π for a narrow lobe, 4 μ² π / π.
     if mu <= 0.02:
-        found = gloss_radiance(maps.tables(name), [0.0, 0.0, 1.0], [0.0, 0.0, 1.0], 1.0, mu, *index)
+        found = gloss_radiance(maps.tables(name), [0.0, 0.0, 1.0], [0.0, 0.0, 1.0], 1.0, mu, index)
         assert found == pytest.approx(np.array([2.0, 0.5]) * 4 * mu**2 * fresnel(1.0, *index), rel=0.01)
 
 
@@ -184,10 +184,10 @@ def test_gloss_turns_with_the_scene_and_scales_with_its_weight():
     turned = np.roll(sky, 24, axis=1)  # a quarter turn about the zenith
     normal, view = places(0.7, 40, seed=6)
     mu, beta = rng.uniform(0.1, 0.5, 40), rng.uniform(0, 3, 40)
-    one = gloss_radiance(GlossMaps.of(sky).tables(), normal, view, beta, mu, 1.6, 0.0)
+    one = gloss_radiance(GlossMaps.of(sky).tables(), normal, view, beta, mu, (1.6, 0.0))
     quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     tables = GlossMaps.of(turned).tables()
-    other = gloss_radiance(tables, normal @ quarter.T, view @ quarter.T, 2 * beta, mu, 1.6, 0.0)
+    other = gloss_radiance(tables, normal @ quarter.T, view @ quarter.T, 2 * beta, mu, (1.6, 0.0))
     # Levels of an odd number of rows have columns that a quarter turn does not map onto each other.
     assert np.abs(other - 2 * one).max() <= 0.01 * one.max()
 
@@ -197,8 +197,8 @@ def test_what_reflects_nothing_gives_nothing(constant):
     up, side = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
     for normal, view, beta, mu in ((up, -up, 1.0, 0.1), (up, side, 1.0, 0.1), (up, up, 0.0, 0.1), (up, up, 1.0, np.nan),
                                    (up, up, np.nan, 0.1), (up, up, 1.0, 0.0)):  # fmt: skip
-        assert (gloss_radiance(tables, normal, view, beta, mu, 1.5, 0.0) == 0).all()
-    assert np.isfinite(gloss_radiance(tables, -up, -up, 1.0, 0.1, 1.5, 0.0)).all()
+        assert (gloss_radiance(tables, normal, view, beta, mu, (1.5, 0.0)) == 0).all()
+    assert np.isfinite(gloss_radiance(tables, -up, -up, 1.0, 0.1, (1.5, 0.0))).all()
 
 
 @pytest.mark.parametrize(("name", "lobe"), [("museum", "gaussian"), ("hall", "gaussian"), ("hall", "ggx")])
@@ -237,7 +237,7 @@ def test_a_sun_under_the_horizon_does_not_shine(mu):
         forward = math.cos(height) * sun - math.sin(height) * side
         view = math.cos(theta_r) * normal - math.sin(theta_r) * forward
         pair = normal[None], view[None]
-        found = gloss_radiance(tables, *pair, 1.0, mu, 1.5, 0.0)[0, 0]
+        found = gloss_radiance(tables, *pair, 1.0, mu, (1.5, 0.0))[0, 0]
         return found, true_gloss(integrator, *pair, mu)[0, 0]
 
     peak = max(seen(height, 80.0)[1] for height in (5, 10, 15, 20, 30, 40))

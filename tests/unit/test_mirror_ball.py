@@ -133,7 +133,7 @@ def test_the_stage_unwraps_a_ball_and_minds_saturation_on_it_alone(tmp_path):
     write_inputs(tmp_path, response, valid, calibration)
     size = {"width": 64, "height": 32}
     prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "e.h5", *OPTIONS,
-                        made(CapturesSource | MirrorBallSource, BALL), made(Size, size))  # fmt: skip
+                        source=made(CapturesSource | MirrorBallSource, BALL), image=made(Size, size))  # fmt: skip
     found = Environment.load(tmp_path / "e.h5")
     seen = ball_places(made(MirrorBallSource, BALL), 64, 32)[2] < RIM
     spectra = (found.coefficients @ found.basis.T)[..., [10, 30, 50]]
@@ -142,4 +142,4 @@ def test_the_stage_unwraps_a_ball_and_minds_saturation_on_it_alone(tmp_path):
     write_inputs(tmp_path, response, valid, calibration)
     with pytest.raises(InputError, match="saturated in every bracket"):
         prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "f.h5", *OPTIONS,
-                            made(CapturesSource | MirrorBallSource, BALL), made(Size, size))  # fmt: skip
+                            source=made(CapturesSource | MirrorBallSource, BALL), image=made(Size, size))  # fmt: skip

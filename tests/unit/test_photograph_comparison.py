@@ -101,8 +101,8 @@ def studio(tmp_path_factory):
         made(Sequence[ObjectShape], SHAPES),
         files,
         folder / "light.h5",
-        folder / "seen.h5",
-        MADE,
+        output=folder / "seen.h5",
+        provenance=MADE,
     )
     table = folder / "photograph" / "captures.csv"
     table.parent.mkdir()

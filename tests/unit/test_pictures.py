@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import OpenImageIO as oiio
@@ -90,6 +91,11 @@ def test_a_png_keeps_its_pixels_and_carries_srgb(tmp_path):
     assert "sRGB" in ImageCms.getProfileDescription(ImageCms.getOpenProfile(str(tmp_path / "profile.icc")))
 
 
+def outputs_of(folder, name) -> dict:
+    """The files of a view, by the names that `render_view` has for them."""
+    return {"exr": folder / f"{name}.exr", "png": folder / f"{name}.png", "figures_file": folder / f"{name}.json"}
+
+
 def test_a_view_in_files_shows_a_white_diffuser_as_white(tmp_path):
     light = constant_light(np.linspace(0.3, 3.0, 61))
     provenance = store.Provenance("test")
@@ -111,10 +117,8 @@ def test_a_view_in_files_shows_a_white_diffuser_as_white(tmp_path):
         made(Sequence[ObjectShape], shapes),
         [tmp_path / "white.h5", tmp_path / "grey.h5"],
         tmp_path / "e.h5",
-        tmp_path / "v.exr",
-        tmp_path / "v.png",
-        tmp_path / "v.json",
-        made(Render, OPTIONS),
+        **outputs_of(tmp_path, "v"),
+        options=made(Render, OPTIONS),
     )
     radiance = read_spectral_exr(tmp_path / "v.exr")
     assert np.allclose(radiance[2, 2], np.linspace(0.3, 3.0, 61), rtol=2e-3)
@@ -159,18 +163,11 @@ def test_a_view_by_paths_in_files_tells_its_error_and_leaves_no_tiles(tmp_path):
         "views": {"v": {"position_mm": [0, -0.01, 500.0], "target_mm": [0, 0, 0], "up": [0, 0, 1],
                         "field_of_view_deg": 0.1}},
     }  # fmt: skip
-    outputs = [tmp_path / f"v.{suffix}" for suffix in ("exr", "png", "json")]
+    outputs = outputs_of(tmp_path, "v")
     shapes = [{"kind": "plate", "width_mm": 100.0, "height_mm": 100.0}]
-    arguments = (
-        made(Scene, scene),
-        "v",
-        made(Sequence[ObjectShape], shapes),
-        [tmp_path / "white.h5"],
-        tmp_path / "e.h5",
-        *outputs,
-        OPTIONS,
-    )
-    render_view(*arguments)
+    arguments = "v", made(Sequence[ObjectShape], shapes), [tmp_path / "white.h5"], tmp_path / "e.h5"
+    render = partial(render_view, **outputs, options=OPTIONS)
+    render(made(Scene, scene), *arguments)
     with Image.open(tmp_path / "v.png") as image:
         assert (np.asarray(image) >= 252).all()
     figures = json.loads((tmp_path / "v.json").read_text())
@@ -178,9 +175,9 @@ def test_a_view_by_paths_in_files_tells_its_error_and_leaves_no_tiles(tmp_path):
     assert 0 < figures["relative_standard_error"]["mean"] <= figures["relative_standard_error"]["max"] < 0.02
     assert not (tmp_path / "v.tiles").exists()
     with pytest.raises(ValueError, match=r"area lights .* accepted: collimated"):
-        render_view(made(Scene, scene | {"integrator": {"kind": "interactive", "ambient": True}}), *arguments[1:])
+        render(made(Scene, scene | {"integrator": {"kind": "interactive", "ambient": True}}), *arguments)
     with pytest.raises(ValueError, match="kinds interactive, reference"):
-        render_view(made(Scene, scene | {"integrator": {"kind": "bidirectional"}}), *arguments[1:])
+        render(made(Scene, scene | {"integrator": {"kind": "bidirectional"}}), *arguments)
 
 
 def test_a_scene_in_the_dark_is_refused_before_anything_is_written(tmp_path):
@@ -192,7 +189,7 @@ def test_a_scene_in_the_dark_is_refused_before_anything_is_written(tmp_path):
         "views": {"v": {"position_mm": [0, -0.01, 500.0], "target_mm": [0, 0, 0], "up": [0, 0, 1],
                         "field_of_view_deg": 0.1}},
     }  # fmt: skip
-    outputs = [tmp_path / f"v.{suffix}" for suffix in ("exr", "png", "json")]
+    outputs = outputs_of(tmp_path, "v")
     shapes = [{"kind": "plate", "width_mm": 100.0, "height_mm": 100.0}]
     with pytest.raises(InputError, match=r"dark\.h5: found no light on a surface that faces up"):
         render_view(
@@ -201,10 +198,10 @@ def test_a_scene_in_the_dark_is_refused_before_anything_is_written(tmp_path):
             made(Sequence[ObjectShape], shapes),
             [tmp_path / "white.h5"],
             tmp_path / "dark.h5",
-            *outputs,
-            OPTIONS,
+            **outputs,
+            options=OPTIONS,
         )
-    assert not any(path.exists() for path in outputs)
+    assert not any(path.exists() for path in outputs.values())
 
 
 def test_an_interactive_view_in_files_has_the_light_of_its_lamp(tmp_path):
@@ -219,7 +216,7 @@ def test_an_interactive_view_in_files_has_the_light_of_its_lamp(tmp_path):
         "views": {"v": {"position_mm": [0, -0.01, 500.0], "target_mm": [0, 0, 0], "up": [0, 0, 1],
                         "field_of_view_deg": 0.1}},
     }  # fmt: skip
-    outputs = [tmp_path / f"v.{suffix}" for suffix in ("exr", "png", "json")]
+    outputs = outputs_of(tmp_path, "v")
     shapes = [{"kind": "plate", "width_mm": 100.0, "height_mm": 100.0}]
     render_view(
         made(Scene, scene),
@@ -227,16 +224,16 @@ def test_an_interactive_view_in_files_has_the_light_of_its_lamp(tmp_path):
         made(Sequence[ObjectShape], shapes),
         [tmp_path / "white.h5"],
         tmp_path / "e.h5",
-        *outputs,
-        OPTIONS,
+        **outputs,
+        options=OPTIONS,
     )
     from irodori.light.placed_lights import unit_luminance
 
     expected = np.linspace(0.3, 3.0, 61) + 4.0 * 0.5 * unit_luminance("A")
-    np.testing.assert_allclose(read_spectral_exr(outputs[0])[2, 3], expected, rtol=3e-3)
-    with Image.open(outputs[1]) as image:
+    np.testing.assert_allclose(read_spectral_exr(outputs["exr"])[2, 3], expected, rtol=3e-3)
+    with Image.open(outputs["png"]) as image:
         assert (np.asarray(image) >= 252).all()
-    figures = json.loads(outputs[2].read_text())
+    figures = json.loads(outputs["figures_file"].read_text())
     assert figures["integrator"] == "interactive" and figures["rays"] >= 35
 
 
@@ -275,8 +272,8 @@ def test_a_body_is_rendered_from_its_names_alone(tmp_path, integrator):
             made(Sequence[ObjectShape], [{"kind": "plate", "width_mm": 10.0, "height_mm": 10.0}]),
             [tmp_path / "plate.h5"],
             tmp_path / "e.h5",
-            *(tmp_path / f"{name}.{s}" for s in ("exr", "png", "json")),
-            OPTIONS,
+            **outputs_of(tmp_path, name),
+            options=OPTIONS,
         )
     left, right = (read_spectral_exr(tmp_path / f"{name}.exr")[0, 1] for name in ("left", "right"))
     # Each sees nothing but the light; the second adds its mirror term to its diffuse one.

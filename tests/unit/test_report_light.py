@@ -30,7 +30,7 @@ def test_every_figure_of_the_gloss_table_is_the_files(tmp_path, with_gloss):
         CompressOptions(),
         made(IrradianceMap, {"max_error": 0.01, "max_height": 64}),
         store.Provenance("test"),
-        LOBES if with_gloss else (),
+        gloss_lobes=LOBES if with_gloss else (),
     )
     page = fragment("light.html.j2", environments=environments(["room & hall"], [path]))
     assert "room &amp; hall" in page and "Source: lights." in page

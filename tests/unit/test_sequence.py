@@ -197,18 +197,22 @@ def in_files(folder, scene, **options):
             paint.save(path, provenance)
         room().save(inputs[2], provenance)
     shapes = [{"kind": "plate", "width_mm": 160.0, "height_mm": 160.0}, {"kind": "sphere", "radius_mm": 20.0}]
-    outputs = [folder / "v" / "frames", folder / "v.frames.png", folder / "v.frames.json"]
+    outputs = {
+        "folder": folder / "v" / "frames",
+        "animation": folder / "v.frames.png",
+        "figures_file": folder / "v.frames.json",
+    }
     sequence.render_frames(
         made(Scene, scene),
         "v",
         made(Sequence[ObjectShape], shapes),
         inputs[:2],
         inputs[2],
-        inputs,
-        *outputs,
-        replace(OPTIONS, **options),
+        inputs=inputs,
+        **outputs,
+        options=replace(OPTIONS, **options),
     )
-    return outputs
+    return list(outputs.values())
 
 
 def pixels(path):
@@ -243,18 +247,18 @@ def test_the_display_s_white_is_the_first_illuminant_s_or_each_ones_own(tmp_path
     scene["objects"] = [{"object": "w", "position_mm": [0, 0, 0], "rotation_deg": [0, 0, 0], "scale": 1.0}]
     scene["views"]["v"] |= {"position_mm": [0, -1, 300.0], "target_mm": [0, 0, 0], "field_of_view_deg": 5.0}
     shapes, inputs = [{"kind": "plate", "width_mm": 160.0, "height_mm": 160.0}], [tmp_path / "w.h5", tmp_path / "e.h5"]
-    outputs = [tmp_path / "frames", tmp_path / "f.png", tmp_path / "f.json"]
+    outputs = {"folder": tmp_path / "frames", "animation": tmp_path / "f.png", "figures_file": tmp_path / "f.json"}
     sequence.render_frames(
         made(Scene, scene),
         "v",
         made(Sequence[ObjectShape], shapes),
         inputs[:1],
         inputs[1],
-        inputs,
-        *outputs,
-        OPTIONS,
+        inputs=inputs,
+        **outputs,
+        options=OPTIONS,
     )
-    one, other = (pixels(outputs[0] / f"{n:05d}.png")[2, 2].astype(int) for n in range(2))
+    one, other = (pixels(outputs["folder"] / f"{n:05d}.png")[2, 2].astype(int) for n in range(2))
     assert (one >= 254).all()
     assert (other >= 254).all() if white == "each" else other[0] >= 254 and other[2] < 200
 

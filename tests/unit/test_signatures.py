@@ -11,14 +11,8 @@ COMPILED = ("njit", "uncounted", "overload", "intrinsic", "vectorize", "cfunc", 
 STILL = {
     "calibration": ["calibrate_camera", "cross_validate", "jitter", "local_weights", "rank_filters", "responses"],
     "fitting": ["_conclude", "diffuse_response", "fit", "fit_brdf", "pool", "problem_of"],
-    "jit": ["typed", "typed"],
-    "light": ["gloss_radiance", "make_environment", "prepare_environment", "write_environment"],
     "material": ["compress_reflectance", "write_constants"],
     "reflection": ["reflect"],
-    "rendering": [
-        "_channels", "check_reference", "choose", "lamps_at", "make_world", "plan_reference", "plan_scene", "render",
-        "render_frames", "render_halves", "render_photographed", "render_view",
-    ],
 }  # fmt: skip
 
 

@@ -10,6 +10,6 @@ with run_rule(snakemake):
         typed_shapes(snakemake.params.shapes),
         snakemake.input.materials,
         snakemake.input.environment,
-        Render.of(snakemake.params.render),
-        snakemake.output.plan,
+        options=Render.of(snakemake.params.render),
+        output=snakemake.output.plan,
     )

@@ -12,6 +12,7 @@ with run_rule(snakemake) as provenance:
     source = typed_source(snakemake.params.source)
     image = Size.of(snakemake.params.image) if snakemake.params.image else None
     if snakemake.params.photographed:
-        prepare_environment(snakemake.input.linear, snakemake.input.calibration, *common, source, image, gloss)
+        files = snakemake.input.linear, snakemake.input.calibration
+        prepare_environment(*files, *common, source=source, image=image, gloss_lobes=gloss)
     else:
-        make_environment(source, image, *common, gloss)
+        make_environment(source, image, *common, gloss_lobes=gloss)

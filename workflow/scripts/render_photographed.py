@@ -11,6 +11,6 @@ with run_rule(snakemake) as provenance:
         typed_shapes(snakemake.params.shapes),
         snakemake.input.materials,
         snakemake.input.environment,
-        snakemake.output.radiance,
-        provenance,
+        output=snakemake.output.radiance,
+        provenance=provenance,
     )

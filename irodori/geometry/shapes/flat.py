@@ -154,9 +154,8 @@ class FlatShape(Shape):
         turn, origin = placement.rotation, self.frame_origin(placement)
         middle, reach = middle_and_reach([(p - origin) @ turn for p in points])
         side = FLAT_SIDE
-        places = [
-            np.linspace(*self.grid_ends(axis, placement.scale, middle[axis], reach[axis]), side) for axis in range(2)
-        ]
+        ends = [self.grid_ends(axis, placement.scale, middle[axis], reach[axis]) for axis in range(2)]
+        places = [np.linspace(first, last, side) for first, last in ends]
         x, y = (middle[axis] + reach[axis] * unwarped(places[axis]) for axis in range(2))
         x, y = (values.ravel() for values in np.meshgrid(x, y))
         facet = np.broadcast_to(turn[:, 2], (x.size, 3))

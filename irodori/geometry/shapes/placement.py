@@ -1,5 +1,6 @@
 """Placed shapes: where shapes stand in a world, and an object on the rig's table."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -35,7 +36,7 @@ class Placement:
         return self.points(signs * [half_x, half_y, 0.0])
 
 
-def reaches(placements: list[Placement]) -> np.ndarray:
+def reaches(placements: Sequence[Placement]) -> np.ndarray:
     """Return the reach of each placed shape about its own origin, (n,) mm: what lengths at its surface compare to.
 
     That of an endless shape is the largest of the others, 1 mm where there is none.

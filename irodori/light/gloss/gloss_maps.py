@@ -259,7 +259,7 @@ def _gloss_radiance(maps, normal, view, beta, mu, n, k, out):
         add_gloss_radiance(maps, normal[i], view[i], beta[i], mu[i], n, k, out[i])
 
 
-def gloss_radiance(maps: GlossTables, normal, view, beta, mu, n: float, k: float) -> np.ndarray:
+def gloss_radiance(maps: GlossTables, normal, view, beta, mu, index: tuple[float, float]) -> np.ndarray:
     """Return coefficients of the gloss radiance, see `add_gloss_radiance`.
 
     Parameters
@@ -267,7 +267,8 @@ def gloss_radiance(maps: GlossTables, normal, view, beta, mu, n: float, k: float
     maps : GlossTables
     normal, view : (..., 3) float, unit; broadcast against each other
     beta, mu : (...) float
-    n, k : float
+    index : (n, k)
+        Refractive index.
 
     Returns
     -------
@@ -278,5 +279,6 @@ def gloss_radiance(maps: GlossTables, normal, view, beta, mu, n: float, k: float
     beta, mu = (np.ascontiguousarray(np.broadcast_to(v, shape), dtype=np.float64).ravel() for v in (beta, mu))
     out = np.zeros((beta.size, maps.pixels.shape[1]))
     normal, view = (np.ascontiguousarray(v).reshape(-1, 3) for v in (normal, view))
+    n, k = index
     _gloss_radiance(maps, normal, view, beta, mu, float(n), float(k), out)
     return out.reshape(*shape, -1)

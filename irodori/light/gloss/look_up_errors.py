@@ -188,7 +188,7 @@ def gloss_errors(integrator: Integrator, maps: GlossMaps, lobe: str = "gaussian"
             pairs = places(angle, _PLACES), lit_places(integrator.cells, mu, angle, _PLACES)
             normal, view = (np.concatenate(both) for both in zip(*pairs, strict=True))
             truth = true_gloss(integrator, normal, view, mu, lobe=lobe)
-            error = np.linalg.norm(gloss_radiance(tables, normal, view, 1.0, mu, *_INDEX) - truth, axis=1)
+            error = np.linalg.norm(gloss_radiance(tables, normal, view, 1.0, mu, _INDEX) - truth, axis=1)
             size = np.linalg.norm(truth, axis=1)
             rms, largest = math.sqrt(float((size**2).mean())), float(size.max())
             rows.append(

@@ -144,7 +144,8 @@ def _candidates(name: str, mu: float, theta_r: float) -> tuple[np.ndarray, np.nd
         far = _REACH * max(core, 0.69 * own)
         near = half[:, 2] > math.cos(min(far, 1.5)) * np.linalg.norm(half, axis=1)
         found.append((np.full(near.sum(), number), along[near], across[near]))
-    return tuple(np.concatenate(column) for column in zip(*found, strict=True))
+    numbers, along, across = (np.concatenate(column) for column in zip(*found, strict=True))
+    return numbers, along, across
 
 
 def _pursue(rows: np.ndarray, target: np.ndarray, cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

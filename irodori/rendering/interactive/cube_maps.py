@@ -42,7 +42,8 @@ def _on_faces(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 def _texel_places(side: int, border: int) -> tuple[np.ndarray, np.ndarray]:
     place = 2.0 * (np.arange(-border, side + border) + 0.5) / side - 1.0
-    return tuple(np.meshgrid(place, place))
+    u, v = np.meshgrid(place, place)
+    return u, v
 
 
 def face_directions(face: int, side: int, border: int = 0) -> np.ndarray:
@@ -148,10 +149,13 @@ def _fill_rows(pixels, height, width, side, face, first, out):
 
 def give_back(array: np.ndarray) -> None:
     """Give up the memory of an array's file where it is mapped from one; its pages come back when they are read."""
-    while isinstance(array, np.ndarray) and not isinstance(array, np.memmap):
-        array = array.base
-    if isinstance(array, np.memmap) and array._mmap is not None and array.mode in ("r", "r+"):
-        array._mmap.madvise(mmap.MADV_DONTNEED)
+    base: np.ndarray | None = array
+    while isinstance(base, np.ndarray) and not isinstance(base, np.memmap):
+        base = base.base
+    if isinstance(base, np.memmap) and base.mode in ("r", "r+"):
+        mapped = base._mmap  # type: ignore[attr-defined]
+        if mapped is not None:
+            mapped.madvise(mmap.MADV_DONTNEED)
 
 
 def environment_side(height: int) -> int:

@@ -164,10 +164,11 @@ def prepare_scene(
     if representation == "coefficients":
         channels = coefficient_channels(objects, light, lamps, matrix, ambient, reflected)
     else:
-        channels = _channels(representation, objects, light, lamps, matrix, white, quadrature)
+        channels = _channels(representation, objects, light, lamps, matrix=matrix, white=white, quadrature=quadrature)
     query = make_query(_COHERENT)
     functions = (tracer.intersect16_address, tracer.occluded16_address, query.ctypes.data)
-    world = make_world(objects, light, gloss, tracer, channels, functions, half, ambient, spare_texels)
+    scene = objects, light, gloss, tracer, channels, functions
+    world = make_world(*scene, half=half, ambient=ambient, spare=spare_texels)
     limits = Limits(
         max_bounces, least_throughput, least_throughput / TAPS, TRACED, 1 + min(max_bounces, _KEPT_REFLECTIONS)
     )
@@ -176,11 +177,21 @@ def prepare_scene(
     return Prepared(representation, world, layout, limits, len(lamps), quadrature, (tracer, query))
 
 
-def _channels(representation, objects, light, lamps, matrix, white, quadrature) -> Channels:
+def _channels(
+    representation: str,
+    objects: Objects,
+    light: Light,
+    lamps: np.ndarray,
+    *,
+    matrix: np.ndarray,
+    white: np.ndarray,
+    quadrature: Quadrature | None,
+) -> Channels:
     coloured = not is_grey(objects)
     if representation == "spectral":
         return spectral_channels(objects, light, lamps, matrix)
     if representation == "quadrature":
+        assert quadrature is not None  # solved for the scene where it was absent
         return quadrature_channels(objects, light, lamps, quadrature, coloured)
     return rgb_channels(objects, light, lamps, matrix, white, coloured)
 

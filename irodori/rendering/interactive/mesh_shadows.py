@@ -282,7 +282,8 @@ def _make(tracer: Tracer) -> MeshShadows | None:
     made = [p.shape.nodes(p, r, points) for p, r in zip(placements, reaches(placements), strict=True)]
     total = sum(len(nodes.origin) for nodes in made if nodes is not None)
     count = max(RAYS_PER_NODE >> max(int(np.ceil(np.log2(total / _FULL_NODES))), 0), _LEAST_RAYS)
-    values, parts, corners = [], [], []
+    values: list[np.ndarray] = []
+    parts, corners = [], []
     for shape, nodes in enumerate(made):
         if nodes is None:
             continue
@@ -300,7 +301,7 @@ def _make(tracer: Tracer) -> MeshShadows | None:
         corners.append(nodes.corners)
     if not values:
         return None
-    parts = np.concatenate(parts)
-    sizes = (parts.astype(np.int64) + 1) * (parts + 2) // 2
-    stored = (numbers.ravel(), grid.ravel(), np.cumsum(sizes) - sizes, parts, np.concatenate(corners))
+    sides = np.concatenate(parts)
+    sizes = (sides.astype(np.int64) + 1) * (sides + 2) // 2
+    stored = (numbers.ravel(), grid.ravel(), np.cumsum(sizes) - sizes, sides, np.concatenate(corners))
     return MeshShadows(*(Memory(array) for array in (*stored, np.concatenate(values))))

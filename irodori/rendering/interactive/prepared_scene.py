@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -48,7 +48,7 @@ class World(NamedTuple):
     texels: Memory
     texture_first: Memory  # (objects,) int64
     texture_stride: Memory  # (objects,) int64
-    index: Memory  # n, then k, of each object
+    index: Memory  # type: ignore[assignment]  # n, then k, of each object; hides the method of tuples
     environment: Memory  # uint16 for half precision
     environment_first: Memory  # (levels,) int64
     environment_side: Memory  # (levels,) int32
@@ -282,7 +282,7 @@ def _surface_fields(objects: Objects, tracer: Tracer, channels: Channels, spare:
     return fields | {
         "shape": make_shapes(tracer, objects),
         "objects": len(tracer.placements),
-        "surfaces": Surfaces(*(Memory(array) for array in make_surfaces(tracer.placements))),
+        "surfaces": Surfaces._make(Memory(array) for array in make_surfaces(tracer.placements)),
         "brought_singly": sum(p.shape.kernels.point is None for p in tracer.placements),
         "scatters": int(scatters or fields["further"][: texels * FURTHER : 2].any()),
         "lobes": objects.lobes,
@@ -314,6 +314,7 @@ def make_world(
     tracer: Tracer,
     channels: Channels,
     functions: tuple[int, int, int],
+    *,
     half: bool,
     ambient: bool,
     spare: int,
@@ -352,4 +353,5 @@ def make_world(
         "occluded": functions[1],
         "query": functions[2],
     }
-    return World(**{name: Memory(v) if isinstance(v, np.ndarray) else v for name, v in fields.items()})
+    flat: dict[str, Any] = {name: Memory(v) if isinstance(v, np.ndarray) else v for name, v in fields.items()}
+    return World(**flat)

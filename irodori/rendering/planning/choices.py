@@ -37,6 +37,7 @@ def choose(
     views: list[View],
     names: list[str],
     tolerance: float,
+    *,
     max_bounces: int,
     ambient: bool,
     overrides: dict | None = None,
@@ -106,33 +107,40 @@ def _traced(planner: Planner, name: str, own: tuple[bool, ...]) -> tuple[bool, .
 
 def _decide_lobes(planner: Planner) -> None:
     """Leave out the lobes that have no weight, and those that nobody would miss at any probe."""
-    for name, key in (("gloss", "without_gloss"), ("mirror", "without_mirror")):
+    for name in ("gloss", "mirror"):
         own = getattr(planner.model, name)
-        traced = _traced(planner, name, own) if name in planner.overrides else _without_the_weakest(planner, key, own)
+        traced = _traced(planner, name, own) if name in planner.overrides else _without_the_weakest(planner, name, own)
         without = frozenset(i for i, (a, b) in enumerate(zip(own, traced, strict=True)) if a and not b)
-        alone = float(planner.errors(Changes(**{key: without})).max()) if without else 0.0
-        changes = replace(planner.changes, **{key: without})
+        alone = float(planner.errors(_without(Changes(), name, without)).max()) if without else 0.0
+        changes = _without(planner.changes, name, without)
         absent = sum(not there for there in own)
         why = f"{absent} of {len(own)} objects have none; the largest error at any probe counts"
-        planner.decide(name, alone, changes, why, **{name: traced})
+        planner.decide(name, alone, changes, why, lossy=True, **{name: traced})
 
 
-def _without_the_weakest(planner: Planner, key: str, own: tuple[bool, ...]) -> tuple[bool, ...]:
+def _without(changes: Changes, name: str, objects: frozenset[int]) -> Changes:
+    """Return changes of which those without a lobe, ``gloss`` or ``mirror``, are the objects given."""
+    if name == "gloss":
+        return replace(changes, without_gloss=objects)
+    return replace(changes, without_mirror=objects)
+
+
+def _without_the_weakest(planner: Planner, name: str, own: tuple[bool, ...]) -> tuple[bool, ...]:
     # Of many objects the weakest lobes are tried: each try is a picture.
     weight = [float(beta_of(planner.parts.objects, i).max(initial=0.0)) for i in range(len(own))]
-    if key == "without_mirror":
+    if name == "mirror":
         weight = list(planner.parts.objects.mirror)
     order = [int(i) for i in np.argsort(weight, kind="stable") if own[i]]
-    traced, without, tried = list(own), frozenset(), 0
+    traced, tried = list(own), 0
+    without: frozenset[int] = frozenset()
     before = planner.seen
     for index in order:
-        changes = Changes(**{key: without | {index}})
-        found = planner.probes.radiance(changes)
+        found = planner.probes.radiance(_without(Changes(), name, without | {index}))
         if np.array_equal(found, before):
             continue  # no probe sees this lobe: the picture may
         tried += 1
         alone = float(planner.differences(found).max())
-        if planner.fits(alone, replace(planner.changes, **{key: without | {index}})):
+        if planner.fits(alone, _without(planner.changes, name, without | {index})):
             without, traced[index], before = without | {index}, False, found
         if tried == _MOST_TRIED:
             break

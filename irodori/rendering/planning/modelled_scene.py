@@ -182,9 +182,8 @@ def leading_basis(light: Light, count: int) -> tuple[np.ndarray, np.ndarray]:
     return light.basis @ basis.T, basis
 
 
-def _light(parts: Parts, model: Model, ladder: Light | None) -> Light:
-    """Return the environment of a model."""
-    light = light_of(parts.environment) if model.environment_halvings == 0 else ladder
+def _light(light: Light, model: Model) -> Light:
+    """Return the environment of a model, from all of it with the level that the model has."""
     level = model.environment_halvings
     first, (columns, rows) = light.first_pixel[level], light.size[level]
     pixels, basis = light.pixels[first : first + columns * rows], light.basis
@@ -215,7 +214,7 @@ def _gloss(parts: Parts, model: Model) -> GlossMaps:
     if stored is None:
         first, levels = prefiltered(_on_basis(coefficients, to), model.gloss_levels)
     else:
-        first, levels = stored.first, (_on_basis(level, to) for level in stored.levels)
+        first, levels = stored.first, [_on_basis(level, to) for level in stored.levels]
     return GlossMaps(first, tuple(levels), nothing)
 
 
@@ -265,14 +264,15 @@ def prepare(
     spare_texels : int
         See `irodori.rendering.interactive.frame_renderer.prepare_scene`.
     """
-    if ladder is None and model.environment_halvings:
-        ladder = make_light(parts.environment)
+    light = light_of(parts.environment)
+    if model.environment_halvings:
+        light = make_light(parts.environment) if ladder is None else ladder
     quadrature = None
     if model.representation == "quadrature":
         quadrature = model.quadrature or solved_nodes(parts, model.max_bounces, matrix, model.nodes)
     return prepare_scene(
         reduced_objects(parts.objects, model),
-        _light(parts, model, ladder),
+        _light(light, model),
         _gloss(parts, model),
         parts.tracer,
         model.representation,

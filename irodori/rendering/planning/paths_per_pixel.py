@@ -55,6 +55,7 @@ def plan_reference(
     placements,
     objects: Objects,
     environment: Environment,
+    *,
     views: list[View],
     own: dict,
 ) -> dict:
@@ -79,8 +80,8 @@ def plan_reference(
     found, bounds = 0, []
     for number, view in enumerate(views):
         pixels = chosen_pixels(view, PILOTS, number)
-        pair = [render_pixels(prepared, view, pixels, PILOT_PATHS, seed) @ matrix.T for seed in _PILOT_SEEDS]
-        bounds.append(bound_of_share(differences(*pair, matrix @ white)))
+        one, other = (render_pixels(prepared, view, pixels, PILOT_PATHS, seed) @ matrix.T for seed in _PILOT_SEEDS)
+        bounds.append(bound_of_share(differences(one, other, matrix @ white)))
         found += len(pixels)
     # Each picture is checked alone. Two differ by √2 times what one errs, and the check's own noise is seen too.
     noise = max(bounds) / math.sqrt(2.0) * math.sqrt(1.0 + 1.0 / MORE)
@@ -123,6 +124,7 @@ def check_reference(
     placements,
     objects: Objects,
     environment: Environment,
+    *,
     radiance: np.ndarray,
     plan: dict,
 ) -> dict:

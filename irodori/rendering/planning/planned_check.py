@@ -37,7 +37,8 @@ def chosen_pixels(view: View, count: int = PIXELS, seed: int = SEED) -> np.ndarr
 
 def measure(planned: np.ndarray, full: np.ndarray, white_xyz: np.ndarray) -> Measured:
     """Return the differences of pixels, (n, 3) XYZ each."""
-    return Measured(**summary(differences(full, planned, white_xyz)))
+    found = summary(differences(full, planned, white_xyz))
+    return Measured(int(found["count"]), found["mean"], found["p95"], found["p99"], found["max"])
 
 
 def refuse_above(measured: Measured, plan: dict, view: str, mend: str = "take overrides under `plan` back") -> None:

@@ -92,7 +92,7 @@ class Probes:
 
     def __init__(self, parts: Parts, model: Model, ladder: Light, views: list[View], count: int, seed: int) -> None:
         rng = np.random.default_rng(seed)
-        rays = [rays_through(view, [rng.random(2) * (view.width, view.height)])
+        rays = [rays_through(view, rng.random((1, 2)) * (view.width, view.height))
                 for view in (views[i % len(views)] for i in range(count))]  # fmt: skip
         self.count, self.views, self.view = count, len(views), views[0]
         self.rays = np.concatenate(rays)
@@ -125,7 +125,8 @@ class Probes:
         return self._met[limits]
 
     def _render(self, changes: Changes) -> tuple[np.ndarray, dict[str, int]]:
-        prepared, figures = self._with(changes), {}
+        prepared = self._with(changes)
+        figures: dict[str, int] = {}
         gloss = [self._gloss_of(i, changes.texture_level.get(i, 0)) for i in changes.without_gloss]
         kept = [[numbers.copy() for numbers in powers] for powers in gloss]
         for powers in gloss:

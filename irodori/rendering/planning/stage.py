@@ -22,6 +22,7 @@ def plan_scene(
     shapes: Sequence[ObjectShape],
     material_files: list,
     environment_file,
+    *,
     options: Render,
     output,
 ) -> None:
@@ -77,17 +78,17 @@ def plan_of(
     if isinstance(scene.integrator, ReferenceIntegrator):
         from irodori.rendering.planning.paths_per_pixel import plan_reference
 
-        return plan_reference(scene_name, scene, placements, objects, environment, views, overrides)
+        return plan_reference(scene_name, scene, placements, objects, environment, views=views, own=overrides)
     parts = parts_of(scene, objects, environment, make_tracer(placements))
     planner = choose(
         parts,
         [_of_rays(view, options.pixel_side) for view in views],
         object_names(scene),
         scene.tolerance_ciede2000,
-        scene.max_bounces,
-        has_ambient(scene),
-        overrides,
-        f"scene {scene_name}",
+        max_bounces=scene.max_bounces,
+        ambient=has_ambient(scene),
+        overrides=overrides,
+        where=f"scene {scene_name}",
     )
     return document_of(scene_name, planner, options.pixel_side)
 

@@ -1,5 +1,7 @@
 """Loops over the 61 bands, padded to 64 in single precision: four 512-bit vectors."""
 
+from typing import Literal
+
 import numpy as np
 
 from irodori.jit.compilation import njit
@@ -16,8 +18,8 @@ _WIDTH = 16  # bands in a vector
 def padded(values: np.ndarray, fill: str = "zero") -> np.ndarray:
     """Return spectra (..., 61) as (..., 64) float32; ``fill`` is ``zero``, or ``edge`` to repeat the last."""
     width = [(0, 0)] * (values.ndim - 1) + [(0, PADDED - BANDS)]
-    mode = {"zero": "constant", "edge": "edge"}[fill]
-    return np.ascontiguousarray(np.pad(values, width, mode=mode), dtype=np.float32)
+    modes: dict[str, Literal["constant", "edge"]] = {"zero": "constant", "edge": "edge"}
+    return np.ascontiguousarray(np.pad(values, width, mode=modes[fill]), dtype=np.float32)
 
 
 @njit(cache=True, _nrt=False, forceinline=True, fastmath=_SUMS)

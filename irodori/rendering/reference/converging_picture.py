@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -71,7 +72,7 @@ def make_scene(
     """
     placed, shapes = make_lights(lights, len(placements))
     tracer = Tracer([*placements, *shapes])
-    surfaces = make_surfaces(list(tracer.placements))
+    surfaces = make_surfaces(tracer.placements)
     bands = Bands(padded(objects.basis), padded(objects.n, "edge"), padded(objects.k, "edge"))
     offset = _OFFSET * reaches(tracer.placements)
     addresses = (tracer.intersect_address, tracer.occluded_address, tracer.scene)
@@ -105,6 +106,7 @@ def render(
     view: View,
     samples: int,
     seed: int = 0,
+    *,
     tile_rows: int = 16,
     label: str = "render",
     tiles: "Tiles | None" = None,
@@ -147,7 +149,7 @@ def render(
         if tiles is None:
             part = render_rows(scene, view, numbers, rows)
         else:
-            part = tiles.get(rows, lambda rows=rows: render_rows(scene, view, numbers, rows))
+            part = tiles.get(rows, partial(render_rows, scene, view, numbers, rows))
         radiance[slice(*rows)] = part.radiance
         spread = part.standard_error
         error[slice(*rows)] = spread if error_by_band else np.sqrt(np.mean(spread**2, axis=-1, keepdims=True))

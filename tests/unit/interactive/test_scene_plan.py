@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -181,27 +182,28 @@ def test_nothing_is_left_of_a_picture_that_is_refused(tmp_path):
     for path, what in zip(files, [*MIRRORS, room()], strict=True):
         what.save(path, origin)
     shapes = [{"kind": "plate", "width_mm": 90.0, "height_mm": 90.0}, {"kind": "sphere", "radius_mm": 20.0}]
-    outputs = [tmp_path / name for name in ("v.exr", "v.png", "v.json")]
+    outputs = {"exr": tmp_path / "v.exr", "png": tmp_path / "v.png", "figures_file": tmp_path / "v.json"}
     for overrides, whole in (({"mirror": []}, False), ({}, True)):
         document, _, _, definition = planned(MIRRORS, room(), overrides=overrides)
         write_plan(tmp_path / "plan.yaml", document)
         before = set(tmp_path.iterdir())
-        job = (
+        job = partial(
+            render_view,
             made(Scene, definition),
             "v",
             made(Sequence[ObjectShape], shapes),
             files[:2],
             files[2],
-            *outputs,
-            OPTIONS,
-            tmp_path / "plan.yaml",
+            **outputs,
+            options=OPTIONS,
+            plan_file=tmp_path / "plan.yaml",
         )
         if whole:
-            render_view(*job)
-            assert all(path.exists() for path in outputs)
+            job()
+            assert all(path.exists() for path in outputs.values())
             continue
         with pytest.raises(ToleranceError):
-            render_view(*job)
+            job()
         assert set(tmp_path.iterdir()) == before
 
 
