@@ -9,16 +9,12 @@ MOST = 6
 COMPILED = ("njit", "uncounted", "overload", "intrinsic", "vectorize", "cfunc", "lower_builtin")
 #: Functions that still take more. None may join them; one that is mended leaves the list.
 STILL = {
-    "calibration": ["calibrate_camera", "cross_validate", "jitter", "local_weights", "rank_filters", "responses"],
     "capture": ["Planner.__init__", "Session.__init__", "photograph"],
     "evaluation": ["compare_photograph", "error_budget", "measure_design"],
-    "fitting": ["_conclude", "diffuse_response", "fit", "fit_brdf", "pool", "problem_of"],
     "ingest": ["_write", "ingest_raw", "make_level"],
     "jit": ["typed", "typed"],
     "light": ["gloss_radiance", "make_environment", "prepare_environment", "write_environment"],
-    "material": ["compress_reflectance", "write_constants"],
     "rectification": ["rectify_object"],
-    "reflection": ["reflect"],
     "rendering": [
         "_channels", "check_reference", "choose", "lamps_at", "make_world", "plan_reference", "plan_scene", "render",
         "render_frames", "render_halves", "render_photographed", "render_view",
