@@ -206,9 +206,9 @@ def _fit(fitted: FittedGrid, points, sides, count: int) -> FittedGrid:
             at = points[seen] + found[seen, side, None] * np.eye(2)[axis]
             there = fitted.image(at)
             ahead = fitted.image(at + 0.01 * np.eye(2)[axis]) - there
-            count = seen.sum()
+            sign = np.full(len(at), 2.0 * side - 1.0)
             parts.append((
-                points[seen], np.full(count, 2.0 * side - 1.0), np.full(count, axis), there,
+                points[seen], sign, np.full(len(at), axis), there,
                 ahead / np.linalg.norm(ahead, axis=1, keepdims=True),
             ))  # fmt: skip
     grid, sign, axes, measured, direction = (np.concatenate(column) for column in zip(*parts, strict=True))
