@@ -56,7 +56,7 @@ def scene(texels: int, observations: int = OBSERVATIONS, noise: float = 0.01, se
     for rows in np.array_split(np.arange(texels), max(texels // 20_000, 1)):
         parameters = (p[rows, None] for p in (alpha, beta, mu))
         a, b, m = parameters
-        clean = reflect(a, 1.0, b, m, angles(observations)[None], N, K)
+        clean = reflect(a, 1.0, b, m, angles(observations)[None], n=N, k=K)
         response[rows] = clean * (1 + noise * rng.normal(size=clean.shape))
     return alpha, beta, mu, response
 
@@ -97,7 +97,7 @@ def missed_share(options: FitOptions, kind: str, best: np.ndarray) -> float:
     result = fit(*inputs(response, kind), options)
     geometry = angles().astype(np.float32).astype(np.float64)
     beta, mu = result.gloss[:, 0, None], result.gloss[:, 1, None]
-    fitted = reflect(result.alpha[:, None], 1.0, beta, mu, geometry[None], N, K)
+    fitted = reflect(result.alpha[:, None], 1.0, beta, mu, geometry[None], n=N, k=K)
     whole = result.model == 3  # a simpler model has a larger sum of squares on purpose
     squares = np.sum((fitted - response) ** 2, axis=1)
     return float((squares > 1.001 * best)[whole].mean())
@@ -106,7 +106,7 @@ def missed_share(options: FitOptions, kind: str, best: np.ndarray) -> float:
 def exact_errors(options: FitOptions, kind: str, count: int) -> np.ndarray:
     """Return the largest |Δα|, |Δβ|/β, |Δμ|/μ without noise, in double precision."""
     alpha, beta, mu, _ = scene(count)
-    clean = reflect(alpha[:, None], 1.0, beta[:, None], mu[:, None], angles()[None], N, K)
+    clean = reflect(alpha[:, None], 1.0, beta[:, None], mu[:, None], angles()[None], n=N, k=K)
     arguments = (clean, angles() if kind == "shared" else np.tile(angles(), (count, 1, 1)), np.ones(clean.shape), N, K)
     exact = fit(*arguments, options)
     known = exact.status == Status.OK
@@ -166,10 +166,10 @@ def capture() -> None:
     """Print time and memory of a 10.1-megapixel capture of 48 poses, fitted tile by tile with a geometry a pixel."""
     tiles = [inputs(scene(TILE, seed=s)[3], "own") for s in range(4)]
     noise = np.tile([1e-6, 1e-5], (OBSERVATIONS, 1))
-    fit(*tiles[0], FitOptions(), noise)
+    fit(*tiles[0], FitOptions(), noise=noise)
     start, done = time.perf_counter(), 0
     while done < MEGAPIXELS * 1e6:
-        fit(*tiles[done // TILE % len(tiles)], FitOptions(), noise)
+        fit(*tiles[done // TILE % len(tiles)], FitOptions(), noise=noise)
         done += TILE
     seconds = time.perf_counter() - start
     print(f"{done / 1e6:.1f} megapixels of {OBSERVATIONS} poses in tiles of {TILE}: {seconds:.1f} s, "

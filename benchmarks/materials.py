@@ -152,7 +152,7 @@ def fit_all(measured: Measured, keep_outliers: bool = False) -> dict[str, Fitted
     result = fit(response, geometry, kept.astype(float), N, K, options)
     parameters = np.column_stack([result.alpha, result.gloss])
     a, b, m = (parameters[:, i, None] for i in range(3))
-    out["equation 5"] = Fitted(parameters, reflect(a, 1.0, b, m, geometry[None], N, K))
+    out["equation 5"] = Fitted(parameters, reflect(a, 1.0, b, m, geometry[None], n=N, k=K))
     lobe, rows = ggx(geometry), []
     for w, rho in enumerate(response):
         rows.append(scan(cosine[kept[w]], _only(lobe, kept[w]), rho[kept[w]], _GGX_ALPHA)[:3])

@@ -136,13 +136,14 @@ def _by_edges(response, valid, chart: Chart, file, sample_px: int) -> tuple[np.n
 def _around(centres: np.ndarray, pitch: float, shape: tuple[int, int]) -> tuple[slice, slice]:
     """Return the rows and columns of a picture that hold a chart."""
     low, high = np.floor(centres.min(axis=0) - pitch).astype(int), np.ceil(centres.max(axis=0) + pitch).astype(int)
-    return tuple(slice(max(0, low[a]), min(shape[1 - a], high[a] + 1)) for a in (1, 0))
+    rows, columns = (slice(max(0, low[a]), min(shape[1 - a], high[a] + 1)) for a in (1, 0))
+    return rows, columns
 
 
 def _by_itself(response, valid, chart: Chart, file) -> tuple[np.ndarray, float, dict]:
     if (chart.rows, chart.columns) != (ROWS, COLUMNS):
-        found = f"chart for {chart.rows} x {chart.columns} patches"
-        raise InputError(file, "chart.find", found, f"{ROWS} x {COLUMNS} patches; for other layouts chart.centres_px")
+        layout = f"chart for {chart.rows} x {chart.columns} patches"
+        raise InputError(file, "chart.find", layout, f"{ROWS} x {COLUMNS} patches; for other layouts chart.centres_px")
     seen = find_chart(response, valid, chart_spectra(chart.spectra)[1], file)
     found = {name: getattr(seen, name) for name in ("edges", "residual_px", "turn_deg", "rmse", "next_rmse")}
     return seen.centres, seen.side, found

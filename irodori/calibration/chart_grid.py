@@ -72,11 +72,12 @@ def homography(grid: np.ndarray, image: np.ndarray) -> np.ndarray:
     numpy.linalg.LinAlgError
         If four points are given and three of them lie on a line.
     """
-    equations, right = [], []
+    rows: list[list[float]] = []
+    values: list[float] = []
     for (u, v), (x, y) in zip(grid, image, strict=True):
-        equations += [[u, v, 1, 0, 0, 0, -x * u, -x * v], [0, 0, 0, u, v, 1, -y * u, -y * v]]
-        right += [x, y]
-    equations, right = np.array(equations, dtype=np.float64), np.array(right, dtype=np.float64)
+        rows += [[u, v, 1, 0, 0, 0, -x * u, -x * v], [0, 0, 0, u, v, 1, -y * u, -y * v]]
+        values += [x, y]
+    equations, right = np.array(rows, dtype=np.float64), np.array(values, dtype=np.float64)
     solved = np.linalg.solve(equations, right) if len(grid) == 4 else np.linalg.lstsq(equations, right)[0]
     return np.append(solved, 1.0).reshape(3, 3)
 
@@ -198,19 +199,19 @@ def _edge(profile: np.ndarray, along: np.ndarray) -> float:
 
 def _fit(fitted: FittedGrid, points, sides, count: int) -> FittedGrid:
     """Return the map and half sides nearest to measured edges, which are given about the present map."""
-    grid, sign, axes, measured, direction = [], [], [], [], []
+    parts = []
     for axis, found in enumerate(sides):
         for side in (0, 1):
             seen = np.isfinite(found[:, side])
             at = points[seen] + found[seen, side, None] * np.eye(2)[axis]
-            grid.append(points[seen])
-            sign.append(np.full(seen.sum(), 2.0 * side - 1.0))
-            axes.append(np.full(seen.sum(), axis))
-            measured.append(fitted.image(at))
-            ahead = fitted.image(at + 0.01 * np.eye(2)[axis]) - measured[-1]
-            direction.append(ahead / np.linalg.norm(ahead, axis=1, keepdims=True))
-    grid, measured, direction = np.concatenate(grid), np.concatenate(measured), np.concatenate(direction)
-    sign, axes = np.concatenate(sign), np.concatenate(axes)
+            there = fitted.image(at)
+            ahead = fitted.image(at + 0.01 * np.eye(2)[axis]) - there
+            sign = np.full(len(at), 2.0 * side - 1.0)
+            parts.append((
+                points[seen], sign, np.full(len(at), axis), there,
+                ahead / np.linalg.norm(ahead, axis=1, keepdims=True),
+            ))  # fmt: skip
+    grid, sign, axes, measured, direction = (np.concatenate(column) for column in zip(*parts, strict=True))
     half = np.array([np.nanmedian(np.abs(found)) for found in sides])
 
     def distances(parameters):

@@ -108,7 +108,12 @@ class ChartPhotograph:
         """
         field = self.cosine if self._field is None else self.cosine * self._field
         return jitter(
-            self.response, self.valid, self.located, lambda mean: error(mean / field), self.path, self.sample_px
+            self.response,
+            self.valid,
+            self.located,
+            lambda mean: error(mean / field),
+            self.path,
+            sample_px=self.sample_px,
         )
 
     @property

@@ -196,8 +196,8 @@ def _naming(name: str) -> Iterator[None]:
     except InputError as error:
         if not name:
             raise
-        own = (re.sub(r"\bchart(?=$|\.[a-z])", field_of(name), error.field),)
-        own += tuple(
+        field = re.sub(r"\bchart(?=$|\.[a-z])", field_of(name), error.field)
+        found, accepted = (
             re.sub(r"\bchart(?=\.[a-z]+_px\b|\.find\b)", field_of(name), t) for t in (error.found, error.accepted)
         )
-        raise InputError(error.file, *own) from None
+        raise InputError(error.file, field, found, accepted) from None

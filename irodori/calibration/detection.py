@@ -174,8 +174,8 @@ def _moved(right: int, down: int) -> np.ndarray:
 
 def _fitted(image_from_grid: np.ndarray, picture: np.ndarray) -> FittedGrid:
     height, width = picture.shape[:2]
-    corners = project(image_from_grid, [[-0.4, -0.4], [COLUMNS - 0.6, -0.4], [-0.4, ROWS - 0.6],
-                                        [COLUMNS - 0.6, ROWS - 0.6]])  # fmt: skip
+    right, bottom = COLUMNS - 0.6, ROWS - 0.6
+    corners = project(image_from_grid, np.array([[-0.4, -0.4], [right, -0.4], [-0.4, bottom], [right, bottom]]))
     if not ((corners > -0.5) & (corners < [width - 0.5, height - 0.5])).all():
         raise _NoChartError("the chart is cut by the picture's edge")
     pitch = pitch_px(project(image_from_grid, nodes(ROWS, COLUMNS)), ROWS, COLUMNS)
@@ -204,7 +204,7 @@ def _oriented(grid: FittedGrid, response, valid, spectra, file) -> FoundChart:
     orders = readings(ROWS, COLUMNS)
     patch_rmse = {name: rmse_of_unseen(read["mean"][order], spectra) for name, order in orders.items()}
     errors = {name: float(values.mean()) for name, values in patch_rmse.items()}
-    best, second = sorted(errors, key=errors.get)[:2]
+    best, second = sorted(errors, key=errors.__getitem__)[:2]
     order = orders[best]
     rank = stats.spearmanr(_brightness(read["mean"][order]), spectra.mean(axis=1)).statistic
     described = f"spectral RMSE {errors[best]:.3f}, next best reading {errors[second]:.3f}, rank correlation {rank:.2f}"

@@ -61,6 +61,7 @@ class SelectionRow:
 def cross_validate(
     training: Training,
     lights=("D65", "A"),
+    *,
     charts=None,
     bases=BASES,
     timed: bool = False,
@@ -133,7 +134,7 @@ def _recover(training: Training, parts: list[Fold], offsets, bases, estimators) 
             # The patches as they were read come first; the others are pixels.
             read = int(part.left_out.sum())
             mapping.weights(queries[:read], None, coefficients[:read])
-            if len(offsets) > 1:
+            if training.noise.pixel is not None and len(offsets) > 1:
                 variance = np.broadcast_to(training.noise.pixel, queries[read:].shape)
                 mapping.weights(queries[read:], variance, coefficients[read:])
             for count in bases:
@@ -172,7 +173,7 @@ def best_of(rows: list[SelectionRow], estimators: tuple[str, ...]) -> dict | Non
     scores = {key: score for key, score in scores_of(rows).items() if key[0] in estimators}
     if not scores:
         return None
-    best = min(scores, key=scores.get)
+    best = min(scores, key=scores.__getitem__)
     return {"estimator": best[0], "bases": best[1], "score": scores[best]}
 
 

@@ -92,7 +92,7 @@ def local(training: Training) -> LocalMapping:
     shape = training.pixel_variance / mean if mean > 0 else np.ones(bands)
     usual = mean / np.mean(squares[: len(training.spectra)])
     levels = np.log(10.0) * np.arange(-_LEVELS + 1.0, 1.0)
-    maps = []
+    maps: list[np.ndarray] = []
     stated = levels if training.pixel_levels else levels[:0]
     for relative in (usual, *np.exp(stated)):
         # Without a stated level every width is the same, or the blend would not be that of the usual noise.
@@ -198,9 +198,8 @@ def fit_checked(name: str, training: Training, bases: int, max_condition: float 
     basis = spectral_basis(training.spectra, bases)
     with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
         mapping = fit_mapping(name, training).on_basis(basis)
-    matrix = mapping.matrix if isinstance(mapping, LinearMapping) else None
     light = np.asarray(training.light, dtype=np.float64)
-    return Calibration(basis, matrix, light, estimator=name, mapping=mapping, training=training.response)
+    return Calibration(basis, mapping, light, estimator=name, training=training.response)
 
 
 def monomials(response: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -229,9 +228,9 @@ def monomials(response: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             slope[:, np.arange(index.shape[1]), index[which]] += np.prod(factors[:which] + factors[which + 1 :], axis=0)
         values.append(product * length)
         slopes.append(slope)
-    values, slopes = np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
-    assert values.shape[1] == polynomial_count(bands)
-    return values, slopes
+    every = np.concatenate(values, axis=1)
+    assert every.shape[1] == polynomial_count(bands)
+    return every, np.concatenate(slopes, axis=1)
 
 
 def _exponents(bands: int, degree: int) -> list[tuple[int, ...]]:

@@ -136,8 +136,8 @@ def main(arguments: list[str] | None = None, prog: str = "python -m irodori.cali
             _reflectances(options.training),
             _reflectances(options.test),
             options.noise,
-            options.exposure,
-            options.viewing_light,
+            exposure=options.exposure,
+            viewing_light=options.viewing_light,
         )
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -217,12 +217,12 @@ def _frame_difference(response, valid, located: Located, sample_px: int, field: 
     samples = (points + 0.5) * (2.0 / sample_px) - 0.5
     where = [samples[..., 1], samples[..., 0]]
     seen = ndimage.map_coordinates(valid.astype(float), where, order=0) > 0.5
-    levels = []
+    bands = []
     for band in np.moveaxis(response, -1, 0):
         read = np.where(seen, ndimage.map_coordinates(band.astype(np.float64), where, order=1), np.nan)
         usable = seen.mean(axis=1) > 0.5
-        levels.append([np.nanmean(row) if good else np.nan for row, good in zip(read, usable, strict=True)])
-    levels = np.array(levels).T
+        bands.append([np.nanmean(row) if good else np.nan for row, good in zip(read, usable, strict=True)])
+    levels = np.array(bands).T
     good = (np.isfinite(levels) & (np.nan_to_num(levels) > 0)).all(axis=1)
     low, high = located.centres_px.min(axis=0), located.centres_px.max(axis=0)
     scale_px = (high - low).max() / 2.0

@@ -54,6 +54,7 @@ def jitter(
     located: Located,
     error: Callable[[np.ndarray], float],
     file,
+    *,
     sample_px: int = 2,
     step_px: float = STEP_PX,
 ) -> Jitter:

@@ -4,6 +4,7 @@ import numpy as np
 
 from irodori.calibration.conditioning import Limits, check_responses
 from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.recovery.mappings import LinearMapping
 
 
 def spectral_basis(spectra: np.ndarray, bases: int) -> np.ndarray:
@@ -53,5 +54,5 @@ def calibrate(
     basis = spectral_basis(spectra, bases)
     weights = np.linalg.pinv(basis) @ spectra.T
     # Bands are scaled to a common size first, so that the pseudo-inverse cuts none of them off for its unit.
-    weights_from_response = (np.linalg.pinv(response / peak) @ weights.T) / peak[:, None]
-    return Calibration(basis, weights_from_response, np.asarray(light, dtype=np.float64), training=response)
+    mapping = LinearMapping((np.linalg.pinv(response / peak) @ weights.T) / peak[:, None])
+    return Calibration(basis, mapping, np.asarray(light, dtype=np.float64), training=response)

@@ -43,7 +43,7 @@ def check_order(response: np.ndarray, spectra: np.ndarray, rows: int, columns: i
     if len(response) < response.shape[1] + _SPARE_PATCHES or not np.isfinite(response).all():
         return
     errors = {n: float(rmse_of_unseen(response[o], spectra).mean()) for n, o in readings(rows, columns).items()}
-    best = min(errors, key=errors.get)
+    best = min(errors, key=errors.__getitem__)
     if errors[best] < _MAX_RATIO * errors["upright"]:
         raise ValueError(
             f"patches that agree with the spectra when the chart is {best} (spectral RMSE {errors[best]:.3f}) and not "

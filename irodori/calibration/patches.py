@@ -177,10 +177,10 @@ def _slope(square: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, np.ndarray
                 places.append([1.0, xs.mean() - (good.shape[1] - 1) / 2.0, ys.mean() - (good.shape[0] - 1) / 2.0])
     if len(levels) < 4:
         return nothing
-    places, levels = np.array(places), np.array(levels)
-    plane, _, rank, _ = np.linalg.lstsq(places, levels)
+    place, level = np.array(places), np.array(levels)
+    plane, _, rank, _ = np.linalg.lstsq(place, level)
     if rank < 3:
         return nothing
-    residual = levels - places @ plane
+    residual = level - place @ plane
     variance = (residual**2).sum(axis=0) / (len(levels) - 3) / len(levels)
     return plane[1:], np.abs(residual).max(axis=0), variance, side**2

@@ -56,6 +56,7 @@ def rank_filters(
     training: np.ndarray,
     test: np.ndarray,
     noise: float,
+    *,
     exposure: str = "per_shot",
     viewing_light: str = "D65",
     draws: int | None = None,

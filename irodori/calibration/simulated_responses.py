@@ -58,6 +58,7 @@ def responses(
     sensitivities: np.ndarray,
     light: np.ndarray,
     transmittance: np.ndarray | None = None,
+    *,
     noise: float = 0.0,
     exposure: str = "per_band",
     seed: int = 0,

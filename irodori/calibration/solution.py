@@ -50,11 +50,13 @@ def solve(
     check_brightest(training, filters)
     rows, recovered, by_chart = _judge(training, settings, lights, timed, charts)
     chosen = choose(rows, settings.estimator, settings.bases)
+    absolute, relative = own_error(training, recovered[chosen])
     calibration = replace(
         fit_checked(chosen[0], training, chosen[1], limits.condition),
         filters=filters,
         band_response=training.model.mean * training.scale[:, None],
-        **own_error(training, recovered[chosen]),
+        absolute_error=absolute,
+        relative_error=relative,
     )
     amplification = noise_amplification(calibration)
     check_amplification(amplification, limits.noise_amplification, calibration)
@@ -71,8 +73,8 @@ def _judge(training: Training, settings: CalibrationOptions, lights, timed: bool
     estimator, bases = settings.estimator, settings.bases
     if estimator not in (_AUTO, *ESTIMATORS):
         raise ValueError(f"unknown estimator {estimator!r}; accepted: {_AUTO}, {', '.join(ESTIMATORS)}")
-    counts = BASES if timed or bases == _AUTO else ()
-    counts = sorted({*counts, *(() if bases == _AUTO else (bases,))})
+    tried = BASES if timed or bases == _AUTO else ()
+    counts = sorted({*tried, *(() if bases == _AUTO else (bases,))})
     names = tuple(ESTIMATORS) if timed else (estimator,)
     if not timed and estimator == _AUTO:
         names = tuple(name for name in ESTIMATORS if name not in ON_REQUEST)
@@ -90,8 +92,8 @@ def _judge(training: Training, settings: CalibrationOptions, lights, timed: bool
     return rows, recovered, by_chart
 
 
-def own_error(training: Training, recovered: np.ndarray) -> dict[str, float]:
-    """Return what `Calibration` keeps of the errors of unseen patches: ``absolute_error`` and ``relative_error``.
+def own_error(training: Training, recovered: np.ndarray) -> tuple[float, float]:
+    """Return what `Calibration` keeps of the errors of unseen patches: the absolute and the relative one.
 
     The mean squared error of a patch is taken as absolute² + relative² times the squared length of its scaled response;
     both are non-negative least squares over the patches, weighted so that dark ones count as much as bright ones.
@@ -100,4 +102,5 @@ def own_error(training: Training, recovered: np.ndarray) -> dict[str, float]:
     length = (training.scaled**2).sum(axis=1)
     weight = 1.0 / (length + 0.1 * length.mean())
     found, _ = nnls(np.stack([weight, weight * length], axis=1), weight * squared)
-    return dict(zip(("absolute_error", "relative_error"), np.sqrt(found).tolist(), strict=True))
+    absolute, relative = np.sqrt(found).tolist()
+    return absolute, relative

@@ -36,6 +36,7 @@ def calibrate_camera(
     output,
     table,
     provenance: store.Provenance,
+    *,
     lights=("D65", "A"),
     selection=None,
     noise: Noise | None = None,
@@ -216,7 +217,7 @@ def write_selection(path, rows: list[SelectionRow], chosen: tuple[str, int]) -> 
 
 def _log(solved: Solution, errors: dict, checks: dict) -> None:
     calibration = solved.calibration
-    bands, bases = calibration.training.shape[1], calibration.basis.shape[1]
+    bands, bases = calibration.band_scale().size, calibration.basis.shape[1]
     for way, columns in errors.items():
         rmse = columns["spectral_rmse"]
         text = "%s, %s, %d bands, %d bases: spectral RMSE mean %.4f max %.4f"

@@ -22,6 +22,7 @@ reflectances, so passing is necessary and not sufficient. CIELAB is computed for
 the ICC profiles (eciRGBv2) in which pictures under these guidelines are encoded.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,7 +105,7 @@ def _metamorfoze() -> list[Tolerance]:
 
 
 TOLERANCES = (*_fadgi_2016(), *_fadgi_2023(), *_metamorfoze())
-_STATISTICS = {"mean": np.mean, "p90": lambda values: np.percentile(values, 90), "max": np.max}
+_STATISTICS: dict[str, Callable] = {"mean": np.mean, "p90": lambda values: np.percentile(values, 90), "max": np.max}
 
 
 def colour_differences(truth: np.ndarray, estimate: np.ndarray) -> dict[str, np.ndarray]:

@@ -116,9 +116,9 @@ def _read(data: bytes, file) -> Profile:
     # Version 2 without `chad` tells the white itself, and leaves the adaptation open; Bradford is the usual one.
     adapt = _read_fixed(tags[b"chad"][8:44]).reshape(3, 3) if b"chad" in tags else bradford(D50_XYZ, white)
     matrix = np.linalg.inv(adapt) @ colorants
-    curves = tuple(_read_curve(tags[name]) for name in needed[3:6])
+    red, green, blue = (_read_curve(tags[name]) for name in needed[3:6])
     description = _read_text(tags.get(b"desc", b"")) or str(file)
-    return Profile(description, matrix / matrix.sum(axis=1)[1], curves)
+    return Profile(description, matrix / matrix.sum(axis=1)[1], (red, green, blue))
 
 
 def _fixed(values) -> bytes:

@@ -3,7 +3,7 @@
 import logging
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sized
 from contextlib import contextmanager
 
 from irodori.core.errors import PlainError
@@ -24,7 +24,7 @@ def track(items: Iterable, label: str, total: int | None = None, every_s: float 
     every_s : float, s
         Time between two lines in a log.
     """
-    if total is None and hasattr(items, "__len__"):
+    if total is None and isinstance(items, Sized):
         total = len(items)
     # Inside a rule the terminal is Snakemake's and may show several jobs at once: progress goes to the rule's log.
     if sys.stderr.isatty() and not LOGGER.handlers:

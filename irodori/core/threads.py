@@ -9,7 +9,8 @@ from threadpoolctl import threadpool_limits
 def use_threads(threads: int) -> None:
     """Limit this process to a number of threads, at most as many as the machine has."""
     threads = max(1, int(threads))
-    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    most = numba.config.NUMBA_NUM_THREADS  # set when numba is loaded
+    numba.set_num_threads(min(threads, most))
     threadpool_limits(limits=threads)
     os.environ["IRODORI_BUILD_THREADS"] = str(threads)
     os.environ["BLOSC_NTHREADS"] = str(threads)  # read for each chunk that is packed or unpacked

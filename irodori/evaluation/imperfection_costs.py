@@ -219,8 +219,16 @@ def run_chain(chain: Chain, folder: Path, seen: dict | None = None) -> Material:
     limit = settings.rectify.max_angle_deg
     rectify_object(linear, chain.definition, setup, (0, texels.height), limit, output=tile, provenance=_MADE)
     index = refractive_index(chain.definition.refractive_index)
-    fit_brdf(tile, brdf, settings.fit, *index, _MADE, calibration)
-    compress_reflectance([brdf], calibration, chain.definition, material, settings.compress, settings.lights, _MADE)
+    fit_brdf(tile, brdf, settings.fit, *index, provenance=_MADE, calibration=calibration)
+    compress_reflectance(
+        [brdf],
+        calibration,
+        chain.definition,
+        material,
+        options=settings.compress,
+        lights=settings.lights,
+        provenance=_MADE,
+    )
     return Material.load(material)
 
 

@@ -88,9 +88,11 @@ class Sitting:
         true_geometry = self.planner.subject.geometry(real).reshape(sessions, len(poses), -1, 4)[session, :, texel]
         alpha, beta, mu = (np.asarray(v)[:, None] for v in (materials.alpha, materials.beta, materials.mu))
         light = self.light(sessions, len(poses), rng)[session]
-        index, clean = (materials.n, materials.k), np.empty(true_geometry.shape[:2])
+        clean = np.empty(true_geometry.shape[:2])
         for name, of in materials.of_lobes():
-            clean[of] = reflect(alpha[of], 1.0, beta[of], mu[of], true_geometry[of], *index, lobe=name)
+            clean[of] = reflect(
+                alpha[of], 1.0, beta[of], mu[of], true_geometry[of], n=materials.n, k=materials.k, lobe=name
+            )
         mean = light * clean
         electrons = rng.poisson(mean / self.planner.noise.shot_variance)
         response = electrons * self.planner.noise.shot_variance
@@ -199,7 +201,7 @@ def fit_errors(sitting: Sitting, poses: list[Pose], count: int, options: FitOpti
     out = {name: np.empty(count) for name in _RELATIVE}
     for lobe, of in materials.of_lobes():
         own = replace(options, lobes=(lobe,))
-        result = fit(response[of], geometry[of], weight[of], materials.n, materials.k, own, camera)
+        result = fit(response[of], geometry[of], weight[of], materials.n, materials.k, own, noise=camera)
         for name, relative in _RELATIVE.items():
             truth = getattr(materials, name)[of]
             out[name][of] = np.abs(getattr(result, name) - truth) / (truth if relative else 1.0)

@@ -4,7 +4,7 @@ The least sum of squares over (α, β, μ) is a function of n alone: it is scann
 through three points, for all texels at once.
 """
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,7 +17,8 @@ _REFINEMENTS = 4
 _MAX_ERROR = 0.1
 
 
-class IndexFit(NamedTuple):
+@dataclass(frozen=True)
+class IndexFit:
     """Outcome: the solver's output at each texel's index, the index (NaN where not determined), its error."""
 
     output: Output
@@ -83,10 +84,10 @@ def fit_index(solve, errors_at, texels: int, limits: tuple[float, float], nomina
         rows = np.arange(texels)
         n = np.stack([four[middle + i, rows] for i in (-1, 0, 1)])
         three = [_pick(outputs, middle + i) for i in (-1, 0, 1)]
-    return _conclude(n, three, solve, errors_at, limits, nominal, evaluations)
+    return _conclude(n, three, solve, errors_at, limits=limits, nominal=nominal, evaluations=evaluations)
 
 
-def _conclude(n, three, solve, errors_at, limits, nominal, evaluations) -> IndexFit:
+def _conclude(n, three, solve, errors_at, *, limits, nominal, evaluations) -> IndexFit:
     """State n where it is determined, with errors of four unknowns; fall back on the nominal n elsewhere."""
     value = np.stack([o.table[:, judge.SQUARES] for o in three])
     best = np.nan_to_num(value, nan=np.inf).argmin(axis=0)

@@ -239,7 +239,7 @@ def _pool_all(targets, radius, width, lobes, status, own, packed, used, sums, no
         _pool_texel(t, radius, width, rows, lobes, status, own, packed, used, sums, nodes, rules, out[t])
 
 
-def pool(result: FitResult, response, geometry, weight, n, k, options: FitOptions, noise, width: int) -> FitResult:
+def pool(result: FitResult, response, geometry, weight, *, n, k, options: FitOptions, noise, width: int) -> FitResult:
     """Return the result with the gloss of their neighbourhood for texels that leave β and μ open.
 
     Parameters
@@ -272,7 +272,7 @@ def pool(result: FitResult, response, geometry, weight, n, k, options: FitOption
     if options.pooling_radius_texels == 0 or not (glossy and in_need.any()):
         return result
     index = np.where(np.isfinite(result.index), result.index, n)
-    problem, rules = problem_of(response, geometry, weight, index, k, options, noise, None)
+    problem, rules = problem_of(response, geometry, weight, index, k, options, noise=noise)
     if not rules.known:
         # A texel that fits well by chance would decide for all: four degrees of freedom tell no variance.
         LOGGER.info("the camera's noise is not known in every capture: gloss is not pooled")

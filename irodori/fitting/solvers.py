@@ -184,7 +184,7 @@ def check_lobes(lobes) -> None:
 def _addresses() -> dict[str, int]:
     library = ctypes.CDLL(nlopt._nlopt.__file__)
     names = [name for name in nlopt_loop.Nlopt._fields if name not in _SETTINGS]
-    return {name: ctypes.cast(getattr(library, f"nlopt_{name}"), ctypes.c_void_p).value for name in names}
+    return {name: ctypes.cast(getattr(library, f"nlopt_{name}"), ctypes.c_void_p).value or 0 for name in names}
 
 
 def _empty_output(count: int) -> texels.Output:
@@ -272,11 +272,13 @@ def _solve_reference(problem: texels.Problem, rules: Rules, options: FitOptions)
 SOLVERS = {"varpro": _solve_varpro, "nlopt": _solve_nlopt, "nlopt-reference": _solve_reference}
 
 
-def problem_of(response, geometry, weight, n, k, options: FitOptions, noise, clipped) -> tuple[texels.Problem, Rules]:
+def problem_of(
+    response, geometry, weight, n, k, options: FitOptions, *, noise, clipped=None
+) -> tuple[texels.Problem, Rules]:
     """Return what the loops take; parameters and errors as in `fit`, n also (texels,)."""
     # Types, strides and read-only arrays are types of their own to the compiler: all float32 or all float64, writeable.
     dtype = np.float32 if np.asarray(response).dtype == np.float32 else np.float64
-    response, geometry, weight = (np.require(a, dtype, "CW") for a in (response, geometry, weight))
+    response, geometry, weight = (np.require(a, dtype, ["C", "W"]) for a in (response, geometry, weight))
     geometry = geometry[None] if geometry.ndim == 2 else geometry
     clipped = np.zeros((1, 0), dtype=np.uint8) if clipped is None else np.asarray(clipped, dtype=np.uint8)
     count, captures = response.shape
@@ -291,7 +293,7 @@ def problem_of(response, geometry, weight, n, k, options: FitOptions, noise, cli
     nodes = options.nodes()
     camera, known = camera_noise(noise, captures)
     problem = texels.Problem(
-        response, weight, geometry, np.require(clipped, requirements="CW"), n, float(k), camera, nodes,
+        response, weight, geometry, np.require(clipped, requirements=["C", "W"]), n, float(k), camera, nodes,
         2.0 * np.exp(-2.0 * nodes), options.scan_per_octave // 2, Lobes((options.lobes[0],)),
     )  # fmt: skip
     rules = Rules(
@@ -309,6 +311,7 @@ def fit(
     n: float = 1.5,
     k: float = 0.0,
     options: FitOptions | None = None,
+    *,
     noise: np.ndarray | None = None,
     clipped: np.ndarray | None = None,
 ) -> FitResult:
@@ -340,7 +343,7 @@ def fit(
         For shapes that do not agree.
     """
     options = options or FitOptions()
-    problem, rules = problem_of(response, geometry, weight, n, k, options, noise, clipped)
+    problem, rules = problem_of(response, geometry, weight, n, k, options, noise=noise, clipped=clipped)
     solve = SOLVERS[options.solver]
     if len(options.lobes) > 1:
         return _fit_two(problem, rules, options)

@@ -106,7 +106,7 @@ def _combine(lobes, response, geometry, weight, gloss, n, k, ratio, noise, model
 
 
 def diffuse_response(
-    response, geometry, weight, result: FitResult, fresnel: BandGloss, noise, model_error: float = 0.01
+    response, geometry, weight, result: FitResult, fresnel: BandGloss, noise, *, model_error: float = 0.01
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return each texel's response to its diffuse reflectance alone, all observations combined, and its variance.
 
@@ -201,7 +201,9 @@ def _maps(result: FitResult) -> dict[str, tuple]:
     }
 
 
-def fit_brdf(observations, output, options: FitOptions, n, k, provenance: store.Provenance, calibration=None) -> None:
+def fit_brdf(
+    observations, output, options: FitOptions, n, k, *, provenance: store.Provenance, calibration=None
+) -> None:
     """Fit one tile of observations and write its parameters.
 
     Parameters
@@ -235,15 +237,17 @@ def fit_brdf(observations, output, options: FitOptions, n, k, provenance: store.
         LOGGER.info("the camera's noise is not known in every capture: observations have equal weights")
     green, of_green = response[..., GREEN], noise[:, GREEN]
     # Compile before the clock starts.
-    fit(green[:2], geometry[:2], weight[:2], n, k, options, of_green, clipped[:2])
+    fit(green[:2], geometry[:2], weight[:2], n, k, options, noise=of_green, clipped=clipped[:2])
     start = time.perf_counter()
-    result = fit(green, geometry, weight, n, k, options, of_green, clipped)
+    result = fit(green, geometry, weight, n, k, options, noise=of_green, clipped=clipped)
     seconds = time.perf_counter() - start
     start = time.perf_counter()
-    result = pool(result, green, geometry, weight, n, k, options, of_green, carried["width"])
+    width = carried["width"]
+    result = pool(result, green, geometry, weight, n=n, k=k, options=options, noise=of_green, width=width)
     pool_seconds = time.perf_counter() - start
     fitted = int((result.evaluations > 0).sum())
-    diffuse, variance = diffuse_response(response, geometry, weight, result, fresnel, noise, options.model_error)
+    error = options.model_error
+    diffuse, variance = diffuse_response(response, geometry, weight, result, fresnel, noise, model_error=error)
     with store.create(output, provenance) as out:
         maps = _maps(result) | {
             "texel": (texel, "1", "1 where a surface lies under the texel's centre"),

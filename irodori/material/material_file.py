@@ -159,9 +159,11 @@ class Material:
         one = np.ones((2, 2))
         spectrum, n, k = (np.broadcast_to(np.asarray(v, dtype=np.float64), SAMPLES).copy() for v in (reflectance, n, k))
         coefficients = np.ones((2, 2, 1), dtype=np.float32)
-        maps = {"alpha": one, "beta": beta * one, "mu": mu * one, "green_response": one}
         return cls(
-            **maps,
+            alpha=one,
+            beta=beta * one,
+            mu=mu * one,
+            green_response=one,
             coefficients=coefficients,
             basis=spectrum[:, None],
             n=n,
@@ -227,7 +229,10 @@ class Material:
                 raise InputError(path, "typical_gloss", f"{len(typical)} numbers", f"{2 * len(lobes)}: β and μ a lobe")
             further = [gloss_names(component) for component in range(1, len(lobes))]
             return cls(
-                **{name: file.read(name) for name in (*MAPS, *gloss_names(0))},
+                alpha=file.read("alpha"),
+                beta=file.read("beta"),
+                mu=file.read("mu"),
+                green_response=file.read("green_response"),
                 coefficients=read_coefficients(file, COEFFICIENTS),
                 basis=file.read("reflectance/basis"),
                 n=file.read("refractive_index/n"),

@@ -114,6 +114,7 @@ def compress_reflectance(
     calibration_file,
     definition: Object | Surface,
     output,
+    *,
     options: CompressOptions,
     lights: list[str],
     provenance: store.Provenance,
@@ -168,11 +169,11 @@ def _write_maps(out: store.Writer, reflectance: _Reflectance, compression: Compr
         described = {name: (values, *described_maps[name]) for name, values in own.items()}
         described |= {name: (maps[name], *what) for name, what in kept.items()}
         described |= confidence(calibration, response, reflectance.variance(maps))
-        for name, (values, units, quantity) in described.items():
+        for name, (texels, units, quantity) in described.items():
             if name not in datasets:
                 names = {"units": units, "dims": "row,column", "quantity": quantity}
-                datasets[name] = out.reserve(name, size, values.dtype, **names)
-            datasets[name][rows] = values
+                datasets[name] = out.reserve(name, size, texels.dtype, **names)
+            datasets[name][rows] = texels
         values = {name: one[0] for name, one in described.items()}
         gathered.add(maps, values, np.isfinite(weights).all(axis=-1))
     return gathered

@@ -12,7 +12,7 @@ from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate
 
 
-def reflect(alpha, reflectance, beta, mu, geometry, n=1.5, k=0.0, *, lobe: str = "gaussian"):
+def reflect(alpha, reflectance, beta, mu, geometry, *, n=1.5, k=0.0, lobe: str = "gaussian"):
     """Return π L_o / E_n of diffuse reflection and one component of rough gloss [eq. 5].
 
     Parameters

@@ -111,5 +111,6 @@ class Lobe:
             if not hasattr(module, attribute):
                 raise ValueError(f"the lobe {module.__name__} has no {attribute}; see {cls.__module__}")
             values[one.name] = getattr(module, attribute)
+        assert module.__file__, "a lobe's module is a file"
         source = Path(module.__file__).read_bytes()
         return cls(**values, digest=hashlib.sha256(source).hexdigest()[:16])

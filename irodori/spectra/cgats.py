@@ -25,9 +25,10 @@ class _Table:
     rows: list[tuple[int, list[str]]] = field(default_factory=list)
 
     @property
-    def bands(self) -> list[int]:
-        """Return the columns that hold spectral values."""
-        return [i for i, name in enumerate(self.columns) if _BAND.fullmatch(name)]
+    def bands(self) -> dict[int, float]:
+        """Return the columns that hold spectral values, and the wavelengths in their names."""
+        found = {i: _BAND.fullmatch(name) for i, name in enumerate(self.columns)}
+        return {i: float(match[1]) for i, match in found.items() if match}
 
 
 def cgats_table(path) -> tuple[list[str], list[float], list[list[float]]]:
@@ -122,7 +123,7 @@ def _keyword(table: _Table, name: str, path) -> float:
 
 
 def _wavelengths(table: _Table, path) -> list[float]:
-    named = [float(_BAND.fullmatch(table.columns[i])[1]) for i in table.bands]
+    named = list(table.bands.values())
     given = [name for name in _GRID if name in table.keywords]
     if not given:
         return named

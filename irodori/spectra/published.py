@@ -198,7 +198,7 @@ def refractive_index(definition: "RefractiveIndex") -> tuple[np.ndarray, np.ndar
     """
     if hasattr(definition, "file"):
         wavelength_nm, n, k = index_table(definition.file)
-        table = resample(wavelength_nm, np.array([n, k]), definition.file, max_gap_nm=MAX_INDEX_GAP_NM)
+        table = resample(np.array(wavelength_nm), np.array([n, k]), definition.file, max_gap_nm=MAX_INDEX_GAP_NM)
         return table[0], table[1]
     return np.full(SAMPLES, definition.n), np.full(SAMPLES, definition.k)
 

@@ -55,7 +55,8 @@ def test_the_jacobian_is_the_derivative_of_the_response_by_the_logarithms(materi
     for index in range(3):
         factor = np.where(np.arange(3) == index, np.exp(step), 1.0)
         high, low = truth * factor, truth / factor
-        numeric = [reflect(*plain(p), geometry, material.n, material.k, lobe=material.lobes[0])[0] for p in (high, low)]
+        kind = {"n": material.n, "k": material.k, "lobe": material.lobes[0]}
+        numeric = [reflect(*plain(p), geometry, **kind)[0] for p in (high, low)]
         slope = (numeric[0] - numeric[1]) / (2 * step)
         # The third derivative is at most some (2 φ²/μ²)³ of the lobe, the rounding 1e-16 / step of the response.
         ratio = 1.0 + 2.0 * (geometry[0, 3] / truth[2]) ** 2

@@ -133,7 +133,8 @@ def fitted(tmp_path, definitions, definition, files, setup):
         output=tmp_path / "tile.h5",
         provenance=PROVENANCE,
     )
-    fit_brdf(tmp_path / "tile.h5", tmp_path / "brdf.h5", FitOptions(**definitions["fit"]), 1.5, 0.0, PROVENANCE)
+    options = FitOptions(**definitions["fit"])
+    fit_brdf(tmp_path / "tile.h5", tmp_path / "brdf.h5", options, 1.5, 0.0, provenance=PROVENANCE)
     with store.open_file(tmp_path / "tile.h5") as file:
         enough = (file.read("weight") > 0).sum(axis=1) >= 6
     if definition["shape"]["kind"] == "plate":  # pixels on its edges see the table as well

@@ -78,7 +78,7 @@ def gloss_albedo(theta_i, mu, beta, n, k, samples=300):
     camera = 2 * cos_h[..., None] * facet - light
     seen = (cos_h > 0) & (camera[..., 2] > 0)
     response = np.zeros(cos_h.shape)
-    response[seen] = reflect(0.0, 0.0, beta, mu, angles_from_directions(NORMAL, light, camera[seen]), n, k)
+    response[seen] = reflect(0.0, 0.0, beta, mu, angles_from_directions(NORMAL, light, camera[seen]), n=n, k=k)
     integrand = response * np.maximum(camera[..., 2], 0.0) * 4 * np.maximum(cos_h, 0.0) * sine * w[:, None]
     return integrand.sum() * (math.pi / samples) / (math.pi * math.cos(theta_i))
 
@@ -241,8 +241,8 @@ def test_reflection_is_reciprocal(light, camera, index, mu, alpha, beta):
     assume(abs(complex(*index) - 1) > 0.01)  # an index like air's reflects 0, of which no relative digits exist
     there = angles_from_directions(NORMAL, light, camera)
     back = angles_from_directions(NORMAL, camera, light)
-    f_there = reflect(alpha, 0.7, beta, mu, there, *index) / light[2]
-    f_back = reflect(alpha, 0.7, beta, mu, back, *index) / camera[2]
+    f_there = reflect(alpha, 0.7, beta, mu, there, n=index[0], k=index[1]) / light[2]
+    f_back = reflect(alpha, 0.7, beta, mu, back, n=index[0], k=index[1]) / camera[2]
     # exp(-(φ/μ)²) magnifies the rounding of φ by 2 (φ/μ)²; below 1e-200 it is darkness.
     assert f_there == pytest.approx(f_back, rel=1e-10, abs=1e-200)
 
@@ -251,7 +251,7 @@ def test_reflection_is_reciprocal(light, camera, index, mu, alpha, beta):
 @settings(deadline=None, max_examples=300)
 def test_no_light_comes_from_or_goes_below_the_surface(light, camera, index, mu):
     assume(np.linalg.norm(light + camera) > 1e-9)
-    value = reflect(0.8, 1.0, 10.0, mu, angles_from_directions(NORMAL, light, camera), *index)
+    value = reflect(0.8, 1.0, 10.0, mu, angles_from_directions(NORMAL, light, camera), n=index[0], k=index[1])
     assert np.isfinite(value) and value >= 0.0
     if light[2] <= 0 or camera[2] <= 0:
         assert value == 0.0

@@ -12,6 +12,7 @@ from made import made
 from shortcuts import irradiance_map
 
 from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.recovery.mappings import LinearMapping
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_radiance
 from irodori.config.models import CapturesSource, IrradianceMap, MirrorBallSource
 from irodori.core import store
@@ -187,7 +188,7 @@ def test_stage_recovers_radiance_as_light_times_reflectance(tmp_path):
         tmp_path,
         to_panorama(reflectance) @ sensitivity.T,
         np.ones((40, 80), np.uint8),
-        Calibration(basis, matrix, light, ("out",)),
+        Calibration(basis, LinearMapping(matrix), light, ("out",)),
     )
     environment = stage(tmp_path)
     truth = reflectance * light
@@ -205,7 +206,7 @@ def test_stage_recovers_radiance_as_light_times_reflectance(tmp_path):
 def test_what_stood_to_the_right_of_a_photographs_middle_has_a_smaller_azimuth(tmp_path, centre_azimuth_deg):
     response = np.full((8, 16, 3), 0.1)
     response[4, 11] = 0.9  # 3.5 columns of 22.5 degrees to the right of the middle
-    calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61), ("out",))
+    calibration = Calibration(np.eye(61)[:, :3], LinearMapping(np.eye(3)), np.ones(61), ("out",))
     write_inputs(tmp_path, response, np.ones((8, 16), np.uint8), calibration)
     source = {"kind": "captures", "centre_azimuth_deg": centre_azimuth_deg}
     prepare_environment(
@@ -226,7 +227,7 @@ def test_what_stood_to_the_right_of_a_photographs_middle_has_a_smaller_azimuth(t
 def test_stage_refuses_pixels_without_a_valid_bracket(tmp_path):
     valid = np.ones((8, 16), np.uint8)
     valid[3, 4] = 0
-    calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61), ("out",))
+    calibration = Calibration(np.eye(61)[:, :3], LinearMapping(np.eye(3)), np.ones(61), ("out",))
     write_inputs(tmp_path, np.ones((8, 16, 3)), valid, calibration)
     with pytest.raises(InputError, match="1 pixels saturated"):
         stage(tmp_path)
@@ -234,7 +235,7 @@ def test_stage_refuses_pixels_without_a_valid_bracket(tmp_path):
 
 
 def test_stage_refuses_a_photograph_whose_data_is_damaged(tmp_path):
-    calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61), ("out",))
+    calibration = Calibration(np.eye(61)[:, :3], LinearMapping(np.eye(3)), np.ones(61), ("out",))
     response = np.random.default_rng(2).uniform(0.1, 1, (80, 160, 3))
     write_inputs(tmp_path, response, np.ones((80, 160), np.uint8), calibration)
     with h5py.File(tmp_path / "linear.h5") as file:
@@ -249,7 +250,7 @@ def test_stage_refuses_a_photograph_whose_data_is_damaged(tmp_path):
 
 
 def test_stage_refuses_bands_that_the_chart_did_not_have(tmp_path):
-    calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61), ("out", "in"))
+    calibration = Calibration(np.eye(61)[:, :3], LinearMapping(np.eye(3)), np.ones(61), ("out", "in"))
     write_inputs(tmp_path, np.ones((8, 16, 3)), np.ones((8, 16), np.uint8), calibration)
     with pytest.raises(InputError, match="filters"):
         stage(tmp_path)
@@ -265,7 +266,7 @@ def test_a_single_masked_pixel_takes_the_mean_of_its_neighbours_along_the_row(tm
     assert np.array_equal(filled[~masked], response[~masked])
     for row, column in ((3, 4), (5, 0), (6, 15)):
         assert np.allclose(filled[row, column], (response[row, column - 1] + response[row, (column + 1) % 16]) / 2)
-    calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61), ("out",))
+    calibration = Calibration(np.eye(61)[:, :3], LinearMapping(np.eye(3)), np.ones(61), ("out",))
     valid = (~masked).astype(np.uint8)
     write_inputs(tmp_path, spoiled, valid, calibration, np.zeros_like(valid))
     with caplog.at_level("INFO", logger="irodori"):
@@ -278,7 +279,7 @@ def test_a_single_masked_pixel_takes_the_mean_of_its_neighbours_along_the_row(tm
 def test_masked_pixels_beside_each_other_are_refused(tmp_path):
     valid = np.ones((8, 16), np.uint8)
     valid[3, [0, 15]] = 0  # neighbours across the seam
-    calibration = Calibration(np.eye(61)[:, :3], np.eye(3), np.ones(61), ("out",))
+    calibration = Calibration(np.eye(61)[:, :3], LinearMapping(np.eye(3)), np.ones(61), ("out",))
     write_inputs(tmp_path, np.ones((8, 16, 3)), valid, calibration, np.zeros_like(valid))
     with pytest.raises(InputError, match="2 masked pixels beside each other"):
         stage(tmp_path)

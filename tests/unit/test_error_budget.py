@@ -9,6 +9,7 @@ from made import made
 from scenes import OPTIONS, plate, sky, smooth_light
 
 from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.recovery.mappings import LinearMapping
 from irodori.colour.colorimetry import delta_e_reflectance
 from irodori.config.models import Compress, EnvironmentMaps, Fit, Render, Scene
 from irodori.config.parts import Subject
@@ -34,7 +35,7 @@ SIDE = 40
 PAINTS = np.stack([spectrum("TCS1"), spectrum("TCS14"), spectrum("TCS56")], axis=1)
 BASIS = np.linalg.svd(np.stack([spectrum(f"TCS{i}") for i in range(99)]), full_matrices=False)[2][:6].T
 #: A camera whose responses are the coefficients themselves.
-CALIBRATION = Calibration(BASIS, np.eye(6), np.ones(61), ("out", "in"), band_response=BASIS.T)
+CALIBRATION = Calibration(BASIS, LinearMapping(np.eye(6)), np.ones(61), ("out", "in"), band_response=BASIS.T)
 
 
 def truth() -> Material:

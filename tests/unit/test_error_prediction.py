@@ -10,6 +10,7 @@ from made import made
 from scipy.ndimage import gaussian_filter
 
 from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.recovery.mappings import LinearMapping
 from irodori.colour.colorimetry import delta_e_reflectance
 from irodori.config.models import BodyShape, ObjectShape
 from irodori.core import store
@@ -27,7 +28,7 @@ SIDE = 32
 TCS = np.stack([spectrum(f"TCS{i}") for i in range(99)])
 BASIS = np.linalg.svd(TCS, full_matrices=False)[2][:6].T
 #: A camera whose responses are the coefficients themselves.
-PLAIN = Calibration(BASIS, np.eye(6), np.ones(61), ("out", "in"), band_response=BASIS.T)
+PLAIN = Calibration(BASIS, LinearMapping(np.eye(6)), np.ones(61), ("out", "in"), band_response=BASIS.T)
 
 
 def known(coefficients, observed=None, spread=None, photographs=None, variance=0.0, model_error=0.0) -> Known:
@@ -248,7 +249,7 @@ def camera() -> Calibration:
     chart = chart_spectra("BabelColor Average")[1]
     basis = np.linalg.svd(chart, full_matrices=False)[2][:6].T
     matrix = np.linalg.pinv(chart @ response.T) @ (chart @ basis)
-    return Calibration(basis, matrix, light("A"), ("out", "in"), band_response=response)
+    return Calibration(basis, LinearMapping(matrix), light("A"), ("out", "in"), band_response=response)
 
 
 def recovered(camera: Calibration, power: np.ndarray) -> Environment:

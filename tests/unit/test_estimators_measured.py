@@ -113,7 +113,8 @@ def test_error_bars_hold_on_spectra_never_seen(name, noise):
         training = Training(training.response, training.spectra, training.light, Noise())
     _, recovered = cross_validate(training, ("D65",), bases=(8,), estimators=(name,))
     solved = fit(name, training, 8)
-    solved = replace(solved, **own_error(training, recovered[name, 8]))
+    absolute, relative = own_error(training, recovered[name, 8])
+    solved = replace(solved, absolute_error=absolute, relative_error=relative)
     error = spectral_rmse(trial(*FIRST).test, solved.spectra(seen))
     predicted = solved.standard_deviation(seen, variance)
     # Cross-validation has one patch less than the calibration, and the chart's patches are unlike each other.

@@ -243,10 +243,10 @@ def test_amplitude_changes_no_decision(scale, weights):
     rng = np.random.default_rng(250)
     response = model(alpha, beta, mu) * (1 + 0.01 * rng.normal(size=(60, len(GEOMETRY))))
     bounds = {"alpha": (0.0, 2.0 * scale), "beta": (0.0, 1e4 * scale)}
-    one = fit(response, GEOMETRY, np.ones(response.shape), N, K, FitOptions(weights=weights), CAMERA)
+    one = fit(response, GEOMETRY, np.ones(response.shape), N, K, FitOptions(weights=weights), noise=CAMERA)
     camera = CAMERA * [scale**2, scale]
     many = fit(scale * response, GEOMETRY, np.ones(response.shape), N, K,
-               FitOptions(weights=weights, bounds=bounds), camera)  # fmt: skip
+               FitOptions(weights=weights, bounds=bounds), noise=camera)  # fmt: skip
     assert np.array_equal(one.status, many.status)
     np.testing.assert_allclose(many.mu, one.mu, rtol=1e-6, equal_nan=True)
     np.testing.assert_allclose(many.alpha_error, scale * one.alpha_error, rtol=1e-5, equal_nan=True)
@@ -299,7 +299,7 @@ def photographed(count, rng, common=0.7):
 @pytest.mark.parametrize("weights", ["noise", "equal"])
 def test_two_standard_errors_hold_for_nine_texels_in_ten(weights):
     alpha, beta, mu, response = photographed(3000, np.random.default_rng(5))
-    result = fit(response, GEOMETRY, np.ones(response.shape), N, K, FitOptions(weights=weights), CAMERA)
+    result = fit(response, GEOMETRY, np.ones(response.shape), N, K, FitOptions(weights=weights), noise=CAMERA)
     known = stated(result)
     assert known.mean() > 0.95
     for name, truth in (("alpha", alpha), ("beta", beta), ("mu", mu)):
@@ -311,7 +311,7 @@ def test_two_standard_errors_hold_for_nine_texels_in_ten(weights):
 def test_inverse_variance_is_better_than_equal_weights():
     _alpha, _beta, mu, response = photographed(3000, np.random.default_rng(6))
     weight = np.ones(response.shape)
-    fits = [fit(response, GEOMETRY, weight, N, K, FitOptions(weights=w), CAMERA) for w in ("noise", "equal")]
+    fits = [fit(response, GEOMETRY, weight, N, K, FitOptions(weights=w), noise=CAMERA) for w in ("noise", "equal")]
     error = [np.nanmedian(np.abs(f.mu / mu - 1)) for f in fits]
     assert error[0] < error[1]
 
@@ -344,7 +344,8 @@ VALUES = st.floats(-1e6, 1e6, width=32) | st.sampled_from([np.nan, np.inf])
 def test_whatever_the_data_the_fit_ends_finite_or_flagged(response, angles, weight, clipped, huber, known, scale):
     noise = np.tile([1e-6, 1e-5], (11, 1)) if known else None
     with np.errstate(invalid="ignore", over="ignore"):
-        result = fit(response * np.float32(scale), angles, weight, N, K, FitOptions(huber=huber), noise, clipped)
+        options = FitOptions(huber=huber)
+        result = fit(response * np.float32(scale), angles, weight, N, K, options, noise=noise, clipped=clipped)
     assert_sound(result)
 
 

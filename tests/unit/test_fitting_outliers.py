@@ -19,7 +19,7 @@ def test_huber_withstands_one_gross_outlier_in_twenty(factor, weights):
     clean = model(alpha, beta, mu, geometry)
     response = clean * (1 + 0.005 * rng.normal(size=clean.shape))
     response[np.arange(400), rng.integers(0, len(geometry), 400)] *= factor
-    fits = [fit(response, geometry, np.ones(response.shape), N, K, FitOptions(huber=h, weights=weights), camera)
+    fits = [fit(response, geometry, np.ones(response.shape), N, K, FitOptions(huber=h, weights=weights), noise=camera)
             for h in (None, 2.0)]  # fmt: skip
     error = [np.where(stated(r), np.abs(r.mu / mu - 1), np.inf) for r in fits]
     assert np.median(error[1]) < 0.05 and np.median(error[1]) < 0.5 * np.median(error[0])
@@ -43,7 +43,7 @@ def test_no_dense_scan_finds_a_lower_huber_loss():
     response[np.arange(60), rng.integers(0, len(GEOMETRY), 60)] *= 0.1
     variance = np.broadcast_to(CAMERA[:, 0], response.shape)
     noise = np.stack([CAMERA[:, 0], 0 * CAMERA[:, 1]], axis=1)
-    result = fit(response, GEOMETRY, np.ones(response.shape), N, K, FitOptions(huber=2.0, model_error=0.0), noise)
+    result = fit(response, GEOMETRY, np.ones(response.shape), N, K, FitOptions(huber=2.0, model_error=0.0), noise=noise)
     arguments = (response, GEOMETRY, 1.0 / variance, variance)
     whole = (result.model == 3) & np.isfinite(result.alpha)
     found = huber_loss(*arguments, result.alpha[:, None], *result.gloss.T[..., None], 2.0)

@@ -68,7 +68,7 @@ def test_one_geometry_for_all_gives_what_a_geometry_each_gives(scan_per_octave, 
     geometry = poses(light, light - np.linspace(-12.0, 20.0, 37))
     alpha, beta = rng.uniform(0.0, 0.9, (400, 1)), 10 ** rng.uniform(-1.5, 1.2, (400, 1))
     mu = np.exp(rng.uniform(np.log(0.004), np.log(1.5), (400, 1)))  # some beyond the bounds
-    clean = reflect(alpha, 1.0, beta, mu, geometry[None], 1.5, 0.0)
+    clean = reflect(alpha, 1.0, beta, mu, geometry[None], n=1.5, k=0.0)
     response = clean * (1 + 0.01 * rng.normal(size=clean.shape))
     options = FitOptions(scan_per_octave=scan_per_octave, bounds={"mu_rad": list(mu_rad)})
     noise = np.tile([1e-6, 1e-5], (37, 1))

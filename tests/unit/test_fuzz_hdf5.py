@@ -57,7 +57,7 @@ def fit_tile(path) -> None:
     output = folder / "tile.h5"
     output.unlink(missing_ok=True)
     try:
-        fit_brdf(path, output, FitOptions(), 1.5, 0.0, PROVENANCE)
+        fit_brdf(path, output, FitOptions(), 1.5, 0.0, provenance=PROVENANCE)
     except InputError:
         assert list(folder.iterdir()) == []
         raise

@@ -8,6 +8,7 @@ import pytest
 from made import made
 
 from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.recovery.mappings import LinearMapping
 from irodori.config.models import Object
 from irodori.config.parts import Surface
 from irodori.core import store
@@ -49,7 +50,8 @@ def write_tile(path, rows, width, seed, filters=FILTERS, noise=1e-6, lobes=("gau
 @pytest.fixture
 def calibration(tmp_path):
     rng = np.random.default_rng(5)
-    found = Calibration(BASIS, np.eye(6), np.ones(61), tuple(FILTERS), training=rng.uniform(0.1, 1, (24, 6)))
+    chart = rng.uniform(0.1, 1, (24, 6))
+    found = Calibration(BASIS, LinearMapping(np.eye(6)), np.ones(61), tuple(FILTERS), training=chart)
     with store.create(tmp_path / "calibration.h5", PROVENANCE) as out:
         found.write(out)
     return tmp_path / "calibration.h5"
@@ -66,9 +68,9 @@ def compress(tiles, calibration, size, output, **options):
         calibration,
         made(Object | Surface, definition(*size)),
         output,
-        CompressOptions(**options),
-        ["D65"],
-        PROVENANCE,
+        options=CompressOptions(**options),
+        lights=["D65"],
+        provenance=PROVENANCE,
     )
     return Material.load(output)
 
@@ -174,9 +176,9 @@ def test_memory_is_that_of_a_tile_and_a_sample(tmp_path, calibration):
             calibration,
             made(Object | Surface, definition(*size)),
             tmp_path / "m.h5",
-            CompressOptions(),
-            ["D65"],
-            PROVENANCE,
+            options=CompressOptions(),
+            lights=["D65"],
+            provenance=PROVENANCE,
         )
         found = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()

@@ -7,6 +7,7 @@ from scenes import DATA, fresnel
 from test_environment import write_inputs
 
 from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.recovery.mappings import LinearMapping
 from irodori.config.models import CapturesSource, IrradianceMap, MirrorBallSource, RefractiveIndex, Size
 from irodori.core import store
 from irodori.core.errors import InputError
@@ -127,7 +128,7 @@ def test_a_ball_that_is_not_in_the_picture_or_masked_is_refused():
 
 def test_the_stage_unwraps_a_ball_and_minds_saturation_on_it_alone(tmp_path):
     response = photograph(smooth, BALL).astype(np.float32)
-    calibration = Calibration(np.eye(61)[:, [10, 30, 50]], np.eye(3), np.full(61, 2.0), ("out",))
+    calibration = Calibration(np.eye(61)[:, [10, 30, 50]], LinearMapping(np.eye(3)), np.full(61, 2.0), ("out",))
     valid = np.ones(response.shape[:2], np.uint8)
     valid[0, 0] = 0  # beside the ball: clipped, and of no importance
     write_inputs(tmp_path, response, valid, calibration)

@@ -15,6 +15,7 @@ from scenes import BALL, constant_light, material, plate
 from scipy import ndimage
 
 from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.recovery.mappings import LinearMapping
 from irodori.capture.stage import Target, capture_camera, capture_photograph
 from irodori.config.cross_checks.scene_photographs import check_photograph
 from irodori.config.definitions import load_definitions, read_yaml
@@ -72,7 +73,7 @@ def known_calibration(camera: dict, rig: dict, path: Path) -> Calibration:
     basis = np.linalg.qr(spans)[0]
     weights = band_weights(made(Camera, camera), lamp)
     response_from_weights = weights @ basis / weights.sum(axis=1, keepdims=True)
-    exact = Calibration(basis, np.linalg.inv(response_from_weights).T, lamp, ("out", "in"))
+    exact = Calibration(basis, LinearMapping(np.linalg.inv(response_from_weights).T), lamp, ("out", "in"))
     with store.create(path, MADE) as out:
         exact.write(out)
     return exact
@@ -195,7 +196,7 @@ def test_the_noise_floor_is_that_of_a_second_draw():
     """Two flat pictures with noise of the camera and of the paths: what is drawn scatters as what is compared."""
     rng = np.random.default_rng(7)
     basis = np.linalg.qr(rng.normal(size=(61, 3)) + 1.0)[0]
-    calibration = Calibration(basis, np.eye(3), np.ones(61), ("out",))
+    calibration = Calibration(basis, LinearMapping(np.eye(3)), np.ones(61), ("out",))
     flat, size = np.array([0.3, 0.1, 0.1]) @ basis.T + 0.4, (60, 80)
     every = np.ones(size, bool)
     response = (flat @ basis) + rng.normal(0, 0.02, (*size, 3))
@@ -259,7 +260,7 @@ def test_a_photograph_of_another_camera_is_refused_by_name(studio, tmp_path, cha
     calibration = Calibration.load(folder / "calibration.h5")
     optics = camera["optics"]
     if "filters" in change:
-        calibration = Calibration(calibration.basis, np.eye(3, 6), calibration.light, change["filters"])
+        calibration = Calibration(calibration.basis, LinearMapping(np.eye(3, 6)), calibration.light, change["filters"])
     if "size_px" in change:
         width, height = change["size_px"]
         optics = optics | {"width_px": width, "height_px": height}

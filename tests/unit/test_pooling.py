@@ -48,8 +48,8 @@ def both(response, geometry, weight=None, width=SIDE, radius=RADIUS, camera=CAME
     options = FitOptions(pooling_radius_texels=radius, **(EXACT | options))
     weight = np.ones(response.shape) if weight is None else weight
     noise = None if camera is None else np.tile(camera, (response.shape[1], 1))
-    alone = fit(response, geometry, weight, N, K, options, noise)
-    return alone, pool(alone, response, geometry, weight, N, K, options, noise, width)
+    alone = fit(response, geometry, weight, N, K, options, noise=noise)
+    return alone, pool(alone, response, geometry, weight, n=N, k=K, options=options, noise=noise, width=width)
 
 
 def patch(beta, mu, noise=CAMERA, seed=1, poses=14, **options):

@@ -105,7 +105,7 @@ def test_a_lamp_is_mirrored_as_broadly_as_the_surface_is_rough(mu, theta_deg):
     for off_deg in (0.0, 6.0):
         angle = np.radians(theta_deg - off_deg)
         view = np.array([0.0, -np.sin(angle), np.cos(angle)])
-        reflected = reflect(0.3, 1.0, beta, mu, angles_from_directions(normal, towards, view), 1.5, 0.2)
+        reflected = reflect(0.3, 1.0, beta, mu, angles_from_directions(normal, towards, view), n=1.5, k=0.2)
         value = np.sum(reflected / np.pi * (weights * cap / 2)[:, None]) * np.pi / 180
         expected = 7.0 * value * spectrum_of("D65")[30]
         picture = traced([plate(50.0)], [material(0.3, beta=beta, mu=mu, n=1.5, k=0.2)], DARK, 16384,

@@ -7,13 +7,6 @@ ROOT = Path(__file__).resolve().parents[2]
 MOST = 6
 #: What compiles a function, or hands it to the compiler: kernels take what they need by position.
 COMPILED = ("njit", "uncounted", "overload", "intrinsic", "vectorize", "cfunc", "lower_builtin")
-#: Functions that still take more. None may join them; one that is mended leaves the list.
-STILL = {
-    "calibration": ["calibrate_camera", "cross_validate", "jitter", "local_weights", "rank_filters", "responses"],
-    "fitting": ["_conclude", "diffuse_response", "fit", "fit_brdf", "pool", "problem_of"],
-    "material": ["compress_reflectance", "write_constants"],
-    "reflection": ["reflect"],
-}  # fmt: skip
 
 
 def functions(tree: ast.AST, prefix: str = ""):
@@ -37,8 +30,7 @@ def test_functions_take_six_parameters_by_position_at_most():
         for name, node in functions(ast.parse(file.read_text(encoding="utf-8"))):
             if by_position(node) > MOST:
                 found.setdefault(file.relative_to(ROOT / "irodori").parts[0], set()).add(name)
-    new = {room: names - set(STILL.get(room, ())) for room, names in found.items()}
-    assert {room: names for room, names in new.items() if names} == {}
+    assert found == {}
 
 
 def test_the_scan_counts_what_a_caller_gives_by_position():

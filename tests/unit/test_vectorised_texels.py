@@ -89,7 +89,7 @@ def test_eight_at_once_are_as_each_alone(shared, noise, seed, level, scale, hole
     clipped = rng.random(response.shape) < 0.002
     options = FitOptions()
     variance = None if noise is None else noise * [scale**2, scale]
-    problem, rules = problem_of(response, geometry, weight, 1.5, 0.0, options, variance, clipped)
+    problem, rules = problem_of(response, geometry, weight, 1.5, 0.0, options, noise=variance, clipped=clipped)
     _same(SOLVERS["varpro"](problem, rules, options), _alone(problem, rules, options))
 
 
@@ -110,7 +110,7 @@ def test_ordinary_texels_are_fitted_together_and_others_handed_back(count, noise
     response[2] = reflect(0.5, 1.0, 0.0, 0.1, ANGLES)  # matt: another model
     weight = np.ones_like(response)
     weight[4, 3:] = 0.0  # too few
-    problem, rules = problem_of(response, geometry, weight, 1.5, 0.0, FitOptions(), noise, None)
+    problem, rules = problem_of(response, geometry, weight, 1.5, 0.0, FitOptions(), noise=noise)
     assert _done(problem, rules, len(ANGLES)) == (1 << count) - 1 - (1 << 2) - (1 << 4)
 
 
@@ -118,5 +118,5 @@ def test_repeated_geometries_are_no_new_observations():
     few = np.repeat(ANGLES[:3], 8, axis=0)
     response = np.tile(reflect(0.5, 1.0, 2.0, 0.1, few), (8, 1))
     options = FitOptions()
-    problem, rules = problem_of(response, few, np.ones_like(response), 1.5, 0.0, options, None, None)
+    problem, rules = problem_of(response, few, np.ones_like(response), 1.5, 0.0, options, noise=None)
     _same(SOLVERS["varpro"](problem, rules, options), _alone(problem, rules, options))

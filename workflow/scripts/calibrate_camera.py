@@ -10,6 +10,6 @@ with run_rule(snakemake) as provenance:
         snakemake.output.calibration,
         snakemake.output.errors,
         provenance,
-        snakemake.params.lights,
-        snakemake.output.selection,
+        lights=snakemake.params.lights,
+        selection=snakemake.output.selection,
     )

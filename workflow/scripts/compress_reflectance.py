@@ -9,7 +9,7 @@ with run_rule(snakemake) as provenance:
         snakemake.input.calibration,
         Surface.of({key: snakemake.params[key] for key in ("texels", "refractive_index", "mirror_weight")}),
         snakemake.output.material,
-        CompressOptions(**snakemake.params.compress),
-        snakemake.params.lights,
-        provenance,
+        options=CompressOptions(**snakemake.params.compress),
+        lights=snakemake.params.lights,
+        provenance=provenance,
     )

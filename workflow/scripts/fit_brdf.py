@@ -10,6 +10,6 @@ with run_rule(snakemake) as provenance:
         snakemake.output.brdf,
         FitOptions(**snakemake.params.fit, lobes=tuple(snakemake.params.lobes)),
         *refractive_index(typed_index(snakemake.params.refractive_index)),
-        provenance,
-        next(iter(snakemake.input.calibration), None),
+        provenance=provenance,
+        calibration=next(iter(snakemake.input.calibration), None),
     )

@@ -29,15 +29,14 @@ class Calibration:
     Parameters
     ----------
     basis : (61, k) float, B', orthonormal columns
-    weights_from_response : (bands, k) float, M; None where the estimator is not linear
+    mapping : Mapping
+        From responses to weights on the basis; ``LinearMapping(M)`` where the estimator is linear.
     light : (61,) float
         E(λ) under which the responses were calibrated.
     filters : tuple of str
         Filter states of the bands, three bands each, in order.
     estimator : str
         Name of the estimator.
-    mapping : Mapping, optional
-        What takes the place of M where the estimator is not linear.
     training : (m, bands) float, optional
         Responses of the chart, for `distance`.
     relative_error, absolute_error : float
@@ -48,19 +47,19 @@ class Calibration:
     """
 
     basis: np.ndarray
-    weights_from_response: np.ndarray | None
+    mapping: Mapping
     light: np.ndarray
     filters: tuple[str, ...] = ()
     estimator: str = "pinv"
-    mapping: Mapping | None = None
     training: np.ndarray | None = None
     relative_error: float = 0.0
     absolute_error: float = 0.0
     band_response: np.ndarray | None = None
 
-    def __post_init__(self) -> None:
-        if self.mapping is None:
-            object.__setattr__(self, "mapping", LinearMapping(np.asarray(self.weights_from_response)))
+    @property
+    def weights_from_response(self) -> np.ndarray | None:
+        """M, (bands, k) float; None where the estimator is not linear."""
+        return self.mapping.matrix if isinstance(self.mapping, LinearMapping) else None
 
     @classmethod
     def load(cls, path) -> "Calibration":
@@ -80,29 +79,28 @@ class Calibration:
             own = fields(KINDS[kind]) if kind != LinearMapping.kind else ()
             axes |= {f"mapping/{field.name}": _AXES[field.name] for field in own if field.name in _AXES}
             file.require_axes(axes if own else axes | {_MATRIX: "band,basis"}, wavelength=SAMPLES)
-            matrix = mapping = None
             if not own:
-                matrix = file.read(_MATRIX)
+                values = {"matrix": file.read(_MATRIX)}
             else:
                 values = {}
                 for field in own:
                     name = f"mapping/{field.name}"
                     in_dataset = field.name in _AXES
                     values[field.name] = file.read(name) if in_dataset else file.attribute(field.name, (float, int))
-                mapping = KINDS[kind](**values)
+            relative, absolute = (
+                file.attribute(n, (float, int)) if file.has_attribute(n) else 0.0
+                for n in ("relative_error", "absolute_error")
+            )
             return cls(
                 file.read("basis"),
-                matrix,
+                KINDS[kind](**values),
                 file.read("light"),
                 tuple(file.attribute("filters", list)),
                 file.attribute("estimator", str) if file.has_attribute("estimator") else "pinv",
-                mapping,
-                file.read("chart_response") if "chart_response" in file else None,
-                *(
-                    file.attribute(n, (float, int)) if file.has_attribute(n) else 0.0
-                    for n in ("relative_error", "absolute_error")
-                ),
-                file.read("band_response") if "band_response" in file else None,
+                training=file.read("chart_response") if "chart_response" in file else None,
+                relative_error=relative,
+                absolute_error=absolute,
+                band_response=file.read("band_response") if "band_response" in file else None,
             )
 
     def write(self, out: store.Writer) -> None:
@@ -165,15 +163,13 @@ class Calibration:
         response = np.asarray(response)
         dtype = np.float32 if response.dtype == np.float32 else np.float64
         flat = response.reshape(-1, response.shape[-1]).astype(dtype, copy=False)
-        variance = self._flat_variance(response_variance, response.shape)
+        variance = None if response_variance is None else self._flat_variance(response_variance, response.shape)
         out = np.empty((len(flat), self.basis.shape[1]), dtype=dtype)
         self.mapping.weights(flat, variance, out)
         return out.reshape((*response.shape[:-1], out.shape[1]))
 
     @staticmethod
-    def _flat_variance(variance, shape) -> np.ndarray | None:
-        if variance is None:
-            return None
+    def _flat_variance(variance, shape) -> np.ndarray:
         return np.broadcast_to(np.asarray(variance), shape).reshape(-1, shape[-1])
 
     def spectra(self, response: np.ndarray, response_variance: np.ndarray | None = None) -> np.ndarray:

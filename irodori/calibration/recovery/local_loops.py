@@ -179,7 +179,7 @@ def _local_block(first, last, response, variance, scale, anchors, width, levels,
         store(values, length, start, pixels, out)
 
 
-def local_weights(response, variance, scale, anchors, width, levels, spread, maps, out):
+def local_weights(response, variance, out, *, scale, anchors, width, levels, spread, maps):
     """Fill out (n, k) for responses (n, bands).
 
     Variances are (n, bands), (1, bands) for all, or (0, bands) where not known. anchors are the `columns_of` their

@@ -6,7 +6,7 @@ All are positively homogeneous of degree 1: twice the light gives twice the weig
 
 from dataclasses import dataclass, replace
 from math import comb
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -18,9 +18,10 @@ _STEP = 1e-4  # of the length of a response, for differences
 
 
 class Mapping(Protocol):
-    """Function from responses to weights on a basis, as an estimator returns it."""
+    """Function from responses to weights on a basis, as an estimator returns it: a dataclass of its parameters."""
 
     kind: ClassVar[str]
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
     def weights(self, response: np.ndarray, variance: np.ndarray | None, out: np.ndarray) -> None:
         """Fill out (n, k) from responses (n, bands) and, where known, their variances (n, bands)."""
@@ -66,8 +67,14 @@ class LinearMapping:
         return self.matrix.size
 
 
-class _Differences:
+class _Differences(Mapping, Protocol):
     """The gain of a mapping that is not linear, by central differences."""
+
+    scale: np.ndarray
+
+    @property
+    def bases(self) -> int:
+        """Number of outputs."""
 
     def gain(self, response, variance) -> np.ndarray:
         """See `Mapping`."""
@@ -131,13 +138,13 @@ class LocalMapping(_Differences):
         local_weights(
             response,
             np.array(variance, order="C", copy=None),
-            self.scale,
-            columns_of(self.anchors.T.astype(response.dtype)),
-            self.width,
-            self.levels,
-            self.spread,
-            columns_of(maps.reshape(*maps.shape[:2], -1)),
             out,
+            scale=self.scale,
+            anchors=columns_of(self.anchors.T.astype(response.dtype)),
+            width=self.width,
+            levels=self.levels,
+            spread=self.spread,
+            maps=columns_of(maps.reshape(*maps.shape[:2], -1)),
         )
 
     def on_basis(self, basis):
@@ -189,4 +196,4 @@ def polynomial_count(bands: int) -> int:
     return sum(comb(bands + degree - 1, degree) for degree in (1, 2, 3))
 
 
-KINDS = {kind.kind: kind for kind in (LinearMapping, LocalMapping, PolynomialMapping)}
+KINDS: dict[str, type[Mapping]] = {kind.kind: kind for kind in (LinearMapping, LocalMapping, PolynomialMapping)}

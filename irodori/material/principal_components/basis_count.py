@@ -279,7 +279,7 @@ class _Trial:
         if storage == "half":
             scale = half_scale(np.linalg.norm(encoder, axis=1) * moments.largest_norm)
         return Compression(vectors, encoder, scale, storage, {}, 0.0, False, self._found.rank, moments.pixels,
-                           moments.masked, None, moments.sample)  # fmt: skip
+                           moments.masked, Negative(0, 0.0, 0.0, 0.0, 0.0, 0.0), moments.sample)  # fmt: skip
 
     def _errors(self, made: Compression, part: slice) -> dict:
         sample = self._moments.sample[part]

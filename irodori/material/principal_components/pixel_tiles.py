@@ -40,7 +40,7 @@ class Tiles:
         self._source, self._bytes = source, tile_bytes
         self._is_array = hasattr(source, "shape") and hasattr(source, "dtype")
         # Asked once: a dataset answers only when no other thread is in HDF5, where writing holds it for a whole chunk.
-        self._shape = tuple(source.shape) if self._is_array else None
+        self._shape: tuple[int, ...] = tuple(source.shape) if self._is_array else ()
         self._place = _place_in_file(source)
         if self._is_array:
             if len(self._shape) not in (2, 3) or 0 in self._shape:

@@ -59,7 +59,7 @@ def drift(
         level = np.abs(exact).mean()
         exposure = brightness / level if level > 0 else 1.0
         pairs = {"": product, "projected_": projected}
-        row = {"reflections": number}
+        row: dict[str, object] = {"reflections": number}
         for prefix, values in pairs.items():
             row[f"{prefix}delta_e"] = {
                 light: summary(colour_error(exposure * exact @ matrix.T, exposure * values @ matrix.T, white))

@@ -175,7 +175,9 @@ class _Sampler:
 
     def __init__(self, size: int, seed: int) -> None:
         self._size, self._seed, self._lock = size, seed, threading.Lock()
-        self._keys, self._rows, self._limit = [], [], 2.0
+        self._keys: list[np.ndarray] = []
+        self._rows: list[np.ndarray] = []
+        self._limit = 2.0
 
     def add(self, rows: np.ndarray, first: int) -> None:
         """Take in a tile; in whatever order tiles come, the sample is the same."""

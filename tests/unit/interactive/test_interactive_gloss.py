@@ -23,7 +23,7 @@ def lobe_integral(normal, view, beta, mu, n, k) -> float:
     half = np.cos(phi)[..., None] * normal + np.sin(phi)[..., None] * ring
     to_light = 2 * (half @ view)[..., None] * half - view
     angles = angles_from_directions(normal, to_light, view)
-    value = reflect(0.0, 0.0, beta, mu, angles, n, k) * smooth_light(to_light)
+    value = reflect(0.0, 0.0, beta, mu, angles, n=n, k=k) * smooth_light(to_light)
     solid_angle = np.sin(phi) * dphi[:, None] * 2 * np.pi / 128 * 4 * np.maximum(half @ view, 0.0)
     return float(np.sum(value * solid_angle) / np.pi)
 
