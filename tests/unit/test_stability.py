@@ -98,7 +98,7 @@ def test_every_material_in_every_pose_spoiled_in_every_way_ends_finite_or_flagge
     for camera in (None, CAMERA * [scale**2, scale]):
         options = FitOptions(bounds=bounds, huber=huber)
         result = fit_texels((scale * response).astype(kind), geometry.astype(kind), weight.astype(kind), N, K, options,
-                            camera, clipped)  # fmt: skip
+                            noise=camera, clipped=clipped)  # fmt: skip
         # An outlier taken for a lobe at the bound of μ cannot be told from α: both are open, and the status says so.
         assert_sound(result, bounds, stating=(Status.OK, Status.DIFFUSE_ONLY, Status.DARK))
         by_name = dict(zip(names, result.status, strict=True))
@@ -132,7 +132,7 @@ def test_a_random_material_at_grazing_angles_ends_finite_or_flagged(
     spoiled(response, weight, clipped, spoil, rng)
     bounds = {"alpha": (0.0, 2.0 * scale), "beta": (0.0, 1e4 * scale), "mu_rad": (0.005, 1.2)}
     given_ = [np.asarray(v, kind)[None] for v in (scale * response, geometry, weight)]
-    result = fit_texels(*given_, n, k, FitOptions(solver=solver, bounds=bounds), None, clipped[None])
+    result = fit_texels(*given_, n, k, FitOptions(solver=solver, bounds=bounds), clipped=clipped[None])
     assert_sound(result, bounds, stating=(Status.OK, Status.DIFFUSE_ONLY, Status.DARK))
 
 
