@@ -286,14 +286,19 @@ FRONT = "photographs.front"
         ("scenes/still-life.yaml", f"{FRONT}.target_mm", [0.0, -1399.2, 734.3], f"{FRONT}.target_mm", "another point"),
         ("scenes/still-life.yaml", f"{FRONT}.samples", 24, f"{FRONT}.samples", "16"),
         ("scenes/still-life.yaml", f"{FRONT}.field_of_view_deg", 30.0, f"{FRONT}.field_of_view_deg", ""),
-        ("objects/leaf-sphere.yaml", "virtual.materials.0.kind", "ggx", f"{FRONT}.camera", "kind paper"),
+        ("objects/leaf-sphere.yaml", "virtual.materials.0", {"kind": "measured", "file": "config/even.csv"},
+         f"{FRONT}.camera", "other kinds"),
     ],
-)
+)  # fmt: skip
 def test_a_faulty_photograph_in_a_scene_is_refused_before_anything_runs(tmp_path, file, key, value, field, accepted):
     import shutil
 
     shutil.copytree(ROOT / "config", tmp_path / "config")
     assert load(tmp_path)["scenes"]["still-life"]["photographs"]["front"]["samples"] == 16
+    grid = [str(nm) for nm in range(400, 701, 20)]
+    rows = [",".join(["theta_i_rad,phi_i_rad,theta_r_rad,phi_r_rad", *grid])]
+    rows += [",".join([f"{0.1 * i},0.0,0.3,3.1", *["0.2"] * len(grid)]) for i in range(10)]
+    (tmp_path / "config/even.csv").write_text("\n".join(rows) + "\n")
     edit(tmp_path, file, key, value)
     error = fault(tmp_path)
     assert error.field == field and accepted in error.accepted and error.file.endswith("still-life.yaml")
