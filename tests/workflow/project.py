@@ -29,6 +29,7 @@ def snakemake(
     snakefile: Path = ROOT / "Snakefile",
     cores: int | None = 2,
     search_path: Path | None = None,
+    timeout_s: float = 400.0,
 ) -> subprocess.CompletedProcess:
     """Run Snakemake in a working directory with the repository's Snakefile; some commands need no number of cores.
 
@@ -37,7 +38,7 @@ def snakemake(
     number = ["--cores", str(cores)] if cores else []
     command = [sys.executable, "-m", "snakemake", "--snakefile", str(snakefile), *number, *arguments]
     environment = os.environ | ({"PYTHONPATH": str(search_path)} if search_path else {})
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=400, env=environment)
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=timeout_s, env=environment)
 
 
 def small_project(folder: Path) -> Path:

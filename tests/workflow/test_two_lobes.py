@@ -9,7 +9,7 @@ from project import edit, small_project, snakemake
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.evaluation.truth_errors import interior
 from irodori.export.pictures import read_xyz
-from irodori.material.material_file import Material, Status
+from irodori.material.material_file import Material
 from irodori.spectra.grid import SAMPLES
 
 #: A narrow highlight over a broad one, as under a coat of varnish: β and μ of the paper's lobe, then of GGX.
@@ -51,7 +51,8 @@ def finished(tmp_path_factory):
         folder / f"config/scenes/{QUICK}.yaml",
         {"integrator": {"kind": "interactive"}, "tolerance_ciede2000": 1.0, "photographs": {}},
     )
-    run = snakemake(folder)
+    edit(folder / "config/config.yaml", {"make.scenes": ["still-life", QUICK]})
+    run = snakemake(folder, timeout_s=1200.0)  # where nothing is compiled yet
     assert run.returncode == 0, run.stderr[-4000:]
     return folder
 
@@ -60,10 +61,10 @@ def finished(tmp_path_factory):
 def test_both_lobes_are_recovered_where_the_data_calls_for_them(finished):
     found, truth = (Material.load(finished / f"results/tile-plate/{name}.h5") for name in ("material", "truth"))
     assert found.lobes == truth.lobes == ("gaussian", "ggx")
-    chosen = found.observed & interior(truth) & (found.status == int(Status.OK))
+    chosen = found.observed & interior(truth)
     second = chosen & (component(found, "beta_2") > 0)
-    assert chosen.mean() > 0.2 and second.sum() > 0.5 * chosen.sum()
-    for name, limit in (("beta", 0.15), ("mu", 0.1), ("beta_2", 0.35), ("mu_2", 0.25)):
+    assert chosen.mean() > 0.3 and second.sum() > 0.9 * chosen.sum()
+    for name, limit in (("beta", 0.07), ("mu", 0.04), ("beta_2", 0.1), ("mu_2", 0.12)):
         ratio = component(found, name)[second] / component(truth, name)[second]
         assert np.nanmedian(np.abs(ratio - 1.0)) < limit, name
 
