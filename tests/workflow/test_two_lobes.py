@@ -1,6 +1,7 @@
 """An object of two lobes goes through the whole chain, from its configuration to a picture and the report."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -84,4 +85,6 @@ def test_pictures_photograph_and_report_have_both_lobes(finished):
     ratio = quick[shown] / traced[shown]
     assert np.median(np.abs(ratio / np.median(ratio) - 1.0)) < 0.1
     page = (results / "report.html").read_text()
-    assert "ggx" in page.lower()
+    # The typical gloss of the plate's two components, and of the sphere's one.
+    assert re.search(r"gloss\s+β = [^;<]*\(Gaussian facets\); β = [^;<]*\(GGX facets\)", page)
+    assert re.search(r"gloss\s+β = [^;<]*\(GGX facets\)", page)

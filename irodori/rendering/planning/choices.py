@@ -279,8 +279,10 @@ def _decide_environment(planner: Planner) -> None:
     coarsest = max(int((rows >= min(_LEAST_ROWS, rows[0])).sum()) - 1, 0) if planner.model.environment else 0
 
     def of_halvings(halvings: int):
-        changes = Changes(sky_level=halvings)
-        alone = planner.bound_where(planner.showing(changes), changes) if halvings else 0.0
+        alone = 0.0
+        if halvings:
+            found = planner.probes.radiance(Changes(sky_level=halvings))
+            alone = planner.bound_where(planner.showing(found), found)
         return alone, replace(planner.changes, sky_level=halvings), None
 
     candidates = list(range(coarsest, -1, -1))
@@ -297,17 +299,22 @@ def _decide_textures(planner: Planner) -> None:
         halvings = {i: min(wanted, most[i]) for i in range(count) if min(wanted, most[i])}
     else:
         halvings = _halvings_that_fit(planner, most)
-    alone = max((_texture_error(planner, index, level) for index, level in halvings.items()), default=0.0)
+    errors = (_texture_error(planner, _showing_object(planner, i), i, level) for i, level in halvings.items())
+    alone = max(errors, default=0.0)
     changes = replace(planner.changes, texture_level=halvings)
     why = "as the probes see them; those that none meets stay whole"
     values = tuple(halvings.get(i, 0) for i in range(count))
     planner.decide("texture_halvings", alone, changes, why, texture_halvings=values)
 
 
-def _texture_error(planner: Planner, index: int, level: int) -> float:
-    """Return what a halved texture costs where its object is seen."""
-    seen = planner.showing(Changes(texture_level={index: BLACK}))
-    return planner.bound_where(seen, Changes(texture_level={index: level}))
+def _showing_object(planner: Planner, index: int) -> np.ndarray:
+    """Return which probes show an object's texture, directly or in a mirror, (count,) bool."""
+    return planner.showing(planner.probes.radiance(Changes(texture_level={index: BLACK})))
+
+
+def _texture_error(planner: Planner, seen: np.ndarray, index: int, level: int) -> float:
+    """Return what a halved texture costs at the probes that show its object."""
+    return planner.bound_where(seen, planner.probes.radiance(Changes(texture_level={index: level})))
 
 
 def _halvings_that_fit(planner: Planner, most: list[int]) -> dict[int, int]:
@@ -317,11 +324,11 @@ def _halvings_that_fit(planner: Planner, most: list[int]) -> dict[int, int]:
     share = (planner.tolerance - planner.spent) / planner.left
     halvings, tried = {}, 0
     for index in largest:
-        seen = planner.showing(Changes(texture_level={index: BLACK}))
+        seen = _showing_object(planner, index)
         if not seen.any():
             continue
         for level in range(1, most[index] + 1):
-            if planner.bound_where(seen, Changes(texture_level={index: level})) > share:
+            if _texture_error(planner, seen, index, level) > share:
                 break
             halvings[index] = level
         tried += 1

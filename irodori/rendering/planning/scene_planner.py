@@ -86,13 +86,13 @@ class Planner:
         views = self.probes.views
         return max(bound_of_share(errors[view::views]) for view in range(min(views, len(errors))))
 
-    def showing(self, changes: Changes) -> np.ndarray:
-        """Return which probes show a change at all, (count,) bool."""
-        return (self.probes.radiance(changes) != self.seen).any(axis=1)
+    def showing(self, radiance: np.ndarray) -> np.ndarray:
+        """Return which probes of a picture, (count, 61), differ from the full one at all, (count,) bool."""
+        return (radiance != self.seen).any(axis=1)
 
-    def bound_where(self, chosen: np.ndarray, changes: Changes) -> float:
+    def bound_where(self, chosen: np.ndarray, radiance: np.ndarray) -> float:
         """Return the bound of the share among chosen probes, so that what is small in the picture counts too."""
-        return bound_of_share(self.errors(changes)[chosen]) if chosen.any() else 0.0
+        return bound_of_share(self.differences(radiance)[chosen]) if chosen.any() else 0.0
 
     def solve(self, nodes: int) -> Quadrature:
         """Return the quadrature of a number of wavelengths for the paths of the model."""
