@@ -125,15 +125,15 @@ def _sum_squared_node(steepness, rows, sums, i, zero):
     """Fill the sums of node i and square the lobe, whose slope along log μ is 2 / μ², ``steepness``, times f0."""
     cg, rg, gg, cg1, rg1, gg1 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for j in range(vectors_of(rows)):
-        lobe, x = get(rows, LOBE, j), get(rows, F0, j)
-        put(rows, LOBE, j, lobe * lobe + LEAST_LOBE)
+        lobe = get(rows, LOBE, j)
         g = get(rows, GLOSS, j) * lobe
-        c = get(rows, WEIGHTED_COSINE, j) * g
-        cg, cg1 = cg + c, cg1 + c * x
-        r = get(rows, WEIGHTED_RESPONSE, j) * g
-        rg, rg1 = rg + r, rg1 + r * x
+        put(rows, LOBE, j, lobe * lobe + LEAST_LOBE)
         s = get(rows, WEIGHT, j) * g * g
-        gg, gg1 = gg + s, gg1 + s * x
+        r = get(rows, WEIGHTED_RESPONSE, j) * g
+        c = get(rows, WEIGHTED_COSINE, j) * g
+        x = get(rows, F0, j)
+        gg, rg, cg = gg + s, rg + r, cg + c
+        gg1, rg1, cg1 = gg1 + s * x, rg1 + r * x, cg1 + c * x
     _put_node(sums, i, (cg, rg, gg, steepness * cg1, steepness * rg1, 2.0 * steepness * gg1), zero)
 
 
