@@ -17,7 +17,7 @@ from irodori.fitting.reported_parameters import report_parameters
 from irodori.fitting.texel_rows import COSINE, LOBE, LOBE_SLOPE, RESPONSE, WEIGHT
 from irodori.fitting.varpro import NODE_STEP
 from irodori.reflection.lobes import Lobes
-from irodori.reflection.registry import names
+from irodori.reflection.registry import DEFAULT_LOBES, lobe, names
 
 # NLopt's fastest bounded algorithm of those that reach the minimum on noisy texels, and where it stops.
 _ALGORITHM, _XTOL_REL, _MAX_EVALUATIONS = nlopt.LD_LBFGS, 1e-8, 400
@@ -67,7 +67,7 @@ class FitOptions:
     refractive_index: str = "fixed"
     pooling_radius_texels: int = 0
     bounds: dict | None = None
-    lobes: tuple[str, ...] = ("gaussian",)
+    lobes: tuple[str, ...] = DEFAULT_LOBES
 
     def __post_init__(self):
         if self.solver not in SOLVERS:
@@ -96,8 +96,11 @@ class FitOptions:
                 raise ValueError(f"fit.{name} {value!r} of an object with two lobes; accepted: {accepted!r}")
 
     def limits(self, name: str) -> tuple[float, float]:
-        """Return lower and upper bound of a parameter."""
+        """Return lower and upper bound of a parameter; those of μ lie within what its lobes are defined for."""
         low, high = (_BOUNDS | (self.bounds or {}))[name]
+        if name == "mu_rad":
+            defined = [lobe(one).roughness for one in self.lobes]
+            low, high = max(low, *(one.low for one in defined)), min(high, *(one.high for one in defined))
         return float(low), float(high)
 
     def nodes(self) -> np.ndarray:
@@ -157,7 +160,7 @@ class FitResult:
     index: np.ndarray
     index_error: np.ndarray
     pooled_from: np.ndarray
-    lobes: tuple[str, ...] = ("gaussian",)
+    lobes: tuple[str, ...] = DEFAULT_LOBES
     beta_2: np.ndarray | None = None
     mu_2: np.ndarray | None = None
     beta_2_error: np.ndarray | None = None
@@ -294,7 +297,7 @@ def problem_of(
     camera, known = camera_noise(noise, captures)
     problem = texels.Problem(
         response, weight, geometry, np.require(clipped, requirements=["C", "W"]), n, float(k), camera, nodes,
-        2.0 * np.exp(-2.0 * nodes), options.scan_per_octave // 2, Lobes((options.lobes[0],)),
+        options.scan_per_octave // 2, Lobes((options.lobes[0],)),
     )  # fmt: skip
     rules = Rules(
         *options.limits("alpha"), *options.limits("beta"), float(nodes[-1]), float(nodes[0]), known,

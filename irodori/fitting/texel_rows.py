@@ -28,7 +28,6 @@ from irodori.reflection.fresnel import fresnel
 ) = range(16)  # fmt: skip
 ROWS = 16
 _ANGLES = RESPONSE  # θ_i, θ_r, θ_H, φ stand in this row and the next three until the responses do
-_TINY = 1e-300
 _HALF_PI_HIGH, _HALF_PI_LOW = 1.5707963267948966, 6.123233995736766e-17
 
 

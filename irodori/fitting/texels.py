@@ -37,8 +37,6 @@ class Problem(NamedTuple):
         c0 and c1 of the camera's variance c0 + c1 ρ, by capture.
     nodes : (nodes,) float64
         log μ of the scan, falling.
-    steepness : (nodes,) float64
-        2 / μ² there.
     chains : int
         Steps of the nodes in √2.
     lobes : Lobes
@@ -53,7 +51,6 @@ class Problem(NamedTuple):
     k: float
     noise: np.ndarray
     nodes: np.ndarray
-    steepness: np.ndarray
     chains: int
     lobes: Lobes
 

@@ -1,9 +1,10 @@
 """Variable projection: scan Φ(log μ), then safeguarded Newton in each interval that brackets a minimum.
 
-Where a lobe is exp(-f0 / μ²) it is squared from one roughness of the scan to the next, smaller by √2: a scan costs one
-exponential an observation. Value and slope at every node tell which intervals hold a minimum, and a cubic through them
-where; the best is polished, and any other that may come as low. Texels that share one geometry share tables of lobes
-(`irodori.fitting.shared_geometry`), and where their weights agree too, the scan's sums but those with the response.
+Where a lobe is an exponential whose exponent goes with 1 / μ² it is squared from one roughness of the scan to the next,
+smaller by √2: a scan costs one exponential an observation. Value and slope at every node tell which intervals hold a
+minimum, and a cubic through them where; the best is polished, and any other that may come as low. Texels that share
+one geometry share tables of lobes (`irodori.fitting.shared_geometry`), and where their weights agree too, the scan's
+sums but those with the response.
 
 All but `find_intervals` and `minimise` is for one texel and for eight, see `irodori.fitting.texel_rows`.
 """
@@ -31,7 +32,7 @@ from irodori.fitting.texel_rows import (
     vectors_of,
 )
 from irodori.jit.compilation import njit, uncounted
-from irodori.jit.functions import exp, lower_of, magnitude, negated, root, select, upper_of
+from irodori.jit.functions import lower_of, magnitude, negated, root, select, upper_of
 from irodori.jit.vector_memory import spread
 from irodori.reflection import lobes as lobe_kernels
 
@@ -56,13 +57,13 @@ def moments(rows, lobes, log_mu):
 
 @uncounted(error_model="numpy")
 def _exponential_moments(rows, lobes, log_mu):
-    """Return the moments of a lobe exp(x), x = -f0 / μ², whose derivatives are multiples of it: half the numbers."""
-    constant, factor = lobe_kernels.constants(lobes, log_mu), -exp(-2.0 * log_mu)
+    """Return the moments of a lobe exp(x), x ∝ 1 / μ², whose derivatives are multiples of it: half the numbers."""
+    constant = lobe_kernels.constants(lobes, log_mu)
     cg, cg1, cg2, rg, rg1 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     rg2, gg, gg1, gg2 = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for j in range(vectors_of(rows)):
         f0 = get(rows, F0, j)
-        x = f0 * factor
+        x = f0 * constant[0]
         g = get(rows, GLOSS, j) * lobe_kernels.value(lobes, constant, f0, get(rows, F1, j), get(rows, F2, j))
         c = get(rows, WEIGHTED_COSINE, j) * g
         r = get(rows, WEIGHTED_RESPONSE, j) * g
@@ -103,8 +104,7 @@ def _moments(rows, lobes, log_mu):
 
 
 @uncounted(error_model="numpy")
-def _fill_value(rows, lobes, log_mu):
-    constant = lobe_kernels.constants(lobes, log_mu)
+def _fill_value(rows, lobes, constant):
     for j in range(vectors_of(rows)):
         put(rows, LOBE, j, lobe_kernels.value(lobes, constant, get(rows, F0, j), get(rows, F1, j), get(rows, F2, j)))
 
@@ -122,7 +122,7 @@ def _put_node(sums, i, found, zero):
 
 @uncounted(error_model="numpy")
 def _sum_squared_node(steepness, rows, sums, i, zero):
-    """Fill the sums of node i and square the lobe, whose slope along log μ is 2 / μ², ``steepness``, times f0."""
+    """Fill the sums of node i and square the lobe; the slope of its logarithm along log μ is ``steepness`` times f0."""
     cg, rg, gg, cg1, rg1, gg1 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for j in range(vectors_of(rows)):
         lobe = get(rows, LOBE, j)
@@ -168,9 +168,12 @@ def scan(rows, problem, sums, zero):
     if lobe_kernels.squares_at_half_octave(lobes):
         for chain in range(problem.chains + 1):
             first, step = (chain, problem.chains) if chain < problem.chains else (count - 1, count)
-            _fill_value(rows, lobes, problem.nodes[first])
+            constant = lobe_kernels.constants(lobes, problem.nodes[first])
+            _fill_value(rows, lobes, constant)
+            steepness = -2.0 * constant[0]
             for i in range(first, count - 1 if chain < problem.chains else count, step):
-                _sum_squared_node(problem.steepness[i], rows, sums, i, zero)
+                _sum_squared_node(steepness, rows, sums, i, zero)
+                steepness *= 2.0
     else:
         for i in range(count):
             _sum_node(lobes, problem.nodes[i], rows, sums, i, zero)

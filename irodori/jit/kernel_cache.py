@@ -80,22 +80,25 @@ def _usable(folder: Path) -> bool:
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """Return where compiled kernels are kept, or None, said once in the log, where there is no safe place.
+    """Return where compiled kernels are kept, or None, with a warning, where there is no safe place.
 
-    ``NUMBA_CACHE_DIR`` if it is set; else beside the package, where the package's own folder is this user's; else the
-    user's cache folder. A loaded kernel is executed, so a folder that another user can write is never taken.
+    ``NUMBA_CACHE_DIR`` if it is set; else beside the package; else the user's cache folder, which is said when it is
+    made. A loaded kernel is executed, so a folder that another user owns or may write into is never taken.
     """
     given = numba.config.CACHE_DIR
-    if given:
-        Path(given).mkdir(parents=True, exist_ok=True)
+    if given and _usable(Path(given)):
         return Path(given)
+    if given:
+        _LOGGER.warning("NUMBA_CACHE_DIR %s is no folder that only this user can write: it is not used", given)
     if is_private(_PACKAGE) and _usable(_PACKAGE / "__pycache__" / "kernels"):
         return _PACKAGE / "__pycache__" / "kernels"
     import platformdirs
 
     folder = Path(platformdirs.user_cache_dir("irodori")) / "kernels"
+    is_new = not folder.exists()
     if _usable(folder):
-        _LOGGER.info("%s cannot be written: compiled kernels are kept in %s", _PACKAGE, folder)
+        if is_new:
+            _LOGGER.warning("%s is not only this user's to write: compiled kernels are kept in %s", _PACKAGE, folder)
         return folder
     _LOGGER.warning("no folder for compiled kernels that only this user can write: every process compiles its own")
     return None

@@ -9,7 +9,7 @@ from scipy import ndimage
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.material.coefficients import read_coefficients, write_coefficients
-from irodori.reflection.registry import lobe, names
+from irodori.reflection.registry import DEFAULT_LOBES, lobe, names
 from irodori.spectra.grid import SAMPLES
 
 _DARKEST_GREEN = 1e-3
@@ -19,7 +19,6 @@ MAPS = {
     "green_response": ("1", "green-band response of S"),
 }
 COEFFICIENTS, QUANTITY = "reflectance/coefficients", "coefficients of the reflectance factor"
-DEFAULT_LOBES = ("gaussian",)
 #: The first version of the files that names the lobes; before it there was one, the Gaussian.
 _LOBES_SINCE = 2
 

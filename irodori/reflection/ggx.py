@@ -19,8 +19,6 @@ TITLE = "GGX facets"
 ROUGHNESS = Parameter("mu", "μ", "1", "roughness: tan of the angle at which D has fallen to a quarter", 0.005, 1.2)
 SQUARES_AT_HALF_OCTAVE = False
 
-_TINY = 1e-300
-
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def features(cos_i, cos_r, cos_phi, cos_h, phi):

@@ -62,8 +62,8 @@ class Lobe:
         The value over that at φ = 0, and the square of the slope of its logarithm along φ, 1/rad²: what an error of
         the pose does to an observation.
     squares_at_half_octave : bool
-        Whether the value is exp(-f0 / μ²): at μ / √2 it is the square of that at μ, which a scan over roughnesses makes
-        use of.
+        Whether the value is exp(c f0), where c is the first of the constants and goes with 1 / μ²: at μ / √2 it is the
+        square of that at μ, which a scan over roughnesses makes use of.
     draw : kernel (μ, v0, v1, v2, u0, u1) -> (h0, h1, h2)
         A half vector from two random numbers in 0..1; v is the unit vector to the viewer, both in a frame whose third
         axis is the normal.

@@ -3,6 +3,9 @@
 from irodori.reflection import gaussian, ggx
 from irodori.reflection.lobe import Lobe
 
+#: Lobes of an object that names none: the paper's.
+DEFAULT_LOBES = (gaussian.NAME,)
+
 _LOBES: dict[str, Lobe] = {}
 
 

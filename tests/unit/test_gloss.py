@@ -14,6 +14,7 @@ from irodori.core.errors import InputError
 from irodori.light.blurred_light import WIDTHS_RAD, _bessel_series, first_level, prefiltered
 from irodori.light.environment_file import Environment, directions
 from irodori.light.equirectangular import look_up
+from irodori.light.gloss import lobe_table
 from irodori.light.gloss.gloss_maps import GlossMaps, gloss_radiance
 from irodori.light.gloss.lobe_table import fitted_lobes
 from irodori.light.gloss.look_up_errors import gloss_errors, places, true_gloss
@@ -141,8 +142,26 @@ def test_the_extent_of_facets():
     assert math.tan(farthest("ggx", 0.02, 0.01)) == pytest.approx(0.02 * math.sqrt(99.0), rel=0.01)
 
 
-def test_a_lobe_without_a_table_is_refused_with_the_command_that_makes_it(tmp_path, monkeypatch):
-    monkeypatch.setattr("irodori.light.gloss.lobe_table.path_of", lambda name: tmp_path / f"lobe_table-{name}.h5")
+def test_the_table_of_a_lobe_from_elsewhere_is_made_once_and_kept_beside_the_kernels(tmp_path, monkeypatch):
+    table, made = lobe_table.path_of("ggx"), []
+
+    def write(path, name):
+        made.append(name)
+        path.write_bytes(table.read_bytes())
+
+    monkeypatch.setattr(lobe_table, "_FOLDER", tmp_path / "package")
+    monkeypatch.setattr(lobe_table, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("irodori.light.gloss.make_lobe_table.write_table", write)
+    for _ in range(2):
+        fitted_lobes.cache_clear()
+        assert fitted_lobes("ggx").weight.shape[:2] == (12, 11)
+    fitted_lobes.cache_clear()
+    assert made == ["ggx"]
+
+
+def test_a_lobe_without_a_table_and_a_place_for_it_is_refused_with_the_command_that_makes_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(lobe_table, "_FOLDER", tmp_path)
+    monkeypatch.setattr(lobe_table, "cache_folder", lambda: None)
     fitted_lobes.cache_clear()
     try:
         with pytest.raises(InputError, match=r"lobe_table-ggx.h5.*python -m irodori.light.gloss.make_lobe_table ggx"):

@@ -135,8 +135,9 @@ def test_kernels_are_never_loaded_from_a_folder_that_others_can_write(tmp_path):
 def test_an_installation_that_others_can_write_keeps_its_kernels_with_the_user(package, tmp_path):
     (package / "irodori").chmod(0o777)
     home = tmp_path / "home"
-    _, compiled, _ = result(start(package, XDG_CACHE_HOME=str(home)))
-    assert compiled == 1
+    _, compiled, said = result(start(package, XDG_CACHE_HOME=str(home)))
+    assert compiled == 1 and f"kept in {home}" in said
+    assert result(start(package, XDG_CACHE_HOME=str(home)))[1:] == (0, "")  # said once
     assert not (package / "irodori/__pycache__/kernels").exists()
     kept = home / "irodori" / "kernels"
     assert kept.stat().st_mode & 0o777 == 0o700
@@ -145,6 +146,20 @@ def test_an_installation_that_others_can_write_keeps_its_kernels_with_the_user(p
     _, compiled, said = result(start(package, XDG_CACHE_HOME=str(home)))
     assert compiled == 1
     assert said.count("every process compiles its own") == 1
+
+
+def test_a_folder_that_is_asked_for_is_used_only_where_nobody_else_can_write(package, tmp_path):
+    asked = tmp_path / "asked"
+    asked.mkdir(mode=0o700)
+    assert result(start(package, NUMBA_CACHE_DIR=str(asked)))[1:] == (1, "")
+    assert list(asked.rglob("*.nbi"))
+    shutil.rmtree(asked)
+    asked.mkdir()
+    asked.chmod(0o777)
+    _, compiled, said = result(start(package, NUMBA_CACHE_DIR=str(asked)))
+    assert compiled == 1 and not list(asked.rglob("*"))
+    assert f"NUMBA_CACHE_DIR {asked} is no folder that only this user can write" in said
+    assert result(start(package, NUMBA_CACHE_DIR="/proc/none"))[1] == 0  # as kept beside the package
 
 
 def test_states_that_nobody_used_for_long_are_removed(tmp_path):

@@ -6,19 +6,19 @@ import pytest
 from project import ROOT, planned, small_project, snakemake
 
 TRUTH = "results/leaf-sphere/truth.h5"  # the output of a job without inputs
-MODULE = """
-configfile: "config/config.yaml"
-
-module irodori:
-    snakefile: "{snakefile}"
-    config: config
-
-use rule * from irodori as irodori_*
-
+#: What the README says, and a rule that asks for all of it.
+MODULE = (
+    next(
+        block.removeprefix("python\n").replace("path/to/irodori/workflow/Snakefile", "{snakefile}")
+        for block in (ROOT / "README.md").read_text().split("```")
+        if block.startswith("python\n") and "module irodori" in block
+    )
+    + """
 rule everything:
     default_target: True
     input: rules.irodori_all.input
 """
+)
 
 
 @pytest.fixture(scope="module")

@@ -26,6 +26,7 @@ from irodori.jit.compilation import njit
 from irodori.reflection.equation5 import angles_from_directions
 from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobes import Lobes, constants, derivatives, features, value
+from irodori.reflection.registry import DEFAULT_LOBES
 
 if TYPE_CHECKING:
     from irodori.config.models import SensorOptions
@@ -132,7 +133,7 @@ class Materials:
     mu: np.ndarray
     n: float = 1.5
     k: float = 0.0
-    lobes: tuple[str, ...] = ("gaussian",)
+    lobes: tuple[str, ...] = DEFAULT_LOBES
 
     def of_lobes(self) -> list[tuple[str, np.ndarray]]:
         """Return every lobe with the indices of its materials."""

@@ -24,6 +24,7 @@ from irodori.config.models import AxisLimit, Object, Rig, RigLimits, SensorOptio
 from irodori.config.parts import PlannedObject
 from irodori.geometry.rig_frame import to_camera, to_light
 from irodori.geometry.shapes.shape import Shape
+from irodori.reflection.registry import DEFAULT_LOBES
 from irodori.spectra.published import refractive_index_at
 
 AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
@@ -61,7 +62,7 @@ class MaterialRange:
     mu_rad: tuple[float, float] = (0.05, 0.3)
     n: float = 1.5
     k: float = 0.0
-    lobes: tuple[str, ...] = ("gaussian",)
+    lobes: tuple[str, ...] = DEFAULT_LOBES
 
     @property
     def parameters(self) -> int:

@@ -113,7 +113,7 @@ class Plane(FlatShape):
 
     @property
     def reach_mm(self) -> float:
-        """None, see `irodori.geometry.shapes.reaches`."""
+        """None, see `irodori.geometry.shapes.placement.reaches`."""
         return 0.0
 
     def frame_origin(self, placement: Placement) -> np.ndarray:

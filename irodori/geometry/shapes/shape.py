@@ -163,7 +163,7 @@ class Shape(ABC):
         ----------
         placement : Placement
         reach_mm : float
-            See `irodori.geometry.shapes.reaches`.
+            See `irodori.geometry.shapes.placement.reaches`.
         points : list of (vertices, 3) float
             Of each of the scene's shapes that hide by rays, in the world, mm.
         """

@@ -19,7 +19,7 @@ def shape_row(placement: "Placement", reach_mm: float, number: int, dtype=np.flo
     ----------
     placement : Placement
     reach_mm : float
-        See `irodori.geometry.shapes.reaches`.
+        See `irodori.geometry.shapes.placement.reaches`.
     number : int
         See `irodori.geometry.shape_registry.number_of`.
     dtype : type

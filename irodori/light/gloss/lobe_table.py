@@ -6,9 +6,11 @@ cuts it. For a ladder of roughnesses and view angles it is therefore a sum with 
 `irodori.light.blurred_light`, on the plane of incidence and in pairs on both sides of it. Each keeps the angle θ_H at
 which its light is reflected, and the Fresnel
 reflectance F(n, k, θ_H) multiplies it at look-up: one table serves every refractive index.
-`irodori.light.gloss.make_lobe_table` makes the tables; those of the package's own lobes are stored beside this module.
+`irodori.light.gloss.make_lobe_table` makes the tables; those of the package's own lobes are stored beside this module,
+that of any other lobe is made when it is first asked for, and kept beside the kernels.
 """
 
+import logging
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -17,6 +19,7 @@ import numpy as np
 
 from irodori.core import store
 from irodori.core.errors import InputError
+from irodori.jit.kernel_cache import cache_folder
 from irodori.reflection.registry import lobe
 
 #: Roughnesses of the ladder, a factor √2 apart; rougher surfaces are for `irodori.light.gloss.point_sources`.
@@ -26,11 +29,15 @@ THETA_R_RAD = np.radians([0.0, 20.0, 40.0, 50.0, 60.0, 67.5, 75.0, 80.0, 84.0, 8
 #: Changes whenever the table is made anew, so that what was made with another is made again.
 TABLE = 2
 _FOLDER = Path(__file__).parent
+_LOGGER = logging.getLogger("irodori")
 
 
 def path_of(name: str) -> Path:
-    """Return the file of the table of a lobe."""
-    return _FOLDER / f"lobe_table-{name}.h5"
+    """Return the file of the table of a lobe: the package's own, else one beside the kernels, by the lobe's source."""
+    stored, kept = _FOLDER / f"lobe_table-{name}.h5", cache_folder()
+    if stored.is_file() or kept is None:
+        return stored
+    return kept / f"{__name__}.{name}-{TABLE}-{lobe(name).digest}.h5"
 
 
 class LobeTable(NamedTuple):
@@ -62,18 +69,23 @@ COLUMNS = {
 
 @lru_cache(maxsize=8)
 def fitted_lobes(name: str = "gaussian") -> LobeTable:
-    """Return the table of a lobe.
+    """Return the table of a lobe; one that the package does not have is made, which takes minutes.
 
     Raises
     ------
     InputError
-        If there is none, or it is another version's; the command that makes it is named.
+        If it is another version's, or there is none and no place to keep one; the command that makes it is named.
     ValueError
         If there is no lobe of that name.
     """
     path, command = path_of(lobe(name).name), f"python -m irodori.light.gloss.make_lobe_table {name}"
     if not path.is_file():
-        raise InputError(path, "", "no table of the lobe", f"the one that {command} makes")
+        if path.parent == _FOLDER:
+            raise InputError(path, "", "no table of the lobe", f"the one that {command} makes")
+        from irodori.light.gloss import make_lobe_table
+
+        _LOGGER.warning("the blurred light of the lobe %s is tabulated once, in minutes: %s", name, path)
+        make_lobe_table.write_table(path, name)
     with store.open_file(path) as file:
         found = file.attribute("table"), file.attribute("lobe")
         if found != (TABLE, name) or not np.allclose(file.read("mu"), MU):

@@ -230,7 +230,7 @@ def choose(
     rank = found.rank
     counts = [*range(options.align, rank, options.align), rank] if bases is None else [max(1, min(bases, rank))]
     for count in counts:
-        if count != counts[-1] and trial.is_hopeless(count):
+        if count != counts[-1] and trial.cannot_reach_limits(count):
             continue
         made = trial.compression(count)
         if made.budget_met or count == counts[-1]:
@@ -252,8 +252,8 @@ class _Trial:
         self._observers = observers
         self._before = {light: spectra @ matrix.T for light, (matrix, _) in observers.items()}
 
-    def is_hopeless(self, count: int) -> bool:
-        """Whether so few bases miss a target by twice on a part of the sample; the whole need not be looked at."""
+    def cannot_reach_limits(self, count: int) -> bool:
+        """Return whether so few bases miss a limit by twice on a part of the sample, so that the whole is not tried."""
         errors = self._errors(self._made(count), slice(_FIRST_LOOK))
         mean, p99 = self._options.target_delta_e_mean, self._options.target_delta_e_p99
         return any(e["mean"] > 2 * mean or e["p99"] > 2 * p99 for e in errors.values())

@@ -1,4 +1,4 @@
-"""Gloss lobe of equation (5) as four round lobes, tabulated for look-up at every hit.
+"""Gloss lobes as rows of four round lobes, tabulated for look-up at every hit.
 
 `irodori.light.gloss.lobe_table` has up to forty lobes to each entry of a table, of which a look-up mixes four entries.
 Here the lobe D G / cosθ_r of any form that is registered is one to three rows of four Gaussians of the sphere in the
