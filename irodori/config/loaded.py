@@ -30,16 +30,13 @@ class Loaded(Definition):
 
     def photographed(self, kind: str, name: str) -> Object | Camera | Environment:
         """Return the definition of what a set of photographs shows."""
-        kinds: dict[str, Mapping[str, Object | Camera | Environment]] = {
-            "objects": self.objects,
-            "cameras": self.cameras,
-            "environments": self.environments,
-        }
+        kinds = ("objects", "cameras", "environments")
         if kind not in kinds:
             raise ValueError(f"no photographs of {kind!r}; {suggest(kind, kinds, 'kinds')}")
-        if name not in kinds[kind]:
-            raise ValueError(f"no {name!r} in {kind}; {suggest(name, kinds[kind], 'loaded')}")
-        return kinds[kind][name]
+        definitions = getattr(self, kind)
+        if name not in definitions:
+            raise ValueError(f"no {name!r} in {kind}; {suggest(name, definitions, 'loaded')}")
+        return definitions[name]
 
     def camera_of(self, kind: str, name: str) -> str:
         """Return the name of the camera that takes a set; an environment without one is a ValueError."""

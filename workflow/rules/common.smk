@@ -8,6 +8,8 @@ try:
     # The repository's own file first, then those of the command line, which override it.
     files = sorted(map(str, workflow.configfiles), key=lambda file: file != "config/config.yaml")
     loaded = load_definitions(config, Path(), files)
+    plain = loaded.plain()
+    config.update(plain.pop("config"), **plain)  # where `lookup` finds them, with every default
     sets = PhotographSets(loaded)
     scenes = SceneFiles(sets)
 except InputError as error:

@@ -116,22 +116,7 @@ def by_chart(shots: list[Shot], further: Iterable[str], table: Path, file) -> li
 
 
 def check_states(shots: list[Shot], table: Path, wanted: set[str], chart_file: Path) -> None:
-    """Refuse a capture in other filter states than the chart's, for which alone the calibration holds.
-
-    Parameters
-    ----------
-    shots : list of Shot
-    table : path
-        Where they are listed.
-    wanted : set of str
-        Filter states of the chart.
-    chart_file : path
-        What tells them.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse a capture in other filter states than those that `chart_file` has, for which alone the calibration holds."""
     for capture, states in _states_of_captures(shots).items():
         if states != wanted:
             accepted = f"the filter states {_listed(wanted)}, as the chart has in {chart_file}"

@@ -42,7 +42,7 @@ def check_spectra(value, path: tuple, root: Path, file) -> None:
 
     Parameters
     ----------
-    value : Definition, mapping, tuple or scalar
+    value : Definition, mapping, sequence or scalar
         A definition, or a part of one.
     path : tuple of str and int
         Where `value` stands in its definition.
@@ -59,7 +59,7 @@ def check_spectra(value, path: tuple, root: Path, file) -> None:
     if isinstance(value, Definition | Mapping):
         for key, item in (value.given() if isinstance(value, Definition) else value).items():
             check_spectra(item, (*path, key), root, file)
-    elif isinstance(value, tuple):
+    elif isinstance(value, list | tuple):
         for index, item in enumerate(value):
             check_spectra(item, (*path, index), root, file)
     elif isinstance(value, str) and (kind := _kind(path)):
