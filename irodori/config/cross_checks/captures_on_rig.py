@@ -116,7 +116,7 @@ def by_chart(shots: list[Shot], further: Iterable[str], table: Path, file) -> li
 
 
 def check_states(shots: list[Shot], table: Path, wanted: set[str], chart_file: Path) -> None:
-    """Refuse a capture in other filter states than those that `chart_file` has, for which alone the calibration holds."""
+    """Refuse a capture in other filter states than those in `chart_file`, for which alone the calibration holds."""
     for capture, states in _states_of_captures(shots).items():
         if states != wanted:
             accepted = f"the filter states {_listed(wanted)}, as the chart has in {chart_file}"
