@@ -23,7 +23,6 @@ import numpy as np
 from benchmarks.table import arguments_of, least_processor_s, medians_s, own_peak_mb, printed_by, report
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, summary, xyz_from_radiance
 from irodori.config.definitions import load_definitions, read_yaml
-from irodori.config.loaded import Loaded
 from irodori.config.models import Size
 from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes.shape import Shape
@@ -65,7 +64,7 @@ SIZES = {
 
 def make_inputs(width: int, folder: Path) -> None:
     """Write the scene for an environment ``width`` px wide to a folder."""
-    loaded = Loaded.of(load_definitions(read_yaml(_ROOT / "config/config.yaml"), _ROOT))
+    loaded = load_definitions(read_yaml(_ROOT / "config/config.yaml"), _ROOT)
     scene, rig = loaded.scenes["still-life"], loaded.rigs["virtual"]
     objects = [loaded.objects[item.object] for item in scene.objects]
     materials = [true_material(o, loaded.cameras[o.camera], rig) for o in objects]

@@ -39,7 +39,7 @@ def main(repository: Path) -> None:
     for module in ("irodori.fitting.stage", "irodori.rendering.stage"):
         if code_hash(module) != code_hash(module, root=repository):
             raise SystemExit(f"{module}: the installed package hashes to something else than the repository's")
-    print(f"{len(modules)} modules in {folder}; objects {', '.join(definitions['objects'])}")
+    print(f"{len(modules)} modules in {folder}; objects {', '.join(definitions.objects)}")
 
 
 if __name__ == "__main__":

@@ -6,12 +6,14 @@ knows what is missing.
 
 from dataclasses import replace
 
-from irodori.config.capture_table import SESSION_DEFAULTS, Pose, Shot, expand_poses
+from irodori.config.capture_table import Pose, Shot, expand_poses
 from irodori.config.models import Camera, Environment, Exposures, Object, ScenePhotograph
 from irodori.config.parts import PhotographedObject
 
 #: Where everything stands when nothing needs a place: the cap is on the lens, or the camera is in another room.
 _NOWHERE = Pose(0.0, 0.0)
+#: Photographs of the white reference at each exposure time where the camera's file does not say.
+_WHITE_FRAMES = 2
 
 
 def _settings(camera: Camera) -> tuple[float, float]:
@@ -33,7 +35,7 @@ def _times(exposure_s: Exposures | None) -> dict[str, tuple[float, ...]]:
     """
     if exposure_s is None:
         raise ValueError("a definition without exposure_s; accepted: one whose photographs the workflow takes")
-    return {"out": exposure_s.out} if exposure_s.in_ is None else {"out": exposure_s.out, "in": exposure_s.in_}
+    return exposure_s.given()
 
 
 def _file(subject: str, state: str, exposure_s: float, suffix: str, frame: int | None = None) -> str:
@@ -87,24 +89,24 @@ def camera_shots(camera: Camera, suffix: str) -> list[Shot]:
     """Return the photographs that calibrate a camera: dark frames, white references, the chart, further charts.
 
     Dark frames are taken at every exposure time of ``exposure_s``, the white reference ``white_frames`` times at each
-    exposure time, with the filter out also at those of ``linearity_exposure_s``.
+    exposure time, with the filter out also at those of ``linearity_exposure_s``. A camera that does not say how many
+    has no dark frames and two of the white reference.
     """
     if camera.poses is None:
         raise ValueError("a camera without poses; accepted: one whose photographs the workflow takes")
     settings, exposure_s = _settings(camera), _times(camera.exposure_s)
-    given = {key: getattr(camera, key) for key in SESSION_DEFAULTS}
-    frames = SESSION_DEFAULTS | {key: value for key, value in given.items() if value is not None}
+    white_frames = _WHITE_FRAMES if camera.white_frames is None else camera.white_frames
     white = {state: list(exposures) for state, exposures in exposure_s.items()}
-    white["out"] += [e for e in frames["linearity_exposure_s"] if e not in white["out"]]
+    white["out"] += [e for e in camera.linearity_exposure_s or () if e not in white["out"]]
     pose = {role: Pose(**vars(angles)) for role, angles in vars(camera.poses).items() if angles is not None}
     shots = []
     for exposure in sorted({e for group in exposure_s.values() for e in group}):
-        for frame in range(frames["dark_frames"]):
+        for frame in range(camera.dark_frames or 0):
             file = _file("dark", "out", exposure, suffix, frame)
             shots.append(Shot(file, "dark", _NOWHERE, "out", exposure, *settings))
     for state, exposures in white.items():
         for exposure in exposures:
-            for frame in range(frames["white_frames"]):
+            for frame in range(white_frames):
                 file = _file("white", state, exposure, suffix, frame)
                 shots.append(Shot(file, "white", pose["white"], state, exposure, *settings))
     for chart in ("", *camera.further_charts):

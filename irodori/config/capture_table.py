@@ -14,7 +14,7 @@ import re
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from irodori.config.validation import suggest
 from irodori.core.atomic_files import file_sha256
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from irodori.config.models import PoseGroup
 
 ROLES = ("object", "chart", "white", "dark", "environment", "scene")
-#: What a session takes where a camera's file does not say; where others take the photographs the keys are refused.
-SESSION_DEFAULTS: dict[str, Any] = {"dark_frames": 0, "white_frames": 2, "linearity_exposure_s": []}
 #: A further chart has its name behind the role, such as ``chart-sg``.
 _FURTHER_CHART = "chart-"
 _NAME = re.compile(r"[a-z0-9-]+")

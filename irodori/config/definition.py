@@ -53,14 +53,16 @@ class Definition:
             raise ValueError(f"{cls.__name__} needs the key {missing[0]!r}")
         return cls(**{field_name(key): typed(types_of[field_name(key)], value) for key, value in given.items()})
 
-    def plain(self) -> dict[str, Any]:
-        """Return the keys and values as a file gives them, every default written out and absent keys left out."""
+    def given(self) -> dict[str, Any]:
+        """Return the values by the keys of the file, defaults among them; keys that are absent are left out."""
         values = [(field, getattr(self, field.name)) for field in dataclasses.fields(self)]
         return {
-            field.name.rstrip("_"): as_plain(value)
-            for field, value in values
-            if value is not None or field.metadata.get("null")
+            field.name.rstrip("_"): value for field, value in values if value is not None or field.metadata.get("null")
         }
+
+    def plain(self) -> dict[str, Any]:
+        """Return the keys and values as a file gives them, every default written out and absent keys left out."""
+        return {key: as_plain(value) for key, value in self.given().items()}
 
 
 def as_plain(value: Any) -> Any:

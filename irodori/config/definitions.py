@@ -1,4 +1,4 @@
-"""Loading of all definitions of a run: read, validated and checked against each other.
+"""Loading of all definitions of a run: read, validated, made into dataclasses and checked against each other.
 
 Light enough for the Snakefile: nothing but the standard library, PyYAML and jsonschema is imported.
 """
@@ -6,35 +6,32 @@ Light enough for the Snakefile: nothing but the standard library, PyYAML and jso
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import yaml
 
-from irodori.config.capture_table import SESSION_DEFAULTS, chart_capture, expand_poses, read_captures
-from irodori.config.cross_checks.captures_on_rig import table_and_folder
-from irodori.config.cross_checks.consistency import check_agreement, rig_of
+from irodori.config.cross_checks.consistency import check_agreement
+from irodori.config.definition import Definition
 from irodori.config.loaded import Loaded
-from irodori.config.models import PoseGroup
+from irodori.config.models import Camera, Config, Environment, Object, Rig, Scene
 from irodori.config.validation import dotted, suggest, validate
 from irodori.core.errors import InputError, is_file
 
 __all__ = [
     "KINDS",
-    "captures_of",
-    "is_taken_here",
-    "is_virtual",
     "load_definitions",
     "load_one",
     "read_yaml",
     "validate",
 ]
 
-#: Kind of definition (the folder and the key of the result): its schema.
-KINDS = {
-    "scenes": "scene",
-    "objects": "object",
-    "environments": "environment",
-    "cameras": "camera",
-    "rigs": "rig",
+#: Kind of definition (the folder, and the field of `Loaded`): its class, whose name in small letters is its schema's.
+KINDS: dict[str, type[Definition]] = {
+    "scenes": Scene,
+    "objects": Object,
+    "environments": Environment,
+    "cameras": Camera,
+    "rigs": Rig,
 }
 
 _CONFIG_FILE = "config/config.yaml"
@@ -90,7 +87,7 @@ def read_yaml(path) -> dict:
     return content
 
 
-def load_definitions(config: dict, root: Path, file=_CONFIG_FILE) -> dict:
+def load_definitions(config: dict, root: Path, file=_CONFIG_FILE) -> Loaded:
     """Validate a configuration and load every definition that it needs.
 
     Parameters
@@ -102,12 +99,6 @@ def load_definitions(config: dict, root: Path, file=_CONFIG_FILE) -> dict:
     file : path, or sequence of paths
         Where `config` came from: one file, or all that were merged, in order. A fault is reported for the last that
         gives the key at fault. Each that exists is read, to refuse keys given twice.
-
-    Returns
-    -------
-    dict
-        The validated configuration and, under each key of ``KINDS``, {name: validated definition} of those
-        that `config` names, directly or not.
 
     Raises
     ------
@@ -137,10 +128,6 @@ def load_one(kind: str, name: str, root: Path = Path(), file=_CONFIG_FILE) -> Lo
     file : path
         The configuration, which says where definitions stand.
 
-    Returns
-    -------
-    Loaded
-
     Raises
     ------
     ValueError
@@ -150,24 +137,21 @@ def load_one(kind: str, name: str, root: Path = Path(), file=_CONFIG_FILE) -> Lo
     """
     wanted: dict[str, list[str]] = {"scenes": [], "cameras": []}
     config = {**read_yaml(Path(root) / file), "make": wanted}
-    return Loaded.of(_load_definitions(config, Path(root), file, (kind, name)))
+    return _load_definitions(config, Path(root), file, (kind, name))
 
 
-def _load_definitions(config: dict, root: Path, file, also: tuple[str, str] | None = None) -> dict:
-    config = validate(config, "config", file)
-    loader = _Loader(root, Path(config["definitions"]), file)
-    for index, name in enumerate(config["make"]["scenes"]):
+def _load_definitions(given: dict, root: Path, file, also: tuple[str, str] | None = None) -> Loaded:
+    config = Config.of(validate(given, "config", file))
+    loader = _Loader(root, Path(config.definitions), file)
+    for index, name in enumerate(config.make.scenes):
         loader.scene(name, file, ("make", "scenes", index))
-    for index, name in enumerate(config["make"]["cameras"]):
+    for index, name in enumerate(config.make.cameras):
         loader.camera(name, file, ("make", "cameras", index))
     if also is not None:
         loader.load(*also)
-    definitions = {**config, **loader.found}
-    check_agreement(definitions, root, file, loader.file)
-    for camera in definitions["cameras"].values():
-        if "exposure_s" in camera:
-            camera.update({key: value for key, value in SESSION_DEFAULTS.items() if key not in camera})
-    return definitions
+    loaded = Loaded(config=config, **loader.found)
+    check_agreement(loaded, root, file, loader.file)
+    return loaded
 
 
 def _source(field: str, files: list, contents: list[dict]):
@@ -189,7 +173,7 @@ class _Loader:
 
     def __init__(self, root: Path, folder: Path, config_file) -> None:
         self.root, self.folder, self.config_file = root, folder, config_file
-        self.found: dict[str, dict] = {kind: {} for kind in KINDS}
+        self.found: dict[str, Any] = {kind: {} for kind in KINDS}
 
     def file(self, kind: str, name: str) -> Path:
         return self.folder / kind / f"{name}.yaml"
@@ -214,30 +198,30 @@ class _Loader:
 
     def scene(self, name: str, by, path: tuple) -> None:
         for scene, file in self._load("scenes", name, by, path):
-            self._environment(scene["environment"], file, ("environment",))
-            for index, placed in enumerate(scene["objects"]):
-                self._object(placed["object"], file, ("objects", index, "object"))
-            for label, placed in scene["photographs"].items():
-                self.camera(placed["camera"], file, ("photographs", label, "camera"))
+            self._environment(scene.environment, file, ("environment",))
+            for index, placed in enumerate(scene.objects):
+                self._object(placed.object, file, ("objects", index, "object"))
+            for label, photograph in scene.photographs.items():
+                self.camera(photograph.camera, file, ("photographs", label, "camera"))
 
     def camera(self, name: str, by, path: tuple) -> None:
         for camera, file in self._load("cameras", name, by, path):
-            list(self._load("rigs", camera["rig"], file, ("rig",)))
+            list(self._load("rigs", camera.rig, file, ("rig",)))
 
     def _rig(self, name: str, by, path: tuple) -> None:
         list(self._load("rigs", name, by, path))
 
     def _object(self, name: str, by, path: tuple) -> None:
         for definition, file in self._load("objects", name, by, path):
-            self.camera(definition["camera"], file, ("camera",))
+            self.camera(definition.camera, file, ("camera",))
 
     def _environment(self, name: str, by, path: tuple) -> None:
         for definition, file in self._load("environments", name, by, path):
-            if "camera" in definition:
-                self.camera(definition["camera"], file, ("camera",))
+            if definition.camera is not None:
+                self.camera(definition.camera, file, ("camera",))
 
-    def _load(self, kind: str, name: str, by, path: tuple) -> Iterator[tuple[dict, Path]]:
-        """Yield the definition of a name, once: nothing where it is loaded already."""
+    def _load(self, kind: str, name: str, by, path: tuple) -> Iterator[tuple[Any, Path]]:
+        """Yield the definition of a name and its file, once: nothing where it is loaded already."""
         if name in self.found[kind]:
             return
         file = self.file(kind, name)
@@ -245,75 +229,6 @@ class _Loader:
             existing = sorted(other.stem for other in (self.root / self.folder / kind).glob("*.yaml"))
             found = f"{name!r}, for which there is no {file}"
             raise InputError(by, dotted(path), found, suggest(name, existing, f"{kind} that exist"))
-        self.found[kind][name] = validate(read_yaml(self.root / file), KINDS[kind], file)
+        made = KINDS[kind]
+        self.found[kind][name] = made.of(validate(read_yaml(self.root / file), made.__name__.lower(), file))
         yield self.found[kind][name], file
-
-
-def captures_of(definitions: dict, kind: str, name: str, root=".") -> list[str]:
-    """Return the names of the captures of a set of photographs.
-
-    Parameters
-    ----------
-    definitions : dict
-        Result of `load_definitions`.
-    kind : {"objects", "cameras", "environments"}
-    name : str
-    root : path
-        Working directory of the workflow, where the table's relative path starts.
-
-    Returns
-    -------
-    list of str
-        Of an object its poses, sorted, each once; of a camera ``chart`` and ``chart-NAME`` of each further chart; of an
-        environment ``environment``, and none where no camera photographed it.
-
-    Raises
-    ------
-    ValueError
-        If there is no such kind or name.
-    InputError
-        If the table of a real rig is at fault.
-    """
-    definition = _definition(definitions, kind, name)
-    if kind == "environments":
-        return ["environment"] if "camera" in definition else []
-    if kind == "cameras":
-        return [chart_capture(chart) for chart in ["", *definition.get("further_charts", {})]]
-    if is_taken_here(definitions, kind, name):
-        return sorted(pose.name for pose in expand_poses(map(PoseGroup.of, definition["poses"])))
-    table, _ = table_and_folder(definition, Path(root))
-    return sorted({shot.capture for shot in read_captures(table) if shot.role == "object"})
-
-
-def is_virtual(definitions: dict, kind: str, name: str) -> bool:
-    """Whether the virtual rig takes the photographs of an object, a camera or an environment.
-
-    Raises
-    ------
-    ValueError
-        If there is no such kind or name.
-    """
-    if kind == "environments" and "camera" not in _definition(definitions, kind, name):
-        return False
-    _definition(definitions, kind, name)
-    return definitions["rigs"][rig_of(definitions, kind, name)]["kind"] == "virtual"
-
-
-def is_taken_here(definitions: dict, kind: str, name: str) -> bool:
-    """Whether the workflow itself takes the photographs, on the virtual rig or on one that it drives.
-
-    Raises
-    ------
-    ValueError
-        If there is no such kind or name.
-    """
-    return "exposure_s" in _definition(definitions, kind, name)
-
-
-def _definition(definitions: dict, kind: str, name: str) -> dict:
-    kinds = ("objects", "cameras", "environments")
-    if kind not in kinds:
-        raise ValueError(f"no photographs of {kind!r}; {suggest(kind, kinds, 'kinds')}")
-    if name not in definitions[kind]:
-        raise ValueError(f"no {name!r} in {kind}; {suggest(name, definitions[kind], 'loaded')}")
-    return definitions[kind][name]

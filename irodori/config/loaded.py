@@ -1,43 +1,93 @@
-"""All definitions that a run loaded, as dataclasses."""
+"""All definitions that a run loaded, and the sets of photographs that they ask for."""
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Self
+from pathlib import Path
 
+from irodori.config.capture_table import chart_capture, expand_poses, read_captures
+from irodori.config.cross_checks.captures_on_rig import table_and_folder
 from irodori.config.definition import Definition
 from irodori.config.models import Camera, Config, Environment, Object, Rig, Scene
+from irodori.config.validation import suggest
 
 __all__ = ["Loaded"]
 
-_CLASSES: dict[str, type[Definition]] = {
-    "scenes": Scene,
-    "objects": Object,
-    "environments": Environment,
-    "cameras": Camera,
-    "rigs": Rig,
-}
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Loaded:
-    """Configuration and definitions by name, those alone that the configuration asks for, directly or not."""
+class Loaded(Definition):
+    """Configuration and definitions by name, those alone that the configuration asks for, directly or not.
+
+    A set of photographs is told by its kind, ``objects``, ``cameras`` or ``environments``, and the name of the
+    definition; another kind or name is a ValueError.
+    """
 
     config: Config
-    scenes: Mapping[str, Scene]
-    objects: Mapping[str, Object]
-    environments: Mapping[str, Environment]
-    cameras: Mapping[str, Camera]
-    rigs: Mapping[str, Rig]
+    scenes: Mapping[str, Scene] = dataclasses.field(hash=False)
+    objects: Mapping[str, Object] = dataclasses.field(hash=False)
+    environments: Mapping[str, Environment] = dataclasses.field(hash=False)
+    cameras: Mapping[str, Camera] = dataclasses.field(hash=False)
+    rigs: Mapping[str, Rig] = dataclasses.field(hash=False)
 
-    @classmethod
-    def of(cls, definitions: Mapping[str, Any]) -> Self:
-        """Make the dataclasses of what `irodori.config.definitions.load_definitions` returned."""
-        rest = {key: value for key, value in definitions.items() if key not in _CLASSES}
-        kinds: dict[str, Any] = {
-            kind: {name: made.of(given) for name, given in definitions[kind].items()} for kind, made in _CLASSES.items()
-        }
-        return cls(config=Config.of(rest), **kinds)
+    def photographed(self, kind: str, name: str) -> Object | Camera | Environment:
+        """Return the definition of what a set of photographs shows."""
+        kinds = ("objects", "cameras", "environments")
+        if kind not in kinds:
+            raise ValueError(f"no photographs of {kind!r}; {suggest(kind, kinds, 'kinds')}")
+        definitions = getattr(self, kind)
+        if name not in definitions:
+            raise ValueError(f"no {name!r} in {kind}; {suggest(name, definitions, 'loaded')}")
+        return definitions[name]
 
-    def rig_of_camera(self, camera: str) -> Rig:
-        """Return the rig that carries a camera."""
-        return self.rigs[self.cameras[camera].rig]
+    def camera_of(self, kind: str, name: str) -> str:
+        """Return the name of the camera that takes a set; an environment without one is a ValueError."""
+        definition = self.photographed(kind, name)
+        camera = name if isinstance(definition, Camera) else definition.camera
+        if camera is None:
+            raise ValueError(f"the environment {name!r}, which no camera photographed; accepted: one with a camera")
+        return camera
+
+    def rig_of(self, kind: str, name: str) -> Rig:
+        """Return the rig on which a set is taken; an environment without a camera is a ValueError."""
+        return self.rigs[self.cameras[self.camera_of(kind, name)].rig]
+
+    def is_virtual(self, kind: str, name: str) -> bool:
+        """Whether the virtual rig takes a set."""
+        definition = self.photographed(kind, name)
+        if isinstance(definition, Environment) and definition.camera is None:
+            return False
+        return self.rig_of(kind, name).kind == "virtual"
+
+    def is_taken_here(self, kind: str, name: str) -> bool:
+        """Whether the workflow itself takes a set, on the virtual rig or on one that it drives."""
+        return self.photographed(kind, name).exposure_s is not None
+
+    def captures_of(self, kind: str, name: str, root: str | Path = ".") -> list[str]:
+        """Return the names of the captures of a set.
+
+        Parameters
+        ----------
+        kind, name : str
+        root : path
+            Working directory of the workflow, where the table's relative path starts.
+
+        Returns
+        -------
+        list of str
+            Of an object its poses, sorted, each once; of a camera ``chart`` and ``chart-NAME`` of each further chart;
+            of an environment ``environment``, and none where no camera photographed it.
+
+        Raises
+        ------
+        InputError
+            If the table of a real rig is at fault.
+        """
+        definition = self.photographed(kind, name)
+        if isinstance(definition, Environment):
+            return ["environment"] if definition.camera is not None else []
+        if isinstance(definition, Camera):
+            return [chart_capture(chart) for chart in ["", *definition.further_charts]]
+        if self.is_taken_here(kind, name):
+            return sorted(pose.name for pose in expand_poses(definition.poses or ()))
+        assert definition.captures is not None  # checked: photographs that others take have a table
+        table, _ = table_and_folder(definition.captures, Path(root))
+        return sorted({shot.capture for shot in read_captures(table) if shot.role == "object"})

@@ -7,14 +7,13 @@ wildcards: it takes anything with the wildcards as attributes.
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from irodori.config.capture_table import read_captures
 from irodori.config.definition import Definition, as_plain
-from irodori.config.definitions import captures_of, is_taken_here, is_virtual
 from irodori.config.loaded import Loaded
 from irodori.config.models import CapturesSource
-from irodori.config.parts import RigGeometry
+from irodori.config.parts import ImperfectObject, PhotographedObject, PlannedObject, PlannedPlate, RigGeometry
 from irodori.geometry.mesh_sources import shape_files
 from irodori.geometry.shape_blocks import is_flat
 from irodori.rectification.texture_tiles import tile_rows
@@ -22,11 +21,11 @@ from irodori.spectra.spectral_files import SUFFIXES
 
 __all__ = ["IngestPart", "PhotographSets", "named_tables"]
 
+_Part = TypeVar("_Part", bound=Definition)
+
 _FOLDERS = {"objects": "results", "cameras": "results/cameras", "environments": "results/environments"}
 _ROLES = {"objects": ["object"], "cameras": ["chart", "white", "dark"], "environments": ["environment"]}
 _SET_OF = {"object": "objects", "camera": "cameras", "environment": "environments"}
-#: Keys of an object on which a photograph of it depends.
-_PHOTOGRAPHED = ("shape", "refractive_index", "mirror_weight", "poses", "exposure_s", "virtual")
 
 
 def named_tables(*values: Any) -> list[str]:
@@ -42,6 +41,11 @@ def named_tables(*values: Any) -> list[str]:
         elif isinstance(value, str) and value.lower().endswith(SUFFIXES):
             found.append(value)
     return found
+
+
+def _part(kind: type[_Part], whole: Definition) -> _Part:
+    """Return the part of a definition that has the keys of a kind."""
+    return kind(**{field.name: getattr(whole, field.name) for field in dataclasses.fields(kind)})
 
 
 class IngestPart(NamedTuple):
@@ -62,8 +66,7 @@ class PhotographSets:
 
     Parameters
     ----------
-    definitions : dict
-        Result of `irodori.config.definitions.load_definitions`.
+    loaded : Loaded
 
     Raises
     ------
@@ -71,10 +74,10 @@ class PhotographSets:
         If a table of photographs is at fault.
     """
 
-    def __init__(self, definitions: dict) -> None:
-        self._plain, self.loaded = definitions, Loaded.of(definitions)
+    def __init__(self, loaded: Loaded) -> None:
+        self.loaded = loaded
         self.captures = {
-            kind: {name: captures_of(definitions, kind, name) for name in definitions[kind]} for kind in _FOLDERS
+            kind: {name: loaded.captures_of(kind, name) for name in getattr(loaded, kind)} for kind in _FOLDERS
         }
 
     # ---- which set a job is about
@@ -84,16 +87,14 @@ class PhotographSets:
         return next((kind, getattr(wildcards, key)) for key, kind in _SET_OF.items() if hasattr(wildcards, key))
 
     def _definition(self, wildcards) -> Any:
-        kind, name = self._set(wildcards)
-        return getattr(self.loaded, kind)[name]
+        return self.loaded.photographed(*self._set(wildcards))
 
     def _is_virtual(self, wildcards) -> bool:
-        return is_virtual(self._plain, *self._set(wildcards))
+        return self.loaded.is_virtual(*self._set(wildcards))
 
     def camera_of(self, wildcards) -> str:
         """Return the camera of a set."""
-        kind, name = self._set(wildcards)
-        return name if kind == "cameras" else self._definition(wildcards).camera
+        return self.loaded.camera_of(*self._set(wildcards))
 
     def rig_of(self, wildcards) -> str:
         """Return the rig of a set."""
@@ -123,7 +124,7 @@ class PhotographSets:
     def made(self, wildcards) -> str:
         """Return the file that says that a set's photographs are there: a session's record, or the user's own table."""
         kind, name = self._set(wildcards)
-        if is_taken_here(self._plain, kind, name):
+        if self.loaded.is_taken_here(kind, name):
             return f"{_FOLDERS[kind]}/{name}/captures/session.json"
         return self.table(wildcards)
 
@@ -135,7 +136,7 @@ class PhotographSets:
     def raw_files(self, wildcards) -> list[str]:
         """Return a user's RAW files; those of a session stand in its capture table with their hashes."""
         kind, name = self._set(wildcards)
-        if is_taken_here(self._plain, kind, name):
+        if self.loaded.is_taken_here(kind, name):
             return []
         folder = self.folder(wildcards)
         shots = read_captures(self.table(wildcards), folder)
@@ -165,8 +166,8 @@ class PhotographSets:
         return [
             f"{folder}/{name}/captures/session.json"
             for kind, folder in _FOLDERS.items()
-            for name in self._plain[kind]
-            if is_taken_here(self._plain, kind, name)
+            for name in self.captures[kind]
+            if self.loaded.is_taken_here(kind, name)
         ]
 
     def rigs_taken(self, wildcards) -> int:
@@ -175,7 +176,7 @@ class PhotographSets:
 
     def virtual(self, kind: str) -> list[str]:
         """Return the names of a kind whose ground truth is known."""
-        return [name for name in self._plain[kind] if is_virtual(self._plain, kind, name)]
+        return [name for name in self.captures[kind] if self.loaded.is_virtual(kind, name)]
 
     # ---- tables and meshes that a job reads
 
@@ -201,8 +202,7 @@ class PhotographSets:
 
     def meshes_of(self, *names: str) -> list[str]:
         """Return the files of the meshes among objects; a changed one is seen."""
-        shapes = [self.loaded.objects[name].shape for name in names]
-        return [file for shape in shapes for file in shape_files(shape.plain())]
+        return [file for name in names for file in shape_files(self.loaded.objects[name].shape)]
 
     def mesh(self, wildcards) -> list[str]:
         """Return the files of an object's mesh."""
@@ -262,8 +262,7 @@ class PhotographSets:
 
     def photographed(self, wildcards) -> dict:
         """Return the parts of an object's definition that a photograph depends on."""
-        definition = self.loaded.objects[wildcards.object].plain()
-        return {key: definition[key] for key in _PHOTOGRAPHED if key in definition}
+        return _part(PhotographedObject, self.loaded.objects[wildcards.object]).plain()
 
     def ingest_parts(self) -> Iterator[IngestPart]:
         """Yield the parts in which the captures of every object are ingested."""
@@ -323,46 +322,48 @@ class PhotographSets:
 
     # ---- measurements of the rig and of poses
 
-    def imperfect_object(self, wildcards=None) -> dict | None:
-        """Return the object on which the faults of the virtual rig are measured, a plate if there is one, or None."""
+    def _imperfect_object(self) -> ImperfectObject | None:
         known = self.virtual("objects")
         if not known:
             return None
         objects = self.loaded.objects
         name = next((n for n in known if is_flat(objects[n].shape.kind)), known[0])
         camera = self.loaded.cameras[objects[name].camera]
-        parts = {"definition": objects[name], "camera": camera, "rig": self.loaded.rigs[camera.rig]}
-        return {"name": name, **as_plain(parts)}
+        return ImperfectObject(name=name, definition=objects[name], camera=camera, rig=self.loaded.rigs[camera.rig])
+
+    def imperfect_object(self, wildcards=None) -> dict | None:
+        """Return the object on which the faults of the virtual rig are measured, a plate if there is one, or None."""
+        return as_plain(self._imperfect_object())
 
     def mesh_of_imperfections(self, wildcards) -> list[str]:
         """Return the files of the mesh that the measurement of the faults reads."""
-        subject = self.imperfect_object()
-        return self.meshes_of(subject["name"]) if subject else []
+        subject = self._imperfect_object()
+        return self.meshes_of(subject.name) if subject else []
 
     def tables_of_imperfections(self, wildcards) -> list[str]:
         """Return the tables of spectra that the measurement of the faults reads."""
-        subject = self.imperfect_object() or {}
-        return named_tables(*(value for key, value in subject.items() if key != "name"))
+        return named_tables(self._imperfect_object())
 
-    def plates(self, wildcards=None) -> dict:
-        """Return what the simulation of poses needs to know of every plate."""
+    def _plates(self) -> dict[str, PlannedPlate]:
         found = {}
         for name, definition in self.loaded.objects.items():
             if not is_flat(definition.shape.kind):
                 continue
             camera = self.loaded.cameras[definition.camera]
-            exposures = as_plain(definition.exposure_s) or {"out": []}
-            found[name] = {
-                "definition": as_plain(
-                    {key: getattr(definition, key) for key in ("shape", "refractive_index", "plan", "lobes")}
-                ),
-                "rig": self.loaded.rigs[camera.rig].plain(),
-                "sensor": as_plain(camera.virtual.sensor) if camera.virtual else None,
-                "exposures_s": exposures["out"],
-                "shots_per_pose": max(sum(map(len, exposures.values())), 1),
-            }
+            exposures = definition.exposure_s.given() if definition.exposure_s else {"out": ()}
+            found[name] = PlannedPlate(
+                definition=_part(PlannedObject, definition),
+                rig=self.loaded.rigs[camera.rig],
+                sensor=camera.virtual.sensor if camera.virtual else None,
+                exposures_s=exposures["out"],
+                shots_per_pose=max(sum(map(len, exposures.values())), 1),
+            )
         return found
+
+    def plates(self, wildcards=None) -> dict:
+        """Return what the simulation of poses needs to know of every plate."""
+        return as_plain(self._plates())
 
     def tables_of_plates(self, wildcards) -> list[str]:
         """Return the tables of refractive indices of the plates."""
-        return named_tables(*(planned["definition"] for planned in self.plates().values()))
+        return named_tables(*(planned.definition for planned in self._plates().values()))

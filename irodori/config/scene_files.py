@@ -19,6 +19,7 @@ from irodori.config.models import (
     Scene,
     ScenePhotograph,
 )
+from irodori.config.parts import Subject
 from irodori.config.photograph_sets import PhotographSets, named_tables
 from irodori.core.errors import InputError
 
@@ -84,10 +85,10 @@ class SceneFiles:
         found = []
         for name in self.objects(wildcards):
             definition = self.loaded.objects[name]
-            optics, rig = self.loaded.cameras[definition.camera].optics, self.loaded.rig_of_camera(definition.camera)
+            optics, rig = self.loaded.cameras[definition.camera].optics, self.loaded.rig_of("objects", name)
             assert optics is not None  # checked: a camera of objects has optics
             pixel_mm = optics.pixel_pitch_um / 1000.0 * rig.camera_distance_mm / optics.focal_length_mm
-            found.append({"shape": definition.shape.plain(), "sample_mm": 2.0 * pixel_mm})
+            found.append(Subject(shape=definition.shape, sample_mm=2.0 * pixel_mm).plain())
         return found
 
     def shapes(self, wildcards) -> list[dict]:

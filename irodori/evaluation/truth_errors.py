@@ -1,6 +1,7 @@
 """Errors against ground truth: mean, 95th percentile and maximum [design, §5]."""
 
 import csv
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
 
 import numpy as np
@@ -155,7 +156,7 @@ def calibration_errors(name: str, path, lights: list[str]) -> list[ErrorRow]:
     return rows
 
 
-def measure_errors(inputs: dict, names: dict, lights: list[str], output) -> None:
+def measure_errors(inputs: dict, names: dict, scenes: Iterable[Staging], lights: list[str], output) -> None:
     """Write ``errors.csv``.
 
     Parameters
@@ -164,8 +165,9 @@ def measure_errors(inputs: dict, names: dict, lights: list[str], output) -> None
         Lists of files: materials, true_materials, environments, true_environments, calibrations, views, true_views;
         and view_lights, the environment's file of each view.
     names : dict
-        Their names: objects, environments, cameras, views; view_environments, the light of each view; and view_scenes,
-        of each view what `irodori.rendering.scene_white.scene_white` reads of its scene.
+        Their names: objects, environments, cameras, views; and view_environments, the light of each view.
+    scenes : iterable of Staging
+        Of each view what `irodori.rendering.scene_white.scene_white` reads of its scene.
     lights : list of str
     output : path
     """
@@ -182,7 +184,7 @@ def measure_errors(inputs: dict, names: dict, lights: list[str], output) -> None
     for name, light, scene, file, path, truth in zip(
         names["views"],
         names["view_environments"],
-        map(Staging.of, names["view_scenes"]),
+        scenes,
         inputs["view_lights"],
         inputs["views"],
         inputs["true_views"],

@@ -2,9 +2,13 @@
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import unquote
 
 from irodori.core.errors import InputError, is_file
+
+if TYPE_CHECKING:
+    from irodori.config.models import ObjectShape
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
 
@@ -46,13 +50,12 @@ def mesh_files(path) -> list[str]:
     return found
 
 
-def shape_files(shape: dict, root: str | Path = "") -> list[str]:
+def shape_files(shape: "ObjectShape", root: str | Path = "") -> list[str]:
     """Return the files that a shape is made of, none where its block of configuration names none.
 
     Parameters
     ----------
-    shape : dict
-        Validated block ``shape`` of an object or of a body.
+    shape : ObjectShape
     root : path
         Where relative paths start.
 
@@ -61,4 +64,5 @@ def shape_files(shape: dict, root: str | Path = "") -> list[str]:
     InputError
         As `mesh_files`.
     """
-    return mesh_files(Path(root, shape["file"])) if "file" in shape else []
+    file = getattr(shape, "file", None)
+    return [] if file is None else mesh_files(Path(root, file))

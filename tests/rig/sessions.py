@@ -31,7 +31,7 @@ MADE = Provenance("test", "config", "code")
 
 @functools.cache
 def _definitions() -> dict:
-    return load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT)
+    return load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT).plain()
 
 
 def definitions(poses=POSES, motion: bool = False) -> tuple[dict, dict, dict]:

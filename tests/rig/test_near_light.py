@@ -56,7 +56,7 @@ SPHERE_POSES = [
 
 @pytest.fixture(scope="module")
 def definitions():
-    return load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT)
+    return load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT).plain()
 
 
 def small(definitions, distance_mm=NEAR_MM, distortion=None):
@@ -133,7 +133,7 @@ def fitted(tmp_path, definitions, definition, files, setup):
         output=tmp_path / "tile.h5",
         provenance=PROVENANCE,
     )
-    options = FitOptions(**definitions["fit"])
+    options = FitOptions(**definitions["config"]["fit"])
     fit_brdf(tmp_path / "tile.h5", tmp_path / "brdf.h5", options, 1.5, 0.0, provenance=PROVENANCE)
     with store.open_file(tmp_path / "tile.h5") as file:
         enough = (file.read("weight") > 0).sum(axis=1) >= 6

@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture(scope="module")
 def definitions():
-    return load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT)
+    return load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT).plain()
 
 
 def ideal_from_seen(plate: Registration, width_px: int, height_px: int) -> np.ndarray:

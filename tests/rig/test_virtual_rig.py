@@ -35,7 +35,7 @@ STRAIGHT = np.eye(2, 3)
 
 @pytest.fixture(scope="module")
 def definitions():
-    return load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT)
+    return load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT).plain()
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import pytest
 import yaml
 
 from irodori.config.definitions import load_definitions, read_yaml
+from irodori.config.loaded import Loaded
 from irodori.core.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,7 +31,7 @@ def edit(root: Path, file: str, path: str, value) -> None:
     target.write_text(yaml.safe_dump(content), encoding="utf-8")
 
 
-def load(root: Path, **make) -> dict:
+def load(root: Path, **make) -> Loaded:
     config = read_yaml(root / "config" / "config.yaml")
     config["make"].update(make)
     return load_definitions(config, root)

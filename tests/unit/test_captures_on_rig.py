@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 from definitions import CAMERA_FILE, PLATE_FILE, ROOM_FILE, ROOT, edit, fault, load
 
+from irodori.capture.shot_list import camera_shots
 from irodori.config.capture_table import COLUMNS
-from irodori.config.definitions import captures_of, is_virtual, read_yaml
+from irodori.config.definitions import read_yaml
 from irodori.core.errors import InputError
 
 DATA = ROOT.parent / "shared" / "data"
@@ -49,9 +50,9 @@ def studio(root):
 
 def test_a_scene_of_a_real_rig_loads(studio):
     definitions = load(studio)
-    assert not is_virtual(definitions, "objects", "tile-plate")
+    assert not definitions.is_virtual("objects", "tile-plate")
     captures = ["l0450-c0000-t000-r0000", "l0450-c0200-t000-r0000"]
-    assert captures_of(definitions, "objects", "tile-plate", studio) == captures
+    assert definitions.captures_of("objects", "tile-plate", studio) == captures
 
 
 @pytest.mark.parametrize(
@@ -121,7 +122,7 @@ def test_a_camera_of_a_chart_alone_needs_no_white_but_a_key_for_one(studio):
     assert fault(studio, **only_camera).field == "white"
     table = studio / "camera" / "captures.csv"
     table.write_text(table.read_text().replace(WHITES, ""))
-    assert "white" not in load(studio, **only_camera)["cameras"]["d5100-comb"]
+    assert load(studio, **only_camera).cameras["d5100-comb"].white is None
 
 
 @pytest.mark.parametrize(
@@ -196,9 +197,11 @@ def test_a_table_of_photographs_is_refused_on_the_virtual_rig(root, file):
 
 
 def test_frames_that_the_virtual_rig_takes_have_defaults(root, studio):
-    assert not {"dark_frames", "white_frames"} & load(studio)["cameras"]["d5100-comb"].keys()
+    assert not {"dark_frames", "white_frames"} & load(studio).cameras["d5100-comb"].plain().keys()
     shutil.copy(ROOT / "config" / CAMERA_FILE, root / "config" / CAMERA_FILE)
     for key in ("dark_frames", "white_frames"):
         edit(root, CAMERA_FILE, key, ...)
-    camera = load(root, scenes=[], cameras=["d5100-comb"])["cameras"]["d5100-comb"]
-    assert (camera["dark_frames"], camera["white_frames"]) == (0, 2)
+    camera = load(root, scenes=[], cameras=["d5100-comb"]).cameras["d5100-comb"]
+    frames = [shot.file for shot in camera_shots(camera, ".dng") if shot.role in ("dark", "white")]
+    assert {file.split("-")[0] for file in frames} == {"white"}
+    assert {file[-6:] for file in frames} == {"00.dng", "01.dng"}

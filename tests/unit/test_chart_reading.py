@@ -191,12 +191,12 @@ def test_a_chart_that_is_found_needs_neither_corners_nor_a_size(root):
     edit(root, CAMERA_FILE, "chart.find", "chart")
     edit(root, CAMERA_FILE, "chart.centres_px", ...)
     edit(root, CAMERA_FILE, "chart.patch_px", ...)
-    chart = load(root)["cameras"]["d5100-comb"]["chart"]
-    assert chart["find"] == "chart" and "patch_px" not in chart
+    chart = load(root).cameras["d5100-comb"].chart
+    assert chart.find == "chart" and chart.patch_px is None
 
 
 def test_corners_are_taken_as_they_are_where_nothing_is_said(root):
-    assert load(root)["cameras"]["d5100-comb"]["chart"]["find"] == "nothing"
+    assert load(root).cameras["d5100-comb"].chart.find == "nothing"
 
 
 @pytest.mark.parametrize(

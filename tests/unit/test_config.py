@@ -8,7 +8,8 @@ import pytest
 import yaml
 from definitions import CAMERA_FILE, PLATE_FILE, ROOM_FILE, ROOT, edit, fault, load
 
-from irodori.config.definitions import captures_of, is_virtual, read_yaml
+from irodori.config.definitions import read_yaml
+from irodori.config.models import IndexTable
 
 DATA = ROOT.parent / "shared" / "data"
 POSE = "l0450-c0000-t000-r0000"
@@ -26,22 +27,22 @@ def test_nothing_heavy_is_imported():
 
 def test_the_repository_s_own_configuration_loads():
     definitions = load(ROOT)
-    assert list(definitions["scenes"]) == ["still-life"]
-    assert list(definitions["environments"]) == ["classroom"]
-    assert list(definitions["cameras"]) == ["d5100-comb"]
-    assert list(definitions["rigs"]) == ["virtual"]
-    assert definitions["fit"]["solver"] == "varpro"
-    for name in definitions["objects"]:
-        captures = captures_of(definitions, "objects", name)
+    assert list(definitions.scenes) == ["still-life"]
+    assert list(definitions.environments) == ["classroom"]
+    assert list(definitions.cameras) == ["d5100-comb"]
+    assert list(definitions.rigs) == ["virtual"]
+    assert definitions.config.fit.solver == "varpro"
+    for name in definitions.objects:
+        captures = definitions.captures_of("objects", name)
         assert captures == sorted(set(captures)) and len(captures) >= 10
-        assert is_virtual(definitions, "objects", name)
-    assert captures_of(definitions, "cameras", "d5100-comb") == ["chart"]
-    assert captures_of(definitions, "environments", "classroom") == ["environment"]
+        assert definitions.is_virtual("objects", name)
+    assert definitions.captures_of("cameras", "d5100-comb") == ["chart"]
+    assert definitions.captures_of("environments", "classroom") == ["environment"]
 
 
 @pytest.mark.parametrize("name", ["lid", "turntable"])
 def test_scenes_beside_the_default_run_load(name):
-    assert list(load(ROOT, scenes=[name])["scenes"]) == [name]
+    assert list(load(ROOT, scenes=[name]).scenes) == [name]
 
 
 def test_the_real_camera_loads_where_its_data_is_present():
@@ -49,9 +50,9 @@ def test_the_real_camera_loads_where_its_data_is_present():
         pytest.skip("the real data is not beside this checkout")
     real = read_yaml(ROOT / "config" / "real.yaml")
     definitions = load(ROOT, **real["make"])
-    assert list(definitions["cameras"]) == ["powershot-s40"]
-    assert not is_virtual(definitions, "cameras", "powershot-s40")
-    assert captures_of(definitions, "cameras", "powershot-s40") == ["chart"]
+    assert list(definitions.cameras) == ["powershot-s40"]
+    assert not definitions.is_virtual("cameras", "powershot-s40")
+    assert definitions.captures_of("cameras", "powershot-s40") == ["chart"]
 
 
 def test_the_real_camera_without_its_data_names_the_missing_file(root):
@@ -179,22 +180,22 @@ def test_the_interactive_integrator_takes_collimated_lights_alone(root):
 
 
 def test_a_scene_without_an_integrator_is_rendered_by_paths(root):
-    plain = load(root)["scenes"]["still-life"]["integrator"]
+    plain = load(root).scenes["still-life"].integrator
     edit(root, "scenes/still-life.yaml", "integrator", {"kind": "reference"})
-    assert plain == load(root)["scenes"]["still-life"]["integrator"]
-    assert plain["kind"] == "reference" and plain["samples"] % 8 == 0
+    assert plain == load(root).scenes["still-life"].integrator
+    assert plain.kind == "reference" and plain.samples % 8 == 0
 
 
 def test_every_step_within_the_limits_is_on_the_step(root):
     angles = [tenths / 10 for tenths in range(0, 1401)]
     edit(root, PLATE_FILE, "poses", [{"light_deg": [35.0, 35.5, 125.0], "camera_deg": angles}])
-    assert len(captures_of(load(root), "objects", "tile-plate")) == 3 * 1401
+    assert len(load(root).captures_of("objects", "tile-plate")) == 3 * 1401
 
 
 def test_a_spectrum_file_that_exists_is_accepted(root):
     (root / "red.csv").write_text("name," + ",".join(map(str, range(400, 701, 10))) + "\nred" + ",0.5" * 31 + "\n")
     edit(root, PLATE_FILE, "virtual.materials.0.spectrum", "red.csv")
-    assert load(root)["objects"]["tile-plate"]["virtual"]["materials"][0]["spectrum"] == "red.csv"
+    assert load(root).objects["tile-plate"].virtual.materials[0].spectrum == "red.csv"
 
 
 @pytest.mark.parametrize(
@@ -217,7 +218,7 @@ def test_a_table_of_the_refractive_index(root, content, field):
     (root / "metal.csv").write_text(content)
     edit(root, PLATE_FILE, "refractive_index", {"file": "metal.csv"})
     if field is None:
-        assert load(root)["objects"]["tile-plate"]["refractive_index"] == {"file": "metal.csv"}
+        assert load(root).objects["tile-plate"].refractive_index == IndexTable(file="metal.csv")
     else:
         error = fault(root)
         assert (Path(error.file).name, error.field.split(",")[0]) == ("metal.csv", field)
@@ -236,17 +237,17 @@ SUN = {"spectrum": "D65", "azimuth_deg": 10, "elevation_deg": 40, "irradiance": 
 def test_an_environment_of_placed_lights_needs_no_camera(root):
     environment(root, source={"kind": "lights", "lights": [SUN]}, image={"width": 64, "height": 32})
     definitions = load(root)
-    assert definitions["environments"]["classroom"]["source"]["lights"][0]["diameter_deg"] == 0.0
-    assert captures_of(definitions, "environments", "classroom") == []
-    assert not is_virtual(definitions, "environments", "classroom")
+    assert definitions.environments["classroom"].source.lights[0].diameter_deg == 0.0
+    assert definitions.captures_of("environments", "classroom") == []
+    assert not definitions.is_virtual("environments", "classroom")
 
 
 @pytest.mark.parametrize("kind", ["rgb", "spectral"])
 def test_an_environment_of_a_file_that_is_there(root, kind):
     (root / "sky.exr").write_bytes(b"")
     environment(root, source={"kind": kind, "file": "sky.exr"})
-    source = load(root)["environments"]["classroom"]["source"]
-    assert source == {"kind": kind, "file": "sky.exr", "scale": 1.0, "centre_azimuth_deg": 0.0}
+    source = load(root).environments["classroom"].source
+    assert source.plain() == {"kind": kind, "file": "sky.exr", "scale": 1.0, "centre_azimuth_deg": 0.0}
 
 
 LIGHTS = {"kind": "lights", "lights": [SUN]}
@@ -317,6 +318,6 @@ def test_an_object_and_a_scene_do_not_share_a_name(root):
 def test_questions_about_what_is_not_there():
     definitions = load(ROOT)
     with pytest.raises(ValueError, match="no photographs of 'object'; did you mean 'objects'"):
-        captures_of(definitions, "object", "tile-plate")
+        definitions.captures_of("object", "tile-plate")
     with pytest.raises(ValueError, match="no 'tile-plat' in objects; did you mean 'tile-plate'"):
-        is_virtual(definitions, "objects", "tile-plat")
+        definitions.is_virtual("objects", "tile-plat")

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from definitions import CAMERA_FILE, PLATE_FILE, ROOM_FILE, edit, fault, load
 
+from irodori.capture.shot_list import camera_shots
 from irodori.config.capture_table import COLUMNS
-from irodori.config.definitions import captures_of, is_taken_here, is_virtual, load_one
-from irodori.config.loaded import Loaded
+from irodori.config.definitions import load_one
 from irodori.core.errors import InputError
 
 DRIVER = {"kind": "gphoto2", "model": "Canon EOS 40D (PTP mode)", "iso": 100, "f_number": 8.0}
@@ -37,25 +37,23 @@ def bench(root):
 
 
 def test_the_example_of_a_real_rig_is_whole_and_nobody_asks_for_it(root):
-    assert "eos-40d-comb" not in load(root)["cameras"]
+    assert "eos-40d-comb" not in load(root).cameras
     found = load(root, scenes=[], cameras=["eos-40d-comb"])
-    camera, rig = found["cameras"]["eos-40d-comb"], found["rigs"]["gonio-grbl"]
-    assert rig["kind"] == "driven" and rig["operator"] == "prompt" and "virtual" not in rig
-    assert camera["driver"]["retries"] == 5 and camera["driver"]["white_balance"] == "Daylight"
-    corners = camera["chart"]["centres_px"].values()
-    assert all(
-        0 < 2 * x < camera["optics"]["width_px"] and 0 < 2 * y < camera["optics"]["height_px"] for x, y in corners
-    )
-    assert load_one("rigs", "gonio-grbl", root).rigs == Loaded.of(found).rigs
+    camera, rig = found.cameras["eos-40d-comb"], found.rigs["gonio-grbl"]
+    assert rig.kind == "driven" and rig.operator == "prompt" and rig.virtual is None
+    assert camera.driver.retries == 5 and camera.driver.white_balance == "Daylight"
+    corners = vars(camera.chart.centres_px).values()
+    assert all(0 < 2 * x < camera.optics.width_px and 0 < 2 * y < camera.optics.height_px for x, y in corners)
+    assert load_one("rigs", "gonio-grbl", root).rigs == found.rigs
 
 
 def test_a_driven_rig_loads_before_a_photograph_is_taken(bench):
     definitions = load(bench)
     for kind, name in (("objects", "tile-plate"), ("cameras", "d5100-comb")):
-        assert is_taken_here(definitions, kind, name) and not is_virtual(definitions, kind, name)
-    assert not is_taken_here(definitions, "environments", "classroom")
+        assert definitions.is_taken_here(kind, name) and not definitions.is_virtual(kind, name)
+    assert not definitions.is_taken_here("environments", "classroom")
     assert not (bench / "camera").exists() and not (bench / "plate").exists()
-    assert "l0650-c0720-t000-r0000" in captures_of(definitions, "objects", "tile-plate", bench)
+    assert "l0650-c0720-t000-r0000" in definitions.captures_of("objects", "tile-plate", bench)
 
 
 @pytest.mark.parametrize(
@@ -116,13 +114,15 @@ def test_nobody_but_the_virtual_rig_has_hands_of_its_own(bench):
 
 def test_the_linearity_series_is_that_of_the_white_reference(bench):
     edit(bench, CAMERA_FILE, "linearity_exposure_s", [0.004, 0.002])
-    assert load(bench)["cameras"]["d5100-comb"]["linearity_exposure_s"] == [0.004, 0.002]
+    assert load(bench).cameras["d5100-comb"].linearity_exposure_s == (0.004, 0.002)
     edit(bench, CAMERA_FILE, "linearity_exposure_s", [0.004, -0.002])
     assert fault(bench).field == "linearity_exposure_s[1]"
     for key in ("dark_frames", "white_frames", "linearity_exposure_s"):
         edit(bench, CAMERA_FILE, key, ...)
-    camera = load(bench)["cameras"]["d5100-comb"]
-    assert (camera["dark_frames"], camera["white_frames"], camera["linearity_exposure_s"]) == (0, 2, [])
+    camera = load(bench).cameras["d5100-comb"]
+    exposures = len(camera.exposure_s.out) + len(camera.exposure_s.in_)
+    roles = [shot.role for shot in camera_shots(camera, ".dng")]
+    assert (roles.count("dark"), roles.count("white")) == (0, 2 * exposures)
 
 
 def test_poses_out_of_reach_are_refused_before_the_rig_is_opened(bench):

@@ -11,7 +11,7 @@ from depth import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from irodori.config.definitions import captures_of, load_definitions, read_yaml, validate
+from irodori.config.definitions import load_definitions, read_yaml, validate
 from irodori.core.errors import InputError
 
 FILES = (
@@ -31,8 +31,8 @@ def check(root, file: str) -> None:
     try:
         loaded = load_definitions(read_yaml(root / "config/config.yaml"), root)
         for kind in ("objects", "cameras", "environments"):
-            for name in loaded[kind]:
-                captures_of(loaded, kind, name, root)
+            for name in getattr(loaded, kind):
+                loaded.captures_of(kind, name, root)
     except InputError as error:
         assert error.file and error.found and error.accepted and len(str(error)) < 1500, file
         assert "\n" not in str(error)

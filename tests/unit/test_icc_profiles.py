@@ -15,7 +15,7 @@ from irodori.colour.display import gamut, make_display, srgb, standard_display
 from irodori.colour.icc import D50_XYZ, Profile, bradford, read_profile, write_profile
 from irodori.colour.tone_curves import SRGB, ParametricCurve, SampledCurve
 from irodori.config.cross_checks.display_files import check_display
-from irodori.config.models import DisplayDevice
+from irodori.config.models import DisplayDevice, MeasuredDisplay, ProfileDisplay
 from irodori.core.errors import InputError
 from irodori.export.pictures import write_display_picture, write_xyz_exr
 
@@ -249,15 +249,15 @@ def test_what_a_display_cannot_show_is_counted_on_each_side():
 def test_primaries_that_do_not_enclose_their_white_and_absent_files_are_refused(tmp_path):
     outside = WIDE | {"white_xy": [0.6, 0.6]}
     with pytest.raises(InputError, match=r"s\.yaml: display\.device\.white_xy"):
-        check_display(outside, tmp_path, "s.yaml")
-    check_display(WIDE, tmp_path, "s.yaml")
+        check_display(made(DisplayDevice, outside), tmp_path, "s.yaml")
+    check_display(made(DisplayDevice, WIDE), tmp_path, "s.yaml")
     with pytest.raises(ValueError, match="within the triangle"):
         make_display(made(DisplayDevice, outside))
     with pytest.raises(InputError, match=r"display\.device\.file.*no such file: a\.icc"):
-        check_display({"kind": "profile", "file": "a.icc"}, tmp_path, "s.yaml")
+        check_display(ProfileDisplay(file="a.icc"), tmp_path, "s.yaml")
     (tmp_path / "a.txt").write_text("red")
     with pytest.raises(InputError, match=r"\.csv or \.ti3"):
-        check_display({"kind": "measured", "file": "a.txt"}, tmp_path, "s.yaml")
+        check_display(MeasuredDisplay(file="a.txt"), tmp_path, "s.yaml")
     with pytest.raises(ValueError, match="kinds standard, primaries, measured, profile"):
         make_display(made(DisplayDevice, {"kind": "crt"}))
     with pytest.raises(ValueError, match="accepted: sRGB, Display P3"):

@@ -11,7 +11,7 @@ from definitions import ROOT, load
 
 from irodori.config import models
 from irodori.config.definition import as_plain, field_name
-from irodori.config.definitions import KINDS
+from irodori.config.definitions import KINDS, read_yaml
 from irodori.config.validation import SCHEMAS, _complete, load_schema, validate
 from irodori.config.write_models import MODELS, README, key_table, models_text, readme_text
 from irodori.core.errors import InputError
@@ -27,16 +27,17 @@ def test_dataclasses_and_tables_are_those_of_the_schemas():
 
 @pytest.mark.parametrize("scenes", OWN)
 def test_a_definition_says_what_its_file_says(scenes):
-    definitions = load(ROOT, scenes=scenes)
-    for kind, schema in KINDS.items():
-        assert definitions[kind]
-        for given in definitions[kind].values():
-            typed = getattr(models, schema.capitalize()).of(given)
-            assert typed.plain() == given
+    loaded = load(ROOT, scenes=scenes)
+    for kind, made in KINDS.items():
+        assert getattr(loaded, kind)
+        for name, typed in getattr(loaded, kind).items():
+            file = ROOT / "config" / kind / f"{name}.yaml"
+            assert isinstance(typed, made) and typed.plain() == validate(read_yaml(file), made.__name__.lower(), file)
             assert pickle.loads(pickle.dumps(typed)) == typed
             json.dumps(as_plain({"all": [typed]}))
-    config = {key: value for key, value in definitions.items() if key not in KINDS}
-    assert models.Config.of(config).plain() == config
+    config = read_yaml(ROOT / "config/config.yaml")
+    config["make"]["scenes"] = scenes
+    assert loaded.config.plain() == validate(config, "config", "config.yaml")
 
 
 def blocks(schema):

@@ -1,6 +1,5 @@
 """A photograph beside the rendering of its view: equal scenes differ by noise alone, a changed one where it changed."""
 
-import copy
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +18,7 @@ from irodori.calibration.recovery.mappings import LinearMapping
 from irodori.capture.stage import Target, capture_camera, capture_photograph
 from irodori.config.cross_checks.scene_photographs import check_photograph
 from irodori.config.definitions import load_definitions, read_yaml
+from irodori.config.loaded import Loaded
 from irodori.config.models import Camera, ObjectShape, Optics, Rig, ScenePhotograph
 from irodori.config.parts import Staging
 from irodori.core import store
@@ -55,7 +55,7 @@ PAINT, OTHER = spectrum("TCS11"), spectrum("TCS40")
 
 def definitions() -> tuple[dict, dict]:
     """The repository's camera with a small sensor, vignetting, distortion and its filter's plate; a steady lamp."""
-    found = copy.deepcopy(load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT))
+    found = load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT).plain()
     camera, rig = found["cameras"]["d5100-comb"], found["rigs"]["virtual"]
     camera["optics"].update(width_px=160, height_px=120, focal_length_mm=8.0, principal_point_px=[78.0, 61.0])
     camera["optics"]["distortion"] = {"k1": -0.1}
@@ -294,7 +294,7 @@ def test_a_faulty_photograph_in_a_scene_is_refused_before_anything_runs(tmp_path
     import shutil
 
     shutil.copytree(ROOT / "config", tmp_path / "config")
-    assert load(tmp_path)["scenes"]["still-life"]["photographs"]["front"]["samples"] == 16
+    assert load(tmp_path).scenes["still-life"].photographs["front"].samples == 16
     grid = [str(nm) for nm in range(400, 701, 20)]
     rows = [",".join(["theta_i_rad,phi_i_rad,theta_r_rad,phi_r_rad", *grid])]
     rows += [",".join([f"{0.1 * i},0.0,0.3,3.1", *["0.2"] * len(grid)]) for i in range(10)]
@@ -306,23 +306,23 @@ def test_a_faulty_photograph_in_a_scene_is_refused_before_anything_runs(tmp_path
 
 @pytest.mark.parametrize("missing", ["optics", "white"])
 def test_a_camera_without_lens_or_white_reference_takes_no_photograph_of_a_scene(missing):
-    found = copy.deepcopy(load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT))
+    found = load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT).plain()
     del found["cameras"]["d5100-comb"][missing]
+    loaded = Loaded.of(found)
     with pytest.raises(InputError, match=rf"photographs\.front\.camera: .*without {missing}; accepted: .*{missing}"):
-        check_photograph(
-            found, found["scenes"]["still-life"], "front", {"out", "in"}, ROOT, lambda kind, name="s": name
-        )
+        check_photograph(loaded, loaded.scenes["still-life"], "front", {"out", "in"}, ROOT, lambda kind, name="s": name)
 
 
 def test_a_users_photograph_needs_its_files_in_the_filter_states_of_the_chart(tmp_path):
-    found = copy.deepcopy(load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT))
-    scene = found["scenes"]["still-life"]
+    found = load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT).plain()
     found["rigs"]["virtual"]["kind"] = "files"
-    placed = scene["photographs"]["front"]
+    placed = found["scenes"]["still-life"]["photographs"]["front"]
     del placed["exposure_s"]
 
     def check():
-        check_photograph(found, scene, "front", {"out", "in"}, tmp_path, lambda kind, name="s.yaml": name)
+        loaded, states = Loaded.of(found), {"out", "in"}
+        scene = loaded.scenes["still-life"]
+        check_photograph(loaded, scene, "front", states, tmp_path, lambda kind, name="s.yaml": name)
 
     with pytest.raises(InputError, match=r"photographs\.front\.captures: found no such key"):
         check()

@@ -1,13 +1,15 @@
 """Tolerances and plan overrides of a scene that are refused or accepted."""
 
 import pytest
+from made import made
 
 from irodori.config.cross_checks.plan_overrides import check_plan
+from irodori.config.models import Scene
 from irodori.core.errors import InputError
 
 
 def scene(kind, tolerance=1.0, **plan):
-    return {"integrator": {"kind": kind}, "plan": plan} | ({"tolerance_ciede2000": tolerance} if tolerance else {})
+    return made(Scene, {"integrator": {"kind": kind}, "plan": plan, "tolerance_ciede2000": tolerance})
 
 
 @pytest.mark.parametrize(

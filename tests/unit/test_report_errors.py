@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scenes import constant_light
 
+from irodori.config.parts import Staging
 from irodori.core import store
 from irodori.evaluation.truth_errors import interior, measure_errors, radiance_delta_e, read_errors
 from irodori.export.pictures import write_spectral_exr
@@ -59,8 +60,8 @@ def test_a_pictures_error_is_judged_against_a_white_that_counts_the_scenes_light
         inputs |= {"calibrations": [], "view_lights": [tmp_path / "e.h5"]}
         inputs |= {"views": [tmp_path / "found.exr"], "true_views": [tmp_path / "true.exr"]}
         names = {"cameras": [], "objects": [], "environments": [], "views": ["s/v"], "view_environments": ["e"]}
-        names["view_scenes"] = [{"lights": lights, "display": {"exposure": exposure}}]
-        measure_errors(inputs, names, ["D65"], tmp_path / "errors.csv")
+        scene = Staging.of({"lights": lights, "display": {"exposure": exposure}})
+        measure_errors(inputs, names, [scene], ["D65"], tmp_path / "errors.csv")
         found[label] = float(read_errors(tmp_path / "errors.csv")[0]["mean"])
     white = 0.5 + 4.5 * unit_luminance("D65")
     assert found["lit"] == pytest.approx(radiance_delta_e(truth, pictures["found"], white).mean(), rel=1e-4)

@@ -22,7 +22,7 @@ COUNTS = [6, 8, 16]
 
 @pytest.fixture(scope="module")
 def planned():
-    definitions = load(ROOT)
+    definitions = load(ROOT).plain()
     definition = definitions["objects"]["tile-plate"]
     return {
         "definition": {key: definition[key] for key in ("shape", "refractive_index", "plan")},

@@ -5,7 +5,6 @@ import copy
 import pytest
 import yaml
 from definitions import ROOT
-from made import made
 
 from irodori.capture.rig.connect import open_rig
 from irodori.config.cross_checks.rig_motion import check_motion
@@ -27,11 +26,11 @@ def examples() -> dict[str, dict]:
 EXAMPLES = examples()
 
 
-def rig(motion: dict) -> dict:
-    return validate({**read_yaml(ROOT / "config/rigs/virtual.yaml"), "motion": motion}, "rig", "rig.yaml")
+def rig(motion: dict) -> Rig:
+    return Rig.of(validate({**read_yaml(ROOT / "config/rigs/virtual.yaml"), "motion": motion}, "rig", "rig.yaml"))
 
 
-def changed(protocol: str, path: str, value) -> dict:
+def changed(protocol: str, path: str, value) -> Rig:
     """Return a rig with one key of its motion changed; ... removes it."""
     motion = copy.deepcopy(EXAMPLES[protocol])
     *parents, last = path.split(".")
@@ -51,14 +50,14 @@ def test_the_documentation_s_examples_are_in_order_and_move_on_the_simulator(pro
     motion["port"], motion["simulator"] = "simulator", {"time_scale": 200.0}
     example = rig(motion)
     check_motion(example, "rig.yaml")
-    with open_rig(made(Rig, example)) as opened:
+    with open_rig(example) as opened:
         opened.home()
         opened.move({"camera_deg": 12.5})
         assert opened.position()["camera_deg"] == pytest.approx(12.5, abs=0.05)
 
 
 def test_a_rig_without_motion_is_in_order():
-    check_motion(validate(read_yaml(ROOT / "config/rigs/virtual.yaml"), "rig", "x"), "x")
+    check_motion(Rig.of(validate(read_yaml(ROOT / "config/rigs/virtual.yaml"), "rig", "x")), "x")
 
 
 @pytest.mark.parametrize(

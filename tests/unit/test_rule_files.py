@@ -60,13 +60,14 @@ def test_parameters_are_plain_and_as_the_files_say(sets, scenes, definitions):
         "views": scenes.view_scenes(),
     }
     assert json.loads(json.dumps(asked)) == asked
-    assert asked["camera"] == definitions["cameras"]["d5100-comb"]
-    assert asked["rig"] == definitions["rigs"]["virtual"]
-    scene = definitions["scenes"]["still-life"]
+    assert asked["camera"] == definitions.cameras["d5100-comb"].plain()
+    assert asked["rig"] == definitions.rigs["virtual"].plain()
+    scene = definitions.scenes["still-life"].plain()
     assert asked["part"] == {"objects": scene["objects"], "display": scene["display"]}
     photographed = {"shape", "refractive_index", "mirror_weight", "poses", "exposure_s", "virtual"}
+    plate_file = definitions.objects["tile-plate"].plain()
     assert set(asked["photographed"]) == photographed
-    assert all(asked["photographed"][key] == definitions["objects"]["tile-plate"][key] for key in photographed)
+    assert all(asked["photographed"][key] == plate_file[key] for key in photographed)
     assert set(asked["plates"]) == {"tile-plate"} == {asked["subject"]["name"]}
 
 
@@ -106,9 +107,9 @@ def test_options_of_stages_have_the_defaults_of_the_configuration():
 
 
 def test_tiles_cover_the_texture(sets, definitions):
-    texels = definitions["objects"]["tile-plate"]["texels"]
+    texels = definitions.objects["tile-plate"].texels
     rows = sets.tiles_of("tile-plate")
-    assert rows[0][0] == 0 and rows[-1][1] == texels["height"]
+    assert rows[0][0] == 0 and rows[-1][1] == texels.height
     assert all(first[1] == second[0] for first, second in itertools.pairwise(rows))
     assert sets.tile_files("tile-plate") == [f"results/tile-plate/brdf/tile-{n:03d}.h5" for n in range(len(rows))]
     assert sets.tile_rows(job(object="tile-plate", tile="000")) == rows[0]
@@ -118,7 +119,7 @@ def test_every_capture_is_ingested_once(sets, definitions):
     parts = list(sets.ingest_parts())
     for name, captures in sets.captures["objects"].items():
         assert [one for part in parts if part.object_name == name for one in part.captures] == captures
-    assert max(len(part.captures) for part in parts) <= definitions["ingest"]["captures_per_job"]
+    assert max(len(part.captures) for part in parts) <= definitions.config.ingest.captures_per_job
     assert "captures_per_job" not in sets.ingest_options(job())
     assert len({part.rule_name for part in parts}) == len(parts)
 

@@ -17,8 +17,7 @@ from irodori.calibration.stage import calibrate_camera
 from irodori.calibration.training import Training
 from irodori.capture.shot_list import camera_shots
 from irodori.config.capture_table import Pose, Shot, read_captures, write_captures
-from irodori.config.definitions import captures_of
-from irodori.config.models import CalibrationOptions, Camera, Rig
+from irodori.config.models import CalibrationOptions, Camera
 from irodori.config.parts import CalibratedCamera
 from irodori.core import store
 from irodori.core.errors import InputError
@@ -68,9 +67,9 @@ def session(tmp_path_factory):
     root = tmp_path_factory.mktemp("charts")
     shutil.copytree(ROOT / "config", root / "config")
     definitions = two_charts(root)
-    camera, rig = definitions["cameras"]["d5100-comb"], definitions["rigs"]["virtual"]
-    shots, bench = camera_shots(made(Camera, camera), ".dng"), Bench()
-    virtual = VirtualCamera(made(Camera, camera), made(Rig, rig), bench, "camera", shots)
+    camera, rig = definitions.cameras["d5100-comb"], definitions.rigs["virtual"]
+    shots, bench = camera_shots(camera, ".dng"), Bench()
+    virtual = VirtualCamera(camera, rig, bench, "camera", shots)
     for shot in shots:
         bench.set({"subject": shot.subject, "filter": shot.filter, **vars(shot.pose)})
         virtual.capture(shot, root / shot.file)
@@ -78,19 +77,19 @@ def session(tmp_path_factory):
     write_captures(table, shots)
     ingest_reference(table, root, root / "reference.h5", MADE, 0.99, IngestOptions())
     linear = []
-    for capture in captures_of(definitions, "cameras", "d5100-comb", root):
+    for capture in definitions.captures_of("cameras", "d5100-comb", root):
         linear.append(root / f"{capture}.h5")
         ingest_raw(table, root, capture, root / "reference.h5", linear[-1], MADE, options=IngestOptions())
     outputs = [root / name for name in ("c.h5", "errors.csv", "selection.csv")]
     calibrate_camera(
         linear,
-        made(Camera | CalibratedCamera, camera),
-        rig["light"]["spectrum"],
+        camera,
+        rig.light.spectrum,
         *outputs[:2],
         MADE,
         selection=outputs[2],
     )
-    return root, camera, linear
+    return root, camera.plain(), linear
 
 
 def rows_of(path) -> list[dict]:
@@ -304,8 +303,8 @@ def test_a_name_with_capitals_is_no_chart(tmp_path):
 
 def test_the_captures_of_a_camera_are_its_charts(root):
     definitions = two_charts(root)
-    assert captures_of(definitions, "cameras", "d5100-comb", root) == ["chart", "chart-pmc"]
-    shots = camera_shots(made(Camera, definitions["cameras"]["d5100-comb"]), ".dng")
+    assert definitions.captures_of("cameras", "d5100-comb", root) == ["chart", "chart-pmc"]
+    shots = camera_shots(definitions.cameras["d5100-comb"], ".dng")
     assert "chart-pmc-in-50000us.dng" in {shot.file for shot in shots}
 
 

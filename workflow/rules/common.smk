@@ -7,8 +7,10 @@ from irodori.core.provenance import code_hash, modules_of
 try:
     # The repository's own file first, then those of the command line, which override it.
     files = sorted(map(str, workflow.configfiles), key=lambda file: file != "config/config.yaml")
-    config.update(load_definitions(config, Path(), files))
-    sets = PhotographSets(config)
+    loaded = load_definitions(config, Path(), files)
+    plain = loaded.plain()
+    config.update(plain.pop("config"), **plain)  # where `lookup` finds them, with every default
+    sets = PhotographSets(loaded)
     scenes = SceneFiles(sets)
 except InputError as error:
     raise WorkflowError(str(error)) from None

@@ -1,3 +1,4 @@
+from irodori.config.parts import Staging
 from irodori.core.run_rule import run_rule
 from irodori.evaluation.truth_errors import measure_errors
 
@@ -5,6 +6,7 @@ with run_rule(snakemake):
     measure_errors(
         dict(snakemake.input.items()),
         dict(snakemake.params.items()),
+        map(Staging.of, snakemake.params.view_scenes),
         snakemake.params.lights,
         snakemake.output.errors,
     )

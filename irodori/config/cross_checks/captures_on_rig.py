@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from irodori.config.capture_table import FILTERS, Shot, chart_capture, expand_poses, read_captures
-from irodori.config.models import PoseGroup
+from irodori.config.models import AxisLimit, Captures, Exposures, PoseGroup, RigLimits
 from irodori.core.errors import InputError, is_file
 
 _ANGLE_TOLERANCE_DEG = 1e-6
@@ -18,19 +18,18 @@ class Reach:
 
     Parameters
     ----------
-    limits : dict
-        ``limits`` of the rig's definition.
+    limits : RigLimits
     file : path
-        That definition, for the error message.
+        The rig's definition, for the error message.
     """
 
-    def __init__(self, limits: dict, file) -> None:
+    def __init__(self, limits: RigLimits, file) -> None:
         self.limits, self.file = limits, file
 
     def check_angle(self, axis: str, angle: float, file, field: str, step: bool = True) -> None:
         """Refuse an angle outside the limits or, where `step` is set, off the steps."""
-        limit = self.limits[axis]
-        low, high, unit = limit["min"], limit["max"], limit["step"]
+        limit: AxisLimit = getattr(self.limits, axis)
+        low, high, unit = limit.min, limit.max, limit.step
         off = abs((angle - low) - round((angle - low) / unit) * unit)
         inside = low - _ANGLE_TOLERANCE_DEG <= angle <= high + _ANGLE_TOLERANCE_DEG
         if not inside or (step and off > _ANGLE_TOLERANCE_DEG):
@@ -45,16 +44,21 @@ class Reach:
                 # Angles of a real rig are read, not set: they need not stand on its steps.
                 self.check_angle(axis, getattr(shot.pose, axis), table, f"{axis} of {shot.file}", step=False)
 
-    def check_poses(self, groups: list[dict], file) -> None:
+    def check_poses(self, groups: Iterable[PoseGroup], file) -> None:
         """Refuse poses of an object that the virtual rig cannot take, or that come twice."""
         for index, group in enumerate(groups):
-            for axis, angles in group.items():
+            for axis, angles in group.given().items():
                 for item, angle in enumerate(angles):
                     self.check_angle(axis, angle, file, f"poses[{index}].{axis}[{item}]")
         try:
-            expand_poses(map(PoseGroup.of, groups))
+            expand_poses(groups)
         except ValueError as error:
             raise InputError(file, "poses", str(error), "each pose once, at least 0.1 degrees apart") from None
+
+
+def states_of(exposure_s: Exposures | None) -> set[str]:
+    """Return the filter states that have exposure times."""
+    return set(exposure_s.given()) if exposure_s else set()
 
 
 def check_incidence(light_deg: float, tilt_deg: float, file, field: str) -> None:
@@ -65,17 +69,18 @@ def check_incidence(light_deg: float, tilt_deg: float, file, field: str) -> None
         raise InputError(file, field, found, f"an angle of incidence from 0 to below {_MAX_INCIDENCE_DEG:g} degrees")
 
 
-def table_and_folder(definition: dict, root: Path) -> tuple[Path, Path]:
+def table_and_folder(captures: Captures, root: Path) -> tuple[Path, Path]:
     """Return the table of a set of photographs of a real rig and the folder of its RAW files."""
-    table = root / definition["captures"]["table"]
-    return table, root / definition["captures"].get("folder", table.parent)
+    table = root / captures.table
+    return table, table.parent if captures.folder is None else root / captures.folder
 
 
-def read_table(definition: dict, root: Path, file) -> tuple[Path, list[Shot]]:
+def read_table(captures: Captures | None, root: Path, file) -> tuple[Path, list[Shot]]:
     """Return the table of a set of photographs and what it lists, all files being there."""
-    table, folder = table_and_folder(definition, root)
+    assert captures is not None  # checked: photographs that others take have a table
+    table, folder = table_and_folder(captures, root)
     if not is_file(table):
-        found = f"no such file: {definition['captures']['table']}"
+        found = f"no such file: {captures.table}"
         raise InputError(file, "captures.table", found, "a CSV that lists the photographs")
     return table, read_captures(table, folder)
 
@@ -110,13 +115,8 @@ def by_chart(shots: list[Shot], further: Iterable[str], table: Path, file) -> li
     return list(groups.values())
 
 
-def check_states(shots: list[Shot], table: Path, chart: list[Shot], chart_table: Path) -> None:
-    """Refuse a capture in other filter states than the chart's, for which alone the calibration holds."""
-    check_states_are(shots, table, {shot.filter for shot in chart}, chart_table)
-
-
-def check_states_are(shots: list[Shot], table: Path, wanted: set[str], chart_file: Path) -> None:
-    """Refuse a capture in other filter states than those of the chart, which `chart_file` tells."""
+def check_states(shots: list[Shot], table: Path, wanted: set[str], chart_file: Path) -> None:
+    """Refuse a capture in other filter states than those in `chart_file`, for which alone the calibration holds."""
     for capture, states in _states_of_captures(shots).items():
         if states != wanted:
             accepted = f"the filter states {_listed(wanted)}, as the chart has in {chart_file}"

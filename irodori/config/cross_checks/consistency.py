@@ -1,6 +1,7 @@
 """Cross-file configuration checks: references between definitions, and files that they name."""
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 from irodori.config.capture_table import Shot
@@ -10,21 +11,33 @@ from irodori.config.cross_checks.captures_on_rig import (
     check_incidence,
     check_one_pose,
     check_states,
-    check_states_are,
     of_role,
     read_table,
+    states_of,
     table_and_folder,
 )
 from irodori.config.cross_checks.display_files import check_display
 from irodori.config.cross_checks.environment_sources import check_source, is_photographed
-from irodori.config.cross_checks.named_spectra import check_chart, check_spectra
+from irodori.config.cross_checks.named_spectra import check_chart, check_index, check_spectra
 from irodori.config.cross_checks.object_lobes import check_lobes
 from irodori.config.cross_checks.plan_overrides import check_plan
 from irodori.config.cross_checks.rig_motion import check_motion
 from irodori.config.cross_checks.scene_photographs import check_aim, check_photograph
-from irodori.core.errors import InputError, is_file
+from irodori.config.loaded import Loaded
+from irodori.config.models import (
+    Camera,
+    Captures,
+    Config,
+    InteractiveIntegrator,
+    LightSweep,
+    MeasuredMaterial,
+    MirrorBallSource,
+    PerspectiveView,
+    RigPose,
+)
+from irodori.core.errors import InputError
 from irodori.geometry.mesh_sources import shape_files
-from irodori.spectra.tables import brdf_table, index_table
+from irodori.spectra.tables import brdf_table
 
 #: Folders that stand in results/ beside those of objects and scenes.
 _RESERVED = ("benchmark", "benchmarks", "cameras", "environments", "logs", "rig")
@@ -53,13 +66,12 @@ def _accepted_keys(rig_kind: str, kind: str) -> tuple[str, ...]:
     return needed if "exposure_s" not in needed else (*needed, *_TAKEN_HERE)
 
 
-def check_agreement(definitions: dict, root: Path, config_file, file) -> None:
+def check_agreement(loaded: Loaded, root: Path, config_file, file) -> None:
     """Check a configuration and its definitions against each other.
 
     Parameters
     ----------
-    definitions : dict
-        Validated, of the layout that `irodori.config.definitions.load_definitions` returns.
+    loaded : Loaded
     root : path
         Where relative paths start.
     config_file : path
@@ -72,10 +84,10 @@ def check_agreement(definitions: dict, root: Path, config_file, file) -> None:
     InputError
         For the first fault.
     """
-    _check_bounds(definitions, config_file)
-    _check_names(definitions, file)
-    check_spectra(definitions["report"], ("report",), root, config_file)
-    checks = _Checks(definitions, root, file)
+    _check_bounds(loaded.config, config_file)
+    _check_names(loaded, file)
+    check_spectra(loaded.config.report, ("report",), root, config_file)
+    checks = _Checks(loaded, root, file)
     order = {
         "rigs": checks.rig,
         "cameras": checks.camera,
@@ -84,123 +96,116 @@ def check_agreement(definitions: dict, root: Path, config_file, file) -> None:
         "scenes": checks.scene,
     }
     for kind, check in order.items():
-        for name in definitions[kind]:
+        for name in getattr(loaded, kind):
             check(name)
     checks.folders()
-
-
-def rig_of(definitions: dict, kind: str, name: str) -> str:
-    """Return the name of the rig that photographs an object, an environment or a camera's chart."""
-    definition = definitions[kind][name]
-    camera = definition if kind == "cameras" else definitions["cameras"][definition["camera"]]
-    return camera["rig"]
 
 
 class _Checks:
     """One check for each kind of definition."""
 
-    def __init__(self, definitions: dict, root: Path, file) -> None:
-        self.all, self.root, self.file = definitions, root, file
+    def __init__(self, loaded: Loaded, root: Path, file) -> None:
+        self.all, self.root, self.file = loaded, root, file
         #: Table and chart photographs of each camera of a real rig.
         self.charts: dict[str, tuple[Path, list[Shot]]] = {}
 
     def rig(self, name: str) -> None:
-        file, rig = self.file("rigs", name), self.all["rigs"][name]
-        for axis, limit in rig["limits"].items():
-            if limit["min"] > limit["max"]:
-                found = f"{limit['min']:g}, above max {limit['max']:g}"
+        file, rig = self.file("rigs", name), self.all.rigs[name]
+        for axis, limit in rig.limits.given().items():
+            if limit.min > limit.max:
+                found = f"{limit.min:g}, above max {limit.max:g}"
                 raise InputError(file, f"limits.{axis}.min", found, "a smallest angle below the largest")
         check_motion(rig, file)
-        if rig["operator"] == "auto" and rig["kind"] != "virtual":
+        if rig.operator == "auto" and rig.kind != "virtual":
             raise InputError(file, "operator", "auto, for which a virtual rig alone has hands", "prompt or file")
         check_spectra(rig, (), self.root, file)
 
     def camera(self, name: str) -> None:
-        file, camera = self.file("cameras", name), self.all["cameras"][name]
+        file, camera = self.file("cameras", name), self.all.cameras[name]
         self._check_keys("cameras", name)
         if self._is_taken_here("cameras", name):
             self._check_session(camera, file)
-            states = set(camera["exposure_s"])
+            states = states_of(camera.exposure_s)
         else:
             self._check_chart_and_white(name, camera, file)
             states = {shot.filter for shot in self.charts[name][1]}
-        bands, calibration = _BANDS_OF_A_STATE * len(states), camera["calibration"]
-        bases = calibration["bases"]
+        bands, calibration = _BANDS_OF_A_STATE * len(states), camera.calibration
+        bases = calibration.bases
         # The other estimators know more than the responses: their weights may outnumber the bands.
-        if calibration["estimator"] == "pinv" and bases != "auto" and bases > bands:
+        if calibration.estimator == "pinv" and bases != "auto" and bases > bands:
             listed = ", ".join(sorted(states))
             accepted = f"1 to {bands}, {_BANDS_OF_A_STATE} for each filter state of the chart ({listed})"
             raise InputError(file, "calibration.bases", str(bases), accepted)
         check_spectra(camera, (), self.root, file)
-        check_chart(camera["chart"], self.root, file)
-        for chart, definition in camera["further_charts"].items():
+        check_chart(camera.chart, self.root, file)
+        for chart, definition in camera.further_charts.items():
             check_chart(definition, self.root, file, f"further_charts.{chart}")
 
     def environment(self, name: str) -> None:
-        file, environment = self.file("environments", name), self.all["environments"][name]
+        file, environment = self.file("environments", name), self.all.environments[name]
         check_source(environment, self.root, file)
         if not is_photographed(environment):
             check_spectra(environment, (), self.root, file)
             return
-        ball = environment["source"]["kind"] == "mirror_ball"
-        if ball and self._rig_of("environments", name)["kind"] == "virtual":
+        if isinstance(environment.source, MirrorBallSource) and self.all.is_virtual("environments", name):
             accepted = "captures: the virtual rig photographs its room from every direction itself"
             raise InputError(file, "source.kind", "mirror_ball on a rig of kind virtual", accepted)
         self._check_keys("environments", name)
         if self._is_taken_here("environments", name):
-            self._check_exposures(environment, file)
+            self._check_exposures("environments", name)
         else:
-            self._check_photographs(environment, file, "environment")
+            self._check_photographs("environments", name)
         check_spectra(environment, (), self.root, file)
 
     def object(self, name: str) -> None:
-        file, definition = self.file("objects", name), self.all["objects"][name]
-        camera = self.all["cameras"][definition["camera"]]
-        if "optics" not in camera:
-            found = f"the camera {definition['camera']!r} without optics"
-            accepted = f"a camera whose file gives optics ({self.file('cameras', definition['camera'])})"
+        file, definition = self.file("objects", name), self.all.objects[name]
+        camera = self.all.cameras[definition.camera]
+        if camera.optics is None:
+            found = f"the camera {definition.camera!r} without optics"
+            accepted = f"a camera whose file gives optics ({self.file('cameras', definition.camera)})"
             raise InputError(file, "camera", found, accepted)
         self._check_keys("objects", name)
         if self._is_taken_here("objects", name):
-            self._check_exposures(definition, file)
-            self._reach(camera).check_poses(definition["poses"], file)
-            for material in definition.get("virtual", {}).get("materials", ()):
-                if "file" in material:
-                    brdf_table(self.root / material["file"])
+            self._check_exposures("objects", name)
+            self._reach(camera).check_poses(definition.poses or (), file)
+            for material in definition.virtual.materials if definition.virtual else ():
+                if isinstance(material, MeasuredMaterial):
+                    brdf_table(self.root / material.file)
         else:
-            table, shots = self._check_photographs(definition, file, "object")
+            table, shots = self._check_photographs("objects", name)
             self._reach(camera).check_shots(shots, table)
-        shape_files(definition["shape"], self.root)
-        self._check_index(definition["refractive_index"], "refractive_index", file)
-        check_lobes(definition, self.all["fit"], file)
+        shape_files(definition.shape, self.root)
+        check_index(definition.refractive_index, self.root, file, "refractive_index")
+        check_lobes(definition, self.all.config.fit, file)
         for key in ("alpha", "beta", "mu_rad"):
-            low, high = definition["plan"][key]
+            low, high = getattr(definition.plan, key)
             if low > high:
                 raise InputError(file, f"plan.{key}", f"[{low:g}, {high:g}]", "the smaller value first")
         check_spectra(definition, (), self.root, file)
 
     def scene(self, name: str) -> None:
-        file, scene = self.file("scenes", name), self.all["scenes"][name]
-        for label, view in scene["views"].items():
+        file, scene = self.file("scenes", name), self.all.scenes[name]
+        interactive = isinstance(scene.integrator, InteractiveIntegrator)
+        for label, view in scene.views.items():
             check_aim(view, file, f"views.{label}")
-            if "lens" in view and scene["integrator"]["kind"] == "interactive":
+            if isinstance(view, PerspectiveView) and view.lens is not None and interactive:
                 found = "a lens, over which the integrator interactive does not sample"
                 raise InputError(file, f"views.{label}.lens", found, "integrator: {kind: reference}, or no lens")
-
-        if scene.get("frames", {}).get("turned") in ("lights", "both") and not scene["lights"]:
-            found = f"{scene['frames']['turned']}, of which the scene has none beside its environment"
+        frames = scene.frames
+        if isinstance(frames, LightSweep) and frames.turned in ("lights", "both") and not scene.lights:
+            found = f"{frames.turned}, of which the scene has none beside its environment"
             raise InputError(file, "frames.turned", found, "environment, or lights in the scene")
         check_plan(scene, file)
-        for label, placed in scene["photographs"].items():
-            states = self._states(placed["camera"])
+        for label, placed in scene.photographs.items():
+            states = self._states(placed.camera)
             check_photograph(self.all, scene, label, states, self.root, lambda kind, which=name: self.file(kind, which))
-        check_display(scene["display"]["device"], self.root, file)
+        check_display(scene.display.device, self.root, file)
         check_spectra(scene, (), self.root, file)
-        for index, body in enumerate(scene["bodies"]):
+        for index, body in enumerate(scene.bodies):
             field = f"bodies[{index}].material.refractive_index"
-            self._check_index(body["material"]["refractive_index"], field, file)
-        strange = [light["kind"] for light in scene["lights"] if light["kind"] != "collimated"]
-        if strange and scene["integrator"]["kind"] == "interactive":
+            check_index(body.material.refractive_index, self.root, file, field)
+        strange = [light.kind for light in scene.lights if light.kind != "collimated"]
+        if strange and interactive:
             found = f"a {strange[0]} light, which the integrator interactive does not trace"
             raise InputError(file, "lights", found, "integrator: {kind: reference}, or collimated lights alone")
 
@@ -208,14 +213,15 @@ class _Checks:
         """Refuse a table or a folder into which two sessions would write: their photographs bear the same names."""
         taken: dict[tuple[str, Path], Path] = {}
         for kind in ("cameras", "objects"):
-            for name, definition in self.all[kind].items():
-                if not self._is_taken_here(kind, name) or "captures" not in definition:
+            for name, definition in getattr(self.all, kind).items():
+                captures: Captures | None = definition.captures
+                if not self._is_taken_here(kind, name) or captures is None:
                     continue
-                places = zip(("table", "folder"), table_and_folder(definition, self.root), strict=True)
+                places = zip(("table", "folder"), table_and_folder(captures, self.root), strict=True)
                 for key, path in places:
                     first = taken.setdefault((key, Path(os.path.normpath(path))), self.file(kind, name))
                     if first != self.file(kind, name):
-                        field = f"captures.{key}" if key in definition["captures"] else "captures.table"
+                        field = f"captures.{key}" if key in captures.given() else "captures.table"
                         found = f"{path.relative_to(self.root) if path.is_relative_to(self.root) else path}"
                         accepted = f"a {key} of its own: {first} has this one"
                         raise InputError(self.file(kind, name), field, found, accepted)
@@ -224,66 +230,58 @@ class _Checks:
         """Return the filter states of a camera's chart."""
         if camera in self.charts:
             return {shot.filter for shot in self.charts[camera][1]}
-        return set(self.all["cameras"][camera]["exposure_s"])
-
-    def _check_index(self, index: dict, field: str, file: Path) -> None:
-        """Refuse a table of refractive indices that is not there, or is none."""
-        if table := index.get("file"):
-            if not is_file(self.root / table):
-                raise InputError(file, f"{field}.file", f"no such file: {table}", "a CSV of wavelength_nm, n, k")
-            index_table(self.root / table)
-
-    def _rig_of(self, kind: str, name: str) -> dict:
-        return self.all["rigs"][rig_of(self.all, kind, name)]
+        return states_of(self.all.cameras[camera].exposure_s)
 
     def _is_taken_here(self, kind: str, name: str) -> bool:
         """Whether the workflow itself takes the photographs, as against reading what somebody took."""
-        return "exposure_s" in _NEEDED[self._rig_of(kind, name)["kind"]][kind]
+        return "exposure_s" in _NEEDED[self.all.rig_of(kind, name).kind][kind]
 
-    def _reach(self, camera: dict) -> Reach:
-        return Reach(self.all["rigs"][camera["rig"]]["limits"], self.file("rigs", camera["rig"]))
+    def _reach(self, camera: Camera) -> Reach:
+        return Reach(self.all.rigs[camera.rig].limits, self.file("rigs", camera.rig))
 
     def _check_keys(self, kind: str, name: str) -> None:
         """Refuse a definition without the keys that its rig's kind needs, or with keys that it never reads."""
-        file, definition, rig = self.file(kind, name), self.all[kind][name], self._rig_of(kind, name)["kind"]
+        file, given = self.file(kind, name), self.all.photographed(kind, name).given()
+        rig = self.all.rig_of(kind, name).kind
         for key in _NEEDED[rig][kind]:
-            _require(definition, key, file, rig)
+            _require(given, key, file, rig)
         accepted = _accepted_keys(rig, kind)
         for key in _ONLY_SOME:
-            if key in definition and key not in accepted:
-                rig_file = self.file("rigs", rig_of(self.all, kind, name))
+            if key in given and key not in accepted:
+                rig_file = self.file("rigs", self.all.cameras[self.all.camera_of(kind, name)].rig)
                 found = f"a key that a rig of kind {rig} does not use"
                 raise InputError(file, key, found, f"to leave it out ({rig_file} is of kind {rig})")
 
-    def _check_session(self, camera: dict, file) -> None:
+    def _check_session(self, camera: Camera, file) -> None:
         """Check the photographs that calibrate a camera, which the workflow takes itself."""
-        _require(camera["poses"], "white", file, self.all["rigs"][camera["rig"]]["kind"], "poses.white")
-        if "virtual" in camera:
-            black, bits = camera["virtual"]["sensor"]["black_level"], camera["virtual"]["sensor"]["bits"]
+        poses: dict[str, RigPose] = camera.poses.given() if camera.poses else {}
+        _require(poses, "white", file, self.all.rigs[camera.rig].kind, "poses.white")
+        if camera.virtual is not None:
+            black, bits = camera.virtual.sensor.black_level, camera.virtual.sensor.bits
             if black >= 2**bits - 1:
                 raise InputError(file, "virtual.sensor.black_level", str(black), f"below {2**bits - 1} for {bits} bits")
         reach = self._reach(camera)
-        for role, pose in camera["poses"].items():
-            for axis, angle in pose.items():
+        for role, pose in poses.items():
+            for axis, angle in pose.given().items():
                 reach.check_angle(axis, angle, file, f"poses.{role}.{axis}")
-            check_incidence(pose["light_deg"], pose["tilt_deg"], file, f"poses.{role}.light_deg")
+            check_incidence(pose.light_deg, pose.tilt_deg, file, f"poses.{role}.light_deg")
 
-    def _check_chart_and_white(self, name: str, camera: dict, file) -> None:
+    def _check_chart_and_white(self, name: str, camera: Camera, file) -> None:
         """Check the photographs that calibrate a camera of a real rig; what it photographs is divided by its white."""
-        table, shots = read_table(camera, self.root, file)
+        table, shots = read_table(camera.captures, self.root, file)
         photographed = of_role(shots, "chart", table)
-        charts = by_chart(photographed, camera["further_charts"], table, file)
-        chart = charts[0]
-        self.charts[name] = table, chart
-        check_states(photographed, table, chart, table)
+        charts = by_chart(photographed, camera.further_charts, table, file)
+        self.charts[name] = table, charts[0]
+        states = self._states(name)
+        check_states(photographed, table, states, table)
         user = self._user_of(name)
         whites = [shot for shot in shots if shot.role == "white"]
         if user and not whites:
             found = f"no photograph of the role white, though {user} is photographed with this camera"
             raise InputError(table, "role", found, "the white reference in every filter state of the chart")
         if whites:
-            check_states(whites, table, chart, table)
-            if "white" not in camera:
+            check_states(whites, table, states, table)
+            if camera.white is None:
                 found = f"no such key, though {table} lists photographs of the role white"
                 raise InputError(file, "white", found, "white: {reflectance_factor: ...} of the white reference")
         for group in filter(None, ([shot for chart in charts for shot in chart], whites)):
@@ -293,57 +291,52 @@ class _Checks:
     def _user_of(self, camera: str) -> Path | None:
         """Return the file of an object, environment or scene that a camera photographs, None where there is none."""
         for kind in ("objects", "environments"):
-            for name, definition in self.all[kind].items():
-                if definition.get("camera") == camera:
+            for name, definition in getattr(self.all, kind).items():
+                if definition.camera == camera:
                     return self.file(kind, name)
-        for name, scene in self.all["scenes"].items():
-            if any(placed["camera"] == camera for placed in scene["photographs"].values()):
+        for name, scene in self.all.scenes.items():
+            if any(placed.camera == camera for placed in scene.photographs.values()):
                 return self.file("scenes", name)
         return None
 
-    def _check_exposures(self, definition: dict, file) -> None:
+    def _check_exposures(self, kind: str, name: str) -> None:
         """Refuse other filter states than those of the chart, for which alone the calibration holds."""
-        camera = definition["camera"]
-        given, wanted = set(definition["exposure_s"]), set(self.all["cameras"][camera]["exposure_s"])
+        file, camera = self.file(kind, name), self.all.camera_of(kind, name)
+        given, wanted = states_of(self.all.photographed(kind, name).exposure_s), self._states(camera)
         if given != wanted:
             found, accepted = ", ".join(sorted(given)), ", ".join(sorted(wanted))
             accepted += f", as in {self.file('cameras', camera)}"
             raise InputError(file, "exposure_s", f"the filter states {found}", accepted)
 
-    def _check_photographs(self, definition: dict, file, role: str) -> tuple[Path, list[Shot]]:
-        """Return the table of an object or an environment of a real rig and its photographs of a role."""
-        table, shots = read_table(definition, self.root, file)
-        wanted = of_role(shots, role, table)
-        camera = definition["camera"]
-        if camera in self.charts:
-            of_chart, chart = self.charts[camera]
-            check_states(wanted, table, chart, of_chart)
-        else:
-            accepted = set(self.all["cameras"][camera]["exposure_s"])
-            check_states_are(wanted, table, accepted, self.file("cameras", camera))
+    def _check_photographs(self, kind: str, name: str) -> tuple[Path, list[Shot]]:
+        """Return the table of an object or an environment of a real rig and its photographs."""
+        table, shots = read_table(self.all.photographed(kind, name).captures, self.root, self.file(kind, name))
+        wanted, camera = of_role(shots, kind.removesuffix("s"), table), self.all.camera_of(kind, name)
+        chart_file = self.charts[camera][0] if camera in self.charts else self.file("cameras", camera)
+        check_states(wanted, table, self._states(camera), chart_file)
         return table, wanted
 
 
-def _require(block: dict, key: str, file, kind: str, field: str = "") -> None:
+def _require(block: Mapping, key: str, file, kind: str, field: str = "") -> None:
     if key not in block:
         raise InputError(file, field or key, "no such key", f"this key, because the rig is of kind {kind}")
 
 
-def _check_bounds(config: dict, file) -> None:
-    for name, (low, high) in config["fit"]["bounds"].items():
+def _check_bounds(config: Config, file) -> None:
+    for name, (low, high) in config.fit.bounds.given().items():
         if not low < high:
             raise InputError(file, f"fit.bounds.{name}", f"[{low:g}, {high:g}]", "the smaller value first")
 
 
-def _check_names(definitions: dict, file) -> None:
+def _check_names(loaded: Loaded, file) -> None:
     """Refuse objects and scenes whose folders in results/ would be those of something else."""
-    for kind in ("objects", "scenes"):
-        for name in definitions[kind]:
+    for kind, names in (("objects", loaded.objects), ("scenes", loaded.scenes)):
+        for name in names:
             if name in _RESERVED:
                 accepted = f"another name of the file: results/{name} serves all (so do {', '.join(_RESERVED)})"
                 raise InputError(file(kind, name), "", f"the reserved name {name!r}", accepted)
-    for name in definitions["scenes"]:
-        if name in definitions["objects"]:
+    for name in loaded.scenes:
+        if name in loaded.objects:
             found = f"the name {name!r}, which {file('objects', name)} has as well"
             accepted = f"another name of one of the files: both write into results/{name}"
             raise InputError(file("scenes", name), "", found, accepted)

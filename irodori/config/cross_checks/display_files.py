@@ -2,18 +2,18 @@
 
 from pathlib import Path
 
+from irodori.config.models import DisplayDevice, MeasuredDisplay, PrimariesDisplay, StandardDisplay
 from irodori.core.errors import InputError, is_file
 
 _MEASURED = (".csv", ".ti3")
 
 
-def check_display(device: dict, root: Path, file) -> None:
+def check_display(device: DisplayDevice, root: Path, file) -> None:
     """Refuse a display whose file is not there, or whose white its primaries cannot mix.
 
     Parameters
     ----------
-    device : dict
-        ``display.device`` of a scene.
+    device : DisplayDevice
     root : path
         Where relative paths start.
     file : path
@@ -24,20 +24,21 @@ def check_display(device: dict, root: Path, file) -> None:
     InputError
     """
     field = "display.device"
-    if device["kind"] == "primaries":
-        corners = [device[f"{name}_xy"] for name in ("red", "green", "blue")]
-        sides = [_side(device["white_xy"], a, b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
+    if isinstance(device, PrimariesDisplay):
+        corners = [device.red_xy, device.green_xy, device.blue_xy]
+        sides = [_side(device.white_xy, a, b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
         if not (min(sides) > 0.0 or max(sides) < 0.0):
-            found = f"{device['white_xy']}, which the primaries do not enclose"
+            found = f"{list(device.white_xy)}, which the primaries do not enclose"
             raise InputError(file, f"{field}.white_xy", found, "a white within the triangle of red, green and blue")
-    if "file" not in device:
+    if isinstance(device, PrimariesDisplay | StandardDisplay):
         return
-    if not is_file(root / device["file"]):
-        wanted = "a table of measured patches" if device["kind"] == "measured" else "the ICC profile of a display"
-        raise InputError(file, f"{field}.file", f"no such file: {device['file']}", wanted)
-    if device["kind"] == "measured" and not device["file"].lower().endswith(_MEASURED):
+    measured = isinstance(device, MeasuredDisplay)
+    if not is_file(root / device.file):
+        wanted = "a table of measured patches" if measured else "the ICC profile of a display"
+        raise InputError(file, f"{field}.file", f"no such file: {device.file}", wanted)
+    if measured and not device.file.lower().endswith(_MEASURED):
         accepted = f"a name that ends in {' or '.join(_MEASURED)}"
-        raise InputError(file, f"{field}.file", device["file"], accepted)
+        raise InputError(file, f"{field}.file", device.file, accepted)
 
 
 def _side(point, a, b) -> float:

@@ -1,8 +1,11 @@
 """Checks of the spectra that definitions name: published names, or complete tables of the right quantity."""
 
 import difflib
+from collections.abc import Mapping
 from pathlib import Path
 
+from irodori.config.definition import Definition
+from irodori.config.models import Chart, IndexTable, RefractiveIndex
 from irodori.config.validation import dotted
 from irodori.core.errors import InputError, is_file
 from irodori.spectra.published_names import (
@@ -15,6 +18,7 @@ from irodori.spectra.published_names import (
     synthetic_light,
 )
 from irodori.spectra.spectral_files import SUFFIXES, check_power, check_reflectance, spectral_table
+from irodori.spectra.tables import index_table
 
 #: Rows and columns of the chart that can be found by itself.
 FOUND_LAYOUT = (4, 6)
@@ -38,7 +42,7 @@ def check_spectra(value, path: tuple, root: Path, file) -> None:
 
     Parameters
     ----------
-    value : dict, list or scalar
+    value : Definition, mapping, sequence or scalar
         A definition, or a part of one.
     path : tuple of str and int
         Where `value` stands in its definition.
@@ -52,42 +56,50 @@ def check_spectra(value, path: tuple, root: Path, file) -> None:
     InputError
         For the first fault.
     """
-    if isinstance(value, dict):
-        for key, item in value.items():
+    if isinstance(value, Definition | Mapping):
+        for key, item in (value.given() if isinstance(value, Definition) else value).items():
             check_spectra(item, (*path, key), root, file)
-    elif isinstance(value, list):
+    elif isinstance(value, list | tuple):
         for index, item in enumerate(value):
             check_spectra(item, (*path, index), root, file)
     elif isinstance(value, str) and (kind := _kind(path)):
         _check_one(kind, value, root, file, dotted(path))
 
 
-def check_chart(chart: dict, root: Path, file, key: str = "chart") -> None:
+def check_index(index: RefractiveIndex, root: Path, file, field: str) -> None:
+    """Refuse a table of refractive indices that is not there, or is none."""
+    if isinstance(index, IndexTable):
+        if not is_file(root / index.file):
+            raise InputError(file, f"{field}.file", f"no such file: {index.file}", "a CSV of wavelength_nm, n, k")
+        index_table(root / index.file)
+
+
+def check_chart(chart: Chart, root: Path, file, key: str = "chart") -> None:
     """Refuse a chart whose rows and columns do not hold as many patches as its spectra."""
-    name, patches = chart["spectra"], chart["rows"] * chart["columns"]
+    name, patches = chart.spectra, chart.rows * chart.columns
     count = CHART_PATCHES[name] if name in CHART_PATCHES else len(spectral_table(root / name).names)
     if patches != count:
-        found = f"{chart['rows']} rows of {chart['columns']} patches, {patches} in all"
+        found = f"{chart.rows} rows of {chart.columns} patches, {patches} in all"
         raise InputError(file, f"{key}.rows", found, f"rows and columns that make {count} patches, as in {name}")
     _check_places(chart, file, key)
 
 
-def _check_places(chart: dict, file, key: str) -> None:
+def _check_places(chart: Chart, file, key: str) -> None:
     """Refuse a chart whose patches are placed twice, or nowhere."""
-    find, given = chart["find"], "centres_px" in chart
+    find, given = chart.find, chart.centres_px is not None
     if find == "chart":
         if given:
             accepted = "either centres_px, or find: chart, which needs none"
             raise InputError(file, f"{key}.centres_px", "corners of a chart that is to be found", accepted)
-        if (chart["rows"], chart["columns"]) != FOUND_LAYOUT:
-            found = f"chart, for {chart['rows']} x {chart['columns']} patches"
+        if (chart.rows, chart.columns) != FOUND_LAYOUT:
+            found = f"chart, for {chart.rows} x {chart.columns} patches"
             accepted = "4 x 6 patches, a ColorChecker Classic; for other layouts centres_px with nothing or edges"
             raise InputError(file, f"{key}.find", found, accepted)
         return
     if not given:
         found = f"no corners where {key}.find is {find}"
         raise InputError(file, f"{key}.centres_px", found, "the centres of the four corner patches, or find: chart")
-    if find == "nothing" and "patch_px" not in chart:
+    if find == "nothing" and chart.patch_px is None:
         raise InputError(
             file, f"{key}.patch_px", "no side of the patches", "a side in superpixels, or find: edges or chart"
         )

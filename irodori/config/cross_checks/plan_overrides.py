@@ -1,5 +1,6 @@
 """Checks of a scene's tolerance and plan overrides against its integrator."""
 
+from irodori.config.models import Scene
 from irodori.core.errors import InputError
 
 #: Overrides that each integrator's plan knows.
@@ -19,21 +20,21 @@ _OF = {
 }
 
 
-def check_plan(scene: dict, file) -> None:
+def check_plan(scene: Scene, file) -> None:
     """Refuse overrides that nothing reads.
 
     Raises
     ------
     InputError
     """
-    kind = scene["integrator"]["kind"]
-    if "tolerance_ciede2000" not in scene:
-        if scene["plan"]:
+    kind, given = scene.integrator.kind, scene.plan.given()
+    if scene.tolerance_ciede2000 is None:
+        if given:
             raise InputError(file, "plan", "overrides of a plan", "tolerance_ciede2000 beside them, or no plan")
         return
-    for key in scene["plan"]:
+    for key in given:
         if key not in _OF[kind]:
             raise InputError(file, f"plan.{key}", f"an override for the integrator {kind}", ", ".join(_OF[kind]))
-    nodes, representation = scene["plan"].get("nodes"), scene["plan"].get("representation")
+    nodes, representation = scene.plan.nodes, scene.plan.representation
     if nodes is not None and representation not in (None, "quadrature"):
         raise InputError(file, "plan.nodes", f"{nodes} of {representation}", "representation: quadrature, or no nodes")

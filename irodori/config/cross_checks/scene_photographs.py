@@ -3,31 +3,32 @@
 import math
 from pathlib import Path
 
-from irodori.config.cross_checks.captures_on_rig import check_states_are, of_role, read_table
+from irodori.config.cross_checks.captures_on_rig import check_states, of_role, read_table, states_of
 from irodori.config.cross_checks.environment_sources import is_photographed
+from irodori.config.loaded import Loaded
+from irodori.config.models import MeasuredMaterial, Scene, ScenePhotograph, View
 from irodori.core.errors import InputError
 
 
-def check_aim(placed: dict, file, field: str) -> None:
+def check_aim(placed: View | ScenePhotograph, file, field: str) -> None:
     """Refuse a camera or an eye that looks at itself, or along its own up direction."""
-    forward = [b - a for a, b in zip(placed["position_mm"], placed["target_mm"], strict=True)]
+    forward = [b - a for a, b in zip(placed.position_mm, placed.target_mm, strict=True)]
     if not any(forward):
         raise InputError(file, f"{field}.target_mm", "the eye's own position", "another point")
-    (a, b, c), (d, e, f) = forward, placed["up"]
+    (a, b, c), (d, e, f) = forward, placed.up
     across = math.hypot(b * f - c * e, c * d - a * f, a * e - b * d)
     if across <= 1e-9 * math.hypot(a, b, c) * max(1.0, math.hypot(d, e, f)):
-        found = f"{placed['up']}, along the line of sight or of no length"
+        found = f"{list(placed.up)}, along the line of sight or of no length"
         raise InputError(file, f"{field}.up", found, "a direction that points up in the picture")
 
 
-def check_photograph(definitions: dict, scene: dict, label: str, states: set[str], root: Path, file) -> None:
+def check_photograph(loaded: Loaded, scene: Scene, label: str, states: set[str], root: Path, file) -> None:
     """Check a photograph of a scene.
 
     Parameters
     ----------
-    definitions : dict
-        Validated, see `irodori.config.cross_checks.consistency.check_agreement`.
-    scene : dict
+    loaded : Loaded
+    scene : Scene
     label : str
         Name of the photograph.
     states : set of str
@@ -43,48 +44,49 @@ def check_photograph(definitions: dict, scene: dict, label: str, states: set[str
         If it looks nowhere, its camera has no optics or no white reference, a key is missing for its kind of rig or not
         read by it, a virtual camera's scene is not known, or filter states differ from the chart's.
     """
-    placed, own, field = scene["photographs"][label], file("scenes"), f"photographs.{label}"
+    placed, own, field = scene.photographs[label], file("scenes"), f"photographs.{label}"
     check_aim(placed, own, field)
-    name = placed["camera"]
-    camera, camera_file = definitions["cameras"][name], file("cameras", name)
+    name, camera_file = placed.camera, file("cameras", placed.camera)
+    camera = loaded.cameras[name]
     for key, why in (("optics", "the lens that it was taken with"), ("white", "a white reference")):
-        if key not in camera:
+        if getattr(camera, key) is None:
             raise InputError(own, f"{field}.camera", f"the camera {name!r} without {key}",
                              f"a camera whose file tells {why} ({camera_file}, {key})")  # fmt: skip
-    kind = definitions["rigs"][camera["rig"]]["kind"]
+    kind = loaded.rigs[camera.rig].kind
     needed, strange = ("exposure_s", "captures") if kind == "virtual" else ("captures", "exposure_s")
-    if needed not in placed:
+    if getattr(placed, needed) is None:
         raise InputError(own, f"{field}.{needed}", "no such key", f"this key, because the rig is of kind {kind}")
-    if strange in placed:
+    if getattr(placed, strange) is not None:
         raise InputError(own, f"{field}.{strange}", f"a key that a rig of kind {kind} does not use", "to leave it out")
     if kind != "virtual":
-        table, shots = read_table(placed, root, own)
-        check_states_are(of_role(shots, "scene", table), table, states, camera_file)
+        table, shots = read_table(placed.captures, root, own)
+        check_states(of_role(shots, "scene", table), table, states, camera_file)
         return
-    _check_known(definitions, scene, own, field)
-    if set(placed["exposure_s"]) != states:
-        found = f"the filter states {', '.join(sorted(placed['exposure_s']))}"
+    _check_known(loaded, scene, own, field)
+    given = states_of(placed.exposure_s)
+    if given != states:
+        found = f"the filter states {', '.join(sorted(given))}"
         raise InputError(own, f"{field}.exposure_s", found, f"{', '.join(sorted(states))}, as in {camera_file}")
 
 
-def _check_known(definitions: dict, scene: dict, file, field: str) -> None:
+def _check_known(loaded: Loaded, scene: Scene, file, field: str) -> None:
     """Refuse a virtual photograph of what nobody knows: a real object or room, or a reflection that is not rendered."""
-    cameras, rigs = definitions["cameras"], definitions["rigs"]
-    light = definitions["environments"][scene["environment"]]
-    if is_photographed(light) and rigs[cameras[light["camera"]]["rig"]]["kind"] != "virtual":
-        found = f"a virtual camera in the real place {scene['environment']!r}"
+    place = scene.environment
+    if is_photographed(loaded.environments[place]) and not loaded.is_virtual("environments", place):
+        found = f"a virtual camera in the real place {place!r}"
         raise InputError(
             file, f"{field}.camera", found, "a real camera, an environment whose light is known, or no such photograph"
         )
-    for item in scene["objects"]:
-        known = definitions["objects"][item["object"]]
-        if rigs[cameras[known["camera"]]["rig"]]["kind"] != "virtual":
-            found = f"a virtual camera before the real object {item['object']!r}"
+    for name in (placed.object for placed in scene.objects):
+        known = loaded.objects[name].virtual
+        if not loaded.is_virtual("objects", name):
+            found = f"a virtual camera before the real object {name!r}"
             raise InputError(
                 file, f"{field}.camera", found, "a real camera, virtual objects alone, or no such photograph"
             )
-        if any(material["kind"] == "measured" for material in known["virtual"]["materials"]):
-            found = f"a virtual camera before {item['object']!r}, which has materials of kind measured"
+        assert known is not None  # checked: what the virtual rig photographs has materials
+        if any(isinstance(material, MeasuredMaterial) for material in known.materials):
+            found = f"a virtual camera before {name!r}, which has materials of kind measured"
             raise InputError(
                 file, f"{field}.camera", found, "materials of other kinds, which are rendered, or no such photograph"
             )

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from irodori.config.models import PlanOverrides
 from irodori.core.errors import InputError
 from irodori.light.blurred_light import first_level
 from irodori.rendering.interactive.channels import reflected_basis
@@ -40,7 +41,7 @@ def choose(
     *,
     max_bounces: int,
     ambient: bool,
-    overrides: dict | None = None,
+    overrides: PlanOverrides,
     where: str = "scene",
 ) -> Planner:
     """Decide what to model of a scene.
@@ -57,10 +58,8 @@ def choose(
         Mirrors that the full model follows.
     ambient : bool
         Whether objects hide light from all sides in the full model.
-    overrides : dict, optional
-        Decisions that the scene's file takes: ``gloss`` and ``mirror`` lists of names, ``max_bounces``,
-        ``least_throughput``, ``light_bases``, ``representation``, ``nodes``, ``environment_halvings``,
-        ``texture_halvings``.
+    overrides : PlanOverrides
+        Decisions that the scene's file takes.
     where : str
         The scene, for messages.
 
@@ -77,7 +76,7 @@ def choose(
     """
     ladder, model = make_light(parts.environment), full_model(parts, max_bounces, ambient)
     probes = Probes(parts, model, ladder, views, PROBES * min(len(views), MOST_VIEWS), SEED)
-    planner = Planner(parts, probes, model, tolerance, names, overrides or {}, ladder, where)
+    planner = Planner(parts, probes, model, tolerance, names, overrides, ladder, where)
     _decide_lobes(planner)
     _decide_bounces(planner)
     _decide_light_bases(planner)
@@ -89,7 +88,7 @@ def choose(
     return planner
 
 
-def _traced(planner: Planner, name: str, own: tuple[bool, ...]) -> tuple[bool, ...]:
+def _traced(planner: Planner, name: str, own: tuple[bool, ...], asked: tuple[str, ...]) -> tuple[bool, ...]:
     """Return the lobes that the scene's file asks for.
 
     Raises
@@ -98,18 +97,19 @@ def _traced(planner: Planner, name: str, own: tuple[bool, ...]) -> tuple[bool, .
         If an object is not in the scene, or has no such lobe.
     """
     having = [n for n, there in zip(planner.names, own, strict=True) if there]
-    for wanted in planner.overrides[name]:
+    for wanted in asked:
         if wanted not in having:
             accepted = f"of the objects with that lobe: {', '.join(having) or 'there are none'}"
             raise InputError(planner.where, f"plan.{name}", repr(wanted), accepted)
-    return tuple(there and n in planner.overrides[name] for n, there in zip(planner.names, own, strict=True))
+    return tuple(there and n in asked for n, there in zip(planner.names, own, strict=True))
 
 
 def _decide_lobes(planner: Planner) -> None:
     """Leave out the lobes that have no weight, and those that nobody would miss at any probe."""
     for name in ("gloss", "mirror"):
         own = getattr(planner.model, name)
-        traced = _traced(planner, name, own) if name in planner.overrides else _without_the_weakest(planner, name, own)
+        asked = getattr(planner.overrides, name)
+        traced = _without_the_weakest(planner, name, own) if asked is None else _traced(planner, name, own, asked)
         without = frozenset(i for i, (a, b) in enumerate(zip(own, traced, strict=True)) if a and not b)
         alone = float(planner.errors(_without(Changes(), name, without)).max()) if without else 0.0
         changes = _without(planner.changes, name, without)
@@ -152,8 +152,8 @@ def _first_that_fits(planner: Planner, name: str, candidates: list, of) -> tuple
 
     ``of`` returns, for a candidate, the error alone, all changes, and the way to XYZ. The last candidate is exact.
     """
-    if name in planner.overrides:
-        wanted = planner.overrides[name]
+    wanted = getattr(planner.overrides, name)
+    if wanted is not None:
         if wanted not in candidates:
             accepted = ", ".join(f"{c:g}" if isinstance(c, float) else str(c) for c in candidates[:20])
             raise InputError(planner.where, f"plan.{name}", repr(wanted), accepted)
@@ -175,7 +175,7 @@ def _decide_bounces(planner: Planner) -> None:
             alone = float(planner.errors(Changes(max_bounces=bounces)).max())
         return alone, replace(planner.changes, max_bounces=bounces), None
 
-    candidates = list(range(reached + 1)) if "max_bounces" not in planner.overrides else list(range(most + 1))
+    candidates = list(range((reached if planner.overrides.max_bounces is None else most) + 1))
     bounces, (alone, changes, _) = _first_that_fits(planner, "max_bounces", candidates, of_bounces)
     why = "the largest error at any probe counts" if reached else "no mirrors"
     planner.decide("max_bounces", alone, changes, why, max_bounces=bounces)
@@ -192,8 +192,8 @@ def _decide_throughput(planner: Planner) -> None:
         alone = planner.bound(planner.errors(Changes(least_throughput=least))) if least else 0.0
         return alone, replace(planner.changes, least_throughput=least), None
 
-    if "least_throughput" in planner.overrides:
-        least = float(planner.overrides["least_throughput"])
+    if planner.overrides.least_throughput is not None:
+        least = planner.overrides.least_throughput
         alone, changes, _ = of_least(least)
     else:
         least, (alone, changes, _) = _first_that_fits(planner, "least_throughput", candidates, of_least)
@@ -224,7 +224,7 @@ def _decide_representation(planner: Planner) -> None:
         candidates.append(("coefficients", 0))
     costs = {c: planner.numbers(replace(planner.model, representation=c[0], nodes=c[1])) for c in candidates}
     candidates.sort(key=lambda c: (c[0] == "spectral", costs[c]))
-    wanted = planner.overrides.get("representation"), planner.overrides.get("nodes")
+    wanted = planner.overrides.representation, planner.overrides.nodes
     chosen = [c for c in candidates if wanted[0] in (None, c[0]) and wanted[1] in (None, c[1])]
     if not chosen:
         found = f"{wanted[0]} where gloss or a mirror has a refractive index that varies with the wavelength"
@@ -237,7 +237,7 @@ def _decide_representation(planner: Planner) -> None:
     planner.xyz = xyz
     why = f"numbers a ray: {others}"
     if wanted != (None, None):
-        planner.overrides = {**planner.overrides, "representation": candidate[0], "nodes": candidate[1]}
+        planner.by_scene |= {"representation", "nodes"}  # one of them says much of the other
     planner.decide("representation", alone, changes, why, representation=candidate[0], nodes=candidate[1])
     quadrature = planner.solve(candidate[1]) if candidate[0] == "quadrature" else None
     why = "wavelengths of a quadrature" if quadrature else "no quadrature"
@@ -294,7 +294,7 @@ def _decide_environment(planner: Planner) -> None:
 def _decide_textures(planner: Planner) -> None:
     objects, count = planner.parts.objects, len(planner.names)
     most = [halvings_of(*size) for size in objects.texture_size]
-    wanted = planner.overrides.get("texture_halvings")
+    wanted = planner.overrides.texture_halvings
     if wanted is not None:
         halvings = {i: min(wanted, most[i]) for i in range(count) if min(wanted, most[i])}
     else:

@@ -57,7 +57,6 @@ def plan_reference(
     environment: Environment,
     *,
     views: list[View],
-    own: dict,
 ) -> dict:
     """Return the plan of a scene of the reference integrator: the paths of a pixel.
 
@@ -71,8 +70,6 @@ def plan_reference(
     placements, objects, environment
         As of `irodori.rendering.reference.converging_picture.make_scene`.
     views : list of View
-    own : dict
-        Overrides of the scene's file: ``samples``.
     """
     white, _ = scene_white(scene, environment)
     matrix = xyz_from_radiance(white)
@@ -88,14 +85,14 @@ def plan_reference(
     assert isinstance(scene.integrator, ReferenceIntegrator)  # whose plan this is
     assert scene.tolerance_ciede2000 is not None
     most = scene.integrator.samples
-    samples = own.get("samples") or _samples_for(noise, scene.tolerance_ciede2000, most)
+    samples = scene.plan.samples or _samples_for(noise, scene.tolerance_ciede2000, most)
     predicted = float(f"{noise * math.sqrt(PILOT_PATHS / samples):.4g}")
     decision = {
         "value": samples,
         "full": most,
         "predicted_delta_e": predicted,
         "paths_per_pixel": samples,
-        "by": "scene" if "samples" in own else "plan",
+        "by": "plan" if scene.plan.samples is None else "scene",
         "why": f"{found} pixels of {PILOT_PATHS} paths, twice",
     }
     return {

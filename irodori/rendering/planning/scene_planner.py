@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.config.models import PlanOverrides
 from irodori.rendering.interactive.quadrature import Quadrature
 from irodori.rendering.planning.modelled_scene import Model, Parts, look_up_numbers, solved_nodes, widths_of
 from irodori.rendering.planning.probes import Changes, Probes
@@ -47,14 +48,14 @@ class Decision:
 
 @dataclass
 class Planner:
-    """The state of planning: what is decided, and what it costs."""
+    """The state of planning: what is decided, by the plan or ``by_scene``, and what it costs."""
 
     parts: Parts
     probes: Probes
     model: Model
     tolerance: float
     names: list[str]
-    overrides: dict
+    overrides: PlanOverrides
     ladder: Light
     where: str = "scene"
     changes: Changes = field(default_factory=Changes)
@@ -63,9 +64,11 @@ class Planner:
     spent: float = 0.0
     joint: float = 0.0
     xyz: Callable | None = None
+    by_scene: set[str] = field(default_factory=set)
     solved: dict[int, Quadrature] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self.by_scene |= self.overrides.given().keys()
         self.full, self.matrix = self.model, xyz_from_radiance(self.parts.white)
         self.white_xyz = self.matrix @ self.parts.white
         self.seen = self.probes.radiance()
@@ -113,7 +116,7 @@ class Planner:
         value, full = (self._named(name, next(iter(d.values()))) for d in (model, before))
         self.spent += alone
         self.left -= int(lossy)
-        by = "scene" if name in self.overrides else "plan"
+        by = "scene" if name in self.by_scene else "plan"
         self.decisions[name] = Decision(value, full, alone, self.numbers(), by, why)
 
     def _named(self, name: str, value):

@@ -74,11 +74,10 @@ def plan_of(
     placements = make_placements(scene, shapes)
     objects, _ = make_objects(placements, materials)
     views = [make_view(view, scene.image) for view in scene.views.values()]
-    overrides = scene.plan.plain()
     if isinstance(scene.integrator, ReferenceIntegrator):
         from irodori.rendering.planning.paths_per_pixel import plan_reference
 
-        return plan_reference(scene_name, scene, placements, objects, environment, views=views, own=overrides)
+        return plan_reference(scene_name, scene, placements, objects, environment, views=views)
     parts = parts_of(scene, objects, environment, make_tracer(placements))
     planner = choose(
         parts,
@@ -87,7 +86,7 @@ def plan_of(
         scene.tolerance_ciede2000,
         max_bounces=scene.max_bounces,
         ambient=has_ambient(scene),
-        overrides=overrides,
+        overrides=scene.plan,
         where=f"scene {scene_name}",
     )
     return document_of(scene_name, planner, options.pixel_side)

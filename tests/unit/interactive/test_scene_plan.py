@@ -275,6 +275,22 @@ def test_an_override_that_the_scene_cannot_meet_is_refused_with_what_it_can(over
     assert caught.value.field == field and caught.value.accepted
 
 
+def test_the_plan_says_what_the_scenes_file_decided_even_where_that_is_nothing():
+    nothing = {
+        "mirror": [],
+        "max_bounces": 0,
+        "least_throughput": 0.0,
+        "environment_halvings": 0,
+        "texture_halvings": 0,
+    }
+    document, *_ = planned([material(0.5), material(GREENISH, mirror=0.4)], room(), overrides={**nothing, "nodes": 14})
+    decided = {name for name, decision in document["decisions"].items() if decision["by"] == "scene"}
+    assert decided == {*nothing, "nodes", "representation"}  # the number of nodes leaves one representation
+    found = values(document)
+    assert found["mirror"] == [] and found["nodes"] == 14
+    assert not any(found[name] for name in ("max_bounces", "least_throughput", "environment_halvings"))
+
+
 def test_coefficients_are_not_offered_where_a_mirror_has_a_colour():
     gold = [material(0.4), material(0.0, mirror=1.0, n=np.array(GOLD_N)[THIRDS], k=np.array(GOLD_K)[THIRDS])]
     with pytest.raises(InputError, match="quadrature, spectral"):
