@@ -30,6 +30,9 @@ class Source(NamedTuple):
     code: str
 
 
+#: Parts of a syntax tree that are or hold statements; an expression holds none, and most of a tree is expressions.
+_HOLD_STATEMENTS = (ast.stmt, ast.excepthandler, ast.match_case)
+
 _known: dict[str, Source] = {}
 _new: set[str] = set()
 
@@ -48,11 +51,28 @@ def parsed(file: Path) -> Source:
     return _parsed(file, status.st_mtime_ns, status.st_size)
 
 
+def imports_of(file: Path) -> tuple[ImportStatement, ...]:
+    """Return what a Python file imports, as `parsed` does, at a fraction of the time where nothing is remembered."""
+    status = file.stat()
+    return _imports_of(file, status.st_mtime_ns, status.st_size)
+
+
+def _key(content: bytes) -> str:
+    """Return under which name a text is remembered: its syntax tree differs between versions of Python."""
+    return f"{sys.version_info[0]}.{sys.version_info[1]} {hashlib.sha256(content).hexdigest()}"
+
+
+@lru_cache(maxsize=4096)
+def _imports_of(file: Path, _modified_ns: int, _size: int) -> tuple[ImportStatement, ...]:
+    content = file.read_bytes()
+    known = _known.get(_key(content))
+    return known.imports if known else tuple(_imports(ast.parse(content, filename=str(file))))
+
+
 @lru_cache(maxsize=4096)
 def _parsed(file: Path, _modified_ns: int, _size: int) -> Source:
     content = file.read_bytes()
-    # The syntax tree of the same text differs between versions of Python.
-    key = f"{sys.version_info[0]}.{sys.version_info[1]} {hashlib.sha256(content).hexdigest()}"
+    key = _key(content)
     if key not in _known:
         tree = ast.parse(content, filename=str(file))
         imports = tuple(_imports(tree))
@@ -71,7 +91,7 @@ def _imports(tree: ast.AST) -> Iterator[ImportStatement]:
 
 
 def _executed(tree: ast.AST) -> Iterator[ast.AST]:
-    """Yield all nodes under one but what stands under ``if TYPE_CHECKING:``, which no run comes to."""
+    """Yield all statements under a node but those under ``if TYPE_CHECKING:``, which no run comes to."""
     waiting = [tree]
     while waiting:
         node = waiting.pop()
@@ -79,7 +99,7 @@ def _executed(tree: ast.AST) -> Iterator[ast.AST]:
         if isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING"):
             waiting += node.orelse
         else:
-            waiting += ast.iter_child_nodes(node)
+            waiting += (child for child in ast.iter_child_nodes(node) if isinstance(child, _HOLD_STATEMENTS))
 
 
 class _WithoutDocstrings(ast.NodeTransformer):

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 
+import patience
 import pytest
 from made import made
 from motion_rigs import at_port, definition, start_simulator
@@ -135,9 +136,7 @@ def test_homing_puts_the_count_right_again(opened):
 
 def until_held(rig: Rig) -> None:
     """Wait until the rig says that it is held."""
-    end = time.monotonic() + 5.0
-    while rig.status().state != "hold":
-        assert time.monotonic() < end, rig.status()
+    patience.until(lambda: rig.status().state == "hold", lambda: str(rig.status()))
 
 
 # ---- a feed hold that somebody presses at the bench
@@ -289,9 +288,8 @@ def test_a_port_in_use_is_refused_by_name_in_this_process_and_in_another(peer):
             "from irodori.capture.rig.devices import LinkError\n"
             "try:\n    SerialLink(sys.argv[1])\nexcept LinkError as error:\n    print(error)\n"
         )
-        run = subprocess.run(
-            [sys.executable, "-c", code, simulator.port], capture_output=True, text=True, timeout=60, check=True
-        )
+        run = patience.run([sys.executable, "-c", code, simulator.port])
+        assert run.returncode == 0, run.stderr
         assert f"{simulator.port}: in use" in run.stdout
     with open_rig(made(RigDefinition, rig)):
         pass
@@ -315,10 +313,7 @@ def test_a_simulator_ends_with_the_process_that_started_it(tmp_path):
         os.kill(pid, 0)
         parent.kill()
         parent.wait()
-        end = time.monotonic() + 10.0
-        while _alive(pid):
-            assert time.monotonic() < end, "the simulator outlives its parent"
-            time.sleep(0.02)
+        patience.until(lambda: not _alive(pid), lambda: "the simulator outlives its parent")
 
 
 def _alive(pid: int) -> bool:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 
+import patience
 import pytest
 from made import made
 from motion_rigs import at_port, definition, start_simulator, wait_until_still
@@ -89,12 +90,10 @@ def test_a_signal_in_mid_move(peer, kill):
     command = [sys.executable, "-c", PROGRAM, protocol, simulator.port, "140"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
         assert program.stdout.readline() == "ready\n", program.stderr.read()
-        end = time.monotonic() + 10.0
-        while not simulator.snapshot()["moving"]:
-            assert time.monotonic() < end
+        patience.until(lambda: simulator.snapshot()["moving"])
         time.sleep(0.3)
         os.kill(program.pid, kill)
-        program.wait(10.0)
+        patience.wait(program)
         seen = simulator.snapshot()
         if kill == signal.SIGINT:
             assert "KeyboardInterrupt" in program.stderr.read()

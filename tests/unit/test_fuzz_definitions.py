@@ -27,7 +27,7 @@ ODD = [
 
 def check(root, file: str) -> None:
     """Load everything; a refusal must say what and where in a sentence of bearable length."""
-    began = time.monotonic()
+    began = time.process_time()
     try:
         loaded = load_definitions(read_yaml(root / "config/config.yaml"), root)
         for kind in ("objects", "cameras", "environments"):
@@ -36,7 +36,7 @@ def check(root, file: str) -> None:
     except InputError as error:
         assert error.file and error.found and error.accepted and len(str(error)) < 1500, file
         assert "\n" not in str(error)
-    assert time.monotonic() - began < 60.0, "as good as hanging"
+    assert time.process_time() - began < 60.0, "as good as hanging"
 
 
 def with_content(root, file: str, content: bytes) -> None:

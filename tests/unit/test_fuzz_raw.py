@@ -2,11 +2,11 @@
 
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+import patience
 import pytest
 from depth import examples
 from dng_files import write_any_dng
@@ -14,14 +14,12 @@ from raw_studio import DATA, ROOT, dng, random_mosaic
 
 from irodori.ingest.dng_levels import black_level_repeats
 
-_DEADLINE_S = 240.0  # of a process that decodes hundreds of files in seconds
-
 
 def fuzz(source: Path, folder: Path, header: int, count: int, seed: int = 0) -> dict:
     """Return the outcomes of decoding damaged copies in a process of its own."""
     command = [sys.executable, Path(__file__).with_name("raw_fuzzer.py"), source, folder, header, count, seed]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    run = subprocess.run(map(str, command), capture_output=True, text=True, timeout=_DEADLINE_S, env=environment)
+    run = patience.run([*map(str, command)], env=environment)
     assert run.returncode == 0, f"{folder}: {run.stderr[-2000:]}"
     return json.loads(run.stdout)
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import patience
 import pytest
 
 from irodori.core.parsed_sources import parsed
@@ -32,7 +33,8 @@ def start(folder: Path, **variables) -> subprocess.Popen:
 
 def result(run: subprocess.Popen) -> tuple[float, int, str]:
     """Return the factor, how many kernels the process compiled for it, and what it said."""
-    out, said = run.communicate(timeout=200)
+    patience.wait(run)
+    out, said = run.communicate()
     assert run.returncode == 0, said
     value, compiled = out.split()
     return float(value), int(compiled), said

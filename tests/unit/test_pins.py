@@ -2,12 +2,16 @@
 
 import re
 import tomllib
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
+from typing import NamedTuple
 
+import pytest
 import yaml
+from packaging.markers import Marker, default_environment
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
+from packaging.utils import canonicalize_name
 from packaging.version import Version
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -65,13 +69,85 @@ def test_every_python_that_is_promised_is_accepted_and_no_other():
     assert named == {f"3.{minor}" for minor in range(30) if f"3.{minor}.1" in accepted}
 
 
-def test_the_installed_versions_are_those_pinned():
-    for name, number in (pins(ROOT / "requirements.txt") | pins(ROOT / "requirements-dev.txt")).items():
-        assert version(name) == number, name
+class Locked(NamedTuple):
+    """A package of a lock file: its version, where it is wanted, and the SHA-256 of each file that may be installed."""
+
+    version: str
+    marker: Marker | None
+    hashes: list[str]
+
+
+KINDS = ("", "-dev", "-rig")
+ENTRY = re.compile(r"([a-z0-9-]+)==(\S+)(?: ; (.+?))? \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)")
+
+
+def locked(kind: str) -> dict[str, Locked]:
+    """Return name -> entry of a lock file, which must hold entries with hashes and comments and nothing else."""
+    text = re.sub(r"^ *#.*\n", "", (ROOT / f"requirements{kind}.lock").read_text(), flags=re.MULTILINE)
+    assert not ENTRY.sub("", text), ENTRY.sub("", text)[:200]
+    return {
+        name: Locked(number, Marker(marker) if marker else None, re.findall(r"[0-9a-f]{64}", hashes))
+        for name, number, marker, hashes in ENTRY.findall(text)
+    }
+
+
+def declared(kind: str) -> dict[str, str]:
+    """Return canonical name -> pinned version of a requirements file and of those that it includes."""
+    found = pins(ROOT / "requirements.txt") | pins(ROOT / f"requirements{kind}.txt")
+    return {canonicalize_name(name): number for name, number in found.items()}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_lock_has_every_pin_and_the_packages_that_all_files_share_alike(kind):
+    lock, main = locked(kind), locked("")
+    for name, number in declared(kind).items():
+        assert lock[name].version == number and lock[name].marker is None, name
+    assert {name: lock[name] for name in main} == main
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("python", ["3.11", "3.12", "3.13"])
+def test_the_lock_holds_what_the_pins_need_and_nothing_else(kind, python):
+    """Follow what the installed packages say that they need, under each Python that is promised."""
+    lock = locked(kind)
+    here = default_environment() | {"python_version": python, "python_full_version": f"{python}.0"}
+    wanted = {name for name, entry in lock.items() if entry.marker is None or entry.marker.evaluate(here)}
+    reached, ahead = set(), [(name, frozenset()) for name in declared(kind)]
+    while ahead:
+        name, extras = found = ahead.pop()
+        if found in reached:
+            continue
+        reached.add(found)
+        assert name in wanted, f"requirements{kind}.lock lacks {name}"
+        try:
+            needs = [Requirement(line) for line in requires(name) or []]
+        except PackageNotFoundError:
+            assert name in declared("-rig"), f"{name} is not installed"  # which only the bench needs
+            continue
+        for need in needs:
+            if need.marker is None or any(need.marker.evaluate(here | {"extra": e}) for e in ("", *extras)):
+                needed = canonicalize_name(need.name)
+                assert need.specifier.contains(lock[needed].version, prereleases=True), f"{name} needs {need}"
+                ahead.append((needed, frozenset(need.extras)))
+    assert {name for name, _ in reached} == wanted
+
+
+def test_the_installed_versions_are_those_locked():
+    for name, entry in locked("-dev").items():
+        if entry.marker is None or entry.marker.evaluate():
+            assert version(name) == entry.version, name
+
+
+def test_what_the_manuals_tell_to_install_is_what_a_new_machine_installs():
+    script = (ROOT / ".ci/run").read_text()
+    for file, lock in (("README.md", "requirements.lock"), ("CONTRIBUTING.md", "requirements-dev.lock")):
+        command = f"pip install --require-hashes -r {lock}"
+        assert command in (ROOT / file).read_text().splitlines(), file
+        assert command in script.splitlines(), command
 
 
 def test_no_file_names_a_package_index():
-    for path in [*ROOT.glob("requirements*.txt"), *(ROOT / "envs").glob("*.yaml"), ROOT / "pyproject.toml"]:
+    for path in [*ROOT.glob("requirements*.*"), *(ROOT / "envs").glob("*.yaml"), ROOT / "pyproject.toml"]:
         assert not re.search(r"index-url|find-links|https?://", path.read_text()), path.name
 
 

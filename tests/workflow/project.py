@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import patience
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -29,16 +30,16 @@ def snakemake(
     snakefile: Path = ROOT / "Snakefile",
     cores: int | None = 2,
     search_path: Path | None = None,
-    timeout_s: float = 400.0,
 ) -> subprocess.CompletedProcess:
     """Run Snakemake in a working directory with the repository's Snakefile; some commands need no number of cores.
 
-    `search_path` is where Python looks for packages before it looks among the installed ones.
+    `search_path` is where Python looks for packages before it looks among the installed ones. What takes long is waited
+    for as long as it gets on.
     """
     number = ["--cores", str(cores)] if cores else []
     command = [sys.executable, "-m", "snakemake", "--snakefile", str(snakefile), *number, *arguments]
     environment = os.environ | ({"PYTHONPATH": str(search_path)} if search_path else {})
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=timeout_s, env=environment)
+    return patience.run(command, cwd=folder, env=environment)
 
 
 def small_project(folder: Path) -> Path:

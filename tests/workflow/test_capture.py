@@ -6,9 +6,9 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
+import patience
 import pytest
 from project import ROOT, edit, planned, small_project, snakemake
 
@@ -58,7 +58,7 @@ class Run:
 
     def end(self) -> str:
         """Wait until it ends; return all that it said."""
-        self.process.wait(300)
+        patience.wait(self.process)
         self._reader.join()
         self.process.stdout.close()
         return "".join(self.said)
@@ -73,10 +73,11 @@ class Run:
 def test_sessions_of_a_driven_rig_come_one_after_the_other_and_go_on_after_a_kill(studio):
     run = Run(studio, *RECORDS)
     table, folder = studio / "photos/jar.csv", studio / "photos/jar"
-    end = time.monotonic() + 200.0
-    while not (table.exists() and table.read_text().count("\n") > 2) and run.process.poll() is None:
-        assert time.monotonic() < end, "".join(run.said)
-        time.sleep(0.02)
+    patience.until(
+        lambda: (table.exists() and table.read_text().count("\n") > 2) or run.process.poll() is not None,
+        lambda: "".join(run.said),
+        polls=20000,
+    )
     run.kill()
     before = contents(folder)
     kept = read_captures(table)

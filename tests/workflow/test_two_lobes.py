@@ -53,7 +53,7 @@ def finished(tmp_path_factory):
         {"integrator": {"kind": "interactive"}, "tolerance_ciede2000": 1.0, "photographs": {}},
     )
     edit(folder / "config/config.yaml", {"make.scenes": ["still-life", QUICK]})
-    run = snakemake(folder, timeout_s=1200.0)  # where nothing is compiled yet
+    run = snakemake(folder)
     assert run.returncode == 0, run.stderr[-4000:]
     return folder
 
