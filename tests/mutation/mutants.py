@@ -1,7 +1,8 @@
 """Mutants of a module: copies with one small fault each, found and made by its syntax tree.
 
-Only bodies of functions are mutated. Left out are messages (what is raised or logged), assertions, annotations, defaults
-of parameters, and compiled kernels, which are kept on disk by their source and would not notice.
+Only bodies of functions are mutated. Left out are messages (what is raised or logged), assertions, annotations,
+defaults of parameters, and compiled kernels: they are kept on disk by their source and would not notice, and compiling
+them anew takes minutes; what they compute is compared with plain loops by tests of their own.
 """
 
 import ast
@@ -28,11 +29,15 @@ _SYMMETRIC = {"maximum", "minimum", "max", "min", "hypot", "isclose", "allclose"
 
 @dataclass(frozen=True)
 class Mutant:
-    """One fault: ``number`` counts the mutants of a file in the order of its tree, ``function`` is a qualified name."""
+    """One fault at a line, in a statement that begins at ``first``; ``function`` is a qualified name.
+
+    ``number`` counts the mutants of a file in the order of its tree.
+    """
 
     module: str
     number: int
     line: int
+    first: int
     function: str
     kind: str
     text: str
@@ -44,15 +49,15 @@ class Mutant:
 def mutants_of(module: str, path: Path) -> list[Mutant]:
     """Return all mutants of a module's file."""
     return [
-        Mutant(module, number, node.lineno, function, kind, f"{_shown(node)} -> {_shown(changed)}")
-        for number, (function, node, kind, changed, _) in enumerate(_sites(ast.parse(path.read_text("utf-8"))))
+        Mutant(module, number, node.lineno, first, function, kind, f"{_shown(node)} -> {_shown(changed)}")
+        for number, (function, first, node, kind, changed, _) in enumerate(_sites(ast.parse(path.read_text("utf-8"))))
     ]
 
 
 def mutated(mutant: Mutant, path: Path) -> ast.Module:
     """Return the tree of a module with a mutant's fault."""
     tree = ast.parse(path.read_text("utf-8"))
-    for number, (_, _, _, changed, put) in enumerate(_sites(tree)):
+    for number, (*_, changed, put) in enumerate(_sites(tree)):
         if number == mutant.number:
             put(changed)
             return ast.fix_missing_locations(tree)
@@ -64,14 +69,14 @@ def _shown(node: ast.AST) -> str:
     return text if len(text) <= 70 else f"{text[:67]}..."
 
 
-_Site = tuple[str, ast.AST, str, ast.AST, Callable[[ast.AST], None]]
+_Site = tuple[str, int, ast.AST, str, ast.AST, Callable[[ast.AST], None]]
 
 
 def _sites(tree: ast.Module) -> Iterator[_Site]:
-    """Yield the function's name, the node, the kind of fault, the changed node and what puts it in the tree."""
+    """Yield function, first line of the statement, node, kind of fault, changed node and what puts it in the tree."""
     for name, function in _functions(tree.body, ""):
         for field, index, statement in _items(function, ("body",)):
-            yield from _inside(name, function, field, index, statement)
+            yield from _inside((name, statement.lineno), function, field, index, statement)
 
 
 def _functions(body: list[ast.stmt], prefix: str) -> Iterator[tuple[str, ast.FunctionDef]]:
@@ -97,16 +102,19 @@ def _items(node: ast.AST, fields=None) -> Iterator[tuple[str, int | None, ast.AS
                 yield field, index, one
 
 
-def _inside(name: str, parent: ast.AST, field: str, index: int | None, node: ast.AST) -> Iterator[_Site]:
-    if _is_talk(node) or field in ("annotation", "returns", "decorator_list", "args", "type_comment") and isinstance(
-        parent, ast.FunctionDef | ast.AnnAssign
+def _inside(place: tuple[str, int], parent: ast.AST, field: str, index: int | None, node: ast.AST) -> Iterator[_Site]:
+    if isinstance(node, ast.stmt):
+        place = (place[0], node.lineno)
+    if _is_talk(node) or (
+        field in ("annotation", "returns", "decorator_list", "args", "type_comment")
+        and isinstance(parent, ast.FunctionDef | ast.AnnAssign)
     ):
         return
     put = _putter(parent, field, index)
     for kind, changed in _faults(node, parent, field):
-        yield name, node, kind, changed, put
+        yield *place, node, kind, changed, put
     for below_field, below_index, below in _items(node):
-        yield from _inside(name, node, below_field, below_index, below)
+        yield from _inside(place, node, below_field, below_index, below)
 
 
 def _putter(parent: ast.AST, field: str, index: int | None) -> Callable[[ast.AST], None]:

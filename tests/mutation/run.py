@@ -1,21 +1,25 @@
 """Mutation testing: which small faults in the package do its tests notice?
 
 ``python tests/mutation/run.py [--sample 60] [--seed TEXT] [--rooms ingest light] [--jobs 2]``, at the top of the
-repository. Mutants are drawn at random, by the seed (the commit where none is given), so that every commit tries others.
-Each is put into a process of its own, forked from one that has imported everything: the code of the function is replaced
-where it stands. The process runs the tests that pass over the mutant's line, the shortest first, and ends at the first
-that fails. Survivors are printed; the exit status is 1 where fewer than ``--least`` of the mutants were noticed.
+repository. Mutants are drawn at random, by the seed (the commit where none is given): every commit tries others. Each
+is put into a process of its own, forked from one that has run all tests and loaded all compiled loops: the code of the
+function is replaced where it stands. The process runs the tests that pass over the mutant's line, the shortest first,
+and ends at the first that fails. Survivors are printed; the exit status is 1 where fewer than ``--least`` of the
+mutants were noticed.
 
 Only the tests of a room's own files are asked (`ROOMS`), and of these only such as take less than `LONGEST_S`: a fault
-that a long test alone would notice counts as a survivor.
+that a long test alone would notice counts as a survivor. Times are those of the processor, whoever else uses it.
 """
 
 import argparse
+import ast
 import functools
+import multiprocessing
 import os
 import pickle
 import random
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -23,6 +27,7 @@ import threading
 import time
 import types
 from collections import defaultdict
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,7 +35,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
 
 import pytest  # noqa: E402
-from mutants import Mutant, mutated, mutants_of  # noqa: E402
+from mutants import Mutant, mutants_of, mutated  # noqa: E402
 
 #: Room of the package -> its modules (folders or files under irodori/) and the files of its tests (under tests/).
 ROOMS = {
@@ -62,17 +67,16 @@ ROOMS = {
     ),
 }  # fmt: skip
 LONGEST_S = 3.0
-_LEAST_CPU_S, _WALL_S = 20.0, 120.0
+LEAST_CPU_S = 10.0
 
 
 @dataclass
 class Baseline:
-    """What the tests do without a fault: the tests over each line, how long each takes, and what they import."""
+    """What the tests do without a fault: the tests over each line, how long each takes, which fail."""
 
     over: dict[tuple[str, int], set[str]] = field(default_factory=lambda: defaultdict(set))
     seconds: dict[str, float] = field(default_factory=dict)
     failed: list[str] = field(default_factory=list)
-    modules: list[str] = field(default_factory=list)
 
 
 def modules_of(room: str) -> dict[str, Path]:
@@ -92,8 +96,8 @@ def drawn(rooms: list[str], count: int, seed: str) -> list[Mutant]:
 class Runner:
     """Plugin of pytest that runs the collected tests, not once, but for every mutant."""
 
-    def __init__(self, mutants: list[Mutant], jobs: int) -> None:
-        self.mutants, self.jobs = mutants, jobs
+    def __init__(self, mutants: list[Mutant]) -> None:
+        self.mutants = mutants
         self.paths = {name: path for room in ROOMS for name, path in modules_of(room).items()}
         self.outcome: dict[Mutant, str] = {}
 
@@ -104,30 +108,27 @@ class Runner:
         settings.load_profile("mutation")
 
     def pytest_runtestloop(self, session) -> bool:
+        import cv2
+
         if session.testsfailed:
             raise session.Interrupted("tests cannot be collected")
-        begun = time.monotonic()
-        baseline = self._forked(lambda: self._baseline(session.items))
-        if not isinstance(baseline, Baseline):
-            raise session.Interrupted(f"the tests without a mutant: {baseline}")
-        print(f"{len(baseline.seconds)} tests without a mutant: {time.monotonic() - begun:.0f} s", flush=True)
+        cv2.setNumThreads(1)
+        begun = time.process_time()
+        baseline = self._unspoilt(session.items)
         if baseline.failed:
             raise session.Interrupted(f"tests fail without a mutant: {', '.join(baseline.failed)}")
-        for name in baseline.modules:  # once here, and not in every process
-            __import__(name)
-        items = {item.nodeid: item for item in session.items}
-        waiting, lock = list(self.mutants), threading.Lock()
-        running: dict[int, tuple[Mutant, str, float]] = {}
-        del lock
-        while waiting or running:
-            while waiting and len(running) < self.jobs:
-                mutant = waiting.pop()
-                self._start(mutant, baseline, items, running)
-            self._reap(running)
+        # What runs here may hang or fail in a forked process for reasons of its own: that is no mutant noticed.
+        again = _forked(lambda: [n for n in baseline.seconds if _run(self._items[n], None)])
+        if again != []:
+            raise session.Interrupted(f"tests fail without a mutant in a forked process: {again}")
+        print(f"{len(baseline.seconds)} tests without a mutant: {time.process_time() - begun:.0f} s", flush=True)
+        for mutant in self.mutants:
+            self._try(mutant, baseline)
         return True
 
-    def _baseline(self, items) -> Baseline:
-        found = Baseline()
+    def _unspoilt(self, items) -> Baseline:
+        """Run the tests without a fault, each up to `LONGEST_S`; compiled loops are loaded here for all mutants."""
+        found, self._items = Baseline(), {item.nodeid: item for item in items}
         files = {str(path): name for name, path in self.paths.items()}
         lines: set[tuple[str, int]] = set()
 
@@ -136,86 +137,82 @@ class Runner:
             return within
 
         def called(frame, event, argument):
-            if frame.f_code.co_filename in files:
-                lines.add((files[frame.f_code.co_filename], frame.f_lineno))
-                return within
-            return None
+            return within(frame, event, argument) if frame.f_code.co_filename in files else None
 
+        def give_up(number, frame):
+            raise _TooLong
+
+        signal.signal(signal.SIGVTALRM, give_up)
         for item, following in zip(items, [*items[1:], None], strict=True):
             lines.clear()
             threading.settrace(called)
             sys.settrace(called)
+            signal.setitimer(signal.ITIMER_VIRTUAL, LONGEST_S)
             begun = time.process_time()
             failed = _run(item, following)
-            found.seconds[item.nodeid] = time.process_time() - begun
+            seconds = time.process_time() - begun
+            signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
             sys.settrace(None)
             threading.settrace(None)
-            if failed:
+            if failed and seconds < LONGEST_S:
                 found.failed.append(item.nodeid)
-            for line in lines:
-                found.over[line].add(item.nodeid)
-        found.modules = [n for n in sys.modules if n.startswith(("irodori.", "scipy.", "cv2", "skimage."))]
+            elif not failed:
+                found.seconds[item.nodeid] = seconds
+                for line in lines:
+                    found.over[line].add(item.nodeid)
         return found
 
-    def _forked(self, work):
-        """Return what a function gives in a process of its own, or what became of that process."""
-        with tempfile.TemporaryFile() as file:
-            child = os.fork()
-            if not child:
-                _silent()
-                try:
-                    pickle.dump(work(), file)
-                    file.flush()
-                    os._exit(0)
-                except BaseException as error:  # noqa: BLE001 (whatever it is, the parent says it)
-                    file.seek(0)
-                    pickle.dump(repr(error), file)
-                    file.flush()
-                    os._exit(0)
-            _, status = os.waitpid(child, 0)
-            file.seek(0)
-            return pickle.load(file) if not status else f"status {status}"
-
-    def _start(self, mutant: Mutant, baseline: Baseline, items: dict, running: dict) -> None:
-        tests = baseline.over.get((mutant.module, mutant.line), set())
-        tests = sorted((t for t in tests if baseline.seconds[t] <= LONGEST_S), key=lambda t: baseline.seconds[t])
+    def _try(self, mutant: Mutant, baseline: Baseline) -> None:
+        # Part of an expression of several lines is not always a line to Python: then the statement's tests count.
+        lines = (mutant.line, mutant.first)
+        over = next((t for n in lines if (t := baseline.over.get((mutant.module, n)))), set())
+        tests = sorted(over, key=lambda t: baseline.seconds[t])
         if not tests:
-            self._conclude(mutant, "no test", "")
+            self._conclude(mutant, "no test")
             return
-        limit = int(_LEAST_CPU_S + 10 * sum(baseline.seconds[t] for t in tests))
+        limit = int(LEAST_CPU_S + 5 * sum(baseline.seconds[t] for t in tests))
+
+        def work() -> str:
+            resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 5))
+            if not _put(mutant, self.paths[mutant.module]):
+                return "not made"
+            for name, following in zip(tests, [*tests[1:], None], strict=True):
+                if _run(self._items[name], self._items[following] if following else None):
+                    return f"killed by {name}"
+            return f"survived {len(tests)} tests"
+
+        # A fault that ends the process or never ends is noticed as well.
+        self._conclude(mutant, _forked(work, wall_s=20.0 * limit))
+
+    def _conclude(self, mutant: Mutant, what: str) -> None:
+        self.outcome[mutant] = what
+        if not what.startswith("killed"):
+            print(f"  {what}: {mutant}", flush=True)
+
+
+class _TooLong(BaseException):
+    """Raised in a test that takes longer than `LONGEST_S`."""
+
+
+def _forked(work, wall_s: float = 3600.0):
+    """Return what a function gives in a process of its own, or "killed" and why where that process came to an end."""
+    with tempfile.TemporaryFile() as file:
         child = os.fork()
         if not child:
             _silent()
-            resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 5))
-            status = 3
             try:
-                status = 0 if _put(mutant, self.paths[mutant.module]) else 4
-                for name, following in zip(tests, [*tests[1:], None], strict=True) if not status else ():
-                    if _run(items[name], items[following] if following else None):
-                        status = 1
-                        break
-            finally:
-                os._exit(status)
-        running[child] = mutant, f"{len(tests)} tests", time.monotonic() + _WALL_S + 10 * limit
-
-    def _reap(self, running: dict) -> None:
-        child, status = os.waitpid(-1, os.WNOHANG)
-        if not child:
-            time.sleep(0.01)
-            for late in [c for c, (*_, until) in running.items() if time.monotonic() > until]:
-                os.kill(late, 9)
-            return
-        if child not in running:
-            return
-        mutant, tests, _ = running.pop(child)
-        code = os.waitstatus_to_exitcode(status)
-        # A fault that ends the process or never ends is noticed as well.
-        self._conclude(mutant, {0: "survived", 1: "killed", 4: "not made"}.get(code, f"killed ({code})"), tests)
-
-    def _conclude(self, mutant: Mutant, what: str, tests: str) -> None:
-        self.outcome[mutant] = what
-        if what in ("survived", "no test", "not made"):
-            print(f"  {what}: {mutant} {tests}", flush=True)
+                found = work()
+            except BaseException as error:
+                found = f"killed by {error!r}"
+            pickle.dump(found, file)
+            file.flush()
+            os._exit(0)
+        late = threading.Timer(wall_s, os.kill, (child, signal.SIGKILL))
+        late.start()
+        _, status = os.waitpid(child, 0)
+        late.cancel()
+        file.seek(0)
+        return f"killed by status {status}" if status else pickle.load(file)
 
 
 def _silent() -> None:
@@ -234,8 +231,6 @@ def _run(item, following) -> bool:
 
 def _put(mutant: Mutant, path: Path) -> bool:
     """Replace the code of a function by the mutant's; return whether the function was found."""
-    import ast
-
     tree = mutated(mutant, path)
     body: list[ast.stmt] = tree.body
     for part in mutant.function.split("."):
@@ -280,24 +275,45 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--least", type=float, default=0.9, help="share of the mutants that must be noticed")
     given = parser.parse_args()
-    os.environ["CI"] = "1"
     os.chdir(ROOT)
     seed = given.seed or subprocess.run(
         ["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True
     ).stdout.strip()  # fmt: skip
     mutants = drawn(given.rooms, given.sample, seed)
-    runner = Runner(mutants, given.jobs)
-    asked = {m.module for m in mutants}
-    files = [f"tests/{f}" for room in ROOMS if asked & set(modules_of(room)) for f in ROOMS[room][1]]
     begun = time.monotonic()
+    shares = [given.rooms[n :: given.jobs] for n in range(min(given.jobs, len(given.rooms)))]
+    found: dict[Mutant, str] = {}
+    with ThreadPoolExecutor(len(shares)) as pool:
+        for outcome in pool.map(lambda rooms: _in_process(rooms, mutants), shares):
+            if outcome is None:
+                return 2
+            found |= outcome
+    noticed = sum(what.startswith("killed") for what in found.values())
+    share = noticed / len(found)
+    print(f"{noticed} of {len(found)} mutants noticed, {share:.0%}, in {time.monotonic() - begun:.0f} s")
+    return int(share < given.least)
+
+
+def _in_process(rooms: list[str], mutants: list[Mutant]) -> dict[Mutant, str] | None:
+    """Return what became of the mutants of some rooms, found in a process of its own; None where that failed."""
+    context = multiprocessing.get_context("spawn")
+    own = [m for m in mutants if any(m.module in modules_of(room) for room in rooms)]
+    if not own:
+        return {}
+    with context.Pool(1) as pool:
+        return pool.apply(_try_all, (rooms, own))
+
+
+def _try_all(rooms: list[str], mutants: list[Mutant]) -> dict[Mutant, str] | None:
+    # One thread: a process with others beside the first cannot be forked safely.
+    os.environ |= {"CI": "1", "NUMBA_THREADING_LAYER": "workqueue", "NUMBA_NUM_THREADS": "1"}
+    os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    runner, asked = Runner(mutants), {m.module for m in mutants}
+    files = [f"tests/{f}" for room in rooms if asked & set(modules_of(room)) for f in ROOMS[room][1]]
     options = ["-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-o", "addopts=", "-m", "not heavy"]
     status = pytest.main([*options, *dict.fromkeys(files)], plugins=[runner])
-    if status not in (0, pytest.ExitCode.NO_TESTS_COLLECTED) or len(runner.outcome) < len(mutants):
-        return 2
-    noticed = sum(what.startswith("killed") for what in runner.outcome.values())
-    share = noticed / len(mutants)
-    print(f"{noticed} of {len(mutants)} mutants noticed, {share:.0%}, in {time.monotonic() - begun:.0f} s")
-    return int(share < given.least)
+    done = status in (0, pytest.ExitCode.NO_TESTS_COLLECTED) and len(runner.outcome) == len(mutants)
+    return runner.outcome if done else None
 
 
 if __name__ == "__main__":
