@@ -154,12 +154,28 @@ def excess_of(chi2, degrees):
 
 
 @uncounted(error_model="numpy")
-def _lone_alpha(normal, middle, told, excess, a, rules):
-    """Return the standard error of α where β and μ are open; ``told`` is the part of its column that is theirs."""
-    if not (normal > 0.0 and 1.0 - told > _TOLD_APART):
+def _lone_alpha(normal, middle, excess, a, rules):
+    """Return the standard error of α where β and μ are open: of the part of its column that is not theirs.
+
+    What β and μ take up entirely, such as the one observation that sees the lobe, says nothing of α, however uncertain:
+    along the valley of β and μ that explain it alike the error of α is the same.
+    """
+    if not normal[0] > 0.0:
         return np.inf
-    common = rules.model_error * a
-    return math.sqrt(excess * middle / (normal * normal * (1.0 - told)) + common * common)
+    on_gloss, on_slope, told = 0.0, 0.0, 0.0
+    if normal[2] > 0.0:
+        on_gloss = normal[1] / normal[2]
+        apart = 1.0 - normal[4] / normal[2] * (normal[4] / normal[5]) if normal[5] > 0.0 else 0.0
+        if apart > SINGULAR:
+            on_gloss, on_slope = (
+                (on_gloss - normal[4] / normal[2] * (normal[3] / normal[5])) / apart,
+                (normal[3] - on_gloss * normal[4]) / normal[5] / apart,
+            )
+        told = (on_gloss * normal[1] + on_slope * normal[3]) / normal[0]
+    if not 1.0 - told > _TOLD_APART:
+        return np.inf
+    own, common = normal[0] * (1.0 - told), rules.model_error * a
+    return math.sqrt(excess * max(_sandwich(middle, 1.0, -on_gloss, -on_slope), 0.0) / (own * own) + common * common)
 
 
 @uncounted(error_model="numpy")
@@ -193,15 +209,13 @@ def full_errors(rows, lobes, a, b, log_mu, used, rules, with_alpha):
     squares, chi2, normal, middle, seen = sums_at_minimum(rows, lobes, a, b, log_mu, rules)
     excess = excess_of(chi2, float(max(used - (3 if with_alpha else 2), 1)))
     if not (normal[0] > 0.0 and normal[2] > 0.0 and normal[5] > 0.0):
-        lone = _lone_alpha(normal[0], middle[0], 0.0, excess, a, rules) if with_alpha else np.inf
+        lone = _lone_alpha(normal, middle, excess, a, rules) if with_alpha else np.inf
         return Errors(lone, np.inf, np.inf, squares, seen)
     scale, (p, q, r), determinant = correlations(normal)
     if not with_alpha:
         p, q, determinant = 0.0, 0.0, 1.0 - r * r
     if not determinant > SINGULAR:
-        apart = 1.0 - r * r
-        told = (p * p + q * q - 2.0 * p * q * r) / apart if apart > SINGULAR else p * p
-        lone = _lone_alpha(normal[0], middle[0], told, excess, a, rules) if with_alpha else np.inf
+        lone = _lone_alpha(normal, middle, excess, a, rules) if with_alpha else np.inf
         return Errors(lone, np.inf, np.inf, squares, seen)
     if not rules.known:
         middle = scatter(rows, a, b, (p, q, r), scale, determinant)
@@ -347,12 +361,17 @@ def gloss_status(rows, lobes, clipped, a, b, log_mu, errors, rules):
 
 @uncounted(error_model="numpy")
 def gloss_status_of(a, b, log_mu, errors, seen, rules):
-    """Return the status of gloss that does not clip; numbers or lanes, ``seen`` says whether the lobe is."""
-    edge = (a >= rules.high_alpha * (1.0 - 1e-6)) | (b >= rules.high_beta * (1.0 - 1e-6))
-    edge = edge | (log_mu >= rules.high_log_mu - 1e-4) | (log_mu <= rules.low_log_mu + 1e-4)
-    if rules.low_alpha > 0.0:
-        edge = edge | (a <= rules.low_alpha * (1.0 + 1e-6))
+    """Return the status of gloss that does not clip; numbers or lanes, ``seen`` says whether the lobe is.
+
+    Where β and μ cannot be told apart, a bound that one of them meets is where the search along their valley ended, and
+    no finding.
+    """
+    edge = (b >= rules.high_beta * (1.0 - 1e-6)) | (log_mu >= rules.high_log_mu - 1e-4)
+    edge = edge | (log_mu <= rules.low_log_mu + 1e-4)
     if rules.low_beta > 0.0:
         edge = edge | (b <= rules.low_beta * (1.0 + 1e-6))
+    edge = (edge & (errors[1] < np.inf)) | (a >= rules.high_alpha * (1.0 - 1e-6))
+    if rules.low_alpha > 0.0:
+        edge = edge | (a <= rules.low_alpha * (1.0 + 1e-6))
     known = (errors[1] < _BETA * b) & (errors[2] < _MU) & seen
     return select(edge, float(_AT_BOUND), select(known, float(_OK), float(_UNIDENTIFIABLE)))

@@ -3,6 +3,7 @@
 import dataclasses
 
 import h5py
+import numba
 import numpy as np
 import pytest
 from compressing import compress
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import made
 from shortcuts import irradiance_map
+from threadpoolctl import threadpool_limits
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.recovery.mappings import LinearMapping
@@ -200,6 +202,27 @@ def test_stage_recovers_radiance_as_light_times_reflectance(tmp_path):
     with store.open_file(tmp_path / "e.h5") as file:
         errors = file.attribute("errors")["irradiance"]
     assert errors["height"] == len(environment.irradiance) and errors["max_error"] <= 0.002
+
+
+def test_threads_do_not_change_a_bit_of_an_environment(tmp_path):
+    """One thread and two write the same datasets and state the same errors."""
+    rng = np.random.default_rng(15)
+    calibration = Calibration(np.linalg.qr(image(6)[1])[0], LinearMapping(rng.normal(size=(6, 6)) + 3 * np.eye(6)),
+                              spectrum("A"), ("out",))  # fmt: skip
+    response = rng.uniform(0.0, 1.0, (128, 256, 6)) ** 4
+    write_inputs(tmp_path, response, np.ones((128, 256), np.uint8), calibration)
+    before, found = numba.get_num_threads(), []
+    try:
+        for count in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
+            numba.set_num_threads(count)
+            with threadpool_limits(count):
+                stage(tmp_path)
+            with h5py.File(tmp_path / "e.h5") as file:
+                found.append({name: file[name][()].tobytes() for name in ("coefficients", "basis", "irradiance")})
+                found[-1]["errors"] = str(file.attrs["errors"])
+    finally:
+        numba.set_num_threads(before)
+    assert found[0] == found[1]
 
 
 @pytest.mark.parametrize("centre_azimuth_deg", [0.0, 90.0])

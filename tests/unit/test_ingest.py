@@ -225,6 +225,80 @@ def test_the_tables_settings_count_where_the_file_is_silent(tmp_path):
     assert np.allclose(response, 0.15, rtol=2e-3)
 
 
+OPTIONS = [SUPERPIXELS, IngestOptions(demosaic="linear", register=False)]
+
+
+def photographs(folder, numbers, options, **tags):
+    """Ingest photographs given as (role, exposure in s, ISO, digital numbers); return where the object's stand."""
+    table = []
+    for number, (role, exposure_s, iso, values) in enumerate(numbers):
+        whole = np.broadcast_to(np.round(values), (64, 96)).astype(np.uint16)
+        write_any_dng(folder / f"{number}.dng", whole, exposure_s=exposure_s, iso=iso, **tags)
+        table.append(Shot(f"{number}.dng", role, Pose(0.0, 0.0), "out", exposure_s))
+    write_captures(folder / "captures.csv", table)
+    files = folder / "captures.csv", folder
+    ingest_reference(*files, folder / "r.h5", PROVENANCE, 1.0, options)
+    ingest_raw(*files, Pose(0.0, 0.0).name, folder / "r.h5", folder / "l.h5", PROVENANCE, options=options)
+    return folder / "l.h5"
+
+
+@pytest.mark.parametrize("darks", [0, 2])
+@pytest.mark.parametrize("options", OPTIONS, ids=["superpixels", "demosaiced"])
+def test_four_black_levels_are_each_subtracted_from_their_own_pixels(tmp_path, options, darks):
+    """What is no light to each place of the mosaic shows in no response, and in none of its bands."""
+    black = np.array([[300, 700], [1100, 1500]])
+    level = np.tile(black, (32, 48))
+    numbers = [("dark", 0.02, 100, level)] * darks
+    numbers += [("white", 0.02, 100, level + 4000), ("object", 0.02, 100, level + 1000)]
+    with store.open_file(photographs(tmp_path, numbers, options, black=black)) as file:
+        assert np.allclose(file.read("response"), 0.25, rtol=1e-3)
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=["superpixels", "demosaiced"])
+def test_the_clip_level_lies_above_each_places_own_black(tmp_path, options):
+    """Of two fields between which the clip level of one place lies, one is marked as clipped and the other not."""
+    black, white = np.array([[300, 700], [1100, 1500]]), 8300
+    level = np.tile(black, (32, 48))
+    clip = level + options.saturation * (white - level)
+    for offset, clips in ((-60.0, False), (60.0, True)):
+        folder = tmp_path / str(clips)
+        folder.mkdir()
+        bright = level + 1000.0
+        bright[::2, ::2] = clip[0, 0] + offset
+        numbers = [("white", 0.02, 100, level + 4000), ("object", 0.02, 100, bright)]
+        with store.open_file(photographs(folder, numbers, options, black=black, white=white)) as file:
+            assert (file.read("clipped") == clips).all()
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=["superpixels", "demosaiced"])
+def test_the_dark_signal_is_amplified_with_the_iso_of_the_photograph(tmp_path, options):
+    """Dark frames at ISO 100: at ISO 400 the same darkness counts four times as many digital numbers."""
+    glow = np.random.default_rng(5).uniform(100.0, 300.0, (64, 96))
+    for exposures in ((0.02,), (0.01, 0.02)):
+        folder = tmp_path / str(len(exposures))
+        folder.mkdir()
+        numbers = [("dark", 0.02, 100, BLACK + glow), ("white", 0.02, 100, BLACK + glow + 3000)]
+        numbers += [("object", t, 400, BLACK + 4 * t / 0.02 * (glow + 600)) for t in exposures]
+        with store.open_file(photographs(folder, numbers, options)) as file:
+            assert np.allclose(file.read("response"), 0.2, rtol=3e-3)
+
+
+def test_the_noise_model_is_that_of_the_photographs_iso(tmp_path):
+    """Gain and read noise are measured at ISO 100; the model of a photograph at ISO 800 predicts its own scatter."""
+    rng = np.random.default_rng(6)
+
+    def expose(level_dn, iso):
+        electrons = rng.poisson(2.0 * level_dn, (64, 96)) + rng.normal(0.0, 12.0, (64, 96))
+        return BLACK + electrons / 2.0 * iso / 100
+
+    numbers = [(role, 0.02, 100, expose(level, 100)) for role, level in [("dark", 0)] * 6 + [("white", 4000)] * 4]
+    numbers.append(("object", 0.02, 800, expose(400.0, 800)))
+    with store.open_file(photographs(tmp_path, numbers, SUPERPIXELS)) as file:
+        response, noise = file.read("response").astype(float), file.read("noise_model")
+    predicted = np.sqrt(noise[:, 0] + noise[:, 1] * response.mean(axis=(0, 1)))
+    assert np.allclose(response.std(axis=(0, 1)) / predicted, 1.0, atol=0.12)
+
+
 @pytest.mark.parametrize("known", ["white", "object"])
 def test_white_and_captures_are_normalised_alike_or_not_at_all(tmp_path, known):
     shots = [(role, 0.02, 100 if role == known else 0, 4.0, ()) for role in ("white", "object")]

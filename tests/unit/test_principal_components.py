@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pytest
 from compressing import compress
@@ -104,6 +105,24 @@ def test_any_source_gives_the_same_basis_in_tiles_of_any_size(tmp_path, kind):
     assert np.degrees(subspace_angles(found.basis, best)).max() < 1e-4
     assert found.pixels == height * width and found.masked == 0
     assert np.allclose(coefficients, values.reshape(-1, 61) @ found.basis, atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["array", "tiles"])
+def test_threads_do_not_change_a_bit_of_the_moments(kind):
+    """Whichever worker takes a tile: sums are those of the tiles in their order."""
+    pixels = picture(7, 60, 90) * np.random.default_rng(7).uniform(0.01, 300.0, (60, 90, 1))
+    pixels = pixels.astype(np.float32)
+    source = Tiles(pixels, tile_bytes=40_000) if kind == "array" else np.array_split(pixels, 13)
+    before, found = numba.get_num_threads(), []
+    try:
+        for count in range(1, min(3, numba.config.NUMBA_NUM_THREADS) + 1):
+            numba.set_num_threads(count)
+            found.append(second_moments(source))
+    finally:
+        numba.set_num_threads(before)
+    for other in found[1:]:
+        np.testing.assert_array_equal(other.root, found[0].root)
+        assert (other.pixels, other.largest_norm) == (5400, found[0].largest_norm)
 
 
 def test_what_is_no_picture_is_refused():

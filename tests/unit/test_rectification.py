@@ -21,6 +21,7 @@ from irodori.config.models import (
 from irodori.config.parts import RigGeometry, TexturedObject
 from irodori.core import store
 from irodori.geometry.embree import Tracer
+from irodori.geometry.lathe import lathe, write_obj
 from irodori.geometry.rig_frame import rig_from_object
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
@@ -204,6 +205,45 @@ def test_the_tables_shadow_falls_where_geometry_says(tmp_path):
     assert hidden.sum() > 20 and free.sum() > 20
     assert (found["shadowed"][hidden] == 1).all() and (found["weight"][hidden] == 0).all()
     assert (found["shadowed"][free] == 0).all() and (found["weight"][free] == 1).all()
+
+
+def test_what_stands_before_a_texel_leaves_it_no_observation(tmp_path):
+    """A post on a disc: the camera does not see the disc behind it, however well that is lit, and shows the post there.
+
+    Without a view of it a texel has no weight and no response, and it lies in no shadow.
+    """
+    radius, height, post = 30.0, 30.0, 5.0
+    profile = np.array([[radius, 0.0], [post, 0.0], [post, height], [0.0, height]])
+    corners, uv = lathe(profile, 180)
+    sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    solid = np.linalg.norm(sides, axis=1) > 1e-9
+    write_obj(tmp_path / "post.obj", corners[solid], uv[solid])
+    shape = {"kind": "mesh", "file": str(tmp_path / "post.obj"), "unit": "mm", "pivot_mm": [0, 0, 0]}
+    columns, rows = 90, 60
+    pose = Pose(45.0, 40.0)
+    found = rectify(
+        tmp_path, {"shape": shape, "texels": {"width": columns, "height": rows}}, [pose], max_angle_deg=89.0
+    )
+    # Texture rows run along the profile from its last point to its first: the disc's are the last.
+    way = (radius - post) + height + post
+    v, u = np.meshgrid((np.arange(rows) + 0.5) / rows, (np.arange(columns) + 0.5) / columns, indexing="ij")
+    r, azimuth = (radius - (1.0 - v) * way).ravel(), 2 * np.pi * u.ravel()
+    disc = r > post + 1.0
+    x, y = r * np.cos(azimuth), r * np.sin(azimuth)
+    angle = math.radians(pose.camera_deg)
+    to_eye = np.stack([-DISTANCE * math.sin(angle) - x, -y], axis=1)
+    flat = np.linalg.norm(to_eye, axis=1)
+    # Along the way over the ground: how near it comes to the axis, and how high the ray is where it meets the post.
+    along = -(x * to_eye[:, 0] + y * to_eye[:, 1]) / flat
+    beside = np.abs(x * to_eye[:, 1] - y * to_eye[:, 0]) / flat
+    meets = along - np.sqrt(np.maximum(post**2 - beside**2, 0.0))
+    high = meets * DISTANCE * math.cos(angle) / flat
+    hidden = disc & (along > 0) & (beside < 0.9 * post) & (high < 0.95 * height)
+    free = disc & (x > 0) & ((beside > 1.1 * post) | (high > 1.05 * height))
+    assert hidden.sum() > 50 and free.sum() > 50
+    for name in ("weight", "response", "shadowed", "clipped"):
+        assert (found[name][hidden] == 0).all(), name
+    assert (found["weight"][free] == 1).all() and (found["response"][free] != 0).all()
 
 
 def test_texels_near_saturated_pixels_have_no_weight(tmp_path):

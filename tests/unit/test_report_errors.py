@@ -1,9 +1,11 @@
 """Errors of the report: what is left out of them, and how bright pixels are compared."""
 
+import colour
 import numpy as np
 import pytest
 from scenes import constant_light
 
+from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.config.parts import Staging
 from irodori.core import store
 from irodori.evaluation.truth_errors import interior, measure_errors, radiance_delta_e, read_errors
@@ -42,6 +44,37 @@ def test_equal_pictures_differ_by_nothing_and_a_tint_shows_however_bright():
     assert (difference > 0.1).all()
     # Above white both are scaled alike: the same tint is the same difference.
     assert difference[3] == pytest.approx(difference[2], rel=1e-9)
+
+
+def test_the_pictures_error_in_the_table_is_plain_ciede2000_up_to_white_and_scaled_beyond(tmp_path):
+    """What is darker than white is compared as it is; a pixel five times white as one at white, both scaled alike."""
+    provenance = store.Provenance("test")
+    constant_light(1.0).save(tmp_path / "e.h5", provenance)
+    rng = np.random.default_rng(4)
+    truth = rng.uniform(0.02, 0.98, (6, 8, 61)).astype(np.float32)
+    found = truth * rng.uniform(0.8, 1.2, (6, 8, 61)).astype(np.float32)
+    bright = (slice(0, 1), slice(0, 4))
+    truth[bright] += 5.0
+    for name, radiance in (("true", truth), ("found", found)):
+        write_spectral_exr(tmp_path / f"{name}.exr", radiance, radiance[..., :3], {})
+    inputs = {key: [] for key in ("materials", "true_materials", "environments", "true_environments", "calibrations")}
+    inputs |= {"view_lights": [tmp_path / "e.h5"], "views": [tmp_path / "found.exr"]}
+    inputs |= {"true_views": [tmp_path / "true.exr"]}
+    names = {"cameras": [], "objects": [], "environments": [], "views": ["s/v"], "view_environments": ["e"]}
+    names["view_scenes"] = [{"lights": [], "display": {"exposure": "auto"}}]
+    measure_errors(inputs, names, ["D65"], tmp_path / "errors.csv")
+    row = read_errors(tmp_path / "errors.csv")[0]
+    matrix = xyz_from_radiance(np.ones(61))
+    pair = [radiance.astype(float) @ matrix.T for radiance in (truth, found)]
+    scale = pair[0][bright][..., 1:2] / 100.0
+    for xyz in pair:
+        xyz[bright] /= scale
+    white = matrix @ np.ones(61)
+    white_xy = white[:2] / white.sum()
+    lab = [colour.XYZ_to_Lab(xyz / 100.0, white_xy) for xyz in pair]
+    expected = colour.difference.delta_E_CIE2000(*lab)
+    for name, value in (("mean", expected.mean()), ("p95", np.percentile(expected, 95)), ("max", expected.max())):
+        assert float(row[name]) == pytest.approx(value, rel=2e-3), name
 
 
 def test_a_pictures_error_is_judged_against_a_white_that_counts_the_scenes_lights(tmp_path):

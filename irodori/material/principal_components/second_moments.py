@@ -8,6 +8,7 @@ import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -150,24 +151,33 @@ def _finish(side, blocks, waiting, moments):
 
 
 class _Sums:
-    """Sums of one worker."""
+    """Buffers of one worker, for the sums of one tile after the other."""
 
     def __init__(self, bands: int) -> None:
         self.bands, self._side = bands, -(-bands // LANES) * LANES
-        self.totals = np.zeros(2)
         self._moments = np.zeros((_CLASSES, self._side**2))
         self._blocks, self._waiting = np.zeros((_CLASSES, _BLOCK, self._side)), np.zeros(_CLASSES, dtype=np.int64)
 
-    def add(self, rows: np.ndarray) -> None:
-        flat = self._blocks.reshape(_CLASSES, -1)
-        _accumulate(rows, self._blocks, flat, self._waiting, self._moments, self.totals)
+    def of(self, rows: np.ndarray) -> "_OfTile":
+        """Return the sums of a tile, (pixels, bands)."""
+        self._moments[:], self._waiting[:] = 0.0, 0
+        totals, flat = np.zeros(2), self._blocks.reshape(_CLASSES, -1)
+        _accumulate(rows, self._blocks, flat, self._waiting, self._moments, totals)
+        _finish(self._side, flat, self._waiting, self._moments)
+        moments = {}
+        for level in np.flatnonzero(self._moments.any(axis=1)).tolist():
+            upper = np.triu(self._moments[level].reshape(self._side, self._side)[: self.bands, : self.bands])
+            moments[level] = upper + np.triu(upper, 1).T
+        return _OfTile(len(rows), int(totals[0]), float(totals[1]), moments)
 
-    def finished(self) -> np.ndarray:
-        """Return the moments of every class, (classes, bands, bands)."""
-        _finish(self._side, self._blocks.reshape(_CLASSES, -1), self._waiting, self._moments)
-        moments = self._moments.reshape(_CLASSES, self._side, self._side)
-        upper = np.triu(moments[:, : self.bands, : self.bands])
-        return upper + np.triu(upper, 1).transpose(0, 2, 1)
+
+class _OfTile(NamedTuple):
+    """Pixels of a tile, those that are masked, the largest squared length, and the moments (bands, bands) by class."""
+
+    pixels: int
+    masked: int
+    largest: float
+    moments: dict[int, np.ndarray]
 
 
 class _Sampler:
@@ -232,36 +242,38 @@ def second_moments(
         If no pixel is finite, or tiles differ in their bands.
     """
     tiles = source if isinstance(source, Tiles) else Tiles(source)
-    sums: dict[int, _Sums] = {}
+    workers: dict[int, _Sums] = {}
     sampler, lock = _Sampler(sample_pixels, seed), threading.Lock()
 
-    def add(rows: np.ndarray, first: int, worker: int) -> int:
+    def add(rows: np.ndarray, first: int, worker: int) -> _OfTile:
         with lock:
-            own = sums.setdefault(worker, _Sums(rows.shape[1]))
-            if rows.shape[1] != sums[min(sums)].bands:
-                found = f"a tile of {rows.shape[1]} bands among others of {sums[min(sums)].bands}"
+            own = workers.setdefault(worker, _Sums(rows.shape[1]))
+            if rows.shape[1] != workers[min(workers)].bands:
+                found = f"a tile of {rows.shape[1]} bands among others of {workers[min(workers)].bands}"
                 raise ValueError(f"{found}; accepted: the same in all")
-        own.add(rows)
+        of_tile = own.of(rows)
         sampler.add(rows, first)
         if also is not None:
             also(rows, first)
-        return len(rows)
+        return of_tile
 
-    pixels = sum(tiles.map(add))
-    totals = np.array([own.totals for own in sums.values()]).reshape(-1, 2)
-    masked = int(totals[:, 0].sum())
+    pixels, masked, largest = 0, 0, 0.0
+    moments: dict[int, np.ndarray] = {}
+    # Tile by tile in their order, so that the sums have the same bits with any number of threads.
+    for tile in tiles.map(add):
+        pixels, masked, largest = pixels + tile.pixels, masked + tile.masked, max(largest, tile.largest)
+        for level, values in tile.moments.items():
+            moments[level] = moments[level] + values if level in moments else values
     if masked == pixels:
         raise ValueError(f"a picture without a finite pixel among {pixels}; accepted: at least one")
-    root = _root(np.sum([sums[worker].finished() for worker in sorted(sums)], axis=0))
-    return Moments(root, pixels, masked, math.sqrt(totals[:, 1].max()), sampler.rows())
+    root = _root([moments[level] for level in sorted(moments)], workers[0].bands)
+    return Moments(root, pixels, masked, math.sqrt(largest), sampler.rows())
 
 
-def _root(moments: np.ndarray) -> np.ndarray:
+def _root(moments: list[np.ndarray], bands: int) -> np.ndarray:
     """Return rows whose products sum to those of the classes, (m, bands); a row of zeros where all is black."""
-    rows = [np.zeros((1, moments.shape[-1]))]
+    rows = [np.zeros((1, bands))]
     for moment in moments:
-        if not moment.any():
-            continue
         values, vectors = np.linalg.eigh(moment)
         kept = values > _ROUNDING * values[-1]
         if kept.any():

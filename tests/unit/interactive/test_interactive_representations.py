@@ -15,6 +15,7 @@ from studio import (
     placed,
     plain_picture,
     prepared,
+    sky_of,
     spectrum_of,
     view_of,
 )
@@ -41,6 +42,15 @@ def test_white_objects_vanish_in_an_even_light(representation, ambient):
     found = picture(shapes, [material(1.0)] * 3, light, representation, view, places=places, ambient=ambient)
     truth = expected(spectrum_of(), representation, light.upward_white())
     assert np.abs(found / truth - 1).max() <= 1e-3
+
+
+@pytest.mark.parametrize("representation", ["coefficients", "rgb"])
+def test_a_perfect_diffuser_that_faces_up_is_white_where_all_light_comes_from_above(representation):
+    """Y is 100 on it, whatever lights the floor: white is what the light from above makes of it."""
+    light = sky_of(lambda d: np.where(d[..., 2] > 0.0, 1.0, 0.05), height=64)
+    view = {"position": (0.0, -120.0, 160.0), "size": (9, 9), "fov": 6.0}
+    found = picture([plate(100.0)], [material(1.0)], light, representation, view, white=None)
+    assert np.allclose(found[..., 1], 100.0, rtol=5e-3)
 
 
 @pytest.mark.parametrize("representation", REPRESENTATIONS)

@@ -1,0 +1,82 @@
+"""Mutants of a made-up module: each kind of fault is made, and nothing that would not be noticed."""
+
+import ast
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+MODULE = '''
+from numba import njit
+
+LIMIT = 5
+
+
+def clamped(value, low, high=10):
+    """Return a value within bounds 1 and 2."""
+    if not low <= value and low < high:
+        raise ValueError(f"{value - low} under {low + 1}")
+    LOGGER.info("%d", value + 1)
+    check(value)
+    return min(value * 3, high)
+
+
+@njit(cache=True)
+def kernel(x):
+    return x + 1
+
+
+class Rig:
+    @property
+    def reach(self):
+        return sub(self.near, self.far)
+'''
+
+
+@pytest.fixture(scope="module")
+def mutants():
+    spec = importlib.util.spec_from_file_location("mutants", ROOT / "tests/mutation/mutants.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["mutants"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_faults_stand_in_what_functions_do_and_in_no_message_default_or_kernel(mutants, tmp_path):
+    path = tmp_path / "made.py"
+    path.write_text(MODULE)
+    found = {f"{m.function}: {m.kind}: {m.text}" for m in mutants.mutants_of("made", path)}
+    test = "not low <= value and low < high"
+    assert found == {
+        f"clamped: condition: {test} -> True", f"clamped: condition: {test} -> False",
+        f"clamped: operator: {test} -> not low <= value or low < high",
+        "clamped: sign or negation dropped: not low <= value -> low <= value",
+        "clamped: comparison: low <= value -> low > value", "clamped: comparison: low < high -> low >= high",
+        "clamped: call dropped: check(value) -> pass", "clamped: operator: value * 3 -> value / 3",
+        "clamped: term removed: value * 3 -> value", "clamped: constant: 3 -> 4",
+        "Rig.reach: arguments swapped: sub(self.near, self.far) -> sub(self.far, self.near)",
+    }  # fmt: skip
+
+
+def test_a_mutant_differs_from_its_module_by_its_fault_alone(mutants, tmp_path):
+    path = tmp_path / "made.py"
+    path.write_text(MODULE)
+    whole = ast.unparse(ast.parse(MODULE)).splitlines()
+    for mutant in mutants.mutants_of("made", path):
+        changed = ast.unparse(mutants.mutated(mutant, path)).splitlines()
+        assert sum(a != b for a, b in zip(whole, changed, strict=True)) == 1, mutant
+
+
+@pytest.mark.heavy
+def test_the_tests_notice_nine_mutants_of_ten():
+    """Others at every commit: those that nobody noticed are printed."""
+    command = [sys.executable, "tests/mutation/run.py", "--sample", "60", "--jobs", "2"]
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTEST_", "COV_"))}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    print(done.stdout)
+    assert done.returncode == 0, done.stdout + done.stderr[-2000:]
