@@ -63,6 +63,8 @@ _PREFIX = {"Y": 24, "Z": 21, "E": 18, "P": 15, "T": 12, "G": 9, "M": 6, "k": 3, 
 _LIGHT_NM_PER_S = 299_792_458e9
 #: The most that a picture's file unfolds to, as a factor: PIZ packs 32 black rows of 8192 pixels into some 50 bytes.
 _MOST_UNFOLDED = 1 << 16
+#: Letters of what OpenImageIO says, which says it for every channel.
+_LONGEST_REASON = 200
 #: x, y of red, green, blue and white.
 _PRIMARIES = 8
 #: A side, in pixels.
@@ -86,9 +88,10 @@ def _open(path, accepted: str) -> oiio.ImageInput:
     """Open a picture's file whose header can be read and declares no more than the file may unfold to."""
     try:
         source = oiio.ImageInput.open(str(path))
-        reason = "" if source is not None else " ".join(oiio.geterror().split())
+        reason = "" if source is not None else " ".join(oiio.geterror().split())[:_LONGEST_REASON]
         names = [] if source is None else list(source.spec().channelnames)
-    except UnicodeDecodeError:
+        "".join(names).encode()  # OpenImageIO hands some bytes on as letters that no text may hold
+    except UnicodeError:
         raise InputError(path, "", "a header whose text is not UTF-8", accepted) from None
     if source is None:
         raise InputError(path, "", f"a file OpenImageIO cannot open ({reason})", accepted)
@@ -131,7 +134,8 @@ def picture_header(path) -> Header:
     shown = (spec.full_height, spec.full_width)
     chromaticities = spec.getattribute("chromaticities")
     if chromaticities is not None and (not isinstance(chromaticities, tuple) or len(chromaticities) != _PRIMARIES):
-        raise InputError(path, "chromaticities", f"{chromaticities!r}"[:80], "x and y of red, green, blue and white")
+        found = "something else than eight numbers"
+        raise InputError(path, "chromaticities", found, "x and y of red, green, blue and white")
     return Header((spec.height, spec.width), list(spec.channelnames), str(spec.format), shown, chromaticities)
 
 

@@ -48,7 +48,8 @@ def read_mesh(path, unit: str, up: str = "z", pivot_mm=None, crease_deg: float =
     held = sum(Path(file).stat().st_size for file in files)
     check_declared(path, held)
     try:
-        corners, uv, normals = _parts(path, files, held)
+        with np.errstate(all="ignore"):  # what is not finite is said below
+            corners, uv, normals = _parts(path, files, held)
     except InputError:
         raise
     except Exception as error:  # trimesh raises whatever its parsers meet, some of it when it is asked for a part

@@ -73,9 +73,10 @@ def _gltf_bytes(path, binary: bool) -> float:
     with open(path, "rb") as file:
         if binary:
             magic, _, _, length, kind = struct.unpack("<4sIII4s", file.read(20))
-            if magic != b"glTF" or kind != _JSON_CHUNK:
+            # Not read(length): so much memory is taken first, whatever the file holds.
+            content = file.read()[:length]
+            if magic != b"glTF" or kind != _JSON_CHUNK or len(content) != length:
                 raise ValueError(magic)
-            content = file.read(length)
         else:
             content = file.read()
     total = 0.0
