@@ -165,10 +165,10 @@ class Journal:
         if whole != content:
             with storing(self.table):
                 os.truncate(self.table, len(whole))
-        listed = list(csv.DictReader(io.StringIO(whole.decode("utf-8-sig", errors="replace"))))
-        if not listed:
+        if not whole.partition(b"\n")[2].strip():
             return
         shots = read_captures(self.table)
+        listed = csv.DictReader(io.StringIO(whole.decode("utf-8-sig")))
         digests = {row["file"]: row["sha256"] for row in listed}
         if len(digests) > 1 and not any(self._path(file).exists() for file in digests):
             found = f"none of the {len(digests)} photographs of {self.table}"

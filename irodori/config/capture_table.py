@@ -24,6 +24,8 @@ from irodori.core.errors import InputError
 if TYPE_CHECKING:
     from irodori.config.models import PoseGroup
 
+#: A hundred thousand photographs.
+_MOST_BYTES = 1 << 24
 ROLES = ("object", "chart", "white", "dark", "environment", "scene")
 #: What a session takes where a camera's file does not say; where others take the photographs the keys are refused.
 SESSION_DEFAULTS: dict[str, Any] = {"dark_frames": 0, "white_frames": 2, "linearity_exposure_s": []}
@@ -194,7 +196,11 @@ def check_unchanged(path, folder, shots) -> None:
 def _read_rows(path) -> list[tuple[int, list[str]]]:
     """Return (line number, cells) of each line that holds something."""
     try:
-        text = Path(path).read_bytes().decode("utf-8-sig")
+        with open(path, "rb") as file:
+            content = file.read(_MOST_BYTES + 1)
+        if len(content) > _MOST_BYTES:
+            raise InputError(path, "", f"more than {_MOST_BYTES} bytes", "a CSV that lists photographs")
+        text = content.decode("utf-8-sig")
     except FileNotFoundError:
         raise InputError(path, "", "no such file", "a CSV that lists the photographs") from None
     except OSError as error:
