@@ -13,3 +13,8 @@ def ask_for_heavy(wanted: bool) -> None:
 def examples(count: int) -> int:
     """Return how many examples to draw where an ordinary run draws ``count``."""
     return count * _DEEPER if _heavy else count
+
+
+def inputs(ordinary: int, heavy: int) -> int:
+    """Return how many inputs a fuzzer reads: one number in an ordinary run, another where heavy tests are asked for."""
+    return heavy if _heavy else ordinary

@@ -12,6 +12,7 @@ from pathlib import Path
 from irodori.capture.rig.devices import DeviceError
 from irodori.config.capture_table import COLUMNS, EXTRA_COLUMNS, Shot, read_captures, shot_cells
 from irodori.core.atomic_files import file_sha256
+from irodori.core.confined_paths import confined
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
 
@@ -56,13 +57,13 @@ def claimed(table, folder, owner: str) -> Iterator[None]:
     DeviceError
         If another session is at work there.
     InputError
-        If the folder or the table belongs to something else.
+        If the folder or the table belongs to something else, or its mark is a link to somewhere else.
     StorageError
     """
     table, folder = Path(table), Path(folder)
-    marks = [folder / ".session"]
+    marks = [confined(folder, ".session", folder, "")]
     if table.parent.absolute() != folder.absolute():
-        marks.append(table.with_name(f".{table.name}.session"))
+        marks.append(confined(table.parent, f".{table.name}.session", table, ""))
     with contextlib.ExitStack() as stack:
         for mark in marks:
             with storing(mark):
@@ -133,8 +134,8 @@ class Journal:
     Raises
     ------
     InputError
-        If the table exists and is no capture table, or if not one of its photographs is there (a disk that is not
-        mounted, a folder that was moved).
+        If the table exists and is no capture table, lists a file outside the folder, or if not one of its photographs
+        is there (a disk that is not mounted, a folder that was moved).
     StorageError
     """
 
@@ -164,16 +165,17 @@ class Journal:
         if whole != content:
             with storing(self.table):
                 os.truncate(self.table, len(whole))
-        listed = list(csv.DictReader(io.StringIO(whole.decode("utf-8-sig", errors="replace"))))
-        if not listed:
+        if not whole.partition(b"\n")[2].strip():
             return
+        shots = read_captures(self.table)
+        listed = csv.DictReader(io.StringIO(whole.decode("utf-8-sig")))
         digests = {row["file"]: row["sha256"] for row in listed}
-        if len(digests) > 1 and not any((self.folder / file).exists() for file in digests):
+        if len(digests) > 1 and not any(self._path(file).exists() for file in digests):
             found = f"none of the {len(digests)} photographs of {self.table}"
             raise InputError(self.folder, "", found, "the folder of its RAW files; to begin anew, remove the table")
-        for shot in track(read_captures(self.table), f"{self.table}: looking at the files"):
-            if not (self.folder / shot.file).is_file():
-                LOGGER.warning("%s is gone; it is taken again where it is asked for", self.folder / shot.file)
+        for shot in track(shots, f"{self.table}: looking at the files"):
+            if not self._path(shot.file).is_file():
+                LOGGER.warning("%s is gone; it is taken again where it is asked for", self._path(shot.file))
             elif not digests[shot.file]:
                 self._unhashed[shot.file] = shot
             elif self._is_unchanged(shot, digests[shot.file]):
@@ -181,8 +183,12 @@ class Journal:
         if len(self.shots) + len(self._unhashed) < len(digests):
             self._rewrite()
 
+    def _path(self, file: str) -> Path:
+        """Return where a photograph stands; one outside the session's folder is refused."""
+        return confined(self.folder, file, self.table, "file")
+
     def _is_unchanged(self, shot: Shot, digest: str) -> bool:
-        path = self.folder / shot.file
+        path = self._path(shot.file)
         found = file_sha256(path)
         if found != digest:
             # Left under its name, it would be taken for a photograph whose line a crash has cost.
@@ -191,10 +197,17 @@ class Journal:
         return found == digest
 
     def set_aside(self, file: str, why: str, sha256: str) -> str:
-        """Rename a file so that it passes for no photograph of a plan, and return its new name."""
-        aside = _aside(file, why, sha256)
+        """Rename a file so that it passes for no photograph of a plan, and return its new name.
+
+        Raises
+        ------
+        InputError
+            If the file is not in the session's own folder.
+        StorageError
+        """
+        path, aside = self._path(file), _aside(file, why, sha256)
         with storing(self.folder / aside):
-            os.replace(self.folder / file, self.folder / aside)
+            os.replace(path, self.folder / aside)
             _sync_folder(self.folder)
         return aside
 
@@ -206,8 +219,12 @@ class Journal:
         """Return the lines of ``captures-retired.csv`` by file; a log, in which plans of several days may differ."""
         if not self.retired.exists():
             return {}
-        with open(self.retired, encoding="utf-8", newline="") as file:
-            return {row[0]: row for row in list(csv.reader(file))[1:] if row}
+        try:
+            with open(self.retired, encoding="utf-8", newline="") as file:
+                return {row[0]: row for row in list(csv.reader(file))[1:] if row}
+        except (UnicodeDecodeError, csv.Error) as error:
+            accepted = "the log as it was written, or no such file"
+            raise InputError(self.retired, "", f"unreadable text ({error})", accepted) from None
 
     def retire(self, planned: Sequence[Shot]) -> list[Shot]:
         """Take out the photographs that a plan does not ask for; they go to ``captures-retired.csv``, the files stay.
@@ -246,15 +263,16 @@ class Journal:
         return retired
 
     def _hash(self, file: str) -> str:
-        with storing(self.folder / file):
-            return file_sha256(self.folder / file)
+        path = self._path(file)
+        with storing(path):
+            return file_sha256(path)
 
     def stray(self, shot: Shot) -> Path | None:
         """Return the file that has a photograph's name but no line, None where there is none or it is another's.
 
         A retired photograph comes back where the plan asks for exactly it; another one of that name is set aside.
         """
-        path = self.folder / shot.file
+        path = self._path(shot.file)
         if not path.is_file():
             return None
         rows = self._retired_rows()

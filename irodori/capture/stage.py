@@ -22,6 +22,7 @@ from irodori.config.models import Environment, Object, ScenePhotograph
 from irodori.config.models import Rig as RigDefinition
 from irodori.config.parts import PhotographedObject, SceneRadiance
 from irodori.core.atomic_files import file_sha256
+from irodori.core.confined_paths import confined
 from irodori.core.progress import LOGGER
 from irodori.core.store import Provenance
 from irodori.core.termination import ending_in_order
@@ -194,7 +195,14 @@ def photograph(
 
 
 def _start_over_if_changed(table: Path, provenance: Provenance) -> None:
-    """Remove a virtual session's photographs where their definition or the code that made them has changed."""
+    """Remove a virtual session's photographs where their definition or the code that made them has changed.
+
+    Raises
+    ------
+    InputError
+        If their folder is a link to somewhere else, where somebody's real photographs may be.
+    """
+    confined(table.parent.parent, table.parent.name, table, "")
     mark = table.with_name(_MADE_FROM)
     wanted = f"{provenance.config_hash} {provenance.code_hash} {provenance.input_sha256}\n"
     if mark.is_file() and mark.read_text(encoding="utf-8") == wanted:

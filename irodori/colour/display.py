@@ -12,7 +12,7 @@ from typing import NamedTuple
 import colour
 import numpy as np
 
-from irodori.colour.icc import Profile, read_profile, write_profile
+from irodori.colour.icc import MOST_BYTES, Profile, read_profile, write_profile
 from irodori.colour.measured_display import measured_display
 from irodori.colour.tone_curves import SRGB, Curve, ParametricCurve
 from irodori.config.models import (
@@ -206,7 +206,8 @@ def _profile(definition: ProfileDisplay) -> Display:
     path = Path(definition.file)
     if not path.is_file():
         raise InputError(path, "", "no such file", "the ICC profile of a display")
-    data = path.read_bytes()
+    with open(path, "rb") as file:
+        data = file.read(MOST_BYTES + 1)
     found = read_profile(data, path)
     return _made(found.description, found.xyz_from_rgb, found.curves, data)
 

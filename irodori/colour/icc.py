@@ -17,6 +17,13 @@ D50_XYZ = np.array([0.9642, 1.0, 0.8249])
 #: Cone responses of the adaptation that ICC.1:2022, annex E, recommends for the ``chad`` tag.
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 _HEADER = 128
+#: No display's profile comes near.
+MOST_BYTES = 1 << 24
+_MOST_TAGS = 200
+#: Light of all three channels against the profile's white (XYZ), and of a curve's last code against 1: vendors round.
+_WHITE_TOLERANCE = 0.02
+#: X, Y or Z of a display's white, whose Y is about 1, before it is scaled to Y = 1.
+_BRIGHTEST = 10.0
 _ACCEPTED = "an ICC profile of an RGB display with a matrix and tone curves"
 _CURVE_CODES = 4096
 #: Parameters of ``para`` by function type, in the order of the file.
@@ -82,11 +89,14 @@ def read_profile(data: bytes, file) -> Profile:
     Raises
     ------
     InputError
-        If it is none, truncated, of another device or colour space, holds colour tables, or a curve that falls.
+        If it is none, truncated or too long, of another device or colour space, holds colour tables, a curve that falls
+        or does not end at white, or colorants whose sum is not white.
     """
+    if len(data) > MOST_BYTES:
+        raise InputError(file, "", f"more than {MOST_BYTES} bytes", _ACCEPTED)
     try:
         return _read(data, file)
-    except (struct.error, IndexError, UnicodeDecodeError, np.linalg.LinAlgError):
+    except (struct.error, IndexError, UnicodeDecodeError, np.linalg.LinAlgError, ZeroDivisionError):
         raise InputError(file, "", "a damaged ICC profile", _ACCEPTED) from None
     except ValueError as error:
         raise InputError(file, "", str(error), _ACCEPTED) from None
@@ -100,8 +110,13 @@ def _read(data: bytes, file) -> Profile:
         found = f"a profile of the class {device.decode()!r} for {space.decode().strip()!r}"
         raise InputError(file, "", found, _ACCEPTED)
     tags = {}
-    for i in range(struct.unpack(">I", data[_HEADER : _HEADER + 4])[0]):
+    count = struct.unpack(">I", data[_HEADER : _HEADER + 4])[0]
+    if count > _MOST_TAGS:
+        raise ValueError(f"{count} tags")
+    for i in range(count):
         name, offset, size = struct.unpack(">4sII", data[_HEADER + 4 + 12 * i : _HEADER + 16 + 12 * i])
+        if offset + size > len(data):
+            raise ValueError(f"a tag that ends {offset + size - len(data)} bytes beyond the file")
         tags[name] = data[offset : offset + size]
     if any(name.startswith((b"A2B", b"B2A")) for name in tags):
         raise InputError(file, "A2B0", "colour tables (LUT)", _ACCEPTED)
@@ -113,12 +128,25 @@ def _read(data: bytes, file) -> Profile:
     white = _read_fixed(tags[b"wtpt"][8:20])
     if not (white > 0.0).all() or abs(np.linalg.det(colorants)) < 1e-6:
         raise ValueError("a display without white, or of primaries that lie on one line")
+    total = colorants.sum(axis=1)
+    if np.abs(total - D50_XYZ).max() > _WHITE_TOLERANCE:
+        listed = ", ".join(f"{value:.4g}" for value in total)
+        raise ValueError(f"colorants whose sum is {listed} and not the white of D50")
     # Version 2 without `chad` tells the white itself, and leaves the adaptation open; Bradford is the usual one.
-    adapt = _read_fixed(tags[b"chad"][8:44]).reshape(3, 3) if b"chad" in tags else bradford(D50_XYZ, white)
-    matrix = np.linalg.inv(adapt) @ colorants
+    with np.errstate(all="ignore"):
+        adapt = _read_fixed(tags[b"chad"][8:44]).reshape(3, 3) if b"chad" in tags else bradford(D50_XYZ, white)
+        matrix = np.linalg.inv(adapt) @ colorants
+    own = matrix.sum(axis=1)
+    if not (np.isfinite(matrix).all() and (own > 0.0).all() and own.max() < _BRIGHTEST):
+        raise ValueError("an adaptation (chad, or the white of wtpt) that makes no white of the colorants")
     red, green, blue = (_read_curve(tags[name]) for name in needed[3:6])
-    description = _read_text(tags.get(b"desc", b"")) or str(file)
-    return Profile(description, matrix / matrix.sum(axis=1)[1], (red, green, blue))
+    for name, curve in zip(needed[3:6], (red, green, blue), strict=True):
+        top = float(curve.linear(np.ones(1))[0])
+        if abs(top - 1.0) > _WHITE_TOLERANCE:
+            raise InputError(file, name.decode(), f"a tone curve that ends at {top:g}", "one that ends at 1, white")
+    text = "".join(letter for letter in _read_text(tags.get(b"desc", b"")) if letter.isprintable())
+    description = text or str(file)
+    return Profile(description, matrix / own[1], (red, green, blue))
 
 
 def _fixed(values) -> bytes:

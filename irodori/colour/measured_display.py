@@ -19,6 +19,10 @@ _COLUMNS = ["red", "green", "blue", "X", "Y", "Z"]
 _ARGYLL = ["RGB_R", "RGB_G", "RGB_B", "XYZ_X", "XYZ_Y", "XYZ_Z"]
 _CHANNELS = ("red", "green", "blue")
 _CODES = 4096
+#: Above any display in any unit, and far from what squares and sums of doubles hold.
+_BRIGHTEST = 1e9
+#: Exponent of a display's curve.
+_STEEPEST = 20.0
 #: Under this many levels of a channel, black and full value included, its curve is not known.
 _LEAST_LEVELS = 5
 #: Sum of the channels against the measured white, relative in Y, beyond which light does not add up.
@@ -60,6 +64,8 @@ def measured_display(path) -> tuple[np.ndarray, tuple[SampledCurve, ...], np.nda
             found = f"{len(np.unique(level))} levels of {name} alone, up to {level.max(initial=0.0):g}"
             raise InputError(path, name, found, f"{_LEAST_LEVELS} levels or more from 0 to 1, the others at 0")
         primary = above[alone][level == 1.0].mean(axis=0)
+        if not (primary > 0.0).any():
+            raise InputError(path, name, "no light at the full value", "light that grows from black")
         amount = above[alone] @ primary / (primary @ primary)
         primaries.append(primary)
         curves.append(_curve(level, amount, path, name))
@@ -89,6 +95,9 @@ def _read(path) -> tuple[np.ndarray, np.ndarray]:
         code = rows[:, :3]
     if (code < 0.0).any() or (code > 1.0 + 1e-9).any():
         raise InputError(path, "red, green, blue", f"code values from {code.min():g} to {code.max():g}", "0 to 1")
+    if not (np.abs(rows[:, 3:]) < _BRIGHTEST).all():
+        found = f"values up to {np.abs(rows[:, 3:]).max():g}"
+        raise InputError(path, "X, Y, Z", found, f"light below {_BRIGHTEST:g} in the unit of the table")
     return code, rows[:, 3:]
 
 
@@ -102,6 +111,8 @@ def _curve(level: np.ndarray, amount: np.ndarray, path, name: str) -> SampledCur
     inner = (levels > 0.0) & (levels < 1.0) & (mean > 0.0)
     power = float(np.median(np.log(mean[inner]) / np.log(levels[inner]))) if inner.any() else 1.0
     codes = np.linspace(0.0, 1.0, _CODES)
+    if not (0.0 < power < _STEEPEST and mean[-1] > mean[0]):
+        raise InputError(path, name, "light that does not grow as a display's does", "light that grows from black")
     return SampledCurve(np.interp(codes**power, levels**power, mean - mean[0]))
 
 

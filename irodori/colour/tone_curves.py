@@ -1,8 +1,22 @@
 """Tone curves of displays: between code values and linear light, both 0..1."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+
+#: No display comes near; the numbers of a profile end at 32768, of which powers would overflow.
+_STEEPEST = 20.0
+#: Codes at which a curve is looked at, all of 12 bits; parameters of a profile are rounded to 1/65536.
+_LOOKED_AT = 4096
+_ROUNDING = 2.0 / 65536
+
+
+def _require_rising(values: np.ndarray, rounding: float = 0.0) -> None:
+    """Refuse linear light at increasing codes that falls by more than rounding, or ends no brighter than it begins."""
+    finite = len(values) >= 2 and np.isfinite(values).all()
+    if not finite or (np.diff(values) < -rounding).any() or not values[-1] > values[0]:
+        raise ValueError("a tone curve that falls or is flat; accepted: one that rises from black to white")
 
 
 @dataclass(frozen=True)
@@ -10,6 +24,11 @@ class ParametricCurve:
     """A power with a straight piece near black, function type 4 of ICC.1:2022, 10.18.
 
     Y = (a X + b)^g + e for X >= d, and c X + f below.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is not finite, g or a is not above 0, or the curve falls anywhere or does not rise at all.
     """
 
     g: float
@@ -19,6 +38,13 @@ class ParametricCurve:
     d: float = 0.0
     e: float = 0.0
     f: float = 0.0
+
+    def __post_init__(self) -> None:
+        given = (self.g, self.a, self.b, self.c, self.d, self.e, self.f)
+        if not all(map(math.isfinite, given)) or not (0.0 < self.g <= _STEEPEST and self.a > 0.0):
+            raise ValueError(f"a tone curve of the exponent {self.g:g} and the factor {self.a:g}; accepted: above 0")
+        # Two pieces: each rises or is flat by its own sign, so that it is their joint which may fall.
+        _require_rising(self.linear(np.linspace(0.0, 1.0, _LOOKED_AT)), _ROUNDING)
 
     def linear(self, code: np.ndarray) -> np.ndarray:
         """Return the linear light of code values, any shape, 0..1."""
@@ -53,9 +79,7 @@ class SampledCurve:
     values: np.ndarray
 
     def __post_init__(self) -> None:
-        steps = np.diff(self.values)
-        if len(self.values) < 2 or (steps < 0.0).any() or not self.values[-1] > self.values[0]:
-            raise ValueError("a tone curve that falls or is flat; accepted: one that rises from black to white")
+        _require_rising(self.values)
 
     def linear(self, code: np.ndarray) -> np.ndarray:
         """Return the linear light of code values, any shape, 0..1."""

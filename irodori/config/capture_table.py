@@ -18,11 +18,14 @@ from typing import TYPE_CHECKING
 
 from irodori.config.validation import suggest
 from irodori.core.atomic_files import file_sha256
+from irodori.core.confined_paths import confined, require_inside
 from irodori.core.errors import InputError
 
 if TYPE_CHECKING:
     from irodori.config.models import PoseGroup
 
+#: A hundred thousand photographs.
+_MOST_BYTES = 1 << 24
 ROLES = ("object", "chart", "white", "dark", "environment", "scene")
 #: A further chart has its name behind the role, such as ``chart-sg``.
 _FURTHER_CHART = "chart-"
@@ -117,8 +120,14 @@ def expand_poses(groups: "Iterable[PoseGroup]") -> list[Pose]:
 
 
 def shot_path(shot: Shot, table, folder=None) -> Path:
-    """Return the path of a photograph: under `folder`, or beside the table where `folder` is None."""
-    return Path(table).parent / shot.file if folder is None else Path(folder) / shot.file
+    """Return the path of a photograph: under `folder`, or beside the table where `folder` is None.
+
+    Raises
+    ------
+    InputError
+        If it leaves that folder, see `irodori.core.confined_paths.confined`.
+    """
+    return confined(Path(table).parent if folder is None else folder, shot.file, table, "file")
 
 
 def read_captures(path, folder=None) -> list[Shot]:
@@ -129,7 +138,8 @@ def read_captures(path, folder=None) -> list[Shot]:
     path : path
         CSV in UTF-8 with a header; the order of its columns is free. Degrees and seconds.
     folder : path, optional
-        Folder of the RAW files. Where given, each file must stand there and hold something.
+        Folder of the RAW files. Where given, each file must stand there, not behind a link that leaves it, and hold
+        something.
 
     Returns
     -------
@@ -184,7 +194,11 @@ def check_unchanged(path, folder, shots) -> None:
 def _read_rows(path) -> list[tuple[int, list[str]]]:
     """Return (line number, cells) of each line that holds something."""
     try:
-        text = Path(path).read_bytes().decode("utf-8-sig")
+        with open(path, "rb") as file:
+            content = file.read(_MOST_BYTES + 1)
+        if len(content) > _MOST_BYTES:
+            raise InputError(path, "", f"more than {_MOST_BYTES} bytes", "a CSV that lists photographs")
+        text = content.decode("utf-8-sig")
     except FileNotFoundError:
         raise InputError(path, "", "no such file", "a CSV that lists the photographs") from None
     except OSError as error:
@@ -229,6 +243,7 @@ class _Shots:
         file = row["file"]
         if not file.strip() or any(ord(letter) < 32 or ord(letter) == 127 for letter in file):
             raise self._error(line, "file", repr(file), "the name of a RAW file")
+        require_inside(file, self.path, f"line {line}, file")
         role, chart = self._role(line, row)
         state = self._choice(line, row, "filter", FILTERS)
         pose = Pose(*(self._number(line, angle, row.get(angle, "0")) for angle in _ANGLES))
@@ -268,7 +283,7 @@ class _Shots:
     def _check_file(self, line: int, shot: Shot) -> None:
         if self.folder is None:
             return
-        raw = shot_path(shot, self.path, self.folder)
+        raw = confined(self.folder, shot.file, self.path, f"line {line}, file")
         try:
             empty = not raw.is_file() or raw.stat().st_size == 0
         except OSError:

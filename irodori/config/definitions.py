@@ -8,14 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from irodori.config.cross_checks.consistency import check_agreement
 from irodori.config.definition import Definition
 from irodori.config.loaded import Loaded
 from irodori.config.models import Camera, Config, Environment, Object, Rig, Scene
 from irodori.config.validation import dotted, suggest, validate
 from irodori.core.errors import InputError, is_file
+from irodori.core.yaml_files import read_yaml
 
 __all__ = [
     "KINDS",
@@ -35,56 +34,7 @@ KINDS: dict[str, type[Definition]] = {
 }
 
 _CONFIG_FILE = "config/config.yaml"
-
-
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """A safe loader that refuses a key given twice, where YAML would let the last one win in silence."""
-
-    def construct_mapping(self, node, deep=False):
-        seen = set()
-        for key_node, _ in node.value if isinstance(node, yaml.MappingNode) else ():
-            if not isinstance(key_node, yaml.ScalarNode) or key_node.tag == "tag:yaml.org,2002:merge":
-                continue
-            if key_node.value in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"the key {key_node.value!r} twice", key_node.start_mark
-                )
-            seen.add(key_node.value)
-        return super().construct_mapping(node, deep)
-
-    def construct_object(self, node, deep=False):
-        try:
-            return super().construct_object(node, deep)
-        except (ValueError, OverflowError, KeyError) as error:  # such as the date 2010-13-45
-            raise yaml.constructor.ConstructorError(None, None, str(error), node.start_mark) from None
-
-
-def read_yaml(path) -> dict:
-    """Read one YAML file that holds a block of keys.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, is not YAML (with the line), gives a key twice or holds something else.
-    """
-    try:
-        content = yaml.load(Path(path).read_bytes(), Loader=_UniqueKeyLoader)
-    except FileNotFoundError:
-        raise InputError(path, "", "no such file", "a YAML file") from None
-    except OSError as error:
-        raise InputError(path, "", error.strerror or str(error), "a YAML file that can be read") from None
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        place = f"line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        raise InputError(path, place, error.problem or error.context or "a fault", "YAML, each key once") from None
-    except yaml.YAMLError as error:
-        raise InputError(path, "", " ".join(str(error).split()), "YAML saved as UTF-8") from None
-    except RecursionError:
-        raise InputError(path, "", "blocks nested too deep", "a plain definition") from None
-    if not isinstance(content, dict):
-        found = "an empty file" if content is None else f"a {type(content).__name__}"
-        raise InputError(path, "", found, "a block of keys")
-    return content
+_NAME = re.compile(r"[a-z0-9-]+")
 
 
 def load_definitions(config: dict, root: Path, file=_CONFIG_FILE) -> Loaded:
@@ -224,6 +174,9 @@ class _Loader:
         """Yield the definition of a name and its file, once: nothing where it is loaded already."""
         if name in self.found[kind]:
             return
+        # Schemas see to this in files; a name may come from the command line too.
+        if not _NAME.fullmatch(name):
+            raise InputError(by, dotted(path), repr(name), "a name of small letters, digits and hyphens")
         file = self.file(kind, name)
         if not is_file(self.root / file):
             existing = sorted(other.stem for other in (self.root / self.folder / kind).glob("*.yaml"))

@@ -6,6 +6,7 @@ whole. Root attributes: ``schema_version``, ``rule``, ``config_hash``, ``code_ha
 """
 
 import json
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -41,6 +42,8 @@ _COMPRESSIONS = {
     "planes": dict(hdf5plugin.Blosc2(cname="lz4", clevel=5, filters=hdf5plugin.Blosc2.BITSHUFFLE)),
     "none": {},
 }
+#: The most that a chunk unfolds to, as a factor: Blosc2 keeps a megabyte of one value in 32 bytes.
+_MOST_UNFOLDED = 1 << 16
 _JSON = "json:"  # marks an attribute that holds a list or a dictionary
 
 
@@ -174,7 +177,7 @@ def _whole(path, name: str = "") -> Iterator[None]:
         yield
     except InputError:
         raise
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError) as error:
         reason = " ".join(str(error).split())
         raise InputError(path, name, f"unreadable data ({reason})", "a complete file") from None
 
@@ -184,6 +187,7 @@ class Reader:
 
     def __init__(self, path: Path, file: h5py.File) -> None:
         self.path, self._file = path, file
+        self._checked: set[str] = set()
 
     def __contains__(self, name: str) -> bool:
         with _whole(self.path, name):
@@ -204,7 +208,34 @@ class Reader:
                 found = self._file[name]
             if not isinstance(found, h5py.Dataset):
                 raise InputError(self.path, name, "no such dataset", f"one of: {', '.join(sorted(self._names()))}")
+            if name not in self._checked:
+                self._check_held(name, found)
+                self._checked.add(name)
             return found
+
+    def _check_held(self, name: str, dataset: h5py.Dataset) -> None:
+        """Refuse a dataset that stands in another file, or declares more than its part of this one can unfold to."""
+        if dataset.file.filename != self._file.filename or dataset.external or dataset.is_virtual:
+            raise InputError(self.path, name, "a dataset that stands in another file", "one that this file holds")
+        stored, unfolded = dataset.id.get_storage_size(), _MOST_UNFOLDED if dataset.chunks else 1
+        if dataset.nbytes > stored * unfolded:
+            found = f"a dataset of {dataset.shape} that declares {dataset.nbytes} bytes and holds {stored}"
+            raise InputError(self.path, name, found, "a complete file")
+
+    def read_within(self, name: str, low: float = -math.inf, high: float = math.inf) -> np.ndarray:
+        """Return a dataset of numbers, refusing those that are not finite or outside a range.
+
+        Raises
+        ------
+        InputError
+            As `read`, and for the first number that is not finite, below `low` or above `high`.
+        """
+        values = self.read(name)
+        wrong = ~(np.isfinite(values) & (values >= low) & (values <= high))
+        if wrong.any():
+            accepted = "finite numbers" if low == -math.inf else f"numbers from {low:g} to {high:g}"
+            raise InputError(self.path, name, f"the value {values[wrong].flat[0]:g}", accepted)
+        return values
 
     def require_axes(self, axes: dict[str, str], **lengths: int) -> None:
         """Refuse datasets that do not fit together: numbers, with axes that have one length wherever they occur.
@@ -261,6 +292,8 @@ class Reader:
         with _whole(self.path, name):
             if name not in self._file.attrs:
                 raise InputError(self.path, name, "no such attribute", f"one of: {', '.join(self._file.attrs)}")
+            if (size := self._file.attrs.get_id(name).get_storage_size()) > self.path.stat().st_size:
+                raise InputError(self.path, name, f"an attribute that declares {size} bytes", "a complete file")
             value = self._file.attrs[name]
             value = value.decode() if isinstance(value, bytes) else value
             if isinstance(value, str) and value.startswith(_JSON):

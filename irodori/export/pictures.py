@@ -1,5 +1,6 @@
 """Picture files through OpenImageIO: spectral EXR, XYZ EXR, and PNG and TIFF with an ICC profile."""
 
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -60,6 +61,16 @@ _LAYER = re.compile(r"(S0|T)\.(\d*,?\d+(?:[eE][+-]?\d+)?)(Y|Z|E|P|T|G|M|k|h|da|d
 _PREFIX = {"Y": 24, "Z": 21, "E": 18, "P": 15, "T": 12, "G": 9, "M": 6, "k": 3, "h": 2, "da": 1, "": 0, "d": -1,
            "c": -2, "m": -3, "u": -6, "n": -9, "p": -12}  # fmt: skip
 _LIGHT_NM_PER_S = 299_792_458e9
+#: The most that a picture's file unfolds to, as a factor: PIZ packs 32 black rows of 8192 pixels into some 50 bytes.
+_MOST_UNFOLDED = 1 << 16
+#: Letters of what OpenImageIO says, which says it for every channel.
+_LONGEST_REASON = 200
+#: x, y of red, green, blue and white.
+_PRIMARIES = 8
+#: A side, in pixels.
+_LONGEST_SIDE = 1 << 17
+#: What is read at once, rows or whole rows of tiles.
+_MOST_TOGETHER_BYTES = 1 << 31
 
 
 def _wavelength_nm(name: str, kind: str) -> float | None:
@@ -68,15 +79,34 @@ def _wavelength_nm(name: str, kind: str) -> float | None:
     if match is None or match[1] != kind:
         return None
     value = float(match[2].replace(",", ".")) * 10.0 ** _PREFIX[match[3] or ""]
-    if value <= 0.0:
+    if not 0.0 < value < math.inf:
         return None
     return round(value * 1e9 if match[4] == "m" else _LIGHT_NM_PER_S / value, 6)
 
 
 def _open(path, accepted: str) -> oiio.ImageInput:
-    source = oiio.ImageInput.open(str(path))
+    """Open a picture's file whose header can be read and declares no more than the file may unfold to."""
+    try:
+        source = oiio.ImageInput.open(str(path))
+        reason = "" if source is not None else " ".join(oiio.geterror().split())[:_LONGEST_REASON]
+        names = [] if source is None else list(source.spec().channelnames)
+        "".join(names).encode()  # OpenImageIO hands some bytes on as letters that no text may hold
+    except UnicodeError:
+        raise InputError(path, "", "a header whose text is not UTF-8", accepted) from None
     if source is None:
-        raise InputError(path, "", f"a file OpenImageIO cannot open ({oiio.geterror()})", accepted)
+        raise InputError(path, "", f"a file OpenImageIO cannot open ({reason})", accepted)
+    spec = source.spec()
+    pixels, row = spec.width * spec.height, spec.width * spec.nchannels * np.dtype(np.float32).itemsize
+    held = Path(path).stat().st_size
+    if not names or not (0 < spec.width <= _LONGEST_SIDE and 0 < spec.height <= _LONGEST_SIDE):
+        source.close()
+        found = f"a header of {spec.width} x {spec.height} pixels and {spec.nchannels} channels"
+        raise InputError(path, "", found, f"a picture of 1 to {_LONGEST_SIDE} pixels a side")
+    together = max(spec.tile_height, 1)
+    if pixels * spec.pixel_bytes() > _MOST_UNFOLDED * held or row * together > _MOST_TOGETHER_BYTES:
+        source.close()
+        found = f"a header of {spec.width} x {spec.height} pixels and {spec.nchannels} channels in {held} bytes"
+        raise InputError(path, "", found, "a whole picture, as long as its header says, in tiles of at most 2 GB a row")
     return source
 
 
@@ -96,13 +126,16 @@ def picture_header(path) -> Header:
     Raises
     ------
     InputError
-        If OpenImageIO cannot open it.
+        If OpenImageIO cannot open it, its text is not UTF-8, or it declares more than its file can hold.
     """
     source = _open(path, "an HDR or EXR picture")
     spec = source.spec()
     source.close()
     shown = (spec.full_height, spec.full_width)
     chromaticities = spec.getattribute("chromaticities")
+    if chromaticities is not None and (not isinstance(chromaticities, tuple) or len(chromaticities) != _PRIMARIES):
+        found = "something else than eight numbers"
+        raise InputError(path, "chromaticities", found, "x and y of red, green, blue and white")
     return Header((spec.height, spec.width), list(spec.channelnames), str(spec.format), shown, chromaticities)
 
 

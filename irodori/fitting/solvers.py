@@ -76,6 +76,8 @@ class FitOptions:
             if getattr(self, name) not in accepted:
                 raise ValueError(f"fit.{name} {getattr(self, name)!r}; accepted: {', '.join(map(str, accepted))}")
         self._check_lobes()
+        if self.huber is not None and not 0.0 < self.huber < np.inf:
+            raise ValueError(f"fit.huber {self.huber!r}; accepted: a number above 0, or None for least squares")
         if not 0 <= self.pooling_radius_texels <= MAX_POOLING_RADIUS_TEXELS:
             found = f"fit.pooling_radius_texels {self.pooling_radius_texels}"
             raise ValueError(f"{found}; accepted: 0 to {MAX_POOLING_RADIUS_TEXELS}")

@@ -2,15 +2,19 @@
 
 import logging
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.geometry.mesh import ACCEPTED_UV, Mesh, make_mesh
+from irodori.geometry.mesh_sizes import check_declared
 from irodori.geometry.mesh_sources import mesh_files
 
 MM_IN = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
+#: A thousand kilometres; squares and cubes of it are far from what a double holds.
+_FARTHEST_MM = 1e9
 _Z_FROM = {"z": np.eye(3), "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])}
 
 
@@ -40,13 +44,26 @@ def read_mesh(path, unit: str, up: str = "z", pivot_mm=None, crease_deg: float =
     for name, value, known in (("unit", unit, MM_IN), ("up", up, _Z_FROM)):
         if value not in known:
             raise ValueError(f"unknown {name} {value!r}; accepted: {', '.join(known)}")
-    mesh_files(path)
-    corners, uv, normals = _parts(path)
+    files = mesh_files(path)
+    held = sum(Path(file).stat().st_size for file in files)
+    check_declared(path, held)
+    try:
+        with np.errstate(all="ignore"):  # what is not finite is said below
+            corners, uv, normals = _parts(path, files, held)
+    except InputError:
+        raise
+    except Exception as error:  # trimesh raises whatever its parsers meet, some of it when it is asked for a part
+        kind, reason = Path(path).suffix.lower().removeprefix(".").upper(), " ".join(str(error).split())[:200]
+        found = f"{type(error).__name__}: {reason}"
+        raise InputError(path, "", found, f"a valid {kind} file of triangles") from None
     if uv is None and _is_gltf(path):
         accepted = f"{ACCEPTED_UV}; a glTF needs a material too, without which its UV coordinates are not read"
         raise InputError(path, "UV", "no texture coordinates", accepted)
     corners = MM_IN[unit] * (corners @ _Z_FROM[up].T)
     normals = None if normals is None else normals @ _Z_FROM[up].T
+    if (np.abs(corners) > _FARTHEST_MM).any():
+        found = f"coordinates up to {np.nanmax(np.abs(corners)):g} mm"
+        raise InputError(path, "vertices", found, f"an object within {_FARTHEST_MM:g} mm, of the unit that is stated")
     if np.isfinite(corners).all():
         flat = corners.reshape(-1, 3)
         corners -= 0.5 * (flat.min(axis=0) + flat.max(axis=0)) if pivot_mm is None else np.asarray(pivot_mm, float)
@@ -56,18 +73,26 @@ def read_mesh(path, unit: str, up: str = "z", pivot_mm=None, crease_deg: float =
     return mesh
 
 
-def _parts(path) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+def _parts(path, files: list[str], held: int) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
     """Return corners (m, 3, 3), UV (m, 3, 2) from the top or None, and normals (m, 3, 3) or None, of all parts."""
-    scene = _load(path)
+    scene = _load(path, files)
     # trimesh sorts the vertices of a PLY by texture coordinates and leaves the normals in the old order.
-    unsorted = _load(path, fix_texture=False) if Path(path).suffix.lower() == ".ply" else scene
+    unsorted = _load(path, files, fix_texture=False) if Path(path).suffix.lower() == ".ply" else scene
     corners, uvs, normals = [], [], []
+    count = 0
     for node in scene.graph.nodes_geometry:
         world, name = scene.graph[node]
         part, original = scene.geometry[name], unsorted.geometry[name]
         if not hasattr(part, "faces") or not len(part.faces):
             continue
         faces = np.asarray(part.faces)
+        if faces.min() < 0 or faces.max() >= len(part.vertices):
+            found = f"a triangle on the vertex {faces.max()} of {len(part.vertices)}"
+            raise InputError(path, "faces", found, "triangles on vertices of the file")
+        count += len(faces)
+        if count > held:
+            found = f"parts placed so often that they make {count} triangles, more than the file has bytes"
+            raise InputError(path, "nodes", found, "each part once: its texture serves one place")
         uv = getattr(part.visual, "uv", None)
         uvs.append(None if uv is None or len(uv) != len(part.vertices) else np.asarray(uv, dtype=np.float64)[faces])
         normals.append(_normals(original, world))
@@ -104,14 +129,28 @@ def _is_gltf(path) -> bool:
     return Path(path).suffix.lower() in (".glb", ".gltf")
 
 
-def _load(path, **options):
+class _OwnBuffers:
+    """What trimesh may open beside a mesh's file: the buffers that were checked; no picture and no material library."""
+
+    def __init__(self, files: list[str]) -> None:
+        self._folder, self._files = Path(files[0]).parent, files
+
+    def get(self, name: str) -> bytes:
+        """Return a buffer's bytes."""
+        path = self._folder / unquote(name)
+        if str(path) not in self._files:
+            raise KeyError(name)
+        return path.read_bytes()
+
+    __getitem__ = get
+
+
+def _load(path, files: list[str], **options):
     """Return the trimesh scene of a file, its vertices as they are."""
     import trimesh
 
     logging.getLogger("trimesh").setLevel(logging.ERROR)  # it reports pictures that the project does not read
-    try:
-        # trimesh gives the UV coordinates of a glTF with its material only.
-        return trimesh.load_scene(str(path), process=False, skip_materials=not _is_gltf(path), **options)
-    except Exception as error:  # trimesh raises whatever its parsers meet
-        kind = Path(path).suffix.lower().removeprefix(".").upper()
-        raise InputError(path, "", f"{type(error).__name__}: {error}", f"a valid {kind} file of triangles") from error
+    # trimesh gives the UV coordinates of a glTF with its material only.
+    options |= {"process": False, "skip_materials": not _is_gltf(path), "resolver": _OwnBuffers(files)}
+    with open(path, "rb") as file:
+        return trimesh.load_scene(file, file_type=Path(path).suffix.lower().removeprefix("."), **options)

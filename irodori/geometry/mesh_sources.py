@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import unquote
 
+from irodori.core.confined_paths import confined
 from irodori.core.errors import InputError, is_file
 
 if TYPE_CHECKING:
@@ -25,7 +26,8 @@ def mesh_files(path) -> list[str]:
     Raises
     ------
     InputError
-        If there is no such file, its kind is not known, or a glTF or one of its buffers cannot be read.
+        If there is no such file, its kind is not known, a glTF or one of its buffers cannot be read, or a buffer stands
+        outside the glTF's folder.
     """
     path = Path(path)
     if path.suffix.lower() not in MESH_SUFFIXES:
@@ -36,14 +38,14 @@ def mesh_files(path) -> list[str]:
         return [str(path)]
     try:
         buffers = json.loads(path.read_text(encoding="utf-8")).get("buffers", [])
-        names = [buffer["uri"] for buffer in buffers if "uri" in buffer]
-    except (ValueError, AttributeError, TypeError, KeyError) as error:
+        names = [str(buffer["uri"]) for buffer in buffers if "uri" in buffer]
+    except (ValueError, AttributeError, TypeError, KeyError, RecursionError) as error:
         raise InputError(path, "buffers", f"{type(error).__name__}: {error}", "glTF 2.0") from None
     found = [str(path)]
     for name in names:
         if name.startswith("data:"):
             continue
-        buffer = path.parent / unquote(name)
+        buffer = confined(path.parent, unquote(name), path, "buffers")
         if not is_file(buffer):
             raise InputError(path, "buffers", f"the buffer {name}, which does not exist", "a file beside the glTF")
         found.append(str(buffer))

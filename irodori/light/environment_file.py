@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from irodori.core import store
+from irodori.core.errors import InputError
 from irodori.material.coefficients import read_coefficients, write_coefficients
 from irodori.spectra.grid import SAMPLES
 
@@ -83,13 +84,15 @@ class Environment:
         Raises
         ------
         InputError
-            If it is none, damaged, or its datasets do not fit together.
+            If it is none, damaged, its datasets do not fit together, or a number is not finite.
         """
         axes = {"coefficients": "row,column,basis", "basis": "wavelength,basis", "irradiance": "theta,azimuth,basis"}
         with store.open_file(path) as file:
             file.require_axes(axes, wavelength=SAMPLES)
             coefficients = read_coefficients(file, "coefficients")
-            return cls(coefficients, file.read("basis"), file.read("irradiance"), Path(path))
+            if not np.isfinite(coefficients).all():
+                raise InputError(path, "coefficients", "a pixel that is not finite", "finite radiance everywhere")
+            return cls(coefficients, file.read_within("basis"), file.read_within("irradiance"), Path(path))
 
     def upward_white(self) -> np.ndarray:
         """Return the radiance of a perfect diffuser that faces up, (61,): the scene's white."""

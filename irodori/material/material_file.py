@@ -11,14 +11,19 @@ from irodori.core.errors import InputError
 from irodori.material.coefficients import read_coefficients, write_coefficients
 from irodori.reflection.registry import DEFAULT_LOBES, lobe, names
 from irodori.spectra.grid import SAMPLES
+from irodori.spectra.spectral_files import REFLECTANCE
+from irodori.spectra.tables import MOST_K, MOST_N
 
 _DARKEST_GREEN = 1e-3
+#: Texels along a side that a file's reflectance is judged by.
+_LOOKED_AT = 500
 #: Maps of a material's own file beside those of its gloss: units and quantity.
 MAPS = {
     "alpha": ("1", "diffuse weight"),
     "green_response": ("1", "green-band response of S"),
 }
 COEFFICIENTS, QUANTITY = "reflectance/coefficients", "coefficients of the reflectance factor"
+_ERROR = "reflectance_error"
 #: The first version of the files that names the lobes; before it there was one, the Gaussian.
 _LOBES_SINCE = 2
 
@@ -211,7 +216,8 @@ class Material:
         Raises
         ------
         InputError
-            If it is none, damaged, its datasets do not fit together, or it has a lobe that is not registered.
+            If it is none, damaged, its datasets do not fit together, it has a lobe that is not registered, an index or
+            a basis that is not finite or that no material has, or reflects more than falls on it.
         """
         axes = {
             COEFFICIENTS: "row,column,basis",
@@ -221,26 +227,51 @@ class Material:
         }
         with store.open_file(path) as file:
             lobes = read_lobes(file)
-            maps = dict.fromkeys([*MAPS, *gloss_maps(lobes)], "row,column")
-            file.require_axes(maps | axes, wavelength=SAMPLES)
+            named = [*MAPS, *gloss_maps(lobes), *(name for name in (_ERROR,) if name in file)]
+            file.require_axes(dict.fromkeys(named, "row,column") | axes, wavelength=SAMPLES)
             typical = file.attribute("typical_gloss", list)
             if len(typical) != 2 * len(lobes):
                 raise InputError(path, "typical_gloss", f"{len(typical)} numbers", f"{2 * len(lobes)}: β and μ a lobe")
             further = [gloss_names(component) for component in range(1, len(lobes))]
-            return cls(
+            found = cls(
                 alpha=file.read("alpha"),
                 beta=file.read("beta"),
                 mu=file.read("mu"),
                 green_response=file.read("green_response"),
                 coefficients=read_coefficients(file, COEFFICIENTS),
-                basis=file.read("reflectance/basis"),
-                n=file.read("refractive_index/n"),
-                k=file.read("refractive_index/k"),
+                basis=file.read_within("reflectance/basis"),
+                n=file.read_within("refractive_index/n", np.finfo(np.float64).tiny, MOST_N),
+                k=file.read_within("refractive_index/k", 0.0, MOST_K),
                 mirror=file.attribute("mirror", (float, int)),
                 typical_gloss=tuple(typical),
                 lobes=lobes,
                 further_gloss=tuple((file.read(beta), file.read(mu)) for beta, mu in further),
             )
+            error = file.read(_ERROR) if _ERROR in file else np.zeros(found.alpha.shape)
+            found._check_reflectance(error, path)
+        return found
+
+    def _check_reflectance(self, error: np.ndarray, path) -> None:
+        """Refuse a surface that reflects more light than falls on it; single texels may, by their errors.
+
+        Parameters
+        ----------
+        error : (height, width) float
+            Standard deviation of the reflectance factor.
+        path : path
+            For the error message.
+        """
+        step = 1 + max(self.alpha.shape) // _LOOKED_AT
+        some = np.s_[::step, ::step]
+        mean, error = self.coefficients[some] @ self.basis.mean(axis=0), error[some]
+        known = np.isfinite(self.alpha[some]) & np.isfinite(mean) & np.isfinite(error)
+        if not known.any():
+            return
+        reflectance, allowed = float(np.median(mean[known])), REFLECTANCE[1] + float(np.median(error[known]))
+        if reflectance > allowed:
+            found = f"a reflectance factor of {reflectance:.3g}, the median of its texels"
+            accepted = f"up to {allowed:.3g}: {REFLECTANCE[1]:g}, as of a table, and its standard deviation"
+            raise InputError(path, COEFFICIENTS, found, accepted)
 
     @property
     def gloss(self) -> list[tuple[str, np.ndarray, np.ndarray]]:

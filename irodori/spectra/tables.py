@@ -13,10 +13,15 @@ from pathlib import Path
 
 from irodori.core.errors import InputError, is_file
 
+#: A table of text: some million numbers, which take half a gigabyte while they are read.
+_MOST_BYTES = 1 << 23
 FIRST_NM, LAST_NM = 400.0, 700.0
 MAX_GAP_NM = 20.0
 #: Measured refractive indices of metals stand up to 50 nm apart and vary slowly.
 MAX_INDEX_GAP_NM = 60.0
+
+#: Complex refractive index n + ik of any material in the visible, as the schemas have it for constants.
+MOST_N, MOST_K = 10.0, 20.0
 
 _COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _POINT_NUMBER = re.compile(r"[+-]?(\d+\.\d*|\.\d+)([eE][+-]?\d+)?")
@@ -98,7 +103,7 @@ def column_table(path, max_gap_nm: float = MAX_GAP_NM) -> tuple[list[str], list[
 
 
 def index_table(path) -> tuple[list[float], list[float], list[float]]:
-    """Read a CSV of wavelength_nm, n, k; n above 0, k from 0.
+    """Read a CSV of wavelength_nm, n, k; n above 0 up to 10, k from 0 to 20.
 
     Returns
     -------
@@ -108,8 +113,9 @@ def index_table(path) -> tuple[list[float], list[float], list[float]]:
     if names != ["n", "k"]:
         raise InputError(path, "line 1", ", ".join(["wavelength_nm", *names]), "the header wavelength_nm,n,k")
     for at, n, k in zip(wavelength, *columns, strict=True):
-        if n <= 0 or k < 0:
-            raise InputError(path, f"{at:g} nm", f"n = {n:g}, k = {k:g}", "n above 0, k from 0")
+        if not (0.0 < n <= MOST_N and 0.0 <= k <= MOST_K):
+            accepted = f"n above 0 up to {MOST_N:g}, k from 0 to {MOST_K:g}"
+            raise InputError(path, f"{at:g} nm", f"n = {n:g}, k = {k:g}", accepted)
     return wavelength, columns[0], columns[1]
 
 
@@ -188,6 +194,8 @@ def read_text(path, wanted: str) -> str:
     path = Path(path)
     if not is_file(path):
         raise InputError(path, "", "no such file", wanted)
+    if path.stat().st_size > _MOST_BYTES:
+        raise InputError(path, "", f"{path.stat().st_size} bytes", f"{wanted} of at most {_MOST_BYTES} bytes")
     try:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:

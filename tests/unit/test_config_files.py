@@ -31,7 +31,7 @@ BODY = {"shape": {"kind": "sphere", "radius_mm": 5}, "position_mm": [0, 0, 5], "
         (b"- 1\n", "", "a list"),
         (b"? [1, 2]\n: 3\n", "line 1", "unhashable"),
         (b"a: !!python/name:os.system\n", "line 1", "constructor"),
-        (b"[" * 100_000, "", "nested too deep"),
+        (b"[" * 100_000, "line 1, column 65", "nested more than 64 deep"),
     ],
 )
 def test_a_broken_yaml_names_its_line(tmp_path, text, place, found):

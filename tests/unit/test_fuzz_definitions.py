@@ -96,7 +96,7 @@ def test_aliases_of_aliases_are_refused_at_once(tmp_path, block):
         lines.append(f"a{i}: &a{i} " + (block.format(", ".join(inner)) if "[" in block else block.format(*inner)))
     path = tmp_path / "laughs.yaml"
     path.write_text("\n".join(lines))
-    with pytest.raises(InputError, match=r"laughs\.yaml: found .*unfold without end"):
+    with pytest.raises(InputError, match=r"laughs\.yaml: line \d+, column \d+: found .*unfold without end"):
         validate(read_yaml(path), "object", path)
 
 

@@ -1,7 +1,6 @@
 from irodori.config.definitions import load_definitions
 from irodori.config.photograph_sets import PhotographSets
 from irodori.config.scene_files import SceneFiles
-from irodori.core.errors import InputError
 from irodori.core.provenance import code_hash, modules_of
 
 try:

@@ -68,7 +68,7 @@ class Calibration:
         Raises
         ------
         InputError
-            If it is none, damaged, of an unknown kind, or its datasets do not fit together.
+            If it is none, damaged, of an unknown kind, its datasets do not fit together, or a number is not finite.
         """
         with store.open_file(path) as file:
             kind = file.attribute("mapping", str) if file.has_attribute("mapping") else LinearMapping.kind
@@ -80,27 +80,29 @@ class Calibration:
             axes |= {f"mapping/{field.name}": _AXES[field.name] for field in own if field.name in _AXES}
             file.require_axes(axes if own else axes | {_MATRIX: "band,basis"}, wavelength=SAMPLES)
             if not own:
-                values = {"matrix": file.read(_MATRIX)}
+                values = {"matrix": file.read_within(_MATRIX)}
             else:
                 values = {}
                 for field in own:
                     name = f"mapping/{field.name}"
                     in_dataset = field.name in _AXES
-                    values[field.name] = file.read(name) if in_dataset else file.attribute(field.name, (float, int))
+                    values[field.name] = (
+                        file.read_within(name) if in_dataset else file.attribute(field.name, (float, int))
+                    )
             relative, absolute = (
                 file.attribute(n, (float, int)) if file.has_attribute(n) else 0.0
                 for n in ("relative_error", "absolute_error")
             )
             return cls(
-                file.read("basis"),
+                file.read_within("basis"),
                 KINDS[kind](**values),
-                file.read("light"),
+                file.read_within("light"),
                 tuple(file.attribute("filters", list)),
                 file.attribute("estimator", str) if file.has_attribute("estimator") else "pinv",
-                training=file.read("chart_response") if "chart_response" in file else None,
+                training=file.read_within("chart_response") if "chart_response" in file else None,
                 relative_error=relative,
                 absolute_error=absolute,
-                band_response=file.read("band_response") if "band_response" in file else None,
+                band_response=file.read_within("band_response") if "band_response" in file else None,
             )
 
     def write(self, out: store.Writer) -> None:

@@ -1,13 +1,13 @@
 """Reading and writing of ``plan.yaml``: decisions, reasons and predicted costs."""
 
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 import yaml
 
 from irodori.config.models import Scene
 from irodori.core.atomic_files import written_whole
+from irodori.core.yaml_files import read_yaml
 from irodori.rendering.interactive.quadrature import Quadrature
 from irodori.rendering.planning.modelled_scene import Model, memory_mb, widths_of
 from irodori.rendering.planning.scene_planner import Decision, Planner
@@ -138,5 +138,5 @@ def write_plan(path, document: dict) -> None:
 
 
 def read_plan(path) -> dict:
-    """Read a plan."""
-    return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    """Read a plan; see `irodori.core.yaml_files.read_yaml` for what is refused."""
+    return read_yaml(path)
