@@ -156,7 +156,7 @@ def photograph(
         JSON to write when the session is complete: what was done, the hash of the table.
     provenance : Provenance
         Of a virtual session: photographs of another definition or of other code are taken again. Those of a real
-        rig are kept as long as the plan asks for them.
+        rig are kept as long as the plan asks for them. The photographs' hashes are added to what the record stands on.
     owner : str
         What the folder's photographs belong to, such as ``object jar``.
     on_rig : bool
@@ -190,6 +190,7 @@ def photograph(
             "session": vars(tally),
             "camera": status,
         }
+        provenance.inputs.update({str(folder / file): sha256 for file, sha256 in journal.sha256.items()})
         _write_record(Path(record), content)
 
 
