@@ -16,6 +16,7 @@ from typing import Any
 
 from irodori.core.atomic_files import file_sha256, written_whole
 
+_LINE = ("size", "mtime_ns", "ctime_ns", "sha256")
 #: A file that changed this short a time ago may change again within the grain of its time stamp.
 _SETTLED_NS = 2_000_000_000
 
@@ -43,7 +44,8 @@ class Ledger:
             known = json.loads(self._path.read_bytes())
         except (OSError, ValueError):
             return {}
-        return known if isinstance(known, dict) else {}
+        lines = known.items() if isinstance(known, dict) else ()
+        return {file: line for file, line in lines if isinstance(line, list) and len(line) == len(_LINE)}
 
     def content(self, *files_of: Callable[[Any], list[str]]) -> Callable[[Any], str]:
         """Return a function from wildcards to one hash over the contents of the files that functions name for them."""
@@ -79,8 +81,8 @@ class Ledger:
             return "absent"
         stamp = [found.st_size, found.st_mtime_ns, found.st_ctime_ns]
         known = self._known.get(file)
-        if known is not None and known[:3] == stamp:
-            return known[3]
+        if known is not None and known[:-1] == stamp:
+            return known[-1]
         sha256 = file_sha256(file)
         if time.time_ns() - max(stamp[1:]) > _SETTLED_NS:
             self._known[file] = [*stamp, sha256]
