@@ -15,13 +15,14 @@ from irodori.ingest.mosaic import decode
 from irodori.simulation.virtual_rig.dng_writer import write_dng
 
 CAMERA = "results/cameras/own"
+LINEAR = f"{CAMERA}/linear/chart.h5"
 SESSION = "results/cameras/d5100-comb"
 OLD = (946684800, 946684800)
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> Path:
-    """Return a project with a calibration from a user's own photographs, which the virtual rig took for him."""
+    """Return a project with a chart ingested from a user's own photographs, which the virtual rig took for him."""
     folder = small_project(tmp_path_factory.mktemp("own") / "project")
     run = snakemake(folder, f"{SESSION}/captures.csv")
     assert run.returncode == 0, run.stderr[-4000:]
@@ -41,7 +42,7 @@ def made(tmp_path_factory) -> Path:
     camera["white"] = {"reflectance_factor": "white.csv"}
     (folder / "config/cameras/own.yaml").write_text(yaml.safe_dump(camera))
     edit(folder / "config/config.yaml", {"make": {"scenes": [], "cameras": ["own", "d5100-comb"]}})
-    run = snakemake(folder, f"{CAMERA}/calibration.h5")
+    run = snakemake(folder, LINEAR)
     assert run.returncode == 0, run.stderr[-4000:]
     return folder
 
@@ -51,7 +52,7 @@ def project(made, tmp_path) -> Path:
     return Path(shutil.copytree(made, tmp_path / "copy", copy_function=shutil.copy2))
 
 
-def jobs(folder, target=f"{CAMERA}/calibration.h5") -> list[str]:
+def jobs(folder, target=LINEAR) -> list[str]:
     return sorted(rule for rule, _ in planned(snakemake(folder, "--dry-run", target)))
 
 
@@ -74,12 +75,12 @@ def correct(path: Path, times_ns: tuple[int, int] | None = None) -> None:
 
 
 def test_a_corrected_photograph_with_an_older_time_is_seen_and_the_result_differs(project):
-    before = read_record(project / f"{CAMERA}/calibration.h5").sha256
+    before = read_record(project / LINEAR).sha256
     correct(chart(project))
     assert main([str(project / "results")]) == 1, "the results are of another photograph"
-    run = snakemake(project, f"{CAMERA}/calibration.h5")
+    run = snakemake(project, LINEAR)
     assert run.returncode == 0, run.stderr[-4000:]
-    assert read_record(project / f"{CAMERA}/calibration.h5").sha256 != before
+    assert read_record(project / LINEAR).sha256 != before
     assert main([str(project / "results")]) == 0
     assert jobs(project) == []
 
@@ -94,14 +95,14 @@ def test_another_photograph_of_the_same_size_and_time_is_seen(project):
     assert jobs(project) == []  # which leaves the hashes behind
     found = chart(project).stat()
     correct(chart(project), (found.st_atime_ns, found.st_mtime_ns))
-    assert jobs(project) == ["calibrate_camera", "check_camera_captures", "ingest_chart", "ingest_reference"]
+    assert jobs(project) == ["check_camera_captures", "ingest_chart", "ingest_reference"]
 
 
 def test_another_table_of_spectra_with_an_older_time_is_seen(project):
     table = project / "white.csv"
     table.write_text(table.read_text().replace("0.99", "0.98"))
     os.utime(table, OLD)
-    assert jobs(project) == ["calibrate_camera", "ingest_chart", "ingest_reference"]
+    assert jobs(project) == ["ingest_chart", "ingest_reference"]
 
 
 def test_a_sessions_photograph_that_is_not_the_one_it_took_is_refused_by_name(project):
@@ -115,14 +116,13 @@ def test_a_sessions_photograph_that_is_not_the_one_it_took_is_refused_by_name(pr
 
 
 def test_an_edited_result_is_refused_and_made_again(project):
-    linear = next((project / CAMERA / "linear").glob("*.h5"))
-    before, times = read_record(linear).sha256, linear.stat()
-    with h5py.File(linear, "r+") as file:
-        file["response"][...] *= 0.5
-    os.utime(linear, ns=(times.st_atime_ns, times.st_mtime_ns))
+    reference, linear = project / f"{CAMERA}/reference.h5", project / LINEAR
+    before, times = read_record(linear).sha256, reference.stat()
+    with h5py.File(reference, "r+") as file:
+        file.attrs["rule"] = "another"
+    os.utime(reference, ns=(times.st_atime_ns, times.st_mtime_ns))
     assert main([str(project / "results")]) == 1
-    again = (f"{CAMERA}/calibration.h5", "--forcerun", "calibrate_camera")
-    run = snakemake(project, *again)
+    run = snakemake(project, LINEAR, "--forcerun", "ingest_chart")
     assert run.returncode != 0 and "other bytes than its rule wrote" in run.stdout + run.stderr
-    assert snakemake(project, *again).returncode == 0
+    assert snakemake(project, LINEAR).returncode == 0
     assert read_record(linear).sha256 == before and main([str(project / "results")]) == 0
