@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from irodori.config.validation import suggest
-from irodori.core.atomic_files import file_sha256
+from irodori.core.custody import content_sha256
 from irodori.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ def check_unchanged(path, folder, shots) -> None:
     noted = noted_hashes(path)
     for shot in shots:
         raw = shot_path(shot, path, folder)
-        if noted[shot.file] and noted[shot.file] != file_sha256(raw):
+        if noted[shot.file] and noted[shot.file] != content_sha256(raw):
             accepted = (
                 "the photograph as it was taken: a copy, or a new one by --forcerun capture_object (or _camera); "
                 f"to take this one as it is, empty its cell sha256 in {path}"

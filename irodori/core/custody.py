@@ -27,9 +27,9 @@ _LINE = len(_MARK) + 64 + 1
 _LEAST_HEAD = 512
 _RESULTS = "results"
 _DAMAGED = ".damaged"
-#: A picture without a record is told from one that nobody made here by its folder: frames have none, nor photographs.
-_RECORDED = (".exr", ".png", ".tif", ".h5")
-_UNRECORDED_FOLDERS = {"frames", "frames.part", "captures"}
+#: Results that must have a record even where no other result names them; single frames have none.
+_RECORDED = (".h5", ".exr", ".png", ".tif")
+_FRAMES = ("frames", "frames.part")
 
 
 @dataclass(frozen=True)
@@ -350,7 +350,7 @@ class Chain:
                 result = path.with_name(path.name[1:].removesuffix(".sha256"))
                 if path.suffix == ".sha256" and result.is_file():
                     yield result
-            elif path.suffix in _RECORDED and not _UNRECORDED_FOLDERS & set(path.parent.parts):
+            elif path.suffix in _RECORDED and path.parent.name not in _FRAMES:
                 yield path
 
     def broken(self) -> Iterator[str]:
