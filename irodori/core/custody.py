@@ -211,7 +211,7 @@ def _as_written(path: Path) -> str:
     return f"the file as its rule wrote it; to take it as it is: irodori verify --accept {path}"
 
 
-def received(path, seen: set[str]) -> str:
+def received(path, known: dict[str, Record | None]) -> str:
     """Return the hash of a result that a rule is about to read, after the records behind it were compared.
 
     A file that has changed since is renamed, so that the next run makes it again.
@@ -219,8 +219,8 @@ def received(path, seen: set[str]) -> str:
     Parameters
     ----------
     path : path
-    seen : set of str
-        Results whose records are compared already; this one's and those behind it are added.
+    known : dict
+        Path -> record of the results that a job has met, empty at first; those met here are added.
 
     Raises
     ------
@@ -234,26 +234,25 @@ def received(path, seen: set[str]) -> str:
     record = verified(path, set_aside=True)
     if Path(record.name).absolute() != path.absolute():
         raise InputError(path, "", f"what was made as {record.name}", f"{_as_written(path)}; {_REMOVED}")
-    _compare_behind(str(path), record, seen)
+    known[str(path)] = record
+    _compare_behind(str(path), record, known)
     return record.sha256
 
 
-def _compare_behind(path: str, record: Record, seen: set[str]) -> None:
+def _compare_behind(path: str, record: Record, known: dict[str, Record | None]) -> None:
     """Compare what the records behind a result say of each other; those that are gone say nothing."""
     waiting = [(path, record)]
     while waiting:
         made, of = waiting.pop()
-        if made in seen:
-            continue
-        seen.add(made)
         for name, sha256 in of.inputs.items():
-            behind = read_record(name)
-            if behind is None:
-                continue
-            if behind.sha256 != sha256:
+            if name not in known:
+                known[name] = behind = read_record(name)
+                if behind is not None:
+                    waiting.append((name, behind))
+            behind = known[name]
+            if behind is not None and behind.sha256 != sha256:
                 found = f"what was made from another {name} than lies there"
                 raise InputError(made, "", found, f"what was made from the files that lie there; {_REMOVED}")
-            waiting.append((name, behind))
 
 
 def _set_aside(path: Path) -> str:

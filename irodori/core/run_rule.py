@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from irodori.core.custody import content_sha256, received, write_record
+from irodori.core.custody import Record, content_sha256, received, write_record
 from irodori.core.progress import rule_log
 from irodori.core.provenance import config_hash
 from irodori.core.store import Provenance
@@ -17,9 +17,9 @@ _NOT_SETTINGS = ("code", "user_files", "altered")
 def _inputs(snakemake) -> dict[str, str]:
     """Return path -> hash of the files that a job reads; every one that is not the user's must have its record."""
     own = {str(path) for path in snakemake.input.get("user_files", ())}
-    seen: set[str] = set()
+    known: dict[str, Record | None] = {}
     paths = [str(path) for path in snakemake.input]
-    return {path: content_sha256(path) if path in own else received(path, seen) for path in paths}
+    return {path: content_sha256(path) if path in own else received(path, known) for path in paths}
 
 
 @contextmanager

@@ -31,8 +31,7 @@ def project(tmp_path, monkeypatch):
 
 
 def hashes(*files) -> dict[str, str]:
-    seen: set[str] = set()
-    return {file: received(file, seen) if file.startswith("results") else accepted_hash(file) for file in files}
+    return {file: received(file, {}) if file.startswith("results") else accepted_hash(file) for file in files}
 
 
 def accepted_hash(file) -> str:
@@ -60,7 +59,7 @@ MATERIAL = "results/jar/material.h5"
 
 def test_results_that_nobody_touched_hold_together(project, capsys):
     assert verify(capsys) == (0, "every link holds (5 results)\n")
-    assert received(MATERIAL, set()) == read_record(MATERIAL).sha256
+    assert received(MATERIAL, {}) == read_record(MATERIAL).sha256
 
 
 def test_an_hdf5_file_carries_its_hash_wherever_it_goes(project):
@@ -122,7 +121,7 @@ ATTACKS = (dataset, attribute, cut_short, beginning_only, swapped, renamed, no_h
 def test_no_rule_reads_what_is_not_what_its_rule_wrote(project, attack):
     attack()
     with pytest.raises(InputError, match=r"results/jar/material\.h5: found .*; accepted: .*as its rule wrote it"):
-        received(MATERIAL, set())
+        received(MATERIAL, {})
 
 
 @pytest.mark.parametrize("attack", ATTACKS)
@@ -143,7 +142,7 @@ def test_a_picture_of_an_older_material_is_found(project, capsys):
 def test_a_material_of_older_tiles_is_not_rendered(project):
     make("results/jar/brdf.h5", ["jar.csv"], alpha=0.3)
     with pytest.raises(InputError, match=r"material\.h5: found what was made from another results/jar/brdf\.h5 than"):
-        received(MATERIAL, set())
+        received(MATERIAL, {})
 
 
 @pytest.mark.parametrize("change", ["edited", "removed"])
@@ -169,12 +168,12 @@ def test_a_changed_file_is_set_aside_and_taken_as_it_is_when_told_so(project, ca
     with pytest.raises(
         InputError, match=r"set aside as material\.h5\.damaged.*irodori verify --accept results/jar/mat"
     ):
-        received(MATERIAL, set())
+        received(MATERIAL, {})
     os.replace(MATERIAL + ".damaged", MATERIAL)
     os.utime(MATERIAL, (1, 1))
     assert main(["--accept", MATERIAL]) == 0
     assert os.stat(MATERIAL).st_mtime > 1000, "what was made from it must be made again"
-    assert received(MATERIAL, set()) and read_record(MATERIAL).inputs == hashes("results/jar/brdf.h5")
+    assert received(MATERIAL, {}) and read_record(MATERIAL).inputs == hashes("results/jar/brdf.h5")
     with store.open_file(MATERIAL) as file:
         assert file.read("alpha")[0, 0] == 0.2
     status, said = verify(capsys)
@@ -194,7 +193,7 @@ def test_an_accepted_file_is_read_and_told_of(project, capsys, attack):
     with store.open_file(MATERIAL) as file:
         assert np.isfinite(file.read("alpha")).all()
     if attack not in (head_edited,):
-        assert received(MATERIAL, set())
+        assert received(MATERIAL, {})
         assert verify(capsys) == (0, f"{project / MATERIAL}: taken as it is\nevery link holds (4 results)\n")
 
 
