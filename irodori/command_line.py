@@ -43,7 +43,7 @@ SUBCOMMANDS = {
     "capture": Subcommand(_BENCH, "start or continue a session: take the photographs that are missing", True),
     "export": Subcommand("irodori.export.material_pictures", "write a material or a light as EXR, TIFF or ENVI"),
     "filters": Subcommand("irodori.calibration.filters", "rank filters for the second shot of a camera"),
-    "check": Subcommand("irodori.core.atomic_files", "compare results on disk with the checksums noted beside them"),
+    "verify": Subcommand("irodori.core.custody", "compare every result with its hash and with what it was made from"),
     "simulate-grbl": Subcommand("irodori.simulation.controllers.grbl_simulator", "simulate a Grbl motion controller"),
     "simulate-ascii": Subcommand(
         "irodori.simulation.controllers.ascii_simulator", "simulate a controller with a text protocol of its own"

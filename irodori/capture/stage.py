@@ -141,7 +141,7 @@ def photograph(
     *,
     owner: str,
     on_rig: bool = True,
-) -> None:
+) -> dict[str, str]:
     """Hold a session, or continue one, and write its record.
 
     Nothing is opened, and nothing moves, where no photograph is missing.
@@ -162,6 +162,11 @@ def photograph(
         What the folder's photographs belong to, such as ``object jar``.
     on_rig : bool
         Whether it stands on the rig at all.
+
+    Returns
+    -------
+    dict
+        Photograph -> its hash: what the record stands on.
 
     Raises
     ------
@@ -192,6 +197,7 @@ def photograph(
             "camera": status,
         }
         _write_record(Path(record), content)
+        return {str(folder / file): sha256 for file, sha256 in journal.sha256.items()}
 
 
 def _start_over_if_changed(table: Path, provenance: Provenance) -> None:
@@ -221,25 +227,29 @@ def _write_record(path: Path, content: Mapping) -> None:
         os.replace(temporary, path)
 
 
-def capture_object(definition: Object | PhotographedObject, target: Target, record, provenance: Provenance) -> None:
+def capture_object(
+    definition: Object | PhotographedObject, target: Target, record, provenance: Provenance
+) -> dict[str, str]:
     """Photograph an object in all its poses, without and with the comb filter; see `photograph`."""
     shots = object_shots(definition, target.camera, target.suffix)
-    photograph(shots, target, definition, record, provenance, owner=f"object {target.name}")
+    return photograph(shots, target, definition, record, provenance, owner=f"object {target.name}")
 
 
-def capture_camera(target: Target, record, provenance: Provenance) -> None:
+def capture_camera(target: Target, record, provenance: Provenance) -> dict[str, str]:
     """Photograph dark frames, the white reference and the chart that calibrate a camera; see `photograph`."""
     shots = camera_shots(target.camera, target.suffix)
-    photograph(shots, target, None, record, provenance, owner=f"camera {target.name}")
+    return photograph(shots, target, None, record, provenance, owner=f"camera {target.name}")
 
 
-def capture_environment(definition: Environment, target: Target, record, provenance: Provenance) -> None:
+def capture_environment(definition: Environment, target: Target, record, provenance: Provenance) -> dict[str, str]:
     """Photograph a virtual room with an omnidirectional camera; see `photograph`."""
     shots = environment_shots(definition, target.camera, target.suffix)
-    photograph(shots, target, definition, record, provenance, owner=f"environment {target.name}", on_rig=False)
+    return photograph(shots, target, definition, record, provenance, owner=f"environment {target.name}", on_rig=False)
 
 
-def capture_photograph(definition: ScenePhotograph, radiance, target: Target, record, provenance: Provenance) -> None:
+def capture_photograph(
+    definition: ScenePhotograph, radiance, target: Target, record, provenance: Provenance
+) -> dict[str, str]:
     """Photograph a scene from one place with a virtual camera; see `photograph`.
 
     Parameters
@@ -250,4 +260,4 @@ def capture_photograph(definition: ScenePhotograph, radiance, target: Target, re
     """
     shots = scene_shots(definition, target.camera, target.suffix)
     subject = SceneRadiance(radiance=str(radiance))
-    photograph(shots, target, subject, record, provenance, owner=f"photograph {target.name}", on_rig=False)
+    return photograph(shots, target, subject, record, provenance, owner=f"photograph {target.name}", on_rig=False)

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from irodori.config.validation import suggest
-from irodori.core.atomic_files import file_sha256
 from irodori.core.confined_paths import confined, require_inside
+from irodori.core.custody import content_sha256
 from irodori.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -181,14 +181,23 @@ def check_unchanged(path, folder, shots) -> None:
     InputError
         For the first photograph whose bytes are not those of the table's hash.
     """
-    header, *body = (cells for _, cells in _read_rows(path))
-    rows = (dict(zip((cell.strip() for cell in header), cells, strict=True)) for cells in body)
-    noted = {row["file"]: row.get("sha256", "").strip().lower() for row in rows}
+    noted = noted_hashes(path)
     for shot in shots:
         raw = shot_path(shot, path, folder)
-        if noted[shot.file] and noted[shot.file] != file_sha256(raw):
-            accepted = "the photograph as it was taken: a copy, or a new one by --forcerun capture_object (or _camera)"
+        if noted[shot.file] and noted[shot.file] != content_sha256(raw):
+            accepted = (
+                "the photograph as it was taken: a copy, or a new one by --forcerun capture_object (or _camera); "
+                f"to take this one as it is, empty its cell sha256 in {path}"
+            )
             raise InputError(raw, "", f"other bytes than the hash in {path} stands for", accepted)
+
+
+def noted_hashes(path) -> dict[str, str]:
+    """Return the hash of each photograph in its table, empty where its cell is; a line that a crash tore has none."""
+    header, *body = (cells for _, cells in _read_rows(path))
+    names = [cell.strip() for cell in header]
+    rows = (dict(zip(names, cells, strict=True)) for cells in body if len(cells) == len(names))
+    return {row["file"]: row.get("sha256", "").strip().lower() for row in rows if "file" in row}
 
 
 def _read_rows(path) -> list[tuple[int, list[str]]]:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from irodori.config.capture_table import read_captures
+from irodori.config.capture_table import noted_hashes, read_captures
 from irodori.config.definition import Definition, as_plain
 from irodori.config.loaded import Loaded
 from irodori.config.models import CapturesSource
@@ -121,26 +121,30 @@ class PhotographSets:
             return f"{_FOLDERS[kind]}/{name}/captures/captures.csv"
         return self._definition(wildcards).captures.table
 
-    def made(self, wildcards) -> str:
-        """Return the file that says that a set's photographs are there: a session's record, or the user's own table."""
+    def made(self, wildcards) -> list[str]:
+        """Return the record of the session that takes a set's photographs; the user's own have none."""
         kind, name = self._set(wildcards)
-        if self.loaded.is_taken_here(kind, name):
-            return f"{_FOLDERS[kind]}/{name}/captures/session.json"
-        return self.table(wildcards)
+        return [f"{_FOLDERS[kind]}/{name}/captures/session.json"] if self.loaded.is_taken_here(kind, name) else []
 
     def folder(self, wildcards) -> str:
         """Return the folder of a set's RAW files."""
         own = None if self._is_virtual(wildcards) else self._definition(wildcards).captures.folder
         return own or str(Path(self.table(wildcards)).parent)
 
-    def raw_files(self, wildcards) -> list[str]:
-        """Return a user's RAW files; those of a session stand in its capture table with their hashes."""
+    def own_photographs(self, wildcards) -> list[str]:
+        """Return the user's table and RAW files of a set; those of a session stand in its table with their hashes."""
         kind, name = self._set(wildcards)
         if self.loaded.is_taken_here(kind, name):
             return []
-        folder = self.folder(wildcards)
-        shots = read_captures(self.table(wildcards), folder)
-        return [f"{folder}/{shot.file}" for shot in shots if shot.role in _ROLES[kind]]
+        table, folder = self.table(wildcards), self.folder(wildcards)
+        return [table, *(f"{folder}/{shot.file}" for shot in read_captures(table, folder) if shot.role in _ROLES[kind])]
+
+    def photographs_of_session(self, wildcards) -> dict[str, str]:
+        """Return RAW file -> hash in the table of the session that has taken a set; the user's own need no hash."""
+        table = self.table(wildcards)
+        if not self.made(wildcards) or not Path(table).is_file():
+            return {}
+        return {f"{self.folder(wildcards)}/{file}": sha256 for file, sha256 in noted_hashes(table).items()}
 
     def checked_table(self, wildcards) -> str:
         """Return the table of a set after every file of it was decoded once."""
@@ -180,12 +184,13 @@ class PhotographSets:
 
     # ---- tables and meshes that a job reads
 
-    def tables_of_session(self, wildcards) -> list[str]:
-        """Return the tables of spectra that the virtual rig reads for a set; a real one reads none."""
+    def files_of_session(self, wildcards) -> list[str]:
+        """Return the tables of spectra and the mesh that the virtual rig photographs; a real one reads none."""
         if not self._is_virtual(wildcards):
             return []
         camera = self.loaded.cameras[self.camera_of(wildcards)]
-        return named_tables(self._definition(wildcards), camera, self.loaded.rigs[camera.rig])
+        tables = named_tables(self._definition(wildcards), camera, self.loaded.rigs[camera.rig])
+        return tables + (self.mesh(wildcards) if hasattr(wildcards, "object") else [])
 
     def tables_of_calibration(self, wildcards) -> list[str]:
         """Return the tables of spectra that a calibration reads."""
@@ -207,10 +212,6 @@ class PhotographSets:
     def mesh(self, wildcards) -> list[str]:
         """Return the files of an object's mesh."""
         return self.meshes_of(wildcards.object)
-
-    def mesh_of_session(self, wildcards) -> list[str]:
-        """Return the files of the mesh that the virtual rig photographs; a real one reads none."""
-        return self.mesh(wildcards) if self._is_virtual(wildcards) else []
 
     # ---- cameras
 
@@ -307,18 +308,20 @@ class PhotographSets:
         """Whether a camera photographed a place, as against a file of another program or placed lights."""
         return self.loaded.environments[wildcards.environment].camera is not None
 
-    def environment_inputs(self, wildcards) -> dict:
-        """Return the files that an environment's light is made from."""
+    def photographed_light(self, wildcards) -> dict:
+        """Return what the light of a photographed place is recovered from; other light is the user's own."""
+        if not self.is_photographed(wildcards):
+            return {}
+        return {
+            "linear": f"results/environments/{wildcards.environment}/linear/environment.h5",
+            "calibration": f"results/cameras/{self.camera_of(wildcards)}/calibration.h5",
+        }
+
+    def files_of_light(self, wildcards) -> list[str]:
+        """Return the user's picture and tables of spectra that an environment's light is made from."""
         source = self.loaded.environments[wildcards.environment].source
-        tables = named_tables(source)
-        if self.is_photographed(wildcards):
-            made = {
-                "linear": f"results/environments/{wildcards.environment}/linear/environment.h5",
-                "calibration": f"results/cameras/{self.camera_of(wildcards)}/calibration.h5",
-            }
-        else:
-            made = {"picture": source.file} if hasattr(source, "file") else {}
-        return made | ({"tables": tables} if tables else {})
+        picture = [] if self.is_photographed(wildcards) or not hasattr(source, "file") else [source.file]
+        return [*picture, *named_tables(source)]
 
     # ---- measurements of the rig and of poses
 
@@ -335,14 +338,10 @@ class PhotographSets:
         """Return the object on which the faults of the virtual rig are measured, a plate if there is one, or None."""
         return as_plain(self._imperfect_object())
 
-    def mesh_of_imperfections(self, wildcards) -> list[str]:
-        """Return the files of the mesh that the measurement of the faults reads."""
+    def files_of_imperfections(self, wildcards) -> list[str]:
+        """Return the mesh and the tables of spectra that the measurement of the faults reads."""
         subject = self._imperfect_object()
-        return self.meshes_of(subject.name) if subject else []
-
-    def tables_of_imperfections(self, wildcards) -> list[str]:
-        """Return the tables of spectra that the measurement of the faults reads."""
-        return named_tables(self._imperfect_object())
+        return [*self.meshes_of(subject.name), *named_tables(subject)] if subject else []
 
     def _plates(self) -> dict[str, PlannedPlate]:
         found = {}

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from irodori.config.capture_table import read_captures
+from irodori.config.capture_table import noted_hashes, read_captures
 from irodori.config.definition import as_plain
 from irodori.config.models import (
     Camera,
@@ -95,14 +95,23 @@ class SceneFiles:
         """Return the shapes of a scene's objects."""
         return [self.loaded.objects[name].shape.plain() for name in self.objects(wildcards)]
 
-    def meshes(self, wildcards) -> list[str]:
-        """Return the files of the meshes among a scene's objects."""
-        return self._sets.meshes_of(*dict.fromkeys(self.objects(wildcards)))
+    def files(self, wildcards) -> list[str]:
+        """Return the meshes of a scene's objects and the tables that its own lights, bodies and frames are made of."""
+        meshes = self._sets.meshes_of(*dict.fromkeys(self.objects(wildcards)))
+        return meshes + self.tables(wildcards)
 
     def tables(self, wildcards) -> list[str]:
         """Return the tables that a scene's own lights, bodies and frames are made of."""
         scene = self._scene(wildcards)
         return named_tables(scene.lights, scene.bodies, scene.frames)
+
+    def shown_files(self, wildcards) -> list[str]:
+        """Return the files of a scene and that of its display."""
+        return self.files(wildcards) + self.display_file(wildcards)
+
+    def shown_tables(self, wildcards) -> list[str]:
+        """Return the tables of a scene and the file of its display."""
+        return self.tables(wildcards) + self.display_file(wildcards)
 
     def plan(self, wildcards) -> list[str]:
         """Return the plan of a scene that tolerates an error, as a list; others are rendered in full."""
@@ -240,11 +249,22 @@ class SceneFiles:
         return captures.table
 
     def photograph_made(self, wildcards) -> list[str]:
-        """Return the files that say that a photograph is there: the session's record, or the user's own files."""
-        folder, table = self.photograph_folder(wildcards), self.photograph_table(wildcards)
+        """Return the record of the session that takes a photograph; the user's own has none."""
+        return [f"{self.photograph_folder(wildcards)}/session.json"] if self._is_virtual(wildcards) else []
+
+    def own_photograph(self, wildcards) -> list[str]:
+        """Return the user's table and RAW files of a photograph; a session's stand in its table with their hashes."""
         if self._is_virtual(wildcards):
-            return [f"{folder}/session.json"]
+            return []
+        folder, table = self.photograph_folder(wildcards), self.photograph_table(wildcards)
         return [table, *(f"{folder}/{shot.file}" for shot in read_captures(table, folder) if shot.role == "scene")]
+
+    def photographs_of_session(self, wildcards) -> dict[str, str]:
+        """Return RAW file -> hash in the table of the session that has taken a photograph; as of `PhotographSets`."""
+        folder, table = self.photograph_folder(wildcards), self.photograph_table(wildcards)
+        if not self._is_virtual(wildcards) or not Path(table).is_file():
+            return {}
+        return {f"{folder}/{file}": sha256 for file, sha256 in noted_hashes(table).items()}
 
     def photograph_radiance(self, wildcards) -> list[str]:
         """Return what stood before a virtual camera, as a list; nobody knows it of a real one."""

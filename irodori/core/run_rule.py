@@ -1,28 +1,30 @@
 """Common frame of every rule's script: log, threads and provenance."""
 
-import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from irodori.core.atomic_files import verified_sha256, write_digest
+from irodori.core.custody import Record, content_sha256, received, write_record
 from irodori.core.progress import rule_log
 from irodori.core.provenance import config_hash
 from irodori.core.store import Provenance
 from irodori.core.threads import use_threads
 
+#: Parameters that make Snakemake see an edit of the package or of the user's files.
+_NOT_SETTINGS = ("code", "user_files", "altered")
 
-def _input_sha256(files) -> str:
-    """Return one hash over the contents of the files, in their order; each must be as its rule left it."""
-    total = hashlib.sha256()
-    for path in files:
-        total.update(verified_sha256(str(path)).encode())
-    return total.hexdigest()
+
+def _inputs(snakemake) -> dict[str, str]:
+    """Return path -> hash of the files that a job reads; every one that is not the user's must have its record."""
+    own = {str(path) for path in snakemake.input.get("user_files", ())}
+    known: dict[str, Record | None] = {}
+    paths = [str(path) for path in snakemake.input]
+    return {path: content_sha256(path) if path in own else received(path, known) for path in paths}
 
 
 @contextmanager
 def run_rule(snakemake) -> Iterator[Provenance]:
-    """Open a rule's log, limit its threads, yield the provenance of its outputs, and note their hashes at the end.
+    """Open a rule's log, limit its threads, yield the provenance of its outputs, and write their records at the end.
 
     Parameters
     ----------
@@ -31,17 +33,18 @@ def run_rule(snakemake) -> Iterator[Provenance]:
     Raises
     ------
     SystemExit
-        After a plain fault, such as an input that has changed since its rule wrote it.
+        After a plain fault, such as an input that is not what its rule wrote.
     """
     with rule_log(snakemake.log[0]):
         use_threads(snakemake.threads)
-        parameters = {key: value for key, value in snakemake.params.items() if key != "code"}
-        yield Provenance(
+        parameters = {key: value for key, value in snakemake.params.items() if key not in _NOT_SETTINGS}
+        provenance = Provenance(
             rule=snakemake.rule,
             config_hash=config_hash(parameters),
             code_hash=snakemake.params.get("code", ""),
-            input_sha256=_input_sha256(snakemake.input),
+            inputs=_inputs(snakemake),
         )
+        yield provenance
         for path in snakemake.output:
             if not Path(path).is_dir():  # a folder of frames: pictures that no rule reads
-                write_digest(str(path))
+                write_record(path, str(path), provenance.inputs)

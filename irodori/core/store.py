@@ -1,15 +1,17 @@
 """HDF5 files with atomic writes, units and provenance; the only module that opens HDF5.
 
 A file is written under a temporary name in the same folder and renamed when complete, so that a file that exists is
-whole. Root attributes: ``schema_version``, ``rule``, ``config_hash``, ``code_hash``, ``input_sha256``,
-``created_by``; every dataset has ``units``, ``dims`` and ``quantity`` [design, §6].
+whole. Its head holds the hash of its content, its name and the hashes of what it was made from, and a file whose
+content is another is not opened (`irodori.core.custody`). Root attributes: ``schema_version``, ``rule``,
+``config_hash``, ``code_hash``, ``created_by``; every dataset has ``units``, ``dims`` and ``quantity`` [design, §6].
 """
 
+import hashlib
 import json
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 
@@ -18,6 +20,7 @@ import hdf5plugin
 import numpy as np
 
 from irodori import __version__
+from irodori.core import custody
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
 
@@ -56,14 +59,19 @@ class Provenance:
     rule : str
     config_hash, code_hash : str
         Hashes of the parameters and of the code that made the file.
-    input_sha256 : str
-        Hash over the contents of the input files.
+    inputs : dict
+        Path -> hash of each file read; a script may add what is known only while it runs.
     """
 
     rule: str
     config_hash: str = ""
     code_hash: str = ""
-    input_sha256: str = ""
+    inputs: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def input_sha256(self) -> str:
+        """Return one hash over the contents of the input files, in their order."""
+        return hashlib.sha256("".join(self.inputs.values()).encode()).hexdigest()
 
 
 class Writer:
@@ -160,14 +168,18 @@ def create(path, provenance: Provenance) -> Iterator[Writer]:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with written_whole(path) as temporary, h5py.File(temporary, "w", rdcc_nbytes=_CACHE_BYTES, libver=_FORMAT) as file:
-        file.attrs["schema_version"] = SCHEMA_VERSION
-        writer = Writer(file)
-        for key in ("rule", "config_hash", "code_hash", "input_sha256"):
-            writer.attribute(key, getattr(provenance, key))
-        libraries = {name: version(name) for name in ("numpy", "h5py")}
-        writer.attribute("created_by", {"irodori": __version__, **libraries})
-        yield writer
+    inputs = dict(provenance.inputs)
+    layout = {"userblock_size": custody.head_size(str(path), inputs), "rdcc_nbytes": _CACHE_BYTES, "libver": _FORMAT}
+    with written_whole(path) as temporary:
+        with h5py.File(temporary, "w", **layout) as file:
+            file.attrs["schema_version"] = SCHEMA_VERSION
+            writer = Writer(file)
+            for key in ("rule", "config_hash", "code_hash"):
+                writer.attribute(key, getattr(provenance, key))
+            libraries = {name: version(name) for name in ("numpy", "h5py")}
+            writer.attribute("created_by", {"irodori": __version__, **libraries})
+            yield writer
+        custody.write_head(temporary, str(path), inputs)
 
 
 @contextmanager
@@ -318,7 +330,8 @@ def open_file(path) -> Iterator[Reader]:
     Raises
     ------
     InputError
-        If the file is missing, truncated, not HDF5, not ours, or of a newer schema version.
+        If the file is missing, truncated, not HDF5, not ours, of a newer schema version, or has no hash of its content
+        or another content than its hash stands for.
     """
     path = Path(path)
     if not path.is_file():
@@ -336,6 +349,7 @@ def open_file(path) -> Iterator[Reader]:
             raise InputError(path, "schema_version", repr(found), f"a number up to {SCHEMA_VERSION}")
         if found > SCHEMA_VERSION:
             raise InputError(path, "schema_version", str(found), f"version {SCHEMA_VERSION} or older")
+        custody.verified(path)
         yield Reader(path, file)
 
 

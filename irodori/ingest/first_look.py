@@ -1,7 +1,7 @@
 """First check of a set of RAW files: every file is decoded once before any long work."""
 
 from irodori.config.capture_table import check_unchanged, read_captures, shot_path, write_captures
-from irodori.core.atomic_files import file_sha256
+from irodori.core.custody import content_sha256
 from irodori.core.errors import InputError
 from irodori.core.progress import track
 from irodori.ingest.exposure_settings import settle, settle_set
@@ -40,5 +40,5 @@ def check_captures(table, folder, output, roles, size_px=None) -> None:
             found = f"a mosaic of {mosaic.size[0]} x {mosaic.size[1]} pixels"
             raise InputError(path, "size", found, f"{wanted[0]} x {wanted[1]} pixels, as its set states")
         settled.append(settle(shot, mosaic, table))
-        hashes[shot.file] = file_sha256(path)
+        hashes[shot.file] = content_sha256(path)
     write_captures(output, settle_set(settled, table), hashes)

@@ -18,10 +18,10 @@ import hdf5plugin  # noqa: F401  reads what Blosc has packed
 import numpy as np
 import OpenImageIO as oiio
 
-#: Folders and pages that report times.
-LEFT_OUT = ("logs/", "benchmarks/", "benchmark/", "report.html")
-#: Attributes of HDF5 files that a clock writes; a hash of inputs that hold such a time changes with it.
-CLOCKED_ATTRIBUTES = {"fit_seconds", "pool_seconds", "input_sha256"}
+#: Folders and pages that report times, and the ledger of the user's files, which remembers theirs.
+LEFT_OUT = ("logs/", "benchmarks/", "benchmark/", "report.html", "inputs.json")
+#: Attributes of HDF5 files that a clock writes.
+CLOCKED_ATTRIBUTES = {"fit_seconds", "pool_seconds"}
 #: Columns of CSV files that a clock writes.
 CLOCKED_COLUMNS = {"evaluation_ns_per_pixel"}
 #: Keys of JSON files and attributes that a clock or a session's course writes: ``session`` counts what it took, kept
@@ -30,17 +30,17 @@ CLOCKED_KEYS = {
     "seconds", "seconds_to_prepare", "rays_per_second", "paths_per_second", "pixels_per_second", "session",
     "camera",
 }  # fmt: skip
-_DIGEST = ".sha256"
+_RECORD = ".sha256"
 _JSON = "json:"  # marks an attribute that holds a dictionary or a list
 
 
 def results(folder: Path) -> dict[str, Path]:
     """Return the files of a results folder that are compared, by their path in it.
 
-    The hashes beside them are of files that hold times; they are checked against their own files instead.
+    The records beside them, as those in the heads of HDF5 files, are of files that hold times.
     """
     found = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*")) if path.is_file()}
-    return {name: path for name, path in found.items() if not name.startswith(LEFT_OUT) and path.suffix != _DIGEST}
+    return {name: path for name, path in found.items() if not name.startswith(LEFT_OUT) and path.suffix != _RECORD}
 
 
 def differences(found: Path, expected: Path, partial: bool = False) -> list[str]:

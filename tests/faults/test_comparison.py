@@ -7,7 +7,7 @@ import pytest
 from comparison import differences, results
 
 from irodori.colour.display import srgb
-from irodori.core.atomic_files import write_digest
+from irodori.core.custody import write_record
 from irodori.core.store import Provenance, create
 from irodori.export.pictures import write_display_picture, write_spectral_exr
 
@@ -17,7 +17,9 @@ def make(folder, values=None, seconds=1.0, radiance=0.25, mean="0.5", note="x"):
     (folder / "jar/captures").mkdir(parents=True)
     (folder / "logs").mkdir()
     values = np.array([0.0, np.nan, 1.5]) if values is None else values
-    with create(folder / "jar/material.h5", Provenance("compress_reflectance", input_sha256=str(seconds))) as out:
+    with create(
+        folder / "jar/material.h5", Provenance("compress_reflectance", inputs={"tile.h5": str(seconds)})
+    ) as out:
         out.write("alpha", values, units="1", dims="texel", quantity="diffuse weight")
         out.attribute("fit_seconds", seconds)
         out.attribute("note", note)
@@ -30,7 +32,7 @@ def make(folder, values=None, seconds=1.0, radiance=0.25, mean="0.5", note="x"):
     (folder / "errors.csv").write_text(f"subject,mean\njar,{mean}\n")
     (folder / "logs/fit.log").write_text(str(seconds))
     (folder / "jar/captures/captures.csv").write_text("file\n")
-    write_digest(folder / "jar/material.h5")
+    write_record(folder / "errors.csv", "results/errors.csv", {"results/jar/material.h5": str(seconds)})
     return folder
 
 

@@ -8,7 +8,6 @@ import pytest
 
 import irodori
 from irodori.command_line import SUBCOMMANDS, main
-from irodori.core.atomic_files import write_digest
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -47,10 +46,10 @@ def test_python_m_irodori_is_the_same_command():
 def test_a_subcommand_does_its_work_and_returns_its_status(tmp_path, capsys):
     result = tmp_path / "result.csv"
     result.write_text("1\n")
-    write_digest(str(result))
-    assert main(["check", str(tmp_path)]) == 0
+    assert main(["verify", "--accept", str(result)]) == 0
+    assert main(["verify", str(tmp_path)]) == 0
     result.write_text("2\n")
-    assert main(["check", str(tmp_path)]) == 1
+    assert main(["verify", str(tmp_path)]) == 1
     assert str(result) in capsys.readouterr().out
 
 

@@ -18,6 +18,7 @@ from irodori.calibration.recovery.mappings import LinearMapping
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_radiance
 from irodori.config.models import CapturesSource, IrradianceMap, MirrorBallSource
 from irodori.core import store
+from irodori.core.custody import accept
 from irodori.core.errors import InputError
 from irodori.light.environment_file import Environment, directions
 from irodori.light.irradiance import irradiance_at
@@ -267,6 +268,7 @@ def test_stage_refuses_a_photograph_whose_data_is_damaged(tmp_path):
     middle = chunk.byte_offset + chunk.size // 2
     content[middle : middle + 64] = bytes(64)
     (tmp_path / "linear.h5").write_bytes(content)
+    accept(tmp_path / "linear.h5")
     with pytest.raises(InputError, match="response: found unreadable data"):
         stage(tmp_path)
     assert not (tmp_path / "e.h5").exists()

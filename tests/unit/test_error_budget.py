@@ -228,7 +228,7 @@ def test_the_whole_is_no_more_than_its_parts(rows):
 def test_the_noise_of_a_planned_scene_is_that_of_the_paths_it_is_rendered_with(tmp_path, monkeypatch, samples, kind):
     taken = []
     monkeypatch.setattr(module, "error_budget", lambda scene, *_, **__: taken.append(scene.integrator) or [])
-    light_of_three().save(tmp_path / "light.h5", Provenance("test", "", "", ""))
+    light_of_three().save(tmp_path / "light.h5", Provenance("test"))
     write_plan(tmp_path / "plan.yaml", {"decisions": {"samples": {"value": samples}}})
     lists = ("materials", "true_materials", "calibrations", "tiles", "observations", "light_calibration")
     inputs = {key: [] for key in lists} | dict.fromkeys(("environment", "true_environment"), tmp_path / "light.h5")

@@ -103,7 +103,7 @@ def test_shares_are_those_of_inverse_variance(tmp_path):
     noise = np.zeros((3, 6, 2))
     noise[:, 1] = [[1e-6, 2e-6], [4e-6, 0.0], [1e-6, 1e-5]]
     path = tmp_path / "tile.h5"
-    with store.create(path, store.Provenance("test", "", "", "")) as out:
+    with store.create(path, store.Provenance("test")) as out:
         for name, value, dims in (("weight", weight, "texel,capture"), ("geometry", geometry, "texel,capture,angle"),
                                   ("noise_model", noise, "capture,band,coefficient")):  # fmt: skip
             out.write(name, value, units="1", dims=dims, quantity=name)

@@ -12,6 +12,7 @@ from irodori.calibration.recovery.mappings import LinearMapping
 from irodori.config.models import Object
 from irodori.config.parts import Surface
 from irodori.core import store
+from irodori.core.custody import accept
 from irodori.core.errors import InputError
 from irodori.material.fitted_tiles import FittedTiles, columns
 from irodori.material.material_file import Material, gloss_maps
@@ -127,6 +128,7 @@ def test_a_component_that_most_texels_lack_is_not_typical(tmp_path, calibration)
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         for name, value in (("beta_2", 0.0), ("mu_2", np.nan), ("mu_2_error", np.nan)):
             file[name][:60] = value
+    accept(tmp_path / "a.h5")
     assert FittedTiles([tmp_path / "a.h5"], 8, 12).typical_gloss()[2] == 0.0
     found = compress([tmp_path / "a.h5"], calibration, (8, 12), tmp_path / "m.h5")
     assert (found.filled()[0].further_gloss[0][0].ravel()[:60] == 0.0).all()

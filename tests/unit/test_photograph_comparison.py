@@ -22,6 +22,7 @@ from irodori.config.loaded import Loaded
 from irodori.config.models import Camera, ObjectShape, Optics, Rig, ScenePhotograph
 from irodori.config.parts import Staging
 from irodori.core import store
+from irodori.core.custody import accept
 from irodori.core.errors import InputError
 from irodori.evaluation.photograph_comparison import compare, compare_photograph, read_photograph
 from irodori.geometry.ideal_camera import IdealView
@@ -269,6 +270,7 @@ def test_a_photograph_of_another_camera_is_refused_by_name(studio, tmp_path, cha
     if "unit" in change:
         with h5py.File(linear, "a") as file:
             file["response"].attrs["units"] = change["unit"]
+        accept(linear)
     with pytest.raises(InputError, match=said):
         read_photograph(linear, calibration, IdealView.covering(Pinhole.from_optics(made(Optics, optics)), 2))
 

@@ -38,7 +38,7 @@ def scenes(sets):
 
 def test_a_set_is_found_by_its_wildcard(sets):
     assert sets.table(job(object="tile-plate", tile="000")) == "results/tile-plate/captures/captures.csv"
-    assert sets.made(job(camera="d5100-comb")) == "results/cameras/d5100-comb/captures/session.json"
+    assert sets.made(job(camera="d5100-comb")) == ["results/cameras/d5100-comb/captures/session.json"]
     assert sets.folder(job(environment="classroom")) == "results/environments/classroom/captures"
     assert sets.camera_of(job(camera="d5100-comb")) == sets.camera_of(job(object="tile-plate")) == "d5100-comb"
     assert sets.rig_of(job(environment="classroom")) == "virtual"

@@ -42,6 +42,16 @@ def test_every_script_belongs_to_a_rule_whose_hash_covers_it():
         assert imports(ROOT / "workflow/scripts" / name) <= covered, name
 
 
+def test_every_rule_that_reads_the_users_files_runs_again_when_their_content_changes():
+    found = 0
+    for file in (ROOT / "workflow/rules").glob("*.smk"):
+        for rule in re.split(r"\n(?=(?:use )?rule |for )", file.read_text()):
+            read = re.findall(r"user_files=ancient\(([\w.]+)\)", rule)
+            assert read == re.findall(r"user_files=ledger\.content\(([\w.]+)\)", rule), f"{file.name}: {rule[:60]}"
+            found += len(read)
+    assert found >= 20
+
+
 def test_every_script_is_thin():
     for file in (ROOT / "workflow/scripts").glob("*.py"):
         assert len(file.read_text().splitlines()) <= 30, file.name

@@ -88,7 +88,7 @@ def test_every_file_says_where_it_came_from(finished):
     assert len(files) > 20
     for path in files:
         with open_file(path) as file:
-            for name in ("rule", "config_hash", "code_hash", "input_sha256", "created_by"):
+            for name in ("rule", "config_hash", "code_hash", "created_by"):
                 file.attribute(name)
         with h5py.File(path) as file:
             missing = []

@@ -20,7 +20,7 @@ ALONE = ("results/still-life/front.png", "--allowed-rules", "plan_scene", "rende
 @pytest.fixture
 def folder(tmp_path):
     """A project whose materials and environment stand in results/."""
-    folder, origin = small_project(tmp_path / "project"), Provenance("test", "0", "0", "0")
+    folder, origin = small_project(tmp_path / "project"), Provenance("test", "0", "0")
     warm, cold = np.linspace(0.2, 0.8, 61), np.linspace(0.7, 0.1, 61)
     materials = {
         "tile-plate": Material.uniform(warm),

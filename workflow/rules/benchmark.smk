@@ -70,9 +70,13 @@ rule benchmark:
         "results/benchmark/speed_error.html",
 
 
+def tests_of_stability(wildcards):
+    return sorted(map(str, Path(REPOSITORY, "tests").rglob("*.py")))
+
+
 rule check_stability:
     input:
-        tests=sorted(map(str, Path(REPOSITORY, "tests").rglob("*.py"))),
+        user_files=ancient(tests_of_stability),
     output:
         table="results/benchmark/stability.csv",
         page=report(
@@ -91,6 +95,7 @@ rule check_stability:
     resources:
         mem_mb=lambda wildcards, attempt: 6000 * attempt,
     params:
+        user_files=ledger.content(tests_of_stability),
         code=lambda wildcards: code_hash(
             "benchmarks.stability", "irodori.report.stability_page", *modules_of("irodori")
         ),

@@ -6,7 +6,7 @@ rule calibrate:
 rule calibrate_camera:
     input:
         linear=sets.charts,
-        spectra=sets.tables_of_calibration,
+        user_files=ancient(sets.tables_of_calibration),
     output:
         calibration="results/cameras/{camera}/calibration.h5",
         errors=report(
@@ -38,6 +38,7 @@ rule calibrate_camera:
         calibration=lookup(within=config, dpath="cameras/{camera}/calibration"),
         light=sets.light,
         lights=lookup(within=config, dpath="report/lights"),
+        user_files=ledger.content(sets.tables_of_calibration),
         code=code_hash("irodori.calibration.stage"),
     script:
         "../scripts/calibrate_camera.py"

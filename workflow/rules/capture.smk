@@ -2,8 +2,7 @@
 # job before it runs, so neither is an output. The record is: it exists once the session is complete.
 rule capture_object:
     input:
-        spectra=sets.tables_of_session,
-        mesh=sets.mesh_of_session,
+        user_files=ancient(sets.files_of_session),
     output:
         session="results/{object}/captures/session.json",
     log:
@@ -23,6 +22,7 @@ rule capture_object:
         rig_name=sets.rig_of,
         table=sets.table,
         folder=sets.folder,
+        user_files=ledger.content(sets.files_of_session),
         code=code_hash("irodori.capture.stage"),
     script:
         "../scripts/capture_object.py"
@@ -30,7 +30,7 @@ rule capture_object:
 
 rule capture_camera:
     input:
-        spectra=sets.tables_of_session,
+        user_files=ancient(sets.files_of_session),
     output:
         session="results/cameras/{camera}/captures/session.json",
     log:
@@ -51,6 +51,7 @@ rule capture_camera:
         rig_name=sets.rig_of,
         table=sets.table,
         folder=sets.folder,
+        user_files=ledger.content(sets.files_of_session),
         code=code_hash("irodori.capture.stage"),
     script:
         "../scripts/capture_camera.py"
@@ -58,7 +59,7 @@ rule capture_camera:
 
 rule capture_environment:
     input:
-        spectra=sets.tables_of_session,
+        user_files=ancient(sets.files_of_session),
     output:
         session="results/environments/{environment}/captures/session.json",
     log:
@@ -76,6 +77,7 @@ rule capture_environment:
         camera=sets.camera,
         rig=sets.rig,
         table=sets.table,
+        user_files=ledger.content(sets.files_of_session),
         code=code_hash("irodori.capture.stage"),
     script:
         "../scripts/capture_environment.py"

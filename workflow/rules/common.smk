@@ -1,6 +1,8 @@
 from irodori.config.definitions import load_definitions
 from irodori.config.photograph_sets import PhotographSets
 from irodori.config.scene_files import SceneFiles
+from irodori.core.errors import InputError
+from irodori.core.ledger import Ledger
 from irodori.core.provenance import code_hash, modules_of
 
 try:
@@ -13,6 +15,9 @@ try:
     scenes = SceneFiles(sets)
 except InputError as error:
     raise WorkflowError(str(error)) from None
+
+#: The user's own files are inputs `user_files`, whose time counts for nothing; the hash of their content is a parameter.
+ledger = Ledger("results/inputs.json")
 
 #: Stages whose speed and error `snakemake benchmark` measures; each is a module of benchmarks/.
 BENCHMARKS = ["ingest", "calibrate", "fit", "compress", "environment", "render", "reference", "plan"]

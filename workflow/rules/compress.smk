@@ -1,7 +1,7 @@
 rule compress_reflectance:
     input:
         tiles=sets.fitted_tiles,
-        index=sets.tables_of_index,
+        user_files=ancient(sets.tables_of_index),
         calibration=sets.camera_file("results/cameras/{camera}/calibration.h5"),
     output:
         material="results/{object}/material.h5",
@@ -20,6 +20,7 @@ rule compress_reflectance:
         mirror_weight=lookup(within=config, dpath="objects/{object}/mirror_weight"),
         compress=lookup(within=config, dpath="compress"),
         lights=lookup(within=config, dpath="report/lights"),
+        user_files=ledger.content(sets.tables_of_index),
         code=code_hash("irodori.material.stage"),
     script:
         "../scripts/compress_reflectance.py"

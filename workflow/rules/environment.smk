@@ -1,6 +1,7 @@
 rule prepare_environment:
     input:
-        unpack(sets.environment_inputs),
+        unpack(sets.photographed_light),
+        user_files=ancient(sets.files_of_light),
     output:
         environment="results/environments/{environment}.h5",
     log:
@@ -20,6 +21,7 @@ rule prepare_environment:
         image=lookup(within=config, dpath="environments/{environment}/image", default=None),
         photographed=sets.is_photographed,
         lobes=sets.lobes(),
+        user_files=ledger.content(sets.files_of_light),
         code=code_hash("irodori.light.stage"),
     script:
         "../scripts/prepare_environment.py"

@@ -1,7 +1,7 @@
 rule fit_brdf:
     input:
         observations="results/{object}/observations/tile-{tile}.h5",
-        index=sets.tables_of_index,
+        user_files=ancient(sets.tables_of_index),
         calibration=sets.calibration_of_index,
     output:
         brdf="results/{object}/brdf/tile-{tile}.h5",
@@ -19,6 +19,7 @@ rule fit_brdf:
         fit=lookup(within=config, dpath="fit"),
         lobes=lookup(within=config, dpath="objects/{object}/lobes"),
         refractive_index=lookup(within=config, dpath="objects/{object}/refractive_index"),
+        user_files=ledger.content(sets.tables_of_index),
         code=code_hash("irodori.fitting.stage", "irodori.spectra.published"),
     script:
         "../scripts/fit_brdf.py"

@@ -1,7 +1,7 @@
 rule check_captures:
     input:
         made=sets.made,
-        raw=sets.raw_files,
+        user_files=ancient(sets.own_photographs),
     output:
         table="results/{object}/captures.csv",
     log:
@@ -20,6 +20,8 @@ rule check_captures:
         folder=sets.folder,
         roles=sets.roles,
         size_px=sets.size_px,
+        user_files=ledger.content(sets.own_photographs),
+        altered=ledger.altered(sets.photographs_of_session),
         code=code_hash("irodori.ingest.first_look"),
     script:
         "../scripts/check_captures.py"
@@ -46,7 +48,7 @@ use rule check_captures as check_environment_captures with:
 rule ingest_reference:
     input:
         table="results/cameras/{camera}/captures.csv",
-        white=sets.tables_of_white,
+        user_files=ancient(sets.tables_of_white),
     output:
         reference="results/cameras/{camera}/reference.h5",
     log:
@@ -64,6 +66,7 @@ rule ingest_reference:
         folder=sets.folder,
         options=sets.ingest_options,
         white_reflectance=sets.white_reflectance,
+        user_files=ledger.content(sets.tables_of_white),
         code=code_hash("irodori.ingest.camera_reference"),
     script:
         "../scripts/ingest_reference.py"

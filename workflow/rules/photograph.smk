@@ -3,8 +3,7 @@ rule render_photographed:
     input:
         materials=scenes.materials("results/{object}/truth.h5"),
         environment=scenes.true_light,
-        meshes=scenes.meshes,
-        tables=scenes.tables,
+        user_files=ancient(scenes.files),
     output:
         radiance="results/{scene}/photographs/{photograph}/radiance.h5",
     log:
@@ -23,6 +22,7 @@ rule render_photographed:
         placed=scenes.photograph,
         optics=scenes.photograph_optics,
         shapes=scenes.shapes,
+        user_files=ledger.content(scenes.files),
         code=code_hash("irodori.rendering.photographed_view"),
     script:
         "../scripts/render_photographed.py"
@@ -31,7 +31,7 @@ rule render_photographed:
 rule capture_photograph:
     input:
         radiance="results/{scene}/photographs/{photograph}/radiance.h5",
-        spectra=scenes.photograph_tables,
+        user_files=ancient(scenes.photograph_tables),
     output:
         session="results/{scene}/photographs/{photograph}/captures/session.json",
     log:
@@ -48,6 +48,7 @@ rule capture_photograph:
         camera=scenes.photograph_camera,
         rig=scenes.photograph_rig,
         table=scenes.photograph_table,
+        user_files=ledger.content(scenes.photograph_tables),
         code=code_hash("irodori.capture.stage"),
     script:
         "../scripts/capture_photograph.py"
@@ -56,6 +57,7 @@ rule capture_photograph:
 rule ingest_photograph:
     input:
         made=scenes.photograph_made,
+        user_files=ancient(scenes.own_photograph),
         reference=scenes.of_photograph("results/cameras/{camera}/reference.h5"),
     output:
         linear="results/{scene}/photographs/{photograph}/linear/scene.h5",
@@ -72,6 +74,8 @@ rule ingest_photograph:
         table=scenes.photograph_table,
         folder=scenes.photograph_folder,
         options=sets.ingest_options,
+        user_files=ledger.content(scenes.own_photograph),
+        altered=ledger.altered(scenes.photographs_of_session),
         code=code_hash("irodori.ingest.stage"),
     script:
         "../scripts/ingest_photograph.py"
@@ -84,9 +88,7 @@ rule compare_photograph:
         radiance=scenes.photograph_radiance,
         materials=scenes.materials("results/{object}/material.h5"),
         environment=scenes.environment,
-        meshes=scenes.meshes,
-        tables=scenes.tables,
-        display=scenes.display_file,
+        user_files=ancient(scenes.shown_files),
     output:
         comparison=report(
             "results/{scene}/photographs/{photograph}/comparison.png",
@@ -112,6 +114,7 @@ rule compare_photograph:
         placed=scenes.photograph,
         optics=scenes.photograph_optics,
         shapes=scenes.shapes,
+        user_files=ledger.content(scenes.shown_files),
         code=code_hash("irodori.evaluation.photograph_comparison"),
     script:
         "../scripts/compare_photograph.py"

@@ -1,7 +1,7 @@
 rule rectify_object:
     input:
         linear=sets.linear_files,
-        mesh=sets.mesh,
+        user_files=ancient(sets.mesh),
     output:
         observations="results/{object}/observations/tile-{tile}.h5",
     log:
@@ -21,6 +21,7 @@ rule rectify_object:
         white_pose=sets.white_pose,
         rig=sets.rig_geometry,
         max_angle_deg=lookup(within=config, dpath="rectify/max_angle_deg"),
+        user_files=ledger.content(sets.mesh),
         code=code_hash("irodori.rectification.stage"),
     script:
         "../scripts/rectify_object.py"

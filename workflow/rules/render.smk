@@ -2,8 +2,7 @@ rule plan_scene:
     input:
         materials=scenes.materials("results/{object}/material.h5"),
         environment=scenes.environment,
-        meshes=scenes.meshes,
-        tables=scenes.tables,
+        user_files=ancient(scenes.files),
     output:
         plan="results/{scene}/plan.yaml",
     log:
@@ -19,6 +18,7 @@ rule plan_scene:
         scene=lookup(within=config, dpath="scenes/{scene}"),
         shapes=scenes.shapes,
         render=lookup(within=config, dpath="render"),
+        user_files=ledger.content(scenes.files),
         code=code_hash("irodori.rendering.planning.stage"),
     script:
         "../scripts/plan_scene.py"
@@ -28,10 +28,8 @@ rule render_view:
     input:
         materials=scenes.materials("results/{object}/material.h5"),
         environment=scenes.environment,
-        meshes=scenes.meshes,
-        tables=scenes.tables,
         plan=scenes.plan,
-        display=scenes.display_file,
+        user_files=ancient(scenes.shown_files),
     output:
         exr="results/{scene}/{view}.exr",
         png=report(
@@ -55,6 +53,7 @@ rule render_view:
         shapes=scenes.shapes,
         render=lookup(within=config, dpath="render"),
         check=True,
+        user_files=ledger.content(scenes.shown_files),
         code=code_hash("irodori.rendering.stage"),
     script:
         "../scripts/render_view.py"
@@ -65,10 +64,8 @@ use rule render_view as render_truth with:
     input:
         materials=scenes.materials("results/{object}/truth.h5"),
         environment=scenes.environment,
-        meshes=scenes.meshes,
-        tables=scenes.tables,
         plan=scenes.plan,
-        display=scenes.display_file,
+        user_files=ancient(scenes.shown_files),
     output:
         exr="results/{scene}/truth/{view}.exr",
         png="results/{scene}/truth/{view}.png",
@@ -86,6 +83,7 @@ use rule render_view as render_truth with:
         shapes=scenes.shapes,
         render=lookup(within=config, dpath="render"),
         check=False,
+        user_files=ledger.content(scenes.shown_files),
         code=code_hash("irodori.rendering.stage"),
 
 
@@ -94,9 +92,7 @@ rule render_frames:
     input:
         materials=scenes.materials("results/{object}/material.h5"),
         environment=scenes.environment,
-        meshes=scenes.meshes,
-        tables=scenes.tables,
-        display=scenes.display_file,
+        user_files=ancient(scenes.shown_files),
     output:
         frames=directory("results/{scene}/{view}/frames"),
         animation=report(
@@ -119,6 +115,7 @@ rule render_frames:
         scene=scenes.with_frames,
         shapes=scenes.shapes,
         render=lookup(within=config, dpath="render"),
+        user_files=ledger.content(scenes.shown_files),
         code=code_hash("irodori.rendering.sequence"),
     script:
         "../scripts/render_frames.py"
@@ -128,7 +125,7 @@ rule write_xyz:
     input:
         exr="results/{scene}/{view}.exr",
         environment=scenes.environment,
-        tables=scenes.tables,
+        user_files=ancient(scenes.tables),
     output:
         picture="results/{scene}/{view}.xyz.exr",
     log:
@@ -142,6 +139,7 @@ rule write_xyz:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         scene=lookup(within=config, dpath="scenes/{scene}"),
+        user_files=ledger.content(scenes.tables),
         code=code_hash("irodori.rendering.stage"),
     script:
         "../scripts/write_xyz.py"
@@ -151,8 +149,7 @@ rule write_tiff:
     input:
         exr="results/{scene}/{view}.exr",
         environment=scenes.environment,
-        tables=scenes.tables,
-        display=scenes.display_file,
+        user_files=ancient(scenes.shown_tables),
     output:
         picture="results/{scene}/{view}.tif",
     log:
@@ -166,6 +163,7 @@ rule write_tiff:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         scene=lookup(within=config, dpath="scenes/{scene}"),
+        user_files=ledger.content(scenes.shown_tables),
         code=code_hash("irodori.rendering.stage"),
     script:
         "../scripts/write_tiff.py"

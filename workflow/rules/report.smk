@@ -1,6 +1,6 @@
 rule write_truth:
     input:
-        mesh=sets.mesh,
+        user_files=ancient(sets.mesh),
     output:
         truth="results/{object}/truth.h5",
     log:
@@ -17,6 +17,7 @@ rule write_truth:
         definition=lookup(within=config, dpath="objects/{object}"),
         camera=sets.camera,
         rig=sets.rig,
+        user_files=ledger.content(sets.mesh),
         code=code_hash("irodori.simulation.virtual_rig.ground_truth"),
     script:
         "../scripts/write_truth.py"
@@ -83,7 +84,7 @@ rule measure_errors:
 
 rule measure_plan:
     input:
-        tables=sets.tables_of_plates,
+        user_files=ancient(sets.tables_of_plates),
     output:
         planning=report("results/planning.csv", caption="../report/planning.rst", category="Poses"),
     log:
@@ -102,6 +103,7 @@ rule measure_plan:
         fit=lookup(within=config, dpath="fit"),
         max_angle_deg=lookup(within=config, dpath="rectify/max_angle_deg"),
         planning=lookup(within=config, dpath="report/planning"),
+        user_files=ledger.content(sets.tables_of_plates),
         code=code_hash("irodori.evaluation.pose_planning"),
     script:
         "../scripts/measure_plan.py"
@@ -109,8 +111,7 @@ rule measure_plan:
 
 rule measure_imperfections:
     input:
-        tables=sets.tables_of_imperfections,
-        mesh=sets.mesh_of_imperfections,
+        user_files=ancient(sets.files_of_imperfections),
     output:
         costs=report(
             "results/imperfections.csv",
@@ -135,6 +136,7 @@ rule measure_imperfections:
         fit=lookup(within=config, dpath="fit"),
         compress=lookup(within=config, dpath="compress"),
         lights=lookup(within=config, dpath="report/lights"),
+        user_files=ledger.content(sets.files_of_imperfections),
         code=code_hash("irodori.evaluation.imperfection_costs"),
     script:
         "../scripts/measure_imperfections.py"
@@ -150,8 +152,7 @@ rule measure_error_budget:
         environment=scenes.environment,
         true_environment=scenes.true_light,
         light_calibration=scenes.light_calibration,
-        meshes=scenes.meshes,
-        tables=scenes.tables,
+        user_files=ancient(scenes.files),
         plan=scenes.plan,
     output:
         budget=report(
@@ -178,6 +179,7 @@ rule measure_error_budget:
         fit=lookup(within=config, dpath="fit"),
         compress=lookup(within=config, dpath="compress"),
         environment=lookup(within=config, dpath="environment"),
+        user_files=ledger.content(scenes.files),
         code=code_hash("irodori.evaluation.error_budget"),
     script:
         "../scripts/measure_error_budget.py"

@@ -3,7 +3,7 @@ from irodori.config.models import Camera, Rig
 from irodori.core.run_rule import run_rule
 
 with run_rule(snakemake) as provenance:
-    capture_camera(
+    taken = capture_camera(
         Target(
             snakemake.wildcards.camera,
             Camera.of(snakemake.params.camera),
@@ -15,3 +15,4 @@ with run_rule(snakemake) as provenance:
         snakemake.output.session,
         provenance,
     )
+    provenance.inputs.update(taken)

@@ -3,7 +3,7 @@ from irodori.config.models import Camera, Environment, Rig
 from irodori.core.run_rule import run_rule
 
 with run_rule(snakemake) as provenance:
-    capture_environment(
+    taken = capture_environment(
         Environment.of(snakemake.params.definition),
         Target(
             snakemake.wildcards.environment,
@@ -14,3 +14,4 @@ with run_rule(snakemake) as provenance:
         snakemake.output.session,
         provenance,
     )
+    provenance.inputs.update(taken)

@@ -4,7 +4,7 @@ from irodori.config.parts import PhotographedObject
 from irodori.core.run_rule import run_rule
 
 with run_rule(snakemake) as provenance:
-    capture_object(
+    taken = capture_object(
         PhotographedObject.of(snakemake.params.definition),
         Target(
             snakemake.wildcards.object,
@@ -17,3 +17,4 @@ with run_rule(snakemake) as provenance:
         snakemake.output.session,
         provenance,
     )
+    provenance.inputs.update(taken)

@@ -3,7 +3,7 @@ from irodori.config.models import Camera, Rig, ScenePhotograph
 from irodori.core.run_rule import run_rule
 
 with run_rule(snakemake) as provenance:
-    capture_photograph(
+    taken = capture_photograph(
         ScenePhotograph.of(snakemake.params.placed),
         snakemake.input.radiance,
         Target(
@@ -15,3 +15,4 @@ with run_rule(snakemake) as provenance:
         snakemake.output.session,
         provenance,
     )
+    provenance.inputs.update(taken)

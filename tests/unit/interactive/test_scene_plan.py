@@ -177,7 +177,7 @@ def test_an_override_that_costs_too_much_is_predicted_and_refused():
 
 
 def test_nothing_is_left_of_a_picture_that_is_refused(tmp_path):
-    origin = Provenance("test", "0", "0", "0")
+    origin = Provenance("test", "0", "0")
     files = [tmp_path / f"{name}.h5" for name in ("table", "jar", "room")]
     for path, what in zip(files, [*MIRRORS, room()], strict=True):
         what.save(path, origin)

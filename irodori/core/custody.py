@@ -1,0 +1,415 @@
+"""Records of results: the hash of a result's own content, the name it was made under, and the hashes it was made from.
+
+An HDF5 file carries its record in its head, a block before the data that HDF5 leaves to the application, so that it
+goes wherever the file goes; pictures, tables and pages, whose formats have no place in common, have it in a file beside
+them, in the form that ``sha256sum --check`` reads. ``irodori verify`` compares all records of a project.
+"""
+
+import argparse
+import functools
+import hashlib
+import json
+import os
+import shutil
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from irodori.core.atomic_files import written_whole
+from irodori.core.errors import InputError
+
+_MARK = b"irodori "
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+#: The head's first line is the mark and a hash of all that follows it: the rest of the head, and the data.
+_LINE = len(_MARK) + 64 + 1
+#: HDF5 looks for its data at 0, 512, 1024, 2048 and so on.
+_LEAST_HEAD = 512
+_RESULTS = "results"
+_DAMAGED = ".damaged"
+#: Results that must have a record even where no other result names them; single frames have none.
+_RECORDED = (".h5", ".exr", ".png", ".tif")
+_FRAMES = ("frames", "frames.part")
+
+
+@dataclass(frozen=True)
+class Record:
+    """Record of a result.
+
+    Parameters
+    ----------
+    sha256 : str
+        Of its content: 64 hexadecimal digits.
+    name : str
+        Path under which its rule wrote it, from the project's folder.
+    inputs : dict
+        Path -> hash of each file that it was made from; of a result, the hash in its record.
+    accepted : bool
+        Whether somebody changed the file afterwards and took it as it is.
+    """
+
+    sha256: str
+    name: str = ""
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    accepted: bool = False
+
+    def text(self) -> bytes:
+        """Return all but the hash as one line of JSON."""
+        return json.dumps({"name": self.name, "accepted": self.accepted, "inputs": dict(self.inputs)}).encode()
+
+    @classmethod
+    def parsed(cls, sha256: str, text: bytes) -> "Record | None":
+        """Return the record that a line holds, None where it holds none."""
+        try:
+            values = json.loads(text)
+            return cls(sha256, str(values["name"]), dict(values["inputs"]), bool(values["accepted"]))
+        except (ValueError, TypeError, KeyError):
+            return None
+
+
+# ---- where records stand
+
+
+def beside(path) -> Path:
+    """Return where the record of a file other than HDF5 stands."""
+    path = Path(path)
+    return path.with_name(f".{path.name}.sha256")
+
+
+def head_size(name: str, inputs: Mapping[str, str]) -> int:
+    """Return the bytes that an HDF5 file must leave free before its data for its record: a power of two."""
+    needed = _LINE + len(Record("", name, inputs).text()) + 1
+    return max(_LEAST_HEAD, 1 << (needed - 1).bit_length())
+
+
+def write_head(path, name: str, inputs: Mapping[str, str], *, accepted: bool = False) -> None:
+    """Write the record of a complete HDF5 file into its head, for which `head_size` bytes were left."""
+    text = Record("", name, inputs, accepted).text().ljust(head_size(name, inputs) - _LINE, b"\0")
+    with open(path, "r+b") as file:
+        file.seek(_LINE)
+        file.write(text)
+        digest = _digest(file, _LINE)
+        file.seek(0)
+        file.write(_MARK + digest.encode() + b"\n")
+
+
+def write_record(path, name: str, inputs: Mapping[str, str], *, accepted: bool = False) -> None:
+    """Write the record of a complete result beside it; nothing beside an HDF5 file, which carries its own.
+
+    Raises
+    ------
+    OSError
+        If the file is missing or the disk is full.
+    """
+    path = Path(path)
+    if not _has_head(path):
+        record = Record(content_sha256(path), name, inputs, accepted)
+        with written_whole(beside(path)) as temporary:
+            temporary.write_bytes(f"{record.sha256}  {path.name}\n# ".encode() + record.text() + b"\n")
+
+
+def read_record(path) -> Record | None:
+    """Return the record of a file, None where it has none that can be read."""
+    path = Path(path)
+    if _has_head(path):
+        with open(path, "rb") as file:
+            head = file.read(_LEAST_HEAD)
+            while b"\0" not in head and (more := file.read(len(head))):
+                head += more
+        line, text = head[:_LINE], head[_LINE:].partition(b"\0")[0]
+        return Record.parsed(line[len(_MARK) : -1].decode("ascii", "replace"), text)
+    try:
+        first, _, second = beside(path).read_bytes().partition(b"\n# ")
+    except FileNotFoundError:
+        return None
+    return Record.parsed(first[:64].decode("ascii", "replace"), second)
+
+
+def _has_head(path: Path) -> bool:
+    try:
+        with open(path, "rb") as file:
+            return file.read(len(_MARK)) == _MARK
+    except FileNotFoundError:
+        return False
+
+
+def _data_start(path: Path) -> int | None:
+    """Return where the data of an HDF5 file begins, None of another file."""
+    size, start = path.stat().st_size, 0
+    with open(path, "rb") as file:
+        while start < size:
+            file.seek(start)
+            if file.read(len(_HDF5)) == _HDF5:
+                return start
+            start = max(_LEAST_HEAD, 2 * start)
+    return None
+
+
+# ---- hashes
+
+
+def _digest(file, start: int) -> str:
+    file.seek(start)
+    return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def content_sha256(path) -> str:
+    """Return the hash of a file's content: all that follows the hash in its head, or the whole file without a head.
+
+    A process reads a file again only where its size or one of its times has changed.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    """
+    path = Path(path).absolute()
+    found = path.stat()
+    return _remembered(path, found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino)
+
+
+@functools.lru_cache(maxsize=4096)
+def _remembered(path: Path, *_stat: int) -> str:
+    start = _LINE if _has_head(path) else 0
+    with open(path, "rb") as file:
+        return _digest(file, start)
+
+
+# ---- reading what another rule wrote
+
+
+def verified(path, *, set_aside: bool = False) -> Record:
+    """Return the record of a result whose content is that of its record.
+
+    Parameters
+    ----------
+    path : path
+    set_aside : bool
+        Whether to rename a file that has changed, so that the next run makes it again.
+
+    Raises
+    ------
+    InputError
+        If it has no record, or another content: cut short, damaged on the disk, or edited.
+    OSError
+        If it cannot be read.
+    """
+    path = Path(path)
+    record = read_record(path)
+    if record is None:
+        raise InputError(path, "", "no hash of its content", f"{_as_written(path)}; {_REMOVED}")
+    if content_sha256(path) != record.sha256:
+        found = "other bytes than its rule wrote"
+        raise InputError(path, "", f"{found} ({_set_aside(path)})" if set_aside else found, _as_written(path))
+    return record
+
+
+_REMOVED = "without the file, the next run makes it again"
+
+
+def _as_written(path: Path) -> str:
+    return f"the file as its rule wrote it; to take it as it is: irodori verify --accept {path}"
+
+
+def received(path, known: dict[str, Record | None]) -> str:
+    """Return the hash of a result that a rule is about to read, after the records behind it were compared.
+
+    A file that has changed since is renamed, so that the next run makes it again.
+
+    Parameters
+    ----------
+    path : path
+    known : dict
+        Path -> record of the results that a job has met, empty at first; those met here are added.
+
+    Raises
+    ------
+    InputError
+        As `verified`; if it was written under another name; if it, or a result behind it, was made from another file
+        than lies there now.
+    OSError
+        If it cannot be read.
+    """
+    path = Path(path)
+    record = verified(path, set_aside=True)
+    if Path(record.name).absolute() != path.absolute():
+        raise InputError(path, "", f"what was made as {record.name}", f"{_as_written(path)}; {_REMOVED}")
+    known[str(path)] = record
+    _compare_behind(str(path), record, known)
+    return record.sha256
+
+
+def _compare_behind(path: str, record: Record, known: dict[str, Record | None]) -> None:
+    """Compare what the records behind a result say of each other; those that are gone say nothing."""
+    waiting = [(path, record)]
+    while waiting:
+        made, of = waiting.pop()
+        for name, sha256 in of.inputs.items():
+            if name not in known:
+                known[name] = behind = read_record(name)
+                if behind is not None:
+                    waiting.append((name, behind))
+            behind = known[name]
+            if behind is not None and behind.sha256 != sha256:
+                found = f"what was made from another {name} than lies there"
+                raise InputError(made, "", found, f"what was made from the files that lie there; {_REMOVED}")
+
+
+def _set_aside(path: Path) -> str:
+    """Rename a damaged file and forget its record, and say what was done."""
+    aside = path.with_name(path.name + _DAMAGED)
+    try:
+        os.replace(path, aside)
+        beside(path).unlink(missing_ok=True)
+    except FileNotFoundError:
+        return "another job has set it aside"
+    except OSError as error:
+        return f"cannot be set aside, remove it: {error.strerror}"
+    return f"set aside as {aside.name}, so that the next run makes it again; named back, it can be taken as it is"
+
+
+def accept(path) -> None:
+    """Take a result as it is: write a record of its present content; what it was made from stays as it was.
+
+    Its time is now, so that what was made from it is made again.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or nothing is left of it.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "", "no such file", "a result")
+    known, start = read_record(path), _data_start(path)
+    if start is None and _has_head(path):
+        raise InputError(path, "", "nothing but the head of an HDF5 file", "a complete file")
+    name, inputs = _name(path), known.inputs if known else {}
+    if start is None:
+        write_record(path, name, inputs, accepted=True)
+        os.utime(path)
+        return
+    with written_whole(path) as temporary:
+        with open(path, "rb") as file, open(temporary, "wb") as out:
+            out.write(bytes(head_size(name, inputs)))
+            file.seek(start)
+            shutil.copyfileobj(file, out, 1 << 20)
+        write_head(temporary, name, inputs, accepted=True)
+
+
+# ---- all records of a project
+
+
+def _results_folder(path: Path) -> Path | None:
+    """Return the folder of results that a path is or lies in, None where it does not."""
+    path = path.absolute()
+    return next((folder for folder in (path, *path.parents) if folder.name == _RESULTS), None)
+
+
+def _name(path: Path) -> str:
+    """Return a result's path from the project's folder."""
+    folder = _results_folder(path.parent)
+    return str(path if folder is None else path.absolute().relative_to(folder.parent))
+
+
+class Chain:
+    """Records of all results of a project.
+
+    Parameters
+    ----------
+    folder : path
+        The folder ``results``, or one in it whose results are looked at.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder.
+    """
+
+    def __init__(self, folder) -> None:
+        self.folder = Path(folder)
+        if not self.folder.is_dir():
+            raise InputError(self.folder, "", "no such folder", "a folder of results")
+        self._top = _results_folder(self.folder) or self.folder.absolute()
+        self.accepted: list[Path] = []
+        self._seen: set[Path] = set()
+
+    def __len__(self) -> int:
+        return len(self._seen)
+
+    def _place(self, name: str) -> Path:
+        """Return where a file lies that a record names, also where the folder of results was moved."""
+        parts = Path(name).parts
+        return self._top.joinpath(*parts[1:]) if parts[:1] == (_RESULTS,) else self._top.parent / name
+
+    def _results(self) -> Iterator[Path]:
+        """Yield the files that are results: what has a record, and what must have one."""
+        for path in sorted(self.folder.absolute().rglob("*")):
+            if path.name.startswith("."):
+                result = path.with_name(path.name[1:].removesuffix(".sha256"))
+                if path.suffix == ".sha256" and result.is_file():
+                    yield result
+            elif path.suffix in _RECORDED and path.parent.name not in _FRAMES:
+                yield path
+
+    def broken(self) -> Iterator[str]:
+        """Yield a sentence on each broken link, those of the beginning of the chain first."""
+        for path in self._results():
+            yield from self._broken_before(path)
+
+    def _broken_before(self, path: Path) -> Iterator[str]:
+        if path in self._seen:
+            return
+        self._seen.add(path)
+        record = read_record(path)
+        hashes: dict[str, str | None] = {}
+        for name in record.inputs if record else ():
+            behind = self._place(name)
+            known = read_record(behind)
+            if known is not None:
+                yield from self._broken_before(behind)
+            hashes[name] = known.sha256 if known else content_sha256(behind) if behind.is_file() else None
+        try:
+            record = verified(path)
+        except InputError as error:
+            yield str(error)
+            return
+        if record.accepted:
+            self.accepted.append(path)
+        if self._place(record.name) != path:
+            yield str(InputError(path, "", f"what was made as {record.name}", _as_written(path)))
+        for name, found in hashes.items():
+            if found != record.inputs[name]:
+                what = "which is gone" if found is None else "which has changed since"
+                accepted = "what was made from the files that lie there: run snakemake"
+                yield str(InputError(path, "", f"what was made from {name}, {what}", accepted))
+
+
+def main(arguments: list[str] | None = None, prog: str = "irodori verify") -> int:
+    """Compare every result with its record and with what it was made from, back to your own files.
+
+    The first broken link is printed, and the exit status is 1.
+    """
+    parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
+    parser.add_argument("folder", nargs="?", help="the folder of results, or one in it")
+    parser.add_argument("--accept", metavar="FILE", help="take a result as it is, from now on")
+    asked = parser.parse_args(arguments)
+    try:
+        if asked.accept is not None:
+            accept(asked.accept)
+            if asked.folder is None:
+                return 0
+        chain = Chain(asked.folder or _RESULTS)
+        said = next(chain.broken(), "")
+    except (InputError, OSError) as error:
+        said = str(error)
+    if said:
+        print(said)
+        return 1
+    print("".join(f"{path}: taken as it is\n" for path in chain.accepted), end="")
+    print(f"every link holds ({len(chain)} results)")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,242 @@
+"""A result that is not what its rule wrote, or not made from what lies there, is never read."""
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from irodori.core import store
+from irodori.core.custody import beside, main, read_record, received, verified, write_record
+from irodori.core.errors import InputError
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch):
+    """Return the folder of two objects' tiles, their materials, and a picture of both, as jobs leave them."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "jar.csv").write_text("file,exposure_s\n")
+    for name in ("jar", "lid"):
+        make(f"results/{name}/brdf.h5", ["jar.csv"], alpha=0.4)
+        make(f"results/{name}/material.h5", [f"results/{name}/brdf.h5"], alpha=0.4)
+    picture = tmp_path / "results/scene/front.png"
+    picture.parent.mkdir()
+    picture.write_bytes(b"\x89PNG picture")
+    write_record(picture, "results/scene/front.png", hashes("results/jar/material.h5", "results/lid/material.h5"))
+    return tmp_path
+
+
+def hashes(*files) -> dict[str, str]:
+    return {file: received(file, {}) if file.startswith("results") else accepted_hash(file) for file in files}
+
+
+def accepted_hash(file) -> str:
+    return subprocess.run(["sha256sum", file], capture_output=True, text=True, check=True).stdout.split()[0]
+
+
+def make(path, inputs, alpha) -> None:
+    with store.create(path, store.Provenance("fit_brdf", inputs=hashes(*inputs))) as out:
+        out.write("alpha", np.full((200, 300), alpha), units="1", dims="row,column", quantity="diffuse weight")
+        out.attribute("lobes", ["gaussian"])
+
+
+def halve(path) -> None:
+    with h5py.File(path, "r+") as file:
+        file["alpha"][...] *= 0.5
+
+
+def verify(capsys, *arguments) -> tuple[int, str]:
+    status = main([*arguments])
+    return status, capsys.readouterr().out
+
+
+MATERIAL = "results/jar/material.h5"
+
+
+def test_results_that_nobody_touched_hold_together(project, capsys):
+    assert verify(capsys) == (0, "every link holds (5 results)\n")
+    assert received(MATERIAL, {}) == read_record(MATERIAL).sha256
+
+
+def test_an_hdf5_file_carries_its_hash_wherever_it_goes(project):
+    shutil.copy(MATERIAL, project / "elsewhere.h5")
+    with store.open_file(project / "elsewhere.h5") as file:
+        assert file.read("alpha")[0, 0] == 0.4
+    halve(project / "elsewhere.h5")
+    with pytest.raises(InputError, match=r"elsewhere\.h5: found other bytes than its rule wrote"):
+        store.open_file(project / "elsewhere.h5").__enter__()
+
+
+def dataset() -> None:
+    halve(MATERIAL)
+
+
+def attribute() -> None:
+    with h5py.File(MATERIAL, "r+") as file:
+        file.attrs["lobes"] = 'json:["ggx"]'
+
+
+def cut_short() -> None:
+    os.truncate(MATERIAL, os.stat(MATERIAL).st_size - 100)
+
+
+def beginning_only() -> None:
+    os.truncate(MATERIAL, 300)
+
+
+def swapped() -> None:
+    shutil.copy("results/lid/material.h5", MATERIAL)
+
+
+def renamed() -> None:
+    os.replace(MATERIAL, "results/jar/old.h5")
+    os.replace("results/lid/material.h5", MATERIAL)
+
+
+def no_hash() -> None:
+    content = Path(MATERIAL).read_bytes()
+    Path(MATERIAL).write_bytes(content[content.index(b"\x89HDF") :])
+
+
+def head_edited() -> None:
+    content = Path(MATERIAL).read_bytes()
+    known = read_record("results/jar/brdf.h5").sha256.encode()
+    Path(MATERIAL).write_bytes(content.replace(known, known[::-1]))
+
+
+def record_edited() -> None:
+    """Let a file claim another name: the head is part of what the hash stands for."""
+    content = Path("results/lid/material.h5").read_bytes()
+    Path(MATERIAL).write_bytes(content.replace(b"results/lid/", b"results/jar/"))
+
+
+ATTACKS = (dataset, attribute, cut_short, beginning_only, swapped, renamed, no_hash, head_edited, record_edited)
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_no_rule_reads_what_is_not_what_its_rule_wrote(project, attack):
+    attack()
+    with pytest.raises(InputError, match=r"results/jar/material\.h5: found .*; accepted: .*as its rule wrote it"):
+        received(MATERIAL, {})
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_verify_names_the_broken_link_and_leaves_the_file(project, capsys, attack):
+    attack()
+    status, said = verify(capsys)
+    assert status == 1 and said.count("\n") == 1 and "/results/jar/" in said
+    assert os.path.exists(MATERIAL)
+
+
+def test_a_picture_of_an_older_material_is_found(project, capsys):
+    make(MATERIAL, ["results/jar/brdf.h5"], alpha=0.3)
+    status, said = verify(capsys)
+    assert status == 1
+    assert re.search(r"scene/front\.png: found what was made from results/jar/material\.h5, which has changed", said)
+
+
+def test_a_material_of_older_tiles_is_not_rendered(project):
+    make("results/jar/brdf.h5", ["jar.csv"], alpha=0.3)
+    with pytest.raises(InputError, match=r"material\.h5: found what was made from another results/jar/brdf\.h5 than"):
+        received(MATERIAL, {})
+
+
+@pytest.mark.parametrize("change", ["edited", "removed"])
+def test_a_users_file_that_changed_breaks_the_first_link(project, capsys, change):
+    (project / "jar.csv").write_text("other\n") if change == "edited" else (project / "jar.csv").unlink()
+    status, said = verify(capsys, "results")
+    what = "has changed since" if change == "edited" else "is gone"
+    assert status == 1 and f"brdf.h5: found what was made from jar.csv, which {what}" in said
+
+
+def test_pictures_and_files_that_nobody_reads_must_have_a_record_too(project, capsys):
+    beside("results/scene/front.png").unlink()
+    status, said = verify(capsys)
+    assert status == 1 and "front.png: found no hash of its content" in said
+    (project / "results/scene/frames").mkdir()
+    (project / "results/scene/frames/0001.png").write_bytes(b"frame")
+    assert main(["--accept", "results/scene/front.png"]) == 0
+    assert verify(capsys)[0] == 0
+
+
+def test_a_changed_file_is_set_aside_and_taken_as_it_is_when_told_so(project, capsys):
+    halve(MATERIAL)
+    with pytest.raises(
+        InputError, match=r"set aside as material\.h5\.damaged.*irodori verify --accept results/jar/mat"
+    ):
+        received(MATERIAL, {})
+    os.replace(MATERIAL + ".damaged", MATERIAL)
+    os.utime(MATERIAL, (1, 1))
+    assert main(["--accept", MATERIAL]) == 0
+    assert os.stat(MATERIAL).st_mtime > 1000, "what was made from it must be made again"
+    assert received(MATERIAL, {}) and read_record(MATERIAL).inputs == hashes("results/jar/brdf.h5")
+    with store.open_file(MATERIAL) as file:
+        assert file.read("alpha")[0, 0] == 0.2
+    status, said = verify(capsys)
+    assert status == 1 and "front.png: found what was made from results/jar/material.h5" in said
+    assert main(["--accept", "results/scene/front.png"]) == 0
+    # Taking a picture as it is says nothing about what it was made from.
+    assert verify(capsys)[0] == 1
+
+
+@pytest.mark.parametrize("attack", [dataset, swapped, no_hash, head_edited])
+def test_an_accepted_file_is_read_and_told_of(project, capsys, attack):
+    attack()
+    (project / "results/scene/front.png").unlink()
+    if attack is head_edited or attack is swapped:
+        make("results/jar/brdf.h5", ["jar.csv"], alpha=0.4)
+    assert main(["--accept", str(project / MATERIAL)]) == 0
+    with store.open_file(MATERIAL) as file:
+        assert np.isfinite(file.read("alpha")).all()
+    if attack not in (head_edited,):
+        assert received(MATERIAL, {})
+        assert verify(capsys) == (0, f"{project / MATERIAL}: taken as it is\nevery link holds (4 results)\n")
+
+
+def test_what_is_not_there_cannot_be_accepted_nor_verified(project, capsys):
+    assert verify(capsys, "--accept", "results/none.h5") == (
+        1,
+        "results/none.h5: found no such file; accepted: a result.\n",
+    )
+    assert verify(capsys, "nowhere") == (1, "nowhere: found no such folder; accepted: a folder of results.\n")
+
+
+def test_a_copied_project_is_verified_where_it_lies(project, tmp_path_factory, capsys, monkeypatch):
+    copy = tmp_path_factory.mktemp("copy")
+    shutil.copytree(project, copy, dirs_exist_ok=True)
+    monkeypatch.chdir("/")
+    assert verify(capsys, str(copy / "results")) == (0, "every link holds (5 results)\n")
+    assert verify(capsys, str(copy / "results/scene"))[0] == 0
+
+
+@pytest.mark.parametrize("bit", [0, 7, 70, 9 * 8, 74 * 8 + 3, 4000 * 8, -1])
+def test_one_flipped_bit_anywhere_refuses_a_file(project, bit):
+    content = bytearray(Path(MATERIAL).read_bytes())
+    content[bit // 8] ^= 1 << bit % 8
+    Path(MATERIAL).write_bytes(content)
+    with pytest.raises(InputError, match=r"material\.h5"):
+        verified(MATERIAL)
+
+
+def test_records_beside_files_are_in_the_form_of_sha256sum(project):
+    record = beside("results/scene/front.png")
+    done = subprocess.run(["sha256sum", "--check", record.name], cwd=record.parent, capture_output=True)
+    assert done.returncode == 0
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"0" * 64 + b"  front.png\n", b"0" * 64 + b"  front.png\n# []"])
+def test_a_damaged_record_vouches_for_nothing(project, content):
+    beside("results/scene/front.png").write_bytes(content)
+    with pytest.raises(InputError, match=r"front\.png"):
+        verified("results/scene/front.png")
+
+
+def test_a_file_of_a_thousand_inputs_carries_them_all(tmp_path):
+    inputs = {f"results/jar/brdf/tile-{number:04d}.h5": f"{number:064d}" for number in range(1000)}
+    with store.create(tmp_path / "m.h5", store.Provenance("compress", inputs=inputs)) as out:
+        out.write("alpha", 1.0, units="1", dims="", quantity="x")
+    assert verified(tmp_path / "m.h5").inputs == inputs
