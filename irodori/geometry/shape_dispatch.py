@@ -7,7 +7,7 @@ the loops are the ones that a chain written by hand would give. Shapes that shar
 from collections.abc import Callable
 
 from irodori.geometry.shape_registry import settle
-from irodori.jit.compilation import njit
+from irodori.jit.compilation import uncounted
 from irodori.jit.functions import select
 
 
@@ -29,7 +29,7 @@ def _is_one_of(numbers: list[int], join: str) -> str:
 def _made(name: str, source: str, known: dict, **options) -> Callable:
     namespace = dict(known)
     exec(source, namespace)
-    return njit(namespace[name], **options)
+    return uncounted(cache=False, **options)(namespace[name])
 
 
 def chain(kernel: str, parameters: str, module: str, **options) -> Callable:
@@ -44,7 +44,7 @@ def chain(kernel: str, parameters: str, module: str, **options) -> Callable:
     module : str
         That asks.
     **options
-        Of `irodori.jit.compilation.njit`.
+        Of `irodori.jit.compilation.uncounted`.
     """
     branches = _branches(kernel, module)
     lines = [f"def {kernel}(kind, {parameters}):"]

@@ -175,14 +175,15 @@ def cfunc(signature, **options):
     return made
 
 
-def uncounted(**options):
+def uncounted(*, cache=True, **options):
     """Return `njit` for a function that allocates nothing: no references to its arrays are counted.
 
-    A loop that hands tuples of arrays from function to function otherwise spends most of its time counting. What such
-    a function calls for the first time is compiled in the same way, so it may call only what allocates nothing and
-    returns numbers: an array that such a function makes is never freed, one that it returns too early elsewhere.
+    A loop that hands tuples of arrays from function to function otherwise spends most of its time counting, with
+    operations that two threads do in turn. What such a function calls for the first time is compiled in the same way,
+    so it may call only what allocates nothing. It may make views; it returns them, or what holds them, only to another
+    uncounted function, for elsewhere they would be given up too early. An array that it allocates is never freed.
     """
-    return njit(cache=True, _nrt=False, **options)
+    return njit(cache=cache, _nrt=False, **options)
 
 
 use_whole_vectors()

@@ -1,7 +1,7 @@
 """Vectors from numbers and arrays and back: load, store, gather, lanes, sums over lanes.
 
-Arrays are C-contiguous, of any number of dimensions, or `irodori.jit.array_views.Memory`; a place counts numbers from
-their first one, and is not checked. In nopython code only; a width is a literal.
+Arrays are C-contiguous, of any number of dimensions; a place counts numbers from their first one, and is not checked.
+In nopython code only; a width is a literal.
 """
 
 import numpy as np
@@ -11,7 +11,6 @@ from numba.core import cgutils
 from numba.core.errors import TypingError
 from numba.extending import intrinsic
 
-from irodori.jit.array_views import MemoryType, element
 from irodori.jit.compilation import njit
 from irodori.jit.functions import suffix
 from irodori.jit.vectors import FLAGS, LANES, SCALARS, Vector, constant, llvm_type, widened
@@ -38,8 +37,6 @@ def _given(count):
 
 def pointer(context, builder, array_type, array, index):
     """Return LLVM's pointer to the number at a flat place."""
-    if isinstance(array_type, MemoryType):
-        return element(context, builder, array_type, array, index)
     return builder.gep(context.make_array(array_type)(context, builder, value=array).data, [index])
 
 

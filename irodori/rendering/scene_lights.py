@@ -14,7 +14,7 @@ from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.plate import Plate
 from irodori.geometry.shapes.sphere import Sphere
-from irodori.jit.compilation import njit
+from irodori.jit.compilation import uncounted
 from irodori.light.placed_lights import direction_of, unit_luminance
 from irodori.rendering.surface_hits import frame
 
@@ -115,7 +115,7 @@ def upward_radiance(lights: Lights) -> np.ndarray:
     return total / math.pi
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _towards(lights, light, point):
     """Return the squared distance to a light's centre, mm², and the height of a point over the light's plane, mm."""
     squared, height = 0.0, 0.0
@@ -126,7 +126,7 @@ def _towards(lights, light, point):
     return squared, height
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def unobstructed(lights, light, point):
     """Return about what irradiance a light gives at a point, summed over the wavelengths; 0 where it gives none.
 
@@ -145,14 +145,14 @@ def unobstructed(lights, light, point):
     return lights.power[light] * area * cosine / max(squared, area)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _cap(lights, light, squared):
     """Return 1 - cos of the half angle under which a sphere is seen from a squared distance."""
     sine2 = lights.size_mm[light, 0] ** 2 / squared
     return sine2 / (1.0 + math.sqrt(1.0 - sine2))
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _corners(a, b, c, p, q, r):
     """Return arccos(-a b) + arccos(-b c), from 0 to 2π, with its digits at both ends.
 
@@ -164,7 +164,7 @@ def _corners(a, b, c, p, q, r):
     return angle if angle >= 0.0 else angle + 2.0 * math.pi
 
 
-@njit(cache=True, _nrt=False, forceinline=True, error_model="numpy")
+@uncounted(forceinline=True, error_model="numpy")
 def _rectangle(lights, light, point):
     """Return a rectangle as a point beside its plane sees it.
 
@@ -196,7 +196,7 @@ def _rectangle(lights, light, point):
     return x, y, z, first, second, rest, solid_angle
 
 
-@njit(cache=True, _nrt=False, forceinline=True, error_model="numpy")
+@uncounted(forceinline=True, error_model="numpy")
 def _draw_rectangle(v, x, y, z, width, height, first, second, angle):
     """Return a place on a rectangle, mm from its corner of least coordinates, even in solid angle.
 
@@ -214,7 +214,7 @@ def _draw_rectangle(v, x, y, z, width, height, first, second, angle):
     return at_x - x, min(max(at_y - y, 0.0), height)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def density_towards(lights, light, point, direction):
     """Return the density in 1/sr with which `sample_towards` draws a direction that meets the light; 0 from behind."""
     squared, height = _towards(lights, light, point)
@@ -233,7 +233,7 @@ def density_towards(lights, light, point, direction):
     return distance * distance / (lights.size_mm[light, 0] * lights.size_mm[light, 1] * cosine)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def sample_towards(lights, light, point, u, v, direction, tangent, bitangent):
     """Fill a unit direction from a point to a light, even in solid angle; of a rectangle that looks small, in area.
 

@@ -8,13 +8,13 @@ the mean radiance over the lens: no fall-off towards the corners is added.
 
 import math
 
-from irodori.jit.compilation import njit
+from irodori.jit.compilation import uncounted
 
 PERSPECTIVE, ORTHOGRAPHIC = 0, 1
 KINDS = {"perspective": PERSPECTIVE, "orthographic": ORTHOGRAPHIC}
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def aim(view, x, y, u, v, origin, direction):
     """Fill where the ray through a place of the picture starts, and its unit direction.
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from irodori.geometry.shape_dispatch import chain
 from irodori.geometry.shapes.shape_rows import CENTRE, KIND, SHAPE
-from irodori.jit.compilation import njit
+from irodori.jit.compilation import uncounted
 from irodori.jit.vector_memory import lane, load_like, spread, zeros_like
 from irodori.rendering.interactive.cube_maps import bilinear, cell_of, face_of
 from irodori.rendering.interactive.mesh_shadows import (
@@ -42,7 +42,7 @@ _NO_SIDE = 1e-4
 _hidden = chain("hides", "row, at, x, y, z, normal", __name__)
 
 
-@njit(cache=True)
+@uncounted()
 def _reflected(world, frame, layout, shape, facing, like):
     """Return the light that a shape's side reflects, in the channels that texels are multiplied with."""
     turn = frame.light_from_world
@@ -60,7 +60,7 @@ def _reflected(world, frame, layout, shape, facing, like):
     return out
 
 
-@njit(cache=True)
+@uncounted()
 def _reflected_by_meshes(world, frame, layout, own, about, normal, like):
     """Return the light that the meshes about a hit reflect to it, in the channels that texels are multiplied with."""
     shadows, out = world.shadows, zeros_like(like)
@@ -78,7 +78,7 @@ def _reflected_by_meshes(world, frame, layout, own, about, normal, like):
     return out
 
 
-@njit(cache=True)
+@uncounted()
 def ambient_light(world, frame, layout, hits, ray, light):
     """Return the light of a hit's normal, less what other objects hide, plus what they reflect."""
     hit, table = hits.f, world.shape

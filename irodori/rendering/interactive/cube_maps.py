@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from irodori.jit.compilation import njit
+from irodori.jit.compilation import njit, uncounted
 from irodori.jit.functions import as_float, lower_of, magnitude, select, truncated, upper_of
 from irodori.jit.vector_memory import channel_count, lane, load, load_like
 from irodori.light.equirectangular import direction_uv, look_up
@@ -217,7 +217,7 @@ def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, chan
 # --- in compiled code ----------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def face_of(x, y, z):
     """Return faces, as float, and places on them, -1..1, of directions of any length; vectors of rays."""
     ax, ay, az = magnitude(x), magnitude(y), magnitude(z)
@@ -231,7 +231,7 @@ def face_of(x, y, z):
     return axis + select(main < 0.0, magnitude(x) * 0.0 + 1.0, 0.0), a * inverse, b * inverse
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def cell_of(face, u, v, side):
     """Return where the four texels about places begin (their number), and the ways to the next.
 
@@ -245,13 +245,13 @@ def cell_of(face, u, v, side):
     return (start + row) * stride + column, x - as_float(column), y - as_float(row)
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def bilinear(texels, first, cell, stride, fx, fy, like):
     """Return the bilinear value at a cell of a flat map.
 
     Parameters
     ----------
-    texels : flat array or `Memory`
+    texels : flat array
     first : int
         Number at which the map begins.
     cell : int

@@ -6,7 +6,6 @@ import numpy as np
 
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.geometry.embree import Tracer
-from irodori.jit.array_views import Memory
 from irodori.jit.chunks import run_chunks
 from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
@@ -196,8 +195,8 @@ def _channels(
     return rgb_channels(objects, light, lamps, matrix, white, coloured)
 
 
-def _single(values) -> Memory:
-    return Memory(np.asarray(values, dtype=np.float32).ravel())
+def _single(values) -> np.ndarray:
+    return np.asarray(values, dtype=np.float32).ravel()
 
 
 def refuse_lens(view: View) -> None:
@@ -303,16 +302,15 @@ def render_frame(
     columns, rows = -(-view.width // TILE), -(-view.height // TILE)
     limits = _visibility(prepared, view, keep_visibility, columns * rows)
     counted = np.zeros((columns * rows, FIGURES), dtype=np.int64)
-    kept = Memory(prepared._kept.ravel())
     scene = (
         prepared.world,
         frame,
         prepared.layout,
         limits,
-        Memory(image.ravel()),
+        image.ravel(),
         image.shape[2],
-        kept,
-        Memory(counted.ravel()),
+        prepared._kept.ravel(),
+        counted.ravel(),
     )
     run_chunks(resolved(render_tiles, *scene, 0, 0), columns * rows, columns, *scene)
     if figures is not None:

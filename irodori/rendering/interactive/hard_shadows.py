@@ -4,7 +4,7 @@ import numpy as np
 from numba import types
 
 from irodori.jit.c_functions import c_function
-from irodori.jit.compilation import njit
+from irodori.jit.compilation import uncounted
 from irodori.jit.functions import select, upper_of
 from irodori.jit.vector_memory import load, mask_bits, spread, store
 from irodori.rendering.interactive.packets import FACET, NORMAL, RAYS, raised
@@ -14,7 +14,7 @@ _occluded = c_function(types.void, types.uintp, types.uintp, types.uintp, types.
 _ORIGIN, _DIRECTION, _FAR = 0, 64, 128
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def light_hits(world, frame, packet, hits, seen):
     """Fill ``hits.lit`` with the cosine of each hit with each lamp, 0 where the hit looks away or is in shadow."""
     f, i, hit = packet.f, packet.i, hits.f

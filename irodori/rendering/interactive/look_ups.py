@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from irodori.jit.compilation import njit
+from irodori.jit.compilation import uncounted
 from irodori.jit.functions import as_float, bits_as_float, bits_as_int, lower_of, root, truncated, upper_of
 from irodori.jit.vector_memory import gather, lane, load, load_like, numbered, pair_mixed, store
 from irodori.reflection.fresnel import fresnel
@@ -34,7 +34,7 @@ _CELL, _LEVEL, _NUMBERS = 0, 1, 2
 LOOK_FIELDS, LOOK_NUMBERS = TAPS * _FIELDS, TAPS * _NUMBERS
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def decoded(world, layout, light):
     """Return stored light as a colour of the surface's lanes."""
     out = surface_black(layout)
@@ -44,7 +44,7 @@ def decoded(world, layout, light):
     return out
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def logarithm(x):
     """Return the binary logarithm of positive vectors within 0.01."""
     bits = bits_as_int(x)
@@ -53,7 +53,7 @@ def logarithm(x):
     return exponent + (mantissa * (2.0 - mantissa * (1.0 / 3.0)) - 5.0 / 3.0)
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def find_sky(world, frame, paths, base, look, number):
     """Fill where the directions of the paths from ``base`` on are looked up, at the two levels about their cones."""
     dx, dy, dz = (
@@ -79,7 +79,7 @@ def find_sky(world, frame, paths, base, look, number):
         store(look, (step * _FIELDS + _Y) * RAYS, y)
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def sky_at(world, layout, look, number, ray):
     """Return the stored light that one ray of the packet meets."""
     like = light_black(layout)
@@ -97,7 +97,7 @@ def sky_at(world, layout, look, number, ray):
     return found
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def find_lobes(world, layout, hit, numbers, entries, look, number):
     """Fill where a row of lobes of a packet's hits is looked up, from their entries of the table."""
     cosine = load(hit, COSINE * RAYS, 16)
@@ -139,7 +139,7 @@ def find_lobes(world, layout, hit, numbers, entries, look, number):
         store(look, (tap * _FIELDS + _COS_H) * RAYS, cos_h)
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def lobe_at(world, layout, look, number, ray, tap):
     """Return the blurred light of one lobe of one hit, as it is stored, without its weight."""
     level = number[_LEVEL * RAYS + ray]
@@ -150,13 +150,13 @@ def lobe_at(world, layout, look, number, ray, tap):
     return pair_mixed(found, look[_MIX * RAYS + ray])
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def lobe_weight(look, ray, tap):
     """Return the weight of one lobe of one hit, with its Fresnel reflectance unless paths are coloured."""
     return look[(tap * _FIELDS + _WEIGHT) * RAYS + ray]
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def lobe_incidence(look, ray, tap):
     """Return cosθ_H of one lobe of one hit."""
     return look[(tap * _FIELDS + _COS_H) * RAYS + ray]

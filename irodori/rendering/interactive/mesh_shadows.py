@@ -17,7 +17,6 @@ import numpy as np
 from irodori.geometry.embree import NO_HIT, Tracer, hit_shape, is_blocked, new_ray, trace
 from irodori.geometry.shapes.placement import Placement, reaches
 from irodori.geometry.shapes.shadow_nodes import GRID, Nodes
-from irodori.jit.array_views import Memory
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
@@ -43,18 +42,18 @@ _CHUNK = 256
 class MeshShadows(NamedTuple):
     """What the kernel reads of the meshes' shadows, flat."""
 
-    numbers: Memory  # (objects * SHAPE_NUMBERS,) int64
-    grid: Memory  # (objects * GRID,) float64
-    first_corner: Memory  # (triangles,) int64, of all meshes
-    parts: Memory  # (triangles,) int32
-    corners: Memory  # places' nodes, int32
-    values: Memory  # float32
+    numbers: np.ndarray  # (objects * SHAPE_NUMBERS,) int64
+    grid: np.ndarray  # (objects * GRID,) float64
+    first_corner: np.ndarray  # (triangles,) int64, of all meshes
+    parts: np.ndarray  # (triangles,) int32
+    corners: np.ndarray  # places' nodes, int32
+    values: np.ndarray  # float32
 
 
 def no_mesh_shadows() -> MeshShadows:
     """Return what stands for the shadows of a scene without any."""
     kinds = (np.int64, np.float64, np.int64, np.int32, np.int32, np.float32)
-    return MeshShadows(*(Memory(np.zeros(1, kind)) for kind in kinds))
+    return MeshShadows(*(np.zeros(1, kind) for kind in kinds))
 
 
 class Bounds(NamedTuple):
@@ -304,4 +303,4 @@ def _make(tracer: Tracer) -> MeshShadows | None:
     sides = np.concatenate(parts)
     sizes = (sides.astype(np.int64) + 1) * (sides + 2) // 2
     stored = (numbers.ravel(), grid.ravel(), np.cumsum(sizes) - sizes, sides, np.concatenate(corners))
-    return MeshShadows(*(Memory(array) for array in (*stored, np.concatenate(values))))
+    return MeshShadows(*stored, np.concatenate(values))

@@ -9,9 +9,8 @@ from irodori.geometry.embree import Ray
 from irodori.geometry.shape_dispatch import chain, lane_chain, lanes_are
 from irodori.geometry.shapes.shape_rows import COLUMNS, HIGH, KIND, RADIUS, ROWS, SHAPE, TURN, WIDE
 from irodori.geometry.surfaces import surface_at
-from irodori.jit.array_views import Memory, address_of, as_integers, moved
 from irodori.jit.c_functions import c_function
-from irodori.jit.compilation import njit
+from irodori.jit.compilation import uncounted
 from irodori.jit.functions import as_float, bits_as_float, bits_as_int, lower_of, magnitude, select, truncated, upper_of
 from irodori.jit.vector_memory import gather, load, mask_bits, numbered, spread, store
 from irodori.rendering.interactive.cube_maps import cell_of, face_of
@@ -41,21 +40,21 @@ _trace = c_function(types.void, types.uintp, types.uintp, types.uintp, types.uin
 class Packet(NamedTuple):
     """A packet of rays as Embree lays it out, sixteen masks before it, and a single ray for `surface_at`."""
 
-    f: Memory
-    i: Memory
-    rays: int  # address of the rays
-    valid: int  # address of the masks
+    f: np.ndarray
+    i: np.ndarray
+    rays: np.uintp  # address of the rays
+    valid: np.uintp  # address of the masks
     ray: Ray
-    point: Memory  # (3,) float64
-    normal: Memory  # (3,) float64
-    facet: Memory  # (3,) float64
+    point: np.ndarray  # (3,) float64
+    normal: np.ndarray  # (3,) float64
+    facet: np.ndarray  # (3,) float64
 
 
 class Paths(NamedTuple):
     """Paths of a tile that go on; field f of path j is at ``f * STRIDE + j``."""
 
-    f: Memory
-    slot: Memory  # (STRIDE,) int32, which pixel of the tile
+    f: np.ndarray
+    slot: np.ndarray  # (STRIDE,) int32, which pixel of the tile
 
 
 STRIDE = PATHS + RAYS
@@ -77,22 +76,22 @@ OBJECT, TEXEL, NORMAL_CELL, TRIANGLE, HIT_NUMBERS = 0, 1, 2, 3, 4
 PACKET_SINGLES, PACKET_DOUBLES = _WORDS + RAYS + 32, 9
 
 
-@njit(cache=True)
+@uncounted()
 def packet_in(singles, doubles):
     """Return a packet in zeroed memory that begins with a line of the cache; its constant words are set."""
-    i = as_integers(singles)
+    i = singles.view(np.int32)
     for lane in range(RAYS):
         i[lane + RAYS + _MASK] = -1
         i[lane + RAYS + _GEOMETRY + RAYS] = -1
         i[lane + RAYS + _GEOMETRY + 2 * RAYS] = -1
-    single = moved(singles, RAYS + _WORDS)
-    address = address_of(singles)
-    ray = Ray(single, as_integers(single), np.uintp(0), 0)
+    single = singles[RAYS + _WORDS :]
+    address = np.uintp(singles.ctypes.data)
+    ray = Ray(single, single.view(np.int32), np.uintp(0), 0)
     rays = address + np.uintp(4 * RAYS)
-    return Packet(singles, i, rays, address, ray, doubles, moved(doubles, 3), moved(doubles, 6))
+    return Packet(singles, i, rays, address, ray, doubles, doubles[3:], doubles[6:])
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def trace_packet(world, packet, paths, base, active):
     """Let Embree meet the rays of the paths from ``base`` on; ``active`` is a mask."""
     f, i = packet.f, packet.i
@@ -105,7 +104,7 @@ def trace_packet(world, packet, paths, base, active):
     _trace(world.intersect, packet.valid, world.scene, packet.rays, world.query)
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def may_meet(world, paths, base, active):
     """Return the mask of the paths that may meet anything, by the bounds of the shapes; Embree decides.
 
@@ -131,13 +130,13 @@ def may_meet(world, paths, base, active):
     return active & found
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def meet_nothing(packet):
     """Note that no ray of a packet met anything."""
     store(packet.i, RAYS + _GEOMETRY, spread(-1, 16))
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def keep_packet(packet, kept, at):
     """Write what a packet met to ``kept`` from ``at`` on."""
     store(kept, at, load(packet.f, RAYS + _FAR, 16))
@@ -147,7 +146,7 @@ def keep_packet(packet, kept, at):
     store(kept, at + 64, bits_as_float(load(packet.i, RAYS + _GEOMETRY, 16)))
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def recall_packet(packet, kept, at):
     """Read what a packet met from ``kept``."""
     store(packet.f, RAYS + _FAR, load(kept, at, 16))
@@ -157,19 +156,19 @@ def recall_packet(packet, kept, at):
     store(packet.i, RAYS + _GEOMETRY, bits_as_int(load(kept, at + 64, 16)))
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def shapes_met(packet):
     """Return the identifiers of the shapes that the rays met, `NO_HIT` where none."""
     return load(packet.i, RAYS + _GEOMETRY, 16)
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def distances(packet):
     """Return the distances of the hits, mm."""
     return load(packet.f, RAYS + _FAR, 16)
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def _onto_shapes(world, hit, number, shape, px, py, pz):
     """Move traced points onto their shapes; fill points, normals, and places in the textures."""
     table, at = world.shape, shape * SHAPE
@@ -193,7 +192,7 @@ def _onto_shapes(world, hit, number, shape, px, py, pz):
     return kind
 
 
-@njit(cache=True)
+@uncounted()
 def _onto_shape(world, packet, hit, number, lane, shape):
     """Do for one ray what `_onto_shapes` does for those whose shapes have functions for lanes."""
     ray, at = packet.ray, packet.ray.at
@@ -214,7 +213,7 @@ def _onto_shape(world, packet, hit, number, lane, shape):
     )
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def place_hits(world, packet, paths, hit, number, base, met):
     """Fill points, normals and texture places of the hits that the mask ``met`` chooses; return their shapes."""
     distance = select(met, distances(packet), 0.0)
@@ -233,13 +232,13 @@ def place_hits(world, packet, paths, hit, number, base, met):
     return shape, kind, distance
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def turned(rotation, row, x, y, z):
     """Return one coordinate of vectors turned by a flat (9,) matrix."""
     return rotation[3 * row] * x + rotation[3 * row + 1] * y + rotation[3 * row + 2] * z
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def prepare_hits(world, frame, paths, hit, number, base, met, placed):
     """Fill what shading looks up at the hits; return the mask of those seen from their front."""
     shape, kind, distance = placed
@@ -295,7 +294,7 @@ def prepare_hits(world, frame, paths, hit, number, base, met, placed):
     return seen
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def raised(hit, axis):
     """Return one coordinate of the hits' points, raised from the surface by what single precision needs."""
     facet = load(hit, (FACET + axis) * RAYS, 16)
@@ -304,7 +303,7 @@ def raised(hit, axis):
     return load(hit, (POINT + axis) * RAYS, 16) + reach * _RISE * facet
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def active_lanes(count, base):
     """Return the mask of the paths from ``base`` on that there are."""
     return numbered(16) + base < count

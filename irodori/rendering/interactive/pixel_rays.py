@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from irodori.jit.array_views import Memory
 from irodori.jit.chunks import run_chunks
 from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.interactive.frame_renderer import Lamp, Prepared, frame_of
@@ -67,12 +66,11 @@ def render_rays(
     if rows == 0:
         return np.zeros((0, channels))
     frame = frame_of(prepared, view._replace(width=TILE, height=rows), None, lamps)
-    frame = frame._replace(rays=Memory(rays.ravel()), listed=len(rays))
+    frame = frame._replace(rays=rays.ravel(), listed=len(rays))
     tiles = -(-len(rays) // PATHS)
     image, counted = np.empty((rows * TILE, channels), dtype=np.float32), np.zeros((tiles, FIGURES), dtype=np.int64)
-    limits, kept = prepared.limits._replace(visibility=TRACED), Memory(np.zeros(0, dtype=np.float32))
-    pixels = Memory(image.ravel())
-    scene = (prepared.world, frame, prepared.layout, limits, pixels, channels, kept, Memory(counted.ravel()))
+    limits, kept = prepared.limits._replace(visibility=TRACED), np.zeros(0, dtype=np.float32)
+    scene = (prepared.world, frame, prepared.layout, limits, image.ravel(), channels, kept, counted.ravel())
     run_chunks(resolved(render_tiles, *scene, 0, 0), tiles, 1, *scene)
     if figures is not None:
         figures |= dict(zip(STAGES, counted.sum(axis=0).tolist(), strict=True))

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from irodori.geometry.shape_registry import number_of
 from irodori.geometry.shapes.placement import reaches
 from irodori.geometry.shapes.shape_rows import COLUMNS, MIRROR, ROWS, shape_row
 from irodori.geometry.surfaces import Surfaces, make_surfaces
-from irodori.jit.array_views import Memory
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.reflection.lobes import Lobes
 from irodori.rendering.interactive.channels import Channels, mean_spectra
@@ -35,9 +34,9 @@ _MOST_BOUNDED = 12
 class World(NamedTuple):
     """What the kernel reads of a scene; flat float32 unless said otherwise."""
 
-    shape: Memory  # (objects * SHAPE,)
+    shape: np.ndarray  # (objects * SHAPE,)
     objects: int
-    ambient: Memory  # of each object, rows by the channels of the light that it reflects
+    ambient: np.ndarray  # of each object, rows by the channels of the light that it reflects
     ambient_inputs: int  # channels of that light; 0 where nothing hides light from all sides
     shadows: MeshShadows
     shadowed: int  # 1 where meshes hide light from all sides
@@ -45,33 +44,33 @@ class World(NamedTuple):
     brought_singly: int  # how many of the objects rays are brought to one by one
     scatters: int  # 1 where any surface has a diffuse or a rough term
     bounded: int  # how many objects' bounds are asked before Embree: all, or none where they are many
-    texels: Memory
-    texture_first: Memory  # (objects,) int64
-    texture_stride: Memory  # (objects,) int64
-    index: Memory  # type: ignore[assignment]  # n, then k, of each object; hides the method of tuples
-    environment: Memory  # uint16 for half precision
-    environment_first: Memory  # (levels,) int64
-    environment_side: Memory  # (levels,) int32
+    texels: np.ndarray
+    texture_first: np.ndarray  # (objects,) int64
+    texture_stride: np.ndarray  # (objects,) int64
+    index: np.ndarray  # type: ignore[assignment]  # n, then k, of each object; hides the method of tuples
+    environment: np.ndarray  # uint16 for half precision
+    environment_first: np.ndarray  # (levels,) int64
+    environment_side: np.ndarray  # (levels,) int32
     environment_levels: int  # 0 where no light is looked up in it; so the irradiance's side and the gloss' levels
     texels_per_rad: float
-    irradiance: Memory
+    irradiance: np.ndarray
     irradiance_side: int
-    gloss: Memory  # as the environment; at each texel of a level the light of this level and of the next
-    gloss_first: Memory  # (levels,) int64
-    gloss_side: Memory  # (levels,) int32
+    gloss: np.ndarray  # as the environment; at each texel of a level the light of this level and of the next
+    gloss_first: np.ndarray  # (levels,) int64
+    gloss_side: np.ndarray  # (levels,) int32
     gloss_levels: int
     gloss_level: float  # the finest's place in the ladder
     lobes: Lobes
-    lobe: Memory  # (objects * components,) int64 which of the lobes a gloss component is
-    rows: Memory  # see `irodori.rendering.interactive.round_lobes.joined_tables`
-    ladder: Memory  # (lobes * 2,) float64 ln μ of the first roughness, and the step
-    further: Memory  # (texels * FURTHER,) of the gloss components from the second on
-    further_first: Memory  # (objects,) int64
-    decode: Memory
-    lamp_light: Memory
-    lamp_colour: Memory
-    xyz_from_colour: Memory
-    xyz_from_light: Memory
+    lobe: np.ndarray  # (objects * components,) int64 which of the lobes a gloss component is
+    rows: np.ndarray  # see `irodori.rendering.interactive.round_lobes.joined_tables`
+    ladder: np.ndarray  # (lobes * 2,) float64 ln μ of the first roughness, and the step
+    further: np.ndarray  # (texels * FURTHER,) of the gloss components from the second on
+    further_first: np.ndarray  # (objects,) int64
+    decode: np.ndarray
+    lamp_light: np.ndarray
+    lamp_colour: np.ndarray
+    xyz_from_colour: np.ndarray
+    xyz_from_light: np.ndarray
     intersect: int
     occluded: int
     scene: int
@@ -81,17 +80,17 @@ class World(NamedTuple):
 class Frame(NamedTuple):
     """What changes from frame to frame."""
 
-    position_mm: Memory  # (3,)
-    world_from_camera: Memory  # (9,)
+    position_mm: np.ndarray  # (3,)
+    world_from_camera: np.ndarray  # (9,)
     pixel: float  # of the image plane at distance 1; mm where rays are parallel
     parallel: int  # 1 where rays are parallel and start in the image plane, 0 where they start in the eye
     width: int
     height: int
-    light_from_world: Memory  # (9,)
+    light_from_world: np.ndarray  # (9,)
     lamps: int
-    lamp_direction: Memory  # (lamps * 3,) towards the lamp
-    lamp_strength: Memory  # (lamps,)
-    rays: Memory  # (rays * LISTED,) of a list in place of a picture, see `irodori.rendering.interactive.tile_loop`
+    lamp_direction: np.ndarray  # (lamps * 3,) towards the lamp
+    lamp_strength: np.ndarray  # (lamps,)
+    rays: np.ndarray  # (rays * LISTED,) of a list in place of a picture, see `irodori.rendering.interactive.tile_loop`
     listed: int  # rays of the list, which fill a picture of TILE columns; 0 where there is none
 
 
@@ -282,7 +281,7 @@ def _surface_fields(objects: Objects, tracer: Tracer, channels: Channels, spare:
     return fields | {
         "shape": make_shapes(tracer, objects),
         "objects": len(tracer.placements),
-        "surfaces": Surfaces._make(Memory(array) for array in make_surfaces(tracer.placements)),
+        "surfaces": make_surfaces(tracer.placements),
         "brought_singly": sum(p.shape.kernels.point is None for p in tracer.placements),
         "scatters": int(scatters or fields["further"][: texels * FURTHER : 2].any()),
         "lobes": objects.lobes,
@@ -353,5 +352,4 @@ def make_world(
         "occluded": functions[1],
         "query": functions[2],
     }
-    flat: dict[str, Any] = {name: Memory(v) if isinstance(v, np.ndarray) else v for name, v in fields.items()}
-    return World(**flat)
+    return World(**fields)

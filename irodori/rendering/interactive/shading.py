@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.geometry.shapes.shape_rows import CURVATURE, MIRROR, SHAPE
-from irodori.jit.array_views import Memory
-from irodori.jit.compilation import njit
+from irodori.jit.compilation import uncounted
 from irodori.jit.vector_memory import compress, gather, largest, load, load_like, mask_bits, store, zeros_like
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import constants_of, features_of, strength, value_of
@@ -61,25 +60,25 @@ FURTHER = 8
 class Sums(NamedTuple):
     """What a tile's pixels have gathered; pixel ``slot`` begins at ``slot`` times the lanes."""
 
-    colour: Memory  # (PATHS * surface lanes,) float32
-    light: Memory  # (PATHS * light lanes,) float32, light as it is stored; not used where paths are coloured
-    throughput: Memory  # (PATHS * surface lanes,) float32, used where paths are coloured
-    texel: Memory  # (surface lanes,) buffer
-    gloss: Memory  # (FURTHER,) buffer: power and place of the second gloss component, of the third, ...
+    colour: np.ndarray  # (PATHS * surface lanes,) float32
+    light: np.ndarray  # (PATHS * light lanes,) float32, light as it is stored; not used where paths are coloured
+    throughput: np.ndarray  # (PATHS * surface lanes,) float32, used where paths are coloured
+    texel: np.ndarray  # (surface lanes,) buffer
+    gloss: np.ndarray  # (FURTHER,) buffer: power and place of the second gloss component, of the third, ...
 
 
 class Hits(NamedTuple):
     """Buffers of a packet's hits and look-ups, see `irodori.rendering.interactive.packets` and `light`."""
 
-    f: Memory
-    i: Memory
-    entries: Memory  # (components * parts * RAYS * ENTRY,)
-    look: Memory
-    look_i: Memory
-    lit: Memory  # (lamps * RAYS,) cosine with each lamp, 0 where it is hidden
+    f: np.ndarray
+    i: np.ndarray
+    entries: np.ndarray  # (components * parts * RAYS * ENTRY,)
+    look: np.ndarray
+    look_i: np.ndarray
+    lit: np.ndarray  # (lamps * RAYS,) cosine with each lamp, 0 where it is hidden
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def shade_sky(world, frame, layout, paths, hits, sums, base, missed):
     """Add the environment to the pixels of the rays whose bits are set."""
     find_sky(world, frame, paths, base, hits.look, hits.look_i)
@@ -95,7 +94,7 @@ def shade_sky(world, frame, layout, paths, hits, sums, base, missed):
                 store(sums.light, at, load_like(sums.light, at, light) + throughput * light)
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def _add_coloured(layout, sums, slot, colour):
     """Add a colour times a path's throughput to its pixel."""
     at = slot * surface_lanes(layout)
@@ -103,7 +102,7 @@ def _add_coloured(layout, sums, slot, colour):
     store(sums.colour, at, load_like(sums.colour, at, colour) + passed)
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def _add_colour(layout, paths, sums, base, ray, slot, colour):
     if is_coloured(layout):
         _add_coloured(layout, sums, slot, colour)
@@ -113,7 +112,7 @@ def _add_colour(layout, paths, sums, base, ray, slot, colour):
         store(sums.colour, at, load_like(sums.colour, at, colour) + throughput * colour)
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def _component(layout, sums, component):
     """Return power and place of a gloss component of the texel in the buffers."""
     if component > 0:
@@ -122,7 +121,7 @@ def _component(layout, sums, component):
     return sums.texel[width - 2], sums.texel[width - 1]
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def _lobe_entry(world, layout, hits, ray, component, power, place):
     """Fill the entries of a hit's lobe from its place in the ladder of roughnesses, and its power."""
     cosine, parts = hits.f[COSINE * RAYS + ray], gloss_parts(layout)
@@ -137,7 +136,7 @@ def _lobe_entry(world, layout, hits, ray, component, power, place):
         hits.entries[at * ENTRY + POWER] = power
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def shade_surfaces(world, frame, layout, paths, hits, sums, base, seen, least_power):
     """Add the diffuse light of the hits whose bits are set; look up their lobes. Returns the bits of glossy hits.
 
@@ -180,7 +179,7 @@ def shade_surfaces(world, frame, layout, paths, hits, sums, base, seen, least_po
     return glossy
 
 
-@njit(cache=True)
+@uncounted()
 def _add_highlight(world, frame, layout, paths, hits, sums, base, ray, lamp, component):
     """Add β F D G / cosθ_r of a lamp and a gloss component to a pixel."""
     width = surface_lanes(layout)
@@ -210,7 +209,7 @@ def _add_highlight(world, frame, layout, paths, hits, sums, base, ray, lamp, com
     _add_colour(layout, paths, sums, base, ray, np.int64(paths.slot[base + ray]), colour)
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def shade_gloss(world, layout, paths, hits, sums, base, glossy, least_weight):
     """Add the blurred light of the glossy hits' lobes; those with too little weight are left."""
     width = surface_lanes(layout)
@@ -240,7 +239,7 @@ def shade_gloss(world, layout, paths, hits, sums, base, glossy, least_weight):
             store(sums.light, at, load_like(sums.light, at, light) + throughput * light)
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def reflect_packet(world, layout, paths, hits, sums, base, seen):
     """Fill the throughput with which the hits' paths go on."""
     width = surface_lanes(layout)
@@ -266,7 +265,7 @@ def reflect_packet(world, layout, paths, hits, sums, base, seen):
             hits.f[NEXT * RAYS + ray] = 0.0
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def advance(world, paths, hits, base, seen, least_throughput, after):
     """Write the paths that go on close together from ``after`` on; return where they end."""
     throughput = load(hits.f, NEXT * RAYS, 16)
@@ -291,7 +290,7 @@ def advance(world, paths, hits, base, seen, least_throughput, after):
     return after + count
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def bits_set(mask):
     """Return how many bits of a mask of sixteen are set."""
     mask = mask - ((mask >> 1) & 0x5555)

@@ -5,7 +5,7 @@ import numpy as np
 from irodori.geometry.shape_dispatch import chain
 from irodori.geometry.shapes.shadow_nodes import NodeHit
 from irodori.geometry.shapes.shape_rows import KIND, SHAPE
-from irodori.jit.compilation import njit
+from irodori.jit.compilation import uncounted
 from irodori.rendering.interactive.mesh_shadows import FIRST, SHAPE_NUMBERS, STRIDE
 from irodori.rendering.interactive.packets import (
     BARYCENTRIC_B,
@@ -19,7 +19,7 @@ from irodori.rendering.interactive.packets import (
 _nodes_about = chain("nodes_about", "shadows, own, row, hit", __name__)
 
 
-@njit(cache=True)
+@uncounted()
 def nodes_about(world, hits, ray, own, point):
     """Return the nodes about a hit of a shape, (4,) int, and their weights, (4,) float, which add up to 1."""
     f, at = hits.f, own * SHAPE
@@ -35,7 +35,7 @@ def nodes_about(world, hits, ray, own, point):
     return _nodes_about(world.shape[at + KIND], world.shadows, own, world.shape, hit)
 
 
-@njit(cache=True)
+@uncounted()
 def mixed(shadows, own, about, number):
     """Return a number of the nodes about a hit, by their weights."""
     nodes, weights = about

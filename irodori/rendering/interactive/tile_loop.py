@@ -4,9 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.jit.array_views import as_integers, memory_of, moved
 from irodori.jit.c_functions import cycles
-from irodori.jit.compilation import njit
+from irodori.jit.compilation import njit, uncounted
 from irodori.jit.functions import as_float, root
 from irodori.jit.vector_memory import compress, load_like, mask_bits, numbered, spread, store, total
 from irodori.rendering.interactive.hard_shadows import light_hits
@@ -93,7 +92,7 @@ class Scratch(NamedTuple):
     sums: Sums
 
 
-@njit(cache=True)
+@uncounted()
 def _singles(layout, lamps):
     """Return how many float32 a thread's buffers take."""
     entries = gloss_components(layout) * gloss_parts(layout) * ENTRY
@@ -102,30 +101,30 @@ def _singles(layout, lamps):
     return fixed + (LOOK_NUMBERS + max(lamps, 1)) * RAYS + lanes + FURTHER
 
 
-@njit(cache=True)
+@uncounted()
 def scratch_in(layout, lamps, singles, doubles):
     """Return one thread's buffers in zeroed memory that begins with a line of the cache."""
     packet = packet_in(singles, doubles)
-    at = moved(singles, PACKET_SINGLES)
-    paths = Paths(at, as_integers(moved(at, PATH_FIELDS * STRIDE)))
-    at = moved(at, (PATH_FIELDS + 1) * STRIDE)
-    look = moved(at, (HIT_FIELDS + HIT_NUMBERS + gloss_components(layout) * gloss_parts(layout) * ENTRY) * RAYS)
+    at = singles[PACKET_SINGLES:]
+    paths = Paths(at, at[PATH_FIELDS * STRIDE :].view(np.int32))
+    at = at[(PATH_FIELDS + 1) * STRIDE :]
+    look = at[(HIT_FIELDS + HIT_NUMBERS + gloss_components(layout) * gloss_parts(layout) * ENTRY) * RAYS :]
     hits = Hits(
         at,
-        as_integers(moved(at, HIT_FIELDS * RAYS)),
-        moved(at, (HIT_FIELDS + HIT_NUMBERS) * RAYS),
+        at[HIT_FIELDS * RAYS :].view(np.int32),
+        at[(HIT_FIELDS + HIT_NUMBERS) * RAYS :],
         look,
-        as_integers(moved(look, LOOK_FIELDS * RAYS)),
-        moved(look, (LOOK_FIELDS + LOOK_NUMBERS) * RAYS),
+        look[LOOK_FIELDS * RAYS :].view(np.int32),
+        look[(LOOK_FIELDS + LOOK_NUMBERS) * RAYS :],
     )
-    at = moved(look, (LOOK_FIELDS + LOOK_NUMBERS + max(lamps, 1)) * RAYS)
+    at = look[(LOOK_FIELDS + LOOK_NUMBERS + max(lamps, 1)) * RAYS :]
     colour, light = PATHS * surface_lanes(layout), PATHS * light_lanes(layout)
-    texel = moved(at, 2 * colour + light)
-    sums = Sums(at, moved(at, colour), moved(at, colour + light), texel, moved(texel, surface_lanes(layout)))
+    texel = at[2 * colour + light :]
+    sums = Sums(at, at[colour:], at[colour + light :], texel, texel[surface_lanes(layout) :])
     return Scratch(packet, paths, hits, sums)
 
 
-@njit(cache=True)
+@uncounted()
 def start_tile(frame, left, top, paths):
     """Start a path at each pixel of a tile that lies in the picture; return how many."""
     count = 0
@@ -155,7 +154,7 @@ def start_tile(frame, left, top, paths):
     return count
 
 
-@njit(cache=True)
+@uncounted()
 def start_rays(frame, tile, paths):
     """Start a path at each of a tile's share of the frame's listed rays, which fill rows of TILE; return how many."""
     first = tile * PATHS
@@ -173,7 +172,7 @@ def start_rays(frame, tile, paths):
     return count
 
 
-@njit(cache=True, forceinline=True)
+@uncounted(forceinline=True)
 def _count(layout, figures, stage, since):
     """Add the cycles since a count to a stage; return the count now."""
     if is_profiled(layout):
@@ -183,7 +182,7 @@ def _count(layout, figures, stage, since):
     return since
 
 
-@njit(cache=True)
+@uncounted()
 def _meet(world, limits, scratch, base, bounce, count, kept, at):
     """Let a packet meet the scene, or recall what it met in an earlier frame."""
     active = active_lanes(count, base)
@@ -201,7 +200,7 @@ def _meet(world, limits, scratch, base, bounce, count, kept, at):
     return mask_bits(met), mask_bits(active & ~met)
 
 
-@njit(cache=True)
+@uncounted()
 def _shade_packet(world, frame, layout, limits, scratch, base, count, after, last, figures):
     """Shade a packet's hits; return where the paths that go on end."""
     packet, paths, hits, sums = scratch.packet, scratch.paths, scratch.hits, scratch.sums
@@ -227,7 +226,7 @@ def _shade_packet(world, frame, layout, limits, scratch, base, count, after, las
         for row in range(gloss_components(layout) * gloss_parts(layout)):
             bits_of_row = (glossy >> (row // gloss_parts(layout) * RAYS)) & 0xFFFF
             if bits_of_row:
-                entries = moved(hits.entries, row * RAYS * ENTRY)
+                entries = hits.entries[row * RAYS * ENTRY :]
                 find_lobes(world, layout, hits.f, hits.i, entries, hits.look, hits.look_i)
                 shade_gloss(world, layout, paths, hits, sums, base, bits_of_row, limits.least_lobe)
         since = _count(layout, figures, _GLOSS, since)
@@ -238,7 +237,7 @@ def _shade_packet(world, frame, layout, limits, scratch, base, count, after, las
     return after
 
 
-@njit(cache=True)
+@uncounted()
 def _follow(world, frame, layout, limits, scratch, count, kept, figures):
     """Follow the paths of a tile until none is left."""
     packets = 0
@@ -262,7 +261,7 @@ def _follow(world, frame, layout, limits, scratch, count, kept, figures):
             break
 
 
-@njit(cache=True)
+@uncounted()
 def _finish_tile(world, frame, layout, sums, left, top, image, channels):
     """Turn what a tile's pixels have gathered into the picture's channels, and clear it."""
     surface, light = surface_lanes(layout), light_lanes(layout)
@@ -289,7 +288,7 @@ def _finish_tile(world, frame, layout, sums, left, top, image, channels):
                 image[at + channel] = value
 
 
-@njit(cache=True)
+@uncounted()
 def _render_tile(world, frame, layout, limits, scratch, tile, image, channels, kept, figures):
     columns = (frame.width + TILE - 1) // TILE
     left, top = (tile % columns) * TILE, (tile // columns) * TILE
@@ -304,6 +303,15 @@ def _render_tile(world, frame, layout, limits, scratch, tile, image, channels, k
     _count(layout, figures, _COLOUR, since)
 
 
+@uncounted()
+def _render_tiles(world, frame, layout, limits, singles, doubles, image, channels, kept, figures, first, last):
+    scratch = scratch_in(layout, frame.lamps, singles, doubles)
+    numbers = limits.kept_bounces * (PATHS // RAYS) * KEPT if limits.visibility != TRACED else 0
+    for tile in range(first, last):
+        there, counted = kept[tile * numbers :], figures[tile * FIGURES :]
+        _render_tile(world, frame, layout, limits, scratch, tile, image, channels, there, counted)
+
+
 @njit(cache=True, nogil=True)
 def render_tiles(world, frame, layout, limits, image, channels, kept, figures, first, last):
     """Render the tiles ``first``..``last``, numbered row by row.
@@ -313,9 +321,4 @@ def render_tiles(world, frame, layout, limits, image, channels, kept, figures, f
     """
     room, doubles = np.zeros(_singles(layout, frame.lamps) + RAYS, np.float32), np.zeros(PACKET_DOUBLES)
     skip = (64 - room.ctypes.data % 64) % 64 // 4
-    scratch = scratch_in(layout, frame.lamps, memory_of(room, skip), memory_of(doubles, 0))
-    numbers = limits.kept_bounces * (PATHS // RAYS) * KEPT if limits.visibility != TRACED else 0
-    for tile in range(first, last):
-        there, counted = moved(kept, tile * numbers), moved(figures, tile * FIGURES)
-        _render_tile(world, frame, layout, limits, scratch, tile, image, channels, there, counted)
-    return room.size + doubles.size  # a last use: the buffers live until here
+    _render_tiles(world, frame, layout, limits, room[skip:], doubles, image, channels, kept, figures, first, last)

@@ -10,7 +10,6 @@ import numpy as np
 
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.geometry.shapes.shape_rows import COLUMNS, MIRROR, ROWS, SHAPE
-from irodori.jit.array_views import Memory
 from irodori.rendering.interactive.channels import mean_spectra, spectral_channels
 from irodori.rendering.interactive.cube_maps import environment_pyramid
 from irodori.rendering.interactive.frame_renderer import Lamp, Prepared, light_of
@@ -105,7 +104,7 @@ class Probes:
         self._channels = spectral_channels(parts.objects, light_of(parts.environment), parts.lamp_spectra, matrix)
         self._skies: dict[int, dict] = {}
         self._met: dict[tuple, dict[str, float]] = {}
-        self._fill = self._prepared.world.texture_first.array[-1] // self._channels.surface + bordered_size(
+        self._fill = self._prepared.world.texture_first[-1] // self._channels.surface + bordered_size(
             *(int(size) for size in parts.objects.texture_size[-1])
         )
 
@@ -155,7 +154,6 @@ class Probes:
             fields["ambient"] = self._thrown(changes.reflected_basis)
         if changes.without_mirror or changes.texture_level:
             fields |= self._tables(world, changes)
-        fields = {name: Memory(v) if isinstance(v, np.ndarray) else v for name, v in fields.items()}
         return replace(self._prepared, world=world._replace(**fields), limits=limits)
 
     def _on_basis(self, basis: np.ndarray) -> dict:
@@ -181,10 +179,10 @@ class Probes:
         return padded(rows, self._channels.surface)
 
     def _tables(self, world: World, changes: Changes) -> dict:
-        shape = world.shape.array.copy().reshape(-1, SHAPE)
+        shape = world.shape.copy().reshape(-1, SHAPE)
         shape[list(changes.without_mirror), MIRROR] = 0.0
-        first, stride = world.texture_first.array.copy(), world.texture_stride.array.copy()
-        further = world.further_first.array.copy()
+        first, stride = world.texture_first.copy(), world.texture_stride.copy()
+        further = world.further_first.copy()
         for index, level in changes.texture_level.items():
             texture = self._texture(index, level)
             shape[index, COLUMNS], shape[index, ROWS] = texture.columns, texture.rows
@@ -213,7 +211,7 @@ class Probes:
         found = stored_texels(objects, index, made, self._channels)
         texture = self._levels[index, level] = replace(texture, first=int(self._fill))
         self._fill += bordered_size(texture.rows, texture.columns)
-        for flat, numbers in zip((world.texels.array, world.further.array), found, strict=True):
+        for flat, numbers in zip((world.texels, world.further), found, strict=True):
             if flat.size:
                 width = numbers.size // bordered_size(texture.rows, texture.columns)
                 flat[texture.first * width : texture.first * width + numbers.size] = numbers
@@ -223,9 +221,9 @@ class Probes:
         """Return the powers of an object's gloss components, views of the prepared texels."""
         texture, world = self._texture(index, level), self._prepared.world
         chosen = slice(texture.first, texture.first + bordered_size(texture.rows, texture.columns))
-        powers = [world.texels.array.reshape(-1, self._channels.surface)[chosen, -2]]
-        if world.further.array.size:
-            further = world.further.array.reshape(-1, FURTHER)[chosen]
+        powers = [world.texels.reshape(-1, self._channels.surface)[chosen, -2]]
+        if world.further.size:
+            further = world.further.reshape(-1, FURTHER)[chosen]
             powers += [further[:, 2 * i] for i in range(self._parts.objects.lobe.shape[1] - 1)]
         return powers
 

@@ -4,7 +4,7 @@ from typing import Literal
 
 import numpy as np
 
-from irodori.jit.compilation import njit
+from irodori.jit.compilation import uncounted
 from irodori.jit.vector_memory import load, spread, store
 from irodori.reflection.fresnel import fresnel
 from irodori.rendering.scene_lights import BANDS, PADDED
@@ -22,7 +22,7 @@ def padded(values: np.ndarray, fill: str = "zero") -> np.ndarray:
     return np.ascontiguousarray(np.pad(values, width, mode=modes[fill]), dtype=np.float32)
 
 
-@njit(cache=True, _nrt=False, forceinline=True, fastmath=_SUMS)
+@uncounted(forceinline=True, fastmath=_SUMS)
 def decode(basis, index, count, coefficients, out):
     """Fill a spectrum from the first ``count`` coefficients on ``basis[index]``.
 
@@ -46,7 +46,7 @@ def decode(basis, index, count, coefficients, out):
         out[band] = share * max(out[band], _ZERO)
 
 
-@njit(cache=True, _nrt=False, forceinline=True, fastmath=_SUMS)
+@uncounted(forceinline=True, fastmath=_SUMS)
 def summed_product(a, b):
     """Return the sum of the product of two spectra."""
     total = _ZERO
@@ -55,7 +55,7 @@ def summed_product(a, b):
     return float(total)
 
 
-@njit(cache=True, _nrt=False, forceinline=True, fastmath=_SUMS)
+@uncounted(forceinline=True, fastmath=_SUMS)
 def summed(a):
     """Return the sum of a spectrum over the 61 bands."""
     total = _ZERO
@@ -64,7 +64,7 @@ def summed(a):
     return float(total)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def largest(a):
     """Return the largest of the 61 bands."""
     found = a[0]
@@ -73,7 +73,7 @@ def largest(a):
     return float(found)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def scale(a, factor):
     """Multiply a spectrum by a number."""
     factor = np.float32(factor)
@@ -81,7 +81,7 @@ def scale(a, factor):
         a[band] *= factor
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def scale_by(a, b, factor):
     """Multiply a spectrum by another times a number."""
     factor = np.float32(factor)
@@ -89,7 +89,7 @@ def scale_by(a, b, factor):
         a[band] *= b[band] * factor
 
 
-@njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
+@uncounted(forceinline=True, fastmath={"contract"})
 def add_product(a, b, factor, out):
     """Add the product of two spectra times a number."""
     factor = np.float32(factor)
@@ -97,7 +97,7 @@ def add_product(a, b, factor, out):
         out[band] += a[band] * b[band] * factor
 
 
-@njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
+@uncounted(forceinline=True, fastmath={"contract"})
 def fill_mixture(diffuse, a, gloss, b, out):
     """Fill ``out`` with one spectrum times a number plus another times a number."""
     a, b = np.float32(a), np.float32(b)
@@ -105,7 +105,7 @@ def fill_mixture(diffuse, a, gloss, b, out):
         out[band] = diffuse[band] * a + gloss[band] * b
 
 
-@njit(cache=True, _nrt=False, forceinline=True, fastmath={"contract"})
+@uncounted(forceinline=True, fastmath={"contract"})
 def fill_mixture_grey(diffuse, a, b, out):
     """Fill ``out`` with a spectrum times a number plus a number."""
     a, b = np.float32(a), np.float32(b)
@@ -113,7 +113,7 @@ def fill_mixture_grey(diffuse, a, b, out):
         out[band] = diffuse[band] * a + b
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def fill_fresnel(cosine, n, k, index, out):
     """Fill the Fresnel reflectance of every band; ``n`` and ``k`` are (objects, 64) float32."""
     c = spread(np.float32(cosine), _WIDTH)

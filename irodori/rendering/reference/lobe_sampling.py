@@ -2,11 +2,11 @@
 
 import math
 
-from irodori.jit.compilation import njit
+from irodori.jit.compilation import uncounted
 from irodori.reflection.lobes import draw
 
 
-@njit(cache=True, _nrt=False, forceinline=True, error_model="numpy")
+@uncounted(forceinline=True, error_model="numpy")
 def half_angles(normal, view, light, cos_i, cos_r):
     """Return cosφ, cosθ_H and φ (rad) of two unit directions with N·L and N·V above 0; φ keeps its digits near 0."""
     x, y, z = view[0] + light[0], view[1] + light[1], view[2] + light[2]
@@ -20,7 +20,7 @@ def half_angles(normal, view, light, cos_i, cos_r):
     return cos_phi, 0.5 * length, math.atan2(sin_phi, cos_phi)
 
 
-@njit(cache=True, _nrt=False, forceinline=True, error_model="numpy")
+@uncounted(forceinline=True, error_model="numpy")
 def draw_gloss(lobes, which, normal, tangent, bitangent, view, mu, u, v, out):
     """Fill the direction of light that mirrors the view in a half vector drawn from a lobe; return whether it may be.
 
@@ -43,7 +43,7 @@ def draw_gloss(lobes, which, normal, tangent, bitangent, view, mu, u, v, out):
     return True
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def draw_cosine(normal, tangent, bitangent, u, v, out):
     """Fill a direction with the density cosθ / π about a normal."""
     radius, angle = math.sqrt(u), 2.0 * math.pi * v

@@ -12,7 +12,7 @@ import numpy as np
 
 from irodori.geometry.embree import hit_distance, hit_shape, is_blocked, trace
 from irodori.geometry.surfaces import face_viewer
-from irodori.jit.compilation import njit
+from irodori.jit.compilation import uncounted
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import constants_of, features_of, strength, value_of
 from irodori.reflection.lobes import density as lobe_density
@@ -47,7 +47,7 @@ MIRRORED = 4
 _SHARE, _BETA, _MU, _CONSTANT = 0, 1, 2, 3
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _fill_shares(world, point, share):
     """Fill the probabilities by which lights are chosen at a point, about their irradiance; return whether any is."""
     total = 0.0
@@ -62,13 +62,13 @@ def _fill_shares(world, point, share):
     return total > 0.0
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _weight(own, other):
     """Return the weight of a direction by the densities of both drawings, 1/sr; below 0 there is no other."""
     return 1.0 / (1.0 + (other / own) ** 2) if own > 0.0 else 1.0
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _meet_light(world, work, index, density):
     """Add what a path meets beside the objects; ``density`` is that of its drawing, below 0 of a single direction."""
     count = world.lights.kind.size
@@ -89,7 +89,7 @@ def _meet_light(world, work, index, density):
             add_product(work.throughput, work.radiance, weight, work.total)
 
 
-@njit(cache=True, _nrt=False, forceinline=True, error_model="numpy")
+@uncounted(forceinline=True, error_model="numpy")
 def _gloss(world, work, index, direction, cos_i, cos_r):
     """Return the gloss towards a direction of light without its Fresnel reflectance, its density, and cosθ_H.
 
@@ -110,7 +110,7 @@ def _gloss(world, work, index, direction, cos_i, cos_r):
     return factor, drawn, cos_h
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _reflect(world, work, index, direction, probability):
     """Fill ``work.mixture`` with the rough terms towards a direction of light; return the density of its drawing.
 
@@ -140,7 +140,7 @@ def _reflect(world, work, index, direction, probability):
     return drawn + probability[1] * of_gloss
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _leave(world, work, index, origin):
     """Fill the origin of a ray that leaves the surface."""
     p = work.point
@@ -149,7 +149,7 @@ def _leave(world, work, index, origin):
         origin[axis] = p[axis] + height * work.facet[axis]
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _add_chosen_light(world, ray, work, index, probability, numbers, at):
     """Add what one chosen light sends over the surface towards the eye.
 
@@ -198,7 +198,7 @@ def _add_chosen_light(world, ray, work, index, probability, numbers, at):
     add_product(work.throughput, work.mixture, 1.0, work.total)
 
 
-@njit(cache=True, _nrt=False, forceinline=True, error_model="numpy")
+@uncounted(forceinline=True, error_model="numpy")
 def _fill_gloss(world, work, index):
     """Fill ``work.gloss`` from the texel; return the sum of the components' β times the strength of their lobes."""
     objects, whole = world.objects, 0.0
@@ -220,7 +220,7 @@ def _fill_gloss(world, work, index):
     return whole
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _shares_of_terms(world, work, index, cos_r):
     """Return the shares of diffuse, gloss and mirror term in the light that is reflected, about; and F of a mirror.
 
@@ -248,7 +248,7 @@ def _shares_of_terms(world, work, index, cos_r):
     return diffuse / whole, gloss / whole, mirror / whole, reflectance
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _mirror(world, work, index, reflectance, weight, direction, throughput):
     """Fill the mirror's direction and multiply a throughput by its reflectance; return whether it leads away."""
     cos_r, above = 0.0, 0.0
@@ -266,7 +266,7 @@ def _mirror(world, work, index, reflectance, weight, direction, throughput):
     return above > 0.0
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _keep_mirror(world, work, index, terms, seldom):
     """Keep the mirror's part of a path for later; return the terms without it, and whether there is anything to follow.
 
@@ -286,7 +286,7 @@ def _keep_mirror(world, work, index, terms, seldom):
     return (diffuse / rough, gloss / rough, 0.0, reflectance), follows
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _component(work, choice):
     """Return the gloss component that a number from 0 to 1 chooses by the shares, none of share 0."""
     chosen = 0
@@ -299,7 +299,7 @@ def _component(work, choice):
     return chosen
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _turn(world, work, index, terms, numbers, at):
     """Choose the path's next direction and multiply its throughput.
 
@@ -327,7 +327,7 @@ def _turn(world, work, index, terms, numbers, at):
     return drawn
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _arrive(world, work, ray, index):
     """Fill what is known of the surface that a path met; return the cosine towards the viewer."""
     distance, d = hit_distance(ray), work.direction
@@ -338,7 +338,7 @@ def _arrive(world, work, ray, index):
     return face_viewer(work.normal, work.facet, d)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _survives(work, numbers, at):
     """Play Russian roulette; return whether the path goes on."""
     stream, first = at
@@ -351,7 +351,7 @@ def _survives(work, numbers, at):
     return True
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def follow(world, ray, work, numbers, stream, seldom):
     """Add the radiance along one path to ``work.total``; return how many of its two branches had to be cut.
 

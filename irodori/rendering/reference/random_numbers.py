@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import qmc
 
-from irodori.jit.compilation import njit
+from irodori.jit.compilation import uncounted
 
 PIXEL, LENS = 0, 2
 VERTEX = 4  # first dimension of the first surface
@@ -55,7 +55,7 @@ def make_numbers(samples: int, seed: int, replicates: int) -> Numbers:
     return Numbers(points, replicates, count, seed)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _mixed(z):
     """Return the finaliser of SplitMix64 (Steele et al. 2014)."""
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -63,7 +63,7 @@ def _mixed(z):
     return z ^ (z >> np.uint64(31))
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def pixel_key(x, y, replicate, seed):
     """Return what makes a pixel's numbers in a replicate its own, uint64."""
     key = _mixed(np.uint64(seed) * _ODD + _GOLDEN)
@@ -71,7 +71,7 @@ def pixel_key(x, y, replicate, seed):
     return _mixed(key + np.uint64(replicate) * _GOLDEN)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def stream_of(numbers, key, replicate, sample):
     """Return what `draw` needs to know of a sample: keys of its set and of itself, and its place in the points."""
     size = numbers.points.shape[1]
@@ -80,7 +80,7 @@ def stream_of(numbers, key, replicate, sample):
     return of_set, _mixed(key + np.uint64(sample + 1) * _ODD), replicate, sample % size
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def draw(numbers, stream, dimension):
     """Return a number in [0, 1)."""
     step = np.uint64(dimension) * _GOLDEN

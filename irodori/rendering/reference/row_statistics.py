@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from irodori.geometry.embree import new_ray
-from irodori.jit.compilation import njit
+from irodori.jit.compilation import njit, uncounted
 from irodori.rendering.reference.band_loops import BANDS, PADDED
 from irodori.rendering.reference.paths import MIRRORED, follow
 from irodori.rendering.reference.random_numbers import LENS, PIXEL, draw, pixel_key, stream_of
@@ -16,7 +16,7 @@ from irodori.rendering.view_cameras import aim
 _TOGETHER = 256
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _render_pixel(world, ray, work, view, numbers, x, y, whole, mean, spread):
     """Add the means of a pixel's replicates, and their squares; return the number of paths that were cut.
 

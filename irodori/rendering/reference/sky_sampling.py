@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.jit.compilation import njit
+from irodori.jit.compilation import uncounted
 from irodori.light.environment_file import Environment, directions
 from irodori.light.equirectangular import direction_uv
 from irodori.rendering.reference.band_loops import padded
@@ -96,7 +96,7 @@ def _guides(cumulative: np.ndarray) -> np.ndarray:
     return np.clip(found, 0, count - 1)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _entry(cumulative, guides, row, u):
     """Return the entry of a row whose share of 0..1 holds u, never one without a share."""
     count = cumulative.shape[1] - 1
@@ -111,13 +111,13 @@ def _entry(cumulative, guides, row, u):
     return low
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _under_tent(r):
     """Return a place from -1 to 1 with a density that falls from 1 at 0 to 0 at both ends."""
     return math.sqrt(2.0 * r) - 1.0 if r < 0.5 else 1.0 - math.sqrt(2.0 * (1.0 - r))
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def sample_sky(sky, u, v, direction, coefficients):
     """Fill a drawn direction and the coefficients of its radiance; return the density in 1/sr, 0 for a useless one.
 
@@ -148,7 +148,7 @@ def sample_sky(sky, u, v, direction, coefficients):
     return _look(sky, u, v, sine, coefficients)
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def _look(sky, u, v, sine, coefficients):
     """Fill the interpolated coefficients of the pixels about a place; columns wrap, rows end."""
     x, y = u * sky.width - 0.5, min(max(v * sky.height - 0.5, 0.0), sky.height - 1.0)
@@ -166,7 +166,7 @@ def _look(sky, u, v, sine, coefficients):
     return coefficients[coefficients.size - 1] / sine if sine > 1e-12 else 0.0
 
 
-@njit(cache=True, _nrt=False, forceinline=True)
+@uncounted(forceinline=True)
 def look_at_sky(sky, direction, coefficients):
     """Fill the coefficients of the radiance from a direction; return the density with which it is drawn, 1/sr."""
     u, v = direction_uv(direction[0], direction[1], direction[2])

@@ -1,7 +1,7 @@
 """Scene data and per-thread scratch space of the path tracer, as compiled loops take them.
 
 numba passes a tuple of arrays to a function word by word, and counts the owners of each: the functions that take these
-are inlined (``forceinline``) and count nothing (``_nrt=False``), or most of the time would go there.
+are inlined (``forceinline``) and count no references (`uncounted`), or most of the time would go there.
 """
 
 from typing import NamedTuple
