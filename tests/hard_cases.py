@@ -156,6 +156,7 @@ _TABLE = {
     ("G", "fuzzing"): {
         "configuration": "loaded, or refused with file and field",
         "configuration that unfolds without end": "refused at once",
+        "files of every reader damaged": "read, or refused in one sentence; within 5 s and 1 GB",
         "captures.csv": "read, or refused with file and line; no output",
         "HDF5 truncated": "refused with the file; no output",
         "HDF5 bit-flipped": "refused, or the data as written; no output",

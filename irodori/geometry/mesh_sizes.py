@@ -1,4 +1,4 @@
-"""What a mesh's file declares against what it holds, looked at before anything is made of it."""
+"""Sizes that a mesh's file declares, compared with what it holds before anything is made of it."""
 
 import json
 import struct

@@ -12,7 +12,7 @@ from irodori.material.coefficients import read_coefficients, write_coefficients
 from irodori.reflection.registry import DEFAULT_LOBES, lobe, names
 from irodori.spectra.grid import SAMPLES
 from irodori.spectra.spectral_files import REFLECTANCE
-from irodori.spectra.tables import MOST_K, MOST_N
+from irodori.spectra.tables import LEAST_N, MOST_K, MOST_N
 
 _DARKEST_GREEN = 1e-3
 #: Texels along a side that a file's reflectance is judged by.
@@ -240,7 +240,7 @@ class Material:
                 green_response=file.read("green_response"),
                 coefficients=read_coefficients(file, COEFFICIENTS),
                 basis=file.read_within("reflectance/basis"),
-                n=file.read_within("refractive_index/n", np.finfo(np.float64).tiny, MOST_N),
+                n=file.read_within("refractive_index/n", LEAST_N, MOST_N),
                 k=file.read_within("refractive_index/k", 0.0, MOST_K),
                 mirror=file.attribute("mirror", (float, int)),
                 typical_gloss=tuple(typical),

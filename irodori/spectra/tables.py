@@ -20,8 +20,8 @@ MAX_GAP_NM = 20.0
 #: Measured refractive indices of metals stand up to 50 nm apart and vary slowly.
 MAX_INDEX_GAP_NM = 60.0
 
-#: Complex refractive index n + ik of any material in the visible, as the schemas have it for constants.
-MOST_N, MOST_K = 10.0, 20.0
+#: Complex refractive index n + ik of any material in the visible; silver has the smallest n, 0.04.
+LEAST_N, MOST_N, MOST_K = 1e-3, 10.0, 20.0
 
 _COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _POINT_NUMBER = re.compile(r"[+-]?(\d+\.\d*|\.\d+)([eE][+-]?\d+)?")
@@ -103,7 +103,7 @@ def column_table(path, max_gap_nm: float = MAX_GAP_NM) -> tuple[list[str], list[
 
 
 def index_table(path) -> tuple[list[float], list[float], list[float]]:
-    """Read a CSV of wavelength_nm, n, k; n above 0 up to 10, k from 0 to 20.
+    """Read a CSV of wavelength_nm, n, k; n from 0.001 to 10, k from 0 to 20.
 
     Returns
     -------
@@ -113,8 +113,8 @@ def index_table(path) -> tuple[list[float], list[float], list[float]]:
     if names != ["n", "k"]:
         raise InputError(path, "line 1", ", ".join(["wavelength_nm", *names]), "the header wavelength_nm,n,k")
     for at, n, k in zip(wavelength, *columns, strict=True):
-        if not (0.0 < n <= MOST_N and 0.0 <= k <= MOST_K):
-            accepted = f"n above 0 up to {MOST_N:g}, k from 0 to {MOST_K:g}"
+        if not (LEAST_N <= n <= MOST_N and 0.0 <= k <= MOST_K):
+            accepted = f"n from {LEAST_N:g} to {MOST_N:g}, k from 0 to {MOST_K:g}"
             raise InputError(path, f"{at:g} nm", f"n = {n:g}, k = {k:g}", accepted)
     return wavelength, columns[0], columns[1]
 

@@ -7,6 +7,7 @@ import struct
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -32,7 +33,8 @@ from irodori.geometry.mesh_files import read_mesh
 from irodori.geometry.mesh_sources import mesh_files
 from irodori.light.environment_file import Environment
 from irodori.light.light_files import rgb_picture
-from irodori.material.material_file import Material
+from irodori.material.coefficients import write_coefficients
+from irodori.material.material_file import COEFFICIENTS, Material, write_constants
 from irodori.spectra.tables import index_table
 
 MADE = store.Provenance("test")
@@ -252,30 +254,42 @@ def test_a_part_placed_ten_thousand_times_is_refused(tmp_path):
         read_mesh(glb(tmp_path, content, data), "mm")
 
 
+def material_file(path, change, replaced: str = "alpha"):
+    """Write a material of which one dataset is what ``change`` puts there, by its own program from the start."""
+    whole = material(0.5)
+    maps = {name: getattr(whole, name) for name in ("alpha", "beta", "mu", "green_response")}
+    with store.create(path, MADE) as out:
+        for name in maps.keys() - {replaced}:
+            out.write(name, maps[name], units="1", dims="row,column", quantity=name)
+        write_coefficients(out, COEFFICIENTS, whole.coefficients, quantity="coefficients")
+        constants = {"lobes": whole.lobes, "typical_gloss": whole.typical_gloss}
+        write_constants(out, whole.basis, whole.n, whole.k, whole.mirror, None, **constants)
+        change(out)
+    return path
+
+
 def test_a_dataset_that_declares_more_than_its_file_holds_is_refused(tmp_path):
-    path = tmp_path / "material.h5"
-    material(0.5).save(path, MADE)
-    with h5py.File(path, "a") as file:
-        del file["alpha"]
-        file.create_dataset("alpha", (10**6, 10**6), "f8", chunks=(1000, 1000), compression="gzip")
+    def huge(out):
+        out.reserve("alpha", (10**6, 10**6), np.float64, units="1", dims="row,column", quantity="alpha")
+
     with pytest.raises(InputError, match=r"material\.h5: alpha: found .*declares 8000000000000 bytes"):
-        Material.load(path)
+        Material.load(material_file(tmp_path / "material.h5", huge))
 
 
 @pytest.mark.parametrize("kind", ["link", "raw"])
 def test_a_dataset_in_another_file_is_refused(tmp_path, kind):
-    path, other = tmp_path / "material.h5", tmp_path / "other.h5"
-    for file in (path, other):
-        material(0.5).save(file, MADE)
-    with h5py.File(path, "a") as file:
-        shape = file["alpha"].shape
-        del file["alpha"]
+    other = tmp_path / "other.h5"
+    material(0.5).save(other, MADE)
+
+    def elsewhere(out):
+        file = out._file  # what writes files of the project has no way to do this
         if kind == "link":
             file["alpha"] = h5py.ExternalLink(str(other), "/alpha")
         else:
-            file.create_dataset("alpha", shape, "f8", external=[(str(other), 0, h5py.h5f.UNLIMITED)])
+            file.create_dataset("alpha", (4, 8), "f8", external=[(str(other), 0, h5py.h5f.UNLIMITED)])
+
     with pytest.raises(InputError, match=r"material\.h5: alpha: found a dataset that stands in another file"):
-        Material.load(path)
+        Material.load(material_file(tmp_path / "material.h5", elsewhere))
 
 
 def panorama(path, width: int = 16, height: int = 8):
@@ -346,26 +360,20 @@ def test_a_profile_whose_colorants_do_not_make_white_is_refused(red):
         read_profile(with_number(data, b"rXYZ", 8, red * D50_XYZ[0]), "a.icc")
 
 
-def put(path, name: str, change) -> None:
-    with h5py.File(path, "a") as file:
-        values = file[name][()]
-        file[name][...] = change(values)
+def first_is(values: np.ndarray, value: float) -> np.ndarray:
+    """Return numbers of which the first is another."""
+    changed = values.copy()
+    changed.flat[0] = value
+    return changed
 
 
-def first_is(value: float):
-    def change(values):
-        values.flat[0] = value
-        return values
-
-    return change
-
-
-@pytest.mark.parametrize("name", ["reflectance/basis", "refractive_index/n", "refractive_index/k"])
+@pytest.mark.parametrize(
+    ("field", "name"), [("basis", "reflectance/basis"), ("n", "refractive_index/n"), ("k", "refractive_index/k")]
+)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_a_material_with_a_number_that_is_none_is_refused(tmp_path, name, value):
-    path = tmp_path / "material.h5"
-    material(0.5).save(path, MADE)
-    put(path, name, first_is(value))
+def test_a_material_with_a_number_that_is_none_is_refused(tmp_path, field, name, value):
+    path, whole = tmp_path / "material.h5", material(0.5)
+    replace(whole, **{field: first_is(getattr(whole, field), value)}).save(path, MADE)
     with pytest.raises(InputError, match=rf"material\.h5: {name}: found the value"):
         Material.load(path)
 
@@ -373,34 +381,32 @@ def test_a_material_with_a_number_that_is_none_is_refused(tmp_path, name, value)
 @pytest.mark.parametrize("n", [1e20, 0.0, 10.5])
 def test_a_refractive_index_that_no_material_has_is_refused(tmp_path, n):
     path = tmp_path / "material.h5"
-    material(0.5).save(path, MADE)
-    put(path, "refractive_index/n", lambda values: np.full_like(values, n))
-    with pytest.raises(InputError, match=r"refractive_index/n: found the value"):
+    material(0.5, n=n).save(path, MADE)
+    with pytest.raises(InputError, match=r"refractive_index/n: found the value .*numbers from 0\.001 to 10"):
         Material.load(path)
     table = tmp_path / "index.csv"
     table.write_text("wavelength_nm,n,k\n" + "".join(f"{w},{n},0\n" for w in range(400, 701, 20)))
-    with pytest.raises(InputError, match=r"index\.csv: 400 nm: found n = .*accepted: n above 0 up to 10"):
+    with pytest.raises(InputError, match=r"index\.csv: 400 nm: found n = .*accepted: n from 0\.001 to 10"):
         index_table(table)
 
 
 def test_a_surface_that_reflects_more_than_falls_on_it_is_refused(tmp_path):
     """By more than its error, that is: one that is poorly known may."""
-    path = tmp_path / "material.h5"
+    path, bright = tmp_path / "material.h5", material(1.3)
     material(1.19).save(path, MADE)
     assert Material.load(path).observed.all()
-    material(1.3).save(path, MADE)
+    bright.save(path, MADE)
     with pytest.raises(InputError, match=r"reflectance/coefficients: found a reflectance factor of 1\.3.*up to 1\.2"):
         Material.load(path)
-    with h5py.File(path, "a") as file:
-        file["reflectance_error"] = np.full(file["alpha"].shape, 0.2, np.float32)
+    error = np.full(bright.alpha.shape, 0.2, np.float32)
+    replace(bright, extra={"reflectance_error": (error, "1", "standard deviation")}).save(path, MADE)
     assert Material.load(path).observed.all()
 
 
 @pytest.mark.parametrize("name", ["coefficients", "basis", "irradiance"])
 def test_an_environment_with_a_number_that_is_none_is_refused(tmp_path, name):
-    path = tmp_path / "sky.h5"
-    constant_light().save(path, MADE)
-    put(path, name, first_is(np.nan))
+    path, whole = tmp_path / "sky.h5", constant_light()
+    replace(whole, **{name: first_is(getattr(whole, name), np.nan)}).save(path, MADE)
     with pytest.raises(InputError, match=rf"sky\.h5: {name}: found"):
         Environment.load(path)
 
