@@ -16,3 +16,8 @@ settings.load_profile("ci" if os.environ.get("CI") else "here")
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(items):
+    """Begin with the workflow's tests: a file of them takes minutes, for which the others would wait at the end."""
+    items.sort(key=lambda item: "workflow" not in item.path.parts)
