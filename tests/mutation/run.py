@@ -8,7 +8,8 @@ and ends at the first that fails. Survivors are printed; the exit status is 1 wh
 mutants were noticed.
 
 Only the tests of a room's own files are asked (`ROOMS`), and of these only such as take less than `LONGEST_S`: a fault
-that a long test alone would notice counts as a survivor. So does one that shows only under a near lamp. Times are those of the processor, whoever else uses it.
+that a long test alone would notice counts as a survivor, as does one that shows only under a near lamp. Times are those
+of the processor, whoever else uses it.
 """
 
 import argparse
