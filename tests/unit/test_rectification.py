@@ -207,6 +207,12 @@ def test_the_tables_shadow_falls_where_geometry_says(tmp_path):
     assert (found["shadowed"][free] == 0).all() and (found["weight"][free] == 1).all()
 
 
+def test_observations_name_the_filter_states_of_their_bands(tmp_path):
+    rectify(tmp_path, PLATE, [Pose(45.0, 0.0)])
+    with store.open_file(tmp_path / "obs.h5") as file:
+        assert file.attribute("filters") == ["out"]
+
+
 def test_what_stands_before_a_texel_leaves_it_no_observation(tmp_path):
     """A post on a disc: the camera does not see the disc behind it, however well that is lit, and shows the post there.
 
