@@ -70,10 +70,6 @@ rule benchmark:
         "results/benchmark/speed_error.html",
 
 
-def tests_of_stability(wildcards):
-    return sorted(map(str, Path(REPOSITORY, "tests").rglob("*.py")))
-
-
 rule check_stability:
     input:
         user_files=ancient(tests_of_stability),

@@ -21,3 +21,8 @@ ledger = Ledger("results/inputs.json")
 
 #: Stages whose speed and error `snakemake benchmark` measures; each is a module of benchmarks/.
 BENCHMARKS = ["ingest", "calibrate", "fit", "compress", "environment", "render", "reference", "plan"]
+
+
+def tests_of_stability(wildcards):
+    """Return the tests, of which the hard cases are tried."""
+    return sorted(map(str, Path(REPOSITORY, "tests").rglob("*.py")))
