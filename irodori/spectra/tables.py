@@ -13,8 +13,8 @@ from pathlib import Path
 
 from irodori.core.errors import InputError, is_file
 
-#: A table of text: some million numbers, which take half a gigabyte while they are read.
-_MOST_BYTES = 1 << 23
+#: A table of text: two million numbers, which take a gigabyte while they are read.
+_MOST_BYTES = 16 << 20
 FIRST_NM, LAST_NM = 400.0, 700.0
 MAX_GAP_NM = 20.0
 #: Measured refractive indices of metals stand up to 50 nm apart and vary slowly.
