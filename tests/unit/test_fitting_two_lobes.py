@@ -1,5 +1,8 @@
 """Other lobes than the paper's and sums of two: what was put in comes out, and what is not told is not stated."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import nlopt
 import numpy as np
 import pytest
@@ -7,11 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from irodori.config.cross_checks.object_lobes import check_lobes
+from irodori.config.definitions import load_definitions
 from irodori.core.errors import InputError
+from irodori.core.yaml_files import read_yaml
 from irodori.fitting.solvers import FitOptions, fit
 from irodori.material.material_file import Status
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.registry import lobe
+
+ROOT = Path(__file__).resolve().parents[2]
 
 LIGHT = np.radians(np.array([25.0, 45.0, 65.0]))[np.arange(60) % 3]
 CAMERA = LIGHT + np.radians(np.linspace(-35.0, 20.0, 60))
@@ -238,7 +245,8 @@ def test_what_cannot_be_fitted_is_refused(options, message):
     ],
 )
 def test_a_definition_is_checked_before_anything_is_fitted(lobes, changed, message):
-    settings_of_fit = {"solver": "varpro", "refractive_index": "fixed", "pooling_radius_texels": 0, "huber": None}
-    check_lobes({"lobes": ["gaussian", "ggx"]}, settings_of_fit, "object.yaml")
+    loaded = load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT)
+    settings_of_fit, definition = loaded.config.fit, next(iter(loaded.objects.values()))
+    check_lobes(replace(definition, lobes=("gaussian", "ggx")), settings_of_fit, "object.yaml")
     with pytest.raises(InputError, match=message):
-        check_lobes({"lobes": lobes}, settings_of_fit | changed, "object.yaml")
+        check_lobes(replace(definition, lobes=tuple(lobes)), replace(settings_of_fit, **changed), "object.yaml")
