@@ -67,8 +67,8 @@ class FitBounds(Definition):
     #: Smallest and largest gloss weight (ratio).
     beta: tuple[float, float] = (0.0, 10000.0)
 
-    #: Smallest and largest roughness, in the unit of the lobe (rad of the paper's); what a lobe is not defined for is
-    #: left out.
+    #: Smallest and largest roughness, in rad of the paper's lobe and in the unit of any other; what a lobe is not
+    #: defined for is left out.
     mu_rad: tuple[float, float] = (0.005, 1.2)
 
     #: Smallest and largest refractive index where it is fitted (ratio).
@@ -360,7 +360,7 @@ class PosePlan(Definition):
     #: Smallest and largest gloss weight expected (ratio).
     beta: tuple[float, float] = (0.5, 8.0)
 
-    #: Smallest and largest roughness expected, in the unit of the lobe (rad of the paper's).
+    #: Smallest and largest roughness expected, in rad of the paper's lobe and in the unit of any other.
     mu_rad: tuple[float, float] = (0.05, 0.3)
 
     #: Poses to plan (count).
@@ -427,7 +427,7 @@ class FurtherGloss(Definition):
     #: Weight of the gloss term (ratio).
     beta: float
 
-    #: Roughness, in the unit of the lobe: rad of the paper's facets, a ratio of GGX facets.
+    #: Roughness, in rad of the paper's facets, a ratio of GGX facets.
     mu_rad: float
 
 
@@ -444,7 +444,7 @@ class PaperMaterial(Definition):
     #: Weight of the gloss term (ratio).
     beta: float
 
-    #: Roughness, in the unit of the lobe: rad of the paper's facets, a ratio of GGX facets.
+    #: Roughness, in rad of the paper's facets, a ratio of GGX facets.
     mu_rad: float
 
     #: A second gloss component, added to the first.
@@ -464,7 +464,7 @@ class GgxMaterial(Definition):
     #: Weight of the gloss term (ratio).
     beta: float
 
-    #: Roughness, in the unit of the lobe: rad of the paper's facets, a ratio of GGX facets.
+    #: Roughness, in rad of the paper's facets, a ratio of GGX facets.
     mu_rad: float
 
     #: A second gloss component, added to the first.

@@ -67,7 +67,7 @@ class PlannedObject(Definition):
     shape: ObjectShape
     refractive_index: RefractiveIndex
     plan: PosePlan
-    lobes: tuple[str, ...]
+    lobes: tuple[str, ...] = Object.lobes
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -61,8 +61,8 @@ def test_the_pictures_error_in_the_table_is_plain_ciede2000_up_to_white_and_scal
     inputs |= {"view_lights": [tmp_path / "e.h5"], "views": [tmp_path / "found.exr"]}
     inputs |= {"true_views": [tmp_path / "true.exr"]}
     names = {"cameras": [], "objects": [], "environments": [], "views": ["s/v"], "view_environments": ["e"]}
-    names["view_scenes"] = [{"lights": [], "display": {"exposure": "auto"}}]
-    measure_errors(inputs, names, ["D65"], tmp_path / "errors.csv")
+    scene = Staging.of({"lights": [], "display": {"exposure": "auto"}})
+    measure_errors(inputs, names, [scene], ["D65"], tmp_path / "errors.csv")
     row = read_errors(tmp_path / "errors.csv")[0]
     matrix = xyz_from_radiance(np.ones(61))
     pair = [radiance.astype(float) @ matrix.T for radiance in (truth, found)]
