@@ -97,7 +97,8 @@ def test_the_error_of_alpha_does_not_depend_on_whether_the_geometry_is_shared(se
     weight = (rng.random(response.shape) >= holes).astype(np.float64)
     variance = np.tile([1e-6, 1e-5], (24, 1)) if known else None
     one, each = (fit(response, angles, weight, noise=variance) for angles in (geometry, np.tile(geometry, (600, 1, 1))))
-    # In a valley without a floor a search may end elsewhere; that is another minimum, and another error.
+    # In a valley without a floor a search may end elsewhere; that is another minimum, and another error. Of those that
+    # agree, one in 600 was seen to differ by 1e-5: the lowest point of a valley that is almost flat.
     same = np.isclose(one.residual_rms, each.residual_rms, rtol=1e-6) | np.isnan(one.residual_rms)
     assert same.mean() > 0.995
     np.testing.assert_array_equal(one.status[same], each.status[same])

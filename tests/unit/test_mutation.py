@@ -74,11 +74,12 @@ def test_a_mutant_differs_from_its_module_by_its_fault_alone(mutants, tmp_path):
 
 @pytest.mark.heavy
 def test_a_sample_of_mutants_is_put_to_the_tests():
-    """Others at every commit; those that nobody noticed are printed. The least share is a floor, and no aim.
+    """Others at every commit; those that nobody noticed are printed. The least share is no aim.
 
-    A dozen of one room, for sixty of three rooms take over ten minutes.
+    A dozen of one room, for sixty of three rooms take over ten minutes; of so few, half may be unnoticed by chance, so
+    that a low share says that the tool is broken and nothing of the tests: their score needs a larger sample.
     """
-    options = ["--sample", "12", "--jobs", "2", "--least", "0.3", "--rooms", "rectification"]
+    options = ["--sample", "12", "--jobs", "2", "--least", "0.2", "--rooms", "rectification"]
     command = [sys.executable, "tests/mutation/run.py", *options]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
