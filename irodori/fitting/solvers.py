@@ -9,6 +9,7 @@ from functools import lru_cache
 import nlopt
 import numpy as np
 
+from irodori.config.cross_checks.object_lobes import SETTINGS_WITH_TWO_LOBES
 from irodori.fitting import judge, nlopt_loop, texels, two_lobes
 from irodori.fitting.index_errors import index_errors
 from irodori.fitting.index_search import fit_index
@@ -90,10 +91,8 @@ class FitOptions:
         check_lobes(self.lobes)
         if len(self.lobes) == 1:
             return
-        for name, value, accepted in (
-            ("solver", self.solver, "varpro"), ("refractive_index", self.refractive_index, "fixed"),
-            ("pooling_radius_texels", self.pooling_radius_texels, 0), ("huber", self.huber, None),
-        ):  # fmt: skip
+        for name, accepted in SETTINGS_WITH_TWO_LOBES.items():
+            value = getattr(self, name)
             if value != accepted:
                 raise ValueError(f"fit.{name} {value!r} of an object with two lobes; accepted: {accepted!r}")
 

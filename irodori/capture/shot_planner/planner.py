@@ -20,7 +20,7 @@ from irodori.capture.shot_planner.fisher_information import (
     standard_errors,
 )
 from irodori.config.capture_table import Pose
-from irodori.config.models import AxisLimit, Object, Rig, RigLimits, SensorOptions
+from irodori.config.models import AxisLimit, Object, PosePlan, Rig, RigLimits, SensorOptions
 from irodori.config.parts import PlannedObject
 from irodori.geometry.rig_frame import to_camera, to_light
 from irodori.geometry.shapes.shape import Shape
@@ -57,9 +57,9 @@ class MaterialRange:
         `irodori.capture.shot_planner.fisher_information`.
     """
 
-    alpha: tuple[float, float] = (0.02, 0.9)
-    beta: tuple[float, float] = (0.5, 8.0)
-    mu_rad: tuple[float, float] = (0.05, 0.3)
+    alpha: tuple[float, float] = PosePlan.alpha
+    beta: tuple[float, float] = PosePlan.beta
+    mu_rad: tuple[float, float] = PosePlan.mu_rad
     n: float = 1.5
     k: float = 0.0
     lobes: tuple[str, ...] = DEFAULT_LOBES

@@ -5,7 +5,7 @@ from irodori.config.validation import suggest
 from irodori.core.errors import InputError
 
 #: Settings of the fit that an object with two lobes must leave as they are.
-_OF_ONE_LOBE = {"solver": "varpro", "refractive_index": "fixed", "pooling_radius_texels": 0, "huber": None}
+SETTINGS_WITH_TWO_LOBES = {"solver": "varpro", "refractive_index": "fixed", "pooling_radius_texels": 0, "huber": None}
 
 
 def check_lobes(definition: Object, fit: Fit, file) -> None:
@@ -25,7 +25,7 @@ def check_lobes(definition: Object, fit: Fit, file) -> None:
             raise InputError(file, f"lobes[{place}]", repr(name), suggest(name, names(), "lobes"))
     if len(lobes) == 1:
         return
-    for key, accepted in _OF_ONE_LOBE.items():
+    for key, accepted in SETTINGS_WITH_TWO_LOBES.items():
         found = getattr(fit, key)
         if found != accepted:
             stated = "null" if accepted is None else accepted
