@@ -421,50 +421,33 @@ MaterialPattern: TypeAlias = UniformPattern | ChecksPattern
 class FurtherGloss(Definition):
     """One gloss component."""
 
-    #: The component's facets, as of the materials.
-    kind: Literal["paper", "ggx"]
+    #: Lobe of the gloss, as the object's lobes name it; gaussian is that of equation (5).
+    lobe: str = "gaussian"
 
     #: Weight of the gloss term (ratio).
     beta: float
 
-    #: Roughness, in rad of the paper's facets, a ratio of GGX facets.
+    #: Roughness, in rad of the paper's lobe and in the unit of any other.
     mu_rad: float
 
 
 @dataclass(frozen=True, kw_only=True)
-class PaperMaterial(Definition):
-    """The reflection model of equation (5)."""
+class ModelledMaterial(Definition):
+    """Diffuse reflection and gloss of a registered lobe."""
 
-    #: The reflection model of equation (5).
-    kind: Literal["paper"] = "paper"
-
-    #: Diffuse reflectance factor; the name of a CIE test colour (TCS0 to TCS98) or the path of a file.
-    spectrum: str
-
-    #: Weight of the gloss term (ratio).
-    beta: float
-
-    #: Roughness, in rad of the paper's facets, a ratio of GGX facets.
-    mu_rad: float
-
-    #: A second gloss component, added to the first.
-    further_gloss: tuple[FurtherGloss, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class GgxMaterial(Definition):
-    """GGX facets, a lobe with longer tails, of the same height at normal incidence."""
-
-    #: GGX facets, a lobe with longer tails, of the same height at normal incidence.
-    kind: Literal["ggx"] = "ggx"
+    #: Diffuse reflection and gloss of a registered lobe.
+    kind: Literal["modelled"] = "modelled"
 
     #: Diffuse reflectance factor; the name of a CIE test colour (TCS0 to TCS98) or the path of a file.
     spectrum: str
 
+    #: Lobe of the gloss, as the object's lobes name it; gaussian is that of equation (5).
+    lobe: str = "gaussian"
+
     #: Weight of the gloss term (ratio).
     beta: float
 
-    #: Roughness, in rad of the paper's facets, a ratio of GGX facets.
+    #: Roughness, in rad of the paper's lobe and in the unit of any other.
     mu_rad: float
 
     #: A second gloss component, added to the first.
@@ -482,7 +465,7 @@ class MeasuredMaterial(Definition):
     file: str
 
 
-TrueMaterial: TypeAlias = PaperMaterial | GgxMaterial | MeasuredMaterial
+TrueMaterial: TypeAlias = ModelledMaterial | MeasuredMaterial
 
 
 @dataclass(frozen=True, kw_only=True)

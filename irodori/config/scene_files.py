@@ -14,7 +14,7 @@ from irodori.config.models import (
     Camera,
     IlluminantChange,
     MeasuredDisplay,
-    PaperMaterial,
+    ModelledMaterial,
     ProfileDisplay,
     Scene,
     ScenePhotograph,
@@ -160,7 +160,9 @@ class SceneFiles:
     def _follows_the_model(self, name: str) -> bool:
         """Whether a virtual object's true materials are those of equation (5), which alone is rendered."""
         virtual = self.loaded.objects[name].virtual
-        return virtual is not None and all(isinstance(one, PaperMaterial) for one in virtual.materials)
+        return virtual is not None and all(
+            isinstance(one, ModelledMaterial) and one.lobe == ModelledMaterial.lobe for one in virtual.materials
+        )
 
     def _views(self, virtual_only: bool) -> Iterator[tuple[str, str, Scene]]:
         """Yield scene, view and definition of every view, or of those whose objects' truth is known."""

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import NamedTuple, get_type_hints
+from typing import NamedTuple, TypeGuard, get_type_hints
 
 import numpy as np
 
@@ -21,14 +21,14 @@ from irodori.config.capture_table import Shot, expand_poses, write_captures
 from irodori.config.models import (
     Camera,
     ChartCorners,
-    GgxMaterial,
     Imperfections,
+    ModelledMaterial,
     Object,
-    PaperMaterial,
     PoseGroup,
     Rectify,
     Rig,
     Size,
+    TrueMaterial,
 )
 from irodori.config.parts import RigGeometry
 from irodori.core.atomic_files import written_whole
@@ -156,15 +156,16 @@ class Chain:
             yield label.replace("_", " "), self.with_faults(Imperfections(**switched))
         virtual = self.definition.virtual
         assert virtual is not None  # checked: an object of a virtual rig
-        if any(isinstance(material, PaperMaterial) for material in virtual.materials):
+        if any(_of_equation_5(material) for material in virtual.materials):
             others = tuple(
-                GgxMaterial(spectrum=one.spectrum, beta=one.beta, mu_rad=one.mu_rad)
-                if isinstance(one, PaperMaterial)
-                else one
-                for one in virtual.materials
+                replace(one, lobe="ggx", further_gloss=()) if _of_equation_5(one) else one for one in virtual.materials
             )
             definition = replace(self.definition, virtual=replace(virtual, materials=others))
             yield "all, and GGX in place of equation (5)", replace(self, definition=definition)
+
+
+def _of_equation_5(material: TrueMaterial) -> TypeGuard[ModelledMaterial]:
+    return isinstance(material, ModelledMaterial) and material.lobe == ModelledMaterial.lobe
 
 
 def _photograph(

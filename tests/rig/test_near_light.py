@@ -85,7 +85,7 @@ def setup_of(camera, rig, white=True):
 
 def uniform(definitions, shape, beta=4.0, mu_rad=0.15):
     definition = copy.deepcopy(definitions["objects"]["tile-plate"])
-    material = {"kind": "paper", "spectrum": "TCS16", "beta": beta, "mu_rad": mu_rad}
+    material = {"spectrum": "TCS16", "beta": beta, "mu_rad": mu_rad}
     definition |= {"shape": shape, "mirror_weight": 0.0, "texels": {"width": 24, "height": 16}}
     definition["virtual"] = {"pattern": {"kind": "uniform"}, "materials": [material]}
     return definition
@@ -225,7 +225,7 @@ def test_a_distortion_left_out_moves_the_pattern(tmp_path, definitions):
     definition["texels"] = {"width": 72, "height": 56}
     definition["virtual"] = {
         "pattern": {"kind": "checks", "columns": 9, "rows": 7},
-        "materials": [{"kind": "paper", "spectrum": s, "beta": 0.0, "mu_rad": 0.2} for s in ("TCS0", "TCS98")],
+        "materials": [{"spectrum": s, "beta": 0.0, "mu_rad": 0.2} for s in ("TCS0", "TCS98")],
     }
     files = photographed(tmp_path, definition, camera, rig, [Pose(45.0, 0.0)])
     straight = copy.deepcopy(camera)

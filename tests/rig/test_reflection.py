@@ -13,7 +13,6 @@ from irodori.reflection.lobe_arrays import evaluate
 from irodori.simulation.virtual_rig.sample_reflection import (
     gloss_components,
     gloss_term,
-    lobe_of_kind,
     measured_lobe,
     read_measured,
 )
@@ -39,12 +38,6 @@ def test_a_material_reflects_as_its_lobes_do(mu, other, theta_i, theta_r, azimut
         expected = sum(weight * evaluate(name, roughness, geometry) for name, weight, roughness in pairs)
         # The angle of a half vector next to the normal has the digits that its cosine has.
         assert found == pytest.approx(expected, rel=1e-6 if geometry[3] > 1e-4 else 2e-4, abs=1e-12)
-
-
-def test_kinds_are_names_of_lobes_or_the_papers():
-    assert [lobe_of_kind(kind) for kind in ("paper", "ggx", "gaussian")] == ["gaussian", "ggx", "gaussian"]
-    with pytest.raises(ValueError, match="no lobe 'phong'"):
-        lobe_of_kind("phong")
 
 
 def table(tmp_path, value, rows: int = 4000) -> Path:

@@ -51,7 +51,7 @@ def uniform(definitions, name: str, beta: float = 4.0, mu_rad: float = 0.15, mir
     definition = copy.deepcopy(definitions["objects"][name])
     definition["virtual"] = {
         "pattern": {"kind": "uniform"},
-        "materials": [{"kind": "paper", "spectrum": "TCS16", "beta": beta, "mu_rad": mu_rad}],
+        "materials": [{"spectrum": "TCS16", "beta": beta, "mu_rad": mu_rad}],
     }
     definition["mirror_weight"] = mirror
     return definition
@@ -111,7 +111,7 @@ def test_the_centre_of_a_plate_has_the_response_of_equation_5(definitions, perfe
 
 def test_a_plate_of_two_components_has_the_sum_of_their_terms_and_its_truth_has_both(definitions, perfect):
     definition, pose = uniform(definitions, "tile-plate"), Pose(45.0, 41.0)
-    second = {"kind": "ggx", "beta": 1.5, "mu_rad": 0.4}
+    second = {"lobe": "ggx", "beta": 1.5, "mu_rad": 0.4}
     definition["virtual"]["materials"][0]["further_gloss"] = [second]
     image, sample, weights = photograph(definition, *perfect, pose)
     geometry = angles_from_directions(rig_from_object(pose)[:, 2], to_light(pose), to_camera(pose))
@@ -131,7 +131,7 @@ def test_a_plate_of_two_components_has_the_sum_of_their_terms_and_its_truth_has_
 def test_the_truth_of_materials_with_different_lobes_has_a_component_for_each(definitions, perfect):
     definition = uniform(definitions, "tile-plate")
     definition["virtual"]["pattern"] = {"kind": "checks", "columns": 2, "rows": 1}
-    definition["virtual"]["materials"].append({"kind": "ggx", "spectrum": "TCS3", "beta": 2.0, "mu_rad": 0.3})
+    definition["virtual"]["materials"].append({"lobe": "ggx", "spectrum": "TCS3", "beta": 2.0, "mu_rad": 0.3})
     truth = true_material(
         made(Object, definition), *(made(kind, one) for kind, one in zip((Camera, Rig), perfect, strict=True))
     )

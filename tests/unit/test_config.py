@@ -10,6 +10,7 @@ from definitions import CAMERA_FILE, PLATE_FILE, ROOM_FILE, ROOT, edit, fault, l
 
 from irodori.config.definitions import read_yaml
 from irodori.config.models import IndexTable
+from irodori.core.errors import InputError
 
 DATA = ROOT.parent / "shared" / "data"
 POSE = "l0450-c0000-t000-r0000"
@@ -196,6 +197,15 @@ def test_a_spectrum_file_that_exists_is_accepted(root):
     (root / "red.csv").write_text("name," + ",".join(map(str, range(400, 701, 10))) + "\nred" + ",0.5" * 31 + "\n")
     edit(root, PLATE_FILE, "virtual.materials.0.spectrum", "red.csv")
     assert load(root).objects["tile-plate"].virtual.materials[0].spectrum == "red.csv"
+
+
+def test_virtual_materials_take_any_registered_lobe_and_no_other(root):
+    edit(root, PLATE_FILE, "virtual.materials.1.lobe", "ggx")
+    assert load(root).objects["tile-plate"].virtual.materials[1].lobe == "ggx"
+    edit(root, PLATE_FILE, "virtual.materials.1.further_gloss", [{"lobe": "gausian", "beta": 1.0, "mu_rad": 0.1}])
+    where = r"virtual\.materials\[1\]\.further_gloss\[0\]\.lobe: found 'gausian'; .*did you mean 'gaussian'"
+    with pytest.raises(InputError, match=where):
+        load(root)
 
 
 @pytest.mark.parametrize(

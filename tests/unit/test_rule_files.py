@@ -152,7 +152,7 @@ def test_tables_of_a_camera_and_an_object_are_inputs_of_their_jobs(root):
 def test_views_of_objects_of_unknown_truth_are_left_out(root):
     assert SceneFiles(PhotographSets(load(root))).views("{view}", virtual_only=True)
     edit(root, "scenes/still-life.yaml", "photographs", {})
-    edit(root, PLATE_FILE, "virtual.materials.0.kind", "ggx")
+    edit(root, PLATE_FILE, "virtual.materials.0.lobe", "ggx")
     scenes = SceneFiles(PhotographSets(load(root)))
     assert scenes.views("{scene}/{view}", virtual_only=True) == []
     assert scenes.views("{scene}/{view}")

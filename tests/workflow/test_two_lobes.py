@@ -31,7 +31,7 @@ def component(material: Material, name: str) -> np.ndarray:
 def finished(tmp_path_factory):
     folder = small_project(tmp_path_factory.mktemp("lobes") / "project")
     materials = [
-        {"spectrum": s, "beta": b1, "mu_rad": m1, "further_gloss": [{"kind": "ggx", "beta": b2, "mu_rad": m2}]}
+        {"spectrum": s, "beta": b1, "mu_rad": m1, "further_gloss": [{"lobe": "ggx", "beta": b2, "mu_rad": m2}]}
         for s, b1, m1, b2, m2 in PAINTS
     ]
     camera = [0.0, 20.0, 30.0, 35.0, 38.0, 41.0, 43.0, 45.0, 47.0, 49.0, 52.0, 55.0, 60.0, 65.0, 75.0]

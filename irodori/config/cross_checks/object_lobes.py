@@ -1,6 +1,6 @@
-"""The lobes of an object's gloss, and what of the fit's settings two of them leave no choice of."""
+"""The lobes of an object and of its virtual materials; settings of the fit that do not go with two lobes."""
 
-from irodori.config.models import Fit, Object
+from irodori.config.models import Fit, ModelledMaterial, Object
 from irodori.config.validation import suggest
 from irodori.core.errors import InputError
 
@@ -15,18 +15,27 @@ def check_lobes(definition: Object, fit: Fit, file) -> None:
     ------
     InputError
     """
-    lobes = definition.lobes
-    if lobes == Object.lobes:  # the default, which is registered
-        return
-    from irodori.reflection.registry import names  # with the compiler behind it, which most configurations do not need
-
-    for place, name in enumerate(lobes):
-        if name not in names():
-            raise InputError(file, f"lobes[{place}]", repr(name), suggest(name, names(), "lobes"))
-    if len(lobes) == 1:
+    _check_names(definition, file)
+    if len(definition.lobes) == 1:
         return
     for key, accepted in SETTINGS_WITH_TWO_LOBES.items():
         found = getattr(fit, key)
         if found != accepted:
             stated = "null" if accepted is None else accepted
             raise InputError(file, "lobes", f"two lobes with fit.{key}: {found}", f"one lobe, or fit.{key}: {stated}")
+
+
+def _check_names(definition: Object, file) -> None:
+    named = {f"lobes[{place}]": name for place, name in enumerate(definition.lobes)}
+    for m, material in enumerate(definition.virtual.materials if definition.virtual else ()):
+        if isinstance(material, ModelledMaterial):
+            named[f"virtual.materials[{m}].lobe"] = material.lobe
+            for c, further in enumerate(material.further_gloss):
+                named[f"virtual.materials[{m}].further_gloss[{c}].lobe"] = further.lobe
+    if set(named.values()) == set(Object.lobes):  # the default, which is registered
+        return
+    from irodori.reflection.registry import names  # with the compiler behind it, which most configurations do not need
+
+    for place, name in named.items():
+        if name not in names():
+            raise InputError(file, place, repr(name), suggest(name, names(), "lobes"))

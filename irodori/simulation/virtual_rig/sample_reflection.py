@@ -16,9 +16,6 @@ from irodori.reflection.registry import lobe
 from irodori.spectra.resampling import resample
 from irodori.spectra.tables import brdf_table
 
-#: Kinds of virtual materials that are no names of lobes; ``paper`` is equation (5), the lobe ``gaussian``.
-PAPER = "paper"
-
 _HALF_NODES = 46
 _DIFFERENCE_NODES = 10
 _MAX_ANGLE_RAD = math.radians(80.0)
@@ -31,17 +28,6 @@ class GlossComponents(NamedTuple):
     which: np.ndarray  # (m, c) place of the component's lobe in `lobes`, -1 where the material has no such component
     beta: np.ndarray  # (m, c)
     constant: np.ndarray  # (m, c, 2) of the lobe at the component's roughness
-
-
-def lobe_of_kind(kind: str) -> str:
-    """Return the lobe of a gloss component's kind: ``paper``, or the lobe's own name.
-
-    Raises
-    ------
-    ValueError
-        If there is no lobe of that name.
-    """
-    return lobe("gaussian" if kind == PAPER else kind).name
 
 
 def gloss_components(lobes: list[tuple[str, ...]], beta: np.ndarray, mu: np.ndarray) -> GlossComponents:

@@ -9,16 +9,15 @@ import numpy as np
 from irodori.config.models import (
     ChecksPattern,
     FurtherGloss,
-    GgxMaterial,
     MeasuredMaterial,
+    ModelledMaterial,
     Object,
-    PaperMaterial,
     TrueMaterial,
 )
 from irodori.config.parts import PhotographedObject
 from irodori.geometry.shapes.shape import Shape
 from irodori.reflection.fresnel import fresnel
-from irodori.simulation.virtual_rig.sample_reflection import lobe_of_kind, measured_lobe, read_measured
+from irodori.simulation.virtual_rig.sample_reflection import measured_lobe, read_measured
 from irodori.spectra.grid import SAMPLES
 from irodori.spectra.published import refractive_index, spectrum
 
@@ -90,7 +89,7 @@ class Sample:
                     for m in materials
                 ]
             ),
-            lobes=tuple(tuple(lobe_of_kind(c.kind) for c in components) for components in gloss),
+            lobes=tuple(tuple(c.lobe for c in components) for components in gloss),
             beta=beta,
             mu=mu,
             table=np.array([files.index(m.file) if isinstance(m, MeasuredMaterial) else -1 for m in materials]),
@@ -113,8 +112,8 @@ class Sample:
         return (row[:, None] * self.columns + column[None, :]) % len(self.reflectance)
 
 
-def _components(material: TrueMaterial) -> list[PaperMaterial | GgxMaterial | FurtherGloss]:
-    """Return the gloss components of a virtual material's definition: ``kind``, ``beta`` and ``mu_rad`` of each."""
+def _components(material: TrueMaterial) -> list[ModelledMaterial | FurtherGloss]:
+    """Return the gloss components of a virtual material's definition: ``lobe``, ``beta`` and ``mu_rad`` of each."""
     return [] if isinstance(material, MeasuredMaterial) else [material, *material.further_gloss]
 
 
