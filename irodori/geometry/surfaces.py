@@ -51,9 +51,9 @@ def make_surfaces(placements: Sequence[Placement]) -> Surfaces:
 
 
 def _joined(arrays: list[np.ndarray], *shape: int, dtype=np.float64) -> np.ndarray:
-    """Return arrays one after the other; the array itself where there is one, for meshes are large."""
+    """Return arrays one after the other, row by row; the array itself where there is one, for meshes are large."""
     if len(arrays) == 1:
-        return arrays[0]
+        return np.ascontiguousarray(arrays[0])  # another order would compile kernels of its own
     return np.concatenate(arrays) if arrays else np.zeros((0, *shape), dtype=dtype)
 
 

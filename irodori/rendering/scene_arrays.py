@@ -129,7 +129,7 @@ def make_objects(placements: list[Placement], materials: list[Material]) -> tupl
         first_texel=first[:-1],
         texture_size=np.array([m.alpha.shape[::-1] for m in materials]),
         texels=texels,
-        basis=np.stack(basis),
+        basis=np.ascontiguousarray(np.stack(basis)),  # stacked in another order, it would compile kernels of its own
         bases=np.array([m.basis.shape[1] for m in materials]),
         mirror=np.array([m.mirror for m in materials], dtype=np.float64),
         n=n,

@@ -1,5 +1,6 @@
 """Small scenes and what geometry says of them, for the tests of rendering."""
 
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from irodori.config.models import (
 )
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment, directions
+from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
 
@@ -57,6 +59,16 @@ def sky(function, width=512, height=256, basis=None) -> Environment:
     coefficients = function(directions(width, height)[0]).astype(np.float32)
     basis = np.ones((61, 1)) if basis is None else basis
     return Environment(coefficients, basis, irradiance_map(coefficients, 128, 64))
+
+
+def gloss_maps(light: Environment) -> GlossMaps:
+    """Return the gloss maps of a light; those of the last few are remembered, for they take seconds."""
+    return _gloss_maps(light.coefficients.tobytes(), light.coefficients.dtype, light.coefficients.shape)
+
+
+@functools.lru_cache(maxsize=4)
+def _gloss_maps(coefficients: bytes, dtype, shape: tuple[int, ...]) -> GlossMaps:
+    return GlossMaps.of(np.frombuffer(coefficients, dtype).reshape(shape).copy())
 
 
 BALL = Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "sphere", "radius_mm": 20.0}))
@@ -113,6 +125,12 @@ def sphere_hits(radius=20.0, position=(0.0, -200.0, 0.0), **view):
 def smooth_light(direction):
     x, y, z = np.moveaxis(direction, -1, 0)
     return 1.0 + 0.5 * x - 0.3 * y + 0.6 * z * z + 0.2 * x * z
+
+
+@functools.cache
+def smooth_sky(width: int = 512, height: int = 256) -> Environment:
+    """Return `smooth_light` as an environment, made once: it is not to be changed."""
+    return sky(lambda direction: smooth_light(direction)[..., None], width, height)
 
 
 def lobe_integral(normal, view, beta, mu, n, k) -> float:

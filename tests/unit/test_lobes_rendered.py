@@ -11,12 +11,22 @@ import pytest
 import toy_lobe
 from made import made
 from path_scenes import DARK, deviations, traced
-from scenes import BALL, ONES, constant_light, fresnel, material, plate, sky, smooth_light, sphere_hits
+from scenes import (
+    BALL,
+    ONES,
+    constant_light,
+    fresnel,
+    gloss_maps,
+    material,
+    plate,
+    smooth_light,
+    smooth_sky,
+    sphere_hits,
+)
 
 from irodori.config.models import Size, View
 from irodori.fitting.solvers import FitOptions, fit
 from irodori.geometry.shapes.placement import Placement
-from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.material.material_file import Material
 from irodori.reflection.lobe import Lobe
 from irodori.reflection.registry import register
@@ -34,8 +44,11 @@ SURFACES = {
     "gaussian+ggx": (("gaussian", 5.0, 0.1), ("ggx", 0.6, 0.4)),
     "toy": (("toy", 8.0, 0.2),),
 }
+#: Loops are compiled for the lobes of a scene: a ball out of sight, with those that are missing, makes scenes of three
+#: lobes, of surfaces with one component and with two, of the sum of two lobes and of the foreign one.
+MIXED = ("gaussian", "ggx", "toy")
 GLOSSY = pytest.mark.parametrize("components", SURFACES.values(), ids=SURFACES)
-#: Each number of components compiles its own interactive loop: the two that fits may choose, and the foreign one.
+#: Each number of components compiles its own interactive loop: one, and two beside a foreign one.
 INTERACTIVE = [name for name in SURFACES if name != "ggx+ggx"]
 SHOWN = pytest.mark.parametrize("components", [SURFACES[name] for name in INTERACTIVE], ids=INTERACTIVE)
 
@@ -60,6 +73,23 @@ def surface(components, n=1.5, k=0.0, reflectance=0.0) -> Material:
     maps = tuple((np.full(one.beta.shape, b), np.full(one.mu.shape, m)) for _, b, m in further)
     typical = tuple(value for _, b, m in components for value in (b, m))
     return dataclasses.replace(one, lobes=tuple(c[0] for c in components), further_gloss=maps, typical_gloss=typical)
+
+
+def beside(shape, components, *given):
+    """Return shapes, materials and places of a surface in the origin and of what completes `MIXED`, if it is of it."""
+    lobes = [name for name, _, _ in components]
+    scene = [(shape, surface(components, *given), (0.0, 0.0, 0.0))]
+    if "toy" in lobes or {"gaussian", "ggx"} <= set(lobes):
+        others = tuple((name, 1.0, 0.1) for name in MIXED if name not in lobes)
+        scene.append((BALL, surface(others), (0.0, 0.0, -2000.0)))
+        scene.sort(key=lambda part: MIXED.index(part[1].lobes[0]))
+    return [list(column) for column in zip(*scene, strict=True)]
+
+
+def paths(shape, components, light, samples, *given, **view):
+    """Return a picture by paths of a surface in the origin; further numbers are those of `surface`."""
+    shapes, materials, places = beside(shape, components, *given)
+    return traced(shapes, materials, light, samples, places=places, **view)
 
 
 def integral(normal, view, components, n, k, light_of=smooth_light) -> float:
@@ -94,9 +124,8 @@ def test_reference_renders_the_lobes_integrated_over_the_light(components, theta
     """A small part of a plate under light that varies slowly, as the Gaussian lobe is tested."""
     theta = np.radians(theta_deg)
     view = np.array([0.0, -np.sin(theta), np.cos(theta)])
-    picture = traced([plate(2000.0)], [surface(components, n, k)],
-                     sky(lambda d: smooth_light(d)[..., None], 2048, 1024), 8192, position=500 * view, size=(1, 1),
-                     fov=0.1, up=(0.0, np.cos(theta), np.sin(theta)))  # fmt: skip
+    picture = paths(plate(2000.0), components, smooth_sky(2048, 1024), 8192, n, k,
+                    position=500 * view, size=(1, 1), fov=0.1, up=(0.0, np.cos(theta), np.sin(theta)))  # fmt: skip
     expected = integral(np.array([0.0, 0.0, 1.0]), view, components, n, k)
     assert picture.standard_error[0, 0, 0] <= 5e-3 * expected
     assert abs(picture.radiance[0, 0, 0] - expected) <= 5 * picture.standard_error[0, 0, 0] + 5e-4 * expected
@@ -107,7 +136,7 @@ def test_reference_renders_the_lobes_integrated_over_the_light(components, theta
 def test_a_furnace_gives_no_more_light_than_it_has(lobes, mu):
     """β F of each component is such that its facets cover the surface once; of two, each covers half of it."""
     components = tuple((name, 1 / (4 * mu**2) / len(lobes), mu) for name in lobes)
-    picture = traced([BALL], [surface(components, n=0.01, k=20.0)], constant_light(1.0), 1024, size=(11, 11))
+    picture = paths(BALL, components, constant_light(1.0), 1024, 0.01, 20.0, size=(11, 11))
     assert deviations(picture, 1.0).max() < 6
     # What is missing has met a second facet, which a lobe does not follow.
     steep = np.array([0.0, 0.0, 1.0])
@@ -124,8 +153,8 @@ def test_a_surface_sends_as_much_one_way_as_the_other(components):
                 "irradiance": 1.0}  # fmt: skip
         turn = np.radians(to_deg)
         eye = (-400 * np.sin(turn), 30.0, 400 * np.cos(turn))
-        found = traced([plate(40.0)], [surface(components, reflectance=0.3)], DARK, 8, lights=[lamp], size=(1, 1),
-                       position=eye, fov=0.01, up=(0, 1, 0))  # fmt: skip
+        found = paths(plate(40.0), components, DARK, 8, 1.5, 0.0, 0.3, lights=[lamp], size=(1, 1), position=eye,
+                      fov=0.01, up=(0, 1, 0))  # fmt: skip
         return float(found.radiance[0, 0, 30]) / math.cos(math.radians(from_deg))
 
     # The eye stands a little beside the plane of incidence; from the light's place it does so for the lamp, too.
@@ -135,9 +164,10 @@ def test_a_surface_sends_as_much_one_way_as_the_other(components):
 
 def interactive(components, light, n=1.5, k=0.0, lamps=(), size=(41, 41)):
     """Radiance of a ball, the same in all bands, by coefficients, whose loops compile fastest."""
-    placements = [Placement(BALL)]
-    objects, _ = make_objects(placements, [surface(components, n, k)])
-    ready = prepare_scene(objects, light_of(light), GlossMaps.of(light.coefficients), make_tracer(placements),
+    shapes, materials, places = beside(BALL, components, n, k)
+    placements = [Placement(shape, translation_mm=np.array(p)) for shape, p in zip(shapes, places, strict=True)]
+    objects, _ = make_objects(placements, materials)
+    ready = prepare_scene(objects, light_of(light), gloss_maps(light), make_tracer(placements),
                           "coefficients", ONES, lamps=np.ones((len(lamps), 61)), least_throughput=0.0,
                           half=False)  # fmt: skip
     seen = {"position_mm": (0.0, -200.0, 0.0), "target_mm": (0.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0),
@@ -150,7 +180,7 @@ def interactive(components, light, n=1.5, k=0.0, lamps=(), size=(41, 41)):
 @pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.4)], ids=["lacquer", "metal"])
 def test_interactive_renders_the_lobes_integrated_over_the_light(components, n, k):
     """Within the tolerances of the Gaussian lobe of the same roughness."""
-    light = sky(lambda direction: smooth_light(direction)[..., None], 256, 128)
+    light = smooth_sky(256, 128)
     found = interactive(components, light, n, k)
     ray, normal = sphere_hits()
     tolerance = 0.01 if max(mu for _, _, mu in components) < 0.3 else 0.04
@@ -176,9 +206,9 @@ def test_interactive_shows_highlights_of_lamps_as_the_formula_has_them(component
 
 @SHOWN
 def test_interactive_and_reference_show_the_same_ball(components):
-    light = sky(lambda direction: smooth_light(direction)[..., None], 256, 128)
+    light = smooth_sky(256, 128)
     fast = interactive(components, light, size=(21, 21))
-    slow = traced([BALL], [surface(components)], light, 1024, size=(21, 21)).radiance[..., 30]
+    slow = paths(BALL, components, light, 1024, size=(21, 21)).radiance[..., 30]
     _, normal = sphere_hits(size=(21, 21))
     ray, _ = sphere_hits(size=(21, 21))
     facing = -np.sum(ray * normal, axis=-1) > 0.5
@@ -201,7 +231,7 @@ def test_rows_are_near_every_form_of_lobe(name, parts):
 
 def test_a_lobe_that_no_texel_has_weight_in_changes_nothing():
     """A second component of β = 0 leaves the picture to the last bit of rounding."""
-    light = sky(lambda direction: smooth_light(direction)[..., None], 256, 128)
+    light = smooth_sky(256, 128)
     one = interactive((("ggx", 3.0, 0.2),), light)
     two = interactive((("gaussian", 0.0, 0.4), ("ggx", 3.0, 0.2)), light)
     np.testing.assert_allclose(two, one, rtol=1e-6, atol=1e-7)

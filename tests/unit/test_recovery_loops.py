@@ -115,7 +115,7 @@ def test_the_polynomial_is_that_of_its_definition():
 def test_a_pixel_has_the_same_bits_among_any_neighbours(stated):
     mapping, rng = local(6, 24, 6), np.random.default_rng(3)
     response = np.abs(rng.normal(0.5, 0.4, (9000, 6))).astype(np.float32)
-    variance = 10.0 ** rng.uniform(-9, 0, (9000, 6)) if stated else None
+    variance = (10.0 ** rng.uniform(-9, 0, (9000, 6))).astype(np.float32) if stated else None
     whole = weights(mapping, response, variance)
     for part in (slice(0, 1), slice(17, 100), slice(4999, 5200)):
         own = None if variance is None else variance[part]

@@ -17,6 +17,7 @@ from scenes import (
     plate,
     sky,
     smooth_light,
+    smooth_sky,
 )
 from sky_draws import densities, drawn
 
@@ -122,7 +123,7 @@ def test_gloss_is_the_lobe_integrated_over_the_light(mu, theta_deg, n, k):
     view = np.array([0.0, -np.sin(theta), np.cos(theta)])
     beta = 1 / (4 * mu**2)
     picture = traced([plate(2000.0)], [material(0.0, beta=beta, mu=mu, n=n, k=k)],
-                     sky(lambda d: smooth_light(d)[..., None], 2048, 1024), 8192, position=500 * view, size=(1, 1),
+                     smooth_sky(2048, 1024), 8192, position=500 * view, size=(1, 1),
                      fov=0.1, up=(0.0, np.cos(theta), np.sin(theta)))  # fmt: skip
     expected = lobe_integral(np.array([0.0, 0.0, 1.0]), view, beta, mu, n, k)
     assert picture.standard_error[0, 0, 0] <= 5e-3 * expected
@@ -130,7 +131,7 @@ def test_gloss_is_the_lobe_integrated_over_the_light(mu, theta_deg, n, k):
 
 
 def test_gloss_of_varying_index_agrees_with_each_band_alone():
-    light = sky(lambda d: smooth_light(d)[..., None])
+    light = smooth_sky()
     n, k = np.array(GOLD_N)[THIRDS], np.array(GOLD_K)[THIRDS]
     mixed = traced([BALL], [material(beta=10.0, mu=0.15, mirror=0.3, n=n, k=k)], light, 512, size=(9, 9), fov=10)
     for third in range(3):

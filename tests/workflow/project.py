@@ -1,13 +1,17 @@
 """A small project, and how to run Snakemake in it."""
 
+import atexit
+import functools
 import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import patience
 import yaml
+from planner import Planner
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -34,12 +38,25 @@ def snakemake(
     """Run Snakemake in a working directory with the repository's Snakefile; some commands need no number of cores.
 
     `search_path` is where Python looks for packages before it looks among the installed ones. What takes long is waited
-    for as long as it gets on.
+    for as long as it gets on. A dry run with the repository's own Snakefile is made in a fork, see `planner`.
     """
     number = ["--cores", str(cores)] if cores else []
-    command = [sys.executable, "-m", "snakemake", "--snakefile", str(snakefile), *number, *arguments]
+    given = ["--snakefile", str(snakefile), *number, *arguments]
+    if "--dry-run" in arguments and snakefile == ROOT / "Snakefile" and search_path is None:
+        with tempfile.TemporaryDirectory() as said:
+            out, err = Path(said, "out"), Path(said, "err")
+            status = _planner().plan(folder, given, out, err)
+            return subprocess.CompletedProcess(given, status, out.read_text(), err.read_text())
     environment = os.environ | ({"PYTHONPATH": str(search_path)} if search_path else {})
-    return patience.run(command, cwd=folder, env=environment)
+    return patience.run([sys.executable, "-m", "snakemake", *given], cwd=folder, env=environment)
+
+
+@functools.cache
+def _planner() -> Planner:
+    """Start the process that plans for all tests of this one."""
+    started = Planner()
+    atexit.register(started.close)
+    return started
 
 
 def small_project(folder: Path) -> Path:

@@ -121,8 +121,8 @@ def test_stages_after_the_capture_never_read_the_truth():
     assert knowing == allowed
 
 
-def test_a_second_run_does_nothing(finished):
-    run = snakemake(finished, "--dry-run")
+def test_a_second_run_does_nothing(again):
+    run = snakemake(again, "--dry-run")
     assert run.returncode == 0 and "Nothing to be done" in run.stdout + run.stderr
 
 

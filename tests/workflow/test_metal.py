@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from project import edit, small_project, snakemake
+from project import edit, snakemake
 
 from irodori.colour.colorimetry import delta_e_reflectance
 from irodori.evaluation.truth_errors import interior
@@ -20,8 +20,8 @@ INDEX = (
 
 
 @pytest.mark.heavy
-def test_a_golden_plate_keeps_the_colour_of_its_ground_and_the_height_of_its_gloss(tmp_path):
-    folder = small_project(tmp_path / "project")
+def test_a_golden_plate_keeps_the_colour_of_its_ground_and_the_height_of_its_gloss(again):
+    folder = again  # whose camera is calibrated
     wavelength_nm = np.arange(400, 701, 10)
     n, k = (np.interp(wavelength_nm, *np.array(INDEX).T[[0, i]]) for i in (1, 2))
     rows = [f"{w},{a:.4f},{b:.4f}" for w, a, b in zip(wavelength_nm, n, k, strict=True)]

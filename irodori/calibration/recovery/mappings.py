@@ -133,7 +133,7 @@ class LocalMapping(_Differences):
         if variance is None:
             variance = np.empty((0, self.scale.size), response.dtype)
         elif variance.strides[0] == 0 or len(variance) == 1:
-            variance = variance[:1]
+            variance = variance[:1].copy()  # what cannot be written to would compile the loop once more
         maps = self.maps.astype(response.dtype).swapaxes(-1, -2)
         local_weights(
             response,

@@ -2,7 +2,7 @@
 
 import numpy as np
 from made import made
-from scenes import fresnel, pixel_rays
+from scenes import fresnel, gloss_maps, pixel_rays
 from shortcuts import irradiance_map
 
 from irodori.colour.colorimetry import xyz_from_radiance
@@ -10,7 +10,6 @@ from irodori.config.models import Size, View
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.sphere import Sphere
 from irodori.light.environment_file import Environment, directions
-from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene, render_frame
 from irodori.rendering.scene_arrays import make_objects, make_tracer, make_view
 
@@ -43,7 +42,7 @@ def prepared(shapes, materials, light, representation="coefficients", places=Non
     placements = placed(shapes, places, rotations, scale)
     objects, _ = make_objects(placements, materials)
     white = light.upward_white() if white is None else white
-    maps = GlossMaps.of(light.coefficients)
+    maps = gloss_maps(light)
     return prepare_scene(objects, light_of(light), maps, make_tracer(placements), representation, white, **options)
 
 
