@@ -63,13 +63,13 @@ class Mutant:
         return f"{self.module} {self.function}: {self.kind}: {self.text}"
 
 
-def mutants_of(module: str, path: Path) -> list[Mutant]:
-    """Return all mutants of a module's file but those that are known to be without effect."""
+def mutants_of(module: str, path: Path, known: bool = False) -> list[Mutant]:
+    """Return all mutants of a module's file, those that are known to be without effect only if asked for."""
     every = [
         Mutant(module, number, node.lineno, first, function, kind, f"{_shown(node)} -> {_shown(changed)}")
         for number, (function, first, node, kind, changed, _) in enumerate(_sites(ast.parse(path.read_text("utf-8"))))
     ]
-    return [mutant for mutant in every if mutant.lasting not in equivalent()]
+    return [mutant for mutant in every if known or mutant.lasting not in equivalent()]
 
 
 @functools.cache

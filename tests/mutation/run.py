@@ -109,9 +109,9 @@ def drawn(rooms: list[str], count: int, seed: str) -> dict[str, list[Mutant]]:
 class Runner:
     """Plugin of pytest that runs the collected tests, not once, but for every mutant."""
 
-    def __init__(self, mutants: list[Mutant], paths: dict[str, Path]) -> None:
-        self.mutants, self.paths = mutants, paths
-        self.outcome: dict[Mutant, str] = {}
+    def __init__(self, room: str, mutants: list[Mutant]) -> None:
+        self.room, self.mutants, self.paths = room, mutants, modules_of(room)
+        self.noticed: list[bool] = []
         self._baseline, self._items, self._alone_s = Baseline(), {}, {}
         self._caches: list = []
 
@@ -143,12 +143,13 @@ class Runner:
         self._caches = [one for one in gc.get_objects() if isinstance(one, functools._lru_cache_wrapper)]
         self._caches = [one for one in self._caches if str(one.__module__).startswith("irodori.")]
         gc.freeze()
-        passed = len(self._baseline.seconds)
-        print(f"  {passed} tests without a mutant: {time.process_time() - begun:.0f} s", flush=True)
+        passed, room = len(self._baseline.seconds), self.room
+        print(f"{room}: {passed} tests without a mutant, {time.process_time() - begun:.0f} s of CPU time", flush=True)
         for mutant in self.mutants:
-            self.outcome[mutant] = self._try(mutant)
-            if not self.outcome[mutant].startswith("killed"):
-                print(f"  {self.outcome[mutant]}: {mutant}", flush=True)
+            survived = self._try(mutant)
+            self.noticed.append(not survived)
+            if survived:
+                print(f"  {survived}: {mutant}", flush=True)
         return True
 
     def _run_unspoilt(self, items) -> None:
@@ -182,7 +183,7 @@ class Runner:
                 self._baseline.over[line].add(item.nodeid)
 
     def _try(self, mutant: Mutant) -> str:
-        """Return what the tests say of a mutant."""
+        """Return how a mutant survived; nothing where a test noticed it."""
         # Part of an expression of several lines is not always a line to Python: then the statement's tests count.
         over = self._baseline.over
         tests = sorted(over.get((mutant.module, mutant.line)) or over.get((mutant.module, mutant.first), ()))
@@ -197,7 +198,7 @@ class Runner:
             others = [name for name in tests if seconds[name] > LONGEST_S and 0.0 <= self._alone(name) <= LONGEST_S]
             quick += others
             found = self._ask(others, put)
-        return f"killed by {found}" if found else f"survived {len(quick)} tests"
+        return "" if found else f"survived {len(quick)} tests"
 
     def _alone(self, name: str) -> float:
         """Return how long a test computes in a forked process without a mutant, s; -1 where it fails or hangs there."""
@@ -326,13 +327,12 @@ def main() -> int:
     noticed, tried = 0, 0
     # A process for each room: it loads what that room's tests need, and is small to fork.
     with ProcessPoolExecutor(given.jobs, multiprocessing.get_context("spawn"), max_tasks_per_child=1) as pool:
-        for room, outcome in zip(mutants, pool.map(_try_all, mutants, mutants.values()), strict=True):
+        for outcome in pool.map(_try_all, mutants, mutants.values()):
             if outcome is None:
                 return 2
-            killed = sum(what.startswith("killed") for what in outcome.values())
-            noticed, tried = noticed + killed, tried + len(outcome)
-            print(f"{room}: {_score(killed, len(outcome))}", flush=True)
-    print(f"all: {_score(noticed, tried)}, in {time.monotonic() - begun:.0f} s")
+            noticed, tried = noticed + sum(outcome), tried + len(outcome)
+    computed = os.times().children_user + os.times().children_system
+    print(f"all: {_score(noticed, tried)}, in {time.monotonic() - begun:.0f} s, {computed:.0f} s of CPU time")
     return int(noticed < given.least * tried)
 
 
@@ -344,16 +344,18 @@ def _score(noticed: int, tried: int) -> str:
     return f"{noticed} of {tried} mutants noticed, {noticed / tried:.0%} ({low:.0%} to {high:.0%})"
 
 
-def _try_all(room: str, mutants: list[Mutant]) -> dict[Mutant, str] | None:
-    """Return what became of the mutants of a room; None where its tests do not run."""
+def _try_all(room: str, mutants: list[Mutant]) -> list[bool] | None:
+    """Return which mutants of a room were noticed; None where its tests do not run."""
     # One thread: a process with others beside the first cannot be forked safely.
     os.environ |= {"CI": "1", "NUMBA_THREADING_LAYER": "workqueue", "NUMBA_NUM_THREADS": "1"}
     os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    runner = Runner(mutants, modules_of(room))
+    runner = Runner(room, mutants)
     options = ["-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-o", "addopts=", "-m", "not heavy"]
     status = pytest.main([*options, *(f"tests/{f}" for f in ROOMS[room][1])], plugins=[runner])
-    done = status in (0, pytest.ExitCode.NO_TESTS_COLLECTED) and len(runner.outcome) == len(mutants)
-    return runner.outcome if done else None
+    if status not in (0, pytest.ExitCode.NO_TESTS_COLLECTED) or len(runner.noticed) != len(mutants):
+        return None
+    print(f"{room}: {_score(sum(runner.noticed), len(mutants))}", flush=True)
+    return runner.noticed
 
 
 if __name__ == "__main__":

@@ -117,13 +117,19 @@ def test_the_fitted_lobes_are_the_true_ones_under_the_horizon_too_and_keep_their
 
 @pytest.mark.parametrize("name", names())
 def test_a_table_is_what_its_module_makes(name):
+    """Entries away from normal view: there, two lobes on either side are as good, and rounding says which is taken."""
     lobes = fitted_lobes(name)
-    for i, j in ((3, 4), (8, 6)):
+    for i, j in ((3, 9), (6, 5)):
         made = fit_lobe(lobes.mu[i], lobes.theta_r[j], name)
+        count = len(made.weight)
+        assert (lobes.weight[i, j] > 0.0).sum() == count
+        for column in ("width", "offset", "across", "weight", "incidence"):
+            expected = getattr(lobes, column)[i, j, :count]
+            assert getattr(made, column) == pytest.approx(expected, rel=1e-3, abs=1e-4), column
         direction, value, _, solid_angle = lobe_samples(lobes.mu[i], lobes.theta_r[j], name=name)
-        fitted = gaussians(direction, unit(lobes.theta_r[j] + made.offset, made.across), WIDTHS_RAD[made.width])
-        difference = fitted @ made.weight - rebuilt(lobes, i, j, direction)
-        assert np.linalg.norm(difference * solid_angle**0.5) <= 0.01 * np.linalg.norm(value * solid_angle**0.5)
+        missed = rebuilt(lobes, i, j, direction) - value
+        rest = math.sqrt((missed**2 * solid_angle).sum() / (value**2 * solid_angle).sum())
+        assert made.rest == pytest.approx(rest, rel=1e-2)
 
 
 def test_samples_of_a_lobe_hold_its_power():
