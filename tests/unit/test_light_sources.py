@@ -386,6 +386,16 @@ def test_a_point_is_the_pixel_towards_it(where, row, column):
     assert found[row, column] * solid_angle[row, column] == pytest.approx(2.0 * np.pi, rel=1e-5)
 
 
+def test_a_disc_smaller_than_a_pixel_is_one_pixel_and_a_larger_one_is_spread():
+    light = {"spectrum": "A", "azimuth_deg": 91.0, "elevation_deg": 1.2, "radiance": 3.0}
+    for factor, least, most in ((0.95, 1, 1), (1.05, 2, 9)):
+        one = made(Sequence[PlacedLight], [{**light, "diameter_deg": factor * 360.0 / 128}])
+        found = lights_picture(one, 128, 64).weights[..., 0]
+        assert least <= np.count_nonzero(found) <= most
+        disc = 2.0 * np.pi * (1.0 - np.cos(np.radians(factor * 180.0 / 128)))
+        assert (found * directions(128, 64)[1]).sum() == pytest.approx(3.0 * disc, rel=1e-5)
+
+
 def test_lights_have_their_own_spectra_at_one_luminance():
     names = ["D65", "FL11", "P2856"]
     lights = [{"spectrum": n, "azimuth_deg": 120.0 * i, "elevation_deg": 10.0, "diameter_deg": 30.0, "radiance": 1.0}
