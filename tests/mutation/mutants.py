@@ -149,6 +149,8 @@ def _inside(place: tuple[str, int], parent: ast.AST, field: str, index: int | No
         return  # any number below zero is the length that is left
     put = _putter(parent, field, index)
     for kind, changed in _faults(node, parent, field):
+        if isinstance(node, ast.Constant):
+            kind = f"{kind} in {_shown(parent)}"  # a number alone does not say which is meant
         yield *place, node, kind, changed, put
     for below_field, below_index, below in _items(node):
         yield from _inside(place, node, below_field, below_index, below)

@@ -332,6 +332,9 @@ def main() -> int:
     mutants = drawn(given.rooms, given.sample, seed)
     begun = time.monotonic()
     noticed, tried = 0, 0
+    # One thread: a process with others beside the first cannot be forked safely.
+    os.environ |= {"CI": "1", "NUMBA_THREADING_LAYER": "workqueue", "NUMBA_NUM_THREADS": "1"}
+    os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     # A process for each room: it loads what that room's tests need, and is small to fork.
     with ProcessPoolExecutor(given.jobs, multiprocessing.get_context("spawn"), max_tasks_per_child=1) as pool:
         for outcome in pool.map(_try_all, mutants, mutants.values()):
@@ -353,9 +356,6 @@ def _score(noticed: int, tried: int) -> str:
 
 def _try_all(room: str, mutants: list[Mutant]) -> list[bool] | None:
     """Return which mutants of a room were noticed; None where its tests do not run."""
-    # One thread: a process with others beside the first cannot be forked safely.
-    os.environ |= {"CI": "1", "NUMBA_THREADING_LAYER": "workqueue", "NUMBA_NUM_THREADS": "1"}
-    os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     runner = Runner(room, mutants)
     options = ["-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-o", "addopts=", "-m", "not heavy"]
     options += ["-k", f"not ({' or '.join(LONG)})"]
