@@ -30,7 +30,7 @@ _COMPILED = {"njit", "uncounted", "cfunc", "intrinsic", "overload", "unbox", "lo
 _TALK = {"LOGGER", "_LOGGER", "logging", "warnings"}
 #: What gives the same with its arguments swapped.
 _SYMMETRIC = {
-    "maximum", "minimum", "max", "min", "hypot", "isclose", "allclose", "array_equal", "logical_and", "zip",
+    "maximum", "minimum", "max", "min", "hypot", "isclose", "allclose", "array_equal", "logical_and", "zip", "clip",
     "broadcast_shapes",
 }  # fmt: skip
 #: A constant above zero and not above this is a tolerance, which is as good half as large again.

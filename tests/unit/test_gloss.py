@@ -14,7 +14,7 @@ from irodori.core.errors import InputError
 from irodori.light.blurred_light import WIDTHS_RAD, _bessel_series, first_level, prefiltered
 from irodori.light.environment_file import Environment, directions
 from irodori.light.equirectangular import look_up
-from irodori.light.gloss import lobe_table
+from irodori.light.gloss import lobe_table, make_lobe_table
 from irodori.light.gloss.gloss_maps import GlossMaps, gloss_radiance
 from irodori.light.gloss.lobe_table import fitted_lobes
 from irodori.light.gloss.look_up_errors import gloss_errors, lit_places, places, true_gloss
@@ -173,6 +173,27 @@ def test_a_table_is_what_its_module_makes(name):
         missed = rebuilt(lobes, i, j, direction) - value
         rest = math.sqrt((missed**2 * solid_angle).sum() / (value**2 * solid_angle).sum())
         assert made.rest == pytest.approx(rest, rel=1e-2)
+
+
+def test_the_command_writes_the_table_that_is_stored(tmp_path, monkeypatch):
+    """Four entries of it, for all take minutes."""
+    lobes, some = fitted_lobes("gaussian"), np.ix_([2, 3], [8, 9])
+    monkeypatch.setattr(make_lobe_table, "MU", lobes.mu[some[0].ravel()])
+    monkeypatch.setattr(make_lobe_table, "THETA_R_RAD", lobes.theta_r[some[1].ravel()])
+    monkeypatch.setattr(make_lobe_table, "path_of", lambda name: tmp_path / f"{name}.h5")
+    make_lobe_table.main(["gaussian"])
+    with store.open_file(tmp_path / "gaussian.h5") as made, store.open_file(lobe_table.path_of("gaussian")) as stored:
+        for name in ("table", "lobe"):
+            assert made.attribute(name) == stored.attribute(name)
+        assert np.array_equal(made.read("mu"), stored.read("mu")[some[0].ravel()])
+        assert np.array_equal(made.read("theta_r"), stored.read("theta_r")[some[1].ravel()])
+        assert made.read("rest") == pytest.approx(stored.read("rest")[some], rel=1e-3)
+        for name in lobe_table.COLUMNS:
+            found, expected = made.read(name), stored.read(name)[some]
+            assert found.dtype == expected.dtype
+            most = found.shape[2]
+            assert found == pytest.approx(expected[..., :most], rel=1e-3, abs=1e-4)
+            assert not expected[..., most:].any() and found[..., -1].any() == expected[..., most - 1].any()
 
 
 def test_samples_of_a_lobe_hold_its_power():
