@@ -80,7 +80,7 @@ class RigSetup:
             rig.camera_distance_mm,
             rig.table_radius_mm,
             lamp,
-            Pose(**vars(white_pose)) if lamp.is_near and white_pose is not None else None,
+            None if white_pose is None else Pose(**vars(white_pose)),
         )
 
     def light_gain(self, xy, power) -> np.ndarray:
@@ -176,13 +176,12 @@ def observe(position, normal, tracer: Tracer, pose: Pose, setup: RigSetup, facet
 
 
 def _window(xy: np.ndarray, height: int, width: int) -> tuple[slice, slice]:
-    """Return the rows and columns of a picture that hold all given points, at least 2 x 2."""
+    """Return the rows and columns of a picture that hold the samples around all given points; none where none is."""
     inside = xy[np.isfinite(xy).all(axis=1)]
-    if inside.size == 0:
-        return slice(0, 2), slice(0, 2)
-    x0, y0 = np.clip(np.floor(inside.min(axis=0)).astype(int), 0, [width - 2, height - 2])
-    x1, y1 = np.clip(np.ceil(inside.max(axis=0)).astype(int) + 1, [x0 + 2, y0 + 2], [width, height])
-    return slice(y0, y1), slice(x0, x1)
+    first = np.floor(inside.min(axis=0, initial=np.inf))
+    last = np.ceil(inside.max(axis=0, initial=0.0)) + 1.0
+    (x0, y0), (x1, y1) = np.clip([first, last], 0, [width, height]).astype(int)
+    return slice(y0, max(y0, y1)), slice(x0, max(x0, x1))
 
 
 class _Observed(NamedTuple):
@@ -219,12 +218,11 @@ def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup) -> _Obser
     # What hides a texel is not its own: without this, the window of a tile would decide what is stored here.
     sampled[~visible], clips[~visible] = 0.0, 0
     gain = np.ones(len(xy))
-    if setup.lamp.is_near:
-        gain[good] = setup.light_gain(sight.xy[good], sight.power[good])
-        sampled *= gain[:, None].astype(np.float32)
+    gain[good] = setup.light_gain(sight.xy[good], sight.power[good])
+    sampled *= gain[:, None].astype(np.float32)
     shadowed = visible & ~sight.lit & (sight.geometry[:, 0] < np.pi / 2)
-    found = _Observed(sampled, sight.geometry, visible & sight.lit & good, shadowed, clips, gain)
-    return found if texels.covered.all() else _Observed(*(_spread(values, texels.covered) for values in found))
+    found = (sampled, sight.geometry, visible & sight.lit & good, shadowed, clips, gain)
+    return _Observed(*(_spread(values, texels.covered) for values in found))
 
 
 def _spread(values: np.ndarray, covered: np.ndarray) -> np.ndarray:

@@ -2,11 +2,16 @@
 
 Only bodies of functions are mutated. Left out are messages (what is raised or logged), assertions, annotations,
 defaults of parameters, and compiled kernels: they are kept on disk by their source and would not notice, and compiling
-them anew takes minutes; what they compute is compared with plain loops by tests of their own.
+them anew takes minutes; what they compute is compared with plain loops by tests of their own. So is what has run before
+a mutant is put in: functions that their module calls as it is loaded, and what tells the compiler of a type.
+
+Faults that change nothing for any input are not made where their kind tells it (`_SYMMETRIC`, tolerances, ``reshape``);
+single ones stand in ``equivalent.txt``, each with the reason.
 """
 
 import ast
 import copy
+import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,10 +26,17 @@ _ARITHMETIC = {
 }  # fmt: skip
 _TERMS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.BitAnd, ast.BitOr)
 #: Decorators of compiled functions, and calls that say something and do nothing.
-_COMPILED = {"njit", "uncounted", "cfunc", "intrinsic", "overload"}
+_COMPILED = {"njit", "uncounted", "cfunc", "intrinsic", "overload", "unbox", "lower_constant", "register_model"}
 _TALK = {"LOGGER", "_LOGGER", "logging", "warnings"}
 #: What gives the same with its arguments swapped.
-_SYMMETRIC = {"maximum", "minimum", "max", "min", "hypot", "isclose", "allclose", "array_equal", "logical_and", "zip"}
+_SYMMETRIC = {
+    "maximum", "minimum", "max", "min", "hypot", "isclose", "allclose", "array_equal", "logical_and", "zip", "clip",
+    "broadcast_shapes",
+}  # fmt: skip
+#: A constant above zero and not above this is a tolerance, which is as good half as large again.
+_TOLERANCE = 1e-6
+#: Faults without effect: module, function, kind and text as in `Mutant`, and after a tab the reason.
+_EQUIVALENT = Path(__file__).with_name("equivalent.txt")
 
 
 @dataclass(frozen=True)
@@ -45,13 +57,26 @@ class Mutant:
     def __str__(self) -> str:
         return f"{self.module}:{self.line} {self.function}: {self.kind}: {self.text}"
 
+    @property
+    def lasting(self) -> str:
+        """Return what tells a mutant from others whatever is written above it."""
+        return f"{self.module} {self.function}: {self.kind}: {self.text}"
 
-def mutants_of(module: str, path: Path) -> list[Mutant]:
-    """Return all mutants of a module's file."""
-    return [
+
+def mutants_of(module: str, path: Path, known: bool = False) -> list[Mutant]:
+    """Return all mutants of a module's file, those that are known to be without effect only if asked for."""
+    every = [
         Mutant(module, number, node.lineno, first, function, kind, f"{_shown(node)} -> {_shown(changed)}")
         for number, (function, first, node, kind, changed, _) in enumerate(_sites(ast.parse(path.read_text("utf-8"))))
     ]
+    return [mutant for mutant in every if known or mutant.lasting not in equivalent()]
+
+
+@functools.cache
+def equivalent() -> dict[str, str]:
+    """Return the faults that are known to be without effect, as `Mutant.lasting` names them -> the reason."""
+    lines = [line for line in _EQUIVALENT.read_text("utf-8").splitlines() if line and not line.startswith("#")]
+    return dict(line.split("\t") for line in lines)
 
 
 def mutated(mutant: Mutant, path: Path) -> ast.Module:
@@ -74,16 +99,24 @@ _Site = tuple[str, int, ast.AST, str, ast.AST, Callable[[ast.AST], None]]
 
 def _sites(tree: ast.Module) -> Iterator[_Site]:
     """Yield function, first line of the statement, node, kind of fault, changed node and what puts it in the tree."""
+    loading = [node for node in tree.body if not isinstance(node, ast.FunctionDef | ast.ClassDef)]
+    run = {_called(call) for node in loading for call in ast.walk(node) if isinstance(call, ast.Call)}
     for name, function in _functions(tree.body, ""):
+        if name in run:
+            continue
         for field, index, statement in _items(function, ("body",)):
             yield from _inside((name, statement.lineno), function, field, index, statement)
 
 
 def _functions(body: list[ast.stmt], prefix: str) -> Iterator[tuple[str, ast.FunctionDef]]:
     for node in body:
+        if not isinstance(node, ast.ClassDef | ast.FunctionDef):
+            continue
+        if _COMPILED & {_called(one) for one in node.decorator_list}:
+            continue
         if isinstance(node, ast.ClassDef):
             yield from _functions(node.body, f"{prefix}{node.name}.")
-        elif isinstance(node, ast.FunctionDef) and not _COMPILED & {_called(one) for one in node.decorator_list}:
+        else:
             yield prefix + node.name, node
 
 
@@ -110,8 +143,14 @@ def _inside(place: tuple[str, int], parent: ast.AST, field: str, index: int | No
         and isinstance(parent, ast.FunctionDef | ast.AnnAssign)
     ):
         return
+    if isinstance(node, ast.keyword) and node.arg == "strict":
+        return  # of a zip: an assertion
+    if isinstance(node, ast.UnaryOp) and _called(parent) == "reshape":
+        return  # any number below zero is the length that is left
     put = _putter(parent, field, index)
     for kind, changed in _faults(node, parent, field):
+        if isinstance(node, ast.Constant):
+            kind = f"{kind} in {_shown(parent)}"  # a number alone does not say which is meant
         yield *place, node, kind, changed, put
     for below_field, below_index, below in _items(node):
         yield from _inside(place, node, below_field, below_index, below)
@@ -158,14 +197,17 @@ def _faults(node: ast.AST, parent: ast.AST, field: str) -> Iterator[tuple[str, a
     elif isinstance(node, ast.BoolOp):
         other = ast.Or() if isinstance(node.op, ast.And) else ast.And()
         yield "operator", ast.copy_location(ast.BoolOp(other, node.values), node)
-    elif isinstance(node, ast.Constant) and type(node.value) in (bool, int, float):
+    elif isinstance(node, ast.Constant) and type(node.value) in (bool, int, float) and not 0 < node.value <= _TOLERANCE:
         yield "constant", ast.copy_location(ast.Constant(_off(node.value)), node)
     elif isinstance(node, ast.Call) and len(node.args) > 1 and _called(node) not in _SYMMETRIC:
         if not any(isinstance(one, ast.Starred) for one in node.args[:2]) and not _same(*node.args[:2]):
             changed = copy.copy(node)
             changed.args = [node.args[1], node.args[0], *node.args[2:]]
             yield "arguments swapped", changed
-    elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Call):
+    elif (
+        isinstance(node, ast.Expr) and isinstance(node.value, ast.Call) and "super" not in ast.unparse(node.value.func)
+    ):
+        # With the only super() goes what makes the function one of a class, which no other can stand for.
         yield "call dropped", ast.copy_location(ast.Pass(), node)
     if field == "test" and isinstance(parent, ast.If | ast.IfExp | ast.While):
         for value in (True, False) if not isinstance(parent, ast.While) else (False,):

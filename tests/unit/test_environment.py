@@ -22,8 +22,8 @@ from irodori.core.custody import accept
 from irodori.core.errors import InputError
 from irodori.light.environment_file import Environment, directions
 from irodori.light.irradiance import irradiance_at
-from irodori.light.omnidirectional import to_panorama
-from irodori.light.stage import SURFACES, fill_masked, observers, prepare_environment
+from irodori.light.omnidirectional import Picture, to_panorama
+from irodori.light.stage import SURFACES, fill_masked, observers, prepare_environment, write_environment
 from irodori.material.principal_components.basis_count import CompressOptions, choose
 from irodori.material.principal_components.decomposition import decompose
 from irodori.material.principal_components.second_moments import second_moments
@@ -279,6 +279,26 @@ def test_stage_refuses_bands_that_the_chart_did_not_have(tmp_path):
     write_inputs(tmp_path, np.ones((8, 16, 3)), np.ones((8, 16), np.uint8), calibration)
     with pytest.raises(InputError, match="filters"):
         stage(tmp_path)
+
+
+def test_an_environments_errors_are_those_of_its_light_its_map_and_the_gloss_that_is_asked_for(tmp_path, caplog):
+    sky = np.random.default_rng(5).uniform(0.2, 1.0, (16, 32, 3)).astype(np.float32)
+    picture = Picture((16, 32), np.eye(61)[:, [10, 30, 50]], lambda: iter([sky]))
+    irradiance = made(IrradianceMap, {"max_error": 0.002, "max_height": 64})
+    for name, lobes in (("plain", ()), ("glossy", ("ggx",))):
+        file = tmp_path / f"{name}.h5"
+        with caplog.at_level("INFO", logger="irodori"):
+            write_environment(
+                picture, None, file, options(0.0, 3), irradiance, store.Provenance("test"), gloss_lobes=lobes
+            )
+        with store.open_file(file) as found:
+            errors = found.attribute("errors")
+            assert ("gloss/width" in found) == bool(lobes)
+        assert {"delta_e", "negative_fraction", "compression", "irradiance"} <= set(errors)
+        assert [row["lobe"] for row in errors.get("gloss", [])] == [lobe for lobe in lobes for _ in range(48)]
+        assert caplog.text.count("gloss by look-up") == 48 * len(lobes)
+        assert errors["irradiance"]["height"] == 64 and 0.0 < errors["irradiance"]["max_error"] < 0.01
+        assert "3 bases of 3" in caplog.text and "above its target" in caplog.text
 
 
 def test_a_single_masked_pixel_takes_the_mean_of_its_neighbours_along_the_row(tmp_path, caplog):

@@ -353,6 +353,49 @@ def test_placed_lights_keep_their_energy(diameter, where):
     assert centre @ direction_of(*where) >= np.cos(np.radians(3.0)) * np.linalg.norm(centre)
 
 
+@pytest.mark.parametrize(
+    ("size", "diameter"), [((80, 160), 4.0), ((41, 60), 25.0), ((80, 160), 130.0), ((41, 60), 300.0)]
+)
+@pytest.mark.parametrize("where", [(30.0, 40.0), (5.0, 88.0), (359.0, 0.0), (200.0, -70.0)])
+def test_a_disc_is_every_pixels_share_of_it(size, diameter, where):
+    """Of 16 x 16 places in each pixel, by solid angle; a pixel is as bright as the part of it that the disc covers."""
+    height, width = size
+    towards, steps = direction_of(*where), (np.arange(16) + 0.5) / 16
+    theta = np.pi * (np.arange(height)[:, None, None, None] + steps[:, None]) / height
+    azimuth = 2 * np.pi * (np.arange(width)[:, None, None] + steps) / width
+    cosine = np.sin(theta) * (np.cos(azimuth) * towards[0] + np.sin(azimuth) * towards[1]) + np.cos(theta) * towards[2]
+    weight = np.sin(theta) + 0.0 * azimuth
+    share = ((cosine > np.cos(np.radians(diameter / 2))) * weight).sum(axis=(2, 3)) / weight.sum(axis=(2, 3))
+    light = {"spectrum": "A", "azimuth_deg": where[0], "elevation_deg": where[1], "diameter_deg": diameter}
+    found = lights_picture(made(Sequence[PlacedLight], [{**light, "radiance": 3.0}]), width, height).weights[..., 0]
+    solid_angle = directions(width, height)[1]
+    disc = 4.0 * np.pi * np.sin(np.radians(diameter / 4)) ** 2
+    assert found == pytest.approx(share * 3.0 * disc / (share * solid_angle).sum(), rel=1e-5, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("where", "row", "column"),
+    [((0.5, 89.0), 0, 0), ((359.5, -89.0), 63, 127), ((90.5, 1.0), 31, 32), ((180.5, -1.0), 32, 64)],
+)
+def test_a_point_is_the_pixel_towards_it(where, row, column):
+    """With the irradiance asked for of a diffuser that faces the pixel, and the spectrum's own luminance."""
+    light = {"spectrum": "A", "azimuth_deg": where[0], "elevation_deg": where[1], "diameter_deg": 0.0}
+    picture = lights_picture(made(Sequence[PlacedLight], [{**light, "irradiance": 2.0}]), 128, 64)
+    found, solid_angle = picture.weights[..., 0], directions(128, 64)[1]
+    assert np.argwhere(found).tolist() == [[row, column]]
+    assert found[row, column] * solid_angle[row, column] == pytest.approx(2.0 * np.pi, rel=1e-5)
+
+
+def test_a_disc_smaller_than_a_pixel_is_one_pixel_and_a_larger_one_is_spread():
+    light = {"spectrum": "A", "azimuth_deg": 91.0, "elevation_deg": 1.2, "radiance": 3.0}
+    for factor, least, most in ((0.95, 1, 1), (1.05, 2, 9)):
+        one = made(Sequence[PlacedLight], [{**light, "diameter_deg": factor * 360.0 / 128}])
+        found = lights_picture(one, 128, 64).weights[..., 0]
+        assert least <= np.count_nonzero(found) <= most
+        disc = 2.0 * np.pi * (1.0 - np.cos(np.radians(factor * 180.0 / 128)))
+        assert (found * directions(128, 64)[1]).sum() == pytest.approx(3.0 * disc, rel=1e-5)
+
+
 def test_lights_have_their_own_spectra_at_one_luminance():
     names = ["D65", "FL11", "P2856"]
     lights = [{"spectrum": n, "azimuth_deg": 120.0 * i, "elevation_deg": 10.0, "diameter_deg": 30.0, "radiance": 1.0}

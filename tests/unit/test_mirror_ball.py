@@ -104,6 +104,17 @@ def test_a_coloured_metal_is_divided_out_at_every_wavelength(tmp_path):
     assert np.abs((factors @ spectra.T) * exact - 1.0).max() <= 2e-3
 
 
+@pytest.mark.parametrize("off", [(0.2, 0.0), (-0.2, 0.0), (0.0, 0.2), (0.0, -0.2)])
+def test_a_ball_that_just_fills_the_photograph_is_unwrapped_and_one_beyond_its_edge_refused(off):
+    valid, basis, size = np.ones((60, 60), bool), np.eye(61)[:, :3], made(Size, {"width": 16, "height": 8})
+    filling = {**BALL, "centre_px": [29.5, 29.5], "radius_px": 30.0}
+    picture = unwrapped(made(MirrorBallSource, filling), size, np.ones((60, 60, 3)), valid, basis, "ball.h5")
+    assert np.isfinite(picture.weights).all()
+    moved = {**filling, "centre_px": [29.5 + off[0], 29.5 + off[1]]}
+    with pytest.raises(InputError, match=r"beyond the photograph.*60 x 60 pixels"):
+        unwrapped(made(MirrorBallSource, moved), size, np.ones((60, 60, 3)), valid, basis, "ball.h5")
+
+
 def test_a_ball_that_is_not_in_the_picture_or_masked_is_refused():
     weights, valid = np.ones((190, 205, 3)), np.ones((190, 205), bool)
     size, basis = {"width": 32, "height": 16}, np.eye(61)[:, :3]

@@ -12,20 +12,17 @@ from hypothesis import strategies as st
 from made import made
 
 from irodori.config.capture_table import Pose
-from irodori.config.models import (
-    BodyShape,
-    Object,
-    ObjectShape,
-    Optics,
-)
+from irodori.config.models import BodyShape, Object, ObjectShape, Optics, RigPose
 from irodori.config.parts import RigGeometry, TexturedObject
 from irodori.core import store
+from irodori.core.errors import InputError
 from irodori.geometry.embree import Tracer
 from irodori.geometry.lathe import lathe, write_obj
 from irodori.geometry.rig_frame import rig_from_object
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
 from irodori.rectification.stage import RigSetup, _sample, observe, rectify_object
+from irodori.rectification.texture_tiles import tile_rows
 
 ROOT = Path(__file__).resolve().parents[2]
 OPTICS = yaml.safe_load((ROOT / "config/cameras/d5100-comb.yaml").read_text())["optics"]
@@ -35,11 +32,9 @@ PLATE = {"shape": {"kind": "plate", "width_mm": 80.0, "height_mm": 60.0}, "texel
 SPHERE = {"shape": {"kind": "sphere", "radius_mm": 25.0}, "texels": {"width": 48, "height": 24}}
 
 
-def setup_of(table_radius_mm=0.0) -> RigSetup:
-    return RigSetup.from_definitions(
-        made(Optics, OPTICS),
-        made(RigGeometry, {"camera_distance_mm": DISTANCE, "table_radius_mm": table_radius_mm}),
-    )
+def setup_of(table_radius_mm=0.0, lamp_distance_mm=None, white=None) -> RigSetup:
+    rig = {"camera_distance_mm": DISTANCE, "table_radius_mm": table_radius_mm, "lamp_distance_mm": lamp_distance_mm}
+    return RigSetup.from_definitions(made(Optics, OPTICS), made(RigGeometry, rig), white and made(RigPose, vars(white)))
 
 
 def texels_in_rig(definition, pose):
@@ -76,7 +71,7 @@ def pixel_of(position, pose):
     return np.stack([x / 2 - 0.5, y / 2 - 0.5], axis=1)
 
 
-def linear_file(path, pose, response=None, valid=None, clipped=None, sample_px=2):
+def linear_file(path, pose, response=None, valid=None, clipped=None, sample_px=2, filters=("out",)):
     """A capture whose responses are known functions of the place in the picture: linear, so interpolation is exact."""
     height, width = OPTICS["height_px"] // 2, OPTICS["width_px"] // 2
     y, x = np.mgrid[:height, :width].astype(np.float64)
@@ -92,24 +87,25 @@ def linear_file(path, pose, response=None, valid=None, clipped=None, sample_px=2
         out.write("noise_model", noise, units="1", dims="band,term", quantity="noise")
         out.attribute("sample_px", sample_px)
         out.attribute("pose_deg", [pose.light_deg, pose.camera_deg, pose.tilt_deg, pose.turn_deg])
-        out.attribute("filters", ["out"])
+        out.attribute("filters", list(filters))
     return path
 
 
-def rectify(tmp_path, definition, poses, rows=None, max_angle_deg=85.0, table=0.0, name="obs.h5", **picture):
+def rectify(tmp_path, definition, poses, rows=None, max_angle_deg=85.0, setup=None, name="obs.h5", **picture):
     files = [linear_file(tmp_path / f"{pose.name}.h5", pose, **picture) for pose in poses]
     rows = rows or (0, definition["texels"]["height"])
     rectify_object(
         files,
         made(Object | TexturedObject, definition),
-        setup_of(table),
+        setup or setup_of(),
         rows,
         max_angle_deg,
         output=tmp_path / name,
         provenance=PROVENANCE,
     )
     with store.open_file(tmp_path / name) as file:
-        return {name: file.read(name) for name in ("response", "geometry", "weight", "shadowed", "clipped", "texel")}
+        names = ("response", "geometry", "weight", "shadowed", "clipped", "texel", "light_gain")
+        return {name: file.read(name) for name in names if name in file}
 
 
 PLATE_POSES = [
@@ -192,7 +188,7 @@ def test_the_tables_shadow_falls_where_geometry_says(tmp_path):
     radius, top = SPHERE["shape"]["radius_mm"], 75.0
     pose = Pose(120.0, 10.0)
     definition = SPHERE | {"texels": {"width": 96, "height": 48}}
-    found = rectify(tmp_path, definition, [pose], table=top, max_angle_deg=89.0)
+    found = rectify(tmp_path, definition, [pose], setup=setup_of(top), max_angle_deg=89.0)
     position, normal = texels_in_rig(definition, pose)
     light = math.radians(pose.light_deg)
     to_light = np.array([math.sin(light), 0.0, math.cos(light)])
@@ -228,7 +224,11 @@ def test_what_stands_before_a_texel_leaves_it_no_observation(tmp_path):
     columns, rows = 90, 60
     pose = Pose(45.0, 40.0)
     found = rectify(
-        tmp_path, {"shape": shape, "texels": {"width": columns, "height": rows}}, [pose], max_angle_deg=89.0
+        tmp_path,
+        {"shape": shape, "texels": {"width": columns, "height": rows}},
+        [pose],
+        max_angle_deg=89.0,
+        clipped=np.ones((OPTICS["height_px"] // 2, OPTICS["width_px"] // 2), np.uint8),
     )
     # Texture rows run along the profile from its last point to its first: the disc's are the last.
     way = (radius - post) + height + post
@@ -249,7 +249,9 @@ def test_what_stands_before_a_texel_leaves_it_no_observation(tmp_path):
     assert hidden.sum() > 50 and free.sum() > 50
     for name in ("weight", "response", "shadowed", "clipped"):
         assert (found[name][hidden] == 0).all(), name
-    assert (found["weight"][free] == 1).all() and (found["response"][free] != 0).all()
+    for name in ("weight", "clipped"):
+        assert (found[name][free] == 1).all(), name
+    assert (found["response"][free] != 0).all()
 
 
 def test_texels_near_saturated_pixels_have_no_weight(tmp_path):
@@ -267,14 +269,34 @@ def test_texels_near_saturated_pixels_have_no_weight(tmp_path):
     assert (found["weight"][touched] == 0).all() and (found["weight"][clear] == 1).all()
 
 
-def test_texels_outside_the_picture_have_no_weight(tmp_path):
-    huge = {"shape": {"kind": "plate", "width_mm": 400.0, "height_mm": 60.0}, "texels": {"width": 80, "height": 12}}
+@pytest.mark.parametrize("columns, rows", [(900, 3), (3, 900)])
+def test_texels_outside_the_picture_have_no_weight(tmp_path, columns, rows):
+    """So fine that there are texels between the first two samples of a row or column, and between the last two."""
+    size = {"width_mm": 400.0 if columns > rows else 60.0, "height_mm": 400.0 if rows > columns else 60.0}
+    huge = {"shape": {"kind": "plate", **size}, "texels": {"width": columns, "height": rows}}
     pose = Pose(45.0, 0.0)
     found = rectify(tmp_path, huge, [pose])
-    x, y = pixel_of(texels_in_rig(huge, pose)[0], pose).T
-    inside = (x >= 0) & (x <= OPTICS["width_px"] / 2 - 1) & (y >= 0) & (y <= OPTICS["height_px"] / 2 - 1)
+    xy = pixel_of(texels_in_rig(huge, pose)[0], pose)
+    last = np.array([OPTICS["width_px"] / 2 - 1, OPTICS["height_px"] / 2 - 1])
+    inside = ((xy >= 0) & (xy <= last)).all(axis=1)
+    along = 0 if columns > rows else 1
     assert 0.1 < inside.mean() < 0.9
+    assert (inside & (xy[:, along] < 1)).any() and (inside & (xy[:, along] > last[along] - 1)).any()
     assert np.array_equal(found["weight"][:, 0] > 0, inside)
+
+
+@pytest.mark.parametrize("pose", [Pose(45.0, 60.0, 0.0, 180.0), Pose(45.0, 0.0)], ids=["behind its edge", "beside it"])
+def test_an_object_that_the_picture_does_not_show_has_no_observation(tmp_path, pose):
+    """A thin, far plate at an angle from which nothing of it is in the picture, or one whose face is not seen."""
+    away = {"kind": "mesh", "file": str(tmp_path / "away.obj"), "unit": "mm", "pivot_mm": [0, 0, 0]}
+    corners = np.array([[600.0, 600, 0], [640, 600, 0], [640, 640, 0], [600, 640, 0]])
+    if pose.turn_deg:
+        corners = corners[::-1]
+    uv = np.array([[0.0, 1], [1, 1], [1, 0], [0, 0]])
+    write_obj(tmp_path / "away.obj", corners[[[0, 1, 2], [0, 2, 3]]], uv[[[0, 1, 2], [0, 2, 3]]])
+    found = rectify(tmp_path, {"shape": away, "texels": {"width": 6, "height": 6}}, [pose])
+    assert found["texel"].all()
+    assert not found["weight"].any() and not found["response"].any() and not found["clipped"].any()
 
 
 def tiled(tmp_path, definition, cuts=None):
@@ -283,9 +305,11 @@ def tiled(tmp_path, definition, cuts=None):
     size = (OPTICS["height_px"] // 2, OPTICS["width_px"] // 2)
     picture = {"response": rng.uniform(0, 1, (*size, 3)), "valid": (rng.uniform(size=size) < 0.95).astype(np.uint8)}
     height = definition["texels"]["height"]
-    whole = rectify(tmp_path, definition, PLATE_POSES, table=20.0, **picture)
+    whole = rectify(tmp_path, definition, PLATE_POSES, setup=setup_of(20.0), **picture)
     parts = [
-        rectify(tmp_path, definition, PLATE_POSES, rows=rows, table=20.0, name=f"tile-{rows[0]}.h5", **picture)
+        rectify(
+            tmp_path, definition, PLATE_POSES, rows=rows, setup=setup_of(20.0), name=f"tile-{rows[0]}.h5", **picture
+        )
         for rows in itertools.pairwise([0, *(cuts or [height // 2]), height])
     ]
     return whole, {name: np.concatenate([part[name] for part in parts]) for name in whole}
@@ -306,6 +330,143 @@ def test_tiles_are_bit_identical_to_the_whole(tmp_path, definition):
     whole, parts = tiled(tmp_path, definition)
     for name, values in whole.items():
         assert np.array_equal(parts[name], values), name
+
+
+@pytest.mark.parametrize("normals", [None, [0.6, 0.0, 0.8]], ids=["its own", "smooth"])
+def test_what_is_no_texel_of_a_mesh_is_zero_and_a_smooth_normal_gives_the_angles(tmp_path, caplog, normals):
+    """A square of which the texture's left half shows all; where the right half is, is no texel."""
+    corners = np.array([[-20.0, -20, 0], [20, -20, 0], [20, 20, 0], [-20, 20, 0]])[[[0, 1, 2], [0, 2, 3]]]
+    uv = np.array([[0.0, 1], [0.5, 1], [0.5, 0], [0, 0]])[[[0, 1, 2], [0, 2, 3]]]
+    file = tmp_path / "square.obj"
+    write_obj(file, corners, uv, None if normals is None else np.broadcast_to(normals, (2, 3, 3)))
+    shape = {"kind": "mesh", "file": str(file), "unit": "mm", "pivot_mm": [0, 0, 0]}
+    poses = [Pose(45.0, 20.0), Pose(30.0, 10.0)]
+    with caplog.at_level("INFO", logger="irodori"):
+        found = rectify(tmp_path, {"shape": shape, "texels": {"width": 16, "height": 8}}, poses)
+    left = np.tile(np.arange(16) < 8, 8)
+    assert np.array_equal(found["texel"] == 1, left)
+    assert (found["weight"][left] == 1).all() and (found["response"][left, :, :2] != 0).all()
+    for name, values in found.items():
+        assert not values[~left].any(), name
+    assert "have no observation" not in caplog.text
+    facing = math.degrees(math.atan2(normals[0], normals[2])) if normals else 0.0
+    for j, pose in enumerate(poses):
+        assert np.degrees(found["geometry"][left, j, 0]) == pytest.approx(abs(pose.light_deg - facing), abs=1e-3)
+
+
+@pytest.mark.parametrize("setup", [setup_of(), setup_of(0.0, 400.0, Pose(45.0, 0.0))], ids=["far", "near"])
+def test_a_texel_is_seen_and_lit_from_the_front_of_its_surface_and_of_its_smooth_normal(setup):
+    """In free space above a small plate, where nothing else hides anything."""
+    rng, pose = np.random.default_rng(2), Pose(40.0, 25.0)
+    normal, facet = rng.normal(size=(2, 400, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    facet /= np.linalg.norm(facet, axis=1, keepdims=True)
+    position = np.array([0.0, 0.0, 60.0]) + rng.uniform(-5.0, 5.0, (400, 3))
+    plate = {"kind": "plate", "width_mm": 1.0, "height_mm": 1.0}
+    tracer = Tracer([Placement(Shape.from_definition(made(ObjectShape | BodyShape, plate)), rig_from_object(pose))])
+    eye = DISTANCE * np.array([-math.sin(math.radians(25.0)), 0.0, math.cos(math.radians(25.0))]) - position
+    light = np.tile([math.sin(math.radians(40.0)), 0.0, math.cos(math.radians(40.0))], (400, 1))
+    if setup.lamp.is_near:
+        light = 400.0 * light - position
+    for own in (facet, None):
+        sight = observe(position, normal, tracer, pose, setup, own)
+        of_both = (normal, normal if own is None else facet)
+        for found, way in ((sight.visible, eye), (sight.lit, light)):
+            expected = np.all([np.sum(one * way, axis=1) > 0 for one in of_both], axis=0)
+            assert 0.1 < expected.mean() < 0.6
+            assert np.array_equal(found, expected)
+
+
+def test_texels_without_observation_are_counted(tmp_path, caplog):
+    with caplog.at_level("INFO", logger="irodori"):
+        found = rectify(tmp_path, SPHERE, [Pose(45.0, 20.0), Pose(45.0, 40.0)])
+    without = int((found["weight"].sum(axis=1) == 0).sum())
+    assert 0 < without < found["weight"].shape[0]
+    assert f"{without} of {found['weight'].shape[0]} texels have no observation" in caplog.text
+
+
+WHITE = Pose(40.0, 10.0)
+
+
+@pytest.mark.parametrize("sample_px", [2, 1])
+def test_under_a_near_lamp_a_plate_in_the_whites_place_has_the_cosine_of_its_own_light(tmp_path, sample_px):
+    """The white, a perfect diffuser at its centre, divides the lamp's fall-off and its own cosine in every pixel."""
+    shape = (OPTICS["height_px"] // sample_px, OPTICS["width_px"] // sample_px)
+    near = setup_of(0.0, 300.0, WHITE)
+    picture = {"response": np.ones((*shape, 2)), "valid": np.ones(shape, np.uint8), "sample_px": sample_px}
+    found = rectify(tmp_path, PLATE, [WHITE], setup=near, **picture)
+    position, _ = texels_in_rig(PLATE, WHITE)
+    lamp = 300.0 * np.array([math.sin(math.radians(40.0)), 0.0, math.cos(math.radians(40.0))])
+    to_lamp = lamp - position
+    cosine = to_lamp[:, 2] / np.linalg.norm(to_lamp, axis=1)
+    assert np.ptp(cosine) > 0.1 and (found["weight"] == 1).all()
+    gain = cosine / math.cos(math.radians(40.0))
+    assert found["light_gain"][:, 0] == pytest.approx(gain, rel=1e-6)
+    assert found["response"][:, 0] == pytest.approx(np.stack([gain, gain], axis=1), rel=1e-6)
+
+
+def test_under_a_near_lamp_a_raised_texel_is_nearer_to_it_than_the_white(tmp_path):
+    """The top of a sphere under a lamp right above: what the picture shows there is brighter than the white was."""
+    pose, near = Pose(0.0, 30.0), setup_of(0.0, 300.0, Pose(0.0, 30.0))
+    found = rectify(tmp_path, SPHERE, [pose], setup=near)
+    position, _ = texels_in_rig(SPHERE, pose)
+    x, _ = pixel_of(position, pose).T
+    # The white's point that the pixel showed, in the plane z = 0.
+    eye = DISTANCE * np.array([-math.sin(math.radians(30.0)), 0.0, math.cos(math.radians(30.0))])
+    behind = eye + (position - eye) * (eye[2] / (eye[2] - position[:, 2:]))
+    to_white, to_texel = np.array([0, 0, 300.0]) - behind, np.array([0, 0, 300.0]) - position
+    on_white = (300.0 / np.linalg.norm(to_white, axis=1)) ** 2 * to_white[:, 2] / np.linalg.norm(to_white, axis=1)
+    gain = on_white / (300.0 / np.linalg.norm(to_texel, axis=1)) ** 2
+    seen = found["weight"][:, 0] > 0
+    assert seen.sum() > 50 and gain[seen].min() < 0.9
+    assert found["light_gain"][seen, 0] == pytest.approx(gain[seen], rel=1e-5)
+    assert found["response"][seen, 0, 0] == pytest.approx((gain * x / 512)[seen], rel=1e-3)
+
+
+def test_under_a_far_lamp_responses_are_the_pictures_and_no_gain_is_stored(tmp_path):
+    found = rectify(tmp_path, PLATE, [Pose(45.0, 0.0)], setup=setup_of(0.0, None, WHITE))
+    assert "light_gain" not in found
+    alone = rectify(tmp_path, PLATE, [Pose(45.0, 0.0)])
+    assert np.array_equal(found["response"], alone["response"])
+
+
+def test_a_near_lamp_needs_the_whites_pose_and_an_object_that_it_stands_outside_of(tmp_path):
+    with pytest.raises(InputError, match=r"poses\.white: found no pose of the white reference"):
+        setup_of(0.0, 300.0)
+    with pytest.raises(InputError, match=r"light\.distance_mm.*20 mm, within the reach of the object, 25 mm"):
+        rectify(tmp_path, SPHERE, [Pose(45.0, 0.0)], setup=setup_of(0.0, 20.0, WHITE))
+
+
+def test_captures_of_different_filters_and_masks_of_another_size_are_refused(tmp_path):
+    first, second = Pose(45.0, 0.0), Pose(60.0, 30.0)
+    files = [
+        linear_file(tmp_path / "first.h5", first, filters=("out", "in")),
+        linear_file(tmp_path / "second.h5", second, filters=("in", "out")),
+    ]
+    plate = made(Object | TexturedObject, PLATE)
+    with pytest.raises(InputError, match=r"second\.h5: filters: found in, out; accepted: out, in, as in the other"):
+        rectify_object(files, plate, setup_of(), (0, 18), 85.0, output=tmp_path / "obs.h5", provenance=PROVENANCE)
+    with pytest.raises(InputError, match=r"valid"):
+        rectify(tmp_path, PLATE, [first], valid=np.ones((5, 7), np.uint8))
+
+
+def test_observations_say_which_rows_of_which_texture_they_are(tmp_path):
+    rectify(tmp_path, PLATE, [Pose(45.0, 0.0), Pose(60.0, 30.0)], rows=(3, 7), filters=("out", "in"))
+    with store.open_file(tmp_path / "obs.h5") as file:
+        assert (file.attribute("rows"), file.attribute("width")) == ([3, 7], 24)
+        assert file.attribute("filters") == ["out", "in"]
+        assert file.read("weight").shape == (4 * 24, 2)
+
+
+@given(height=st.integers(1, 60), width=st.integers(1, 60), most=st.integers(1, 2000))
+def test_tiles_are_whole_rows_as_many_as_are_allowed_and_leave_none_out(height, width, most):
+    tiles = tile_rows(height, width, most)
+    assert [first for first, _ in tiles] == [0, *(last for _, last in tiles[:-1])] and tiles[-1][1] == height
+    *full, rest = [last - first for first, last in tiles]
+    assert 0 < rest <= max(full, default=height)
+    assert rest == 1 or rest * width <= most
+    for rows in full:
+        assert (rows == 1 or rows * width <= most) and (rows + 1) * width > most
 
 
 def test_noise_of_an_interpolated_response_is_carried_along_by_capture_and_band(tmp_path):

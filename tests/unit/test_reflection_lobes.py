@@ -15,7 +15,6 @@ from irodori.jit.vectors import LANES
 from irodori.reflection import lobes as kernels
 from irodori.reflection.albedo import albedo_table
 from irodori.reflection.equation5 import angles_from_directions
-from irodori.reflection.lobe import Lobe
 from irodori.reflection.lobe_arrays import evaluate, evaluate_with_derivatives
 from irodori.reflection.lobes import Lobes
 from irodori.reflection.registry import lobe, names
@@ -106,16 +105,6 @@ def test_the_term_is_one_head_on(name, share):
 def test_nothing_is_reflected_to_or_from_under_the_horizon(name):
     below = np.array([[1.6, 0.2, 0.8, 0.7], [0.2, 1.6, 0.8, 0.7], [math.pi / 2, 0.0, 0.7, 0.7], [2.0, 2.0, 0.1, 2.0]])
     assert (evaluate_with_derivatives(name, 0.3, below) == 0.0).all()
-
-
-@every_lobe
-def test_arrays_are_broadcast(name):
-    mu, seen = np.array([[0.1], [0.4]]), geometry([0.1, 0.5, 1.2], 0.3, 2.0)
-    found = evaluate_with_derivatives(name, mu, seen)
-    assert found.shape == (3, 2, 3)
-    for i in range(2):
-        for j in range(3):
-            assert np.array_equal(found[:, i, j], evaluate_with_derivatives(name, mu[i, 0], seen[j]))
 
 
 def _difference(function, order: int, step: float) -> float:
@@ -452,18 +441,3 @@ def test_albedo_is_the_integral_over_the_light(name, mu):
     value = evaluate(name, mu, geometry(theta[:, None], theta_r, azimuth[None]))
     total = 2.0 * (value * np.sin(theta)[:, None]).sum() * step * math.pi / 600 / math.pi
     assert albedo_table(name, mu, math.cos(theta_r)).albedo[0, 0] == pytest.approx(total, rel=1e-4)
-
-
-# --- registry ------------------------------------------------------------------------------------------------------
-
-
-def test_a_lobe_that_is_not_there_is_refused_with_those_that_are():
-    with pytest.raises(ValueError, match=r"no lobe 'phong'; lobes: gaussian, ggx"):
-        evaluate("phong", 0.1, np.zeros(4))
-
-
-def test_a_module_without_a_kernel_is_no_lobe():
-    from irodori.reflection import registry
-
-    with pytest.raises(ValueError, match="registry has no NAME"):
-        Lobe.of_module(registry)
