@@ -5,7 +5,6 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
 
 import numpy as np
-from scipy import ndimage
 
 from irodori.colour.colorimetry import (
     delta_e,
@@ -52,6 +51,8 @@ def interior(truth: Material) -> np.ndarray:
 
     At a seam between two paints a picture shows their mixture, which is no error of colour recovery.
     """
+    from scipy import ndimage  # slow to import
+
     index = truth.coefficients.argmax(axis=-1)
     # The texture's own border is no seam: beyond it the border repeats.
     return ndimage.maximum_filter(index, 5, mode="nearest") == ndimage.minimum_filter(index, 5, mode="nearest")
