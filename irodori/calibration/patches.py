@@ -2,17 +2,18 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
-from scipy import stats
 
 from irodori.core.errors import InputError
 
+_NORMAL = NormalDist()
 TRIM = 0.1  # share of a patch's pixels left out at each end
 #: Variance of the middle 80 % of a normal distribution, relative to the whole: 1 - 2 z φ(z) / 0.8, z = 1.2816.
-_KEPT_VARIANCE = 1.0 - 2.0 * stats.norm.ppf(1 - TRIM) * stats.norm.pdf(stats.norm.ppf(1 - TRIM)) / (1.0 - 2.0 * TRIM)
+_KEPT_VARIANCE = 1.0 - 2.0 * _NORMAL.inv_cdf(1 - TRIM) * _NORMAL.pdf(_NORMAL.inv_cdf(1 - TRIM)) / (1.0 - 2.0 * TRIM)
 #: Variance of the trimmed mean of n normal values, times n: the winsorised variance over (1 - 2 trim)².
-_MEAN_VARIANCE = (_KEPT_VARIANCE * (1 - 2 * TRIM) + 2 * TRIM * stats.norm.ppf(1 - TRIM) ** 2) / (1 - 2 * TRIM) ** 2
+_MEAN_VARIANCE = (_KEPT_VARIANCE * (1 - 2 * TRIM) + 2 * TRIM * _NORMAL.inv_cdf(1 - TRIM) ** 2) / (1 - 2 * TRIM) ** 2
 _BLOCKS = 4  # a side: blocks that tell slope and unevenness
 _BLOCK_TRIM = 0.25  # share of a block's pixels left out at each end: medians of whole numbers are too coarse
 _BLOCK_VARIANCE = 1.2  # variance of that trimmed mean of n normal values, times n
@@ -20,7 +21,7 @@ _MIN_BLOCK_PX = 2
 _DARK = 0.02  # of the chart's largest mean: differences of dark patches are judged against no less
 _MAX_GRADIENT = 0.15
 _MAX_UNEVENNESS = 0.03
-_QUARTILES = 2.0 * stats.norm.ppf(0.75)  # distance of the quartiles, standard deviations
+_QUARTILES = 2.0 * _NORMAL.inv_cdf(0.75)  # distance of the quartiles, standard deviations
 _ERRORS = 4.0  # standard errors that noise may explain
 _LEAST_VALID = 0.5  # share of a patch
 

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import nnls
 
 from irodori.calibration.conditioning import (
     Limits,
@@ -98,6 +97,8 @@ def own_error(training: Training, recovered: np.ndarray) -> tuple[float, float]:
     The mean squared error of a patch is taken as absolute² + relative² times the squared length of its scaled response;
     both are non-negative least squares over the patches, weighted so that dark ones count as much as bright ones.
     """
+    from scipy.optimize import nnls  # slow to import
+
     squared = np.mean((recovered - training.spectra) ** 2, axis=1)
     length = (training.scaled**2).sum(axis=1)
     weight = 1.0 / (length + 0.1 * length.mean())

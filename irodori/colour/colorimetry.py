@@ -1,18 +1,18 @@
 """Tristimulus values, CIELAB and CIEDE2000 from spectra [eq. 6].
 
-The absolute import of ``colour`` below is the colour-science library; this module holds only what that library does
-not: weights for the 61 samples with the tails folded in, so that a picture is one matrix product.
+Weights for the 61 samples have the tails folded in, so that a picture is one matrix product. CIEDE2000 is written out,
+for colour-science, against which tests compare it, takes longer to import than most jobs to measure their errors.
 """
 
 from functools import lru_cache
 
-import colour
 import numpy as np
 
 from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
 from irodori.spectra.published import light
+from irodori.spectra.published_names import ILLUMINANTS
+from irodori.spectra.published_tables import published_table
 
-_OBSERVER = "CIE 1931 2 Degree Standard Observer"
 _FINE_NM = np.arange(360.0, 831.0, 1.0)
 
 
@@ -27,8 +27,7 @@ def colour_matching_weights() -> np.ndarray:
     -------
     (3, 61) float64, nm
     """
-    observer = colour.MSDS_CMFS[_OBSERVER]
-    functions = np.stack([np.interp(_FINE_NM, observer.wavelengths, c) for c in observer.values.T])
+    functions = published_table("observer").at(_FINE_NM)
     hat = np.stack([np.interp(_FINE_NM, WAVELENGTH_NM, row) for row in np.eye(SAMPLES)])
     return functions @ hat.T
 
@@ -60,11 +59,9 @@ def xyz_from_reflectance(light_name: str) -> np.ndarray:
     -------
     (3, 61) float64
     """
-    observer = colour.MSDS_CMFS[_OBSERVER]
-    functions = np.stack([np.interp(_FINE_NM, observer.wavelengths, c) for c in observer.values.T])
-    if light_name in colour.SDS_ILLUMINANTS:
-        table = colour.SDS_ILLUMINANTS[light_name]
-        power = np.interp(_FINE_NM, table.wavelengths, table.values)
+    functions = published_table("observer").at(_FINE_NM)
+    if light_name in ILLUMINANTS:
+        power = published_table(f"illuminants/{light_name}").at(_FINE_NM)[0]
     else:
         power = np.interp(_FINE_NM, WAVELENGTH_NM, light(light_name))
     hat = np.stack([np.interp(_FINE_NM, WAVELENGTH_NM, row) for row in np.eye(SAMPLES)])
@@ -90,8 +87,39 @@ def lab_from_xyz(xyz: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
 
 
 def delta_e(lab_a: np.ndarray, lab_b: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between two (..., 3) arrays of CIELAB."""
-    return colour.delta_E(lab_a, lab_b, method="CIE 2000")
+    """Return CIEDE2000 between two (..., 3) arrays of CIELAB; names are those of CIE 142:2001, angles are radians."""
+    (l_1, a_1, b_1), (l_2, a_2, b_2) = (np.moveaxis(np.asarray(lab, dtype=np.float64), -1, 0) for lab in (lab_a, lab_b))
+    stretch = 1.5 - 0.5 * _saturation((np.hypot(a_1, b_1) + np.hypot(a_2, b_2)) / 2)
+    a_1, a_2 = stretch * a_1, stretch * a_2
+    c_1, c_2 = np.hypot(a_1, b_1), np.hypot(a_2, b_2)
+    h_1, h_2 = np.arctan2(b_1, a_1) % (2 * np.pi), np.arctan2(b_2, a_2) % (2 * np.pi)
+    is_grey = c_1 * c_2 == 0  # a grey has no hue: the mean is the other one's, for its own is 0
+    turn = np.where(is_grey, 0.0, h_2 - h_1)
+    h_mean = np.where(is_grey, h_1 + h_2, (h_1 + h_2) / 2)
+    # Hues more than half a circle apart are nearer to each other the other way round.
+    is_far = np.abs(turn) > np.pi
+    h_mean = np.where(is_far, h_mean + np.where(h_1 + h_2 < 2 * np.pi, np.pi, -np.pi), h_mean)
+    turn = np.where(is_far, turn - np.copysign(2 * np.pi, turn), turn)
+    c_mean, from_middle = (c_1 + c_2) / 2, ((l_1 + l_2) / 2 - 50) ** 2
+    t = (
+        1
+        - 0.17 * np.cos(h_mean - np.pi / 6)
+        + 0.24 * np.cos(2 * h_mean)
+        + 0.32 * np.cos(3 * h_mean + np.pi / 30)
+        - 0.20 * np.cos(4 * h_mean - np.radians(63))
+    )
+    lightness = (l_2 - l_1) / (1 + 0.015 * from_middle / np.sqrt(20 + from_middle))
+    chroma = (c_2 - c_1) / (1 + 0.045 * c_mean)
+    hue = 2 * np.sqrt(c_1 * c_2) * np.sin(turn / 2) / (1 + 0.015 * c_mean * t)
+    blue = np.radians(30) * np.exp(-(((np.degrees(h_mean) - 275) / 25) ** 2))
+    rotation = -2 * _saturation(c_mean) * np.sin(2 * blue)
+    return np.sqrt(np.maximum(lightness**2 + chroma**2 + hue**2 + rotation * chroma * hue, 0.0))
+
+
+def _saturation(chroma: np.ndarray) -> np.ndarray:
+    """Return how near to strong a colour is, 0 for grey to 1."""
+    seventh = chroma**7
+    return np.sqrt(seventh / (seventh + 25.0**7))
 
 
 def delta_e_reflectance(truth: np.ndarray, estimate: np.ndarray, light_name: str = "D65") -> np.ndarray:

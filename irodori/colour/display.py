@@ -9,7 +9,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
-import colour
 import numpy as np
 
 from irodori.colour.icc import MOST_BYTES, Profile, read_profile, write_profile
@@ -28,12 +27,15 @@ from irodori.core.errors import InputError
 ADAPTATION = "CAT16"
 #: Linear light this far outside 0..1 is rounding.
 _TOLERANCE = 1e-4
-#: Displays that have a name: their primaries and white in colour-science, and their tone curve.
-STANDARD = {
-    "sRGB": ("sRGB", SRGB),
-    "Display P3": ("Display P3", SRGB),
-    "Adobe RGB (1998)": ("Adobe RGB (1998)", ParametricCurve(563 / 256)),
-}
+#: Displays that have a name, which is that of their primaries and white in colour-science, and their tone curve.
+STANDARD = {"sRGB": SRGB, "Display P3": SRGB, "Adobe RGB (1998)": ParametricCurve(563 / 256)}
+#: Responses of the cones, sharpened, of `ADAPTATION`.
+_CONES_FROM_XYZ = np.array(
+    [[0.401288, 0.650173, -0.051461], [-0.250268, 1.204414, 0.045854], [-0.002079, 0.048952, 0.953127]]
+)
+#: IEC 61966-2-1, which states the rounded matrix of this direction; the white is D65 of x = 0.3127, y = 0.3290.
+_SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
+_D65_XYZ = np.array([0.3127, 0.3290, 1.0 - 0.3127 - 0.3290]) / 0.3290
 
 
 @dataclass(frozen=True)
@@ -79,9 +81,8 @@ class Display:
 
     def _rgb_from_xyz(self, white_xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         white = np.asarray(white_xyz, dtype=np.float64)
-        adapt = colour.adaptation.matrix_chromatic_adaptation_VonKries(
-            white / white[1], self.white_xyz, transform=ADAPTATION
-        )
+        gain = (_CONES_FROM_XYZ @ self.white_xyz) / (_CONES_FROM_XYZ @ (white / white[1]))
+        adapt = np.linalg.inv(_CONES_FROM_XYZ) @ (gain[:, None] * _CONES_FROM_XYZ)
         rgb_from_xyz = np.linalg.inv(self.xyz_from_rgb)
         return rgb_from_xyz @ adapt / white[1], rgb_from_xyz @ self.black_xyz
 
@@ -167,15 +168,15 @@ def standard_display(name: str) -> Display:
     """
     if name not in STANDARD:
         raise ValueError(f"unknown display {name!r}; accepted: {', '.join(STANDARD)}")
-    space, curve = STANDARD[name]
-    known = colour.RGB_COLOURSPACES[space]
+    curve = STANDARD[name]
     if name != "sRGB":
-        return _made(name, known.matrix_RGB_to_XYZ, (curve,) * 3)
+        import colour  # slow to import
+
+        return _made(name, colour.RGB_COLOURSPACES[name].matrix_RGB_to_XYZ, (curve,) * 3)
     from PIL import ImageCms  # slow to import
 
     profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-    matrix, white = np.linalg.inv(known.matrix_XYZ_to_RGB), colour.xy_to_XYZ(known.whitepoint)
-    return Display(name, matrix, (curve,) * 3, white, np.zeros(3), profile)
+    return Display(name, np.linalg.inv(_SRGB_FROM_XYZ), (curve,) * 3, _D65_XYZ, np.zeros(3), profile)
 
 
 def _made(name: str, matrix: np.ndarray, curves, profile: bytes | None = None, black=(0.0, 0.0, 0.0)) -> Display:

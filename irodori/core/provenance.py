@@ -17,7 +17,8 @@ _DIGITS = 16
 def code_hash(*modules: str, root: Path = _ROOT) -> str:
     """Return the hash of modules' sources and of everything local that they import, directly or not.
 
-    The templates of a package that is among them count as its source. Nothing is imported: the sources are parsed.
+    The templates and tables of a package that is among them count as its source. Nothing is imported: the sources are
+    parsed.
     The result is remembered, for the code does not change while a workflow is being planned.
 
     Parameters
@@ -41,9 +42,9 @@ def code_hash(*modules: str, root: Path = _ROOT) -> str:
     digest = hashlib.sha256()
     sources = {name: file for module in modules for name, file in _closure(module, root, _unchanged_imports).items()}
     for name, file in sorted(sources.items()):
-        # A package without __init__ has no file here, and no templates either.
-        templates = sorted(file.parent.glob("templates/*")) if file.name == "__init__.py" else []
-        for part in (file, *templates):
+        # A package without __init__ has no file here, and no templates or tables either.
+        patterns = ("templates/*", "*.h5") if file.name == "__init__.py" else ()
+        for part in (file, *(found for pattern in patterns for found in sorted(file.parent.glob(pattern)))):
             digest.update(f"{name}\0{hashlib.sha256(part.read_bytes()).hexdigest()}\n".encode())
     return digest.hexdigest()[:_DIGITS]
 

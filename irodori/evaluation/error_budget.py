@@ -7,11 +7,10 @@ the stages know of their errors, see `irodori.evaluation.error_prediction` and i
 its error of what is compressed here, which is the truth.
 """
 
-import csv
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import NamedTuple, get_type_hints
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,12 +18,12 @@ from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.colour.colorimetry import summary, xyz_from_reflectance
 from irodori.config.models import Compress, EnvironmentMaps, Fit, ReferenceIntegrator, Render, Scene, Size
 from irodori.config.parts import Subject
-from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER, track
 from irodori.evaluation import error_prediction as draws
 from irodori.evaluation.known_errors import Known, colours, with_colours
 from irodori.evaluation.light_prediction import drawn_lights, family
 from irodori.evaluation.renderer_noise import MORE, Paths, expected_noise, measured_noise, traced_rows
+from irodori.evaluation.result_tables import BudgetRow, write_rows
 from irodori.evaluation.truth_errors import interior, radiance_delta_e
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
@@ -42,23 +41,6 @@ _SEAM_TEXELS = 2  # on either side, see `irodori.evaluation.truth_errors.interio
 _LIGHT = "D65"
 _SEED = 8
 _HOLES, _LIGHTS = 2, 3  # draws of what is predicted from few independent ones
-
-
-@dataclass(frozen=True)
-class BudgetRow:
-    """One line of ``error_budget.csv``: CIEDE2000 of the pixels that show an object, with one part not true.
-
-    ``predicted`` is the mean that what the stages know leads to, NaN where they know nothing; ``by`` says how, or why
-    not.
-    """
-
-    stage: str
-    mean: float
-    p95: float
-    p99: float
-    max: float
-    predicted: float
-    by: str
 
 
 @dataclass(frozen=True)
@@ -383,16 +365,10 @@ def measure_error_budget(
 
         scene = with_planned_samples(scene, read_plan(path))
     rows = error_budget(scene, view, shapes, objects, lights, options, calibration=of_light)
-    with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, [f.name for f in fields(BudgetRow)])
-        writer.writeheader()
-        for row in rows:
-            writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(row).items()})
-            LOGGER.info("%s: mean %.3f p95 %.3f, predicted %.3f", row.stage, row.mean, row.p95, row.predicted)
+    write_rows(output, BudgetRow, _logged(rows))
 
 
-def read_budget(path) -> list[BudgetRow]:
-    """Return the rows of a budget's file."""
-    with open(path, newline="", encoding="utf-8") as stream:
-        kinds = get_type_hints(BudgetRow)
-        return [BudgetRow(**{key: kinds[key](text) for key, text in row.items()}) for row in csv.DictReader(stream)]
+def _logged(rows: Iterable[BudgetRow]) -> Iterator[BudgetRow]:
+    for row in rows:
+        LOGGER.info("%s: mean %.3f p95 %.3f, predicted %.3f", row.stage, row.mean, row.p95, row.predicted)
+        yield row

@@ -4,13 +4,12 @@ An object is photographed, ingested, calibrated, rectified, fitted and compresse
 of its own, at half the camera's resolution and in some of its poses, once for every set of faults.
 """
 
-import csv
 import math
 import tempfile
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple, TypeGuard, get_type_hints
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 
@@ -31,10 +30,10 @@ from irodori.config.models import (
     TrueMaterial,
 )
 from irodori.config.parts import RigGeometry
-from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER, track
 from irodori.core.provenance import config_hash
 from irodori.core.store import Provenance
+from irodori.evaluation.result_tables import CostRow, write_rows
 from irodori.evaluation.truth_errors import comparable_gloss, interior
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import fit_brdf
@@ -53,26 +52,6 @@ from irodori.spectra.published import refractive_index
 _MAX_TEXELS = 64
 _MAX_POSES = 6
 _MADE = Provenance("measure_imperfections")
-
-
-@dataclass(frozen=True)
-class CostRow:
-    """One line of ``imperfections.csv``: the errors of an object's reflectance with one set of faults.
-
-    ``beta`` and ``mu``, of the first gloss component, are medians of the relative error where the fit states them, NaN
-    where the truth has no such parameter; ``known`` is the share of observed texels on which it does. Texels at seams
-    are left out of all.
-    """
-
-    faults: str
-    light: str
-    count: int
-    mean: float
-    p95: float
-    max: float
-    beta: float
-    mu: float
-    known: float
 
 
 class Settings(NamedTuple):
@@ -262,19 +241,12 @@ def measure_imperfections(chain: Chain | None, output) -> None:
     chain : Chain or None
     output : path
     """
-    variants = list(chain.halved().variants()) if chain is not None else []
+    write_rows(output, CostRow, _all_costs(list(chain.halved().variants()) if chain is not None else []))
+
+
+def _all_costs(variants: list[tuple[str, Chain]]) -> Iterator[CostRow]:
     seen: dict[str, dict] = {}  # of each definition: most faults leave alone what the object looks like
-    with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, [f.name for f in fields(CostRow)])
-        writer.writeheader()
-        for label, variant in track(variants, "faults"):
-            for row in cost_rows(label, variant, seen.setdefault(config_hash(variant.definition.plain()), {})):
-                writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(row).items()})
-                LOGGER.info("%s: CIEDE2000 under %s mean %.3f p95 %.3f", row.faults, row.light, row.mean, row.p95)
-
-
-def read_costs(path) -> list[CostRow]:
-    """Return the rows of ``imperfections.csv``."""
-    with open(path, newline="", encoding="utf-8") as stream:
-        kinds = get_type_hints(CostRow)
-        return [CostRow(**{key: kinds[key](text) for key, text in row.items()}) for row in csv.DictReader(stream)]
+    for label, variant in track(variants, "faults"):
+        for row in cost_rows(label, variant, seen.setdefault(config_hash(variant.definition.plain()), {})):
+            LOGGER.info("%s: CIEDE2000 under %s mean %.3f p95 %.3f", row.faults, row.light, row.mean, row.p95)
+            yield row

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.config.models import Fit
@@ -166,6 +165,8 @@ def _padded(values: np.ndarray, reach: list[int], border: str) -> np.ndarray:
 
 def _blurred_along(values: np.ndarray, axis: int, deviation: float, reach: int) -> np.ndarray:
     """Return values at the inner texels along an axis: a texel is even over its side, the blur is Gaussian."""
+    from scipy.special import ndtr  # slow to import
+
     steps = np.arange(-reach, reach + 1)
     edges = (np.concatenate([steps - 0.5, [reach + 0.5]])) / max(deviation, 1e-9)
     weights = np.diff(ndtr(edges))

@@ -15,6 +15,7 @@ from irodori.calibration.recovery.mappings import LinearMapping
 from irodori.colour.colorimetry import colour_matching_weights
 from irodori.light.environment_file import Environment
 from irodori.spectra.published import spectrum
+from irodori.spectra.published_names import ILLUMINANTS
 
 _LEAST_EIGENVALUE = 1e-9  # of the responses' covariance, relative: below it a response tells nothing new
 
@@ -24,9 +25,7 @@ def family() -> np.ndarray:
 
     CIE A to E, the D series, fluorescent, high-pressure and LED illuminants, indoor daylight, and those of ISO 7589.
     """
-    from colour import SDS_ILLUMINANTS
-
-    lights = np.stack([spectrum(name) for name in SDS_ILLUMINANTS])
+    lights = np.stack([spectrum(name) for name in ILLUMINANTS])
     return lights / (lights @ colour_matching_weights()[1])[:, None]
 
 

@@ -5,11 +5,10 @@ drifts, with shot and read noise, and are fitted at the poses that were asked fo
 made with takes no part; its expectation is reported beside the outcome.
 """
 
-import csv
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
-from typing import get_type_hints
+from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -19,8 +18,8 @@ from irodori.capture.shot_planner.planner import Planner, axis_angles, default_n
 from irodori.config.capture_table import Pose
 from irodori.config.models import Planning, RigLimits
 from irodori.config.parts import PlannedPlate
-from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER
+from irodori.evaluation.result_tables import PlanRow, write_rows
 from irodori.fitting.solvers import FitOptions, fit
 from irodori.reflection.equation5 import reflect
 
@@ -102,37 +101,6 @@ class Sitting:
         frontal &= self.planner.subject.unobstructed(poses)
         weight = frontal[:, texel].T & (response < self.planner.noise.saturation_response)
         return response, geometry[:, texel].swapaxes(0, 1), weight.astype(np.float64)
-
-
-@dataclass(frozen=True)
-class PlanRow:
-    """One line of ``planning.csv``: the error of one parameter after fits of photographs in one design.
-
-    Parameters
-    ----------
-    object : str
-    poses : int
-    design : str
-        ``planned``; ``planned-determinant``, the criterion ``determinant``; ``even-grid`` of as many light angles as
-        a plan may have; ``even-one-light``; ``random``, poses of random settings, pooled over some draws.
-    parameter : str
-        ``alpha``, whose error is absolute; ``beta``, ``mu``, whose errors are relative.
-    median, p95 : float
-        Of the absolute value of the error where the fit states the parameter.
-    identified_fraction : float
-        Share of the fits that state it.
-    expected_standard_error : float
-        Median of what the information promises.
-    """
-
-    object: str
-    poses: int
-    design: str
-    parameter: str
-    median: float
-    p95: float
-    identified_fraction: float
-    expected_standard_error: float
 
 
 def even_poses(limits: RigLimits, count: int, lights: int, max_angle_deg: float) -> list[Pose]:
@@ -294,16 +262,5 @@ def measure_plan(
     settings : Planning
     output : path
     """
-    with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, [f.name for f in fields(PlanRow)])
-        writer.writeheader()
-        for name, planned in objects.items():
-            for row in measure_object(name, planned, options, max_angle_deg, settings):
-                writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(row).items()})
-
-
-def read_plan(path) -> list[PlanRow]:
-    """Return the rows of ``planning.csv``."""
-    with open(path, newline="", encoding="utf-8") as stream:
-        kinds = get_type_hints(PlanRow)
-        return [PlanRow(**{key: kinds[key](text) for key, text in row.items()}) for row in csv.DictReader(stream)]
+    rows = (measure_object(name, planned, options, max_angle_deg, settings) for name, planned in objects.items())
+    write_rows(output, PlanRow, chain.from_iterable(rows))

@@ -1,39 +1,16 @@
 """Registration quality of the two shots of each capture."""
 
-import csv
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import get_type_hints
 
 import numpy as np
 
 from irodori.core import store
-from irodori.core.atomic_files import written_whole
+from irodori.evaluation.result_tables import RegistrationRow, write_rows
 
 #: Whose transform a capture was registered by; see `irodori.ingest.shot_alignment.Alignment`.
 SOURCES = ("capture", "chart", "none")
-
-
-@dataclass(frozen=True)
-class RegistrationRow:
-    """One line of an object's ``registration.csv``: one capture that has both filter states.
-
-    Parameters
-    ----------
-    capture : str
-    source : str
-        ``capture`` for its own transform; ``chart`` where it had too little content; ``none`` where the chart had too.
-    residual_px : float
-        Rms of what local blocks still find, superpixels; with the source ``chart`` it is the chart's.
-    sigma_px : float
-        Predicted standard error of the capture's own transform, superpixels.
-    """
-
-    capture: str
-    source: str
-    residual_px: float
-    sigma_px: float
 
 
 @dataclass(frozen=True)
@@ -82,19 +59,7 @@ def measure_registration(linear: Sequence, output) -> None:
                 raise ValueError(f"{path}: registration_source {source!r}; accepted: {', '.join(SOURCES)}")
             residual, sigma = (float(file.attribute(f"registration_{name}_px")) for name in ("residual", "sigma"))
             rows.append(RegistrationRow(path.stem, source, residual, sigma))
-    with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, [f.name for f in fields(RegistrationRow)])
-        writer.writeheader()
-        for row in rows:
-            writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in asdict(row).items()})
-
-
-def read_registration(path) -> list[RegistrationRow]:
-    """Return the rows of a ``registration.csv``."""
-    with open(path, newline="", encoding="utf-8") as stream:
-        kinds = get_type_hints(RegistrationRow)
-        rows = list(csv.DictReader(stream))
-    return [RegistrationRow(**{key: kinds[key](text) for key, text in row.items()}) for row in rows]
+    write_rows(output, RegistrationRow, rows)
 
 
 def summarise(rows: Sequence[RegistrationRow]) -> RegistrationSummary:

@@ -1,11 +1,8 @@
 """Errors against ground truth: mean, 95th percentile and maximum [design, §5]."""
 
-import csv
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields
 
 import numpy as np
-from scipy import ndimage
 
 from irodori.colour.colorimetry import (
     delta_e,
@@ -18,27 +15,13 @@ from irodori.colour.colorimetry import (
 )
 from irodori.config.parts import Staging
 from irodori.core import store
-from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER
+from irodori.evaluation.result_tables import ErrorRow, write_rows
 from irodori.export.pictures import read_xyz
 from irodori.light.environment_file import Environment, directions
 from irodori.light.irradiance import irradiance_at
 from irodori.material.material_file import Material, Status, gloss_names
 from irodori.rendering.scene_white import scene_white
-
-
-@dataclass(frozen=True)
-class ErrorRow:
-    """One line of ``errors.csv``."""
-
-    subject: str
-    quantity: str
-    light: str
-    count: int
-    mean: float
-    p95: float
-    p99: float
-    max: float
 
 
 def _row(subject: str, quantity: str, values, light: str = "") -> ErrorRow:
@@ -52,6 +35,8 @@ def interior(truth: Material) -> np.ndarray:
 
     At a seam between two paints a picture shows their mixture, which is no error of colour recovery.
     """
+    from scipy import ndimage  # slow to import
+
     index = truth.coefficients.argmax(axis=-1)
     # The texture's own border is no seam: beyond it the border repeats.
     return ndimage.maximum_filter(index, 5, mode="nearest") == ndimage.minimum_filter(index, 5, mode="nearest")
@@ -198,28 +183,14 @@ def measure_errors(inputs: dict, names: dict, scenes: Iterable[Staging], lights:
         objects = (pair[0] != pair[1]).any(axis=-1)
         rows.append(_row(name, "picture CIEDE2000 to true materials", difference, light))
         rows.append(_row(name, "picture CIEDE2000 to true materials, objects only", difference[objects], light))
-    _write(rows, output)
-
-
-def _write(rows: list[ErrorRow], output) -> None:
-    with written_whole(output) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, [f.name for f in fields(ErrorRow)])
-        writer.writeheader()
-        for row in rows:
-            values = asdict(row)
-            writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in values.items()})
-            LOGGER.info(
-                "%s, %s %s: mean %.4g p95 %.4g max %.4g",
-                row.subject,
-                row.quantity,
-                row.light,
-                row.mean,
-                row.p95,
-                row.max,
-            )
-
-
-def read_errors(path) -> list[dict]:
-    """Return the rows of ``errors.csv`` as dictionaries of text."""
-    with open(path, newline="", encoding="utf-8") as stream:
-        return list(csv.DictReader(stream))
+    for row in rows:
+        LOGGER.info(
+            "%s, %s %s: mean %.4g p95 %.4g max %.4g",
+            row.subject,
+            row.quantity,
+            row.light,
+            row.mean,
+            row.p95,
+            row.max,
+        )
+    write_rows(output, ErrorRow, rows)

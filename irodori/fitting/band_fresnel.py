@@ -11,7 +11,6 @@ other bands have more or less is a ratio of angle.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from irodori.reflection.fresnel import fresnel_array
 
@@ -52,6 +51,8 @@ def band_gloss(n, k, band_response: np.ndarray, band: int) -> BandGloss:
     band : int
         That of the fit.
     """
+    from scipy.optimize import least_squares  # slow to import
+
     theta = np.linspace(0.0, 0.5 * np.pi, _ANGLES)
     spectral = np.stack([fresnel_array(np.cos(theta), a, b) for a, b in zip(n, k, strict=True)])
     weight = band_response / band_response.sum(axis=1, keepdims=True)

@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from irodori.config.models import PerspectiveView, ScenePhotograph, Size
 from irodori.geometry.pinhole import Pinhole, samples_from_superpixels
@@ -116,6 +115,8 @@ class IdealView:
         at = np.nan_to_num(np.stack([y, x]), nan=-10.0)
 
         def looked_up(values: np.ndarray) -> np.ndarray:
+            from scipy import ndimage  # slow to import
+
             found = ndimage.map_coordinates(values, at, order=1, mode="constant", cval=0.0, prefilter=False)
             return found.reshape(self.height, side, self.width, side).mean(axis=(1, 3))
 

@@ -9,6 +9,7 @@ from irodori.export.pictures import Header, layers_of, picture_bands, picture_he
 from irodori.light.omnidirectional import BAND_ROWS, Picture, from_panorama
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import light
+from irodori.spectra.published_tables import published_table
 from irodori.spectra.resampling import resample_picture
 
 _RGB_ASSUMPTION = (
@@ -29,10 +30,7 @@ def mallett_basis() -> np.ndarray:
 
     Their sum is D65, and an RGB of linear sRGB relative to D65 = (1, 1, 1) has its own colour.
     """
-    from colour.recovery import MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019 as functions
-
-    columns = [np.interp(WAVELENGTH_NM, functions.wavelengths, column) for column in functions.values.T]
-    return np.stack(columns, axis=1) * light("D65")[:, None]
+    return published_table("srgb_primaries").at(WAVELENGTH_NM).T * light("D65")[:, None]
 
 
 def _panorama_header(path) -> Header:

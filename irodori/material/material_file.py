@@ -4,7 +4,6 @@ from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import numpy as np
-from scipy import ndimage
 
 from irodori.core import store
 from irodori.core.errors import InputError
@@ -308,6 +307,8 @@ class Material:
             Which texels lie on the surface, all where absent. The others are filled too, with the gloss of the nearest
             texel that is one, and count for nothing in the share.
         """
+        from scipy import ndimage  # slow to import
+
         observed = self.observed
         if covered is not None and not covered.all():
             return self._padded(covered)
@@ -334,6 +335,8 @@ class Material:
 
     def _padded(self, covered: np.ndarray) -> tuple["Material", float]:
         """Fill the texels of the surface from each other, then those beside it from the nearest of the surface."""
+        from scipy import ndimage  # slow to import
+
         observed = self.observed & covered
         own = replace(self, alpha=np.where(covered, self.alpha, np.nan))
         inside, _ = own.filled()

@@ -107,7 +107,7 @@ def planning_figure(rows) -> str:
 
     Parameters
     ----------
-    rows : list of irodori.evaluation.pose_planning.PlanRow
+    rows : list of irodori.evaluation.result_tables.PlanRow
         Of one object. Solid lines are medians, dashed ones 95th percentiles.
     """
     labels = {"alpha": "|Δα|", "beta": "|Δβ| / β", "mu": "|Δμ| / μ"}

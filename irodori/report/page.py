@@ -6,11 +6,8 @@ from pathlib import Path
 
 from irodori.core import store
 from irodori.evaluation.coefficient_storage import storage_sentence
-from irodori.evaluation.error_budget import read_budget
-from irodori.evaluation.imperfection_costs import read_costs
-from irodori.evaluation.pose_planning import PlanRow, read_plan
-from irodori.evaluation.registration_errors import read_registration, summarise
-from irodori.evaluation.truth_errors import read_errors
+from irodori.evaluation.registration_errors import summarise
+from irodori.evaluation.result_tables import BudgetRow, CostRow, PlanRow, RegistrationRow, read_errors, read_rows
 from irodori.material.material_file import Material
 from irodori.reflection.registry import lobe
 from irodori.report.calibration_part import camera_calibrations
@@ -100,7 +97,7 @@ def _plans(rows: list[PlanRow]) -> dict[str, dict]:
 
 def registrations(objects: list[str], tables: list) -> dict:
     """Return what ``registration.html.j2`` shows: the summary of each object's table."""
-    return {name: summarise(read_registration(path)) for name, path in zip(objects, tables, strict=True)}
+    return {name: summarise(read_rows(path, RegistrationRow)) for name, path in zip(objects, tables, strict=True)}
 
 
 def _camera(path) -> dict:
@@ -131,14 +128,16 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
         views=rendered_views(names["views"], inputs["pictures"], inputs["figures"], true_views),
         photographs=_pictures(names["photographs"], inputs["comparisons"], inputs["comparison_figures"]),
         errors=read_errors(inputs["errors"]),
-        budgets={n: read_budget(path) for n, path in zip(names["virtual_views"], inputs["budgets"], strict=True)},
+        budgets={
+            n: read_rows(path, BudgetRow) for n, path in zip(names["virtual_views"], inputs["budgets"], strict=True)
+        },
         objects=[
             _object(name, path, truths.get(name))
             for name, path in zip(names["objects"], inputs["materials"], strict=True)
         ],
         environments=environments(names["environments"], inputs["environments"]),
-        imperfections=read_costs(inputs["imperfections"]),
-        plans=_plans(read_plan(inputs["planning"])),
+        imperfections=read_rows(inputs["imperfections"], CostRow),
+        plans=_plans(read_rows(inputs["planning"], PlanRow)),
         registrations=registrations(names["objects"], inputs["registrations"]),
         cameras={n: _camera(path) for n, path in zip(names["cameras"], inputs["references"], strict=True)},
         calibrations=camera_calibrations(

@@ -8,7 +8,16 @@ import numpy as np
 
 from irodori.core.errors import InputError, is_file
 from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
-from irodori.spectra.published_names import BLACKBODY_K, DAYLIGHT_K, synthetic_light
+from irodori.spectra.published_names import (
+    BLACKBODY_K,
+    CAMERAS,
+    CHART_PATCHES,
+    DAYLIGHT_K,
+    ILLUMINANTS,
+    TEST_COLOURS,
+    synthetic_light,
+)
+from irodori.spectra.published_tables import published_table
 from irodori.spectra.resampling import is_finer_than_grid, resample
 from irodori.spectra.spectral_files import SpectralTable, check_power, check_reflectance, spectral_table
 from irodori.spectra.tables import MAX_INDEX_GAP_NM, index_table
@@ -46,28 +55,15 @@ def _one_spectrum(path) -> SpectralTable:
     return table
 
 
-def _align(distribution) -> np.ndarray:
-    return np.asarray(np.interp(WAVELENGTH_NM, distribution.wavelengths, distribution.values))
-
-
-def _test_colour_samples() -> np.ndarray:
-    from colour import SpectralShape
-    from colour.quality.cfi2017 import load_TCS_CIE2017
-
-    samples = load_TCS_CIE2017(SpectralShape(380, 780, 5))
-    return np.stack([np.interp(WAVELENGTH_NM, samples.wavelengths, column) for column in samples.values.T])
-
-
 def _synthetic(kind: str, temperature_k: float) -> np.ndarray:
     """Return CIE daylight or a blackbody on the grid, 100 at 560 nm."""
-    import colour
+    import colour  # slow, and seldom needed
 
-    shape = colour.SpectralShape(360, 780, 5)
     if kind == "D":
-        daylight = colour.sd_CIE_illuminant_D_series(colour.temperature.CCT_to_xy_CIE_D(temperature_k))
-        power = _align(daylight)
+        made = colour.sd_CIE_illuminant_D_series(colour.temperature.CCT_to_xy_CIE_D(temperature_k))
     else:
-        power = _align(colour.sd_blackbody(temperature_k, shape))
+        made = colour.sd_blackbody(temperature_k, colour.SpectralShape(360, 780, 5))
+    power = np.interp(WAVELENGTH_NM, made.wavelengths, made.values)
     return 100.0 * power / power[WAVELENGTH_NM == 560.0]
 
 
@@ -87,20 +83,18 @@ def spectrum(name: str) -> np.ndarray:
     -------
     (61,) float64, relative power (lights by name: 100 at 560 nm) or reflectance factor 0..1
     """
-    import colour
-
     if match := _TCS_NAME.fullmatch(name):
-        samples = _test_colour_samples()
+        samples = published_table("test_colours").at(WAVELENGTH_NM)
         if int(match[1]) < len(samples):
             return samples[int(match[1])]
-        raise InputError("spectrum", name, name, f"TCS0 to TCS{len(samples) - 1}")
-    if name in colour.SDS_ILLUMINANTS:
-        return _align(colour.SDS_ILLUMINANTS[name])
+        raise InputError("spectrum", name, name, f"TCS0 to {TEST_COLOURS[-1]}")
+    if name in ILLUMINANTS:
+        return published_table(f"illuminants/{name}").at(WAVELENGTH_NM)[0]
     if made := synthetic_light(name):
         return _synthetic(*made)
     if Path(name).suffix:
         return _on_grid(_one_spectrum(name), name)[0]
-    known = ", ".join(sorted(colour.SDS_ILLUMINANTS))
+    known = ", ".join(sorted(ILLUMINANTS))
     accepted = (
         f"TCS0 to TCS98, a file of one spectrum, D{DAYLIGHT_K[0]} to D{DAYLIGHT_K[1]} (daylight), P{BLACKBODY_K[0]} to "
         f"P{BLACKBODY_K[1]} (blackbody), or an illuminant of: {known}"
@@ -142,11 +136,9 @@ def chart_spectra(name: str) -> tuple[list[str], np.ndarray]:
     InputError
         For an unknown name, a file that cannot be read, and values outside -0.01..1.2.
     """
-    from colour.characterisation import SDS_COLOURCHECKERS
-
-    if name in SDS_COLOURCHECKERS:
-        chart = SDS_COLOURCHECKERS[name]
-        return list(chart), np.stack([_align(patch) for patch in chart.values()])
+    if name in CHART_PATCHES:
+        chart = published_table(f"charts/{name}")
+        return list(chart.names), chart.at(WAVELENGTH_NM)
     if Path(name).suffix:
         table = spectral_table(name)
         check_reflectance(table, name)
@@ -155,7 +147,7 @@ def chart_spectra(name: str) -> tuple[list[str], np.ndarray]:
             order = sorted(range(len(names)), key=lambda i: (names[i][0], int(names[i][1:])))
             return [names[i] for i in order], spectra[order]
         return names, spectra
-    raise InputError("chart", name, repr(name), f"a file of spectra or one of: {', '.join(SDS_COLOURCHECKERS)}")
+    raise InputError("chart", name, repr(name), f"a file of spectra or one of: {', '.join(CHART_PATCHES)}")
 
 
 def camera_sensitivities(name: str) -> np.ndarray:
@@ -171,17 +163,14 @@ def camera_sensitivities(name: str) -> np.ndarray:
     -------
     (3, 61) float64
     """
-    import colour
-
-    if name in colour.MSDS_CAMERA_SENSITIVITIES:
-        sensitivities = colour.MSDS_CAMERA_SENSITIVITIES[name]
-        return np.stack([np.interp(WAVELENGTH_NM, sensitivities.wavelengths, c) for c in sensitivities.values.T])
+    if name in CAMERAS:
+        return published_table(f"cameras/{name}").at(WAVELENGTH_NM)
     if Path(name).suffix:
         names, spectra = read_spectra(name)
         if len(names) != 3:
             raise InputError(name, "", f"{len(names)} bands", "three bands: r, g, b")
         return spectra
-    raise InputError("camera", name, repr(name), f"a file or one of: {', '.join(colour.MSDS_CAMERA_SENSITIVITIES)}")
+    raise InputError("camera", name, repr(name), f"a file or one of: {', '.join(CAMERAS)}")
 
 
 def refractive_index(definition: "RefractiveIndex") -> tuple[np.ndarray, np.ndarray]:

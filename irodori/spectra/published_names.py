@@ -1,6 +1,6 @@
 """Names of published spectra, checked without loading colour-science.
 
-A test compares them with colour-science, from which `irodori.spectra` takes the spectra themselves.
+A test compares them with colour-science, from which the spectra themselves are, see `irodori.spectra.published_tables`.
 """
 
 import re

@@ -1,13 +1,17 @@
 """Spectra: published names and the tables of a user."""
 
+import sys
 from pathlib import Path
+from subprocess import run
 
+import numpy as np
 import pytest
 from definitions import CAMERA_FILE, PLATE_FILE, ROOM_FILE, ROOT, edit, fault, load
 
 from irodori.core.errors import InputError
 from irodori.spectra import published_names
 from irodori.spectra.published import spectrum
+from irodori.spectra.published_tables import published_table
 
 DATA = ROOT.parent / "shared" / "data"
 POSE = "l0450-c0000-t000-r0000"
@@ -108,6 +112,30 @@ def test_the_patches_of_a_published_chart_are_counted(root):
     edit(root, CAMERA_FILE, "chart.spectra", "PMC")
     error = fault(root)
     assert (error.field, error.accepted) == ("chart.rows", "rows and columns that make 30 patches, as in PMC")
+
+
+def test_published_tables_are_those_of_colour_science():
+    from irodori.spectra.write_published_tables import library_tables
+
+    for name, table in library_tables():
+        shipped = published_table(name)
+        assert shipped.names == table.names
+        np.testing.assert_array_equal(shipped.wavelength_nm, table.wavelength_nm)
+        np.testing.assert_array_equal(shipped.spectra, table.spectra)
+
+
+def test_a_job_that_needs_published_spectra_does_not_import_colour_science():
+    use = """
+import sys
+from irodori.colour.colorimetry import delta_e_reflectance
+from irodori.colour.display import standard_display
+from irodori.spectra.published import camera_sensitivities, chart_spectra, spectrum
+delta_e_reflectance(chart_spectra("PMC")[1], spectrum("TCS3"))
+camera_sensitivities("Nikon 5100 (NPL)")
+standard_display("sRGB").linear_rgb(spectrum("D65")[:3], spectrum("A")[:3])
+print("colour" in sys.modules)
+"""
+    assert run([sys.executable, "-c", use], capture_output=True, text=True, check=True).stdout == "False\n"
 
 
 def test_published_names_are_those_of_colour_science():

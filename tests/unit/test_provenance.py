@@ -95,9 +95,10 @@ def test_an_edit_changes_the_hash_of_those_who_import_it(root):
     assert before["stage"] != after["stage"] and before["named"] != after["named"]
 
 
-def test_a_template_is_a_source_of_its_package(root):
-    template = root / "pkg/sub/templates/page.html.j2"
-    template.parent.mkdir()
+@pytest.mark.parametrize("name", ["templates/page.html.j2", "published.h5"])
+def test_templates_and_tables_are_sources_of_their_package(root, name):
+    template = root / "pkg/sub" / name
+    template.parent.mkdir(exist_ok=True)
     hashes = []
     for text in ("one", "two"):
         template.write_text(text)

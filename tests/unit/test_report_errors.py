@@ -8,7 +8,8 @@ from scenes import constant_light
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.config.parts import Staging
 from irodori.core import store
-from irodori.evaluation.truth_errors import interior, measure_errors, radiance_delta_e, read_errors
+from irodori.evaluation.result_tables import read_errors
+from irodori.evaluation.truth_errors import interior, measure_errors, radiance_delta_e
 from irodori.export.pictures import write_spectral_exr
 from irodori.light.placed_lights import unit_luminance
 from irodori.material.material_file import Material

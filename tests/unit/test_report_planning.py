@@ -13,7 +13,8 @@ from irodori.capture.shot_planner.fisher_information import observe
 from irodori.capture.shot_planner.planner import Planner, default_noise
 from irodori.config.models import Object, Planning, Rig, RigLimits, SensorOptions
 from irodori.config.parts import PlannedObject, PlannedPlate
-from irodori.evaluation.pose_planning import Sitting, even_poses, measure_plan, random_poses, read_plan
+from irodori.evaluation.pose_planning import Sitting, even_poses, measure_plan, random_poses
+from irodori.evaluation.result_tables import PlanRow, read_rows
 from irodori.fitting.solvers import FitOptions
 from irodori.report.figures import planning_figure
 
@@ -48,7 +49,7 @@ def table(planned, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def rows(table):
-    return {(row.poses, row.design, row.parameter): row for row in read_plan(table)}
+    return {(row.poses, row.design, row.parameter): row for row in read_rows(table, PlanRow)}
 
 
 @pytest.mark.parametrize("other", ["even-grid", "even-one-light", "random"])
@@ -122,11 +123,11 @@ def test_without_plates_the_table_has_a_header_alone(tmp_path):
         made(Planning, {"poses": [4], "materials": 100}),
         tmp_path / "none.csv",
     )
-    assert read_plan(tmp_path / "none.csv") == []
+    assert read_rows(tmp_path / "none.csv", PlanRow) == []
 
 
 def test_the_figure_is_a_picture(table):
-    assert planning_figure(read_plan(table)).startswith("data:image/png;base64,")
+    assert planning_figure(read_rows(table, PlanRow)).startswith("data:image/png;base64,")
 
 
 def test_a_rig_with_few_poses_leaves_designs_out(planned, tmp_path):
@@ -139,7 +140,7 @@ def test_a_rig_with_few_poses_leaves_designs_out(planned, tmp_path):
         made(Planning, {"poses": [4, 24], "materials": 50}),
         tmp_path / "few.csv",
     )
-    counts = {row.poses for row in read_plan(tmp_path / "few.csv")}
+    counts = {row.poses for row in read_rows(tmp_path / "few.csv", PlanRow)}
     assert counts == {4}
 
 

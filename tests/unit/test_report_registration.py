@@ -9,9 +9,9 @@ from irodori.core import store
 from irodori.evaluation.registration_errors import (
     RegistrationSummary,
     measure_registration,
-    read_registration,
     summarise,
 )
+from irodori.evaluation.result_tables import RegistrationRow, read_rows
 from irodori.ingest.shot_alignment import UNMOVED, Alignment
 from irodori.report.html_page import fragment
 from irodori.report.page import registrations
@@ -43,7 +43,7 @@ def table(tmp_path):
 
 
 def test_every_capture_with_two_filter_states_has_a_line_in_the_given_order(table):
-    rows = read_registration(table)
+    rows = read_rows(table, RegistrationRow)
     assert [(row.capture, row.source) for row in rows] == [
         ("c0", "capture"), ("c1", "capture"), ("c2", "chart"), ("c3", "capture"), ("c4", "none"),
     ]  # fmt: skip
@@ -53,12 +53,12 @@ def test_every_capture_with_two_filter_states_has_a_line_in_the_given_order(tabl
 
 def test_residuals_are_those_of_the_captures_with_their_own_transform(table):
     """The chart's residual, larger here, says nothing of a capture that took its transform."""
-    assert summarise(read_registration(table)) == RegistrationSummary(3, 1, 1, 0.04, 0.30, "c1")
+    assert summarise(read_rows(table, RegistrationRow)) == RegistrationSummary(3, 1, 1, 0.04, 0.30, "c1")
 
 
 def test_an_object_without_a_registered_capture_has_no_residual(tmp_path):
     measure_registration([linear(tmp_path, "c0", None)], tmp_path / "registration.csv")
-    rows = read_registration(tmp_path / "registration.csv")
+    rows = read_rows(tmp_path / "registration.csv", RegistrationRow)
     found = summarise(rows)
     assert rows == [] and found.by_capture == found.by_chart == found.by_none == 0
     assert math.isnan(found.median_px) and math.isnan(found.max_px) and found.worst == ""

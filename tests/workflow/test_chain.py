@@ -10,7 +10,8 @@ import yaml
 from project import ROOT, edit, planned, small_project, snakemake
 
 from irodori.core.store import open_file
-from irodori.evaluation.registration_errors import read_registration, summarise
+from irodori.evaluation.registration_errors import summarise
+from irodori.evaluation.result_tables import RegistrationRow, read_rows
 from irodori.export.pictures import read_spectral_exr
 
 STAGES_AFTER_FIT = {
@@ -40,7 +41,7 @@ def test_one_command_leaves_pictures_report_and_errors(finished):
     page = (finished / "results/report.html").read_text()
     assert page.count("data:image/png;base64") >= 6 and "CIEDE2000" in page
     for name in ("tile-plate", "leaf-sphere"):
-        found = summarise(read_registration(finished / f"results/{name}/registration.csv"))
+        found = summarise(read_rows(finished / f"results/{name}/registration.csv", RegistrationRow))
         assert found.by_capture + found.by_chart > 0 and found.by_none == 0
         assert f"<td>{name}</td><td>{found.by_capture}</td><td>{found.by_chart}</td>" in page
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from scipy.stats import qmc
 
 from irodori.capture.shot_planner.exchange import TooFewPoses, choose
 from irodori.capture.shot_planner.fisher_information import (
@@ -96,6 +95,8 @@ class MaterialRange:
 
     def spread(self, count: int) -> Materials:
         """Return materials that fill the range evenly: a Halton sequence, the same every time."""
+        from scipy.stats import qmc  # slow to import
+
         return self.at(qmc.Halton(3, scramble=False).random(count + 1)[1:])
 
 

@@ -12,7 +12,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
 
 from irodori.core import store
 from irodori.core.progress import track
@@ -150,6 +149,8 @@ def _candidates(name: str, mu: float, theta_r: float) -> tuple[np.ndarray, np.nd
 
 def _pursue(rows: np.ndarray, target: np.ndarray, cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return which columns make up a target, and their weights, by non-negative orthogonal matching pursuit."""
+    from scipy.optimize import nnls  # slow to import
+
     length = np.linalg.norm(rows, axis=0)
     chosen, weights, rest = np.empty(0, dtype=int), np.empty(0), target
     for _ in range(4 * _LOOKUPS):

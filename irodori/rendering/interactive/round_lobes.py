@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
 
 from irodori.core.provenance import code_hash
 from irodori.jit.compilation import njit
@@ -213,6 +212,8 @@ def _placed(direction: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, float
 
 def fit_row(name: str, mu: float, theta_r: float, mixture: tuple[np.ndarray, np.ndarray]) -> Row:
     """Fit the rows of one lobe; ``mixture`` is that of `split`."""
+    from scipy.optimize import nnls  # slow to import
+
     parts = len(mixture[0])
     seen = lobe_samples(name, mu, theta_r, _NODES if parts == 1 else _NODES_OF_PARTS)
     direction, solid_angle, cos_h = seen.direction, seen.solid_angle, seen.cos_h

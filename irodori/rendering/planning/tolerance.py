@@ -1,7 +1,6 @@
 """Statistical test of colour differences against a tolerance, from a sample of pixels."""
 
 import numpy as np
-from scipy.stats import binom
 
 from irodori.colour.colorimetry import delta_e, lab_from_xyz
 
@@ -22,5 +21,7 @@ def bound_of_share(values: np.ndarray) -> float:
     The order statistic that exceeds the quantile unless luck is worse than 1 in 1000 (binomial, whatever the
     distribution); the largest value where the sample is too small for that.
     """
+    from scipy.stats import binom  # slow to import
+
     place = int(binom.ppf(_CERTAINTY, len(values), SHARE))
     return float(np.sort(values)[min(place, len(values) - 1)])

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import convolve1d
 
 from irodori.config.models import SceneLight
 from irodori.core.atomic_files import written_whole
@@ -163,6 +162,8 @@ def pooled(error: np.ndarray) -> np.ndarray:
     Squares of the differences of two sets are right in the mean, and single ones scatter by more than themselves;
     neighbours mostly have like noise.
     """
+    from scipy.ndimage import convolve1d  # slow to import
+
     squares, even = np.square(error, dtype=np.float64), np.full(_NEIGHBOURS, 1.0 / _NEIGHBOURS)
     for axis in range(2):
         # Not `uniform_filter`: behind a sun's outline the rounding of its running sum is more than the dark's errors.

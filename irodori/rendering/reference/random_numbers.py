@@ -9,7 +9,6 @@ an error bar that holds for such points, which that of single samples would not 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import qmc
 
 from irodori.jit.compilation import uncounted
 
@@ -44,6 +43,8 @@ def make_numbers(samples: int, seed: int, replicates: int) -> Numbers:
     replicates : int
         At least 2.
     """
+    from scipy.stats import qmc  # slow to import
+
     count = samples // replicates
     size = min(count, _LARGEST_SET)
     generator = np.random.default_rng([seed, 0x1D0])

@@ -1,7 +1,6 @@
 """Photographs of whole scenes by the virtual camera, from rendered radiance."""
 
 import numpy as np
-from scipy import ndimage
 
 from irodori.config.models import Optics
 from irodori.core import store
@@ -49,6 +48,8 @@ def scene_mosaic(radiance: np.ndarray, light: np.ndarray, optics: Optics, ideal_
     -------
     (height, width) float64, responses, RGGB
     """
+    from scipy import ndimage  # slow to import
+
     # Band weights are for reflectances under the rig's light; a radiance is that light times a reflectance.
     bands = (radiance @ (band_weights / light).T.astype(np.float32)).astype(np.float64)
     pinhole = Pinhole.from_optics(optics)

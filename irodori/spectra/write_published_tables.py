@@ -1,0 +1,57 @@
+"""Write the tables that `irodori.spectra.published_tables` reads, from colour-science.
+
+Run ``python -m irodori.spectra.write_published_tables``.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import colour
+import h5py
+import numpy as np
+from colour.characterisation import SDS_COLOURCHECKERS
+from colour.quality.cfi2017 import load_TCS_CIE2017
+from colour.recovery import MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019
+
+from irodori.spectra.published_names import CAMERAS, CHART_PATCHES, ILLUMINANTS, TEST_COLOURS
+from irodori.spectra.published_tables import TABLES, PublishedTable
+
+_OBSERVER = "CIE 1931 2 Degree Standard Observer"
+
+
+def library_tables() -> Iterator[tuple[str, PublishedTable]]:
+    """Yield the name of every table in the file, and the table as colour-science has it."""
+    for name in ILLUMINANTS:
+        yield f"illuminants/{name}", _table([name], [colour.SDS_ILLUMINANTS[name]])
+    for name in CHART_PATCHES:
+        yield f"charts/{name}", _table(SDS_COLOURCHECKERS[name], SDS_COLOURCHECKERS[name].values())
+    for name in CAMERAS:
+        yield f"cameras/{name}", _columns("rgb", colour.MSDS_CAMERA_SENSITIVITIES[name])
+    yield "observer", _columns("xyz", colour.MSDS_CMFS[_OBSERVER])
+    yield "test_colours", _columns(TEST_COLOURS, load_TCS_CIE2017(colour.SpectralShape(380, 780, 5)))
+    yield "srgb_primaries", _columns("rgb", MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019)
+
+
+def _table(names, distributions) -> PublishedTable:
+    """Return spectra that colour-science keeps one by one; those of a chart share their wavelengths."""
+    distributions = list(distributions)
+    return PublishedTable(
+        distributions[0].wavelengths, np.stack([one.values for one in distributions]), tuple(map(str, names))
+    )
+
+
+def _columns(names, distributions) -> PublishedTable:
+    return PublishedTable(distributions.wavelengths, distributions.values.T, tuple(names))
+
+
+def write_published_tables(path: Path = TABLES) -> None:
+    """Write the file."""
+    with h5py.File(path, "w") as file:
+        for name, table in library_tables():
+            rows = np.vstack([table.wavelength_nm, table.spectra])
+            dataset = file.create_dataset(name, data=rows, compression="gzip", shuffle=True, track_times=False)
+            dataset.attrs["names"] = np.array(table.names, dtype=h5py.string_dtype())
+
+
+if __name__ == "__main__":
+    write_published_tables()
