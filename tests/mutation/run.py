@@ -56,7 +56,8 @@ ROOMS = {
     "evaluation": (
         ("evaluation",),
         ("unit/test_report_errors.py", "unit/test_photograph_comparison.py", "unit/test_error_budget.py",
-         "unit/test_error_prediction.py", "unit/test_report_registration.py"),
+         "unit/test_error_prediction.py", "unit/test_report_registration.py", "unit/test_report_planning.py",
+         "unit/test_report_light.py", "unit/test_imperfection_costs.py"),
     ),
     "reflection": (
         ("reflection",),
@@ -64,7 +65,8 @@ ROOMS = {
     ),
     "capture limits": (
         ("capture/rig",),
-        ("rig/test_rig_contract.py", "rig/test_driven.py", "rig/test_grbl_driver.py", "rig/test_grbl_protocol.py"),
+        ("rig/test_rig_contract.py", "rig/test_driven.py", "rig/test_grbl_driver.py", "rig/test_grbl_protocol.py",
+         "rig/test_rig_waits.py", "rig/test_described_rig.py"),
     ),
 }  # fmt: skip
 LONGEST_S = 2.0
