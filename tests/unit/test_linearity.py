@@ -78,6 +78,17 @@ def test_the_chart_serves_where_the_white_reference_has_no_series(tmp_path):
     assert measured(studio).largest < 3e-3
 
 
+def test_two_exposures_are_a_series(tmp_path):
+    """Of a camera that loses a fifth at full well, two levels show it, and the limit is met or not."""
+    studio = series(tmp_path, 74, strength=0.2, exposures=(0.002, 0.03))
+    found = measured(studio, limit=0.5)
+    assert len(found.exposure_s) == 2 and found.deviation[0] > 0.02 > -0.02 > found.deviation[1]
+    allowed = found.largest - 2.0 * found.repeatability
+    measured(studio, limit=allowed + 1e-4)
+    with pytest.raises(InputError, match="at a relative exposure of"):
+        measured(studio, limit=allowed - 1e-4)
+
+
 def test_one_exposure_tells_nothing(tmp_path):
     studio = series(tmp_path, 71, exposures=(0.02,))
     assert measured(studio) is None
