@@ -145,6 +145,8 @@ def test_settings_made_for_drives_fit_them(homing, units, turns, step, beyond, s
     settings = {**DEFAULTS, **grbl_settings(drives, homing)}
     check_settings(settings, "V", drives, homing)
     assert settings[20] == settings[22] == homing
+    own = (24, 25, 27, *(first + axis for first in (100, 110, 120, 130) for axis in (0, 1)))
+    assert all(round(settings[key], 3) == settings[key] for key in own)  # Grbl keeps three decimals
     if homing:
         for drive in drives.values():
             low, high = travel_of(settings, "V", drive)

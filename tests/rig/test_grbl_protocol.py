@@ -102,6 +102,8 @@ def test_published_lines_are_understood(line, message):
         "<Run|MPos:1.000|MPos:2.000>",
         "<Run|FS:0,0>",
         "<Run|WPos:x>",
+        "<Idle|MPos:0.0000,0.0000,0.0000",
+        "<Idle|MPos:0.000,0.000,0.000|Pn:XY",
         "<|MPos:1.000>",
         "<Door:4|MPos:1.000>",
         "<Door:-1|MPos:1.000>",
