@@ -143,7 +143,7 @@ def garbled(line: str) -> GarbledError:
 
 
 def _report(line: str) -> Report:
-    state, *fields = line[1:-1].split("|") if line.endswith(">") and len(line) > 2 else [""]
+    state, *fields = line[1:-1].split("|") if line.endswith(">") else [""]
     name, colon, number = state.partition(":")
     if name not in STATES or (colon and not (name in _SUBSTATES and number in map(str, range(_SUBSTATES[name] + 1)))):
         raise garbled(line)
