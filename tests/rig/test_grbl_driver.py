@@ -158,6 +158,11 @@ def test_settings_made_for_drives_fit_them(homing, units, turns, step, beyond, s
             assert settings[24] == pytest.approx(settings[25] / 4, abs=1e-3)
         # The fastest drive's speed is what the switches are sought with, and no axis that is not driven slows it.
         assert settings[25] == pytest.approx(60.0 * max(d.speed for d in drives.values()), abs=1e-3)
+        # Grbl counts in steps: a tenth of the finest step of an axis, and of 0.1 degree where that is coarser.
+        for number, drive in ((100, drives["camera_deg"]), (101, drives["turn_deg"])):
+            finest = min(drive.axis.step_deg, 0.1) * abs(drive.units_per_deg)
+            assert settings[number] == pytest.approx(max(100.0, 10.0 / finest), abs=1e-3)
+        assert settings[27] == pytest.approx(min(1.0, *(-drive.reach[1] for drive in drives.values())), abs=1e-3)
         assert settings[122] == max(d.acceleration for d in drives.values()) and settings[132] == 10.0
 
 

@@ -210,6 +210,93 @@ def test_switches_that_are_not_found_end_homing_in_time(pair):
     assert driver.status().homed
 
 
+# ---- what a Grbl board says of itself
+
+
+@pytest.fixture
+def board(monkeypatch):
+    """Return a homed rig on a Grbl board, and its bench."""
+    rig = rig_of("grbl")
+    bench = bench_of(rig, monkeypatch)
+    driver = opened(rig, bench)
+    driver.home()
+    return driver, bench
+
+
+@pytest.mark.parametrize(
+    ("state", "words"),
+    [("Door", "close the safety door"), ("Sleep", "switch it off and on"), ("Check", r"end its check mode \(\$C\)")],
+)
+def test_a_board_that_cannot_move_says_what_ends_it(board, state, words):
+    driver, bench = board
+    bench.machine.state = state
+    assert driver.status().state == state.lower()
+    bench.sent.clear()
+    with pytest.raises(CommandError, match=f"not idle but says {state}: {words}"):
+        driver.move({"camera_deg": 10.0})
+    assert not any(line.startswith(b"G") for line in bench.sent)
+
+
+def test_a_board_s_alarm_and_its_inputs_stand_in_the_status(board):
+    driver, bench = board
+    assert driver.status().message == ""
+    bench.heard = lambda line: line.replace(">", "|Pn:XP>") if line.startswith("<") else line
+    assert driver.status().message == "active inputs: XP"
+    bench.machine.raise_alarm(1)
+    status = driver.status()
+    assert status.state == "alarm" and not status.homed
+    assert status.message.startswith("ALARM:1 (a limit switch was hit") and status.message.endswith("active inputs: XP")
+    bench.machine.power_up()
+    status = driver.status()
+    assert "started anew by itself" in status.message and not status.homed
+    bench.heard = lambda line: line
+    driver.home()
+    assert driver.status().homed and driver.status().message == ""
+
+
+def test_settings_are_read_at_rest_and_not_in_a_hold(board):
+    driver, bench = board
+    assert driver.settings()[100] == bench.machine.settings[100]
+    bench.machine.press_hold()
+    with pytest.raises(HeldError, match="answers no question"):
+        driver.settings()
+
+
+def test_settings_that_read_differently_twice_are_garbled(board):
+    driver, bench = board
+    seen = []
+
+    def once(line):
+        seen.append(line.startswith("$100="))
+        return "$100=999.000" if line.startswith("$100=") and sum(seen) == 1 else line
+
+    bench.heard = once
+    with pytest.raises(LinkError, match="differently twice in a row"):
+        driver.settings()
+    assert driver.settings()[100] == bench.machine.settings[100]
+
+
+def test_homing_that_ends_elsewhere_is_noticed(board):
+    driver, bench = board
+    bench.machine.settings[27] = 0.5  # pulls off less than it said
+    with pytest.raises(LinkError, match=r"camera_deg: homing ended at X -0.5 instead of -1"):
+        driver.home()
+    assert not driver.status().homed
+
+
+def test_a_jog_goes_by_its_angle_and_stops_where_it_is_told(board):
+    driver, bench = board
+    driver.move({"camera_deg": 20.0, "turn_deg": 5.0})
+    foretold = driver.travel_s({"camera_deg": 20.0}, {"camera_deg": 50.0})
+    assert foretold <= spent(bench, lambda: driver.jog("camera_deg", 30.0)) < foretold + SLACK_S
+    is_at(driver, 50.0, 5.0)
+    assert bench.sent[-1] == b"?" and any(line.startswith(b"$J=") for line in bench.sent)
+    bench.pace = 0.0
+    limit = 1.25 * driver.travel_s({"camera_deg": 50.0}, {"camera_deg": 20.0}) + TIMEOUT_S
+    assert limit <= spent(bench, lambda: driver.jog("camera_deg", -30.0), DeadlineError) < limit + 0.5
+    assert b"\x85" in bench.sent  # a jog is cancelled, and leaves no hold behind
+
+
 # ---- feed hold
 
 

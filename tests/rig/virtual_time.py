@@ -20,7 +20,8 @@ from irodori.simulation.controllers.peer_server import Machine
 #: Modules that look at the clock.
 CLOCKED: tuple[ModuleType, ...] = (ascii_rig, controlled_rig, deadline, grbl_driver)
 TIMEOUT_S = 1.0
-_STEP_S = 5e-3
+#: How far the clock goes at a time while nothing is heard, at first and at last, s.
+_STEP_S, _LONGEST_STEP_S = 1e-3, 0.05
 
 
 class Bench(Link):
@@ -49,31 +50,29 @@ class Bench(Link):
         return self.now
 
     def sleep(self, seconds: float) -> None:
-        end = self.now + seconds
-        while self.now < end:
-            step = min(_STEP_S, end - self.now) or _STEP_S
-            self.now += step
-            self.machine.advance(step * self.pace)
+        self.now += seconds
+        self.machine.advance(seconds * self.pace)
 
     def write(self, data: bytes) -> None:
         self.sent.append(data)
         for byte in self.on_the_way(data):
             self.machine.receive(byte)
-        self.sleep(1e-3)
+        self.sleep(_STEP_S)
 
     def read_line(self, timeout_s: float) -> str:
-        end = self.now + timeout_s
+        end, step = self.now + timeout_s, _STEP_S
         while True:
             line, found, rest = bytes(self.machine.output).partition(self._line_end)
             if found:
                 self.machine.output[:] = rest
-                self.sleep(1e-3)
+                self.sleep(_STEP_S)
                 if (text := self.heard(line.decode("ascii").removesuffix("\r"))) is not None:
                     return text
             elif self.now >= end:
                 raise DeadlineError("no answer")
             else:
-                self.sleep(1e-3)
+                self.sleep(min(step, max(end - self.now, 1e-6)))
+                step = min(1.5 * step, _LONGEST_STEP_S)
 
     def discard_input(self) -> None:
         self.machine.output.clear()
