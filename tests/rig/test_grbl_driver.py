@@ -123,6 +123,26 @@ def test_a_reach_beyond_either_end_of_the_travel_is_refused(low, high):
         check_settings(settings, "V", {**DRIVES, "camera_deg": replace(drive, axis=axis)}, homing=True)
 
 
+@pytest.mark.parametrize(("beyond", "fits"), [(0.0008, True), (0.0012, False)])
+@pytest.mark.parametrize("end", [0, 1])
+def test_a_reach_may_go_a_thousandth_of_a_unit_beyond_the_travel(end, beyond, fits):
+    drive = DRIVES["camera_deg"]  # counts downward from -1 degree
+    low, high = (-141.0 - beyond, -1.0) if end == 0 else (-141.0, beyond)
+    drive = replace(drive, axis=replace(drive.axis, min_deg=-1.0 - high, max_deg=-1.0 - low))
+    drives, settings = {**DRIVES, "camera_deg": drive}, {**FITTING, 130: 141.0}
+    if fits:
+        check_settings(settings, "V", drives, homing=True)
+    else:
+        with pytest.raises(SettingError, match="camera_deg: limits"):
+            check_settings(settings, "V", drives, homing=True)
+
+
+def test_the_pull_off_ends_at_the_reach_and_is_a_unit_at_most():
+    camera = DRIVES["camera_deg"]
+    for zero, pull_off in ((-0.25, 0.25), (-1.0, 1.0), (-1.4, 1.0), (0.0, 1.0), (3.0, 1.0)):
+        assert grbl_settings({"camera_deg": replace(camera, zero_deg=zero)}, True)[27] == pull_off
+
+
 def test_the_time_for_homing_is_that_of_its_steps():
     camera = replace(DRIVES["camera_deg"], axis=replace(DRIVES["camera_deg"].axis, step_deg=1.0))
     settings = {24: 60.0, 25: 600.0, 26: 250.0, 27: 2.0, 120: 5.0, 121: 20.0, 130: 80.0, 131: 10.0, 132: 100.0}

@@ -395,5 +395,11 @@ def test_times_of_straight_moves():
     assert straight_s([5.0], [10.0], [5.0]) == pytest.approx(2.0)
 
 
+def test_a_garbled_line_is_quoted_up_to_60_letters():
+    for line, shown in (("x" * 60, "'" + "x" * 60 + "'"), ("x" * 61, "'" + "x" * 57 + "...'")):
+        with pytest.raises(GarbledError, match=re.escape(f"sent {shown}, which")):
+            parse_line(line)
+
+
 def test_a_garbled_line_is_a_matter_of_the_line():
     assert issubclass(GarbledError, LinkError)

@@ -3,7 +3,7 @@
 import pytest
 from virtual_time import TIMEOUT_S, Bench, bench_of, opened, rig_of
 
-from irodori.capture.rig.devices import AlarmError, CommandError, DeadlineError, HeldError, LinkError, Rig
+from irodori.capture.rig.devices import AlarmError, CommandError, DeadlineError, GarbledError, HeldError, LinkError, Rig
 from irodori.capture.rig.grbl.settings_check import homing_s
 from irodori.simulation.controllers.grbl_machine import GrblMachine
 
@@ -235,6 +235,21 @@ def test_a_board_that_cannot_move_says_what_ends_it(board, state, words):
     with pytest.raises(CommandError, match=f"not idle but says {state}: {words}"):
         driver.move({"camera_deg": 10.0})
     assert not any(line.startswith(b"G") for line in bench.sent)
+
+
+@pytest.mark.parametrize("places", ["MPos:0.000>", "WPos:0.000,0.000,0.000>"])
+def test_a_report_without_an_axis_of_the_rig_is_garbled(board, places):
+    driver, bench = board
+    bench.heard = lambda line: f"<Idle|{places}" if line.startswith("<") else line
+    with pytest.raises(GarbledError, match="no machine position of its axis"):
+        driver.status()
+
+
+@pytest.mark.parametrize("build", ["V", "VL"])
+def test_a_board_that_does_not_lock_itself_is_homed_whenever_it_is_opened(board, monkeypatch, build):
+    _, bench = board
+    bench.heard = lambda line: line.replace("[OPT:V,", f"[OPT:{build},")
+    assert opened(rig_of("grbl"), bench).status().homed == (build == "V")
 
 
 def test_a_board_s_alarm_and_its_inputs_stand_in_the_status(board):
