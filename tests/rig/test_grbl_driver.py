@@ -328,6 +328,7 @@ def test_the_driver_s_constructor_leaves_the_line_to_its_owner():
 
 
 def test_a_rig_without_motion_has_nothing_to_open():
+    assert drives_of(made(Rig, {k: v for k, v in RIG.items() if k != "motion"})) == {}
     with (
         pytest.raises(SettingError, match="no block motion"),
         open_rig(made(Rig, {k: v for k, v in RIG.items() if k != "motion"})),
