@@ -50,7 +50,8 @@ ROOMS = {
         ("ingest",),
         ("unit/test_ingest.py", "unit/test_mosaic.py", "unit/test_demosaic.py", "unit/test_dark_frames.py",
          "unit/test_merge.py", "unit/test_photon_transfer.py", "unit/test_linearity.py", "unit/test_registration.py",
-         "unit/test_shot_alignment.py", "unit/test_white_reference.py", "unit/test_first_look.py"),
+         "unit/test_shot_alignment.py", "unit/test_white_reference.py", "unit/test_first_look.py",
+         "unit/test_fuzz_raw.py", "unit/test_dng_levels.py", "unit/test_exposure_settings.py"),
     ),
     "rectification": (("rectification",), ("unit/test_rectification.py",)),
     "light": (
@@ -61,7 +62,8 @@ ROOMS = {
     "evaluation": (
         ("evaluation",),
         ("unit/test_report_errors.py", "unit/test_photograph_comparison.py", "unit/test_error_budget.py",
-         "unit/test_error_prediction.py", "unit/test_report_registration.py"),
+         "unit/test_error_prediction.py", "unit/test_report_registration.py", "unit/test_report_planning.py",
+         "unit/test_report_light.py", "unit/test_imperfection_costs.py"),
     ),
     "reflection": (
         ("reflection",),
@@ -69,7 +71,8 @@ ROOMS = {
     ),
     "capture limits": (
         ("capture/rig",),
-        ("rig/test_rig_contract.py", "rig/test_driven.py", "rig/test_grbl_driver.py", "rig/test_grbl_protocol.py"),
+        ("rig/test_rig_contract.py", "rig/test_driven.py", "rig/test_grbl_driver.py", "rig/test_grbl_protocol.py",
+         "rig/test_rig_waits.py", "rig/test_described_rig.py"),
     ),
 }  # fmt: skip
 #: Tests of these files that take far too long to be asked.

@@ -1,14 +1,26 @@
 """The Grbl driver against a controller that is set up in some way of its own."""
 
+from dataclasses import replace
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from made import made
 from motion_rigs import TIMEOUT_S, at_port, definition, start_simulator
 
 from irodori.capture.rig.connect import grbl_settings, open_rig, true_position_deg
-from irodori.capture.rig.devices import AlarmError, CommandError, DeadlineError, LimitError, LinkError, SettingError
-from irodori.capture.rig.drives import drives_of
+from irodori.capture.rig.devices import (
+    AlarmError,
+    Axis,
+    CommandError,
+    DeadlineError,
+    LimitError,
+    LinkError,
+    SettingError,
+)
+from irodori.capture.rig.drives import Drive, drives_of
 from irodori.capture.rig.grbl.driver import GrblRig
-from irodori.capture.rig.grbl.settings_check import check_settings
+from irodori.capture.rig.grbl.settings_check import check_settings, home_position, homing_s, travel_of
 from irodori.capture.rig.serial_link import SerialLink
 from irodori.config.models import Rig
 from irodori.simulation.controllers.grbl_machine import DEFAULTS
@@ -45,6 +57,133 @@ def test_settings_that_contradict_the_rig_s_file_are_refused(number, value, word
     settings = {key: given for key, given in {**FITTING, number: value}.items() if given is not ...}
     with pytest.raises(SettingError, match=words):
         check_settings(settings, "V", DRIVES, homing=True)
+
+
+@pytest.mark.parametrize("number", [10, 13, 20, 22, 23, 24, 25, 26, 27, 100, 101, 110, 111, 120, 121, 130, 131])
+def test_a_controller_without_a_setting_that_is_needed_is_refused(number):
+    with pytest.raises(SettingError, match=rf"lack \${number} "):
+        check_settings({k: v for k, v in FITTING.items() if k != number}, "V", DRIVES, homing=True)
+
+
+@pytest.mark.parametrize(("first", "word"), [(100, "step of the motor"), (110, "speed"), (120, "acceleration")])
+def test_a_setting_is_refused_from_a_thousandth_beyond_what_the_axis_needs(first, word):
+    drive = DRIVES["turn_deg"]
+    needed = {
+        100: 1.0 / (drive.axis.step_deg * drive.units_per_deg), 110: 60.0 * drive.speed, 120: drive.acceleration,
+    }[first]  # fmt: skip
+    check_settings({**FITTING, first + 1: needed * 0.9995}, "V", DRIVES, homing=True)
+    with pytest.raises(SettingError, match=f"turn_deg: .*{word}"):
+        check_settings({**FITTING, first + 1: needed * 0.998}, "V", DRIVES, homing=True)
+
+
+@pytest.mark.parametrize("first", [100, 110, 120])
+def test_a_setting_of_nothing_is_refused_by_name(first):
+    with pytest.raises(SettingError, match="camera_deg: steps, rate or acceleration of X are 0"):
+        check_settings({**FITTING, first: 0.0}, "V", DRIVES, homing=True)
+
+
+def test_settings_that_hold_without_switches_are_told_from_those_with_them():
+    free = {**FITTING, 20: 0, 22: 0}
+    check_settings({**free, 130: 1.0}, "V", DRIVES, homing=False)  # nobody knows where the ends are
+    with pytest.raises(SettingError, match=r"motion.homing is false, but \$22=1 locks it"):
+        check_settings(FITTING, "V", DRIVES, homing=False)
+    with pytest.raises(SettingError, match=r"motion.homing is true"):
+        check_settings(free, "V", DRIVES, homing=True)
+
+
+@pytest.mark.parametrize("channel", ["Q", "XY", "", "x"])
+def test_an_axis_that_the_controller_does_not_have_is_refused(channel):
+    drives = {**DRIVES, "camera_deg": replace(DRIVES["camera_deg"], channel=channel)}
+    with pytest.raises(SettingError, match=r"camera_deg: no axis .* accepted: X, Y, Z, A, B, C"):
+        check_settings(FITTING, "V", drives, homing=True)
+
+
+def test_where_homing_ends_and_what_it_leaves_to_travel():
+    camera, turn = DRIVES.values()
+    settings = {23: 0, 27: 1.5, 130: 200.0, 131: 300.0}
+    # Grbl counts downward from switches at the positive end, and upward into the travel from those of $23.
+    assert home_position(settings, "V", camera) == home_position(settings, "V", turn) == -1.5
+    assert home_position({**settings, 23: 2}, "V", camera) == -1.5
+    assert home_position({**settings, 23: 2}, "V", turn) == -298.5
+    assert travel_of({**settings, 23: 2}, "V", turn) == (-300.0, 0.0)
+    # Z: a build that calls the place after homing 0, and counts away from the switch.
+    assert home_position({**settings, 23: 2}, "VZ", turn) == 0.0
+    assert travel_of(settings, "VZ", turn) == (-300.0, 0.0)
+    assert travel_of({**settings, 23: 2}, "VZ", turn) == (0.0, 300.0)
+    assert travel_of({**settings, 23: 2}, "VZ", camera) == (-200.0, 0.0)
+
+
+@pytest.mark.parametrize(("low", "high"), [(-142.0, -1.0), (-141.0, 0.01)])
+def test_a_reach_beyond_either_end_of_the_travel_is_refused(low, high):
+    drive = DRIVES["camera_deg"]
+    axis = replace(drive.axis, min_deg=-1.0 - high, max_deg=-1.0 - low)
+    settings = {**FITTING, 130: 141.0}
+    check_settings(settings, "V", DRIVES, homing=True)
+    with pytest.raises(SettingError, match="camera_deg: limits"):
+        check_settings(settings, "V", {**DRIVES, "camera_deg": replace(drive, axis=axis)}, homing=True)
+
+
+@pytest.mark.parametrize(("beyond", "fits"), [(0.0008, True), (0.0012, False)])
+@pytest.mark.parametrize("end", [0, 1])
+def test_a_reach_may_go_a_thousandth_of_a_unit_beyond_the_travel(end, beyond, fits):
+    drive = DRIVES["camera_deg"]  # counts downward from -1 degree
+    low, high = (-141.0 - beyond, -1.0) if end == 0 else (-141.0, beyond)
+    drive = replace(drive, axis=replace(drive.axis, min_deg=-1.0 - high, max_deg=-1.0 - low))
+    drives, settings = {**DRIVES, "camera_deg": drive}, {**FITTING, 130: 141.0}
+    if fits:
+        check_settings(settings, "V", drives, homing=True)
+    else:
+        with pytest.raises(SettingError, match="camera_deg: limits"):
+            check_settings(settings, "V", drives, homing=True)
+
+
+def test_the_pull_off_ends_at_the_reach_and_is_a_unit_at_most():
+    camera = DRIVES["camera_deg"]
+    for zero, pull_off in ((-0.25, 0.25), (-1.0, 1.0), (-1.4, 1.0), (0.0, 1.0), (3.0, 1.0)):
+        assert grbl_settings({"camera_deg": replace(camera, zero_deg=zero)}, True)[27] == pull_off
+
+
+def test_the_time_for_homing_is_that_of_its_steps():
+    camera = replace(DRIVES["camera_deg"], axis=replace(DRIVES["camera_deg"].axis, step_deg=1.0))
+    settings = {24: 60.0, 25: 600.0, 26: 250.0, 27: 2.0, 120: 5.0, 121: 20.0, 130: 80.0, 131: 10.0, 132: 100.0}
+    # Seeking at 10 units/s, 1.5 times the longest travel and the pull-off twice; five pull-offs at 1 unit/s; at each of
+    # four ends 0.25 s of debounce and ramps of 10 / 5 s. Twice: Z is homed before X and Y.
+    one = (150.0 + 4.0) / 10.0 + 10.0 / 1.0 + 4 * (0.25 + 2 * 2.0)
+    assert homing_s(settings, {"camera_deg": camera, "turn_deg": DRIVES["turn_deg"]}) == pytest.approx(2 * one)
+
+
+@pytest.mark.parametrize("homing", [True, False])
+@given(
+    units=st.floats(0.1, 50.0), turns=st.booleans(), step=st.floats(0.01, 2.0), beyond=st.floats(0.05, 30.0),
+    speed=st.floats(1.0, 500.0), acceleration=st.floats(1.0, 5000.0),
+)  # fmt: skip
+def test_settings_made_for_drives_fit_them(homing, units, turns, step, beyond, speed, acceleration):
+    axis = Axis("camera_deg", 0.0, 140.0, step, speed, acceleration)
+    # Whichever way it counts, the reach lies below the switch.
+    zero = 140.0 + beyond if turns else -beyond
+    drives = {"camera_deg": Drive(axis, "X", units if turns else -units, zero), "turn_deg": DRIVES["turn_deg"]}
+    settings = {**DEFAULTS, **grbl_settings(drives, homing)}
+    check_settings(settings, "V", drives, homing)
+    assert settings[20] == settings[22] == homing
+    own = (24, 25, 27, *(first + axis for first in (100, 110, 120, 130) for axis in (0, 1)))
+    assert all(round(settings[key], 3) == settings[key] for key in own)  # Grbl keeps three decimals
+    if homing:
+        for drive in drives.values():
+            low, high = travel_of(settings, "V", drive)
+            # After homing the axis stands within its travel, at the near end of its reach or beyond it.
+            assert (
+                low <= drive.reach[0] + 1e-3
+                and drive.reach[1] <= home_position(settings, "V", drive) + 1e-3 <= high + 1e-3
+            )
+            assert settings[24] == pytest.approx(settings[25] / 4, abs=1e-3)
+        # The fastest drive's speed is what the switches are sought with, and no axis that is not driven slows it.
+        assert settings[25] == pytest.approx(60.0 * max(d.speed for d in drives.values()), abs=1e-3)
+        # Grbl counts in steps: a tenth of the finest step of an axis, and of 0.1 degree where that is coarser.
+        for number, drive in ((100, drives["camera_deg"]), (101, drives["turn_deg"])):
+            finest = min(drive.axis.step_deg, 0.1) * abs(drive.units_per_deg)
+            assert settings[number] == pytest.approx(max(100.0, 10.0 / finest), abs=1e-3)
+        assert settings[27] == pytest.approx(min(1.0, *(-drive.reach[1] for drive in drives.values())), abs=1e-3)
+        assert settings[122] == max(d.acceleration for d in drives.values()) and settings[132] == 10.0
 
 
 def test_a_controller_that_contradicts_the_rig_s_file_is_refused_before_anything_moves():
@@ -189,6 +328,7 @@ def test_the_driver_s_constructor_leaves_the_line_to_its_owner():
 
 
 def test_a_rig_without_motion_has_nothing_to_open():
+    assert drives_of(made(Rig, {k: v for k, v in RIG.items() if k != "motion"})) == {}
     with (
         pytest.raises(SettingError, match="no block motion"),
         open_rig(made(Rig, {k: v for k, v in RIG.items() if k != "motion"})),

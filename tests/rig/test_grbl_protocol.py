@@ -2,12 +2,21 @@
 
 import math
 import re
+import time
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from irodori.capture.rig.devices import DeadlineError, DeviceError, GarbledError, Link, LinkError
+from irodori.capture.rig.devices import (
+    AlarmError,
+    CommandError,
+    DeadlineError,
+    DeviceError,
+    GarbledError,
+    Link,
+    LinkError,
+)
 from irodori.capture.rig.drives import along, straight_s
 from irodori.capture.rig.grbl.codes import ALARMS, ERRORS, alarm_text, error_text
 from irodori.capture.rig.grbl.conversation import Conversation
@@ -49,16 +58,16 @@ from irodori.simulation.controllers.grbl_gcode import GcodeError, Modes, parse_b
         ("Grbl 1.1f ['$' for help]", Banner("1.1f")),
         ("$N0=G54", Startup("$N0=G54")),
         (">G54G20:ok", Startup(">G54G20:ok")),
-        ("<Idle|MPos:0.000,0.000,0.000|FS:0.0,0>", Report("Idle", machine=(0.0, 0.0, 0.0), feed=0.0)),
-        ("<Run|MPos:23.036,1.620,0.000|FS:500,0>", Report("Run", machine=(23.036, 1.62, 0.0), feed=500.0)),
+        ("<Idle|MPos:0.000,0.000,0.000|FS:0.0,0>", Report("Idle", machine=(0.0, 0.0, 0.0))),
+        ("<Run|MPos:23.036,1.620,0.000|FS:500,0>", Report("Run", machine=(23.036, 1.62, 0.0))),
         ("<Hold:1|MPos:-5.000,0.000,0.000|Bf:15,128|F:500>",
-         Report("Hold", 1, (-5.0, 0.0, 0.0), free_blocks=15, free_bytes=128, feed=500.0)),
+         Report("Hold", 1, (-5.0, 0.0, 0.0))),
         ("<Door:0|WPos:-2.500,0.000,11.000|FS:0,0|WCO:1.500,0.000,-11.000>",
-         Report("Door", 0, work=(-2.5, 0.0, 11.0), offset=(1.5, 0.0, -11.0), feed=0.0)),
+         Report("Door", 0)),
         ("<Alarm|MPos:0.000,0.000,0.000|FS:0,0|Pn:XYZPDHRS|Ov:100,50,200|A:SFM>",
-         Report("Alarm", machine=(0.0, 0.0, 0.0), feed=0.0, pins="XYZPDHRS", overrides_percent=(100, 50, 200))),
+         Report("Alarm", machine=(0.0, 0.0, 0.0), pins="XYZPDHRS")),
         ("<Jog|MPos:-1.0000,-2.0000,-3.0000|Ln:99999|FS:0,0>",
-         Report("Jog", machine=(-1.0, -2.0, -3.0), feed=0.0)),
+         Report("Jog", machine=(-1.0, -2.0, -3.0))),
     ],
 )  # fmt: skip
 def test_published_lines_are_understood(line, message):
@@ -92,8 +101,13 @@ def test_published_lines_are_understood(line, message):
         "<Run|MPos:1.000,,0.000>",
         "<Run|MPos:1.000|MPos:2.000>",
         "<Run|FS:0,0>",
-        "<Run|MPos:1.000|FS:0>",
-        "<Run|MPos:1.000|Bf:x,2>",
+        "<Run|WPos:x>",
+        "<Idle|MPos:0.0000,0.0000,0.0000",
+        "<Idle|MPos:0.000,0.000,0.000|Pn:XY",
+        "<|MPos:1.000>",
+        "<Door:4|MPos:1.000>",
+        "<Door:-1|MPos:1.000>",
+        "<Hold:|MPos:1.000>",
         "<Run|MPos:1.000|junk>",
         "Grbl",
         "[MSG:no end",
@@ -104,16 +118,9 @@ def test_lines_that_grbl_does_not_send_are_garbled(line):
         parse_line(line)
 
 
-def test_a_work_position_and_its_offset_give_the_machine_position():
-    report = parse_line("<Idle|WPos:1.000,2.000,3.000|FS:0,0>")
-    assert report.position() is None
-    assert report.position((0.5, -2.0, 10.0)) == (1.5, 0.0, 13.0)
-    with_offset = parse_line("<Idle|WPos:1.000,2.000,3.000|WCO:1.000,1.000,1.000>")
-    assert with_offset.position() == (2.0, 3.0, 4.0)
-
-
 @pytest.mark.parametrize(("state", "moving"), [("Run", True), ("Jog", True), ("Home", True), ("Hold:0", False),
-                                               ("Hold:1", True), ("Door:0", False), ("Door:2", True), ("Idle", False),
+                                               ("Hold:1", True), ("Door:0", False), ("Door:2", True), ("Door:1", False),
+                                               ("Door:3", True), ("Hold", True), ("Idle", False),
                                                ("Alarm", False), ("Check", False), ("Sleep", False)])  # fmt: skip
 def test_what_may_be_in_motion(state, moving):
     assert parse_line(f"<{state}|MPos:0.000,0.000,0.000>").moving is moving
@@ -144,7 +151,7 @@ def test_any_line_is_a_message_or_garbled(line):
         assert len(str(error)) < 500
     else:
         if isinstance(message, Report):
-            assert message.state in STATES and (message.machine or message.work)
+            assert message.state in STATES and (message.machine or "WPos" in line)
 
 
 class FuzzLink(Link):
@@ -191,6 +198,107 @@ def test_any_answers_end_a_question_with_an_answer_or_an_error(lines, flow):
             question(talk)
         except DeviceError as error:
             assert str(error)
+
+
+def answers(*lines, flow="send-response", timeout_s=0.5) -> Conversation:
+    """Return a conversation with a controller that says some lines and then nothing."""
+    return Conversation(FuzzLink(lines), timeout_s, flow)
+
+
+REPORT = "<Idle|MPos:0.000,0.000,0.000|FS:0,0>"
+
+
+def test_a_report_is_what_answers_a_question_whatever_comes_before_it():
+    talk = answers("", "ok", "[MSG:Caution: Unlocked]", "Grbl 1.1h ['$' for help]", "ALARM:2", REPORT)
+    assert talk.ask_report() == Report("Idle", machine=(0.0, 0.0, 0.0))
+    assert talk.message == "Caution: Unlocked" and talk.restarted and talk.alarm == 2
+    talk = answers("[GC:G0]", REPORT)
+    assert talk.ask_report() and talk.message == "" and not talk.restarted and talk.alarm is None
+
+
+def test_a_refusal_that_nobody_waits_for_is_no_report():
+    with pytest.raises(CommandError, match="refused a line out of turn: error:20 "):
+        answers("error:20", REPORT).ask_report()
+
+
+def test_what_is_said_before_the_ok_is_the_answer():
+    talk = answers("$100=250.000", "[MSG:x]", "ok", "$101=1.0", "ok")
+    assert talk.command("$$") == [Setting(100, 250.0), Feedback("MSG", "x")]
+    assert talk.command("$$") == [Setting(101, 1.0)]
+
+
+@pytest.mark.parametrize(
+    ("line", "kind", "words"),
+    [
+        ("error:22", CommandError, "refused 'G1X1': error:22 "),
+        ("ALARM:1", AlarmError, "stopped during 'G1X1': ALARM:1 .*home it"),
+        ("Grbl 1.1h ['$' for help]", AlarmError, "started anew by itself"),
+        ("nonsense", GarbledError, "'nonsense'"),
+    ],
+)
+def test_an_answer_that_is_no_ok_names_the_oldest_line(line, kind, words):
+    talk = answers("ok", line, flow="character-counting")
+    with pytest.raises(kind, match=words):
+        talk.stream(["G0X0", "G1X1", "G2X2"])
+
+
+def test_a_controller_that_talks_and_never_answers_is_left_in_time():
+    class Talking(FuzzLink):
+        def read_line(self, timeout_s):
+            time.sleep(0.01)
+            return self.lines[0]
+
+    for lines, question, words in (
+        (["[MSG:x]"], lambda talk: talk.command("$H"), r"no answer to '\$H' within 0.1 s"),
+        (["[MSG:x]"], lambda talk: talk.command("$H", 0.05), "within 0.05 s"),
+        (["ok"], lambda talk: talk.ask_report(), "no status report within 0.1 s"),
+        (["ok"], lambda talk: talk.ask_report(0.05), "within 0.05 s"),
+        ([""], lambda talk: talk.ask_report(), "nothing but empty lines for 0.1 s"),
+        (["ok"], lambda talk: talk.soft_reset(), "did not come back from a reset in 0.1 s"),
+    ):
+        begun = time.monotonic()
+        with pytest.raises(DeadlineError, match=words):
+            question(Conversation(Talking(lines), 0.1, "send-response"))
+        assert time.monotonic() - begun < 20.0
+
+
+def test_the_longest_line_that_the_controller_takes_is_sent_and_no_longer_one():
+    talk = answers("ok")
+    talk.command("X" * 79)
+    assert talk.link.sent == [b"X" * 79 + b"\n"]
+    with pytest.raises(CommandError, match="longer than the 79 bytes"):
+        talk.command("X" * 80)
+
+
+def test_someone_is_told_after_each_answer():
+    for flow in ("send-response", "character-counting"):
+        told = []
+        talk = answers(*["ok"] * 40, flow=flow)
+        talk.stream(["G0X1"] * 40, idle=lambda seen=told, link=talk.link: seen.append(len(link.lines)))
+        assert told == list(range(39, -1, -1))
+
+
+def test_a_reset_waits_for_the_banner_and_forgets_what_came_before():
+    banner = "Grbl 1.1h ['$' for help]"
+    talk = answers("[MSG:old]", "garbage", "ok", banner, "[MSG:'$H'|'$X' to unlock]", banner, "more garbage")
+    talk.message = "older"
+    talk.soft_reset()
+    # What is said after the banner counts; a second banner answers a reset that was sent twice.
+    assert talk.message == "'$H'|'$X' to unlock" and not talk.restarted
+    assert talk.link.sent == [b"\x18"] and not talk.link.lines
+    with pytest.raises(DeadlineError):
+        talk.soft_reset()
+    assert talk.link.sent == [b"\x18"] * 3 and talk.message == ""
+
+
+def test_a_start_that_was_noticed_before_is_not_forgotten_by_waiting():
+    talk = answers("Grbl 1.1h ['$' for help]", REPORT)
+    talk.ask_report()
+    talk.settle()
+    assert talk.restarted
+    talk = answers("Grbl 1.1h ['$' for help]")
+    talk.settle()
+    assert not talk.restarted
 
 
 def test_a_flow_control_that_does_not_exist_lists_those_that_do():
@@ -271,11 +379,26 @@ def test_axes_of_a_straight_move_keep_to_their_own_speeds(move, first, second):
         assert share * speed <= limit * (1 + 1e-9) and share * acceleration <= most * (1 + 1e-9)
 
 
+def test_a_straight_move_is_as_fast_as_its_axes_allow():
+    # A triangle of 3, 4 and 5: of the speed along it the axes have 3/5 and 4/5.
+    assert along([3.0, -4.0], [3.0, 8.0], [30.0, 12.0]) == pytest.approx((5.0, 15.0))
+    assert along([0.0, 7.0], [1.0, 8.0], [1.0, 12.0]) == (8.0, 12.0)
+    assert along([0.0, 0.0], [1.0, 8.0], [1.0, 12.0]) == (math.inf, math.inf)
+
+
 def test_times_of_straight_moves():
+    # Along a triangle of 3, 4 and 5, 30 units at 5 units/s and 15 units/s².
+    assert straight_s([18.0, -24.0], [3.0, 8.0], [30.0, 12.0]) == pytest.approx(6.0 + 1.0 / 3.0)
     # 100 units at 10 units/s and 5 units/s²: a ramp of 2 s at either end, half of it lost each.
     assert straight_s([100.0], [10.0], [5.0]) == pytest.approx(12.0)
     # Too short to reach the speed: a triangle of twice sqrt(d / a).
     assert straight_s([5.0], [10.0], [5.0]) == pytest.approx(2.0)
+
+
+def test_a_garbled_line_is_quoted_up_to_60_letters():
+    for line, shown in (("x" * 60, "'" + "x" * 60 + "'"), ("x" * 61, "'" + "x" * 57 + "...'")):
+        with pytest.raises(GarbledError, match=re.escape(f"sent {shown}, which")):
+            parse_line(line)
 
 
 def test_a_garbled_line_is_a_matter_of_the_line():

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from raw_studio import ANGLE, BALANCE, SENSOR, SIZE, SUPERPIXELS, WHITE, Studio
+from scipy import stats
 
 from irodori.config.capture_table import Pose
 from irodori.core import store
@@ -183,3 +184,23 @@ def test_dark_frames_of_two_isos_are_refused(tmp_path, iso):
     studio.shots = shots
     with pytest.raises(InputError, match="dark frames of ISO 100, 200"):
         ingest_reference(studio.table(), tmp_path, tmp_path / "r.h5", store.Provenance("t"), 1.0, SUPERPIXELS)
+
+
+@pytest.mark.parametrize("freedom", [1, 3, 12])
+@pytest.mark.parametrize("variance", [0.001, 4.0])
+def test_a_restless_pixel_is_one_that_chance_does_not_give(freedom, variance):
+    """All pixels of one variance, which is the median of their chi-square distribution, and one that varies more."""
+    typical = max(variance * freedom / stats.chi2.median(freedom), 1 / 12)
+    limit = typical * stats.chi2.isf(1e-9, freedom) / freedom
+    seen = np.full((20, 30), variance)
+    seen[3, 4], seen[5, 6] = 0.999 * limit, 1.001 * limit
+    assert np.argwhere(hot_pixels(np.zeros((20, 30)), seen, freedom)).tolist() == [[5, 6]]
+
+
+@pytest.mark.parametrize("sigma", [0.0, 3.0])
+def test_a_bright_pixel_is_eight_deviations_above_the_others(sigma):
+    # A median absolute deviation of sigma / 1.4826, and no less than what rounding leaves.
+    level = 5.0 + np.where(np.arange(600) % 2, 1.0, -1.0).reshape(20, 30) * sigma / 1.4826
+    limit = np.median(level) + 8.0 * max(sigma, np.sqrt(1 / 12))
+    level[3, 5], level[5, 7] = limit - 0.1, limit + 0.1  # of the upper half, so that the median stays
+    assert np.argwhere(hot_pixels(level, None, 0)).tolist() == [[5, 7]]

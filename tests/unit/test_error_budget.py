@@ -17,18 +17,26 @@ from irodori.core.store import Provenance
 from irodori.evaluation import error_budget as module
 from irodori.evaluation.error_budget import (
     BudgetOptions,
+    BudgetRow,
     Measured,
     away_from_edges,
     compressed_light,
+    compressed_material,
     error_budget,
     measure_error_budget,
+    read_budget,
     substitutes,
 )
 from irodori.evaluation.error_prediction import noisy, other_gloss
 from irodori.evaluation.known_errors import Known, Photographs, Spread
+from irodori.evaluation.renderer_noise import Paths
+from irodori.evaluation.truth_errors import radiance_delta_e
+from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.material.principal_components.basis_count import CompressOptions
+from irodori.rendering.integrators import render_image
 from irodori.rendering.planning.plan_file import write_plan
+from irodori.rendering.scene_white import scene_white
 from irodori.spectra.published import spectrum
 
 SIDE = 40
@@ -135,6 +143,9 @@ def test_gloss_errors_that_are_known_are_drawn_as_large():
     assert mu.min() > 0 and beta.min() >= 0
 
 
+COMPRESSION = CompressOptions(0.1, 0.5, 4, "nothing", storage="half", codec="gzip")
+
+
 def light_of_three():
     return sky(lambda d: np.stack([smooth_light(d), 0.3 + d[..., 2] ** 2, 1.0 + d[..., 0]], axis=-1), 64, 32, PAINTS)
 
@@ -157,32 +168,31 @@ def scene_of(integrator: dict) -> dict:
     }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def rows():
+def budget(one: Measured, estimated, calibration, scene=None) -> dict[str, BudgetRow]:
+    """Return the rows of a small picture by the first words of their stage."""
     names = ("target_delta_e_mean", "target_delta_e_p99", "align", "weighting", "storage", "codec")
     compress = dict(zip(names, (0.1, 0.5, 4, "nothing", "half", "gzip"), strict=True))
     options = BudgetOptions(
         made(Render, OPTIONS), made(Fit, {}), made(Compress, compress), made(EnvironmentMaps, compress)
     )
-    light = light_of_three()
-    warmer = replace(light, basis=PAINTS * np.linspace(0.9, 1.1, 61)[:, None])
-    scene = scene_of({"kind": "reference", "samples": 16, "seed": 0})
+    scene = made(Scene, scene or scene_of({"kind": "reference", "samples": 16, "seed": 0}))
+    lights = (estimated, light_of_three())
+    rows = error_budget(scene, "v", [plate(60.0)], [one], lights, options, calibration=calibration)
+    return {row.stage.split(":")[0]: row for row in rows}
 
-    def budget(one, estimated, calibration):
-        return {
-            row.stage.split(":")[0]: row
-            for row in error_budget(
-                made(Scene, scene), "v", [plate(60.0)], [one], (estimated, light), options, calibration=calibration
-            )
-        }
 
+def warmer() -> Environment:
+    return replace(light_of_three(), basis=PAINTS * np.linspace(0.9, 1.1, 61)[:, None])
+
+
+@pytest.fixture(scope="module")
+def rows():
     return (
-        budget(measured(0.02, 0.01, gloss=(0.3, 0.01)), light, None),
-        budget(measured(0.02, unseen=np.s_[4:36, 8:14]), warmer, CALIBRATION),
+        budget(measured(0.02, 0.01, gloss=(0.3, 0.01)), light_of_three(), None),
+        budget(measured(0.02, unseen=np.s_[4:36, 8:14]), warmer(), CALIBRATION),
     )
 
 
-@pytest.mark.heavy
 def test_each_fault_stands_in_its_own_row(rows):
     first, second = rows
     assert first["light"].max == 0.0 and second["light"].mean > 0.5
@@ -193,13 +203,11 @@ def test_each_fault_stands_in_its_own_row(rows):
     assert second["calibration and fit"].mean > 0.5 and second["calibration and fit"].predicted == 0.5
 
 
-@pytest.mark.heavy
 def test_what_is_not_known_has_a_reason_for_no_prediction(rows):
     assert np.isnan(rows[0]["light"].predicted) and "no camera" in rows[0]["light"].by
     assert rows[1]["light"].predicted > 0.0
 
 
-@pytest.mark.heavy
 def test_noise_and_gloss_reach_the_picture_as_large_as_predicted(rows):
     for stage in ("noise", "gloss of the fit"):
         row = rows[0][stage]
@@ -207,14 +215,12 @@ def test_noise_and_gloss_reach_the_picture_as_large_as_predicted(rows):
         assert row.predicted == pytest.approx(row.mean, rel=0.4), stage
 
 
-@pytest.mark.heavy
 def test_the_noise_of_paths_is_predicted(rows):
     for found in rows:
         assert found["renderer"].predicted == pytest.approx(found["renderer"].mean, rel=0.3)
         assert found["renderer"].mean > 0.05
 
 
-@pytest.mark.heavy
 def test_the_whole_is_no_more_than_its_parts(rows):
     for found in rows:
         parts = [row for stage, row in found.items() if not stage.startswith(("all", "renderer"))]
@@ -222,6 +228,62 @@ def test_the_whole_is_no_more_than_its_parts(rows):
         assert max(row.mean for row in parts) * 0.5 < whole.mean < sum(row.mean for row in parts) + 0.1
         predicted = [row.predicted for row in parts if np.isfinite(row.predicted)]
         assert max(predicted) <= whole.predicted <= sum(predicted)
+
+
+def test_each_row_is_the_picture_with_one_part_not_true():
+    one, light, own = measured(0.02, 0.01, np.s_[4:36, 8:14], gloss=(0.3, 0.01)), light_of_three(), warmer()
+    found = budget(one, own, CALIBRATION)
+    parts = substitutes(one)
+    paths = Paths(made(Scene, scene_of({"kind": "reference", "samples": 16, "seed": 0})), "v", [plate(60.0)])
+    true = paths.picture([one.truth], light, 64)
+    white = scene_white(paths.scene, light)[0]
+    shown = (paths.picture([parts["all"]], light, 64) != true).any(axis=-1)
+    assert 0.1 < shown.mean() < 1.0
+    lit = {"light": (one.truth, own), "all but the renderer": (parts["all"], own)}
+    lit |= {stage: (parts[name], light) for stage, name in (
+        ("noise", "noise"), ("calibration and fit", "calibration"), ("rectification", "seams"),
+        ("coverage", "unseen"), ("gloss of the fit", "gloss"))}  # fmt: skip
+    for stage, (material, sky_light) in lit.items():
+        off = radiance_delta_e(true, paths.picture([material], sky_light, 64), white)[shown]
+        row = found[stage]
+        assert row.mean == pytest.approx(off.mean(), rel=1e-5) and row.max == pytest.approx(off.max(), rel=1e-5), stage
+        assert row.p95 == pytest.approx(np.percentile(off, 95), rel=1e-4), stage
+    # Parts add by squares, pixel by pixel: no less than the root of their means' squares, no more than their sum.
+    known = [row.predicted for stage, row in found.items() if not stage.startswith(("all", "renderer"))]
+    whole = found["all but the renderer"].predicted
+    assert np.sqrt(np.sum(np.square(known))) * 0.999 <= whole < np.sum(known)
+    compressed = Paths.picture(paths, [compressed_material(one.truth, COMPRESSION)[0]], light, 64)
+    off = radiance_delta_e(true, compressed, white)[shown]
+    assert found["compression of the materials"].mean == pytest.approx(off.mean(), rel=1e-3)
+    assert found["compression of the materials"].predicted == compressed_material(one.truth, COMPRESSION)[1]
+    off = radiance_delta_e(true, paths.picture([one.truth], compressed_light(light, COMPRESSION)[0], 64), white)[shown]
+    assert found["compression of the light"].mean == pytest.approx(off.mean(), rel=1e-3)
+
+
+def test_what_an_integrator_leaves_out_is_seen_beside_paths():
+    scene, one, light = scene_of({"kind": "interactive"}), measured(0.02), light_of_three()
+    found = budget(one, light, None, scene)["renderer"]
+    assert np.isnan(found.predicted) and "beside paths alone" in found.by
+    scene, shapes = made(Scene, scene), [plate(60.0)]
+    own, other = (render_image(scene, "v", shapes, [m], light, made(Render, OPTIONS))[0]
+                  for m in (one.truth, one.known.estimate()))  # fmt: skip
+    long = Paths(scene, "v", shapes).picture([one.truth], light, 512)
+    off = radiance_delta_e(long, own, scene_white(scene, light)[0])[(own != other).any(axis=-1)]
+    assert found.mean == pytest.approx(off.mean(), rel=1e-4) and found.max == pytest.approx(off.max(), rel=1e-4)
+
+
+def test_the_table_keeps_its_rows(tmp_path, monkeypatch):
+    row = BudgetRow("light", 1.25, 2.5, 3.5, 4.5, np.nan, "none, said with a comma")
+    monkeypatch.setattr(module, "error_budget", lambda *_, **__: [row, replace(row, stage="b", predicted=0.5)])
+    light_of_three().save(tmp_path / "light.h5", Provenance("test"))
+    lists = ("materials", "true_materials", "calibrations", "tiles", "observations", "light_calibration", "plan")
+    inputs = {key: [] for key in lists} | dict.fromkeys(("environment", "true_environment"), tmp_path / "light.h5")
+    scene = made(Scene, scene_of({"kind": "interactive"}))
+    subjects = made(Sequence[Subject], [])
+    measure_error_budget(inputs, scene, "v", subjects, BudgetOptions(*(None,) * 4), tmp_path / "budget.csv")
+    first, second = read_budget(tmp_path / "budget.csv")
+    assert np.isnan(first.predicted) and replace(first, predicted=0.0) == replace(row, predicted=0.0)
+    assert second == replace(row, stage="b", predicted=0.5)
 
 
 @pytest.mark.parametrize(("samples", "kind"), [(64, "reference"), (None, "reference"), (64, "interactive")])

@@ -153,6 +153,27 @@ def test_a_fitted_flat_restores_any_polynomial_of_degree_four(seed):
     assert np.allclose(evaluate_flat(fit_flat(spoiled, valid), *valid.shape), truth, rtol=1e-5)
 
 
+def test_a_flat_reaches_from_edge_to_edge_and_is_at_its_centre_in_a_single_pixel():
+    coefficients = np.zeros((1, 15))
+    coefficients[0, [0, 1, 5]] = 2.0, 0.25, 0.5  # 1, y and x, in the order of powers
+    np.testing.assert_allclose(evaluate_flat(coefficients, 2, 2)[..., 0], [[1.25, 2.25], [1.75, 2.75]])
+    np.testing.assert_allclose(evaluate_flat(coefficients, 1, 3)[..., 0], [[1.5, 2.0, 2.5]])
+    np.testing.assert_allclose(evaluate_flat(coefficients, 1, 1)[..., 0], [[2.0]])
+
+
+def test_what_is_no_even_surface_is_no_flat():
+    rng, valid = np.random.default_rng(3), np.ones((30, 40), bool)
+    y, x = np.meshgrid(np.linspace(-1, 1, 30), np.linspace(-1, 1, 40), indexing="ij")
+    even = np.stack([1.0 + 0.2 * x - 0.1 * y**2] * 3, axis=-1)
+    fit_flat(even * (1.0 + 0.04 * rng.standard_normal(even.shape)), valid)
+    rough = even * (1.0 + np.array([0.0, 0.0, 0.07]) * rng.standard_normal(even.shape))
+    for picture in (rough, even - 1.1, np.stack([even[..., 0], even[..., 1], x + y], axis=-1)):
+        with pytest.raises(ValueError, match="about a smooth surface"):
+            fit_flat(picture, valid)
+    with pytest.raises(ValueError, match="without a single valid pixel"):
+        fit_flat(even, ~valid)
+
+
 def test_bands_stand_in_one_order_whatever_the_order_of_the_lines(tmp_path):
     pose = Pose(ANGLE, 0.0)
     pictures = []

@@ -1,14 +1,18 @@
 """Linearity from an exposure series: a curved camera is found, a drifting lamp is not mistaken for one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from raw_studio import SIZE, SUPERPIXELS, Studio
+from raw_studio import BLACK, SIZE, SUPERPIXELS, Studio, dng
 
+from irodori.config.capture_table import Pose, Shot
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.ingest.camera_reference import ingest_reference
+from irodori.ingest.dark_frames import Dark
 from irodori.ingest.linearity import exposure_series, linear_fit, measure_linearity
 
 WHITE = np.full((SIZE[0] // 2, SIZE[1] // 2, 6), 0.9)
@@ -78,6 +82,17 @@ def test_the_chart_serves_where_the_white_reference_has_no_series(tmp_path):
     assert measured(studio).largest < 3e-3
 
 
+def test_two_exposures_are_a_series(tmp_path):
+    """Of a camera that loses a fifth at full well, two levels show it, and the limit is met or not."""
+    studio = series(tmp_path, 74, strength=0.2, exposures=(0.002, 0.03))
+    found = measured(studio, limit=0.5)
+    assert len(found.exposure_s) == 2 and found.deviation[0] > 0.02 > -0.02 > found.deviation[1]
+    allowed = found.largest - 2.0 * found.repeatability
+    measured(studio, limit=allowed + 1e-4)
+    with pytest.raises(InputError, match="at a relative exposure of"):
+        measured(studio, limit=allowed - 1e-4)
+
+
 def test_one_exposure_tells_nothing(tmp_path):
     studio = series(tmp_path, 71, exposures=(0.02,))
     assert measured(studio) is None
@@ -101,6 +116,43 @@ def test_the_reference_stores_the_series(tmp_path):
     studio.shots = studio.shots[-4:] * 1
     with pytest.raises(InputError, match="max_nonlinearity"):
         ingest_reference(studio.table(), tmp_path, tmp_path / "b.h5", store.Provenance("t"), 0.95, SUPERPIXELS)
+
+
+def plain_series(folder, rate, dark_rate=0.0, iso=0.0, spoiled=()):
+    """Write frames of an even light, DN/s, and a dark signal, DN/s at ISO 100, some pixels at a level of their own."""
+    shots = []
+    for number, exposure_s in enumerate((0.01, 0.02, 0.04)):
+        level = BLACK + (rate + dark_rate * (iso / 100.0 if iso else 1.0)) * exposure_s
+        mosaic = np.full((64, 96), round(level), np.uint16)
+        for row, column in spoiled:
+            mosaic[row, column] = BLACK + 3000
+        dng(folder / f"{number}.dng", mosaic, exposure_s=exposure_s)
+        shots.append(Shot(f"{number}.dng", "white", Pose(45.0, 0.0), "out", exposure_s, iso))
+    return shots
+
+
+def dark_of(rate: float, hot=((0, 0),)) -> Dark:
+    return Dark(None, np.ones((64, 96), np.int16), 0.0, rate, 100.0, (1.0,), np.array(hot, np.int32))
+
+
+@pytest.mark.parametrize("iso", [0.0, 100.0, 400.0])
+def test_the_dark_signal_is_no_part_of_the_response(tmp_path, iso):
+    rate, dark_rate = 100_000.0, 20_000.0
+    shots = plain_series(tmp_path, rate, dark_rate, iso)
+    found = measure_linearity(shots, tmp_path / "t.csv", tmp_path, dark_of(dark_rate), 0.001)
+    assert found.largest < 2e-4
+    # In proportion to time it would pass for light; of frames at another ISO it would not.
+    with pytest.raises(InputError, match="max_nonlinearity"):
+        offset = replace(dark_of(dark_rate), offset=np.full((64, 96), 500, np.int16), offset_step_dn=1.0)
+        measure_linearity(shots, tmp_path / "t.csv", tmp_path, offset, 0.02)
+
+
+def test_hot_pixels_do_not_bend_the_response(tmp_path):
+    spoiled = [(row, column) for row in range(0, 64, 4) for column in range(0, 96, 4)]
+    shots = plain_series(tmp_path, 100_000.0, spoiled=spoiled)
+    with pytest.raises(InputError, match="max_nonlinearity"):
+        measure_linearity(shots, tmp_path / "t.csv", tmp_path, None, 0.02)
+    assert measure_linearity(shots, tmp_path / "t.csv", tmp_path, dark_of(0.0, spoiled), 0.001).largest < 2e-4
 
 
 @given(

@@ -99,6 +99,50 @@ def test_what_is_no_raw_file_is_refused(tmp_path):
     noise.write_bytes(np.random.default_rng(3).bytes(50_000))
     for path in (text, noise, tmp_path / "missing.dng", tmp_path):
         refused(path)
+    with pytest.raises(InputError, match="no such file"):
+        decode(tmp_path / "missing.dng")
+
+
+class Maker:
+    """A RAW file as LibRaw gives it, with white levels of its channels that a maker's notes state."""
+
+    def __init__(self, raw, levels):
+        self._raw, self.camera_white_level_per_channel = raw, levels
+
+    def __getattr__(self, name):
+        return getattr(self._raw, name)
+
+    def __enter__(self):
+        self._raw.__enter__()
+        return self
+
+    def __exit__(self, *error):
+        return self._raw.__exit__(*error)
+
+
+@pytest.mark.parametrize(
+    ("levels", "white"),
+    [
+        (None, [WHITE] * 4),
+        ([16000, 15000, 15500, 15100], [16000, 15000, 15100, 15500]),
+        ([0, 15000, 15500, 15100], [WHITE, 15000, 15100, 15500]),  # left empty
+        ([16000, 70000, 15500, 15100], [16000, WHITE, 15100, 15500]),  # above what the file says of itself
+        ([16000, BLACK, 15500, 15100], [16000, WHITE, 15100, 15500]),  # no light at all
+    ],
+)
+def test_a_channel_s_own_white_level_counts_where_it_can_be_one(tmp_path, monkeypatch, levels, white):
+    path = dng(tmp_path / "a.dng", random_mosaic(np.random.default_rng(4)))
+    imread = rawpy.imread
+    monkeypatch.setattr(rawpy, "imread", lambda name: Maker(imread(name), levels))
+    # LibRaw counts red, green, blue and the other green.
+    assert decode(path).white.ravel().tolist() == white
+
+
+def test_the_largest_of_each_superpixel_is_the_one_nearest_to_its_white_level(tmp_path):
+    values = random_mosaic(np.random.default_rng(5))
+    found = decode(dng(tmp_path / "a.dng", values)).largest
+    blocks = values.reshape(32, 2, 48, 2).astype(float).max(axis=(1, 3))
+    np.testing.assert_allclose(found, (blocks - BLACK) / (WHITE - BLACK), rtol=1e-6)
 
 
 @given(content=st.binary(max_size=300), tiff=st.booleans())

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from raw_studio import SENSOR, SUPERPIXELS, Studio
+from raw_studio import SENSOR, SUPERPIXELS, Studio, dng
 
 from irodori.config.capture_table import Pose, Shot
+from irodori.ingest import photon_transfer
 from irodori.ingest.camera_reference import Reference
-from irodori.ingest.mosaic import Mosaic
-from irodori.ingest.photon_transfer import Noise, equal_pairs, fit_transfer, transfer_points
+from irodori.ingest.mosaic import Mosaic, decode
+from irodori.ingest.photon_transfer import Noise, equal_pairs, fit_transfer, measure_noise, transfer_points
 
 NO_HOT = np.zeros((0, 2), np.int32)
 HEIGHT, WIDTH = 400, 560
@@ -84,6 +85,62 @@ def test_darkness_alone_tells_read_noise_and_no_gain():
     gain, _, read, _ = fit_transfer(transfer_points(*pair(SENSOR, 0.0, rng), NO_HOT))
     assert np.isnan(gain)
     assert read == pytest.approx(np.hypot(SENSOR.read_noise_e / SENSOR.electrons_per_dn, np.sqrt(1 / 12)), rel=0.02)
+
+
+@given(gain=st.floats(0.2, 30.0), read=st.floats(0.6, 20.0), drift=st.floats(-0.1, 0.1))
+def test_points_without_scatter_give_the_line_that_they_lie_on(gain, read, drift):
+    """The variance of a - r b is read² (1 + r²) + level (1 + r) / gain."""
+    level, ratio = np.linspace(0.0, 20_000.0, 50), np.where(np.arange(50) % 2, 1.0 + drift, 1.0)
+    count = np.where(np.arange(50) % 3, 256.0, 100.0)
+    variance = read**2 * (1.0 + ratio**2) + level * (1.0 + ratio) / gain
+    found = fit_transfer(np.stack([np.zeros(50), count, level, ratio, variance], axis=1))
+    assert found[0] == pytest.approx(gain, rel=1e-6) and found[2] == pytest.approx(read, rel=1e-3)
+    # Errors are those of the pixels' number, however well the points agree: a hundredfold count, a tenth of the error.
+    more = fit_transfer(np.stack([np.zeros(50), 100.0 * count, level, ratio, variance], axis=1))
+    assert 0.0 < found[1] < 0.1 * gain and more[1] == pytest.approx(found[1] / 10.0, rel=0.01)
+    assert more[3] == pytest.approx(found[3] / 10.0, rel=0.01)
+
+
+def test_points_that_determine_nothing_say_so():
+    level = np.full(20, 5.0)
+    one = np.ones(20)
+    assert np.isnan(fit_transfer(np.stack([one, 256 * one, level, one, 0 * one], axis=1))).all()
+    gain, gain_error, read, read_error = fit_transfer(np.stack([one, 256 * one, level, one, 8.0 * one], axis=1))
+    # Levels that do not differ tell the read noise alone: half of a difference's variance.
+    assert np.isnan(gain) and np.isnan(gain_error) and read == pytest.approx(2.0)
+    # Of 20 tiles of 256 pixels the variance is known within sqrt(2 / (20 * 255)), the deviation within half of that.
+    assert read_error == pytest.approx(2.0 * 0.5 * np.sqrt(2.0 / (20 * 255)), rel=0.01)
+
+
+def frames(folder, exposures, iso=0.0, role="white", seed=0):
+    """Write two frames of an exposure each of a sensor of 2.4 electrons a number, and return their shots."""
+    rng, shots = np.random.default_rng(seed), []
+    for number, exposure_s in enumerate(np.repeat(exposures, 2)):
+        level = rng.poisson(24_000.0 * np.linspace(1.0, 50.0 * exposure_s, 96) * np.ones((64, 1))) / 2.4
+        file = f"{role}-{iso:g}-{number}.dng"
+        dng(folder / file, np.rint(600 + (0.0 if role == "dark" else 1.0) * level).astype(np.uint16))
+        shots.append(Shot(file, role, Pose(45.0, 0.0), "out", float(exposure_s), iso))
+    return shots
+
+
+def test_the_noise_is_that_of_the_iso_of_most_lit_pairs(tmp_path):
+    shots = frames(tmp_path, [0.005, 0.01], 200.0, seed=1) + frames(tmp_path, [0.005], 100.0, seed=2)
+    shots += frames(tmp_path, [0.005] * 4, 100.0, "dark", seed=3)
+    noise = measure_noise(shots, tmp_path / "t.csv", tmp_path, NO_HOT)
+    assert noise.iso == 200.0 and noise.gain_e_per_dn == pytest.approx(2.4, rel=0.1)
+    assert noise.gain_by_colour == pytest.approx((2.4,) * 3, rel=0.2)
+    for few in (shots[:1], [s for s in shots if s.role == "dark"]):
+        assert np.isnan(measure_noise(few, tmp_path / "t.csv", tmp_path, NO_HOT).gain_e_per_dn)
+
+
+def test_of_many_pairs_the_first_twelve_of_all_levels_are_read(tmp_path, monkeypatch):
+    read = []
+    monkeypatch.setattr(photon_transfer, "decode", lambda path: read.append(path.name) or decode(path))
+    first, second = frames(tmp_path, [0.005], seed=1), frames(tmp_path, [0.01], 50.0, seed=2)
+    second = [dataclasses.replace(s, iso=0.0) for s in second]
+    measure_noise(first * 12 + second * 3, tmp_path / "t.csv", tmp_path, NO_HOT)
+    assert len(read) == 24 and sum(name.startswith("white-50") for name in read) == 6
+    assert [name.startswith("white-50") for name in read[:8:2]] == [False, True, False, True]
 
 
 def test_a_pair_is_two_shots_that_differ_in_nothing():

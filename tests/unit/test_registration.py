@@ -1,6 +1,7 @@
 """The plate's shift, turn and magnification are found from pictures whose colours differ, or said to be unknown."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from benchmarks.plate_pictures import (
     render,
     white_weights,
 )
-from irodori.ingest.registration.similarity import Registration, bayer_offsets_px, register, resample
+from irodori.ingest.registration.similarity import Registration, bayer_offsets_px, meets_marked, register, resample
 
 STILL = Registration.identity()
 WIDTH, HEIGHT = 200, 150
@@ -288,3 +289,20 @@ def test_pictures_and_masks_must_fit_together():
         register(picture, picture, mask, mask[:-1])
     with pytest.raises(ValueError, match="accepted"):
         resample(picture[..., :2], mask, STILL)
+
+
+@pytest.mark.parametrize("truth", [STILL, similarity(3.0, -2.0), similarity(0.6, 0.2, 40.0, 1.4)])
+def test_what_a_clipped_sample_reaches_is_where_the_moved_picture_shows_it(truth):
+    rng = np.random.default_rng(6)
+    mask = rng.random((31, 42)) < 0.004
+    found = meets_marked(mask, np.zeros(mask.shape, bool), truth)
+    places = moving_from_fixed(replace(truth, centre_px=(20.5, 15.0)), np.stack(np.indices(mask.shape)[::-1], -1))
+    expected = np.zeros(mask.shape, bool)
+    for y, x in np.ndindex(mask.shape):
+        u, v = places[y, x]
+        if 0 <= u <= 41 and 0 <= v <= 30:
+            column, row = math.floor(u + 0.5), math.floor(v + 0.5)
+            expected[y, x] = mask[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3].any()
+    assert mask.any() and (found == expected).all()
+    valid = rng.random(mask.shape) < 0.5
+    assert (meets_marked(mask, valid, truth) == (expected & ~valid)).all()

@@ -1,18 +1,26 @@
 """Errors of the report: what is left out of them, and how bright pixels are compared."""
 
+from dataclasses import replace
+
 import colour
 import numpy as np
 import pytest
 from scenes import constant_light
 
-from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.colour.colorimetry import delta_e, delta_e_reflectance, lab_from_xyz, xyz_from_radiance
 from irodori.config.parts import Staging
 from irodori.core import store
 from irodori.evaluation.result_tables import read_errors
-from irodori.evaluation.truth_errors import interior, measure_errors, radiance_delta_e
+from irodori.evaluation.truth_errors import (
+    environment_errors,
+    interior,
+    material_errors,
+    measure_errors,
+    radiance_delta_e,
+)
 from irodori.export.pictures import write_spectral_exr
 from irodori.light.placed_lights import unit_luminance
-from irodori.material.material_file import Material
+from irodori.material.material_file import Material, Status
 from irodori.spectra.published import spectrum
 
 
@@ -103,3 +111,99 @@ def test_a_pictures_error_is_judged_against_a_white_that_counts_the_scenes_light
         radiance_delta_e(truth, pictures["found"], np.full(61, 0.25)).mean(), rel=1e-3
     )
     assert found["lit"] < 0.8 * found["dark"]
+
+
+def off_by_known_amounts() -> tuple[Material, Material]:
+    """Return a material and its truth: two paints, a column at the edge that nobody saw, gloss off where it is known.
+
+    Of the 12 columns 2 to 9 lie at no edge of what is seen; the seam is between columns 5 and 6.
+    """
+    side = 12
+    column = np.broadcast_to(np.arange(side), (side, side))
+    spectra = np.linspace([0.2, 0.6], [0.5, 0.3], 61)
+    paint = column * 2 // side
+    green = spectra[30][paint]
+    beta, mu, one_hot = np.full((side, side), 2.0), np.full((side, side), 0.1), np.eye(2, dtype=np.float32)[paint]
+    truth = Material(green, beta, mu, green, one_hot, spectra, np.full(61, 1.5), np.zeros(61), 0.0, (2.0, 0.1))
+    wide = spectra * np.linspace(0.9, 1.2, 61)[:, None]
+    scale = np.where(column < 3, 1.1, 1.0)  # of the spectrum to what the green response says
+    alpha = np.where(column == 11, np.nan, wide[30][paint] * scale)
+    beta, mu = np.where(column < 2, 2.5, 2.2), np.where(column < 2, np.nan, 0.08)
+    beta[:, 4:8] = 50.0  # at the seam
+    found = replace(truth, alpha=alpha, green_response=alpha / scale, beta=beta, mu=mu, basis=wide)
+    return found, truth
+
+
+def test_every_row_of_a_material_says_what_it_is_off_by():
+    found, truth = off_by_known_amounts()
+    rows = {(row.quantity, row.light): row for row in material_errors("tile", found, truth, ["D65", "A"])}
+    assert {row.subject for row in rows.values()} == {"tile"} and len(rows) == 2 * (2 + 2) + 4
+    column = np.broadcast_to(np.arange(12), (12, 12))
+    seen, inside = column < 11, (column < 4) | (column > 7)
+    for label, chosen in (("", seen), (" away from seams", seen & inside)):
+        exact, own = (m.coefficients[chosen] @ m.basis.T for m in (truth, found))
+        for light in ("D65", "A"):
+            row, off = rows[f"reflectance CIEDE2000{label}", light], delta_e_reflectance(exact, own, light)
+            assert row.count == chosen.sum() and row.mean == pytest.approx(off.mean())
+            assert row.p95 == pytest.approx(np.percentile(off, 95)) and row.max == pytest.approx(off.max())
+        row = rows[f"reflectance spectral RMSE{label}", ""]
+        assert row.mean == pytest.approx(np.sqrt(((exact - own) ** 2).mean(axis=1)).mean(), rel=1e-5)
+        cosine = (exact * own).sum(axis=1) / np.linalg.norm(exact, axis=1) / np.linalg.norm(own, axis=1)
+        assert rows[f"reflectance 1 - GFC{label}", ""].mean == pytest.approx((1 - cosine).mean(), rel=1e-3)
+    row = rows["alpha absolute away from seams", ""]
+    assert row.mean == pytest.approx(np.abs(found.alpha - truth.alpha)[seen & inside].mean()) and row.count == 84
+    # The first two columns state no roughness, so that their strength is none of a known highlight.
+    row = rows["beta relative away from seams, where known", ""]
+    assert (row.count, row.mean, row.max) == (12 * 6, pytest.approx(0.1), pytest.approx(0.1))
+    row = rows["mu relative away from seams, where known", ""]
+    assert (row.count, row.mean, row.max) == (12 * 6, pytest.approx(0.2), pytest.approx(0.2))
+    row = rows["alpha / S_G - 1", ""]
+    assert row.count == 12 * 11 and row.max == pytest.approx(0.1) and row.mean == pytest.approx(0.1 * 3 / 11)
+
+
+def test_a_recovered_light_is_judged_by_its_picture_and_its_irradiance():
+    truth = constant_light(2.0)
+    same = environment_errors("room", truth, truth)
+    assert [row.quantity for row in same] == ["light CIEDE2000", "irradiance CIEDE2000"]
+    assert all(row.max < 1e-6 and row.subject == "room" for row in same)
+    # Half as bright as white in white's own colour: grey of Y = 50.
+    half = environment_errors("room", replace(truth, basis=truth.basis * 0.5), truth)
+    grey = delta_e(lab_from_xyz(np.array([50.0, 50.0, 50.0]), np.full(3, 100.0)), np.array([100.0, 0.0, 0.0]))
+    assert half[0].mean == pytest.approx(grey, rel=1e-3) and half[1].mean == pytest.approx(grey, rel=0.01)
+    # The picture alone, and the irradiance alone.
+    picture = environment_errors("room", replace(truth, coefficients=truth.coefficients * 0.5), truth)
+    assert picture[0].mean == pytest.approx(grey, rel=1e-3) and picture[1].max < 1e-6
+    assert picture[0].count == truth.coefficients[::4, ::4, 0].size and picture[1].count == 64 * 128
+
+
+def test_the_outcome_of_a_fit_and_of_a_calibration_stand_in_the_table(tmp_path):
+    provenance = store.Provenance("test")
+    found, truth = off_by_known_amounts()
+    residual = np.full((12, 12), 0.02)
+    residual[0] = 0.05
+    status = np.zeros((12, 12), np.uint8)
+    status[:, :3] = Status.MU_UNIDENTIFIABLE
+    found = replace(found, extra={
+        "relative_residual": (residual, "1", "residual"), "status": (status, "1", "outcome"),
+    })  # fmt: skip
+    found.save(tmp_path / "found.h5", provenance)
+    truth.save(tmp_path / "true.h5", provenance)
+    constant_light(1.0).save(tmp_path / "light.h5", provenance)
+    with store.create(tmp_path / "calibration.h5", provenance) as out:
+        for name, values in (("rmse", [0.01, 0.03]), ("delta_e_d65", [1.0, 2.0])):
+            out.write(f"leave_one_out/{name}", np.array(values), units="1", dims="patch", quantity=name)
+    inputs = {"materials": [tmp_path / "found.h5"], "true_materials": [tmp_path / "true.h5"],
+              "environments": [tmp_path / "light.h5"], "true_environments": [tmp_path / "light.h5"],
+              "calibrations": [tmp_path / "calibration.h5"]}  # fmt: skip
+    inputs |= {"view_lights": [], "views": [], "true_views": []}
+    names = {"cameras": ["cam"], "objects": ["tile"], "environments": ["room"], "views": [], "view_environments": []}
+    measure_errors(inputs, names, [], ["D65", "A"], tmp_path / "errors.csv")
+    rows = {(row["subject"], row["quantity"], row["light"]): row for row in read_errors(tmp_path / "errors.csv")}
+    assert float(rows["cam", "leave-one-patch-out spectral RMSE", ""]["mean"]) == 0.02
+    assert float(rows["cam", "leave-one-patch-out CIEDE2000", "D65"]["max"]) == 2.0
+    assert ("cam", "leave-one-patch-out CIEDE2000", "A") not in rows
+    row = rows["tile", "residual over response", ""]
+    assert float(row["mean"]) == pytest.approx(0.0225) and row["count"] == "144"
+    assert float(rows["tile", "share of texels: ok", ""]["mean"]) == 0.75
+    assert float(rows["tile", "share of texels: mu unidentifiable", ""]["mean"]) == 0.25
+    assert ("tile", "alpha / S_G - 1", "") in rows and ("room", "light CIEDE2000", "") in rows

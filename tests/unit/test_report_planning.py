@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,18 @@ from made import made
 from irodori.capture.shot_planner.exchange import TooFewPoses
 from irodori.capture.shot_planner.fisher_information import observe
 from irodori.capture.shot_planner.planner import Planner, default_noise
+from irodori.config.capture_table import Pose
 from irodori.config.models import Object, Planning, Rig, RigLimits, SensorOptions
 from irodori.config.parts import PlannedObject, PlannedPlate
-from irodori.evaluation.pose_planning import Sitting, even_poses, measure_plan, random_poses
+from irodori.evaluation import pose_planning
+from irodori.evaluation.pose_planning import (
+    Sitting,
+    even_poses,
+    fit_errors,
+    measure_design,
+    measure_plan,
+    random_poses,
+)
 from irodori.evaluation.result_tables import PlanRow, read_rows
 from irodori.fitting.solvers import FitOptions
 from irodori.report.figures import planning_figure
@@ -199,3 +209,52 @@ def test_options_of_the_fit_are_those_of_the_configuration(planned, tmp_path):
             tmp_path / "x.csv",
         )
     assert FitOptions().solver == "varpro"
+
+
+def test_rows_of_a_design_pool_its_draws(monkeypatch):
+    class Plan:
+        def expected(self, poses):
+            return {"alpha": np.array([0.1]), "beta": np.array([0.2 * len(poses)]), "mu": np.array([np.nan])}
+
+    asked = []
+
+    def errors(sitting, poses, count, options, rng):
+        asked.append(count)
+        first = len(asked) == 1
+        return {
+            "alpha": np.array([1.0, 2.0, 3.0]) if first else np.array([4.0, 5.0, 6.0]),
+            "beta": np.array([np.nan, 1.0, np.nan]) if first else np.array([3.0, np.nan, np.nan]),
+            "mu": np.full(3, np.nan),
+        }
+
+    monkeypatch.setattr(pose_planning, "fit_errors", errors)
+    drawn = [[Pose(45.0, 0.0)] * 4, [Pose(45.0, 0.0)] * 4]
+    rows = measure_design("x", "random", drawn, Sitting(Plan()), count=7, options=FitOptions(), rng=None)
+    alpha, beta, mu = rows
+    assert asked == [3, 3]
+    assert (alpha.object, alpha.poses, alpha.design, alpha.parameter) == ("x", 4, "random", "alpha")
+    assert alpha.median == 3.5 and alpha.p95 == pytest.approx(5.75) and alpha.identified_fraction == 1.0
+    assert beta.median == 2.0 and beta.identified_fraction == pytest.approx(1 / 3)
+    assert beta.expected_standard_error == pytest.approx(0.8) and alpha.expected_standard_error == 0.1
+    assert np.isnan([mu.median, mu.p95, mu.expected_standard_error]).all() and mu.identified_fraction == 0.0
+
+
+def test_photographs_without_noise_leave_the_fit_without_error(planned):
+    """Errors are absolute in alpha and relative in beta and mu: of perfect photographs all of them vanish."""
+    noise = replace(default_noise(made(Rig, planned["rig"]), made(SensorOptions, planned["sensor"])),
+                    relative=1e-7, pose_rms_deg=1e-6, shot_variance=1e-13, read_variance=1e-14)  # fmt: skip
+    planner = Planner(made(Object | PlannedObject, planned["definition"]), made(Rig, planned["rig"]), noise=noise)
+    found = fit_errors(Sitting(planner), planner.best(8).poses, 60, FitOptions(), np.random.default_rng(5))
+    for name, values in found.items():
+        known = values[np.isfinite(values)]
+        assert known.size > 30 and np.median(known) < 1e-3, name
+
+
+def test_light_and_weights_of_simulated_photographs_follow_their_conditions(planned):
+    planner = Planner(made(Object | PlannedObject, planned["definition"]), made(Rig, planned["rig"]))
+    forgetful, steady = Sitting(planner, 1e-6), Sitting(planner, 1e12)
+    light = forgetful.light(3000, 3, np.random.default_rng(1)) - 1.0
+    assert abs(np.mean(light[:, 0] * light[:, 1])) < 0.1 * planner.noise.relative**2
+    light = steady.light(3000, 3, np.random.default_rng(1)) - 1.0
+    np.testing.assert_allclose(light[:, 0], light[:, 2], rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(light.std(axis=0), planner.noise.relative, rtol=0.06)

@@ -106,7 +106,7 @@ class AsciiRig(ControlledRig):
                 if self._states() in ("run", "hold"):
                     self._halt()
                 return self._places()
-            except (DeadlineError, GarbledError):
+            except GarbledError:
                 if knocking.passed:
                     raise
                 self._settle()
@@ -161,10 +161,10 @@ class AsciiRig(ControlledRig):
         ways = [(high - low) / drive.speed for drive in self.drives.values() for low, high in [drive.reach]]
         deadline = Deadline(_HOMING_REACH * max(ways) + 2 * self._brake_s + self._timeout_s)
         began, seen = Deadline(START_S), False
-        while (state := self._look()[0]) == "run" or not (seen or began.passed):
-            seen = seen or state == "run"
+        while (state := self._look()[0]) != "idle" or not (seen or began.passed):
             if state == "hold":
                 raise HeldError("the rig was held while it was homed: clear the cause, then home it again")
+            seen = seen or state == "run"
             if deadline.passed:
                 raise DeadlineError(f"the switches were not found within {deadline.seconds:.3g} s")
             time.sleep(POLL_S)

@@ -315,7 +315,7 @@ class GrblRig(ControlledRig):
 
     def _place(self, report: Report, drive: Drive) -> float:
         """Return where a drive stands, controller units."""
-        places, index = report.position(), LETTERS.index(drive.channel)
+        places, index = report.machine, LETTERS.index(drive.channel)
         if places is None or len(places) <= index:
             raise GarbledError(f"the controller reports no machine position of its axis {drive.channel}")
         return places[index]

@@ -19,7 +19,6 @@ _SUBSTATES = {"Hold": 1, "Door": 3}
 
 _COORDINATE = r"-?\d{1,7}\.\d{3,4}"
 _COORDINATES = re.compile(rf"{_COORDINATE}(?:,{_COORDINATE}){{0,5}}", re.ASCII)
-_NUMBER = re.compile(r"-?\d{1,9}(?:\.\d{1,6})?", re.ASCII)
 _SETTING = re.compile(r"\$(\d{1,3})=(-?\d{1,9}(?:\.\d{1,6})?)(?: \(.*\))?", re.ASCII)
 _STARTUP = re.compile(r"\$N\d=.*|>.*:(?:ok|error:\d{1,3})", re.ASCII)
 _BANNER = re.compile(r"Grbl (\d{1,3}\.\d{1,3}[a-z]?) \[.*\]", re.ASCII)
@@ -37,37 +36,16 @@ class Report:
         One of `STATES`.
     substate : int, optional
         Hold: 0 complete, 1 still slowing down. Door: 0 closed, 1 open, 2 opening while slowing down, 3 resuming.
-    machine, work, offset : tuple of float, optional
-        ``MPos``, ``WPos`` and ``WCO``, in the controller's units; a report holds one of the first two.
-    free_blocks, free_bytes : int, optional
-        ``Bf``: room in the planner and in the serial buffer.
+    machine : tuple of float, optional
+        ``MPos``, in the controller's units; None where the controller is set to report work positions.
     pins : str
         ``Pn``: letters of the inputs that are active.
-    overrides_percent : tuple of int, optional
-        ``Ov``: feed, rapid and spindle.
-    feed : float, optional
-        ``F`` or ``FS``, units/min.
     """
 
     state: str
     substate: int | None = None
     machine: tuple[float, ...] | None = None
-    work: tuple[float, ...] | None = None
-    offset: tuple[float, ...] | None = None
-    free_blocks: int | None = None
-    free_bytes: int | None = None
     pins: str = ""
-    overrides_percent: tuple[int, ...] | None = None
-    feed: float | None = None
-
-    def position(self, offset: tuple[float, ...] | None = None) -> tuple[float, ...] | None:
-        """Return the machine position, from the work position and an offset where need be; None where unknown."""
-        if self.machine is not None:
-            return self.machine
-        offset = self.offset or offset
-        if self.work is None or offset is None or len(offset) != len(self.work):
-            return None
-        return tuple(w + o for w, o in zip(self.work, offset, strict=True))
 
     @property
     def moving(self) -> bool:
@@ -165,41 +143,21 @@ def garbled(line: str) -> GarbledError:
 
 
 def _report(line: str) -> Report:
-    state, *fields = line[1:-1].split("|") if line.endswith(">") and len(line) > 2 else [""]
+    state, *fields = line[1:-1].split("|") if line.endswith(">") else [""]
     name, colon, number = state.partition(":")
     if name not in STATES or (colon and not (name in _SUBSTATES and number in map(str, range(_SUBSTATES[name] + 1)))):
         raise garbled(line)
-    found: dict = {"state": name, "substate": int(number) if colon else None}
+    found: dict[str, str] = {}
     for field in fields:
-        key, colon, text = field.partition(":")
-        if not colon:
+        key, separator, text = field.partition(":")
+        if not separator or key in found:
             raise garbled(line)
-        _read_field(found, key, text, line)
-    if found.get("machine") is None and found.get("work") is None:
+        found[key] = text
+    places = found.get("MPos", found.get("WPos", ""))
+    if not _COORDINATES.fullmatch(places):
         raise garbled(line)
-    return Report(**found)
-
-
-def _read_field(found: dict, key: str, text: str, line: str) -> None:
-    """Add a field of a report; fields of other builds are passed over."""
-    places = {"MPos": "machine", "WPos": "work", "WCO": "offset"}
-    if key in places:
-        if places[key] in found or not _COORDINATES.fullmatch(text):
-            raise garbled(line)
-        found[places[key]] = tuple(map(float, text.split(",")))
-    elif key in ("Bf", "Ov", "F", "FS"):
-        numbers = text.split(",")
-        if len(numbers) != {"Bf": 2, "Ov": 3, "F": 1, "FS": 2}[key] or not all(map(_NUMBER.fullmatch, numbers)):
-            raise garbled(line)
-        values = [float(number) for number in numbers]
-        if key == "Bf":
-            found["free_blocks"], found["free_bytes"] = map(int, values)
-        elif key == "Ov":
-            found["overrides_percent"] = tuple(map(int, values))
-        else:
-            found["feed"] = values[0]
-    elif key == "Pn":
-        found["pins"] = text
+    machine = tuple(map(float, places.split(","))) if "MPos" in found else None
+    return Report(name, int(number) if colon else None, machine, found.get("Pn", ""))
 
 
 def motion_line(targets: dict[str, float], feed: float | None) -> str:

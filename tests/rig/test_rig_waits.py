@@ -1,0 +1,455 @@
+"""How long drivers wait, and how a wait ends, on a clock that only waiting moves."""
+
+import pytest
+from virtual_time import TIMEOUT_S, Bench, bench_of, opened, rig_of
+
+from irodori.capture.rig.devices import AlarmError, CommandError, DeadlineError, GarbledError, HeldError, LinkError, Rig
+from irodori.capture.rig.grbl.settings_check import homing_s
+from irodori.simulation.controllers.grbl_machine import GrblMachine
+
+PROTOCOLS = ["grbl", "ascii"]
+#: Polls and answers that a wait may take beyond its deadline, s.
+SLACK_S = 0.2
+
+
+@pytest.fixture(params=PROTOCOLS)
+def pair(request, monkeypatch):
+    """Return a homed rig at 0 and its bench."""
+    rig = rig_of(request.param)
+    bench = bench_of(rig, monkeypatch)
+    driver = opened(rig, bench)
+    driver.home()
+    driver.move({"camera_deg": 0.0, "turn_deg": 0.0})
+    return driver, bench
+
+
+def spent(bench: Bench, action, error=None, match=None) -> float:
+    """Return the time that an action takes, s, and check how it fails."""
+    begun = bench.now
+    if error is None:
+        action()
+    else:
+        with pytest.raises(error, match=match):
+            action()
+    return bench.now - begun
+
+
+def later(bench: Bench, seconds: float, action) -> None:
+    """Do something to the machine once so many seconds of the clock are over."""
+    due, advance = bench.now + seconds, bench.machine.advance
+
+    def advancing(step):
+        if bench.now >= due:
+            bench.machine.advance = advance
+            action()
+        advance(step)
+
+    bench.machine.advance = advancing
+
+
+def is_grbl(bench: Bench) -> bool:
+    return isinstance(bench.machine, GrblMachine)
+
+
+def under_way(driver: Rig, bench: Bench, seconds: float) -> None:
+    """Send the camera to 100 degrees behind the driver's back, and hold it after some time, s."""
+    place = driver.drives["camera_deg"].to_units(100.0)
+    bench.write(b"G21G90G53G0X%.3f\n" % place if is_grbl(bench) else b"MA CAME %.3f\r" % place)
+    bench.sleep(seconds)
+    bench.machine.press_hold()
+    bench.sleep(1.5)
+    bench.machine.output.clear()
+
+
+def is_at(driver: Rig, camera: float, turn: float) -> None:
+    assert driver.position() == pytest.approx({"camera_deg": camera, "turn_deg": turn}, abs=0.01)
+
+
+@pytest.mark.parametrize("target", [{"camera_deg": 100.0}, {"camera_deg": 3.0, "turn_deg": 300.0}, {"turn_deg": 2.0}])
+def test_a_move_takes_the_time_that_is_foretold(pair, target):
+    driver, bench = pair
+    foretold = driver.travel_s(driver.position(), target)
+    assert foretold <= spent(bench, lambda: driver.move(target)) < foretold + SLACK_S
+
+
+def test_travel_times_are_those_of_trapezoids(pair):
+    driver, _ = pair
+    start = {"camera_deg": 0.0, "turn_deg": 0.0}
+    # 100 degrees at 40 degrees/s and 50 degrees/s²; 2 degrees never reach the speed.
+    assert driver.travel_s(start, {"camera_deg": 100.0}) == pytest.approx(2.5 + 0.8)
+    assert driver.travel_s({"turn_deg": 7.0}, {"turn_deg": 5.0}) == pytest.approx(2 * (2.0 / 100.0) ** 0.5)
+
+
+def test_an_axis_that_is_stuck_is_given_up_a_quarter_later_than_foretold(pair):
+    driver, bench = pair
+    target = {"camera_deg": 120.0, "turn_deg": 10.0}
+    limit = 1.25 * driver.travel_s(driver.position(), target) + TIMEOUT_S
+    bench.pace = 0.0
+    took = spent(bench, lambda: driver.move(target), DeadlineError, "no arrival within .* run.*camera_deg at 0 instead")
+    assert limit <= took < limit + 0.5
+    bench.pace = 1.0
+    assert not bench.machine.moving and driver.status().state == "idle" and driver.status().homed
+    driver.move({"camera_deg": 5.0})
+    is_at(driver, 5.0, 0.0)
+
+
+def test_a_line_that_is_not_answered_is_given_up_after_its_own_move(monkeypatch):
+    """A line waits for room in the planner: its answer may take the longest of the moves, and no longer."""
+    rig = rig_of("grbl")
+    bench = bench_of(rig, monkeypatch)
+    driver = opened(rig, bench)
+    driver.home()
+    driver.move({"camera_deg": 0.0})
+    there = {"camera_deg": 100.0}
+    longest = driver.travel_s(driver.position(), there)
+    bench.heard = lambda line: None if line == "ok" else line
+    limit = 1.25 * longest + TIMEOUT_S
+    took = spent(bench, lambda: driver.path([there, {"camera_deg": 90.0}]), DeadlineError)
+    assert limit <= took < limit + 1.5
+
+
+def test_an_axis_that_crawls_within_the_margin_arrives(pair):
+    driver, bench = pair
+    bench.pace = 0.85
+    driver.move({"camera_deg": 140.0})
+    is_at(driver, 140.0, 0.0)
+
+
+def test_a_controller_that_falls_silent_is_left_after_its_timeout(pair):
+    driver, bench = pair
+    later(bench, 0.5, lambda: setattr(bench, "heard", lambda line: None))
+    took = spent(bench, lambda: driver.move({"camera_deg": 120.0}), DeadlineError)
+    # One question without an answer, then the stop, tried anew before it is given up.
+    assert 0.5 + TIMEOUT_S <= took < 0.5 + 6 * TIMEOUT_S
+    bench.heard = lambda line: line
+    bench.sleep(2.0)
+    assert not bench.machine.moving
+    assert driver.status().state == "idle" and driver.status().homed
+    stands = driver.position()["camera_deg"]
+    assert 0.0 < stands < 100.0
+    driver.move({"camera_deg": 90.0})
+    is_at(driver, 90.0, 0.0)
+
+
+def test_silence_before_a_question_ends_in_time(pair):
+    driver, bench = pair
+    bench.heard = lambda line: None
+    assert spent(bench, driver.status, DeadlineError) == pytest.approx(TIMEOUT_S, abs=SLACK_S)
+
+
+def test_empty_lines_are_no_answer(pair):
+    driver, bench = pair
+    asked = bench.on_the_way
+
+    def answer(data):
+        bench.machine.output += b"\r\n" * 3000
+        return b""
+
+    bench.on_the_way = answer
+    assert spent(bench, driver.status, DeadlineError, "nothing but empty lines") < TIMEOUT_S + SLACK_S
+    bench.machine.output.clear()
+    bench.on_the_way = asked
+    bench.machine.output += b"\r\n"
+    assert driver.status().state == "idle"
+
+
+def test_a_move_whose_end_falls_short_is_noticed_where_it_rests(pair):
+    driver, bench = pair
+    bench.on_the_way = lambda data: data.replace(b"-202.000", b"-200.000")  # 99 degrees in place of 100
+    foretold = driver.travel_s(driver.position(), {"camera_deg": 99.0})
+    took = spent(
+        bench, lambda: driver.move({"camera_deg": 100.0}), (AlarmError, LinkError), "camera_deg at 99 instead of 100"
+    )
+    # It may still have been about to move: a moment is waited, not the whole deadline.
+    assert foretold + 0.3 <= took < foretold + 0.3 + 2 * SLACK_S + TIMEOUT_S
+
+
+def test_a_move_beyond_its_end_is_stopped_on_the_way(pair):
+    driver, bench = pair
+    bench.on_the_way = lambda data: data.replace(b"-22.000", b"-272.000")
+    took = spent(bench, lambda: driver.move({"camera_deg": 10.0}), (AlarmError, LinkError), "off its way")
+    assert took < 1.5 + TIMEOUT_S and not bench.machine.moving
+    assert not driver.status().homed or is_grbl(bench)
+
+
+def test_an_alarm_on_the_way_ends_the_move_and_the_trust_in_the_position(pair):
+    driver, bench = pair
+    later(bench, 1.0, lambda: bench.machine.raise_alarm(1))
+    took = spent(bench, lambda: driver.move({"camera_deg": 120.0}), AlarmError, "home it")
+    assert 1.0 <= took < 1.0 + SLACK_S + 2 * TIMEOUT_S
+    status = driver.status()
+    assert not status.homed
+    with pytest.raises(AlarmError, match="home it"):
+        driver.move({"camera_deg": 10.0})
+    driver.home()
+    assert driver.status().homed and driver.status().state == "idle"
+
+
+def test_a_controller_that_loses_its_power_at_rest_is_not_trusted(pair):
+    driver, bench = pair
+    driver.move({"camera_deg": 30.0})
+    bench.machine.power_up()
+    assert not driver.status().homed
+    with pytest.raises(AlarmError, match="home it"):
+        driver.move({"camera_deg": 10.0})
+
+
+def test_switches_that_are_not_found_end_homing_in_time(pair):
+    driver, bench = pair
+    bench.pace = 0.0
+    took = spent(bench, driver.home, DeadlineError)
+    if is_grbl(bench):
+        limit = homing_s(driver.settings(), driver.drives) + TIMEOUT_S
+    else:
+        # The table's 359.5 degrees at 60 a second, three times over, and the camera's ramp of 0.8 s at either end.
+        limit = 3 * 359.5 / 60.0 + 2 * 0.8 + TIMEOUT_S
+    assert limit <= took < limit + SLACK_S + 2 * TIMEOUT_S
+    bench.pace = 1.0
+    assert not driver.status().homed
+    driver.home()
+    assert driver.status().homed
+
+
+# ---- what a Grbl board says of itself
+
+
+@pytest.fixture
+def board(monkeypatch):
+    """Return a homed rig on a Grbl board, and its bench."""
+    rig = rig_of("grbl")
+    bench = bench_of(rig, monkeypatch)
+    driver = opened(rig, bench)
+    driver.home()
+    return driver, bench
+
+
+@pytest.mark.parametrize(
+    ("state", "words"),
+    [("Door", "close the safety door"), ("Sleep", "switch it off and on"), ("Check", r"end its check mode \(\$C\)")],
+)
+def test_a_board_that_cannot_move_says_what_ends_it(board, state, words):
+    driver, bench = board
+    bench.machine.state = state
+    assert driver.status().state == state.lower()
+    bench.sent.clear()
+    with pytest.raises(CommandError, match=f"not idle but says {state}: {words}"):
+        driver.move({"camera_deg": 10.0})
+    assert not any(line.startswith(b"G") for line in bench.sent)
+
+
+@pytest.mark.parametrize("places", ["MPos:0.000>", "WPos:0.000,0.000,0.000>"])
+def test_a_report_without_an_axis_of_the_rig_is_garbled(board, places):
+    driver, bench = board
+    bench.heard = lambda line: f"<Idle|{places}" if line.startswith("<") else line
+    with pytest.raises(GarbledError, match="no machine position of its axis"):
+        driver.status()
+
+
+@pytest.mark.parametrize("build", ["V", "VL"])
+def test_a_board_that_does_not_lock_itself_is_homed_whenever_it_is_opened(board, monkeypatch, build):
+    _, bench = board
+    bench.heard = lambda line: line.replace("[OPT:V,", f"[OPT:{build},")
+    assert opened(rig_of("grbl"), bench).status().homed == (build == "V")
+
+
+def test_a_board_s_alarm_and_its_inputs_stand_in_the_status(board):
+    driver, bench = board
+    assert driver.status().message == ""
+    bench.heard = lambda line: line.replace(">", "|Pn:XP>") if line.startswith("<") else line
+    assert driver.status().message == "active inputs: XP"
+    bench.machine.raise_alarm(1)
+    status = driver.status()
+    assert status.state == "alarm" and not status.homed
+    assert status.message.startswith("ALARM:1 (a limit switch was hit") and status.message.endswith("active inputs: XP")
+    bench.machine.power_up()
+    status = driver.status()
+    assert "started anew by itself" in status.message and not status.homed
+    bench.heard = lambda line: line
+    driver.home()
+    assert driver.status().homed and driver.status().message == ""
+
+
+def test_settings_are_read_at_rest_and_not_in_a_hold(board):
+    driver, bench = board
+    assert driver.settings()[100] == bench.machine.settings[100]
+    bench.machine.press_hold()
+    with pytest.raises(HeldError, match="answers no question"):
+        driver.settings()
+
+
+def test_settings_that_read_differently_twice_are_garbled(board):
+    driver, bench = board
+    seen = []
+
+    def once(line):
+        seen.append(line.startswith("$100="))
+        return "$100=999.000" if line.startswith("$100=") and sum(seen) == 1 else line
+
+    bench.heard = once
+    with pytest.raises(LinkError, match="differently twice in a row"):
+        driver.settings()
+    assert driver.settings()[100] == bench.machine.settings[100]
+
+
+def test_homing_that_ends_elsewhere_is_noticed(board):
+    driver, bench = board
+    bench.machine.settings[27] = 0.5  # pulls off less than it said
+    with pytest.raises(LinkError, match=r"camera_deg: homing ended at X -0.5 instead of -1"):
+        driver.home()
+    assert not driver.status().homed
+
+
+def test_a_jog_goes_by_its_angle_and_stops_where_it_is_told(board):
+    driver, bench = board
+    driver.move({"camera_deg": 20.0, "turn_deg": 5.0})
+    foretold = driver.travel_s({"camera_deg": 20.0}, {"camera_deg": 50.0})
+    assert foretold <= spent(bench, lambda: driver.jog("camera_deg", 30.0)) < foretold + SLACK_S
+    is_at(driver, 50.0, 5.0)
+    assert bench.sent[-1] == b"?" and any(line.startswith(b"$J=") for line in bench.sent)
+    bench.pace = 0.0
+    limit = 1.25 * driver.travel_s({"camera_deg": 50.0}, {"camera_deg": 20.0}) + TIMEOUT_S
+    assert limit <= spent(bench, lambda: driver.jog("camera_deg", -30.0), DeadlineError) < limit + 0.5
+    assert b"\x85" in bench.sent  # a jog is cancelled, and leaves no hold behind
+
+
+# ---- feed hold
+
+
+def pressed(data: bytes, bench: Bench) -> bytes:
+    """Let a command through and press the hold at once again."""
+    bench.machine.press_hold()
+    for byte in data:
+        bench.machine.receive(byte)
+    bench.machine.press_hold()
+    return b""
+
+
+def test_a_hold_whose_end_is_not_obeyed_is_said_after_the_timeout(pair):
+    driver, bench = pair
+    bench.machine.press_hold()
+    # The controller takes the command, and the button is pressed still.
+    bench.on_the_way = lambda data: pressed(data, bench)
+    took = spent(bench, driver.resume, DeadlineError, "stays held")
+    assert TIMEOUT_S <= took < 3 * TIMEOUT_S
+
+
+def test_a_resume_waits_for_the_rest_of_the_move_under_way(pair):
+    driver, bench = pair
+    under_way(driver, bench, 1.0)
+    # Of 100 degrees at 40 degrees/s about 40 are done.
+    assert 1.5 < spent(bench, driver.resume) < 3.0
+    assert driver.status().state == "idle"
+    assert bench.machine.stages[0].blocks == type(bench.machine.stages[0].blocks)()
+
+
+def test_a_resume_during_the_ramp_of_a_hold_waits_for_its_end(pair):
+    driver, bench = pair
+    place = driver.drives["camera_deg"].to_units(100.0)
+    bench.write(b"G21G90G53G0X%.3f\n" % place if is_grbl(bench) else b"MA CAME %.3f\r" % place)
+    bench.sleep(1.0)
+    bench.machine.press_hold()
+    bench.machine.output.clear()
+    driver.resume()
+    assert driver.status().state == "idle"
+
+
+def test_a_resume_of_what_is_stuck_ends_after_the_time_of_the_whole_reach(pair):
+    driver, bench = pair
+    under_way(driver, bench, 1.0)
+    bench.pace = 0.0
+    low, high = ({n: getattr(a, end) for n, a in driver.axes.items()} for end in ("min_deg", "max_deg"))
+    limit = 1.25 * driver.travel_s(low, high) + TIMEOUT_S
+    took = spent(bench, driver.resume, DeadlineError, "no rest within .* after a feed hold")
+    assert limit <= took < limit + SLACK_S + 2 * TIMEOUT_S
+
+
+def test_a_second_hold_ends_a_resume(pair):
+    driver, bench = pair
+    under_way(driver, bench, 1.0)
+    later(bench, 0.4, bench.machine.press_hold)
+    spent(bench, driver.resume, HeldError, "held again")
+    bench.sleep(2.0)
+    assert not bench.machine.moving and driver.status().state == "idle"
+
+
+def test_a_move_that_meets_a_hold_has_its_whole_time_again(pair):
+    driver, bench = pair
+    asked = []
+
+    def cleared(request):
+        asked.append(request)
+        bench.sleep(60.0)
+        bench.pace = 0.0 if stuck else 1.0
+
+    driver.on_hold = cleared
+    stuck = False
+    later(bench, 1.0, bench.machine.press_hold)
+    driver.move({"camera_deg": 120.0})
+    is_at(driver, 120.0, 0.0)
+    stuck = True
+    target = {"camera_deg": 0.0}
+    limit = 1.25 * driver.travel_s(driver.position(), target) + TIMEOUT_S
+    later(bench, 1.0, bench.machine.press_hold)
+    took = spent(bench, lambda: driver.move(target), DeadlineError, "no arrival") - 60.0
+    assert limit <= took < limit + 3.0 + 2 * TIMEOUT_S and len(asked) == 2
+
+
+# ---- opening
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("state", ["moving", "held", "alarm"])
+def test_a_controller_is_brought_to_rest_when_it_is_opened(protocol, state, monkeypatch):
+    rig = rig_of(protocol)
+    bench = bench_of(rig, monkeypatch)
+    first = opened(rig, bench)
+    first.home()
+    command = b"MA CAME -202.000\r" if protocol == "ascii" else b"G21G90G53G0X-202.000\n"
+    bench.write(command)
+    bench.sleep(1.0)
+    {"moving": lambda: None, "held": bench.machine.press_hold, "alarm": lambda: bench.machine.raise_alarm(1)}[state]()
+    bench.machine.output += b"half a li"
+    driver = opened(rig, bench)
+    bench.sleep(0.5)
+    assert not bench.machine.moving
+    status = driver.status()
+    assert status.state == ("alarm" if state == "alarm" else "idle")
+    # Grbl locks itself where it may have lost its place; another is homed each time it is opened.
+    assert status.homed == (protocol == "grbl" and state != "alarm")
+
+
+def test_a_board_that_takes_a_while_to_start_is_waited_for(monkeypatch):
+    rig = rig_of("grbl")
+    bench = bench_of(rig, monkeypatch)
+    bench.on_the_way = lambda data: data if bench.now > 2.0 else b""
+    assert opened(rig, bench, timeout_s=3.0).status().state == "alarm"
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_line_that_is_garbled_at_first_is_waited_for(protocol, monkeypatch):
+    rig = rig_of(protocol)
+    bench = bench_of(rig, monkeypatch)
+    bench.heard = lambda line: line if bench.now > 0.5 else "?!"
+    assert opened(rig, bench, timeout_s=3.0).status().state in ("idle", "alarm")
+    bench.heard = lambda line: "?!"
+    assert 3.0 <= spent(bench, lambda: opened(rig, bench, timeout_s=3.0), (DeadlineError, LinkError)) < 8.0
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_port_where_nothing_answers_is_left_in_time(protocol, monkeypatch):
+    rig = rig_of(protocol)
+    bench = bench_of(rig, monkeypatch)
+    bench.heard = lambda line: None
+    took = spent(bench, lambda: opened(rig, bench, timeout_s=2.0), DeadlineError)
+    assert 2.0 <= took < 7.0
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_rig_without_switches_knows_where_it_was_switched_on(protocol, monkeypatch):
+    rig = rig_of(protocol)
+    bench = bench_of(rig, monkeypatch, homing=False)
+    driver = opened(rig, bench, homing=False)
+    assert driver.status().homed
+    with pytest.raises(CommandError, match="no limit switches"):
+        driver.home()
+    driver.close()

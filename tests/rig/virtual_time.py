@@ -1,0 +1,120 @@
+"""Simulated controllers in this process, on a clock that only waiting moves."""
+
+from collections.abc import Callable
+from types import ModuleType
+
+from made import made
+from motion_rigs import definition
+
+from irodori.capture.rig import ascii_rig, controlled_rig, deadline
+from irodori.capture.rig.ascii_description import Description
+from irodori.capture.rig.connect import grbl_settings
+from irodori.capture.rig.devices import DeadlineError, Link, Rig
+from irodori.capture.rig.drives import drives_of
+from irodori.capture.rig.grbl import driver as grbl_driver
+from irodori.config.models import Rig as RigDefinition
+from irodori.simulation.controllers.ascii_simulator import AsciiMachine
+from irodori.simulation.controllers.grbl_machine import GrblMachine
+from irodori.simulation.controllers.peer_server import Machine
+
+#: Modules that look at the clock.
+CLOCKED: tuple[ModuleType, ...] = (ascii_rig, controlled_rig, deadline, grbl_driver)
+TIMEOUT_S = 1.0
+#: How far the clock goes at a time while nothing is heard, at first and at last, s.
+_STEP_S, _LONGEST_STEP_S = 1e-3, 0.05
+
+
+class Bench(Link):
+    """A controller, its line and the clock of both.
+
+    Attributes
+    ----------
+    now : float
+        Time since the start, s.
+    pace : float
+        Part of their speed at which the axes go; at 0 they are stuck.
+    on_the_way : callable
+        Returns the bytes that arrive in place of those that the driver sends.
+    heard : callable
+        Returns the line that arrives in place of one that the controller sends; None where it is lost.
+    sent : list of bytes
+    """
+
+    def __init__(self, machine: Machine, line_end: bytes) -> None:
+        self.machine, self._line_end = machine, line_end
+        self.now, self.pace, self.sent = 0.0, 1.0, list[bytes]()
+        self.on_the_way: Callable[[bytes], bytes] = lambda data: data
+        self.heard: Callable[[str], str | None] = lambda line: line
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+        self.machine.advance(seconds * self.pace)
+
+    def write(self, data: bytes) -> None:
+        self.sent.append(data)
+        for byte in self.on_the_way(data):
+            self.machine.receive(byte)
+        self.sleep(_STEP_S)
+
+    def read_line(self, timeout_s: float) -> str:
+        end, step = self.now + timeout_s, _STEP_S
+        while True:
+            line, found, rest = bytes(self.machine.output).partition(self._line_end)
+            if found:
+                self.machine.output[:] = rest
+                self.sleep(_STEP_S)
+                if (text := self.heard(line.decode("ascii").removesuffix("\r"))) is not None:
+                    return text
+            elif self.now >= end:
+                raise DeadlineError("no answer")
+            else:
+                self.sleep(min(step, max(end - self.now, 1e-6)))
+                step = min(1.5 * step, _LONGEST_STEP_S)
+
+    def discard_input(self) -> None:
+        self.machine.output.clear()
+
+    def close(self) -> None:
+        pass
+
+
+def rig_of(protocol: str, **block) -> RigDefinition:
+    """Return the definition of a rig whose axes take seconds; ``block`` replaces keys of ``motion.ascii``."""
+    rig = definition(protocol)
+    axes = rig["motion"]["axes"]
+    axes["camera_deg"] |= {"units_per_deg": -2.0, "speed_deg_per_s": 40.0, "acceleration_deg_per_s2": 50.0}
+    axes["turn_deg"] |= {"speed_deg_per_s": 60.0, "acceleration_deg_per_s2": 100.0}
+    if protocol == "ascii":
+        rig["motion"]["ascii"] |= block
+    return made(RigDefinition, rig)
+
+
+def bench_of(rig: RigDefinition, monkeypatch, homing: bool = True, seed: int = 0) -> Bench:
+    """Return the controller of a definition, and let every driver look at its clock."""
+    drives = drives_of(rig)
+    assert rig.motion is not None
+    words = rig.motion.ascii
+    if words is None:
+        bench = Bench(GrblMachine(grbl_settings(drives, homing), seed=seed), b"\n")
+    else:
+        description = Description.of(words)
+        machine = AsciiMachine(drives, description, words.simulated_replies.plain(), seed)
+        bench = Bench(machine, description.line_end)
+    for module in CLOCKED:
+        monkeypatch.setattr(module, "time", bench)
+    return bench
+
+
+def opened(rig: RigDefinition, bench: Bench, homing: bool = True, timeout_s: float = TIMEOUT_S) -> Rig:
+    """Return the driver of a controller."""
+    drives = drives_of(rig)
+    assert rig.motion is not None
+    if rig.motion.ascii is None:
+        return grbl_driver.GrblRig(bench, drives, timeout_s=timeout_s, homing=homing)
+    return ascii_rig.AsciiRig(bench, drives, Description.of(rig.motion.ascii), timeout_s=timeout_s, homing=homing)
+
+
+__all__ = ["TIMEOUT_S", "Bench", "bench_of", "opened", "rig_of"]
