@@ -16,16 +16,16 @@ POINTS = qmc.Sobol(2, seed=1).random_base2(14)
 
 
 @numba.njit
-def _drawn(lights, point, places, towards, density, again, tangent, bitangent):
+def _drawn(lights, point, places, towards, density, again):
     for i in range(len(places)):
-        density[i] = sample_towards(lights, 0, point, places[i, 0], places[i, 1], towards[i], tangent, bitangent)
+        density[i] = sample_towards(lights, 0, point, places[i, 0], places[i, 1], towards[i])
         again[i] = density_towards(lights, 0, point, towards[i])
 
 
 def drawn(lights, point):
     """Return directions drawn from a point, and their densities, which the other side of a path must find too."""
     towards, density, again = np.empty((len(POINTS), 3)), np.empty(len(POINTS)), np.empty(len(POINTS))
-    _drawn(lights, point, POINTS, towards, density, again, np.empty(3), np.empty(3))
+    _drawn(lights, point, POINTS, towards, density, again)
     assert np.allclose(np.linalg.norm(towards, axis=1), 1)
     # A direction to the very rim of a light may miss it by rounding.
     assert (density > 0).all() and np.allclose(again, density, rtol=1e-6)
