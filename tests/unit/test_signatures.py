@@ -8,8 +8,11 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 MOST = 6
-#: Who may take more, as file: name or the beginning of it, and why. None at present: kernels take named tuples.
-EXCEPTIONS: dict[str, str] = {}
+#: Who may take more, as file: name or the beginning of it, and why.
+EXCEPTIONS: dict[str, str] = {
+    "irodori/fitting/": "being moved to named tuples; to be taken out when that is merged",
+    "irodori/jit/table_sums.py": "being moved to named tuples; to be taken out when that is merged",
+}
 
 
 def functions(tree: ast.AST, prefix: str = "") -> Iterator[tuple[str, ast.FunctionDef]]:
