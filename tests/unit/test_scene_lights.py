@@ -70,7 +70,7 @@ def test_from_behind_and_from_within_its_plane_a_rectangle_gives_nothing():
     for point in ([0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [100.0, 0.0, 0.0]):
         density, towards = np.empty((2, 1)), np.zeros((1, 3))
         towards[0, 2] = 1.0
-        _drawn(lights, np.array(point), POINTS[5:6], towards, density[0], density[1], np.empty(3), np.empty(3))
+        _drawn(lights, np.array(point), POINTS[5:6], towards, density[0], density[1])
         assert density[0, 0] == 0 and density[1, 0] == 0
 
 
