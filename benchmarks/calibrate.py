@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.table import COLUMNS, arguments_of, median_s, medians_s, peak_mb_of, report, write
 from irodori.calibration.estimator_choice import choose, cross_validate
 from irodori.calibration.estimators import ESTIMATORS, fit
-from irodori.calibration.training import Noise, Training
+from irodori.calibration.training import ResponseNoise, Training
 from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
 from irodori.core.threads import use_threads
 from irodori.spectra.grid import TRAPEZOID_NM
@@ -79,7 +79,7 @@ class Trial:
         sigma = noise * self.full_scale
         chart = self.train @ self.system.T + 0.1 * sigma * rng.standard_normal((len(self.train), len(sigma)))
         seen = self.test @ self.system.T + sigma * rng.standard_normal((len(self.test), len(sigma)))
-        return Training(chart, self.train, spectrum(LIGHT), Noise(0.01 * sigma**2, sigma**2)), seen, sigma**2
+        return Training(chart, self.train, spectrum(LIGHT), ResponseNoise(0.01 * sigma**2, sigma**2)), seen, sigma**2
 
     def bound(self, noise: float) -> np.ndarray:
         """Return Wiener's matrix trained on the test set itself, camera and noise known exactly, (bands, 61)."""

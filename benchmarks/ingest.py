@@ -203,14 +203,14 @@ def measure(folder: Path, seen: Views, packed: bool, runs: int, threads: int) ->
             ingest(folder, VARIANTS[variant])
             error = response_error(folder, truth)
         megapixels = 2 * seen.shot["out"].size / 1e6
-        figures = (median, seconds["libraw"], error, peak_mb(folder, variant, threads))
-        rows.append(row(variant, suffix, megapixels, *figures))
+        peak = peak_mb(folder, variant, threads)
+        rows.append(row(variant, suffix, megapixels, median, seconds["libraw"], error=error, peak=peak))
     print(f"a process after its imports: {peak_mb(folder, 'imports', threads):.0f} MB", file=sys.stderr)
     return rows
 
 
 def row(
-    variant: str, suffix: str, megapixels: float, seconds: float, reference: float, error: float, peak: float
+    variant: str, suffix: str, megapixels: float, seconds: float, reference: float, *, error: float, peak: float
 ) -> dict:
     """Return a line of the table of speed against error."""
     speed, metric = megapixels / seconds, "rms of the response over its own"

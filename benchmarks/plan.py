@@ -23,7 +23,7 @@ from irodori.config.models import SceneLight
 from irodori.core.threads import use_threads
 from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
-from irodori.rendering.interactive.frame_renderer import Lamp, light_of, prepare_scene, render_frame
+from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, prepare_scene, render_frame
 from irodori.rendering.interactive.pixel_rays import render_pixels
 from irodori.rendering.planning.choices import choose
 from irodori.rendering.planning.modelled_scene import Parts, prepare
@@ -77,7 +77,7 @@ def measure_scene(name: str, parts: Parts, studio: Studio, arguments) -> list[di
     """Return the rows of one scene."""
     view = make_view(studio.scene.views["front"], studio.image)
     names = [item.object for item in studio.scene.objects]
-    lamps, matrix = tuple(Lamp(towards) for towards in parts.lamp_towards), xyz_from_radiance(parts.white)
+    lamps, matrix = tuple(CollimatedLamp(towards) for towards in parts.lamp_towards), xyz_from_radiance(parts.white)
     plan = partial(choose, parts, [view], names, arguments.tolerance, max_bounces=_BOUNCES, ambient=True)
     planner = plan()
     pixels = chosen_pixels(view)
@@ -100,12 +100,12 @@ def measure_scene(name: str, parts: Parts, studio: Studio, arguments) -> list[di
     # A unit for each scene: the front of speed against error is among variants of one unit.
     rows = [
         row(f"{variant} {name}", view.width * view.height, f"pixel of {name}", seconds[f"{variant}, frame"],
-            f"full {name}", seconds["full, frame"], errors[variant].p99)
+            f"full {name}", seconds["full, frame"], error=errors[variant].p99)
         for variant in work
     ]  # fmt: skip
     whole = f"full {name}, prepare", seconds["full, prepare"]
     rows += [
-        row(f"{variant} {name}, {step}", 1, "scene", seconds[key], *whole, float("nan"))
+        row(f"{variant} {name}, {step}", 1, "scene", seconds[key], *whole, error=float("nan"))
         for variant, step, key in (
             ("full", "prepare", "full, prepare"),
             ("planned", "prepare", "planned, prepare"),
@@ -115,7 +115,9 @@ def measure_scene(name: str, parts: Parts, studio: Studio, arguments) -> list[di
     return rows
 
 
-def row(variant: str, work: int, unit: str, seconds: float, reference: str, reference_s: float, error: float) -> dict:
+def row(
+    variant: str, work: int, unit: str, seconds: float, reference: str, reference_s: float, *, error: float
+) -> dict:
     """Return a line of the table of speed against error."""
     metric = "CIEDE2000 to the full model, p99" if np.isfinite(error) else ""
     values = ("plan", variant, f"{work}", unit, f"{seconds:.4f}", f"{work / seconds:.3g}", metric, f"{error:.4f}",

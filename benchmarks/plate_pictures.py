@@ -9,6 +9,7 @@ gather, its noise, its converter.
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -73,6 +74,7 @@ def leaves_scene(
     width_px: int,
     height_px: int,
     rng: np.random.Generator,
+    *,
     size_px=(3.0, 40.0),
     cover: float = 3.0,
     texture: float = 1.0,
@@ -119,8 +121,21 @@ def leaves_scene(
     return Scene(leaves, spectra @ white_weights().T, background)
 
 
-def _cells(scene: Scene, low, high):
-    """Return the leaves that touch each cell, topmost first, as starts and a list."""
+class _Sheet(NamedTuple):
+    """The leaves in the bands of one filter state, and which of them touch each cell."""
+
+    low: np.ndarray  # (2,) where the cells begin, x then y
+    columns: int
+    rows: int
+    starts: np.ndarray  # (cells + 1,) of each cell's leaves
+    listed: np.ndarray  # numbers of leaves, topmost first
+    leaves: np.ndarray  # (leaves, 9), see `Scene`
+    bands: np.ndarray  # (leaves, 2, 3)
+    background: np.ndarray  # (3,)
+
+
+def _sheet(scene: Scene, low, high, seen: slice) -> _Sheet:
+    """Return a scene's leaves between two corners, in some of its bands."""
     columns, rows = (int(n) for n in np.ceil((high - low) / _CELL_PX))
     reach = np.hypot(scene.leaves[:, 2], scene.leaves[:, 3])
     first = np.floor((scene.leaves[:, :2] - reach[:, None] - low) / _CELL_PX).astype(int)
@@ -131,12 +146,15 @@ def _cells(scene: Scene, low, high):
             for column in range(max(first[leaf, 0], 0), min(last[leaf, 0], columns - 1) + 1):
                 holds[row * columns + column].append(leaf)
     starts = np.cumsum([0] + [len(h) for h in holds])
-    return starts, np.array([leaf for h in holds for leaf in h], dtype=np.int64), columns, rows
+    listed = np.array([leaf for h in holds for leaf in h], dtype=np.int64)
+    bands, background = np.ascontiguousarray(scene.bands[..., seen]), np.ascontiguousarray(scene.background[seen])
+    return _Sheet(low, columns, rows, starts, listed, scene.leaves, bands, background)
 
 
 @numba.njit(cache=True)
-def _see(out, x, y, low, columns, rows, starts, listed, leaves, bands, background):
-    """Fill the responses of the topmost leaf at a place of the scene, in the bands of one filter state."""
+def _see(out, x, y, sheet):
+    """Fill the responses of the topmost leaf at a place of the scene."""
+    low, columns, rows, starts, listed, leaves, bands, background = sheet
     column, row = int((x - low[0]) / _CELL_PX), int((y - low[1]) / _CELL_PX)
     out[:] = background
     if column < 0 or row < 0 or column >= columns or row >= rows:
@@ -156,7 +174,7 @@ def _see(out, x, y, low, columns, rows, starts, listed, leaves, bands, backgroun
 
 
 @numba.njit(cache=True)
-def _mosaic_rows(out, first, inverse, barrel, low, columns, rows, starts, listed, leaves, bands, background):
+def _mosaic_rows(out, first, inverse, barrel, sheet):
     count = min(_BLOCK_ROWS, out.shape[0] - first)
     points = np.empty((2 * count + 2, 2 * out.shape[1] + 2, 3))
     for i in range(points.shape[0]):
@@ -167,16 +185,14 @@ def _mosaic_rows(out, first, inverse, barrel, low, columns, rows, starts, listed
             bend = 1.0 + barrel * (dx * dx + dy * dy)
             qx = inverse[0, 0] * dx * bend + inverse[0, 1] * dy * bend + inverse[0, 2]
             qy = inverse[1, 0] * dx * bend + inverse[1, 1] * dy * bend + inverse[1, 2]
-            _see(points[i, j], qx, qy, low, columns, rows, starts, listed, leaves, bands, background)
+            _see(points[i, j], qx, qy, sheet)
     gather_rows(points, first, out)
 
 
 @numba.njit(cache=True, parallel=True)
-def _mosaic(out, inverse, barrel, low, columns, rows, starts, listed, leaves, bands, background):
+def _mosaic(out, inverse, barrel, sheet):
     for block in numba.prange(-(-out.shape[0] // _BLOCK_ROWS)):
-        _mosaic_rows(
-            out, block * _BLOCK_ROWS, inverse, barrel, low, columns, rows, starts, listed, leaves, bands, background
-        )
+        _mosaic_rows(out, block * _BLOCK_ROWS, inverse, barrel, sheet)
 
 
 def render(scene: Scene, width_px: int, height_px: int, state: int, truth: Registration, barrel_px: float = 0.0):
@@ -185,7 +201,7 @@ def render(scene: Scene, width_px: int, height_px: int, state: int, truth: Regis
     ``barrel_px`` moves the picture's corners outwards by about so much, growing with the third power of the radius.
     """
     low = np.array([-_MARGIN_PX, -_MARGIN_PX])
-    starts, listed, columns, rows = _cells(scene, low, np.array([width_px, height_px]) + _MARGIN_PX)
+    high = np.array([width_px, height_px]) + _MARGIN_PX
     centre = np.array([(width_px - 1) / 2, (height_px - 1) / 2])
     c, s = np.cos(truth.rotation_rad) / truth.scale, np.sin(truth.rotation_rad) / truth.scale
     back = np.array([[c, s], [-s, c]])
@@ -195,11 +211,7 @@ def render(scene: Scene, width_px: int, height_px: int, state: int, truth: Regis
     inverse[2, :2] = np.add(centre, (truth.dx_px, truth.dy_px))
     radius = np.hypot(*centre)
     out = np.empty((2 * height_px, 2 * width_px))
-    seen = slice(3 * state, 3 * state + 3)
-    _mosaic(
-        out, inverse, -barrel_px / radius**3, low, columns, rows, starts, listed, scene.leaves,
-        np.ascontiguousarray(scene.bands[..., seen]), np.ascontiguousarray(scene.background[seen]),
-    )  # fmt: skip
+    _mosaic(out, inverse, -barrel_px / radius**3, _sheet(scene, low, high, slice(3 * state, 3 * state + 3)))
     return out
 
 

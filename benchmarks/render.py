@@ -29,7 +29,7 @@ from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.irradiance import fitted_irradiance_map
-from irodori.rendering.interactive.frame_renderer import Lamp, light_of, prepare_scene, profiled, render_frame
+from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, prepare_scene, profiled, render_frame
 from irodori.rendering.scene_arrays import make_objects, make_placements, make_tracer, make_view
 from irodori.simulation.virtual_rig.classroom import room_coefficients, source_spectra
 from irodori.simulation.virtual_rig.ground_truth import true_material
@@ -128,7 +128,7 @@ class Studio:
         view = self.scene.views["front"]
         x, y, z = rotation_xyz([0.0, 0.0, turn]) @ np.asarray(view.position_mm)
         view = make_view(replace(view, position_mm=(x, y, z)), self.image)
-        lamps = tuple(Lamp(np.array(_LAMP_DIRECTION)) for _ in range(prepared.lamps))
+        lamps = tuple(CollimatedLamp(np.array(_LAMP_DIRECTION)) for _ in range(prepared.lamps))
         rotation = rotation_xyz([0.0, 0.0, number * _STEP_DEG])
         return render_frame(prepared, view, world_from_light=rotation, lamps=lamps, **options)
 

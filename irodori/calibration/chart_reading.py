@@ -8,7 +8,7 @@ from irodori.calibration.chart import Located, locate_patches, read_located
 from irodori.calibration.illumination import Illumination, illumination
 from irodori.calibration.jitter import Jitter, jitter
 from irodori.calibration.patches import ChartReading
-from irodori.calibration.training import Noise
+from irodori.calibration.training import ResponseNoise
 from irodori.config.models import Chart
 from irodori.core import store
 from irodori.core.errors import InputError
@@ -89,7 +89,7 @@ class ChartPhotograph:
         """Return responses as if lit at normal incidence, (patches, bands)."""
         return reading.mean / self.cosine
 
-    def noise(self, reading: ChartReading) -> Noise:
+    def noise(self, reading: ChartReading) -> ResponseNoise:
         """Return the noise of patch means and of a pixel at the chart's mean level, as if lit at normal incidence.
 
         That of a pixel is the camera's noise model, where there is one; otherwise, and for the means, the scatter
@@ -99,7 +99,7 @@ class ChartPhotograph:
         pixel, patch = np.median(reading.pixel_variance, axis=0), np.median(reading.mean_variance, axis=0)
         if self.noise_model is not None:
             pixel = np.maximum(self.noise_model[:, 0] + self.noise_model[:, 1] * reading.mean.mean(axis=0), 0.0)
-        return Noise(patch / self.cosine**2, pixel / self.cosine**2)
+        return ResponseNoise(patch / self.cosine**2, pixel / self.cosine**2)
 
     def jitter(self, error) -> Jitter:
         """Return what becomes of an error as the patches are moved.

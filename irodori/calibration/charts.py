@@ -13,7 +13,7 @@ from irodori.calibration.conditioning import PatchError
 from irodori.calibration.jitter import Jitter
 from irodori.calibration.patch_order import check_order
 from irodori.calibration.patches import ChartReading
-from irodori.calibration.training import Noise
+from irodori.calibration.training import ResponseNoise
 from irodori.config.capture_table import chart_capture
 from irodori.config.models import Camera, Chart
 from irodori.config.parts import CalibratedCamera
@@ -145,11 +145,11 @@ class Charts:
         own = error.patch - int(np.argmax(self.number == which))
         return InputError(self.photographs[which].path, self.fields[which], f"patch {own}{error.fault}", accepted)
 
-    def noise(self) -> Noise:
+    def noise(self) -> ResponseNoise:
         """Return the noise of patch means and of a pixel, see `ChartPhotograph.noise`, in the mean over all patches."""
         found = [p.noise(r) for p, r in zip(self.photographs, self.readings, strict=True)]
         share = np.bincount(self.number) / self.number.size
-        return Noise(share @ [noise.patch for noise in found], share @ [noise.pixel for noise in found])
+        return ResponseNoise(share @ [noise.patch for noise in found], share @ [noise.pixel for noise in found])
 
     def jitter(self, error: Callable[[np.ndarray], float]) -> list[Jitter]:
         """Return what becomes of an error as the patches of each chart are moved, those of the others in place.

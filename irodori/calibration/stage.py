@@ -13,7 +13,7 @@ from irodori.calibration.estimator_choice import KINDS, SelectionRow, best_of
 from irodori.calibration.jitter import LIMIT, STEP_PX
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.solution import Solution, solve
-from irodori.calibration.training import Noise, Training
+from irodori.calibration.training import ResponseNoise, Training
 from irodori.calibration.unseen_patches import error_of_unseen
 from irodori.calibration.verdict import judge
 from irodori.colour.colorimetry import delta_e_reflectance, goodness_of_fit, spectral_rmse, summary
@@ -39,7 +39,7 @@ def calibrate_camera(
     *,
     lights=("D65", "A"),
     selection=None,
-    noise: Noise | None = None,
+    noise: ResponseNoise | None = None,
 ) -> None:
     """Calibrate a camera from its chart and write the calibration and its cross-validation errors.
 

@@ -28,7 +28,7 @@ _TWIN_RMS = 0.005
 
 
 @dataclass(frozen=True)
-class Noise:
+class ResponseNoise:
     """Variances of what is measured, per band, in squared units of the response.
 
     Parameters
@@ -114,7 +114,7 @@ class Training:
     response : (m, bands) float, P
     spectra : (m, 61) float, Λ
     light : (61,) float
-    noise : Noise
+    noise : ResponseNoise
     pixel_levels : bool
         Whether ``local`` prepares for pixels of stated variance; what only serves cross-validation need not.
     """
@@ -122,7 +122,7 @@ class Training:
     response: np.ndarray
     spectra: np.ndarray
     light: np.ndarray
-    noise: Noise = Noise()
+    noise: ResponseNoise = ResponseNoise()
     pixel_levels: bool = True
 
     def without(self, left_out: np.ndarray, pixel_levels: bool = False) -> "Training":

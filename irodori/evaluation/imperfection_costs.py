@@ -65,7 +65,7 @@ class Settings(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Chain:
+class SmallChain:
     """Inputs of the small chain.
 
     Parameters
@@ -83,7 +83,7 @@ class Chain:
     rig: Rig
     settings: Settings
 
-    def halved(self) -> "Chain":
+    def halved(self) -> "SmallChain":
         """Return the same with half the camera's resolution, one chart, at most 64 texels a side and some 6 poses."""
         optics, chart, faults = self.camera.optics, self.camera.chart, self.faults
         assert optics is not None  # checked: a camera of objects has optics
@@ -121,12 +121,12 @@ class Chain:
         assert self.rig.virtual is not None  # the schema has it: the rig is virtual
         return self.rig.virtual.imperfections
 
-    def with_faults(self, faults: Imperfections) -> "Chain":
+    def with_faults(self, faults: Imperfections) -> "SmallChain":
         """Return the same on a rig of other faults."""
         assert self.rig.virtual is not None
         return replace(self, rig=replace(self.rig, virtual=replace(self.rig.virtual, imperfections=faults)))
 
-    def variants(self) -> Iterator[tuple[str, "Chain"]]:
+    def variants(self) -> Iterator[tuple[str, "SmallChain"]]:
         """Yield each set of faults with its name: none, each alone, all, and all on another kind of material."""
         faults = vars(self.faults)
         enabled = [name for name, fault in faults.items() if fault.enabled]
@@ -148,7 +148,7 @@ def _of_equation_5(material: TrueMaterial) -> TypeGuard[ModelledMaterial]:
 
 
 def _photograph(
-    shots: list[Shot], chain: Chain, session: str, subject: Object | None, folder: Path, seen: dict | None = None
+    shots: list[Shot], chain: SmallChain, session: str, subject: Object | None, folder: Path, seen: dict | None = None
 ) -> Path:
     """Take all photographs of a session and return its table."""
     folder.mkdir()
@@ -161,7 +161,7 @@ def _photograph(
     return folder / "captures.csv"
 
 
-def _calibrate(chain: Chain, folder: Path) -> tuple[Path, Path]:
+def _calibrate(chain: SmallChain, folder: Path) -> tuple[Path, Path]:
     """Return the camera's reference and its calibration."""
     table = _photograph(camera_shots(chain.camera, ".dng"), chain, "camera", None, folder / "camera")
     options, light = chain.settings.ingest, chain.rig.light.spectrum
@@ -173,12 +173,12 @@ def _calibrate(chain: Chain, folder: Path) -> tuple[Path, Path]:
     return reference, calibration
 
 
-def run_chain(chain: Chain, folder: Path, seen: dict | None = None) -> Material:
+def run_chain(chain: SmallChain, folder: Path, seen: dict | None = None) -> Material:
     """Run all stages on one object and return what they found.
 
     Parameters
     ----------
-    chain : Chain
+    chain : SmallChain
     folder : path
         Empty; for the files between the stages.
     seen : dict, optional
@@ -212,7 +212,7 @@ def run_chain(chain: Chain, folder: Path, seen: dict | None = None) -> Material:
     return Material.load(material)
 
 
-def cost_rows(label: str, chain: Chain, seen: dict | None = None) -> list[CostRow]:
+def cost_rows(label: str, chain: SmallChain, seen: dict | None = None) -> list[CostRow]:
     """Run the chain and return its errors under every light; ``seen`` as of `run_chain`."""
     with tempfile.TemporaryDirectory(prefix="irodori-") as folder:
         found = run_chain(chain, Path(folder), seen)
@@ -233,18 +233,18 @@ def cost_rows(label: str, chain: Chain, seen: dict | None = None) -> list[CostRo
     return rows
 
 
-def measure_imperfections(chain: Chain | None, output) -> None:
+def measure_imperfections(chain: SmallChain | None, output) -> None:
     """Write ``imperfections.csv``; a header alone where there is no virtual object.
 
     Parameters
     ----------
-    chain : Chain or None
+    chain : SmallChain or None
     output : path
     """
     write_rows(output, CostRow, _all_costs(list(chain.halved().variants()) if chain is not None else []))
 
 
-def _all_costs(variants: list[tuple[str, Chain]]) -> Iterator[CostRow]:
+def _all_costs(variants: list[tuple[str, SmallChain]]) -> Iterator[CostRow]:
     seen: dict[str, dict] = {}  # of each definition: most faults leave alone what the object looks like
     for label, variant in track(variants, "faults"):
         for row in cost_rows(label, variant, seen.setdefault(config_hash(variant.definition.plain()), {})):

@@ -5,7 +5,7 @@ it is a top or a left edge, so that each centre inside a chart belongs to one tr
 """
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,24 +18,25 @@ NO_FACE = -1
 _ROUNDING = 1e-6
 
 
-@dataclass(frozen=True)
-class Texels:
-    """Triangles and points under the texel centres of some rows.
+class Texels(NamedTuple):
+    """Points under the texel centres of some rows.
 
-    Parameters
-    ----------
-    position : (height, width, 3) float64
-        Object frame, mm; NaN where no surface lies under the centre.
-    normal, facet : (height, width, 3) float64
-        Unit shading normal and unit normal of the surface itself, which differ on a mesh alone; NaN likewise.
-    covered : (height, width) bool
-        Where a surface lies under the centre; elsewhere is no texel.
+    ``normal`` is that of shading and ``facet`` that of the surface itself; they differ on a mesh alone.
     """
 
-    position: np.ndarray
-    normal: np.ndarray
-    facet: np.ndarray
-    covered: np.ndarray
+    position: np.ndarray  # (height, width, 3) float64, object frame, mm; NaN where no surface lies under the centre
+    normal: np.ndarray  # (height, width, 3) float64, unit; NaN likewise
+    facet: np.ndarray  # (height, width, 3) float64, unit; NaN likewise
+    covered: np.ndarray  # (height, width) bool, where a surface lies under the centre; elsewhere is no texel
+
+
+class _Triangles(NamedTuple):
+    """A mesh for compiled loops, see `irodori.geometry.mesh.Mesh`."""
+
+    vertices: np.ndarray  # (v, 3) mm
+    faces: np.ndarray  # (n, 3)
+    normals: np.ndarray  # (n, 3, 3) at the corners
+    facets: np.ndarray  # (n, 3)
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -106,7 +107,9 @@ def _rasterise(xy, face_of, overlaps):
 
 
 @njit(cache=True, error_model="numpy")
-def _locate(xy, face_of, first_row, vertices, faces, normals, facets, position, normal, facet):
+def _locate(xy, face_of, first_row, triangles, texels):
+    vertices, faces, normals, facets = triangles
+    position, normal, facet, _ = texels
     for row in range(face_of.shape[0]):
         for column in range(face_of.shape[1]):
             face = face_of[row, column]
@@ -168,6 +171,7 @@ def mesh_texels(mesh: Mesh, face_of: np.ndarray, rows: tuple[int, int] | None = 
     first, last = rows or (0, height)
     wanted = face_of[first:last]
     position, normal, facet = np.empty((3, *wanted.shape, 3))
-    xy = _in_texels(mesh, width, height)
-    _locate(xy, wanted, first, mesh.vertices_mm, mesh.faces, mesh.normals, mesh.facets, position, normal, facet)
-    return Texels(position, normal, facet, wanted != NO_FACE)
+    texels = Texels(position, normal, facet, wanted != NO_FACE)
+    triangles = _Triangles(mesh.vertices_mm, mesh.faces, mesh.normals, mesh.facets)
+    _locate(_in_texels(mesh, width, height), wanted, first, triangles, texels)
+    return texels

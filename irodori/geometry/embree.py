@@ -98,6 +98,21 @@ class Ray(NamedTuple):
     at: int
 
 
+class _Rays(NamedTuple):
+    """Rays that are traced together."""
+
+    origins: np.ndarray  # (n, 3) mm
+    directions: np.ndarray  # (n, 3) unit
+
+
+class _Hits(NamedTuple):
+    """What rays met."""
+
+    distance: np.ndarray  # (n,) mm
+    shape: np.ndarray  # (n,) int32, identifier of the shape
+    triangle: np.ndarray  # (n,) int32, within the shape
+
+
 @njit(cache=True)
 def new_ray():
     """Return a ray whose words are aligned to 64 bytes."""
@@ -152,13 +167,13 @@ def is_blocked(ray):
 
 
 @njit(cache=True)
-def _intersect_some(function, scene, origins, directions, distance, shape, triangle):
+def _intersect_some(function, scene, rays, hits, first, last):
     ray = new_ray()
-    for r in range(origins.shape[0]):
-        trace(function, scene, ray, origins[r], directions[r], np.inf)
-        shape[r] = hit_shape(ray)
-        triangle[r] = hit_primitive(ray)
-        distance[r] = hit_distance(ray)
+    for r in range(first, last):
+        trace(function, scene, ray, rays.origins[r], rays.directions[r], np.inf)
+        hits.shape[r] = hit_shape(ray)
+        hits.triangle[r] = hit_primitive(ray)
+        hits.distance[r] = hit_distance(ray)
 
 
 @njit(cache=True)
@@ -170,12 +185,10 @@ def _occluded_some(function, scene, origins, directions, far, out):
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def _intersect(function, scene, origins, directions, distance, shape, triangle):
-    count = origins.shape[0]
+def _intersect(function, scene, rays, hits):
+    count = rays.origins.shape[0]
     for chunk in numba.prange((count + _CHUNK - 1) // _CHUNK):
-        a, b = chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)
-        some = (distance[a:b], shape[a:b], triangle[a:b])
-        _intersect_some(function, scene, origins[a:b], directions[a:b], some[0], some[1], some[2])
+        _intersect_some(function, scene, rays, hits, chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK))
 
 
 @njit(cache=True, parallel=True, nogil=True)
@@ -284,7 +297,8 @@ class Tracer:
         directions = np.ascontiguousarray(directions, dtype=np.float64)
         distance = np.empty(len(origins))
         shape, triangle = np.empty((2, len(origins)), dtype=np.int32)
-        _intersect(self.intersect_address, self.scene, origins, directions, distance, shape, triangle)
+        hits = _Hits(distance, shape, triangle)
+        _intersect(self.intersect_address, self.scene, _Rays(origins, directions), hits)
         distance[shape == NO_HIT] = np.inf
         for identifier, placement in enumerate(self.placements):
             chosen = shape == identifier

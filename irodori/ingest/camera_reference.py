@@ -15,7 +15,7 @@ from irodori.ingest.flat_field import evaluate_flat, fit_flat
 from irodori.ingest.ingest_options import IngestOptions
 from irodori.ingest.linearity import measure_linearity
 from irodori.ingest.mosaic import decode
-from irodori.ingest.photon_transfer import Noise, measure_noise
+from irodori.ingest.photon_transfer import PhotonTransfer, measure_noise
 from irodori.ingest.shot_alignment import Alignment, nominal_alignment
 from irodori.spectra.white_reference import white_reflectance
 
@@ -30,7 +30,7 @@ class Reference:
     white : dict
         Filter state -> (3, 15) coefficients of the response rate of a perfect diffuser lit at normal incidence, full
         scales per second of relative exposure; empty without white reference.
-    noise : Noise
+    noise : PhotonTransfer
     size_px : (width, height)
         Of the mosaic; (0, 0) where there is neither dark frame nor white reference.
     known : list of str
@@ -41,7 +41,7 @@ class Reference:
 
     dark: Dark | None
     white: dict[str, np.ndarray]
-    noise: Noise
+    noise: PhotonTransfer
     size_px: tuple[int, int]
     known: list[str]
     alignment: Alignment | None
@@ -54,7 +54,7 @@ class Reference:
             states = file.attribute("filters")
             white = file.read("white") if "white" in file else np.zeros((0, 3, 15))
             fields = ("gain_e_per_dn", "gain_error", "read_noise_dn", "read_noise_error")
-            noise = Noise(
+            noise = PhotonTransfer(
                 **{name: file.attribute(name) for name in fields},
                 gain_by_colour=tuple(file.read("gain")[:, 0]),
                 gain_error_by_colour=tuple(file.read("gain")[:, 1]),
@@ -177,7 +177,7 @@ def _write_dark(out: store.Writer, dark: Dark | None) -> None:
     out.attribute("hot_pixels", len(dark.hot_px))
 
 
-def _write_noise(out: store.Writer, noise: Noise) -> None:
+def _write_noise(out: store.Writer, noise: PhotonTransfer) -> None:
     gains = np.stack([noise.gain_by_colour, noise.gain_error_by_colour], axis=1)
     out.write("gain", gains, units="1/DN", dims="band,value", quantity="electrons per DN, standard error")
     for name in ("gain_e_per_dn", "gain_error", "read_noise_dn", "read_noise_error", "read_noise_e"):

@@ -4,6 +4,8 @@ The surface is a polynomial of degree 4 in x and y, each from -1 to 1 over the p
 noise and dust do not enter the object, and 15 numbers a band replace a picture.
 """
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
@@ -74,13 +76,23 @@ def axis(size: int) -> np.ndarray:
     return np.linspace(-1.0, 1.0, size) if size > 1 else np.zeros(1)
 
 
+class _RowSums(NamedTuple):
+    """Sums over the valid pixels of each row of a picture (height, width, bands)."""
+
+    moments: np.ndarray  # (height, 2 DEGREE + 1) of x^i
+    products: np.ndarray  # (height, bands, DEGREE + 1) of the picture times x^i
+    squares: np.ndarray  # (height, bands) of the picture's squares
+    counts: np.ndarray  # (height,) int64 valid pixels
+
+
 @njit(cache=True, nogil=True)
-def _moments_of_row(image, valid, x, moments, products, squares):
-    count = 0
+def _sum_row(pictures, valids, x, sums, row):
+    image, valid, moments = pictures[row], valids[row], sums.moments[row]
+    products, squares = sums.products[row], sums.squares[row]
     for column in range(valid.size):
         if not valid[column]:
             continue
-        count += 1
+        sums.counts[row] += 1
         power = 1.0
         for i in range(2 * DEGREE + 1):
             moments[i] += power
@@ -90,19 +102,18 @@ def _moments_of_row(image, valid, x, moments, products, squares):
             power *= x[column]
         for band in range(image.shape[1]):
             squares[band] += float(image[column, band]) ** 2
-    return count
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def _sum_rows(image, valid, x, moments, products, squares, counts):
+def _sum_rows(image, valid, x, sums):
     for row in numba.prange(valid.shape[0]):
-        counts[row] = _moments_of_row(image[row], valid[row], x, moments[row], products[row], squares[row])
+        _sum_row(image, valid, x, sums, row)
 
 
 def _row_moments(image, valid):
-    """Return, for each row, sums of x^i, of image x^i, of image², and the number of valid pixels."""
+    """Return the sums over the valid pixels of each row."""
     height, _, bands = image.shape
     moments, products = np.zeros((height, 2 * DEGREE + 1)), np.zeros((height, bands, DEGREE + 1))
-    squares, counts = np.zeros((height, bands)), np.zeros(height, dtype=np.int64)
-    _sum_rows(image, valid, axis(image.shape[1]), moments, products, squares, counts)
-    return moments, products, squares, counts
+    sums = _RowSums(moments, products, np.zeros((height, bands)), np.zeros(height, dtype=np.int64))
+    _sum_rows(image, valid, axis(image.shape[1]), sums)
+    return sums

@@ -13,81 +13,122 @@ leans:
 With one exposure nothing predicts, and the clip level alone decides.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.ingest import flat_field as flat_field
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
 _BLOCK = 8  # samples along the side of a block
+_CHUNKS = 32  # of rows of blocks, which threads take one after the other
 _FADE_FROM, _FADE_TO = 0.6, 0.85  # of the range from black to clip level
 #: Stands for a dark frame that is not there; strided like a view of one, so that the loops are compiled once.
 ABSENT = np.zeros((4, 4), dtype=np.int16)[::2, ::2]
 _TEXTURE = 2.0  # variance of a block over that of its noise; noise alone scatters it by 18 %
 
 
-@dataclass(frozen=True)
-class Bracket:
-    """Exposures of one filter state, in ascending order, as the merge takes them.
+class Bracket(NamedTuple):
+    """Exposures of one filter state, in ascending order, as the merge takes them; each field (K,) float64.
 
-    Parameters
-    ----------
-    exposure_dn : (K,) float64
-        Digital numbers above black that a response rate of 1 leaves: relative exposure in s times full scale; each
-        above the one before.
-    dark_s : (K,) float64
-        Exposure times for the dark signal's rate, s, times the amplification relative to the dark frames.
-    electrons_per_dn, read_dn2 : (K,) float64
-        Noise of each exposure; NaN where unknown: samples then weigh by exposure, which is inverse variance where shot
-        noise rules.
+    Where the noise of an exposure is unknown, NaN, samples weigh by exposure, which is inverse variance where shot
+    noise rules.
     """
 
+    #: Digital numbers above black that a response rate of 1 leaves: relative exposure in s times full scale; each above
+    #: the one before.
     exposure_dn: np.ndarray
-    dark_s: np.ndarray
+    dark_s: np.ndarray  # for the dark signal's rate, s, times the amplification relative to the dark frames
     electrons_per_dn: np.ndarray
     read_dn2: np.ndarray
 
 
-@dataclass(frozen=True)
-class Planes:
-    """Samples of each place of the mosaic's pattern, or of each band after demosaicing.
+class Planes(NamedTuple):
+    """Samples of each place of the mosaic's pattern, or of each band after demosaicing."""
 
-    Parameters
-    ----------
-    samples : tuple of (K, height, width) uint16
-        One array a place; may be strided views.
-    bands : (places,) int64
-    black, clip : (places, K) float64
-        Digital numbers of no light, dark signal included where there is no dark frame, and from which a sample clips.
-    offset, rate : tuple of (height, width) int16
-        Dark frame, one array a place; ABSENT where there is none, with a step of 0.
-    steps : (float, float)
-        Digital numbers of one step of offset, DN/s of one step of rate.
-    """
+    samples: tuple  # of (K, height, width) uint16, one array a place; may be strided views
+    bands: np.ndarray  # (places,) int64
+    black: np.ndarray  # (places, K) float64 DN of no light, dark signal included where there is no dark frame
+    clip: np.ndarray  # (places, K) float64 DN from which a sample clips
+    offset: tuple  # of (height, width) int16, dark frame, one array a place; ABSENT where there is none
+    rate: tuple  # likewise
+    steps: tuple[float, float]  # DN of one step of offset, DN/s of one step of rate; 0 where there is no dark frame
 
-    samples: tuple
-    bands: np.ndarray
-    black: np.ndarray
-    clip: np.ndarray
-    offset: tuple
-    rate: tuple
+
+class _Place(NamedTuple):
+    """Samples of one place, fields as of `Planes`."""
+
+    samples: np.ndarray  # (K, height, width)
+    black: np.ndarray  # (K,)
+    clip: np.ndarray  # (K,)
+    offset: np.ndarray  # (height, width)
+    rate: np.ndarray  # (height, width)
     steps: tuple[float, float]
 
 
+class _Flat(NamedTuple):
+    """The flat field's polynomials."""
+
+    surface: np.ndarray  # (3, power of x, power of y) coefficients; empty where there is none
+    axes: tuple[float, float, float, float]  # coordinate of the first sample and step, along y and along x
+
+
+class _Merged(NamedTuple):
+    """What a merge fills."""
+
+    out: np.ndarray  # (height, width, 3) float32 responses, 0 where clipped
+    clipped: np.ndarray  # (height, width) bool
+    counts: np.ndarray  # (blocks, 3, K) samples that each exposure gave, those near clipping in part
+
+
+class _Rows(NamedTuple):
+    """Sums of one band over the places of a row of blocks."""
+
+    first: int  # row of the picture
+    total: np.ndarray  # (rows, width) float32 of the merged samples
+    excess: np.ndarray  # (rows, width) float32, of all bands together; from 0 on where a band clips
+    counts: np.ndarray  # (K,)
+
+
+class _Weighing(NamedTuple):
+    """What the blocks of a row decide about their samples, (blocks, K)."""
+
+    weights: np.ndarray
+    predicted: np.ndarray  # levels, DN above black and dark; NaN where nothing predicts
+
+
+class _Sums(NamedTuple):
+    """Sums of one row of one place, (width,), and its dark signal, DN."""
+
+    dark: np.ndarray
+    top: np.ndarray  # of weighted rates
+    bottom: np.ndarray  # of weights
+
+
+class _Levels(NamedTuple):
+    """Levels of a single exposure, float32."""
+
+    offset_step: np.float32  # DN
+    rate_step: np.float32  # DN
+    black: np.float32
+    clip: np.float32
+    scale: np.float32  # response per DN
+
+
 @njit(cache=True, nogil=True, fastmath=True)
-def _single_row(samples, offset, rate, steps, black, clip, scale, total, excess):
+def _add_single(samples, offset, rate, levels, total, excess):
     """Add the scaled samples of one exposure of one place to a row; note by how much the largest passes its clip."""
+    black, clip, scale = levels.black, levels.clip, levels.scale
     for x in range(samples.size):
         total[x] += (np.float32(samples[x]) - black) * scale
         excess[x] = max(excess[x], np.float32(samples[x]) - clip)
-    if steps[1] != 0.0:
-        step = steps[1] * scale
+    if levels.rate_step != 0.0:
+        step = levels.rate_step * scale
         for x in range(samples.size):
             total[x] -= step * np.float32(rate[x])
-    if steps[0] != 0.0:
-        step = steps[0] * scale
+    if levels.offset_step != 0.0:
+        step = levels.offset_step * scale
         for x in range(samples.size):
             total[x] -= step * np.float32(offset[x])
 
@@ -107,12 +148,13 @@ def _block_moments(values, first, last, left, right):
 
 
 @njit(cache=True, nogil=True)
-def _weigh_block(means, variances, exposure, gain, read, room, weights, predicted):
+def _weigh_block(means, variances, bracket, room, weights, predicted):
     """Set each exposure's inverse variance of the rate from the block's common signal, and the level predicted for it.
 
     ``means`` are levels above black and dark, DN; clipped samples counted with their clipped value. There is no
     prediction, NaN, where the next shorter exposure varies by more than its noise: by texture.
     """
+    exposure, gain, read = bracket.exposure_dn, bracket.electrons_per_dn, bracket.read_dn2
     signal, seconds = means[0], exposure[0]
     for k in range(1, exposure.size):
         if means[k] < _FADE_TO * room[k]:
@@ -132,18 +174,19 @@ def _weigh_block(means, variances, exposure, gain, read, room, weights, predicte
 
 
 @njit(cache=True, nogil=True)
-def _weigh_row(first, last, samples, offset, rate, steps, black, clip, exposures, weights, predicted):
-    """Fill weights and predictions of a row of blocks, (blocks, K)."""
-    exposure, dark_s, gain, read = exposures
-    means, variances, room = np.empty(exposure.size), np.empty(exposure.size), clip - black
-    for block in range(weights.shape[0]):
+def _weigh_row(first, last, place, bracket, weighing):
+    """Fill what a row of blocks decides."""
+    samples, black, clip, offset, rate, steps = place
+    count, dark_s = bracket.exposure_dn.size, bracket.dark_s
+    means, variances, room = np.empty(count), np.empty(count), clip - black
+    for block in range(weighing.weights.shape[0]):
         left, right = block * _BLOCK, min((block + 1) * _BLOCK, samples.shape[2])
         fixed = steps[0] * _block_moments(offset, first, last, left, right)[0] if steps[0] != 0.0 else 0.0
         slope = steps[1] * _block_moments(rate, first, last, left, right)[0] if steps[1] != 0.0 else 0.0
-        for k in range(exposure.size):
+        for k in range(count):
             level, variances[k] = _block_moments(samples[k], first, last, left, right)
             means[k] = level - black[k] - fixed - slope * dark_s[k]
-        _weigh_block(means, variances, exposure, gain, read, room, weights[block], predicted[block])
+        _weigh_block(means, variances, bracket, room, weighing.weights[block], weighing.predicted[block])
 
 
 @njit(cache=True, nogil=True)
@@ -159,12 +202,12 @@ def _dark_row(offset, rate, step, slope, dark):
 
 
 @njit(cache=True, nogil=True)
-def _add_exposure(k, samples, dark, black, clip, exposure, weights, predicted, top, bottom):
-    """Add exposure k of a row to the sums of weighted rates and of weights; return the sum of its fades."""
-    used = 0.0
-    seconds, room = exposure[k], clip - black
-    for block in range(weights.shape[0]):
-        weight, expected = weights[block, k], predicted[block, k]
+def _add_exposure(place, seconds, k, y, weighing, sums):
+    """Add exposure k of a row to the sums; return the sum of its fades."""
+    samples, black, clip, used = place.samples[k, y], place.black[k], place.clip[k], 0.0
+    (dark, top, bottom), room = sums, clip - black
+    for block in range(weighing.weights.shape[0]):
+        weight, expected = weighing.weights[block, k], weighing.predicted[block, k]
         for x in range(block * _BLOCK, min((block + 1) * _BLOCK, samples.size)):
             value = float(samples[x])
             if value >= clip:
@@ -183,22 +226,21 @@ def _add_exposure(k, samples, dark, black, clip, exposure, weights, predicted, t
 
 
 @njit(cache=True, nogil=True)
-def _merge_place(first, last, samples, offset, rate, steps, black, clip, exposures, scale, total, excess, counts):
+def _merge_place(place, bracket, scale, rows):
     """Merge one place's samples in the rows of one row of blocks and add them, scaled, to the band's total."""
-    exposure, dark_s, _, _ = exposures
-    count, _, width = samples.shape
+    first, total, excess, counts = rows
+    last, steps, (count, _, width) = first + total.shape[0], place.steps, place.samples.shape
     blocks = (width + _BLOCK - 1) // _BLOCK
-    weights, predicted = np.empty((blocks, count)), np.empty((blocks, count))
-    _weigh_row(first, last, samples, offset, rate, steps, black, clip, exposures, weights, predicted)
+    weighing = _Weighing(np.empty((blocks, count)), np.empty((blocks, count)))
+    _weigh_row(first, last, place, bracket, weighing)
     dark, top, bottom = np.empty(width), np.empty(width), np.empty(width)
+    sums = _Sums(dark, top, bottom)
     for y in range(first, last):
         top[:] = 0.0
         bottom[:] = 0.0
         for k in range(count):
-            _dark_row(_row(offset, y), _row(rate, y), steps[0], steps[1] * dark_s[k], dark)
-            counts[k] += _add_exposure(
-                k, samples[k, y], dark, black[k], clip[k], exposure, weights, predicted, top, bottom
-            )
+            _dark_row(_row(place.offset, y), _row(place.rate, y), steps[0], steps[1] * bracket.dark_s[k], dark)
+            counts[k] += _add_exposure(place, bracket.exposure_dn[k], k, y, weighing, sums)
         for x in range(width):
             if bottom[x] > 0.0:
                 total[y - first, x] += np.float32(top[x] / bottom[x] * scale)
@@ -238,11 +280,27 @@ def _store_row(total, excess, out, clipped):
 
 
 @njit(cache=True, nogil=True)
-def _block_row(first, last, samples, offset, rate, steps, levels, exposures, surface, axes, out, clipped, counts):
+def _add_singles(place, bracket, scale, rows):
+    """Add one place's samples of a single exposure in the rows of one row of blocks, scaled, to the band's total."""
+    levels = _Levels(
+        np.float32(place.steps[0]),
+        np.float32(place.steps[1] * bracket.dark_s[0]),
+        np.float32(place.black[0]),
+        np.float32(place.clip[0]),
+        np.float32(scale / bracket.exposure_dn[0]),
+    )
+    for row in range(rows.total.shape[0]):
+        y = rows.first + row
+        offset, rate = _row(place.offset, y), _row(place.rate, y)
+        _add_single(place.samples[0, y], offset, rate, levels, rows.total[row], rows.excess[row])
+
+
+@njit(cache=True, nogil=True)
+def _block_row(planes, bracket, flat, merged, block):
     """Compute the three bands of one row of blocks."""
-    bands, black, clip = levels
-    exposure, dark_s, _, _ = exposures
-    places, height, width = len(samples), last - first, out.shape[1]
+    first, last = block * _BLOCK, min((block + 1) * _BLOCK, merged.out.shape[0])
+    bands, surface, axes = planes.bands, flat.surface, flat.axes
+    places, height, width = len(planes.samples), last - first, merged.out.shape[1]
     total = np.zeros((3, height, width), dtype=np.float32)
     excess = np.full((height, width), np.float32(-1.0))
     for p in range(places):
@@ -250,34 +308,25 @@ def _block_row(first, last, samples, offset, rate, steps, levels, exposures, sur
         for q in range(places):
             shared += bands[q] == bands[p]
         scale = 1.0 / shared
-        if exposure.size > 1:
-            _merge_place(
-                first, last, samples[p], offset[p], rate[p], steps, black[p], clip[p], exposures, scale,
-                total[bands[p]], excess, counts[bands[p]],
-            )  # fmt: skip
-            continue
-        at = (np.float32(steps[0]), np.float32(steps[1] * dark_s[0]))
-        floor, top = np.float32(black[p, 0]), np.float32(clip[p, 0])
-        for y in range(first, last):
-            _single_row(
-                samples[p][0, y], _row(offset[p], y), _row(rate[p], y), at, floor, top,
-                np.float32(scale / exposure[0]), total[bands[p], y - first], excess[y - first],
-            )  # fmt: skip
+        place = _Place(
+            planes.samples[p], planes.black[p], planes.clip[p], planes.offset[p], planes.rate[p], planes.steps
+        )
+        rows = _Rows(first, total[bands[p]], excess, merged.counts[block, bands[p]])
+        if bracket.exposure_dn.size > 1:
+            _merge_place(place, bracket, scale, rows)
+        else:
+            _add_singles(place, bracket, scale, rows)
     for y in range(first, last):
         if surface.size > 0:
             for b in range(3):
                 _flat_row(surface[b], axes[0] + y * axes[1], axes[2], axes[3], total[b, y - first])
-        _store_row(total[:, y - first], excess[y - first], out[y], clipped[y])
+        _store_row(total[:, y - first], excess[y - first], merged.out[y], merged.clipped[y])
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def _merge(samples, offset, rate, steps, levels, exposures, surface, axes, out, clipped, counts):
-    height = out.shape[0]
-    for block in numba.prange((height + _BLOCK - 1) // _BLOCK):
-        first, last = block * _BLOCK, min((block + 1) * _BLOCK, height)
-        _block_row(
-            first, last, samples, offset, rate, steps, levels, exposures, surface, axes, out, clipped, counts[block]
-        )
+@njit(cache=True, nogil=True)
+def _merge_some(planes, bracket, flat, merged, first, last):
+    for block in range(first, last):
+        _block_row(planes, bracket, flat, merged, block)
 
 
 def merge(planes: Planes, bracket: Bracket, white, sample_px: int, out: np.ndarray, clipped: np.ndarray) -> np.ndarray:
@@ -311,11 +360,9 @@ def merge(planes: Planes, bracket: Bracket, white, sample_px: int, out: np.ndarr
         surface = flat_field.grid(white)
     height, width = out.shape[:2]
     counts = np.zeros((-(-height // _BLOCK), 3, bracket.exposure_dn.size))
-    _merge(
-        planes.samples, planes.offset, planes.rate, planes.steps, (planes.bands, planes.black, planes.clip),
-        (bracket.exposure_dn, bracket.dark_s, bracket.electrons_per_dn, bracket.read_dn2),
-        surface, (*_axis(height, sample_px), *_axis(width, sample_px)), out, clipped, counts,
-    )  # fmt: skip
+    flat = _Flat(surface, (*_axis(height, sample_px), *_axis(width, sample_px)))
+    chunk = -(-len(counts) // _CHUNKS)
+    run_chunks(_merge_some, len(counts), chunk, planes, bracket, flat, _Merged(out, clipped, counts))
     if bracket.exposure_dn.size == 1:
         return np.ones((3, 1))
     places = np.bincount(planes.bands, minlength=3)[:, None]

@@ -24,7 +24,7 @@ _DARK_ROLE = "dark"
 
 
 @dataclass(frozen=True)
-class Noise:
+class PhotonTransfer:
     """Photon transfer of a camera, at one ISO.
 
     Parameters
@@ -194,7 +194,7 @@ def equal_pairs(shots: list[Shot]) -> list[tuple[Shot, Shot]]:
     return [pair for group in groups.values() for pair in zip(group[::2], group[1::2], strict=False)]
 
 
-def measure_noise(shots: list[Shot], table, folder, hot_px: np.ndarray) -> Noise:
+def measure_noise(shots: list[Shot], table, folder, hot_px: np.ndarray) -> PhotonTransfer:
     """Return a camera's noise from the pairs of equal frames among its dark frames and white references.
 
     Pairs of the ISO that most lit pairs have count; of more than 12 pairs the first of every level count.
@@ -202,7 +202,7 @@ def measure_noise(shots: list[Shot], table, folder, hot_px: np.ndarray) -> Noise
     pairs = [pair for pair in equal_pairs(shots) if pair[0].role in (_DARK_ROLE, "white")]
     lit = [first.iso for first, _ in pairs if first.role != _DARK_ROLE] or [first.iso for first, _ in pairs]
     if not pairs:
-        return Noise()
+        return PhotonTransfer()
     iso = max(sorted(set(lit)), key=lit.count)
     pairs = [pair for pair in pairs if pair[0].iso == iso]
     pairs = _spread(pairs)[:_MAX_PAIRS]
@@ -214,11 +214,11 @@ def measure_noise(shots: list[Shot], table, folder, hot_px: np.ndarray) -> Noise
             continue
         found.append(transfer_points(a, b, hot_px))
     if not found:
-        return Noise()
+        return PhotonTransfer()
     points = np.concatenate(found)
     overall = fit_transfer(points)
     by_colour = [fit_transfer(points[points[:, 0] == band]) for band in range(3)]
-    noise = Noise(*overall, tuple(c[0] for c in by_colour), tuple(c[1] for c in by_colour), iso)
+    noise = PhotonTransfer(*overall, tuple(c[0] for c in by_colour), tuple(c[1] for c in by_colour), iso)
     LOGGER.info(
         "photon transfer from %d pairs: gain %.4g ± %.2g e/DN, read noise %.4g ± %.2g DN",
         len(pairs), *overall,

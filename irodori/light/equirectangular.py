@@ -1,8 +1,10 @@
 """Interpolated look-up in equirectangular pictures, across the seam and the poles."""
 
 import math
+from typing import NamedTuple
 
 import numba
+import numpy as np
 
 from irodori.jit.compilation import njit
 
@@ -26,22 +28,29 @@ def _row_and_shift(row, height, width):
     return row, 0
 
 
+class StackedPicture(NamedTuple):
+    """One of some pictures that stand after each other in an array."""
+
+    pixels: np.ndarray  # (all pixels, k) float
+    first: int  # pixel of the picture
+    width: int
+    height: int
+
+
 @njit(cache=True)
-def add_interpolated(pixels, first, width, height, x, y, z, scale, out):
+def add_interpolated(picture, direction, scale, out):
     """Add ``scale`` times the bilinear value of an equirectangular picture in a direction.
 
     Parameters
     ----------
-    pixels : (all pixels, k) float
-        Pictures after each other, rows from the zenith.
-    first, width, height : int
-        First pixel of the picture and its size; an even width closes exactly over the poles.
-    x, y, z : float
-        Unit direction.
+    picture : StackedPicture
+        Rows from the zenith; an even width closes exactly over the poles.
+    direction : tuple of 3 float, unit
     scale : float
     out : (k,) float
     """
-    u, v = direction_uv(x, y, z)
+    pixels, first, width, height = picture
+    u, v = direction_uv(direction[0], direction[1], direction[2])
     column, row = u * width - 0.5, v * height - 0.5
     c0, r0 = math.floor(column), math.floor(row)
     fx, fy = column - c0, row - r0
@@ -64,4 +73,5 @@ def look_up(picture, directions, out):
     pixels = picture.reshape(height * width, bases)
     for i in numba.prange(directions.shape[0]):
         out[i] = 0.0
-        add_interpolated(pixels, 0, width, height, directions[i, 0], directions[i, 1], directions[i, 2], 1.0, out[i])
+        direction = directions[i, 0], directions[i, 1], directions[i, 2]
+        add_interpolated(StackedPicture(pixels, 0, width, height), direction, 1.0, out[i])

@@ -155,9 +155,9 @@ def make_cells(pixels: Pixels) -> Cells:
 
 
 @njit(cache=True)
-def _lower_bound(cells, level, nx, ny, nz):
+def _lower_bound(cells, level, normal):
     """Return what the cells of a level that are wholly above the horizon give to the irradiance of |L|, and Σ |L|."""
-    first = cells.first[level]
+    first, (nx, ny, nz) = cells.first[level], normal
     found, total = 0.0, 0.0
     for j in range(first, first + cells.rows[level] * cells.columns[level]):
         total += cells.power[j]
@@ -169,9 +169,9 @@ def _lower_bound(cells, level, nx, ny, nz):
 
 
 @njit(cache=True)
-def _add_pixels(pixels, i, j, nx, ny, nz, out):
+def _add_pixels(pixels, i, j, normal, out):
     """Add the pixels of a block by themselves."""
-    values = pixels.values
+    values, (nx, ny, nz) = pixels.values, normal
     height, width, bases = values.shape
     for row in range(i * _BLOCK, min(height, (i + 1) * _BLOCK)):
         s, weight = pixels.sin_theta[row], pixels.solid_angle[row]
@@ -184,9 +184,10 @@ def _add_pixels(pixels, i, j, nx, ny, nz, out):
 
 
 @njit(cache=True)
-def _add_irradiance(cells, pixels, coarse, nx, ny, nz, levels, places, out):
-    """Add the irradiance of a normal; ``levels`` and ``places`` are the stack of cells to look at."""
-    bound, total = _lower_bound(cells, coarse, nx, ny, nz)
+def _add_irradiance(cells, pixels, coarse, normal, stack, out):
+    """Add the irradiance of a normal; ``stack`` has the levels and the places of the cells to look at."""
+    (nx, ny, nz), (levels, places) = normal, stack
+    bound, total = _lower_bound(cells, coarse, normal)
     limit = _TOLERANCE * max(bound, _DARKEST * total)
     top = cells.first.size - 1
     waiting = cells.rows[top] * cells.columns[top]
@@ -204,7 +205,7 @@ def _add_irradiance(cells, pixels, coarse, nx, ny, nz, levels, places, out):
             columns = cells.columns[level]
             i, k = place // columns, place % columns
             if level == 0:
-                _add_pixels(pixels, i, k, nx, ny, nz, out)
+                _add_pixels(pixels, i, k, normal, out)
                 continue
             below_rows, below_columns = cells.rows[level - 1], cells.columns[level - 1]
             for row in range(2 * i, min(2 * i + 2, below_rows)):
@@ -225,17 +226,18 @@ def _add_irradiance(cells, pixels, coarse, nx, ny, nz, levels, places, out):
 
 
 @njit(cache=True)
-def _irradiance_range(cells, pixels, coarse, normals, first, last, out):
-    levels, places = np.empty(_STACK, dtype=np.int64), np.empty(_STACK, dtype=np.int64)
-    for i in range(first, last):
-        _add_irradiance(cells, pixels, coarse, normals[i, 0], normals[i, 1], normals[i, 2], levels, places, out[i])
+def _add_irradiances(cells, pixels, coarse, normals, out):
+    stack = np.empty(_STACK, dtype=np.int64), np.empty(_STACK, dtype=np.int64)
+    for i in range(normals.shape[0]):
+        _add_irradiance(cells, pixels, coarse, (normals[i, 0], normals[i, 1], normals[i, 2]), stack, out[i])
 
 
 @njit(cache=True, parallel=True, nogil=True)
 def _irradiance(cells, pixels, coarse, normals, out):
     chunk = 64
     for part in numba.prange((normals.shape[0] + chunk - 1) // chunk):
-        _irradiance_range(cells, pixels, coarse, normals, part * chunk, min((part + 1) * chunk, normals.shape[0]), out)
+        first, last = part * chunk, min((part + 1) * chunk, normals.shape[0])
+        _add_irradiances(cells, pixels, coarse, normals[first:last], out[first:last])
 
 
 class Integrator:

@@ -6,7 +6,7 @@ import numpy as np
 
 from irodori.core.errors import InputError
 from irodori.export.pictures import Header, layers_of, picture_bands, picture_header
-from irodori.light.omnidirectional import BAND_ROWS, Picture, from_panorama
+from irodori.light.omnidirectional import BAND_ROWS, OmnidirectionalPicture, from_panorama
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import light
 from irodori.spectra.published_tables import published_table
@@ -43,13 +43,13 @@ def _panorama_header(path) -> Header:
     return header
 
 
-def _panorama(size: tuple[int, int], basis: np.ndarray, read, path, origin: dict) -> Picture:
+def _panorama(size: tuple[int, int], basis: np.ndarray, read, path, origin: dict) -> OmnidirectionalPicture:
     """Return the picture of a file; refuse one that cannot be all directions on an equirectangular grid."""
     height, width = size
     if abs(width - 2 * height) > _ODD_SHARE * width:
         accepted = "an equirectangular panorama of all directions, twice as wide as high"
         raise InputError(path, "", f"{width} x {height} pixels", accepted)
-    return Picture(size, basis, read, path, origin)
+    return OmnidirectionalPicture(size, basis, read, path, origin)
 
 
 def _finite(band: np.ndarray, first: int, path) -> np.ndarray:
@@ -81,7 +81,7 @@ class _NotNegative:
         return out
 
 
-def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Picture:
+def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> OmnidirectionalPicture:
     """Return the light of an RGB panorama, spectra by Mallett and Yuksel (2019), an assumption.
 
     Parameters
@@ -127,7 +127,7 @@ def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Pi
     return _panorama(header.size, mallett_basis(), read, path, origin)
 
 
-def spectral_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Picture:
+def spectral_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> OmnidirectionalPicture:
     """Return the light of a spectral EXR in the published layout, brought to the 61 wavelengths.
 
     Parameters

@@ -14,7 +14,7 @@ from irodori.config.models import MirrorBallSource, Size
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.light.environment_file import directions
-from irodori.light.omnidirectional import Picture, bands
+from irodori.light.omnidirectional import OmnidirectionalPicture, bands
 from irodori.light.placed_lights import direction_of
 from irodori.reflection.fresnel import fresnel
 from irodori.spectra.grid import SAMPLES
@@ -111,7 +111,7 @@ def _bilinear(values: np.ndarray, valid: np.ndarray, x: np.ndarray, y: np.ndarra
     return total / weight[..., None]
 
 
-def unwrapped(source: MirrorBallSource, image: Size, weights, valid, basis: np.ndarray, path) -> Picture:
+def unwrapped(source: MirrorBallSource, image: Size, weights, valid, basis: np.ndarray, path) -> OmnidirectionalPicture:
     """Return the light around a mirror ball; the photograph is held whole, for its pixels are wanted in no order.
 
     Parameters
@@ -155,4 +155,4 @@ def unwrapped(source: MirrorBallSource, image: Size, weights, valid, basis: np.n
         "assumption": "an orthographic camera: it stands far from the ball against the ball's radius",
         "blind_fraction": blind,
     }
-    return Picture(size, full, read, path, origin)
+    return OmnidirectionalPicture(size, full, read, path, origin)

@@ -16,7 +16,7 @@ BAND_ROWS = 32
 
 
 @dataclass(frozen=True)
-class Picture:
+class OmnidirectionalPicture:
     """Light from every direction, read a band of rows at a time, as often as wanted.
 
     Parameters

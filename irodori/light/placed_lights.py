@@ -7,7 +7,7 @@ import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights
 from irodori.light.environment_file import directions
-from irodori.light.omnidirectional import Picture, bands
+from irodori.light.omnidirectional import OmnidirectionalPicture, bands
 from irodori.spectra.published import light
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def raster(definition: "PlacedLight", size: tuple[int, int]) -> Callable[[slice]
     return lambda rows: factor * shape(rows)
 
 
-def lights_picture(lights: "Sequence[PlacedLight]", width: int, height: int) -> Picture:
+def lights_picture(lights: "Sequence[PlacedLight]", width: int, height: int) -> OmnidirectionalPicture:
     """Return the light of placed lights, one basis vector a light.
 
     Parameters
@@ -118,4 +118,4 @@ def lights_picture(lights: "Sequence[PlacedLight]", width: int, height: int) -> 
         for rows in bands(height):
             yield np.stack([shape(rows) for shape in shapes], axis=-1).astype(np.float32)
 
-    return Picture(size, basis, read, "the placed lights", {"kind": "lights", "count": len(lights)})
+    return OmnidirectionalPicture(size, basis, read, "the placed lights", {"kind": "lights", "count": len(lights)})

@@ -24,7 +24,7 @@ from irodori.light.gloss.look_up_errors import gloss_errors
 from irodori.light.irradiance import Integrator, fitted_irradiance_map
 from irodori.light.light_files import rgb_picture, spectral_picture
 from irodori.light.mirror_ball import RIM, unwrapped
-from irodori.light.omnidirectional import MeanLight, Picture, bands, from_panorama
+from irodori.light.omnidirectional import MeanLight, OmnidirectionalPicture, bands, from_panorama
 from irodori.light.placed_lights import lights_picture
 from irodori.material.principal_components.basis_count import Compression, CompressOptions, choose
 from irodori.material.principal_components.pixel_tiles import Tiles
@@ -70,7 +70,7 @@ def _read_masks(linear, part=None) -> tuple[np.ndarray, list[str]]:
     return valid, filters
 
 
-def _photographed(linear, calibration: Calibration, centre_azimuth_deg: float) -> Picture:
+def _photographed(linear, calibration: Calibration, centre_azimuth_deg: float) -> OmnidirectionalPicture:
     """Return the light of an equirectangular photograph, whose brackets were merged when it was read in.
 
     Its columns run clockwise, as they do in every photograph taken from within.
@@ -91,10 +91,10 @@ def _photographed(linear, calibration: Calibration, centre_azimuth_deg: float) -
                 yield from_panorama(weights, centre_azimuth_deg)
 
     basis = calibration.basis * calibration.light[:, None]
-    return Picture(valid.shape, basis, read, linear, {"kind": "captures"})
+    return OmnidirectionalPicture(valid.shape, basis, read, linear, {"kind": "captures"})
 
 
-def _mirror_ball(linear, calibration: Calibration, source: MirrorBallSource, image: Size) -> Picture:
+def _mirror_ball(linear, calibration: Calibration, source: MirrorBallSource, image: Size) -> OmnidirectionalPicture:
     """Return the light around a photographed mirror ball."""
     (x, y), radius = source.centre_px, source.radius_px
 
@@ -203,7 +203,7 @@ def observers(white: np.ndarray) -> dict:
 
 
 def write_environment(
-    picture: Picture,
+    picture: OmnidirectionalPicture,
     white: np.ndarray | None,
     output,
     options: CompressOptions,
@@ -218,7 +218,7 @@ def write_environment(
 
     Parameters
     ----------
-    picture : Picture
+    picture : OmnidirectionalPicture
     white : (61,) float or None
         Radiance as which white is judged; the mean over the sphere where None.
     output : path

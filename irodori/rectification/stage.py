@@ -100,14 +100,23 @@ class RigSetup:
         return white / power
 
 
+class _Window(NamedTuple):
+    """A window of a picture."""
+
+    response: np.ndarray  # (height, width, bands)
+    valid: np.ndarray  # (height, width)
+    clipped: np.ndarray  # (height, width)
+    corner: np.ndarray  # (2,) row and column at which it begins
+
+
 @njit(cache=True, parallel=True, nogil=True)
-def _sample(response, valid, clipped, corner, xy, out, good, clips):
+def _sample(window, xy, out, good, clips):
     """Interpolate responses bilinearly; a texel is good where all neighbours with weight are inside and valid.
 
-    It clips where one of them does. ``response``, ``valid`` and ``clipped`` are the window of the picture that
-    begins at ``corner`` (row, column); coordinates are those of the whole picture, so that a texel gets the same bits
+    It clips where one of them does. Coordinates are those of the whole picture, so that a texel gets the same bits
     whatever tile it belongs to.
     """
+    response, valid, clipped, corner = window
     height, width, bands = response.shape
     for t in numba.prange(xy.shape[0]):
         good[t], clips[t] = False, 0
@@ -213,8 +222,8 @@ def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup) -> _Obser
         sampled = np.zeros((len(xy), bands), dtype=np.float32)
         good, clips = np.empty(len(xy), dtype=np.bool_), np.empty(len(xy), dtype=np.uint8)
         corner = np.array([window[0].start, window[1].start])
-        pictures = (file.read(name, window) for name in ("response", "valid", "clipped"))
-        _sample(*pictures, corner, xy, sampled, good, clips)
+        response, valid, clipped = (file.read(name, window) for name in ("response", "valid", "clipped"))
+        _sample(_Window(response, valid, clipped, corner), xy, sampled, good, clips)
     # What hides a texel is not its own: without this, the window of a tile would decide what is stored here.
     sampled[~visible], clips[~visible] = 0.0, 0
     gain = np.ones(len(xy))

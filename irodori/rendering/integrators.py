@@ -241,7 +241,7 @@ class _Interactive(Renderer):
         return prepared
 
     def render(self, view_name, moment, keep, tiles_folder):
-        from irodori.rendering.interactive.frame_renderer import Lamp, render_frame
+        from irodori.rendering.interactive.frame_renderer import CollimatedLamp, render_frame
         from irodori.rendering.scene_lights import make_lights
 
         # Its objects cannot be turned without preparing them anew, all else can.
@@ -252,7 +252,7 @@ class _Interactive(Renderer):
         lights = make_lights(scene.lights, 0)[0]
         frame = {
             "world_from_light": moment.rotation("environment"),
-            "lamps": tuple(Lamp(rotation[:, 2]) for rotation in lights.rotation),
+            "lamps": tuple(CollimatedLamp(rotation[:, 2]) for rotation in lights.rotation),
             "bands": self.representation == "spectral",
         }
         if not self.compiled:
@@ -290,7 +290,7 @@ class _Reference(Renderer):
     def render(self, view_name, moment, keep, tiles_folder):
         from irodori.rendering.reference.converging_picture import (
             REPLICATES,
-            Tiles,
+            FinishedTiles,
             make_scene,
             picture_key,
             pooled,
@@ -309,7 +309,7 @@ class _Reference(Renderer):
             self.compiled = True
         tiles = None
         if tiles_folder is not None:
-            tiles = Tiles(tiles_folder, picture_key(prepared, view, samples, seed))
+            tiles = FinishedTiles(tiles_folder, picture_key(prepared, view, samples, seed))
         start = time.perf_counter()
         picture = render(
             prepared,

@@ -164,20 +164,23 @@ def _corners(a, b, c, p, q, r):
     return angle if angle >= 0.0 else angle + 2.0 * math.pi
 
 
+class _Rectangle(NamedTuple):
+    """A rectangle as a point beside its plane sees it."""
+
+    x: float  # mm, of the corner of least coordinates in the light's frame, from the point
+    y: float
+    z: float  # not positive
+    width: float  # mm
+    height: float
+    first: float  # third coordinate of the normal of the plane through the point and the side of least y
+    second: float  # and of greatest y
+    rest: float  # rad, what the angles at the two corners of least x leave of a full turn
+    solid_angle: float  # sr
+
+
 @uncounted(forceinline=True, error_model="numpy")
 def _rectangle(lights, light, point):
-    """Return a rectangle as a point beside its plane sees it.
-
-    Returns
-    -------
-    x, y, z : float, mm
-        Of the corner of least coordinates in the light's frame, from the point; z is not positive.
-    first, second : float
-        Third coordinate of the normals of the planes through the point and the sides of least and of greatest y.
-    rest : float, rad
-        What the angles at the two corners of least x leave of a full turn.
-    solid_angle : float, sr
-    """
+    """Return a rectangle as a point beside its plane sees it."""
     x, y, z = 0.0, 0.0, 0.0
     for axis in range(3):
         away = lights.position_mm[light, axis] - point[axis]
@@ -193,15 +196,14 @@ def _rectangle(lights, light, point):
     first2, second2, left2, right2 = z2 / first2, z2 / second2, z2 / left2, z2 / right2
     rest = 2.0 * math.pi - _corners(second, left, first, second2, left2, first2)
     solid_angle = _corners(first, right, second, first2, right2, second2) - rest
-    return x, y, z, first, second, rest, solid_angle
+    return _Rectangle(x, y, z, width, height, first, second, rest, solid_angle)
 
 
 @uncounted(forceinline=True, error_model="numpy")
-def _draw_rectangle(v, x, y, z, width, height, first, second, angle):
-    """Return a place on a rectangle, mm from its corner of least coordinates, even in solid angle.
-
-    ``angle`` goes from what `_rectangle` leaves of a turn to that and the solid angle.
-    """
+def _draw_rectangle(seen, u, v):
+    """Return a place on a `_Rectangle`, mm from its corner of least coordinates, even in solid angle."""
+    x, y, z, width, height, first, second, rest, solid_angle = seen
+    angle = rest + u * solid_angle
     sine = math.sin(angle)
     slope = (math.cos(angle) * first - second) / sine
     cosine = math.copysign(1.0 / math.sqrt(slope * slope + first * first), slope)
@@ -226,7 +228,7 @@ def density_towards(lights, light, point, direction):
         cosine -= direction[axis] * lights.rotation[light, axis, 2]
     if height <= 0.0 or cosine <= 0.0:
         return 0.0
-    solid_angle = _rectangle(lights, light, point)[6]
+    solid_angle = _rectangle(lights, light, point).solid_angle
     if solid_angle > _LEAST_SOLID_ANGLE:
         return 1.0 / solid_angle
     distance = height / cosine
@@ -234,7 +236,7 @@ def density_towards(lights, light, point, direction):
 
 
 @uncounted(forceinline=True)
-def sample_towards(lights, light, point, u, v, direction, tangent, bitangent):
+def sample_towards(lights, light, point, u, v, direction):
     """Fill a unit direction from a point to a light, even in solid angle; of a rectangle that looks small, in area.
 
     A rectangle is drawn as Ureña et al. (2013) do.
@@ -246,8 +248,7 @@ def sample_towards(lights, light, point, u, v, direction, tangent, bitangent):
     point : (3,) float, mm
     u, v : float
         Even in [0, 1).
-    direction, tangent, bitangent : (3,) float
-        The last two are buffers.
+    direction : (3,) float
 
     Returns
     -------
@@ -266,7 +267,7 @@ def sample_towards(lights, light, point, u, v, direction, tangent, bitangent):
             return 0.0
         for axis in range(3):
             direction[axis] = (lights.position_mm[light, axis] - point[axis]) / distance
-        frame(direction, tangent, bitangent)
+        tangent, bitangent = frame(direction)
         rise = u * _cap(lights, light, squared)
         sine, angle = math.sqrt(rise * (2.0 - rise)), 2.0 * math.pi * v
         a, b = sine * math.cos(angle), sine * math.sin(angle)
@@ -275,13 +276,12 @@ def sample_towards(lights, light, point, u, v, direction, tangent, bitangent):
         return density_towards(lights, light, point, direction)
     if above <= 0.0:
         return 0.0
-    width, height, density = lights.size_mm[light, 0], lights.size_mm[light, 1], 0.0
-    x, y, z, first, second, rest, solid_angle = _rectangle(lights, light, point)
-    a, b = u * width, v * height
-    if solid_angle > _LEAST_SOLID_ANGLE:
-        a, b = _draw_rectangle(v, x, y, z, width, height, first, second, rest + u * solid_angle)
-        density = 1.0 / solid_angle
-    a, b = a - 0.5 * width, b - 0.5 * height
+    seen, density = _rectangle(lights, light, point), 0.0
+    a, b = u * seen.width, v * seen.height
+    if seen.solid_angle > _LEAST_SOLID_ANGLE:
+        a, b = _draw_rectangle(seen, u, v)
+        density = 1.0 / seen.solid_angle
+    a, b = a - 0.5 * seen.width, b - 0.5 * seen.height
     length = 0.0
     for axis in range(3):
         place = lights.position_mm[light, axis] + a * turn[light, axis, 0] + b * turn[light, axis, 1]

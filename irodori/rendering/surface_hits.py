@@ -4,21 +4,23 @@ import math
 
 from irodori.geometry.surfaces import surface_at
 from irodori.jit.compilation import njit
+from irodori.light.equirectangular import StackedPicture
 
 
 @njit(cache=True, inline="always")
-def frame(normal, tangent, bitangent):
-    """Fill two unit vectors perpendicular to a normal (Duff et al. 2017, without a branch at the pole)."""
+def frame(normal):
+    """Return two unit vectors perpendicular to a normal (Duff et al. 2017, without a branch at the pole)."""
     sign = math.copysign(1.0, normal[2])
     a = -1.0 / (sign + normal[2])
     b = normal[0] * normal[1] * a
-    tangent[0], tangent[1], tangent[2] = 1.0 + sign * normal[0] ** 2 * a, sign * b, -sign * normal[0]
-    bitangent[0], bitangent[1], bitangent[2] = b, sign + normal[1] ** 2 * a, -normal[1]
+    tangent = 1.0 + sign * normal[0] ** 2 * a, sign * b, -sign * normal[0]
+    return tangent, (b, sign + normal[1] ** 2 * a, -normal[1])
 
 
 @njit(cache=True, inline="always")
-def _interpolate(pixels, first, width, height, u, v, out):
+def _interpolate(picture, u, v, out):
     """Fill the bilinear value of a picture at u, v in 0..1; columns wrap, rows end."""
+    pixels, first, width, height = picture
     x, y = u * width - 0.5, min(max(v * height - 0.5, 0.0), height - 1.0)
     x0, y0 = math.floor(x), int(y)
     fx, fy = x - x0, y - y0
@@ -32,7 +34,7 @@ def _interpolate(pixels, first, width, height, u, v, out):
 
 
 @njit(cache=True, inline="always")
-def surface(world, index, ray, point, normal, facet, texel):
+def surface(world, index, ray, work):
     """Move a hit point onto its surface; fill its normals and its interpolated texel.
 
     Parameters
@@ -43,14 +45,13 @@ def surface(world, index, ray, point, normal, facet, texel):
     index : int
         The surface that was met.
     ray : as of `irodori.geometry.embree.trace`
-    point, normal, facet : (3,) float
-        ``normal`` is the shading normal, ``facet`` that of the surface itself.
-    texel : (k + 2 c,) float
+    work : irodori.rendering.reference.world.Work
+        Of which ``point``, ``normal`` (that of shading), ``facet`` (that of the surface itself) and ``texel``.
     """
-    u, v = surface_at(world.surfaces, index, ray, point, normal, facet)
+    u, v = surface_at(world.surfaces, index, ray, work.point, work.normal, work.facet)
     objects = world.objects
     width, height = objects.texture_size[index, 0], objects.texture_size[index, 1]
     if objects.wraps[index] == 0:
         # Columns that do not wrap: stay half a texel inside the texture's edges.
         u = min(max(u, 0.5 / width), 1.0 - 0.5 / width)
-    _interpolate(objects.texels, objects.first_texel[index], width, height, u, v, texel)
+    _interpolate(StackedPicture(objects.texels, objects.first_texel[index], width, height), u, v, work.texel)

@@ -15,18 +15,19 @@ KINDS = {"perspective": PERSPECTIVE, "orthographic": ORTHOGRAPHIC}
 
 
 @uncounted(forceinline=True)
-def aim(view, x, y, u, v, origin, direction):
+def aim(view, place, on_lens, origin, direction):
     """Fill where the ray through a place of the picture starts, and its unit direction.
 
     Parameters
     ----------
     view : irodori.rendering.scene_arrays.View
-    x, y : float
+    place : (x, y)
         From the picture's left and upper edge, px.
-    u, v : float
+    on_lens : (u, v)
         Place on the lens, even in [0, 1); not read without one.
     origin, direction : (3,) float64
     """
+    (x, y), (u, v) = place, on_lens
     px, py = (x - 0.5 * view.width) / view.focal_px, (y - 0.5 * view.height) / view.focal_px
     ox, oy = 0.0, 0.0
     if view.kind == ORTHOGRAPHIC:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from made import made
 
-from irodori.capture.shot_planner.fisher_information import Subject
+from irodori.capture.shot_planner.fisher_information import RigSubject
 from irodori.config.capture_table import Pose, expand_poses
 from irodori.config.models import PoseGroup
 from irodori.geometry.shapes.plate import Plate
@@ -40,9 +40,9 @@ POSES = expand_poses(
 )
 
 
-def texel() -> Subject:
+def texel() -> RigSubject:
     """Return the centre of a plate: one texel, whose angles are those of the rig."""
-    return Subject(Plate(90.0, 90.0), np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), 900.0)
+    return RigSubject(Plate(90.0, 90.0), np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), 900.0)
 
 
 def flat_angles(poses: list[Pose]) -> np.ndarray:

@@ -10,7 +10,13 @@ from made import made
 from plans import PLATE_OBJECT, POSES, RIG, SPHERE_OBJECT, flat_angles, texel
 from shortcuts import information
 
-from irodori.capture.shot_planner.fisher_information import Materials, Noise, Weighting, observe, standard_errors
+from irodori.capture.shot_planner.fisher_information import (
+    Materials,
+    ObservationNoise,
+    Weighting,
+    observe,
+    standard_errors,
+)
 from irodori.capture.shot_planner.planner import subject_of
 from irodori.config.capture_table import Pose
 from irodori.config.models import Object, Rig, SensorOptions
@@ -21,7 +27,7 @@ from irodori.reflection.equation5 import reflect
 from irodori.reflection.gaussian import ROUGHNESS
 from irodori.reflection.registry import names
 
-SHOT = Noise(read_variance=6e-8, shot_variance=4e-5, relative=0.0, pose_rms_deg=0.0)
+SHOT = ObservationNoise(read_variance=6e-8, shot_variance=4e-5, relative=0.0, pose_rms_deg=0.0)
 
 
 def one(alpha, beta, mu, n=1.5, k=0.0, lobe="gaussian") -> Materials:
@@ -68,10 +74,10 @@ def test_the_jacobian_is_the_derivative_of_the_response_by_the_logarithms(materi
 def test_materials_of_two_lobes_are_seen_as_each_alone():
     poses = [Pose(45.0, 35.0), Pose(45.0, 50.0), Pose(30.0, 10.0)]
     both = Materials(np.array([0.2, 0.4]), np.array([3.0, 2.0]), np.array([0.1, 0.2]), lobes=("gaussian", "ggx"))
-    found = observe(texel(), poses, both, Noise())
+    found = observe(texel(), poses, both, ObservationNoise())
     for case, name in enumerate(both.lobes):
         alone = one(both.alpha[case], both.beta[case], both.mu[case], lobe=name)
-        seen = observe(texel(), poses, alone, Noise())
+        seen = observe(texel(), poses, alone, ObservationNoise())
         np.testing.assert_array_equal(found.jacobian[:, case], seen.jacobian[:, 0])
         np.testing.assert_array_equal(found.variance[:, case], seen.variance[:, 0])
         expected = reflect(alone.alpha, 1.0, alone.beta, alone.mu, flat_angles(poses), lobe=name)
@@ -113,8 +119,8 @@ def test_information_adds_and_never_falls():
     subject = subject_of(made(Object | PlannedObject, PLATE_OBJECT), made(Rig, RIG))
     few, many = POSES[:6], POSES
     material = Materials(np.array([0.1, 0.7]), np.array([1.0, 6.0]), np.array([0.08, 0.25]))
-    whole = information(observe(subject, many, material, Noise()))
-    parts = [information(observe(subject, group, material, Noise())) for group in (few, many[6:])]
+    whole = information(observe(subject, many, material, ObservationNoise()))
+    parts = [information(observe(subject, group, material, ObservationNoise())) for group in (few, many[6:])]
     np.testing.assert_allclose(whole, parts[0] + parts[1], rtol=1e-12)
     assert (np.linalg.eigvalsh(whole - parts[0]) >= -1e-9 * np.abs(whole).max()).all()
 
@@ -122,7 +128,7 @@ def test_information_adds_and_never_falls():
 @settings(max_examples=30, deadline=None)
 @given(st.floats(1e-3, 1e3))
 def test_another_unit_of_light_leaves_the_information_as_it_is(unit):
-    noise = Noise()
+    noise = ObservationNoise()
     scaled = replace(noise, read_variance=noise.read_variance * unit**2, shot_variance=noise.shot_variance * unit)
     first = information(observe(texel(), POSES, one(0.4, 3.0, 0.15), noise))
     second = information(observe(texel(), POSES, one(0.4 * unit, 3.0 * unit, 0.15), scaled))
@@ -151,7 +157,10 @@ def test_expected_errors_are_the_scatter_of_fits_under_shot_and_read_noise(mater
 @pytest.mark.parametrize("weights", ["noise", "equal"])
 @pytest.mark.parametrize("material", [one(0.4, 3.0, 0.12), one(0.05, 1.5, 0.25), one(0.7, 5.0, 0.09)])
 def test_expected_errors_are_those_that_the_fit_states(material, weights):
-    options, noise = FitOptions(weights=weights, model_error=0.02, pose_error_deg=0.08), Noise(3e-6, 8e-5, 0.02, 0.08)
+    options, noise = (
+        FitOptions(weights=weights, model_error=0.02, pose_error_deg=0.08),
+        ObservationNoise(3e-6, 8e-5, 0.02, 0.08),
+    )
     geometry, truth = flat_angles(POSES), material.parameters()[0]
     response = reflect(truth[0], 1.0, truth[1], truth[2], geometry)[None]
     camera = np.tile([noise.read_variance, noise.shot_variance], (len(POSES), 1))
@@ -167,7 +176,7 @@ def test_expected_errors_are_those_that_the_fit_states(material, weights):
 def test_no_weights_reach_more_than_the_information_allows(weights):
     subject = subject_of(made(Object | PlannedObject, PLATE_OBJECT), made(Rig, RIG))
     material = Materials(np.array([0.1, 0.7]), np.array([1.0, 6.0]), np.array([0.08, 0.25]))
-    seen = observe(subject, POSES, material, Noise(), weighting=Weighting(weights))
+    seen = observe(subject, POSES, material, ObservationNoise(), weighting=Weighting(weights))
     bound = np.sqrt(np.einsum("cii->ci", np.linalg.inv(information(seen))))
     assert (standard_errors(seen) >= bound * (1 - 1e-9)).all()
 
@@ -175,7 +184,7 @@ def test_no_weights_reach_more_than_the_information_allows(weights):
 def test_weights_of_the_fit_reach_the_information_where_they_are_the_inverse_variances():
     subject, noise = (
         subject_of(made(Object | PlannedObject, PLATE_OBJECT), made(Rig, RIG)),
-        replace(Noise(), pose_rms_deg=0.0),
+        replace(ObservationNoise(), pose_rms_deg=0.0),
     )
     material = Materials(np.array([0.1, 0.7]), np.array([1.0, 6.0]), np.array([0.08, 0.25]))
     seen = observe(subject, POSES, material, noise, weighting=Weighting("noise", noise.relative))
@@ -188,7 +197,7 @@ def test_weights_of_the_fit_reach_the_information_where_they_are_the_inverse_var
 @pytest.mark.parametrize("mu", [ROUGHNESS.low, ROUGHNESS.high])
 @pytest.mark.parametrize(("alpha", "beta"), [(0.4, 0.0), (0.0, 3.0), (0.0, 0.0), (0.4, 3.0)])
 def test_what_a_material_lacks_is_undetermined_and_nothing_overflows(alpha, beta, mu):
-    seen = observe(texel(), POSES, one(alpha, beta, mu), Noise())
+    seen = observe(texel(), POSES, one(alpha, beta, mu), ObservationNoise())
     assert np.isfinite(seen.jacobian).all() and np.isfinite(seen.scaled()).all()
     assert (information(seen)[0, 1:] == 0.0).all() == (beta == 0.0)
     errors = standard_errors(seen)
@@ -198,26 +207,30 @@ def test_what_a_material_lacks_is_undetermined_and_nothing_overflows(alpha, beta
 
 
 def test_three_observations_determine_nothing():
-    assert np.isinf(standard_errors(observe(texel(), POSES[2:5], one(0.4, 3.0, 0.12), Noise()))).all()
-    assert np.isfinite(standard_errors(observe(texel(), POSES[1:5], one(0.4, 3.0, 0.12), Noise()))).all()
+    assert np.isinf(standard_errors(observe(texel(), POSES[2:5], one(0.4, 3.0, 0.12), ObservationNoise()))).all()
+    assert np.isfinite(standard_errors(observe(texel(), POSES[1:5], one(0.4, 3.0, 0.12), ObservationNoise()))).all()
 
 
 def test_beyond_the_largest_angle_and_from_saturation_on_nothing_is_told():
     grazing = [Pose(45.0, 81.0), Pose(85.0, 20.0), Pose(100.0, 20.0), Pose(45.0, 120.0)]
-    seen = observe(texel(), [*grazing, Pose(45.0, 79.0)], one(0.4, 3.0, 0.12), Noise(), max_angle_deg=80.0)
+    seen = observe(texel(), [*grazing, Pose(45.0, 79.0)], one(0.4, 3.0, 0.12), ObservationNoise(), max_angle_deg=80.0)
     assert np.isinf(seen.variance[:4]).all() and (seen.jacobian[:4] == 0.0).all()
     assert np.isfinite(seen.variance[4]).all()
-    bright = observe(texel(), [Pose(45.0, 45.0)], one(0.4, 3.0, 0.12), Noise())
+    bright = observe(texel(), [Pose(45.0, 45.0)], one(0.4, 3.0, 0.12), ObservationNoise())
     limit = float(bright.response[0, 0])
     for saturation, told in ((limit * 0.99, False), (limit * 1.01, True)):
-        seen = observe(texel(), [Pose(45.0, 45.0)], one(0.4, 3.0, 0.12), Noise(saturation_response=saturation))
+        seen = observe(
+            texel(), [Pose(45.0, 45.0)], one(0.4, 3.0, 0.12), ObservationNoise(saturation_response=saturation)
+        )
         assert np.isfinite(seen.variance).all() == told
 
 
 def test_the_table_hides_a_spheres_underside_and_a_turn_shows_its_other_side():
     subject = subject_of(made(Object | PlannedObject, SPHERE_OBJECT), made(Rig, RIG))
     seen = np.isfinite(
-        observe(subject, [Pose(45.0, 10.0), Pose(45.0, 10.0, 0.0, 180.0)], one(0.4, 3.0, 0.1), Noise()).variance
+        observe(
+            subject, [Pose(45.0, 10.0), Pose(45.0, 10.0, 0.0, 180.0)], one(0.4, 3.0, 0.1), ObservationNoise()
+        ).variance
     )
     up = subject.normal[:, 2]
     assert not seen[:, up < -0.5].any() and seen[:, up > 0.95].all()
@@ -227,9 +240,9 @@ def test_the_table_hides_a_spheres_underside_and_a_turn_shows_its_other_side():
 
 def test_the_noise_of_a_sensor_is_that_of_its_electrons():
     sensor = {"full_well_e": 40000.0, "read_noise_e": 6.0, "response_at_full_well": 1.6, "base_exposure_s": 0.02}
-    noise = Noise.of_sensor(made(SensorOptions, sensor), relative=0.0)
+    noise = ObservationNoise.of_sensor(made(SensorOptions, sensor), relative=0.0)
     # 25 000 electrons at a response of 1.
     assert noise.shot_variance == pytest.approx(1 / 25000) and noise.read_variance == pytest.approx((6 / 25000) ** 2)
     assert noise.saturation_response == pytest.approx(1.6) and noise.relative == 0.0
-    bracket = Noise.of_sensor(made(SensorOptions, sensor), [0.002, 0.02, 0.04])
+    bracket = ObservationNoise.of_sensor(made(SensorOptions, sensor), [0.002, 0.02, 0.04])
     assert bracket.shot_variance == pytest.approx(1 / 50000) and bracket.saturation_response == pytest.approx(16.0)

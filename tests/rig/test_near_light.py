@@ -145,7 +145,7 @@ def fitted(tmp_path, definitions, definition, files, setup):
         return *(file.read(name) for name in ("alpha", "beta", "mu")), enough
 
 
-def errors(tmp_path, definitions, definition, camera, rig, poses, assumed):
+def errors(tmp_path, definitions, definition, camera, poses, *, rig, assumed):
     """Return 95th percentiles of the relative errors of α, β and μ, the rectification believing in ``assumed``."""
     files = photographed(tmp_path, definition, camera, rig, poses)
     setup = setup_of(camera, assumed)
@@ -171,8 +171,8 @@ def test_a_material_under_a_near_lamp_is_recovered_and_is_not_where_the_lamp_is_
     far = copy.deepcopy(rig)
     del far["light"]["distance_mm"]
     definition = uniform(definitions, shape, mu_rad=0.25)
-    near = errors(tmp_path, definitions, definition, camera, rig, poses, rig)
-    wrong = errors(tmp_path, definitions, definition, camera, rig, poses, far)
+    near = errors(tmp_path, definitions, definition, camera, poses, rig=rig, assumed=rig)
+    wrong = errors(tmp_path, definitions, definition, camera, poses, rig=rig, assumed=far)
     # What is left on the sphere is the optical low-pass filter's blur over its curvature.
     assert max(near) < (0.003 if shape is PLATE else 0.03), near
     assert wrong[0] > 0.05 and wrong[0] > 5 * near[0], wrong
@@ -182,7 +182,7 @@ def test_a_mesh_under_a_near_lamp_is_recovered_like_the_sphere(tmp_path, definit
     camera, rig = small(definitions)
     write_obj(tmp_path / "ball.obj", *ball(28.0, 64, 128), digits=9)
     definition = uniform(definitions, {"kind": "mesh", "file": str(tmp_path / "ball.obj"), "unit": "mm"}, mu_rad=0.25)
-    near = errors(tmp_path, definitions, definition, camera, rig, SPHERE_POSES, rig)
+    near = errors(tmp_path, definitions, definition, camera, SPHERE_POSES, rig=rig, assumed=rig)
     assert max(near) < 0.03, near
 
 
@@ -214,7 +214,7 @@ def test_a_lens_that_distorts_changes_nothing_that_is_recovered(tmp_path, defini
     for distortion in (None, lens):
         camera, rig = small(definitions, NEAR_MM if near else None, distortion)
         definition = uniform(definitions, PLATE, mu_rad=0.25)
-        found.append(errors(tmp_path, definitions, definition, camera, rig, PLATE_POSES, rig))
+        found.append(errors(tmp_path, definitions, definition, camera, PLATE_POSES, rig=rig, assumed=rig))
     assert max(found[0]) < 0.003 and max(found[1]) < 0.003, found
 
 

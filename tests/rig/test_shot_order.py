@@ -27,7 +27,7 @@ START = {"camera_deg": 0.0, "light_deg": 35.0, "tilt_deg": 0.0, "turn_deg": 0.0}
 HAND_S = 1000.0
 
 
-def plan(lights, cameras, tilts=(0.0,), turns=(0.0,), states=("out", "in"), exposures=(0.02,), role="object"):
+def plan(lights, cameras, tilts=(0.0,), turns=(0.0,), *, states=("out", "in"), exposures=(0.02,), role="object"):
     groups = [{"light_deg": lights, "camera_deg": cameras, "tilt_deg": tilts, "turn_deg": turns}]
     return [
         Shot(f"{role}-{pose.name}-{state}-{exposure:g}", role, pose, state, exposure)

@@ -12,7 +12,13 @@ from plans import PLATE_OBJECT, POSES, RIG, SPHERE_OBJECT, texel
 from shortcuts import information
 
 from irodori.capture.shot_planner.exchange import CRITERIA, Selection, TooFewPoses, choose
-from irodori.capture.shot_planner.fisher_information import Materials, Noise, Weighting, observe, standard_errors
+from irodori.capture.shot_planner.fisher_information import (
+    Materials,
+    ObservationNoise,
+    Weighting,
+    observe,
+    standard_errors,
+)
 from irodori.capture.shot_planner.planner import (
     KNOWN_RELATIVE_ERROR,
     MaterialRange,
@@ -40,7 +46,7 @@ def random_poses(count: int, seed: int) -> list[Pose]:
 
 
 def some_observations(seed: int, count: int = 10):
-    return observe(texel(), random_poses(count, seed), MaterialRange().spread(6), Noise())
+    return observe(texel(), random_poses(count, seed), MaterialRange().spread(6), ObservationNoise())
 
 
 @pytest.mark.parametrize("criterion", CRITERIA)
@@ -57,7 +63,7 @@ def test_the_choice_is_the_best_of_all_choices(criterion, seed):
 @pytest.mark.parametrize("seed", range(4))
 def test_the_choice_within_two_settings_is_the_best_of_all_such(seed):
     poses = random_poses(10, seed)
-    seen = observe(texel(), poses, MaterialRange().spread(6), Noise())
+    seen = observe(texel(), poses, MaterialRange().spread(6), ObservationNoise())
     setting = np.unique([pose.light_deg for pose in poses], return_inverse=True)[1]
     selection = Selection(seen, PRIOR, setting, 2, "determinant")
     designs = [list(d) for d in itertools.combinations(range(10), 4) if len(set(setting[list(d)])) <= 2]
@@ -67,7 +73,7 @@ def test_the_choice_within_two_settings_is_the_best_of_all_such(seed):
 
 
 def test_the_criteria_are_what_they_are_called():
-    seen = observe(texel(), POSES, MaterialRange().spread(8), Noise())
+    seen = observe(texel(), POSES, MaterialRange().spread(8), ObservationNoise())
     chosen = [0, 3, 5, 9, 12, 16]
     fisher = information(seen.of(chosen)) + PRIOR * np.eye(3)
     part = seen.of(chosen)
@@ -87,7 +93,7 @@ def test_the_criteria_are_what_they_are_called():
 
 
 def test_the_precision_of_the_fit_is_that_of_its_expected_errors():
-    seen = observe(texel(), POSES, MaterialRange().spread(8), Noise())
+    seen = observe(texel(), POSES, MaterialRange().spread(8), ObservationNoise())
     selection = Selection(seen, 1e-9, np.zeros(len(POSES), dtype=int), 1, "fit-variance")
     total = (standard_errors(seen) ** 2).sum(axis=1).mean()
     assert -selection.value(list(range(len(POSES)))) == pytest.approx(total, rel=1e-6)
@@ -95,7 +101,7 @@ def test_the_precision_of_the_fit_is_that_of_its_expected_errors():
 
 def test_materials_without_gloss_do_not_stop_the_choice():
     none = Materials(np.array([0.4, 0.4]), np.array([0.0, 3.0]), np.array([0.1, 0.1]))
-    seen = observe(texel(), POSES, none, Noise())
+    seen = observe(texel(), POSES, none, ObservationNoise())
     for criterion in CRITERIA:
         chosen = choose(seen, PRIOR, np.zeros(len(POSES), dtype=int), 5, 1, criterion)
         assert len(set(chosen)) == 5
@@ -141,7 +147,7 @@ def test_a_plan_holds_only_poses_that_the_rig_can_take(light, camera, tilt, coun
                 subject_of(made(Object | PlannedObject, PLATE_OBJECT), made(Rig, rig)),
                 poses,
                 materials.spread(40),
-                Noise(),
+                ObservationNoise(),
             )
             useful = [
                 (p.light_deg, p.tilt_deg) for p, v in zip(poses, told.variance, strict=True) if np.isfinite(v).any()
@@ -277,8 +283,8 @@ def test_the_noise_of_a_virtual_rig_has_its_imperfections_and_their_switches():
     }
     noise = default_noise(made(Rig, RIG | {"virtual": {"imperfections": faults}}))
     assert (noise.relative, noise.pose_rms_deg) == (0.0, 0.2)
-    assert default_noise(made(Rig, RIG)) == Noise()
-    assert default_noise(made(Rig, RIG), fit=Fit(model_error=0.03, pose_error_deg=0.1)) == Noise(
+    assert default_noise(made(Rig, RIG)) == ObservationNoise()
+    assert default_noise(made(Rig, RIG), fit=Fit(model_error=0.03, pose_error_deg=0.1)) == ObservationNoise(
         relative=0.03, pose_rms_deg=0.1
     )
 

@@ -76,7 +76,7 @@ def standing(shot: Shot) -> Bench:
     return Bench(by_hand_deg=angles, filter=shot.filter, subject=shot.role)
 
 
-def shoot(camera: dict, rig: dict, session: str, shots: list[Shot], folder: Path, subject=None, seen=None) -> None:
+def shoot(camera: dict, rig: dict, session: str, shots: list[Shot], folder: Path, subject=None, *, seen=None) -> None:
     """Take all photographs of a session into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     virtual = VirtualCamera(
@@ -174,7 +174,7 @@ def test_cameras_that_share_what_they_see_take_the_same_pictures(definitions, tm
     seen: dict = {}
     for number, rig in enumerate((still, faulty, still)):
         shared, alone = (tmp_path / f"{kind}-{number}" for kind in ("shared", "alone"))
-        shoot(camera, rig, "plate", shots, shared, subject, seen)
+        shoot(camera, rig, "plate", shots, shared, subject, seen=seen)
         shoot(camera, rig, "plate", shots, alone, subject)
         for shot in shots:
             assert (shared / shot.file).read_bytes() == (alone / shot.file).read_bytes()

@@ -20,7 +20,7 @@ SCENES = {
 }
 
 
-def hard_scene(scale, mu, beta, index, mirror, white, elevation_deg, sun):
+def hard_scene(*, scale, mu, beta, index, mirror, white, elevation_deg, sun):
     """Two touching spheres that touch their plate, seen at an angle: shapes, materials, light, view."""
     n, k = index
     share = 1.0 - mirror

@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from irodori.calibration.training import Noise, Training
+from irodori.calibration.training import ResponseNoise, Training
 from irodori.spectra.grid import TRAPEZOID_NM, WAVELENGTH_NM
 from irodori.spectra.published import chart_spectra, spectrum
 
@@ -33,4 +33,6 @@ def training(noise: float = 0.0, seed: int = 0, known: bool = True, patch_share:
     response = patches() @ system().T
     response = response + patch_share * noise * rng.standard_normal(response.shape)
     variance = np.full(6, noise**2)
-    return Training(response, patches(), LIGHT, Noise(patch_share**2 * variance, variance) if known else Noise())
+    return Training(
+        response, patches(), LIGHT, ResponseNoise(patch_share**2 * variance, variance) if known else ResponseNoise()
+    )

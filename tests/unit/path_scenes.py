@@ -23,7 +23,7 @@ from irodori.rendering.scene_arrays import make_objects, make_view
 DARK = constant_light(0.0)
 
 
-def traced(shapes, materials, light, samples, position=(0.0, -200.0, 0.0), target=(0.0, 0.0, 0.0), size=(41, 41),
+def traced(shapes, materials, light, samples, *, position=(0.0, -200.0, 0.0), target=(0.0, 0.0, 0.0), size=(41, 41),
            fov=13.0, places=None, rotations=None, lights=(), up=(0.0, 0.0, 1.0), **options) -> Picture:  # fmt: skip
     """Render a view of shapes by paths, in 8 replicates: their spread says something of a single pixel."""
     options.setdefault("replicates", 8)

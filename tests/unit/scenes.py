@@ -83,7 +83,7 @@ def plate(side_mm: float) -> Shape:
     )
 
 
-def render(shapes, materials, light, position=(0.0, -200.0, 0.0), target=(0.0, 0.0, 0.0), size=(41, 41), fov=13.0,
+def render(shapes, materials, light, position=(0.0, -200.0, 0.0), target=(0.0, 0.0, 0.0), size=(41, 41), *, fov=13.0,
            places=None, samples=64) -> np.ndarray:  # fmt: skip
     """Radiance of a view by the `reference` integrator, (height, width, 61)."""
     places = places or [(0.0, 0.0, 0.0)] * len(shapes)

@@ -123,7 +123,7 @@ def test_places_on_the_lens_are_even():
     u, v = np.meshgrid((np.arange(64) + 0.5) / 64, (np.arange(64) + 0.5) / 64)
     places = []
     for a, b in zip(u.ravel(), v.ravel(), strict=True):
-        aim(view, 4.0, 4.0, a, b, origin, direction)
+        aim(view, (4.0, 4.0), (a, b), origin, direction)
         places.append(origin.copy())
         at = origin + direction * (FOCUS / direction[1])
         assert np.allclose(at, 0.0, atol=1e-9)  # through the middle of the plane in focus
@@ -170,7 +170,7 @@ def test_without_a_lens_rays_leave_the_eye_as_they_did():
     truth = pixel_rays(EYE["position_mm"], size=(SIDE, SIDE))
     origin, direction = np.empty((2, 3))
     for x, y in ((0, 0), (13, 40), (63, 63)):
-        aim(view, x + 0.5, y + 0.5, 0.3, 0.9, origin, direction)
+        aim(view, (x + 0.5, y + 0.5), (0.3, 0.9), origin, direction)
         assert np.allclose(direction, truth[y, x]) and np.array_equal(origin, EYE["position_mm"])
 
 

@@ -14,7 +14,7 @@ from irodori.calibration.paper_estimator import calibrate
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.recovery.mappings import LinearMapping, LocalMapping, PolynomialMapping
 from irodori.calibration.response_model import fit_response_model, smooth_covariance, smooth_priors
-from irodori.calibration.training import Noise, Training, mix_paints
+from irodori.calibration.training import ResponseNoise, Training, mix_paints
 from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
 from irodori.core import store
 
@@ -47,7 +47,7 @@ def test_twice_the_light_gives_twice_the_reflectance(solved, name, exponent):
 def test_units_of_the_responses_do_not_matter(solved, name, gain):
     gain = 10.0 ** np.array([-6.0, 6.0, 0.0, 3.0, -3.0, 1.0]) if gain == "mixed" else np.full(6, gain)
     chart = training(0.003)
-    noise = Noise(chart.noise.patch * gain**2, chart.noise.pixel * gain**2)
+    noise = ResponseNoise(chart.noise.patch * gain**2, chart.noise.pixel * gain**2)
     scaled = fit(name, Training(chart.response * gain, chart.spectra, LIGHT, noise), 6)
     response = PROBES @ system().T
     assert np.abs(scaled.spectra(response * gain) - solved[name].spectra(response)).max() <= 1e-6

@@ -10,7 +10,7 @@ from benchmarks.calibrate import CAMERAS, DATA, NOISES, Trial, errors
 from irodori.calibration.estimator_choice import cross_validate
 from irodori.calibration.estimators import fit
 from irodori.calibration.solution import own_error
-from irodori.calibration.training import Noise, Training
+from irodori.calibration.training import ResponseNoise, Training
 from irodori.colour.colorimetry import spectral_rmse
 
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured spectra at {DATA}")
@@ -110,7 +110,7 @@ def test_the_choice_is_the_best_estimator_at_the_noise_of_the_pixels(camera, tes
 def test_error_bars_hold_on_spectra_never_seen(name, noise):
     training, seen, variance = trial(*FIRST).responses(noise, 0)
     if noise == 0.0:
-        training = Training(training.response, training.spectra, training.light, Noise())
+        training = Training(training.response, training.spectra, training.light, ResponseNoise())
     _, recovered = cross_validate(training, ("D65",), bases=(8,), estimators=(name,))
     solved = fit(name, training, 8)
     absolute, relative = own_error(training, recovered[name, 8])

@@ -29,7 +29,8 @@ def test_huber_withstands_one_gross_outlier_in_twenty(factor, weights):
     assert known.mean() > 0.6 and (off < 3).mean() > 0.85
 
 
-def huber_loss(response, geometry, weight, variance, alpha, beta, mu, limit):
+def huber_loss(response, geometry, weight, variance, parameters, limit):
+    alpha, beta, mu = parameters
     deviation = np.abs(alpha * np.cos(geometry[:, 0]) + beta * gloss_over_beta(geometry, mu) - response)
     deviation /= np.sqrt(variance)
     far = limit * (2 * deviation - limit)
@@ -46,7 +47,7 @@ def test_no_dense_scan_finds_a_lower_huber_loss():
     result = fit(response, GEOMETRY, np.ones(response.shape), N, K, FitOptions(huber=2.0, model_error=0.0), noise=noise)
     arguments = (response, GEOMETRY, 1.0 / variance, variance)
     whole = (result.model == 3) & np.isfinite(result.alpha)
-    found = huber_loss(*arguments, result.alpha[:, None], *result.gloss.T[..., None], 2.0)
+    found = huber_loss(*arguments, (result.alpha[:, None], *result.gloss.T[..., None]), 2.0)
     best = np.full(60, np.inf)
     for trial in np.geomspace(0.005, 1.2, 200):
         a, b = result.alpha[:, None], np.ones((60, 1))
@@ -58,6 +59,6 @@ def test_no_dense_scan_finds_a_lower_huber_loss():
             cr, rg = (w * c * response).sum(1), (w * g * response).sum(1)
             d = np.maximum(cc * gg - cg**2, 1e-30)
             a, b = np.maximum((cr * gg - rg * cg) / d, 0)[:, None], np.maximum((rg * cc - cr * cg) / d, 0)[:, None]
-        best = np.minimum(best, huber_loss(*arguments, a, b, trial, 2.0))
+        best = np.minimum(best, huber_loss(*arguments, (a, b, trial), 2.0))
     assert whole.sum() > 40
     assert (found[whole] <= 1.01 * best[whole]).mean() >= 0.97

@@ -33,7 +33,7 @@ def disc(radius_mm):
     return Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "disc", "radius_mm": radius_mm}))
 
 
-def seen(shapes, materials, places, integrator, light=None, position=(0.0, -300.0, 120.0), target=(0.0, 0.0, 10.0),
+def seen(shapes, materials, places, integrator, light=None, *, position=(0.0, -300.0, 120.0), target=(0.0, 0.0, 10.0),
          size=(48, 32), fov=20.0, turns=None, lights=(), **options):  # fmt: skip
     turns = turns or [(0.0, 0.0, 0.0)] * len(shapes)
     scene = {

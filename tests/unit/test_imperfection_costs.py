@@ -11,7 +11,8 @@ from irodori.colour.colorimetry import delta_e_reflectance
 from irodori.config.capture_table import expand_poses
 from irodori.config.models import GgxMaterial, PaperMaterial, PoseGroup, Rectify, Size
 from irodori.evaluation import imperfection_costs as module
-from irodori.evaluation.imperfection_costs import Chain, Settings, measure_imperfections, read_costs, run_chain
+from irodori.evaluation.imperfection_costs import SmallChain, Settings, measure_imperfections, run_chain
+from irodori.evaluation.result_tables import CostRow, read_rows
 from irodori.fitting.solvers import FitOptions
 from irodori.ingest.ingest_options import IngestOptions
 from irodori.material.material_file import Material
@@ -22,10 +23,10 @@ FAULTS = ["light drift", "vignetting", "stray light", "pose error", "filter plat
 
 
 @pytest.fixture(scope="module")
-def chain() -> Chain:
+def chain() -> SmallChain:
     found = load(ROOT)
     settings = Settings(IngestOptions(), Rectify.of({}), FitOptions(), CompressOptions(), ["D65", "A"])
-    return Chain(
+    return SmallChain(
         "tile-plate", found.objects["tile-plate"], found.cameras["d5100-comb"], found.rigs["virtual"], settings
     )
 
@@ -114,7 +115,7 @@ def test_a_row_says_how_far_the_chain_is_off_away_from_seams_and_holes(chain, mo
     monkeypatch.setattr(module, "run_chain", lambda *_: found)
     monkeypatch.setattr(module, "true_material", lambda *_: truth)
     measure_imperfections(chain, tmp_path / "costs.csv")
-    rows = read_costs(tmp_path / "costs.csv")
+    rows = read_rows(tmp_path / "costs.csv", CostRow)
     assert len(rows) == 2 * 9 and [row.light for row in rows[:2]] == ["D65", "A"]
     assert rows[0].faults == "none" and rows[-1].faults.startswith("all, and GGX")
     chosen = inside & (side < 11)
@@ -141,7 +142,7 @@ def test_without_an_object_the_table_has_a_header_alone(tmp_path):
     measure_imperfections(None, tmp_path / "none.csv")
     with (tmp_path / "none.csv").open(newline="") as stream:
         assert next(csv.reader(stream)) == ["faults", "light", "count", "mean", "p95", "max", "beta", "mu", "known"]
-    assert read_costs(tmp_path / "none.csv") == []
+    assert read_rows(tmp_path / "none.csv", CostRow) == []
 
 
 def test_a_small_chain_finds_the_object_on_a_rig_without_faults(chain, tmp_path):

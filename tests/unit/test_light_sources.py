@@ -19,7 +19,7 @@ from irodori.export.pictures import read_layers, write_spectral_exr
 from irodori.light.environment_file import Environment, directions
 from irodori.light.irradiance import Integrator
 from irodori.light.light_files import mallett_basis, rgb_picture, spectral_picture
-from irodori.light.omnidirectional import BAND_ROWS, Picture, bands, from_panorama, to_panorama
+from irodori.light.omnidirectional import BAND_ROWS, OmnidirectionalPicture, bands, from_panorama, to_panorama
 from irodori.light.placed_lights import direction_of, lights_picture, unit_luminance
 from irodori.light.stage import make_environment, write_environment
 from irodori.material.principal_components.basis_count import CompressOptions
@@ -276,7 +276,7 @@ def test_the_memory_for_an_environment_does_not_grow_with_its_spectra(tmp_path):
             first = np.arange(rows.start, rows.stop)[:, None] // 40 + np.arange(size[1]) // 60
             yield spectra[first % 99]
 
-    picture = Picture(size, np.eye(61), read)
+    picture = OmnidirectionalPicture(size, np.eye(61), read)
     tracemalloc.start()
     write_environment(
         picture,
@@ -299,7 +299,7 @@ def test_the_memory_for_an_environment_does_not_grow_with_its_spectra(tmp_path):
 @pytest.mark.stability(stage="environment", case="all-black")
 def test_light_that_is_not_finite_is_refused_and_black_light_is_black(tmp_path):
     def picture(values):
-        return Picture(values.shape[:2], np.ones((61, 1)), lambda: iter([values]), "a.h5")
+        return OmnidirectionalPicture(values.shape[:2], np.ones((61, 1)), lambda: iter([values]), "a.h5")
 
     broken = np.ones((8, 16, 1), np.float32)
     broken[2, 3] = np.nan
@@ -318,8 +318,8 @@ def test_a_light_of_a_million_to_one_keeps_its_shadows_in_the_file(tmp_path, sto
     sky = rng.uniform(0.5, 1.0, (1, 300, 3)).astype(np.float32)  # a picture of one row
     sky[0, 17] = 1e6
     options = CompressOptions(storage=storage)
-    write_environment(Picture((1, 300), mallett_basis(), lambda: iter([sky])), None, tmp_path / "e.h5", options,
-                      *OPTIONS[1:])  # fmt: skip
+    picture = OmnidirectionalPicture((1, 300), mallett_basis(), lambda: iter([sky]))
+    write_environment(picture, None, tmp_path / "e.h5", options, *OPTIONS[1:])
     found = Environment.load(tmp_path / "e.h5")
     expected = sky @ mallett_basis().T.astype(np.float32)
     error = np.abs(found.coefficients @ found.basis.T - expected).max(axis=-1) / expected.max(axis=-1)

@@ -30,7 +30,7 @@ from irodori.geometry.shapes.placement import Placement
 from irodori.material.material_file import Material
 from irodori.reflection.lobe import Lobe
 from irodori.reflection.registry import register
-from irodori.rendering.interactive.frame_renderer import Lamp, light_of, prepare_scene, render_frame
+from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, prepare_scene, render_frame
 from irodori.rendering.interactive.round_lobes import ANGLES, ROUGHNESSES, lobe_table, roughness_at
 from irodori.rendering.scene_arrays import make_objects, make_tracer, make_view
 
@@ -173,7 +173,7 @@ def interactive(components, light, n=1.5, k=0.0, lamps=(), size=(41, 41)):
     seen = {"position_mm": (0.0, -200.0, 0.0), "target_mm": (0.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0),
             "field_of_view_deg": 13.0}  # fmt: skip
     view = make_view(made(View, seen), Size(width=size[0], height=size[1]))
-    return render_frame(ready, view, lamps=tuple(Lamp(np.asarray(d)) for d in lamps))[..., 1] / 100
+    return render_frame(ready, view, lamps=tuple(CollimatedLamp(np.asarray(d)) for d in lamps))[..., 1] / 100
 
 
 @SHOWN

@@ -25,7 +25,7 @@ BASIS = np.linalg.svd(np.stack([spectrum(f"TCS{i}") for i in range(99)]), full_m
 FILTERS = ["out", "in"]
 
 
-def write_tile(path, rows, width, seed, filters=FILTERS, noise=1e-6, lobes=("gaussian",)):
+def write_tile(path, rows, width, seed, *, filters=FILTERS, noise=1e-6, lobes=("gaussian",)):
     """A fitted tile of random measured colours; the first texel of each row was not seen."""
     first, last = rows
     count = (last - first) * width

@@ -12,7 +12,13 @@ from irodori.config.capture_table import Pose, Shot
 from irodori.ingest import photon_transfer
 from irodori.ingest.camera_reference import Reference
 from irodori.ingest.mosaic import Mosaic, decode
-from irodori.ingest.photon_transfer import Noise, equal_pairs, fit_transfer, measure_noise, transfer_points
+from irodori.ingest.photon_transfer import (
+    PhotonTransfer,
+    equal_pairs,
+    fit_transfer,
+    measure_noise,
+    transfer_points,
+)
 
 NO_HOT = np.zeros((0, 2), np.int32)
 HEIGHT, WIDTH = 400, 560
@@ -51,7 +57,7 @@ def test_gain_is_within_two_percent_of_the_truth(gain, read, drift):
     assert abs(found - gain) < 5 * error and error < 0.01 * gain
     expected = np.hypot(read / gain, np.sqrt(1 / 12))
     assert read_dn == pytest.approx(expected, rel=0.03)
-    assert Noise(found, error, read_dn, read_error).read_noise_e == pytest.approx(read, rel=0.06)
+    assert PhotonTransfer(found, error, read_dn, read_error).read_noise_e == pytest.approx(read, rel=0.06)
 
 
 @given(gain=st.floats(0.3, 10.0), read_dn=st.floats(0.6, 10.0), seed=st.integers(0, 2**32 - 1))
@@ -155,7 +161,7 @@ def test_a_pair_is_two_shots_that_differ_in_nothing():
 
 
 def test_noise_grows_with_amplification_and_rounding_does_not():
-    noise = Noise(gain_e_per_dn=4.0, read_noise_dn=2.0, iso=100.0)
+    noise = PhotonTransfer(gain_e_per_dn=4.0, read_noise_dn=2.0, iso=100.0)
     gain, read = noise.at(4.0)
     assert gain == 1.0 and read == pytest.approx((4.0 - 1 / 12) * 16 + 1 / 12)
 

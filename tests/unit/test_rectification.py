@@ -21,7 +21,7 @@ from irodori.geometry.lathe import lathe, write_obj
 from irodori.geometry.rig_frame import rig_from_object
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
-from irodori.rectification.stage import RigSetup, _sample, observe, rectify_object
+from irodori.rectification.stage import RigSetup, _sample, _Window, observe, rectify_object
 from irodori.rectification.texture_tiles import tile_rows
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -91,7 +91,7 @@ def linear_file(path, pose, response=None, valid=None, clipped=None, sample_px=2
     return path
 
 
-def rectify(tmp_path, definition, poses, rows=None, max_angle_deg=85.0, setup=None, name="obs.h5", **picture):
+def rectify(tmp_path, definition, poses, *, rows=None, max_angle_deg=85.0, setup=None, name="obs.h5", **picture):
     files = [linear_file(tmp_path / f"{pose.name}.h5", pose, **picture) for pose in poses]
     rows = rows or (0, definition["texels"]["height"])
     rectify_object(
@@ -525,8 +525,8 @@ def test_a_texel_on_a_sample_does_not_depend_on_the_window_that_is_read():
     for first, last in ((1, 4), (1, 7), (0, 9)):
         out, good, clips = np.zeros((3, 6), dtype=np.float32), np.empty(3, dtype=bool), np.empty(3, dtype=np.uint8)
         window = slice(first, last)
-        _sample(response[window, window], valid[window, window], clipped[window, window],
-                np.array([first, first]), xy, out, good, clips)  # fmt: skip
+        pictures = (picture[window, window] for picture in (response, valid, clipped))
+        _sample(_Window(*pictures, np.array([first, first])), xy, out, good, clips)
         found.append((out.copy(), good.copy(), clips.copy()))
     assert found[0][1].all() and not found[0][2].any()
     np.testing.assert_array_equal(found[0][0][0], response[2, 3])

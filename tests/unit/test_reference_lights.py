@@ -14,7 +14,7 @@ from scenes import (
 )
 
 from irodori.reflection.equation5 import angles_from_directions, reflect
-from irodori.rendering.reference.converging_picture import Tiles, pooled
+from irodori.rendering.reference.converging_picture import FinishedTiles, pooled
 from irodori.spectra.published import light as spectrum_of
 
 SPECTRUM = np.linspace(0.2, 0.9, 61)
@@ -280,10 +280,10 @@ def test_an_interrupted_picture_goes_on_where_it_stopped(tmp_path, monkeypatch):
 
     monkeypatch.setattr(module, "render_rows", counted)
     with pytest.raises(KeyboardInterrupt):
-        still_life(16, tile_rows=6, tiles=Tiles(tmp_path / "t", "a"))
+        still_life(16, tile_rows=6, tiles=FinishedTiles(tmp_path / "t", "a"))
     assert made == [(0, 6), (6, 12)]
     made.clear()
-    tiles = Tiles(tmp_path / "t", "a")
+    tiles = FinishedTiles(tmp_path / "t", "a")
     again = still_life(16, tile_rows=6, tiles=tiles)
     assert made == [(12, 18)]
     assert np.array_equal(again.radiance, whole.radiance)
@@ -291,7 +291,7 @@ def test_an_interrupted_picture_goes_on_where_it_stopped(tmp_path, monkeypatch):
     # Tiles of another picture are none of this one's.
     made.clear()
     with pytest.raises(KeyboardInterrupt):
-        still_life(16, tile_rows=6, tiles=Tiles(tmp_path / "t", "b"))
+        still_life(16, tile_rows=6, tiles=FinishedTiles(tmp_path / "t", "b"))
     assert made == [(0, 6), (6, 12)]
     tiles.remove()
     assert {p.name for p in (tmp_path / "t").iterdir()} == {"b-0-6.npz", "b-6-12.npz"}

@@ -40,7 +40,7 @@ def transform(place=(0, 0, 0), turn=None, half=(1.0, 1.0)):
     return mitsuba.ScalarTransform4f(matrix)
 
 
-def mitsuba_picture(parts, position, target, fov, size, samples, depth=-1) -> SimpleNamespace:
+def mitsuba_picture(parts, *, position, target, fov, size, samples, depth=-1) -> SimpleNamespace:
     """Mean and standard error of independent seeds, (height, width, 3)."""
     mitsuba.set_variant("scalar_rgb")
     parts = {name: part() for name, part in parts.items()}

@@ -30,7 +30,7 @@ def similarity(dx=0.0, dy=0.0, rotation_deg=0.0, scale=1.0) -> Registration:
     return Registration(dx, dy, math.radians(rotation_deg), scale, 0.0, 0.0)
 
 
-def shoot(scene, truth, rng, width=WIDTH, height=HEIGHT, light=1.0, barrel_px=0.0):
+def shoot(scene, truth, rng, width=WIDTH, height=HEIGHT, *, light=1.0, barrel_px=0.0):
     """Return both pictures and their masks."""
     fixed, fixed_valid = photograph(render(scene, width, height, 0, STILL), 0, rng)
     moving, moving_valid = photograph(

@@ -90,7 +90,7 @@ def test_more_nodes_never_take_longer_and_more_objects_never_less(nodes, cores, 
     assert total_s(phases(replace(work, objects=2 * objects), cluster, COSTS), COSTS) >= time_s
 
 
-def project(size, start_s=3.0, ingest_s=0.05, rectify_s=0.2, fit_s=0.02, compress_s=1.0, hashed_mb_per_s=1000.0):
+def project(size, start_s=3.0, ingest_s=0.05, *, rectify_s=0.2, fit_s=0.02, compress_s=1.0, hashed_mb_per_s=1000.0):
     """Return a project whose jobs took what the constants say, and nothing else."""
     megatexels, pixels = size.texels_side**2 / 1e6, size.megapixels * size.poses
     tiles, linear_mb = -(-(size.texels_side**2) // size.tile_texels), 6.0 * pixels

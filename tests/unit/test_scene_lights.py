@@ -16,16 +16,16 @@ POINTS = qmc.Sobol(2, seed=1).random_base2(14)
 
 
 @numba.njit
-def _drawn(lights, point, places, towards, density, again, tangent, bitangent):
+def _drawn(lights, point, places, towards, density, again):
     for i in range(len(places)):
-        density[i] = sample_towards(lights, 0, point, places[i, 0], places[i, 1], towards[i], tangent, bitangent)
+        density[i] = sample_towards(lights, 0, point, places[i, 0], places[i, 1], towards[i])
         again[i] = density_towards(lights, 0, point, towards[i])
 
 
 def drawn(lights, point):
     """Return directions drawn from a point, and their densities, which the other side of a path must find too."""
     towards, density, again = np.empty((len(POINTS), 3)), np.empty(len(POINTS)), np.empty(len(POINTS))
-    _drawn(lights, point, POINTS, towards, density, again, np.empty(3), np.empty(3))
+    _drawn(lights, point, POINTS, towards, density, again)
     assert np.allclose(np.linalg.norm(towards, axis=1), 1)
     # A direction to the very rim of a light may miss it by rounding.
     assert (density > 0).all() and np.allclose(again, density, rtol=1e-6)
@@ -70,7 +70,7 @@ def test_from_behind_and_from_within_its_plane_a_rectangle_gives_nothing():
     for point in ([0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [100.0, 0.0, 0.0]):
         density, towards = np.empty((2, 1)), np.zeros((1, 3))
         towards[0, 2] = 1.0
-        _drawn(lights, np.array(point), POINTS[5:6], towards, density[0], density[1], np.empty(3), np.empty(3))
+        _drawn(lights, np.array(point), POINTS[5:6], towards, density[0], density[1])
         assert density[0, 0] == 0 and density[1, 0] == 0
 
 

@@ -30,7 +30,7 @@ from irodori.fitting.solvers import FitOptions
 from irodori.fitting.solvers import fit as fit_texels
 from irodori.light.environment_file import Environment, directions
 from irodori.light.irradiance import Integrator
-from irodori.light.omnidirectional import Picture
+from irodori.light.omnidirectional import OmnidirectionalPicture
 from irodori.light.stage import write_environment
 from irodori.material.material_file import Status
 from irodori.material.principal_components.basis_count import CompressOptions
@@ -247,7 +247,7 @@ def test_a_sun_of_one_texel_and_one_line_at_the_pole_in_the_smallest_sky(
     basis = np.stack([spectrum("D65") / 100, SPECTRA[lamp]], axis=1)
     path = tmp_path_factory.mktemp("sky") / "e.h5"
     write_environment(
-        Picture(size, basis, lambda: iter([weights])),
+        OmnidirectionalPicture(size, basis, lambda: iter([weights])),
         None,
         path,
         CompressOptions(storage=storage),

@@ -33,8 +33,8 @@ BLOCK = {"kind": "tube", "radius_mm": 20.0, "height_mm": 60.0}
 
 
 @njit
-def _meet(surfaces, intersect, scene, origin, direction, shape, point, normal, uv):
-    ray, facet = new_ray(), np.empty(3)
+def _meet(surfaces, intersect, scene, origin, direction, found):
+    ray, facet, (shape, point, normal, uv) = new_ray(), np.empty(3), found
     for r in range(shape.size):
         trace(intersect, scene, ray, origin[r], direction[r], np.inf)
         shape[r] = hit_shape(ray)
@@ -50,7 +50,7 @@ def meet(tracer, origin, direction) -> tuple:
     count = len(origin)
     found = np.empty(count, dtype=np.int64), np.zeros((count, 3)), np.zeros((count, 3)), np.zeros((count, 2))
     surfaces = make_surfaces(list(tracer.placements))
-    _meet(surfaces, tracer.intersect_address, tracer.scene, origin, direction, *found)
+    _meet(surfaces, tracer.intersect_address, tracer.scene, origin, direction, found)
     return found
 
 

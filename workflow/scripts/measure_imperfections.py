@@ -1,7 +1,7 @@
 from irodori.config.models import Rectify
 from irodori.config.parts import ImperfectObject
 from irodori.core.run_rule import run_rule
-from irodori.evaluation.imperfection_costs import Chain, Settings, measure_imperfections
+from irodori.evaluation.imperfection_costs import Settings, SmallChain, measure_imperfections
 from irodori.fitting.solvers import FitOptions
 from irodori.ingest.ingest_options import IngestOptions
 from irodori.material.principal_components.basis_count import CompressOptions
@@ -16,6 +16,6 @@ with run_rule(snakemake):
     )
     subject = snakemake.params.subject
     measure_imperfections(
-        Chain(**vars(ImperfectObject.of(subject)), settings=settings) if subject else None,
+        SmallChain(**vars(ImperfectObject.of(subject)), settings=settings) if subject else None,
         snakemake.output.costs,
     )

@@ -5,11 +5,12 @@ pixel does not take counts as an exact zero, so that its bits do not depend on i
 """
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
-from irodori.calibration.recovery.mapping_loops import BLOCK, FAST, LANES, SERIAL, load, store
+from irodori.calibration.recovery.mapping_loops import BLOCK, FAST, LANES, SERIAL, Group, load, store
 from irodori.jit.compilation import njit
 from irodori.jit.functions import exp, log
 from irodori.jit.table_sums import OUTPUTS, TILE, any_above_zero, blend_tile
@@ -18,6 +19,17 @@ _LEAST_EXPONENT = -16.5  # of an anchor's share
 _LEAST_SHARE = 1e-7  # of an anchor in a pixel's map; less would not show in float32
 _LEAST_SIGNAL = 1e-3  # of the squared length of a response, where its noise is larger than itself
 _LEAST_RATIO, _LARGEST_RATIO = 1e-300, 1e300  # of noise to signal, whose logarithm is taken
+
+
+class Blending(NamedTuple):
+    """A `LocalMapping` for compiled loops; anchors and maps are of the type of the responses."""
+
+    scale: np.ndarray  # (bands,)
+    anchors: np.ndarray  # `columns_of` the anchors' transpose, (bands, a)
+    width: float
+    levels: np.ndarray  # (l,)
+    spread: float
+    maps: np.ndarray  # `columns_of` (l + 1, a, k bands)
 
 
 def columns_of(matrix: np.ndarray) -> np.ndarray:
@@ -58,12 +70,13 @@ def _load_variance(variance, first, count, inverse_square, own):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _place_levels(own, bands, levels, spread, width, length, position, inverse):
+def _place_levels(blending, own, length, position, inverse):
     """Fill where each pixel's relative variance lies among the levels, and one over its squared width.
 
     A variance of zero, or below the lowest level, counts as the lowest level, an infinite one as the highest. Where the
     variance is negative or NaN, the length becomes NaN, and so does the pixel.
     """
+    levels, spread, width, bands = blending.levels, blending.spread, blending.width, blending.scale.size
     last = levels.size - 1
     step = levels[1] - levels[0]
     least, largest = math.exp(levels[0]), math.exp(levels[last])
@@ -140,8 +153,9 @@ def _apply(blend, x, values):
 
 
 @njit(cache=True, nogil=True)
-def _local_block(first, last, response, variance, scale, anchors, width, levels, spread, maps, out):
-    """Blend the matrices of the anchors, see `LocalMapping`."""
+def _local_block(blending, response, variance, out, first, last):
+    """Blend the matrices of the anchors for some pixels, see `LocalMapping`."""
+    scale, anchors, width, levels, _, maps = blending
     bands, bases, count = scale.size, out.shape[1], maps.shape[2]
     kind = maps.dtype
     x, c, length = np.empty((bands, LANES)), np.empty((bands, LANES)), np.empty(LANES)
@@ -156,11 +170,11 @@ def _local_block(first, last, response, variance, scale, anchors, width, levels,
     inverse_square = inverse_scale**2
     for start in range(first, last, LANES):
         pixels = min(LANES, last - start)
-        load(response, start, pixels, inverse_scale, x, c, length)
+        load(response, start, pixels, inverse_scale, Group(x, c, length))
         lowest, highest = 0, 1
         if variance.size > 0:
             _load_variance(variance, start, pixels, inverse_square, own)
-            _place_levels(own, bands, levels, spread, width, length, position, inverse)
+            _place_levels(blending, own, length, position, inverse)
             lowest, highest = int(position.min()) + 1, min(int(position.max()) + 2, levels.size) + 1
         direction[:], sharpness[:] = c, inverse
         _product(direction, every, bands, anchors, share)
@@ -179,24 +193,20 @@ def _local_block(first, last, response, variance, scale, anchors, width, levels,
         store(values, length, start, pixels, out)
 
 
-def local_weights(response, variance, out, *, scale, anchors, width, levels, spread, maps):
+def local_weights(blending: Blending, response, variance, out) -> None:
     """Fill out (n, k) for responses (n, bands).
 
-    Variances are (n, bands), (1, bands) for all, or (0, bands) where not known. anchors are the `columns_of` their
-    transpose, (bands, a), maps those of (levels + 1, a, k bands), both of the type of the response. All arrays are
-    C-contiguous.
+    Variances are (n, bands), (1, bands) for all, or (0, bands) where not known. All arrays are C-contiguous.
     """
     if len(response) <= SERIAL:
-        _local_block(0, len(response), response, variance, scale, anchors, width, levels, spread, maps, out)
+        _local_block(blending, response, variance, out, 0, len(response))
     else:
-        _local_parallel(response, variance, scale, anchors, width, levels, spread, maps, out)
+        _local_parallel(blending, response, variance, out)
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def _local_parallel(response, variance, scale, anchors, width, levels, spread, maps, out):
+def _local_parallel(blending, response, variance, out):
     blocks = (response.shape[0] + BLOCK - 1) // BLOCK
     for block in numba.prange(blocks):
-        _local_block(
-            block * BLOCK, min((block + 1) * BLOCK, response.shape[0]),
-            response, variance, scale, anchors, width, levels, spread, maps, out,
-        )  # fmt: skip
+        last = min((block + 1) * BLOCK, response.shape[0])
+        _local_block(blending, response, variance, out, block * BLOCK, last)

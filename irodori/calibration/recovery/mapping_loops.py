@@ -5,6 +5,7 @@ over a row into vector instructions. No sum runs over pixels: a pixel's bits do 
 """
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -24,12 +25,18 @@ def _rows(count):
     return (count + _ROWS - 1) // _ROWS * _ROWS
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def load(response, first, count, inverse_scale, x, c, length):
-    """Fill x (bands, LANES) with scaled responses, the first rows of c with their directions, and length (LANES,).
+class Group(NamedTuple):
+    """Scaled responses of the pixels that are taken at a time."""
 
-    Pixels beyond `count` are 1 in every band.
-    """
+    x: np.ndarray  # (bands, LANES)
+    direction: np.ndarray  # (bands, LANES) the same over their length
+    length: np.ndarray  # (LANES,)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def load(response, first, count, inverse_scale, group):
+    """Fill a `Group` with responses from the ``first`` on; pixels beyond ``count`` are 1 in every band."""
+    x, c, length = group
     bands = x.shape[0]
     for b in range(bands):
         for j in range(LANES):
@@ -107,7 +114,7 @@ def _polynomial_block(first, last, response, scale, coefficients, out):
     inverse_scale = 1.0 / scale
     for start in range(first, last, LANES):
         pixels = min(LANES, last - start)
-        load(response, start, pixels, inverse_scale, x, c, length)
+        load(response, start, pixels, inverse_scale, Group(x, c, length))
         _monomials(x, c, terms)
         for k in range(bases):
             _combine(terms, padded, weight[k], values[k])

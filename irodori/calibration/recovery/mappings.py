@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from irodori.calibration.recovery.local_loops import columns_of, local_weights
+from irodori.calibration.recovery.local_loops import Blending, columns_of, local_weights
 from irodori.calibration.recovery.mapping_loops import polynomial_weights
 
 _TILE = 1 << 16  # responses at a time: the tile and its result stay in the cache
@@ -135,10 +135,7 @@ class LocalMapping(_Differences):
         elif variance.strides[0] == 0 or len(variance) == 1:
             variance = variance[:1].copy()  # what cannot be written to would compile the loop once more
         maps = self.maps.astype(response.dtype).swapaxes(-1, -2)
-        local_weights(
-            response,
-            np.array(variance, order="C", copy=None),
-            out,
+        blending = Blending(
             scale=self.scale,
             anchors=columns_of(self.anchors.T.astype(response.dtype)),
             width=self.width,
@@ -146,6 +143,7 @@ class LocalMapping(_Differences):
             spread=self.spread,
             maps=columns_of(maps.reshape(*maps.shape[:2], -1)),
         )
+        local_weights(blending, response, np.array(variance, order="C", copy=None), out)
 
     def on_basis(self, basis):
         """See `Mapping`."""

@@ -124,8 +124,9 @@ def _judge_fit(jacobian, variance, weight, state, prior, by_determinant):
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def _judge_all(jacobian, variance, weight, state, prior, allowed, of_fit, by_determinant, out):
-    """Fill in the criterion of the design with each candidate added."""
+def _judge_all(seen, state, prior, allowed, criterion, out):
+    """Fill in the criterion of the design with each candidate added; it is of the fit or not, by determinant or not."""
+    (jacobian, variance, _, weight), (of_fit, by_determinant) = seen, criterion
     for p in numba.prange(allowed.size):
         if not allowed[p]:
             out[p] = -np.inf
@@ -168,9 +169,7 @@ class Selection:
     def __init__(self, seen: Observations, prior: float, setting, max_manual: int, criterion: str) -> None:
         if criterion not in CRITERIA:
             raise ValueError(f"criterion {criterion!r}; accepted: {', '.join(CRITERIA)}")
-        self.jacobian = np.ascontiguousarray(seen.jacobian)
-        self.variance = np.ascontiguousarray(seen.variance)
-        self.weight = np.ascontiguousarray(seen.weight)
+        self.seen = Observations(*(np.ascontiguousarray(values) for values in seen))
         self.prior = tuple(prior * np.eye(PARAMETERS)[_UPPER])
         self.setting = np.asarray(setting)
         self.max_manual = max_manual
@@ -179,9 +178,9 @@ class Selection:
 
     def _state(self, chosen: list[int]) -> np.ndarray:
         """Return the sums of a design, (cases, 13): Fisher information with prior, or N, Σ w² v J Jᵀ, and the count."""
-        jacobian, variance, weight = self.jacobian[chosen], self.variance[chosen], self.weight[chosen]
+        jacobian, variance, _, weight = self.seen.of(chosen)
         seen = np.isfinite(variance)
-        state = np.zeros((self.variance.shape[1], 13))
+        state = np.zeros((self.seen.variance.shape[1], 13))
         if self.of_fit:
             state[:, :6] = _sums(weight, jacobian)
             state[:, 6:12] = _sums(weight**2 * np.where(seen, variance, 0.0), jacobian)
@@ -192,15 +191,15 @@ class Selection:
 
     def value(self, chosen: list[int]) -> float:
         """Return the criterion of a design."""
-        nothing = np.full(self.variance.shape[1], np.inf)
-        state = self._state(list(chosen))
+        jacobian, variance, _, weight = self.seen
+        nothing, state = np.full(variance.shape[1], np.inf), self._state(list(chosen))
         if self.of_fit:
-            return _judge_fit(self.jacobian[0], nothing, self.weight[0], state, self.prior, self.by_determinant)
-        return _judge_fisher(self.jacobian[0], nothing, state, self.by_determinant)
+            return _judge_fit(jacobian[0], nothing, weight[0], state, self.prior, self.by_determinant)
+        return _judge_fisher(jacobian[0], nothing, state, self.by_determinant)
 
     def _additions(self, chosen: list[int]) -> np.ndarray:
         """Return the criterion with each candidate added, (candidates,); minus infinity where that is not allowed."""
-        allowed = np.ones(len(self.variance), dtype=np.bool_)
+        allowed = np.ones(len(self.seen.variance), dtype=np.bool_)
         allowed[chosen] = False
         used = np.unique(self.setting[chosen]) if chosen else np.empty(0, dtype=int)
         if len(used) >= self.max_manual:
@@ -209,11 +208,8 @@ class Selection:
             raise TooFewPoses(
                 f"more than {len(chosen)} poses in {self.max_manual} manual settings; accepted: as many as the rig has"
             )
-        out = np.empty(len(self.variance))
-        state = self._state(chosen)
-        _judge_all(
-            self.jacobian, self.variance, self.weight, state, self.prior, allowed, self.of_fit, self.by_determinant, out
-        )
+        out = np.empty(len(allowed))
+        _judge_all(self.seen, self._state(chosen), self.prior, allowed, (self.of_fit, self.by_determinant), out)
         return out
 
     def _fill(self, chosen: list[int], count: int) -> tuple[list[int], float]:

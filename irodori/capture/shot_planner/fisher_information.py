@@ -12,7 +12,7 @@ serve both, but how the two components of one texel are told apart is not in it,
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numba
 import numpy as np
@@ -37,7 +37,7 @@ _SINGULAR = 1e-10  # determinant, scaled to a unit diagonal, under which paramet
 
 
 @dataclass(frozen=True)
-class Noise:
+class ObservationNoise:
     """Variance of one observation ρ: shot and read noise, and the errors that the model of the rig leaves.
 
     Parameters
@@ -61,7 +61,7 @@ class Noise:
     saturation_response: float = math.inf
 
     @classmethod
-    def of_sensor(cls, sensor: "SensorOptions", exposures_s=(), **others) -> "Noise":
+    def of_sensor(cls, sensor: "SensorOptions", exposures_s=(), **others) -> "ObservationNoise":
         """Return the noise of a camera's ``virtual.sensor`` block for its brightest band.
 
         Parameters
@@ -146,7 +146,7 @@ class Materials:
 
 
 @dataclass(frozen=True)
-class Subject:
+class RigSubject:
     """Texels of an object on the rig's table.
 
     Parameters
@@ -198,26 +198,13 @@ class Subject:
         return out
 
 
-@dataclass(frozen=True)
-class Observations:
-    """Expected observations of every case in every pose.
+class Observations(NamedTuple):
+    """Expected observations of every case in every pose, float64."""
 
-    Parameters
-    ----------
-    jacobian : (poses, cases, 3) float64
-        ∂ρ / ∂(ln α, ln β, ln μ); zero where there is nothing to observe.
-    variance : (poses, cases) float64
-        Of ρ; infinite where there is nothing to observe.
-    response : (poses, cases) float64
-        ρ, zero where there is nothing to observe.
-    weight : (poses, cases) float64
-        That of the fit; zero where there is nothing to observe.
-    """
-
-    jacobian: np.ndarray
-    variance: np.ndarray
-    response: np.ndarray
-    weight: np.ndarray
+    jacobian: np.ndarray  # (poses, cases, 3) ∂ρ / ∂(ln α, ln β, ln μ); zero where there is nothing to observe
+    variance: np.ndarray  # (poses, cases) of ρ; infinite where there is nothing to observe
+    response: np.ndarray  # (poses, cases) ρ; zero where there is nothing to observe
+    weight: np.ndarray  # (poses, cases) that of the fit; zero where there is nothing to observe
 
     def of(self, chosen) -> "Observations":
         """Return the observations of chosen poses."""
@@ -230,10 +217,10 @@ class Observations:
 
 
 def observe(
-    subject: Subject,
+    subject: RigSubject,
     poses: list[Pose],
     materials: Materials,
-    noise: Noise,
+    noise: ObservationNoise,
     max_angle_deg: float = 80.0,
     weighting: Weighting = WEIGHTING,
 ) -> Observations:
@@ -241,10 +228,10 @@ def observe(
 
     Parameters
     ----------
-    subject : Subject
+    subject : RigSubject
     poses : list of Pose
     materials : Materials
-    noise : Noise
+    noise : ObservationNoise
     max_angle_deg : float
         Observations with θ_i or θ_r beyond it carry no weight in the fit and tell nothing here, degrees.
     weighting : Weighting
@@ -273,12 +260,11 @@ def observe(
     cases = geometry.shape[1] * len(parameters)
     shape = (len(poses), cases)
     out = Observations(np.zeros((*shape, PARAMETERS)), np.full(shape, np.inf), np.zeros(shape), np.zeros(shape))
-    spread = (noise.read_variance, noise.shot_variance, noise.relative, noise.saturation_response)
     # Without weights of its own the fit takes all variances for one.
     expected = weighting.model_error if weighting.weights == "noise" else -1.0
-    filled = out.jacobian, out.variance, out.response, out.weight
+    spread = _Spread(noise.read_variance, noise.shot_variance, noise.relative, noise.saturation_response, expected)
     for name, chosen in materials.of_lobes():
-        _fill(Lobes.of(name), geometry, reflectance, seen, parameters, chosen, spread, expected, *filled)
+        _fill(Lobes.of(name), _Seen(geometry, reflectance, seen), _Group(parameters, chosen), spread, out)
     return out
 
 
@@ -293,16 +279,41 @@ def _features(lobes, geometry, reflectance, out):
         out[0, s], out[1, s], out[2, s], out[3, s], out[4, s] = cosine, reflectance[s] * factor, f0, f1, f2
 
 
+class _Seen(NamedTuple):
+    """Texels in every pose, and in those moved from it."""
+
+    geometry: np.ndarray  # (poses, t, 5, 4) θ_i, θ_r, θ_H, φ, rad
+    reflectance: np.ndarray  # (poses, t, 5) Fresnel reflectance
+    is_seen: np.ndarray  # (poses, t) bool
+
+
+class _Group(NamedTuple):
+    """Some of the materials: those of one lobe."""
+
+    parameters: np.ndarray  # (materials, 3) α, β, μ of all
+    chosen: np.ndarray  # indices of those that are meant
+
+
+class _Spread(NamedTuple):
+    """Variance of an observation, as of `ObservationNoise`, and what the fit expects of it."""
+
+    read: float
+    shot: float
+    relative: float
+    saturation: float
+    expected: float  # relative error of the model, below 0 where all weights are equal
+
+
 @njit(cache=True)
-def _fill_pose(lobes, geometry, reflectance, seen, parameters, chosen, spread, expected, filled):
-    jacobian, variance, response, weight = filled
-    read, shot, relative, saturation = spread
-    materials, at = parameters.shape[0], np.empty((5, 5))
-    for t in range(seen.size):
-        if not seen[t]:
+def _fill_pose(lobes, seen, group, spread, filled, p):
+    jacobian, variance, response, weight = filled.jacobian[p], filled.variance[p], filled.response[p], filled.weight[p]
+    read, shot, relative, saturation, expected = spread
+    parameters, materials, at = group.parameters, group.parameters.shape[0], np.empty((5, 5))
+    for t in range(seen.is_seen.shape[1]):
+        if not seen.is_seen[p, t]:
             continue
-        _features(lobes, geometry[t], reflectance[t], at)
-        for m in chosen:
+        _features(lobes, seen.geometry[p, t], seen.reflectance[p, t], at)
+        for m in group.chosen:
             alpha, beta, constant = parameters[m, 0], parameters[m, 1], constants(lobes, math.log(parameters[m, 2]))
             shape, slope, _ = derivatives(lobes, constant, at[2, 0], at[3, 0], at[4, 0])
             gloss = beta * at[1, 0] * shape
@@ -323,12 +334,9 @@ def _fill_pose(lobes, geometry, reflectance, seen, parameters, chosen, spread, e
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def _fill(
-    lobes, geometry, reflectance, seen, parameters, chosen, spread, expected, jacobian, variance, response, weight
-):
-    for p in numba.prange(seen.shape[0]):
-        filled = jacobian[p], variance[p], response[p], weight[p]
-        _fill_pose(lobes, geometry[p], reflectance[p], seen[p], parameters, chosen, spread, expected, filled)
+def _fill(lobes, seen, group, spread, filled):
+    for p in numba.prange(seen.is_seen.shape[0]):
+        _fill_pose(lobes, seen, group, spread, filled, p)
 
 
 def standard_errors(observations: Observations) -> np.ndarray:

@@ -11,9 +11,9 @@ from irodori.capture.shot_planner.exchange import TooFewPoses, choose
 from irodori.capture.shot_planner.fisher_information import (
     WEIGHTING,
     Materials,
-    Noise,
+    ObservationNoise,
     Observations,
-    Subject,
+    RigSubject,
     Weighting,
     observe,
     standard_errors,
@@ -141,7 +141,7 @@ class Plan:
         return [*out, f"{self.determined_fraction:.0%} of materials and texels determined"]
 
 
-def subject_of(definition: Object | PlannedObject, rig: Rig) -> Subject:
+def subject_of(definition: Object | PlannedObject, rig: Rig) -> RigSubject:
     """Return the texels that stand for an object.
 
     Parameters
@@ -151,7 +151,7 @@ def subject_of(definition: Object | PlannedObject, rig: Rig) -> Subject:
     """
     shape = Shape.from_definition(definition.shape)
     position, normal = shape.samples(_SPHERE_TEXELS)
-    return Subject(shape, position, normal, rig.camera_distance_mm, rig.table_radius_mm)
+    return RigSubject(shape, position, normal, rig.camera_distance_mm, rig.table_radius_mm)
 
 
 def axis_angles(limit: AxisLimit, coarse_deg: float) -> np.ndarray:
@@ -218,7 +218,7 @@ class StatedErrors(Protocol):
 
 def default_noise(
     rig: Rig, sensor: SensorOptions | None = None, exposures_s=(), fit: StatedErrors | None = None
-) -> Noise:
+) -> ObservationNoise:
     """Return the noise of a rig and of its camera where their definitions state it, else what the fit reckons with.
 
     Parameters
@@ -239,7 +239,7 @@ def default_noise(
             "relative": drift.relative_rms if drift.enabled else 0.0,
             "pose_rms_deg": pose.rms_deg if pose.enabled else 0.0,
         }
-    return Noise(**own) if sensor is None else Noise.of_sensor(sensor, exposures_s, **own)
+    return ObservationNoise(**own) if sensor is None else ObservationNoise.of_sensor(sensor, exposures_s, **own)
 
 
 class Planner:
@@ -274,7 +274,7 @@ class Planner:
         rig: Rig,
         *,
         materials: MaterialRange | None = None,
-        noise: Noise | None = None,
+        noise: ObservationNoise | None = None,
         max_angle_deg: float = 80.0,
         clearance_deg: float = 5.0,
         coarse_deg: Mapping[str, float] | None = None,

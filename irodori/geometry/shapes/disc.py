@@ -6,7 +6,7 @@ integral of n · (r × dr) / |r|²: a quotient of first-order trigonometric poly
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -53,12 +53,22 @@ SCHEMA = {
 _CENTRED = 1e-7
 
 
-@njit(cache=True, error_model="numpy")
-def _primitive(tau, a, b, s, k, swing, root, ratio):
-    """Return ∫ (a + b cos τ + s sin τ) / (k + swing cos τ) dτ from 0 to τ, which is within ±2π.
+class _Quotient(NamedTuple):
+    """(a + b cos τ + s sin τ) / (k + swing cos τ), and what its integral takes from the denominator."""
 
-    ``root`` is √(k² - swing²) and ``ratio`` √((k - swing) / (k + swing)).
-    """
+    a: float
+    b: float
+    s: float
+    k: float
+    swing: float
+    root: float  # √(k² - swing²)
+    ratio: float  # √((k - swing) / (k + swing))
+
+
+@njit(cache=True, error_model="numpy")
+def _primitive(quotient, tau):
+    """Return the integral of a `_Quotient` from 0 to τ, which is within ±2π."""
+    a, b, s, k, swing, root, ratio = quotient
     if swing <= _CENTRED * k:
         return (a * tau + b * math.sin(tau) + s * (1.0 - math.cos(tau))) / k
     plain = 2.0 / root * math.atan2(ratio * math.sin(0.5 * tau), math.cos(0.5 * tau))
@@ -112,8 +122,8 @@ def hidden_by_disc(normal, centre, axes, radius):
         way = top - towards
         way -= 2.0 * math.pi * math.floor(way / (2.0 * math.pi) + 0.5)
         start, end = way - half, way + half
-    root, ratio = math.sqrt(low * high), math.sqrt(low / high)
-    found = _primitive(end, a, -b, -s, k, change, root, ratio) - _primitive(start, a, -b, -s, k, change, root, ratio)
+    quotient = _Quotient(a, -b, -s, k, change, math.sqrt(low * high), math.sqrt(low / high))
+    found = _primitive(quotient, end) - _primitive(quotient, start)
     if half < math.pi:
         # Back along the horizon, from the second point of the circle that lies in it to the first.
         pe, pf = ce + radius * math.cos(top + half), cf + radius * math.sin(top + half)

@@ -129,7 +129,8 @@ def hidden_by_corners(normal, corners):
 
 
 @njit(cache=True)
-def _plate_corner(row, at, x, y, z, sign_u, sign_v):
+def _plate_corner(row, at, centre, sign_u, sign_v):
+    x, y, z = centre
     u, v = sign_u * 0.5 / row[at + WIDE], sign_v * 0.5 / row[at + HIGH]
     return (
         x + u * row[at + TURN] + v * row[at + TURN + 1],
@@ -144,10 +145,10 @@ def _hides(row, at, x, y, z, normal):
     if x * facing[0] + y * facing[1] + z * facing[2] >= 0.0:
         facing = (0.0, 0.0, 0.0)
     corners = (
-        _plate_corner(row, at, x, y, z, -1.0, -1.0),
-        _plate_corner(row, at, x, y, z, 1.0, -1.0),
-        _plate_corner(row, at, x, y, z, 1.0, 1.0),
-        _plate_corner(row, at, x, y, z, -1.0, 1.0),
+        _plate_corner(row, at, (x, y, z), -1.0, -1.0),
+        _plate_corner(row, at, (x, y, z), 1.0, -1.0),
+        _plate_corner(row, at, (x, y, z), 1.0, 1.0),
+        _plate_corner(row, at, (x, y, z), -1.0, 1.0),
     )
     return hidden_by_corners(normal, corners), facing
 

@@ -8,6 +8,7 @@ Nyquist, which keeps what superpixels alias down.
 """
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -81,7 +82,9 @@ def _least_along_row(level, y, out):
 
 
 @njit(cache=True)
-def _least_of_rows(r0, r1, r2, r3, r4, r5, out):
+def _least_of_rows(along, y, out):
+    """Fill the least of six rows, from two above ``y`` to three below it."""
+    r0, r1, r2, r3, r4, r5 = along[y - 2], along[y - 1], along[y], along[y + 1], along[y + 2], along[y + 3]
     for i in range(out.size):
         out[i] = _less(_less(_less(r0[i], r1[i]), _less(r2[i], r3[i])), _less(r4[i], r5[i]))
 
@@ -93,12 +96,47 @@ def least_share(level):
     for y in numba.prange(level.shape[0]):
         _least_along_row(level, y, along[y])
     for y in numba.prange(2, level.shape[0] - 3):
-        _least_of_rows(along[y - 2], along[y - 1], along[y], along[y + 1], along[y + 2], along[y + 3], out[y])
+        _least_of_rows(along, y, out[y])
     return out
 
 
+class Places(NamedTuple):
+    """Places of the fixed picture that are compared, cell by cell."""
+
+    xy: np.ndarray  # (cells, quota, 2) int32, x then y
+    counts: np.ndarray  # (cells,) int64, of which so many count
+    offsets: np.ndarray  # (3, 2) places of the bands, pixels of the level
+    #: (4,) superpixels in a pixel of the level; centre x, y and rms radius of the picture, superpixels.
+    geometry: np.ndarray
+
+
+class Fixed(NamedTuple):
+    """The fixed picture at its places, float32."""
+
+    gradient: np.ndarray  # (cells, quota, 3, 2) along x and y
+    curvature: np.ndarray  # (cells, quota, 3, 3) second derivatives xx xy yy
+    weight: np.ndarray  # (cells, quota) least share of valid pixels under the kernel, 0 outside
+
+
+class Moving(NamedTuple):
+    """The moving picture at the images of the places, float32."""
+
+    gradient: np.ndarray  # (cells, quota, 3, 2) along the fixed picture's axes
+    valid: np.ndarray  # (cells, quota) the smaller share of valid pixels of the two pictures
+
+
+class Residuals(NamedTuple):
+    """What is expected of the gradients' residuals."""
+
+    colour: np.ndarray  # (cells, 3, 3) map from fixed to moving gradients
+    sigma: np.ndarray  # (3,) standard deviation in each band
+    slope: float  # further standard deviation as a share of the gradient that the colour map predicts
+
+
 @njit(cache=True, fastmath={"contract"})
-def _template_cell(values, least, places, count, offsets, gradient, curvature, weight):
+def _template_cell(values, least, chosen, fixed, cell):
+    places, count, offsets = chosen.xy[cell], chosen.counts[cell], chosen.offsets
+    gradient, curvature, weight = fixed.gradient[cell], fixed.curvature[cell], fixed.weight[cell]
     height, width = least.shape
     line = np.uint64(4 * width)
     for n in range(count):
@@ -128,34 +166,38 @@ def _template_cell(values, least, places, count, offsets, gradient, curvature, w
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def template(level, least, places, counts, offsets):
-    """Return gradients and second derivatives of the fixed picture at chosen places.
+def template(level, least, places):
+    """Return the fixed picture at its places, `Fixed`.
 
     Parameters
     ----------
+    level : (h, w, 4) float32
     least : (h, w) float32
         Of the level, see `least_share`.
-
-    Returns
-    -------
-    gradient : (cells, quota, 3, 2) float32, along x and y
-    curvature : (cells, quota, 3, 3) float32, xx xy yy
-    weight : (cells, quota) float32, least share of valid pixels under the kernel, 0 outside
+    places : Places
     """
-    cells, quota = places.shape[:2]
+    cells, quota = places.xy.shape[:2]
     values = level.ravel()
     gradient = np.zeros((cells, quota, 3, 2), dtype=np.float32)
     curvature = np.zeros((cells, quota, 3, 3), dtype=np.float32)
-    weight = np.zeros((cells, quota), dtype=np.float32)
+    fixed = Fixed(gradient, curvature, np.zeros((cells, quota), dtype=np.float32))
     for cell in numba.prange(cells):
-        _template_cell(
-            values, least, places[cell], counts[cell], offsets, gradient[cell], curvature[cell], weight[cell]
-        )
-    return gradient, curvature, weight
+        _template_cell(values, least, places, fixed, cell)
+    return fixed
+
+
+class _Picture(NamedTuple):
+    """A level of the moving picture, and its map."""
+
+    values: np.ndarray  # (h * w * 4,)
+    least: np.ndarray  # (h, w), see `least_share`
+    affine: np.ndarray  # (2, 3) moving from fixed coordinates of the level
 
 
 @njit(cache=True, fastmath={"contract"})
-def _sample_cell(values, least, places, count, offsets, affine, fixed_weight, gradient, weight):
+def _sample_cell(picture, chosen, fixed, moving, cell):
+    (values, least, affine), places, count, offsets = picture, chosen.xy[cell], chosen.counts[cell], chosen.offsets
+    fixed_weight, gradient, weight = fixed.weight[cell], moving.gradient[cell], moving.valid[cell]
     height, width = least.shape
     line = np.uint64(4 * width)
     for n in range(count):
@@ -186,9 +228,10 @@ def _sample_cell(values, least, places, count, offsets, affine, fixed_weight, gr
 
 
 @njit(cache=True)
-def _moments_cell(fixed, moving, weight, valid, count, out):
-    for n in range(count):
-        w = weight[n] * valid[n]
+def _moments_cell(counts, at_fixed, at_moving, weight, sums, cell):
+    fixed, moving, out = at_fixed.gradient[cell], at_moving.gradient[cell], sums[cell]
+    for n in range(counts[cell]):
+        w = weight[cell, n] * at_moving.valid[cell, n]
         if w == 0.0:
             continue
         for a in range(2):
@@ -198,47 +241,39 @@ def _moments_cell(fixed, moving, weight, valid, count, out):
                     out[1, i, j] += w * moving[n, i, a] * fixed[n, j, a]
 
 
-@njit(cache=True)
-def _sample_and_sum(values, least, places, count, offsets, affine, fixed_weight, fixed, weight, moving, valid, out):
-    _sample_cell(values, least, places, count, offsets, affine, fixed_weight, moving, valid)
-    _moments_cell(fixed, moving, weight, valid, count, out)
-
-
 @njit(cache=True, parallel=True, nogil=True)
-def sample(level, least, places, counts, offsets, affine, fixed_weight, fixed, weight):
-    """Return gradients of the moving picture, along the fixed picture's axes, at the images of chosen places.
+def sample(level, least, affine, places, fixed):
+    """Return the moving picture at the images of the places, `Moving`.
 
     Parameters
     ----------
+    level : (h, w, 4) float32
     least : (h, w) float32
         Of the level, see `least_share`.
     affine : (2, 3) float64
         Moving from fixed coordinates of this level.
-    fixed_weight : (cells, quota) float32
-        Share of valid pixels of the fixed picture.
-    fixed : (cells, quota, 3, 2) float32
-        Gradients of the fixed picture.
-    weight : (cells, quota) float32
-        Weights of the places in the sums.
-
-    Returns
-    -------
-    gradient : (cells, quota, 3, 2) float32
-    valid : (cells, quota) float32, the smaller share of the two pictures
-    moments : (cells, 2, 3, 3) float64
-        Sums of fixed·fixedᵀ and moving·fixedᵀ, weighted by ``weight`` times ``valid``.
+    places : Places
+    fixed : Fixed
     """
-    cells, quota = places.shape[:2]
-    values = level.ravel()
+    cells, quota = places.xy.shape[:2]
+    picture = _Picture(level.ravel(), least, affine)
     gradient = np.zeros((cells, quota, 3, 2), dtype=np.float32)
-    valid = np.zeros((cells, quota), dtype=np.float32)
-    moments = np.zeros((cells, 2, 3, 3))
-    for c in numba.prange(cells):
-        _sample_and_sum(
-            values, least, places[c], counts[c], offsets, affine, fixed_weight[c], fixed[c], weight[c], gradient[c],
-            valid[c], moments[c],
-        )  # fmt: skip
-    return gradient, valid, moments
+    moving = Moving(gradient, np.zeros((cells, quota), dtype=np.float32))
+    for cell in numba.prange(cells):
+        _sample_cell(picture, places, fixed, moving, cell)
+    return moving
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def gradient_moments(counts, fixed, moving, weight):
+    """Return the sums of fixed·fixedᵀ and moving·fixedᵀ over the gradients of each cell, (cells, 2, 3, 3) float64.
+
+    Places are weighted by ``weight``, (cells, quota) float32, times the share of valid pixels.
+    """
+    sums = np.zeros((counts.size, 2, 3, 3))
+    for cell in numba.prange(counts.size):
+        _moments_cell(counts, fixed, moving, weight, sums, cell)
+    return sums
 
 
 @njit(cache=True, nogil=True)
@@ -269,10 +304,24 @@ def residuals(fixed, moving, colour, chosen):
     return predicted, residual
 
 
+class Scores(NamedTuple):
+    """Sums of score and information of each cell, in superpixels, and the weights of the places."""
+
+    #: (cells, 25) float64: 0-3 score of t_x, t_y, a, b; 4-19 upper half of their information; 20-22 information xx, xy,
+    #: yy of a translation; 23 Σw; 24 Σ of weighted squared residuals.
+    sums: np.ndarray
+    weight: np.ndarray  # (cells, quota) float32
+
+
 @njit(cache=True)
-def _score_cell(places, moving, fixed, curvature, colour, valid, count, sigma, slope, geometry, weight, out):
-    """Sum score and information of one cell; ``weight`` receives the weights of its places."""
-    scale, cx, cy, reach = geometry
+def _score_cell(chosen, at_fixed, at_moving, expected, scores, cell):
+    """Sum score and information of one cell."""
+    scale, cx, cy, reach = chosen.geometry
+    places, count = chosen.xy[cell], chosen.counts[cell]
+    fixed, curvature = at_fixed.gradient[cell], at_fixed.curvature[cell]
+    moving, valid = at_moving.gradient[cell], at_moving.valid[cell]
+    colour, sigma, slope = expected.colour[cell], expected.sigma, expected.slope
+    weight, out = scores.weight[cell], scores.sums[cell]
     for n in range(count):
         weight[n] = 0.0
         if valid[n] <= 0.0:
@@ -325,30 +374,17 @@ def _score_cell(places, moving, fixed, curvature, colour, valid, count, sigma, s
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def scores(places, moving, fixed, curvature, colour, valid, counts, sigma, slope, geometry):
-    """Return sums of score and information of each cell, in superpixels, and the weights of the places.
+def score(places, fixed, moving, expected):
+    """Return the `Scores` of the cells.
 
     Parameters
     ----------
-    sigma : (3,) float64
-        Standard deviation of a residual in each band.
-    slope : float
-        Further standard deviation of a residual as a share of the gradient that the colour map predicts.
-    geometry : (4,) float64
-        Superpixels in a pixel of this level; centre x, y and rms radius of the picture, superpixels.
-
-    Returns
-    -------
-    sums : (cells, 25) float64
-        0-3 score of t_x, t_y, a, b; 4-19 upper half of their information; 20-22 information xx, xy, yy of a
-        translation; 23 Σw; 24 Σ of weighted squared residuals.
-    weight : (cells, quota) float32
+    places : Places
+    fixed : Fixed
+    moving : Moving
+    expected : Residuals
     """
-    sums = np.zeros((counts.size, _SUMS))
-    weight = np.zeros(valid.shape, dtype=np.float32)
-    for c in numba.prange(counts.size):
-        _score_cell(
-            places[c], moving[c], fixed[c], curvature[c], colour[c], valid[c], counts[c], sigma, slope, geometry,
-            weight[c], sums[c],
-        )  # fmt: skip
-    return sums, weight
+    scores = Scores(np.zeros((places.counts.size, _SUMS)), np.zeros(moving.valid.shape, dtype=np.float32))
+    for cell in numba.prange(places.counts.size):
+        _score_cell(places, fixed, moving, expected, scores, cell)
+    return scores

@@ -172,8 +172,9 @@ def _select(values, count, place):
 
 
 @njit(cache=True)
-def _choose(energy, places, counts, cell, columns, height, width, quota, gate):
-    """Fill the places of the ``quota`` largest energies of one cell."""
+def _choose(energy, places, counts, cell, grid, gate):
+    """Fill the places of the largest energies of one cell; ``grid`` is columns of cells, height and width of one."""
+    (columns, height, width), quota = grid, places.shape[1]
     y0, x0 = (cell // columns) * height, (cell % columns) * width
     bottom, right = min(y0 + height, energy.shape[0]), min(x0 + width, energy.shape[1])
     limit, passed, values = np.float32(gate), 0, np.empty(height * width, dtype=np.float32)
@@ -208,7 +209,7 @@ def choose(energy, height, width, quota, gate):
     places = np.zeros((rows * columns, quota, 2), dtype=np.int32)
     counts = np.zeros(rows * columns, dtype=np.int64)
     for cell in numba.prange(rows * columns):
-        _choose(energy, places, counts, cell, columns, height, width, quota, gate)
+        _choose(energy, places, counts, cell, (columns, height, width), gate)
     return places, counts
 
 

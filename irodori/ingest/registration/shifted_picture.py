@@ -1,5 +1,7 @@
 """Resampling of a picture with invalid pixels under a similarity transform."""
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
@@ -46,15 +48,24 @@ def _cubic(image, p, step, line, wx, wy):
 
 
 @njit(cache=True, inline="always")
-def _linear(image, at, step, line, tx, ty, band):
-    p = at + band
+def _linear(image, p, step, line, tx, ty):
+    """Return one band of the linear mean of 2 x 2 pixels, the first of which lies at ``p``."""
     top = (1.0 - tx) * image[p] + tx * image[p + step]
     bottom = (1.0 - tx) * image[p + line] + tx * image[p + line + step]
     return np.float32((1.0 - ty) * top + ty * bottom)
 
 
+class _Picture(NamedTuple):
+    """A picture of three bands, flat."""
+
+    samples: np.ndarray  # band b of pixel (y, x) is samples[(y * width + x) * step + b]
+    step: int
+    valid: np.ndarray  # (height, width) bool
+
+
 @njit(cache=True, fastmath={"contract"})
-def _resample_row(out, out_step, out_valid, image, step, valid, reached, affine, y):
+def _resample_row(moved, picture, reached, affine, y):
+    (out, out_step, out_valid), (image, step, valid) = moved, picture
     height, width = valid.shape
     line = width * step
     for x in range(width):
@@ -74,21 +85,22 @@ def _resample_row(out, out_step, out_valid, image, step, valid, reached, affine,
                 b = _cubic(image, first + one + one, right, down, wx, wy)
             elif valid[iy, ix] and valid[iy, ix + 1] and valid[iy + 1, ix] and valid[iy + 1, ix + 1]:
                 good = True
-                r = _linear(image, at, step, line, tx, ty, 0)
-                g = _linear(image, at, step, line, tx, ty, 1)
-                b = _linear(image, at, step, line, tx, ty, 2)
+                r = _linear(image, at, step, line, tx, ty)
+                g = _linear(image, at + 1, step, line, tx, ty)
+                b = _linear(image, at + 2, step, line, tx, ty)
         to = (y * width + x) * out_step
         out[to], out[to + 1], out[to + 2] = r, g, b
         out_valid[y, x] = good
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def _resample(out, out_step, out_valid, image, step, valid, affine):
+def _resample(moved, picture, affine):
+    valid = picture.valid
     reached = np.zeros(valid.shape, dtype=np.bool_)
     for y in numba.prange(1, valid.shape[0] - 2):
         _reached_row(reached, valid, y)
     for y in numba.prange(valid.shape[0]):
-        _resample_row(out, out_step, out_valid, image, step, valid, reached, affine, y)
+        _resample_row(moved, picture, reached, affine, y)
 
 
 def resample_affine(image, valid, affine, out=None) -> tuple[np.ndarray, np.ndarray]:
@@ -116,7 +128,7 @@ def resample_affine(image, valid, affine, out=None) -> tuple[np.ndarray, np.ndar
     if out.shape != image.shape or not np.may_share_memory(flat_out, out):
         raise ValueError(f"room for {out.shape}, strides {out.strides}; accepted: bands of a contiguous {image.shape}")
     out_valid = np.empty(valid.shape, dtype=np.bool_)
-    _resample(flat_out, out_step, out_valid, *flatten(image), valid, affine)
+    _resample(_Picture(flat_out, out_step, out_valid), _Picture(*flatten(image), valid), affine)
     return out, out_valid
 
 

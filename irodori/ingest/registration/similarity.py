@@ -36,8 +36,8 @@ from irodori.ingest.registration.gradient_sums import spline_power
 from irodori.ingest.registration.pyramid import Pyramid
 from irodori.ingest.registration.shifted_picture import marked_affine, resample_affine
 from irodori.ingest.registration.similarity_fit import (
-    Fit,
     Level,
+    SimilarityFit,
     affine_of_level,
     align,
     information_of,
@@ -204,7 +204,7 @@ class _Pair:
             local=local,
         )
 
-    def first(self, start: Registration | None) -> Fit | None:
+    def first(self, start: Registration | None) -> SimilarityFit | None:
         """Return the most coherent fit at the coarsest level from all starting points."""
         n = self.coarsest
         shifts, level = search(self.fixed[n], self.moving[n], float(2**n)), self.level(n, _PLACES[2], False)
@@ -236,17 +236,17 @@ class _Pair:
         return best, coherence
 
 
-def _settled(level: Level, turn: complex, shift: complex) -> Fit | None:
+def _settled(level: Level, turn: complex, shift: complex) -> SimilarityFit | None:
     """Return the fit at the coarsest level from one starting point, the shift before the rest."""
     fit = align(level, turn, shift, 3, _STEP, (0, 1))
     return fit and align(level, fit.turn, fit.shift, 5, _STEP)
 
 
-def _has_content(fit: Fit) -> bool:
+def _has_content(fit: SimilarityFit) -> bool:
     return fit.coherence > _LEAST_COHERENCE + 4.0 / math.sqrt(fit.places)
 
 
-def _report(level: Level, fit: Fit) -> Registration:
+def _report(level: Level, fit: SimilarityFit) -> Registration:
     return Registration(
         dx_px=fit.shift.real,
         dy_px=fit.shift.imag,
@@ -254,25 +254,25 @@ def _report(level: Level, fit: Fit) -> Registration:
         scale=abs(fit.turn),
         residual_px=_residual_px(level, fit),
         sigma_px=_sigma_px(level, fit),
-        centre_px=(float(level.geometry[1]), float(level.geometry[2])),
+        centre_px=(float(level.places.geometry[1]), float(level.places.geometry[2])),
     )
 
 
-def _noise_information(level: Level, fit: Fit) -> np.ndarray:
+def _noise_information(level: Level, fit: SimilarityFit) -> np.ndarray:
     """Return the information that gradients of noise alone would seem to hold with these weights, (4, 4).
 
     The ratio of white noise's variance in a curvature to that in a gradient is the kernel's.
     """
     value, first, second = spline_power()
     share = fit.noise_share * (second / first + first / value) / level.scale**2
-    scale, cx, cy, reach = level.geometry
-    u, v = (((level.places + 0.5) * scale - 0.5 - (cx, cy)) / reach).transpose(2, 0, 1)
+    scale, cx, cy, reach = level.places.geometry
+    u, v = (((level.places.xy + 0.5) * scale - 0.5 - (cx, cy)) / reach).transpose(2, 0, 1)
     w = fit.weight.astype(np.float64)
     n, nu, nv, nr = w.sum(), (w * u).sum(), (w * v).sum(), (w * (u * u + v * v)).sum()
     return share * np.array([[n, 0, nu, -nv], [0, n, nv, nu], [nu, nv, nr, 0], [-nv, nu, 0, nr]])
 
 
-def _sigma_px(level: Level, fit: Fit) -> float:
+def _sigma_px(level: Level, fit: SimilarityFit) -> float:
     """Return the predicted rms error over the picture: the larger of model and scatter between parts of the picture."""
     information, noise = information_of(fit.sums), _noise_information(level, fit)
     root = np.linalg.cholesky(noise + 1e-12 * np.trace(noise) * np.eye(4))
@@ -285,8 +285,8 @@ def _sigma_px(level: Level, fit: Fit) -> float:
     # Errors of neighbouring cells hang together where one edge runs through both, so scores are summed over parts
     # before they are squared (the cluster-robust covariance: Liang, Zeger, Biometrika 73(1), 1986). Parts are blocks,
     # and strips along rows and columns: all samples of an axis-parallel edge alias alike.
-    row, column = np.divmod(np.arange(level.counts.size), level.columns)
-    rows = level.counts.size // level.columns
+    row, column = np.divmod(np.arange(level.places.counts.size), level.columns)
+    rows = level.places.counts.size // level.columns
     block = row * _CLUSTERS // rows * _CLUSTERS + column * _CLUSTERS // level.columns
     spreads = [_spread(covariance, fit.sums[:, :4], part) for part in (block, row, column // 2)]
     return math.sqrt(max(np.trace(covariance), *spreads))
@@ -301,7 +301,7 @@ def _spread(covariance, cell_scores, part) -> float:
     return float((moved**2).sum()) * parts / max(parts - 4, 1)
 
 
-def _residual_px(level: Level, fit: Fit) -> float:
+def _residual_px(level: Level, fit: SimilarityFit) -> float:
     """Return the rms displacement that cells still find.
 
     What the two halves of a block find is multiplied: a deformation is alike in both, noise is not, so its variance

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.ingest.registration import gradient_sums
+from irodori.ingest.registration.gradient_sums import Fixed, Places
 from irodori.ingest.registration.pyramid import choose, gradient_energy, noise_of
 
 _REACH_PX = 12.0  # of the search, superpixels
@@ -30,22 +31,17 @@ class Level(NamedTuple):
 
     scale: float  # superpixels in one of its pixels
     moving: np.ndarray  # (h, w, 4)
-    least: np.ndarray  # (h, w) share of valid pixels of the moving picture, see `kernels.least_share`
-    places: np.ndarray  # (cells, quota, 2)
-    counts: np.ndarray  # (cells,)
+    least: np.ndarray  # (h, w) share of valid pixels of the moving picture, see `least_share`
+    places: Places
     columns: int  # of cells
-    offsets: np.ndarray  # (3, 2) places of the bands, pixels of the level
     mixed: bool  # whether the colour map mixes bands
     local: bool  # whether it varies from cell to cell
-    gradient: np.ndarray  # (cells, quota, 3, 2)
-    curvature: np.ndarray  # (cells, quota, 3, 3)
-    weight: np.ndarray  # (cells, quota)
-    geometry: np.ndarray  # (4,) see `kernels.scores`
+    fixed: Fixed
     first_weight: np.ndarray  # (cells, quota) in the first colour map
     noise: np.ndarray  # (3,) variance that noise gives a gradient of the fixed picture
 
 
-class Fit(NamedTuple):
+class SimilarityFit(NamedTuple):
     """A similarity p -> c + turn (p - c) + shift, places as complex numbers, with the sums at it."""
 
     turn: complex
@@ -68,68 +64,62 @@ def make_level(fixed, moving, scale: float, *, shape, count: int, offsets_px, lo
     columns = 2 * max(1, fixed.shape[1] // (2 * (cell // 2)))
     cells = columns * max(1, fixed.shape[0] // cell)
     quota = int(min(cell * (cell // 2), max(8, count // cells)))
-    places, counts = choose(energy, cell, cell // 2, quota, gate)
     # A band that samples left of the centre shows a place of the scene further right in its own array.
     offsets = np.zeros((3, 2)) if offsets_px is None else -np.asarray(offsets_px, dtype=np.float64) / scale
-    gradient, curvature, weight = gradient_sums.template(
-        fixed, gradient_sums.least_share(fixed), places, counts, offsets
-    )
-    power = np.einsum("cnia,cnia->cn", gradient, gradient)
-    some = power[weight > 0.0]
-    typical = max(float(np.median(some)), 1e-30) if some.size else 1.0
-    first_weight = (1.0 / (1.0 + power / typical)).astype(np.float32)
     reach = math.sqrt((shape[0] ** 2 + shape[1] ** 2) / 12.0)
     geometry = np.array([scale, (shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0, reach])
+    xy, counts = choose(energy, cell, cell // 2, quota, gate)
+    places = Places(xy, counts, offsets, geometry)
+    at_places = gradient_sums.template(fixed, gradient_sums.least_share(fixed), places)
+    power = np.einsum("cnia,cnia->cn", at_places.gradient, at_places.gradient)
+    some = power[at_places.weight > 0.0]
+    typical = max(float(np.median(some)), 1e-30) if some.size else 1.0
+    first_weight = (1.0 / (1.0 + power / typical)).astype(np.float32)
     mixed = offsets_px is not None
     value, first, _ = gradient_sums.spline_power()
     noise = noise**2 * value * first
     return Level(
-        scale, moving, gradient_sums.least_share(moving), places, counts, columns, offsets, mixed, local, gradient,
-        curvature, weight, geometry, first_weight, noise,
+        scale, moving, gradient_sums.least_share(moving), places, columns, mixed, local, at_places,
+        first_weight, noise,
     )  # fmt: skip
 
 
 def _colour_maps(level: Level, cells: np.ndarray) -> np.ndarray:
-    """Return the map from fixed to moving gradients of each cell, (cells, 3, 3), from the moments of `kernels`."""
+    """Return the map from fixed to moving gradients of each cell, (cells, 3, 3), from the gradients' `moments`."""
     if not level.mixed:
         cells *= np.eye(3)
     common = cells.sum(axis=0)
     power = float(np.trace(common[0])) + 1e-30
     whole = np.linalg.solve(common[0] + 1e-6 * power * np.eye(3), common[1].T).T
     if not level.local:
-        return np.ascontiguousarray(np.broadcast_to(whole, (level.counts.size, 3, 3)))
-    pull = _PULL * power / level.counts.size * np.eye(3)
+        return np.ascontiguousarray(np.broadcast_to(whole, (level.places.counts.size, 3, 3)))
+    pull = _PULL * power / level.places.counts.size * np.eye(3)
     maps = np.linalg.solve(cells[:, 0] + pull, (cells[:, 1] + whole @ pull).swapaxes(1, 2))
     return np.ascontiguousarray(maps.swapaxes(1, 2))
 
 
-def evaluate(level: Level, turn: complex, shift: complex, weight: np.ndarray) -> Fit | None:
+def evaluate(level: Level, turn: complex, shift: complex, weight: np.ndarray) -> SimilarityFit | None:
     """Return the sums at a similarity, with the places weighted as given in the colour map; None without overlap."""
-    affine = affine_of_level(turn, shift, complex(level.geometry[1], level.geometry[2]), level.scale)
-    moving, valid, moments = gradient_sums.sample(
-        level.moving, level.least, level.places, level.counts, level.offsets, affine, level.weight, level.gradient,
-        weight,
-    )  # fmt: skip
-    used = np.flatnonzero(valid > 0.0)
+    affine = affine_of_level(turn, shift, complex(level.places.geometry[1], level.places.geometry[2]), level.scale)
+    moving = gradient_sums.sample(level.moving, level.least, affine, level.places, level.fixed)
+    used = np.flatnonzero(moving.valid > 0.0)
     if used.size < _LEAST_PLACES:
         return None
-    colour = _colour_maps(level, moments)
+    colour = _colour_maps(level, gradient_sums.gradient_moments(level.places.counts, level.fixed, moving, weight))
     some = used[:: -(-used.size // _MEDIAN_PLACES)]
-    predicted, left = gradient_sums.residuals(level.gradient, moving, colour, some)
+    predicted, left = gradient_sums.residuals(level.fixed.gradient, moving.gradient, colour, some)
     found = predicted + left
     # The floor keeps noiseless pictures from dividing by nothing.
     sigma = 1.4826 * np.median(np.abs(left).reshape(3, -1), axis=1)
     sigma = np.maximum(sigma, 1e-3 * math.sqrt(np.einsum("ina,ina->", found, found) / found.size) + 1e-12)
-    sums, weight = gradient_sums.scores(
-        level.places, moving, level.gradient, level.curvature, colour, valid, level.counts, sigma, _SLOPE,
-        level.geometry,
-    )  # fmt: skip
+    expected = gradient_sums.Residuals(colour, sigma, _SLOPE)
+    sums, weight = gradient_sums.score(level.places, level.fixed, moving, expected)
     share = float(np.minimum(0.5, (colour**2).mean(axis=0) @ level.noise / sigma**2).sum())
     scale = (sigma**-2.0).astype(np.float32)
     both = np.einsum("i,ina,ina->n", scale, predicted, found)
     energy = np.einsum("i,ina,ina->n", scale, predicted, predicted) + np.einsum("i,ina,ina->n", scale, found, found)
     coherence = float((2.0 * both / np.maximum(energy, np.float32(1e-30))).mean())
-    return Fit(turn, shift, sums, weight, coherence, used.size, share)
+    return SimilarityFit(turn, shift, sums, weight, coherence, used.size, share)
 
 
 def information_of(sums: np.ndarray) -> np.ndarray:
@@ -140,12 +130,12 @@ def information_of(sums: np.ndarray) -> np.ndarray:
 
 def align(
     level: Level, turn: complex, shift: complex, iterations: int, tolerance: float, free=(0, 1, 2, 3)
-) -> Fit | None:
+) -> SimilarityFit | None:
     """Return the Gauss-Newton solution at one level, over some of: shift x, y, scale, rotation.
 
     Ends with a step below ``tolerance``, pixels of the level; the sums of the result are those before that step.
     """
-    reach, weight = level.geometry[3], level.first_weight
+    reach, weight = level.places.geometry[3], level.first_weight
     precision = np.array([_PRIOR[0], _PRIOR[0], _PRIOR[2] * reach, _PRIOR[1] * reach]) ** -2.0
     chosen = np.ix_(free, free)
     for _ in range(iterations):

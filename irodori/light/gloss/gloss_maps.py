@@ -4,7 +4,7 @@ A compiled loop takes `GlossMaps.tables` of a lobe once and calls `add_gloss_rad
 direction to the eye and a roughness, and has the k coefficients of the radiance on the environment's basis:
 
     tables = GlossMaps.load("results/environments/room.h5").tables("ggx")  # a NamedTuple of arrays
-    add_gloss_radiance(tables, normal, to_eye, beta, mu, n, k, coefficients)  # adds to (bases,) float64
+    add_gloss_radiance(tables, Seen(normal, to_eye), (beta, mu), (n, k), coefficients)  # adds to (bases,) float64
 
 `gloss_radiance` does the same for arrays. Up to a roughness of 0.32 an entry of the table asks for at most forty
 bilinear look-ups, and four entries are mixed; from 0.4 on the true lobe is summed over the light as about 1300 points
@@ -25,9 +25,9 @@ from irodori.core.errors import InputError
 from irodori.jit.compilation import njit
 from irodori.light.blurred_light import WIDTHS_RAD, prefiltered
 from irodori.light.environment_file import Environment
-from irodori.light.equirectangular import add_interpolated
+from irodori.light.equirectangular import StackedPicture, add_interpolated
 from irodori.light.gloss.lobe_table import fitted_lobes
-from irodori.light.gloss.point_sources import PointLights, add_from_points, point_lights
+from irodori.light.gloss.point_sources import PointLights, Seen, add_from_points, place_of, point_lights
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import Lobes
 
@@ -179,39 +179,37 @@ def _across(normal, view, cos_r):
     return tx, ty, tz, bx, by, bz, math.atan2(sin_r, cos_r)
 
 
-@njit(cache=True)
-def _add_lobe(maps, width, x, y, z, scale, out):
-    add_interpolated(
-        maps.pixels, maps.first_pixel[width], maps.size[width, 0], maps.size[width, 1], x, y, z, scale, out
-    )
-
-
 @njit(cache=True, error_model="numpy")
-def _add_entry(maps, i, j, share, normal, frame, n, k, out):
-    """Add what one entry of the table looks up, times ``share``."""
-    tx, ty, tz, bx, by, bz, theta_r = frame
+def _add_entry(maps, entry, share, frame, index, out):
+    """Add what one entry of the table, of a roughness and a view angle, looks up, times ``share``.
+
+    ``frame`` is the normal, and what `_across` returns.
+    """
+    (i, j), (normal, (tx, ty, tz, bx, by, bz, theta_r)) = entry, frame
     for lobe in range(maps.weight.shape[2]):
         weight = maps.weight[i, j, lobe]
         if weight <= 0.0:
             break
         facet = min(max(theta_r + maps.incidence[i, j, lobe], 0.0), 0.5 * math.pi)
-        scale = share * weight * fresnel(math.cos(facet), n, k)
+        scale = share * weight * fresnel(math.cos(facet), index[0], index[1])
         angle, across, width = theta_r + maps.offset[i, j, lobe], maps.across[i, j, lobe], maps.width[i, j, lobe]
+        level = StackedPicture(maps.pixels, maps.first_pixel[width], maps.size[width, 0], maps.size[width, 1])
         c, s = math.cos(angle), math.sin(angle)
         x, y, z = c * normal[0] + s * tx, c * normal[1] + s * ty, c * normal[2] + s * tz
         if across == 0.0:
-            _add_lobe(maps, width, x, y, z, scale, out)
+            add_interpolated(level, (x, y, z), scale, out)
             continue
         c, s = math.cos(across), math.sin(across)
         x, y, z, scale = c * x, c * y, c * z, 0.5 * scale
-        _add_lobe(maps, width, x + s * bx, y + s * by, z + s * bz, scale, out)
-        _add_lobe(maps, width, x - s * bx, y - s * by, z - s * bz, scale, out)
+        add_interpolated(level, (x + s * bx, y + s * by, z + s * bz), scale, out)
+        add_interpolated(level, (x - s * bx, y - s * by, z - s * bz), scale, out)
 
 
 @njit(cache=True, error_model="numpy")
-def _add_from_maps(maps, normal, view, cos_r, mu, n, k, scale, out):
+def _add_from_maps(maps, seen, mu, index, scale, out):
     """Add ``scale`` times ∫ L F D G / cosθ_r dω [eq. 5] by look-ups in blurred light."""
-    frame = _across(normal, view, cos_r)
+    normal, view = seen
+    frame = _across(normal, view, normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2])
     lowest, highest = maps.mu[0], maps.mu[-1]
     held = min(max(mu, lowest), highest)
     scale *= (min(mu, lowest) / lowest) ** 2
@@ -222,20 +220,21 @@ def _add_from_maps(maps, normal, view, cos_r, mu, n, k, scale, out):
     for corner in range(4):
         share = (part_i if corner // 2 else 1.0 - part_i) * (part_j if corner % 2 else 1.0 - part_j)
         if share > 1e-6:
-            _add_entry(maps, i + corner // 2, j + corner % 2, share * scale, normal, frame, n, k, out)
+            _add_entry(maps, (i + corner // 2, j + corner % 2), share * scale, (normal, frame), index, out)
 
 
 @njit(cache=True, error_model="numpy")
-def add_gloss_radiance(maps, normal, view, beta, mu, n, k, out):
+def add_gloss_radiance(maps, seen, gloss, index, out):
     """Add the coefficients of the gloss radiance β/π ∫ L F D G / cosθ_r dω [eq. 5, 9].
 
     Parameters
     ----------
     maps : GlossTables
-    normal, view : (3,) float, unit
-    beta, mu : float
+    seen : Seen
+        One place.
+    gloss : (beta, mu)
         Weight and roughness; NaN or 0 gives nothing.
-    n, k : float
+    index : (n, k)
         Refractive index at one wavelength; where it varies call once for each.
     out : (bases,) float
 
@@ -243,20 +242,26 @@ def add_gloss_radiance(maps, normal, view, beta, mu, n, k, out):
     -----
     Under the smallest roughness of the ladder, 0.01, the light is as blurred as there, its power exact.
     """
+    (normal, view), (beta, mu) = seen, gloss
     cos_r = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
     if not (beta > 0.0 and mu > 0.0 and cos_r > 0.0):
         return
     rough = min(max((mu - _SMOOTH) / (_ROUGH - _SMOOTH), 0.0), 1.0)
     if rough > 0.0:
-        add_from_points(maps, normal, view, mu, n, k, rough * beta / math.pi, out)
+        add_from_points(maps, seen, mu, index, rough * beta / math.pi, out)
     if rough < 1.0:
-        _add_from_maps(maps, normal, view, cos_r, mu, n, k, (1.0 - rough) * beta / math.pi, out)
+        _add_from_maps(maps, seen, mu, index, (1.0 - rough) * beta / math.pi, out)
+
+
+@njit(cache=True)
+def _add_to(maps, seen, gloss, index, out, i):
+    add_gloss_radiance(maps, place_of(seen, i), (gloss[i, 0], gloss[i, 1]), index, out[i])
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def _gloss_radiance(maps, normal, view, beta, mu, n, k, out):
-    for i in numba.prange(normal.shape[0]):
-        add_gloss_radiance(maps, normal[i], view[i], beta[i], mu[i], n, k, out[i])
+def _gloss_radiance(maps, seen, gloss, index, out):
+    for i in numba.prange(out.shape[0]):
+        _add_to(maps, seen, gloss, index, out, i)
 
 
 def gloss_radiance(maps: GlossTables, normal, view, beta, mu, index: tuple[float, float]) -> np.ndarray:
@@ -276,9 +281,9 @@ def gloss_radiance(maps: GlossTables, normal, view, beta, mu, index: tuple[float
     """
     normal, view = np.broadcast_arrays(np.asarray(normal, dtype=np.float64), np.asarray(view, dtype=np.float64))
     shape = normal.shape[:-1]
-    beta, mu = (np.ascontiguousarray(np.broadcast_to(v, shape), dtype=np.float64).ravel() for v in (beta, mu))
-    out = np.zeros((beta.size, maps.pixels.shape[1]))
+    gloss = np.stack([np.broadcast_to(v, shape).ravel() for v in (beta, mu)], axis=-1).astype(np.float64)
+    out = np.zeros((len(gloss), maps.pixels.shape[1]))
     normal, view = (np.ascontiguousarray(v).reshape(-1, 3) for v in (normal, view))
     n, k = index
-    _gloss_radiance(maps, normal, view, beta, mu, float(n), float(k), out)
+    _gloss_radiance(maps, Seen(normal, view), gloss, (float(n), float(k)), out)
     return out.reshape(*shape, -1)

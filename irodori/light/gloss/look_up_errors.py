@@ -9,6 +9,7 @@ import numpy as np
 from irodori.jit.compilation import njit
 from irodori.light.gloss.gloss_maps import GlossMaps, gloss_radiance
 from irodori.light.gloss.make_lobe_table import farthest
+from irodori.light.gloss.point_sources import Seen, place_of
 from irodori.light.irradiance import Integrator
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import Lobes, constants, features, value
@@ -34,8 +35,9 @@ class _Surface(NamedTuple):
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _reflected(surface, constant, normal, view, x, y, z):
-    """Return F D G / cosθ_r for light from a unit direction."""
+def _reflected(surface, constant, seen, direction):
+    """Return F D G / cosθ_r for light from a unit direction, at one place."""
+    (normal, view), (x, y, z) = seen, direction
     cos_i = normal[0] * x + normal[1] * y + normal[2] * z
     hx, hy, hz = x + view[0], y + view[1], z + view[2]
     length = math.sqrt(hx * hx + hy * hy + hz * hz)
@@ -50,8 +52,9 @@ def _reflected(surface, constant, normal, view, x, y, z):
 
 
 @njit(cache=True)
-def _mirrored(normal, view):
+def _mirrored(seen):
     """Return the mirror direction of a view."""
+    normal, view = seen
     cos_r = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
     mirror = np.empty(3)
     for axis in range(3):
@@ -60,9 +63,9 @@ def _mirrored(normal, view):
 
 
 @njit(cache=True)
-def _mean_lobe(pixels, row, column, parts, surface, constant, normal, view):
-    """Return the mean of the lobe over a pixel, ``parts`` points along each side."""
-    height, width = pixels.values.shape[:2]
+def _mean_lobe(pixels, pixel, parts, surface, constant, seen):
+    """Return the mean of the lobe over a pixel (row, column), ``parts`` points along each side."""
+    (row, column), (height, width) = pixel, pixels.values.shape[:2]
     total = 0.0
     for a in range(parts):
         theta = math.pi * (row + (a + 0.5) / parts) / height
@@ -70,13 +73,15 @@ def _mean_lobe(pixels, row, column, parts, surface, constant, normal, view):
         for b in range(parts):
             azimuth = 2.0 * math.pi * (column + (b + 0.5) / parts) / width
             x, y = s * math.cos(azimuth), s * math.sin(azimuth)
-            total += _reflected(surface, constant, normal, view, x, y, z)
+            total += _reflected(surface, constant, seen, (x, y, z))
     return total / parts**2
 
 
 @njit(cache=True)
-def _add_from_pixels(pixels, parts, surface, normal, view, out):
-    mirror, reach, constant = _mirrored(normal, view), surface.reach, constants(surface.lobes, math.log(surface.mu))
+def _add_from_pixels(pixels, parts, surface, seen, i, out):
+    """Add the radiance of place ``i``, (k,), summed over the pixels, each in ``parts`` by as many points."""
+    place = place_of(seen, i)
+    mirror, reach, constant = _mirrored(place), surface.reach, constants(surface.lobes, math.log(surface.mu))
     height, width, bases = pixels.values.shape
     margin = math.pi / height + math.pi / width
     least, middle = math.cos(min(reach + margin, math.pi)), math.acos(min(max(mirror[2], -1.0), 1.0))
@@ -88,15 +93,16 @@ def _add_from_pixels(pixels, parts, surface, normal, view, out):
             x, y = s * pixels.cos_azimuth[column], s * pixels.sin_azimuth[column]
             if mirror[0] * x + mirror[1] * y + mirror[2] * z < least:
                 continue
-            shown = weight * _mean_lobe(pixels, row, column, parts, surface, constant, normal, view)
+            shown = weight * _mean_lobe(pixels, (row, column), parts, surface, constant, place)
             for b in range(bases):
                 out[b] += shown * pixels.values[row, column, b]
 
 
 @njit(cache=True)
-def _add_from_cells(cells, level, surface, normal, view, out):
-    first = cells.first[level]
-    mirror, reach, constant = _mirrored(normal, view), surface.reach, constants(surface.lobes, math.log(surface.mu))
+def _add_from_cells(cells, level, surface, seen, i, out):
+    """Add the radiance of place ``i``, (k,), summed over the cells of a level."""
+    first, place = cells.first[level], place_of(seen, i)
+    mirror, reach, constant = _mirrored(place), surface.reach, constants(surface.lobes, math.log(surface.mu))
     for j in range(first, first + cells.rows[level] * cells.columns[level]):
         c = cells.centre[j]
         away = mirror[0] * c[0] + mirror[1] * c[1] + mirror[2] * c[2]
@@ -107,19 +113,22 @@ def _add_from_cells(cells, level, surface, normal, view, out):
         if length <= 0.0:
             continue
         x, y, z = m[0] / length, m[1] / length, m[2] / length
-        shown = _reflected(surface, constant, normal, view, x, y, z)
+        shown = _reflected(surface, constant, place, (x, y, z))
         # Σ L dΩ of a small cell is the length of Σ L ω dΩ.
         for b in range(out.size):
             out[b] += shown * (x * cells.moment[j, b, 0] + y * cells.moment[j, b, 1] + z * cells.moment[j, b, 2])
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def _references(pixels, cells, level, parts, surface, normal, view, out):
-    for i in numba.prange(normal.shape[0]):
-        if level < 0:
-            _add_from_pixels(pixels, parts, surface, normal[i], view[i], out[i])
-        else:
-            _add_from_cells(cells, level, surface, normal[i], view[i], out[i])
+def _sum_cells(cells, level, surface, seen, out):
+    for i in numba.prange(out.shape[0]):
+        _add_from_cells(cells, level, surface, seen, i, out[i])
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _sum_pixels(pixels, parts, surface, seen, out):
+    for i in numba.prange(out.shape[0]):
+        _add_from_pixels(pixels, parts, surface, seen, i, out[i])
 
 
 def true_gloss(
@@ -137,10 +146,13 @@ def true_gloss(
     narrow = mu * float((normal * view).sum(axis=-1).min())
     parts = int(np.clip(np.ceil(_PARTS_PER_WIDTH * pixel / narrow), 1, _MOST_PARTS))
     out = np.zeros((len(normal), pixels.values.shape[2]))
-    normal, view = np.ascontiguousarray(normal), np.ascontiguousarray(view)
+    seen = Seen(np.ascontiguousarray(normal), np.ascontiguousarray(view))
     # A facet that leans by φ moves light by twice φ.
     surface = _Surface(Lobes.of(lobe), float(mu), min(2.0 * farthest(lobe, mu, _LOST), math.pi), *map(float, index))
-    _references(pixels, cells, int(fine[-1]) if fine.size else -1, parts, surface, normal, view, out)
+    if fine.size:
+        _sum_cells(cells, int(fine[-1]), surface, seen, out)
+    else:
+        _sum_pixels(pixels, parts, surface, seen, out)
     return out / np.pi
 
 

@@ -33,7 +33,7 @@ _LOST = 2.2e-8  # share of the facets beyond which nothing is sampled; at 4.2 ro
 _ENERGY_WEIGHT = 3.0
 
 
-class Fit(NamedTuple):
+class FittedEntry(NamedTuple):
     """One entry of the table, strongest lobe first, and its ``rest``: root mean square difference over the lobe's."""
 
     width: np.ndarray
@@ -49,7 +49,7 @@ def unit(along: np.ndarray, across: np.ndarray) -> np.ndarray:
     return np.stack([np.cos(across) * np.sin(along), np.sin(across), np.cos(across) * np.cos(along)], axis=-1)
 
 
-def _cells(scale: float, low: float, high: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+def grid_cells(scale: float, low: float, high: float, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return middles and widths of cells that are narrowest about 0."""
     edges = scale * np.sinh(np.linspace(math.asinh(low / scale), math.asinh(high / scale), count + 1))
     return 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
@@ -106,8 +106,8 @@ def lobe_samples(mu: float, theta_r: float, grid: tuple[int, int] = _GRID, name:
     more = math.asinh(2.0 * reach / width) / math.asinh(2.0 * min(8.4 * core + 0.02, reach) / width)
     along_cells, across_cells = (round(more * count) for count in grid)
     low, high = max(-reach, -0.5 * math.pi - 0.3 - theta_r), min(reach, 0.5 * math.pi + min(reach, 1.5) - theta_r)
-    along, along_step = _cells(0.5 * width, low, high, along_cells)
-    across, across_step = _cells(0.5 * width * math.cos(theta_r), 0.0, min(reach, 0.5 * math.pi), across_cells)
+    along, along_step = grid_cells(0.5 * width, low, high, along_cells)
+    across, across_step = grid_cells(0.5 * width * math.cos(theta_r), 0.0, min(reach, 0.5 * math.pi), across_cells)
     direction = unit(*np.meshgrid(theta_r + along, across, indexing="ij")).reshape(-1, 3)
     solid_angle = np.outer(along_step, 2.0 * across_step * np.cos(across)).ravel()
     geometry = angles_from_directions(np.array([0.0, 0.0, 1.0]), direction, unit(np.array(-theta_r), np.array(0.0)))
@@ -171,7 +171,7 @@ def _pursue(rows: np.ndarray, target: np.ndarray, cost: np.ndarray) -> tuple[np.
     return chosen, weights
 
 
-def fit_lobe(mu: float, theta_r: float, name: str = "gaussian") -> Fit:
+def fit_lobe(mu: float, theta_r: float, name: str = "gaussian") -> FittedEntry:
     """Return the Gaussians of the sphere that make up one true lobe; rad."""
     direction, value, cos_h, solid_angle = lobe_samples(mu, theta_r, name=name)
     power = float((value * solid_angle).sum())
@@ -190,7 +190,7 @@ def fit_lobe(mu: float, theta_r: float, name: str = "gaussian") -> Fit:
     mean = (share * ((1.0 - cos_h) ** 5)[:, None]).sum(axis=0) / np.maximum(share.sum(axis=0), 1e-300)
     incidence = np.arccos(np.clip(1.0 - mean**0.2, 0.0, 1.0)) - theta_r
     rest = float(np.linalg.norm((total - value) * scale))
-    return Fit(number[chosen], along[chosen] - theta_r, across[chosen], weight, incidence, rest)
+    return FittedEntry(number[chosen], along[chosen] - theta_r, across[chosen], weight, incidence, rest)
 
 
 def write_table(path, name: str) -> None:

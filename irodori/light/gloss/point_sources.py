@@ -27,6 +27,13 @@ class PointLights(NamedTuple):
     power: np.ndarray  # (n, k) float64, radiance unit times sr
 
 
+class Seen(NamedTuple):
+    """Places of a surface as they are seen."""
+
+    normal: np.ndarray  # (3,) unit, or (n, 3) of several
+    to_eye: np.ndarray  # of the same shape, unit
+
+
 def point_lights(coefficients: np.ndarray) -> PointLights:
     """Return the points of an equirectangular picture, (height, width, k)."""
     for axis, least in enumerate((_FEWEST_ROWS, 2 * _FEWEST_ROWS)):
@@ -58,9 +65,16 @@ def _band(pixels, rows: slice) -> tuple[np.ndarray, np.ndarray]:
     return moment[lit] / length[lit, None], power[lit]
 
 
+@njit(cache=True, inline="always")
+def place_of(seen, i):
+    """Return one of several places."""
+    return Seen(seen.normal[i], seen.to_eye[i])
+
+
 @njit(cache=True, error_model="numpy")
-def add_from_points(lights, normal, view, mu, n, k, scale, out):
+def add_from_points(lights, seen, mu, index, scale, out):
     """Add ``scale`` times Σ F D G / cosθ_r L dω over the points; arguments as of `irodori.light.gloss.gloss_maps`."""
+    normal, view = seen
     cos_r = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
     least, constant = math.cos(reach(lights.lobes, 0, mu)), constants(lights.lobes, math.log(mu))
     for i in range(lights.power.shape[0]):
@@ -74,6 +88,6 @@ def add_from_points(lights, normal, view, mu, n, k, scale, out):
         if cos_phi < least:
             continue
         factor, f0, f1, f2 = features(lights.lobes, cos_i, cos_r, cos_phi, cos_h, math.acos(cos_phi))
-        shown = scale * fresnel(cos_h, n, k) * factor * value(lights.lobes, constant, f0, f1, f2)
+        shown = scale * fresnel(cos_h, index[0], index[1]) * factor * value(lights.lobes, constant, f0, f1, f2)
         for b in range(out.size):
             out[b] += shown * lights.power[i, b]

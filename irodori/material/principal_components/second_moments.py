@@ -74,8 +74,8 @@ def _multiply_two(block, side, i, j, moment):
         a5, b5 = a5 + block[x + 5] * y, b5 + block[x + 5] * z
         a6, b6 = a6 + block[x + 6] * y, b6 + block[x + 6] * z
         a7, b7 = a7 + block[x + 7] * y, b7 + block[x + 7] * z
-    _add(moment, side, i * side + j, a0, a1, a2, a3, a4, a5, a6, a7)
-    _add(moment, side, i * side + j + LANES, b0, b1, b2, b3, b4, b5, b6, b7)
+    _add(moment, side, i * side + j, (a0, a1, a2, a3, a4, a5, a6, a7))
+    _add(moment, side, i * side + j + LANES, (b0, b1, b2, b3, b4, b5, b6, b7))
 
 
 @uncounted(nogil=True, error_model="numpy")
@@ -88,20 +88,15 @@ def _multiply_one(block, side, i, j, moment):
         a2, a3 = a2 + block[x + 2] * y, a3 + block[x + 3] * y
         a4, a5 = a4 + block[x + 4] * y, a5 + block[x + 5] * y
         a6, a7 = a6 + block[x + 6] * y, a7 + block[x + 7] * y
-    _add(moment, side, i * side + j, a0, a1, a2, a3, a4, a5, a6, a7)
+    _add(moment, side, i * side + j, (a0, a1, a2, a3, a4, a5, a6, a7))
 
 
 @uncounted(nogil=True, error_model="numpy")
-def _add(moment, side, place, a0, a1, a2, a3, a4, a5, a6, a7):
+def _add(moment, side, place, rows):
     """Add eight rows of eight to a matrix, the first at a flat place."""
-    store(moment, place, load(moment, place) + a0)
-    store(moment, place + side, load(moment, place + side) + a1)
-    store(moment, place + 2 * side, load(moment, place + 2 * side) + a2)
-    store(moment, place + 3 * side, load(moment, place + 3 * side) + a3)
-    store(moment, place + 4 * side, load(moment, place + 4 * side) + a4)
-    store(moment, place + 5 * side, load(moment, place + 5 * side) + a5)
-    store(moment, place + 6 * side, load(moment, place + 6 * side) + a6)
-    store(moment, place + 7 * side, load(moment, place + 7 * side) + a7)
+    for row in rows:
+        store(moment, place, load(moment, place) + row)
+        place += side
 
 
 @uncounted(nogil=True, error_model="numpy")

@@ -14,7 +14,7 @@ from irodori.geometry.shape_dispatch import chain
 from irodori.geometry.shapes.shape_rows import CENTRE, KIND, SHAPE
 from irodori.jit.compilation import uncounted
 from irodori.jit.vector_memory import lane, load_like, spread, zeros_like
-from irodori.rendering.interactive.cube_maps import bilinear, cell_of, face_of
+from irodori.rendering.interactive.cube_maps import MapPlace, bilinear, cell_of, face_of
 from irodori.rendering.interactive.mesh_shadows import (
     COUNT,
     HIDDEN,
@@ -43,17 +43,17 @@ _hidden = chain("hides", "row, at, x, y, z, normal", __name__)
 
 
 @uncounted()
-def _reflected(world, frame, layout, shape, facing, like):
+def _reflected(job, shape, facing, like):
     """Return the light that a shape's side reflects, in the channels that texels are multiplied with."""
-    turn = frame.light_from_world
+    world, turn = job.world, job.frame.light_from_world
     x = turn[0] * facing[0] + turn[1] * facing[1] + turn[2] * facing[2]
     y = turn[3] * facing[0] + turn[4] * facing[1] + turn[5] * facing[2]
     z = turn[6] * facing[0] + turn[7] * facing[1] + turn[8] * facing[2]
     face, u, v = face_of(spread(np.float32(x), 4), spread(np.float32(y), 4), spread(np.float32(z), 4))
     cell, fx, fy = cell_of(face, u, v, spread(np.float32(world.irradiance_side), 4))
-    at, stride = np.int64(lane(cell, 0)), world.irradiance_side + 2
-    light = bilinear(world.irradiance, 0, at, stride, lane(fx, 0), lane(fy, 0), like)
-    out, width = zeros_like(like), surface_lanes(layout)
+    place = MapPlace(np.int64(lane(cell, 0)), lane(fx, 0), lane(fy, 0))
+    light = bilinear(world.irradiance, 0, world.irradiance_side + 2, place, like)
+    out, width = zeros_like(like), surface_lanes(job.layout)
     for channel in range(world.ambient_inputs):
         row = load_like(world.ambient, (shape * world.ambient_inputs + channel) * width, like)
         out = out + lane(light, channel) * row
@@ -61,9 +61,9 @@ def _reflected(world, frame, layout, shape, facing, like):
 
 
 @uncounted()
-def _reflected_by_meshes(world, frame, layout, own, about, normal, like):
+def _reflected_by_meshes(job, own, about, normal, like):
     """Return the light that the meshes about a hit reflect to it, in the channels that texels are multiplied with."""
-    shadows, out = world.shadows, zeros_like(like)
+    shadows, out = job.world.shadows, zeros_like(like)
     for layer in range(shadows.numbers[own * SHAPE_NUMBERS + COUNT]):
         at = LAYERS + LAYER * layer
         share = mixed(shadows, own, about, at)
@@ -74,14 +74,14 @@ def _reflected_by_meshes(world, frame, layout, own, about, normal, like):
             if x * x + y * y + z * z < _NO_SIDE * share * share:
                 x, y, z = -normal[0], -normal[1], -normal[2]
             mesh = shadows.numbers[own * SHAPE_NUMBERS + SEEN + layer]
-            out = out + np.float32(share) * _reflected(world, frame, layout, mesh, (x, y, z), like)
+            out = out + np.float32(share) * _reflected(job, mesh, (x, y, z), like)
     return out
 
 
 @uncounted()
-def ambient_light(world, frame, layout, hits, ray, light):
+def ambient_light(job, hits, ray, light):
     """Return the light of a hit's normal, less what other objects hide, plus what they reflect."""
-    hit, table = hits.f, world.shape
+    world, hit, table = job.world, hits.f, job.world.shape
     own = hits.i[OBJECT * RAYS + ray]
     point = (hit[POINT * RAYS + ray], hit[(POINT + 1) * RAYS + ray], hit[(POINT + 2) * RAYS + ray])
     normal = (
@@ -102,15 +102,14 @@ def ambient_light(world, frame, layout, hits, ray, light):
         seen *= 1.0 - share
         hidden += share
         if facing[0] != 0.0 or facing[1] != 0.0 or facing[2] != 0.0:
-            reflected = reflected + share * _reflected(world, frame, layout, shape, facing, light)
+            reflected = reflected + share * _reflected(job, shape, facing, light)
     if world.shadowed > 0 and world.shadows.numbers[own * SHAPE_NUMBERS + STRIDE] > 0:
         about = nodes_about(world, hits, ray, own, point)
         seen *= mixed(world.shadows, own, about, LEFT)
         uncovered = mixed(world.shadows, own, about, UNCOVERED)
         hidden = uncovered * hidden + mixed(world.shadows, own, about, HIDDEN)
-        reflected = np.float32(uncovered) * reflected + _reflected_by_meshes(
-            world, frame, layout, own, about, normal, light
-        )
+        by_meshes = _reflected_by_meshes(job, own, about, normal, light)
+        reflected = np.float32(uncovered) * reflected + by_meshes
     if hidden > 0.0:
         light = seen * light + ((1.0 - seen) / hidden) * reflected
     return light

@@ -101,13 +101,21 @@ def from_equirectangular(picture: np.ndarray, side: int) -> Iterator[np.ndarray]
         yield found.reshape(*unit.shape[:2], -1)
 
 
-class Pyramid(NamedTuple):
+class CubePyramid(NamedTuple):
     """A map and its halvings, finest first."""
 
     texels: np.ndarray  # flat; uint16 holds half-precision floats
     first: np.ndarray  # (levels,) int64, of numbers
     side: np.ndarray  # (levels,) texels
     scale: np.ndarray  # (s,) numbers are values divided by this
+
+
+class _Picture(NamedTuple):
+    """An equirectangular picture for compiled loops."""
+
+    pixels: np.ndarray  # flat; uint16 holds half-precision floats
+    height: int
+    width: int
 
 
 @njit(cache=True)
@@ -117,9 +125,10 @@ def _add_pixel(pixels, index, weight, out):
 
 
 @njit(cache=True)
-def _fill_row(pixels, height, width, side, face, row, out, total):
-    """Fill a row of texels with the means of the bilinear picture at even points of the face."""
-    sign = 1.0 - 2.0 * (face % 2)
+def _fill_row(picture, face, row, out, total):
+    """Fill a row of texels, (side, k), with the means of the bilinear picture at even points of the face."""
+    pixels, height, width = picture
+    side, sign = out.shape[0], 1.0 - 2.0 * (face % 2)
     for column in range(side):
         total[:] = 0.0
         for part in range(_PARTS * _PARTS):
@@ -142,9 +151,9 @@ def _fill_row(pixels, height, width, side, face, row, out, total):
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def _fill_rows(pixels, height, width, side, face, first, out):
+def _fill_rows(picture, face, first, out):
     for row in numba.prange(out.shape[0]):
-        _fill_row(pixels, height, width, side, face, first + row, out[row], np.empty(out.shape[2]))
+        _fill_row(picture, face, first + row, out[row], np.empty(out.shape[2]))
 
 
 def give_back(array: np.ndarray) -> None:
@@ -166,7 +175,7 @@ def environment_side(height: int) -> int:
     return max(int(np.ceil(height * np.sqrt(2.0 / (3.0 * np.pi)) / 64.0)) * 64, 64)
 
 
-def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, channels: int, half: bool) -> Pyramid:
+def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, channels: int, half: bool) -> CubePyramid:
     """Return an environment as a cube of about its resolution, with its halvings.
 
     Parameters
@@ -183,7 +192,7 @@ def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, chan
     height, width, k = picture.shape
     if height == 0:
         none = np.zeros(0, dtype=np.int64)
-        return Pyramid(np.zeros(0, np.uint16 if half else np.float32), none, none, np.ones(len(stored_from_light)))
+        return CubePyramid(np.zeros(0, np.uint16 if half else np.float32), none, none, np.ones(len(stored_from_light)))
     bound = [max(abs(float(picture[..., i].max())), abs(float(picture[..., i].min()))) for i in range(k)]
     largest = np.abs(stored_from_light) @ np.array(bound)
     scale = np.exp2(np.ceil(np.log2(np.where(largest > 0, largest, 1.0))) - 15.0) if half else np.ones(len(largest))
@@ -200,7 +209,7 @@ def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, chan
     matrix = (stored_from_light / scale[:, None]).astype(np.float32)
     for face, row in itertools.product(range(FACES), range(0, sides[0], _ROWS)):
         rows = np.empty((min(_ROWS, sides[0] - row), sides[0], k), dtype=np.float32)
-        _fill_rows(pixels, height, width, sides[0], face, row, rows)
+        _fill_rows(_Picture(pixels, height, width), face, row, rows)
         maps[0][face, 1 + row : 1 + row + len(rows), 1:-1, : len(matrix)] = rows @ matrix.T
         if row + len(rows) == sides[0]:
             give_back(picture)  # the next face reads other parts of it
@@ -211,7 +220,7 @@ def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, chan
             coarse[1:-1, 1:-1] = inner.reshape(side, 2, side, 2, channels).mean(axis=(1, 3))
     for stored in maps:
         fill_borders(stored)
-    return Pyramid(texels.view(np.uint16) if half else texels, first[:-1], np.array(sides), scale)
+    return CubePyramid(texels.view(np.uint16) if half else texels, first[:-1], np.array(sides), scale)
 
 
 # --- in compiled code ----------------------------------------------------------------------------------------------
@@ -245,25 +254,31 @@ def cell_of(face, u, v, side):
     return (start + row) * stride + column, x - as_float(column), y - as_float(row)
 
 
+class MapPlace(NamedTuple):
+    """A place in a flat map."""
+
+    cell: int | np.integer  # number of the upper left of the four texels about it
+    x: float | np.floating  # the ways to the next column and the next row, 0..1
+    y: float | np.floating
+
+
 @uncounted(forceinline=True)
-def bilinear(texels, first, cell, stride, fx, fy, like):
-    """Return the bilinear value at a cell of a flat map.
+def bilinear(texels, first, stride, place, like):
+    """Return the bilinear value at a place of a flat map.
 
     Parameters
     ----------
     texels : flat array
     first : int
         Number at which the map begins.
-    cell : int
-        Of its upper left texel.
     stride : int
         Texels a stored row.
-    fx, fy : float
+    place : MapPlace
     like : vector
         As many channels as the map has.
     """
-    width = channel_count(like)
-    a = first + cell * width
+    width, fx, fy = channel_count(like), place.x, place.y
+    a = first + place.cell * width
     b = a + stride * width
     # Weights, not differences: what is not negative stays so, beside a sun too.
     left, upper = 1.0 - fx, 1.0 - fy

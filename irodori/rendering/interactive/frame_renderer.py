@@ -21,11 +21,21 @@ from irodori.rendering.interactive.channels import (
     spectral_channels,
 )
 from irodori.rendering.interactive.packets import KEPT, PATHS, RAYS, TILE
-from irodori.rendering.interactive.prepared_scene import Frame, World, make_query, make_world
+from irodori.rendering.interactive.prepared_scene import FrameView, PreparedWorld, make_query, make_world
 from irodori.rendering.interactive.quadrature import Quadrature, path_spectra, solve_quadrature
 from irodori.rendering.interactive.representation_layout import Layout
 from irodori.rendering.interactive.round_lobes import TAPS, lobe_table
-from irodori.rendering.interactive.tile_loop import FIGURES, RECALLED, STAGES, STORED, TRACED, Limits, render_tiles
+from irodori.rendering.interactive.tile_loop import (
+    FIGURES,
+    RECALLED,
+    STAGES,
+    STORED,
+    TRACED,
+    FrameBuffers,
+    Job,
+    PathLimits,
+    render_tiles,
+)
 from irodori.rendering.scene_arrays import Light, Objects, View
 from irodori.rendering.view_cameras import ORTHOGRAPHIC
 from irodori.spectra.grid import SAMPLES
@@ -38,7 +48,7 @@ _NO_LAMPS = np.zeros((0, SAMPLES))
 
 
 @dataclass(frozen=True)
-class Lamp:
+class CollimatedLamp:
     """A collimated light in a frame.
 
     Parameters
@@ -68,9 +78,9 @@ class Prepared:
     """
 
     representation: str
-    world: World
+    world: PreparedWorld
     layout: Layout
-    limits: Limits
+    limits: PathLimits
     lamps: int
     quadrature: Quadrature | None = None
     owned: tuple = ()
@@ -168,7 +178,7 @@ def prepare_scene(
     functions = (tracer.intersect16_address, tracer.occluded16_address, query.ctypes.data)
     scene = objects, light, gloss, tracer, channels, functions
     world = make_world(*scene, half=half, ambient=ambient, spare=spare_texels)
-    limits = Limits(
+    limits = PathLimits(
         max_bounces, least_throughput, least_throughput / TAPS, TRACED, 1 + min(max_bounces, _KEPT_REFLECTIONS)
     )
     parts = max(len(lobe_table(name).entries) for name in objects.lobes.names)
@@ -213,7 +223,7 @@ def refuse_lens(view: View) -> None:
         )
 
 
-def frame_of(prepared: Prepared, view: View, world_from_light, lamps) -> Frame:
+def frame_of(prepared: Prepared, view: View, world_from_light, lamps) -> FrameView:
     """Return what the kernel reads of a frame; parameters and errors are those of `render_frame`."""
     rotation = np.eye(3) if world_from_light is None else np.asarray(world_from_light, dtype=np.float64)
     if len(lamps) != prepared.lamps:
@@ -223,7 +233,7 @@ def frame_of(prepared: Prepared, view: View, world_from_light, lamps) -> Frame:
     if not (np.isfinite(length) & (length > 0)).all():
         raise ValueError("a lamp without a direction; accepted: three finite numbers, not all zero")
     directions /= length
-    return Frame(
+    return FrameView(
         position_mm=_single(view.position_mm),
         world_from_camera=_single(view.world_from_camera),
         pixel=1.0 / view.focal_px,
@@ -239,7 +249,7 @@ def frame_of(prepared: Prepared, view: View, world_from_light, lamps) -> Frame:
     )
 
 
-def _visibility(prepared: Prepared, view: View, keep: bool, tiles: int) -> Limits:
+def _visibility(prepared: Prepared, view: View, keep: bool, tiles: int) -> PathLimits:
     """Return the limits with what is to be done about hits, and make room for them."""
     if not keep:
         return prepared.limits._replace(visibility=TRACED)
@@ -258,7 +268,7 @@ def render_frame(
     view: View,
     *,
     world_from_light: np.ndarray | None = None,
-    lamps: tuple[Lamp, ...] = (),
+    lamps: tuple[CollimatedLamp, ...] = (),
     bands: bool = False,
     keep_visibility: bool = False,
     figures: dict | None = None,
@@ -302,17 +312,9 @@ def render_frame(
     columns, rows = -(-view.width // TILE), -(-view.height // TILE)
     limits = _visibility(prepared, view, keep_visibility, columns * rows)
     counted = np.zeros((columns * rows, FIGURES), dtype=np.int64)
-    scene = (
-        prepared.world,
-        frame,
-        prepared.layout,
-        limits,
-        image.ravel(),
-        image.shape[2],
-        prepared._kept.ravel(),
-        counted.ravel(),
-    )
-    run_chunks(resolved(render_tiles, *scene, 0, 0), columns * rows, columns, *scene)
+    job = Job(prepared.world, frame, prepared.layout, limits)
+    target = FrameBuffers(image.ravel(), image.shape[2], prepared._kept.ravel(), counted.ravel())
+    run_chunks(resolved(render_tiles, job, target, 0, 0), columns * rows, columns, job, target)
     if figures is not None:
         figures |= dict(zip(STAGES, counted.sum(axis=0).tolist(), strict=True))
     return image

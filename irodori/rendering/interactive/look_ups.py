@@ -6,7 +6,7 @@ from irodori.jit.compilation import uncounted
 from irodori.jit.functions import as_float, bits_as_float, bits_as_int, lower_of, root, truncated, upper_of
 from irodori.jit.vector_memory import gather, lane, load, load_like, numbered, pair_mixed, store
 from irodori.reflection.fresnel import fresnel
-from irodori.rendering.interactive.cube_maps import bilinear, cell_of, face_of
+from irodori.rendering.interactive.cube_maps import MapPlace, bilinear, cell_of, face_of
 from irodori.rendering.interactive.packets import (
     COSINE,
     DIRECTION,
@@ -54,14 +54,14 @@ def logarithm(x):
 
 
 @uncounted(forceinline=True)
-def find_sky(world, frame, paths, base, look, number):
+def find_sky(world, frame, paths, base, hits):
     """Fill where the directions of the paths from ``base`` on are looked up, at the two levels about their cones."""
     dx, dy, dz = (
         load(paths.f, DIRECTION * STRIDE + base, 16),
         load(paths.f, (DIRECTION + 1) * STRIDE + base, 16),
         load(paths.f, (DIRECTION + 2) * STRIDE + base, 16),
     )
-    turn = frame.light_from_world
+    look, number, turn = hits.look, hits.look_i, frame.light_from_world
     face, u, v = face_of(turned(turn, 0, dx, dy, dz), turned(turn, 1, dx, dy, dz), turned(turn, 2, dx, dy, dz))
     spread = load(paths.f, SPREAD * STRIDE + base, 16)
     last = float(world.environment_levels - 1)
@@ -80,26 +80,32 @@ def find_sky(world, frame, paths, base, look, number):
 
 
 @uncounted(forceinline=True)
-def sky_at(world, layout, look, number, ray):
+def _place(hits, ray, number):
+    """Return where one ray's look-up of a number is: of a tap, or of one of the sky's two levels."""
+    cell = np.int64(hits.look_i[(number * _NUMBERS + _CELL) * RAYS + ray])
+    look, at = hits.look, number * _FIELDS
+    return MapPlace(cell, look[(at + _X) * RAYS + ray], look[(at + _Y) * RAYS + ray])
+
+
+@uncounted(forceinline=True)
+def sky_at(world, layout, hits, ray):
     """Return the stored light that one ray of the packet meets."""
     like = light_black(layout)
-    level = number[_LEVEL * RAYS + ray]
-    stride = world.environment_side[level] + 2
-    first, cell = world.environment_first[level], np.int64(number[_CELL * RAYS + ray])
-    found = bilinear(world.environment, first, cell, stride, look[_X * RAYS + ray], look[_Y * RAYS + ray], like)
-    mix = look[_MIX * RAYS + ray]
+    level = hits.look_i[_LEVEL * RAYS + ray]
+    first, stride = world.environment_first[level], world.environment_side[level] + 2
+    found = bilinear(world.environment, first, stride, _place(hits, ray, 0), like)
+    mix = hits.look[_MIX * RAYS + ray]
     if mix > 0.01:
-        level = number[(_NUMBERS + _LEVEL) * RAYS + ray]
-        stride = world.environment_side[level] + 2
-        first, cell = world.environment_first[level], np.int64(number[(_NUMBERS + _CELL) * RAYS + ray])
-        x, y = look[(_FIELDS + _X) * RAYS + ray], look[(_FIELDS + _Y) * RAYS + ray]
-        found = (1.0 - mix) * found + mix * bilinear(world.environment, first, cell, stride, x, y, like)
+        level = hits.look_i[(_NUMBERS + _LEVEL) * RAYS + ray]
+        first, stride = world.environment_first[level], world.environment_side[level] + 2
+        found = (1.0 - mix) * found + mix * bilinear(world.environment, first, stride, _place(hits, ray, 1), like)
     return found
 
 
 @uncounted(forceinline=True)
-def find_lobes(world, layout, hit, numbers, entries, look, number):
+def find_lobes(world, layout, hits, entries):
     """Fill where a row of lobes of a packet's hits is looked up, from their entries of the table."""
+    hit, look, number = hits.f, hits.look, hits.look_i
     cosine = load(hit, COSINE * RAYS, 16)
     nx, ny, nz = (
         load(hit, LIT_NORMAL * RAYS, 16),
@@ -120,7 +126,7 @@ def find_lobes(world, layout, hit, numbers, entries, look, number):
     store(number, _LEVEL * RAYS, lower)
     sine2 = 1.0 - cosine * cosine
     power = gather(entries, at + POWER)
-    object_ = load(numbers, OBJECT * RAYS, 16)
+    object_ = load(hits.i, OBJECT * RAYS, 16)
     width = surface_lanes(layout)
     n, k = gather(world.index, object_ * (2 * width)), gather(world.index, object_ * (2 * width) + width)
     for tap in range(TAPS):
@@ -140,14 +146,12 @@ def find_lobes(world, layout, hit, numbers, entries, look, number):
 
 
 @uncounted(forceinline=True)
-def lobe_at(world, layout, look, number, ray, tap):
+def lobe_at(world, layout, hits, ray, tap):
     """Return the blurred light of one lobe of one hit, as it is stored, without its weight."""
-    level = number[_LEVEL * RAYS + ray]
-    stride, first = world.gloss_side[level] + 2, world.gloss_first[level]
-    cell = np.int64(number[(tap * _NUMBERS + _CELL) * RAYS + ray])
-    x, y = look[(tap * _FIELDS + _X) * RAYS + ray], look[(tap * _FIELDS + _Y) * RAYS + ray]
-    found = bilinear(world.gloss, first, cell, stride, x, y, pair_black(layout))
-    return pair_mixed(found, look[_MIX * RAYS + ray])
+    level = hits.look_i[_LEVEL * RAYS + ray]
+    first, stride = world.gloss_first[level], world.gloss_side[level] + 2
+    found = bilinear(world.gloss, first, stride, _place(hits, ray, tap), pair_black(layout))
+    return pair_mixed(found, hits.look[_MIX * RAYS + ray])
 
 
 @uncounted(forceinline=True)

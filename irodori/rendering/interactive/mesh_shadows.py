@@ -157,9 +157,19 @@ class _Rays(NamedTuple):
     others: int
 
 
+class _Casting(NamedTuple):
+    """What rays are cast at from a shape's nodes, and in which directions."""
+
+    rays: _Rays
+    bounds: Bounds
+    layer_of: np.ndarray  # (shapes,) int64, of those whose meeting is counted
+    points: np.ndarray  # (n, 2) of the unit square, a direction each
+
+
 @njit(cache=True, error_model="numpy")
-def _add_ray(rays, bounds, layer_of, ray, origin, direction, values, node):
+def _add_ray(casting, ray, origin, direction, values, node):
     """Add a ray to the sums of a node; return whether others leave it free, and whether it meets something's inside."""
+    rays, bounds = casting.rays, casting.bounds
     trace(rays.intersect, rays.scene, ray, origin, direction, np.inf)
     shape = hit_shape(ray)
     if shape == NO_HIT:
@@ -173,7 +183,7 @@ def _add_ray(rays, bounds, layer_of, ray, origin, direction, values, node):
     values[node, HIDDEN] += 1.0
     length = np.sqrt(x * x + y * y + z * z)
     if front and length > 0.0:
-        at = LAYERS + LAYER * layer_of[shape]
+        at = LAYERS + LAYER * casting.layer_of[shape]
         values[node, at] += 1.0
         values[node, at + 1] += x / length
         values[node, at + 2] += y / length
@@ -183,12 +193,16 @@ def _add_ray(rays, bounds, layer_of, ray, origin, direction, values, node):
 
 
 @njit(cache=True, error_model="numpy")
-def _cast(rays, bounds, layer_of, ray, nodes, points, number, values):
-    """Fill the values of a node; return whether it lies in the open."""
+def _cast(casting, ray, nodes, number, values):
+    """Fill the values of a node; return whether it lies in the open.
+
+    ``nodes`` are origin, normal, facet and probe of all, (n, 3) each.
+    """
+    points = casting.points
     origin = (nodes[0][number, 0], nodes[0][number, 1], nodes[0][number, 2])
     normal = (nodes[1][number, 0], nodes[1][number, 1], nodes[1][number, 2])
     facet = (nodes[2][number, 0], nodes[2][number, 1], nodes[2][number, 2])
-    if not _may_see(bounds, origin, normal):
+    if not _may_see(casting.bounds, origin, normal):
         values[number, LEFT] = values[number, UNCOVERED] = 1.0
         return True
     tangent, bitangent = _tangents(normal)
@@ -198,7 +212,7 @@ def _cast(rays, bounds, layer_of, ray, nodes, points, number, values):
     for sample in range(points.shape[0]):
         u, v = (points[sample, 0] + shift_u) % 1.0, (points[sample, 1] + shift_v) % 1.0
         direction = _direction(normal, facet, tangent, bitangent, u, v)
-        one = _add_ray(rays, bounds, layer_of, ray, origin, direction, values, number)
+        one = _add_ray(casting, ray, origin, direction, values, number)
         free += one[0]
         inside += one[1]
     others = points.shape[0] - free
@@ -206,7 +220,7 @@ def _cast(rays, bounds, layer_of, ray, nodes, points, number, values):
     values[number, UNCOVERED] = values[number, UNCOVERED] / others if others > 0 else 1.0
     for field in range(HIDDEN, values.shape[1]):
         values[number, field] /= points.shape[0]
-    return inside < _ENCLOSED * points.shape[0] and not _is_cut_off(rays, ray, nodes[3], number, origin)
+    return inside < _ENCLOSED * points.shape[0] and not _is_cut_off(casting.rays, ray, nodes[3], number, origin)
 
 
 @njit(cache=True, error_model="numpy")
@@ -222,10 +236,10 @@ def _is_cut_off(rays, ray, probe, number, origin):
 
 
 @njit(cache=True, nogil=True)
-def _cast_some(rays, bounds, layer_of, nodes, points, values, is_open, first, last):
+def _cast_some(casting, nodes, values, is_open, first, last):
     ray = new_ray()
     for number in range(first, last):
-        is_open[number] = _cast(rays, bounds, layer_of, ray, nodes, points, number, values)
+        is_open[number] = _cast(casting, ray, nodes, number, values)
 
 
 def _extended(values: np.ndarray, is_open: np.ndarray, cells: np.ndarray) -> None:
@@ -250,7 +264,8 @@ def _values(nodes: Nodes, rays: _Rays, bounds: Bounds, layers: np.ndarray, count
     values = np.zeros((len(nodes.origin), LAYERS + LAYER * len(layers)), dtype=np.float32)
     is_open = np.zeros(len(values), dtype=np.bool_)
     places = tuple(np.ascontiguousarray(p) for p in (nodes.origin, nodes.normal, nodes.facet, nodes.probe))
-    run_chunks(_cast_some, len(values), _CHUNK, rays, bounds, layer_of, places, _points(count), values, is_open)
+    casting = _Casting(rays, bounds, layer_of, _points(count))
+    run_chunks(_cast_some, len(values), _CHUNK, casting, places, values, is_open)
     _extended(values, is_open, nodes.cells)
     return values
 

@@ -50,7 +50,7 @@ class Packet(NamedTuple):
     facet: np.ndarray  # (3,) float64
 
 
-class Paths(NamedTuple):
+class TilePaths(NamedTuple):
     """Paths of a tile that go on; field f of path j is at ``f * STRIDE + j``."""
 
     f: np.ndarray
@@ -137,23 +137,23 @@ def meet_nothing(packet):
 
 
 @uncounted(forceinline=True)
-def keep_packet(packet, kept, at):
-    """Write what a packet met to ``kept`` from ``at`` on."""
-    store(kept, at, load(packet.f, RAYS + _FAR, 16))
-    store(kept, at + 16, load(packet.f, RAYS + _U, 16))
-    store(kept, at + 32, load(packet.f, RAYS + _V, 16))
-    store(kept, at + 48, bits_as_float(load(packet.i, RAYS + _PRIMITIVE, 16)))
-    store(kept, at + 64, bits_as_float(load(packet.i, RAYS + _GEOMETRY, 16)))
+def keep_packet(packet, kept):
+    """Write what a packet met to the first `KEPT` numbers of ``kept``."""
+    store(kept, 0, load(packet.f, RAYS + _FAR, 16))
+    store(kept, 16, load(packet.f, RAYS + _U, 16))
+    store(kept, 32, load(packet.f, RAYS + _V, 16))
+    store(kept, 48, bits_as_float(load(packet.i, RAYS + _PRIMITIVE, 16)))
+    store(kept, 64, bits_as_float(load(packet.i, RAYS + _GEOMETRY, 16)))
 
 
 @uncounted(forceinline=True)
-def recall_packet(packet, kept, at):
-    """Read what a packet met from ``kept``."""
-    store(packet.f, RAYS + _FAR, load(kept, at, 16))
-    store(packet.f, RAYS + _U, load(kept, at + 16, 16))
-    store(packet.f, RAYS + _V, load(kept, at + 32, 16))
-    store(packet.i, RAYS + _PRIMITIVE, bits_as_int(load(kept, at + 48, 16)))
-    store(packet.i, RAYS + _GEOMETRY, bits_as_int(load(kept, at + 64, 16)))
+def recall_packet(packet, kept):
+    """Read what `keep_packet` wrote."""
+    store(packet.f, RAYS + _FAR, load(kept, 0, 16))
+    store(packet.f, RAYS + _U, load(kept, 16, 16))
+    store(packet.f, RAYS + _V, load(kept, 32, 16))
+    store(packet.i, RAYS + _PRIMITIVE, bits_as_int(load(kept, 48, 16)))
+    store(packet.i, RAYS + _GEOMETRY, bits_as_int(load(kept, 64, 16)))
 
 
 @uncounted(forceinline=True)
@@ -169,9 +169,9 @@ def distances(packet):
 
 
 @uncounted(forceinline=True)
-def _onto_shapes(world, hit, number, shape, px, py, pz):
+def _onto_shapes(world, hit, shape, point):
     """Move traced points onto their shapes; fill points, normals, and places in the textures."""
-    table, at = world.shape, shape * SHAPE
+    table, at, (px, py, pz) = world.shape, shape * SHAPE, point
     cx, cy, cz = gather(table, at), gather(table, at + 1), gather(table, at + 2)
     radius, kind = gather(table, at + RADIUS), gather(table, at + KIND)
     r00, r01, r02 = gather(table, at + TURN), gather(table, at + (TURN + 1)), gather(table, at + (TURN + 2))
@@ -193,8 +193,9 @@ def _onto_shapes(world, hit, number, shape, px, py, pz):
 
 
 @uncounted()
-def _onto_shape(world, packet, hit, number, lane, shape):
+def _onto_shape(world, packet, hits, lane, shape):
     """Do for one ray what `_onto_shapes` does for those whose shapes have functions for lanes."""
+    hit, number = hits.f, hits.i
     ray, at = packet.ray, packet.ray.at
     ray.i[at + 17], ray.i[at + 18] = packet.i[RAYS + _PRIMITIVE + lane], shape
     ray.f[at + 15], ray.f[at + 16] = packet.f[RAYS + _U + lane], packet.f[RAYS + _V + lane]
@@ -214,21 +215,28 @@ def _onto_shape(world, packet, hit, number, lane, shape):
 
 
 @uncounted(forceinline=True)
-def place_hits(world, packet, paths, hit, number, base, met):
-    """Fill points, normals and texture places of the hits that the mask ``met`` chooses; return their shapes."""
+def place_hits(world, scratch, base, met):
+    """Fill points, normals and texture places of the hits that the mask ``met`` chooses.
+
+    Returns
+    -------
+    shape, kind : vectors of int
+    distance : vector of float, mm
+    """
+    packet, paths, hits = scratch.packet, scratch.paths, scratch.hits
     distance = select(met, distances(packet), 0.0)
     shape = select(met, shapes_met(packet), 0)
     px = load(paths.f, ORIGIN * STRIDE + base, 16) + distance * load(paths.f, DIRECTION * STRIDE + base, 16)
     py = load(paths.f, (ORIGIN + 1) * STRIDE + base, 16) + distance * load(paths.f, (DIRECTION + 1) * STRIDE + base, 16)
     pz = load(paths.f, (ORIGIN + 2) * STRIDE + base, 16) + distance * load(paths.f, (DIRECTION + 2) * STRIDE + base, 16)
-    store(number, OBJECT * RAYS, shape)
-    store(hit, SIZE * RAYS, gather(world.shape, shape * SHAPE + RADIUS))
-    kind = _onto_shapes(world, hit, number, shape, px, py, pz)
+    store(hits.i, OBJECT * RAYS, shape)
+    store(hits.f, SIZE * RAYS, gather(world.shape, shape * SHAPE + RADIUS))
+    kind = _onto_shapes(world, hits.f, shape, (px, py, pz))
     if world.brought_singly > 0:
         single = mask_bits(_are_brought_singly(kind) & met)
         for lane in range(RAYS):
             if (single >> lane) & 1:
-                _onto_shape(world, packet, hit, number, lane, number[OBJECT * RAYS + lane])
+                _onto_shape(world, packet, hits, lane, hits.i[OBJECT * RAYS + lane])
     return shape, kind, distance
 
 
@@ -239,8 +247,12 @@ def turned(rotation, row, x, y, z):
 
 
 @uncounted(forceinline=True)
-def prepare_hits(world, frame, paths, hit, number, base, met, placed):
-    """Fill what shading looks up at the hits; return the mask of those seen from their front."""
+def prepare_hits(job, scratch, base, met, placed):
+    """Fill what shading looks up at the hits; return the mask of those seen from their front.
+
+    ``placed`` is what `place_hits` returned.
+    """
+    world, paths, hit, number = job.world, scratch.paths, scratch.hits.f, scratch.hits.i
     shape, kind, distance = placed
     table, at = world.shape, shape * SHAPE
     dx, dy, dz = (
@@ -278,7 +290,7 @@ def prepare_hits(world, frame, paths, hit, number, base, met, placed):
     store(hit, TEXEL_Y * RAYS, y - as_float(row))
     store(number, TEXEL * RAYS, row * (truncated(columns) + 2) + column)
     # The light may be turned: what is looked up in it is turned back.
-    turn = frame.light_from_world
+    turn = job.frame.light_from_world
     lx, ly, lz = turned(turn, 0, nx, ny, nz), turned(turn, 1, nx, ny, nz), turned(turn, 2, nx, ny, nz)
     store(hit, LIT_NORMAL * RAYS, lx)
     store(hit, (LIT_NORMAL + 1) * RAYS, ly)

@@ -4,9 +4,9 @@ import numpy as np
 
 from irodori.jit.chunks import run_chunks
 from irodori.rendering.compiled_calls import resolved
-from irodori.rendering.interactive.frame_renderer import Lamp, Prepared, frame_of
+from irodori.rendering.interactive.frame_renderer import CollimatedLamp, Prepared, frame_of
 from irodori.rendering.interactive.packets import PATHS, TILE
-from irodori.rendering.interactive.tile_loop import FIGURES, LISTED, STAGES, TRACED, render_tiles
+from irodori.rendering.interactive.tile_loop import FIGURES, LISTED, STAGES, TRACED, FrameBuffers, Job, render_tiles
 from irodori.rendering.scene_arrays import View
 from irodori.rendering.single_pixels import pixel_view
 from irodori.rendering.view_cameras import ORTHOGRAPHIC
@@ -39,7 +39,7 @@ def render_rays(
     prepared: Prepared,
     view: View,
     rays: np.ndarray,
-    lamps: tuple[Lamp, ...] = (),
+    lamps: tuple[CollimatedLamp, ...] = (),
     *,
     bands: bool = False,
     figures: dict | None = None,
@@ -70,15 +70,16 @@ def render_rays(
     tiles = -(-len(rays) // PATHS)
     image, counted = np.empty((rows * TILE, channels), dtype=np.float32), np.zeros((tiles, FIGURES), dtype=np.int64)
     limits, kept = prepared.limits._replace(visibility=TRACED), np.zeros(0, dtype=np.float32)
-    scene = (prepared.world, frame, prepared.layout, limits, image.ravel(), channels, kept, counted.ravel())
-    run_chunks(resolved(render_tiles, *scene, 0, 0), tiles, 1, *scene)
+    job = Job(prepared.world, frame, prepared.layout, limits)
+    target = FrameBuffers(image.ravel(), channels, kept, counted.ravel())
+    run_chunks(resolved(render_tiles, job, target, 0, 0), tiles, 1, job, target)
     if figures is not None:
         figures |= dict(zip(STAGES, counted.sum(axis=0).tolist(), strict=True))
     return image[: len(rays)].astype(np.float64)
 
 
 def render_pixels(
-    prepared: Prepared, view: View, pixels: np.ndarray, side: int = 1, lamps: tuple[Lamp, ...] = ()
+    prepared: Prepared, view: View, pixels: np.ndarray, side: int = 1, lamps: tuple[CollimatedLamp, ...] = ()
 ) -> np.ndarray:
     """Return chosen pixels of a view, (n, 3) float64 XYZ: what `render_frame` has there, within its rounding.
 

@@ -14,7 +14,13 @@ from irodori.geometry.surfaces import Surfaces, make_surfaces
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.reflection.lobes import Lobes
 from irodori.rendering.interactive.channels import Channels, mean_spectra
-from irodori.rendering.interactive.cube_maps import FACES, Pyramid, environment_pyramid, from_equirectangular, give_back
+from irodori.rendering.interactive.cube_maps import (
+    FACES,
+    CubePyramid,
+    environment_pyramid,
+    from_equirectangular,
+    give_back,
+)
 from irodori.rendering.interactive.mesh_shadows import MeshShadows, make_mesh_shadows, no_mesh_shadows
 from irodori.rendering.interactive.round_lobes import (
     ROUGHNESSES,
@@ -31,7 +37,7 @@ from irodori.rendering.scene_arrays import Light, Objects, gloss_of, textures
 _MOST_BOUNDED = 12
 
 
-class World(NamedTuple):
+class PreparedWorld(NamedTuple):
     """What the kernel reads of a scene; flat float32 unless said otherwise."""
 
     shape: np.ndarray  # (objects * SHAPE,)
@@ -77,7 +83,7 @@ class World(NamedTuple):
     query: int  # address of RTCIntersectArguments
 
 
-class Frame(NamedTuple):
+class FrameView(NamedTuple):
     """What changes from frame to frame."""
 
     position_mm: np.ndarray  # (3,)
@@ -147,7 +153,7 @@ def _has_further(objects: Objects) -> bool:
 
 
 def make_textures(objects: Objects, channels: Channels, spare: int = 0) -> dict:
-    """Return the fields of a `World` that hold the texels, with room for some that nothing points at."""
+    """Return the fields of a `PreparedWorld` that hold the texels, with room for some that nothing points at."""
     sizes = [bordered_size(rows, columns) for columns, rows in objects.texture_size]
     first = np.cumsum([0, *sizes]).astype(np.int64)
     widths = channels.surface, FURTHER if _has_further(objects) else 0
@@ -244,8 +250,8 @@ def make_query(flags: int) -> np.ndarray:
     return query
 
 
-def environment_fields(pyramid: Pyramid) -> dict:
-    """Return the fields of a `World` that hold the environment."""
+def environment_fields(pyramid: CubePyramid) -> dict:
+    """Return the fields of a `PreparedWorld` that hold the environment."""
     return {
         "environment": pyramid.texels,
         "environment_first": pyramid.first.astype(np.int64),
@@ -255,8 +261,8 @@ def environment_fields(pyramid: Pyramid) -> dict:
     }
 
 
-def _light_fields(light: Light, gloss: GlossMaps, pyramid: Pyramid, channels: Channels, half: bool) -> dict:
-    """Return the fields of a `World` that are looked up in light; ``channels`` are those of the scaled pyramid."""
+def _light_fields(light: Light, gloss: GlossMaps, pyramid: CubePyramid, channels: Channels, half: bool) -> dict:
+    """Return a `PreparedWorld`'s fields that are looked up in light; ``channels`` are those of the scaled pyramid."""
     irradiance, irradiance_side = make_irradiance(light, channels)
     blurred, gloss_first, gloss_side = make_gloss(gloss, channels, half)
     return environment_fields(pyramid) | {
@@ -271,7 +277,7 @@ def _light_fields(light: Light, gloss: GlossMaps, pyramid: Pyramid, channels: Ch
 
 
 def _surface_fields(objects: Objects, tracer: Tracer, channels: Channels, spare: int) -> dict:
-    """Return the fields of a `World` that shapes and materials fill."""
+    """Return the fields of a `PreparedWorld` that shapes and materials fill."""
     fields = make_textures(objects, channels, spare)
     index = np.concatenate(
         [channels.index, np.repeat(channels.index[..., -1:], channels.surface - channels.count, axis=2)], axis=2
@@ -295,7 +301,7 @@ def _surface_fields(objects: Objects, tracer: Tracer, channels: Channels, spare:
 
 
 def colour_fields(channels: Channels) -> dict:
-    """Return the fields of a `World` that lead from what light is stored in to colours."""
+    """Return the fields of a `PreparedWorld` that lead from what light is stored in to colours."""
     decode = padded(channels.colour_from_light, channels.light).reshape(channels.count, channels.light)
     return {
         "decode": padded(decode.T, channels.surface),
@@ -317,7 +323,7 @@ def make_world(
     half: bool,
     ambient: bool,
     spare: int,
-) -> World:
+) -> PreparedWorld:
     """Return the flat scene of a representation.
 
     Parameters
@@ -352,4 +358,4 @@ def make_world(
         "occluded": functions[1],
         "query": functions[2],
     }
-    return World(**fields)
+    return PreparedWorld(**fields)

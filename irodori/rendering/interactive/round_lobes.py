@@ -22,7 +22,7 @@ from irodori.core.provenance import code_hash
 from irodori.jit.compilation import njit
 from irodori.jit.kernel_cache import cache_folder
 from irodori.light.blurred_light import WIDTHS_RAD
-from irodori.light.gloss.make_lobe_table import _cells, unit
+from irodori.light.gloss.make_lobe_table import grid_cells, unit
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import Lobes, constants, features, strength, value
 from irodori.reflection.registry import lobe
@@ -47,7 +47,7 @@ _INDEX = 1.5  # for which the mean Fresnel reflectance of a lobe is kept
 _COSINES = np.linspace(0.0, 1.0, 2001)
 
 
-class LobeTable(NamedTuple):
+class LobeRows(NamedTuple):
     """The rows of one form of lobe.
 
     ``entries`` are (parts, ROUGHNESSES, ANGLES, ENTRY) float32: the level of
@@ -123,22 +123,23 @@ def gloss_power(beta: np.ndarray, mu: np.ndarray, name: str = "gaussian") -> np.
 
 
 @njit(cache=True, error_model="numpy")
-def _fill_values(lobes, t, cos_i, cos_r, cos_phi, cos_h, phi, out):
-    constant = constants(lobes, t)
+def _fill_values(lobes, t, cos_r, angles, out):
+    """Fill D G / cosθ_r of directions of light; ``angles`` are their cosθ_i, cosφ, cosθ_H and φ, (n,) each."""
+    constant, (cos_i, cos_phi, cos_h, phi) = constants(lobes, t), angles
     for i in range(out.size):
         if cos_i[i] > 0.0 and cos_phi[i] > 0.0 and cos_h[i] > 1e-9:
             factor, f0, f1, f2 = features(lobes, cos_i[i], cos_r, cos_phi[i], cos_h[i], phi[i])
             out[i] = factor * value(lobes, constant, f0, f1, f2)
 
 
-def lobe_samples(name: str, mu: float, theta_r: float, grid: tuple[int, int] = _NODES) -> Samples:
+def samples_about_mirror(name: str, mu: float, theta_r: float, grid: tuple[int, int] = _NODES) -> Samples:
     """Return samples of a lobe on a grid that is narrowest about the mirror direction; angles in rad."""
     law = lobe(name)
     width = math.sqrt(0.5 * law.strength(mu))
     reach = min(2.8 * law.reach(mu), 2.0 * math.pi) + 0.02
     low, high = max(-reach, -0.5 * math.pi - 0.3 - theta_r), min(reach, 0.5 * math.pi + min(reach, 1.5) - theta_r)
-    along, along_step = _cells(0.5 * width, low, high, grid[0])
-    across, across_step = _cells(0.5 * width * math.cos(theta_r), 0.0, min(reach, 0.5 * math.pi), grid[1])
+    along, along_step = grid_cells(0.5 * width, low, high, grid[0])
+    across, across_step = grid_cells(0.5 * width * math.cos(theta_r), 0.0, min(reach, 0.5 * math.pi), grid[1])
     direction = unit(*np.meshgrid(theta_r + along, across, indexing="ij")).reshape(-1, 3)
     solid_angle = np.outer(along_step, 2.0 * across_step * np.cos(across)).ravel()
     view = unit(np.array(-theta_r), np.array(0.0))
@@ -147,9 +148,8 @@ def lobe_samples(name: str, mu: float, theta_r: float, grid: tuple[int, int] = _
     half = np.divide(half, length[:, None], out=np.zeros_like(half), where=length[:, None] > 1e-9)
     cos_h, phi = half @ view, np.arctan2(np.hypot(half[:, 0], half[:, 1]), half[:, 2])
     values = np.zeros(len(phi))
-    cosines = (np.ascontiguousarray(c) for c in (direction[:, 2], half[:, 2], cos_h))
-    cos_i, cos_phi, cos_h = cosines
-    _fill_values(Lobes((name,)), math.log(mu), cos_i, math.cos(theta_r), cos_phi, cos_h, phi, values)
+    angles = tuple(np.ascontiguousarray(c) for c in (direction[:, 2], half[:, 2], cos_h, phi))
+    _fill_values(Lobes((name,)), math.log(mu), math.cos(theta_r), angles, values)
     return Samples(direction, values, cos_h, phi, solid_angle)
 
 
@@ -180,7 +180,7 @@ def split(name: str, mu: float, parts: int) -> tuple[np.ndarray, np.ndarray]:
     """
     if parts == 1:
         return np.ones(1), np.ones(1)
-    seen = lobe_samples(name, mu, 1e-2, _NODES_OF_PARTS)
+    seen = samples_about_mirror(name, mu, 1e-2, _NODES_OF_PARTS)
     mass = seen.value * seen.solid_angle / float(seen.value @ seen.solid_angle)
     share, square = np.full(parts, 1.0 / parts), 0.25 * lobe(name).strength(mu) * np.square(_STARTS[parts])
     for _ in range(_STEPS):
@@ -215,7 +215,7 @@ def fit_row(name: str, mu: float, theta_r: float, mixture: tuple[np.ndarray, np.
     from scipy.optimize import nnls  # slow to import
 
     parts = len(mixture[0])
-    seen = lobe_samples(name, mu, theta_r, _NODES if parts == 1 else _NODES_OF_PARTS)
+    seen = samples_about_mirror(name, mu, theta_r, _NODES if parts == 1 else _NODES_OF_PARTS)
     direction, solid_angle, cos_h = seen.direction, seen.solid_angle, seen.cos_h
     share = seen.value * solid_angle
     power = float(share.sum())
@@ -263,7 +263,7 @@ def parts_of(name: str) -> int:
     return MOST_PARTS
 
 
-def _make_table(name: str) -> LobeTable:
+def _make_table(name: str) -> LobeRows:
     parts = parts_of(name)
     entries = np.zeros((parts, ROUGHNESSES, ANGLES, ENTRY), dtype=np.float32)
     distance = np.empty((ROUGHNESSES, ANGLES))
@@ -279,7 +279,7 @@ def _make_table(name: str) -> LobeTable:
             entry[:, 1 : 1 + 3 * TAPS : 3] = row.weight * row.power / unit_power
             entry[:, 2 : 1 + 3 * TAPS : 3] = np.sin(row.angle) / math.sin(theta_r)
             entry[:, 3 : 1 + 3 * TAPS : 3] = row.cos_h
-    return LobeTable(entries, distance)
+    return LobeRows(entries, distance)
 
 
 def _table_file(name: str) -> Path | None:
@@ -292,11 +292,11 @@ def _table_file(name: str) -> Path | None:
 
 
 @lru_cache(maxsize=16)
-def _table(name: str, digest: str) -> LobeTable:
+def _table(name: str, digest: str) -> LobeRows:
     path = _table_file(name)
     if path is not None and path.is_file():
         with np.load(path) as kept:
-            return LobeTable(kept["entries"], kept["distance"])
+            return LobeRows(kept["entries"], kept["distance"])
     table = _make_table(name)
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -307,7 +307,7 @@ def _table(name: str, digest: str) -> LobeTable:
     return table
 
 
-def lobe_table(name: str = "gaussian") -> LobeTable:
+def lobe_table(name: str = "gaussian") -> LobeRows:
     """Return the table of a lobe; made once in seconds, and kept beside the kernels."""
     return _table(name, lobe(name).digest)
 

@@ -11,7 +11,7 @@ from irodori.jit.vector_memory import compress, gather, largest, load, load_like
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import constants_of, features_of, strength, value_of
 from irodori.rendering.interactive.ambient import ambient_light
-from irodori.rendering.interactive.cube_maps import bilinear
+from irodori.rendering.interactive.cube_maps import MapPlace, bilinear
 from irodori.rendering.interactive.look_ups import (
     decoded,
     find_sky,
@@ -79,13 +79,14 @@ class Hits(NamedTuple):
 
 
 @uncounted(forceinline=True)
-def shade_sky(world, frame, layout, paths, hits, sums, base, missed):
+def shade_sky(job, scratch, base, missed):
     """Add the environment to the pixels of the rays whose bits are set."""
-    find_sky(world, frame, paths, base, hits.look, hits.look_i)
+    world, layout, paths, hits, sums = job.world, job.layout, scratch.paths, scratch.hits, scratch.sums
+    find_sky(world, job.frame, paths, base, hits)
     for ray in range(RAYS):
         if (missed >> ray) & 1:
             slot = np.int64(paths.slot[base + ray])
-            light = sky_at(world, layout, hits.look, hits.look_i, ray)
+            light = sky_at(world, layout, hits, ray)
             if is_coloured(layout):
                 _add_coloured(layout, sums, slot, decoded(world, layout, light))
             else:
@@ -103,12 +104,15 @@ def _add_coloured(layout, sums, slot, colour):
 
 
 @uncounted(forceinline=True)
-def _add_colour(layout, paths, sums, base, ray, slot, colour):
+def _add_colour(layout, scratch, path, colour):
+    """Add a colour to the pixel of a path, times its throughput."""
+    paths, sums = scratch.paths, scratch.sums
+    slot = np.int64(paths.slot[path])
     if is_coloured(layout):
         _add_coloured(layout, sums, slot, colour)
     else:
         at = slot * surface_lanes(layout)
-        throughput = paths.f[THROUGHPUT * STRIDE + base + ray]
+        throughput = paths.f[THROUGHPUT * STRIDE + path]
         store(sums.colour, at, load_like(sums.colour, at, colour) + throughput * colour)
 
 
@@ -122,8 +126,9 @@ def _component(layout, sums, component):
 
 
 @uncounted(forceinline=True)
-def _lobe_entry(world, layout, hits, ray, component, power, place):
+def _lobe_entry(job, hits, ray, component, power, place):
     """Fill the entries of a hit's lobe from its place in the ladder of roughnesses, and its power."""
+    world, layout = job.world, job.layout
     cosine, parts = hits.f[COSINE * RAYS + ray], gloss_parts(layout)
     x, y = math.sqrt(cosine) * np.float32(ANGLES - 1), min(max(place, np.float32(0.0)), np.float32(ROUGHNESSES - 1))
     column, row = min(int(x), ANGLES - 2), min(int(y), ROUGHNESSES - 2)
@@ -131,57 +136,60 @@ def _lobe_entry(world, layout, hits, ray, component, power, place):
     for part in range(parts):
         first, at = (which * parts + part) * (ROUGHNESSES * ANGLES * ENTRY), (component * parts + part) * RAYS + ray
         like = load(world.rows, 0, ENTRY)
-        entry = bilinear(world.rows, first, row * ANGLES + column, ANGLES, x - column, y - row, like)
+        entry = bilinear(world.rows, first, ANGLES, MapPlace(row * ANGLES + column, x - column, y - row), like)
         store(hits.entries, at * ENTRY, entry)
         hits.entries[at * ENTRY + POWER] = power
 
 
 @uncounted(forceinline=True)
-def shade_surfaces(world, frame, layout, paths, hits, sums, base, seen, least_power):
+def shade_surfaces(job, scratch, base, seen):
     """Add the diffuse light of the hits whose bits are set; look up their lobes. Returns the bits of glossy hits.
 
     The bits of the first gloss component are the lowest sixteen, those of the second follow.
     """
+    world, frame, layout = job.world, job.frame, job.layout
+    paths, hits, sums = scratch.paths, scratch.hits, scratch.sums
     glossy = 0
     width = surface_lanes(layout)
     for ray in range(RAYS):
         if not (seen >> ray) & 1:
             continue
-        slot, shape = np.int64(paths.slot[base + ray]), hits.i[OBJECT * RAYS + ray]
-        texel_x, texel_y = hits.f[TEXEL_X * RAYS + ray], hits.f[TEXEL_Y * RAYS + ray]
-        texel_cell, texel_stride = np.int64(hits.i[TEXEL * RAYS + ray]), world.texture_stride[shape]
-        first, black = world.texture_first[shape], surface_black(layout)
-        texel = bilinear(world.texels, first, texel_cell, texel_stride, texel_x, texel_y, black)
+        shape, black = hits.i[OBJECT * RAYS + ray], surface_black(layout)
+        x, y = hits.f[TEXEL_X * RAYS + ray], hits.f[TEXEL_Y * RAYS + ray]
+        at, stride = MapPlace(np.int64(hits.i[TEXEL * RAYS + ray]), x, y), world.texture_stride[shape]
+        texel = bilinear(world.texels, world.texture_first[shape], stride, at, black)
         store(sums.texel, 0, texel)
         x, y = hits.f[NORMAL_X * RAYS + ray], hits.f[NORMAL_Y * RAYS + ray]
-        cell, stride = np.int64(hits.i[NORMAL_CELL * RAYS + ray]), world.irradiance_side + 2
+        normal = MapPlace(np.int64(hits.i[NORMAL_CELL * RAYS + ray]), x, y)
         light = zeros_like(texel)
         if world.irradiance_side > 0:
-            light = bilinear(world.irradiance, 0, cell, stride, x, y, texel)
+            light = bilinear(world.irradiance, 0, world.irradiance_side + 2, normal, texel)
         if world.ambient_inputs > 0:
-            light = ambient_light(world, frame, layout, hits, ray, light)
+            light = ambient_light(job, hits, ray, light)
         if gloss_components(layout) > 1:
-            like, place = load(world.further, 0, FURTHER), world.further_first[shape]
-            store(sums.gloss, 0, bilinear(world.further, place, texel_cell, texel_stride, texel_x, texel_y, like))
+            like = load(world.further, 0, FURTHER)
+            store(sums.gloss, 0, bilinear(world.further, world.further_first[shape], stride, at, like))
         for lamp in range(frame.lamps):
             cosine = hits.lit[lamp * RAYS + ray]
             if cosine > 0.0:
                 light = light + (frame.lamp_strength[lamp] * cosine) * load_like(world.lamp_light, lamp * width, texel)
                 for component in range(gloss_components(layout)):
                     if _component(layout, sums, component)[0] > 0.0:
-                        _add_highlight(world, frame, layout, paths, hits, sums, base, ray, lamp, component)
-        _add_colour(layout, paths, sums, base, ray, slot, texel * light)
+                        _add_highlight(job, scratch, base, ray, lamp, component)
+        _add_colour(layout, scratch, base + ray, texel * light)
         for component in range(gloss_components(layout)):
             power, place = _component(layout, sums, component)
-            if power * paths.f[THROUGHPUT * STRIDE + base + ray] > least_power:
+            if power * paths.f[THROUGHPUT * STRIDE + base + ray] > job.limits.least_lobe:
                 glossy |= 1 << (component * RAYS + ray)
-                _lobe_entry(world, layout, hits, ray, component, power, place)
+                _lobe_entry(job, hits, ray, component, power, place)
     return glossy
 
 
 @uncounted()
-def _add_highlight(world, frame, layout, paths, hits, sums, base, ray, lamp, component):
+def _add_highlight(job, scratch, base, ray, lamp, component):
     """Add β F D G / cosθ_r of a lamp and a gloss component to a pixel."""
+    world, frame, layout = job.world, job.frame, job.layout
+    paths, hits, sums = scratch.paths, scratch.hits, scratch.sums
     width = surface_lanes(layout)
     power, place = _component(layout, sums, component)
     which = np.int64(world.lobe[hits.i[OBJECT * RAYS + ray] * gloss_components(layout) + component])
@@ -206,12 +214,13 @@ def _add_highlight(world, frame, layout, paths, hits, sums, base, ray, lamp, com
     colour = load_like(world.lamp_colour, lamp * width, surface_black(layout))
     n, k = load_like(world.index, index, colour), load_like(world.index, index + width, colour)
     colour = value * colour * fresnel(zeros_like(colour) + cos_h, n, k)
-    _add_colour(layout, paths, sums, base, ray, np.int64(paths.slot[base + ray]), colour)
+    _add_colour(layout, scratch, base + ray, colour)
 
 
 @uncounted(forceinline=True)
-def shade_gloss(world, layout, paths, hits, sums, base, glossy, least_weight):
+def shade_gloss(job, scratch, base, glossy):
     """Add the blurred light of the glossy hits' lobes; those with too little weight are left."""
+    world, layout, paths, hits, sums = job.world, job.layout, scratch.paths, scratch.hits, scratch.sums
     width = surface_lanes(layout)
     for ray in range(RAYS):
         if not (glossy >> ray) & 1:
@@ -225,9 +234,9 @@ def shade_gloss(world, layout, paths, hits, sums, base, glossy, least_weight):
                 n, k = load_like(world.index, index, colour), load_like(world.index, index + width, colour)
                 passed = weight * fresnel(zeros_like(colour) + lobe_incidence(hits.look, ray, tap), n, k)
                 weight = largest(passed)
-            if weight * throughput <= least_weight:
+            if weight * throughput <= job.limits.least_lobe:
                 continue
-            found = lobe_at(world, layout, hits.look, hits.look_i, ray, tap)
+            found = lobe_at(world, layout, hits, ray, tap)
             if is_coloured(layout):
                 colour = colour + passed * decoded(world, layout, found)
             else:
@@ -240,8 +249,9 @@ def shade_gloss(world, layout, paths, hits, sums, base, glossy, least_weight):
 
 
 @uncounted(forceinline=True)
-def reflect_packet(world, layout, paths, hits, sums, base, seen):
+def reflect_packet(job, scratch, base, seen):
     """Fill the throughput with which the hits' paths go on."""
+    world, layout, paths, hits, sums = job.world, job.layout, scratch.paths, scratch.hits, scratch.sums
     width = surface_lanes(layout)
     shape = load(hits.i, OBJECT * RAYS, 16)
     mirror = gather(world.shape, shape * SHAPE + MIRROR)
@@ -266,10 +276,11 @@ def reflect_packet(world, layout, paths, hits, sums, base, seen):
 
 
 @uncounted(forceinline=True)
-def advance(world, paths, hits, base, seen, least_throughput, after):
+def advance(job, scratch, base, seen, after):
     """Write the paths that go on close together from ``after`` on; return where they end."""
+    world, paths, hits = job.world, scratch.paths, scratch.hits
     throughput = load(hits.f, NEXT * RAYS, 16)
-    going = seen & (throughput > least_throughput)
+    going = seen & (throughput > job.limits.least_throughput)
     count = bits_set(mask_bits(going))
     if count == 0:
         return after

@@ -1,6 +1,6 @@
 """Loop over picture tiles: trace packets through mirrors, shade, accumulate."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,8 @@ from irodori.rendering.interactive.packets import (
     STRIDE,
     THROUGHPUT,
     TILE,
-    Paths,
+    Packet,
+    TilePaths,
     active_lanes,
     keep_packet,
     may_meet,
@@ -39,6 +40,7 @@ from irodori.rendering.interactive.packets import (
     trace_packet,
 )
 from irodori.rendering.interactive.representation_layout import (
+    Layout,
     gloss_components,
     gloss_parts,
     is_coloured,
@@ -61,7 +63,10 @@ from irodori.rendering.interactive.shading import (
     shade_surfaces,
 )
 
-#: What `Limits.visibility` says of the hits of earlier frames: trace all, trace and keep, use what was kept.
+if TYPE_CHECKING:  # what else they import is none of the kernel's
+    from irodori.rendering.interactive.prepared_scene import FrameView, PreparedWorld
+
+#: What `PathLimits.visibility` says of the hits of earlier frames: trace all, trace and keep, use what was kept.
 TRACED, STORED, RECALLED = 0, 1, 2
 #: Stages whose cycles are counted; then the rays, the surfaces that they meet, those with gloss, and what they miss.
 STAGES = ("tracing", "geometry", "surfaces", "gloss", "sky", "mirror", "colour", "rays", "hits", "glossy", "misses")
@@ -73,7 +78,7 @@ FIGURES = len(STAGES)
 LISTED = 8
 
 
-class Limits(NamedTuple):
+class PathLimits(NamedTuple):
     """How far to follow paths."""
 
     max_bounces: int
@@ -83,13 +88,32 @@ class Limits(NamedTuple):
     kept_bounces: int  # whose hits are kept, the eye's included
 
 
+class Job(NamedTuple):
+    """What to render: a scene, as it is seen in one frame."""
+
+    world: "PreparedWorld"
+    frame: "FrameView"
+    layout: Layout
+    limits: PathLimits
+
+
+class FrameBuffers(NamedTuple):
+    """What a frame fills; arrays are flat."""
+
+    image: np.ndarray  # (height * width * channels,) float32
+    channels: int
+    kept: np.ndarray  # (tiles * packets * KEPT,) float32 hits, nothing where none are kept
+    figures: np.ndarray  # (tiles * FIGURES,) int64 to add to; what several tiles count may stand at the first of them
+
+
 class Scratch(NamedTuple):
     """Buffers of one thread."""
 
-    packet: NamedTuple
-    paths: Paths
+    packet: Packet
+    paths: TilePaths
     hits: Hits
     sums: Sums
+    figures: np.ndarray  # (FIGURES,) int64, where it counts
 
 
 @uncounted()
@@ -102,11 +126,11 @@ def _singles(layout, lamps):
 
 
 @uncounted()
-def scratch_in(layout, lamps, singles, doubles):
+def scratch_in(job, singles, doubles, figures):
     """Return one thread's buffers in zeroed memory that begins with a line of the cache."""
-    packet = packet_in(singles, doubles)
+    layout, lamps, packet = job.layout, job.frame.lamps, packet_in(singles, doubles)
     at = singles[PACKET_SINGLES:]
-    paths = Paths(at, at[PATH_FIELDS * STRIDE :].view(np.int32))
+    paths = TilePaths(at, at[PATH_FIELDS * STRIDE :].view(np.int32))
     at = at[(PATH_FIELDS + 1) * STRIDE :]
     look = at[(HIT_FIELDS + HIT_NUMBERS + gloss_components(layout) * gloss_parts(layout) * ENTRY) * RAYS :]
     hits = Hits(
@@ -121,7 +145,7 @@ def scratch_in(layout, lamps, singles, doubles):
     colour, light = PATHS * surface_lanes(layout), PATHS * light_lanes(layout)
     texel = at[2 * colour + light :]
     sums = Sums(at, at[colour:], at[colour + light :], texel, texel[surface_lanes(layout) :])
-    return Scratch(packet, paths, hits, sums)
+    return Scratch(packet, paths, hits, sums, figures)
 
 
 @uncounted()
@@ -183,11 +207,11 @@ def _count(layout, figures, stage, since):
 
 
 @uncounted()
-def _meet(world, limits, scratch, base, bounce, count, kept, at):
-    """Let a packet meet the scene, or recall what it met in an earlier frame."""
-    active = active_lanes(count, base)
+def _meet(job, scratch, base, count, bounce, kept):
+    """Let a packet meet the scene, or recall from ``kept`` what it met in an earlier frame."""
+    world, limits, active = job.world, job.limits, active_lanes(count, base)
     if limits.visibility == RECALLED and bounce < limits.kept_bounces:
-        recall_packet(scratch.packet, kept, at)
+        recall_packet(scratch.packet, kept)
     else:
         hopeful = may_meet(world, scratch.paths, base, active) if world.bounded > 0 else active
         if mask_bits(hopeful):
@@ -195,19 +219,20 @@ def _meet(world, limits, scratch, base, bounce, count, kept, at):
         else:
             meet_nothing(scratch.packet)
         if limits.visibility == STORED and bounce < limits.kept_bounces:
-            keep_packet(scratch.packet, kept, at)
+            keep_packet(scratch.packet, kept)
     met = active & (shapes_met(scratch.packet) >= 0)
     return mask_bits(met), mask_bits(active & ~met)
 
 
 @uncounted()
-def _shade_packet(world, frame, layout, limits, scratch, base, count, after, last, figures):
+def _shade_packet(job, scratch, base, count, bounce, after):
     """Shade a packet's hits; return where the paths that go on end."""
-    packet, paths, hits, sums = scratch.packet, scratch.paths, scratch.hits, scratch.sums
+    world, frame, layout = job.world, job.frame, job.layout
+    packet, hits, figures = scratch.packet, scratch.hits, scratch.figures
     since = cycles() if is_profiled(layout) else 0
     met = active_lanes(count, base) & (shapes_met(packet) >= 0)
-    placed = place_hits(world, packet, paths, hits.f, hits.i, base, met)
-    seen = prepare_hits(world, frame, paths, hits.f, hits.i, base, met, placed)
+    placed = place_hits(world, scratch, base, met)
+    seen = prepare_hits(job, scratch, base, met, placed)
     since = _count(layout, figures, _PLACE, since)
     bits = mask_bits(seen)
     if frame.lamps > 0:
@@ -215,7 +240,7 @@ def _shade_packet(world, frame, layout, limits, scratch, base, count, after, las
         since = _count(layout, figures, _TRACE, since)
     glossy = 0
     if world.scatters > 0:
-        glossy = shade_surfaces(world, frame, layout, paths, hits, sums, base, bits, limits.least_lobe)
+        glossy = shade_surfaces(job, scratch, base, bits)
     figures[_HITS] += bits_set(bits)
     of_any = glossy
     for component in range(1, gloss_components(layout)):
@@ -227,34 +252,33 @@ def _shade_packet(world, frame, layout, limits, scratch, base, count, after, las
             bits_of_row = (glossy >> (row // gloss_parts(layout) * RAYS)) & 0xFFFF
             if bits_of_row:
                 entries = hits.entries[row * RAYS * ENTRY :]
-                find_lobes(world, layout, hits.f, hits.i, entries, hits.look, hits.look_i)
-                shade_gloss(world, layout, paths, hits, sums, base, bits_of_row, limits.least_lobe)
+                find_lobes(world, layout, hits, entries)
+                shade_gloss(job, scratch, base, bits_of_row)
         since = _count(layout, figures, _GLOSS, since)
-    if not last:
-        reflect_packet(world, layout, paths, hits, sums, base, bits)
-        after = advance(world, paths, hits, base, seen, limits.least_throughput, after)
+    if bounce < job.limits.max_bounces:
+        reflect_packet(job, scratch, base, bits)
+        after = advance(job, scratch, base, seen, after)
         since = _count(layout, figures, _MIRROR, since)
     return after
 
 
 @uncounted()
-def _follow(world, frame, layout, limits, scratch, count, kept, figures):
+def _follow(job, scratch, count, kept):
     """Follow the paths of a tile until none is left."""
-    packets = 0
-    for bounce in range(limits.max_bounces + 1):
+    layout, figures, packets = job.layout, scratch.figures, 0
+    for bounce in range(job.limits.max_bounces + 1):
         after = 0
         for base in range(0, count, RAYS):
             since = cycles() if is_profiled(layout) else 0
-            met, missed = _meet(world, limits, scratch, base, bounce, count, kept, packets * KEPT)
+            met, missed = _meet(job, scratch, base, count, bounce, kept[packets * KEPT :])
             packets += 1
             figures[_MISSES] += bits_set(missed)
             since = _count(layout, figures, _TRACE, since)
-            if missed and world.environment_levels > 0:
-                shade_sky(world, frame, layout, scratch.paths, scratch.hits, scratch.sums, base, missed)
+            if missed and job.world.environment_levels > 0:
+                shade_sky(job, scratch, base, missed)
                 since = _count(layout, figures, _SKY, since)
             if met:
-                last = bounce == limits.max_bounces
-                after = _shade_packet(world, frame, layout, limits, scratch, base, count, after, last, figures)
+                after = _shade_packet(job, scratch, base, count, bounce, after)
         figures[_RAYS] += count
         count = after
         if count == 0:
@@ -262,8 +286,9 @@ def _follow(world, frame, layout, limits, scratch, count, kept, figures):
 
 
 @uncounted()
-def _finish_tile(world, frame, layout, sums, left, top, image, channels):
+def _finish_tile(job, sums, left, top, target):
     """Turn what a tile's pixels have gathered into the picture's channels, and clear it."""
+    world, frame, layout, image, channels = job.world, job.frame, job.layout, target.image, target.channels
     surface, light = surface_lanes(layout), light_lanes(layout)
     for block in range(PATHS // RAYS):
         for lane in range(RAYS):
@@ -289,7 +314,8 @@ def _finish_tile(world, frame, layout, sums, left, top, image, channels):
 
 
 @uncounted()
-def _render_tile(world, frame, layout, limits, scratch, tile, image, channels, kept, figures):
+def _render_tile(job, scratch, tile, target):
+    frame, layout, limits = job.frame, job.layout, job.limits
     columns = (frame.width + TILE - 1) // TILE
     left, top = (tile % columns) * TILE, (tile // columns) * TILE
     listed = frame.listed > 0
@@ -297,28 +323,23 @@ def _render_tile(world, frame, layout, limits, scratch, tile, image, channels, k
     if is_coloured(layout):
         for number in range(PATHS * surface_lanes(layout)):
             scratch.sums.throughput[number] = 1.0
-    _follow(world, frame, layout, limits, scratch, count, kept, figures)
+    numbers = limits.kept_bounces * (PATHS // RAYS) * KEPT if limits.visibility != TRACED else 0
+    _follow(job, scratch, count, target.kept[tile * numbers :])
     since = cycles() if is_profiled(layout) else 0
-    _finish_tile(world, frame, layout, scratch.sums, left, top, image, channels)
-    _count(layout, figures, _COLOUR, since)
+    _finish_tile(job, scratch.sums, left, top, target)
+    _count(layout, scratch.figures, _COLOUR, since)
 
 
 @uncounted()
-def _render_tiles(world, frame, layout, limits, singles, doubles, image, channels, kept, figures, first, last):
-    scratch = scratch_in(layout, frame.lamps, singles, doubles)
-    numbers = limits.kept_bounces * (PATHS // RAYS) * KEPT if limits.visibility != TRACED else 0
+def _render_tiles(job, target, singles, doubles, first, last):
+    scratch = scratch_in(job, singles, doubles, target.figures[first * FIGURES :])
     for tile in range(first, last):
-        there, counted = kept[tile * numbers :], figures[tile * FIGURES :]
-        _render_tile(world, frame, layout, limits, scratch, tile, image, channels, there, counted)
+        _render_tile(job, scratch, tile, target)
 
 
 @njit(cache=True, nogil=True)
-def render_tiles(world, frame, layout, limits, image, channels, kept, figures, first, last):
-    """Render the tiles ``first``..``last``, numbered row by row.
-
-    ``image`` is (height, width, ``channels``) float32; ``kept`` is (tiles, packets * KEPT) float32, nothing where
-    nothing is kept; ``figures`` is (tiles, FIGURES) int64 to add to; all flat.
-    """
-    room, doubles = np.zeros(_singles(layout, frame.lamps) + RAYS, np.float32), np.zeros(PACKET_DOUBLES)
+def render_tiles(job, target, first, last):
+    """Render the tiles ``first``..``last`` of a `Job`, numbered row by row, into a `FrameBuffers`."""
+    room, doubles = np.zeros(_singles(job.layout, job.frame.lamps) + RAYS, np.float32), np.zeros(PACKET_DOUBLES)
     skip = (64 - room.ctypes.data % 64) % 64 // 4
-    _render_tiles(world, frame, layout, limits, room[skip:], doubles, image, channels, kept, figures, first, last)
+    _render_tiles(job, target, room[skip:], doubles, first, last)

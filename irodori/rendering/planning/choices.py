@@ -24,7 +24,7 @@ from irodori.rendering.planning.modelled_scene import (
     stays_grey,
 )
 from irodori.rendering.planning.probes import BLACK, Changes, Probes, halvings_of
-from irodori.rendering.planning.scene_planner import MOST_VIEWS, PROBES, SEED, Planner
+from irodori.rendering.planning.scene_planner import MOST_VIEWS, PROBES, SEED, ScenePlanner
 from irodori.rendering.scene_arrays import View, make_light
 
 _THROUGHPUTS = tuple(10.0 ** (-0.5 * n) for n in range(2, 11))
@@ -43,7 +43,7 @@ def choose(
     ambient: bool,
     overrides: PlanOverrides,
     where: str = "scene",
-) -> Planner:
+) -> ScenePlanner:
     """Decide what to model of a scene.
 
     Parameters
@@ -65,7 +65,7 @@ def choose(
 
     Returns
     -------
-    Planner
+    ScenePlanner
         Whose ``model`` and ``decisions`` are made. A predicted error is what 99 of 100 pixels keep under, with a
         certainty of 0.999 by the probes; of a lobe that is left out, what all probes do.
 
@@ -76,7 +76,7 @@ def choose(
     """
     ladder, model = make_light(parts.environment), full_model(parts, max_bounces, ambient)
     probes = Probes(parts, model, ladder, views, PROBES * min(len(views), MOST_VIEWS), SEED)
-    planner = Planner(parts, probes, model, tolerance, names, overrides, ladder, where)
+    planner = ScenePlanner(parts, probes, model, tolerance, names, overrides, ladder, where)
     _decide_lobes(planner)
     _decide_bounces(planner)
     _decide_light_bases(planner)
@@ -88,7 +88,7 @@ def choose(
     return planner
 
 
-def _traced(planner: Planner, name: str, own: tuple[bool, ...], asked: tuple[str, ...]) -> tuple[bool, ...]:
+def _traced(planner: ScenePlanner, name: str, own: tuple[bool, ...], asked: tuple[str, ...]) -> tuple[bool, ...]:
     """Return the lobes that the scene's file asks for.
 
     Raises
@@ -104,7 +104,7 @@ def _traced(planner: Planner, name: str, own: tuple[bool, ...], asked: tuple[str
     return tuple(there and n in asked for n, there in zip(planner.names, own, strict=True))
 
 
-def _decide_lobes(planner: Planner) -> None:
+def _decide_lobes(planner: ScenePlanner) -> None:
     """Leave out the lobes that have no weight, and those that nobody would miss at any probe."""
     for name in ("gloss", "mirror"):
         own = getattr(planner.model, name)
@@ -125,7 +125,7 @@ def _without(changes: Changes, name: str, objects: frozenset[int]) -> Changes:
     return replace(changes, without_mirror=objects)
 
 
-def _without_the_weakest(planner: Planner, name: str, own: tuple[bool, ...]) -> tuple[bool, ...]:
+def _without_the_weakest(planner: ScenePlanner, name: str, own: tuple[bool, ...]) -> tuple[bool, ...]:
     # Of many objects the weakest lobes are tried: each try is a picture.
     weight = [float(beta_of(planner.parts.objects, i).max(initial=0.0)) for i in range(len(own))]
     if name == "mirror":
@@ -147,7 +147,7 @@ def _without_the_weakest(planner: Planner, name: str, own: tuple[bool, ...]) -> 
     return tuple(traced)
 
 
-def _first_that_fits(planner: Planner, name: str, candidates: list, of) -> tuple:
+def _first_that_fits(planner: ScenePlanner, name: str, candidates: list, of) -> tuple:
     """Return the first candidate that fits and what it costs alone; the one of the scene's file where it has one.
 
     ``of`` returns, for a candidate, the error alone, all changes, and the way to XYZ. The last candidate is exact.
@@ -165,7 +165,7 @@ def _first_that_fits(planner: Planner, name: str, candidates: list, of) -> tuple
     raise AssertionError("no candidates")
 
 
-def _decide_bounces(planner: Planner) -> None:
+def _decide_bounces(planner: ScenePlanner) -> None:
     most = planner.model.max_bounces
     reached = most if any(planner.model.mirror) else 0
 
@@ -184,7 +184,7 @@ def _decide_bounces(planner: Planner) -> None:
     _decide_throughput(planner)
 
 
-def _decide_throughput(planner: Planner) -> None:
+def _decide_throughput(planner: ScenePlanner) -> None:
     lobes = any(planner.model.gloss) or planner.model.max_bounces > 0
     candidates = [*_THROUGHPUTS, 0.0] if lobes else [0.0]
 
@@ -201,7 +201,7 @@ def _decide_throughput(planner: Planner) -> None:
     planner.decide("least_throughput", alone, changes, why, least_throughput=least)
 
 
-def _decide_light_bases(planner: Planner) -> None:
+def _decide_light_bases(planner: ScenePlanner) -> None:
     light, count = light_of(planner.parts.environment), planner.model.light_bases
 
     def of_bases(bases: int):
@@ -217,7 +217,7 @@ def _decide_light_bases(planner: Planner) -> None:
     planner.decide("light_bases", alone, changes, why, light_bases=bases)
 
 
-def _decide_representation(planner: Planner) -> None:
+def _decide_representation(planner: ScenePlanner) -> None:
     """Take the cheapest representation that fits; what the others cost goes into the reason."""
     candidates = [("quadrature", nodes) for nodes in COUNTS] + [("spectral", planner.model.nodes)]
     if stays_grey(planner.parts.objects, planner.model):
@@ -245,7 +245,7 @@ def _decide_representation(planner: Planner) -> None:
     planner.model = replace(planner.model, quadrature=quadrature)
 
 
-def _error_of(planner: Planner, representation: str, nodes: int):
+def _error_of(planner: ScenePlanner, representation: str, nodes: int):
     """Return what a representation costs alone, the changes with it, and its way from spectra to XYZ."""
     changes, alone = planner.changes, Changes()
     if representation == "spectral":
@@ -266,7 +266,7 @@ def _error_of(planner: Planner, representation: str, nodes: int):
     return planner.bound(planner.errors(alone, xyz)), changes, xyz
 
 
-def _lit_basis(planner: Planner) -> np.ndarray:
+def _lit_basis(planner: ScenePlanner) -> np.ndarray:
     """Return the vectors on which coefficients carry light that objects throw on each other, (m, 61)."""
     basis = planner.parts.environment.basis
     if planner.model.light_bases < basis.shape[1]:
@@ -274,7 +274,7 @@ def _lit_basis(planner: Planner) -> np.ndarray:
     return np.concatenate([basis, reflected_basis(planner.parts.objects, basis)], axis=1).T
 
 
-def _decide_environment(planner: Planner) -> None:
+def _decide_environment(planner: ScenePlanner) -> None:
     rows = planner.ladder.size[:, 1]
     coarsest = max(int((rows >= min(_LEAST_ROWS, rows[0])).sum()) - 1, 0) if planner.model.environment else 0
 
@@ -291,7 +291,7 @@ def _decide_environment(planner: Planner) -> None:
     planner.decide("environment_halvings", alone, changes, why, environment_halvings=halvings)
 
 
-def _decide_textures(planner: Planner) -> None:
+def _decide_textures(planner: ScenePlanner) -> None:
     objects, count = planner.parts.objects, len(planner.names)
     most = [halvings_of(*size) for size in objects.texture_size]
     wanted = planner.overrides.texture_halvings
@@ -307,17 +307,17 @@ def _decide_textures(planner: Planner) -> None:
     planner.decide("texture_halvings", alone, changes, why, texture_halvings=values)
 
 
-def _showing_object(planner: Planner, index: int) -> np.ndarray:
+def _showing_object(planner: ScenePlanner, index: int) -> np.ndarray:
     """Return which probes show an object's texture, directly or in a mirror, (count,) bool."""
     return planner.showing(planner.probes.radiance(Changes(texture_level={index: BLACK})))
 
 
-def _texture_error(planner: Planner, seen: np.ndarray, index: int, level: int) -> float:
+def _texture_error(planner: ScenePlanner, seen: np.ndarray, index: int, level: int) -> float:
     """Return what a halved texture costs at the probes that show its object."""
     return planner.bound_where(seen, planner.probes.radiance(Changes(texture_level={index: level})))
 
 
-def _halvings_that_fit(planner: Planner, most: list[int]) -> dict[int, int]:
+def _halvings_that_fit(planner: ScenePlanner, most: list[int]) -> dict[int, int]:
     """Return how often each texture is halved, by what it costs where its object is seen."""
     sizes = planner.parts.objects.texture_size.prod(axis=1)
     largest = [int(i) for i in np.argsort(-sizes, kind="stable") if most[i]]
@@ -340,7 +340,7 @@ def _halvings_that_fit(planner: Planner, most: list[int]) -> dict[int, int]:
     return halvings
 
 
-def _decide_look_ups(planner: Planner) -> None:
+def _decide_look_ups(planner: ScenePlanner) -> None:
     """Note which maps are looked up at all, and how many levels of blurred light: nothing is lost by either."""
     model = planner.model
     levels = (0, 0)

@@ -10,7 +10,7 @@ from irodori.core.atomic_files import written_whole
 from irodori.core.yaml_files import read_yaml
 from irodori.rendering.interactive.quadrature import Quadrature
 from irodori.rendering.planning.modelled_scene import Model, memory_mb, widths_of
-from irodori.rendering.planning.scene_planner import Decision, Planner
+from irodori.rendering.planning.scene_planner import Decision, ScenePlanner
 from irodori.rendering.planning.tolerance import SHARE
 
 #: Digits of what is predicted: the last bits of a sum are the library's.
@@ -39,7 +39,7 @@ def rounded(value, digits: int = _DIGITS):
     return value.item() if isinstance(value, np.generic) else value
 
 
-def cost_of(planner: Planner, model: Model, side: int) -> dict[str, float]:
+def cost_of(planner: ScenePlanner, model: Model, side: int) -> dict[str, float]:
     """Return the predicted cost of a model: numbers multiplied and added, and rays, of a pixel; memory."""
     rays = side**2
     met = planner.met(model)
@@ -50,13 +50,13 @@ def cost_of(planner: Planner, model: Model, side: int) -> dict[str, float]:
     }
 
 
-def document_of(scene_name: str, planner: Planner, side: int, kind: str = "interactive") -> dict:
+def document_of(scene_name: str, planner: ScenePlanner, side: int, kind: str = "interactive") -> dict:
     """Return the content of the plan's file.
 
     Parameters
     ----------
     scene_name : str
-    planner : Planner
+    planner : ScenePlanner
         After `irodori.rendering.planning.choices.choose`.
     side : int
         Rays along each side of a pixel.

@@ -18,7 +18,7 @@ class ToleranceError(PlainError):
 
 
 @dataclass(frozen=True)
-class Measured:
+class PixelDifferences:
     """CIEDE2000 of pixels of a picture to the full model."""
 
     count: int
@@ -35,18 +35,20 @@ def chosen_pixels(view: View, count: int = PIXELS, seed: int = SEED) -> np.ndarr
     return np.stack([place % view.width, place // view.width], axis=1)
 
 
-def measure(planned: np.ndarray, full: np.ndarray, white_xyz: np.ndarray) -> Measured:
+def measure(planned: np.ndarray, full: np.ndarray, white_xyz: np.ndarray) -> PixelDifferences:
     """Return the differences of pixels, (n, 3) XYZ each."""
     found = summary(differences(full, planned, white_xyz))
-    return Measured(int(found["count"]), found["mean"], found["p95"], found["p99"], found["max"])
+    return PixelDifferences(int(found["count"]), found["mean"], found["p95"], found["p99"], found["max"])
 
 
-def refuse_above(measured: Measured, plan: dict, view: str, mend: str = "take overrides under `plan` back") -> None:
+def refuse_above(
+    measured: PixelDifferences, plan: dict, view: str, mend: str = "take overrides under `plan` back"
+) -> None:
     """Refuse a picture whose pixels keep a tolerance less often than they have to.
 
     Parameters
     ----------
-    measured : Measured
+    measured : PixelDifferences
     plan : dict
         With ``scene``, ``tolerance_ciede2000`` and ``predicted_delta_e``.
     view : str

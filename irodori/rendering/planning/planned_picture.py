@@ -11,7 +11,7 @@ from irodori.core.progress import LOGGER
 from irodori.geometry.embree import Tracer
 from irodori.light.environment_file import Environment
 from irodori.rendering.integrators import has_ambient
-from irodori.rendering.interactive.frame_renderer import Lamp, render_frame
+from irodori.rendering.interactive.frame_renderer import CollimatedLamp, render_frame
 from irodori.rendering.interactive.pixel_rays import render_pixels
 from irodori.rendering.planning.modelled_scene import Parts, full_model, prepare
 from irodori.rendering.planning.plan_file import model_of, object_names
@@ -70,7 +70,7 @@ def render_planned(
     start = time.perf_counter()
     prepared = prepare(parts, model, matrix)
     prepared_s = time.perf_counter() - start
-    lamps = tuple(Lamp(towards) for towards in parts.lamp_towards)
+    lamps = tuple(CollimatedLamp(towards) for towards in parts.lamp_towards)
     view = make_view(scene.views[view_name], scene.image)
     fine = view._replace(focal_px=view.focal_px * side, width=view.width * side, height=view.height * side)
     render_frame(prepared, fine._replace(width=side, height=side), lamps=lamps, bands=bands)  # compile

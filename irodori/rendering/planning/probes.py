@@ -12,10 +12,10 @@ from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.geometry.shapes.shape_rows import COLUMNS, MIRROR, ROWS, SHAPE
 from irodori.rendering.interactive.channels import mean_spectra, spectral_channels
 from irodori.rendering.interactive.cube_maps import environment_pyramid
-from irodori.rendering.interactive.frame_renderer import Lamp, Prepared, light_of
+from irodori.rendering.interactive.frame_renderer import CollimatedLamp, Prepared, light_of
 from irodori.rendering.interactive.pixel_rays import rays_through, render_rays
 from irodori.rendering.interactive.prepared_scene import (
-    World,
+    PreparedWorld,
     bordered_size,
     colour_fields,
     environment_fields,
@@ -96,7 +96,7 @@ class Probes:
         self.count, self.views, self.view = count, len(views), views[0]
         self.rays = np.concatenate(rays)
         self._parts, self._ladder = parts, ladder
-        self._lamps = tuple(Lamp(towards) for towards in parts.lamp_towards)
+        self._lamps = tuple(CollimatedLamp(towards) for towards in parts.lamp_towards)
         matrix = xyz_from_radiance(parts.white)
         self._levels = self._places_of_textures()
         spare = sum(bordered_size(t.rows, t.columns) for (_, level), t in self._levels.items() if level)
@@ -178,7 +178,7 @@ class Probes:
         rows = np.stack([self._channels.reflected(mean) @ onto for mean in mean_spectra(self._parts.objects)])
         return padded(rows, self._channels.surface)
 
-    def _tables(self, world: World, changes: Changes) -> dict:
+    def _tables(self, world: PreparedWorld, changes: Changes) -> dict:
         shape = world.shape.copy().reshape(-1, SHAPE)
         shape[list(changes.without_mirror), MIRROR] = 0.0
         first, stride = world.texture_first.copy(), world.texture_stride.copy()

@@ -47,7 +47,7 @@ class Decision:
 
 
 @dataclass
-class Planner:
+class ScenePlanner:
     """The state of planning: what is decided, by the plan or ``by_scene``, and what it costs."""
 
     parts: Parts

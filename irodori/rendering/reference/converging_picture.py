@@ -22,7 +22,7 @@ from irodori.reflection.registry import lobe
 from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.reference.band_loops import padded
 from irodori.rendering.reference.random_numbers import Numbers, make_numbers
-from irodori.rendering.reference.row_statistics import render_some_rows
+from irodori.rendering.reference.row_statistics import Rows, Sampling, render_some_rows
 from irodori.rendering.reference.sky_sampling import Sky, make_sky
 from irodori.rendering.reference.world import Bands, World
 from irodori.rendering.scene_arrays import Objects, View
@@ -84,7 +84,7 @@ def render_rows(scene: Scene, view: View, numbers: Numbers, rows: tuple[int, int
     count = rows[1] - rows[0]
     image = np.zeros((count, view.width, BANDS), dtype=np.float32)
     error, cut = np.zeros_like(image), np.zeros(count, dtype=np.int64)
-    arguments = (scene.world, view, numbers, rows[0], image, error, cut)
+    arguments = Sampling(scene.world, view, numbers), Rows(rows[0], image, error, cut)
     run_chunks(resolved(render_some_rows, *arguments, 0, 0), count, 1, *arguments)
     return Picture(image, error, int(cut.sum()))
 
@@ -108,7 +108,7 @@ def render(
     *,
     tile_rows: int = 16,
     label: str = "render",
-    tiles: "Tiles | None" = None,
+    tiles: "FinishedTiles | None" = None,
     error_by_band: bool = True,
     replicates: int = REPLICATES,
 ) -> Picture:
@@ -191,7 +191,7 @@ def picture_key(scene: Scene, view: View, samples: int, seed: int) -> str:
     return digest.hexdigest()
 
 
-class Tiles:
+class FinishedTiles:
     """Finished tiles in a folder, of one picture alone.
 
     Parameters

@@ -1,9 +1,19 @@
 """Half vectors, and directions drawn from the terms of a surface with exact densities."""
 
 import math
+from typing import NamedTuple
 
 from irodori.jit.compilation import uncounted
-from irodori.reflection.lobes import draw
+from irodori.reflection.lobes import Lobes, draw
+from irodori.rendering.surface_hits import frame
+
+
+class Gloss(NamedTuple):
+    """A gloss component of a texel."""
+
+    lobes: Lobes
+    which: int  # of these
+    mu: float  # roughness, in the unit of the lobe
 
 
 @uncounted(forceinline=True, error_model="numpy")
@@ -21,17 +31,18 @@ def half_angles(normal, view, light, cos_i, cos_r):
 
 
 @uncounted(forceinline=True, error_model="numpy")
-def draw_gloss(lobes, which, normal, tangent, bitangent, view, mu, u, v, out):
+def draw_gloss(gloss, normal, view, u, v, out):
     """Fill the direction of light that mirrors the view in a half vector drawn from a lobe; return whether it may be.
 
     Its density is that of `irodori.reflection.lobes.density`.
     """
+    tangent, bitangent = frame(normal)
     v0, v1, v2 = 0.0, 0.0, 0.0
     for axis in range(3):
         v0 += view[axis] * tangent[axis]
         v1 += view[axis] * bitangent[axis]
         v2 += view[axis] * normal[axis]
-    a, b, c = draw(lobes, which, mu, v0, v1, v2, u, v)
+    a, b, c = draw(gloss.lobes, gloss.which, gloss.mu, v0, v1, v2, u, v)
     cos_h = 0.0
     for axis in range(3):
         out[axis] = a * tangent[axis] + b * bitangent[axis] + c * normal[axis]
@@ -44,8 +55,9 @@ def draw_gloss(lobes, which, normal, tangent, bitangent, view, mu, u, v, out):
 
 
 @uncounted(forceinline=True)
-def draw_cosine(normal, tangent, bitangent, u, v, out):
+def draw_cosine(normal, u, v, out):
     """Fill a direction with the density cosθ / π about a normal."""
+    tangent, bitangent = frame(normal)
     radius, angle = math.sqrt(u), 2.0 * math.pi * v
     a, b, c = radius * math.cos(angle), radius * math.sin(angle), math.sqrt(1.0 - u)
     for axis in range(3):

@@ -29,11 +29,22 @@ from irodori.rendering.reference.band_loops import (
     summed,
     summed_product,
 )
-from irodori.rendering.reference.lobe_sampling import draw_cosine, draw_gloss, half_angles
-from irodori.rendering.reference.random_numbers import CHOICE, LIGHT, LOBE, PER_VERTEX, PICK, SURVIVAL, VERTEX, draw
+from irodori.rendering.reference.lobe_sampling import Gloss, draw_cosine, draw_gloss, half_angles
+from irodori.rendering.reference.random_numbers import (
+    CHOICE,
+    LIGHT,
+    LOBE,
+    PER_VERTEX,
+    PICK,
+    SURVIVAL,
+    VERTEX,
+    Stream,
+    draw_from,
+)
 from irodori.rendering.reference.sky_sampling import look_at_sky, sample_sky
+from irodori.rendering.reference.world import Branch
 from irodori.rendering.scene_lights import COLLIMATED, density_towards, sample_towards, unobstructed
-from irodori.rendering.surface_hits import frame, surface
+from irodori.rendering.surface_hits import surface
 
 #: Surfaces after which a path is cut, which is counted: two perfect mirrors may keep one for ever.
 LONGEST = 20_000
@@ -150,28 +161,24 @@ def _leave(world, work, index, origin):
 
 
 @uncounted(forceinline=True)
-def _add_chosen_light(world, ray, work, index, probability, numbers, at):
+def _add_chosen_light(world, ray, work, index, probability, stream):
     """Add what one chosen light sends over the surface towards the eye.
 
-    ``at`` is the stream of random numbers and the first dimension of the surface.
+    ``stream`` has the random numbers of the surface.
     """
-    stream, first = at
     chosen, count = -1, world.lights.kind.size
-    pick = draw(numbers, stream, first + PICK) if count > 0 else 0.0
+    pick = draw_from(stream, PICK) if count > 0 else 0.0
     for light in range(count + 1):
         if work.share[light] > 0.0:
             chosen = light
             if pick < work.share[light]:
                 break
             pick -= work.share[light]
-    u, v = (
-        draw(numbers, stream, first + LIGHT),
-        draw(numbers, stream, first + LIGHT + 1),
-    )
+    u, v = draw_from(stream, LIGHT), draw_from(stream, LIGHT + 1)
     if chosen == count:
         density = sample_sky(world.sky, u, v, work.light, work.coefficients)
     else:
-        density = sample_towards(world.lights, chosen, work.origin, u, v, work.light, work.tangent, work.bitangent)
+        density = sample_towards(world.lights, chosen, work.origin, u, v, work.light)
     if density <= 0.0:
         return
     other = _reflect(world, work, index, work.light, probability)
@@ -249,8 +256,9 @@ def _shares_of_terms(world, work, index, cos_r):
 
 
 @uncounted(forceinline=True)
-def _mirror(world, work, index, reflectance, weight, direction, throughput):
-    """Fill the mirror's direction and multiply a throughput by its reflectance; return whether it leads away."""
+def _mirror(world, work, index, reflectance, weight, branch):
+    """Fill the mirror's direction and multiply the throughput by its reflectance; return whether it leads away."""
+    direction, throughput = branch.direction, branch.throughput
     cos_r, above = 0.0, 0.0
     for axis in range(3):
         cos_r += work.to_eye[axis] * work.normal[axis]
@@ -279,10 +287,10 @@ def _keep_mirror(world, work, index, terms, seldom):
     weight, follows = 1.0 if mirror * MIRRORED >= 1.0 else seldom, False
     if weight > 0.0:
         for band in range(PADDED):
-            work.kept[band] = work.throughput[band]
-        follows = _mirror(world, work, index, reflectance, weight, work.kept_direction, work.kept)
+            work.kept.throughput[band] = work.throughput[band]
+        follows = _mirror(world, work, index, reflectance, weight, work.kept)
         for axis in range(3):
-            work.kept_origin[axis] = work.origin[axis]
+            work.kept.origin[axis] = work.origin[axis]
     return (diffuse / rough, gloss / rough, 0.0, reflectance), follows
 
 
@@ -300,27 +308,25 @@ def _component(work, choice):
 
 
 @uncounted(forceinline=True)
-def _turn(world, work, index, terms, numbers, at):
+def _turn(world, work, index, terms, stream):
     """Choose the path's next direction and multiply its throughput.
 
     Returns the density of the direction in 1/sr, below 0 for the mirror's, 0 where the path ends.
     """
-    stream, first = at
     diffuse, gloss, mirror, reflectance = terms
-    choice = draw(numbers, stream, first + CHOICE)
+    choice = draw_from(stream, CHOICE)
     d, normal = work.direction, work.normal
     if choice < mirror:
-        return -1.0 if _mirror(world, work, index, reflectance, 1.0 / mirror, d, work.throughput) else 0.0
-    u, v = draw(numbers, stream, first + LOBE), draw(numbers, stream, first + LOBE + 1)
-    frame(normal, work.tangent, work.bitangent)
+        own = Branch(work.origin, d, work.throughput)
+        return -1.0 if _mirror(world, work, index, reflectance, 1.0 / mirror, own) else 0.0
+    u, v = draw_from(stream, LOBE), draw_from(stream, LOBE + 1)
     if choice < mirror + gloss:
         component = _component(work, (choice - mirror) / gloss)
-        which, mu = world.objects.lobe[index, component], work.gloss[component, _MU]
-        lobes = world.objects.lobes
-        if not draw_gloss(lobes, which, normal, work.tangent, work.bitangent, work.to_eye, mu, u, v, d):
+        chosen = Gloss(world.objects.lobes, world.objects.lobe[index, component], work.gloss[component, _MU])
+        if not draw_gloss(chosen, normal, work.to_eye, u, v, d):
             return 0.0
     else:
-        draw_cosine(normal, work.tangent, work.bitangent, u, v, d)
+        draw_cosine(normal, u, v, d)
     drawn = _reflect(world, work, index, d, (diffuse, gloss))
     if drawn > 0.0:
         scale_by(work.throughput, work.mixture, 1.0 / drawn)
@@ -334,18 +340,17 @@ def _arrive(world, work, ray, index):
     for axis in range(3):
         work.point[axis] = work.origin[axis] + distance * d[axis]
         work.to_eye[axis] = -d[axis]
-    surface(world, index, ray, work.point, work.normal, work.facet, work.texel)
+    surface(world, index, ray, work)
     return face_viewer(work.normal, work.facet, d)
 
 
 @uncounted(forceinline=True)
-def _survives(work, numbers, at):
+def _survives(work, stream):
     """Play Russian roulette; return whether the path goes on."""
-    stream, first = at
     chance = largest(work.throughput)
     if chance >= 1.0:
         return True
-    if not draw(numbers, stream, first + SURVIVAL) < chance:
+    if not draw_from(stream, SURVIVAL) < chance:
         return False
     scale(work.throughput, 1.0 / chance)
     return True
@@ -373,14 +378,14 @@ def follow(world, ray, work, numbers, stream, seldom):
             if cos_r > 0.0:
                 terms = _shares_of_terms(world, work, index, cos_r)
             if terms[0] + terms[1] + terms[2] > 0.0:
-                at = (stream, VERTEX + vertex * PER_VERTEX)
+                own = Stream(numbers, stream, VERTEX + vertex * PER_VERTEX)
                 _leave(world, work, index, work.origin)
                 if vertex == 0:
                     terms, kept = _keep_mirror(world, work, index, terms, seldom)
                 if terms[0] + terms[1] > 0.0 and _fill_shares(world, work.origin, work.share):
-                    _add_chosen_light(world, ray, work, index, (terms[0], terms[1]), numbers, at)
-                density = _turn(world, work, index, terms, numbers, at)
-                goes_on = density != 0.0 and (vertex < _ROULETTE_FROM or _survives(work, numbers, at))
+                    _add_chosen_light(world, ray, work, index, (terms[0], terms[1]), own)
+                density = _turn(world, work, index, terms, own)
+                goes_on = density != 0.0 and (vertex < _ROULETTE_FROM or _survives(work, own))
         vertex += 1
         if goes_on and vertex < LONGEST:
             continue
@@ -389,6 +394,6 @@ def follow(world, ray, work, numbers, stream, seldom):
             return cut
         density, vertex, kept = -1.0, 1, False
         for axis in range(3):
-            work.origin[axis], work.direction[axis] = work.kept_origin[axis], work.kept_direction[axis]
+            work.origin[axis], work.direction[axis] = work.kept.origin[axis], work.kept.direction[axis]
         for band in range(PADDED):
-            work.throughput[band] = work.kept[band]
+            work.throughput[band] = work.kept.throughput[band]

@@ -81,6 +81,20 @@ def stream_of(numbers, key, replicate, sample):
     return of_set, _mixed(key + np.uint64(sample + 1) * _ODD), replicate, sample % size
 
 
+class Stream(NamedTuple):
+    """The numbers of one sample from a dimension on, as `draw` takes them."""
+
+    numbers: Numbers
+    of_sample: tuple  # see `stream_of`
+    first: int
+
+
+@uncounted(forceinline=True)
+def draw_from(stream, dimension):
+    """Return a number of a `Stream`, counted from its first."""
+    return draw(stream.numbers, stream.of_sample, stream.first + dimension)
+
+
 @uncounted(forceinline=True)
 def draw(numbers, stream, dimension):
     """Return a number in [0, 1)."""

@@ -38,6 +38,14 @@ class World(NamedTuple):
     steps: float  # further height, a part of the coordinates' size: single precision
 
 
+class Branch(NamedTuple):
+    """The part of a path that waits until the other part is followed."""
+
+    origin: np.ndarray  # (3,)
+    direction: np.ndarray  # (3,)
+    throughput: np.ndarray  # (64,) float32
+
+
 class Work(NamedTuple):
     """Buffers of one thread."""
 
@@ -47,8 +55,6 @@ class Work(NamedTuple):
     normal: np.ndarray  # (3,)
     facet: np.ndarray  # (3,)
     to_eye: np.ndarray  # (3,)
-    tangent: np.ndarray  # (3,)
-    bitangent: np.ndarray  # (3,)
     light: np.ndarray  # (3,) towards a light
     texel: np.ndarray  # (k + 2 c,)
     gloss: np.ndarray  # (c, 5) of each gloss component: share of the gloss, β, μ, and the lobe's two constants
@@ -60,17 +66,13 @@ class Work(NamedTuple):
     radiance: np.ndarray
     mixture: np.ndarray
     total: np.ndarray
-    kept: np.ndarray  # throughput of the branch that waits
-    kept_origin: np.ndarray  # (3,) float64, where it starts
-    kept_direction: np.ndarray  # (3,) float64
+    kept: Branch
 
 
 @njit(cache=True)
 def new_work(world):
     """Return the buffers of one thread."""
     return Work(
-        np.empty(3),
-        np.empty(3),
         np.empty(3),
         np.empty(3),
         np.empty(3),
@@ -88,7 +90,5 @@ def new_work(world):
         np.zeros(PADDED, np.float32),
         np.zeros(PADDED, np.float32),
         np.zeros(PADDED, np.float32),
-        np.zeros(PADDED, np.float32),
-        np.zeros(3),
-        np.zeros(3),
+        Branch(np.zeros(3), np.zeros(3), np.zeros(PADDED, np.float32)),
     )

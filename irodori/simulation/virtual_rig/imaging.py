@@ -119,6 +119,7 @@ class _Subject(NamedTuple):
     measured: np.ndarray  # (tables, half nodes, difference nodes, 3) π times the BRDF
     mirror: float
     fresnel: np.ndarray  # (nodes, 3)
+    surfaces: Surfaces
 
 
 @njit(cache=True, inline="always")
@@ -197,15 +198,15 @@ def _material_at(sample, point):
 
 
 @njit(cache=True, nogil=True)
-def _expose(setup, sample, surfaces, image, first, last):
+def _expose(setup, sample, image, first, last):
     """Fill a block of rows: look through each quarter of a pixel, then let the pixels gather theirs."""
     points = np.empty((2 * (last - first) + 2, 2 * image.shape[1] + 2, 3))
-    _look(setup, sample, surfaces, new_ray(), _new_point(), points, first)
+    _look(setup, sample, new_ray(), _new_point(), points, first)
     gather_rows(points, first, image)
 
 
 @uncounted(error_model="numpy")
-def _look(setup, sample, surfaces, ray, point, points, first):
+def _look(setup, sample, ray, point, points, first):
     """Fill what is seen in quarters of pixels, from half a pixel before the row ``first`` on."""
     for i in range(points.shape[0]):
         for j in range(points.shape[1]):
@@ -213,14 +214,14 @@ def _look(setup, sample, surfaces, ray, point, points, first):
             _aim(setup, x, y, point.direction)
             out = points[i, j]
             out[:] = 0.0
-            if _may_hit(setup, point.direction) and _is_seen(setup, surfaces, ray, point):
+            if _may_hit(setup, point.direction) and _is_seen(setup, sample.surfaces, ray, point):
                 ci = _face_lamp(setup, point)
                 if ci > 0.0 and (setup.is_open or _is_lit(setup, ray, point)):
                     _response(out, sample, _material_at(sample, point), setup, point, ci)
 
 
 @dataclass(frozen=True)
-class View:
+class RigView:
     """From where, through what and under which light the sample is seen.
 
     Parameters
@@ -261,7 +262,7 @@ def _is_open(placements, to_light: np.ndarray, lamp: Lamp) -> bool:
     return all(float(normal @ (place - top.translation_mm)) >= 0.0 for normal, top in zip(normals, table, strict=True))
 
 
-def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) -> np.ndarray:
+def expose_object(sample, tracer: Tracer, view: RigView, band_weights: np.ndarray) -> np.ndarray:
     """Return what each mosaic pixel receives from the sample under the rig's light.
 
     Parameters
@@ -269,7 +270,7 @@ def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) 
     sample : irodori.simulation.virtual_rig.samples.Sample
     tracer : Tracer
         Shape 0 is the sample; the others only cast shadows, and it stands above the plane of each that is flat.
-    view : View
+    view : RigView
     band_weights : (3, 61) float
         Those of the photograph's filter state, see `irodori.simulation.virtual_rig.sensor.band_weights`.
 
@@ -304,8 +305,8 @@ def expose_object(sample, tracer: Tracer, view: View, band_weights: np.ndarray) 
         measured=np.ascontiguousarray(sample.measured @ band_weights.T),
         mirror=sample.mirror,
         fresnel=sample.fresnel @ band_weights.T,
+        surfaces=make_surfaces(list(tracer.placements[:1])),
     )
     image = np.empty((view.pinhole.height_px, view.pinhole.width_px))
-    surfaces: Surfaces = make_surfaces(list(tracer.placements[:1]))
-    run_chunks(_expose, len(image), _BLOCK_ROWS, setup, subject, surfaces, image)
+    run_chunks(_expose, len(image), _BLOCK_ROWS, setup, subject, image)
     return image

@@ -18,7 +18,7 @@ from irodori.geometry.shapes.placement import on_table
 from irodori.light.omnidirectional import to_panorama
 from irodori.simulation.virtual_rig.aperture import gather_rows, place_in_cell
 from irodori.simulation.virtual_rig.classroom import room_coefficients, source_spectra
-from irodori.simulation.virtual_rig.imaging import View, expose_object
+from irodori.simulation.virtual_rig.imaging import RigView, expose_object
 from irodori.simulation.virtual_rig.samples import Sample
 from irodori.spectra.published import chart_spectra
 from irodori.spectra.white_reference import white_reflectance
@@ -50,7 +50,7 @@ def object_mosaic(sample: Sample, camera: Camera, rig: Rig, pose: Pose, ideal_fr
     """
     assert camera.optics is not None and rig.virtual is not None  # checked: the rig is virtual, its camera has optics
     rotation = rig_from_object(pose)
-    view = View(
+    view = RigView(
         pinhole=Pinhole.from_optics(camera.optics),
         position_mm=rig.camera_distance_mm * to_camera(pose),
         world_from_camera=rig_from_camera(pose),

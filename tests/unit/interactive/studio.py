@@ -37,7 +37,7 @@ def placed(shapes, places=None, rotations=None, scale=1.0):
     return [Placement(s, r, scale * np.asarray(p, dtype=np.float64), scale) for s, r, p in rows]
 
 
-def prepared(shapes, materials, light, representation="coefficients", places=None, rotations=None, scale=1.0,
+def prepared(shapes, materials, light, representation="coefficients", *, places=None, rotations=None, scale=1.0,
              white=None, **options):  # fmt: skip
     placements = placed(shapes, places, rotations, scale)
     objects, _ = make_objects(placements, materials)
@@ -59,12 +59,13 @@ def picture(shapes, materials, light, representation="coefficients", view=None, 
     return render_frame(ready, seen, bands=representation == "spectral", **(frame or {}))
 
 
-def plain_radiance(placements, materials, environment, irradiance, origin, direction, bounces):
+def plain_radiance(placements, materials, environment, irradiance, ray, bounces):
     """Radiance along a ray, (61,): the rendering equation of the integrator term by term, in double precision.
 
-    ``environment`` and ``irradiance`` give spectra for a direction and for a normal; materials have one texel.
+    ``environment`` and ``irradiance`` give spectra for a direction and for a normal; materials have one texel. A ray is
+    its origin and its direction.
     """
-    hit = None
+    hit, (origin, direction) = None, ray
     for placement, material in zip(placements, materials, strict=True):
         centre, size = placement.translation_mm, np.asarray(placement.shape.size_mm) * placement.scale
         local = origin - centre
@@ -95,15 +96,15 @@ def plain_radiance(placements, materials, environment, irradiance, origin, direc
         point = origin + distance * direction + 1e-9 * distance * normal
         passed = material.mirror * fresnel(cosine, material.n, material.k)
         out = out + passed * plain_radiance(
-            placements, materials, environment, irradiance, point, reflected, bounces - 1
+            placements, materials, environment, irradiance, (point, reflected), bounces - 1
         )
     return out
 
 
-def plain_picture(placements, materials, environment, irradiance, bounces, position, target, size, fov):
+def plain_picture(placements, materials, environment, irradiance, bounces, *, position, target, size, fov):
     rays = pixel_rays(position, target, size, fov)
     origin = np.asarray(position, dtype=np.float64)
-    return np.array([[plain_radiance(placements, materials, environment, irradiance, origin, ray, bounces)
+    return np.array([[plain_radiance(placements, materials, environment, irradiance, (origin, ray), bounces)
                       for ray in row] for row in rays])  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.gloss.make_lobe_table import lobe_samples
 from irodori.light.irradiance import irradiance_at
 from irodori.rendering.interactive.cube_maps import (
+    MapPlace,
     bilinear,
     cell_of,
     environment_pyramid,
@@ -120,14 +121,13 @@ def _compiled_look_up(texels, side, unit, out):
         )
         cell, x, y = cell_of(face, u, v, vector_memory.spread(np.float32(side), 16))
         for ray in range(16):
-            place, fx, fy = (
+            place = MapPlace(
                 np.int64(vector_memory.lane(cell, ray)),
                 vector_memory.lane(x, ray),
                 vector_memory.lane(y, ray),
             )
-            vector_memory.store(
-                out, (i + ray) * 4, bilinear(texels, 0, place, side + 2, fx, fy, vector_memory.load(texels, 0, 4))
-            )
+            found = bilinear(texels, 0, side + 2, place, vector_memory.load(texels, 0, 4))
+            vector_memory.store(out, (i + ray) * 4, found)
 
 
 def test_compiled_look_up_is_that_of_numpy():

@@ -18,7 +18,7 @@ from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes.shape import Shape
 from irodori.reflection.equation5 import angles_from_directions, reflect
 from irodori.rendering.integrators import render_image
-from irodori.rendering.interactive.frame_renderer import Lamp, render_frame
+from irodori.rendering.interactive.frame_renderer import CollimatedLamp, render_frame
 
 CROWD = [plate(120.0), BALL, BALL]
 CROWD_PLACES = [(0, 0, 0), (-22, 0, 20), (22, 5, 20)]
@@ -94,7 +94,7 @@ def test_a_lamp_lights_by_equation_5(representation):
     direction /= np.linalg.norm(direction)
     paint = material(np.linspace(0.2, 0.7, 61), beta=2.0, mu=0.25)
     found = picture([BALL], [paint], DARK, representation, white=np.ones(61), lamps=BEAM,
-                    frame={"lamps": (Lamp(5.0 * direction, 3.0),)})  # fmt: skip
+                    frame={"lamps": (CollimatedLamp(5.0 * direction, 3.0),)})  # fmt: skip
     ray, normal = sphere_hits()
     matrix = np.eye(61) if representation == "spectral" else xyz_from_radiance(np.ones(61))
     lit = 0
@@ -117,7 +117,7 @@ def test_a_ball_throws_the_shadow_of_a_disc():
     slanted = np.array([1.0, 0.0, 1.0])
     ready = prepared([plate(4000.0), BALL], [material(0.5), material(0.0)], DARK, **scene)
     shadow = render_frame(ready, view_of(**view | {"target": (-300.0, 0.0, 0.0), "position": (-300.0, -0.001, 600.0)}),
-                          lamps=(Lamp(slanted),))[..., 1]  # fmt: skip
+                          lamps=(CollimatedLamp(slanted),))[..., 1]  # fmt: skip
     # The ball stands 300 mm up and the light comes from +x at 45 degrees: the shadow's centre is at x = -300.
     at = (np.arange(81) - 40.0) * (2 * 600 * np.tan(np.radians(4.8)) / 81)
     x, y = np.meshgrid(at, -at)
@@ -133,11 +133,11 @@ def test_a_black_lamp_and_lamps_of_no_strength_change_nothing():
     plain = picture(CROWD, crowd(), light, view=CROWD_VIEW, places=CROWD_PLACES)
     for spectra, strength in ((np.zeros((1, 61)), 1.0), (BEAM, 0.0)):
         found = picture(CROWD, crowd(), light, view=CROWD_VIEW, places=CROWD_PLACES, lamps=spectra,
-                        frame={"lamps": (Lamp(np.array([0.0, 0.0, 1.0]), strength),)})  # fmt: skip
+                        frame={"lamps": (CollimatedLamp(np.array([0.0, 0.0, 1.0]), strength),)})  # fmt: skip
         assert np.allclose(found, plain, rtol=1e-5, atol=1e-5)
     with pytest.raises(ValueError, match="accepted: three finite numbers"):
         picture(CROWD, crowd(), light, view=CROWD_VIEW, places=CROWD_PLACES, lamps=BEAM,
-                frame={"lamps": (Lamp(np.zeros(3)),)})  # fmt: skip
+                frame={"lamps": (CollimatedLamp(np.zeros(3)),)})  # fmt: skip
     with pytest.raises(ValueError, match="accepted: the 1 that the scene was prepared for"):
         picture(CROWD, crowd(), light, view=CROWD_VIEW, places=CROWD_PLACES, lamps=BEAM)
 
@@ -210,7 +210,7 @@ def test_a_scene_of_a_millimetre_and_one_of_a_kilometre_look_alike(scale):
     lamp = {"lamps": BEAM}
     pictures = [
         picture(CROWD, crowd(), light, view=CROWD_VIEW | {"scale": s}, places=CROWD_PLACES, scale=s,
-                frame={"lamps": (Lamp(np.array([0.3, -0.4, 0.8])),)}, **lamp)
+                frame={"lamps": (CollimatedLamp(np.array([0.3, -0.4, 0.8])),)}, **lamp)
         for s in (1.0, scale)
     ]  # fmt: skip
     different = (np.abs(pictures[0] - pictures[1]) > 2e-3 * pictures[0].max()).any(axis=-1)
@@ -222,7 +222,9 @@ def test_a_scene_of_a_millimetre_and_one_of_a_kilometre_look_alike(scale):
 def test_spheres_that_touch_and_plates_of_a_kilometre_throw_no_specks():
     """A lamp straight above a plate of 1 km lights it evenly; touching mirrors show light everywhere."""
     ready = prepared([plate(1e6)], [material(0.5)], DARK, white=np.ones(61), lamps=BEAM)
-    found = render_frame(ready, view_of((0.0, -2e4, 1e4), size=(60, 40)), lamps=(Lamp(np.array([0.0, 0.0, 1.0])),))
+    found = render_frame(
+        ready, view_of((0.0, -2e4, 1e4), size=(60, 40)), lamps=(CollimatedLamp(np.array([0.0, 0.0, 1.0])),)
+    )
     assert np.ptp(found[..., 1]) <= 1e-4 * found.max() and found.min() > 0
     light = even_light()
     truth = xyz_from_radiance(light.upward_white()) @ spectrum_of()

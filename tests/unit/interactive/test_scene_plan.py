@@ -23,7 +23,7 @@ from irodori.export.pictures import read_xyz, write_spectral_exr, write_xyz_exr
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
-from irodori.rendering.interactive.frame_renderer import Lamp, light_of, render_frame
+from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, render_frame
 from irodori.rendering.interactive.pixel_rays import render_pixels, render_rays
 from irodori.rendering.planning.modelled_scene import full_model, leading_basis, prepare
 from irodori.rendering.planning.plan_file import model_of, object_names, read_plan, write_plan
@@ -367,7 +367,7 @@ def test_a_change_of_the_probes_scene_is_what_a_scene_prepared_without_it_shows(
     for _ in range(2):  # what was changed is taken back
         shown = probes.radiance(changes) @ matrix.T
         whole = probes.radiance() @ matrix.T
-    lights = tuple(Lamp(towards) for towards in parts.lamp_towards)
+    lights = tuple(CollimatedLamp(towards) for towards in parts.lamp_towards)
     for found, own in ((shown, model), (whole, full)):
         expected = render_rays(prepare(parts, own, matrix, ladder), view, probes.rays, lights)
         assert np.abs(found - expected).max() < 1e-5 * expected.max()
