@@ -7,7 +7,7 @@ minima over the whole range of μ, because least squares may have been led to an
 import numpy as np
 
 from irodori.fitting.closed_form import best_pair
-from irodori.fitting.observations import every_lane, expect_fitted, weigh
+from irodori.fitting.observations import Minimum, box_of, every_lane, expect_fitted, weigh
 from irodori.fitting.texel_rows import (
     COSINE,
     LOBE,
@@ -22,7 +22,7 @@ from irodori.fitting.texel_rows import (
     put,
     vectors_of,
 )
-from irodori.fitting.varpro import NODE_STEP, newton
+from irodori.fitting.varpro import NODE_STEP, Bracket, newton
 from irodori.jit.compilation import uncounted
 from irodori.jit.functions import magnitude, root, select
 from irodori.jit.vector_memory import spread
@@ -72,7 +72,7 @@ def _pair(rows, box):
 
 @uncounted(error_model="numpy")
 def _least_loss(rows, lobes, nodes, box, rules):
-    """Return log μ of the node with the least Huber loss, and α and β there."""
+    """Return the `Minimum` of Huber's loss over the nodes."""
     best, log_mu, a, b = np.inf, nodes[0], 0.0, 0.0
     for i in range(nodes.size):
         fill_lobe(rows, lobes, nodes[i])
@@ -83,37 +83,36 @@ def _least_loss(rows, lobes, nodes, box, rules):
             loss = reweigh(rows, x, y, rules.huber)
         if loss < best:
             best, log_mu, a, b = loss, nodes[i], x, y
-    return log_mu, a, b
+    return Minimum(a, b, log_mu, nodes.size * _AT_NODE)
 
 
 @uncounted(error_model="numpy")
 def robust(rows, problem, rules):
-    """Return the sums without lobe, α, β, log μ of the least Huber loss, the evaluations, and whether it settled.
+    """Return the sums without lobe, the `Minimum` of Huber's loss, and whether it settled.
 
     The rows are left with the weights that make the loss linear for outliers.
     """
-    box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
-    lobes, nodes = problem.lobes, problem.nodes
+    box, lobes, nodes = box_of(rules), problem.lobes, problem.nodes
     copy_row(rows, WEIGHT, TRUST)
-    log_mu, a, b = _least_loss(rows, lobes, nodes, box, rules)
+    found = _least_loss(rows, lobes, nodes, box, rules)
     if rules.weighted:
         # The variance of a reading that lost its light would be small, and its pull large.
         copy_row(rows, TRUST, WEIGHT)
-        expect_fitted(rows, lobes, problem.noise, rules, a, b, log_mu, every_lane())
+        expect_fitted(rows, problem, rules, found, every_lane())
         copy_row(rows, WEIGHT, TRUST)
-        log_mu, a, b = _least_loss(rows, lobes, nodes, box, rules)
-    settled, evaluations = False, nodes.size * _AT_NODE
-    fixed = weigh(rows, 0.0)
+        found = _least_loss(rows, lobes, nodes, box, rules)
+    a, b, log_mu, evaluations = found
+    settled, fixed = False, weigh(rows, 0.0)
     for _ in range(_SETTLING):
         fill_lobe(rows, lobes, log_mu)
         reweigh(rows, a, b, rules.huber)
         fixed = weigh(rows, 0.0)
         low, high = max(log_mu - NODE_STEP, rules.low_log_mu), min(log_mu + NODE_STEP, rules.high_log_mu)
-        bracket = (low, high, np.nan, np.nan)
-        t, x, y, count, _found = newton(rows, lobes, fixed, box, log_mu, bracket, False, True, _MAX_STEPS)
+        bracket = Bracket(log_mu, low, high, np.nan, np.nan, False, True)
+        (x, y, t, count), _ = newton(rows, lobes, fixed, box, bracket, _MAX_STEPS)
         evaluations += int(count)
         settled = abs(t - log_mu) + abs(x - a) / (abs(x) + 1e-30) + abs(y - b) / (abs(y) + 1e-30) < _SETTLED
         log_mu, a, b = t, x, y
         if settled:
             break
-    return fixed, a, b, log_mu, evaluations, settled
+    return fixed, Minimum(a, b, log_mu, evaluations), settled

@@ -3,11 +3,13 @@
 The column of n is found by differences: what the gloss of an observation changes with n.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from irodori.fitting import judge
 from irodori.fitting.huber import copy_row, reweigh
-from irodori.fitting.observations import every_lane, expect_fitted, load_one
+from irodori.fitting.observations import Minimum, every_lane, expect_fitted, load_one
 from irodori.fitting.texel_rows import (
     COSINE,
     F0,
@@ -34,10 +36,41 @@ _CHUNK = 1024
 UNKNOWNS = 4  # α, β, log μ, n
 
 
+class Sums(NamedTuple):
+    """What is summed over the observations of every texel.
+
+    Parameters
+    ----------
+    normal, middle : (texels, UNKNOWNS, UNKNOWNS) float64
+        Σ w J Jᵀ and Σ w² v J Jᵀ.
+    excess : (texels,) float64
+        By what variances are multiplied.
+    """
+
+    normal: np.ndarray
+    middle: np.ndarray
+    excess: np.ndarray
+
+
+class Moved(NamedTuple):
+    """What changes with n and with the angles of the observations of a texel, (P,) float64 each.
+
+    Parameters
+    ----------
+    above : gloss at an n that is larger by `_STEP`
+    tilt : squared slope of a lobe along θ_i and θ_r
+        n is told by grazing views, and there F G / cosθ_r is steep.
+    """
+
+    above: np.ndarray
+    tilt: np.ndarray
+
+
 @njit(cache=True, error_model="numpy")
-def _add(rows, lobes, above, tilt, found, rules, normal, middle):
-    """Add an observation's part to Σ w J Jᵀ and Σ w² v J Jᵀ; return χ²."""
-    a, b, log_mu, width = found
+def _add(rows, moved, lobes, found, rules, into):
+    """Add a texel's observations to Σ w J Jᵀ and Σ w² v J Jᵀ; return χ²."""
+    (a, b, log_mu, index), (normal, middle) = found, into
+    width = _STEP * index
     constant, chi2 = lobe_kernels.constants(lobes, log_mu), 0.0
     row = np.empty(UNKNOWNS)
     for j in range(rows.shape[1]):
@@ -47,9 +80,9 @@ def _add(rows, lobes, above, tilt, found, rules, normal, middle):
         value, slope, _ = lobe_kernels.derivatives(lobes, constant, rows[F0, j], rows[F1, j], rows[F2, j])
         steepness = lobe_kernels.flank(lobes, constant, rows[F0, j], rows[F1, j], rows[F2, j])[1]
         row[0], row[1], row[2] = c, gloss * value, b * slope * gloss
-        row[3] = b * value * (above[j] - gloss) / width
+        row[3] = b * value * (moved.above[j] - gloss) / width
         pose = 0.5 * steepness * (b * row[1]) ** 2 + a * a * (1.0 - c * c)
-        v = rows[VARIANCE, j] + rules.pose_variance * (pose + b * b * tilt[j])
+        v = rows[VARIANCE, j] + rules.pose_variance * (pose + b * b * moved.tilt[j])
         off = rows[SHARE, j] * (a * c + b * row[1] - rows[RESPONSE, j])
         chi2 += off * off / v
         for i in range(UNKNOWNS):
@@ -60,47 +93,46 @@ def _add(rows, lobes, above, tilt, found, rules, normal, middle):
 
 
 @njit(cache=True, error_model="numpy")
-def _pack(geometry, lobes, index, k, log_mu, rows, above, tilt):
-    """Fill the rows; ``above`` with the gloss at a larger n, ``tilt`` with a lobe's squared slope along θ_i and θ_r.
-
-    n is told by grazing views, and there F G / cosθ_r is steep.
-    """
+def _pack(geometry, problem, index, log_mu, rows, moved):
+    """Fill the rows of a texel, and what is `Moved`."""
+    lobes, k, tilt = problem.lobes, problem.k, moved.tilt
     pack_geometry(geometry, lobes, index, k, rows)
     fill_lobe(rows, lobes, log_mu)
     base = rows[LOBE].copy()
     tilt[:] = 0.0
-    moved = geometry.copy()
+    other = geometry.copy()
     for side in range(2):
         for j in range(geometry.shape[0]):
-            moved[j, 0], moved[j, 1], moved[j, 2] = geometry[j, 0], geometry[j, 1], geometry[j, 2] + 0.5 * _TILT
-            moved[j, side] += _TILT
-        pack_geometry(moved, lobes, index, k, rows)
+            other[j, 0], other[j, 1], other[j, 2] = geometry[j, 0], geometry[j, 1], geometry[j, 2] + 0.5 * _TILT
+            other[j, side] += _TILT
+        pack_geometry(other, lobes, index, k, rows)
         fill_lobe(rows, lobes, log_mu)
         for j in range(tilt.size):
             tilt[j] += ((rows[LOBE, j] - base[j]) / _TILT) ** 2
     pack_geometry(geometry, lobes, index * (1.0 + _STEP), k, rows)
-    for j in range(above.size):
-        above[j] = rows[GLOSS, j]
+    for j in range(rows.shape[1]):
+        moved.above[j] = rows[GLOSS, j]
     pack_geometry(geometry, lobes, index, k, rows)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sums(problem, rules, index, found, normal, middle, excess, first, last):
+def _sums(problem, rules, found, sums, first, last):
     rows, lobes = new_rows(problem.response.shape[1]), problem.lobes
-    above, tilt = np.empty(rows.shape[1]), np.empty(rows.shape[1])
+    moved = Moved(np.empty(rows.shape[1]), np.empty(rows.shape[1]))
     for t in range(first, last):
-        a, b, log_mu = found[t, 0], found[t, 1], found[t, 2]
+        a, b, log_mu, index = found[t, 0], found[t, 1], found[t, 2], found[t, 3]
         geometry = problem.geometry[t if problem.geometry.shape[0] > 1 else 0]
-        _pack(geometry, lobes, index[t], problem.k, log_mu, rows, above, tilt)
+        _pack(geometry, problem, index, log_mu, rows, moved)
         used, _ = load_one(problem.response[t], problem.weight[t], problem.noise, rules, rows)
         if rules.weighted:
-            expect_fitted(rows, lobes, problem.noise, rules, a, b, log_mu, every_lane())
+            expect_fitted(rows, problem, rules, Minimum(a, b, log_mu, 0), every_lane())
         if rules.huber > 0.0:
             copy_row(rows, WEIGHT, TRUST)
             fill_lobe(rows, lobes, log_mu)
             reweigh(rows, a, b, rules.huber)
-        chi2 = _add(rows, lobes, above, tilt, (a, b, log_mu, _STEP * index[t]), rules, normal[t], middle[t])
-        excess[t] = judge.excess_of(chi2, float(max(used - UNKNOWNS, 1)))
+        into = sums.normal[t], sums.middle[t]
+        chi2 = _add(rows, moved, lobes, (a, b, log_mu, index), rules, into)
+        sums.excess[t] = judge.excess_of(chi2, float(max(used - UNKNOWNS, 1)))
 
 
 def index_errors(problem, rules, index: np.ndarray, found: np.ndarray) -> np.ndarray:
@@ -122,7 +154,8 @@ def index_errors(problem, rules, index: np.ndarray, found: np.ndarray) -> np.nda
     count = len(index)
     normal, middle = np.zeros((2, count, UNKNOWNS, UNKNOWNS))
     excess = np.ones(count)
-    run_chunks(_sums, count, _CHUNK, problem, rules, index, np.ascontiguousarray(found), normal, middle, excess)
+    sums = Sums(normal, middle, excess)
+    run_chunks(_sums, count, _CHUNK, problem, rules, np.column_stack([found, index]), sums)
     diagonal = np.sqrt(np.einsum("tii->ti", normal))
     scale = np.where(diagonal > 0.0, 1.0 / np.where(diagonal > 0.0, diagonal, 1.0), 0.0)
     scaled = normal * scale[:, :, None] * scale[:, None, :]

@@ -74,7 +74,10 @@ class Verdict(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """Standard errors of α, β, log μ (infinite where undetermined), sum of squares, whether the lobe is seen."""
+    """Standard errors of α, β, log μ (infinite where undetermined), sum of squares, whether the lobe is seen.
+
+    Numbers, or lanes and a mask.
+    """
 
     alpha: float
     beta: float
@@ -83,11 +86,39 @@ class Errors(NamedTuple):
     seen: bool
 
 
+class Normal(NamedTuple):
+    """Σ w J Jᵀ scaled to a unit diagonal, J along α, β, log μ; numbers or lanes.
+
+    Parameters
+    ----------
+    scale : tuple of three
+        By which a row and a column were multiplied.
+    correlation : tuple of three
+        α with β, α with log μ, β with log μ.
+    determinant : float or lanes
+        Near zero where two parameters cannot be told apart.
+    """
+
+    scale: tuple
+    correlation: tuple
+    determinant: float
+
+
 @uncounted(error_model="numpy")
-def sums_at_minimum(rows, lobes, a, b, log_mu, rules):
+def sums_at_minimum(rows, lobes, found, rules, with_variances):
     """Return what is summed over the observations of one texel, or of each of eight, at the minimum.
 
     Leaves the gloss of every observation for β = 1, and its slope along log μ.
+
+    Parameters
+    ----------
+    rows : (ROWS, P) float64
+    lobes : Lobes
+        One lobe.
+    found : irodori.fitting.observations.Minimum
+    rules : irodori.fitting.observations.Rules
+    with_variances : bool
+        Whether χ² and the sums with v are asked for; else they are 0.
 
     Returns
     -------
@@ -97,6 +128,7 @@ def sums_at_minimum(rows, lobes, a, b, log_mu, rules):
     seen : bool or mask
         Whether an observation with weight lies where the lobe is high.
     """
+    a, b, log_mu, _ = found
     constant, zero = lobe_kernels.constants(lobes, log_mu), spread(0.0)
     n0, n1, n2, n3, n4, n5, squares = zero, zero, zero, zero, zero, zero, zero
     m0, m1, m2, m3, m4, m5, chi2 = zero, zero, zero, zero, zero, zero, zero
@@ -110,19 +142,21 @@ def sums_at_minimum(rows, lobes, a, b, log_mu, rules):
         put(rows, LOBE, j, g)
         put(rows, LOBE_SLOPE, j, g1)
         s, gloss = b * g1, b * g
-        # Both angles of the rig are off: θ_i by one, φ = |θ_i - θ_r| / 2 by 1/√2 of it.
-        pose = 0.5 * steepness * gloss * gloss + a * a * (1.0 - c * c)
-        v = get(rows, EXPECTED, j) + rules.pose_variance * pose
         r = a * c + gloss - get(rows, RESPONSE, j)
         squares = squares + w * r * r
-        kept = share_at(rows, j, log_mu) * r  # an outlier counts as far as the loss lets it
-        chi2 = chi2 + select(w > 0.0, kept * kept / v, 0.0)
         seen = seen | ((w > 0.0) & (plain > 0.0) & (share >= SEEN))
-        wc, wg, ws, wv = w * c, w * g, w * s, w * v
+        wc, wg, ws = w * c, w * g, w * s
         n0, n1, n2 = n0 + wc * c, n1 + wc * g, n2 + wg * g
         n3, n4, n5 = n3 + wc * s, n4 + wg * s, n5 + ws * s
-        m0, m1, m2 = m0 + wc * c * wv, m1 + wc * g * wv, m2 + wg * g * wv
-        m3, m4, m5 = m3 + wc * s * wv, m4 + wg * s * wv, m5 + ws * s * wv
+        if with_variances:
+            # Both angles of the rig are off: θ_i by one, φ = |θ_i - θ_r| / 2 by 1/√2 of it.
+            pose = 0.5 * steepness * gloss * gloss + a * a * (1.0 - c * c)
+            v = get(rows, EXPECTED, j) + rules.pose_variance * pose
+            kept = share_at(rows, j, log_mu) * r  # an outlier counts as far as the loss lets it
+            chi2 = chi2 + select(w > 0.0, kept * kept / v, 0.0)
+            wv = w * v
+            m0, m1, m2 = m0 + wc * c * wv, m1 + wc * g * wv, m2 + wg * g * wv
+            m3, m4, m5 = m3 + wc * s * wv, m4 + wg * s * wv, m5 + ws * s * wv
     return (
         folded(squares, log_mu), folded(chi2, log_mu), _folded_six((n0, n1, n2, n3, n4, n5), log_mu),
         _folded_six((m0, m1, m2, m3, m4, m5), log_mu), folded_mask(seen, log_mu),
@@ -179,13 +213,13 @@ def _lone_alpha(normal, middle, excess, a, rules):
 
 
 @uncounted(error_model="numpy")
-def scatter(rows, a, b, correlation, scale, determinant):
+def scatter(rows, a, b, normal):
     """Return Σ w² v J Jᵀ where the variances v are not known: those of the residuals, at least the expected ones.
 
     A residual is smaller than the error by what the observation decides itself, its leverage h: v = r² / (1 - h)²
     (HC3; MacKinnon and White, J. Econometrics 29, 1985). After `sums_at_minimum`, for one texel or for eight.
     """
-    p, q, r = correlation
+    scale, (p, q, r), determinant = normal
     i0, i1, i2 = 1.0 - r * r, 1.0 - q * q, 1.0 - p * p
     i01, i02, i12 = q * r - p, p * r - q, p * q - r
     inverse, zero = 1.0 / determinant, spread(0.0)
@@ -204,42 +238,39 @@ def scatter(rows, a, b, correlation, scale, determinant):
 
 
 @uncounted(error_model="numpy")
-def full_errors(rows, lobes, a, b, log_mu, used, rules, with_alpha):
+def full_errors(rows, lobes, found, used, rules, with_alpha):
     """Return the standard errors of α, β, log μ of a texel, or of β and log μ alone."""
-    squares, chi2, normal, middle, seen = sums_at_minimum(rows, lobes, a, b, log_mu, rules)
+    squares, chi2, sums, middle, seen = sums_at_minimum(rows, lobes, found, rules, True)
     excess = excess_of(chi2, float(max(used - (3 if with_alpha else 2), 1)))
-    if not (normal[0] > 0.0 and normal[2] > 0.0 and normal[5] > 0.0):
-        lone = _lone_alpha(normal, middle, excess, a, rules) if with_alpha else np.inf
+    if not (sums[0] > 0.0 and sums[2] > 0.0 and sums[5] > 0.0):
+        lone = _lone_alpha(sums, middle, excess, found.alpha, rules) if with_alpha else np.inf
         return Errors(lone, np.inf, np.inf, squares, seen)
-    scale, (p, q, r), determinant = correlations(normal)
+    normal = correlations(sums)
     if not with_alpha:
-        p, q, determinant = 0.0, 0.0, 1.0 - r * r
-    if not determinant > SINGULAR:
-        lone = _lone_alpha(normal, middle, excess, a, rules) if with_alpha else np.inf
+        r = normal.correlation[2]
+        normal = Normal(normal.scale, (0.0, 0.0, r), 1.0 - r * r)
+    if not normal.determinant > SINGULAR:
+        lone = _lone_alpha(sums, middle, excess, found.alpha, rules) if with_alpha else np.inf
         return Errors(lone, np.inf, np.inf, squares, seen)
     if not rules.known:
-        middle = scatter(rows, a, b, (p, q, r), scale, determinant)
+        middle = scatter(rows, found.alpha, found.beta, normal)
         excess = 1.0
-    alpha, beta, along = parameter_errors(middle, scale, (p, q, r), determinant, excess, a, b, rules)
+    alpha, beta, along = parameter_errors(middle, normal, excess, found, rules)
     return Errors(alpha if with_alpha else np.inf, beta, along, squares, seen)
 
 
 @uncounted(error_model="numpy")
-def correlations(normal):
-    """Return what scales Σ w J Jᵀ to a unit diagonal, its three numbers beside it then, and its determinant.
-
-    A determinant near zero means that two parameters cannot be told apart. Numbers or lanes.
-    """
-    s0, s1, s2 = 1.0 / root(normal[0]), 1.0 / root(normal[2]), 1.0 / root(normal[5])
-    p, q, r = normal[1] * s0 * s1, normal[3] * s0 * s2, normal[4] * s1 * s2
-    return (s0, s1, s2), (p, q, r), 1.0 + 2.0 * p * q * r - p * p - q * q - r * r
+def correlations(sums):
+    """Return the `Normal` of Σ w J Jᵀ in six numbers or lanes."""
+    s0, s1, s2 = 1.0 / root(sums[0]), 1.0 / root(sums[2]), 1.0 / root(sums[5])
+    p, q, r = sums[1] * s0 * s1, sums[3] * s0 * s2, sums[4] * s1 * s2
+    return Normal((s0, s1, s2), (p, q, r), 1.0 + 2.0 * p * q * r - p * p - q * q - r * r)
 
 
 @uncounted(error_model="numpy")
-def parameter_errors(middle, scale, correlation, determinant, excess, a, b, rules):
-    """Return the standard errors of α, β, log μ from Σ w² v J Jᵀ and what `correlations` says; numbers or lanes."""
-    s0, s1, s2 = scale
-    p, q, r = correlation
+def parameter_errors(middle, normal, excess, found, rules):
+    """Return the standard errors of α, β, log μ from Σ w² v J Jᵀ and the `Normal`; numbers or lanes."""
+    (s0, s1, s2), (p, q, r), determinant = normal
     scaled = (
         middle[0] * s0 * s0, middle[1] * s0 * s1, middle[2] * s1 * s1,
         middle[3] * s0 * s2, middle[4] * s1 * s2, middle[5] * s2 * s2,
@@ -250,8 +281,8 @@ def parameter_errors(middle, scale, correlation, determinant, excess, a, b, rule
     vt = _sandwich(scaled, p * r - q, p * q - r, 1.0 - p * p)
     common = rules.model_error * rules.model_error
     return (
-        root(upper_of(va * factor, 0.0) * s0 * s0 + common * a * a),
-        root(upper_of(vb * factor, 0.0) * s1 * s1 + common * b * b),
+        root(upper_of(va * factor, 0.0) * s0 * s0 + common * found.alpha * found.alpha),
+        root(upper_of(vb * factor, 0.0) * s1 * s1 + common * found.beta * found.beta),
         root(upper_of(vt * factor, 0.0)) * s2,
     )
 
@@ -276,11 +307,12 @@ def diffuse_errors(rows, a, used, rules):
 
 
 @uncounted(error_model="numpy")
-def without_gloss(fixed, used, floor, rules):
+def without_gloss(evidence, rules):
     """Return the best α without gloss, and the criteria of the models of diffuse light alone and of nothing.
 
     For one texel or for eight.
     """
+    used, floor, fixed = evidence
     diffuse = select(fixed[0] > 0.0, fixed[1] / fixed[0], 0.0)
     diffuse = lower_of(upper_of(diffuse, rules.low_alpha), rules.high_alpha)
     squares = upper_of(fixed[2] + diffuse * (diffuse * fixed[0] - 2.0 * fixed[1]), 0.0)
@@ -352,26 +384,27 @@ def shown_dark(a, error, fixed):
 
 
 @uncounted(error_model="numpy")
-def gloss_status(rows, lobes, clipped, a, b, log_mu, errors, rules):
+def gloss_status(rows, lobes, clipped, found, errors, rules):
     """Return the status of a texel whose data shows gloss."""
-    if highlight_clips(rows, lobes, clipped, log_mu, True):
+    if highlight_clips(rows, lobes, clipped, found.log_mu, True):
         return _SATURATED
-    return int(gloss_status_of(a, b, log_mu, (errors.alpha, errors.beta, errors.log_mu), errors.seen, rules))
+    return int(gloss_status_of(found, errors, rules))
 
 
 @uncounted(error_model="numpy")
-def gloss_status_of(a, b, log_mu, errors, seen, rules):
-    """Return the status of gloss that does not clip; numbers or lanes, ``seen`` says whether the lobe is.
+def gloss_status_of(found, errors, rules):
+    """Return the status of gloss that does not clip; numbers or lanes.
 
     Where β and μ cannot be told apart, a bound that one of them meets is where the search along their valley ended, and
     no finding.
     """
+    a, b, log_mu, _ = found
     edge = (b >= rules.high_beta * (1.0 - 1e-6)) | (log_mu >= rules.high_log_mu - 1e-4)
     edge = edge | (log_mu <= rules.low_log_mu + 1e-4)
     if rules.low_beta > 0.0:
         edge = edge | (b <= rules.low_beta * (1.0 + 1e-6))
-    edge = (edge & (errors[1] < np.inf)) | (a >= rules.high_alpha * (1.0 - 1e-6))
+    edge = (edge & (errors.beta < np.inf)) | (a >= rules.high_alpha * (1.0 - 1e-6))
     if rules.low_alpha > 0.0:
         edge = edge | (a <= rules.low_alpha * (1.0 + 1e-6))
-    known = (errors[1] < _BETA * b) & (errors[2] < _MU) & seen
+    known = (errors.beta < _BETA * b) & (errors.log_mu < _MU) & errors.seen
     return select(edge, float(_AT_BOUND), select(known, float(_OK), float(_UNIDENTIFIABLE)))

@@ -15,7 +15,8 @@ from numba.extending import intrinsic
 
 from irodori.fitting import judge
 from irodori.fitting.huber import robust
-from irodori.fitting.observations import every_lane, expect_fitted, weigh
+from irodori.fitting.observations import Evidence, Minimum, box_of, every_lane, expect_fitted, weigh
+from irodori.fitting.shared_geometry import no_shared
 from irodori.fitting.texel_rows import (
     COSINE,
     F0,
@@ -35,7 +36,8 @@ from irodori.fitting.texel_rows import (
     vectors_of,
 )
 from irodori.fitting.texels import (
-    clipped_of,
+    Room,
+    Task,
     conclude,
     is_noisy,
     leave_gloss_open,
@@ -158,13 +160,13 @@ class Nlopt(NamedTuple):
 
 @njit(cache=True)
 def new_data(problem):
-    """Return the data of a texel, its rows within, and room for the sums of the scan."""
+    """Return the data of a texel, and the `Room` for its rows, which lie within, and for the sums of the scan."""
     p = padded(problem.response.shape[1])
     data = np.zeros(HEADER + ROWS * p)
     data[0] = p
     rows = data[HEADER:].reshape((ROWS, p))
     rows[SHARE] = 1.0
-    return data, rows, new_sums(problem)
+    return data, Room(rows, new_sums(problem))
 
 
 @njit(cache=True)
@@ -178,33 +180,36 @@ def _new_optimiser(nlopt, data):
 
 @njit(cache=True)
 def _polish(nlopt, optimiser, data, start, rules, vectors):
-    """Run NLopt from a start; return its code, its evaluations and the α, β, log μ that it found."""
+    """Run NLopt from a start; return its code and the `Minimum` that it found, the start's evaluations included."""
     x, low, high, value = vectors
-    low[0], high[0], x[0] = rules.low_alpha / data[1], rules.high_alpha / data[1], start[0] / data[1]
-    low[1], high[1], x[1] = rules.low_beta / data[2], rules.high_beta / data[2], start[1] / data[2]
-    low[2], high[2], x[2] = rules.low_log_mu, rules.high_log_mu, start[2]
+    low[0], high[0], x[0] = rules.low_alpha / data[1], rules.high_alpha / data[1], start.alpha / data[1]
+    low[1], high[1], x[1] = rules.low_beta / data[2], rules.high_beta / data[2], start.beta / data[2]
+    low[2], high[2], x[2] = rules.low_log_mu, rules.high_log_mu, start.log_mu
     for p in range(PARAMETERS):
         x[p] = min(max(x[p], low[p]), high[p])
     nlopt_set_pointer(nlopt.set_lower_bounds, optimiser, np.uintp(low.ctypes.data))
     nlopt_set_pointer(nlopt.set_upper_bounds, optimiser, np.uintp(high.ctypes.data))
     code = nlopt_optimize(nlopt.optimize, optimiser, np.uintp(x.ctypes.data), np.uintp(value.ctypes.data))
-    evaluations = nlopt_get_evaluations(nlopt.get_numevals, optimiser)
-    return code, evaluations, x[0] * data[1], x[1] * data[2], x[2]
+    evaluations = start.evaluations + nlopt_get_evaluations(nlopt.get_numevals, optimiser)
+    return code, Minimum(x[0] * data[1], x[1] * data[2], x[2], evaluations)
 
 
 @njit(cache=True, error_model="numpy")
-def start_of(rows, problem, rules, used, floor, sums):
-    """Return the sums without lobe, and the best α, β, log μ that the scan knows with their sum of squares."""
-    start = _scanned(rows, problem, rules, sums)
-    if is_noisy(used, floor, start[0], rules):
-        expect_fitted(rows, problem.lobes, problem.noise, rules, start[1], start[2], start[3], every_lane())
-        start = _scanned(rows, problem, rules, sums)
-    return start
+def start_of(task, room, loaded):
+    """Return the `Evidence`, the best `Minimum` that the scan knows, and its sum of squares."""
+    used, floor = loaded
+    fixed, start, value = _scanned(task, room)
+    evidence = Evidence(used, floor, fixed)
+    if is_noisy(evidence, task.rules):
+        expect_fitted(room.rows, task.problem, task.rules, start, every_lane())
+        fixed, start, value = _scanned(task, room)
+        evidence = Evidence(used, floor, fixed)
+    return evidence, start, value
 
 
 @njit(cache=True, error_model="numpy")
-def _scanned(rows, problem, rules, sums):
-    box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
+def _scanned(task, room):
+    problem, (rows, sums), box = task.problem, room, box_of(task.rules)
     lobes, nodes = problem.lobes, problem.nodes
     fixed = weigh(rows, 0.0)
     scan(rows, problem, sums, 0.0)
@@ -219,21 +224,21 @@ def _scanned(rows, problem, rules, sums):
     if sums[ESTIMATE, likely] < np.inf:
         between = pair_at(rows, lobes, fixed, box, sums[PLACE, likely])
         if between[2] <= value:
-            return fixed, between[0], between[1], sums[PLACE, likely], between[2]
-    return fixed, a, b, log_mu, value
+            (a, b, value), log_mu = between, sums[PLACE, likely]
+    return fixed, Minimum(a, b, log_mu, nodes.size), value
 
 
 @njit(cache=True, error_model="numpy")
-def finish(t, rows, fixed, found, used, floor, evaluations, problem, rules, sums, out):
-    """Judge α, β, log μ that a solver found, after reweighting if that is asked for, and write the texel."""
-    a, b, log_mu = found
-    settled = True
-    if rules.huber > 0.0:
-        fixed, a, b, log_mu, count, settled = robust(rows, problem, rules)
-        scan(rows, problem, sums, 0.0)
-        evaluations += count + problem.nodes.size
-    verdict = conclude(rows, fixed, a, b, log_mu, used, floor, clipped_of(t, problem), problem, sums, rules)
-    write(out, t, verdict, fixed, evaluations)
+def finish(t, task, room, evidence, found, out):
+    """Judge the `Minimum` that a solver found, after reweighting if that is asked for, and write the texel."""
+    problem, settled = task.problem, True
+    if task.rules.huber > 0.0:
+        evaluations = found.evaluations + problem.nodes.size
+        fixed, found, settled = robust(room.rows, problem, task.rules)
+        evidence = Evidence(evidence.used, evidence.floor, fixed)
+        scan(room.rows, problem, room.sums, 0.0)
+        found = Minimum(found.alpha, found.beta, found.log_mu, evaluations + found.evaluations)
+    write(out, t, conclude(t, task, room, evidence, found), evidence.fixed)
     if not settled:
         leave_gloss_open(out, t)
 
@@ -247,22 +252,21 @@ def load_own(t, problem, rules, rows):
 
 @njit(cache=True, error_model="numpy")
 def _fit_chunk(nlopt, problem, rules, out, first, last):
-    data, rows, sums = new_data(problem)
+    task, (data, room) = Task(problem, rules, no_shared()), new_data(problem)
+    rows = room.rows
     vectors = (np.empty(3), np.empty(3), np.empty(3), np.empty(1))
     optimiser = _new_optimiser(nlopt, data)
     for t in range(first, last):
-        used, floor = load_own(t, problem, rules, rows)
-        if used <= judge.PARAMETERS:
-            write_too_few(t, used, problem, rows, out)
+        loaded = load_own(t, problem, rules, rows)
+        if loaded[0] <= judge.PARAMETERS:
+            write_too_few(t, loaded[0], problem, rows, out)
             continue
-        fixed, a, b, log_mu, squares = start_of(rows, problem, rules, used, floor, sums)
-        set_scales(data, rows, fixed[2], a, b)
-        code, count, pa, pb, pt = _polish(nlopt, optimiser, data, (a, b, log_mu), rules, vectors)
-        if objective(pa, pb, pt, rows, problem.lobes)[0] <= squares:
-            a, b, log_mu = pa, pb, pt
-        out.result[t] = code
-        evaluations = count + problem.nodes.size
-        finish(t, rows, fixed, (a, b, log_mu), used, floor, evaluations, problem, rules, sums, out)
+        evidence, start, squares = start_of(task, room, loaded)
+        set_scales(data, rows, evidence.fixed[2], start.alpha, start.beta)
+        out.result[t], found = _polish(nlopt, optimiser, data, start, rules, vectors)
+        better = objective(found.alpha, found.beta, found.log_mu, rows, problem.lobes)[0] <= squares
+        a, b, log_mu, _ = found if better else start
+        finish(t, task, room, evidence, Minimum(a, b, log_mu, found.evaluations), out)
     nlopt_destroy(nlopt.destroy, optimiser)
 
 

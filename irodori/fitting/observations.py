@@ -71,10 +71,57 @@ class Rules(NamedTuple):
     pose_variance: float
     huber: float
 
-    @property
-    def box(self):
-        """Bounds of α, then of β."""
-        return self.low_alpha, self.high_alpha, self.low_beta, self.high_beta
+
+class Screened(NamedTuple):
+    """Sums over the observations that are left, of one texel or of eight; float or lanes.
+
+    Parameters
+    ----------
+    used : float or lanes
+        Their number.
+    total, power : float or lanes
+        Σ w and Σ w ρ².
+    largest : float or lanes
+        Largest weight.
+    """
+
+    used: float
+    total: float
+    power: float
+    largest: float
+
+
+class Evidence(NamedTuple):
+    """What the weighted observations of one texel, or of each of eight, amount to without a lobe.
+
+    Parameters
+    ----------
+    used : int or lanes
+        Observations with weight, or of their geometries where these are few.
+    floor : float or lanes
+        Expected weighted square of a residual.
+    fixed : tuple of four
+        Σ w c², Σ w c ρ, Σ w ρ², Σ w.
+    """
+
+    used: int
+    floor: float
+    fixed: tuple
+
+
+class Minimum(NamedTuple):
+    """Parameters that a search found, and the evaluations of the objective that it took; numbers or lanes."""
+
+    alpha: float
+    beta: float
+    log_mu: float
+    evaluations: int
+
+
+@njit(cache=True, forceinline=True)
+def box_of(rules):
+    """Return the bounds of α, then of β."""
+    return rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta
 
 
 def camera_noise(model, captures: int) -> tuple[np.ndarray, bool]:
@@ -96,13 +143,7 @@ def camera_noise(model, captures: int) -> tuple[np.ndarray, bool]:
 
 @uncounted(error_model="numpy")
 def screen(rows, zero):
-    """Leave out what is not finite or has no weight.
-
-    Returns
-    -------
-    used, total, power, largest : float or lanes
-        Observations that are left, Σ w, Σ w ρ², and the largest weight.
-    """
+    """Leave out what is not finite or has no weight, and return what is `Screened`."""
     used, total, power, largest = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for j in range(vectors_of(rows)):
         given, trust = get(rows, RESPONSE, j), get(rows, WEIGHT, j)
@@ -114,19 +155,19 @@ def screen(rows, zero):
         largest = upper_of(largest, t)
         total = total + t
         power = power + t * r * r
-    return folded(used, zero), folded(total, zero), folded(power, zero), highest(largest, zero)
+    return Screened(folded(used, zero), folded(total, zero), folded(power, zero), highest(largest, zero))
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def in_range(used, total, largest):
+def in_range(screened):
     """Return whether weights keep their squares within the range of numbers."""
-    return (largest <= LARGE) & (total * LARGE >= used)
+    return (screened.largest <= LARGE) & (screened.total * LARGE >= screened.used)
 
 
 @uncounted(error_model="numpy")
-def expect_noise(rows, noise, rules, used, total, power, zero):
+def expect_noise(rows, noise, rules, screened, zero):
     """Fill the variances that noise and light give the responses, and the weights; return the expected w r²."""
-    power = power / select(total > 0.0, total, 1.0)
+    power = screened.power / select(screened.total > 0.0, screened.total, 1.0)
     relative = rules.model_error * rules.model_error
     common = TINY + (LEAST_VARIANCE if rules.known else relative) * power
     relative = relative if rules.known else 0.0
@@ -139,19 +180,19 @@ def expect_noise(rows, noise, rules, used, total, power, zero):
             w = w / v
             put(rows, WEIGHT, j, w)
         floor = floor + w * v
-    return folded(floor, zero) / upper_of(used, 1.0)
+    return folded(floor, zero) / upper_of(screened.used, 1.0)
 
 
 @uncounted(error_model="numpy")
-def _rescale(rows, largest):
-    """Divide weights whose squares would leave the range of numbers by the largest; return Σ w and Σ w ρ²."""
-    total, power = 0.0, 0.0
+def _rescale(rows, screened):
+    """Divide weights whose squares would leave the range of numbers by the largest; return what is `Screened` then."""
+    total, power, largest = 0.0, 0.0, screened.largest
     for j in range(rows.shape[1]):
         w = rows[WEIGHT, j] / largest if largest > 0.0 else 0.0
         rows[WEIGHT, j] = w
         total += w
         power += w * rows[RESPONSE, j] * rows[RESPONSE, j]
-    return total, power
+    return Screened(screened.used, total, power, largest)
 
 
 @uncounted(error_model="numpy")
@@ -169,10 +210,10 @@ def load_one(response, weight, noise, rules, rows):
         rows[RESPONSE, j], rows[WEIGHT, j] = response[j], weight[j]
     for j in range(response.size, rows.shape[1]):
         rows[RESPONSE, j], rows[WEIGHT, j] = 0.0, 0.0
-    used, total, power, largest = screen(rows, 0.0)
-    if not in_range(used, total, largest):
-        total, power = _rescale(rows, largest)
-    return int(used), expect_noise(rows, noise, rules, used, total, power, 0.0)
+    screened = screen(rows, 0.0)
+    if not in_range(screened):
+        screened = _rescale(rows, screened)
+    return int(screened.used), expect_noise(rows, noise, rules, screened, 0.0)
 
 
 @uncounted(error_model="numpy")
@@ -200,28 +241,34 @@ def load_eight(problem, rules, first, last, rows):
                     problem.weight[t, j],
                 )
     zero = spread(0.0)
-    used, total, power, largest = screen(rows, zero)
-    floor = expect_noise(rows, problem.noise, rules, used, total, power, zero)
-    return used, floor, in_range(used, total, largest) & (total > 0.0)
+    screened = screen(rows, zero)
+    floor = expect_noise(rows, problem.noise, rules, screened, zero)
+    return screened.used, floor, in_range(screened) & (screened.total > 0.0)
 
 
 @uncounted(error_model="numpy")
-def expect_fitted(rows, lobes, noise, rules, a, b, log_mu, which):
+def expect_fitted(rows, problem, rules, found, which):
     """Weigh observations by the variance that the fitted response calls for, not the one with its noise.
 
     A reading that is too low by chance has too small a variance, and counts for too much.
 
     Parameters
     ----------
+    rows : (ROWS, P) float64
+    problem : irodori.fitting.texels.Problem
+    rules : Rules
+    found : Minimum
     which : mask
         Of lanes; the others stay as they are.
     """
+    lobes, log_mu = problem.lobes, found.log_mu
     constant, relative = lobe_kernels.constants(lobes, log_mu), rules.model_error * rules.model_error
     for j in range(vectors_of(rows)):
         r, v, w = get(rows, RESPONSE, j), get(rows, VARIANCE, j), get(rows, WEIGHT, j)
         value = lobe_kernels.value(lobes, constant, get(rows, F0, j), get(rows, F1, j), get(rows, F2, j))
-        fitted = a * get(rows, COSINE, j) + b * get(rows, GLOSS, j) * value
-        u = v + noise_at(noise, 1, j, log_mu) * (fitted - upper_of(r, 0.0)) + relative * (fitted * fitted - r * r)
+        fitted = found.alpha * get(rows, COSINE, j) + found.beta * get(rows, GLOSS, j) * value
+        slope = noise_at(problem.noise, 1, j, log_mu)
+        u = v + slope * (fitted - upper_of(r, 0.0)) + relative * (fitted * fitted - r * r)
         u = select(which, upper_of(u, LEAST_VARIANCE * v), v)
         put(rows, VARIANCE, j, u)
         put(rows, WEIGHT, j, select(which, w * v / u, w))

@@ -7,8 +7,8 @@ features, response, and weight, the inverse of a variance.
 """
 
 import math
+from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.fitting import judge
@@ -29,6 +29,7 @@ from irodori.fitting.texel_rows import (
     vectors_of,
 )
 from irodori.fitting.texels import load_texel, pack_texel
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit, uncounted
 from irodori.jit.vector_memory import spread
 from irodori.reflection import lobes as lobe_kernels
@@ -36,12 +37,34 @@ from irodori.reflection import lobes as lobe_kernels
 PACKED = 7
 _C, _G, _F0, _F1, _F2, _R, _W = range(PACKED)
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
-_CHUNK = 128
+_CHUNK = 1024  # texels that a thread takes at a time
+
+
+class Packed(NamedTuple):
+    """Texels that may take part in a pool.
+
+    Parameters
+    ----------
+    blocks : (texels, PACKED, P) float64
+        Their observations.
+    used : (texels,) int32
+        Observations with weight, 0 where a texel takes no part.
+    sums : (texels, 4, nodes) float64
+        Least sum of squares, B, C at the nodes; then A, the least of all sums, and its log μ.
+    nodes : (nodes,) float64
+        log μ, falling.
+    """
+
+    blocks: np.ndarray
+    used: np.ndarray
+    sums: np.ndarray
+    nodes: np.ndarray
 
 
 @njit(cache=True, error_model="numpy")
-def _weights(rows, lobes, beta, mu, used, floor, rules, out):
+def _weights(rows, lobes, own, loaded, rules, out):
     """Fill inverse variances: the weights over what the texel's own residual says of them, outliers by Huber's loss."""
+    (beta, mu), (used, floor) = own, loaded
     fill_lobe(rows, lobes, math.log(mu))
     squares, cc, cr, huber = 0.0, 0.0, 0.0, rules.huber
     for j in range(rows.shape[1]):
@@ -129,30 +152,30 @@ def polish(blocks, lobes, left, right, high, steps):
     return t, beta, value
 
 
-@njit(cache=True, error_model="numpy")
-def _pack_chunk(problem, rules, own, nodes, packed, used, sums, first, last):
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pack_chunk(problem, rules, own, packed, first, last):
     rows, lobes = new_rows(problem.response.shape[1]), problem.lobes
+    used, sums, nodes = packed.used, packed.sums, packed.nodes
     for t in range(first, last):
         pack_texel(t, problem, rows)
-        count, floor = load_texel(t, problem, rules, rows)
+        loaded = load_texel(t, problem, rules, rows)
         used[t] = (rows[WEIGHT] > 0.0).sum()
-        if count <= judge.PARAMETERS or not math.isfinite(own[t, 0]):
+        if loaded[0] <= judge.PARAMETERS or not math.isfinite(own[t, 0]):
             used[t] = 0
             continue
-        _weights(rows, lobes, own[t, 0], own[t, 1], count, floor, rules, packed[t])
+        _weights(rows, lobes, (own[t, 0], own[t, 1]), loaded, rules, packed.blocks[t])
         best = 0
         for i in range(nodes.size):
-            a, sums[t, 1, i], sums[t, 2, i] = evaluate(packed[t], lobes, nodes[i])
+            a, sums[t, 1, i], sums[t, 2, i] = evaluate(packed.blocks[t], lobes, nodes[i])
             sums[t, 0, i] = lowest(a, sums[t, 1, i], sums[t, 2, i], 0.0, rules.high_beta)[0]
             sums[t, 3, 0] = a
             if sums[t, 0, i] < sums[t, 0, best]:
                 best = i
         left, right = nodes[min(best + 1, nodes.size - 1)], nodes[max(best - 1, 0)]
-        sums[t, 3, 2], _b, sums[t, 3, 1] = polish(packed[t : t + 1], lobes, left, right, rules.high_beta, 10)
+        sums[t, 3, 2], _b, sums[t, 3, 1] = polish(packed.blocks[t : t + 1], lobes, left, right, rules.high_beta, 10)
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def pack(problem, rules, own, nodes, packed, used, sums):
+def pack(problem, rules, own, packed: Packed) -> None:
     """Pack all texels and fill their sums at the nodes.
 
     Parameters
@@ -161,18 +184,10 @@ def pack(problem, rules, own, nodes, packed, used, sums):
     rules : Rules
     own : (texels, 2) float64
         β and μ of each texel's own best fit; NaN where it takes no part.
-    nodes : (nodes,) float64
-        log μ, falling.
-    packed : (texels, PACKED, P) float64
-        Filled.
-    used : (texels,) int32
-        Filled: observations with weight, 0 where a texel takes no part.
-    sums : (texels, 4, nodes) float64
-        Filled: least sum of squares, B, C; then A, the least of all sums, and its log μ.
+    packed : Packed
+        Filled, but for the nodes.
     """
-    texels = problem.response.shape[0]
-    for chunk in numba.prange((texels + _CHUNK - 1) // _CHUNK):
-        _pack_chunk(problem, rules, own, nodes, packed, used, sums, chunk * _CHUNK, min(texels, (chunk + 1) * _CHUNK))
+    run_chunks(_pack_chunk, len(problem.response), _CHUNK, problem, rules, own, packed)
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)

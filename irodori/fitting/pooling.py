@@ -11,17 +11,20 @@ part like all others, so that noise does not become gloss by choice of the texel
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.core.progress import LOGGER
 from irodori.fitting import pool_sums
 from irodori.fitting.judge import MAX_RELATIVE_ERROR
-from irodori.fitting.pool_sums import PACKED, evaluate, lowest, polish
+from irodori.fitting.observations import Rules
+from irodori.fitting.pool_sums import PACKED, Packed, evaluate, lowest, polish
 from irodori.fitting.solvers import FitOptions, FitResult, problem_of
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.material.material_file import Status
+from irodori.reflection.lobes import Lobes
 
 _BETA, _MU = MAX_RELATIVE_ERROR["beta"], MAX_RELATIVE_ERROR["mu"]
 _DIFFUSE_ONLY = int(Status.DIFFUSE_ONLY)
@@ -38,21 +41,67 @@ _FOREIGN_SHARE = 0.1
 _WITNESSES = 4
 _VARYING = 3  # texels with a gloss of their own that tell how it varies
 _POLISH = 14
+_CHUNK = 16  # texels that a thread takes at a time
 _PROMISING = 1.25  # between two nodes the gain of gloss is at most this multiple of that at the nodes
 #: Columns of the outcome.
 _ALPHA, _BETA_OUT, _LOG_MU, _ALPHA_ERROR, _BETA_ERROR, _LOG_MU_ERROR, _RMS, _RELATIVE, _COUNT = range(9)
 _COLUMNS = 9
 
 
+class Tile(NamedTuple):
+    """A tile of texels among which gloss is pooled.
+
+    Parameters
+    ----------
+    width : int
+        Texels in a row; texels run along the rows.
+    radius : int
+        Distance in texels up to which others take part.
+    lobes : Lobes
+        One lobe.
+    rules : Rules
+    status : (texels,) int8
+    own : (texels, 4) float64
+        log β and log μ of the texels that determine them, and their standard errors; else NaN.
+    packed : Packed
+    """
+
+    width: int
+    radius: int
+    lobes: Lobes
+    rules: Rules
+    status: np.ndarray
+    own: np.ndarray
+    packed: Packed
+
+
+class Joint(NamedTuple):
+    """The gloss that fits the members of a pool together.
+
+    Parameters
+    ----------
+    blocks : (members, PACKED, P) float64
+        Their observations, with weights that know the pose error.
+    log_mu, beta : float
+    squares : float
+        The weighted sum of squares.
+    """
+
+    blocks: np.ndarray
+    log_mu: float
+    beta: float
+    squares: float
+
+
 @njit(cache=True, error_model="numpy")
-def _valley(members, count, sums, nodes):
+def _valley(members, packed):
     """Return the node of the least joint sum of squares, the gain over no gloss at all."""
-    total = np.zeros((2, nodes.size))
-    for m in range(count):
-        total[0] += sums[members[m], 1]
-        total[1] += sums[members[m], 2]
+    total = np.zeros((2, packed.nodes.size))
+    for m in range(members.size):
+        total[0] += packed.sums[members[m], 1]
+        total[1] += packed.sums[members[m], 2]
     best, gain = 0, -1.0
-    for i in range(nodes.size):
+    for i in range(packed.nodes.size):
         b, c = total[0, i], total[1, i]
         here = b * b / c if b > 0.0 and c > 0.0 else 0.0
         if here > gain:
@@ -61,8 +110,9 @@ def _valley(members, count, sums, nodes):
 
 
 @njit(cache=True, error_model="numpy")
-def _agree(t, k, lobes, packed, sums, nodes, high):
+def _agree(t, k, tile):
     """Return whether one gloss explains two texels nearly as well as a gloss each."""
+    sums, nodes, high = tile.packed.sums, tile.packed.nodes, tile.rules.high_beta
     apart = sums[t, 3, 1] + sums[k, 3, 1] + _PAIR_FOREIGN
     a = sums[t, 3, 0] + sums[k, 3, 0]
     best, least = 0, np.inf
@@ -72,73 +122,77 @@ def _agree(t, k, lobes, packed, sums, nodes, high):
             return True
         if value < least:
             best, least = i, value
-    pair = np.stack((packed[t], packed[k]))
-    _t, _b, value = polish(pair, lobes, nodes[min(best + 1, nodes.size - 1)], nodes[max(best - 1, 0)], high, 8)
+    pair = np.stack((tile.packed.blocks[t], tile.packed.blocks[k]))
+    _t, _b, value = polish(pair, tile.lobes, nodes[min(best + 1, nodes.size - 1)], nodes[max(best - 1, 0)], high, 8)
     return value <= apart
 
 
 @njit(cache=True, error_model="numpy")
-def _around(t, radius, width, rows, lobes, used, packed, sums, nodes, high, members, distance):
+def _around(t, tile, members, distance):
     """Fill the texel and those around it that agree with it, nearest to farthest not sorted; return their count."""
+    radius, width, rows = tile.radius, tile.width, tile.status.size // tile.width
     members[0], distance[0], count = t, 0, 1
     row, column = t // width, t % width
     for y in range(max(row - radius, 0), min(row + radius + 1, rows)):
         for x in range(max(column - radius, 0), min(column + radius + 1, width)):
             k, square = y * width + x, (y - row) ** 2 + (x - column) ** 2
-            if k == t or square > radius * radius or used[k] == 0:
+            if k == t or square > radius * radius or tile.packed.used[k] == 0:
                 continue
-            if _agree(t, k, lobes, packed, sums, nodes, high):
+            if _agree(t, k, tile):
                 members[count], distance[count] = k, square
                 count += 1
     return count
 
 
 @njit(cache=True, error_model="numpy")
-def _misfit(block, lobes, own_log_mu, beta, log_mu, high):
-    """Return by how much χ² of a texel exceeds its own least with the pool's gloss."""
-    a, b, c = evaluate(block, lobes, own_log_mu)
-    own, _ = lowest(a, b, c, 0.0, high)
-    a, b, c = evaluate(block, lobes, log_mu)
-    return a + beta * (beta * c - 2.0 * b) - own
-
-
-@njit(cache=True, error_model="numpy")
-def _fit_members(members, lobes, packed, sums, nodes, rules):
-    """Return the members' blocks with weights that know the pose error, log μ, β and the sum of squares."""
-    best, _ = _valley(members, members.size, sums, nodes)
+def _fit_members(members, tile):
+    """Return the `Joint` fit of the members."""
+    nodes, lobes, rules = tile.packed.nodes, tile.lobes, tile.rules
+    best, _ = _valley(members, tile.packed)
     left, right = nodes[min(best + 1, nodes.size - 1)], nodes[max(best - 1, 0)]
-    blocks = packed[members]
+    blocks = tile.packed.blocks[members]
     log_mu, beta, value = polish(blocks, lobes, left, right, rules.high_beta, 6)
     pool_sums.spread_by_pose(blocks, lobes, beta, log_mu, rules)
     low, high = nodes[nodes.size - 1], nodes[0]
     left, right = max(min(left, log_mu - 0.2), low), min(max(right, log_mu + 0.2), high)
     log_mu, beta, value = polish(blocks, lobes, left, right, rules.high_beta, _POLISH)
-    return blocks, log_mu, beta, value
+    return Joint(blocks, log_mu, beta, value)
 
 
 @njit(cache=True, error_model="numpy")
-def _sift(members, lobes, blocks, log_mu, beta, sums, excess, high):
+def _misfit(members, m, joint, tile):
+    """Return by how much χ² of a member exceeds its own least with the pool's gloss."""
+    a, b, c = evaluate(joint.blocks[m], tile.lobes, tile.packed.sums[members[m], 3, 2])
+    own, _ = lowest(a, b, c, 0.0, tile.rules.high_beta)
+    a, b, c = evaluate(joint.blocks[m], tile.lobes, joint.log_mu)
+    return a + joint.beta * (joint.beta * c - 2.0 * b) - own
+
+
+@njit(cache=True, error_model="numpy")
+def _sift(members, joint, excess, tile):
     """Return to which members the gloss is foreign, whether to too many, how many see it, and the first's misfit."""
+    beta = joint.beta
     foreign = np.zeros(members.size, dtype=np.bool_)
     wrong, able = 0, 0
     first = 0.0
     for m in range(members.size):
-        off = _misfit(blocks[m], lobes, sums[members[m], 3, 2], beta, log_mu, high) / excess
+        off = _misfit(members, m, joint, tile) / excess
         foreign[m] = off > _FOREIGN
         wrong += foreign[m]
         # Only a texel that would see this gloss can object to it.
-        able += foreign[m] or beta * beta * evaluate(blocks[m], lobes, log_mu)[2] > _FOREIGN
+        able += foreign[m] or beta * beta * evaluate(joint.blocks[m], tile.lobes, joint.log_mu)[2] > _FOREIGN
         if m == 0:
             first = off
     return foreign, wrong > max(1.0, _FOREIGN_SHARE * able), able - wrong, first
 
 
 @njit(cache=True, error_model="numpy")
-def _conclude(members, lobes, blocks, log_mu, beta, value, used, nodes, rules, block, row):
+def _conclude(members, joint, tile, row):
     """Fill the outcome of a pool that agrees with itself, if it determines the gloss; return whether it does."""
+    (blocks, log_mu, beta, value), lobes, rules, nodes = joint, tile.lobes, tile.rules, tile.packed.nodes
     observations = 0
     for m in range(members.size):
-        observations += used[members[m]]
+        observations += tile.packed.used[members[m]]
     excess = max(value / max(observations - members.size - 2, 1), 1.0)
     without = 0.0
     for m in range(members.size):
@@ -152,7 +206,7 @@ def _conclude(members, lobes, blocks, log_mu, beta, value, used, nodes, rules, b
         return False
     alpha, by_beta, by_mu, cc = pool_sums.own_alpha(blocks[0], lobes, beta, log_mu, rules.low_alpha, rules.high_alpha)
     variance = excess / cc + by_beta * by_beta * bb + 2.0 * by_beta * by_mu * bt + by_mu * by_mu * tt
-    squares, power, total = pool_sums.residual(block, lobes, alpha, beta, log_mu)
+    squares, power, total = pool_sums.residual(tile.packed.blocks[members[0]], lobes, alpha, beta, log_mu)
     row[_ALPHA], row[_BETA_OUT], row[_LOG_MU] = alpha, beta, log_mu
     row[_ALPHA_ERROR] = math.sqrt(variance + (rules.model_error * alpha) ** 2)
     row[_BETA_ERROR], row[_LOG_MU_ERROR] = math.sqrt(bb), math.sqrt(tt)
@@ -163,11 +217,12 @@ def _conclude(members, lobes, blocks, log_mu, beta, value, used, nodes, rules, b
 
 
 @njit(cache=True, error_model="numpy")
-def _vary(t, radius, width, rows, own, column):
+def _vary(t, tile, column):
     """Return the variance between the values around a texel beyond what their errors explain (method of moments).
 
     All texels around that determine their gloss count, up to twice the pool's radius: the pool's own agree by choice.
     """
+    radius, width, own, rows = 2 * tile.radius, tile.width, tile.own, tile.status.size // tile.width
     count, total, weight, square, inverse = 0, 0.0, 0.0, 0.0, 0.0
     row, column_of = t // width, t % width
     for y in range(max(row - radius, 0), min(row + radius + 1, rows)):
@@ -188,9 +243,9 @@ def _vary(t, radius, width, rows, own, column):
 
 
 @njit(cache=True, error_model="numpy")
-def _widen(t, radius, width, rows, own, row):
+def _widen(t, tile, row):
     """Add to the errors how much gloss varies around a texel; forget the outcome where that leaves it open."""
-    by_beta, by_mu = _vary(t, radius, width, rows, own, 0), _vary(t, radius, width, rows, own, 1)
+    by_beta, by_mu = _vary(t, tile, 0), _vary(t, tile, 1)
     row[_BETA_ERROR] = row[_BETA_OUT] * math.sqrt((row[_BETA_ERROR] / row[_BETA_OUT]) ** 2 + by_beta)
     row[_LOG_MU_ERROR] = math.sqrt(row[_LOG_MU_ERROR] ** 2 + by_mu)
     if not (row[_BETA_ERROR] < _BETA * row[_BETA_OUT] and row[_LOG_MU_ERROR] < _MU):
@@ -198,12 +253,12 @@ def _widen(t, radius, width, rows, own, row):
 
 
 @njit(cache=True, error_model="numpy")
-def _pool_texel(t, radius, width, rows, lobes, status, own, packed, used, sums, nodes, rules, row):
+def _pool_texel(t, tile, row):
     """Fill the outcome of one texel in need; leave it as it is where the neighbourhood says nothing."""
-    size, reach = (2 * radius + 1) ** 2, radius
+    radius, used = tile.radius, tile.packed.used
+    size = (2 * radius + 1) ** 2
     members, distance = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
-    high = rules.high_beta
-    count = _around(t, radius, width, rows, lobes, used, packed, sums, nodes, high, members, distance)
+    count = _around(t, tile, members, distance)
     while radius > 0 and count > 1:
         kept = 0
         for m in range(count):
@@ -212,31 +267,29 @@ def _pool_texel(t, radius, width, rows, lobes, status, own, packed, used, sums, 
                 kept += 1
         count = kept
         chosen = members[:count].copy()
-        if not _PROMISING * _valley(chosen, count, sums, nodes)[1] > 2.0 * math.log(used[chosen].sum()):
+        if not _PROMISING * _valley(chosen, tile.packed)[1] > 2.0 * math.log(used[chosen].sum()):
             radius -= max(1, radius // 3)
             continue
-        blocks, log_mu, beta, value = _fit_members(chosen, lobes, packed, sums, nodes, rules)
-        excess = max(value / max(used[chosen].sum() - count - 2, 1), 1.0)
-        foreign, mixed, witnesses, off = _sift(chosen, lobes, blocks, log_mu, beta, sums, excess, high)
-        limit = _SILENT if status[t] == _DIFFUSE_ONLY else _FOREIGN
+        joint = _fit_members(chosen, tile)
+        excess = max(joint.squares / max(used[chosen].sum() - count - 2, 1), 1.0)
+        foreign, mixed, witnesses, off = _sift(chosen, joint, excess, tile)
+        limit = _SILENT if tile.status[t] == _DIFFUSE_ONLY else _FOREIGN
         if not mixed and not foreign[0]:
             if foreign.any():
                 chosen = chosen[~foreign]
-                blocks, log_mu, beta, value = _fit_members(chosen, lobes, packed, sums, nodes, rules)
-                off = _misfit(blocks[0], lobes, sums[t, 3, 2], beta, log_mu, high) / excess
+                joint = _fit_members(chosen, tile)
+                off = _misfit(chosen, 0, joint, tile) / excess
             able = off <= limit and witnesses >= _WITNESSES
-            if able and _conclude(chosen, lobes, blocks, log_mu, beta, value, used, nodes, rules, packed[t], row):
-                _widen(t, 2 * reach, width, rows, own, row)
+            if able and _conclude(chosen, joint, tile, row):
+                _widen(t, tile, row)
             return
         radius -= max(1, radius // 3)
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def _pool_all(targets, radius, width, lobes, status, own, packed, used, sums, nodes, rules, out):
-    rows = status.size // width
-    for i in numba.prange(targets.size):
-        t = targets[i]
-        _pool_texel(t, radius, width, rows, lobes, status, own, packed, used, sums, nodes, rules, out[t])
+@njit(cache=True, nogil=True)
+def _pool_some(targets, tile, out, first, last):
+    for i in range(first, last):
+        _pool_texel(targets[i], tile, out[targets[i]])
 
 
 def pool(result: FitResult, response, geometry, weight, *, n, k, options: FitOptions, noise, width: int) -> FitResult:
@@ -281,13 +334,18 @@ def pool(result: FitResult, response, geometry, weight, *, n, k, options: FitOpt
     own = result.gloss.copy()
     own[~np.isin(result.status, _TAKE_PART)] = np.nan
     count, observations = len(response), problem.noise.shape[1]
-    packed, sums = np.zeros((count, PACKED, observations)), np.zeros((count, 4, nodes.size))
-    used, out = np.zeros(count, dtype=np.int32), np.full((count, _COLUMNS), np.nan)
-    pool_sums.pack(problem, rules, own, nodes, packed, used, sums)
-    targets = np.flatnonzero(in_need & (used > 0))
-    known = _own_gloss(result)
+    packed = Packed(
+        blocks=np.zeros((count, PACKED, observations)),
+        used=np.zeros(count, dtype=np.int32),
+        sums=np.zeros((count, 4, nodes.size)),
+        nodes=nodes,
+    )
+    out = np.full((count, _COLUMNS), np.nan)
+    pool_sums.pack(problem, rules, own, packed)
     radius = options.pooling_radius_texels
-    _pool_all(targets, radius, width, problem.lobes, result.status, known, packed, used, sums, nodes, rules, out)
+    tile = Tile(width, radius, problem.lobes, rules, result.status, _own_gloss(result), packed)
+    targets = np.flatnonzero(in_need & (packed.used > 0))
+    run_chunks(_pool_some, len(targets), _CHUNK, targets, tile, out)
     return _merge(result, out)
 
 

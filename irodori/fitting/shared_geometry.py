@@ -10,7 +10,7 @@ import numpy as np
 from irodori.fitting.texel_rows import F0, F1, F2, GLOSS, WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE, item
 from irodori.fitting.varpro import CG, CG1, GG, GG1, LEAST_LOBE, RG, RG1
 from irodori.jit.compilation import njit, uncounted
-from irodori.jit.table_sums import lanes_times_tables, vector_times_table
+from irodori.jit.table_sums import Place, Tables, lanes_times_tables, vector_times_table
 from irodori.jit.vector_memory import aligned
 from irodori.jit.vectors import LANES
 from irodori.reflection import lobes as lobe_kernels
@@ -26,17 +26,20 @@ class Shared(NamedTuple):
 
     Parameters
     ----------
+    rows : (ROWS, P) float64
+        A texel's rows with that geometry.
     nodes : (4, blocks, P, WIDTH) float64
         g, dg/dt, g² and d(g²)/dt at the nodes, t = log μ, in blocks of `WIDTH` nodes, the last padded with zeros.
     """
 
+    rows: np.ndarray
     nodes: np.ndarray
 
 
 @njit(cache=True)
 def no_shared():
     """Return what texels with geometries of their own share: nothing."""
-    return Shared(np.zeros((4, 0, 0, WIDTH)))
+    return Shared(np.zeros((0, 0)), np.zeros((4, 0, 0, WIDTH)))
 
 
 def _table(values: np.ndarray) -> np.ndarray:
@@ -73,7 +76,7 @@ def tabulate(rows: np.ndarray, lobes, nodes: np.ndarray) -> Shared:
     at_nodes = np.zeros((4, rows.shape[1], width))
     _at_nodes(rows, lobes, nodes, at_nodes)
     at_nodes = at_nodes.reshape(4, rows.shape[1], width // WIDTH, WIDTH).transpose(0, 2, 1, 3)
-    return Shared(_table(at_nodes))
+    return Shared(rows, _table(at_nodes))
 
 
 @njit(cache=True)
@@ -86,7 +89,8 @@ def padded_nodes(nodes):
 def _node_sums(shared, kind, rows, row, sums, into):
     blocks, size = shared.nodes.shape[1], shared.nodes.shape[2] * WIDTH
     for b in range(blocks):
-        _times_nodes(rows, row, shared.nodes, (kind * blocks + b) * size, sums, into * sums.shape[1] + b * WIDTH)
+        table = Place(shared.nodes, (kind * blocks + b) * size)
+        _times_nodes(rows, row, table, Place(sums, into * sums.shape[1] + b * WIDTH))
 
 
 @uncounted(error_model="numpy")
@@ -110,10 +114,14 @@ def scan_shared_eight(rows, shared, sums, changed):
     for group in range(step // (GROUP * LANES)):
         into = group * GROUP * LANES
         kind = group * GROUP // WIDTH * table + group * GROUP % WIDTH
-        _eight_times_nodes(rows, WEIGHTED_RESPONSE * row, captures, shared.nodes, kind, kind + flat, WIDTH,
-                           sums, into + RG * step, (RG1 - RG) * step)  # fmt: skip
+        lobe, square = Tables(shared.nodes, kind, flat, WIDTH), Tables(shared.nodes, kind + 2 * flat, flat, WIDTH)
+        _eight_times_nodes(
+            Place(rows, WEIGHTED_RESPONSE * row), captures, lobe, Place(sums, into + RG * step), (RG1 - RG) * step
+        )
         if changed:
-            _eight_times_nodes(rows, WEIGHTED_COSINE * row, captures, shared.nodes, kind, kind + flat, WIDTH,
-                               sums, into + CG * step, (CG1 - CG) * step)  # fmt: skip
-            _eight_times_nodes(rows, WEIGHT * row, captures, shared.nodes, kind + 2 * flat, kind + 3 * flat, WIDTH,
-                               sums, into + GG * step, (GG1 - GG) * step)  # fmt: skip
+            _eight_times_nodes(
+                Place(rows, WEIGHTED_COSINE * row), captures, lobe, Place(sums, into + CG * step), (CG1 - CG) * step
+            )
+            _eight_times_nodes(
+                Place(rows, WEIGHT * row), captures, square, Place(sums, into + GG * step), (GG1 - GG) * step
+            )

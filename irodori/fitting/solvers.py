@@ -13,8 +13,9 @@ from irodori.config.cross_checks.object_lobes import SETTINGS_WITH_TWO_LOBES
 from irodori.fitting import judge, nlopt_loop, texels, two_lobes
 from irodori.fitting.index_errors import index_errors
 from irodori.fitting.index_search import fit_index
-from irodori.fitting.observations import Rules, camera_noise, pose_variance
+from irodori.fitting.observations import Minimum, Rules, camera_noise, pose_variance
 from irodori.fitting.reported_parameters import report_parameters
+from irodori.fitting.shared_geometry import no_shared
 from irodori.fitting.texel_rows import COSINE, LOBE, LOBE_SLOPE, RESPONSE, WEIGHT
 from irodori.fitting.varpro import NODE_STEP
 from irodori.reflection.lobes import Lobes
@@ -241,16 +242,18 @@ def _cost(rows: np.ndarray, lobes, scale: np.ndarray, factor: float):
 def _solve_reference(problem: texels.Problem, rules: Rules, options: FitOptions) -> texels.Output:
     """Fit with NLopt from Python: the yardstick for time and the witness for the compiled loops."""
     out = _empty_output(len(problem.response))
-    data, rows, sums = nlopt_loop.new_data(problem)
+    task = texels.Task(problem, rules, no_shared())
+    data, room = nlopt_loop.new_data(problem)
+    rows = room.rows
     low = np.array([rules.low_alpha, rules.low_beta, rules.low_log_mu])
     high = np.array([rules.high_alpha, rules.high_beta, rules.high_log_mu])
     for t in range(len(problem.response)):
-        used, floor = nlopt_loop.load_own(t, problem, rules, rows)
-        if used <= judge.PARAMETERS:
-            texels.write_too_few(t, used, problem, rows, out)
+        loaded = nlopt_loop.load_own(t, problem, rules, rows)
+        if loaded[0] <= judge.PARAMETERS:
+            texels.write_too_few(t, loaded[0], problem, rows, out)
             continue
-        fixed, *start, best = nlopt_loop.start_of(rows, problem, rules, used, floor, sums)
-        nlopt_loop.set_scales(data, rows, fixed[2], start[0], start[1])
+        evidence, (*start, scanned), best = nlopt_loop.start_of(task, room, loaded)
+        nlopt_loop.set_scales(data, rows, evidence.fixed[2], start[0], start[1])
         scale = np.append(data[1:3], 1.0)
         cost = _cost(rows, problem.lobes, scale, data[3])
         optimiser = nlopt.opt(_ALGORITHM, nlopt_loop.PARAMETERS)
@@ -267,9 +270,9 @@ def _solve_reference(problem: texels.Problem, rules: Rules, options: FitOptions)
             out.result[t] = nlopt.ROUNDOFF_LIMITED
         if cost(x, np.empty(0)) / data[3] <= best:
             start = x * scale
-        count = optimiser.get_numevals() + problem.nodes.size
-        found = tuple(map(float, start))
-        nlopt_loop.finish(t, rows, fixed, found, used, floor, count, problem, rules, sums, out)
+        alpha, beta, log_mu = map(float, start)
+        found = Minimum(alpha, beta, log_mu, optimiser.get_numevals() + scanned)
+        nlopt_loop.finish(t, task, room, evidence, found, out)
     return out
 
 

@@ -2,8 +2,8 @@
 
 import math
 import time
+from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.core import store
@@ -13,6 +13,7 @@ from irodori.fitting.band_fresnel import BandGloss, band_gloss, uniform, varies
 from irodori.fitting.pooling import pool
 from irodori.fitting.solvers import FitOptions, FitResult, fit
 from irodori.fitting.texel_rows import COSINE, LOBE, SPOILED, fill_lobe, new_rows, pack_geometry
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.material.material_file import Status, gloss_maps
 from irodori.reflection.lobes import Lobes
@@ -23,7 +24,7 @@ _LEAST_VARIANCE = 1e-12
 _GLOSS_MODEL_ERROR = 0.1
 
 
-_CHUNK = 128  # texels that share their scratch
+_CHUNK = 2048  # texels that a thread takes at a time
 #: Datasets of a tile of observations that every fit reads.
 _AXES = {
     "response": "texel,capture,band",
@@ -37,16 +38,56 @@ _AXES = {
 _CARRIED = {"rows": list, "width": int, "filters": list}
 
 
+class Fitted(NamedTuple):
+    """Observations of texels in all bands, and the gloss that was fitted to them.
+
+    Parameters
+    ----------
+    response : (texels, J, bands) float
+    geometry : (texels, J, 4) float
+        θ_i, θ_r, θ_H, φ in rad.
+    weight : (texels, J) float
+    noise : (J, bands, 2) float64
+        c0 and c1 of the variance c0 + c1 ρ that the camera's noise gives a response.
+    model_error : float
+        Relative error of an observation apart from noise.
+    lobes : tuple of Lobes
+        Of each component.
+    gloss : (texels, 2 or 4) float64
+        β and μ of each component.
+    n : (texels,) float64
+    k : float
+        Complex refractive index of the fit.
+    ratio : (bands, angles) float64
+        F of a band over that of the fit, by θ_H from 0 to π/2.
+    """
+
+    response: np.ndarray
+    geometry: np.ndarray
+    weight: np.ndarray
+    noise: np.ndarray
+    model_error: float
+    lobes: tuple[Lobes, ...]
+    gloss: np.ndarray
+    n: np.ndarray
+    k: float
+    ratio: np.ndarray
+
+
 @njit(cache=True, error_model="numpy")
-def _expected(noise, j, b, gloss, fitted, model_error):
+def _expected(given, j, b, gloss, fitted):
     """Return the variance of an observation: of noise and light at the ``fitted`` response, else of an even camera."""
-    own = noise[j, b, 0] + noise[j, b, 1] * max(fitted, 0.0) + (model_error * fitted) ** 2
+    noise = given.noise
+    own = noise[j, b, 0] + noise[j, b, 1] * max(fitted, 0.0) + (given.model_error * fitted) ** 2
     own = max(own, _LEAST_VARIANCE) if math.isfinite(own) else _RESPONSE_NOISE**2
     return own + (_GLOSS_MODEL_ERROR * gloss) ** 2
 
 
 @njit(cache=True, error_model="numpy")
-def _combine_texel(response, weight, noise, model_error, theta_h, ratio, rows, fitted, out, variance):
+def _combine_texel(t, given, rows, fitted, out, variance):
+    """Fill the diffuse response of every band of a texel and its variance, (bands,), from its fitted gloss, (P,)."""
+    response, weight, noise, ratio = given.response[t], given.weight[t], given.noise, given.ratio
+    theta_h = given.geometry[t, :, 2]
     step = 0.5 * math.pi / (ratio.shape[1] - 1)
     for b in range(response.shape[1]):
         diffuse = np.nan  # not known in the first of two rounds
@@ -59,7 +100,7 @@ def _combine_texel(response, weight, noise, model_error, theta_h, ratio, rows, f
                 place = min(max(theta_h[j] / step, 0.0), ratio.shape[1] - 1.0)
                 i = min(int(place), ratio.shape[1] - 2)
                 gloss = fitted[j] * (ratio[b, i] + (place - i) * (ratio[b, i + 1] - ratio[b, i]))
-                expected = _expected(noise, j, b, gloss, diffuse * cosine + gloss, model_error)
+                expected = _expected(given, j, b, gloss, diffuse * cosine + gloss)
                 w = weight[j] * cosine / expected
                 top += w * (rho - gloss)
                 bottom += w * cosine
@@ -70,39 +111,26 @@ def _combine_texel(response, weight, noise, model_error, theta_h, ratio, rows, f
 
 
 @njit(cache=True, error_model="numpy")
-def _add_gloss(rows, lobes, geometry, n, k, beta, mu, fitted):
+def _add_gloss(t, given, component, lobes, rows, fitted):
     """Add a component's gloss to that of every observation of a texel, and fill the rows of its geometry."""
-    pack_geometry(geometry, lobes, n, k, rows)
+    beta, mu = given.gloss[t, 2 * component], given.gloss[t, 2 * component + 1]
+    pack_geometry(given.geometry[t], lobes, given.n[t], given.k, rows)
     if beta > 0.0:
         fill_lobe(rows, lobes, math.log(mu))
         for j in range(fitted.size):
             fitted[j] += beta * rows[LOBE, j]
 
 
-@njit(cache=True, error_model="numpy")
-def _combine_chunk(
-    lobes, response, geometry, weight, gloss, n, k, ratio, noise, model_error, out, variance, first, last
-):
-    rows = new_rows(response.shape[1])
+@njit(cache=True, nogil=True, error_model="numpy")
+def _combine_chunk(given, out, variance, first, last):
+    rows, gloss = new_rows(given.response.shape[1]), given.gloss
     fitted = np.empty(rows.shape[1])
     for t in range(first, last):
         fitted[:] = 0.0
-        _add_gloss(rows, lobes[0], geometry[t], n[t], k, gloss[t, 0], gloss[t, 1], fitted)
+        _add_gloss(t, given, 0, given.lobes[0], rows, fitted)
         if gloss.shape[1] > 2 and gloss[t, 2] > 0.0:
-            _add_gloss(rows, lobes[1], geometry[t], n[t], k, gloss[t, 2], gloss[t, 3], fitted)
-        _combine_texel(
-            response[t], weight[t], noise, model_error, geometry[t, :, 2], ratio, rows, fitted, out[t], variance[t]
-        )
-
-
-@njit(cache=True, parallel=True, nogil=True)
-def _combine(lobes, response, geometry, weight, gloss, n, k, ratio, noise, model_error, out, variance):
-    texels = response.shape[0]
-    for c in numba.prange((texels + _CHUNK - 1) // _CHUNK):
-        first, last = c * _CHUNK, min(texels, (c + 1) * _CHUNK)
-        _combine_chunk(
-            lobes, response, geometry, weight, gloss, n, k, ratio, noise, model_error, out, variance, first, last
-        )
+            _add_gloss(t, given, 1, given.lobes[1], rows, fitted)
+        _combine_texel(t, given, rows, fitted, out[t], variance[t])
 
 
 def diffuse_response(
@@ -134,20 +162,10 @@ def diffuse_response(
     noise = np.ascontiguousarray(noise, dtype=np.float64)
     index = np.where(np.isfinite(result.index), result.index, fresnel.n)
     alone = tuple(Lobes((name,)) for name in (result.lobes if len(result.lobes) > 1 else result.lobes * 2))
-    _combine(
-        alone,
-        response,
-        geometry,
-        weight,
-        result.gloss,
-        index,
-        fresnel.k,
-        fresnel.ratio,
-        noise,
-        float(model_error),
-        out,
-        variance,
+    given = Fitted(
+        response, geometry, weight, noise, float(model_error), alone, result.gloss, index, fresnel.k, fresnel.ratio
     )
+    run_chunks(_combine_chunk, len(response), _CHUNK, given, out, variance)
     return out, variance
 
 

@@ -7,8 +7,19 @@ import numpy as np
 
 from irodori.fitting import judge
 from irodori.fitting.huber import robust
-from irodori.fitting.observations import Rules, every_lane, expect_fitted, load_one, telling, weigh, weights_changed
-from irodori.fitting.shared_geometry import no_shared, padded_nodes, scan_shared, tabulate
+from irodori.fitting.observations import (
+    Evidence,
+    Minimum,
+    Rules,
+    box_of,
+    every_lane,
+    expect_fitted,
+    load_one,
+    telling,
+    weigh,
+    weights_changed,
+)
+from irodori.fitting.shared_geometry import Shared, no_shared, padded_nodes, scan_shared, tabulate
 from irodori.fitting.texel_rows import new_rows, pack_geometry, spread_geometry
 from irodori.fitting.varpro import SUMS, minimise, scan
 from irodori.fitting.vectorised_texels import NOISY, SURE, fit_eight, new_eight, write_eight
@@ -65,6 +76,21 @@ class Output(NamedTuple):
     result: np.ndarray  # (texels,) int8, NLopt's return code
 
 
+class Task(NamedTuple):
+    """What is fitted and how, for the loops that fit one texel."""
+
+    problem: Problem
+    rules: Rules
+    shared: Shared
+
+
+class Room(NamedTuple):
+    """Buffers of one thread for one texel."""
+
+    rows: np.ndarray  # (ROWS, P)
+    sums: np.ndarray  # (SUMS, nodes), padded
+
+
 @njit(cache=True)
 def new_sums(problem):
     """Return room for a texel's sums of the scan."""
@@ -73,27 +99,31 @@ def new_sums(problem):
 
 
 @uncounted(error_model="numpy")
-def conclude(rows, fixed, a, b, log_mu, used, floor, clipped, problem, sums, rules):
+def conclude(t, task, room, evidence, found):
     """Choose the model by BIC, state errors and status; the scan's sums are those of the rows."""
-    lobes, unknown = problem.lobes, math.log(used)
-    diffuse, best, nothing = judge.without_gloss(fixed, used, floor, rules)
+    problem, rules, (rows, sums), (used, floor, fixed) = task.problem, task.rules, room, evidence
+    lobes, clipped, unknown = problem.lobes, clipped_of(t, problem), math.log(used)
+    diffuse, best, nothing = judge.without_gloss(evidence, rules)
     model = judge.DIFFUSE_ALONE
     if rules.low_alpha == 0.0 and nothing <= best:
         model, best = judge.NOTHING, nothing
     errors = judge.Errors(np.inf, np.inf, np.inf, 0.0, False)
-    evaluations = 0
-    if b > 0.0:
-        both = judge.full_errors(rows, lobes, a, b, log_mu, used, rules, True)
+    evaluations = found.evaluations
+    if found.beta > 0.0:
+        both = judge.full_errors(rows, lobes, found, used, rules, True)
         criterion = judge.information_criterion(both.squares, used, floor, 3.0 * unknown)
         if criterion < best or rules.low_beta > 0.0:
             model, best, errors = judge.BOTH, criterion, both
         # That gloss alone explains the data says nothing where the data cannot tell α from gloss.
-        if rules.low_alpha == 0.0 and not a > SURE * both.alpha and judge.shown_dark(a, both.alpha, fixed):
+        dark = judge.shown_dark(found.alpha, both.alpha, fixed)
+        if rules.low_alpha == 0.0 and not found.alpha > SURE * both.alpha and dark:
             box = (0.0, 0.0, rules.low_beta, rules.high_beta)
-            alone_mu, _, alone_b, evaluations = minimise(rows, lobes, fixed, box, problem.nodes, sums)
-            alone = judge.full_errors(rows, lobes, 0.0, alone_b, alone_mu, used, rules, False)
+            other = minimise(rows, lobes, fixed, box, problem.nodes, sums)
+            other = Minimum(0.0, other.beta, other.log_mu, other.evaluations)
+            evaluations += other.evaluations
+            alone = judge.full_errors(rows, lobes, other, used, rules, False)
             if judge.information_criterion(alone.squares, used, floor, 2.0 * unknown) < best:
-                model, errors, a, b, log_mu = judge.GLOSS_ALONE, alone, 0.0, alone_b, alone_mu
+                model, errors, found = judge.GLOSS_ALONE, alone, other
     if model == judge.NOTHING or model == judge.DIFFUSE_ALONE:
         status = judge.diffuse_status(rows, lobes, clipped, model, diffuse, rules)
         diffuse_error, squares = judge.diffuse_errors(rows, diffuse, used, rules)
@@ -101,11 +131,12 @@ def conclude(rows, fixed, a, b, log_mu, used, floor, clipped, problem, sums, rul
         return judge.Verdict(
             status, model, diffuse, 0.0, 0.0, diffuse_error, np.inf, np.inf, squares, variance, evaluations
         )
-    status = judge.gloss_status(rows, lobes, clipped, a, b, log_mu, errors, rules)
+    status = judge.gloss_status(rows, lobes, clipped, found, errors, rules)
     variance = max(errors.squares / (used - judge.PARAMETERS), floor)
     return judge.Verdict(
-        status, model, a, b, log_mu, errors.alpha, errors.beta, errors.log_mu, errors.squares, variance, evaluations
-    )
+        status, model, found.alpha, found.beta, found.log_mu, errors.alpha, errors.beta, errors.log_mu,
+        errors.squares, variance, evaluations,
+    )  # fmt: skip
 
 
 @njit(cache=True, inline="always")
@@ -115,10 +146,9 @@ def clipped_of(t, problem):
 
 
 @uncounted()
-def write(out, t, verdict, fixed, evaluations):
+def write(out, t, verdict, fixed):
     """Store a verdict."""
-    out.status[t], out.model[t] = verdict.status, verdict.model
-    out.evaluations[t] = evaluations + verdict.evaluations
+    out.status[t], out.model[t], out.evaluations[t] = verdict.status, verdict.model, verdict.evaluations
     row = out.table[t]
     row[judge.ALPHA], row[judge.BETA], row[judge.LOG_MU] = verdict.alpha, verdict.beta, verdict.log_mu
     row[judge.ALPHA_ERROR], row[judge.BETA_ERROR] = verdict.alpha_error, verdict.beta_error
@@ -127,42 +157,47 @@ def write(out, t, verdict, fixed, evaluations):
 
 
 @uncounted(error_model="numpy")
-def _scan(rows, shared, problem, sums):
-    if shared.nodes.shape[1] == 0:
-        scan(rows, problem, sums, 0.0)
+def _scan(task, room):
+    if task.shared.nodes.shape[1] == 0:
+        scan(room.rows, task.problem, room.sums, 0.0)
     else:
-        scan_shared(rows, shared, sums, weights_changed(rows))
+        scan_shared(room.rows, task.shared, room.sums, weights_changed(room.rows))
 
 
 @uncounted(error_model="numpy")
-def _fit_texel(t, rows, shared, used, floor, problem, rules, sums, out):
+def _search(task, room, fixed):
+    """Return the `Minimum` of a texel whose rows are weighted."""
+    _scan(task, room)
+    return minimise(room.rows, task.problem.lobes, fixed, box_of(task.rules), task.problem.nodes, room.sums)
+
+
+@uncounted(error_model="numpy")
+def _fit_texel(t, task, room, loaded, out):
     """Scan, polish and judge one loaded texel."""
-    box, lobes = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta), problem.lobes
-    fixed = weigh(rows, 0.0)
-    _scan(rows, shared, problem, sums)
-    log_mu, a, b, evaluations = minimise(rows, lobes, fixed, box, problem.nodes, sums)
-    settled = True
-    if is_noisy(used, floor, fixed, rules):
-        expect_fitted(rows, lobes, problem.noise, rules, a, b, log_mu, every_lane())
-        fixed = weigh(rows, 0.0)
-        _scan(rows, shared, problem, sums)
-        log_mu, a, b, count = minimise(rows, lobes, fixed, box, problem.nodes, sums)
-        evaluations += count
+    problem, rules, rows, (used, floor) = task.problem, task.rules, room.rows, loaded
+    evidence = Evidence(used, floor, weigh(rows, 0.0))
+    found = _search(task, room, evidence.fixed)
+    evaluations, settled = found.evaluations, True
+    if is_noisy(evidence, rules):
+        expect_fitted(rows, problem, rules, found, every_lane())
+        evidence = Evidence(used, floor, weigh(rows, 0.0))
+        found = _search(task, room, evidence.fixed)
+        evaluations += found.evaluations
     if rules.huber > 0.0:
-        fixed, a, b, log_mu, count, settled = robust(rows, problem, rules)
-        _scan(rows, shared, problem, sums)
-        evaluations += count + problem.nodes.size
-    clipped = clipped_of(t, problem)
-    verdict = conclude(rows, fixed, a, b, log_mu, used, floor, clipped, problem, sums, rules)
-    write(out, t, verdict, fixed, evaluations)
+        fixed, found, settled = robust(rows, problem, rules)
+        evidence = Evidence(used, floor, fixed)
+        _scan(task, room)
+        evaluations += found.evaluations + problem.nodes.size
+    found = Minimum(found.alpha, found.beta, found.log_mu, evaluations)
+    write(out, t, conclude(t, task, room, evidence, found), evidence.fixed)
     if not settled:
         leave_gloss_open(out, t)
 
 
 @njit(cache=True, forceinline=True)
-def is_noisy(used, floor, fixed, rules):
+def is_noisy(evidence, rules):
     """Return whether weights of noisy responses would pull α by more than a fifth of its standard error."""
-    return rules.weighted and used * used * floor > NOISY * fixed[2]
+    return rules.weighted and evidence.used * evidence.used * evidence.floor > NOISY * evidence.fixed[2]
 
 
 @uncounted()
@@ -195,54 +230,54 @@ def pack_texel(t, problem, rows):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fit_chunk(problem, shared, rules, common, out, first, last):
+def _fit_chunk(problem, rules, shared, out, first, last):
     """Fit some texels, each with a geometry of its own unless there is something ``shared``."""
-    rows, sums = new_rows(problem.response.shape[1]), new_sums(problem)
-    for i in range(common.shape[0]):
-        for j in range(common.shape[1]):
-            rows[i, j] = common[i, j]
+    room = Room(new_rows(problem.response.shape[1]), new_sums(problem))
     eight = new_eight(problem.response.shape[1], problem.nodes.size)
-    if common.shape[0] > 0:
-        spread_geometry(common, eight.rows)
-    _fit_range(problem, shared, rules, rows, sums, eight, out, first, last)
+    if shared.rows.size > 0:
+        room.rows[:] = shared.rows
+        spread_geometry(shared.rows, eight.rows)
+    _fit_range(Task(problem, rules, shared), room, eight, out, first, last)
 
 
 @uncounted(error_model="numpy")
-def _fit_range(problem, shared, rules, rows, sums, eight, out, first, last):
+def _fit_range(task, room, eight, out, first, last):
     """Fit texels eight at a time, and alone those that are not done then."""
+    problem, rules, shared = task
     together = rules.huber == 0.0 and (problem.geometry.shape[0] > 1 or shared.nodes.shape[1] > 0)
     for batch in range(first, last, LANES):
         done = fit_eight(problem, shared, rules, batch, last, eight) if together else 0
         write_eight(eight.results, done, batch, out)
         for i in range(min(LANES, last - batch)):
             if not done >> i & 1:
-                _fit_alone(batch + i, rows, shared, problem, rules, sums, out)
+                _fit_alone(batch + i, task, room, out)
 
 
 @uncounted(error_model="numpy")
-def _fit_alone(t, rows, shared, problem, rules, sums, out):
+def _fit_alone(t, task, room, out):
     """Load, fit and judge one texel."""
-    if shared.nodes.shape[1] == 0:
+    problem, rows = task.problem, room.rows
+    if task.shared.nodes.shape[1] == 0:
         pack_texel(t, problem, rows)
-    used, floor = load_texel(t, problem, rules, rows)
-    if used <= judge.PARAMETERS:
-        write_too_few(t, used, problem, rows, out)
+    loaded = load_texel(t, problem, task.rules, rows)
+    if loaded[0] <= judge.PARAMETERS:
+        write_too_few(t, loaded[0], problem, rows, out)
     else:
-        _fit_texel(t, rows, shared, used, floor, problem, rules, sums, out)
+        _fit_texel(t, task, room, loaded, out)
 
 
 @njit(cache=True)
-def _common_rows(problem):
+def _common_rows(geometry, lobes, n, k):
     """Return rows with the geometry that all texels share."""
-    rows = new_rows(problem.response.shape[1])
-    pack_texel(0, problem, rows)
+    rows = new_rows(geometry.shape[0])
+    pack_geometry(geometry, lobes, n, k, rows)
     return rows
 
 
 def fit_texels(problem: Problem, rules: Rules, out: Output) -> None:
     """Fit every texel by variable projection, with the geometry of its own or the one that all share."""
-    shared, common = no_shared(), np.zeros((0, 0))
+    shared = no_shared()
     if problem.geometry.shape[0] == 1 and problem.n.size == 1:
-        common = _common_rows(problem)
-        shared = tabulate(common, problem.lobes, problem.nodes)
-    run_chunks(_fit_chunk, len(problem.response), _CHUNK, problem, shared, rules, common, out)
+        rows = _common_rows(problem.geometry[0], problem.lobes, problem.n[0], problem.k)
+        shared = tabulate(rows, problem.lobes, problem.nodes)
+    run_chunks(_fit_chunk, len(problem.response), _CHUNK, problem, rules, shared, out)

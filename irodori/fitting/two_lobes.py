@@ -13,7 +13,7 @@ import numpy as np
 
 from irodori.fitting import judge
 from irodori.fitting.closed_form import best_pair
-from irodori.fitting.observations import Rules, every_lane, expect_fitted, weigh
+from irodori.fitting.observations import Evidence, Minimum, Rules, box_of, every_lane, expect_fitted, weigh
 from irodori.fitting.texel_rows import (
     BEFORE,
     COSINE,
@@ -40,6 +40,7 @@ from irodori.jit.compilation import njit, uncounted
 from irodori.jit.vector_memory import aligned, spread
 from irodori.material.material_file import Status
 from irodori.reflection import lobes as lobe_kernels
+from irodori.reflection.lobes import Lobes
 
 PARAMETERS = 5  # α, β_1, log μ_1, β_2, log μ_2
 #: Columns of the outcome; the errors follow their parameters in the order above.
@@ -57,6 +58,60 @@ _BETA_ERROR, _MU_ERROR = judge.MAX_RELATIVE_ERROR["beta"], judge.MAX_RELATIVE_ER
 _CHUNK = 256
 _OK, _AT_BOUND = int(Status.OK), int(Status.AT_BOUND)
 _UNIDENTIFIABLE, _SATURATED = int(Status.MU_UNIDENTIFIABLE), int(Status.SATURATED)
+
+
+class TwoTask(NamedTuple):
+    """What a fit of two components is given.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of the first lobe.
+    second : Lobes
+        The other lobe alone.
+    same : bool
+        Whether both are of one kind.
+    rules : Rules
+    one, two : Output
+        The fits with one component of the first and of the second lobe.
+    """
+
+    problem: Problem
+    second: Lobes
+    same: bool
+    rules: Rules
+    one: Output
+    two: Output
+
+
+class LobeTable(NamedTuple):
+    """A lobe at the nodes of the scan."""
+
+    values: np.ndarray  # (nodes, P)
+    sums: np.ndarray  # (3, nodes): Σ w c g, Σ w ρ g, Σ w g²
+
+
+class Covariance(NamedTuple):
+    """Scratch for the errors; parameters in the order α, β_1, log μ_1, β_2, log μ_2."""
+
+    normal: np.ndarray  # (PARAMETERS, PARAMETERS)
+    middle: np.ndarray  # (PARAMETERS, PARAMETERS)
+    inverse: np.ndarray  # (PARAMETERS, PARAMETERS), of ``normal``
+    column: np.ndarray  # (PARAMETERS,), derivatives of an observation
+    scale: np.ndarray  # (PARAMETERS,), of ``normal`` to a unit diagonal
+    product: np.ndarray  # (PARAMETERS,)
+
+
+class TwoRoom(NamedTuple):
+    """Buffers of one thread for one texel."""
+
+    rows: np.ndarray  # (ROWS, P), with the first lobe
+    other: np.ndarray  # (ROWS, P), with the second lobe
+    first: LobeTable
+    second: LobeTable  # whose values are times the weights
+    grid: np.ndarray  # (nodes, nodes), Φ at pairs of nodes
+    taken: np.ndarray  # (nodes, nodes) uint8, dips that were polished
+    covariance: Covariance
 
 
 class TwoOutput(NamedTuple):
@@ -173,26 +228,26 @@ def _product(one, i, other, j):
 
 
 @uncounted(error_model="numpy")
-def tabulate(rows, other, lobes, nodes, table, sums, weighted):
+def tabulate(rows, other, lobes, nodes, table, weighted):
     """Fill the lobe at every node, times the weights if asked, and its sums with cosine, response and itself."""
     for i in range(nodes.size):
         fill_lobe(other, lobes, nodes[i])
-        sums[0, i], sums[1, i], sums[2, i] = _lobe_sums(rows, other)
+        table.sums[0, i], table.sums[1, i], table.sums[2, i] = _lobe_sums(rows, other)
         for j in range(vectors_of(rows)):
             g = get(other, LOBE, j)
-            put(table, i, j, g * get(rows, WEIGHT, j) if weighted else g)
+            put(table.values, i, j, g * get(rows, WEIGHT, j) if weighted else g)
 
 
 @uncounted(error_model="numpy")
-def _fill_grid(fixed, tables, sums, box, same, grid):
+def _fill_grid(fixed, room, given):
     """Fill Φ at all pairs of nodes; of two lobes of one kind the first is the broader."""
-    one, two = sums
+    one, two, grid, box = room.first.sums, room.second.sums, room.grid, box_of(given.rules)
     for i in range(grid.shape[0]):
         for j in range(grid.shape[1]):
             grid[i, j] = np.inf
-            if j > i or not same:
+            if j > i or not given.same:
                 g = (fixed[0], fixed[1], fixed[2], one[0, i], one[1, i], one[2, i], two[0, j], two[1, j], two[2, j],
-                     _product(tables[0], i, tables[1], j))  # fmt: skip
+                     _product(room.first.values, i, room.second.values, j))  # fmt: skip
                 grid[i, j] = best_triple(g, box)[3]
 
 
@@ -228,12 +283,12 @@ def _gram(rows, other, fixed):
 
 
 @uncounted(error_model="numpy")
-def evaluate(rows, other, problem, second, fixed, box, t1, t2):
+def evaluate(room, given, fixed, t1, t2):
     """Fill both lobes with their derivatives; return the sums of their products, α, β_1, β_2, and Φ."""
-    _fill_derivatives(rows, problem.lobes, t1)
-    _fill_derivatives(other, second, t2)
-    g = _gram(rows, other, fixed)
-    return g, best_triple(g, box)
+    _fill_derivatives(room.rows, given.problem.lobes, t1)
+    _fill_derivatives(room.other, given.second, t2)
+    g = _gram(room.rows, room.other, fixed)
+    return g, best_triple(g, box_of(given.rules))
 
 
 @uncounted(error_model="numpy")
@@ -306,12 +361,13 @@ def _step(gradient, hessian, damping, held1, held2):
 
 
 @uncounted(error_model="numpy")
-def polish(rows, other, problem, second, fixed, box, t1, t2, low, high):
+def polish(room, given, fixed, t1, t2):
     """Return log μ_1, log μ_2 of the minimum of Φ near a start, α, β_1, β_2 and Φ there, and the evaluations."""
-    g, found = evaluate(rows, other, problem, second, fixed, box, t1, t2)
+    low, high, box = given.rules.low_log_mu, given.rules.high_log_mu, box_of(given.rules)
+    g, found = evaluate(room, given, fixed, t1, t2)
     damping, count = 0.0, 1
     for _ in range(_MAX_STEPS):
-        gradient, hessian = slopes(rows, other, g, found, box)
+        gradient, hessian = slopes(room.rows, room.other, g, found, box)
         held1 = (t1 <= low and gradient[0] > 0.0) or (t1 >= high and gradient[0] < 0.0) or found[1] == 0.0
         held2 = (t2 <= low and gradient[1] > 0.0) or (t2 >= high and gradient[1] < 0.0) or found[2] == 0.0
         scale = abs(hessian[0]) + abs(hessian[2])
@@ -322,7 +378,7 @@ def polish(rows, other, problem, second, fixed, box, t1, t2, low, high):
                 longest = max(abs(d1), abs(d2))
                 shorter = _LONGEST / longest if longest > _LONGEST else 1.0
                 n1, n2 = min(max(t1 + d1 * shorter, low), high), min(max(t2 + d2 * shorter, low), high)
-                trial_g, trial = evaluate(rows, other, problem, second, fixed, box, n1, n2)
+                trial_g, trial = evaluate(room, given, fixed, n1, n2)
                 count += 1
                 if trial[3] <= found[3]:
                     change = max(abs(n1 - t1), abs(n2 - t2))
@@ -333,7 +389,7 @@ def polish(rows, other, problem, second, fixed, box, t1, t2, low, high):
         if not moved or change < _CONVERGED:
             break
     # The rows are to hold what is returned, not the last trial.
-    _, found = evaluate(rows, other, problem, second, fixed, box, t1, t2)
+    _, found = evaluate(room, given, fixed, t1, t2)
     return t1, t2, found, count
 
 
@@ -376,26 +432,26 @@ def _column(rows, other, j, b1, b2, out):
 
 
 @uncounted(error_model="numpy")
-def _spread_of(rows, other, constants, problem, second, j, found, rules):
+def _spread_of(room, given, constants, found, j):
     """Return the variance of an observation: of noise and light, and of an error of the pose."""
-    one = lobe_kernels.flank(problem.lobes, constants[0], rows[F0, j], rows[F1, j], rows[F2, j])[1]
-    two = lobe_kernels.flank(second, constants[1], other[F0, j], other[F1, j], other[F2, j])[1]
+    rows, other = room.rows, room.other
+    one = lobe_kernels.flank(given.problem.lobes, constants[0], rows[F0, j], rows[F1, j], rows[F2, j])[1]
+    two = lobe_kernels.flank(given.second, constants[1], other[F0, j], other[F1, j], other[F2, j])[1]
     # Both components fall with φ.
     fall = found[1] * rows[LOBE, j] * math.sqrt(one) + found[2] * other[LOBE, j] * math.sqrt(two)
     pose = 0.5 * fall * fall + found[0] * found[0] * (1.0 - rows[COSINE, j] * rows[COSINE, j])
-    return rows[VARIANCE, j] + rules.pose_variance * pose
+    return rows[VARIANCE, j] + given.rules.pose_variance * pose
 
 
 @uncounted(error_model="numpy")
-def errors_of(rows, other, problem, second, t1, t2, found, used, rules, scratch, out):
+def errors_of(room, given, at, found, used, out):
     """Fill the standard errors of the five parameters, infinite where the data does not tell them apart.
 
     The covariance is the one of `irodori.fitting.judge`; rows hold the lobes at the minimum.
     """
-    normal, middle, inverse, column = scratch[0], scratch[1], scratch[2], scratch[3, 0]
-    scale, product = scratch[3, 1], scratch[3, 2]
-    a, b1, b2 = found[0], found[1], found[2]
-    constants = lobe_kernels.constants(problem.lobes, t1), lobe_kernels.constants(second, t2)
+    normal, middle, inverse, column, scale, product = room.covariance
+    rows, other, rules, (a, b1, b2, _) = room.rows, room.other, given.rules, found
+    constants = lobe_kernels.constants(given.problem.lobes, at[0]), lobe_kernels.constants(given.second, at[1])
     _clear(normal)
     _clear(middle)
     chi2 = 0.0
@@ -404,7 +460,7 @@ def errors_of(rows, other, problem, second, t1, t2, found, used, rules, scratch,
         if not w > 0.0:
             continue
         _column(rows, other, j, b1, b2, column)
-        v = _spread_of(rows, other, constants, problem, second, j, found, rules)
+        v = _spread_of(room, given, constants, found, j)
         off = a * column[0] + b1 * column[1] + b2 * column[3] - rows[RESPONSE, j]
         chi2 += off * off / v
         for i in range(PARAMETERS):
@@ -428,7 +484,7 @@ def errors_of(rows, other, problem, second, t1, t2, found, used, rules, scratch,
     degrees = float(max(used - PARAMETERS + dark, 1))
     excess = judge.excess_of(chi2, degrees)
     if not rules.known:
-        _scatter(rows, other, found, inverse, scale, column, middle)
+        _scatter(room, found)
         excess = 1.0
     for i in range(PARAMETERS):
         for k in range(PARAMETERS):
@@ -446,8 +502,9 @@ def errors_of(rows, other, problem, second, t1, t2, found, used, rules, scratch,
 
 
 @uncounted(error_model="numpy")
-def _scatter(rows, other, found, inverse, scale, column, middle):
+def _scatter(room, found):
     """Fill Σ w² v J Jᵀ where the variances are not known: those of the residuals; see `judge.scatter`."""
+    rows, other, (_, middle, inverse, column, scale, _) = room.rows, room.other, room.covariance
     _clear(middle)
     for j in range(rows.shape[1]):
         w = rows[WEIGHT, j]
@@ -484,8 +541,9 @@ def is_determined(b, error, log_mu_error, seen):
 
 
 @uncounted(error_model="numpy")
-def _status(t, rows, other, problem, second, row, rules):
+def _status(t, room, given, row):
     """Return the status of a texel with two components, and make errors infinite where one is not determined."""
+    rows, other, problem, second, rules = room.rows, room.other, given.problem, given.second, given.rules
     clipped = clipped_of(t, problem)
     if judge.highlight_clips(rows, problem.lobes, clipped, row[LOG_MU], True):
         return _SATURATED
@@ -512,7 +570,7 @@ def _status(t, rows, other, problem, second, row, rules):
 
 
 @uncounted(error_model="numpy")
-def _criterion(rows, other, lobes, known, t, used, floor):
+def _criterion(t, rows, other, lobes, known, evidence):
     """Return Schwarz's criterion of a texel's fit of one component, with the weights at hand."""
     a, b, log_mu = known.table[t, judge.ALPHA], known.table[t, judge.BETA], known.table[t, judge.LOG_MU]
     if known.model[t] == judge.DIFFUSE_ALONE or known.model[t] == judge.NOTHING:
@@ -524,25 +582,24 @@ def _criterion(rows, other, lobes, known, t, used, floor):
         off = a * get(rows, COSINE, j) + b * get(other, LOBE, j) - get(rows, RESPONSE, j)
         squares = squares + get(rows, WEIGHT, j) * off * off
     unknowns = known.model[t]  # which is their number
-    return judge.information_criterion(folded(squares, 0.0), used, floor, unknowns * math.log(used))
+    used = evidence.used
+    return judge.information_criterion(folded(squares, 0.0), used, evidence.floor, unknowns * math.log(used))
 
 
 @uncounted(error_model="numpy")
-def _search(rows, other, problem, second, same, fixed, box, rules, tables, sums, grid, taken):
+def _search(room, given, fixed):
     """Return the lowest minimum of Φ: log μ_1, log μ_2, α, β_1, β_2 with Φ, and the evaluations."""
-    nodes = problem.nodes
-    tabulate(rows, rows, problem.lobes, nodes, tables[0], sums[0], False)
-    tabulate(rows, other, second, nodes, tables[1], sums[1], True)
-    _fill_grid(fixed, tables, sums, box, same, grid)
-    _clear(taken)
+    nodes = given.problem.nodes
+    tabulate(room.rows, room.rows, given.problem.lobes, nodes, room.first, False)
+    tabulate(room.rows, room.other, given.second, nodes, room.second, True)
+    _fill_grid(fixed, room, given)
+    _clear(room.taken)
     best_1, best_2, best, evaluations = nodes[0], nodes[0], (0.0, 0.0, 0.0, np.inf), nodes.size * nodes.size
     for _ in range(_DIPS):
-        i, j = _next_dip(grid, taken)
+        i, j = _next_dip(room.grid, room.taken)
         if i < 0:
             break
-        t1, t2, found, count = polish(
-            rows, other, problem, second, fixed, box, nodes[i], nodes[j], rules.low_log_mu, rules.high_log_mu
-        )
+        t1, t2, found, count = polish(room, given, fixed, nodes[i], nodes[j])
         evaluations += count
         if found[3] < best[3]:
             best_1, best_2, best = t1, t2, found
@@ -550,79 +607,77 @@ def _search(rows, other, problem, second, same, fixed, box, rules, tables, sums,
 
 
 @uncounted(error_model="numpy")
-def _fit_texel(t, problem, second, same, rules, one, two, room, out):
+def _fit_texel(t, given, room, out):
     """Fit a texel with two components and choose between that and one."""
-    rows, other, tables, sums, grid, taken, scratch = room
+    rows, other, problem, rules, one = room.rows, room.other, given.problem, given.rules, given.one
     n = problem.n[t if problem.n.size > 1 else 0]
     geometry = problem.geometry[t if problem.geometry.shape[0] > 1 else 0]
     pack_geometry(geometry, problem.lobes, n, problem.k, rows)
-    pack_geometry(geometry, second, n, problem.k, other)
+    pack_geometry(geometry, given.second, n, problem.k, other)
     used, floor = load_texel(t, problem, rules, rows)
-    box = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta)
-    fixed = weigh(rows, 0.0)
-    if is_noisy(used, floor, fixed, rules):
-        a, b, log_mu = one.table[t, judge.ALPHA], one.table[t, judge.BETA], one.table[t, judge.LOG_MU]
-        expect_fitted(rows, problem.lobes, problem.noise, rules, a, b, log_mu, every_lane())
-        fixed = weigh(rows, 0.0)
-    best = _criterion(rows, rows, problem.lobes, one, t, used, floor)
-    if not same:
-        alone = _criterion(rows, other, second, two, t, used, floor)
-        if alone < best:
-            out.second[t], best = 1, alone
-    t1, t2, found, count = _search(
-        rows, other, problem, second, same, fixed, box, rules, tables, sums, grid, taken
-    )  # fmt: skip
+    evidence = Evidence(used, floor, weigh(rows, 0.0))
+    if is_noisy(evidence, rules):
+        alone = Minimum(one.table[t, judge.ALPHA], one.table[t, judge.BETA], one.table[t, judge.LOG_MU], 0)
+        expect_fitted(rows, problem, rules, alone, every_lane())
+        evidence = Evidence(used, floor, weigh(rows, 0.0))
+    fixed, best = evidence.fixed, _criterion(t, rows, rows, problem.lobes, one, evidence)
+    if not given.same:
+        of_second = _criterion(t, rows, other, given.second, given.two, evidence)
+        if of_second < best:
+            out.second[t], best = 1, of_second
+    t1, t2, found, count = _search(room, given, fixed)
     out.evaluations[t] = count
     dark = found[0] <= 0.0
     criterion = judge.information_criterion(found[3], used, floor, (PARAMETERS - dark) * math.log(used))
     if not (used > PARAMETERS and found[1] > 0.0 and found[2] > 0.0 and criterion < best):
         return
-    evaluate(rows, other, problem, second, fixed, box, t1, t2)
+    evaluate(room, given, fixed, t1, t2)
     row = out.table[t]
-    errors_of(rows, other, problem, second, t1, t2, found, used, rules, scratch, row[ERRORS : ERRORS + PARAMETERS])
+    errors_of(room, given, (t1, t2), found, used, row[ERRORS : ERRORS + PARAMETERS])
     row[ALPHA], row[BETA], row[LOG_MU], row[BETA_2], row[LOG_MU_2] = found[0], found[1], t1, found[2], t2
     row[SQUARES], row[POWER] = found[3] / fixed[3], fixed[2] / fixed[3]
     for j in range(rows.shape[1]):
         other[WEIGHT, j] = rows[WEIGHT, j]
-    out.status[t] = _status(t, rows, other, problem, second, row, rules)
-    if same and t2 > t1:
+    out.status[t] = _status(t, room, given, row)
+    if given.same and t2 > t1:
         for i in (BETA, LOG_MU, ERRORS + BETA, ERRORS + LOG_MU):
             row[i], row[i + 2] = row[i + 2], row[i]
     out.both[t], out.model[t] = 1, judge.GLOSS_ALONE if dark else judge.BOTH
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fit_chunk(problem, second, same, rules, one, two, out, first, last):
+def _fit_chunk(given, out, first, last):
+    _fit_range(given, _new_room(given.problem), out, first, last)
+
+
+@njit(cache=True)
+def _new_table(nodes, width):
+    return LobeTable(aligned(nodes * width).reshape((nodes, width)), np.zeros((3, nodes)))
+
+
+@njit(cache=True)
+def _new_room(problem):
     observations, nodes = problem.response.shape[1], problem.nodes.size
-    rows, other = new_rows(observations), new_rows(observations)
-    width = rows.shape[1]
-    tables = aligned(nodes * width).reshape((nodes, width)), aligned(nodes * width).reshape((nodes, width))
-    sums = np.zeros((3, nodes)), np.zeros((3, nodes))
-    grid, taken = np.zeros((nodes, nodes)), np.zeros((nodes, nodes), dtype=np.uint8)
-    room = rows, other, tables, sums, grid, taken, np.zeros((4, PARAMETERS, PARAMETERS))
-    _fit_range(problem, second, same, rules, one, two, room, out, first, last)
+    rows, square = new_rows(observations), (PARAMETERS, PARAMETERS)
+    covariance = Covariance(
+        np.zeros(square), np.zeros(square), np.zeros(square),
+        np.zeros(PARAMETERS), np.zeros(PARAMETERS), np.zeros(PARAMETERS),
+    )  # fmt: skip
+    return TwoRoom(
+        rows, new_rows(observations), _new_table(nodes, rows.shape[1]), _new_table(nodes, rows.shape[1]),
+        np.zeros((nodes, nodes)), np.zeros((nodes, nodes), dtype=np.uint8), covariance,
+    )  # fmt: skip
 
 
 @uncounted(error_model="numpy")
-def _fit_range(problem, second, same, rules, one, two, room, out, first, last):
+def _fit_range(given, room, out, first, last):
     for t in range(first, last):
-        if one.model[t] > 0:  # neither too few observations nor nothing to be seen
-            _fit_texel(t, problem, second, same, rules, one, two, room, out)
+        if given.one.model[t] > 0:  # neither too few observations nor nothing to be seen
+            _fit_texel(t, given, room, out)
 
 
 def fit_two(problem: Problem, second, rules: Rules, one: Output, two: Output) -> TwoOutput:
-    """Fit every texel with two components.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of the first lobe.
-    second : Lobes
-        The other lobe alone.
-    rules : Rules
-    one, two : Output
-        The fits with one component of the first and of the second lobe.
-    """
+    """Fit every texel with two components; parameters as in `TwoTask`."""
     count = len(problem.response)
     out = TwoOutput(
         table=np.full((count, COLUMNS), np.nan),
@@ -632,6 +687,5 @@ def fit_two(problem: Problem, second, rules: Rules, one: Output, two: Output) ->
         model=np.zeros(count, dtype=np.int8),
         evaluations=np.zeros(count, dtype=np.int32),
     )
-    same = problem.lobes == second
-    run_chunks(_fit_chunk, count, _CHUNK, problem, second, same, rules, one, two, out)
+    run_chunks(_fit_chunk, count, _CHUNK, TwoTask(problem, second, problem.lobes == second, rules, one, two), out)
     return out

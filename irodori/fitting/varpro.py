@@ -10,10 +10,12 @@ All but `find_intervals` and `minimise` is for one texel and for eight, see `iro
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from irodori.fitting.closed_form import best_pair, clamp, slope_and_curvature
+from irodori.fitting.observations import Minimum
 from irodori.fitting.texel_rows import (
     F0,
     F1,
@@ -45,6 +47,31 @@ _MAX_STEPS = 24
 #: of the interval below the node the estimated minimum and its place.
 CG, RG, GG, CG1, RG1, GG1, VALUE, DESCENT, ESTIMATE, PLACE = range(10)
 SUMS = 10
+
+
+class Bracket(NamedTuple):
+    """Where Newton's method searches log μ of one texel, or of each of eight.
+
+    Parameters
+    ----------
+    start : float or lanes
+    low, high : float or lanes
+        Ends between which a minimum lies.
+    low_slope, high_slope : float or lanes
+        Φ' there; NaN where that is not known.
+    flat_above : bool or mask
+        Where β is at its bound, Φ is flat: says on which side of the minimum.
+    wanted : bool or mask
+        Which texels are asked for.
+    """
+
+    start: float
+    low: float
+    high: float
+    low_slope: float
+    high_slope: float
+    flat_above: bool
+    wanted: bool
 
 
 @uncounted(error_model="numpy")
@@ -247,13 +274,13 @@ def find_intervals(nodes, sums, best):
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _through_ends(slope, curvature, low, high, low_slope, high_slope):
+def _through_ends(slope, curvature, low, high, slopes):
     """Return where the cubic through Φ' and Φ'' at 0 and through Φ' at both ends of the bracket is 0.
 
     What Newton's first step would leave to the second.
     """
-    above = (high_slope - slope - curvature * high) / (high * high)
-    below = (low_slope - slope - curvature * low) / (low * low)
+    above = (slopes[1] - slope - curvature * high) / (high * high)
+    below = (slopes[0] - slope - curvature * low) / (low * low)
     third = (above - below) / (high - low)
     second = above - third * high
     x = -slope / curvature
@@ -265,33 +292,26 @@ def _through_ends(slope, curvature, low, high, low_slope, high_slope):
 
 
 @uncounted(error_model="numpy")
-def newton(rows, lobes, fixed, box, start, bracket, flat_above, wanted, most):
-    """Return log μ, α and β of the minimum in a bracket, the evaluations it took, and where it converged.
+def newton(rows, lobes, fixed, box, bracket, most):
+    """Return the `Minimum` in a `Bracket`, its evaluations as float or lanes, and where it converged.
 
     Parameters
     ----------
     rows, lobes, fixed, box
-    start : float or lanes
-        log μ.
-    bracket : tuple of four
-        Lower and upper end, and Φ' there; NaN where that is not known.
-    flat_above : bool or mask
-        Where β is at its bound, Φ is flat: says on which side of the minimum.
-    wanted : bool or mask
-        Which texels are asked for.
+    bracket : Bracket
     most : int
         Evaluations, at most.
     """
-    zero = 0.0 * start
-    t, a, b, steps, active = start, zero, zero, zero, wanted
-    low, high, low_slope, high_slope = bracket
+    zero, low, high = 0.0 * bracket.start, bracket.low, bracket.high
+    t, a, b, steps, active = bracket.start, zero, zero, zero, bracket.wanted
     for number in range(most):
         now_a, now_b, da, db, slope, curvature = slope_and_curvature(fixed, moments(rows, lobes, t), box)
         proposed = t - slope / curvature
         if number == 0:
-            better = t + _through_ends(slope, curvature, low - t, high - t, low_slope, high_slope)
+            slopes = bracket.low_slope, bracket.high_slope
+            better = t + _through_ends(slope, curvature, low - t, high - t, slopes)
             proposed = select(better == better, better, proposed)
-        above = (slope > 0.0) | ((slope == 0.0) & flat_above)
+        above = (slope > 0.0) | ((slope == 0.0) & bracket.flat_above)
         high, low = select(above, t, high), select(above, low, t)
         inside = (curvature > 0.0) & (proposed >= low) & (proposed <= high)
         following = select(inside, proposed, 0.5 * (low + high))
@@ -303,7 +323,7 @@ def newton(rows, lobes, fixed, box, start, bracket, flat_above, wanted, most):
         active = active & (magnitude(change) >= select(inside, _CONVERGED, 1e-9))
         if not any_of(active):
             break
-    return t, a, b, steps, wanted & negated(active)
+    return Minimum(a, b, t, steps), bracket.wanted & negated(active)
 
 
 @uncounted(error_model="numpy")
@@ -315,7 +335,7 @@ def pair_at(rows, lobes, fixed, box, log_mu):
 
 @uncounted(error_model="numpy")
 def minimise(rows, lobes, fixed, box, nodes, sums):
-    """Return log μ, α and β of one texel's lowest minimum of Φ, and the evaluations; the scan has been made."""
+    """Return the lowest `Minimum` of one texel; the scan has been made."""
     best, found = value_nodes(fixed, sums, nodes.size, box, 0.0)
     top = int(found)
     find_intervals(nodes, sums, top)
@@ -333,19 +353,16 @@ def minimise(rows, lobes, fixed, box, nodes, sums):
         # Where slopes of both signs enclose it the minimum is lower than both nodes; any other has to be compared.
         sure = low_slope <= 0.0 <= high_slope and (i == top or i + 1 == top)
         enclosed = low_slope < 0.0 < high_slope
-        bracket = (
-            nodes[i + 1], nodes[i], low_slope if enclosed else np.nan, high_slope if enclosed else np.nan
-        )  # fmt: skip
-        t, a, b, count, _ = newton(
-            rows, lobes, fixed, box, sums[PLACE, i], bracket, high_slope == 0.0, True, _MAX_STEPS
-        )
+        slopes = (low_slope, high_slope) if enclosed else (np.nan, np.nan)
+        bracket = Bracket(sums[PLACE, i], nodes[i + 1], nodes[i], slopes[0], slopes[1], high_slope == 0.0, True)
+        found, _ = newton(rows, lobes, fixed, box, bracket, _MAX_STEPS)
         sums[ESTIMATE, i] = np.inf
-        evaluations += int(count)
+        evaluations += int(found.evaluations)
         if attempt == 0 and sure and not rival <= RIVAL * best:
-            return t, a, b, evaluations
-        _, _, value = pair_at(rows, lobes, fixed, box, t)
+            return Minimum(found.alpha, found.beta, found.log_mu, evaluations)
+        _, _, value = pair_at(rows, lobes, fixed, box, found.log_mu)
         evaluations += 1
         if value <= best:
-            best_t, best = t, value
+            best_t, best = found.log_mu, value
     a, b, _ = pair_at(rows, lobes, fixed, box, best_t)
-    return best_t, a, b, evaluations + 1
+    return Minimum(a, b, best_t, evaluations + 1)

@@ -12,6 +12,9 @@ import numpy as np
 from irodori.fitting import judge
 from irodori.fitting.observations import (
     ENOUGH,
+    Evidence,
+    Minimum,
+    box_of,
     distinct_geometries,
     expect_fitted,
     load_eight,
@@ -20,7 +23,7 @@ from irodori.fitting.observations import (
 )
 from irodori.fitting.shared_geometry import GROUP, scan_shared_eight
 from irodori.fitting.texel_rows import item, new_rows_of_eight, pack_eight
-from irodori.fitting.varpro import DESCENT, RIVAL, SUMS, VALUE, interval_minimum, newton, scan, value_nodes
+from irodori.fitting.varpro import DESCENT, RIVAL, SUMS, VALUE, Bracket, interval_minimum, newton, scan, value_nodes
 from irodori.jit.compilation import njit, uncounted
 from irodori.jit.functions import log, lower_of, negated, select, upper_of
 from irodori.jit.vector_memory import aligned, mask_bits, spread, store
@@ -48,8 +51,8 @@ def new_eight(captures, nodes):
 
 
 @uncounted(error_model="numpy")
-def _best_interval(problem, sums, least, top):
-    """Return where the lowest minimum is estimated, its bracket with Φ' at the ends, and which lanes have no other."""
+def _best_interval(problem, sums, least, top, wanted):
+    """Return the `Bracket` of the lowest minimum, in which only lanes that have no other are wanted."""
     zero = spread(0.0)
     best, rival = zero + np.inf, zero + np.inf
     place, low, high, ordinary, low_slope, high_slope = zero, zero, zero, zero, zero, zero
@@ -68,52 +71,50 @@ def _best_interval(problem, sums, least, top):
         low_slope, high_slope = select(better, d0, low_slope), select(better, d1, high_slope)
         best = select(better, estimate, best)
     ordinary_lanes = (ordinary > 0.0) & (best <= RIVAL * least) & (rival > RIVAL * least)
-    return place, (low, high, low_slope, high_slope), ordinary_lanes
+    return Bracket(place, low, high, low_slope, high_slope, zero > 0.0, wanted & ordinary_lanes)
 
 
 @uncounted(error_model="numpy")
 def _minimise(problem, shared, rules, rows, sums, ordinary):
-    """Return the fixed sums, log μ, α, β, the steps, and which lanes stayed ordinary."""
-    box, zero = (rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta), spread(0.0)
+    """Return the fixed sums, the `Minimum`, and which lanes stayed ordinary."""
+    box, zero = box_of(rules), spread(0.0)
     fixed = weigh(rows, zero)
     if shared.nodes.shape[1] == 0:
         scan(rows, problem, sums, zero)
     else:
         scan_shared_eight(rows, shared, sums, weights_changed(rows))
     least, top = value_nodes(fixed, sums, problem.nodes.size, box, zero)
-    place, bracket, single = _best_interval(problem, sums, least, top)
-    wanted = ordinary & single
-    t, a, b, steps, converged = newton(
-        rows, problem.lobes, fixed, box, place, bracket, zero > 0.0, wanted, _MAX_STEPS
-    )  # fmt: skip
-    return fixed, t, a, b, steps, converged
+    bracket = _best_interval(problem, sums, least, top, ordinary)
+    found, converged = newton(rows, problem.lobes, fixed, box, bracket, _MAX_STEPS)
+    return fixed, found, converged
 
 
 @uncounted(error_model="numpy")
-def _judge(rows, lobes, fixed, found, used, floor, rules, results):
+def _judge(rows, lobes, evidence, found, rules, results):
     """Fill the results of lanes that call for diffuse light and gloss; return which they are."""
-    a, b, log_mu = found
-    squares, chi2, normal, middle, seen = judge.sums_at_minimum(rows, lobes, a, b, log_mu, rules)
-    scale, correlation, determinant = judge.correlations(normal)
-    plain = (normal[0] > 0.0) & (normal[2] > 0.0) & (normal[5] > 0.0) & (determinant > judge.SINGULAR) & (b > 0.0)
+    (used, floor, fixed), (a, b, log_mu, steps) = evidence, found
+    squares, chi2, sums, middle, seen = judge.sums_at_minimum(rows, lobes, found, rules, rules.known)
+    normal = judge.correlations(sums)
+    plain = (sums[0] > 0.0) & (sums[2] > 0.0) & (sums[5] > 0.0) & (normal.determinant > judge.SINGULAR) & (b > 0.0)
     excess = judge.excess_of(chi2, upper_of(used - 3.0, 1.0))
     if not rules.known:
-        middle = judge.scatter(rows, a, b, correlation, scale, determinant)
+        middle = judge.scatter(rows, a, b, normal)
         excess = spread(1.0)
-    errors = judge.parameter_errors(middle, scale, correlation, determinant, excess, a, b, rules)
-    _, simpler, nothing = judge.without_gloss(fixed, used, floor, rules)
+    alpha, beta, along = judge.parameter_errors(middle, normal, excess, found, rules)
+    _, simpler, nothing = judge.without_gloss(evidence, rules)
     if rules.low_alpha == 0.0:
         simpler = lower_of(simpler, nothing)
-        plain = plain & ((a > SURE * errors[0]) | negated(judge.shown_dark(a, errors[0], fixed)))
+        plain = plain & ((a > SURE * alpha) | negated(judge.shown_dark(a, alpha, fixed)))
     if not rules.low_beta > 0.0:
         unknown = log(upper_of(used, 1.0))
         plain = plain & (judge.information_criterion(squares, used, floor, 3.0 * unknown) < simpler)
-    status = judge.gloss_status_of(a, b, log_mu, errors, seen, rules)
+    status = judge.gloss_status_of(found, judge.Errors(alpha, beta, along, squares, seen), rules)
     variance = upper_of(squares / (used - judge.PARAMETERS), floor)
     for column, value in (
-        (judge.ALPHA, a), (judge.BETA, b), (judge.LOG_MU, log_mu), (judge.ALPHA_ERROR, errors[0]),
-        (judge.BETA_ERROR, errors[1]), (judge.LOG_MU_ERROR, errors[2]), (judge.SQUARES, squares / fixed[3]),
+        (judge.ALPHA, a), (judge.BETA, b), (judge.LOG_MU, log_mu), (judge.ALPHA_ERROR, alpha),
+        (judge.BETA_ERROR, beta), (judge.LOG_MU_ERROR, along), (judge.SQUARES, squares / fixed[3]),
         (judge.POWER, fixed[2] / fixed[3]), (judge.VARIANCE, variance / fixed[3]), (judge.COLUMNS, status),
+        (judge.COLUMNS + 1, steps),
     ):  # fmt: skip
         store(results, column * LANES, value)
     return plain
@@ -135,18 +136,18 @@ def fit_eight(problem, shared, rules, first, last, eight):
         pack_eight(problem, first, last, rows)
     used, floor, ordinary = load_eight(problem, rules, first, last, rows)
     ordinary = ordinary & (distinct_geometries(rows, captures, spread(0.0)) >= float(ENOUGH))
-    fixed, t, a, b, steps, ordinary = _minimise(problem, shared, rules, rows, sums, ordinary)
+    fixed, found, ordinary = _minimise(problem, shared, rules, rows, sums, ordinary)
+    steps = found.evaluations
     if rules.weighted:
         noisy = ordinary & (used * used * floor > NOISY * fixed[2])
         if mask_bits(noisy) != 0:
-            expect_fitted(rows, problem.lobes, problem.noise, rules, a, b, t, noisy)
-            before = steps
-            fixed, t, a, b, steps, ordinary = _minimise(problem, shared, rules, rows, sums, ordinary)
-            steps = select(noisy, steps + before, steps)
+            expect_fitted(rows, problem, rules, found, noisy)
+            fixed, found, ordinary = _minimise(problem, shared, rules, rows, sums, ordinary)
+            steps = select(noisy, steps + found.evaluations, found.evaluations)
     if mask_bits(ordinary) == 0:
         return 0
-    ordinary = ordinary & _judge(rows, problem.lobes, fixed, (a, b, t), used, floor, rules, eight.results)
-    store(eight.results, (judge.COLUMNS + 1) * LANES, steps + float(problem.nodes.size))
+    found = Minimum(found.alpha, found.beta, found.log_mu, steps + float(problem.nodes.size))
+    ordinary = ordinary & _judge(rows, problem.lobes, Evidence(used, floor, fixed), found, rules, eight.results)
     return int(mask_bits(ordinary)) & _unclipped(problem, first, last)
 
 

@@ -3,6 +3,9 @@
 Arrays are C-contiguous, places count from their first number, and nothing is checked.
 """
 
+from typing import NamedTuple
+
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -14,6 +17,42 @@ from irodori.jit.vectors import FLAGS, LANES, Vector, constant, repeated
 TILE = 32  # pixels that `blend_tile` takes: two vectors of 512 bits in single precision, four in double
 OUTPUTS = 6  # sums that it keeps in registers
 _EIGHT = Vector(types.float64, LANES)
+
+
+class Place(NamedTuple):
+    """An array and the flat place of the first of its numbers that are meant."""
+
+    array: np.ndarray
+    first: int
+
+
+class Tables(NamedTuple):
+    """Two tables in one array.
+
+    Parameters
+    ----------
+    array : (...) float64
+    first : int
+        Flat place of the first number of the first table.
+    apart : int
+        Numbers from there to the first of the second table.
+    stride : int
+        Numbers from a row to the next.
+    """
+
+    array: np.ndarray
+    first: int
+    apart: int
+    stride: int
+
+
+def _unpacked(context, builder, kind, value):
+    """Return the pointer by place to the array that is first in a named tuple, and its other fields, intp."""
+    array, *numbers = (builder.extract_value(value, i) for i in range(len(kind.types)))
+    casted = [
+        context.cast(builder, number, given, types.intp) for number, given in zip(numbers, kind.types[1:], strict=True)
+    ]
+    return lambda index: pointer(context, builder, kind.types[0], array, index), *casted
 
 
 def _zeroed(builder, kind: Vector, count: int) -> list:
@@ -34,18 +73,17 @@ def lanes_times_tables(width: int):
 
     Returns
     -------
-    callable ``(lanes, place, count, table, first, second, stride, sums, into, step)``, in nopython code only
-        ``lanes`` holds ``count`` vectors of `LANES` from the flat ``place`` on, the tables begin at ``first`` and
-        ``second`` in ``table``, rows ``stride`` apart. Sets the vectors at ``into + c LANES`` in ``sums`` to the sums
-        over the rows j of lanes j times column c of the first table, for all c below ``width``; those ``step`` further
-        to that of the second. Arrays are float64.
+    callable ``(lanes, count, tables, sums, step)``, in nopython code only
+        ``lanes`` is the `Place` of ``count`` vectors of `LANES`. Sets the vectors c `LANES` behind the `Place` ``sums``
+        to the sums over the rows j of lanes j times column c of the first of the `Tables`, for all c below ``width``;
+        those ``step`` further to that of the second. Arrays are float64.
     """
 
     def codegen(context, builder, sig, args):
-        lanes, table, sums = (
-            lambda index, i=i: pointer(context, builder, sig.args[i], args[i], index) for i in (0, 3, 7)
-        )
-        _, place, count, _, first, second, stride, _, into, step = args
+        lanes, place = _unpacked(context, builder, sig.args[0], args[0])
+        table, first, apart, stride = _unpacked(context, builder, sig.args[2], args[2])
+        sums, into = _unpacked(context, builder, sig.args[3], args[3])
+        count, step, second = args[1], args[4], builder.add(first, apart)
         totals = _zeroed(builder, _EIGHT, 2 * width)
         with cgutils.for_range(builder, count) as loop:
             at = builder.add(place, builder.mul(loop.index, ir.Constant(loop.index.type, LANES)))
@@ -64,9 +102,8 @@ def lanes_times_tables(width: int):
         return context.get_dummy_value()
 
     @intrinsic
-    def typed(typingctx, lanes, place, count, table, first, second, stride, sums, into, step):
-        whole = types.intp
-        return types.void(lanes, whole, whole, table, whole, whole, whole, sums, whole, whole), codegen
+    def typed(typingctx, lanes, count, tables, sums, step):
+        return types.void(lanes, types.intp, tables, sums, types.intp), codegen
 
     return typed
 
@@ -85,27 +122,26 @@ def vector_times_table(width: int, parts: int):
 
     Returns
     -------
-    callable ``(vectors, v, table, offset, sums, place)``, in nopython code only
-        Sets the ``width`` numbers at ``place`` in ``sums`` to the sum over j of ``vectors[v, j]`` times the ``width``
-        numbers at ``offset + j width`` in the table. Arrays are float64, and the length of a vector is a multiple of
-        ``parts``.
+    callable ``(vectors, v, table, sums)``, in nopython code only
+        Sets the ``width`` numbers at the `Place` ``sums`` to the sum over j of ``vectors[v, j]`` times the ``width``
+        numbers that stand ``j width`` behind the `Place` ``table``. Arrays are float64, and the length of a vector is a
+        multiple of ``parts``.
     """
     columns = width // LANES
 
     def codegen(context, builder, sig, args):
         integer = context.get_value_type(types.intp)
-        vectors, table, sums = (
-            lambda index, i=i: pointer(context, builder, sig.args[i], args[i], index) for i in (0, 2, 4)
-        )
-        _, v, _, offset, _, into = args
+        table, offset = _unpacked(context, builder, sig.args[2], args[2])
+        sums, into = _unpacked(context, builder, sig.args[3], args[3])
         count = builder.extract_value(context.make_array(sig.args[0])(context, builder, value=args[0]).shape, 1)
-        row = builder.mul(v, count)
+        row = builder.mul(args[1], count)
         totals = [_zeroed(builder, _EIGHT, columns) for _ in range(parts)]
         step = ir.Constant(integer, parts)
         with cgutils.for_range_slice(builder, ir.Constant(integer, 0), count, step, intp=integer) as (j, _):
             for part, own in enumerate(totals):
                 observation = _moved(builder, j, part)
-                factor = repeated(builder, builder.load(vectors(builder.add(row, observation))), _EIGHT)
+                number = pointer(context, builder, sig.args[0], args[0], builder.add(row, observation))
+                factor = repeated(builder, builder.load(number), _EIGHT)
                 start = builder.add(offset, builder.mul(observation, ir.Constant(integer, width)))
                 for c, total in enumerate(own):
                     number = load_vector(builder, table(_moved(builder, start, c * LANES)), _EIGHT)
@@ -118,18 +154,18 @@ def vector_times_table(width: int, parts: int):
         return context.get_dummy_value()
 
     @intrinsic
-    def typed(typingctx, vectors, v, table, offset, sums, place):
-        return types.void(vectors, types.intp, table, types.intp, sums, types.intp), codegen
+    def typed(typingctx, vectors, v, table, sums):
+        return types.void(vectors, types.intp, table, sums), codegen
 
     return typed
 
 
 @intrinsic
-def blend_tile(typingctx, shares, column, members, count, table, offset, sums, row):
-    """Set `OUTPUTS` rows of sums from ``row`` on, in the `TILE` columns from ``column`` on, to shares times a table.
+def blend_tile(typingctx, shares, members, table, sums, corner):
+    """Set `OUTPUTS` rows and `TILE` columns of sums, from the ``corner`` (row, column) on, to shares times a table.
 
-    Row ``row + q`` becomes Σ_r shares[r, column...] table[offset + OUTPUTS members[r] + q] over the first ``count``
-    rows of shares.
+    Row ``row + q`` becomes Σ_r shares[r, column...] table[OUTPUTS members[r] + q] over all members, from the `Place`
+    ``table`` on.
 
     shares and sums are (rows, columns), table and members (n,), members int64, the others of one type, float32 or
     float64.
@@ -139,13 +175,16 @@ def blend_tile(typingctx, shares, column, members, count, table, offset, sums, r
 
     def codegen(context, builder, sig, args):
         integer = context.get_value_type(types.intp)
-        rows, group, numbers, out = (
-            lambda index, i=i: pointer(context, builder, sig.args[i], args[i], index) for i in (0, 2, 4, 6)
+        rows, group, out = (
+            lambda index, i=i: pointer(context, builder, sig.args[i], args[i], index) for i in (0, 1, 3)
         )
-        column, count, offset, row = (args[i] for i in (1, 3, 5, 7))
-        width, out_width = (
-            builder.extract_value(context.make_array(sig.args[i])(context, builder, value=args[i]).shape, 1)
-            for i in (0, 6)
+        numbers, offset = _unpacked(context, builder, sig.args[2], args[2])
+        row, column = (
+            context.cast(builder, builder.extract_value(args[4], i), sig.args[4].types[i], types.intp) for i in (0, 1)
+        )
+        width, count, out_width = (
+            builder.extract_value(context.make_array(sig.args[i])(context, builder, value=args[i]).shape, axis)
+            for i, axis in ((0, 1), (1, 0), (3, 1))
         )
         totals = [_zeroed(builder, kind, len(parts)) for _ in range(OUTPUTS)]
         with cgutils.for_range(builder, count, intp=integer) as loop:
@@ -163,7 +202,7 @@ def blend_tile(typingctx, shares, column, members, count, table, offset, sums, r
                 store_vector(builder, builder.load(total), out(_moved(builder, start, p)), kind)
         return context.get_dummy_value()
 
-    return types.void(shares, types.intp, members, types.intp, table, types.intp, sums, types.intp), codegen
+    return types.void(shares, members, table, sums, corner), codegen
 
 
 @intrinsic

@@ -11,7 +11,7 @@ from irodori.fitting.shared_geometry import padded_nodes, scan_shared, tabulate
 from irodori.fitting.solvers import FitOptions, fit
 from irodori.fitting.texel_rows import WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE, new_rows, pack_geometry
 from irodori.fitting.varpro import SUMS, moments
-from irodori.jit.table_sums import vector_times_table
+from irodori.jit.table_sums import Place, vector_times_table
 from irodori.jit.vector_memory import aligned
 from irodori.jit.vectors import LANES
 from irodori.material.material_file import Status
@@ -27,7 +27,7 @@ _times_16 = vector_times_table(2 * LANES, 2)
 def _multiply(vectors, table, sums):
     """Put the second vector times the second table into the second row of the sums."""
     size = vectors.shape[1] * 2 * LANES
-    _times_16(vectors, 1, table, size, sums, 2 * LANES)
+    _times_16(vectors, 1, Place(table, size), Place(sums, 2 * LANES))
 
 
 def poses(light_deg, camera_deg) -> np.ndarray:

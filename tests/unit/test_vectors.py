@@ -22,7 +22,7 @@ from irodori.jit.functions import (
     upper_of,
     with_sign,
 )
-from irodori.jit.table_sums import lanes_times_tables
+from irodori.jit.table_sums import Place, Tables, lanes_times_tables
 from irodori.jit.vector_memory import lane, largest, load, mask_bits, spread, store, total, zeros_like
 
 EIGHT = st.lists(st.floats(2.0**-60, 2.0**60, width=32), min_size=8, max_size=8)
@@ -184,7 +184,7 @@ def test_numbers_are_spread_over_as_many_lanes_as_are_asked_for():
 
 @numba.njit
 def _tables(rows, table, out):
-    _sum(rows, 8, 3, table, 2, 12, 5, out, 8, 24)
+    _sum(Place(rows, 8), 3, Tables(table, 2, 10, 5), Place(out, 8), 24)
 
 
 _sum = lanes_times_tables(2)

@@ -13,7 +13,7 @@ import numpy as np
 from irodori.calibration.recovery.mapping_loops import BLOCK, FAST, LANES, SERIAL, Group, load, store
 from irodori.jit.compilation import njit
 from irodori.jit.functions import exp, log
-from irodori.jit.table_sums import OUTPUTS, TILE, any_above_zero, blend_tile
+from irodori.jit.table_sums import OUTPUTS, TILE, Place, any_above_zero, blend_tile
 
 _LEAST_EXPONENT = -16.5  # of an anchor's share
 _LEAST_SHARE = 1e-7  # of an anchor in a pixel's map; less would not show in float32
@@ -49,10 +49,10 @@ def columns_of(matrix: np.ndarray) -> np.ndarray:
 @njit(cache=True, nogil=True)
 def _product(rows, members, count, table, sums):
     """Fill sums with the transpose of a table (`columns_of`) of members times as many rows (count, LANES)."""
-    flat = table.ravel()
+    flat, group = table.ravel(), members[:count]
     for column in range(table.shape[0]):
         for j in range(0, LANES, TILE):
-            blend_tile(rows, j, members, count, flat, column * table.shape[1] * OUTPUTS, sums, column * OUTPUTS)
+            blend_tile(rows, group, Place(flat, column * table.shape[1] * OUTPUTS), sums, (column * OUTPUTS, j))
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
