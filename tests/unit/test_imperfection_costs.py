@@ -11,7 +11,7 @@ from irodori.colour.colorimetry import delta_e_reflectance
 from irodori.config.capture_table import expand_poses
 from irodori.config.models import GgxMaterial, PaperMaterial, PoseGroup, Rectify, Size
 from irodori.evaluation import imperfection_costs as module
-from irodori.evaluation.imperfection_costs import SmallChain, Settings, measure_imperfections, run_chain
+from irodori.evaluation.imperfection_costs import Settings, SmallChain, measure_imperfections, run_chain
 from irodori.evaluation.result_tables import CostRow, read_rows
 from irodori.fitting.solvers import FitOptions
 from irodori.ingest.ingest_options import IngestOptions

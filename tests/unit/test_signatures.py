@@ -8,11 +8,6 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 MOST = 6
-#: Who may take more, as file: name or the beginning of it, and why.
-EXCEPTIONS: dict[str, str] = {
-    "irodori/fitting/": "being moved to named tuples; to be taken out when that is merged",
-    "irodori/jit/table_sums.py": "being moved to named tuples; to be taken out when that is merged",
-}
 
 
 def functions(tree: ast.AST, prefix: str = "") -> Iterator[tuple[str, ast.FunctionDef]]:
@@ -44,7 +39,7 @@ def test_functions_take_six_parameters_by_position_at_most(folder):
         for name, node in functions(ast.parse(file.read_text(encoding="utf-8")))
         if by_position(node) > MOST and not is_called_by_pytest(name)
     }
-    assert {where: count for where, count in found.items() if not where.startswith(tuple(EXCEPTIONS))} == {}
+    assert found == {}
 
 
 def test_the_scan_counts_what_a_caller_gives_by_position():
