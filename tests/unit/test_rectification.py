@@ -71,7 +71,7 @@ def pixel_of(position, pose):
     return np.stack([x / 2 - 0.5, y / 2 - 0.5], axis=1)
 
 
-def linear_file(path, pose, response=None, valid=None, clipped=None, sample_px=2, filters=("out",)):
+def linear_file(path, pose, *, response=None, valid=None, clipped=None, sample_px=2, filters=("out",)):
     """A capture whose responses are known functions of the place in the picture: linear, so interpolation is exact."""
     height, width = OPTICS["height_px"] // 2, OPTICS["width_px"] // 2
     y, x = np.mgrid[:height, :width].astype(np.float64)
