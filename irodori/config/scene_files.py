@@ -130,7 +130,7 @@ class SceneFiles:
     # ---- frames
 
     def with_frames(self, wildcards) -> dict:
-        """Return the definition of a scene that has frames.
+        """Return the definition of a scene that has frames, without the lesson, whose words change no picture.
 
         Raises
         ------
@@ -142,7 +142,7 @@ class SceneFiles:
             file = Path(self.loaded.config.definitions) / "scenes" / f"{wildcards.scene}.yaml"
             found = f"the scene {wildcards.scene} defines no frames, so there are none to render"
             raise InputError(file, "frames", found, "a turntable, a light_sweep or an illuminant_change")
-        return scene.plain()
+        return {key: value for key, value in scene.plain().items() if key != "lesson"}
 
     def memory_of_frames_mb(self, wildcards) -> int:
         """Return what the pictures of a sequence take, MB: they are joined in memory."""
