@@ -19,11 +19,14 @@ window.Irodori = window.Irodori || {};
   const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
   const rounded = (key, value) => (typeof value === 'number' ? Number(value.toPrecision(7)) : value);
 
+  // Blocks of several forms, which are never mixed.
+  const WHOLE = ['display', 'illuminant'];
+
   // What differs from the way the page opens; blocks key by key, everything else whole.
   function difference(value, base) {
     if (!isBlock(value) || !isBlock(base)) return value;
     const found = {};
-    for (const key of Object.keys(value)) if (!same(value[key], base[key])) found[key] = difference(value[key], base[key]);
+    for (const key of Object.keys(value)) if (!same(value[key], base[key])) found[key] = WHOLE.includes(key) ? value[key] : difference(value[key], base[key]);
     return found;
   }
 
@@ -32,7 +35,7 @@ window.Irodori = window.Irodori || {};
     const made = I.clone(base);
     for (const key of Object.keys(given)) {
       if (!Object.hasOwn(base, key)) throw refusal(path + key, 'x', I.text('no_such_key'));
-      made[key] = laidOver(base[key], given[key], path + key + '.');
+      made[key] = WHOLE.includes(key) ? given[key] : laidOver(base[key], given[key], path + key + '.');
     }
     return made;
   }

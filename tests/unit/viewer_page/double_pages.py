@@ -33,7 +33,7 @@ def header_of(scene: Scene) -> dict:
         "objects": OBJECTS,
         "environments": ["classroom"],
         "illuminants": [{"name": name, "label": name, "power": list(light(name))} for name in names],
-        "observers": [{"name": "CIE 1931 2°", "label": "CIE 1931 2°"}, {"name": "CIE 1964 10°", "label": "CIE 1964 10°"}],
+        "observers": [{"name": name, "label": name} for name in ("CIE 1931 2°", "CIE 1964 10°")],
         "views": [{"name": "front", "camera": {"target_mm": [0, 0, 22], "azimuth_deg": -90, "elevation_deg": 27,
                                                "distance_mm": 370, "fov_deg": 34}}],
         "stated_errors": {"data_loss": pair, "cpu": pair, "browser": "Chromium"},
