@@ -16,19 +16,24 @@ _OBSERVER = "CIE 1931 2 Degree Standard Observer"
 _FINE_NM = np.arange(360.0, 831.0, 1.0)
 
 
-@lru_cache(maxsize=1)
-def colour_matching_weights() -> np.ndarray:
+@lru_cache(maxsize=16)
+def colour_matching_weights(observer_name: str = _OBSERVER) -> np.ndarray:
     """Return weights that integrate a spectrum on the grid against the colour-matching functions.
 
     The spectrum is taken as piecewise linear between samples and held at its end values outside 400..700 nm
     [design, §3]; the functions are the observer's 1 nm table, 360..830 nm.
 
+    Parameters
+    ----------
+    observer_name : str
+        Of ``colour.MSDS_CMFS``.
+
     Returns
     -------
     (3, 61) float64, nm
     """
-    observer = colour.MSDS_CMFS[_OBSERVER]
-    functions = np.stack([np.interp(_FINE_NM, observer.wavelengths, c) for c in observer.values.T])
+    observer = colour.MSDS_CMFS[observer_name]
+    functions = np.stack([np.interp(_FINE_NM, observer.wavelengths, c, left=0.0, right=0.0) for c in observer.values.T])
     hat = np.stack([np.interp(_FINE_NM, WAVELENGTH_NM, row) for row in np.eye(SAMPLES)])
     return functions @ hat.T
 

@@ -950,10 +950,10 @@ class LessonLamp(Definition):
     #: Where its centre stands, x, y, z, in mm.
     position_mm: tuple[float, float, float]
 
-    #: Diameter, in mm.
+    #: Diameter, in mm; a point where 0.
     size_mm: float = 60.0
 
-    #: Irradiance of the scene's origin, faced squarely (ratio; 1 gives a perfect diffuser radiance 1).
+    #: Light 500 mm away (ratio; 1 gives a white surface that faces the lamp there the luminance of D65 as tabulated).
     strength: float = 1.0
 
     #: Spectrum of the lamp; D65 where absent.
@@ -973,7 +973,7 @@ class LessonLight(Definition):
     #: Spectrum of the light; as it was captured where absent.
     illuminant: LessonIlluminant | None = None
 
-    #: Lamps beside the room.
+    #: Lamps beside the room; four at most have a size.
     lamps: tuple[LessonLamp, ...] = ()
 
 

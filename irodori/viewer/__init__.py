@@ -1,1 +1,1 @@
-"""The classroom page: a scene in one file that opens in a browser without a network."""
+"""The classroom page: a scene as one offline HTML file."""

@@ -12,6 +12,8 @@ from irodori.spectra.published_names import ILLUMINANTS
 #: First bytes of the pictures that a lesson shows, and the kind that a page names them by.
 PICTURE_KINDS = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 _MOST_BYTES = 1_000_000
+#: Lamps with a size that the page's renderer follows at once.
+_MOST_BALLS = 4
 
 
 def check_lesson(scene: Scene, root: Path, file) -> None:
@@ -49,6 +51,9 @@ def _check_name(name: str, known: Iterable[str], file, field: str) -> None:
 def _check_light(light: LessonLight, scene: Scene, file, field: str) -> None:
     if light.environment is not None:
         _check_name(light.environment, [scene.environment], file, f"{field}.environment")
+    balls = sum(lamp.size_mm > 0 for lamp in light.lamps)
+    if balls > _MOST_BALLS:
+        raise InputError(file, f"{field}.lamps", f"{balls} lamps with a size", f"at most {_MOST_BALLS}, and points")
     named = [(light.illuminant, f"{field}.illuminant")]
     named += [(lamp.illuminant, f"{field}.lamps[{index}].illuminant") for index, lamp in enumerate(light.lamps)]
     for illuminant, where in named:

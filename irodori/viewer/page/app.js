@@ -194,6 +194,7 @@
     }
     for (const at of ends) if (at) both('circle', {cx: at[0], cy: at[1], r: 4});
     if (tool === 'lamp') page.state.light.lamps.forEach((lamp, i) => {
+      if (lamp.far) return;
       const at = place(lamp.position_mm), foot = place([lamp.position_mm[0], lamp.position_mm[1], 0]);
       if (!at) return;
       if (foot) both('path', {d: `M${at[0]} ${at[1]}L${foot[0]} ${foot[1]}`, 'stroke-dasharray': '2 5'});
@@ -363,6 +364,7 @@
       if (!lamps.length) say(I.text('no_lamp'));
       let nearest = 60;
       lamps.forEach((lamp, i) => {
+        if (lamp.far) return;
         const at = I.project(page.state.camera, lamp.position_mm, width, height);
         const away = at ? Math.hypot(at[0] - x, at[1] - y) : Infinity;
         if (away < nearest) [nearest, chosenLamp] = [away, i];
@@ -647,7 +649,15 @@
       controls.group('exposure_group', controls.slider({key: 'exposure', low: -4, high: 4, step: 0.1, get: () => page.state.exposure_ev, set: (value) => { page.state.exposure_ev = value; changed(); },
         show: (value) => I.text('stops', {value: (value > 0 ? '+' : '') + value.toFixed(1)})}))];
     const group = controls.group('lamps');
-    lamps.forEach((_, i) => {
+    const fits = (lamp) => I.lampPoints([...page.state.light.lamps.filter((one) => one !== lamp), {size_mm: 60}]) <= I.MOST_LAMP_POINTS;
+    const resize = (lamp, set) => (value) => {
+      if (value > 0 && !fits(lamp())) {
+        say(I.text('too_many_balls'));
+        controls.update();
+      } else set(value);
+    };
+    lamps.forEach((own, i) => {
+      if (own.far) return;
       const lamp = () => page.state.light.lamps[i] ?? lamps[i];
       const set = (key) => (value) => { lamp()[key] = value; chosenLamp = i; changed(); };
       const axis = (key, index, low, high) => controls.slider({key, low, high, step: 1, get: () => lamp().position_mm[index], show: millimetres,
@@ -655,18 +665,18 @@
       const name = I.text('lamp_number', {number: i + 1});
       group.append(h('fieldset', {class: 'group'}, h('legend', {}, name), h('div', {class: 'group-inner'},
         controls.tick({key: 'lamp_on', get: () => lamp().on, set: set('on')}),
-        controls.slider({key: 'lamp_size', low: 5, high: 300, step: 1, get: () => lamp().size_mm, set: set('size_mm'), show: millimetres}),
+        controls.slider({key: 'lamp_size', low: 0, high: 300, step: 1, get: () => lamp().size_mm, set: resize(lamp, set('size_mm')), show: millimetres}),
         controls.slider({key: 'lamp_strength', low: 0, high: 5, step: 0.05, get: () => lamp().strength, set: set('strength'), show: (value) => value.toFixed(2)}),
         axis('axis_x', 0, -500, 500), axis('axis_y', 1, -500, 500), axis('axis_z', 2, 10, 600),
         illuminantPicker(lamp, 'lamp_spectrum', 'lamp_d65'),
         controls.button('remove_lamp', () => { page.state.light.lamps.splice(i, 1); chosenLamp = 0; rebuild('#add-lamp'); }, {'aria-label': I.text('remove_lamp') + ' ' + (i + 1)}))));
     });
     group.append(controls.button('add_lamp', () => {
-      page.state.light.lamps.push({position_mm: [-90 + 60 * lamps.length, -120, 160], size_mm: 60, strength: 1, illuminant: null, on: true});
+      page.state.light.lamps.push({position_mm: [-90 + 60 * lamps.length, -120, 160], size_mm: fits(null) ? 60 : 0, strength: 1, illuminant: null, on: true, far: false});
       chosenLamp = page.state.light.lamps.length - 1;
       choose('lamp');
       rebuild('#add-lamp');
-    }, {id: 'add-lamp', disabled: lamps.length >= Math.min(I.LAMPS, header.limits?.lamps ?? I.LAMPS)}));
+    }, {id: 'add-lamp', disabled: lamps.length >= I.LAMPS}));
     parts.push(group);
     return parts;
   }

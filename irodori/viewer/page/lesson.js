@@ -4,12 +4,14 @@ window.Irodori = window.Irodori || {};
 (function (I) {
   const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
 
+  // The scene's own lamps from far away shine in every step.
   function lightOf(given, base) {
+    const own = base.lamps.filter((lamp) => lamp.far);
     return {
       environment: given.environment ?? base.environment,
       turn_deg: given.turn_deg ?? 0,
       illuminant: given.illuminant ?? null,
-      lamps: (given.lamps ?? []).map((lamp) => ({size_mm: 60, strength: 1, illuminant: null, ...I.clone(lamp), on: true})),
+      lamps: [...I.clone(own), ...(given.lamps ?? []).map((lamp) => ({size_mm: 60, strength: 1, illuminant: null, far: false, ...I.clone(lamp), on: true}))],
     };
   }
 
@@ -26,7 +28,6 @@ window.Irodori = window.Irodori || {};
     }
     if (step.camera) state.camera = {fov_deg: state.camera.fov_deg, ...I.clone(step.camera)};
     state.light = lightOf(step.light ?? {}, base.state.light);
-    if (!(step.light?.lamps?.length)) state.light.lamps = I.clone(base.state.light.lamps);
     for (const pose of step.objects ?? []) {
       const one = state.objects.find((placed) => placed.name === pose.name);
       if (!one) throw new I.Refusal('bad_state', {field: 'objects', found: pose.name, accepted: state.objects.map((placed) => placed.name).join(', ')});
@@ -44,7 +45,7 @@ window.Irodori = window.Irodori || {};
     if (light.environment !== base.environment) given.environment = light.environment;
     if (light.turn_deg) given.turn_deg = light.turn_deg % 360;
     if (light.illuminant) given.illuminant = light.illuminant;
-    const lamps = light.lamps.filter((lamp) => lamp.on).map(({on, illuminant, ...lamp}) => (illuminant ? {...lamp, illuminant} : lamp));
+    const lamps = light.lamps.filter((lamp) => lamp.on && !lamp.far).map(({on, far, illuminant, ...lamp}) => (illuminant ? {...lamp, illuminant} : lamp));
     if (lamps.length) given.lamps = lamps;
     return given;
   }

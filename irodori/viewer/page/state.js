@@ -10,7 +10,10 @@ window.Irodori = window.Irodori || {};
   const DEFICIENCIES = ['protan', 'deutan', 'tritan'];
   const FAR = 1e6;
   I.choices = {modes: MODES, overlays: OVERLAYS, deficiencies: DEFICIENCIES};
+  // Lamps of one light, and the points of them that the renderer follows: sixteen of a lamp that has a size.
   I.LAMPS = 6;
+  I.lampPoints = (lamps) => lamps.reduce((sum, lamp) => sum + (lamp.size_mm > 0 && !lamp.far ? 16 : 1), 0);
+  I.MOST_LAMP_POINTS = 64;
 
   I.clone = (value) => JSON.parse(JSON.stringify(value));
   I.newPage = (state) => ({step: null, state: I.clone(state), compare: null, probes: [], ruler: []});
@@ -109,13 +112,15 @@ window.Irodori = window.Irodori || {};
     list(field + '.lamps', value.lamps, I.LAMPS);
     value.lamps.forEach((lamp, index) => {
       const at = `${field}.lamps[${index}]`;
-      keys(at, lamp, ['position_mm', 'size_mm', 'strength', 'illuminant', 'on']);
+      keys(at, lamp, ['position_mm', 'size_mm', 'strength', 'illuminant', 'on', 'far']);
       numbers(at + '.position_mm', lamp.position_mm, 3, -FAR, FAR);
-      number(at + '.size_mm', lamp.size_mm, 0.1, 1e4);
+      number(at + '.size_mm', lamp.size_mm, 0, 1e4);
       number(at + '.strength', lamp.strength, 0, 1000);
       illuminant(at + '.illuminant', lamp.illuminant, header);
       yes(at + '.on', lamp.on);
+      yes(at + '.far', lamp.far);
     });
+    if (I.lampPoints(value.lamps) > I.MOST_LAMP_POINTS) throw refusal(field + '.lamps', value.lamps.length, '4 × size_mm > 0');
   }
 
   function display(field, value, base) {

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import pytest
 from definitions import ROOT, load
-from double_pages import header_of, write_page
+from double_pages import header_of, write_double
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
@@ -62,8 +62,8 @@ def scene():
 
 @pytest.fixture(scope="session")
 def page_file(scene, tmp_path_factory):
-    poster = (ROOT / "docs/still-life.png").read_bytes()
-    return write_page(tmp_path_factory.mktemp("viewer") / "viewer.html", header_of(scene), poster)
+    poster = ROOT / "docs/still-life.png"
+    return write_double(tmp_path_factory.mktemp("viewer") / "viewer.html", header_of(scene), poster)
 
 
 @pytest.fixture

@@ -4,16 +4,14 @@ import base64
 import json
 from pathlib import Path
 
-import jinja2
-
 import irodori.viewer
 from irodori.config.models import Scene
 from irodori.spectra.published import light
 from irodori.viewer.lesson import lesson_for_page
+from irodori.viewer.page import page_html
 
 PAGE = Path(irodori.viewer.__file__).parent / "page"
-SCRIPTS = ("text.js", "state.js", "png.js", "plot.js", "lesson.js", "view.js", "controls.js", "app.js")
-POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
+DOUBLE = Path(__file__).with_name("renderer_double.js")
 OBJECTS = [
     {"name": "tile-plate", "position_mm": [0.0, 0.0, 0.0], "radius_mm": 12, "colour": [240, 240, 240]},
     {"name": "vermilion-sphere", "position_mm": [-52.0, 8.0, 30.1], "radius_mm": 30, "colour": [214, 80, 50]},
@@ -43,21 +41,11 @@ def header_of(scene: Scene) -> dict:
     }  # fmt: skip
 
 
-def write_page(path: Path, header: dict, poster: bytes = b"") -> Path:
-    """Write the page with the double in the renderer's place."""
-    double = Path(__file__).with_name("renderer_double.js").read_text(encoding="utf-8")
-    languages = {
-        file.stem: json.loads(file.read_text(encoding="utf-8")) for file in sorted(PAGE.glob("languages/*.json"))
-    }
-    environment = jinja2.Environment(autoescape=True, loader=jinja2.FileSystemLoader(PAGE))
-    text = environment.get_template("page.html").render(
-        title=header["title"],
-        policy=POLICY,
-        style=(PAGE / "style.css").read_text(encoding="utf-8"),
-        scripts=[double, *((PAGE / name).read_text(encoding="utf-8") for name in SCRIPTS)],
-        languages=json.dumps(languages, ensure_ascii=False).replace("</", "<\\/"),
-        payload=base64.b64encode(json.dumps(header).encode()).decode("ascii"),
-        poster="data:image/png;base64," + base64.b64encode(poster).decode("ascii") if poster else "",
-    )
-    path.write_text(text, encoding="utf-8")
+def write_double(path: Path, header: dict, poster: Path | None = None) -> Path:
+    """Write the page of a scene with the double in the renderer's place."""
+    double, app = (file.read_text(encoding="utf-8") for file in (DOUBLE, PAGE / "app.js"))
+    payload = base64.b64encode(json.dumps(header).encode()).decode("ascii")
+    whole = page_html(header["title"], payload, poster)
+    assert app in whole
+    path.write_text(whole.replace(app, double + app), encoding="utf-8")
     return path

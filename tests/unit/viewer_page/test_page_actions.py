@@ -54,8 +54,9 @@ def turn_room(visit):
 def move_object(visit):
     at_picture(visit, "object")
     keys(visit, "n", "ArrowRight", "PageUp", ".")
-    return lambda page: page["state"]["objects"][1]["position_mm"] == pytest.approx([-50, 8, 32.1]) and (
-        page["state"]["objects"][1]["turn_deg"][2] == 5
+    return lambda page: (
+        page["state"]["objects"][1]["position_mm"] == pytest.approx([-50, 8, 32.1])
+        and (page["state"]["objects"][1]["turn_deg"][2] == 5)
     )
 
 
@@ -131,9 +132,9 @@ def change_lamp(visit):
     keys(visit, "ArrowRight")
     visit.tab_to("#page-light fieldset select")
     visit.page.keyboard.type("D50")
-    return lambda page: [(lamp["size_mm"], lamp["illuminant"]) for lamp in page["state"]["light"]["lamps"]] == [
-        (61, {"name": "D50"})
-    ]
+    return lambda page: (
+        [(lamp["size_mm"], lamp["illuminant"]) for lamp in page["state"]["light"]["lamps"]] == [(61, {"name": "D50"})]
+    )
 
 
 def compare(visit):
@@ -150,7 +151,9 @@ def metamerism(visit):
     visit.tab_to("#page-compare input[type=radio]")
     keys(visit, "ArrowDown", "ArrowDown", "ArrowDown")
     assert visit.page.locator("#legend").is_visible()
-    return lambda page: page["compare"]["mode"] == "metamerism" and page["compare"]["other"]["illuminant"] == {"name": "A"}
+    return lambda page: (
+        page["compare"]["mode"] == "metamerism" and page["compare"]["other"]["illuminant"] == {"name": "A"}
+    )
 
 
 def hide_object(visit):
@@ -295,7 +298,9 @@ def test_a_light_is_drawn_with_the_pointer(visit):
     one.page.mouse.move(box["x"] + 0.2 * box["width"], box["y"] + 0.9 * box["height"])
     one.page.mouse.down()
     for part in range(20, 90, 2):
-        one.page.mouse.move(box["x"] + part / 100 * box["width"], box["y"] + box["height"] * (0.8 - 0.7 * (part - 20) / 70))
+        one.page.mouse.move(
+            box["x"] + part / 100 * box["width"], box["y"] + box["height"] * (0.8 - 0.7 * (part - 20) / 70)
+        )
     one.page.mouse.up()
     power = one.state()["state"]["light"]["illuminant"]["power"]
     assert power[15] < 0.2 < power[35] < power[50] and len(power) == 61
