@@ -22,6 +22,7 @@ SCRIPTS = (
     "lesson.js",
     "view.js",
     "controls.js",
+    "legend.js",
     "app.js",
 )
 #: Nothing is fetched from anywhere: all that a page shows is in it.

@@ -132,9 +132,16 @@
   const whenDrawn = (act) => requestAnimationFrame(() => requestAnimationFrame(act));
 
   function goTo(index) {
+    tell(() => put(I.pageOfStep(lesson.steps[index], index, keptSettings(), header), true));
+    $('pages').scrollTop = 0;
+  }
+
+  // A refusal is told in a sentence; any other error is the page's own and is not hidden.
+  function tell(act) {
     try {
-      put(I.pageOfStep(lesson.steps[index], index, keptSettings(), header), true);
+      act();
     } catch (error) {
+      if (!(error instanceof I.Refusal)) throw error;
       say(I.sentence(error));
     }
   }
@@ -243,11 +250,10 @@
     legendOf = key;
     $('legend').hidden = !what;
     if (!what) return;
-    const words = (label) => (what === 'status' || what === 'gamut' ? I.text('status_' + label) : label);
-    const rows = renderer.legend(what).map((one) => {
+    const rows = I.legend(what, header).map((one) => {
       const patch = h('i', {'aria-hidden': 'true'});
       patch.style.background = one.colour;
-      return h('li', {}, patch, words(one.label));
+      return h('li', {}, patch, one.label);
     });
     $('legend').replaceChildren(h('figcaption', {text: 'legend_' + what}), h('ul', {}, ...rows));
   }
@@ -314,14 +320,13 @@
     const figure = (value, digits, unit) => (Number.isFinite(value) ? value.toFixed(digits) + unit : I.text('unknown_value'));
     const rows = probed.flatMap((one, i) => {
       const letter = probed.length > 1 ? 'AB'[i] + ' · ' : '';
-      return [h('h3', {}, letter + objectWords(header.objects[one.object])),
+      return [h('h3', {}, letter + objectWords({name: one.object})),
         h('p', {}, I.text('status_long_' + one.status)),
-        h('p', {class: 'hint'}, one.status === 'unknown' ? '' : spectrumWords(one)),
+        h('p', {class: 'hint'}, spectrumWords(one)),
         h('dl', {}, ...[['alpha', one.alpha, 3, ''], ['beta', one.beta, 3, ''], ['mu', one.mu_rad, 3, ' rad']]
           .flatMap(([key, value, digits, unit]) => [h('dt', {text: key}), h('dd', {}, figure(value, digits, unit))]))];
     });
-    const curves = probed.filter((one) => one.status !== 'unknown')
-      .map((one) => ({values: Array.from(one.reflectance), sigma: Array.from(one.sigma).every(Number.isFinite) ? Array.from(one.sigma) : null}));
+    const curves = probed.map((one) => ({values: Array.from(one.reflectance), sigma: Array.from(one.sigma).every(Number.isFinite) ? Array.from(one.sigma) : null}));
     const top = Math.max(1, ...curves.flatMap((one) => one.values));
     const clear = controls.button('clear', () => {
       page.probes = [];
@@ -331,7 +336,7 @@
       canvas.focus();
     });
     card.replaceChildren(h('h2', {text: 'reflectance'}), I.plot(curves, top, probed.map(spectrumWords).join(' ')), ...rows, clear);
-    $('live').textContent = probed.slice(-1).map((one) => `${objectWords(header.objects[one.object])}. ${I.text('status_long_' + one.status)} ${one.status === 'unknown' ? '' : spectrumWords(one)}`).join('');
+    $('live').textContent = probed.slice(-1).map((one) => `${objectWords({name: one.object})}. ${I.text('status_long_' + one.status)} ${spectrumWords(one)}`).join('');
   }
 
   // ---- what the hand does on the picture
@@ -357,7 +362,7 @@
   function take(x, y) {
     if (tool === 'object') {
       const found = renderer.probe(page.state, ...pixels(x, y));
-      if (found && found.object < page.state.objects.length) chosenObject = found.object;
+      if (found) chosenObject = page.state.objects.findIndex((one) => one.name === found.object);
     }
     if (tool === 'lamp') {
       const lamps = page.state.light.lamps, [width, height] = size();
@@ -499,12 +504,10 @@
     controls = new I.Controls();
     showNotes();
     const pages = {lesson: lessonPage, light: lightPage, compare: comparePage, objects: objectsPage, seeing: seeingPage};
-    const shown = TABS.filter((name) => name !== 'lesson' || lesson || teaching || true);
-    if (!shown.includes(tab)) tab = shown[0];
-    $('tabs').replaceChildren(...shown.map((name) => h('button', {type: 'button', role: 'tab', id: 'tab-' + name, 'aria-selected': String(name === tab), 'aria-controls': 'page-' + name,
+    $('tabs').replaceChildren(...TABS.map((name) => h('button', {type: 'button', role: 'tab', id: 'tab-' + name, 'aria-selected': String(name === tab), 'aria-controls': 'page-' + name,
       tabindex: name === tab ? 0 : -1, text: 'tab_' + name, on: {click: () => openTab(name)}})));
     const scrolled = $('pages').scrollTop;
-    $('pages').replaceChildren(...shown.map((name) => h('div', {role: 'tabpanel', id: 'page-' + name, 'aria-labelledby': 'tab-' + name, tabindex: 0, hidden: name !== tab}, ...pages[name]())));
+    $('pages').replaceChildren(...TABS.map((name) => h('div', {role: 'tabpanel', id: 'page-' + name, 'aria-labelledby': 'tab-' + name, tabindex: 0, hidden: name !== tab}, ...pages[name]())));
     $('pages').scrollTop = scrolled;
   }
 
@@ -535,20 +538,30 @@
   function lessonPage() {
     if (!lesson) return [h('p', {class: 'hint', text: 'no_lesson'}), teacherGroup()];
     const at = page.step, one = at === null ? null : lesson.steps[at], count = lesson.steps.length;
-    const parts = [h('p', {class: 'lesson-title'}, I.inLanguage(lesson.title))];
+    // Words that the teacher changes in the fields below.
+    const worded = (element, show) => {
+      controls.updates.push(show);
+      show();
+      return element;
+    };
+    const title = h('p', {class: 'lesson-title'});
+    const parts = [worded(title, () => { title.textContent = I.inLanguage(lesson.title); })];
     if (one) {
-      parts.push(h('h2', {class: 'step-title'}, I.inLanguage(one.title)));
-      const prose = h('div', {class: 'prose'}, ...paragraphs(I.inLanguage(one.text)));
+      const heading = h('h2', {class: 'step-title'}), prose = h('div', {class: 'prose'}), notes = h('ol', {class: 'noted'});
+      parts.push(worded(heading, () => { heading.textContent = I.inLanguage(one.title); }), prose);
+      const text = h('div', {class: 'prose'});
+      prose.append(worded(text, () => { text.replaceChildren(...paragraphs(I.inLanguage(one.text))); }));
       if (one.picture) prose.append(h('img', {src: one.picture, alt: I.text('picture_of_step', {title: I.inLanguage(one.title)})}));
-      if (one.notes?.length) prose.append(h('ol', {class: 'noted'}, ...one.notes.map((note) => h('li', {}, I.inLanguage(note.text)))));
-      parts.push(prose);
+      if (one.notes?.length) prose.append(worded(notes, () => { notes.replaceChildren(...one.notes.map((note) => h('li', {}, I.inLanguage(note.text)))); }));
     }
     if (count) parts.push(h('div', {class: 'stepper'},
       controls.button('previous', () => stepTo((at ?? 0) - 1, '.stepper button:first-child'), {disabled: at === null || at === 0}),
       h('span', {}, at === null ? I.text('step_count', {count}) : I.text('step_of', {number: at + 1, count})),
       controls.button(at === null ? 'begin' : 'next', () => stepTo(at === null ? 0 : at + 1, '.stepper button:last-child'), {class: 'chief', disabled: at === count - 1})));
-    parts.push(h('ol', {class: 'steps'}, ...lesson.steps.map((step, i) => h('li', {}, h('button', {type: 'button', 'data-number': i + 1, 'aria-current': i === at ? 'step' : null,
-      on: {click: () => stepTo(i, `.steps li:nth-child(${i + 1}) button`)}}, I.inLanguage(step.title))))));
+    parts.push(h('ol', {class: 'steps'}, ...lesson.steps.map((step, i) => {
+      const button = h('button', {type: 'button', 'data-number': i + 1, 'aria-current': i === at ? 'step' : null, on: {click: () => stepTo(i, `.steps li:nth-child(${i + 1}) button`)}});
+      return h('li', {}, worded(button, () => { button.textContent = I.inLanguage(step.title); }));
+    })));
     parts.push(teacherGroup());
     return parts;
   }
@@ -556,14 +569,14 @@
   function stepTo(index, focus) {
     goTo(index);
     const again = document.querySelector(focus);
-    (again && !again.disabled ? again : document.querySelector(`.steps li:nth-child(${index + 1}) button`))?.focus();
+    (again && !again.disabled ? again : document.querySelector(`.steps li:nth-child(${index + 1}) button`))?.focus({preventScroll: true});
     if ($('live')) $('live').textContent = I.inLanguage(lesson.steps[index].title);
   }
 
   // ---- the teacher's part
 
   function teacherGroup() {
-    const group = h('section', {class: 'group'}, h('h3', {text: 'for_teachers'}));
+    const group = h('section', {class: 'group'}, h('h2', {text: 'for_teachers'}));
     if (!teaching) {
       group.append(controls.button('edit_lesson', () => {
         teaching = true;
@@ -576,13 +589,15 @@
     const field = (id, key, element, value, take) => {
       element.id = id;
       element.value = value;
-      element.addEventListener('change', () => take(element.value));
+      element.addEventListener('input', () => take(element.value));
       return h('div', {class: 'control'}, h('label', {for: id, class: 'named', text: key}), element);
     };
     const text = () => h('input', {type: 'text', maxlength: 200});
     const written = (texts) => (words) => {
       if (words.trim()) texts[code] = words.trim();
-      build();
+      controls.update();
+      showNotes();
+      layMarks();
     };
     group.append(h('p', {class: 'hint', text: 'teacher_hint'}), field('lesson-title', 'lesson_title', text(), lesson.title[code] ?? '', written(lesson.title)));
     if (one) group.append(field('step-title', 'step_title', text(), one.title[code] ?? '', written(one.title)),
@@ -866,6 +881,7 @@
         say(I.text('light_taken', {file: file.name}));
       } else throw new I.Refusal('file_unknown', {file: file.name});
     } catch (error) {
+      if (!(error instanceof I.Refusal)) throw error;
       say(I.sentence(error));
     }
   }
@@ -890,6 +906,7 @@
     choose(tool);
     showCard();
     changed();
+    settle();
   }
 
   $('reset').addEventListener('click', () => put(I.clone(base), true));
@@ -903,12 +920,8 @@
     const hash = location.hash.slice(1);
     if (hash === 'selftest') return void selftest();
     if (!hash) return void put(I.clone(base), false);
-    try {
-      put(I.hashToPage(hash, base, header), false);
-    } catch (error) {
-      put(I.clone(base), false);
-      say(I.sentence(error));
-    }
+    put(I.clone(base), false);
+    tell(() => put(I.hashToPage(hash, base, header), false));
   }
 
   // Where nothing can be drawn: the picture as it was rendered, and why.

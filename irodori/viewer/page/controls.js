@@ -90,7 +90,7 @@ window.Irodori = window.Irodori || {};
     }
 
     group(key, ...children) {
-      return h('section', {class: 'group'}, key ? h('h3', {text: key}) : null, ...children);
+      return h('section', {class: 'group'}, key ? h('h2', {text: key}) : null, ...children);
     }
 
     // The spectrum of a light: a published one, a colour temperature, drawn, or from a file.

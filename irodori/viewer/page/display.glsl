@@ -55,12 +55,12 @@ void main() {
   linear = uDisplayFromSRGB * (uDeficiency * (uSRGBFromDisplay * linear));
   bool outside = any(lessThan(linear, vec3(-1e-3))) || any(greaterThan(linear, vec3(1.001)));
   vec3 shown = vec3(curve(clamp(linear.r, 0.0, 1.0)), curve(clamp(linear.g, 0.0, 1.0)), curve(clamp(linear.b, 0.0, 1.0)));
-  if (uMode >= 2) {
+  if (uMode >= 2 && place.x > uAt) {
     vec3 other = texture(uTwo, place).xyz;
     float found = ciede2000(lab(one.xyz, uWhite), lab(other, uMode == 2 ? uWhite : uWhiteTwo));
     shown = scaleColour(found / uMostDifference);
   }
-  if (uMode == 1 && abs(place.x - uAt) * uCanvas.x < 1.0) shown = vec3(1.0);
+  if (uMode != 0 && uAt > 0.0 && abs(place.x - uAt) * uCanvas.x < 1.0) shown = vec3(1.0);
   float grey = dot(shown, vec3(0.2126, 0.7152, 0.0722));
   bool stripe = mod(gl_FragCoord.x + gl_FragCoord.y, 8.0) < 4.0;
   if (uOverlay == 1 && about.z >= 0.0) {

@@ -127,8 +127,8 @@ window.Irodori = window.Irodori || {};
     keys(field, value, ['name', 'primaries']);
     if (!('primaries' in value)) return choice(field + '.name', value.name, ['sRGB', 'Display P3', base.name]);
     keys(field + '.primaries', value.primaries, ['red_xy', 'green_xy', 'blue_xy', 'white_xy', 'gamma']);
-    for (const one of ['red_xy', 'green_xy', 'blue_xy', 'white_xy']) numbers(`${field}.${one}`, value.primaries[one], 2, 0.0001, 0.9);
-    return number(field + '.gamma', value.primaries.gamma, 1, 4);
+    for (const one of ['red_xy', 'green_xy', 'blue_xy', 'white_xy']) numbers(`${field}.primaries.${one}`, value.primaries[one], 2, 0.0001, 0.9);
+    return number(field + '.primaries.gamma', value.primaries.gamma, 1, 4);
   }
 
   // Return a page after a look at every value, or refuse it in one sentence.

@@ -4,6 +4,8 @@ import base64
 import json
 from pathlib import Path
 
+import pytest
+
 import irodori.viewer
 from irodori.config.models import Scene
 from irodori.spectra.published import light
@@ -30,6 +32,8 @@ def header_of(scene: Scene) -> dict:
         "description": scene.description,
         "objects": OBJECTS,
         "environments": ["classroom"],
+        "lamps": [],
+        "most_uncertainty": 0.08,
         "illuminants": [{"name": name, "label": name, "power": list(light(name))} for name in names],
         "observers": [{"name": name, "label": name} for name in ("CIE 1931 2°", "CIE 1964 10°")],
         "views": [{"name": "front", "camera": {"target_mm": [0, 0, 22], "azimuth_deg": -90, "elevation_deg": 27,
@@ -49,3 +53,12 @@ def write_double(path: Path, header: dict, poster: Path | None = None) -> Path:
     assert app in whole
     path.write_text(whole.replace(app, double + app), encoding="utf-8")
     return path
+
+
+def close(a, b) -> bool:
+    """Whether two plain values agree, numbers as far as an address keeps them."""
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(close(a[key], b[key]) for key in a)
+    if isinstance(a, list):
+        return len(a) == len(b) and all(close(*pair) for pair in zip(a, b, strict=True))
+    return a == pytest.approx(b, rel=1e-5, abs=1e-9) if isinstance(a, float) else a == b

@@ -5,7 +5,10 @@ window.Irodori = window.Irodori || {};
   const calls = (I.calls = []);
   const finite = (value) => (typeof value === 'number' ? Number.isFinite(value) : value === null || typeof value !== 'object' || Object.values(value).every(finite));
 
-  I.readPayload = async (text) => ({header: JSON.parse(new TextDecoder().decode(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)))), planes: {}});
+  I.readPayload = async (text) => {
+    if (window.damagedPayload) throw new Error('The data of this page are damaged.');
+    return {header: JSON.parse(new TextDecoder().decode(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)))), planes: {}};
+  };
 
   I.selftest = async () => [{check: 'double', mean: 0.01, p99: 0.1}];
 
@@ -19,7 +22,7 @@ window.Irodori = window.Irodori || {};
     defaultState() {
       return {
         camera: {target_mm: [0, 0, 22], azimuth_deg: -90, elevation_deg: 27, distance_mm: 370, fov_deg: 34},
-        light: {environment: 'classroom', turn_deg: 0, illuminant: null, lamps: []},
+        light: {environment: 'classroom', turn_deg: 0, illuminant: null, lamps: JSON.parse(JSON.stringify(this.header.lamps))},
         objects: this.header.objects.map(({name, position_mm}) => ({name, position_mm: [...position_mm], turn_deg: [0, 0, 0], visible: true})),
         observer: this.header.observers[0].name, deficiency: null, display: {name: 'sRGB'}, exposure_ev: 0, overlay: null,
       };
@@ -29,11 +32,6 @@ window.Irodori = window.Irodori || {};
       if (one.power) return one.power;
       if (one.name) return this.header.illuminants.find((each) => each.name === one.name).power;
       return Array.from({length: 61}, (_, i) => { const m = (400 + 5 * i) * 1e-9; return 1e-30 / (m ** 5 * (Math.exp(0.014388 / (m * one.cct_K)) - 1)); });
-    }
-
-    legend(what) {
-      const labels = {status: ['measured', 'paint', 'filled', 'unknown'], gamut: ['outside']}[what] ?? ['0', '2', '5', '10'];
-      return labels.map((label, i) => ({label, colour: ['#2b3a67', '#3b9a8f', '#e0c34c', '#d6604d'][i]}));
     }
 
     tint(one) {
@@ -53,6 +51,8 @@ window.Irodori = window.Irodori || {};
     draw(state, {compare, scale}) {
       if (!finite(state) || !finite(compare) || !(scale >= 0.25 && scale <= 1)) throw new Error('not a number: ' + JSON.stringify([state, compare, scale]));
       calls.push(scale);
+      // ms of a whole picture on a machine that a test makes slow
+      for (const end = performance.now() + (window.slowness || 0) * scale * scale; performance.now() < end;);
       const pen = this.canvas.getContext('2d'), {width, height} = this.canvas;
       const paint = (light, mode) => {
         const [r, g, b] = this.tint(light.illuminant), gain = 2 ** state.exposure_ev;
@@ -90,7 +90,7 @@ window.Irodori = window.Irodori || {};
       const disc = this.discs(state).reverse().find((one) => Math.hypot(one.x - x, one.y - y) < one.r);
       if (!disc) return null;
       const reflectance = Array.from({length: 61}, (_, i) => 0.1 + 0.6 / (1 + Math.exp((40 - i) / 4)));
-      return {object: disc.i, texel: [3, 4], position_mm: [...state.objects[disc.i].position_mm], reflectance, sigma: reflectance.map(() => 0.01),
+      return {object: state.objects[disc.i].name, texel: [3, 4], position_mm: [...state.objects[disc.i].position_mm], reflectance, sigma: reflectance.map(() => 0.01),
         alpha: 0.9, beta: 0.4, mu_rad: NaN, status: 'paint', xyz: [20, 20, 20]};
     }
 

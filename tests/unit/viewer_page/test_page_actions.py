@@ -3,6 +3,7 @@
 import random
 
 import pytest
+from double_pages import close
 
 TOOLS = ("view", "object", "room", "lamp", "probe", "ruler")
 TABS = ("lesson", "light", "compare", "objects", "seeing")
@@ -194,8 +195,8 @@ def own_screen(visit):
 
 
 ACTIONS = [
-    orbit, zoom, pan, turn_room, move_object, probe, measure_length, go_through_lesson, choose_illuminant, choose_temperature,
-    draw_light, expose, add_lamp, change_lamp, compare, metamerism, hide_object, swap_objects, observe, own_screen,
+    orbit, zoom, pan, turn_room, move_object, probe, measure_length, go_through_lesson, choose_illuminant,
+    choose_temperature, draw_light, expose, add_lamp, change_lamp, compare, metamerism, hide_object, swap_objects, observe, own_screen,
 ]  # fmt: skip
 
 
@@ -210,14 +211,6 @@ def test_everything_can_be_done_by_keys_and_is_in_the_address(visit, action):
     again.tab_to("#reset")
     keys(again, "Enter")
     assert again.settled() == visit().state()
-
-
-def close(a, b) -> bool:
-    if isinstance(a, dict):
-        return a.keys() == b.keys() and all(close(a[key], b[key]) for key in a)
-    if isinstance(a, list):
-        return len(a) == len(b) and all(close(*pair) for pair in zip(a, b, strict=True))
-    return a == pytest.approx(b, rel=1e-5, abs=1e-9) if isinstance(a, float) else a == b
 
 
 def test_dialogs_open_and_close_by_keys(visit):
@@ -310,7 +303,8 @@ def test_a_light_is_drawn_with_the_pointer(visit):
 
 
 def touches(session, kind, *points):
-    session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(points)]})  # fmt: skip
+    fingers = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(points)]
+    session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": fingers})
 
 
 def test_fingers_turn_pinch_and_probe(visit):
@@ -341,7 +335,10 @@ def test_fingers_turn_pinch_and_probe(visit):
 
 # ---- at random
 
-_AROUND = ("ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Shift+ArrowLeft", "Shift+ArrowUp", "PageUp", "PageDown", "+", "-", ",", ".", "n", "Enter", "Home")  # fmt: skip
+_AROUND = (
+    "ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Shift+ArrowLeft", "Shift+ArrowUp", "PageUp", "PageDown",
+    "+", "-", ",", ".", "n", "Enter", "Home",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -368,7 +365,8 @@ def test_random_actions_leave_no_error_and_no_number_lost(visit, seed):
 
 #: Use any control that is shown as its user would: the number in 0..1 picks it and its value.
 ANY_CONTROL = """(chance) => {
-  const all = [...document.querySelectorAll('#panel button, #panel select, #panel input, #tools input, #notes button, #card button')]
+  const places = ['#panel button', '#panel select', '#panel input', '#tools input', '#notes button', '#card button'];
+  const all = [...document.querySelectorAll(places.join())]
     .filter((one) => one.checkVisibility() && !one.disabled && !/export|file/.test(one.textContent.toLowerCase()));
   const one = all[Math.floor(chance * all.length)], part = (chance * 7919) % 1;
   document.getElementById('dialog').close();
