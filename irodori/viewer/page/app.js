@@ -227,7 +227,7 @@
     wipe.hidden = !compare;
     if (compare) {
       const percent = Math.round(100 * compare.at);
-      wipe.style.left = `calc(${(100 * compare.at).toFixed(2)}% + ${(24 - 48 * compare.at).toFixed(1)}px)`;
+      wipe.style.left = `${(100 * compare.at).toFixed(3)}%`;
       wipe.setAttribute('aria-valuenow', percent);
       wipe.setAttribute('aria-valuetext', I.text('percent', {value: percent}));
       wipe.setAttribute('aria-label', I.text('wipe_line'));

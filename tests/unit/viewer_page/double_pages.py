@@ -23,7 +23,7 @@ OBJECTS = [
 
 
 def header_of(scene: Scene) -> dict:
-    names = ("D65", "D50", "A", "E", "FL2", "FL11", "LED-B3")
+    names = ("D65", "D50", "A", "E", "FL2", "FL11", "LED-B3", "LED-B5")
     pair = {"mean": 0.04, "p99": 0.21}
     return {
         "schema_version": 1,

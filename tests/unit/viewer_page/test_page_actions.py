@@ -196,7 +196,8 @@ def own_screen(visit):
 
 ACTIONS = [
     orbit, zoom, pan, turn_room, move_object, probe, measure_length, go_through_lesson, choose_illuminant,
-    choose_temperature, draw_light, expose, add_lamp, change_lamp, compare, metamerism, hide_object, swap_objects, observe, own_screen,
+    choose_temperature, draw_light, expose, add_lamp, change_lamp, compare, metamerism, hide_object, swap_objects,
+    observe, own_screen,
 ]  # fmt: skip
 
 
