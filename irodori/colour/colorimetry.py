@@ -33,9 +33,7 @@ def colour_matching_weights(observer_name: str = _OBSERVER) -> np.ndarray:
     (3, 61) float64, nm
     """
     observer = colour.MSDS_CMFS[observer_name]
-    functions = np.stack(
-        [np.interp(_FINE_NM, observer.wavelengths, c, left=0.0, right=0.0) for c in observer.values.T]
-    )
+    functions = np.stack([np.interp(_FINE_NM, observer.wavelengths, c, left=0.0, right=0.0) for c in observer.values.T])
     hat = np.stack([np.interp(_FINE_NM, WAVELENGTH_NM, row) for row in np.eye(SAMPLES)])
     return functions @ hat.T
 

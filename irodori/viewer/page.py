@@ -20,7 +20,9 @@ SCRIPTS = (
     "app.js",
 )
 #: Nothing is fetched from anywhere: all that a page shows is in it.
-POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'"
+POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'"
+)
 
 
 def _text(name: str) -> str:
