@@ -3,12 +3,14 @@
 The client is Playwright, which is asked for where pages are checked and nowhere else; the browser is the system's own.
 """
 
+import atexit
 import base64
 import importlib.util
 import json
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,8 @@ COMMANDS = ("chromium", "chromium-browser", "google-chrome")
 #: WebGL2 by a renderer in software: the same numbers on every machine.
 FLAGS = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")
 _PATIENCE_MS = 600_000
+#: What a page says in place of a picture.
+_SAID = "!document.getElementById('poster').hidden && document.getElementById('poster-text').textContent"
 _READ = """([state, width, height]) => {
   const values = Irodori.renderer.readXYZ(state, width, height), bytes = new Uint8Array(values.buffer);
   let text = "";
@@ -51,10 +55,25 @@ class OpenPage:
         values = np.frombuffer(raw, dtype="<f4").reshape(height, width, 4)
         return values[..., :3].astype(np.float64), values[..., 3].astype(int)
 
+    def said(self) -> str:
+        """Return what the page says in place of a picture, once it does."""
+        self.page.wait_for_function(_SAID)
+        return self.page.evaluate(_SAID)
+
     def milliseconds(self) -> dict[str, float]:
         """Return how long the page took to its first frame, and how long its programs took to link."""
         found = self.page.evaluate("[performance.now(), Irodori.renderer.figures().programs_linked_ms]")
         return dict(zip(("to_first_frame", "programs_linked"), found, strict=True))
+
+
+@lru_cache(maxsize=1)
+def _client():
+    """Return the client, started once: two at a time in one thread it refuses."""
+    from playwright.sync_api import sync_playwright
+
+    client = sync_playwright().start()
+    atexit.register(client.stop)
+    return client
 
 
 @contextmanager
@@ -77,10 +96,8 @@ def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True) -> Iterator[
     command = browser_command()
     if command is None:
         raise PlainError("No browser to check a page in; accepted: Debian's package chromium and Python's playwright.")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as client:
-        browser = client.chromium.launch(executable_path=command, args=list(flags), headless=True)
+    browser = _client().chromium.launch(executable_path=command, args=list(flags), headless=True)
+    try:
         page = browser.new_page()
         page.set_default_timeout(_PATIENCE_MS)
         messages: list[str] = []
@@ -90,10 +107,10 @@ def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True) -> Iterator[
                 if not request.url.startswith(("file:", "data:", "blob:")) else None)  # fmt: skip
         page.goto(Path(path).resolve().as_uri())
         if wait:
-            said = "document.getElementById('message')"
             drawn = "window.Irodori && Irodori.renderer && Irodori.renderer.drawn !== undefined"
-            page.wait_for_function(f"({drawn}) || ({said} && {said}.textContent)")
+            page.wait_for_function(f"({drawn}) || ({_SAID})")
             if not page.evaluate(f"!!({drawn})"):
-                raise PlainError(page.evaluate(f"{said}.textContent"))
+                raise PlainError(page.evaluate(_SAID))
         yield OpenPage(page, messages)
+    finally:
         browser.close()

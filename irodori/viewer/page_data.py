@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import date
 
 import numpy as np
 
@@ -208,6 +209,7 @@ def page_data(
     weights = colour_matching_weights()
     header = {
         "scene": name,
+        "made": date.today().isoformat(),
         "title": scene.description,
         "units": {"length": "mm", "wavelength": "nm", "reflectance": "1", "radiance": "relative"},
         "hashes": {

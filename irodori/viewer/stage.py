@@ -31,6 +31,7 @@ from irodori.viewer.scene_data import decoded_light, decoded_objects
 #: What a page is checked with: turns of the light, illuminants (none is the light as it was recovered), and observers.
 TURNS_DEG, ILLUMINANTS, OBSERVERS = (0.0, 110.0), (None, "A", "FL11"), (0, 1)
 _SIZE = Size(width=160, height=120)
+_SELFTEST_SIZE = Size(width=40, height=30)
 
 
 @dataclass(frozen=True)
@@ -76,9 +77,10 @@ def export_viewer(sources: SceneSources, *, output, poster=None, picture=None) -
         sources.environment,
         sources.least_throughput,
     )
-    first = data.payload({})
     view = make_view(sources.scene.views[data.header["views"][0]["name"]], _SIZE)
     original = prepared(data.parts)
+    add_selftest(data, original, make_view(sources.scene.views[data.header["views"][0]["name"]], _SELFTEST_SIZE))
+    first = data.payload({})
     errors: dict = {"data_loss": measured_loss(data, first, original, view), "cpu": None, "reference": None}
     LOGGER.info("loss of the format, CIEDE2000: %s; %.2f MB of base64", errors["data_loss"], len(first) / 1e6)
     if browser_command() is None:
@@ -126,31 +128,45 @@ def swapped(data: PageData, name: str) -> np.ndarray:
     return power / white * (luminance @ white) / (luminance @ power)
 
 
-def states(page: OpenPage, data: PageData) -> Iterator[tuple[dict, float, np.ndarray, np.ndarray]]:
-    """Yield the states that a page is checked in, each with its turn, the factor on the light and XYZ of radiance."""
+def add_selftest(data: PageData, scene: Prepared, view: View) -> None:
+    """Add small frames of `checks` to a page's planes, for the check that it makes of itself."""
+    bands = {turn: frame_bands(scene, view, data.parts, _turned(turn)) for turn in TURNS_DEG}
+    entries = []
+    for light, observer, ratio, matrix in checks(data):
+        data.planes.add_floats(f"selftest/{len(entries)}", (bands[light["turn_deg"]] * ratio) @ matrix.T)
+        entries.append({"light": light, "observer": observer, "size": [view.height, view.width]})
+    data.header["selftest"] = entries
+
+
+def checks(data: PageData) -> Iterator[tuple[dict, str, np.ndarray, np.ndarray]]:
+    """Yield what a page is checked with: its light's part of a state, observer, factor on the light, XYZ of radiance.
+
+    The light is exchanged where it is all that lights the scene.
+    """
     white = data.parts.environment.upward_white()
     for turn in TURNS_DEG:
         for name in ILLUMINANTS if white.all() and not len(data.parts.lamps) else (None,):
             for number in OBSERVERS:
                 observer = data.header["observers"][number]
-                state = page.default_state()
-                state["light"] |= {"turn_deg": turn, "illuminant": name and {"name": name}}
-                state["observer"] = observer["name"]
                 ratio = swapped(data, name) if name else np.ones_like(white)
                 weights = np.array(observer["xyz"]).T
-                yield state, turn, ratio, weights * (100.0 / (weights[1] @ (white_of(data) * ratio)))
+                light = {"turn_deg": turn, "illuminant": name and {"name": name}}
+                yield light, observer["name"], ratio, weights * (100.0 / (weights[1] @ (white_of(data) * ratio)))
 
 
 def measured_page(page: OpenPage, data: PageData, scene: Prepared, view: View) -> dict:
-    """Return CIEDE2000 between what a page draws and the interactive renderer, over `states`.
+    """Return CIEDE2000 between what a page draws and the interactive renderer, over `checks`.
 
     The page begins with the same view; pixels at which both see different things, at outlines, are left in.
     """
     bands = {turn: frame_bands(scene, view, data.parts, _turned(turn)) for turn in TURNS_DEG}
     found = []
-    for state, turn, ratio, matrix in states(page, data):
-        xyz, _ = page.read_xyz(state, view.width, view.height)
-        found.append(xyz_differences((bands[turn] * ratio) @ matrix.T, xyz, matrix @ (white_of(data) * ratio)))
+    state = page.default_state()
+    for light, observer, ratio, matrix in checks(data):
+        now = {**state, "light": state["light"] | light, "observer": observer}
+        xyz, _ = page.read_xyz(now, view.width, view.height)
+        wanted = (bands[light["turn_deg"]] * ratio) @ matrix.T
+        found.append(xyz_differences(wanted, xyz, matrix @ (white_of(data) * ratio)))
     return mean_and_p99(found)
 
 
