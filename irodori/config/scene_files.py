@@ -19,6 +19,7 @@ from irodori.config.models import (
     Scene,
     ScenePhotograph,
 )
+from irodori.config.pages import has_page, page_views
 from irodori.config.parts import Subject
 from irodori.config.photograph_sets import PhotographSets, named_tables
 from irodori.core.errors import InputError
@@ -188,6 +189,31 @@ class SceneFiles:
             further += [_FURTHER_OUTPUTS[kind].format(scene=scene, view=view) for kind in definition.further_outputs]
             frames += [f"results/{scene}/{view}.frames.png"] if definition.frames is not None else []
         return self.views("results/{scene}/{view}.png") + self.views("results/{scene}/{view}.exr") + further + frames
+
+    # ---- pages
+
+    def pages(self, pattern: str = "results/{scene}/viewer.html") -> list[str]:
+        """Return a pattern filled for every scene that a classroom page can show."""
+        return [pattern.format(scene=name) for name, scene in self.loaded.scenes.items() if has_page(scene)]
+
+    def page_view(self, pattern: str) -> Callable[[Any], str]:
+        """Return a function from wildcards to a file of the view that a scene's page begins with.
+
+        Raises
+        ------
+        InputError
+            If a page cannot show the scene.
+        """
+
+        def found(wildcards) -> str:
+            scene = self._scene(wildcards)
+            if not has_page(scene):
+                file = Path(self.loaded.config.definitions) / "scenes" / f"{wildcards.scene}.yaml"
+                seen = "no upright perspective view through a pinhole, or a light that is not collimated"
+                raise InputError(file, "views", seen, "such a view, and collimated lights")
+            return pattern.format(scene=wildcards.scene, view=page_views(scene)[0])
+
+        return found
 
     # ---- photographs of scenes
 

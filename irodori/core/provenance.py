@@ -11,13 +11,15 @@ from irodori.core.parsed_sources import imports_of
 
 _ROOT = Path(__file__).resolve().parents[2]
 _DIGITS = 16
+_TEXTS = ("templates", "page")  # folders of a package whose files become part of what it writes
 
 
 @functools.cache
 def code_hash(*modules: str, root: Path = _ROOT) -> str:
     """Return the hash of modules' sources and of everything local that they import, directly or not.
 
-    The templates of a package that is among them count as its source. Nothing is imported: the sources are parsed.
+    The templates and the parts of pages of a package that is among them count as its source. Nothing is imported: the
+    sources are parsed.
     The result is remembered, for the code does not change while a workflow is being planned.
 
     Parameters
@@ -42,8 +44,8 @@ def code_hash(*modules: str, root: Path = _ROOT) -> str:
     sources = {name: file for module in modules for name, file in _closure(module, root, _unchanged_imports).items()}
     for name, file in sorted(sources.items()):
         # A package without __init__ has no file here, and no templates either.
-        templates = sorted(file.parent.glob("templates/*")) if file.name == "__init__.py" else []
-        for part in (file, *templates):
+        beside = sorted(f for f in file.parent.glob("*/*") if f.is_file() and f.parent.name in _TEXTS)
+        for part in (file, *(beside if file.name == "__init__.py" else [])):
             digest.update(f"{name}\0{hashlib.sha256(part.read_bytes()).hexdigest()}\n".encode())
     return digest.hexdigest()[:_DIGITS]
 

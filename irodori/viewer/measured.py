@@ -74,7 +74,7 @@ def _fields(scene: Prepared, maps: LightMaps) -> dict:
         inner = levels[-1][:, 1:-1, 1:-1]
         side = inner.shape[1] // 2
         levels.append(_bordered(inner.reshape(6, side, 2, side, 2, -1).mean(axis=(2, 4))))
-    fields = {name: value for name, value in _joined("environment", levels, lanes).items()}
+    fields = _joined("environment", levels, lanes)
     fields["environment_levels"] = len(levels)
     fields["texels_per_rad"] = float((levels[0].shape[1] - 2) * np.sqrt(6.0 / (4.0 * np.pi)))
     irradiance = np.moveaxis(maps.irradiance, 0, -1)

@@ -3,11 +3,13 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import date
 
 import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights
-from irodori.config.models import ObjectShape, PerspectiveView, Scene
+from irodori.config.models import CollimatedLight, ObjectShape, PerspectiveView, Scene
+from irodori.config.pages import has_page, page_views
 from irodori.core import store
 from irodori.core.errors import PlainError
 from irodori.core.provenance import config_hash
@@ -15,7 +17,7 @@ from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material, Status
 from irodori.reflection.lobes import Lobes
-from irodori.rendering.integrators import with_bodies
+from irodori.rendering.integrators import has_ambient, with_bodies
 from irodori.rendering.interactive.channels import is_grey
 from irodori.rendering.interactive.frame_renderer import light_of
 from irodori.rendering.interactive.quadrature import path_spectra, solve_quadrature
@@ -36,8 +38,8 @@ from irodori.viewer.scene_data import (
     lobe_entries,
 )
 
-#: What a page says of a texel: measured; its gloss that of its paint; its colour that of a neighbour; its gloss unknown,
-#: and shown as the object's typical one.
+#: What a page says of a texel: measured; its gloss that of its paint; its colour that of a neighbour; its gloss
+#: unknown, and shown as the object's typical one.
 MEASURED, PAINT, FILLED, UNKNOWN = 0, 1, 2, 3
 #: Wavelengths that stand for a spectrum where mirrors have colours; the shader has room for 16.
 _WAVELENGTHS = 14
@@ -100,23 +102,16 @@ def _camera(view: PerspectiveView) -> dict:
 
 
 def _views(scene: Scene) -> list[dict]:
-    """Return the views that a page can show: through a pinhole, upright."""
-    found = [
-        {"name": name, "camera": _camera(view)}
-        for name, view in scene.views.items()
-        if isinstance(view, PerspectiveView) and view.lens is None and tuple(view.up)[:2] == (0.0, 0.0)
-    ]
-    if not found:
-        raise PlainError("A scene without an upright perspective view through a pinhole has no page; accepted: one.")
-    return found
+    """Return the views that a page can show."""
+    views = {name: scene.views[name] for name in page_views(scene)}
+    return [{"name": n, "camera": _camera(view)} for n, view in views.items() if isinstance(view, PerspectiveView)]
 
 
 def _lamps(scene: Scene) -> list[dict]:
     """Return the scene's own lamps as the page moves them."""
     found = []
     for item in scene.lights:
-        if item.kind != "collimated":
-            raise PlainError(f"A light of the kind {item.kind!r} has no page; accepted: collimated lights.")
+        assert isinstance(item, CollimatedLight)  # what a scene with a page has
         direction = make_lights([item], 0)[0].rotation[0, :, 2]
         found.append(
             {
@@ -176,7 +171,11 @@ def page_data(
     PlainError
         If the page cannot show what the scene holds.
     """
-    lamps, views = _lamps(scene), _views(scene)
+    if not has_page(scene):
+        raise PlainError(
+            f"The scene {name}: found no upright perspective view through a pinhole, or a light that is not "
+            "collimated; accepted: such a view, and collimated lights."
+        )
     loaded = [_with_maps(path) for path in material_files]
     whole = with_bodies(scene, [Shape.from_definition(s) for s in shapes], [material for material, _ in loaded])
     placements = make_placements(scene, whole[0])
@@ -192,24 +191,26 @@ def page_data(
         lights.rotation[:, :, 2],
         scene.max_bounces,
         least_throughput,
+        has_ambient(scene),
     )
     planes = Planes()
     lit = [add_light(planes, 0, light_maps(environment, objects))]
     entries = [{**a, **b} for a, b in zip(add_materials(planes, objects), add_shapes(planes, placements), strict=True)]
     uncertainties = [error for _, error in loaded] + [np.zeros(m.alpha.shape) for m in whole[1][len(loaded) :]]
-    items = [*scene.objects, *scene.bodies]
+    turns = [item.rotation_deg for item in scene.objects] + [item.rotation_deg for item in scene.bodies]
     for i, (material, error) in enumerate(zip(whole[1], uncertainties, strict=True)):
         planes.add_integers(f"object/{i}/status", _status(material)[None])
         planes.add_log(f"object/{i}/uncertainty", error[None], _SINGLE_PLANE_BITS)
         planes.add_linear(f"object/{i}/alpha", np.nan_to_num(material.filled()[0].alpha)[None])
         entries[i] |= {
             "name": _names(scene)[i],
-            "rotation_deg": [float(x) for x in items[i].rotation_deg],
+            "rotation_deg": [float(x) for x in turns[i]],
             "filled_fraction": float(filled[i]),
         }
     weights = colour_matching_weights()
     header = {
         "scene": name,
+        "made": date.today().isoformat(),
         "title": scene.description,
         "units": {"length": "mm", "wavelength": "nm", "reflectance": "1", "radiance": "relative"},
         "hashes": {
@@ -222,8 +223,8 @@ def page_data(
         "lobes": lobe_entries(objects),
         "environments": [scene.environment],
         "light": lit,
-        "lamps": lamps,
-        "views": views,
+        "lamps": _lamps(scene),
+        "views": _views(scene),
         "image": [scene.image.width, scene.image.height],
         "max_bounces": scene.max_bounces,
         "least_throughput": least_throughput,

@@ -23,7 +23,7 @@ SCHEMA_VERSION = 1
 MOST_BYTES = 1 << 28
 _BITS = 10
 #: Steps of light: of the logarithm of the first coefficient, octaves, and of the others over the first.
-LOG_STEP, RATIO_STEP = 1.0 / 224.0, 1.0 / 320.0
+LOG_STEP, RATIO_STEP = 1.0 / 256.0, 1.0 / 448.0
 _FLOOR = 1e-4  # of the mean first coefficient: what is darker is told apart less finely
 CODES, DELTAS = ("linear", "log", "light", "float"), ("row", "plane")
 

@@ -1,7 +1,7 @@
 """What a classroom page shows, as numbers: shapes, materials, light and views of a scene, ready for its payload.
 
-The maps are those of `irodori.rendering.interactive`, whose transport the page repeats: light as cube maps with a border
-of one texel, its blurred levels, rows of round lobes. What the scene does not have has no plane.
+The maps are those of `irodori.rendering.interactive`, whose transport the page repeats: light as cube maps with a
+border of one texel, its blurred levels, rows of round lobes. What the scene does not have has no plane.
 """
 
 from dataclasses import dataclass
@@ -169,7 +169,8 @@ def add_materials(planes: Planes, objects: Objects) -> list[dict]:
         planes.add_floats(f"{name}/mean", means[i])
         planes.add_floats(f"{name}/index", np.stack([objects.n[i], objects.k[i]]))
         planes.add_linear(f"{name}/reflectance", np.moveaxis(coefficients_of(objects, texels)[..., :bases], -1, 0))
-        lobes, components = [], []
+        lobes: list[int] = []
+        components: list[int] = []
         for component, (beta, mu) in enumerate(gloss_of(objects, texels)):
             if not beta.any():
                 continue

@@ -813,9 +813,9 @@
 
   function truth() {
     const stated = header.stated_errors;
-    const rows = [[I.text('against_cpu'), pairOf(stated.cpu)], [I.text('checked_in'), stated.browser ?? I.text('not_checked')], [I.text('data_loss'), pairOf(stated.data_loss)],
-      [I.text('room'), header.environments.map((name) => I.nameOf('environment', name)).join(', ')], [I.text('made'), header.made ?? '–'],
-      [I.text('programs_linked'), I.text('ms', {ms: Math.round(renderer.figures().programs_linked_ms)})], ...Object.entries(header.hashes ?? {})];
+    const rows = [[I.text('against_cpu'), pairOf(stated.cpu)], [I.text('against_reference'), pairOf(stated.reference)], [I.text('data_loss'), pairOf(stated.data_loss)],
+      [I.text('room'), header.environments.map((name) => I.nameOf('environment', name)).join(', ')], [I.text('made'), header.made],
+      [I.text('programs_linked'), I.text('ms', {ms: Math.round(renderer.figures().programs_linked_ms)})], ...Object.entries(header.hashes).map(([name, value]) => [name, [value].flat().join(' ')])];
     const test = controls.button('selftest', () => selftest());
     dialog('about_picture', table(rows), test);
   }
@@ -825,7 +825,7 @@
     try {
       const rows = await I.selftest(renderer), names = Object.keys(rows[0] ?? {});
       const cell = (value) => (typeof value === 'number' ? Number(value.toPrecision(3)) : value === null ? '–' : String(value));
-      dialog('selftest', h('table', {}, h('tr', {}, ...names.map((name) => h('th', {scope: 'col'}, name))), ...rows.map((one) => h('tr', {}, ...names.map((name) => h('td', {}, cell(one[name])))))));
+      dialog('selftest', h('table', {}, h('tr', {}, ...names.map((name) => h('th', {scope: 'col'}, I.nameOf('column', name)))), ...rows.map((one) => h('tr', {}, ...names.map((name) => h('td', {}, cell(one[name])))))));
     } catch (error) {
       dialog('selftest', h('p', {}, I.sentence(error)));
     }
@@ -841,7 +841,7 @@
   function showTruthLine() {
     const {cpu, data_loss: loss} = header.stated_errors;
     $('truth-line').textContent = [I.text('truth_cpu', {error: cpu ? pairOf(cpu) : I.text('not_checked')}), I.text('truth_loss', {error: pairOf(loss)}),
-      header.environments.map((name) => I.nameOf('environment', name)).join(', '), (header.made ?? '').slice(0, 10)].filter(Boolean).join(' · ');
+      header.environments.map((name) => I.nameOf('environment', name)).join(', '), header.made].filter(Boolean).join(' · ');
   }
 
   // ---- files
@@ -940,7 +940,7 @@
       const data = await I.readPayload($('payload').textContent);
       header = data.header;
       $('payload').remove();
-      renderer = new I.Renderer(canvas, data);
+      renderer = I.renderer = new I.Renderer(canvas, data);
       fit();
       await renderer.ready;
     } catch (error) {

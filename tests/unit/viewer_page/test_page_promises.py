@@ -154,7 +154,9 @@ def test_a_step_shows_the_same_however_one_comes_to_it(visit):
                 for key in ("ArrowLeft", "+", "3", "ArrowRight", "2", "PageUp", "1"):
                     round_about.page.keyboard.press(key)
         assert direct.state() == round_about.state()
-    assert direct.settled() == visit(direct.page.evaluate("location.hash")).settled()
+    state = direct.settled()
+    assert state["step"] == count - 1
+    assert visit(direct.page.evaluate("location.hash")).settled() == state
 
 
 def address(content) -> str:
