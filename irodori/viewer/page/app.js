@@ -104,6 +104,7 @@
   // After a change has come to rest: the address, and words for those who do not see the picture.
   function settle() {
     clearTimeout(settling);
+    settling = null;
     const at = pace.way ? {...page, state: {...page.state, camera: pace.way.to}} : page;
     const hash = I.pageToHash(at, base);
     history.replaceState(null, '', hash === I.pageToHash(base, base) ? location.pathname + location.search : '#' + hash);
@@ -916,8 +917,7 @@
   $('truth-open').addEventListener('click', truth);
   $('language').addEventListener('change', () => speak($('language').value));
 
-  function fromAddress() {
-    const hash = location.hash.slice(1);
+  function fromAddress(hash) {
     if (hash === 'selftest') return void selftest();
     if (!hash) return void put(I.clone(base), false);
     put(I.clone(base), false);
@@ -956,16 +956,18 @@
       redraw();
     };
     page = I.clone(base);
+    // The page writes its own state there as soon as it speaks.
+    const asked = location.hash.slice(1);
     speak(I.language());
-    fromAddress();
-    window.addEventListener('hashchange', fromAddress);
+    fromAddress(asked);
+    window.addEventListener('hashchange', () => fromAddress(location.hash.slice(1)));
     new ResizeObserver(fit).observe(stage);
     document.body.dataset.ready = 'yes';
   }
 
   // For tests and for those who look behind the page.
   I.page = () => I.clone(pace.way ? {...page, state: {...page.state, camera: pace.way.to}} : page);
-  I.pace = () => ({scale: pace.scale, ms: pace.ms, frames: pace.frames});
+  I.pace = () => ({scale: pace.scale, ms: pace.ms, frames: pace.frames, atRest: settling === null && !pace.way});
   I.lesson = () => I.clone(lesson);
   start();
 })(window.Irodori);

@@ -22,7 +22,7 @@ class Visit:
 
     def settled(self) -> dict:
         """Wait until the page has come to rest, and return its state."""
-        self.page.wait_for_timeout(650)
+        self.page.evaluate("async () => { while (!Irodori.pace().atRest) await new Promise((r) => setTimeout(r, 50)); }")
         return self.state()
 
     def focused(self) -> str:
