@@ -23,7 +23,7 @@ from irodori.viewer.measured import (
     prepared,
     xyz_differences,
 )
-from irodori.viewer.page import write_page
+from irodori.viewer.page_file import write_page
 from irodori.viewer.page_data import PageData, page_data
 from irodori.viewer.payload import read_payload
 from irodori.viewer.scene_data import decoded_light, decoded_objects
