@@ -16,12 +16,12 @@ from irodori.config.models import Size
 from irodori.geometry.rig_frame import look_at, rotation_xyz, rotation_z
 from irodori.rendering.scene_arrays import make_view
 from irodori.viewer.browser import FLAGS, browser_command, opened
-from irodori.viewer.viewer_command import payload_of
 from irodori.viewer.measured import frame_bands, prepared, xyz_differences
-from irodori.viewer.page_file import page_html
 from irodori.viewer.page_data import page_data
+from irodori.viewer.page_file import page_html
 from irodori.viewer.payload import read_payload
 from irodori.viewer.stage import export_viewer, swapped, white_of
+from irodori.viewer.viewer_command import payload_of
 
 pytestmark = pytest.mark.skipif(
     browser_command() is None, reason="NO BROWSER: pages are not tested; install Debian's package chromium"
