@@ -1,4 +1,4 @@
-"""What scenes can be shown in a classroom page; light enough for the Snakefile."""
+"""Scenes that a classroom page can show; light enough for the Snakefile."""
 
 from irodori.config.models import PerspectiveView, Scene
 

@@ -5,6 +5,7 @@ The client is Playwright, which is asked for where pages are checked and nowhere
 
 import atexit
 import base64
+import importlib
 import importlib.util
 import json
 import shutil
@@ -17,6 +18,8 @@ import numpy as np
 
 from irodori.core.errors import PlainError
 
+#: No dependency of the package: pages are written without it, and then say that they were not checked.
+_CLIENT = "playwright"
 #: Commands by which systems know Chromium.
 COMMANDS = ("chromium", "chromium-browser", "google-chrome")
 #: WebGL2 by a renderer in software: the same numbers on every machine.
@@ -34,7 +37,7 @@ _READ = """([state, width, height]) => {
 
 def browser_command() -> str | None:
     """Return the browser's file, None where there is no browser or no client."""
-    if importlib.util.find_spec("playwright") is None:
+    if importlib.util.find_spec(_CLIENT) is None:
         return None
     return next((found for found in map(shutil.which, COMMANDS) if found), None)
 
@@ -69,9 +72,7 @@ class OpenPage:
 @lru_cache(maxsize=1)
 def _client():
     """Return the client, started once: two at a time in one thread it refuses."""
-    from playwright.sync_api import sync_playwright
-
-    client = sync_playwright().start()
+    client = importlib.import_module(f"{_CLIENT}.sync_api").sync_playwright().start()
     atexit.register(client.stop)
     return client
 

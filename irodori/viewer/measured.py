@@ -1,4 +1,4 @@
-"""How far a page is from the product's own renderer: in colour, and for what reason."""
+"""Distance of a page from the product's own renderer, CIEDE2000, and what it is measured with."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What a classroom page shows, as numbers: shapes, materials, light and views of a scene, ready for its payload.
+"""A classroom page in numbers: shapes, materials, light and views of a scene, ready for its payload.
 
 The maps are those of `irodori.rendering.interactive`, whose transport the page repeats: light as cube maps with a
 border of one texel, its blurred levels, rows of round lobes. What the scene does not have has no plane.

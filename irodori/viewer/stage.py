@@ -23,8 +23,8 @@ from irodori.viewer.measured import (
     prepared,
     xyz_differences,
 )
-from irodori.viewer.page import write_page
 from irodori.viewer.page_data import PageData, page_data
+from irodori.viewer.page_file import write_page
 from irodori.viewer.payload import read_payload
 from irodori.viewer.scene_data import decoded_light, decoded_objects
 
@@ -131,7 +131,7 @@ def swapped(data: PageData, name: str) -> np.ndarray:
 def add_selftest(data: PageData, scene: Prepared, view: View) -> None:
     """Add small frames of `checks` to a page's planes, for the check that it makes of itself."""
     bands = {turn: frame_bands(scene, view, data.parts, _turned(turn)) for turn in TURNS_DEG}
-    entries = []
+    entries: list[dict] = []
     for light, observer, ratio, matrix in checks(data):
         data.planes.add_floats(f"selftest/{len(entries)}", (bands[light["turn_deg"]] * ratio) @ matrix.T)
         entries.append({"light": light, "observer": observer, "size": [view.height, view.width]})

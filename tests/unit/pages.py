@@ -31,7 +31,7 @@ def room(sun: float = 40.0, level: float = 1.0) -> Environment:
     return Environment(coefficients, basis, irradiance_map(coefficients, 64, 32))
 
 
-def painted(beta: float = 2.0, mirror: float = 1.0, n=1.5, k=0.0) -> Material:
+def painted(beta: float = 25.0, mirror: float = 1.0, n=1.5, k=0.0) -> Material:
     """A material of two paints in stripes whose gloss changes along the texture."""
     rows, columns = 12, 16
     x = np.linspace(0.0, 1.0, 61)
@@ -54,7 +54,7 @@ def painted(beta: float = 2.0, mirror: float = 1.0, n=1.5, k=0.0) -> Material:
 
 def gold() -> Material:
     """A glossy mirror of gold."""
-    return painted(beta=1.0, n=np.array(GOLD_N)[THIRDS], k=np.array(GOLD_K)[THIRDS])
+    return painted(beta=4.0, n=np.array(GOLD_N)[THIRDS], k=np.array(GOLD_K)[THIRDS])
 
 
 def write_mesh(path: Path, rings: int, segments: int) -> Path:
@@ -77,7 +77,7 @@ def sources(
 ) -> SceneSources:
     """A ball on a plate beside a disc, written into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    materials = [first or painted(), painted(beta=0.5, mirror=0.3)]
+    materials = [first or painted(), painted(beta=8.0, mirror=0.3)]
     files = []
     for number, material in enumerate(materials):
         files.append(folder / f"material-{number}.h5")

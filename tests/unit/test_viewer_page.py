@@ -10,18 +10,19 @@ import zlib
 import numpy as np
 import pytest
 from pages import gold, painted, room, sources, write_mesh
+from scenes import fresnel
 from scipy import ndimage
 
 from irodori.config.models import Size
 from irodori.geometry.rig_frame import look_at, rotation_xyz, rotation_z
 from irodori.rendering.scene_arrays import make_view
 from irodori.viewer.browser import FLAGS, browser_command, opened
-from irodori.viewer.command import payload_of
 from irodori.viewer.measured import frame_bands, prepared, xyz_differences
-from irodori.viewer.page import page_html
 from irodori.viewer.page_data import page_data
+from irodori.viewer.page_file import page_html
 from irodori.viewer.payload import read_payload
 from irodori.viewer.stage import export_viewer, swapped, white_of
+from irodori.viewer.viewer_command import payload_of
 
 pytestmark = pytest.mark.skipif(
     browser_command() is None, reason="NO BROWSER: pages are not tested; install Debian's package chromium"
@@ -254,3 +255,41 @@ def test_a_page_states_its_errors_and_its_own_check_agrees(tmp_path):
 def test_without_webgl2_the_page_says_so(written):
     with opened(written.path, flags=(*FLAGS, "--disable-3d-apis"), wait=False) as page:
         assert "WebGL2" in page.said()
+
+
+def test_highlights_of_ggx_are_those_of_its_formula(tmp_path):
+    """One lamp on a black ball: the luminance is β F D G / cosθ_r of the half vector, written out here."""
+    black = painted(beta=1.5, mirror=0.0)
+    mu = 0.3
+    ggx = black.__class__(
+        **{**black.__dict__, "coefficients": 0 * black.coefficients, "mu": mu + 0 * black.mu, "lobes": ("ggx",),
+           "beta": 1.5 + 0 * black.beta}
+    )  # fmt: skip
+    lamp = {"kind": "collimated", "azimuth_deg": -40.0, "elevation_deg": 50.0, "irradiance": 1.0, "spectrum": "D65"}
+    given = sources(tmp_path, room(level=0.0), first=ggx, lights=[lamp])
+    data = page_data(given.name, given.scene, given.shapes, given.materials, given.environment, 1e-3)
+    path = tmp_path / "page.html"
+    path.write_text(page_html("A page", data.payload({})), encoding="utf-8")
+    with opened(path) as page:
+        xyz, objects = page.read_xyz(page.default_state(), 64, 48)
+    view = make_view(given.scene.views["front"], SIZE)
+    x, y = np.meshgrid((np.arange(64) - 31.5) / view.focal_px, (np.arange(48) - 23.5) / view.focal_px)
+    ray = np.stack([x, y, np.ones_like(x)], axis=-1) @ view.world_from_camera.T
+    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+    away = np.array([-12.0, 4.0, 20.1]) - view.position_mm
+    along = ray @ away
+    t = along - np.sqrt(np.maximum(400.0 - (away @ away - along**2), 0.0))
+    normal = (t[..., None] * ray - away) / 20.0
+    to_light = data.parts.directions[0]
+    half = to_light - ray
+    cos_h = np.sqrt(0.5 * (1.0 - ray @ to_light))
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    cos_i, cos_r, cos_phi = normal @ to_light, -(normal * ray).sum(axis=-1), (normal * half).sum(axis=-1)
+    seen = (objects == 0) & inside(objects) & (cos_i > 0.05) & (cos_r > 0.05)
+    m2 = mu**2
+    d = (m2 / (m2 * cos_phi**2 + 1.0 - cos_phi**2)) ** 2
+    smith = [np.sqrt(c**2 + m2 * (1.0 - c**2)) for c in (cos_i, cos_r)]
+    value = 1.5 * fresnel(cos_h, 1.5, 0.0) * 2.0 * cos_i * d / (cos_r * smith[0] + cos_i * smith[1])
+    wanted = 100.0 * value / to_light[2]  # white is the diffuser that faces up
+    assert seen.sum() > 40
+    np.testing.assert_allclose(xyz[seen][:, 1], wanted[seen], rtol=0.02, atol=0.002 * wanted[seen].max())

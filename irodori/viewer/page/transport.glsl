@@ -630,7 +630,9 @@ void main() {
     skip = hit.triangle;
   }
 #if COLOURED
-  for (int axis = 0; axis < 3; axis++) for (int i = 0; i < 4; i++) outXYZ[axis] += dot(uXYZFromColour[4 * axis + i], sum_[i]);
+  vec3 xyz = vec3(0.0); // what goes out has no index that is not constant
+  for (int axis = 0; axis < 3; axis++) for (int i = 0; i < 4; i++) xyz[axis] += dot(uXYZFromColour[4 * axis + i], sum_[i]);
+  outXYZ.xyz = xyz;
 #else
   outXYZ.xyz = sum_;
 #endif

@@ -83,7 +83,7 @@ def write_scene(name: str, output: Path | None) -> Path:
     return output
 
 
-def main(arguments: list[str] | None = None, prog: str = "python -m irodori.viewer.command") -> int:
+def main(arguments: list[str] | None = None, prog: str = "python -m irodori.viewer.viewer_command") -> int:
     """Run the command; return 0, or 2 after a fault said in one sentence."""
     parser = argparse.ArgumentParser(prog=prog, description=__doc__)
     parser.add_argument("scene", help="name of a scene of config/config.yaml's folder")
