@@ -1,13 +1,12 @@
 """A browser without a network, and the page open in it."""
 
-import shutil
 from dataclasses import dataclass, field
 
 import pytest
 from definitions import ROOT, load
 from double_pages import header_of, write_double
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+from irodori.viewer.browser import browser_command
 
 
 @dataclass
@@ -22,7 +21,9 @@ class Visit:
 
     def settled(self) -> dict:
         """Wait until the page has come to rest, and return its state."""
-        self.page.evaluate("async () => { while (!Irodori.pace().atRest) await new Promise((r) => setTimeout(r, 50)); }")
+        self.page.evaluate(
+            "async () => { while (!Irodori.pace().atRest) await new Promise((r) => setTimeout(r, 50)); }"
+        )
         return self.state()
 
     def focused(self) -> str:
@@ -46,11 +47,13 @@ class Visit:
 
 @pytest.fixture(scope="session")
 def browser():
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: no page was tested")
-    if CHROMIUM is None:
-        pytest.skip("no chromium on this machine: no page was tested")
-    with sync_api.sync_playwright() as started:
-        chromium = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--headless=new"])
+    command = browser_command()
+    if command is None:
+        pytest.skip("NO BROWSER: pages are not tested; install Debian's package chromium")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as started:
+        chromium = started.chromium.launch(executable_path=command, args=["--no-sandbox", "--headless=new"])
         yield chromium
         chromium.close()
 

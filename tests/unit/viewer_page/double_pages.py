@@ -10,7 +10,7 @@ import irodori.viewer
 from irodori.config.models import Scene
 from irodori.spectra.published import light
 from irodori.viewer.lesson import lesson_for_page
-from irodori.viewer.page import page_html
+from irodori.viewer.page_file import page_html
 
 PAGE = Path(irodori.viewer.__file__).parent / "page"
 DOUBLE = Path(__file__).with_name("renderer_double.js")
