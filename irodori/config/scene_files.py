@@ -101,6 +101,11 @@ class SceneFiles:
         meshes = self._sets.meshes_of(*dict.fromkeys(self.objects(wildcards)))
         return meshes + self.tables(wildcards)
 
+    def page_files(self, wildcards) -> list[str]:
+        """Return the files of a scene and the pictures of its lesson."""
+        lesson = self._scene(wildcards).lesson
+        return self.files(wildcards) + [step.picture for step in (lesson.steps if lesson else ()) if step.picture]
+
     def tables(self, wildcards) -> list[str]:
         """Return the tables that a scene's own lights, bodies and frames are made of."""
         scene = self._scene(wildcards)

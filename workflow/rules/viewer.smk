@@ -4,7 +4,7 @@ rule export_viewer:
         environment=scenes.environment,
         poster=scenes.page_view("results/{scene}/{view}.png"),
         picture=scenes.page_view("results/{scene}/{view}.exr"),
-        user_files=ancient(scenes.files),
+        user_files=ancient(scenes.page_files),
     output:
         page=report(
             "results/{scene}/viewer.html",
@@ -23,9 +23,10 @@ rule export_viewer:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
         scene=lookup(within=config, dpath="scenes/{scene}"),
+        lesson=lookup(within=config, dpath="lessons/{scene}"),
         shapes=scenes.shapes,
         render=lookup(within=config, dpath="render"),
-        user_files=ledger.content(scenes.files),
+        user_files=ledger.content(scenes.page_files),
         code=code_hash("irodori.viewer.stage"),
     script:
         "../scripts/export_viewer.py"

@@ -7,7 +7,7 @@ with run_rule(snakemake):
     export_viewer(
         SceneSources(
             snakemake.wildcards.scene,
-            Scene.of(snakemake.params.scene),
+            Scene.of({**snakemake.params.scene, "lesson": snakemake.params.lesson}),
             tuple(typed_shapes(snakemake.params.shapes)),
             tuple(snakemake.input.materials),
             snakemake.input.environment,
