@@ -13,21 +13,33 @@ from irodori.spectra.published import light
 from irodori.spectra.published_names import ILLUMINANTS
 from irodori.spectra.published_tables import published_table
 
+_OBSERVER = "CIE 1931 2 Degree Standard Observer"
 _FINE_NM = np.arange(360.0, 831.0, 1.0)
 
 
-@lru_cache(maxsize=1)
-def colour_matching_weights() -> np.ndarray:
+@lru_cache(maxsize=16)
+def colour_matching_weights(observer_name: str = _OBSERVER) -> np.ndarray:
     """Return weights that integrate a spectrum on the grid against the colour-matching functions.
 
     The spectrum is taken as piecewise linear between samples and held at its end values outside 400..700 nm
     [design, §3]; the functions are the observer's 1 nm table, 360..830 nm.
 
+    Parameters
+    ----------
+    observer_name : str
+        Of ``colour.MSDS_CMFS``.
+
     Returns
     -------
     (3, 61) float64, nm
     """
-    functions = published_table("observer").at(_FINE_NM)
+    if observer_name == _OBSERVER:
+        functions = published_table("observer").at(_FINE_NM)
+    else:
+        from colour import MSDS_CMFS  # slow, and seldom needed
+
+        table = MSDS_CMFS[observer_name]
+        functions = np.stack([np.interp(_FINE_NM, table.wavelengths, c, left=0.0, right=0.0) for c in table.values.T])
     hat = np.stack([np.interp(_FINE_NM, WAVELENGTH_NM, row) for row in np.eye(SAMPLES)])
     return functions @ hat.T
 

@@ -877,6 +877,188 @@ Frames: TypeAlias = Turntable | LightSweep | IlluminantChange
 
 
 @dataclass(frozen=True, kw_only=True)
+class LessonCamera(Definition):
+    """Where the eye stands instead of a view."""
+
+    #: The point in the middle of the picture, x, y, z, in mm.
+    target_mm: tuple[float, float, float]
+
+    #: Side of the eye as seen from the target, from +x towards +y, in degrees.
+    azimuth_deg: float
+
+    #: Height of the eye over the target's horizon, in degrees.
+    elevation_deg: float
+
+    #: From the eye to the target, in mm.
+    distance_mm: float
+
+    #: Vertical field of view, in degrees.
+    fov_deg: float = 34.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedIlluminant(Definition):
+    """A published illuminant."""
+
+    #: Name of a CIE illuminant (D65, A, LED-B3).
+    name: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class TemperatureIlluminant(Definition):
+    """Daylight or a black body of a colour temperature."""
+
+    #: Correlated colour temperature; a black body under 4000, daylight from there on, in kelvin.
+    cct_K: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrawnIlluminant(Definition):
+    """A spectrum in numbers."""
+
+    #: Spectral power at 400, 405, ... 700 nm (relative).
+    power: tuple[float, ...]
+
+    #: Name that the page shows.
+    label: str = "drawn"
+
+
+LessonIlluminant: TypeAlias = NamedIlluminant | TemperatureIlluminant | DrawnIlluminant
+
+
+@dataclass(frozen=True, kw_only=True)
+class LessonLamp(Definition):
+    """One round lamp."""
+
+    #: Where its centre stands, x, y, z, in mm.
+    position_mm: tuple[float, float, float]
+
+    #: Diameter, in mm; a point where 0.
+    size_mm: float = 60.0
+
+    #: Light 500 mm away (ratio; 1 gives a white surface that faces the lamp there the luminance of D65 as tabulated).
+    strength: float = 1.0
+
+    #: Spectrum of the lamp; D65 where absent.
+    illuminant: LessonIlluminant | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LessonLight(Definition):
+    """The light of the step."""
+
+    #: Name of the room that lights the scene; the scene's own where absent.
+    environment: str | None = None
+
+    #: Turn of the room about the vertical axis, from +x towards +y, in degrees.
+    turn_deg: float = 0.0
+
+    #: Spectrum of the light; as it was captured where absent.
+    illuminant: LessonIlluminant | None = None
+
+    #: Lamps beside the room; four at most have a size.
+    lamps: tuple[LessonLamp, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class LessonPose(Definition):
+    """One object in its place."""
+
+    #: Name of an object of the scene.
+    name: str
+
+    #: Where its centre stands, x, y, z, in mm; its own place where absent.
+    position_mm: tuple[float, float, float] | None = None
+
+    #: Rotations about the scene's x, then y, then z axis, in degrees; its own where absent.
+    turn_deg: tuple[float, float, float] | None = None
+
+    #: Whether it is there (true or false).
+    visible: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class LessonComparison(Definition):
+    """What the picture is compared with; nothing where absent."""
+
+    #: A second light beside the first, their colour difference, the metamerism between them, or the same light as a
+    #: renderer of red, green and blue shows it.
+    mode: Literal["wipe", "difference", "metamerism", "rgb"]
+
+    #: Where the comparison begins, as a part of the width from the left (ratio).
+    at: float = 0.5
+
+    #: The second light.
+    light: LessonLight = LessonLight()
+
+
+@dataclass(frozen=True, kw_only=True)
+class LessonNote(Definition):
+    """One note."""
+
+    #: The point that it is about, x, y, z, in mm.
+    position_mm: tuple[float, float, float]
+
+    #: The note in each language, by the language's code.
+    text: Mapping[str, str] = field(hash=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LessonStep(Definition):
+    """One step."""
+
+    #: Heading of the step in each language, by the language's code.
+    title: Mapping[str, str] = field(hash=False)
+
+    #: What the learner reads in each language, by the language's code; an empty line parts paragraphs.
+    text: Mapping[str, str] = field(hash=False)
+
+    #: Path of a picture shown beside the text, PNG or JPEG of at most one megabyte.
+    picture: str | None = None
+
+    #: Name of the view that is seen; without it and camera, the first.
+    view: str | None = None
+
+    #: Where the eye stands instead of a view.
+    camera: LessonCamera | None = None
+
+    #: The light of the step.
+    light: LessonLight = LessonLight()
+
+    #: Objects that stand elsewhere than in the scene, are turned or hidden.
+    objects: tuple[LessonPose, ...] = ()
+
+    #: What the picture is compared with; nothing where absent.
+    compare: LessonComparison | None = None
+
+    #: Name of the observer whose colour matching counts, as the page lists it.
+    observer: str | None = None
+
+    #: Colour vision that is imitated.
+    deficiency: Literal["protan", "deutan", "tritan"] | None = None
+
+    #: What is laid over the picture.
+    overlay: Literal["status", "uncertainty", "gamut"] | None = None
+
+    #: Exposure against how the page opens (stops).
+    exposure_ev: float = 0.0
+
+    #: Numbered notes pinned to points of the scene.
+    notes: tuple[LessonNote, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lesson(Definition):
+    """Guided steps that the classroom page shows beside the scene; none where this is left out."""
+
+    #: A text in each language, by the language's code.
+    title: Mapping[str, str] = field(hash=False)
+
+    #: The steps in their order; each says all that differs from how the page opens.
+    steps: tuple[LessonStep, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Lens(Definition):
     """A thin lens in the eye's place, for the integrator reference; without it all is in focus."""
 
@@ -1026,6 +1208,9 @@ class Scene(Definition):
 
     #: A sequence of frames of every view, beside its picture; none where this is left out.
     frames: Frames | None = None
+
+    #: Guided steps that the classroom page shows beside the scene; none where this is left out.
+    lesson: Lesson | None = None
 
     #: The sides from which the scene is rendered, by name.
     views: Mapping[str, View] = field(hash=False)

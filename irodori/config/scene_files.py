@@ -19,6 +19,7 @@ from irodori.config.models import (
     Scene,
     ScenePhotograph,
 )
+from irodori.config.pages import has_page, page_views
 from irodori.config.parts import Subject
 from irodori.config.photograph_sets import PhotographSets, named_tables
 from irodori.core.errors import InputError
@@ -100,6 +101,11 @@ class SceneFiles:
         meshes = self._sets.meshes_of(*dict.fromkeys(self.objects(wildcards)))
         return meshes + self.tables(wildcards)
 
+    def page_files(self, wildcards) -> list[str]:
+        """Return the files of a scene and the pictures of its lesson."""
+        lesson = self._scene(wildcards).lesson
+        return self.files(wildcards) + [step.picture for step in (lesson.steps if lesson else ()) if step.picture]
+
     def tables(self, wildcards) -> list[str]:
         """Return the tables that a scene's own lights, bodies and frames are made of."""
         scene = self._scene(wildcards)
@@ -130,7 +136,7 @@ class SceneFiles:
     # ---- frames
 
     def with_frames(self, wildcards) -> dict:
-        """Return the definition of a scene that has frames.
+        """Return the definition of a scene that has frames, without the lesson, whose words change no picture.
 
         Raises
         ------
@@ -142,7 +148,7 @@ class SceneFiles:
             file = Path(self.loaded.config.definitions) / "scenes" / f"{wildcards.scene}.yaml"
             found = f"the scene {wildcards.scene} defines no frames, so there are none to render"
             raise InputError(file, "frames", found, "a turntable, a light_sweep or an illuminant_change")
-        return scene.plain()
+        return {key: value for key, value in scene.plain().items() if key != "lesson"}
 
     def memory_of_frames_mb(self, wildcards) -> int:
         """Return what the pictures of a sequence take, MB: they are joined in memory."""
@@ -190,6 +196,31 @@ class SceneFiles:
             further += [_FURTHER_OUTPUTS[kind].format(scene=scene, view=view) for kind in definition.further_outputs]
             frames += [f"results/{scene}/{view}.frames.png"] if definition.frames is not None else []
         return self.views("results/{scene}/{view}.png") + self.views("results/{scene}/{view}.exr") + further + frames
+
+    # ---- pages
+
+    def pages(self, pattern: str = "results/{scene}/viewer.html") -> list[str]:
+        """Return a pattern filled for every scene that a classroom page can show."""
+        return [pattern.format(scene=name) for name, scene in self.loaded.scenes.items() if has_page(scene)]
+
+    def page_view(self, pattern: str) -> Callable[[Any], str]:
+        """Return a function from wildcards to a file of the view that a scene's page begins with.
+
+        Raises
+        ------
+        InputError
+            If a page cannot show the scene.
+        """
+
+        def found(wildcards) -> str:
+            scene = self._scene(wildcards)
+            if not has_page(scene):
+                file = Path(self.loaded.config.definitions) / "scenes" / f"{wildcards.scene}.yaml"
+                seen = "no upright perspective view through a pinhole, or a light that is not collimated"
+                raise InputError(file, "views", seen, "such a view, and collimated lights")
+            return pattern.format(scene=wildcards.scene, view=page_views(scene)[0])
+
+        return found
 
     # ---- photographs of scenes
 

@@ -30,6 +30,8 @@ from irodori.config.definition import Definition
 '''
 _SCALARS = {"string": "str", "number": "float", "integer": "int", "boolean": "bool", "null": "None"}
 _WIDTH = 120
+#: Longest list whose type says how many items it has; the type of a spectrum would fill a page.
+_COUNTED = 16
 _OPTIONAL = "optional"
 
 
@@ -85,8 +87,8 @@ def _type_of(schema: dict, found: dict) -> str:
     if isinstance(schema["type"], list):
         return " | ".join(_SCALARS[one] for one in schema["type"])
     if schema["type"] == "array":
-        inner, count = _type_of(schema["items"], found), schema.get("maxItems")
-        fixed = schema.get("minItems") == count
+        inner, count = _type_of(schema["items"], found), schema.get("maxItems", 0)
+        fixed = schema.get("minItems") == count and count <= _COUNTED
         return f"tuple[{', '.join([inner] * count)}]" if fixed and count else f"tuple[{inner}, ...]"
     if schema["type"] != "object":
         return _SCALARS[schema["type"]]

@@ -11,14 +11,15 @@ from irodori.core.parsed_sources import imports_of
 
 _ROOT = Path(__file__).resolve().parents[2]
 _DIGITS = 16
+_TEXTS = ("templates", "page")  # folders of a package whose files become part of what it writes
 
 
 @functools.cache
 def code_hash(*modules: str, root: Path = _ROOT) -> str:
     """Return the hash of modules' sources and of everything local that they import, directly or not.
 
-    The templates and tables of a package that is among them count as its source. Nothing is imported: the sources are
-    parsed.
+    The templates, parts of pages and tables of a package that is among them count as its source. Nothing is imported:
+    the sources are parsed.
     The result is remembered, for the code does not change while a workflow is being planned.
 
     Parameters
@@ -42,9 +43,10 @@ def code_hash(*modules: str, root: Path = _ROOT) -> str:
     digest = hashlib.sha256()
     sources = {name: file for module in modules for name, file in _closure(module, root, _unchanged_imports).items()}
     for name, file in sorted(sources.items()):
-        # A package without __init__ has no file here, and no templates or tables either.
-        patterns = ("templates/*", "*.h5") if file.name == "__init__.py" else ()
-        for part in (file, *(found for pattern in patterns for found in sorted(file.parent.glob(pattern)))):
+        # A package without __init__ has no file here, and no parts or tables either.
+        parts = [f for f in file.parent.glob("*/*") if f.is_file() and f.parent.name in _TEXTS]
+        beside = sorted([*parts, *file.parent.glob("*.h5")])
+        for part in (file, *(beside if file.name == "__init__.py" else [])):
             digest.update(f"{name}\0{hashlib.sha256(part.read_bytes()).hexdigest()}\n".encode())
     return digest.hexdigest()[:_DIGITS]
 

@@ -115,7 +115,8 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
         environments, calibrations, calibration_errors, selections, pictures, figures, true_pictures,
         comparisons, comparison_figures.
     names : dict
-        objects, virtual_objects, environments, cameras, views, virtual_views, photographs, in the order of the files.
+        objects, virtual_objects, environments, cameras, views, virtual_views, photographs, in the order of the files;
+        pages, the classroom pages beside the report.
     benchmarks : path
         Folder of the benchmark files of the run.
     output : path
@@ -126,6 +127,7 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
         output,
         "report.html.j2",
         views=rendered_views(names["views"], inputs["pictures"], inputs["figures"], true_views),
+        pages=names["pages"],
         photographs=_pictures(names["photographs"], inputs["comparisons"], inputs["comparison_figures"]),
         errors=read_errors(inputs["errors"]),
         budgets={

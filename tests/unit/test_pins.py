@@ -102,7 +102,9 @@ def test_the_lock_has_every_pin_and_the_packages_that_all_files_share_alike(kind
     lock, main = locked(kind), locked("")
     for name, number in declared(kind).items():
         assert lock[name].version == number and lock[name].marker is None, name
-    assert {name: lock[name] for name in main} == main
+    # What a larger set needs on every machine, a smaller one may need on some alone.
+    shared = {name: lock[name] if lock[name].marker else lock[name]._replace(marker=main[name].marker) for name in main}
+    assert shared == main
 
 
 @pytest.mark.parametrize("kind", KINDS)

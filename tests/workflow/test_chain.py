@@ -18,6 +18,7 @@ STAGES_AFTER_FIT = {
     "fit_brdf",
     "compress_reflectance",
     "render_view",
+    "export_viewer",
     "compare_photograph",
     "measure_error_budget",
     "measure_errors",
@@ -149,7 +150,8 @@ def test_a_finer_texture_does_not_photograph_again(again):
 def test_a_scene_edit_renders_and_nothing_more(again):
     edit(again / "config/scenes/still-life.yaml", {"max_bounces": 3})
     rules = {rule for rule, _ in planned(snakemake(again, "--dry-run"))}
-    assert rules == {"render_view", "render_truth", "measure_error_budget", "measure_errors", "write_report", "all"}
+    pictures = {"render_view", "render_truth", "export_viewer"}
+    assert rules == {*pictures, "measure_error_budget", "measure_errors", "write_report", "all"}
 
 
 def test_a_library_edit_reruns_the_stages_that_use_it(again, tmp_path):

@@ -11,6 +11,8 @@ try:
     loaded = load_definitions(config, Path(), files)
     plain = loaded.plain()
     config.update(plain.pop("config"), **plain)  # where `lookup` finds them, with every default
+    # Apart from their scenes: other words change no picture.
+    config["lessons"] = {name: scene.pop("lesson", None) for name, scene in config["scenes"].items()}
     sets = PhotographSets(loaded)
     scenes = SceneFiles(sets)
 except InputError as error:

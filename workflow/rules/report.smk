@@ -226,6 +226,7 @@ rule write_report:
         true_pictures=scenes.views("results/{scene}/truth/{view}.png", virtual_only=True),
         comparisons=scenes.photographs("results/{scene}/photographs/{photograph}/comparison.png"),
         comparison_figures=scenes.photographs("results/{scene}/photographs/{photograph}/comparison.json"),
+        pages=scenes.pages(),
     output:
         page=report("results/report.html", caption="../report/report.rst", category="Errors"),
     log:
@@ -245,6 +246,7 @@ rule write_report:
         views=scenes.views("{scene}/{view}"),
         virtual_views=scenes.views("{scene}/{view}", virtual_only=True),
         photographs=scenes.photographs("{scene}/{photograph}"),
+        pages=scenes.pages("{scene}/viewer.html"),
         benchmarks="results/benchmarks",
         code=code_hash("irodori.report.page"),
     script:

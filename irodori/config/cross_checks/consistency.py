@@ -18,6 +18,7 @@ from irodori.config.cross_checks.captures_on_rig import (
 )
 from irodori.config.cross_checks.display_files import check_display
 from irodori.config.cross_checks.environment_sources import check_source, is_photographed
+from irodori.config.cross_checks.lessons import check_lesson
 from irodori.config.cross_checks.named_spectra import check_chart, check_index, check_spectra
 from irodori.config.cross_checks.object_lobes import check_lobes
 from irodori.config.cross_checks.plan_overrides import check_plan
@@ -196,6 +197,7 @@ class _Checks:
             found = f"{frames.turned}, of which the scene has none beside its environment"
             raise InputError(file, "frames.turned", found, "environment, or lights in the scene")
         check_plan(scene, file)
+        check_lesson(scene, self.root, file)
         for label, placed in scene.photographs.items():
             states = self._states(placed.camera)
             check_photograph(self.all, scene, label, states, self.root, lambda kind, which=name: self.file(kind, which))

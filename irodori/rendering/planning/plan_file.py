@@ -5,7 +5,6 @@ from dataclasses import asdict, replace
 import numpy as np
 import yaml
 
-from irodori.config.models import Scene
 from irodori.core.atomic_files import written_whole
 from irodori.core.yaml_files import read_yaml
 from irodori.rendering.interactive.quadrature import Quadrature
@@ -99,7 +98,7 @@ def model_of(document: dict, full: Model, names: list[str]) -> Model:
     full : Model
         Of the scene.
     names : list of str
-        Of the objects, see `object_names`.
+        Of the objects, see `irodori.config.placed_names.object_names`.
     """
     values = {name: block["value"] for name, block in document["decisions"].items()}
     quadrature = None
@@ -115,19 +114,6 @@ def model_of(document: dict, full: Model, names: list[str]) -> Model:
         quadrature=quadrature,
         **{name: values[name] for name in _PLAIN},
     )
-
-
-def object_names(scene: Scene) -> list[str]:
-    """Return a name for every object of a scene, each once, then for its bodies.
-
-    An object that stands in several places is ``jar``, ``jar#2``, ``jar#3``; the first body is ``bodies[0]``.
-    """
-    seen: dict[str, int] = {}
-    names = []
-    for item in scene.objects:
-        number = seen[item.object] = seen.get(item.object, 0) + 1
-        names.append(item.object if number == 1 else f"{item.object}#{number}")
-    return names + [f"bodies[{index}]" for index in range(len(scene.bodies))]
 
 
 def write_plan(path, document: dict) -> None:

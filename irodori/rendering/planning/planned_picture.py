@@ -7,6 +7,7 @@ import numpy as np
 
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.config.models import Render, Scene
+from irodori.config.placed_names import object_names
 from irodori.core.progress import LOGGER
 from irodori.geometry.embree import Tracer
 from irodori.light.environment_file import Environment
@@ -14,7 +15,7 @@ from irodori.rendering.integrators import has_ambient
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, render_frame
 from irodori.rendering.interactive.pixel_rays import render_pixels
 from irodori.rendering.planning.modelled_scene import Parts, full_model, prepare
-from irodori.rendering.planning.plan_file import model_of, object_names
+from irodori.rendering.planning.plan_file import model_of
 from irodori.rendering.planning.planned_check import chosen_pixels, measure, refuse_above
 from irodori.rendering.scene_arrays import Objects, make_view
 from irodori.rendering.scene_lights import BANDS, make_lights

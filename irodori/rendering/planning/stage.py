@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from irodori.config.models import ObjectShape, ReferenceIntegrator, Render, Scene
+from irodori.config.placed_names import object_names
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.geometry.shapes.shape import Shape
@@ -10,7 +11,7 @@ from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import has_ambient, with_bodies
 from irodori.rendering.planning.choices import choose
-from irodori.rendering.planning.plan_file import document_of, object_names, write_plan
+from irodori.rendering.planning.plan_file import document_of, write_plan
 from irodori.rendering.planning.planned_picture import parts_of
 from irodori.rendering.scene_arrays import View, make_objects, make_placements, make_tracer, make_view
 from irodori.rendering.scene_white import scene_white

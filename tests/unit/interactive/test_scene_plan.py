@@ -17,6 +17,7 @@ from studio import BASIS, even_light
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.config.models import ObjectShape, Render, Scene, Size, View
 from irodori.config.parts import Staging
+from irodori.config.placed_names import object_names
 from irodori.core.errors import InputError
 from irodori.core.store import Provenance
 from irodori.export.pictures import read_xyz, write_spectral_exr, write_xyz_exr
@@ -26,7 +27,7 @@ from irodori.rendering.integrators import render_image
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, render_frame
 from irodori.rendering.interactive.pixel_rays import render_pixels, render_rays
 from irodori.rendering.planning.modelled_scene import full_model, leading_basis, prepare
-from irodori.rendering.planning.plan_file import model_of, object_names, read_plan, write_plan
+from irodori.rendering.planning.plan_file import model_of, read_plan, write_plan
 from irodori.rendering.planning.planned_check import ToleranceError, chosen_pixels
 from irodori.rendering.planning.planned_picture import parts_of
 from irodori.rendering.planning.probes import Changes, Probes

@@ -1,0 +1,81 @@
+"""Checks of a scene's lesson against the scene: what its steps name has to be there."""
+
+import difflib
+from collections.abc import Iterable
+from pathlib import Path
+
+from irodori.config.models import LessonLight, LessonStep, NamedIlluminant, Scene
+from irodori.config.placed_names import object_names
+from irodori.core.errors import InputError, is_file
+from irodori.spectra.published_names import ILLUMINANTS
+
+#: First bytes of the pictures that a lesson shows, and the kind that a page names them by.
+PICTURE_KINDS = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}
+_MOST_BYTES = 1_000_000
+#: Lamps with a size that the page's renderer follows at once.
+_MOST_BALLS = 4
+
+
+def check_lesson(scene: Scene, root: Path, file) -> None:
+    """Refuse a lesson that names a view, an object, a room, an illuminant or a picture that is not there.
+
+    Raises
+    ------
+    InputError
+    """
+    if scene.lesson is None:
+        return
+    names = object_names(scene)
+    for index, step in enumerate(scene.lesson.steps):
+        field = f"lesson.steps[{index}]"
+        if step.view is not None:
+            _check_name(step.view, scene.views, file, f"{field}.view")
+            if step.camera is not None:
+                raise InputError(file, f"{field}.camera", "a camera beside the view", "one of the two")
+        for number, pose in enumerate(step.objects):
+            _check_name(pose.name, names, file, f"{field}.objects[{number}].name")
+        _check_light(step.light, scene, file, f"{field}.light")
+        if step.compare is not None:
+            _check_light(step.compare.light, scene, file, f"{field}.compare.light")
+        _check_picture(step, root, file, f"{field}.picture")
+
+
+def _check_name(name: str, known: Iterable[str], file, field: str) -> None:
+    listed = list(known)
+    if name not in listed:
+        near = difflib.get_close_matches(name, listed, n=1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise InputError(file, field, f"{name}, which is not there{hint}", ", ".join(listed))
+
+
+def _check_light(light: LessonLight, scene: Scene, file, field: str) -> None:
+    if light.environment is not None:
+        _check_name(light.environment, [scene.environment], file, f"{field}.environment")
+    balls = sum(lamp.size_mm > 0 for lamp in light.lamps)
+    if balls > _MOST_BALLS:
+        raise InputError(file, f"{field}.lamps", f"{balls} lamps with a size", f"at most {_MOST_BALLS}, and points")
+    named = [(light.illuminant, f"{field}.illuminant")]
+    named += [(lamp.illuminant, f"{field}.lamps[{index}].illuminant") for index, lamp in enumerate(light.lamps)]
+    for illuminant, where in named:
+        if isinstance(illuminant, NamedIlluminant):
+            _check_name(illuminant.name, ILLUMINANTS, file, f"{where}.name")
+
+
+def _check_picture(step: LessonStep, root: Path, file, field: str) -> None:
+    if step.picture is None:
+        return
+    accepted = f"a PNG or JPEG of at most {_MOST_BYTES} bytes"
+    path = root / step.picture
+    if not is_file(path):
+        raise InputError(file, field, f"no such file: {step.picture}", accepted)
+    if path.stat().st_size > _MOST_BYTES:
+        raise InputError(file, field, f"{step.picture} of {path.stat().st_size} bytes", accepted)
+    if picture_kind(path) is None:
+        raise InputError(file, field, f"{step.picture}, whose content is neither", accepted)
+
+
+def picture_kind(path: Path) -> str | None:
+    """Return the media type of a picture by its first bytes; None where it is neither PNG nor JPEG."""
+    with path.open("rb") as stream:
+        head = stream.read(8)
+    return next((kind for start, kind in PICTURE_KINDS.items() if head.startswith(start)), None)

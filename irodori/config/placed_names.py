@@ -1,0 +1,18 @@
+"""Names of what stands in a scene, each once."""
+
+from irodori.config.models import Scene
+
+__all__ = ["object_names"]
+
+
+def object_names(scene: Scene) -> list[str]:
+    """Return a name for every object of a scene, each once, then for its bodies.
+
+    An object that stands in several places is ``jar``, ``jar#2``, ``jar#3``; the first body is ``bodies[0]``.
+    """
+    seen: dict[str, int] = {}
+    names = []
+    for item in scene.objects:
+        number = seen[item.object] = seen.get(item.object, 0) + 1
+        names.append(item.object if number == 1 else f"{item.object}#{number}")
+    return names + [f"bodies[{index}]" for index in range(len(scene.bodies))]

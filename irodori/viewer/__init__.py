@@ -1,0 +1,1 @@
+"""The classroom page: a scene as one offline HTML file."""

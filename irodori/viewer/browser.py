@@ -1,0 +1,117 @@
+"""A page in a browser without a window, for the errors that it states and for the tests.
+
+The client is Playwright, which is asked for where pages are checked and nowhere else; the browser is the system's own.
+"""
+
+import atexit
+import base64
+import importlib
+import importlib.util
+import json
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from irodori.core.errors import PlainError
+
+#: No dependency of the package: pages are written without it, and then say that they were not checked.
+_CLIENT = "playwright"
+#: Commands by which systems know Chromium.
+COMMANDS = ("chromium", "chromium-browser", "google-chrome")
+#: WebGL2 by a renderer in software: the same numbers on every machine.
+FLAGS = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")
+_PATIENCE_MS = 600_000
+#: What a page says in place of a picture.
+_SAID = "!document.getElementById('poster').hidden && document.getElementById('poster-text').textContent"
+_READ = """([state, width, height]) => {
+  const values = Irodori.renderer.readXYZ(state, width, height), bytes = new Uint8Array(values.buffer);
+  let text = "";
+  for (let i = 0; i < bytes.length; i += 32768) text += String.fromCharCode(...bytes.subarray(i, i + 32768));
+  return btoa(text);
+}"""
+
+
+def browser_command() -> str | None:
+    """Return the browser's file, None where there is no browser or no client."""
+    if importlib.util.find_spec(_CLIENT) is None:
+        return None
+    return next((found for found in map(shutil.which, COMMANDS) if found), None)
+
+
+class OpenPage:
+    """A page that draws; see `opened`."""
+
+    def __init__(self, page, messages: list[str]) -> None:
+        self.page, self.messages = page, messages
+
+    def default_state(self) -> dict:
+        """Return the state that the page begins with."""
+        return json.loads(self.page.evaluate("JSON.stringify(Irodori.renderer.defaultState())"))
+
+    def read_xyz(self, state: dict, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return XYZ, (height, width, 3), and the objects seen, (height, width), -1 for none."""
+        raw = base64.b64decode(self.page.evaluate(_READ, [state, width, height]))
+        values = np.frombuffer(raw, dtype="<f4").reshape(height, width, 4)
+        return values[..., :3].astype(np.float64), values[..., 3].astype(int)
+
+    def said(self) -> str:
+        """Return what the page says in place of a picture, once it does."""
+        self.page.wait_for_function(_SAID)
+        return self.page.evaluate(_SAID)
+
+    def milliseconds(self) -> dict[str, float]:
+        """Return how long the page took to its first frame, and how long its programs took to link."""
+        found = self.page.evaluate("[performance.now(), Irodori.renderer.figures().programs_linked_ms]")
+        return dict(zip(("to_first_frame", "programs_linked"), found, strict=True))
+
+
+@lru_cache(maxsize=1)
+def _client():
+    """Return the client, started once: two at a time in one thread it refuses."""
+    client = importlib.import_module(f"{_CLIENT}.sync_api").sync_playwright().start()
+    atexit.register(client.stop)
+    return client
+
+
+@contextmanager
+def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True) -> Iterator[OpenPage]:
+    """Open a page from disk and wait until it can draw.
+
+    Parameters
+    ----------
+    path : path
+    flags : tuple of str
+        Of the browser.
+    wait : bool
+        Whether to wait for the renderer; a page that cannot draw has none.
+
+    Raises
+    ------
+    PlainError
+        If there is no browser, or the page says why it does not draw.
+    """
+    command = browser_command()
+    if command is None:
+        raise PlainError("No browser to check a page in; accepted: Debian's package chromium and Python's playwright.")
+    browser = _client().chromium.launch(executable_path=command, args=list(flags), headless=True)
+    try:
+        page = browser.new_page()
+        page.set_default_timeout(_PATIENCE_MS)
+        messages: list[str] = []
+        page.on("console", lambda message: messages.append(message.text))
+        page.on("pageerror", lambda error: messages.append(str(error)))
+        page.on("request", lambda request: messages.append(f"request {request.url}")
+                if not request.url.startswith(("file:", "data:", "blob:")) else None)  # fmt: skip
+        page.goto(Path(path).resolve().as_uri())
+        if wait:
+            drawn = "window.Irodori && Irodori.renderer && Irodori.renderer.drawn !== undefined"
+            page.wait_for_function(f"({drawn}) || ({_SAID})")
+            if not page.evaluate(f"!!({drawn})"):
+                raise PlainError(page.evaluate(_SAID))
+        yield OpenPage(page, messages)
+    finally:
+        browser.close()

@@ -1,0 +1,82 @@
+"""Lights, observers and displays that a classroom page offers, as tables."""
+
+import warnings
+
+import colour
+import numpy as np
+
+from irodori.colour.colorimetry import colour_matching_weights
+from irodori.colour.display import STANDARD
+from irodori.spectra.grid import WAVELENGTH_NM
+from irodori.spectra.published import light
+
+#: Name in a page, and what it is called there.
+ILLUMINANTS = {
+    "D65": "CIE D65, daylight",
+    "D50": "CIE D50, daylight of the morning",
+    "A": "CIE A, light bulb",
+    "FL2": "CIE FL2, cool white fluorescent",
+    "FL11": "CIE FL11, fluorescent of three bands",
+    "FL12": "CIE FL12, warm fluorescent of three bands",
+    "LED-B1": "CIE LED-B1, warm white LED",
+    "LED-B3": "CIE LED-B3, neutral white LED",
+    "LED-B5": "CIE LED-B5, cool white LED",
+    "LED-RGB1": "CIE LED-RGB1, red, green and blue LEDs",
+    "LED-V1": "CIE LED-V1, LED with a violet pump",
+    "E": "CIE E, the same power everywhere",
+}
+#: Name in a page: what colour-science calls the observer, and what the page does.
+OBSERVERS = {
+    "CIE 1931 2°": ("CIE 1931 2 Degree Standard Observer", "small fields; what the other figures are computed with"),
+    "CIE 1964 10°": ("CIE 1964 10 Degree Standard Observer", "large fields"),
+    "CIE 2015 2°": ("CIE 2015 2 Degree Standard Observer", "from cone fundamentals, small fields"),
+    "CIE 2015 10°": ("CIE 2015 10 Degree Standard Observer", "from cone fundamentals, large fields"),
+}
+#: Dichromats: name in a page, and what colour-science calls them.
+DEFICIENCIES = {"protan": "Protanomaly", "deutan": "Deuteranomaly", "tritan": "Tritanomaly"}
+
+
+def illuminants() -> list[dict]:
+    """Return the lights, each with its relative power at the 61 samples."""
+    return [
+        {"name": name, "label": label, "power": [float(x) for x in light(name) / light(name).max()]}
+        for name, label in ILLUMINANTS.items()
+    ]
+
+
+def observers() -> list[dict]:
+    """Return the observers, each with the weights that take a spectrum of 61 samples to its X, Y and Z."""
+    return [
+        {"name": name, "label": label, "xyz": [[float(x) for x in row] for row in colour_matching_weights(table).T]}
+        for name, (table, label) in OBSERVERS.items()
+    ]
+
+
+def daylight() -> list[list[float]]:
+    """Return the three components of CIE daylight, (3, 61), for daylight of any colour temperature."""
+    tables = colour.colorimetry.SDS_BASIS_FUNCTIONS_CIE_ILLUMINANT_D_SERIES
+    parts = (tables[name] for name in ("S0", "S1", "S2"))
+    return [[float(x) for x in np.interp(WAVELENGTH_NM, part.wavelengths, part.values)] for part in parts]
+
+
+def displays() -> list[dict]:
+    """Return the displays of standard primaries: linear RGB of XYZ whose white has Y = 1, and the white."""
+    found = []
+    for name, (table, _) in STANDARD.items():
+        space = colour.RGB_COLOURSPACES[table]
+        white = colour.xy_to_XYZ(space.whitepoint)
+        matrix = np.linalg.inv(space.matrix_RGB_to_XYZ)
+        found.append({"name": name, "rgb_from_xyz": matrix.tolist(), "white_xyz": [float(x) for x in white]})
+    return found
+
+
+def deficiencies() -> list[dict]:
+    """Return the dichromats of Machado et al. (2009), as matrices on linear sRGB."""
+    found = []
+    for name, table in DEFICIENCIES.items():
+        with warnings.catch_warnings():
+            # Of tritanomaly: that it is an approximation, which the page says too.
+            warnings.simplefilter("ignore", colour.utilities.ColourUsageWarning)
+            matrix = colour.matrix_cvd_Machado2009(table, 1.0)
+        found.append({"name": name, "rgb_from_rgb": [[float(x) for x in row] for row in matrix]})
+    return found

@@ -1,0 +1,144 @@
+"""Distance of a page from the product's own renderer, CIEDE2000, and what it is measured with."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori.colour.colorimetry import colour_matching_weights, delta_e, lab_from_xyz
+from irodori.geometry.shapes.placement import Placement
+from irodori.light.environment_file import Environment
+from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.rendering.interactive.cube_maps import face_directions, fill_borders, look_up_cube
+from irodori.rendering.interactive.frame_renderer import Lamp, Prepared, light_of, prepare_scene, render_frame
+from irodori.rendering.interactive.prepared_scene import padded
+from irodori.rendering.scene_arrays import Objects, View, make_tracer
+from irodori.spectra.grid import SAMPLES
+from irodori.viewer.scene_data import BORDER, HALVED_FROM, LightMaps, finer
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What a scene's frames are made from.
+
+    Parameters
+    ----------
+    objects : Objects
+    placements : list of Placement
+    environment : Environment
+    lamps : (n, 61) float
+        Spectral irradiance of the collimated lights.
+    directions : (n, 3) float
+        Towards them.
+    max_bounces : int
+    least_throughput : float
+    ambient : bool
+    """
+
+    objects: Objects
+    placements: list[Placement]
+    environment: Environment
+    lamps: np.ndarray
+    directions: np.ndarray
+    max_bounces: int
+    least_throughput: float
+    ambient: bool = True
+
+
+def prepared(parts: Parts, objects: Objects | None = None, maps: LightMaps | None = None) -> Prepared:
+    """Return a scene for frames of 61 bands; with the materials and the light maps of a payload where given."""
+    gloss = GlossMaps.stored(parts.environment) or GlossMaps.of(parts.environment.coefficients)
+    found = prepare_scene(
+        parts.objects if objects is None else objects,
+        light_of(parts.environment),
+        gloss,
+        make_tracer(parts.placements),
+        "spectral",
+        np.ones(SAMPLES),
+        lamps=parts.lamps,
+        max_bounces=parts.max_bounces,
+        least_throughput=parts.least_throughput,
+        half=False,
+        ambient=parts.ambient,
+    )
+    if maps is not None and maps.sky is not None:
+        found.world = found.world._replace(**_fields(found, maps))
+    return found
+
+
+def _fields(scene: Prepared, maps: LightMaps) -> dict:
+    """Return the fields of a `World` that hold light, from the maps of a payload."""
+    assert maps.sky is not None and maps.irradiance is not None  # asked before
+    lanes, levels = scene.layout.light, [_bordered(np.moveaxis(maps.sky, 0, -1))]
+    while levels[-1].shape[1] - 2 > 4:
+        inner = levels[-1][:, 1:-1, 1:-1]
+        side = inner.shape[1] // 2
+        levels.append(_bordered(inner.reshape(6, side, 2, side, 2, -1).mean(axis=(2, 4))))
+    fields = _joined("environment", levels, lanes)
+    fields["environment_levels"] = len(levels)
+    fields["texels_per_rad"] = float((levels[0].shape[1] - 2) * np.sqrt(6.0 / (4.0 * np.pi)))
+    irradiance = np.moveaxis(maps.irradiance, 0, -1)
+    fields["irradiance"] = padded(irradiance @ maps.basis / np.pi, scene.layout.surface)
+    fields["irradiance_side"] = irradiance.shape[1] - 2
+    gloss = [np.moveaxis(level, 0, -1) for level in looked_up(maps)]
+    pairs = []
+    for place, level in enumerate(gloss):
+        coarser = gloss[min(place + 1, len(gloss) - 1)]
+        side = level.shape[1] - 2
+        unit = np.stack([face_directions(face, side, 1) for face in range(6)])
+        pair = [np.pad(values, [(0, 0)] * 3 + [(0, lanes - values.shape[-1])])
+                for values in (level, look_up_cube(coarser, unit))]  # fmt: skip
+        pairs.append(np.stack(pair, axis=3))
+    fields |= _joined("gloss", pairs, lanes)
+    fields |= {"gloss_levels": len(gloss), "gloss_level": float(maps.first)}
+    return fields
+
+
+def looked_up(maps: LightMaps) -> list[np.ndarray]:
+    """Return the blurred levels as they are looked up, (k, 6, side + 2, side + 2)."""
+    pairs = zip(maps.gloss, maps.sides, strict=True)
+    return [finer(level) if side > HALVED_FROM and level.shape[-1] == side // 2 + 2 * BORDER else level
+            for level, side in pairs]  # fmt: skip
+
+
+def _bordered(inner: np.ndarray) -> np.ndarray:
+    """Return a cube, (6, side, side, k), with its border filled."""
+    stored = np.pad(inner, [(0, 0), (1, 1), (1, 1), (0, 0)])
+    fill_borders(stored)
+    return stored
+
+
+def _joined(name: str, levels: list[np.ndarray], lanes: int) -> dict:
+    """Return the fields of maps one after the other, with their last axis filled up."""
+    flat = [padded(level, lanes) for level in levels]
+    sizes = [len(values) for values in flat]
+    sides = [level.shape[1] - 2 for level in levels]
+    return {
+        name: np.concatenate(flat),
+        f"{name}_first": (np.cumsum(sizes) - sizes).astype(np.int64),
+        f"{name}_side": np.array(sides, dtype=np.int32),
+    }
+
+
+def frame_bands(scene: Prepared, view: View, parts: Parts, world_from_light=None) -> np.ndarray:
+    """Return a frame's radiance, (height, width, 61)."""
+    lamps = tuple(Lamp(direction) for direction in parts.directions)
+    return render_frame(scene, view, world_from_light=world_from_light, lamps=lamps, bands=True)
+
+
+def differences(bands: np.ndarray, other: np.ndarray, white: np.ndarray) -> np.ndarray:
+    """Return CIEDE2000 between two pictures of radiance, (..., 61), against a white, (61,); 2° observer."""
+    matrix = colour_matching_weights()
+    matrix = matrix * (100.0 / (matrix[1] @ white))
+    return xyz_differences(bands @ matrix.T, other @ matrix.T, matrix @ white)
+
+
+def xyz_differences(xyz: np.ndarray, other: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
+    """Return CIEDE2000 between two pictures of tristimulus values."""
+    return delta_e(lab_from_xyz(xyz, white_xyz), lab_from_xyz(other, white_xyz))
+
+
+def mean_and_p99(values: Sequence[np.ndarray]) -> dict[str, float]:
+    """Return mean and 99th percentile over pictures."""
+    joined = np.concatenate([np.ravel(part) for part in values])
+    return {"mean": round(float(joined.mean()), 4), "p99": round(float(np.percentile(joined, 99)), 4)}

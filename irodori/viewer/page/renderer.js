@@ -1,0 +1,500 @@
+// The renderer: a scene's textures, two programs, and frames of a state; the state is told in docs/viewer.md.
+"use strict";
+var Irodori = Irodori || {};
+
+(function () {
+  const MOST_LAMPS = 64, MOST_SPECTRA = 8, DISC_SAMPLES = 16, ROW = 10;
+  const KINDS = { sphere: 0, plate: 1, disc: 2, plane: 3, mesh: 4 };
+  const OVERLAYS = [null, "status", "uncertainty", "gamut"], MODES = [null, "wipe", "difference", "metamerism"];
+  const radians = (x) => x * Math.PI / 180;
+
+  function fail(code, sentence) {
+    const error = new Error(sentence);
+    error.code = code;
+    throw error;
+  }
+
+  function turned(degrees) {
+    const [a, b, c] = degrees.map(radians), m = (rows) => rows;
+    const x = m([[1, 0, 0], [0, Math.cos(a), -Math.sin(a)], [0, Math.sin(a), Math.cos(a)]]);
+    const y = m([[Math.cos(b), 0, Math.sin(b)], [0, 1, 0], [-Math.sin(b), 0, Math.cos(b)]]);
+    const z = m([[Math.cos(c), -Math.sin(c), 0], [Math.sin(c), Math.cos(c), 0], [0, 0, 1]]);
+    return Irodori.product(z, Irodori.product(y, x));
+  }
+
+  // Columns of a matrix of rows, as WebGL wants them.
+  const columns = (m) => [0, 1, 2].flatMap((c) => m.map((row) => row[c]));
+  const normal = (v) => v.map((x) => x / (Math.hypot(...v) || 1));
+  const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+
+  Irodori.eye = function (camera) {
+    const az = radians(camera.azimuth_deg), el = radians(camera.elevation_deg);
+    const away = [Math.cos(el) * Math.cos(az), Math.cos(el) * Math.sin(az), Math.sin(el)];
+    const position = camera.target_mm.map((x, i) => x + camera.distance_mm * away[i]);
+    const forward = away.map((x) => -x), across = cross(forward, [0, 0, 1]);
+    const right = Math.hypot(...across) > 1e-9 ? normal(across) : [-Math.sin(az), Math.cos(az), 0];
+    const down = cross(forward, right);
+    return { position, rows: [0, 1, 2].map((i) => [right[i], down[i], forward[i]]) };
+  };
+
+  Irodori.Renderer = class {
+    constructor(canvas, data) {
+      this.canvas = canvas;
+      this.data = data;
+      this.spectra = new Irodori.Spectra(data);
+      this.onlost = this.onrestored = null;
+      this.lost = false;
+      this.linked = { milliseconds: 0 };
+      this.times = [];
+      canvas.addEventListener("webglcontextlost", (event) => {
+        event.preventDefault();
+        this.lost = true;
+        if (this.onlost) this.onlost();
+      });
+      canvas.addEventListener("webglcontextrestored", () => {
+        this.ready = this.prepare().then(() => {
+          this.lost = false;
+          if (this.onrestored) this.onrestored();
+        });
+        this.ready.catch(() => 0);
+      });
+      this.ready = this.prepare();
+    }
+
+    async prepare() {
+      const gl = this.gl = this.canvas.getContext("webgl2", { antialias: false, alpha: false, preserveDrawingBuffer: true, powerPreference: "high-performance" });
+      if (!gl) fail("no-webgl2", "This browser draws no WebGL2; accepted: a browser that does.");
+      if (!gl.getExtension("EXT_color_buffer_float")) fail("no-webgl2", "This browser draws no numbers with a point; accepted: one with EXT_color_buffer_float.");
+      this.parallel = gl.getExtension("KHR_parallel_shader_compile");
+      this.targets = {};
+      this.textures = {};
+      this.vertices = gl.createVertexArray();
+      this.lit = null;
+      this.coloured = this.data.header.quadrature !== null;
+      this.makeMaterials();
+      const mesh = Irodori.meshTexture(this.data);
+      this.meshes = mesh ? mesh.places : {};
+      if (mesh) this.textures.uMesh = this.texture(mesh, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
+      this.makeLobes();
+      this.programs = {};
+      this.programs.display = await this.program("display", Irodori.sources["display.glsl"], "");
+      this.useLight(0);
+      await this.transport();
+    }
+
+    // A texture of {data, width, height, layers}.
+    texture(image, internal, format, type, filter) {
+      const gl = this.gl, target = image.layers ? gl.TEXTURE_2D_ARRAY : gl.TEXTURE_2D, texture = gl.createTexture();
+      gl.bindTexture(target, texture);
+      gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+      if (image.layers) gl.texImage3D(target, 0, internal, image.width, image.height, image.layers, 0, format, type, image.data);
+      else gl.texImage2D(target, 0, internal, image.width, image.height, 0, format, type, image.data);
+      for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(target, name, filter);
+      for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(target, name, gl.CLAMP_TO_EDGE);
+      return { texture, target };
+    }
+
+    half(image) {
+      return this.texture(image, this.gl.RGBA16F, this.gl.RGBA, this.gl.FLOAT, this.gl.LINEAR);
+    }
+
+    makeMaterials() {
+      this.atlas = Irodori.materialAtlas(this.data, this.spectra.widest);
+      this.textures.uMaterials = this.half(this.atlas);
+      this.atlas.data = null;
+    }
+
+    makeLobes() {
+      const { lobes } = this.data.header, gl = this.gl, tables = lobes.map((_, i) => this.data.shapes["lobe/" + i]);
+      this.parts = 0;
+      if (!tables.length || !tables[0]) return;
+      this.parts = Math.max(...tables.map((shape) => shape[0]));
+      const each = 17 * 17 * 16, out = new Float32Array(lobes.length * this.parts * each);
+      lobes.forEach((_, i) => out.set(this.data.planes["lobe/" + i], i * this.parts * each));
+      this.textures.uRows = this.texture({ data: out, width: 68, height: 17 * this.parts * lobes.length }, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
+    }
+
+    // Make the light of an environment that of the next frames; true where the program must follow.
+    useLight(number) {
+      const entry = this.data.header.light[number], gl = this.gl;
+      for (const name of ["uSky", "uIrradiance", "uGloss"]) {
+        if (this.textures[name]) gl.deleteTexture(this.textures[name].texture);
+        delete this.textures[name];
+      }
+      this.light = { number, sky: [], gloss: [], scale: [1, 1, 1, 1], first: 0, side: 0 };
+      if (!entry || entry.is_dark) return;
+      const levels = Irodori.lightLevels(this.data, number);
+      const scale = Irodori.halfScale([...levels.sky.slice(0, 1), ...levels.irradiance, ...levels.gloss]);
+      const sky = Irodori.cubeAtlas(levels.sky, scale), irradiance = Irodori.cubeAtlas(levels.irradiance, scale);
+      this.textures.uSky = this.half(sky);
+      this.textures.uIrradiance = this.half(irradiance);
+      this.light = { number, sky: sky.origins, gloss: [], scale, first: entry.gloss_first, side: levels.irradiance[0].side };
+      if (levels.gloss.length) {
+        const gloss = Irodori.cubeAtlas(levels.gloss, scale);
+        this.textures.uGloss = this.half(gloss);
+        this.light.gloss = gloss.origins;
+      }
+    }
+
+    defines() {
+      const header = this.data.header, has = (kind) => Number(header.objects.some((o) => o.shape === kind));
+      const k = this.spectra.lights.length ? this.spectra.lights[this.light.number].basis.length : 1;
+      const ggx = header.lobes.map((lobe, i) => (lobe.name === "ggx" ? "(l) == " + i : null)).filter(Boolean);
+      const values = {
+        OBJECTS: header.objects.length, K: k, G: Math.ceil(k / 4), KS: this.spectra.widest, BOUNCES: header.max_bounces,
+        AMBIENT: Number(header.ambient), COLOURED: Number(this.coloured), HAS_LIGHT: Number(this.light.sky.length > 0),
+        SKY_LEVELS: this.light.sky.length, GLOSS_LEVELS: this.light.gloss.length, PARTS: this.parts,
+        LOBES: Math.max(header.lobes.length, 1), HAS_MESH: has("mesh"), HAS_DISC: has("disc"), MOST_LAMPS, MOST_SPECTRA,
+        "GGX(l)": ggx.length ? "(" + ggx.join(" || ") + ")" : "false",
+      };
+      return Object.entries(values).map(([name, value]) => "#define " + name + " " + value + "\n").join("");
+    }
+
+    async transport() {
+      const defines = this.defines();
+      if (this.programs.transport && this.programs.transport.defines === defines) return;
+      this.programs.transport = await this.program("transport", Irodori.sources["transport.glsl"], defines);
+    }
+
+    // Compile and link without waiting in the browser's way, where it can do that beside the page.
+    async program(name, source, defines) {
+      const gl = this.gl, start = performance.now(), program = gl.createProgram();
+      const corner = "void main() { gl_Position = vec4(vec2(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0), 0.0, 1.0); }";
+      const shaders = [[gl.VERTEX_SHADER, corner], [gl.FRAGMENT_SHADER, defines + source]].map(([type, text]) => {
+        const shader = gl.createShader(type);
+        gl.shaderSource(shader, "#version 300 es\n" + text);
+        gl.compileShader(shader);
+        gl.attachShader(program, shader);
+        return shader;
+      });
+      gl.linkProgram(program);
+      if (this.parallel) while (!gl.getProgramParameter(program, this.parallel.COMPLETION_STATUS_KHR) && !gl.isContextLost()) await new Promise((go) => setTimeout(go, 4));
+      if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
+        const log = shaders.map((s) => gl.getShaderInfoLog(s)).join(" ") + " " + gl.getProgramInfoLog(program);
+        throw new Error("This browser does not make the program " + name + ": " + log.trim());
+      }
+      const places = new Map();
+      this.linked.milliseconds += performance.now() - start;
+      return { program, defines, place: (uniform) => {
+        if (!places.has(uniform)) places.set(uniform, gl.getUniformLocation(program, uniform));
+        return places.get(uniform);
+      } };
+    }
+
+    defaultState() {
+      const header = this.data.header, view = header.views[0];
+      return {
+        camera: JSON.parse(JSON.stringify(view.camera)),
+        light: { environment: header.environments[0] || null, turn_deg: 0, illuminant: null, lamps: JSON.parse(JSON.stringify(header.lamps)) },
+        objects: header.objects.map((o) => ({ name: o.name, position_mm: o.position_mm.slice(), turn_deg: o.rotation_deg.slice(), visible: true })),
+        observer: header.observers[0].name, deficiency: null, display: { name: header.displays[0].name }, exposure_ev: 0, overlay: null,
+      };
+    }
+
+    power(illuminant) {
+      return this.spectra.power(illuminant);
+    }
+
+    setTexture(program, name, unit) {
+      const gl = this.gl, own = this.textures[name];
+      if (!own || program.place(name) === null) return;
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(own.target, own.texture);
+      gl.uniform1i(program.place(name), unit);
+    }
+
+    // Rows of the scene's shapes where a state puts them.
+    shapes(state) {
+      const header = this.data.header, out = new Float32Array(4 * ROW * header.objects.length);
+      let hidden = 0;
+      header.objects.forEach((o, i) => {
+        const at = state.objects[i] || {}, put = (texel, values) => out.set(values, 4 * (ROW * i + texel));
+        const turn = at.turn_deg ? turned(at.turn_deg) : o.world_from_object, size = o.size_mm.map((x) => x * o.scale);
+        put(0, [...(at.position_mm || o.position_mm), o.reach_mm]);
+        for (let c = 0; c < 3; c++) put(1 + c, turn.map((row) => row[c]));
+        put(4, [size[0], size[1], o.shape === "sphere" ? 2 / o.reach_mm : 0, KINDS[o.shape]]);
+        const place = this.atlas.places[i];
+        put(5, [place.x, place.y, o.texels[1], o.texels[0]]);
+        put(6, [this.spectra.objects[i].index[0][0], this.spectra.objects[i].index[1][0], o.mirror, 0]);
+        put(7, [0, 1, 2, 3].map((c) => (c < o.lobes.length ? o.lobes[c] : -1)));
+        const mesh = this.meshes[i];
+        if (mesh) put(8, [mesh.first, mesh.last, mesh.triangles, o.scale]);
+        if (at.visible === false) hidden |= 1 << i;
+      });
+      return { data: out, hidden };
+    }
+
+    // What depends on spectra, made anew only where light, observer or lamps have other colours.
+    colours(state, isRGB) {
+      const part = state.light, lamps = (part.lamps || []).map((l) => [l.illuminant, l.on !== false, l.strength, l.position_mm, l.far]);
+      const key = JSON.stringify([part.environment, part.illuminant, state.observer, isRGB, lamps]);
+      if (this.lit && this.lit.key === key) return this.lit;
+      const gl = this.gl, spectra = this.spectra, constants = spectra.constants(part, state.observer, isRGB);
+      if (constants.lamps.length > MOST_SPECTRA) throw new Error("Lamps: found " + constants.lamps.length + "; accepted: up to " + MOST_SPECTRA + ".");
+      const n = spectra.objects.length, KS = spectra.widest, found = { key, constants, whiteXYZ: constants.whiteXYZ };
+      let width, rows, data;
+      if (!this.coloured) {
+        width = Math.max(constants.basis.length, 1) * KS;
+        rows = n * (n + 1) + Math.max(constants.spectra.length, 1) * n;
+        data = spectra.forms(constants, width, rows);
+        found.light = new Float32Array(constants.basis.flatMap((b) => constants.xyz(b)));
+        found.lamps = new Float32Array(constants.spectra.flatMap((s) => constants.xyz(s).map((x) => x / Math.PI)));
+      } else {
+        const channels = spectra.channels(constants), padded = (values) => Array.from({ length: 16 }, (_, i) => values[i] || 0);
+        width = 4 * KS + 12;
+        rows = n;
+        data = new Float32Array(4 * width * rows);
+        spectra.objects.forEach((object, o) => {
+          const put = (column, values) => data.set(padded(values), 4 * (o * width + column));
+          object.basis.forEach((s, j) => put(4 * j, channels.surface(s)));
+          const [index, absorption] = object.index.map((x) => channels.index(x));
+          put(4 * KS, Array.from({ length: 16 }, (_, i) => index[i] || 1));
+          put(4 * KS + 4, absorption);
+          put(4 * KS + 8, channels.surface(object.mean));
+        });
+        found.light = new Float32Array(constants.basis.flatMap((b) => padded(channels.light(b))));
+        found.lamps = new Float32Array(constants.spectra.flatMap((s) => padded(channels.light(s)).map((x) => x / Math.PI)));
+        found.back = new Float32Array(channels.xyz.flatMap((row) => padded(row)));
+      }
+      if (this.textures.uForms) gl.deleteTexture(this.textures.uForms.texture);
+      this.textures.uForms = this.texture({ data, width, height: rows }, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
+      this.lit = found;
+      return found;
+    }
+
+    // Samples of the lamps that are on: a far lamp and a point have one, a ball the points of a disc that faces the surface.
+    lamps(lamps) {
+      const places = [], levels = [];
+      lamps.forEach((lamp, which) => {
+        const at = lamp.position_mm, length = Math.hypot(...at) || 1;
+        if (lamp.far) {
+          places.push(...at.map((x) => x / length), 0);
+          levels.push(lamp.strength, which, 0, 0);
+          return;
+        }
+        const count = lamp.size_mm > 0 ? DISC_SAMPLES : 1, radius = 0.5 * (lamp.size_mm || 0);
+        for (let i = 0; i < count; i++) {
+          const far = count > 1 ? radius * Math.sqrt((i + 0.5) / count) : 0, turn = i * 2.399963229728653;
+          places.push(...at, 1);
+          levels.push(lamp.strength * 500 * 500 / count, which, far * Math.cos(turn), far * Math.sin(turn));
+        }
+      });
+      if (places.length > 4 * MOST_LAMPS) throw new Error("Lamps: found more than " + MOST_LAMPS + " samples; accepted: fewer lamps with a size.");
+      return { count: places.length / 4, places: new Float32Array(places), levels: new Float32Array(levels) };
+    }
+
+    target(name, width, height, single) {
+      const gl = this.gl, old = this.targets[name];
+      if (old && old.width === width && old.height === height && old.single === single) return old;
+      if (old) {
+        old.textures.forEach((t) => gl.deleteTexture(t.texture));
+        gl.deleteFramebuffer(old.frame);
+      }
+      const frame = gl.createFramebuffer(), internal = single ? gl.RGBA32F : gl.RGBA16F;
+      gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
+      const textures = [0, 1].map((i) => {
+        const made = this.texture({ data: null, width, height }, internal, gl.RGBA, single ? gl.FLOAT : gl.HALF_FLOAT, single || i ? gl.NEAREST : gl.LINEAR);
+        gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + i, gl.TEXTURE_2D, made.texture, 0);
+        return made;
+      });
+      gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
+      return (this.targets[name] = { frame, textures, width, height, single });
+    }
+
+    // Render a state into a target; `whole` is the picture's size and `first` the target's corner in it.
+    render(state, target, whole, first, isRGB, part) {
+      const gl = this.gl, number = Math.max(this.data.header.environments.indexOf(state.light.environment), 0);
+      if (number !== this.light.number) throw new Error("Light " + state.light.environment + " is not there yet; accepted: await renderer.use(state) first.");
+      const program = this.programs.transport, colours = this.colours(state, isRGB), shapes = this.shapes(state);
+      const place = (name) => program.place(name);
+      gl.useProgram(program.program);
+      gl.bindVertexArray(this.vertices);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, target.frame);
+      gl.viewport(0, 0, target.width, target.height);
+      if (this.textures.uShapes) gl.deleteTexture(this.textures.uShapes.texture);
+      this.textures.uShapes = this.texture({ data: shapes.data, width: ROW, height: this.data.header.objects.length }, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
+      ["uShapes", "uForms", "uMaterials", "uSky", "uIrradiance", "uGloss", "uRows", "uMesh"].forEach((name, unit) => this.setTexture(program, name, unit));
+      const eye = Irodori.eye(state.camera);
+      gl.uniform3fv(place("uEye"), eye.position);
+      gl.uniformMatrix3fv(place("uWorldFromCamera"), false, columns(eye.rows));
+      gl.uniform3f(place("uFrame"), whole[0] / 2, whole[1] / 2, 2 * Math.tan(radians(state.camera.fov_deg) / 2) / whole[1]);
+      gl.uniform2f(place("uFirstPixel"), first[0], first[1]);
+      const turn = radians(state.light.turn_deg || 0), c = Math.cos(turn), s = Math.sin(turn);
+      gl.uniformMatrix3fv(place("uLightFromWorld"), false, columns([[c, s, 0], [-s, c, 0], [0, 0, 1]]));
+      gl.uniform1f(place("uLeast"), this.data.header.least_throughput);
+      gl.uniform1i(place("uHidden"), shapes.hidden);
+      gl.uniform1f(place("uPowerScale"), this.atlas.scale);
+      const groups = Math.ceil((this.spectra.lights[number] || { basis: [0] }).basis.length / 4);
+      const scale = Array.from({ length: 4 * groups }, (_, i) => this.light.scale[i] || 1);
+      gl.uniform4fv(place("uLightScale"), scale);
+      if (this.light.sky.length) {
+        gl.uniform3fv(place("uSkyLevel"), this.light.sky.flat());
+        gl.uniform1f(place("uIrradianceSide"), this.light.side);
+        gl.uniform1f(place("uTexelsPerRad"), this.light.sky[0][2] * Math.sqrt(6 / (4 * Math.PI)));
+      }
+      if (this.light.gloss.length) {
+        gl.uniform3fv(place("uGlossLevel"), this.light.gloss.flat());
+        gl.uniform1f(place("uGlossFirst"), this.light.first);
+      }
+      if (this.parts) gl.uniform2fv(place("uLadder"), this.data.header.lobes.flatMap((lobe) => lobe.ladder));
+      const lamps = this.lamps(colours.constants.lamps);
+      gl.uniform1i(place("uLamps"), lamps.count);
+      if (lamps.count) {
+        gl.uniform4fv(place("uLamp"), lamps.places);
+        gl.uniform4fv(place("uLampLevel"), lamps.levels);
+      }
+      if (this.coloured) {
+        const all = new Float32Array(16 * 4 * groups);
+        all.set(colours.light);
+        gl.uniformMatrix4fv(place("uDecode"), false, all);
+        if (colours.lamps.length) gl.uniformMatrix4fv(place("uLampColour"), false, colours.lamps);
+        gl.uniform4fv(place("uXYZFromColour"), colours.back);
+      } else {
+        const all = new Float32Array(12 * groups);
+        all.set(colours.light);
+        gl.uniform3fv(place("uXYZFromLight"), all);
+        if (colours.lamps.length) gl.uniform3fv(place("uLampColour"), colours.lamps);
+      }
+      if (part) {
+        gl.enable(gl.SCISSOR_TEST);
+        gl.scissor(part[0], 0, part[1] - part[0], target.height);
+      }
+      gl.drawArrays(gl.TRIANGLES, 0, 3);
+      gl.disable(gl.SCISSOR_TEST);
+      return colours;
+    }
+
+    // Make the light of a state's environment ready: at once where it is that of the last frame.
+    async use(state) {
+      const number = Math.max(this.data.header.environments.indexOf(state.light.environment), 0);
+      if (number === this.light.number) return;
+      this.useLight(number);
+      this.lit = null;
+      await this.transport();
+    }
+
+    shown(state, whiteXYZ) {
+      const displays = this.data.header.displays, given = state.display || {};
+      let display = displays.find((d) => d.name === given.name) || displays[0];
+      if (given.primaries) { // CIE x, y of red, green, blue and white
+        const [r, g, b, w] = given.primaries.map(([x, y]) => [x / y, 1, (1 - x - y) / y]);
+        const level = Irodori.solved([0, 1, 2].map((i) => [r[i], g[i], b[i]]), w);
+        display = { rgb_from_xyz: Irodori.inverse([0, 1, 2].map((i) => [r[i] * level[0], g[i] * level[1], b[i] * level[2]])), white_xyz: w };
+      }
+      const factor = Math.pow(2, state.exposure_ev || 0) / whiteXYZ[1];
+      const adapt = Irodori.adaptation(whiteXYZ.map((x) => x / whiteXYZ[1]), display.white_xyz);
+      return { display, matrix: Irodori.product(display.rgb_from_xyz, adapt).map((row) => row.map((x) => x * factor)) };
+    }
+
+    // One frame on the canvas.
+    draw(state, options) {
+      if (this.lost || !this.programs.transport) return;
+      const gl = this.gl, { compare = null, scale = 1 } = options || {}, start = performance.now();
+      const width = Math.max(Math.round(this.canvas.width * scale), 1), height = Math.max(Math.round(this.canvas.height * scale), 1);
+      const whole = [width, height], one = this.target("one", width, height, false);
+      const mode = compare ? (compare.mode === "rgb" ? 1 : Math.max(MODES.indexOf(compare.mode), 0)) : 0;
+      const at = compare && compare.at !== undefined ? compare.at : 0.5, cut = Math.min(Math.max(Math.ceil(at * width) + 1, 1), width);
+      const first = this.render(state, one, whole, [0, 0], false, mode === 1 ? [0, cut] : null);
+      let second = first, two = one;
+      if (compare) {
+        const other = compare.mode === "rgb" ? state : { ...state, light: { ...state.light, ...compare.other } };
+        two = this.target("two", width, height, false);
+        second = this.render(other, two, whole, [0, 0], compare.mode === "rgb", mode === 1 ? [Math.max(cut - 3, 0), width] : null);
+      }
+      this.show(state, [one, two], [first.whiteXYZ, second.whiteXYZ], mode, at);
+      this.times.push(performance.now());
+      if (this.times.length > 30) this.times.shift();
+      this.scale = scale;
+      this.drawn = performance.now() - start;
+    }
+
+    show(state, [one, two], whites, mode, at) {
+      const gl = this.gl, program = this.programs.display, place = (name) => program.place(name);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+      gl.viewport(0, 0, this.canvas.width, this.canvas.height);
+      gl.useProgram(program.program);
+      [["uOne", one.textures[0]], ["uTwo", two.textures[0]], ["uPlace", one.textures[1]]].forEach(([name, texture], unit) => {
+        gl.activeTexture(gl.TEXTURE0 + unit);
+        gl.bindTexture(gl.TEXTURE_2D, texture.texture);
+        gl.uniform1i(place(name), unit);
+      });
+      const shown = this.shown(state, whites[0]), sRGB = this.data.header.displays[0];
+      gl.uniform2f(place("uCanvas"), this.canvas.width, this.canvas.height);
+      gl.uniform1i(place("uMode"), mode);
+      gl.uniform1i(place("uOverlay"), Math.max(OVERLAYS.indexOf(state.overlay), 0));
+      gl.uniform1f(place("uAt"), at);
+      gl.uniformMatrix3fv(place("uShown"), false, columns(shown.matrix));
+      gl.uniformMatrix3fv(place("uShownTwo"), false, columns(this.shown(state, whites[1]).matrix));
+      const between = Irodori.product(sRGB.rgb_from_xyz, Irodori.inverse(shown.display.rgb_from_xyz));
+      gl.uniformMatrix3fv(place("uSRGBFromDisplay"), false, columns(between));
+      gl.uniformMatrix3fv(place("uDisplayFromSRGB"), false, columns(Irodori.inverse(between)));
+      const kind = this.data.header.deficiencies.find((d) => d.name === state.deficiency);
+      gl.uniformMatrix3fv(place("uDeficiency"), false, columns(kind ? kind.rgb_from_rgb : [[1, 0, 0], [0, 1, 0], [0, 0, 1]]));
+      gl.uniform3fv(place("uWhite"), whites[0]);
+      gl.uniform3fv(place("uWhiteTwo"), whites[1]);
+      gl.uniform1f(place("uMostDifference"), 10);
+      gl.uniform1f(place("uMostUncertainty"), this.data.header.most_uncertainty || 1);
+      gl.drawArrays(gl.TRIANGLES, 0, 3);
+    }
+
+    read(state, width, height, first, whole) {
+      const gl = this.gl, target = this.target("read", width, height, true), out = [new Float32Array(4 * width * height), new Float32Array(4 * width * height)];
+      this.render(state, target, whole, first, false, null);
+      out.forEach((values, i) => {
+        gl.readBuffer(gl.COLOR_ATTACHMENT0 + i);
+        gl.readPixels(0, 0, width, height, gl.RGBA, gl.FLOAT, values);
+      });
+      return out;
+    }
+
+    // X, Y, Z and the object (-1 for none) of every pixel of a picture, rows from the top; a white has Y = 100.
+    readXYZ(state, width, height) {
+      return this.read(state, width, height, [0, 0], [width, height])[0];
+    }
+
+    // What is known of the place under a pixel of the canvas, null where the room is seen.
+    probe(state, x, y) {
+      const [[X, Y, Z, number], [u, v]] = this.read(state, 1, 1, [Math.floor(x), Math.floor(y)], [this.canvas.width, this.canvas.height]);
+      if (number < 0) return null;
+      const o = this.data.header.objects[number], [rows, columns_] = o.texels, plane = (name) => this.data.planes["object/" + number + "/" + name];
+      const row = Math.min(Math.max(Math.floor(v * rows), 0), rows - 1), column = Math.min(Math.max(Math.floor(u * columns_), 0), columns_ - 1);
+      const at = row * columns_ + column, basis = this.spectra.objects[number].basis, coefficients = plane("reflectance");
+      const reflectance = Array.from({ length: 61 }, (_, i) => basis.reduce((sum, b, j) => sum + b[i] * coefficients[j * rows * columns_ + at], 0));
+      const sigma = plane("uncertainty")[at], found = { alpha: plane("alpha")[at], beta: null, mu_rad: null };
+      if (o.lobes.length) {
+        const [first, step] = this.data.header.lobes[o.lobes[0]].ladder, power = plane("power/0")[at];
+        found.beta = 0;
+        if (power > 0) {
+          found.mu_rad = Math.exp(first + step * plane("place/0")[at]);
+          found.beta = power / found.mu_rad ** 2;
+        }
+      }
+      return {
+        object: o.name, texel: [row, column], position_mm: this.position(state, x, y, number), reflectance,
+        sigma: new Array(61).fill(sigma), ...found, status: ["measured", "paint", "filled", "unknown"][plane("status")[at]], xyz: [X, Y, Z],
+      };
+    }
+
+    // Where the ray of a pixel meets the object it is known to meet: the page's own look, by the frame's numbers.
+    position(state, x, y, number) {
+      const eye = Irodori.eye(state.camera), half = [this.canvas.width / 2, this.canvas.height / 2];
+      const pixel = 2 * Math.tan(radians(state.camera.fov_deg) / 2) / this.canvas.height;
+      const p = [(Math.floor(x) + 0.5 - half[0]) * pixel, (Math.floor(y) + 0.5 - half[1]) * pixel, 1];
+      const d = normal(eye.rows.map((row) => row[0] * p[0] + row[1] * p[1] + row[2] * p[2]));
+      const o = this.data.header.objects[number], at = state.objects[number], centre = at.position_mm, away = centre.map((c, i) => c - eye.position[i]);
+      const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+      let t = dot(away, d);
+      if (o.shape === "sphere") t -= Math.sqrt(Math.max(o.reach_mm ** 2 - Math.max(dot(away, away) - t * t, 0), 0));
+      else if (o.shape !== "mesh") {
+        const face = turned(at.turn_deg).map((row) => row[2]);
+        t = dot(away, face) / dot(d, face);
+      }
+      return eye.position.map((e, i) => e + t * d[i]);
+    }
+
+    figures() {
+      const n = this.times.length, span = n > 1 ? this.times[n - 1] - this.times[0] : 0;
+      return { frames_per_s: span > 0 ? 1000 * (n - 1) / span : 0, scale: this.scale || 1, programs_linked_ms: this.linked.milliseconds };
+    }
+  };
+})();

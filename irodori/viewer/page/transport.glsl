@@ -1,0 +1,639 @@
+// The transport of irodori/rendering/interactive, one ray a pixel. What a scene does not need is not compiled: the
+// constants in capitals are set when its program is made.
+precision highp float;
+precision highp int;
+precision highp sampler2D;
+precision highp sampler2DArray;
+
+layout(location = 0) out vec4 outXYZ;   // X, Y, Z and the object, -1 for none
+layout(location = 1) out vec4 outPlace; // place in the texture, status, uncertainty
+
+uniform vec3 uEye;
+uniform mat3 uWorldFromCamera;
+uniform vec3 uFrame;          // half the width and the height, and a pixel at distance 1
+uniform vec2 uFirstPixel;
+uniform mat3 uLightFromWorld;
+uniform float uLeast;
+uniform int uHidden;          // bits of objects that are left out
+uniform sampler2D uShapes;    // rows of ROW texels, see renderer.js
+uniform sampler2D uForms;     // bilinear forms, see spectra.js
+uniform sampler2DArray uMaterials;
+uniform float uPowerScale;
+#if HAS_LIGHT
+uniform sampler2DArray uSky, uIrradiance;
+uniform vec3 uSkyLevel[SKY_LEVELS]; // where its faces begin, and their side
+uniform float uIrradianceSide, uTexelsPerRad;
+#endif
+#if GLOSS_LEVELS > 0
+uniform sampler2DArray uGloss;
+uniform vec3 uGlossLevel[GLOSS_LEVELS];
+uniform float uGlossFirst;
+#endif
+#if PARTS > 0
+uniform sampler2D uRows;      // tables of round lobes, 4 texels an entry
+uniform vec2 uLadder[LOBES];
+#endif
+#if HAS_MESH
+uniform sampler2D uMesh;
+#endif
+uniform int uLamps;           // samples of lamps
+uniform vec4 uLamp[MOST_LAMPS];     // direction and 0 of a far lamp, or position and 1
+uniform vec4 uLampLevel[MOST_LAMPS]; // strength, which lamp it is a sample of, and where on a disc that faces us, mm
+uniform vec4 uLightScale[G];  // numbers of light are stored divided by these
+
+const float PI = 3.14159265358979;
+const int ROW = 10;
+const float RISE = 1.0 / 262144.0;
+
+struct Light { vec4 g[G]; };
+
+#if COLOURED
+#define Colour mat4
+#define PRODUCT(a, b) matrixCompMult(a, b)
+uniform mat4 uDecode[4 * G];
+uniform mat4 uLampColour[MOST_SPECTRA];
+uniform vec4 uXYZFromColour[12];
+#else
+#define Colour vec3
+#define PRODUCT(a, b) ((a) * (b))
+uniform vec3 uXYZFromLight[4 * G];
+uniform vec3 uLampColour[MOST_SPECTRA];
+#endif
+
+struct Ray { vec3 o, d; };
+struct Hit { float t; int object; int triangle; vec2 b; };
+struct Place { vec3 point, normal, facet; vec2 uv; float cosine; };
+
+vec4 shapeRow(int object, int number) { return texelFetch(uShapes, ivec2(number, object), 0); }
+mat3 turnOf(int object) { // world from object, by columns
+  return mat3(shapeRow(object, 1).xyz, shapeRow(object, 2).xyz, shapeRow(object, 3).xyz);
+}
+
+float fresnel(float cosine, float n, float k) {
+  float c = clamp(cosine, 0.0, 1.0), c2 = c * c, nk = c > -1.0 ? n * k : 0.0;
+  float s2 = (1.0 - c) * (1.0 + c), contrast = (n - 1.0) * (n + 1.0) - k * k;
+  float real = c2 < 0.5 ? contrast + c2 : n * n - s2 - k * k;
+  float modulus = sqrt(real * real + 4.0 * nk * nk), large = sqrt(0.5 * (modulus + abs(real)));
+  float small = nk / max(large, 1e-18);
+  float a = real >= 0.0 ? large : small, b = real >= 0.0 ? small : large, b2 = b * b, total = a + c;
+  float difference = b2 < c2 ? contrast + b2 : (a - c) * total;
+  float square = total * total, even = modulus * c2 + s2 * s2;
+  float over = (difference * difference + b2 * square) * even;
+  float under = square * (square + b2) * (even + 2.0 * (a * c * s2));
+  return min(1.0, under > 0.0 ? over / under : (b2 > 0.0 ? 1.0 : 0.0));
+}
+
+#if COLOURED
+mat4 formsMatrix(int column, int row) {
+  return mat4(texelFetch(uForms, ivec2(column, row), 0), texelFetch(uForms, ivec2(column + 1, row), 0),
+              texelFetch(uForms, ivec2(column + 2, row), 0), texelFetch(uForms, ivec2(column + 3, row), 0));
+}
+Colour decoded(Light light) {
+  Colour out_ = mat4(0.0);
+  for (int i = 0; i < 4 * G; i++) out_ += light.g[i / 4][i % 4] * uDecode[i];
+  return out_;
+}
+Colour reflectance(int object, float cosine) {
+  mat4 n = formsMatrix(4 * KS, object), k = formsMatrix(4 * KS + 4, object), out_;
+  for (int i = 0; i < 4; i++) for (int j = 0; j < 4; j++) out_[i][j] = fresnel(cosine, n[i][j], k[i][j]);
+  return out_;
+}
+float greatest(Colour c) {
+  vec4 m = max(max(c[0], c[1]), max(c[2], c[3]));
+  return max(max(m.x, m.y), max(m.z, m.w));
+}
+#else
+Colour decoded(Light light) {
+  Colour out_ = vec3(0.0);
+  for (int i = 0; i < 4 * G; i++) out_ += light.g[i / 4][i % 4] * uXYZFromLight[i];
+  return out_;
+}
+#endif
+
+// ---- light ----------------------------------------------------------------------------------------------------------
+
+void faceOf(vec3 d, out float face, out vec2 uv) {
+  vec3 a = abs(d);
+  float main_;
+  if (a.x >= a.y && a.x >= a.z) { face = 0.0; main_ = d.x; uv = d.yz; }
+  else if (a.y >= a.z) { face = 2.0; main_ = d.y; uv = d.zx; }
+  else { face = 4.0; main_ = d.z; uv = d.xy; }
+  if (main_ < 0.0) face += 1.0;
+  uv /= max(abs(main_), 1e-30);
+}
+
+#if HAS_LIGHT
+Light lookUp(sampler2DArray map, vec3 level, vec3 d) {
+  float face;
+  vec2 uv;
+  faceOf(d, face, uv);
+  vec2 place = clamp((uv + 1.0) * (level.z * 0.5) + 0.5, 0.0, level.z + 0.5) + 0.5;
+  place += level.xy + (level.z + 2.0) * vec2(mod(face, 3.0), floor(face / 3.0));
+  place /= vec2(textureSize(map, 0).xy);
+  Light found;
+  for (int g = 0; g < G; g++) found.g[g] = textureLod(map, vec3(place, float(g)), 0.0) * uLightScale[g];
+  return found;
+}
+Light mixed(Light a, Light b, float part) {
+  for (int g = 0; g < G; g++) a.g[g] = mix(a.g[g], b.g[g], part);
+  return a;
+}
+Light skyAt(vec3 d, float spread) {
+  float level = clamp(log2(max(spread * uTexelsPerRad, 1.0)), 0.0, float(SKY_LEVELS - 1));
+  int lower = int(level);
+  float part = level - float(lower);
+  vec3 turned = uLightFromWorld * d;
+  Light found = lookUp(uSky, uSkyLevel[lower], turned);
+  if (part > 0.01) found = mixed(found, lookUp(uSky, uSkyLevel[min(lower + 1, SKY_LEVELS - 1)], turned), part);
+  return found;
+}
+Light irradianceAt(vec3 normal) {
+  return lookUp(uIrradiance, vec3(0.0, 0.0, uIrradianceSide), uLightFromWorld * normal);
+}
+#endif
+
+// ---- shapes ---------------------------------------------------------------------------------------------------------
+
+#if HAS_MESH
+vec4 meshTexel(int number) { return texelFetch(uMesh, ivec2(number % 2048, number / 2048), 0); }
+
+// The nearest triangle of one mesh; its tree is passed through in one order, each node says where to go on beside it.
+void meetMesh(int object, Ray ray, float scale, int skip, bool any_, inout Hit hit) {
+  vec4 where = shapeRow(object, 8);
+  int node = int(where.x), last = int(where.y), triangles = int(where.z);
+  mat3 turn = turnOf(object);
+  vec3 o = (ray.o - shapeRow(object, 0).xyz) * turn / scale, d = ray.d * turn / scale;
+  vec3 inverse = 1.0 / mix(d, vec3(1e-20), lessThan(abs(d), vec3(1e-20)));
+  while (node < last) {
+    vec4 low = meshTexel(2 * node), high = meshTexel(2 * node + 1);
+    vec3 a = (low.xyz - o) * inverse, b = (high.xyz - o) * inverse;
+    vec3 near = min(a, b), far = max(a, b);
+    float enter = max(max(near.x, near.y), max(near.z, 0.0)), leave = min(min(far.x, far.y), min(far.z, hit.t));
+    if (enter > leave * 1.0000004) { node = int(low.w); continue; }
+    if (high.w >= 0.0) {
+      int code = int(high.w), first = code / 8, count = code - 8 * first;
+      for (int i = first; i < first + count; i++) {
+        if (i == skip) continue;
+        int at = triangles + 6 * i;
+        vec3 p = meshTexel(at).xyz, e = meshTexel(at + 1).xyz - p, f = meshTexel(at + 2).xyz - p;
+        vec3 pv = cross(d, f), tv = o - p, qv = cross(tv, e);
+        float det = dot(e, pv);
+        if (det == 0.0) continue;
+        float u = dot(tv, pv) / det, v = dot(d, qv) / det, t = dot(f, qv) / det;
+        if (u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0 && t < hit.t) {
+          hit.t = t;
+          hit.object = object;
+          hit.triangle = i;
+          hit.b = vec2(u, v);
+          if (any_) return;
+        }
+      }
+    }
+    node++;
+  }
+}
+#endif
+
+// Let a ray meet the scene up to hit.t; `own` is what it starts on, whose triangle `skip` it does not meet.
+void meet(Ray ray, int own, int skip, bool any_, inout Hit hit) {
+  for (int object = 0; object < OBJECTS; object++) {
+    if (((uHidden >> object) & 1) == 1) continue;
+    vec4 centre = shapeRow(object, 0), size = shapeRow(object, 4);
+    int kind = int(size.w);
+#if HAS_MESH
+    if (kind == 4) {
+      meetMesh(object, ray, shapeRow(object, 8).w, object == own ? skip : -1, any_, hit);
+      if (any_ && hit.object >= 0) return;
+      continue;
+    }
+#endif
+    if (object == own) continue; // nothing that is not a mesh meets itself
+    vec3 away = centre.xyz - ray.o;
+    float t = -1.0;
+    if (kind == 0) {
+      float along = dot(away, ray.d);
+      vec3 beside = away - along * ray.d;
+      float square = centre.w * centre.w - dot(beside, beside);
+      if (square >= 0.0) {
+        float half_ = sqrt(square);
+        t = along - half_ > 0.0 ? along - half_ : along + half_;
+      }
+    } else {
+      mat3 turn = turnOf(object);
+      float steep = dot(ray.d, turn[2]);
+      t = steep != 0.0 ? dot(away, turn[2]) / steep : -1.0;
+      vec3 place = t * ray.d - away;
+      vec2 across = vec2(dot(place, turn[0]), dot(place, turn[1]));
+      if (kind == 1 && (abs(across.x) > 0.5 * size.x || abs(across.y) > 0.5 * size.y)) t = -1.0;
+      if (kind == 2 && dot(across, across) > centre.w * centre.w) t = -1.0;
+    }
+    if (t > 0.0 && t < hit.t) {
+      hit.t = t;
+      hit.object = object;
+      hit.triangle = -1;
+      if (any_) return;
+    }
+  }
+}
+
+// Point, normals and place in the texture of a hit; false where it is seen from behind.
+bool placed(Ray ray, Hit hit, out Place place) {
+  int object = hit.object;
+  vec4 centre = shapeRow(object, 0), size = shapeRow(object, 4);
+  mat3 turn = turnOf(object);
+  int kind = int(size.w);
+  vec3 offset = ray.o + hit.t * ray.d - centre.xyz;
+  if (kind == 0) {
+    place.normal = place.facet = normalize(offset);
+    place.point = centre.xyz + centre.w * place.normal;
+    vec3 local = place.normal * turn;
+    float around = atan(local.y, local.x) / (2.0 * PI);
+    place.uv = vec2(around < 0.0 ? around + 1.0 : around, atan(length(local.xy), local.z) / PI);
+#if HAS_MESH
+  } else if (kind == 4) {
+    vec4 where = shapeRow(object, 8);
+    int at = int(where.z) + 6 * hit.triangle;
+    vec4 m[6];
+    for (int i = 0; i < 6; i++) m[i] = meshTexel(at + i);
+    vec3 w = vec3(1.0 - hit.b.x - hit.b.y, hit.b);
+    vec3 local = w.x * m[0].xyz + w.y * m[1].xyz + w.z * m[2].xyz;
+    place.point = centre.xyz + where.w * (turn * local);
+    place.facet = normalize(turn * cross(m[1].xyz - m[0].xyz, m[2].xyz - m[0].xyz));
+    vec3 shading = turn * (w.x * m[3].xyz + w.y * m[4].xyz + w.z * m[5].xyz);
+    place.normal = length(shading) < 1e-6 ? place.facet : normalize(shading);
+    place.uv = vec2(w.x * m[0].w + w.y * m[2].w + w.z * m[4].w, w.x * m[1].w + w.y * m[3].w + w.z * m[5].w);
+#endif
+  } else {
+    place.normal = place.facet = turn[2];
+    place.point = centre.xyz + offset - dot(offset, turn[2]) * turn[2];
+    vec3 local = offset * turn;
+    place.uv = kind == 3 ? vec2(0.5) : vec2(local.x / size.x + 0.5, 0.5 - local.y / size.y);
+  }
+  float front = -dot(place.facet, ray.d);
+  place.cosine = -dot(place.normal, ray.d);
+  if (place.cosine <= 0.0) {
+    place.normal = place.facet;
+    place.cosine = front;
+  }
+  place.cosine = clamp(place.cosine, 0.0, 1.0);
+  return front > (kind == 0 ? -1e-3 : 0.0);
+}
+
+vec3 raised(Place place, float reach) {
+  vec3 a = abs(place.point);
+  return place.point + max(max(a.x, a.y), max(a.z, reach)) * RISE * place.facet;
+}
+
+// ---- shadows from all sides -----------------------------------------------------------------------------------------
+
+#if AMBIENT
+float hiddenBySphere(float cosine, float distance_, float radius) {
+  if (distance_ <= radius) return 0.0;
+  float ratio = distance_ / radius, square = ratio * ratio;
+  if (cosine * ratio >= 1.0) return cosine / square;
+  if (cosine * ratio <= -1.0) return 0.0;
+  float cut = 1.0 - square * cosine * cosine;
+  float turn = acos(clamp(-cosine * sqrt((square - 1.0) / (1.0 - cosine * cosine)), -1.0, 1.0));
+  float part = (cosine * turn - sqrt(cut * (square - 1.0))) / square + atan(sqrt(cut / (square - 1.0)));
+  return max(part / PI, 0.0);
+}
+float edge(vec3 normal, vec3 a, vec3 b) {
+  vec3 c = cross(a, b);
+  float sine = length(c);
+  return sine <= 0.0 ? 0.0 : atan(sine, dot(a, b)) * dot(normal, c) / sine;
+}
+float hiddenByCorners(vec3 normal, vec3 corner[4]) {
+  float found = 0.0;
+  vec3 first = vec3(0.0), last = vec3(0.0);
+  bool begun = false;
+  for (int i = 0; i < 4; i++) {
+    vec3 a = corner[i], b = corner[(i + 1) % 4], start = a, end = b;
+    float ha = dot(a, normal), hb = dot(b, normal);
+    if (ha <= 0.0 && hb <= 0.0) continue;
+    if (ha * hb < 0.0) {
+      vec3 middle = a + ha / (ha - hb) * (b - a);
+      if (ha > 0.0) end = middle; else start = middle;
+    }
+    if (begun) found += edge(normal, last, start);
+    else { first = start; begun = true; }
+    found += edge(normal, start, end);
+    last = end;
+  }
+  if (begun) found += edge(normal, last, first);
+  return abs(found) / (2.0 * PI);
+}
+#if HAS_DISC
+float primitive_(float tau, float a, float b, float s, float k, float swing, float root, float ratio) {
+  if (swing <= 1e-5 * k) return (a * tau + b * sin(tau) + s * (1.0 - cos(tau))) / k;
+  float plain = 2.0 / root * atan(ratio * sin(0.5 * tau), cos(0.5 * tau));
+  // The arc tangent of a full turn: beyond half a turn either way it goes on.
+  if (tau > PI) plain += 2.0 * PI / root * step(plain, 0.0);
+  if (tau < -PI) plain -= 2.0 * PI / root * step(0.0, plain);
+  float rise = log(1.0 + swing * (cos(tau) - 1.0) / (k + swing));
+  return b / swing * tau + (a - b * k / swing) * plain - s / swing * rise;
+}
+float hiddenByDisc(vec3 normal, vec3 centre, mat3 axes, float radius) {
+  vec3 c = centre * axes, n = normal * axes;
+  float across = length(c.xy), low = (radius - across) * (radius - across) + c.z * c.z;
+  float high = (radius + across) * (radius + across) + c.z * c.z;
+  if (low <= 0.0) return 0.0;
+  float middle = dot(c, n), swing = radius * length(n.xy);
+  if (middle <= -swing) return 0.0;
+  bool whole = middle >= swing;
+  float half_ = whole ? PI : acos(-middle / swing);
+  float top = length(n.xy) > 0.0 ? atan(n.y, n.x) : 0.0, towards = across > 0.0 ? atan(c.y, c.x) : 0.0;
+  float b0 = radius * (c.z * n.x - c.x * n.z), s0 = radius * (c.z * n.y - c.y * n.z);
+  float b = b0 * cos(towards) + s0 * sin(towards), s = s0 * cos(towards) - b0 * sin(towards);
+  float a = radius * radius * n.z, k = 0.5 * (low + high), change = 0.5 * (high - low);
+  float start = -PI, end = PI;
+  if (!whole) {
+    float way = top - towards;
+    way -= 2.0 * PI * floor(way / (2.0 * PI) + 0.5);
+    start = way - half_;
+    end = way + half_;
+  }
+  float root = sqrt(low * high), ratio = sqrt(low / high);
+  float found = primitive_(end, a, -b, -s, k, change, root, ratio) - primitive_(start, a, -b, -s, k, change, root, ratio);
+  if (!whole) {
+    vec2 p = c.xy + radius * vec2(cos(top + half_), sin(top + half_));
+    vec2 q = c.xy + radius * vec2(cos(top - half_), sin(top - half_));
+    float turned = n.x * (p.y * c.z - c.z * q.y) + n.y * (c.z * q.x - p.x * c.z) + n.z * (p.x * q.y - p.y * q.x);
+    found += atan(turned, dot(p, q) + c.z * c.z);
+  }
+  return min(abs(found) / (2.0 * PI), 1.0);
+}
+#endif
+// What a shape hides of the hemisphere above a point, and the normal of the side that faces it: 0 of a black back.
+float hides(int object, vec3 point, vec3 normal, out vec3 facing) {
+  vec4 centre = shapeRow(object, 0), size = shapeRow(object, 4);
+  vec3 away = centre.xyz - point;
+  int kind = int(size.w);
+  facing = vec3(0.0);
+  if (kind == 4) return 0.0;
+  if (kind == 0) {
+    float distance_ = length(away);
+    if (distance_ <= 0.0) return 0.0;
+    facing = -away / distance_;
+    return hiddenBySphere(dot(away, normal) / distance_, distance_, centre.w);
+  }
+  mat3 turn = turnOf(object);
+  bool behind = dot(away, turn[2]) >= 0.0;
+  if (!behind) facing = turn[2];
+  if (kind == 1) {
+    vec3 u = 0.5 * size.x * turn[0], v = 0.5 * size.y * turn[1], corner[4];
+    corner[0] = away - u - v;
+    corner[1] = away + u - v;
+    corner[2] = away + u + v;
+    corner[3] = away - u + v;
+    return hiddenByCorners(normal, corner);
+  }
+  if (kind == 3) return 0.5 * (1.0 - (behind ? -1.0 : 1.0) * dot(normal, turn[2]));
+#if HAS_DISC
+  return hiddenByDisc(normal, away, turn, centre.w);
+#else
+  return 0.0;
+#endif
+}
+#endif
+
+// ---- surfaces -------------------------------------------------------------------------------------------------------
+
+struct Surface { float s[KS]; vec4 gloss; vec2 about; };
+
+Surface surfaceAt(int object, vec2 uv) {
+  vec4 where = shapeRow(object, 5);
+  vec2 place = where.xy + clamp(uv * where.zw + 0.5, vec2(0.0), where.zw + 0.5) + 0.5;
+  vec2 size = vec2(textureSize(uMaterials, 0).xy);
+  Surface found;
+  for (int g = 0; g < (KS + 3) / 4; g++) {
+    vec4 four = textureLod(uMaterials, vec3(place / size, float(g)), 0.0);
+    for (int i = 0; i < 4; i++) if (4 * g + i < KS) found.s[4 * g + i] = four[i];
+  }
+  found.gloss = textureLod(uMaterials, vec3(place / size, float((KS + 3) / 4)), 0.0);
+  found.gloss.xz /= uPowerScale;
+  ivec2 nearest = ivec2(where.xy + clamp(floor(uv * where.zw), vec2(0.0), where.zw - 1.0) + 1.0);
+  found.about = texelFetch(uMaterials, ivec3(nearest, (KS + 3) / 4 + 1), 0).xy;
+  return found;
+}
+
+#if COLOURED
+Colour surfaceColour(int object, Surface surface) {
+  Colour out_ = mat4(0.0);
+  for (int j = 0; j < KS; j++) out_ += surface.s[j] * formsMatrix(4 * j, object);
+  return out_;
+}
+Colour diffuse(int object, int by, Surface surface, Light light) { // by: -1, or the object that reflects the light
+  Colour out_ = PRODUCT(surfaceColour(object, surface), decoded(light)) / PI;
+  return by < 0 ? out_ : PRODUCT(out_, formsMatrix(4 * KS + 8, by));
+}
+Colour lampDiffuse(int object, int lamp, Surface surface) {
+  return PRODUCT(surfaceColour(object, surface), uLampColour[lamp]);
+}
+#else
+Colour diffuse(int object, int by, Surface surface, Light light) {
+  int row = object * (OBJECTS + 1) + by + 1;
+  Colour out_ = vec3(0.0);
+  for (int i = 0; i < K; i++) {
+    Colour one = vec3(0.0);
+    for (int j = 0; j < KS; j++) one += surface.s[j] * texelFetch(uForms, ivec2(i * KS + j, row), 0).xyz;
+    out_ += light.g[i / 4][i % 4] * one;
+  }
+  return out_ / PI;
+}
+Colour lampDiffuse(int object, int lamp, Surface surface) {
+  Colour out_ = vec3(0.0);
+  for (int j = 0; j < KS; j++) out_ += surface.s[j] * texelFetch(uForms, ivec2(j, OBJECTS * (OBJECTS + 1) + lamp * OBJECTS + object), 0).xyz;
+  return out_;
+}
+#endif
+
+#if PARTS > 0
+// D G / cosθ_r of a lobe, and β over the power that a texel holds.
+float lobeValue(int lobe, float place, vec3 view, vec3 to, vec3 normal, float cosR, float cosI, out float cosH) {
+  float mu = exp(place * uLadder[lobe].y + uLadder[lobe].x);
+  vec3 h = view + to;
+  float length_ = length(h);
+  cosH = 0.0;
+  if (length_ < 1e-6) return 0.0;
+  float cosPhi = dot(h, normal) / length_;
+  cosH = sqrt(max(0.5 * (1.0 + dot(view, to)), 0.0));
+  if (cosPhi <= 0.0 || cosH <= 0.0) return 0.0;
+  // Of the angle between half vector and normal: their cross product keeps the digits that the cosine loses.
+  float sinPhi = length(cross(h, normal)) / length_;
+  if (GGX(lobe)) {
+    float m2 = mu * mu, f0 = sinPhi * sinPhi, ratio = m2 / (m2 * (1.0 - f0) + f0);
+    float qi = cosI * cosI + m2 * (1.0 - cosI * cosI), qr = cosR * cosR + m2 * (1.0 - cosR * cosR);
+    return 2.0 * cosI * ratio * ratio / (cosR * sqrt(qi) + cosI * sqrt(qr)) / m2;
+  }
+  float phi = atan(sinPhi, cosPhi), facet = 2.0 * cosPhi / cosH;
+  return min(min(facet * cosI, 1.0) / cosR, facet) * exp(-phi * phi / (mu * mu)) / (mu * mu);
+}
+
+Colour lobeLight(int object, int lobe, float power, float place, vec3 normal, vec3 mirror, float cosine, float through) {
+  Colour sum_ = Colour(0.0);
+#if GLOSS_LEVELS > 0
+  vec4 index = shapeRow(object, 6);
+  float x = sqrt(cosine) * 16.0, y = clamp(place, 0.0, 16.0);
+  int column = min(int(x), 15), row = min(int(y), 15);
+  float fx = x - float(column), fy = y - float(row), sine2 = 1.0 - cosine * cosine;
+  vec3 n = uLightFromWorld * normal, r = uLightFromWorld * mirror;
+  for (int part = 0; part < PARTS; part++) {
+    vec4 v[4];
+    int top = (lobe * PARTS + part) * 17 + row;
+    for (int i = 0; i < 4; i++) {
+      int at = 4 * column + i;
+      v[i] = mix(mix(texelFetch(uRows, ivec2(at, top), 0), texelFetch(uRows, ivec2(at + 4, top), 0), fx),
+                 mix(texelFetch(uRows, ivec2(at, top + 1), 0), texelFetch(uRows, ivec2(at + 4, top + 1), 0), fx), fy);
+    }
+    vec3 tap[4];
+    tap[0] = v[0].yzw;
+    tap[1] = v[1].xyz;
+    tap[2] = vec3(v[1].w, v[2].xy);
+    tap[3] = vec3(v[2].zw, v[3].x);
+    float level = clamp(v[0].x - uGlossFirst, 0.0, float(GLOSS_LEVELS - 1));
+    int lower = int(level);
+    for (int i = 0; i < 4; i++) {
+      float weight = tap[i].x * power;
+#if COLOURED
+      Colour passed = weight * reflectance(object, tap[i].z);
+      if (greatest(passed) * through <= uLeast / 4.0) continue;
+#else
+      float passed = weight * fresnel(tap[i].z, index.x, index.y);
+      if (passed * through <= uLeast / 4.0) continue;
+#endif
+      float p = tap[i].y, q = sqrt(max(1.0 - p * p * sine2, 0.0)) - p * cosine;
+      vec3 d = p * r + q * n;
+      Light found = lookUp(uGloss, uGlossLevel[lower], d);
+      if (level > float(lower)) found = mixed(found, lookUp(uGloss, uGlossLevel[min(lower + 1, GLOSS_LEVELS - 1)], d), level - float(lower));
+      sum_ += PRODUCT(passed, decoded(found));
+    }
+  }
+#endif
+  return sum_;
+}
+#endif
+
+Colour shade(int object, Place place, Ray ray, Surface surface, vec3 mirror, int triangle, float through) {
+  Colour sum_ = Colour(0.0);
+#if HAS_LIGHT
+  Light own = irradianceAt(place.normal);
+#if AMBIENT
+  float seen = 1.0, hidden = 0.0;
+  Colour reflected = Colour(0.0);
+  for (int other = 0; other < OBJECTS; other++) {
+    if (other == object || ((uHidden >> other) & 1) == 1) continue;
+    vec3 facing;
+    float share = hides(other, place.point, place.normal, facing);
+    if (share <= 0.0) continue;
+    seen *= 1.0 - share;
+    hidden += share;
+    if (dot(facing, facing) > 0.0) reflected += share * diffuse(object, other, surface, irradianceAt(facing));
+  }
+  sum_ += seen * diffuse(object, -1, surface, own);
+  if (hidden > 0.0) sum_ += ((1.0 - seen) / hidden) * reflected;
+#else
+  sum_ += diffuse(object, -1, surface, own);
+#endif
+#endif
+  vec4 lobes = shapeRow(object, 7);
+  float reach = shapeRow(object, 0).w;
+  for (int lamp = 0; lamp < uLamps; lamp++) {
+    vec3 start = raised(place, reach), to = uLamp[lamp].xyz;
+    float far = 1e30, level = uLampLevel[lamp].x;
+    if (uLamp[lamp].w > 0.0) {
+      to -= start;
+      vec3 across = normalize(cross(to, abs(to.z) < 0.9 * length(to) ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0)));
+      to += uLampLevel[lamp].z * across + uLampLevel[lamp].w * normalize(cross(to, across));
+      far = length(to);
+      to /= far;
+      level /= far * far;
+    }
+    float cosI = dot(place.normal, to);
+    if (cosI <= 0.0 || dot(place.facet, to) <= 0.0) continue;
+    Hit hit = Hit(far, -1, -1, vec2(0.0));
+    meet(Ray(start, to), object, triangle, true, hit);
+    if (hit.object >= 0) continue;
+    int which = int(uLampLevel[lamp].y);
+    sum_ += level * cosI * lampDiffuse(object, which, surface);
+#if PARTS > 0
+    for (int c = 0; c < 2; c++) {
+      float power = surface.gloss[2 * c], cosH;
+      if (lobes[c] < 0.0 || power <= 0.0) continue;
+      float value = lobeValue(int(lobes[c]), surface.gloss[2 * c + 1], -ray.d, to, place.normal, place.cosine, cosI, cosH);
+#if COLOURED
+      sum_ += level * value * power * PRODUCT(uLampColour[which], reflectance(object, cosH));
+#else
+      sum_ += level * value * power * uLampColour[which] * fresnel(cosH, shapeRow(object, 6).x, shapeRow(object, 6).y);
+#endif
+    }
+#endif
+  }
+#if PARTS > 0
+  for (int c = 0; c < 2; c++) {
+    float power = surface.gloss[2 * c];
+    if (lobes[c] < 0.0 || power * through <= uLeast / 4.0) continue;
+    sum_ += lobeLight(object, int(lobes[c]), power, surface.gloss[2 * c + 1], place.normal, mirror, place.cosine, through);
+  }
+#endif
+  return sum_;
+}
+
+void main() {
+  vec2 pixel = (gl_FragCoord.xy - 0.5 + uFirstPixel + vec2(0.5) - uFrame.xy) * uFrame.z;
+  Ray ray = Ray(uEye, normalize(uWorldFromCamera * vec3(pixel.x, pixel.y, 1.0)));
+  float width = 0.0, spread = uFrame.z, through = 1.0;
+  Colour sum_ = Colour(0.0);
+#if COLOURED
+  Colour passed = mat4(vec4(1.0), vec4(1.0), vec4(1.0), vec4(1.0));
+#endif
+  int own = -1, skip = -1;
+  outXYZ = vec4(0.0, 0.0, 0.0, -1.0);
+  outPlace = vec4(0.0, 0.0, -1.0, 0.0);
+  for (int bounce = 0; bounce <= BOUNCES; bounce++) {
+    Hit hit = Hit(1e30, -1, -1, vec2(0.0));
+    meet(ray, own, skip, false, hit);
+    if (hit.object < 0) {
+#if HAS_LIGHT
+#if COLOURED
+      sum_ += PRODUCT(passed, decoded(skyAt(ray.d, spread)));
+#else
+      sum_ += through * decoded(skyAt(ray.d, spread));
+#endif
+#endif
+      break;
+    }
+    Place place;
+    bool front = placed(ray, hit, place);
+    int object = hit.object;
+    Surface surface = surfaceAt(object, place.uv);
+    if (bounce == 0) {
+      outXYZ.w = float(object);
+      outPlace = vec4(place.uv, surface.about);
+    }
+    if (!front) break;
+    vec3 mirror = ray.d + 2.0 * place.cosine * place.normal;
+    Colour added = shade(object, place, ray, surface, mirror, hit.triangle, through);
+    width += hit.t * spread;
+#if COLOURED
+    sum_ += PRODUCT(passed, added);
+    passed = PRODUCT(passed, shapeRow(object, 6).z * reflectance(object, place.cosine));
+    through = greatest(passed);
+#else
+    sum_ += through * added;
+    vec4 index = shapeRow(object, 6);
+    through *= index.z * fresnel(place.cosine, index.x, index.y);
+#endif
+    if (through <= uLeast) break;
+    ray = Ray(raised(place, shapeRow(object, 0).w), mirror);
+    spread += width * shapeRow(object, 4).z;
+    own = object;
+    skip = hit.triangle;
+  }
+#if COLOURED
+  vec3 xyz = vec3(0.0); // what goes out has no index that is not constant
+  for (int axis = 0; axis < 3; axis++) for (int i = 0; i < 4; i++) xyz[axis] += dot(uXYZFromColour[4 * axis + i], sum_[i]);
+  outXYZ.xyz = xyz;
+#else
+  outXYZ.xyz = sum_;
+#endif
+}

@@ -1,0 +1,88 @@
+"""The page as one HTML file: its parts one after the other in a stated order, and the payload."""
+
+import html
+import json
+from importlib import resources
+from pathlib import Path
+
+from irodori.core.atomic_files import written_whole
+from irodori.report.html_page import data_uri
+
+#: Scripts of the page, in the order in which they stand in it; those that are not there yet are left out.
+SCRIPTS = (
+    "payload.js",
+    "spectra.js",
+    "maps.js",
+    "renderer.js",
+    "selftest.js",
+    "text.js",
+    "state.js",
+    "png.js",
+    "plot.js",
+    "lesson.js",
+    "view.js",
+    "controls.js",
+    "legend.js",
+    "app.js",
+)
+#: Nothing is fetched from anywhere: all that a page shows is in it.
+POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'"
+)
+
+
+def _text(name: str) -> str:
+    return (resources.files("irodori.viewer") / "page" / name).read_text(encoding="utf-8")
+
+
+def _names(suffix: str) -> list[str]:
+    return sorted(f.name for f in (resources.files("irodori.viewer") / "page").iterdir() if f.name.endswith(suffix))
+
+
+def _languages() -> str:
+    """Return the words of the page by language and key, as JSON that can stand in HTML."""
+    folder = resources.files("irodori.viewer") / "page" / "languages"
+    files = sorted(folder.iterdir(), key=lambda file: file.name)
+    tables = {Path(file.name).stem: json.loads(file.read_text(encoding="utf-8")) for file in files}
+    return json.dumps(tables, ensure_ascii=False).replace("</", "<\\/")
+
+
+def _script(text: str) -> str:
+    """Return a script as HTML; nothing in it may look like its end."""
+    return "<script>\n" + text.replace("</script", "<\\/script") + "\n</script>"
+
+
+def page_html(title: str, payload: str, poster: Path | None = None) -> str:
+    """Return the whole page.
+
+    Parameters
+    ----------
+    title : str
+    payload : str
+        Base64 of `irodori.viewer.payload`.
+    poster : path, optional
+        PNG to show where the page cannot draw.
+    """
+    sources = {name: _text(name) for name in _names(".glsl")}
+    scripts = [f"var Irodori = Irodori || {{}};\nIrodori.sources = {json.dumps(sources)};"]
+    known = _names(".js")
+    scripts += [_text(name) for name in [n for n in SCRIPTS if n in known] + [n for n in known if n not in SCRIPTS]]
+    parts = {
+        "{{title}}": html.escape(title),
+        "{{policy}}": POLICY,
+        "{{style}}": "<style>\n" + "\n".join(_text(name) for name in _names(".css")) + "\n</style>",
+        "{{poster}}": data_uri(poster) if poster else "data:,",
+        "{{languages}}": f'<script type="application/json" id="languages">{_languages()}</script>',
+        "{{payload}}": f'<script type="application/octet-stream" id="payload">{payload}</script>',
+        "{{scripts}}": "\n".join(_script(text) for text in scripts),
+    }
+    page = _text("page.html")
+    for mark, text in parts.items():
+        page = page.replace(mark, text)
+    return page
+
+
+def write_page(path, title: str, payload: str, poster=None) -> None:
+    """Write the page, whole or not at all; for the arguments see `page_html`."""
+    with written_whole(path) as temporary:
+        temporary.write_text(page_html(title, payload, poster), encoding="utf-8")

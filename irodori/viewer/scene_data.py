@@ -1,0 +1,254 @@
+"""A classroom page in numbers: shapes, materials, light and views of a scene, ready for its payload.
+
+The maps are those of `irodori.rendering.interactive`, whose transport the page repeats: light as cube maps with a
+border of one texel, its blurred levels, rows of round lobes. What the scene does not have has no plane.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori.core.errors import PlainError
+from irodori.geometry.mesh import Mesh
+from irodori.geometry.shapes.placement import Placement, reaches
+from irodori.light.environment_file import Environment
+from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.reflection.lobes import Lobes
+from irodori.rendering.interactive.channels import mean_spectra
+from irodori.rendering.interactive.cube_maps import environment_pyramid, face_directions, from_equirectangular
+from irodori.rendering.interactive.prepared_scene import needed_gloss
+from irodori.rendering.interactive.round_lobes import gloss_power, ladder, lobe_table, roughness_at, roughness_place
+from irodori.rendering.scene_arrays import Objects, coefficients_of, gloss_of, textures
+from irodori.viewer.payload import Planes
+
+#: Lobes that the page's shader knows; a lobe from elsewhere has no page.
+LOBES = ("gaussian", "ggx")
+#: Texels along the side of a cube of light, at most: the finest levels of a finer one are left out.
+MOST_SIDE = 256
+#: Blurred levels wider than this many texels are stored at half their side, with a border that is as wide as the
+#: interpolation of `finer` needs.
+HALVED_FROM, BORDER = 32, 4
+
+
+@dataclass(frozen=True)
+class LightMaps:
+    """Light of one environment, as the page looks it up.
+
+    Parameters
+    ----------
+    basis : (k, 61) float64
+    white : (61,) float64
+        Radiance of a perfect diffuser that faces up.
+    sky : (k, 6, side, side) float, or None where the environment is dark
+        Radiance, without border.
+    irradiance : (k, 6, side + 2, side + 2) float, or None
+        In radiance unit times sr.
+    gloss : list of (k, 6, n, n) float
+        Blurred radiance as stored: with a border of `BORDER` at half its side, or with one of 1.
+    sides : list of int
+        Texels along the side of the blurred levels as they are looked up.
+    first : int
+        Level of `irodori.light.blurred_light.WIDTHS_RAD` that the first has.
+    """
+
+    basis: np.ndarray
+    white: np.ndarray
+    sky: np.ndarray | None
+    irradiance: np.ndarray | None
+    gloss: list[np.ndarray]
+    sides: list[int]
+    first: int
+
+
+def interpolation(offset: float) -> np.ndarray:
+    """Return the weights of Lagrange's polynomial through eight numbers, 3 before to 4 after, at a place past 0."""
+    nodes = np.arange(-3, 5)
+    return np.array([np.prod([(offset - m) / (n - m) for m in nodes if m != n]) for n in nodes])
+
+
+def finer(stored: np.ndarray) -> np.ndarray:
+    """Return a level of (..., n + 8, n + 8) at twice the side with a border of 1, (..., 2 n + 2, 2 n + 2).
+
+    Texels of the finer level lie a quarter of a coarse one beside its centres. A blurred level is smooth: of a lobe one
+    and a half texels wide, what Lagrange's polynomial leaves is under a thousandth.
+    """
+    for axis in (-2, -1):
+        moved = np.moveaxis(stored, axis, -1)
+        n = moved.shape[-1] - 2 * BORDER
+        out = np.zeros((*moved.shape[:-1], 2 * n + 2))
+        for place in range(2 * n + 2):
+            coarse = (place - 0.5) / 2 - 0.5
+            base = int(np.floor(coarse))
+            window = moved[..., base + BORDER - 3 : base + BORDER + 5]
+            out[..., place] = window @ interpolation(coarse - base)
+        stored = np.moveaxis(out, -1, axis)
+    return stored
+
+
+def _cube(picture: np.ndarray, side: int, border: int) -> np.ndarray:
+    """Return an equirectangular picture, (h, w, k), as a cube with a border, (k, 6, side + 2 border, ...) float32."""
+    if border == 1:
+        faces = list(from_equirectangular(picture, side))
+    else:
+        from irodori.light.irradiance import irradiance_at
+
+        faces = [irradiance_at(picture, face_directions(face, side, border)) for face in range(6)]
+    return np.moveaxis(np.stack(faces), -1, 0).astype(np.float32)
+
+
+def light_maps(environment: Environment, objects: Objects) -> LightMaps:
+    """Return the maps of an environment that a scene's objects need."""
+    basis = np.ascontiguousarray(environment.basis.T, dtype=np.float64)
+    white = environment.upward_white()
+    if not environment.coefficients.any():
+        return LightMaps(basis, white, None, None, [], [], 0)
+    k = len(basis)
+    pyramid = environment_pyramid(environment.coefficients, np.eye(k), k, half=False)
+    level = next(i for i, side in enumerate(pyramid.side) if side <= MOST_SIDE)
+    side, first = int(pyramid.side[level]), int(pyramid.first[level])
+    whole = pyramid.texels[first : first + 6 * (side + 2) ** 2 * k].reshape(6, side + 2, side + 2, k)
+    sky = np.moveaxis(whole[:, 1:-1, 1:-1], -1, 0)
+    rows = environment.irradiance.shape[0]
+    irradiance = _cube(environment.irradiance.astype(np.float32), rows, 1)
+    gloss, sides, number = [], [], 0
+    if any(beta.any() for texels in textures(objects) for beta, _ in gloss_of(objects, texels)):
+        maps = needed_gloss(GlossMaps.stored(environment) or GlossMaps.of(environment.coefficients), objects)
+        number = maps.first
+        for picture in maps.levels:
+            wanted = int(np.ceil(picture.shape[0] * 2.0 / np.pi))
+            if wanted > HALVED_FROM:
+                gloss.append(_cube(picture, -(-wanted // 2), BORDER))
+                sides.append(2 * -(-wanted // 2))
+            else:
+                gloss.append(_cube(picture, wanted, 1))
+                sides.append(wanted)
+    return LightMaps(basis, white, sky, irradiance, gloss, sides, number)
+
+
+def add_light(planes: Planes, number: int, maps: LightMaps) -> dict:
+    """Add an environment's planes; return what the header says of it."""
+    name = f"light/{number}"
+    planes.add_floats(f"{name}/basis", maps.basis)
+    planes.add_floats(f"{name}/white", maps.white)
+    if maps.sky is not None and maps.irradiance is not None:
+        planes.add_light(f"{name}/sky", maps.sky, maps.basis)
+        planes.add_light(f"{name}/irradiance", maps.irradiance, maps.basis)
+        for level, values in enumerate(maps.gloss):
+            planes.add_light(f"{name}/gloss/{level}", values, maps.basis)
+    return {"is_dark": maps.sky is None, "gloss_sides": maps.sides, "gloss_first": maps.first}
+
+
+def decoded_light(planes: dict[str, np.ndarray], number: int, entry: dict) -> LightMaps:
+    """Return an environment's maps from the planes of a payload."""
+    name = f"light/{number}"
+    gloss = [planes[f"{name}/gloss/{level}"] for level in range(len(entry["gloss_sides"]))]
+    basis, white = (planes[f"{name}/{part}"].astype(np.float64) for part in ("basis", "white"))
+    sky, irradiance = planes.get(f"{name}/sky"), planes.get(f"{name}/irradiance")
+    return LightMaps(basis, white, sky, irradiance, gloss, entry["gloss_sides"], entry["gloss_first"])
+
+
+def check_lobes(lobes: Lobes) -> None:
+    """Refuse a lobe that the page's shader does not know.
+
+    Raises
+    ------
+    PlainError
+    """
+    unknown = [name for name in lobes.names if name not in LOBES]
+    if unknown:
+        raise PlainError(f"the lobe {unknown[0]!r} has no page; accepted: {', '.join(LOBES)}.")
+
+
+def add_materials(planes: Planes, objects: Objects) -> list[dict]:
+    """Add the objects' materials; return what the header says of each."""
+    check_lobes(objects.lobes)
+    means, entries = mean_spectra(objects), []
+    for i, texels in enumerate(textures(objects)):
+        name, bases = f"object/{i}", int(objects.bases[i])
+        planes.add_floats(f"{name}/basis", objects.basis[i, :bases])
+        planes.add_floats(f"{name}/mean", means[i])
+        planes.add_floats(f"{name}/index", np.stack([objects.n[i], objects.k[i]]))
+        planes.add_linear(f"{name}/reflectance", np.moveaxis(coefficients_of(objects, texels)[..., :bases], -1, 0))
+        lobes: list[int] = []
+        components: list[int] = []
+        for component, (beta, mu) in enumerate(gloss_of(objects, texels)):
+            if not beta.any():
+                continue
+            kind = objects.lobes.names[objects.lobe[i, component]]
+            planes.add_log(f"{name}/power/{len(lobes)}", gloss_power(beta, mu, kind)[None])
+            planes.add_linear(f"{name}/place/{len(lobes)}", roughness_place(np.where(mu > 0, mu, 1.0), kind)[None])
+            lobes.append(int(objects.lobe[i, component]))
+            components.append(component)
+        entries.append(
+            {
+                "texels": list(texels.shape[:2]),
+                "bases": bases,
+                "lobes": lobes,
+                "components": components,
+                "has_gloss": bool(lobes),
+                "mirror": float(objects.mirror[i]),
+                "is_grey": bool(objects.grey[i]),
+                "wraps": bool(objects.wraps[i]),
+            }
+        )
+    if any(entry["lobes"] for entry in entries):
+        for number, kind in enumerate(objects.lobes.names):
+            planes.add_floats(f"lobe/{number}", lobe_table(kind).entries)
+    return entries
+
+
+def lobe_entries(objects: Objects) -> list[dict]:
+    """Return what the header says of the lobes: name, and ln μ at the first place of the ladder with its step."""
+    pairs = zip(objects.lobes.names, ladder(objects.lobes), strict=True)
+    return [{"name": name, "ladder": [float(first), float(step)]} for name, (first, step) in pairs]
+
+
+def decoded_objects(objects: Objects, planes: dict[str, np.ndarray], entries: list[dict]) -> Objects:
+    """Return a scene's objects with the texels that a payload gives them."""
+    texels = np.zeros_like(objects.texels)
+    found = objects._replace(texels=texels)
+    gloss = objects.texels.shape[1] - 2 * objects.lobe.shape[1]
+    for i, (own, entry) in enumerate(zip(textures(found), entries, strict=True)):
+        own[..., : entry["bases"]] = np.moveaxis(planes[f"object/{i}/reflectance"], 0, -1)
+        for number, (which, component) in enumerate(zip(entry["lobes"], entry["components"], strict=True)):
+            kind = objects.lobes.names[which]
+            mu = roughness_at(planes[f"object/{i}/place/{number}"][0], kind)
+            unit = gloss_power(np.ones_like(mu), mu, kind)
+            own[..., gloss + 2 * component] = planes[f"object/{i}/power/{number}"][0] / unit
+            own[..., gloss + 2 * component + 1] = mu
+    return found
+
+
+def _mesh_planes(planes: Planes, name: str, mesh: Mesh) -> None:
+    """Add a mesh: its corners, each once, and the triangles between them."""
+    corners = np.concatenate([mesh.vertices_mm[mesh.faces], mesh.normals, mesh.uv], axis=-1).reshape(-1, 8)
+    unique, inverse = np.unique(corners.astype(np.float32), axis=0, return_inverse=True)
+    # In the order in which the triangles meet them: neighbours lie near each other, and differences are small.
+    order = np.argsort(np.unique(inverse.ravel(), return_index=True)[1], kind="stable")
+    place = np.empty(len(order), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    unique = unique[order]
+    planes.add_linear(f"{name}/vertices", unique[:, :3].T, bits=16)
+    planes.add_linear(f"{name}/normals", unique[:, 3:6].T, bits=12)
+    planes.add_linear(f"{name}/uv", unique[:, 6:].T, bits=14)
+    planes.add_integers(f"{name}/faces", place[inverse.ravel()].reshape(-1, 3).T)
+
+
+def add_shapes(planes: Planes, placements: list[Placement]) -> list[dict]:
+    """Add the meshes among placed shapes; return what the header says of each shape and of where it stands."""
+    entries = []
+    for i, (placement, reach) in enumerate(zip(placements, reaches(placements), strict=True)):
+        shape = placement.shape
+        if shape.triangles is not None:
+            _mesh_planes(planes, f"object/{i}/mesh", shape.triangles)
+        entries.append(
+            {
+                "shape": shape.name,
+                "size_mm": [float(size) for size in shape.size_mm] if not shape.is_endless else [0.0, 0.0],
+                "reach_mm": float(reach),
+                "scale": float(placement.scale),
+                "position_mm": [float(x) for x in placement.translation_mm],
+                "world_from_object": [[float(x) for x in row] for row in placement.rotation],
+            }
+        )
+    return entries

@@ -1,0 +1,105 @@
+"""Write the classroom page of a scene, or print what a page holds."""
+
+import argparse
+import json
+import re
+import sys
+from pathlib import Path
+
+from irodori.config.definitions import load_definitions
+from irodori.core.errors import InputError, PlainError, is_file
+from irodori.core.yaml_files import read_yaml
+
+_CONFIG = Path("config/config.yaml")
+_PAYLOAD = re.compile(r'<script type="application/octet-stream" id="payload">([^<]*)</script>')
+
+
+def payload_of(path) -> str:
+    """Return the payload of a page, base64.
+
+    Raises
+    ------
+    InputError
+        If there is no such page.
+    """
+    if not is_file(path):
+        raise InputError(path, "", "no file", "a page that irodori wrote")
+    found = _PAYLOAD.search(Path(path).read_text(encoding="utf-8", errors="replace"))
+    if found is None:
+        raise InputError(path, "", "no payload", "a page that irodori wrote")
+    return found[1]
+
+
+def inspected(path) -> str:
+    """Return what a page holds, as JSON: its header, long lists of numbers told by their length, and its planes."""
+    from irodori.viewer.payload import read_payload
+
+    header, planes = read_payload(payload_of(path), path)
+    ranges = {name: [float(p.min(initial=0)), float(p.max(initial=0))] for name, p in planes.items()}
+    for plane in header["planes"]:
+        plane["range"] = ranges[plane["name"]]
+    return json.dumps(_shortened(header), indent=1, ensure_ascii=False)
+
+
+def _shortened(value):
+    if isinstance(value, dict):
+        return {key: _shortened(item) for key, item in value.items()}
+    if isinstance(value, list) and len(value) > 8 and not isinstance(value[0], dict):
+        return f"{len(value)} entries"
+    return [_shortened(item) for item in value] if isinstance(value, list) else value
+
+
+def write_scene(name: str, output: Path | None) -> Path:
+    """Write a scene's page from the results in the working directory; return its file.
+
+    Raises
+    ------
+    InputError
+        If there is no such scene, or a result is missing.
+    """
+    from irodori.config.pages import page_views
+    from irodori.viewer.stage import SceneSources, export_viewer
+
+    loaded = load_definitions(read_yaml(_CONFIG) | {"make": {"scenes": [name]}}, Path())
+    scene = loaded.scenes[name]
+    files = [Path(f"results/{item.object}/material.h5") for item in scene.objects]
+    light = Path(f"results/environments/{scene.environment}.h5")
+    missing = next((file for file in [*files, light] if not file.is_file()), None)
+    if missing is not None:
+        raise InputError(missing, "", "no file", f"what 'snakemake --cores 2 {missing}' makes")
+    sources = SceneSources(
+        name,
+        scene,
+        tuple(loaded.objects[item.object].shape for item in scene.objects),
+        tuple(files),
+        light,
+        loaded.config.render.min_throughput,
+    )
+    output = output or Path(f"results/{name}/viewer.html")
+    output.parent.mkdir(parents=True, exist_ok=True)
+    pictures = [Path(f"results/{name}/{view}.{kind}") for view in page_views(scene)[:1] for kind in ("png", "exr")]
+    poster, picture = ([*(p if p.is_file() else None for p in pictures), None, None])[:2]
+    export_viewer(sources, output=output, poster=poster, picture=picture)
+    return output
+
+
+def main(arguments: list[str] | None = None, prog: str = "python -m irodori.viewer.viewer_command") -> int:
+    """Run the command; return 0, or 2 after a fault said in one sentence."""
+    parser = argparse.ArgumentParser(prog=prog, description=__doc__)
+    parser.add_argument("scene", help="name of a scene of config/config.yaml's folder")
+    parser.add_argument("--output", type=Path, help="page to write, results/SCENE/viewer.html where absent")
+    parser.add_argument("--inspect", action="store_true", help="write nothing: print what the scene's page holds")
+    given = parser.parse_args(arguments)
+    try:
+        if given.inspect:
+            print(inspected(given.output or Path(f"results/{given.scene}/viewer.html")))
+        else:
+            print(write_scene(given.scene, given.output))
+    except PlainError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

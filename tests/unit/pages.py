@@ -1,0 +1,106 @@
+"""Small scenes for the tests of pages, written to files as the workflow does."""
+
+from pathlib import Path
+
+import numpy as np
+from made import made
+from scenes import GOLD_K, GOLD_N, THIRDS
+from shortcuts import ball, irradiance_map
+
+from irodori.config.models import ObjectShape, Scene
+from irodori.core.store import Provenance
+from irodori.light.environment_file import Environment, directions
+from irodori.material.material_file import Material
+from irodori.viewer.stage import SceneSources
+
+_ROOM = (96, 48)
+
+
+def room(sun: float = 40.0, level: float = 1.0) -> Environment:
+    """A room of six coefficients: a floor, walls of two colours, a lamp."""
+    width, height = _ROOM
+    unit = directions(width, height)[0]
+    x = np.linspace(-1.0, 1.0, 61)
+    basis = np.linalg.qr(np.stack([2.0 + 0.0 * x, x, x**2, x**3, np.cos(9 * x), np.sin(7 * x)], axis=1))[0]
+    basis *= np.sign(basis.sum(axis=0))[0]
+    up = np.clip(unit[..., 2] + 0.3, 0.1, None)
+    lamp = sun * np.exp(60.0 * (unit @ np.array([0.48, -0.6, 0.64]) - 1.0))
+    first = level * (up + lamp)
+    others = [0.2 * unit[..., 0], 0.15 * unit[..., 1], 0.1 * np.sin(3 * unit[..., 0]), 0.05 * unit[..., 2], 0.03 * up]
+    coefficients = np.stack([first, *(first * part for part in others)], axis=-1).astype(np.float32)
+    return Environment(coefficients, basis, irradiance_map(coefficients, 64, 32))
+
+
+def painted(beta: float = 25.0, mirror: float = 1.0, n=1.5, k=0.0) -> Material:
+    """A material of two paints in stripes whose gloss changes along the texture."""
+    rows, columns = 12, 16
+    x = np.linspace(0.0, 1.0, 61)
+    basis = np.stack([0.1 + 0.6 * x, 0.5 - 0.4 * x + 0.2 * np.sin(8 * x)], axis=1)
+    stripe = (np.arange(columns) // 4 % 2).astype(float)[None].repeat(rows, axis=0)
+    one, along = np.ones((rows, columns)), np.linspace(0.0, 1.0, rows)[:, None].repeat(columns, axis=1)
+    return Material(
+        alpha=0.5 * one,
+        beta=beta * (0.5 + along),
+        mu=0.08 + 0.2 * along,
+        green_response=0.5 * one,
+        coefficients=np.stack([stripe, 1.0 - stripe], axis=-1).astype(np.float32),
+        basis=basis,
+        n=np.broadcast_to(np.asarray(n, float), 61).copy(),
+        k=np.broadcast_to(np.asarray(k, float), 61).copy(),
+        mirror=mirror,
+        typical_gloss=(beta or 1.0, 0.15),
+    )
+
+
+def gold() -> Material:
+    """A glossy mirror of gold."""
+    return painted(beta=4.0, n=np.array(GOLD_N)[THIRDS], k=np.array(GOLD_K)[THIRDS])
+
+
+def write_mesh(path: Path, rings: int, segments: int) -> Path:
+    """Write a ball of triangles as OBJ."""
+    corners, uv = ball(20.0, rings, segments)
+    points = corners.reshape(-1, 3)
+    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in points]
+    lines += [f"vt {u:.6f} {v:.6f}" for u, v in uv.reshape(-1, 2)]
+    lines += [f"f {3 * i + 1}/{3 * i + 1} {3 * i + 2}/{3 * i + 2} {3 * i + 3}/{3 * i + 3}" for i in range(len(corners))]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+SPHERE = {"kind": "sphere", "radius_mm": 20.0}
+PLATE = {"kind": "plate", "width_mm": 110.0, "height_mm": 90.0}
+
+
+def sources(
+    folder: Path, environment: Environment, *, ball=SPHERE, first: Material | None = None, ambient=True, **keys
+) -> SceneSources:
+    """A ball on a plate beside a disc, written into a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    materials = [first or painted(), painted(beta=8.0, mirror=0.3)]
+    files = []
+    for number, material in enumerate(materials):
+        files.append(folder / f"material-{number}.h5")
+        material.save(files[-1], Provenance("test"))
+    environment.save(folder / "light.h5", Provenance("test"))
+    scene = {
+        "description": "A ball & a plate",
+        "environment": "room",
+        "image": {"width": 64, "height": 48},
+        "max_bounces": 3,
+        "integrator": {"kind": "interactive", "ambient": ambient},
+        "display": {"exposure": "auto", "device": {"kind": "standard", "name": "sRGB"}},
+        "views": {"front": {"kind": "perspective", "position_mm": [30.0, -190.0, 120.0], "target_mm": [0.0, 0.0, 10.0],
+                            "up": [0.0, 0.0, 1.0], "field_of_view_deg": 36.0}},
+        "objects": [
+            {"object": "ball", "position_mm": [-12.0, 4.0, 20.1], "rotation_deg": [50.0, 10.0, -20.0], "scale": 1.0},
+            {"object": "plate", "position_mm": [0.0, 0.0, 0.0], "rotation_deg": [0.0, 0.0, 12.0], "scale": 1.0},
+        ],
+        "bodies": [],
+        "lights": [],
+        "photographs": {},
+        "further_outputs": [],
+        **keys,
+    }  # fmt: skip
+    shapes = tuple(made(ObjectShape, shape) for shape in (ball, PLATE))
+    return SceneSources("test", made(Scene, scene), shapes, tuple(files), folder / "light.h5", 1e-3)

@@ -1,0 +1,90 @@
+"""Lessons of scenes: faults told in one sentence, pictures carried along, no job run anew for words."""
+
+import base64
+
+import pytest
+import yaml
+from definitions import ROOT, load
+
+from irodori.config.definition import as_plain
+from irodori.config.scene_files import SceneFiles
+from irodori.core.errors import InputError
+from irodori.viewer.lesson import lesson_for_page
+
+STEP = {"title": {"en": "One"}, "text": {"en": "Words."}}
+PNG = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR42mNgAAAAAgAB4iG8MwAAAABJRU5ErkJggg==")
+LAMP = {"position_mm": [0, 0, 100]}
+
+
+def with_step(root, scene="still-life", **step):
+    """Give a scene a lesson of one step and load it."""
+    file = root / f"config/scenes/{scene}.yaml"
+    content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    content["lesson"] = {"title": {"en": "Lesson"}, "steps": [{**STEP, **step}]}
+    file.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return load(root, scenes=[scene])
+
+
+FAULTS = [
+    ({"view": "fornt"}, "lesson.steps[0].view", "did you mean front"),
+    ({"view": "front", "camera": {"target_mm": [0, 0, 0], "azimuth_deg": 0, "elevation_deg": 0, "distance_mm": 9}},
+     "lesson.steps[0].camera", "one of the two"),
+    ({"objects": [{"name": "leaf-spere"}]}, "lesson.steps[0].objects[0].name", "did you mean leaf-sphere"),
+    ({"light": {"environment": "cellar"}}, "lesson.steps[0].light.environment", "classroom"),
+    ({"light": {"illuminant": {"name": "D66"}}}, "lesson.steps[0].light.illuminant.name", "D65"),
+    ({"light": {"lamps": [{**LAMP, "illuminant": {"name": "sun"}}]}},
+     "lesson.steps[0].light.lamps[0].illuminant.name", "D65"),
+    ({"light": {"lamps": [LAMP] * 5}}, "lesson.steps[0].light.lamps", "at most 4"),
+    ({"compare": {"mode": "wipe", "light": {"illuminant": {"name": "B6"}}}},
+     "lesson.steps[0].compare.light.illuminant.name", "FL2"),
+    ({"compare": {"mode": "blend"}}, "lesson.steps[0].compare.mode", "metamerism"),
+    ({"picture": "gone.png"}, "lesson.steps[0].picture", "no such file"),
+    ({"text": {}}, "lesson.steps[0].text", "by the language"),
+    ({"tittle": {"en": "x"}}, "lesson.steps[0].tittle", "title"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("step", "field", "words"), FAULTS, ids=[field for _, field, _ in FAULTS])
+def test_a_faulty_step_is_refused_in_one_sentence(root, step, field, words):
+    with pytest.raises(InputError) as refused:
+        with_step(root, **step)
+    assert str(refused.value).startswith(str(refused.value.file)) and "still-life.yaml" in str(refused.value)
+    assert refused.value.field == field and words in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_pictures_of_steps_are_carried_in_the_page(root):
+    (root / "tube.png").write_bytes(PNG)
+    lesson = with_step(root, picture="tube.png").scenes["still-life"].lesson
+    (step,) = lesson_for_page(lesson, root)["steps"]
+    head, content = step["picture"].split(",")
+    assert head == "data:image/png;base64" and base64.b64decode(content) == PNG
+    assert step["picture_file"] == "tube.png"
+    assert lesson_for_page(None) is None
+
+
+@pytest.mark.parametrize(("content", "words"), [(b"GIF89a", "neither"), (PNG + bytes(1_000_000), "at most")])
+def test_other_pictures_are_refused(root, content, words):
+    (root / "tube.png").write_bytes(content)
+    with pytest.raises(InputError, match=words):
+        with_step(root, picture="tube.png")
+
+
+def test_every_language_of_the_page_has_the_whole_lesson_of_the_default_scene():
+    lesson = load(ROOT, scenes=["still-life"]).scenes["still-life"].lesson
+    texts = [lesson.title, *(text for step in lesson.steps for text in (step.title, step.text))]
+    texts += [note.text for step in lesson.steps for note in step.notes]
+    assert [set(text) for text in texts] == [{"en", "ja"}] * len(texts)
+
+
+def test_words_of_a_lesson_run_no_frames_anew(root):
+    class Wildcards:
+        scene = "turntable"
+
+    def frames():
+        loaded = load(root, scenes=["turntable"])
+        return SceneFiles.with_frames(type("Files", (), {"loaded": loaded, "_scene": SceneFiles._scene})(), Wildcards)
+
+    before = frames()
+    lesson = with_step(root, "turntable").scenes["turntable"].lesson
+    assert lesson.steps[0].title == STEP["title"] and frames() == before and "lesson" not in before
+    assert as_plain(lesson)["steps"][0]["text"] == STEP["text"]

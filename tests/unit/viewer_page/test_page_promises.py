@@ -1,0 +1,366 @@
+"""What the classroom page promises: readable by everyone, states that travel, files, one sentence where it refuses."""
+
+import base64
+import io
+import json
+import re
+from importlib import resources
+
+import pytest
+import yaml
+from definitions import ROOT
+from double_pages import PAGE, close
+from PIL import Image
+
+from irodori.config.models import Scene
+from irodori.config.validation import validate
+from irodori.viewer.lesson import lesson_for_page
+
+PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
+TABLET = {"viewport": {"width": 820, "height": 1180}}
+PROJECTOR = {"viewport": {"width": 1920, "height": 1080}}
+TABS = ("lesson", "light", "compare", "objects", "seeing")
+
+
+def words(language):
+    return json.loads((PAGE / f"languages/{language}.json").read_text(encoding="utf-8"))
+
+
+# ---- everyone
+
+
+def violations(visit) -> list[str]:
+    found = visit.page.evaluate("async () => (await axe.run()).violations")
+    return [f"{one['id']}: {node['html'][:120]}" for one in found for node in one["nodes"]]
+
+
+@pytest.mark.parametrize("language", ["en", "ja"])
+@pytest.mark.parametrize("size", [PHONE, PROJECTOR], ids=["phone", "projector"])
+def test_axe_finds_no_violation(visit, size, language):
+    pytest.importorskip("axe_playwright_python", reason="axe is not installed: no page was checked for everyone's use")
+    one = visit(locale=language, **size)
+    one.page.evaluate(resources.files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8"))
+    found = violations(one)
+    one.page.locator(".steps li:nth-child(2) button").click()
+    found += violations(one)
+    one.page.locator(".steps li:nth-child(4) button").click()
+    one.page.evaluate("document.querySelector('#page-lesson .group button').click()")
+    found += violations(one)
+    one.page.evaluate("document.querySelector('#add-lamp').click()")
+    one.page.evaluate("document.querySelector('#page-seeing input[value=status]').click()")
+    for tab in TABS[1:]:
+        one.page.locator(f"#tab-{tab}").click()
+        found += violations(one)
+    one.tool("probe")
+    box = one.page.locator("#picture").bounding_box()
+    x, y = place_of(one, 3)
+    one.page.mouse.click(box["x"] + x, box["y"] + y)
+    assert one.page.locator("#card").is_visible()
+    found += violations(one)
+    for opener in ("#help-open", "#truth-open"):
+        one.page.evaluate(f"document.querySelector('{opener}').click()")
+        found += violations(one)
+        one.page.keyboard.press("Escape")
+    assert found == []
+
+
+def place_of(visit, number):
+    return visit.page.evaluate(
+        "(i) => { const s = document.getElementById('stage'), o = Irodori.page().state; "
+        "return Irodori.project(o.camera, o.objects[i].position_mm, s.clientWidth, s.clientHeight).slice(0, 2); }",
+        number,
+    )
+
+
+def test_the_focus_goes_from_the_head_over_the_picture_to_the_panel(visit):
+    one, order = visit(), []
+    for _ in range(14):
+        one.page.keyboard.press("Tab")
+        order.append(one.page.evaluate("document.activeElement.closest('[id]').id"))
+    expected = ["reset", "snapshot", "open", "help-open", "language", "picture", "tools", "tab-lesson", "page-lesson"]
+    assert list(dict.fromkeys(order))[: len(expected)] == expected
+
+
+@pytest.mark.parametrize("size", [PHONE, PROJECTOR, TABLET], ids=["phone", "projector", "tablet"])
+def test_nothing_is_wider_than_the_screen_and_targets_are_large(visit, size):
+    one = visit(**size)
+    for tab in TABS:
+        one.page.locator(f"#tab-{tab}").click()
+        assert one.page.evaluate("document.documentElement.scrollWidth - innerWidth") <= 0
+        small = one.page.evaluate(
+            "[...document.querySelectorAll('button, select, #tools label, .tick, input[type=range]')]"
+            ".filter((e) => e.checkVisibility()).map((e) => [e.textContent, e.getBoundingClientRect()])"
+            ".filter(([, box]) => box.height < 30 || box.width < 40).map(([words]) => words)"
+        )
+        assert small == []
+    picture = one.page.locator("#picture").bounding_box()
+    assert picture["width"] * picture["height"] > 0.4 * size["viewport"]["width"] * size["viewport"]["height"]
+
+
+def test_changes_are_told_to_those_who_do_not_see_them(visit):
+    one = visit()
+    one.page.locator(".steps li:nth-child(3) button").click()
+    one.page.wait_for_timeout(700)
+    told = one.page.locator("#live").inner_text()
+    assert "D65" in told and "Second light" in told and "50 %" in told
+
+
+def test_motion_is_reduced_on_request(visit):
+    glide = visit(reduced_motion="no-preference")
+    still = visit()
+    for one in (glide, still):
+        one.page.evaluate("window.drawn = Irodori.pace().frames")
+        one.page.locator(".steps li:nth-child(2) button").click()
+        one.settled()
+        one.page.wait_for_timeout(600)
+    frames = [one.page.evaluate("Irodori.pace().frames - window.drawn") for one in (glide, still)]
+    assert frames[0] > 5 > frames[1]
+    assert glide.state() == still.state()
+
+
+def test_every_word_is_there_in_every_language():
+    tables = {language: words(language) for language in ("en", "ja")}
+    assert tables["en"].keys() == tables["ja"].keys()
+    for key, text in tables["en"].items():
+        assert set(re.findall(r"{\w+}", text)) == set(re.findall(r"{\w+}", tables["ja"][key])), key
+    used = re.compile(r"""(?:I\.text\(|data-text=|data-label=|Refusal\()['"]([a-z_0-9]*[a-z0-9])['"]""")
+    named = {key for file in PAGE.glob("*.*") for key in used.findall(file.read_text(encoding="utf-8"))}
+    assert len(named) > 50 and named <= tables["en"].keys()
+
+
+def test_the_page_speaks_japanese_to_a_japanese_browser_and_can_be_told_otherwise(visit):
+    one = visit(locale="ja-JP")
+    assert one.page.evaluate("document.documentElement.lang") == "ja"
+    assert "色は光と面と目でできている" in one.page.locator("#panel").inner_text()
+    one.page.locator("#language").select_option("en")
+    assert "Colour is light" in one.page.locator("#panel").inner_text()
+    assert not re.search("[ぁ-んァ-ン]", one.page.evaluate("document.body.innerText").replace("日本語", ""))
+
+
+# ---- states that travel
+
+
+def test_a_step_shows_the_same_however_one_comes_to_it(visit):
+    direct, round_about = visit(), visit()
+    count = len(direct.page.locator(".steps li").all())
+    assert count == 7
+    for step in range(1, count + 1):
+        direct.page.locator(f".steps li:nth-child({step}) button").click()
+        for turn, other in enumerate((count, 1, step)):
+            round_about.page.locator("#tab-lesson").click()
+            round_about.page.locator(f".steps li:nth-child({other}) button").click()
+            if turn == 1:
+                round_about.page.locator("#picture").focus()
+                for key in ("ArrowLeft", "+", "3", "ArrowRight", "2", "PageUp", "1"):
+                    round_about.page.keyboard.press(key)
+        assert direct.state() == round_about.state()
+    state = direct.settled()
+    assert state["step"] == count - 1
+    assert visit(direct.page.evaluate("location.hash")).settled() == state
+
+
+def address(content) -> str:
+    text = content if isinstance(content, str) else json.dumps(content)
+    return "#v1." + base64.urlsafe_b64encode(text.encode()).decode().rstrip("=")
+
+
+LIGHT = {"environment": "classroom", "turn_deg": 0, "illuminant": None, "lamps": []}
+FAULTS = {
+    "camera.distance_mm": {"state": {"camera": {"distance_mm": -1}}},
+    "camera.azimuth_deg": {"state": {"camera": {"azimuth_deg": "x"}}},
+    "camera.target_mm": {"state": {"camera": {"target_mm": [1, 2]}}},
+    "state.camera.roll": {"state": {"camera": {"roll": 1}}},
+    "light.illuminant.name": {"state": {"light": {"illuminant": {"name": "D66"}}}},
+    "light.illuminant.power": {"state": {"light": {"illuminant": {"power": [0] * 61, "label": "dark"}}}},
+    "light.lamps": {"state": {"light": {"lamps": [{}] * 9}}},
+    "light.lamps[0].position_mm": {"state": {"light": {"lamps": [{"on": True}]}}},
+    "light.environment": {"state": {"light": {"environment": "cellar"}}},
+    "objects": {"state": {"objects": []}},
+    "observer": {"state": {"observer": "nobody"}},
+    "overlay": {"state": {"overlay": "rain"}},
+    "display.primaries.red_xy": {"state": {"display": {"primaries": {"red_xy": [1]}}}},
+    "compare.mode": {"compare": {"mode": "sniff", "at": 0, "other": None}},
+    "compare.at": {"compare": {"mode": "rgb", "at": 2, "other": LIGHT}},
+    "probes": {"probes": [[0, 0, 0]] * 3},
+    "__proto__": '{"__proto__": {"x": 1}}',
+}  # fmt: skip
+
+
+def test_a_faulty_address_is_refused_in_one_sentence_and_the_scene_is_shown(visit):
+    start = visit().state()
+    one = visit()
+    for field, content in FAULTS.items():
+        one.page.evaluate("(hash) => { location.hash = hash; }", address(content))
+        one.page.wait_for_timeout(50)
+        said = one.page.locator("#message").inner_text()
+        assert field in said, (field, said)
+        assert one.state() == start
+    for hash_ in ("#v1.!!!", "#v0.e30", "#nothing", "#v1." + "A" * 5000):
+        one.page.evaluate("document.getElementById('message').textContent = ''")
+        one.page.evaluate("(hash) => { location.hash = hash; }", hash_)
+        one.page.wait_for_timeout(50)
+        assert "address" in one.page.locator("#message").inner_text()
+        assert one.state() == start
+
+
+def saved(visit, press) -> bytes:
+    with visit.page.expect_download() as download:
+        press()
+    return download.value.path().read_bytes()
+
+
+def test_a_saved_picture_shows_its_state_again(visit, tmp_path):
+    one = visit(accept_downloads=True)
+    one.page.locator(".steps li:nth-child(3) button").click()
+    one.page.locator("#tab-light").click()
+    before = one.settled()
+    content = saved(one, lambda: one.page.locator("#snapshot").click())
+    with Image.open(io.BytesIO(content)) as picture:
+        assert picture.size[0] > 500 and picture.text["irodori"].startswith("v1.")
+    file = tmp_path / "still-life.png"
+    file.write_bytes(content)
+    again = visit()
+    again.page.locator("#file").set_input_files(file)
+    again.page.wait_for_timeout(300)
+    assert again.settled() == before
+    other = visit()
+    drop(other, "still-life.png", content)
+    assert other.settled() == before
+
+
+def drop(visit, name, content):
+    visit.page.evaluate(
+        "([name, text]) => { const held = new DataTransfer();"
+        " held.items.add(new File([Uint8Array.from(atob(text), (c) => c.charCodeAt(0))], name));"
+        " document.dispatchEvent(new DragEvent('drop', {dataTransfer: held, bubbles: true, cancelable: true})); }",
+        [name, base64.b64encode(content).decode()],
+    )
+    visit.page.wait_for_timeout(300)
+
+
+def test_other_pictures_and_files_are_refused(visit):
+    one, start = visit(), visit().state()
+    plain = io.BytesIO()
+    Image.new("RGB", (4, 4)).save(plain, "png")
+    cases = [
+        ("plain.png", plain.getvalue(), "no picture that this page saved"),
+        ("cut.png", plain.getvalue()[:20], "no picture that this page saved"),
+        ("text.png", b"not a picture", "no picture that this page saved"),
+        ("a.doc", b"x", "neither a saved picture"),
+        ("short.csv", b"450,1\n600,1\n", "450–600 nm"),
+        ("none.csv", b"", "needed"),
+        ("dark.csv", b"400,0\n700,0\n", "power"),
+        ("minus.csv", b"400,1\n500,-1\n700,1\n", "negative"),
+        ("words.csv", b"wavelength,power\n400,1\n500,much\n700,1\n", "500,much"),
+    ]
+    for name, content, sentence in cases:
+        drop(one, name, content)
+        assert sentence in one.page.locator("#message").inner_text()
+        assert one.state() == start
+
+
+def test_a_table_of_a_light_becomes_the_light(visit):
+    one = visit()
+    rows = "\ufeffwavelength nm;power\r\n" + "".join(f"{nm};{nm / 100}\r\n" for nm in range(380, 785, 10))
+    drop(one, "torch.csv", rows.encode())
+    light = one.state()["state"]["light"]["illuminant"]
+    assert light["label"] == "torch.csv"
+    assert light["power"] == pytest.approx([(400 + 5 * i) / 700 for i in range(61)], abs=1e-4)
+    # A line of 1 nm in a fine table keeps its energy on the grid of 5 nm, wherever it stands.
+    for line in (546, 548, 550):
+        rows = "".join(f"{nm},{100 if nm == line else 1}\n" for nm in range(390, 711))
+        drop(one, "tube.csv", rows.encode())
+        power = one.state()["state"]["light"]["illuminant"]["power"]
+        assert (sum(power) - 61 * min(power)) / min(power) == pytest.approx(99 / 5, rel=0.02)
+
+
+# ---- the teacher
+
+
+def test_an_edited_lesson_is_exported_as_a_scene_takes_it(visit, scene, tmp_path):
+    one = visit(accept_downloads=True)
+    page = one.page
+    page.locator(".steps li:nth-child(3) button").click()
+    page.get_by_role("button", name="Edit the lesson").click()
+    page.locator("#step-title").fill('A "second" title: yes')
+    page.locator("#step-text").fill("First.\n\nSecond # not a comment")
+    page.locator("#picture").focus()
+    for key in ("ArrowLeft", "2", "PageUp"):
+        page.keyboard.press(key)
+    page.get_by_role("button", name="Take over the picture").click()
+    shown = one.state()
+    page.get_by_role("button", name="Add a step from this picture").click()
+    text = saved(one, lambda: page.get_by_role("button", name="Export").click()).decode()
+    written = yaml.safe_load(text)
+    whole = {**yaml.safe_load((ROOT / "config/scenes/still-life.yaml").read_text(encoding="utf-8")), **written}
+    lesson = Scene.of(validate(whole, "scene", "still-life.yaml")).lesson
+    assert len(lesson.steps) == len(scene.lesson.steps) + 1
+    assert lesson.steps[2].title["en"] == 'A "second" title: yes'
+    assert lesson.steps[2].title["ja"] == scene.lesson.steps[2].title["ja"]
+    assert lesson.steps[2].text["en"] == "First.\n\nSecond # not a comment"
+    again = page.evaluate(
+        "([lesson, base]) => Irodori.pageOfStep(lesson.steps[2], 2, base, {illuminants: [{name: 'D65'}, {name: 'A'}],"
+        " environments: ['classroom'], observers: [{name: base.state.observer}], views: []})",
+        [lesson_for_page(lesson), visit().state()],
+    )
+    assert close(again["state"]["camera"], shown["state"]["camera"])
+    assert again["state"]["objects"] == shown["state"]["objects"]
+    assert again["compare"] == shown["compare"]
+
+
+# ---- what cannot be drawn, and how fast it can
+
+
+def test_without_webgl2_there_is_the_rendered_picture_and_a_sentence(visit):
+    one = visit(script="window.noWebGL2 = true", ready=False)
+    one.page.wait_for_selector("body.still")
+    assert "no WebGL 2" in one.page.locator("#poster-text").inner_text()
+    assert one.page.locator("#poster-picture").bounding_box()["width"] > 300
+    assert not one.page.locator("main").is_visible()
+
+
+def test_a_damaged_payload_is_told_in_a_sentence(visit):
+    one = visit(script="window.damagedPayload = true", ready=False)
+    one.page.wait_for_selector("body.still")
+    assert one.page.locator("#poster-text").inner_text() == "The data of this page are damaged."
+
+
+def test_a_slow_machine_gets_fewer_pixels_while_it_moves_and_all_at_rest(visit):
+    one = visit(script="window.slowness = 120")
+    one.page.evaluate(
+        "async () => { for (let i = 0; i < 60; i++) { document.getElementById('picture').dispatchEvent("
+        "new KeyboardEvent('keydown', {key: 'ArrowLeft'})); await new Promise(requestAnimationFrame); } }"
+    )
+    moving = one.page.evaluate("Irodori.pace()")
+    assert 0.25 <= moving["scale"] < 0.75
+    one.page.wait_for_timeout(1500)
+    assert one.page.evaluate("Irodori.calls.at(-1)") == 1
+    drawn = one.page.evaluate("Irodori.pace().frames")
+    one.page.wait_for_timeout(500)
+    assert one.page.evaluate("Irodori.pace().frames") == drawn
+
+
+def test_rate_and_scale_are_shown_on_request(visit):
+    one = visit()
+    assert not one.page.locator("#rate").is_visible()
+    one.page.locator("#tab-seeing").click()
+    one.page.get_by_label("Show frames per second").check()
+    one.page.wait_for_timeout(200)
+    assert re.search(r"scale [01]\.\d\d · 900 × \d+$", one.page.locator("#rate").inner_text())
+
+
+def test_the_scale_bar_tells_millimetres(visit):
+    one = visit()
+    mm = float(one.page.locator("#scale-text").inner_text().split()[0])
+    pixels = one.page.locator("#scale-line").bounding_box()["width"]
+    ends = one.page.evaluate(
+        "(mm) => { const s = document.getElementById('stage'), c = Irodori.page().state.camera;"
+        " return [-mm / 2, mm / 2].map((x) => Irodori.project(c, [x, 0, 22], s.clientWidth, s.clientHeight)[0]); }",
+        mm,
+    )
+    assert ends[1] - ends[0] == pytest.approx(pixels, abs=1)
+
+
+def test_the_footer_tells_how_true_the_picture_is(visit):
+    line = visit().page.locator("#truth-line").inner_text()
+    assert "0.040" in line and "0.210" in line and "2026-11-22" in line

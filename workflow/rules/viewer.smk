@@ -1,0 +1,32 @@
+rule export_viewer:
+    input:
+        materials=scenes.materials("results/{object}/material.h5"),
+        environment=scenes.environment,
+        poster=scenes.page_view("results/{scene}/{view}.png"),
+        picture=scenes.page_view("results/{scene}/{view}.exr"),
+        user_files=ancient(scenes.page_files),
+    output:
+        page=report(
+            "results/{scene}/viewer.html",
+            caption="../report/viewer.rst",
+            category="Pages",
+            labels={"scene": "{scene}"},
+        ),
+    log:
+        "results/logs/export_viewer/{scene}.log",
+    benchmark:
+        "results/benchmarks/export_viewer/{scene}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 3000 * attempt,
+    params:
+        scene=lookup(within=config, dpath="scenes/{scene}"),
+        lesson=lookup(within=config, dpath="lessons/{scene}"),
+        shapes=scenes.shapes,
+        render=lookup(within=config, dpath="render"),
+        user_files=ledger.content(scenes.page_files),
+        code=code_hash("irodori.viewer.stage"),
+    script:
+        "../scripts/export_viewer.py"
