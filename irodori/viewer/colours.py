@@ -62,8 +62,8 @@ def daylight() -> list[list[float]]:
 def displays() -> list[dict]:
     """Return the displays of standard primaries: linear RGB of XYZ whose white has Y = 1, and the white."""
     found = []
-    for name, (table, _) in STANDARD.items():
-        space = colour.RGB_COLOURSPACES[table]
+    for name in STANDARD:
+        space = colour.RGB_COLOURSPACES[name]
         white = colour.xy_to_XYZ(space.whitepoint)
         matrix = np.linalg.inv(space.matrix_RGB_to_XYZ)
         found.append({"name": name, "rgb_from_xyz": matrix.tolist(), "white_xyz": [float(x) for x in white]})

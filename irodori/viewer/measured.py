@@ -10,7 +10,7 @@ from irodori.geometry.shapes.placement import Placement
 from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.rendering.interactive.cube_maps import face_directions, fill_borders, look_up_cube
-from irodori.rendering.interactive.frame_renderer import Lamp, Prepared, light_of, prepare_scene, render_frame
+from irodori.rendering.interactive.frame_renderer import CollimatedLamp, Prepared, light_of, prepare_scene, render_frame
 from irodori.rendering.interactive.prepared_scene import padded
 from irodori.rendering.scene_arrays import Objects, View, make_tracer
 from irodori.spectra.grid import SAMPLES
@@ -122,7 +122,7 @@ def _joined(name: str, levels: list[np.ndarray], lanes: int) -> dict:
 
 def frame_bands(scene: Prepared, view: View, parts: Parts, world_from_light=None) -> np.ndarray:
     """Return a frame's radiance, (height, width, 61)."""
-    lamps = tuple(Lamp(direction) for direction in parts.directions)
+    lamps = tuple(CollimatedLamp(direction) for direction in parts.directions)
     return render_frame(scene, view, world_from_light=world_from_light, lamps=lamps, bands=True)
 
 
