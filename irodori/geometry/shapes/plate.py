@@ -16,11 +16,11 @@ from irodori.geometry.shapes.flat import (
     surface_at_flat,
 )
 from irodori.geometry.shapes.placement import Placement
-from irodori.geometry.shapes.plane import distance_to_plane
+from irodori.geometry.shapes.plane import IN_PLANE, distance_to_plane
 from irodori.geometry.shapes.shape import SLACK, Kernels
 from irodori.geometry.shapes.shape_rows import HIGH, RADIUS, TURN, WIDE
 from irodori.jit.compilation import njit
-from irodori.jit.functions import magnitude
+from irodori.jit.functions import magnitude, upper_of
 
 if TYPE_CHECKING:
     from irodori.config.models import PlateShape
@@ -159,11 +159,14 @@ def _may_be_met(row, at, centre, direction, along, reach):
     dx, dy, dz = direction
     radius = row[at + RADIUS]
     distance, near = distance_to_plane(row, at, centre, direction, reach)
-    slack = magnitude(distance) * SLACK + radius * SLACK
+    # Where a ray along the plane meets it, is known as well as its height is beside its steepness; a NaN is not known.
+    steepness = dx * row[at + TURN + 2] + dy * row[at + TURN + 5] + dz * row[at + TURN + 8]
+    unknown = magnitude(upper_of(reach, radius) * IN_PLANE / steepness)
+    slack = magnitude(distance) * SLACK + radius * SLACK + unknown
     for axis in range(2):
         a, b, c = row[at + TURN + axis], row[at + TURN + axis + 3], row[at + TURN + axis + 6]
         across = (distance * dx - x) * a + (distance * dy - y) * b + (distance * dz - z) * c
-        near = near & (magnitude(across) * row[at + WIDE + axis] <= 0.5 + slack * row[at + WIDE + axis])
+        near = near & ~(magnitude(across) * row[at + WIDE + axis] > 0.5 + slack * row[at + WIDE + axis])
     return near
 
 
