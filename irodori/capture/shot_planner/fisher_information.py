@@ -207,8 +207,8 @@ class Observations(NamedTuple):
     weight: np.ndarray  # (poses, cases) that of the fit; zero where there is nothing to observe
 
     def of(self, chosen) -> "Observations":
-        """Return the observations of chosen poses."""
-        chosen = np.asarray(chosen)
+        """Return the observations of poses by their place, none where none is chosen."""
+        chosen = np.asarray(chosen, dtype=np.intp)
         return Observations(self.jacobian[chosen], self.variance[chosen], self.response[chosen], self.weight[chosen])
 
     def scaled(self) -> np.ndarray:
