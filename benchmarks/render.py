@@ -29,6 +29,7 @@ from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.irradiance import fitted_irradiance_map
+from irodori.material.material_file import Material
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, prepare_scene, profiled, render_frame
 from irodori.rendering.scene_arrays import make_objects, make_placements, make_tracer, make_view
 from irodori.simulation.virtual_rig.classroom import room_coefficients, source_spectra
@@ -62,28 +63,40 @@ SIZES = {
 }
 
 
-def make_inputs(width: int, folder: Path) -> None:
-    """Write the scene for an environment ``width`` px wide to a folder."""
-    loaded = load_definitions(read_yaml(_ROOT / "config/config.yaml"), _ROOT)
-    scene, rig = loaded.scenes["still-life"], loaded.rigs["virtual"]
-    objects = [loaded.objects[item.object] for item in scene.objects]
-    materials = [true_material(o, loaded.cameras[o.camera], rig) for o in objects]
-    room = loaded.environments[scene.environment].virtual
-    spectra = source_spectra(room, light(rig.light.spectrum))[1]
-    # The room is traced at half the width: blurred light needs no more, and the picture is as large as any.
-    sources = room_coefficients(room, width // 2, width // 4)
+def true_light(loaded, width: int) -> Environment:
+    """Return the light of the still life's room, ``width`` px wide, on the principal vectors of its sources."""
+    room = loaded.environments[loaded.scenes["still-life"].environment].virtual
+    spectra = source_spectra(room, light(loaded.rigs["virtual"].light.spectrum))[1]
+    sources = room_coefficients(room, width, width // 2)
     flat = sources.reshape(-1, len(spectra))
     root = np.linalg.cholesky((flat.T @ flat).astype(np.float64) / len(flat))
     basis = np.linalg.svd(root.T @ spectra, full_matrices=False)[2][:_BASES].T
     coefficients = (flat @ (spectra @ basis).astype(np.float32)).reshape(*sources.shape[:2], _BASES)
     irradiance, _ = fitted_irradiance_map(coefficients, max_error=2e-3, max_height=128)
-    np.save(folder / "coefficients.npy", np.repeat(np.repeat(coefficients.astype(np.float16), 2, axis=0), 2, axis=1))
-    gloss = GlossMaps.of(coefficients)
+    return Environment(coefficients, basis, irradiance)
+
+
+def true_materials(loaded) -> list[Material]:
+    """Return the true materials of the still life's objects."""
+    objects = [loaded.objects[item.object] for item in loaded.scenes["still-life"].objects]
+    return [true_material(one, loaded.cameras[one.camera], loaded.rigs["virtual"]) for one in objects]
+
+
+def make_inputs(width: int, folder: Path) -> None:
+    """Write the scene for an environment ``width`` px wide to a folder."""
+    loaded = load_definitions(read_yaml(_ROOT / "config/config.yaml"), _ROOT)
+    scene, materials = loaded.scenes["still-life"], true_materials(loaded)
+    # The room is traced at half the width: blurred light needs no more, and the picture is as large as any.
+    room = true_light(loaded, width // 2)
+    stored = np.repeat(np.repeat(room.coefficients.astype(np.float16), 2, axis=0), 2, axis=1)
+    np.save(folder / "coefficients.npy", stored)
+    gloss = GlossMaps.of(room.coefficients)
     for number, level in enumerate(gloss.levels):
         np.save(folder / f"gloss-{number}.npy", level)
     blurred = (gloss.first, len(gloss.levels), gloss.points)
+    shapes = [loaded.objects[item.object].shape for item in scene.objects]
     with (folder / "scene.pickle").open("wb") as out:
-        pickle.dump((scene, [o.shape for o in objects], materials, basis, irradiance, blurred), out)
+        pickle.dump((scene, shapes, materials, room.basis, room.irradiance, blurred), out)
 
 
 class Studio:

@@ -1,7 +1,7 @@
 """Distance of a page from the product's own renderer, CIEDE2000, and what it is measured with."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,9 +48,11 @@ class Parts:
 def prepared(parts: Parts, objects: Objects | None = None, maps: LightMaps | None = None) -> Prepared:
     """Return a scene for frames of 61 bands; with the materials and the light maps of a payload where given."""
     gloss = GlossMaps.stored(parts.environment) or GlossMaps.of(parts.environment.coefficients)
+    # The light's coefficients are then those of the maps, which are on vectors of their own.
+    light = parts.environment if maps is None else replace(parts.environment, basis=maps.basis.T)
     found = prepare_scene(
         parts.objects if objects is None else objects,
-        light_of(parts.environment),
+        light_of(light),
         gloss,
         make_tracer(parts.placements),
         "spectral",
@@ -67,7 +69,7 @@ def prepared(parts: Parts, objects: Objects | None = None, maps: LightMaps | Non
 
 
 def _fields(scene: Prepared, maps: LightMaps) -> dict:
-    """Return the fields of a `World` that hold light, from the maps of a payload."""
+    """Return the fields of a `PreparedWorld` that hold light, from the maps of a payload."""
     assert maps.sky is not None and maps.irradiance is not None  # asked before
     lanes, levels = scene.layout.light, [_bordered(np.moveaxis(maps.sky, 0, -1))]
     while levels[-1].shape[1] - 2 > 4:

@@ -96,25 +96,40 @@ def _cube(picture: np.ndarray, side: int, border: int) -> np.ndarray:
     return np.moveaxis(np.stack(faces), -1, 0).astype(np.float32)
 
 
+def _principal(environment: Environment) -> tuple[np.ndarray, np.ndarray]:
+    """Return an environment's principal vectors, (k, 61), and their coefficients' matrix from the stored ones, (k, k).
+
+    The first is positive, as light is, and so is its coefficient everywhere, which a payload stores as a logarithm; a
+    file may be on other vectors of the same space.
+    """
+    vectors, stored = np.linalg.qr(environment.basis.astype(np.float64))
+    flat = environment.coefficients.reshape(-1, environment.basis.shape[1]).astype(np.float32)
+    moments = stored @ (flat.T @ flat).astype(np.float64) @ stored.T
+    principal = np.linalg.eigh(moments)[1][:, ::-1]
+    principal = principal * np.where((vectors @ principal).sum(axis=0) < 0.0, -1.0, 1.0)
+    return np.ascontiguousarray((vectors @ principal).T), principal.T @ stored
+
+
 def light_maps(environment: Environment, objects: Objects) -> LightMaps:
     """Return the maps of an environment that a scene's objects need."""
-    basis = np.ascontiguousarray(environment.basis.T, dtype=np.float64)
     white = environment.upward_white()
     if not environment.coefficients.any():
-        return LightMaps(basis, white, None, None, [], [], 0)
+        return LightMaps(environment.basis.T.astype(np.float64), white, None, None, [], [], 0)
+    basis, principal_from_stored = _principal(environment)
     k = len(basis)
-    pyramid = environment_pyramid(environment.coefficients, np.eye(k), k, half=False)
+    pyramid = environment_pyramid(environment.coefficients, principal_from_stored, k, half=False)
     level = next(i for i, side in enumerate(pyramid.side) if side <= MOST_SIDE)
     side, first = int(pyramid.side[level]), int(pyramid.first[level])
     whole = pyramid.texels[first : first + 6 * (side + 2) ** 2 * k].reshape(6, side + 2, side + 2, k)
     sky = np.moveaxis(whole[:, 1:-1, 1:-1], -1, 0)
     rows = environment.irradiance.shape[0]
-    irradiance = _cube(environment.irradiance.astype(np.float32), rows, 1)
+    irradiance = _cube((environment.irradiance @ principal_from_stored.T).astype(np.float32), rows, 1)
     gloss, sides, number = [], [], 0
     if any(beta.any() for texels in textures(objects) for beta, _ in gloss_of(objects, texels)):
         maps = needed_gloss(GlossMaps.stored(environment) or GlossMaps.of(environment.coefficients), objects)
         number = maps.first
-        for picture in maps.levels:
+        for level_of_file in maps.levels:
+            picture = level_of_file @ principal_from_stored.T.astype(np.float32)
             wanted = int(np.ceil(picture.shape[0] * 2.0 / np.pi))
             if wanted > HALVED_FROM:
                 gloss.append(_cube(picture, -(-wanted // 2), BORDER))

@@ -30,6 +30,8 @@ from irodori.viewer.scene_data import decoded_light, decoded_objects
 
 #: What a page is checked with: turns of the light, illuminants (none is the light as it was recovered), and observers.
 TURNS_DEG, ILLUMINANTS, OBSERVERS = (0.0, 110.0), (None, "A", "FL11"), (0, 1)
+#: Loss of the format, CIEDE2000, over which a page's maker is warned; the page states its own in any case.
+LOSS_MEAN, LOSS_P99 = 0.1, 0.3
 _SIZE = Size(width=160, height=120)
 _SELFTEST_SIZE = Size(width=40, height=30)
 
@@ -83,6 +85,8 @@ def export_viewer(sources: SceneSources, *, output, poster=None, picture=None) -
     first = data.payload({})
     errors: dict = {"data_loss": measured_loss(data, first, original, view), "cpu": None, "reference": None}
     LOGGER.info("loss of the format, CIEDE2000: %s; %.2f MB of base64", errors["data_loss"], len(first) / 1e6)
+    if errors["data_loss"]["mean"] > LOSS_MEAN or errors["data_loss"]["p99"] > LOSS_P99:
+        LOGGER.warning("the format loses more than mean %g, 99th percentile %g of this scene", LOSS_MEAN, LOSS_P99)
     if browser_command() is None:
         LOGGER.warning("no browser: what the page draws is not checked, and it says so")
     else:

@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pages import room, sources
 
 from irodori.core.errors import InputError
+from irodori.light.environment_file import Environment
+from irodori.viewer.page_data import page_data
 from irodori.viewer.payload import LOG_STEP, RATIO_STEP, Planes, read_payload, write_payload
+from irodori.viewer.scene_data import add_light, decoded_light, light_maps
 
 
 def planes() -> tuple[Planes, dict]:
@@ -94,3 +98,25 @@ def test_damage_anywhere_is_found(at, byte, keep):
 def test_what_is_not_base64_is_refused():
     with pytest.raises(InputError, match="not base64"):
         read_payload("no payload!")
+
+
+def test_light_is_the_same_whatever_vectors_its_file_is_on(tmp_path):
+    """Principal vectors of either sign, a mixture of them, one vector a lamp: what is decoded is the file's spectra."""
+    light = room()
+    mixed = np.random.default_rng(3).normal(size=(6, 6))
+    given = sources(tmp_path, light)
+    data = page_data(given.name, given.scene, given.shapes, given.materials, given.environment, 1e-3)
+    wanted = light_maps(light, data.parts.objects)
+    for basis_from_other in (-np.eye(6), mixed):
+        turned = Environment(
+            (light.coefficients @ np.linalg.inv(basis_from_other).T).astype(np.float32),
+            light.basis @ basis_from_other,
+            light.irradiance @ np.linalg.inv(basis_from_other).T,
+        )
+        planes = Planes()
+        entry = add_light(planes, 0, light_maps(turned, data.parts.objects))
+        found = decoded_light(read_payload(write_payload({}, planes))[1], 0, entry)
+        for name in ("sky", "irradiance"):
+            one, other = (np.einsum("k...,kw->...w", getattr(maps, name), maps.basis) for maps in (wanted, found))
+            assert np.abs(other - one).max() <= 0.01 * one.max(), name
+            assert np.median(np.abs(other - one) / one.mean(axis=-1, keepdims=True)) < 0.002, name
