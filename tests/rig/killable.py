@@ -4,10 +4,12 @@ Each line on standard input is a JSON list: folder, whether a simulated rig move
 disk is stretched. The answer is the process to kill, then how it ended.
 """
 
+import importlib
 import json
 import os
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -72,18 +74,43 @@ def stretched(action, seconds: float):
     return act
 
 
+def hold(folder: Path, motion: bool) -> None:
+    """Hold a session."""
+    definition, aim = target(folder, motion)
+    capture_object(made(Object | PhotographedObject, definition), aim, folder / "session.json", MADE)
+
+
+def import_all() -> None:
+    """Import what a session imports as it goes, named by a session in a child: kills are to fall into its work."""
+    reading, writing = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        with tempfile.TemporaryDirectory() as folder:
+            hold(Path(folder), motion=False)
+        with os.fdopen(writing, "w") as out:
+            out.write("\n".join(sys.modules))
+        os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading) as found:
+        names = found.read().split("\n")
+    assert os.waitpid(pid, 0)[1] == 0
+    for name in names:
+        if name.partition(".")[0] in ("scipy", "numba", "embreex"):
+            importlib.import_module(name)
+
+
 def main() -> None:
     """Fork for each line."""
     definitions()  # read once
+    import_all()
     for line in sys.stdin:
         folder, motion, slow_s = json.loads(line)
         pid = os.fork()
         if pid == 0:
             for name in ("fsync", "replace"):
                 setattr(os, name, stretched(getattr(os, name), slow_s))
-            definition, aim = target(Path(folder), motion)
             try:
-                capture_object(made(Object | PhotographedObject, definition), aim, Path(folder) / "session.json", MADE)
+                hold(Path(folder), motion)
             except BaseException as error:
                 print(repr(error), file=sys.stderr, flush=True)
                 os._exit(1)
