@@ -197,7 +197,7 @@ def facets(tmp_path_factory):
 
 def test_a_sphere_of_triangles_is_observed_as_the_sphere(tmp_path, facets):
     exact, found = (
-        rectify(tmp_path, definition, PLATE_POSES, table=40.0, max_angle_deg=80.0, name=f"{i}.h5")
+        rectify(tmp_path, definition, PLATE_POSES, setup=setup_of(40.0), max_angle_deg=80.0, name=f"{i}.h5")
         for i, definition in enumerate((EXACT, facets))
     )
     texel = found["texel"] == 1
@@ -221,7 +221,7 @@ def test_what_is_no_texel_is_zero_throughout_and_said_to_be_none(tmp_path, facet
     corners, uv = ball(25.0, 32, 64)
     write_obj(path, corners, 0.25 + 0.5 * uv, digits=9)
     half["shape"] = facets["shape"] | {"file": str(path)}
-    found = rectify(tmp_path, half, PLATE_POSES, table=40.0)
+    found = rectify(tmp_path, half, PLATE_POSES, setup=setup_of(40.0))
     texel = found["texel"].astype(bool)
     assert texel.mean() == pytest.approx(0.25, abs=0.02)
     for name, values in found.items():
@@ -230,7 +230,7 @@ def test_what_is_no_texel_is_zero_throughout_and_said_to_be_none(tmp_path, facet
 
 
 def test_a_texel_that_no_capture_sees_is_a_texel_without_weight(tmp_path, facets):
-    found = rectify(tmp_path, facets, PLATE_POSES, table=40.0)
+    found = rectify(tmp_path, facets, PLATE_POSES, setup=setup_of(40.0))
     south = slice(64 * 28, 64 * 31)  # under the sphere, towards the table
     assert found["texel"][south].all() and not found["weight"][south].any()
     # It keeps its geometry, which says why: every pose looks at its back.
@@ -238,9 +238,9 @@ def test_a_texel_that_no_capture_sees_is_a_texel_without_weight(tmp_path, facets
 
 
 def test_tiles_of_a_mesh_are_bit_identical_to_the_whole(tmp_path, facets):
-    whole = rectify(tmp_path, facets, PLATE_POSES, table=20.0)
+    whole = rectify(tmp_path, facets, PLATE_POSES, setup=setup_of(20.0))
     parts = [
-        rectify(tmp_path, facets, PLATE_POSES, rows=rows, table=20.0, name=f"t{rows[0]}.h5")
+        rectify(tmp_path, facets, PLATE_POSES, rows=rows, setup=setup_of(20.0), name=f"t{rows[0]}.h5")
         for rows in itertools.pairwise([0, 1, 13, 32])
     ]
     for name, values in whole.items():
