@@ -25,7 +25,7 @@ _BITS = 10
 #: Steps of light: of the logarithm of the first coefficient, octaves, and of the others over the first.
 LOG_STEP, RATIO_STEP = 1.0 / 256.0, 1.0 / 448.0
 _FLOOR = 1e-4  # of the mean first coefficient: what is darker is told apart less finely
-CODES, DELTAS = ("linear", "log", "light", "float"), ("row", "plane")
+CODES, DELTAS = ("linear", "log", "light", "float"), ("row", "above")
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Plane:
         ``linear``: low + q step, by channel. ``log``: floor (2^(q step) - 1). ``light``: channel 0 as of ``log``, the
         others (channel 0 + floor) (low + q step). ``float``: little-endian float32, byte after byte.
     delta : str
-        ``row``: what is stored is the difference to the number before in the row; ``plane``: that difference less the
+        ``row``: what is stored is the difference to the number before in the row; ``above``: that difference less the
         one in the row above.
     width : int
         Bytes a number.
@@ -126,7 +126,7 @@ class Planes:
         found = {}
         for delta in DELTAS:
             difference = np.diff(q, axis=-1, prepend=0)
-            if delta == "plane":
+            if delta == "above":
                 difference = np.diff(difference, axis=-2, prepend=0)
             found[delta] = ((difference << 1) ^ (difference >> 63)).astype(np.uint64)
         # Bits of the two, the fewer the better; of one row there is nothing above.
@@ -179,7 +179,7 @@ def _values(plane: Plane, content: memoryview) -> np.ndarray:
     parts = np.frombuffer(content, dtype=np.uint8).reshape(plane.width, *plane.shape)
     stored = sum((parts[i].astype(np.int64) << (8 * i) for i in range(plane.width)), np.zeros(plane.shape, np.int64))
     q = (stored >> 1) ^ -(stored & 1)
-    if plane.delta == "plane":
+    if plane.delta == "above":
         q = np.cumsum(q, axis=-2)
     q = np.cumsum(q, axis=-1).astype(np.float64)
     by_channel = (len(q), *(1,) * (q.ndim - 1))

@@ -1,4 +1,4 @@
-"""How long drivers wait, and how a wait ends, on a clock that only waiting moves."""
+"""Waits of drivers, and how they end, on a clock that only waiting moves."""
 
 import pytest
 from virtual_time import TIMEOUT_S, Bench, bench_of, opened, rig_of

@@ -77,7 +77,7 @@ Irodori.SCHEMA_VERSION = 1;
         !entry.shape.every(whole)) refuse("a plane without a name or a shape");
     const channels = entry.shape[0], code = entry.code;
     const low = code === "linear" || code === "light" ? channels : 0;
-    if (!CODES.includes(code) || !["row", "plane"].includes(entry.delta) || !whole(entry.width) || entry.width < 1 ||
+    if (!CODES.includes(code) || !["row", "above"].includes(entry.delta) || !whole(entry.width) || entry.width < 1 ||
         entry.width > 8 || !isNumbers(entry.low, low) || !isNumbers(entry.step, code === "float" ? 0 : channels) ||
         !Number.isFinite(entry.floor)) refuse("the plane " + entry.name.slice(0, 40) + " in an unknown code");
   }
@@ -95,7 +95,7 @@ Irodori.SCHEMA_VERSION = 1;
       const half = Math.floor(q[i] / 2);
       q[i] = q[i] - 2 * half === 1 ? -half - 1 : half;
     }
-    if (entry.delta === "plane") {
+    if (entry.delta === "above") {
       const rows = entry.shape[entry.shape.length - 2];
       for (let i = 0; i < count; i++) if (Math.floor(i / row) % rows) q[i] += q[i - row];
     }
