@@ -1,4 +1,4 @@
-"""What table and file say of exposure, ISO and aperture: agreed within a twentieth, filled in, or refused."""
+"""Exposure, ISO and aperture by table and file: agreed within a twentieth, filled in, or refused."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What people do in the classroom page: by keys alone, with a finger, with a pointer, at random."""
+"""Actions of people in the classroom page: by keys alone, with a finger, with a pointer, at random."""
 
 import random
 

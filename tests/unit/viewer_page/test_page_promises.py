@@ -1,4 +1,4 @@
-"""What the classroom page promises: readable by everyone, states that travel, files, one sentence where it refuses."""
+"""Promises of the classroom page: readable by everyone, states that travel, files, one sentence where it refuses."""
 
 import base64
 import io
