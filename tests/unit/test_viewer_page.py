@@ -254,7 +254,7 @@ def test_a_page_states_its_errors_and_its_own_check_agrees(tmp_path):
 
 def test_without_webgl2_the_page_says_so(written):
     with opened(written.path, flags=(*FLAGS, "--disable-3d-apis"), wait=False) as page:
-        assert "WebGL2" in page.said()
+        assert "WebGL 2" in page.said()
 
 
 def test_highlights_of_ggx_are_those_of_its_formula(tmp_path):
