@@ -22,7 +22,7 @@ from irodori.core.custody import accept
 from irodori.core.errors import InputError
 from irodori.light.environment_file import Environment, directions
 from irodori.light.irradiance import irradiance_at
-from irodori.light.omnidirectional import Picture, to_panorama
+from irodori.light.omnidirectional import OmnidirectionalPicture, to_panorama
 from irodori.light.stage import SURFACES, fill_masked, observers, prepare_environment, write_environment
 from irodori.material.principal_components.basis_count import CompressOptions, choose
 from irodori.material.principal_components.decomposition import decompose
@@ -283,7 +283,7 @@ def test_stage_refuses_bands_that_the_chart_did_not_have(tmp_path):
 
 def test_an_environments_errors_are_those_of_its_light_its_map_and_the_gloss_that_is_asked_for(tmp_path, caplog):
     sky = np.random.default_rng(5).uniform(0.2, 1.0, (16, 32, 3)).astype(np.float32)
-    picture = Picture((16, 32), np.eye(61)[:, [10, 30, 50]], lambda: iter([sky]))
+    picture = OmnidirectionalPicture((16, 32), np.eye(61)[:, [10, 30, 50]], lambda: iter([sky]))
     irradiance = made(IrradianceMap, {"max_error": 0.002, "max_height": 64})
     for name, lobes in (("plain", ()), ("glossy", ("ggx",))):
         file = tmp_path / f"{name}.h5"

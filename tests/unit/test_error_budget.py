@@ -17,19 +17,18 @@ from irodori.core.store import Provenance
 from irodori.evaluation import error_budget as module
 from irodori.evaluation.error_budget import (
     BudgetOptions,
-    BudgetRow,
     Measured,
     away_from_edges,
     compressed_light,
     compressed_material,
     error_budget,
     measure_error_budget,
-    read_budget,
     substitutes,
 )
 from irodori.evaluation.error_prediction import noisy, other_gloss
 from irodori.evaluation.known_errors import Known, Photographs, Spread
 from irodori.evaluation.renderer_noise import Paths
+from irodori.evaluation.result_tables import BudgetRow, read_rows
 from irodori.evaluation.truth_errors import radiance_delta_e
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
@@ -281,7 +280,7 @@ def test_the_table_keeps_its_rows(tmp_path, monkeypatch):
     scene = made(Scene, scene_of({"kind": "interactive"}))
     subjects = made(Sequence[Subject], [])
     measure_error_budget(inputs, scene, "v", subjects, BudgetOptions(*(None,) * 4), tmp_path / "budget.csv")
-    first, second = read_budget(tmp_path / "budget.csv")
+    first, second = read_rows(tmp_path / "budget.csv", BudgetRow)
     assert np.isnan(first.predicted) and replace(first, predicted=0.0) == replace(row, predicted=0.0)
     assert second == replace(row, stage="b", predicted=0.5)
 
