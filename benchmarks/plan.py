@@ -19,7 +19,7 @@ from benchmarks.render import Studio, make_inputs
 from benchmarks.table import COLUMNS, arguments_of, least_processor_s, own_peak_mb, report
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.config.definition import typed
-from irodori.config.models import SceneLight
+from irodori.config.models import PlanOverrides, SceneLight
 from irodori.core.threads import use_threads
 from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
@@ -78,7 +78,8 @@ def measure_scene(name: str, parts: Parts, studio: Studio, arguments) -> list[di
     view = make_view(studio.scene.views["front"], studio.image)
     names = [item.object for item in studio.scene.objects]
     lamps, matrix = tuple(CollimatedLamp(towards) for towards in parts.lamp_towards), xyz_from_radiance(parts.white)
-    plan = partial(choose, parts, [view], names, arguments.tolerance, max_bounces=_BOUNCES, ambient=True)
+    plan = partial(choose, parts, [view], names, arguments.tolerance, max_bounces=_BOUNCES, ambient=True,
+                   overrides=PlanOverrides())  # fmt: skip
     planner = plan()
     pixels = chosen_pixels(view)
     truth = render_pixels(prepare(parts, planner.full, matrix), view, pixels, 1, lamps)
