@@ -24,7 +24,7 @@ _CLIENT = "playwright"
 COMMANDS = ("chromium", "chromium-browser", "google-chrome")
 #: WebGL2 by a renderer in software: the same numbers on every machine.
 FLAGS = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")
-_PATIENCE_MS = 600_000
+_PATIENCE_MS = 180_000
 #: What a page says in place of a picture.
 _SAID = "!document.getElementById('poster').hidden && document.getElementById('poster-text').textContent"
 _READ = """([state, width, height]) => {
@@ -70,11 +70,11 @@ class OpenPage:
 
 
 @lru_cache(maxsize=1)
-def _client():
-    """Return the client, started once: two at a time in one thread it refuses."""
-    client = importlib.import_module(f"{_CLIENT}.sync_api").sync_playwright().start()
-    atexit.register(client.stop)
-    return client
+def client():
+    """Return the client, started once a process: two at a time in one thread it refuses."""
+    started = importlib.import_module(f"{_CLIENT}.sync_api").sync_playwright().start()
+    atexit.register(started.stop)
+    return started
 
 
 @contextmanager
@@ -97,7 +97,7 @@ def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True) -> Iterator[
     command = browser_command()
     if command is None:
         raise PlainError("No browser to check a page in; accepted: Debian's package chromium and Python's playwright.")
-    browser = _client().chromium.launch(executable_path=command, args=list(flags), headless=True)
+    browser = client().chromium.launch(executable_path=command, args=list(flags), headless=True)
     try:
         page = browser.new_page()
         page.set_default_timeout(_PATIENCE_MS)

@@ -6,7 +6,7 @@ import pytest
 from definitions import ROOT, load
 from double_pages import header_of, write_double
 
-from irodori.viewer.browser import browser_command
+from irodori.viewer.browser import browser_command, client
 
 
 @dataclass
@@ -50,12 +50,9 @@ def browser():
     command = browser_command()
     if command is None:
         pytest.skip("NO BROWSER: pages are not tested; install Debian's package chromium")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as started:
-        chromium = started.chromium.launch(executable_path=command, args=["--no-sandbox", "--headless=new"])
-        yield chromium
-        chromium.close()
+    chromium = client().chromium.launch(executable_path=command, args=["--no-sandbox", "--headless=new"])
+    yield chromium
+    chromium.close()
 
 
 @pytest.fixture(scope="session")
