@@ -11,15 +11,13 @@ from irodori.capture.camera.gphoto_camera import RAW_SUFFIXES, GphotoCamera
 from irodori.capture.journal import RETIRED, Journal, claimed, storing
 from irodori.capture.operator import AutoOperator, Operator, Step, make_operator
 from irodori.capture.rig.connect import open_rig, true_position_deg
-from irodori.capture.rig.devices import Axis, Camera, Rig
+from irodori.capture.rig.devices import Axis, CameraDevice, RigDevice
 from irodori.capture.rig.drives import drives_of
 from irodori.capture.session import Session, take_stock
 from irodori.capture.shot_list import camera_shots, environment_shots, object_shots, scene_shots
 from irodori.capture.shot_order import Estimate, estimate_s, order_shots
 from irodori.config.capture_table import Shot
-from irodori.config.models import Camera as CameraDefinition
-from irodori.config.models import Environment, Object, ScenePhotograph
-from irodori.config.models import Rig as RigDefinition
+from irodori.config.models import Camera, EnvironmentDefinition, Object, Rig, ScenePhotograph
 from irodori.config.parts import PhotographedObject, SceneRadiance
 from irodori.core.atomic_files import file_sha256
 from irodori.core.confined_paths import confined
@@ -56,8 +54,8 @@ class Target:
     """
 
     name: str
-    camera: CameraDefinition
-    rig: RigDefinition
+    camera: Camera
+    rig: Rig
     rig_name: str = ""
     table: str | Path = "captures.csv"
     folder: str | Path | None = None
@@ -113,7 +111,7 @@ class _VirtualHands(Operator):
 @contextmanager
 def _equipment(
     target: Target, planned: Sequence[Shot], subject: Photographed | None, on_rig: bool
-) -> Iterator[tuple[Rig | None, Camera, Operator]]:
+) -> Iterator[tuple[RigDevice | None, CameraDevice, Operator]]:
     """Open the rig, the camera and the operator of a session."""
     rig = target.rig
     moved = open_rig(rig) if on_rig and rig.motion else nullcontext()
@@ -241,7 +239,9 @@ def capture_camera(target: Target, record, provenance: Provenance) -> dict[str, 
     return photograph(shots, target, None, record, provenance, owner=f"camera {target.name}")
 
 
-def capture_environment(definition: Environment, target: Target, record, provenance: Provenance) -> dict[str, str]:
+def capture_environment(
+    definition: EnvironmentDefinition, target: Target, record, provenance: Provenance
+) -> dict[str, str]:
     """Photograph a virtual room with an omnidirectional camera; see `photograph`."""
     shots = environment_shots(definition, target.camera, target.suffix)
     return photograph(shots, target, definition, record, provenance, owner=f"environment {target.name}", on_rig=False)

@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 
 from irodori.capture.camera.gphoto_line import FIRST_WAIT_S, GphotoLine
 from irodori.capture.camera.gphoto_settings import WIDGETS, find_choice, means, offer
-from irodori.capture.rig.devices import Camera, CommandError, DeadlineError, DeviceError
+from irodori.capture.rig.devices import CameraDevice, CommandError, DeadlineError, DeviceError
 from irodori.config.capture_table import Shot
 from irodori.config.models import CameraDriver
 from irodori.core.progress import LOGGER
@@ -43,7 +43,7 @@ _QUIET_S, _SETTLE_S = 0.2, 2.0
 _LOW_BATTERY_PERCENT = 25.0
 
 
-class GphotoCamera(Camera):
+class GphotoCamera(CameraDevice):
     """One camera that libgphoto2 knows. Opened when made; used by one thread.
 
     Parameters
