@@ -26,7 +26,7 @@ _TRIES = 3
 _TOLERANCE = 0.05
 _TEMPORARY = ".part-"
 #: What a session that was killed leaves: its own temporary file, and that of the camera or of the DNG writer.
-_LEFT_OVER = (f"{_TEMPORARY}*", f".{_TEMPORARY}*.part")
+_LEFT_OVER = (f"{_TEMPORARY}*", f".{_TEMPORARY}*")
 
 
 @dataclass

@@ -1,7 +1,6 @@
 """Capture stage: photograph an object, a camera's references or an environment, on a real or virtual rig."""
 
 import json
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from irodori.capture.shot_order import Estimate, estimate_s, order_shots
 from irodori.config.capture_table import Shot
 from irodori.config.models import Camera, EnvironmentDefinition, Object, Rig, ScenePhotograph
 from irodori.config.parts import PhotographedObject, SceneRadiance
-from irodori.core.atomic_files import file_sha256
+from irodori.core.atomic_files import file_sha256, written_whole
 from irodori.core.confined_paths import confined
 from irodori.core.progress import LOGGER
 from irodori.core.store import Provenance
@@ -218,11 +217,10 @@ def _start_over_if_changed(table: Path, provenance: Provenance) -> None:
 
 
 def _write_record(path: Path, content: Mapping) -> None:
-    temporary = path.with_name(f".{path.name}.part")
     with storing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-        os.replace(temporary, path)
+        with written_whole(path) as temporary:
+            temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
 def capture_object(
