@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numba
 
+from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER
 
 COLUMNS = ("stage", "variant", "work", "unit", "seconds", "throughput", "error_metric", "error", "peak_mb", "reference",
@@ -147,19 +148,17 @@ def run_benchmark(name: str, output: str, threads: int | None = None, size: str 
         With its last words if it fails.
     """
     output = Path(output).absolute()
-    part = output.with_name(f".{output.name}.part")
-    options = ["--output", str(part)]
-    options += ["--threads", str(threads)] if threads else []
+    options = ["--threads", str(threads)] if threads else []
     options += ["--size", size, "--runs", str(_LEAST_RUNS if size == "small" else 2 * _LEAST_RUNS)] if size else []
-    command = [sys.executable, "-m", f"benchmarks.{name}", *options]
-    root = Path(__file__).resolve().parents[1]
-    done = subprocess.run(command, cwd=root, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-    for line in done.stdout.splitlines():
-        LOGGER.info("%s", line)
-    if done.returncode:
-        last = done.stdout.strip().splitlines()[-1:] or ["nothing printed"]
-        raise RuntimeError(f"benchmarks.{name} ended with {done.returncode}: {last[0]}")
-    os.replace(part, output)
+    with written_whole(output) as part:
+        command = [sys.executable, "-m", f"benchmarks.{name}", "--output", str(part), *options]
+        root = Path(__file__).resolve().parents[1]
+        done = subprocess.run(command, cwd=root, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        for line in done.stdout.splitlines():
+            LOGGER.info("%s", line)
+        if done.returncode:
+            last = done.stdout.strip().splitlines()[-1:] or ["nothing printed"]
+            raise RuntimeError(f"benchmarks.{name} ended with {done.returncode}: {last[0]}")
 
 
 def report(rows: Sequence[dict], threads: int, output: Path | None) -> None:

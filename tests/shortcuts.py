@@ -6,7 +6,7 @@ from irodori.calibration.chart import locate_patches, read_located
 from irodori.calibration.chart_reading import ChartReading
 from irodori.calibration.paper_estimator import calibrate
 from irodori.capture.shot_planner.fisher_information import Observations
-from irodori.geometry.lathe import lathe
+from lathe import lathe
 from irodori.ingest.registration.similarity import Registration
 from irodori.light.environment_file import directions
 from irodori.light.irradiance import Integrator

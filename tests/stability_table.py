@@ -4,7 +4,6 @@ Printed where the tests are selected by ``-m stability``; written as CSV with ``
 """
 
 import csv
-import os
 from collections import Counter
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import depth
 import pytest
 from hard_cases import HARD_CASES
 
+from irodori.core.atomic_files import written_whole
 from irodori.report.stability_page import COLUMNS, EXPECTED, UNEXPECTED
 
 MARK = "stability"
@@ -129,9 +129,7 @@ def _print(terminal, table: list[dict]) -> None:
 def write_table(path: Path, table: list[dict]) -> None:
     """Write rows as CSV, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.part")
-    with temporary.open("w", newline="", encoding="utf-8") as stream:
+    with written_whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(table)
-    os.replace(temporary, path)

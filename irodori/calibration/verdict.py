@@ -63,7 +63,7 @@ class Tolerance:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ToleranceCheck:
     """A tolerance, what was measured in its metric and statistic, and whether that passes."""
 
     tolerance: Tolerance
@@ -143,7 +143,7 @@ def differences_of_lab(first: np.ndarray, second: np.ndarray) -> dict[str, np.nd
     }
 
 
-def judge(truth: np.ndarray, estimate: np.ndarray) -> list[Verdict]:
+def judge(truth: np.ndarray, estimate: np.ndarray) -> list[ToleranceCheck]:
     """Hold recovered reflectances against every tolerance.
 
     Parameters
@@ -153,7 +153,7 @@ def judge(truth: np.ndarray, estimate: np.ndarray) -> list[Verdict]:
 
     Returns
     -------
-    list of Verdict, one a line of a guideline, in the order of `TOLERANCES`
+    list of ToleranceCheck, one a line of a guideline, in the order of `TOLERANCES`
 
     Raises
     ------
@@ -169,5 +169,7 @@ def judge(truth: np.ndarray, estimate: np.ndarray) -> list[Verdict]:
     verdicts = []
     for line in TOLERANCES:
         measured = float(_STATISTICS[line.statistic](differences[line.metric]))
-        verdicts.append(Verdict(line, measured, measured < line.limit if line.strict else measured <= line.limit))
+        verdicts.append(
+            ToleranceCheck(line, measured, measured < line.limit if line.strict else measured <= line.limit)
+        )
     return verdicts

@@ -19,7 +19,7 @@ from irodori.capture.camera.gphoto_camera import GphotoCamera
 from irodori.capture.journal import storing
 from irodori.capture.operator import PromptOperator
 from irodori.capture.rig.connect import open_rig
-from irodori.capture.rig.devices import LimitError, Rig
+from irodori.capture.rig.devices import LimitError, RigDevice
 from irodori.capture.session import verify
 from irodori.capture.shot_list import camera_shots, object_shots
 from irodori.capture.shot_planner.fisher_information import Weighting
@@ -115,7 +115,7 @@ def _rig(name: str):
         yield rig
 
 
-def _print_status(rig: Rig) -> None:
+def _print_status(rig: RigDevice) -> None:
     status = rig.status()
     words = [f"state {status.state}", "homed" if status.homed else "not homed", status.message]
     print(", ".join(filter(None, words)))
@@ -153,7 +153,7 @@ def _jog(options) -> None:
         _print_status(rig)
 
 
-def _by_axis(rig: Rig, angles: Sequence[tuple[str, float]]) -> dict[str, float]:
+def _by_axis(rig: RigDevice, angles: Sequence[tuple[str, float]]) -> dict[str, float]:
     """Return angles by axis, each axis once and one of the rig's."""
     for name, _ in angles:
         if name not in rig.axes:
@@ -163,7 +163,7 @@ def _by_axis(rig: Rig, angles: Sequence[tuple[str, float]]) -> dict[str, float]:
     return dict(angles)
 
 
-def _ready(rig: Rig, home: bool) -> None:
+def _ready(rig: RigDevice, home: bool) -> None:
     """Home a rig that was not, where asked to; a simulated one, which has just been switched on, always."""
     if (home or rig.simulator is not None) and not rig.status().homed:
         rig.home()

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from irodori.capture.journal import Journal, storing
 from irodori.capture.operator import HandSettings, Operator
-from irodori.capture.rig.devices import Camera, Rig
+from irodori.capture.rig.devices import CameraDevice, RigDevice
 from irodori.capture.setup_steps import hand_settings, motor_targets
 from irodori.config.capture_table import Shot
 from irodori.core.atomic_files import file_sha256
@@ -26,7 +26,7 @@ _TRIES = 3
 _TOLERANCE = 0.05
 _TEMPORARY = ".part-"
 #: What a session that was killed leaves: its own temporary file, and that of the camera or of the DNG writer.
-_LEFT_OVER = (f"{_TEMPORARY}*", f".{_TEMPORARY}*.part")
+_LEFT_OVER = (f"{_TEMPORARY}*", f".{_TEMPORARY}*")
 
 
 @dataclass
@@ -51,11 +51,11 @@ class Session:
 
     Parameters
     ----------
-    camera : Camera
+    camera : CameraDevice
     operator : Operator
         Sets by hand what no motor drives.
     journal : Journal
-    rig : Rig, optional
+    rig : RigDevice, optional
         None where nothing stands on the rig, as for an environment.
     tally : Tally, optional
         Of `take_stock`, to be continued.
@@ -67,10 +67,10 @@ class Session:
 
     def __init__(
         self,
-        camera: Camera,
+        camera: CameraDevice,
         operator: Operator,
         journal: Journal,
-        rig: Rig | None,
+        rig: RigDevice | None,
         tally: Tally | None = None,
         *,
         clock: Callable[[], float] = time.monotonic,

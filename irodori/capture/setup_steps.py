@@ -22,7 +22,7 @@ def motor_targets(shot: Shot, motorised: Container[str]) -> dict[str, float]:
     ----------
     shot : Shot
     motorised : container of str
-        Angles that motors drive, such as ``Rig.axes``.
+        Angles that motors drive, such as ``RigDevice.axes``.
     """
     if shot.role in _WITHOUT_POSE:
         return {}

@@ -7,7 +7,7 @@ knows what is missing.
 from dataclasses import replace
 
 from irodori.config.capture_table import Pose, Shot, expand_poses
-from irodori.config.models import Camera, Environment, Exposures, Object, ScenePhotograph
+from irodori.config.models import Camera, EnvironmentDefinition, Exposures, Object, ScenePhotograph
 from irodori.config.parts import PhotographedObject
 
 #: Where everything stands when nothing needs a place: the cap is on the lens, or the camera is in another room.
@@ -75,7 +75,7 @@ def object_shots(definition: Object | PhotographedObject, camera: Camera, suffix
     ]
 
 
-def environment_shots(definition: Environment, camera: Camera, suffix: str) -> list[Shot]:
+def environment_shots(definition: EnvironmentDefinition, camera: Camera, suffix: str) -> list[Shot]:
     """Return the photographs of an environment; parameters as of `object_shots`."""
     return list(_bracket("environment", _NOWHERE, definition.exposure_s, _settings(camera), suffix))
 

@@ -1,7 +1,6 @@
 """Capture stage: photograph an object, a camera's references or an environment, on a real or virtual rig."""
 
 import json
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
@@ -11,17 +10,15 @@ from irodori.capture.camera.gphoto_camera import RAW_SUFFIXES, GphotoCamera
 from irodori.capture.journal import RETIRED, Journal, claimed, storing
 from irodori.capture.operator import AutoOperator, Operator, Step, make_operator
 from irodori.capture.rig.connect import open_rig, true_position_deg
-from irodori.capture.rig.devices import Axis, Camera, Rig
+from irodori.capture.rig.devices import Axis, CameraDevice, RigDevice
 from irodori.capture.rig.drives import drives_of
 from irodori.capture.session import Session, take_stock
 from irodori.capture.shot_list import camera_shots, environment_shots, object_shots, scene_shots
 from irodori.capture.shot_order import Estimate, estimate_s, order_shots
 from irodori.config.capture_table import Shot
-from irodori.config.models import Camera as CameraDefinition
-from irodori.config.models import Environment, Object, ScenePhotograph
-from irodori.config.models import Rig as RigDefinition
+from irodori.config.models import Camera, EnvironmentDefinition, Object, Rig, ScenePhotograph
 from irodori.config.parts import PhotographedObject, SceneRadiance
-from irodori.core.atomic_files import file_sha256
+from irodori.core.atomic_files import file_sha256, written_whole
 from irodori.core.confined_paths import confined
 from irodori.core.progress import LOGGER
 from irodori.core.store import Provenance
@@ -56,8 +53,8 @@ class Target:
     """
 
     name: str
-    camera: CameraDefinition
-    rig: RigDefinition
+    camera: Camera
+    rig: Rig
     rig_name: str = ""
     table: str | Path = "captures.csv"
     folder: str | Path | None = None
@@ -113,7 +110,7 @@ class _VirtualHands(Operator):
 @contextmanager
 def _equipment(
     target: Target, planned: Sequence[Shot], subject: Photographed | None, on_rig: bool
-) -> Iterator[tuple[Rig | None, Camera, Operator]]:
+) -> Iterator[tuple[RigDevice | None, CameraDevice, Operator]]:
     """Open the rig, the camera and the operator of a session."""
     rig = target.rig
     moved = open_rig(rig) if on_rig and rig.motion else nullcontext()
@@ -220,11 +217,10 @@ def _start_over_if_changed(table: Path, provenance: Provenance) -> None:
 
 
 def _write_record(path: Path, content: Mapping) -> None:
-    temporary = path.with_name(f".{path.name}.part")
     with storing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-        os.replace(temporary, path)
+        with written_whole(path) as temporary:
+            temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
 def capture_object(
@@ -241,7 +237,9 @@ def capture_camera(target: Target, record, provenance: Provenance) -> dict[str, 
     return photograph(shots, target, None, record, provenance, owner=f"camera {target.name}")
 
 
-def capture_environment(definition: Environment, target: Target, record, provenance: Provenance) -> dict[str, str]:
+def capture_environment(
+    definition: EnvironmentDefinition, target: Target, record, provenance: Provenance
+) -> dict[str, str]:
     """Photograph a virtual room with an omnidirectional camera; see `photograph`."""
     shots = environment_shots(definition, target.camera, target.suffix)
     return photograph(shots, target, definition, record, provenance, owner=f"environment {target.name}", on_rig=False)

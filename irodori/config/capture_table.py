@@ -8,15 +8,14 @@ import dataclasses
 import io
 import itertools
 import math
-import os
 import posixpath
 import re
-import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from irodori.config.validation import suggest
+from irodori.core.atomic_files import written_whole
 from irodori.core.confined_paths import confined, require_inside
 from irodori.core.custody import content_sha256
 from irodori.core.errors import InputError
@@ -360,21 +359,8 @@ def write_captures(path, shots, sha256=None) -> None:
     KeyError
         If `sha256` lacks a file.
     """
-    path = Path(path)
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with open(handle, "w", encoding="utf-8", newline="") as out:
-            writer = csv.writer(out, lineterminator="\n")
-            writer.writerow((*COLUMNS, *EXTRA_COLUMNS))
-            for shot in shots:
-                writer.writerow(shot_cells(shot, "" if sha256 is None else sha256[shot.file]))
-            out.flush()
-            os.fsync(out.fileno())
-        # mkstemp makes files that only their owner can read; a table is for everyone the umask allows.
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    with written_whole(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as out:
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow((*COLUMNS, *EXTRA_COLUMNS))
+        for shot in shots:
+            writer.writerow(shot_cells(shot, "" if sha256 is None else sha256[shot.file]))

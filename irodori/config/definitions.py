@@ -11,7 +11,7 @@ from typing import Any
 from irodori.config.cross_checks.consistency import check_agreement
 from irodori.config.definition import Definition
 from irodori.config.loaded import Loaded
-from irodori.config.models import Camera, Config, Environment, Object, Rig, Scene
+from irodori.config.models import Camera, Config, EnvironmentDefinition, Object, Rig, Scene
 from irodori.config.validation import dotted, suggest, validate
 from irodori.core.errors import InputError, is_file
 from irodori.core.yaml_files import read_yaml
@@ -24,11 +24,11 @@ __all__ = [
     "validate",
 ]
 
-#: Kind of definition (the folder, and the field of `Loaded`): its class, whose name in small letters is its schema's.
+#: Kind of definition (the folder, and the field of `Loaded`): its class; the schema has the name of one of the kind.
 KINDS: dict[str, type[Definition]] = {
     "scenes": Scene,
     "objects": Object,
-    "environments": Environment,
+    "environments": EnvironmentDefinition,
     "cameras": Camera,
     "rigs": Rig,
 }
@@ -182,6 +182,6 @@ class _Loader:
             existing = sorted(other.stem for other in (self.root / self.folder / kind).glob("*.yaml"))
             found = f"{name!r}, for which there is no {file}"
             raise InputError(by, dotted(path), found, suggest(name, existing, f"{kind} that exist"))
-        made = KINDS[kind]
-        self.found[kind][name] = made.of(validate(read_yaml(self.root / file), made.__name__.lower(), file))
+        given = validate(read_yaml(self.root / file), kind.removesuffix("s"), file)
+        self.found[kind][name] = KINDS[kind].of(given)
         yield self.found[kind][name], file

@@ -7,7 +7,7 @@ from pathlib import Path
 from irodori.config.capture_table import chart_capture, expand_poses, read_captures
 from irodori.config.cross_checks.captures_on_rig import table_and_folder
 from irodori.config.definition import Definition
-from irodori.config.models import Camera, Config, Environment, Object, Rig, Scene
+from irodori.config.models import Camera, Config, EnvironmentDefinition, Object, Rig, Scene
 from irodori.config.validation import suggest
 
 __all__ = ["Loaded"]
@@ -24,11 +24,11 @@ class Loaded(Definition):
     config: Config
     scenes: Mapping[str, Scene] = dataclasses.field(hash=False)
     objects: Mapping[str, Object] = dataclasses.field(hash=False)
-    environments: Mapping[str, Environment] = dataclasses.field(hash=False)
+    environments: Mapping[str, EnvironmentDefinition] = dataclasses.field(hash=False)
     cameras: Mapping[str, Camera] = dataclasses.field(hash=False)
     rigs: Mapping[str, Rig] = dataclasses.field(hash=False)
 
-    def photographed(self, kind: str, name: str) -> Object | Camera | Environment:
+    def photographed(self, kind: str, name: str) -> Object | Camera | EnvironmentDefinition:
         """Return the definition of what a set of photographs shows."""
         kinds = ("objects", "cameras", "environments")
         if kind not in kinds:
@@ -53,7 +53,7 @@ class Loaded(Definition):
     def is_virtual(self, kind: str, name: str) -> bool:
         """Whether the virtual rig takes a set."""
         definition = self.photographed(kind, name)
-        if isinstance(definition, Environment) and definition.camera is None:
+        if isinstance(definition, EnvironmentDefinition) and definition.camera is None:
             return False
         return self.rig_of(kind, name).kind == "virtual"
 
@@ -82,7 +82,7 @@ class Loaded(Definition):
             If the table of a real rig is at fault.
         """
         definition = self.photographed(kind, name)
-        if isinstance(definition, Environment):
+        if isinstance(definition, EnvironmentDefinition):
             return ["environment"] if definition.camera is not None else []
         if isinstance(definition, Camera):
             return [chart_capture(chart) for chart in ["", *definition.further_charts]]

@@ -202,7 +202,7 @@ class Planning(Definition):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report(Definition):
+class ReportOptions(Definition):
     """What the reports compare."""
 
     #: Lights under which colour errors are computed.
@@ -245,7 +245,7 @@ class Config(Definition):
     render: Render = Render()
 
     #: What the reports compare.
-    report: Report = Report()
+    report: ReportOptions = ReportOptions()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -1760,7 +1760,7 @@ class VirtualRoom(Definition):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Environment(Definition):
+class EnvironmentDefinition(Definition):
     """One environment, the light that comes from every direction of a place."""
 
     #: What the place is, for people.

@@ -30,6 +30,8 @@ from irodori.config.definition import Definition
 '''
 _SCALARS = {"string": "str", "number": "float", "integer": "int", "boolean": "bool", "null": "None"}
 _WIDTH = 120
+#: Class of a schema, where it is not the schema's name: an Environment is the light itself, as maps.
+_CLASSES = {"environment": "EnvironmentDefinition"}
 #: Longest list whose type says how many items it has; the type of a spectrum would fill a page.
 _COUNTED = 16
 _OPTIONAL = "optional"
@@ -63,7 +65,7 @@ def models_text() -> str:
     """
     found: dict[str, _Class | str] = {}
     for name in SCHEMAS:
-        _type_of({**load_schema(name), "title": name.capitalize()}, found)
+        _type_of({**load_schema(name), "title": _CLASSES.get(name, name.capitalize())}, found)
     parts: list[str] = [_HEAD]
     before: _Class | str = ""
     for name, what in found.items():

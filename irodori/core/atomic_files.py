@@ -50,7 +50,9 @@ def written_whole(path) -> Iterator[Path]:
         if number not in _OF_THE_DISK:
             raise
         reason = os.strerror(number)
-        raise DiskError(f"{path}: cannot be stored: {reason}; what was made before stays") from None
+        told = DiskError(f"{path}: cannot be stored: {reason}; what was made before stays")
+        told.strerror = reason  # for who names another file
+        raise told from None
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -6,9 +6,7 @@ the recovered light. What noise alone would make of two equal pictures is drawn 
 """
 
 import json
-import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +17,7 @@ from irodori.colour.display import make_display
 from irodori.config.models import ObjectShape, Optics, ScenePhotograph
 from irodori.config.parts import Staging
 from irodori.core import store
+from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.evaluation.truth_errors import xyz_delta_e
@@ -245,6 +244,5 @@ def _write(found: Comparison, objects: np.ndarray, outputs: dict, figures: dict,
             out.write(name, getattr(found, name), units="1", dims=f"{pixels},value", quantity=quantity)
         out.attribute("figures", figures)
     comparison_figure(outputs["comparison"], outputs["photograph"], outputs["rendering"], found.delta_e, figures)
-    temporary = Path(outputs["figures"]).with_suffix(".part")
-    temporary.write_text(json.dumps(figures, indent=1), encoding="utf-8")
-    os.replace(temporary, outputs["figures"])
+    with written_whole(outputs["figures"]) as temporary:
+        temporary.write_text(json.dumps(figures, indent=1), encoding="utf-8")

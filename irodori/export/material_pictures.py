@@ -9,7 +9,6 @@ spectra are decoded a band of rows at a time. A material has layers ``T.<λ>nm``
 """
 
 import argparse
-import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,6 +19,7 @@ import OpenImageIO as oiio
 from irodori.colour.colorimetry import xyz_from_radiance, xyz_from_reflectance
 from irodori.colour.display import rgb_from_xyz
 from irodori.core import store
+from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError, PlainError
 from irodori.export.envi import INTERLEAVES, write_envi
 from irodori.export.pictures import layer_names
@@ -48,19 +48,15 @@ def _write(path: Path, size: tuple[int, int], names: list[str], attributes: dict
     spec.attribute("oiio:RowsPerStrip", _ROWS)
     for name, value in attributes.items():
         spec.attribute(name, value)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
-    output = oiio.ImageOutput.create(str(temporary))
+    output = oiio.ImageOutput.create(str(path))
     if output is None:
         raise OSError(f"{path}: {oiio.geterror()}")
-    try:
+    with written_whole(path) as temporary:
         done = output.open(str(temporary), spec)
         for first, last, values in _bands(height, rows):
             done = done and output.write_scanlines(first, last, 0, values)
         if not (done and output.close()):
             raise OSError(f"{path}: {output.geterror()}")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _attributes(units: str, names: list[str]) -> dict:

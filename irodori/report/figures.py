@@ -2,8 +2,6 @@
 
 import base64
 import io
-import os
-from pathlib import Path
 
 import matplotlib
 
@@ -15,6 +13,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 
 from irodori.colour.colorimetry import delta_e_reflectance, xyz_from_reflectance
 from irodori.colour.display import encode_srgb, rgb_from_xyz
+from irodori.core.atomic_files import written_whole
 from irodori.material.material_file import Material, Status
 from irodori.reflection.registry import lobe
 from irodori.spectra.grid import WAVELENGTH_NM
@@ -186,10 +185,9 @@ def comparison_figure(output, photograph, rendering, difference: np.ndarray, fig
     found, noise = figures["delta_e"], figures["noise_floor"]
     text = "CIEDE2000: mean {mean:.2f}, 95 % {p95:.2f}, 99 % {p99:.2f}, largest {max:.1f}".format(**found)
     axes[2].set_title(f"{text}\nnoise alone: mean {noise['mean']:.2f}, 95 % {noise['p95']:.2f}", fontsize=9)
-    temporary = Path(output).with_suffix(".part.png")
-    figure.savefig(temporary, dpi=90, metadata={"Software": None})
+    with written_whole(output) as temporary:
+        figure.savefig(temporary, dpi=90, metadata={"Software": None})
     plt.close(figure)
-    os.replace(temporary, output)
 
 
 def front_figure(rows: list[dict], front: list[str], default: str | None, metric: str) -> str:

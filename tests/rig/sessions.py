@@ -11,14 +11,13 @@ from made import made
 
 from irodori.capture.journal import Journal
 from irodori.capture.operator import AutoOperator
-from irodori.capture.rig.devices import Camera
+from irodori.capture.rig.devices import CameraDevice
 from irodori.capture.session import Session, take_stock
 from irodori.capture.shot_list import object_shots
 from irodori.capture.stage import Target, capture_object
 from irodori.config.capture_table import Pose, Shot, read_captures
 from irodori.config.definitions import load_definitions, read_yaml
-from irodori.config.models import Camera as CameraDefinition
-from irodori.config.models import Object, Rig
+from irodori.config.models import Camera, Object, Rig
 from irodori.config.parts import PhotographedObject
 from irodori.core.store import Provenance
 from irodori.ingest.mosaic import decode
@@ -50,7 +49,7 @@ def target(folder: Path, motion: bool = False, **changes) -> tuple[Object, Targe
     """Return an object and a target whose table stands in a folder."""
     definition, camera, rig = definitions(motion=motion, **changes)
     return made(Object, definition), Target(
-        "plate", made(CameraDefinition, camera), made(Rig, rig), "virtual", folder / "captures.csv"
+        "plate", made(Camera, camera), made(Rig, rig), "virtual", folder / "captures.csv"
     )
 
 
@@ -61,7 +60,7 @@ def shots(count: int, exposure_s: float = 0.02, **settings) -> list[Shot]:
     return [Shot(f"{p.name}-{s}.dng", "object", p, s, exposure_s, **settings) for p, s in pairs][:count]
 
 
-class QuickCamera(Camera):
+class QuickCamera(CameraDevice):
     """Writes tiny DNG files whose content follows from what they show; does wrong what ``faults`` holds, in turn.
 
     A fault is an exception to raise, ``broken`` for half a file, or a number for another exposure time in the tags.
@@ -91,7 +90,7 @@ class QuickCamera(Camera):
         pass
 
 
-def hold(folder: Path, planned: list[Shot], camera: Camera | None = None, rig=None):
+def hold(folder: Path, planned: list[Shot], camera: CameraDevice | None = None, rig=None):
     """Hold a session in a folder, or continue one, and return what it did."""
     journal = Journal(folder / "captures.csv")
     tally = take_stock(journal, planned)

@@ -16,7 +16,7 @@ from simulated_gphoto2 import MODEL, Bench, make_module
 
 from irodori.capture.camera.gphoto_camera import GphotoCamera
 from irodori.capture.camera.gphoto_settings import WIDGETS
-from irodori.capture.rig.devices import Camera, DeviceError
+from irodori.capture.rig.devices import CameraDevice, DeviceError
 from irodori.config.capture_table import Pose, Shot
 from irodori.config.models import CameraDriver
 
@@ -38,7 +38,7 @@ DRIVER = {
 class Case:
     """A camera, a shot that it can take, one that it must refuse, and what a whole file looks like."""
 
-    camera: Camera
+    camera: CameraDevice
     good: Shot
     bad: Shot
     is_whole: Callable[[Path], bool]

@@ -29,7 +29,7 @@ from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import fit_brdf
 from irodori.geometry.embree import Tracer
 from irodori.geometry.lamp import Lamp
-from irodori.geometry.lathe import write_obj
+from lathe import write_obj
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.rig_frame import rig_from_object, to_light
 from irodori.geometry.shapes.placement import Placement

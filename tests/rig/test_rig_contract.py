@@ -12,8 +12,17 @@ from made import made
 from motion_rigs import at_port, definition, start_simulator
 
 from irodori.capture.rig.connect import open_rig, true_position_deg
-from irodori.capture.rig.devices import AlarmError, Axis, CommandError, HeldError, LimitError, LinkError, Rig, RigStatus
-from irodori.config.models import Rig as RigDefinition
+from irodori.capture.rig.devices import (
+    AlarmError,
+    Axis,
+    CommandError,
+    HeldError,
+    LimitError,
+    LinkError,
+    RigDevice,
+    RigStatus,
+)
+from irodori.config.models import Rig
 
 PEERS = {
     "grbl-send-response": ("grbl", "send-response"),
@@ -27,7 +36,7 @@ STATES = {"idle", "run", "hold", "home", "jog", "door", "check", "sleep", "alarm
 def peer(request):
     """Return (definition at the simulator's port, simulator)."""
     rig = definition(*PEERS[request.param])
-    with start_simulator(made(RigDefinition, rig)) as simulator:
+    with start_simulator(made(Rig, rig)) as simulator:
         yield at_port(rig, simulator.port), simulator
 
 
@@ -37,14 +46,14 @@ def opened(peer):
     rig, simulator = peer
     simulator.clear()
     simulator.power()
-    with open_rig(made(RigDefinition, rig)) as opened:
+    with open_rig(made(Rig, rig)) as opened:
         opened.simulator = simulator
         opened.home()
         yield opened
 
 
 def test_it_has_the_axes_of_its_file(opened):
-    assert isinstance(opened, Rig)
+    assert isinstance(opened, RigDevice)
     assert opened.axes["camera_deg"] == Axis("camera_deg", 0.0, 140.0, 0.1, 400.0, 8000.0)
     assert set(opened.axes) == {"camera_deg", "turn_deg"}
 
@@ -111,7 +120,7 @@ def test_its_status_is_one_of_the_states(opened):
 def test_a_rig_that_was_not_homed_refuses_to_move(peer):
     rig, simulator = peer
     simulator.power()
-    with open_rig(made(RigDefinition, rig)) as opened:
+    with open_rig(made(Rig, rig)) as opened:
         assert not opened.status().homed
         before = simulator.true_position()
         with pytest.raises(AlarmError, match="home"):
@@ -134,7 +143,7 @@ def test_homing_puts_the_count_right_again(opened):
     assert true_position_deg(opened)["camera_deg"] == pytest.approx(60.0, abs=0.005)
 
 
-def until_held(rig: Rig) -> None:
+def until_held(rig: RigDevice) -> None:
     """Wait until the rig says that it is held."""
     patience.until(lambda: rig.status().state == "hold", lambda: str(rig.status()))
 
@@ -253,7 +262,7 @@ def test_opening_a_held_rig_gives_up_its_move(peer, opened):
         opened.move({"camera_deg": 140.0})
     assert simulator.snapshot()["state"].lower() == "hold"
     held = simulator.true_position()
-    with open_rig(made(RigDefinition, rig)) as again:
+    with open_rig(made(Rig, rig)) as again:
         assert again.status().state == "idle"
         with pytest.raises(CommandError, match="not held"):
             again.resume()
@@ -265,7 +274,7 @@ def test_opening_a_held_rig_gives_up_its_move(peer, opened):
 
 def test_stop_and_close_may_be_repeated_and_never_raise(peer):
     rig, _ = peer
-    with open_rig(made(RigDefinition, rig)) as opened:
+    with open_rig(made(Rig, rig)) as opened:
         opened.stop()
         opened.stop()
         opened.close()
@@ -273,15 +282,15 @@ def test_stop_and_close_may_be_repeated_and_never_raise(peer):
         opened.stop()
         with pytest.raises(LinkError):
             opened.status()
-    with open_rig(made(RigDefinition, rig)) as opened:
+    with open_rig(made(Rig, rig)) as opened:
         opened.status()
 
 
 @pytest.mark.stability(stage="capture", case="port in use")
 def test_a_port_in_use_is_refused_by_name_in_this_process_and_in_another(peer):
     rig, simulator = peer
-    with open_rig(made(RigDefinition, rig)):
-        with pytest.raises(LinkError, match=f"{simulator.port}: in use"), open_rig(made(RigDefinition, rig)):
+    with open_rig(made(Rig, rig)):
+        with pytest.raises(LinkError, match=f"{simulator.port}: in use"), open_rig(made(Rig, rig)):
             pass
         code = (
             "import sys\nfrom irodori.capture.rig.serial_link import SerialLink\n"
@@ -291,7 +300,7 @@ def test_a_port_in_use_is_refused_by_name_in_this_process_and_in_another(peer):
         run = patience.run([sys.executable, "-c", code, simulator.port])
         assert run.returncode == 0, run.stderr
         assert f"{simulator.port}: in use" in run.stdout
-    with open_rig(made(RigDefinition, rig)):
+    with open_rig(made(Rig, rig)):
         pass
 
 
@@ -329,8 +338,8 @@ def test_a_described_controller_without_a_resume_says_whose_the_hold_is():
     rig = definition("ascii")
     del rig["motion"]["ascii"]["resume"]
     with (
-        start_simulator(made(RigDefinition, rig)) as simulator,
-        open_rig(made(RigDefinition, at_port(rig, simulator.port))) as opened,
+        start_simulator(made(Rig, rig)) as simulator,
+        open_rig(made(Rig, at_port(rig, simulator.port))) as opened,
     ):
         opened.home()
         with pytest.raises(CommandError, match=r"no motion\.ascii\.resume"):

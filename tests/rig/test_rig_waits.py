@@ -3,7 +3,15 @@
 import pytest
 from virtual_time import TIMEOUT_S, Bench, bench_of, opened, rig_of
 
-from irodori.capture.rig.devices import AlarmError, CommandError, DeadlineError, GarbledError, HeldError, LinkError, Rig
+from irodori.capture.rig.devices import (
+    AlarmError,
+    CommandError,
+    DeadlineError,
+    GarbledError,
+    HeldError,
+    LinkError,
+    RigDevice,
+)
 from irodori.capture.rig.grbl.settings_check import homing_s
 from irodori.simulation.controllers.grbl_machine import GrblMachine
 
@@ -51,7 +59,7 @@ def is_grbl(bench: Bench) -> bool:
     return isinstance(bench.machine, GrblMachine)
 
 
-def under_way(driver: Rig, bench: Bench, seconds: float) -> None:
+def under_way(driver: RigDevice, bench: Bench, seconds: float) -> None:
     """Send the camera to 100 degrees behind the driver's back, and hold it after some time, s."""
     place = driver.drives["camera_deg"].to_units(100.0)
     bench.write(b"G21G90G53G0X%.3f\n" % place if is_grbl(bench) else b"MA CAME %.3f\r" % place)
@@ -61,7 +69,7 @@ def under_way(driver: Rig, bench: Bench, seconds: float) -> None:
     bench.machine.output.clear()
 
 
-def is_at(driver: Rig, camera: float, turn: float) -> None:
+def is_at(driver: RigDevice, camera: float, turn: float) -> None:
     assert driver.position() == pytest.approx({"camera_deg": camera, "turn_deg": turn}, abs=0.01)
 
 

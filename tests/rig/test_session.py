@@ -35,7 +35,7 @@ from irodori.capture.session import Session, take_stock
 from irodori.capture.shot_list import object_shots
 from irodori.capture.stage import Target, capture_camera, capture_environment, capture_object, photograph
 from irodori.config.capture_table import Pose, Shot
-from irodori.config.models import Camera, Environment, Object, Rig
+from irodori.config.models import Camera, EnvironmentDefinition, Object, Rig
 from irodori.config.parts import PhotographedObject, SceneRadiance
 from irodori.core.errors import InputError
 
@@ -74,7 +74,7 @@ def test_a_camera_and_an_environment_are_photographed_too(tmp_path):
         "image": {"width": 60, "height": 30}
     }
     aim = Target("room", made(Camera, camera), made(Rig, rig), table=tmp_path / "room/captures.csv")
-    capture_environment(made(Environment, room), aim, tmp_path / "room/session.json", MADE)
+    capture_environment(made(EnvironmentDefinition, room), aim, tmp_path / "room/session.json", MADE)
     assert json.loads((tmp_path / "room/session.json").read_text())["session"]["taken"] == 4
 
 
@@ -406,7 +406,7 @@ def test_the_record_appears_only_when_the_session_is_complete(tmp_path, monkeypa
         photograph(
             planned,
             aim,
-            made(Object | PhotographedObject | Environment | SceneRadiance, definition),
+            made(Object | PhotographedObject | EnvironmentDefinition | SceneRadiance, definition),
             tmp_path / "session.json",
             MADE,
             owner="object plate",
@@ -416,7 +416,7 @@ def test_the_record_appears_only_when_the_session_is_complete(tmp_path, monkeypa
     photograph(
         planned,
         aim,
-        made(Object | PhotographedObject | Environment | SceneRadiance, definition),
+        made(Object | PhotographedObject | EnvironmentDefinition | SceneRadiance, definition),
         tmp_path / "session.json",
         MADE,
         owner="object plate",

@@ -11,7 +11,7 @@ from irodori.calibration.chart import patch_centres
 from irodori.capture.shot_list import camera_shots, object_shots
 from irodori.config.capture_table import Pose, Shot
 from irodori.config.definitions import load_definitions, read_yaml
-from irodori.config.models import Camera, Chart, Environment, Imperfections, Object, Optics, Rig, VirtualRoom
+from irodori.config.models import Camera, Chart, EnvironmentDefinition, Imperfections, Object, Optics, Rig, VirtualRoom
 from irodori.config.parts import PhotographedObject, SceneRadiance
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera, to_light
@@ -85,7 +85,7 @@ def shoot(camera: dict, rig: dict, session: str, shots: list[Shot], folder: Path
         Bench(),
         session,
         shots,
-        made(Object | PhotographedObject | Environment | SceneRadiance, subject),
+        made(Object | PhotographedObject | EnvironmentDefinition | SceneRadiance, subject),
         seen=seen,
     )
     for shot in shots:
@@ -315,7 +315,7 @@ def test_a_session_is_reproducible_sessions_differ_and_a_broken_off_one_continue
         standing(shots[-1]),
         "one",
         shots,
-        made(Object | PhotographedObject | Environment | SceneRadiance, definition),
+        made(Object | PhotographedObject | EnvironmentDefinition | SceneRadiance, definition),
     )
     late.capture(shots[-1], tmp_path / "late.dng")
     assert (tmp_path / "late.dng").read_bytes() == contents[0][-1]
@@ -331,7 +331,7 @@ def test_the_camera_photographs_what_stands_there_and_not_what_it_is_asked_for(d
         standing(shots[0]),
         "bench",
         shots,
-        made(Object | PhotographedObject | Environment | SceneRadiance, definition),
+        made(Object | PhotographedObject | EnvironmentDefinition | SceneRadiance, definition),
     )
     virtual.capture(shots[0], tmp_path / "out.dng")
     virtual.bench.filter = "in"
@@ -357,7 +357,7 @@ def test_the_room_has_windows_lamps_and_floor_where_they_should_be(definitions):
 def test_the_room_is_photographed_as_a_panorama_that_turns_to_the_right(definitions):
     definition = {**definitions["environments"]["classroom"], "image": {"width": 40, "height": 20}}
     rig_light = spectrum("A")
-    mosaic = room_mosaic(made(Environment, definition), rig_light, np.full((3, 61), 1 / 61))
+    mosaic = room_mosaic(made(EnvironmentDefinition, definition), rig_light, np.full((3, 61), 1 / 61))
     expected = room_coefficients(made(VirtualRoom, definition["virtual"]), 40, 20) @ (
         source_spectra(made(VirtualRoom, definition["virtual"]), rig_light)[1] / rig_light
     ).mean(axis=1)

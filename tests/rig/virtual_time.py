@@ -9,10 +9,10 @@ from motion_rigs import definition
 from irodori.capture.rig import ascii_rig, controlled_rig, deadline
 from irodori.capture.rig.ascii_description import Description
 from irodori.capture.rig.connect import grbl_settings
-from irodori.capture.rig.devices import DeadlineError, Link, Rig
+from irodori.capture.rig.devices import DeadlineError, Link, RigDevice
 from irodori.capture.rig.drives import drives_of
 from irodori.capture.rig.grbl import driver as grbl_driver
-from irodori.config.models import Rig as RigDefinition
+from irodori.config.models import Rig
 from irodori.simulation.controllers.ascii_simulator import AsciiMachine
 from irodori.simulation.controllers.grbl_machine import GrblMachine
 from irodori.simulation.controllers.peer_server import Machine
@@ -81,7 +81,7 @@ class Bench(Link):
         pass
 
 
-def rig_of(protocol: str, **block) -> RigDefinition:
+def rig_of(protocol: str, **block) -> Rig:
     """Return the definition of a rig whose axes take seconds; ``block`` replaces keys of ``motion.ascii``."""
     rig = definition(protocol)
     axes = rig["motion"]["axes"]
@@ -89,10 +89,10 @@ def rig_of(protocol: str, **block) -> RigDefinition:
     axes["turn_deg"] |= {"speed_deg_per_s": 60.0, "acceleration_deg_per_s2": 100.0}
     if protocol == "ascii":
         rig["motion"]["ascii"] |= block
-    return made(RigDefinition, rig)
+    return made(Rig, rig)
 
 
-def bench_of(rig: RigDefinition, monkeypatch, homing: bool = True, seed: int = 0) -> Bench:
+def bench_of(rig: Rig, monkeypatch, homing: bool = True, seed: int = 0) -> Bench:
     """Return the controller of a definition, and let every driver look at its clock."""
     drives = drives_of(rig)
     assert rig.motion is not None
@@ -108,7 +108,7 @@ def bench_of(rig: RigDefinition, monkeypatch, homing: bool = True, seed: int = 0
     return bench
 
 
-def opened(rig: RigDefinition, bench: Bench, homing: bool = True, timeout_s: float = TIMEOUT_S) -> Rig:
+def opened(rig: Rig, bench: Bench, homing: bool = True, timeout_s: float = TIMEOUT_S) -> RigDevice:
     """Return the driver of a controller."""
     drives = drives_of(rig)
     assert rig.motion is not None

@@ -21,7 +21,7 @@ from irodori.config.models import (
 )
 from irodori.config.parts import PlannedObject
 from irodori.geometry.embree import NO_HIT, Tracer
-from irodori.geometry.lathe import LID_MM, lathe, write_obj
+from lathe import LID_MM, lathe, write_obj
 from irodori.geometry.mesh import make_mesh
 from irodori.geometry.rig_frame import rig_from_object, rotation_xyz
 from irodori.geometry.shapes.placement import Placement, on_table

@@ -11,7 +11,7 @@ from shortcuts import ball
 from irodori.config.models import BodyShape, ObjectShape
 from irodori.core.errors import InputError
 from irodori.geometry.atlas import NO_FACE, mesh_texels, rasterise
-from irodori.geometry.lathe import lathe, write_lid, write_obj
+from lathe import lathe, write_lid, write_obj
 from irodori.geometry.mesh import make_mesh
 from irodori.geometry.mesh_files import MM_IN, read_mesh
 from irodori.geometry.mesh_sources import mesh_files

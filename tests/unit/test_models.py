@@ -12,7 +12,7 @@ from definitions import ROOT, load
 from irodori.config import models
 from irodori.config.definition import as_plain, field_name
 from irodori.config.definitions import KINDS, read_yaml
-from irodori.config.validation import SCHEMAS, _complete, load_schema, validate
+from irodori.config.validation import _complete, load_schema, validate
 from irodori.config.write_models import MODELS, README, key_table, models_text, readme_text
 from irodori.core.errors import InputError
 
@@ -32,7 +32,7 @@ def test_a_definition_says_what_its_file_says(scenes):
         assert getattr(loaded, kind)
         for name, typed in getattr(loaded, kind).items():
             file = ROOT / "config" / kind / f"{name}.yaml"
-            assert isinstance(typed, made) and typed.plain() == validate(read_yaml(file), made.__name__.lower(), file)
+            assert isinstance(typed, made) and typed.plain() == validate(read_yaml(file), kind.removesuffix("s"), file)
             assert pickle.loads(pickle.dumps(typed)) == typed
             json.dumps(as_plain({"all": [typed]}))
     config = read_yaml(ROOT / "config/config.yaml")
@@ -50,9 +50,9 @@ def blocks(schema):
             yield from blocks(one)
 
 
-@pytest.mark.parametrize("name", SCHEMAS)
-def test_keys_and_defaults_of_the_dataclasses_are_those_of_the_schemas(name):
-    for block in blocks({**load_schema(name), "title": name.capitalize()}):
+@pytest.mark.parametrize(("kind", "made"), [("config", models.Config), *KINDS.items()])
+def test_keys_and_defaults_of_the_dataclasses_are_those_of_the_schemas(kind, made):
+    for block in blocks({**load_schema(kind.removesuffix("s")), "title": made.__name__}):
         fields = getattr(models, block["title"]).__dataclass_fields__
         assert [field.rstrip("_") for field in fields] == list(block["properties"])
         for key, rules in block["properties"].items():

@@ -17,7 +17,7 @@ from irodori.config.parts import RigGeometry, TexturedObject
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.geometry.embree import Tracer
-from irodori.geometry.lathe import lathe, write_obj
+from lathe import lathe, write_obj
 from irodori.geometry.rig_frame import rig_from_object
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape

@@ -92,7 +92,7 @@ def test_a_key_with_a_unit_in_its_name_gives_it_in_its_description(name):
 def test_there_is_a_schema_for_each_kind_and_no_other_file():
     files = {file.name for file in SCHEMA_FOLDER.iterdir()}
     assert files == {f"{name}.schema.yaml" for name in (*SCHEMAS, "common")}
-    assert set(SCHEMAS) == {"config", *(made.__name__.lower() for made in KINDS.values())}
+    assert set(SCHEMAS) == {"config", *(kind.removesuffix("s") for kind in KINDS)}
 
 
 def test_the_readme_names_every_key():

@@ -1,10 +1,10 @@
 from irodori.capture.stage import Target, capture_environment
-from irodori.config.models import Camera, Environment, Rig
+from irodori.config.models import Camera, EnvironmentDefinition, Rig
 from irodori.core.run_rule import run_rule
 
 with run_rule(snakemake) as provenance:
     taken = capture_environment(
-        Environment.of(snakemake.params.definition),
+        EnvironmentDefinition.of(snakemake.params.definition),
         Target(
             snakemake.wildcards.environment,
             Camera.of(snakemake.params.camera),

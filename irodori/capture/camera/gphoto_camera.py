@@ -5,7 +5,6 @@ releases the shutter and waits for the file. `gphoto_line` repeats what a busy c
 Source: the documentation of libgphoto2 2.5 and of its PTP driver.
 """
 
-import os
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -13,9 +12,10 @@ from pathlib import Path, PurePosixPath
 
 from irodori.capture.camera.gphoto_line import FIRST_WAIT_S, GphotoLine
 from irodori.capture.camera.gphoto_settings import WIDGETS, find_choice, means, offer
-from irodori.capture.rig.devices import Camera, CommandError, DeadlineError, DeviceError
+from irodori.capture.rig.devices import CameraDevice, CommandError, DeadlineError, DeviceError
 from irodori.config.capture_table import Shot
 from irodori.config.models import CameraDriver
+from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER
 
 #: Ends of the names of RAW files, by maker as libgphoto2 begins its models; the first is expected before a photograph.
@@ -43,7 +43,7 @@ _QUIET_S, _SETTLE_S = 0.2, 2.0
 _LOW_BATTERY_PERCENT = 25.0
 
 
-class GphotoCamera(Camera):
+class GphotoCamera(CameraDevice):
     """One camera that libgphoto2 knows. Opened when made; used by one thread.
 
     Parameters
@@ -89,19 +89,13 @@ class GphotoCamera(Camera):
 
     def capture(self, shot: Shot, path: Path) -> None:
         """Take one photograph and store the RAW file at `path`, whole; a second file (JPEG) is thrown away."""
-        path = Path(path)
         name, data = self._line.insist(lambda end: self._photograph(shot, end), shot.exposure_s)
         suffix = PurePosixPath(name).suffix.lower()
         if suffix != self.suffix:
             LOGGER.warning("%s: its RAW files end in %s, not %s", self.model, suffix, self.suffix)
             self.suffix = suffix
-        temporary = path.with_name(f".{path.name}.part")
-        try:
+        with written_whole(path) as temporary:
             temporary.write_bytes(data)
-            os.replace(temporary, path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
 
     def status(self) -> dict[str, str]:
         """Return ``model``, ``serial_number``, ``battery``, ``lens``, ``storage`` and ``settings``, as text."""

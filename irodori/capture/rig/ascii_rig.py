@@ -66,7 +66,7 @@ class AsciiRig(ControlledRig):
         self._last = self._wake()
 
     def move(self, targets_deg: Mapping[str, float]) -> None:
-        """Move axes, each at its own speed, and wait until they stand there; see `Rig.move`."""
+        """Move axes, each at its own speed, and wait until they stand there; see `RigDevice.move`."""
         self.check(targets_deg)
         if not targets_deg:
             return
@@ -82,7 +82,7 @@ class AsciiRig(ControlledRig):
             self._last, self._goal = targets, {}
 
     def status(self) -> RigStatus:
-        """Return what the controller says of itself; see `Rig.status`."""
+        """Return what the controller says of itself; see `RigDevice.status`."""
         self._get_in_step()
         state, places = self._states(), self._places()
         if state == "alarm" or (state == "idle" and self._strayed(places)):

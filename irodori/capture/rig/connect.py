@@ -5,13 +5,12 @@ from contextlib import ExitStack, contextmanager
 
 from irodori.capture.rig.ascii_description import Description
 from irodori.capture.rig.ascii_rig import AsciiRig
-from irodori.capture.rig.devices import Link, Rig, SettingError
+from irodori.capture.rig.devices import Link, RigDevice, SettingError
 from irodori.capture.rig.drives import Drive, drives_of
 from irodori.capture.rig.grbl.driver import GrblRig
 from irodori.capture.rig.grbl.settings_check import ACCELERATION, RATE, STEPS, TRAVEL, number
 from irodori.capture.rig.serial_link import SerialLink
-from irodori.config.models import Motion
-from irodori.config.models import Rig as RigDefinition
+from irodori.config.models import Motion, Rig
 from irodori.simulation.controllers import ascii_simulator
 from irodori.simulation.controllers import grbl_simulator as grbl_simulator
 from irodori.simulation.controllers.peer_client import Simulator
@@ -20,7 +19,7 @@ SIMULATOR = "simulator"
 _HOMING_SEARCH = 4.0
 
 
-def _motion(rig: RigDefinition) -> Motion:
+def _motion(rig: Rig) -> Motion:
     if rig.motion is None:
         raise SettingError("the rig's file has no block motion: nothing of this rig is driven")
     return rig.motion
@@ -33,7 +32,7 @@ def _description(motion: Motion) -> Description:
 
 
 @contextmanager
-def open_rig(rig: RigDefinition) -> Iterator[Rig]:
+def open_rig(rig: Rig) -> Iterator[RigDevice]:
     """Open the rig of a definition; stop it on an exception, and let go of its line at the end.
 
     Parameters
@@ -43,7 +42,7 @@ def open_rig(rig: RigDefinition) -> Iterator[Rig]:
 
     Yields
     ------
-    Rig
+    RigDevice
         Its ``simulator`` is an `irodori.simulation.controllers.peer_client.Simulator` on the port ``simulator``, else
         None: what a virtual camera asks where the axes truly stand (see `true_position_deg`).
 
@@ -67,7 +66,7 @@ def open_rig(rig: RigDefinition) -> Iterator[Rig]:
 
 
 @contextmanager
-def start_simulator(rig: RigDefinition) -> Iterator[Simulator]:
+def start_simulator(rig: Rig) -> Iterator[Simulator]:
     """Start the simulated controller of a definition, set up as the definition wants it; see `open_rig`."""
     motion = _motion(rig)
     given = motion.simulator
@@ -102,7 +101,7 @@ def grbl_settings(drives: Mapping[str, Drive], homing: bool) -> dict[int, float]
     return settings
 
 
-def true_position_deg(rig: Rig) -> dict[str, float]:
+def true_position_deg(rig: RigDevice) -> dict[str, float]:
     """Return where the axes of a simulated rig truly stand, degrees: what a camera before it would see.
 
     The mechanics are counted from the limit switches: after an ideal homing this is what the controller reports, and it
@@ -119,13 +118,16 @@ def true_position_deg(rig: Rig) -> dict[str, float]:
     return {name: drive.to_deg(places[drive.channel]) for name, drive in rig.drives.items()}
 
 
-def _open_grbl(link: Link, drives: Mapping[str, Drive], motion: Motion) -> Rig:
+def _open_grbl(link: Link, drives: Mapping[str, Drive], motion: Motion) -> RigDevice:
     return GrblRig(link, drives, timeout_s=motion.timeout_s, flow=motion.flow, homing=motion.homing)
 
 
-def _open_ascii(link: Link, drives: Mapping[str, Drive], motion: Motion) -> Rig:
+def _open_ascii(link: Link, drives: Mapping[str, Drive], motion: Motion) -> RigDevice:
     words = _description(motion)
     return AsciiRig(link, drives, words, timeout_s=motion.timeout_s, homing=motion.homing)
 
 
-_DRIVERS: dict[str, Callable[[Link, Mapping[str, Drive], Motion], Rig]] = {"grbl": _open_grbl, "ascii": _open_ascii}
+_DRIVERS: dict[str, Callable[[Link, Mapping[str, Drive], Motion], RigDevice]] = {
+    "grbl": _open_grbl,
+    "ascii": _open_ascii,
+}

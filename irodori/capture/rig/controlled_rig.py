@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 
 from irodori.capture.rig.deadline import Deadline
-from irodori.capture.rig.devices import AlarmError, Axis, CommandError, DeadlineError, DeviceError, HeldError, Rig
+from irodori.capture.rig.devices import AlarmError, Axis, CommandError, DeadlineError, DeviceError, HeldError, RigDevice
 from irodori.capture.rig.drives import Drive
 
 POLL_S = 0.03
@@ -16,7 +16,7 @@ START_S = 0.3
 MARGIN = 0.25
 
 
-class ControlledRig(Rig):
+class ControlledRig(RigDevice):
     """A rig whose axes one controller moves.
 
     A feed hold that is reported while a move waits, or before one begins, is the person's: `on_hold` is asked once the
@@ -89,7 +89,7 @@ class ControlledRig(Rig):
     # ---- what every rig does
 
     def home(self) -> None:
-        """Find the limit switches; see `Rig.home`."""
+        """Find the limit switches; see `RigDevice.home`."""
         if not self._homing:
             raise CommandError("this rig has no limit switches (motion.homing is false): it cannot be homed")
         with self._stopping_on_failure():
@@ -106,7 +106,7 @@ class ControlledRig(Rig):
             self._in_step = False
 
     def resume(self) -> None:
-        """End a feed hold and wait until the axes stand; see `Rig.resume`."""
+        """End a feed hold and wait until the axes stand; see `RigDevice.resume`."""
         self._get_in_step()
         self._check_resume()
         slowing = Deadline(self._brake_s * (1 + MARGIN) + self._timeout_s)

@@ -143,7 +143,7 @@ class Link(ABC):
         """Let go of the line and its lock; harmless when repeated."""
 
 
-class Rig(ABC):
+class RigDevice(ABC):
     """Mechanics that move camera and table. A context manager: it stops on an exception and closes its connection."""
 
     #: Motorised axes by name; the others of a pose are set by hand.
@@ -234,7 +234,7 @@ class Rig(ABC):
         """Return the time of a move whose axes run side by side, s; in a straight line it takes somewhat longer."""
         return max((self.axes[name].travel_s(from_deg[name], to_deg[name]) for name in to_deg), default=0.0)
 
-    def __enter__(self) -> "Rig":
+    def __enter__(self) -> "RigDevice":
         return self
 
     def __exit__(self, kind, error, trace) -> None:
@@ -245,8 +245,8 @@ class Rig(ABC):
             self.close()
 
 
-class Camera(ABC):
-    """Camera. A context manager that closes its connection."""
+class CameraDevice(ABC):
+    """Camera: a context manager that closes its connection."""
 
     #: End of the names of its RAW files, with the dot.
     suffix: str
@@ -275,7 +275,7 @@ class Camera(ABC):
     def close(self) -> None:
         """Let go of the camera; harmless when repeated."""
 
-    def __enter__(self) -> "Camera":
+    def __enter__(self) -> "CameraDevice":
         return self
 
     def __exit__(self, kind, error, trace) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 from irodori.config.cross_checks.named_spectra import check_index
 from irodori.config.models import (
     CapturesSource,
-    Environment,
+    EnvironmentDefinition,
     LightsSource,
     MirrorBallSource,
     RgbSource,
@@ -16,12 +16,12 @@ from irodori.core.errors import InputError, is_file
 _OF_A_CAMERA = ("camera", "captures", "exposure_s", "virtual")
 
 
-def is_photographed(environment: Environment) -> bool:
+def is_photographed(environment: EnvironmentDefinition) -> bool:
     """Whether a camera photographs the place, as against a file of another program or placed lights."""
     return isinstance(environment.source, CapturesSource | MirrorBallSource)
 
 
-def check_source(environment: Environment, root: Path, file) -> None:
+def check_source(environment: EnvironmentDefinition, root: Path, file) -> None:
     """Refuse an environment whose keys are not those of its source, or whose files are not there.
 
     Raises

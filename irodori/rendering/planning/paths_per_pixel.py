@@ -6,13 +6,12 @@ from dataclasses import asdict
 import numpy as np
 
 from irodori.colour.colorimetry import xyz_from_radiance
-from irodori.config.models import ReferenceIntegrator
-from irodori.config.models import Scene as SceneDefinition
+from irodori.config.models import ReferenceIntegrator, Scene
 from irodori.core.progress import LOGGER
 from irodori.light.environment_file import Environment
 from irodori.rendering.planning.planned_check import chosen_pixels, measure, refuse_above
 from irodori.rendering.planning.tolerance import SHARE, bound_of_share, differences
-from irodori.rendering.reference.converging_picture import REPLICATES, Scene, make_scene, render_rows
+from irodori.rendering.reference.converging_picture import REPLICATES, TracedScene, make_scene, render_rows
 from irodori.rendering.reference.random_numbers import make_numbers
 from irodori.rendering.scene_arrays import Objects, View, make_view
 from irodori.rendering.scene_white import scene_white
@@ -27,12 +26,12 @@ _LEAST = 8
 _PILOT_SEEDS, _CHECK_SEED = (101, 102), 103
 
 
-def render_pixels(prepared: Scene, view: View, pixels: np.ndarray, samples: int, seed: int) -> np.ndarray:
+def render_pixels(prepared: TracedScene, view: View, pixels: np.ndarray, samples: int, seed: int) -> np.ndarray:
     """Return chosen pixels of a view by paths, (n, 61) float64; each has random numbers of its own.
 
     Parameters
     ----------
-    prepared : irodori.rendering.reference.converging_picture.Scene
+    prepared : irodori.rendering.reference.converging_picture.TracedScene
     view : View
     pixels : (n, 2) int
         Column and row.
@@ -51,7 +50,7 @@ def render_pixels(prepared: Scene, view: View, pixels: np.ndarray, samples: int,
 
 def plan_reference(
     scene_name: str,
-    scene: SceneDefinition,
+    scene: Scene,
     placements,
     objects: Objects,
     environment: Environment,
@@ -116,7 +115,7 @@ def _samples_for(noise: float, tolerance: float, most: int) -> int:
 
 
 def check_reference(
-    scene: SceneDefinition,
+    scene: Scene,
     view_name: str,
     placements,
     objects: Objects,

@@ -36,7 +36,7 @@ _NEIGHBOURS = 7  # pixels along the side of the square over which `pooled` takes
 _OFFSET, _STEPS = 3e-7, 1e-6
 
 
-class Scene(NamedTuple):
+class TracedScene(NamedTuple):
     """A scene ready for paths; the tracer owns what the world's addresses point to."""
 
     world: World
@@ -57,7 +57,7 @@ class Picture(NamedTuple):
 
 def make_scene(
     placements: list[Placement], objects: Objects, environment: Environment | Sky, lights: Sequence[SceneLight] = ()
-) -> Scene:
+) -> TracedScene:
     """Return a scene for `render_rows`.
 
     Parameters
@@ -76,10 +76,10 @@ def make_scene(
     offset = _OFFSET * reaches(tracer.placements)
     addresses = (tracer.intersect_address, tracer.occluded_address, tracer.scene)
     sky = environment if isinstance(environment, Sky) else make_sky(environment)
-    return Scene(World(surfaces, objects, bands, sky, placed, *addresses, offset, _STEPS), tracer)
+    return TracedScene(World(surfaces, objects, bands, sky, placed, *addresses, offset, _STEPS), tracer)
 
 
-def render_rows(scene: Scene, view: View, numbers: Numbers, rows: tuple[int, int]) -> Picture:
+def render_rows(scene: TracedScene, view: View, numbers: Numbers, rows: tuple[int, int]) -> Picture:
     """Render a band of rows, on as many threads as numba may use; these do not change the result."""
     count = rows[1] - rows[0]
     image = np.zeros((count, view.width, BANDS), dtype=np.float32)
@@ -101,7 +101,7 @@ def check_samples(samples: int, replicates: int = REPLICATES) -> None:
 
 
 def render(
-    scene: Scene,
+    scene: TracedScene,
     view: View,
     samples: int,
     seed: int = 0,
@@ -116,7 +116,7 @@ def render(
 
     Parameters
     ----------
-    scene : Scene
+    scene : TracedScene
     view : View
     samples : int
         Paths a pixel, a multiple of ``replicates``; powers of two are spread best.
@@ -171,7 +171,7 @@ def pooled(error: np.ndarray) -> np.ndarray:
     return np.sqrt(squares)
 
 
-def picture_key(scene: Scene, view: View, samples: int, seed: int) -> str:
+def picture_key(scene: TracedScene, view: View, samples: int, seed: int) -> str:
     """Return a hash of everything that a picture depends on: the scene, the view, the samples and this code."""
     digest = hashlib.blake2b(code_hash(__name__).encode(), digest_size=16)
     for part in (

@@ -8,6 +8,7 @@ import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights
 from irodori.config.models import RoomLamps, RoomWindow, VirtualRoom
+from irodori.light.environment_file import directions
 from irodori.spectra.published import light, spectrum
 
 
@@ -38,13 +39,6 @@ def source_spectra(room: VirtualRoom, rig_light: np.ndarray) -> tuple[list[str],
     return names, np.stack(spectra)
 
 
-def _directions(width: int, height: int) -> np.ndarray:
-    theta = np.pi * (np.arange(height) + 0.5) / height
-    azimuth = 2 * np.pi * (np.arange(width) + 0.5) / width
-    theta, azimuth = np.meshgrid(theta, azimuth, indexing="ij")
-    return np.stack([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1)
-
-
 def trace_room(room: VirtualRoom, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     """Return which source each direction sees, and its shading.
 
@@ -56,7 +50,7 @@ def trace_room(room: VirtualRoom, width: int, height: int) -> tuple[np.ndarray, 
     size = np.array([room.room_m.width, room.room_m.depth, room.room_m.height])
     eye = np.asarray(room.eye_m)
     low, high = np.array([-size[0] / 2, -size[1] / 2, 0.0]), np.array([size[0] / 2, size[1] / 2, size[2]])
-    direction = _directions(width, height)
+    direction, _ = directions(width, height)
     with np.errstate(divide="ignore"):
         distance = np.where(direction > 0, (high - eye) / direction, (low - eye) / direction)
     axis = np.argmin(distance, axis=-1)

@@ -1,12 +1,12 @@
 """DNG files that LibRaw decodes like a camera's (Adobe DNG specification 1.4)."""
 
 import io
-import os
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import tifffile
+
+from irodori.core.atomic_files import written_whole
 
 _CFA_PHOTOMETRIC = 32803
 _ILLUMINANT_A = 17
@@ -65,13 +65,8 @@ def write_dng(
         tags.append((33437, "2I", 1, _rational(f_number), True))  # FNumber
     if iso:
         tags.append((34855, "H", 1, round(iso), True))  # ISOSpeedRatings
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        # In memory first: numpy writes to files by itself, and does not say that it was a full disk that stopped it.
-        content = io.BytesIO()
-        tifffile.imwrite(content, mosaic, photometric=_CFA_PHOTOMETRIC, extratags=tags, metadata=None, subfiletype=0)
+    # In memory first: numpy writes to files by itself, and does not say that it was a full disk that stopped it.
+    content = io.BytesIO()
+    tifffile.imwrite(content, mosaic, photometric=_CFA_PHOTOMETRIC, extratags=tags, metadata=None, subfiletype=0)
+    with written_whole(path) as temporary:
         temporary.write_bytes(content.getbuffer())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)

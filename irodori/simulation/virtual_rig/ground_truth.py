@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from irodori.config.models import Camera, IrradianceMap, Object, Rig
-from irodori.config.models import Environment as Place
+from irodori.config.models import Camera, EnvironmentDefinition, IrradianceMap, Object, Rig
 from irodori.core import store
 from irodori.light.environment_file import Environment
 from irodori.light.irradiance import fitted_irradiance_map
@@ -76,7 +75,7 @@ def _gloss(sample: Sample) -> tuple[tuple[str, ...], list[tuple[np.ndarray, np.n
     return tuple(name for name, _ in places), gloss, tuple(typical)
 
 
-def true_environment(definition: Place, rig: Rig, irradiance_options: IrradianceMap) -> Environment:
+def true_environment(definition: EnvironmentDefinition, rig: Rig, irradiance_options: IrradianceMap) -> Environment:
     """Return the virtual room's light: one basis vector a source."""
     image, room = definition.image, definition.virtual
     if image is None or room is None:
@@ -93,7 +92,7 @@ def write_true_material(definition: Object, camera: Camera, rig: Rig, output, pr
 
 
 def write_true_environment(
-    definition: Place, rig: Rig, irradiance_options: IrradianceMap, output, provenance: store.Provenance
+    definition: EnvironmentDefinition, rig: Rig, irradiance_options: IrradianceMap, output, provenance: store.Provenance
 ) -> None:
     """Write the true light of an environment."""
     true_environment(definition, rig, irradiance_options).save(output, provenance)

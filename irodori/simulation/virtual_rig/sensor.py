@@ -1,43 +1,14 @@
 """Sensor model: photo-electrons, noise, black level, quantisation, saturation."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from irodori.config.models import Camera, CombFilter
+from irodori.config.models import Camera, CombFilter, SensorOptions
 from irodori.spectra.grid import SAMPLES, TRAPEZOID_NM, WAVELENGTH_NM
 from irodori.spectra.published import camera_sensitivities
 
 
-@dataclass(frozen=True)
-class Sensor:
-    """A sensor of a configuration's ``virtual.sensor`` block.
-
-    Parameters
-    ----------
-    full_well_e : float
-        Electrons at which a pixel saturates; the digital number saturates there too.
-    read_noise_e : float
-        Standard deviation, electrons.
-    dark_current_e_per_s : float
-        Electrons per second.
-    black_level : int
-        Digital number of no light.
-    bits : int
-        Of the converter.
-    response_at_full_well : float
-        Response (1 = a perfect diffuser lit at normal incidence, brightest band) that fills the well at the base
-        exposure.
-    base_exposure_s : float, s
-    """
-
-    full_well_e: float
-    read_noise_e: float
-    dark_current_e_per_s: float
-    black_level: int
-    bits: int
-    response_at_full_well: float
-    base_exposure_s: float
+class Sensor(SensorOptions):
+    """A sensor of a configuration's ``virtual.sensor`` block."""
 
     @property
     def white_level(self) -> int:

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from irodori.config.capture_table import Pose
-from irodori.config.models import Camera, Chart, Environment, Rig
+from irodori.config.models import Camera, Chart, EnvironmentDefinition, Rig
 from irodori.geometry.embree import Tracer
 from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
@@ -118,12 +118,12 @@ def _patch_at(mosaic_xy, chart: Chart, camera: Camera, rig: Rig, pose: Pose, pin
     return np.where(patch, row * columns + column, rows * columns)
 
 
-def room_mosaic(definition: Environment, light: np.ndarray, band_weights) -> np.ndarray:
+def room_mosaic(definition: EnvironmentDefinition, light: np.ndarray, band_weights) -> np.ndarray:
     """Return the omnidirectional picture of a virtual room, a panorama as it is photographed, its middle towards +x.
 
     Parameters
     ----------
-    definition : Environment
+    definition : EnvironmentDefinition
     light : (61,) float
         E(λ) of the rig.
     band_weights : (3, 61) float

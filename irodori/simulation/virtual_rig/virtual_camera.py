@@ -7,10 +7,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from irodori.capture.rig.devices import Camera, DeviceError
+from irodori.capture.rig.devices import CameraDevice, DeviceError
 from irodori.config.capture_table import FILTERS, Pose, Shot, chart_capture
-from irodori.config.models import Camera as CameraDefinition
-from irodori.config.models import Chart, Environment, Object, Rig
+from irodori.config.models import Camera, Chart, EnvironmentDefinition, Object, Rig
 from irodori.config.parts import PhotographedObject, SceneRadiance
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.dng_writer import write_dng
@@ -21,10 +20,10 @@ from irodori.simulation.virtual_rig.sensor import Sensor, band_weights
 from irodori.simulation.virtual_rig.subjects import chart_mosaic, object_mosaic, room_mosaic, white_mosaic
 from irodori.spectra.published import light
 
-Photographed: TypeAlias = Object | PhotographedObject | Environment | SceneRadiance
+Photographed: TypeAlias = Object | PhotographedObject | EnvironmentDefinition | SceneRadiance
 
 
-class VirtualCamera(Camera):
+class VirtualCamera(CameraDevice):
     """A camera of a configuration's ``virtual`` block.
 
     Parameters
@@ -37,7 +36,7 @@ class VirtualCamera(Camera):
         Name of what is photographed.
     shots : sequence of Shot
         All photographs of the session in order: its light drifts along them.
-    subject : Object, PhotographedObject, Environment or SceneRadiance, optional
+    subject : Object, PhotographedObject, EnvironmentDefinition or SceneRadiance, optional
         What stands before it; a camera's own session has none.
     seen : dict, optional
         Objects as they look without optics and noise, filled here. Cameras that differ in their faults alone may share
@@ -48,7 +47,7 @@ class VirtualCamera(Camera):
 
     def __init__(
         self,
-        camera: CameraDefinition,
+        camera: Camera,
         rig: Rig,
         bench: Bench,
         session: str,
@@ -115,7 +114,7 @@ class VirtualCamera(Camera):
         """Return the responses behind the optics and the extra dark current of hot pixels."""
         subject, state = self.bench.subject, FILTERS.index(self.bench.filter)
         weights = self.band_weights[3 * state : 3 * state + 3]
-        if subject == "environment" and isinstance(self.subject, Environment):
+        if subject == "environment" and isinstance(self.subject, EnvironmentDefinition):
             # A panorama is stitched or unwrapped: vignetting and hot pixels are corrected there.
             return room_mosaic(self.subject, self.light, weights), 0.0
         optics = self.optics

@@ -19,7 +19,7 @@ from irodori.config.models import (
     Scene,
 )
 from irodori.geometry.embree import Tracer
-from irodori.geometry.lathe import LID_MM, lathe
+from lathe import LID_MM, lathe
 from irodori.geometry.mesh import Mesh, make_mesh
 from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes import flat, mesh_shadow_nodes, sphere

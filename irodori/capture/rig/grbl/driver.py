@@ -87,11 +87,11 @@ class GrblRig(ControlledRig):
     # ---- what every rig does
 
     def move(self, targets_deg: Mapping[str, float]) -> None:
-        """Move axes in a straight line and wait until they stand there; see `Rig.move`."""
+        """Move axes in a straight line and wait until they stand there; see `RigDevice.move`."""
         self.path([targets_deg])
 
     def path(self, waypoints_deg: Sequence[Mapping[str, float]]) -> None:
-        """Move through several places, all of them sent ahead under flow control; see `Rig.move`.
+        """Move through several places, all of them sent ahead under flow control; see `RigDevice.move`.
 
         Parameters
         ----------
@@ -130,7 +130,7 @@ class GrblRig(ControlledRig):
             self._await_arrival([places, after], arrival)
 
     def status(self) -> RigStatus:
-        """Return what the controller says of itself; see `Rig.status`."""
+        """Return what the controller says of itself; see `RigDevice.status`."""
         self._get_in_step()
         report = self._talk.ask_report()
         if report.state == "Alarm" or self._talk.restarted:

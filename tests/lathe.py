@@ -1,6 +1,6 @@
 """Meshes of bodies of revolution with texture coordinates, as examples and test cases.
 
-``python -m irodori.geometry.lathe OUT.obj`` writes the lid of ``config/objects/celadon-lid.yaml``.
+``python tests/lathe.py OUT.obj`` writes the lid of ``config/objects/celadon-lid.yaml``.
 """
 
 import sys
@@ -104,5 +104,5 @@ def write_lid(path) -> None:
 
 if __name__ == "__main__":
     if len(sys.argv) != 2:
-        sys.exit("usage: python -m irodori.geometry.lathe OUT.obj")
+        sys.exit("usage: python tests/lathe.py OUT.obj")
     write_lid(sys.argv[1])
