@@ -9,30 +9,19 @@
 """
 
 import argparse
+import importlib
 import logging
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from irodori.capture.camera.gphoto_camera import GphotoCamera
-from irodori.capture.journal import storing
 from irodori.capture.operator import PromptOperator
 from irodori.capture.rig.connect import open_rig
 from irodori.capture.rig.devices import LimitError, RigDevice
-from irodori.capture.session import verify
-from irodori.capture.shot_list import camera_shots, object_shots
-from irodori.capture.shot_planner.fisher_information import Weighting
-from irodori.capture.shot_planner.planner import default_noise, plan_best
-from irodori.capture.stage import Target, capture_camera, capture_object
-from irodori.config.capture_table import Pose, Shot
-from irodori.config.definition import as_plain
 from irodori.config.definitions import load_one
-from irodori.config.models import Object
 from irodori.core.errors import InputError, PlainError
 from irodori.core.progress import LOGGER
-from irodori.core.provenance import code_hash, config_hash
-from irodori.core.store import Provenance
 from irodori.core.termination import ending_in_order
 
 
@@ -80,15 +69,21 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         sub.add_argument("angles", nargs="+", metavar="AXIS=DEGREES", type=_angle)
         text = "find the reference position first, where the rig does not know where it stands"
         sub.add_argument("--home", action="store_true", help=text)
-    sub = command("shoot", _shoot, "Take one photograph with a real camera.")
+    sub = command("shoot", _of_a_camera("shoot"), "Take one photograph with a real camera.")
     sub.add_argument("camera", help="name of a file in config/cameras")
     sub.add_argument("file", type=Path, help="where to store the RAW file")
     sub.add_argument("--exposure", type=float, required=True, metavar="S", help="exposure time in seconds")
-    sub = command("plan", _plan, "Print the photographs of an object or a camera in their order, and what they take.")
+    text = "Print the photographs of an object or a camera in their order, and what they take."
+    sub = command("plan", _of_a_camera("plan"), text)
     _add_subject(sub)
     sub.add_argument("--best", type=int, metavar="K", help="choose the K poses that tell most about an object instead")
-    _add_subject(command("capture", _capture, "Hold a session, or continue one: take what is missing."))
+    _add_subject(command("capture", _of_a_camera("capture"), "Hold a session, or continue one: take what is missing."))
     return parser
+
+
+def _of_a_camera(name: str) -> Callable[[argparse.Namespace], None]:
+    """Return a command of `irodori.capture.camera_commands`, which takes seconds to import: the rig waits for none."""
+    return lambda options: getattr(importlib.import_module("irodori.capture.camera_commands"), name)(options)
 
 
 def _add_subject(sub: argparse.ArgumentParser) -> None:
@@ -167,84 +162,3 @@ def _ready(rig: RigDevice, home: bool) -> None:
     """Home a rig that was not, where asked to; a simulated one, which has just been switched on, always."""
     if (home or rig.simulator is not None) and not rig.status().homed:
         rig.home()
-
-
-def _shoot(options) -> None:
-    camera = load_one("cameras", options.camera).cameras[options.camera]
-    if camera.driver is None:
-        raise InputError(f"config/cameras/{options.camera}.yaml", "driver", "no such key", "a camera that is driven")
-    shot = Shot(options.file.name, "object", Pose(0.0, 0.0), "out", options.exposure)
-    with GphotoCamera(camera.driver) as device:
-        with storing(options.file):
-            device.capture(shot, options.file)
-        print(", ".join(f"{key} {value}" for key, value in device.status().items()))
-    verify(options.file, shot)
-    print(options.file)
-
-
-def _target(options) -> tuple[Target, Object | None]:
-    """Return what a session of the named object or camera photographs, and the object's definition."""
-    kind = "cameras" if options.camera else "objects"
-    loaded = load_one(kind, options.name)
-    definition = None if options.camera else loaded.objects[options.name]
-    camera = loaded.cameras[options.name if definition is None else definition.camera]
-    rig, named = loaded.rigs[camera.rig], definition or camera
-    if named.exposure_s is None:
-        found = f"a rig of kind {rig.kind}, whose photographs somebody else takes"
-        raise InputError(f"config/{kind}/{options.name}.yaml", "rig", found, "a rig of kind driven or virtual")
-    captures = named.captures
-    # What is computed at the bench, for practice, stands apart from what the workflow has computed.
-    table = captures.table if captures else Path("results/rig/bench", options.name, "captures.csv")
-    target = Target(options.name, camera, rig, camera.rig, table, captures.folder if captures else None)
-    return target, definition
-
-
-def _as_fitted(definition: Object, target: Target) -> dict:
-    """Return noise, weights and largest angle as the configuration's fit will have them."""
-    config = load_one("objects", target.name).config
-    fit, sensor = config.fit, target.camera.virtual.sensor if target.camera.virtual else None
-    exposures_s = definition.exposure_s.out if sensor and definition.exposure_s else ()
-    return {
-        "noise": default_noise(target.rig, sensor, exposures_s, fit),
-        "weighting": Weighting(fit.weights, fit.model_error),
-        "max_angle_deg": config.rectify.max_angle_deg,
-    }
-
-
-def _plan(options) -> None:
-    target, definition = _target(options)
-    if options.best is not None:
-        if definition is None:
-            raise InputError("--best", "", "a camera", "an object: a camera's own photographs need no choice of poses")
-        try:
-            best = plan_best(definition, target.rig, options.best, **_as_fitted(definition, target))
-        except ValueError as error:
-            raise InputError("--best", "", str(options.best), str(error)) from None
-        print("\n".join(best.lines()))
-        return
-    if definition is None:
-        shots = camera_shots(target.camera, target.suffix)
-    else:
-        shots = object_shots(definition, target.camera, target.suffix)
-    planned = target.ordered(shots)
-    for shot in planned:
-        angles = " ".join(f"{name.removesuffix('_deg')} {value:g}" for name, value in vars(shot.pose).items())
-        print(f"{shot.role} {angles} filter {shot.filter} {shot.exposure_s:g} s  {shot.file}")
-    print(target.estimate(planned))
-
-
-def _capture(options) -> None:
-    target, definition = _target(options)
-    described = as_plain({"definition": definition, "camera": target.camera, "rig": target.rig})
-    made = Provenance("bench", config_hash(described), code_hash("irodori.capture.stage"))
-    # Not the workflow's record: it would take photographs for whole that another definition asked for.
-    record = Path(target.table).with_suffix(".json")
-    if not target.is_virtual:
-        # The workflow looks at the photographs again: its own record says nothing of what is taken now.
-        folder = Path("results", *(["cameras"] if options.camera else []), options.name, "captures")
-        (folder / "session.json").unlink(missing_ok=True)
-    if definition is None:
-        capture_camera(target, record, made)
-    else:
-        capture_object(definition, target, record, made)
-    LOGGER.info("%s", record)

@@ -209,11 +209,36 @@ REPORT = "<Idle|MPos:0.000,0.000,0.000|FS:0,0>"
 
 
 def test_a_report_is_what_answers_a_question_whatever_comes_before_it():
-    talk = answers("", "ok", "[MSG:Caution: Unlocked]", "Grbl 1.1h ['$' for help]", "ALARM:2", REPORT)
+    talk = answers("", "ok", "[MSG:Caution: Unlocked]", "Grbl 1.1h ['$' for help]", REPORT)
     assert talk.ask_report() == Report("Idle", machine=(0.0, 0.0, 0.0))
-    assert talk.message == "Caution: Unlocked" and talk.restarted and talk.alarm == 2
+    assert talk.message == "Caution: Unlocked" and talk.restarted
     talk = answers("[GC:G0]", REPORT)
     assert talk.ask_report() and talk.message == "" and not talk.restarted and talk.alarm is None
+
+
+def test_an_alarm_ends_a_question_at_once_and_every_question_until_a_reset():
+    talk = answers("[MSG:x]", "ALARM:2", "[MSG:Reset to continue]", "Grbl 1.1h ['$' for help]", REPORT)
+    for _ in range(2):
+        with pytest.raises(AlarmError, match=r"ALARM:2 \(the target is beyond .*home it"):
+            talk.ask_report()
+    assert talk.link.sent == [b"?"], "it is not asked again: it says nothing until it is reset"
+    talk.soft_reset()
+    assert talk.alarm == 2 and not talk.locked
+
+
+@pytest.mark.parametrize("lost", [[None], ["<Idle|MP"], ["Grbl 1.1h ['$' for help]"], [None, "<Idle|MP"]])
+def test_a_report_that_is_lost_is_asked_for_again_and_the_newest_counts(lost):
+    class Losing(FuzzLink):
+        def read_line(self, timeout_s):
+            line = super().read_line(timeout_s)
+            if line is None:
+                raise DeadlineError("silence")
+            return line
+
+    late = "<Run|MPos:1.000,0.000,0.000|FS:0,0>"
+    talk = Conversation(Losing([*lost, late, REPORT]), 0.5, "send-response")
+    assert talk.ask_report() == Report("Idle", machine=(0.0, 0.0, 0.0))
+    assert talk.link.sent == [b"?"] * (1 + len(lost))
 
 
 def test_a_refusal_that_nobody_waits_for_is_no_report():
@@ -253,7 +278,7 @@ def test_a_controller_that_talks_and_never_answers_is_left_in_time():
         (["[MSG:x]"], lambda talk: talk.command("$H", 0.05), "within 0.05 s"),
         (["ok"], lambda talk: talk.ask_report(), "no status report within 0.1 s"),
         (["ok"], lambda talk: talk.ask_report(0.05), "within 0.05 s"),
-        ([""], lambda talk: talk.ask_report(), "nothing but empty lines for 0.1 s"),
+        ([""], lambda talk: talk.command("$H"), "nothing but empty lines for 0.1 s"),
         (["ok"], lambda talk: talk.soft_reset(), "did not come back from a reset in 0.1 s"),
     ):
         begun = time.monotonic()

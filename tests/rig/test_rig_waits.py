@@ -154,7 +154,7 @@ def test_empty_lines_are_no_answer(pair):
         return b""
 
     bench.on_the_way = answer
-    assert spent(bench, driver.status, DeadlineError, "nothing but empty lines") < TIMEOUT_S + SLACK_S
+    assert spent(bench, driver.status, DeadlineError, "nothing but empty lines|no status report") < TIMEOUT_S + SLACK_S
     bench.machine.output.clear()
     bench.on_the_way = asked
     bench.machine.output += b"\r\n"
@@ -253,11 +253,180 @@ def test_a_report_without_an_axis_of_the_rig_is_garbled(board, places):
         driver.status()
 
 
-@pytest.mark.parametrize("build", ["V", "VL"])
-def test_a_board_that_does_not_lock_itself_is_homed_whenever_it_is_opened(board, monkeypatch, build):
+# What an alarm is caused by, and its code.
+ALARMS = {
+    "limit switch": (lambda bench: bench.machine.raise_alarm(1), 1),
+    "soft limit": (lambda bench: bench.write(b"G53G0X-999\n"), 2),
+    "reset button": (lambda bench: bench.machine.raise_alarm(3), 3),
+    "another program's reset": (lambda bench: bench.write(b"\x18"), 3),
+}
+LONG_TIMEOUT_S = 3.0
+
+
+@pytest.mark.parametrize("asks", [True, False], ids=["status", "no status"])
+@pytest.mark.parametrize(
+    ("command", "cause"),
+    # During a jog Grbl refuses every other line, so that none can reach a soft limit.
+    [("move", cause) for cause in ALARMS] + [("jog", cause) for cause in ALARMS if cause != "soft limit"],
+)
+def test_an_alarm_is_said_by_its_code_within_a_second(monkeypatch, cause, command, asks):
+    rig = rig_of("grbl")
+    bench = bench_of(rig, monkeypatch)
+    driver = opened(rig, bench, timeout_s=LONG_TIMEOUT_S)
+    driver.home()
+    driver.move({"camera_deg": 0.0})
+    act, code = ALARMS[cause]
+    at = []
+    later(bench, 1.0, lambda: (act(bench), at.append(bench.now)))
+    with pytest.raises(AlarmError, match=rf"ALARM:{code} .*home it"):
+        driver.move({"camera_deg": 140.0}) if command == "move" else driver.jog("camera_deg", 140.0)
+    # A soft limit is an alarm once the axes have come to rest on their ramp.
+    assert bench.now - at[0] < 1.0 + (0.8 if code == 2 else 0.0)
+    if asks:
+        begun = bench.now
+        status = driver.status()
+        assert status.state == "alarm" and f"ALARM:{code} (" in status.message and not status.homed
+        assert bench.now - begun < 1.0
+    with pytest.raises(AlarmError, match="home it"):
+        driver.move({"camera_deg": 10.0})
+    driver.home()
+    driver.move({"camera_deg": 10.0})
+
+
+@pytest.mark.parametrize("code", [1, 2, 3])
+def test_an_alarm_at_rest_is_a_state_and_says_its_code_within_a_second(monkeypatch, code):
+    rig = rig_of("grbl")
+    bench = bench_of(rig, monkeypatch)
+    driver = opened(rig, bench, timeout_s=LONG_TIMEOUT_S)
+    driver.home()
+    bench.machine.raise_alarm(code)
+    begun = bench.now
+    status = driver.status()
+    assert bench.now - begun < 1.0
+    assert status.state == "alarm" and f"ALARM:{code} (" in status.message and not status.homed
+
+
+def test_a_board_that_is_found_silent_in_an_alarm_says_so(board):
     _, bench = board
-    bench.heard = lambda line: line.replace("[OPT:V,", f"[OPT:{build},")
-    assert opened(rig_of("grbl"), bench).status().homed == (build == "V")
+    bench.machine.raise_alarm(1)
+    bench.discard_input()  # read by the program that ran before
+    status = opened(rig_of("grbl"), bench).status()
+    assert status.state == "alarm" and "ALARM:1 or ALARM:2" in status.message
+
+
+# What is lost, once, on the way to and from the board.
+LOST = {
+    "a question": ("out", b"?"),
+    "a report": ("in", "<"),
+    "a line": ("out", b"X-"),
+    "the end of a line": ("end", b"X-"),
+    "an ok": ("in", "ok"),
+    "part of an ok": ("part", "ok"),
+    "part of a report": ("part", "<"),
+}
+
+
+@pytest.mark.parametrize("command", ["move", "jog"])
+@pytest.mark.parametrize("what", LOST)
+def test_what_is_lost_once_is_asked_for_again_and_the_move_arrives(board, what, command):
+    driver, bench = board
+    driver.move({"camera_deg": 10.0, "turn_deg": 0.0})
+    way, mark = LOST[what]
+    lost = []
+
+    def on_the_way(data):
+        if way in ("out", "end") and mark in data and not lost:
+            lost.append(data)
+            return b"" if way == "out" else data[:-3]
+        return data
+
+    def heard(line):
+        if way in ("in", "part") and line.startswith(mark) and not lost:
+            lost.append(line)
+            return None if way == "in" else line[1:]
+        return line
+
+    bench.on_the_way, bench.heard = on_the_way, heard
+    driver.move({"camera_deg": 60.0}) if command == "move" else driver.jog("camera_deg", 50.0)
+    assert lost
+    is_at(driver, 60.0, 0.0)
+    assert driver.status().homed
+
+
+@pytest.mark.parametrize("lost", ["$H", "ok"])
+def test_homing_whose_command_or_answer_is_lost_is_done(board, lost):
+    driver, bench = board
+    driver.move({"camera_deg": 10.0})
+    gone = []
+
+    def on_the_way(data):
+        if lost == "$H" and data == b"$H\n" and not gone:
+            gone.append(data)
+            return b""
+        return data
+
+    def heard(line):
+        # The first ok that is heard after the command is that of homing.
+        if lost == "ok" and line == "ok" and not gone and b"$H\n" in bench.sent:
+            gone.append(line)
+            return None
+        return line
+
+    bench.sent.clear()
+    bench.on_the_way, bench.heard = on_the_way, heard
+    driver.home()
+    assert gone and driver.status().homed
+    driver.move({"camera_deg": 20.0})
+    is_at(driver, 20.0, 359.5)
+
+
+def press(bench, keys: bytes) -> None:
+    """Let another program type at the controller."""
+    bench.write(keys)
+    bench.sleep(0.1)
+    bench.discard_input()
+
+
+def move_elsewhere(bench) -> None:
+    bench.write(b"G90G0X-50\n")
+    bench.sleep(0.5)
+
+
+UNHOMED = {
+    "unlocked after switching on": lambda bench: (bench.machine.power_up(), press(bench, b"$X\n")),
+    "unlocked after a limit switch": lambda bench: (bench.machine.raise_alarm(1), press(bench, b"\x18$X\n")),
+    "reset in mid-move and unlocked": lambda bench: (move_elsewhere(bench), press(bench, b"\x18$X\n")),
+    "homing switched on just now": lambda bench: (
+        bench.machine.settings.update({22: 0}), bench.machine.power_up(), bench.machine.settings.update({22: 1}),
+    ),
+    "reset at rest by another program": lambda bench: press(bench, b"\x18"),
+    "counting other steps": lambda bench: bench.machine.settings.update({100: 2 * bench.machine.settings[100]}),
+    "another program's tool": lambda bench: press(bench, b"T0\n"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("how", UNHOMED)
+def test_an_unlocked_board_is_not_taken_for_a_homed_one(board, how):
+    _, bench = board
+    UNHOMED[how](bench)
+    driver = opened(rig_of("grbl"), bench)
+    assert bench.machine.state == "Idle" and not driver.status().homed
+    with pytest.raises(AlarmError, match="home it first"):
+        driver.move({"camera_deg": 10.0})
+    driver.home()
+    driver.move({"camera_deg": 10.0})
+    assert opened(rig_of("grbl"), bench).status().homed, "the next one need not home it again"
+
+
+@pytest.mark.parametrize("typed", [b"", b"G90G0X-1", b"$130=1"])
+def test_a_homing_is_known_to_the_next_that_opens_the_board_and_nothing_half_typed_is_done(board, typed):
+    driver, bench = board
+    driver.move({"camera_deg": 20.0})
+    driver.stop()
+    press(bench, typed)
+    before = dict(bench.machine.settings), list(bench.machine.stage.position)
+    assert opened(rig_of("grbl"), bench).status().homed
+    assert (bench.machine.settings, bench.machine.stage.position) == before
 
 
 def test_a_board_s_alarm_and_its_inputs_stand_in_the_status(board):
@@ -422,8 +591,9 @@ def test_a_controller_is_brought_to_rest_when_it_is_opened(protocol, state, monk
     assert not bench.machine.moving
     status = driver.status()
     assert status.state == ("alarm" if state == "alarm" else "idle")
-    # Grbl locks itself where it may have lost its place; another is homed each time it is opened.
-    assert status.homed == (protocol == "grbl" and state != "alarm")
+    # The mark of a homing outlives a stop on its ramp. Held, Grbl cannot be asked for it, and is homed again; another
+    # controller is homed each time it is opened.
+    assert status.homed == (protocol == "grbl" and state == "moving")
 
 
 def test_a_board_that_takes_a_while_to_start_is_waited_for(monkeypatch):

@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass, field
 
 _MM_PER_INCH = 25.4
+_LARGEST_TOOL = 255
 _WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))", re.ASCII)
 _GROUPS = {
     **dict.fromkeys((0, 1), "motion"),
@@ -37,12 +38,12 @@ class Modes:
     distance: int = 90
     coordinates: int = 54
     feed: float = 0.0
+    tool: int = 0
 
     def report(self) -> str:
         """Return the text of ``$G``."""
-        return (
-            f"[GC:G{self.motion} G{self.coordinates} G17 G{self.units} G{self.distance} G94 M5 M9 T0 F{self.feed:g} S0]"
-        )
+        modal = f"G{self.motion} G{self.coordinates} G17 G{self.units} G{self.distance} G94 M5 M9"
+        return f"[GC:{modal} T{self.tool} F{self.feed:g} S0]"
 
 
 @dataclass
@@ -93,11 +94,11 @@ def parse_block(line: str, modes: Modes, letters: str, jog: bool = False) -> Mov
         elif letter == "M":
             if jog or value not in _M_CODES:
                 raise GcodeError(16 if jog else 20)
-        elif letter not in letters + "FSPN":
+        elif letter not in letters + "FSPNT":
             raise GcodeError(20)
         elif letter in words:
             raise GcodeError(25)
-        elif value < 0 and letter in "FSPN":
+        elif value < 0 and letter in "FSPNT":
             raise GcodeError(4)
         else:
             words[letter] = value
@@ -107,6 +108,7 @@ def parse_block(line: str, modes: Modes, letters: str, jog: bool = False) -> Mov
         groups.get("distance", modes.distance),
         groups.get("coordinates", modes.coordinates),
         modes.feed,
+        modes.tool,
     )
     move = _move(words, groups, new, letters, jog)
     if not jog:
@@ -147,6 +149,9 @@ def _move(words: dict[str, float], groups: dict[str, int], new: Modes, letters: 
         return Move(axes, feed, new.distance == 91 and groups.get("once") != 53)
     if feed is not None:
         new.feed = feed
+    if words.get("T", 0.0) > _LARGEST_TOOL:
+        raise GcodeError(38)
+    new.tool = int(words.get("T", new.tool))
     if groups.get("once") == 4:
         if "P" not in words:
             raise GcodeError(28)

@@ -34,6 +34,9 @@ _LOST_AT_SPEED = 0.3
 class GrblMachine(Machine):
     """The controller and its mechanics.
 
+    As the firmware, it says nothing after the alarms of hard and soft limits until it is reset, and a question for
+    its status that a reset overtakes is never answered.
+
     Parameters
     ----------
     settings : dict
@@ -71,18 +74,19 @@ class GrblMachine(Machine):
         self._restart()
 
     def raise_alarm(self, code: int) -> None:
-        """Stop dead and report an alarm; hard and soft limits then wait for a reset."""
+        """Stop dead and report an alarm: 1 and 2 then wait for a reset and say nothing, 3 and those of homing reset."""
         self._stop_dead()
         self.state, self._locked = "Alarm", code in (1, 2)
         self._say(f"ALARM:{code}")
         if self._locked:
             self._say("[MSG:Reset to continue]")
+        elif code not in (4, 5):
+            self._restart()
 
     def _soft_reset(self) -> None:
-        if self.state == "Home":
-            self.raise_alarm(6)
-        elif self.stage.moving:
-            self.raise_alarm(3)
+        if self.state == "Home" or self.stage.moving:
+            self.raise_alarm(6 if self.state == "Home" else 3)
+            return
         if self.state != "Alarm":
             self.state = "Alarm" if self.state == "Sleep" else "Idle"
         self.stage.clear()
@@ -93,6 +97,7 @@ class GrblMachine(Machine):
         self._modes, self._locked, self._suspended = Modes(), False, False
         self._blocked: Move | tuple[Move, bool] | None = None
         self._dwell_s, self._alarm_when_still, self._reports, self._report_due = 0.0, 0, 0, False
+        self.stage.clear()
         self._homing: list[tuple[list[float], float]] = []
         self._say(_BANNER)
         if self.state == "Alarm":
@@ -150,10 +155,17 @@ class GrblMachine(Machine):
     # ---- single bytes
 
     def _ask(self) -> None:
-        if self.state == "Home":
-            self._report_due = True
-        else:
-            self._say(self._report())
+        """Note that a report is wanted; whatever resets the controller before it is written forgets it."""
+        self._report_due = True
+
+    def _answer(self) -> None:
+        """Write the report that is due, unless homing or a lock keeps the controller from it."""
+        if self._report_due and not (self._locked or self.state == "Home"):
+            self._report_due = False
+            if self.dropped_reports:
+                self.dropped_reports -= 1
+            else:
+                self._say(self._report())
 
     def press_hold(self) -> None:
         """Begin a feed hold, as ``!`` and the input at the board do."""
@@ -263,6 +275,7 @@ class GrblMachine(Machine):
         if key == 0 and new < 3:
             raise GcodeError(6)
         self.settings[int(key)] = new
+        # Homing that is switched on now does not lock: the next start does.
         if key == 22 and not new:
             self.settings[20] = 0
 
@@ -344,6 +357,7 @@ class GrblMachine(Machine):
 
     def advance(self, seconds: float) -> None:
         """Let simulated time pass, s."""
+        self._answer()
         self.stage.advance(seconds)
         self._meet_stops()
         if isinstance(self._blocked, tuple) and len(self.stage.blocks) < PLANNER_BLOCKS and not self._suspended:
@@ -372,9 +386,7 @@ class GrblMachine(Machine):
             count = -length + self.settings[27] if negative else -self.settings[27]
             self._origin[axis] = self.stage.position[axis] - count
         self.state = "Idle"
-        if self._report_due:
-            self._report_due = False
-            self._say(self._report())
+        self._answer()
         self._say("ok")
 
     def _dwell(self, seconds: float) -> None:

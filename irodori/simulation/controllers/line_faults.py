@@ -15,6 +15,7 @@ what
 =====================  ==================================================================================
 ``drop-output N``      the next N bytes from the controller are lost
 ``drop-input N``       the next N bytes to the controller are lost
+``drop-report N``      the next N status reports of a Grbl controller are lost whole
 ``garble``             one byte in three of the next line from the controller becomes another
 ``stall [S]``          nothing comes from the controller for S seconds of real time, or for ever; then all of it
 ``hangup [S]``         the line hangs up; it is back after S seconds of real time, or never. Motion goes on
@@ -31,6 +32,7 @@ from dataclasses import dataclass
 KINDS = {
     "drop-output": "count",
     "drop-input": "count",
+    "drop-report": "count",
     "garble": "",
     "stall": "seconds",
     "hangup": "seconds",

@@ -46,6 +46,8 @@ class Machine(ABC):
         What it has sent and the line has not taken yet.
     lines : int
         Lines that have arrived.
+    dropped_reports : int
+        Status reports to come that are lost whole, where the protocol has such reports.
     """
 
     channels: tuple[str, ...]
@@ -54,6 +56,7 @@ class Machine(ABC):
     def __init__(self) -> None:
         self.output = bytearray()
         self.lines = 0
+        self.dropped_reports = 0
 
     @property
     @abstractmethod
@@ -164,6 +167,7 @@ class Server:
                 self._lost_in -= 1
             else:
                 self.machine.receive(byte)
+        self.machine.advance(0.0)
 
     def _give(self) -> None:
         """Write what the machine says, unless it is stalled; nobody hears it where the line is hung up."""
@@ -202,6 +206,8 @@ class Server:
             self._lost_out += int(fault.value)
         elif fault.kind == "drop-input":
             self._lost_in += int(fault.value)
+        elif fault.kind == "drop-report":
+            self.machine.dropped_reports += int(fault.value)
         elif fault.kind == "garble":
             self._garble += 1
         elif fault.kind == "stall":
@@ -239,6 +245,7 @@ class Server:
             return {}
         if word == "clear":
             self._waiting.clear()
+            self.machine.dropped_reports = 0
             self._lost_out = self._lost_in = self._garble = 0
             self._stalled_until, self._back_at = 0.0, min(self._back_at, time.monotonic())
             return {}

@@ -7,6 +7,7 @@ from irodori.capture.rig.deadline import Deadline
 from irodori.capture.rig.devices import AlarmError, CommandError, DeadlineError, GarbledError, Link
 from irodori.capture.rig.grbl.codes import alarm_text, error_text
 from irodori.capture.rig.grbl.protocol import (
+    GRBL,
     LINE_BYTES,
     RX_BUFFER_BYTES,
     SOFT_RESET,
@@ -24,6 +25,11 @@ from irodori.capture.rig.grbl.protocol import (
 FLOWS = ("send-response", "character-counting")
 #: Silence after which nothing more is on its way, s.
 _QUIET_S = 0.05
+#: Questions for one status report, and the time after which one that was not answered is asked again, s.
+_QUESTIONS, _AGAIN_S = 3, 0.5
+#: How often a controller that is homing is asked whether it still is, s.
+_HOMING_POLL_S = 1.0
+HOW_TO_CLEAR = "find the cause, then home it"
 RESTARTED = "the controller has started anew by itself, and its position is lost: home it before anything else"
 
 
@@ -42,8 +48,12 @@ class Conversation:
     ----------
     alarm : int or None
         Code of the last alarm that was not cleared.
+    locked : bool
+        Whether an alarm was heard since the last reset: after some, Grbl answers nothing until it is reset.
     restarted : bool
         Whether the controller started anew without being told to.
+    firmware : str
+        As the last banner named it.
     message : str
         The controller's last words in ``[MSG:...]``.
 
@@ -58,7 +68,8 @@ class Conversation:
             raise ValueError(f"no flow control {flow!r}; accepted: {', '.join(FLOWS)}")
         self.link, self.timeout_s, self.flow = link, timeout_s, flow
         self.alarm: int | None = None
-        self.restarted, self.message = False, ""
+        self.restarted, self.locked, self.message = False, False, ""
+        self.firmware = GRBL
         self.buffer_bytes = RX_BUFFER_BYTES
 
     def receive(self, deadline: Deadline) -> Message:
@@ -73,32 +84,78 @@ class Conversation:
                 raise DeadlineError(f"the controller sent nothing but empty lines for {deadline.seconds:.2g} s")
         message = parse_line(line)
         if isinstance(message, Alarm):
-            self.alarm = message.code
+            self.alarm, self.locked = message.code, True
         elif isinstance(message, Banner):
-            self.restarted = True
+            self.restarted, self.locked, self.firmware = True, False, message.firmware
         elif isinstance(message, Feedback) and message.kind == "MSG":
             self.message = message.text
         return message
 
-    def ask_report(self, timeout_s: float | None = None) -> Report:
+    def ask_report(self, timeout_s: float | None = None, question: bytes = STATUS) -> Report:
         """Ask for a status report and return it.
+
+        A question or a report that is lost or garbled on the way is asked for again, and so is one that the
+        controller's start has swallowed.
+
+        Parameters
+        ----------
+        timeout_s : float, optional
+            Time that all questions together may take, s.
+        question : bytes
 
         Raises
         ------
-        DeadlineError, LinkError
+        AlarmError
+            At once where an alarm is heard: the controller may say nothing more until it is reset.
         CommandError
             If the controller refuses a line that nobody waits for: something on the way has changed one.
+        DeadlineError, LinkError
         """
+        if self.locked and self.alarm is not None:
+            raise self._stopped(self.alarm)
         deadline = Deadline(self.timeout_s if timeout_s is None else timeout_s)
-        self.link.write(STATUS)
-        while True:
-            message = self.receive(deadline)
-            if isinstance(message, Report):
-                return message
-            if isinstance(message, Error):
-                raise CommandError(f"the controller refused a line out of turn: {error_text(message.code)}")
-            if deadline.passed:
-                raise DeadlineError(f"the controller sent no status report within {deadline.seconds:.2g} s")
+        for asked in range(1, _QUESTIONS + 1):
+            last = asked == _QUESTIONS
+            self.link.write(question)
+            share = Deadline(deadline.remaining_s if last else min(_AGAIN_S, deadline.remaining_s / 2.0))
+            try:
+                report = self._hear_report(share)
+            except GarbledError:
+                if last or deadline.passed:
+                    raise
+                continue
+            except DeadlineError:
+                if last or deadline.passed:
+                    break
+                continue
+            if report is not None:
+                return report if asked == 1 else self._newest(report)
+        raise DeadlineError(f"the controller sent no status report within {deadline.seconds:.2g} s")
+
+    def home(self, timeout_s: float) -> None:
+        """Send the command that homes, and wait for its end.
+
+        Grbl answers no question while it homes; where it answers one in another state, the command or its ``ok`` was
+        lost on the way, and the command is sent once more.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Time that homing may take, s.
+
+        Raises
+        ------
+        AlarmError, CommandError, DeadlineError, LinkError
+        """
+        for again in (False, True):
+            deadline = Deadline(timeout_s)
+            self.link.write(b"$H\n")
+            while not (ended := self._hear_home(deadline, again)):
+                self.link.write(STATUS)
+            if ended == "ok":
+                # A report that was asked for meanwhile comes with the end of homing.
+                self.settle()
+                return
 
     def command(self, line: str, timeout_s: float | None = None) -> list[Message]:
         """Send a line and return what the controller said until its ``ok``; see `stream`."""
@@ -158,7 +215,7 @@ class Conversation:
             except DeadlineError:
                 if not left:
                     raise
-        self.restarted = False
+        self.restarted = self.locked = False
         self.settle()
 
     def settle(self) -> None:
@@ -179,6 +236,58 @@ class Conversation:
         # A second answer to a reset that was sent twice is no start of the controller's own.
         self.restarted = again
 
+    def _hear_report(self, deadline: Deadline) -> Report | None:
+        """Return the next report, None where the controller starts first and has forgotten the question."""
+        while True:
+            message = self.receive(deadline)
+            if isinstance(message, Report):
+                return message
+            if isinstance(message, Banner):
+                return None
+            if isinstance(message, Alarm):
+                raise self._stopped(message.code)
+            if isinstance(message, Error):
+                raise CommandError(f"the controller refused a line out of turn: {error_text(message.code)}")
+            if deadline.passed:
+                raise DeadlineError(f"the controller sent no status report within {deadline.seconds:.2g} s")
+
+    def _newest(self, report: Report) -> Report:
+        """Return the last report that comes: of several questions more than one may have been answered late."""
+        while True:
+            try:
+                message = self.receive(Deadline(_QUIET_S))
+            except (DeadlineError, GarbledError):
+                return report
+            if isinstance(message, Report):
+                report = message
+
+    def _hear_home(self, deadline: Deadline, again: bool) -> str:
+        """Return ``ok`` where homing has ended, ``lost`` where it has not begun or its end was lost, else nothing."""
+        poll = Deadline(min(_HOMING_POLL_S, deadline.remaining_s))
+        while True:
+            try:
+                message = self.receive(poll)
+            except (DeadlineError, GarbledError):
+                if deadline.passed:
+                    raise DeadlineError(f"no end of homing within {deadline.seconds:.3g} s") from None
+                return ""
+            if isinstance(message, Ok):
+                return "ok"
+            if isinstance(message, Report) and message.state != "Home":
+                if isinstance(self._follows(), Ok):
+                    return "ok"
+                if again:
+                    raise DeadlineError("the controller was told twice to home, and neither does so nor refuses")
+                return "lost"
+            self._refuse("$H", message)
+
+    def _follows(self) -> Message | None:
+        """Return what comes right after a message, None where nothing does."""
+        try:
+            return self.receive(Deadline(_QUIET_S))
+        except (DeadlineError, GarbledError):
+            return None
+
     def _receive_any(self, deadline: Deadline) -> Message | None:
         """Return the next message, None for a garbled line."""
         try:
@@ -198,12 +307,21 @@ class Conversation:
             if isinstance(message, Ok):
                 waiting.popleft()
                 return
-            if isinstance(message, Error):
-                raise CommandError(f"the controller refused {waiting[0]!r}: {error_text(message.code)}")
-            if isinstance(message, Alarm):
-                raise AlarmError(f"the controller stopped during {waiting[0]!r}: {alarm_text(message.code)}; home it")
-            if isinstance(message, Banner):
-                raise AlarmError(RESTARTED)
+            self._refuse(waiting[0], message)
             said.append(message)
             if deadline.passed:
                 raise DeadlineError(f"no answer to {waiting[0]!r} within {deadline.seconds:.2g} s")
+
+    @staticmethod
+    def _stopped(code: int) -> AlarmError:
+        return AlarmError(f"the controller stopped by itself: {alarm_text(code)}; {HOW_TO_CLEAR}")
+
+    @staticmethod
+    def _refuse(line: str, message: Message) -> None:
+        """Raise where a message says that a line was not executed, or that what it began has ended."""
+        if isinstance(message, Error):
+            raise CommandError(f"the controller refused {line!r}: {error_text(message.code)}")
+        if isinstance(message, Alarm):
+            raise AlarmError(f"the controller stopped during {line!r}: {alarm_text(message.code)}; home it")
+        if isinstance(message, Banner):
+            raise AlarmError(RESTARTED)

@@ -1,7 +1,9 @@
 """Rig driver for Grbl 1.1 controllers."""
 
 import contextlib
+import re
 import time
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 
 from irodori.capture.rig.controlled_rig import MARGIN, POLL_S, ControlledRig
@@ -19,8 +21,12 @@ from irodori.capture.rig.devices import (
 )
 from irodori.capture.rig.drives import Drive, along, straight_s
 from irodori.capture.rig.grbl.codes import alarm_text
-from irodori.capture.rig.grbl.conversation import RESTARTED, Conversation
+from irodori.capture.rig.grbl.conversation import HOW_TO_CLEAR, RESTARTED, Conversation
 from irodori.capture.rig.grbl.protocol import (
+    FLUIDNC,
+    FULL_STATUS,
+    GRBL,
+    GRBLHAL,
     HOLD,
     JOG_CANCEL,
     LETTERS,
@@ -31,21 +37,33 @@ from irodori.capture.rig.grbl.protocol import (
     jog_line,
     motion_line,
 )
-from irodori.capture.rig.grbl.settings_check import RATE, STEPS, check_settings, home_position, homing_s, number
+from irodori.capture.rig.grbl.settings_check import (
+    RATE,
+    STEPS,
+    TRAVEL,
+    check_settings,
+    home_position,
+    homing_s,
+    number,
+)
 
 #: How often the controller is asked while it may still be starting, s.
 _KNOCK_S = 0.3
 #: Positions are sent and reported with three decimals.
 _ROUNDING = 1.5e-3
-_HOW_TO_CLEAR = "find the cause, then home it"
+_SILENT = "it said nothing until it was reset, as after ALARM:1 or ALARM:2 (a limit switch, a target out of travel)"
+#: The tool word of Grbl's modal state, which our mark is written into, and the largest number it takes.
+_TOOL, _LARGEST_TOOL = re.compile(r"(?:^| )T(\d{1,3})(?: |$)"), 255
 
 
 class GrblRig(ControlledRig):
-    """A rig on a Grbl controller.
+    """A rig on a controller with Grbl, grblHAL or FluidNC.
 
     The controller is woken and reset (motion in progress is brought to rest first), and its settings are compared
-    with the drives. With homing, Grbl locks itself when its power comes back and after everything that may have cost it
-    its position; a controller that is not locked is taken to know where it stands.
+    with the drives. That it is not locked does not tell that it was homed: anybody may unlock it. Homing therefore
+    leaves a mark that Grbl forgets with every start and reset, and so with everything that may cost it its position: a
+    tool number, which moves nothing. This driver's own resets, at rest, write it again. grblHAL keeps account of its
+    homing itself; FluidNC is homed each time it is opened.
 
     Parameters
     ----------
@@ -75,12 +93,13 @@ class GrblRig(ControlledRig):
     ) -> None:
         super().__init__(drives, timeout_s, homing)
         self._talk, self._is_homing = Conversation(link, timeout_s, flow), False
+        self._options, self._mark_found = "", 0
         report = self._wake()
-        self._options = ""
         self._settings = self._read_settings()
         check_settings(self._settings, self._options, self.drives, homing)
-        # L: a build that does not lock itself when its power comes back, so that being unlocked says nothing.
-        self._homed = not homing or (report.state != "Alarm" and "L" not in self._options)
+        self._homed = not homing or (report.state != "Alarm" and self._was_homed())
+        if self._homed:
+            self._write_mark()
 
     _without_switches = "put it where it was switched on and start anew, or unlock it"
 
@@ -113,7 +132,10 @@ class GrblRig(ControlledRig):
                 corners.append(after)
                 places = after
             arrival = Deadline(seconds * (1 + MARGIN) + self._timeout_s)
-            self._talk.stream(lines, longest * (1 + MARGIN) + self._timeout_s, self._refuse_alarm)
+            if len(lines) == 1:
+                arrival = self._send(lines[0], corners[0], arrival)
+            else:
+                self._talk.stream(lines, longest * (1 + MARGIN) + self._timeout_s, self._refuse_alarm)
             self._await_arrival(corners, arrival)
 
     def jog(self, name: str, by_deg: float) -> None:
@@ -126,13 +148,18 @@ class GrblRig(ControlledRig):
             after = {**places, name: drive.to_units(target_deg)}
             seconds = self._travel([after[n] - places[n] for n in places])
             arrival = Deadline(seconds * (1 + MARGIN) + self._timeout_s)
-            self._talk.command(jog_line({drive.channel: after[name]}, drive.speed * 60.0))
+            arrival = self._send(jog_line({drive.channel: after[name]}, drive.speed * 60.0), places, arrival)
             self._await_arrival([places, after], arrival)
 
     def status(self) -> RigStatus:
         """Return what the controller says of itself; see `RigDevice.status`."""
         self._get_in_step()
-        report = self._talk.ask_report()
+        try:
+            report = self._talk.ask_report()
+        except AlarmError:
+            # It stands, and after a limit switch or a soft limit it says where only once it is reset.
+            self._talk.soft_reset()
+            report = self._talk.ask_report()
         if report.state == "Alarm" or self._talk.restarted:
             self._homed = False
         places = {name: drive.to_deg(self._place(report, drive)) for name, drive in self.drives.items()}
@@ -187,15 +214,18 @@ class GrblRig(ControlledRig):
             self._halt()
             self._talk.command("$X")
             self._talk.alarm, self._homed = None, True
+            self._write_mark()
 
     # ---- steps of the above
 
     def _wake(self) -> Report:
         """Bring a controller in whatever state to rest, reset it, and return how it is then."""
         knocking, report = Deadline(self._timeout_s), None
-        while report is None and not knocking.passed:
-            with contextlib.suppress(DeadlineError, GarbledError, CommandError):
+        while report is None and not (knocking.passed or self._talk.locked):
+            with contextlib.suppress(DeadlineError, GarbledError, CommandError, AlarmError):
                 report = self._talk.ask_report(min(_KNOCK_S, self._timeout_s))
+        # Held, it reads no line: then the mark is lost with the reset.
+        self._mark_found = self._read_mark() if report is not None and report.state in ("Idle", "Run") else 0
         if report is not None and report.moving:
             self._halt()
         else:
@@ -205,21 +235,26 @@ class GrblRig(ControlledRig):
                 raise DeadlineError(
                     f"no Grbl controller answers within {self._timeout_s:g} s: is it on, are port and baud right?"
                 ) from None
-        report = self._talk.ask_report()
+        after = self._talk.ask_report()
         self._in_step = True
-        return report
+        if report is None and after.state == "Alarm" and self._talk.alarm is None:
+            # Also after its power came back, but then it would have answered in time or given its banner.
+            self._talk.message = _SILENT
+        return after
 
     def _halt(self) -> None:
         """Bring the axes to rest and reset the controller, which then holds no line and no move."""
         talk, still = self._talk, Deadline(self._brake_s * (1 + MARGIN) + self._timeout_s)
         try:
-            # Homing hears nothing but a reset.
-            while not self._is_homing:
+            # Homing hears nothing but a reset, and so do some alarms.
+            while not (self._is_homing or talk.locked):
                 talk.link.write(HOLD)
                 try:
                     report = talk.ask_report(min(self._timeout_s, still.remaining_s))
                     if not report.moving:
                         break
+                except AlarmError:
+                    break
                 except (GarbledError, CommandError):
                     pass
                 if still.passed:
@@ -230,6 +265,55 @@ class GrblRig(ControlledRig):
         self._is_homing = False
         talk.soft_reset()
         self._in_step = True
+        if self._homed:
+            try:
+                self._write_mark()
+            except CommandError:  # locked: the reset came while something still moved
+                self._homed = False
+
+    def _send(self, line: str, places: Mapping[str, float], arrival: Deadline) -> Deadline:
+        """Send a line that moves from where the axes stand, units; return the deadline of its end.
+
+        Where nothing answers, the line or its ``ok`` was lost on the way, and where the axes are tells which. A line
+        that never began is sent again: its target is absolute.
+        """
+        try:
+            self._talk.command(line)
+            return arrival
+        except (DeadlineError, GarbledError):
+            state, now = self._look()
+            if state == "idle" and not self._off_target(now, places):
+                self._halt()  # forgets what has arrived of the line
+                self._talk.command(line)
+        return Deadline(arrival.seconds)
+
+    # ---- whether the axes have been homed
+
+    @property
+    def _mark(self) -> int:
+        """Tool number that stands for a homing with these settings: others count otherwise."""
+        keys = [23, 27, *(number(first, drive) for drive in self.drives.values() for first in (STEPS, TRAVEL))]
+        return 1 + zlib.crc32(repr([self._settings.get(key) for key in keys]).encode()) % _LARGEST_TOOL
+
+    def _was_homed(self) -> bool:
+        """Return whether the controller has been homed and has not lost count since, as far as it can tell."""
+        if self._firmware == GRBLHAL:
+            return self._talk.ask_report(question=FULL_STATUS).homed is True
+        return self._firmware == GRBL and self._mark_found == self._mark
+
+    def _write_mark(self) -> None:
+        if self._homing and self._firmware == GRBL:
+            self._talk.command(f"T{self._mark}")
+
+    def _read_mark(self) -> int:
+        """Return the tool number that stands in the controller, 0 where it does not tell."""
+        # What another program has begun to type is ended, and refused, with the first of the lines.
+        for _ in range(2):
+            with contextlib.suppress(DeviceError):
+                for said in self._talk.command("$G", min(_KNOCK_S, self._timeout_s)):
+                    if isinstance(said, Feedback) and said.kind == "GC" and (found := _TOOL.search(said.text)):
+                        return int(found[1])
+        return 0
 
     @contextlib.contextmanager
     def _stopping_on_failure(self, first: bytes = b"") -> Iterator[None]:
@@ -251,7 +335,7 @@ class GrblRig(ControlledRig):
     def _find_switches(self) -> None:
         self._halt()
         self._talk.alarm, self._is_homing = None, True
-        self._talk.command("$H", homing_s(self._settings, self.drives) + self._timeout_s)
+        self._talk.home(homing_s(self._settings, self.drives) + self._timeout_s)
         self._is_homing = False
         report = self._talk.ask_report()
         self._refuse_unless_idle(report)
@@ -262,6 +346,7 @@ class GrblRig(ControlledRig):
                     f"{drive.axis.name}: homing ended at {drive.channel} {at:g} instead of {wanted:g}: "
                     "the command was garbled on its way, or $23 or $27 is not what the controller does"
                 )
+        self._write_mark()
         self._talk.message = ""  # what it said while it was locked
 
     def _send_resume(self) -> None:
@@ -292,7 +377,7 @@ class GrblRig(ControlledRig):
             raise AlarmError(RESTARTED)
         if self._talk.alarm is not None and (report is None or report.state == "Alarm"):
             self._homed = False
-            raise AlarmError(f"the controller stopped by itself: {alarm_text(self._talk.alarm)}; {_HOW_TO_CLEAR}")
+            raise AlarmError(f"the controller stopped by itself: {alarm_text(self._talk.alarm)}; {HOW_TO_CLEAR}")
         if report is not None and report.state == "Alarm":
             self._homed = False
             raise AlarmError("the controller is locked, as it is after switching on or an alarm: home it first")
@@ -326,8 +411,12 @@ class GrblRig(ControlledRig):
 
     def _read_settings(self) -> dict[int, float]:
         """Return the ``$`` settings: read twice, for nothing else would show a digit that was lost on the way."""
-        self._options = ""
+        self._options, self._firmware = "", self._talk.firmware
         for message in self._talk.command("$I"):
+            if isinstance(message, Feedback) and (message.kind, message.text) == ("FIRMWARE", GRBLHAL):
+                self._firmware = GRBLHAL
+            if isinstance(message, Feedback) and message.kind == "VER" and FLUIDNC in message.text:
+                self._firmware = FLUIDNC
             if isinstance(message, Feedback) and message.kind == "OPT":
                 self._options, *sizes = message.text.split(",")
                 if len(sizes) >= 2 and sizes[1].isdecimal() and int(sizes[1]) > 0:

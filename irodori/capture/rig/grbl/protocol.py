@@ -1,29 +1,38 @@
-"""Parsing of the lines that Grbl 1.1 sends, and the bytes and lines that it accepts.
+"""Parsing of the lines that Grbl 1.1, grblHAL and FluidNC send, and the bytes and lines that they accept.
 
 Nothing here waits or writes. Positions are in the controller's own units, which Grbl calls mm.
-Source: gnea/grbl, doc/markdown/interface.md.
+Source: gnea/grbl, doc/markdown/interface.md; report.c of grblHAL/core; Report.cpp of bdring/FluidNC.
 """
 
 import re
 from dataclasses import dataclass
 
 from irodori.capture.rig.devices import GarbledError
+from irodori.capture.rig.grbl.codes import SETTINGS
 
 STATUS, HOLD, RESUME, SOFT_RESET, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x85"
+#: The question for a report with every field, which grblHAL alone answers; the others throw the byte away.
+FULL_STATUS = b"\x87"
 #: Bytes that the controller's serial buffer holds, and the longest line with its end.
 RX_BUFFER_BYTES, LINE_BYTES = 128, 80
 LETTERS = "XYZABC"
-STATES = ("Idle", "Run", "Hold", "Jog", "Home", "Alarm", "Check", "Door", "Sleep")
-#: States with a number behind a colon, and the largest.
-_SUBSTATES = {"Hold": 1, "Door": 3}
+#: Firmwares that are spoken to.
+GRBL, GRBLHAL, FLUIDNC = FIRMWARES = ("Grbl", "grblHAL", "FluidNC")
+STATES = ("Idle", "Run", "Hold", "Jog", "Home", "Alarm", "Check", "Door", "Sleep", "Tool")
+#: States with a number behind a colon, and the largest. Those of Run and Alarm are grblHAL's.
+_SUBSTATES = {"Hold": 1, "Door": 3, "Run": 2, "Alarm": 99}
 
 _COORDINATE = r"-?\d{1,7}\.\d{3,4}"
 _COORDINATES = re.compile(rf"{_COORDINATE}(?:,{_COORDINATE}){{0,5}}", re.ASCII)
 _SETTING = re.compile(r"\$(\d{1,3})=(-?\d{1,9}(?:\.\d{1,6})?)(?: \(.*\))?", re.ASCII)
 _STARTUP = re.compile(r"\$N\d=.*|>.*:(?:ok|error:\d{1,3})", re.ASCII)
-_BANNER = re.compile(r"Grbl (\d{1,3}\.\d{1,3}[a-z]?) \[.*\]", re.ASCII)
+# A host name, an address, a list: settings of grblHAL that are no numbers.
+_TEXT_SETTING = re.compile(r"\$(\d{1,3})=(.*)", re.ASCII)
+# FluidNC's own tree: $/axes/x/homing/mpos_mm=0.000
+_CONFIGURED = re.compile(r"\$?(/[A-Za-z0-9_/]{1,60})=(.*)", re.ASCII)
+_BANNER = re.compile(r"Grbl(HAL)? (\d{1,3}\.\d{1,3}[a-z]?) \[(FluidNC)?.*\]", re.ASCII)
 _CODE = re.compile(r"(error|ALARM):(\d{1,3})", re.ASCII)
-_FEEDBACK = re.compile(r"\[([A-Za-z0-9.]{1,8}):(.*)\]", re.ASCII)
+_FEEDBACK = re.compile(r"\[([A-Za-z0-9. ]{1,24}):(.*)\]", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -36,16 +45,20 @@ class Report:
         One of `STATES`.
     substate : int, optional
         Hold: 0 complete, 1 still slowing down. Door: 0 closed, 1 open, 2 opening while slowing down, 3 resuming.
+        Alarm (grblHAL): the alarm's code.
     machine : tuple of float, optional
         ``MPos``, in the controller's units; None where the controller is set to report work positions.
     pins : str
         ``Pn``: letters of the inputs that are active.
+    homed : bool, optional
+        ``H``, in full reports of grblHAL: whether it has homed every axis and has not lost count since.
     """
 
     state: str
     substate: int | None = None
     machine: tuple[float, ...] | None = None
     pins: str = ""
+    homed: bool | None = None
 
     @property
     def moving(self) -> bool:
@@ -82,6 +95,14 @@ class Setting:
 
 
 @dataclass(frozen=True)
+class TextSetting:
+    """``$N=text``, a setting that is no number, or ``$/path=text``, one of FluidNC's own tree; `name` lacks the $."""
+
+    name: str
+    text: str
+
+
+@dataclass(frozen=True)
 class Feedback:
     """``[MSG:...]`` and the other bracketed answers (``GC``, ``VER``, ``OPT``, ``G54``, ``HLP``, ...)."""
 
@@ -91,9 +112,13 @@ class Feedback:
 
 @dataclass(frozen=True)
 class Banner:
-    """``Grbl 1.1h ['$' for help]``: the controller has just started, or was reset."""
+    """``Grbl 1.1h ['$' for help]``: the controller has just started, or was reset.
+
+    `firmware` is one of `FIRMWARES`, as far as the banner tells: a grblHAL may be built to pass for Grbl.
+    """
 
     version: str
+    firmware: str = GRBL
 
 
 @dataclass(frozen=True)
@@ -103,7 +128,7 @@ class Startup:
     text: str
 
 
-Message = Report | Ok | Error | Alarm | Setting | Feedback | Banner | Startup
+Message = Report | Ok | Error | Alarm | Setting | TextSetting | Feedback | Banner | Startup
 
 
 def parse_line(line: str) -> Message:
@@ -117,7 +142,7 @@ def parse_line(line: str) -> Message:
     Raises
     ------
     GarbledError
-        If Grbl 1.1 sends no such line.
+        If no firmware of `FIRMWARES` sends such a line.
     """
     if line == "ok":
         return Ok()
@@ -128,7 +153,12 @@ def parse_line(line: str) -> Message:
     if found := _SETTING.fullmatch(line):
         return Setting(int(found[1]), float(found[2]))
     if found := _BANNER.fullmatch(line):
-        return Banner(found[1])
+        return Banner(found[2], GRBLHAL if found[1] else FLUIDNC if found[3] else GRBL)
+    # Grbl's own settings are numbers: a text there is a number that was garbled.
+    if (found := _TEXT_SETTING.fullmatch(line)) and int(found[1]) not in SETTINGS:
+        return TextSetting(found[1], found[2])
+    if found := _CONFIGURED.fullmatch(line):
+        return TextSetting(found[1], found[2])
     if found := _FEEDBACK.fullmatch(line):
         return Feedback(found[1], found[2])
     if _STARTUP.fullmatch(line):
@@ -139,7 +169,7 @@ def parse_line(line: str) -> Message:
 def garbled(line: str) -> GarbledError:
     """Return the error for a line that Grbl does not send."""
     shown = line if len(line) <= 60 else line[:57] + "..."
-    return GarbledError(f"the controller sent {shown!r}, which Grbl 1.1 does not send: the line is garbled")
+    return GarbledError(f"the controller sent {shown!r}, which Grbl does not send: the line is garbled")
 
 
 def _report(line: str) -> Report:
@@ -157,7 +187,8 @@ def _report(line: str) -> Report:
     if not _COORDINATES.fullmatch(places):
         raise garbled(line)
     machine = tuple(map(float, places.split(","))) if "MPos" in found else None
-    return Report(name, int(number) if colon else None, machine, found.get("Pn", ""))
+    homed = found["H"][:1] == "1" if "H" in found else None
+    return Report(name, int(number) if colon else None, machine, found.get("Pn", ""), homed)
 
 
 def motion_line(targets: dict[str, float], feed: float | None) -> str:
