@@ -895,6 +895,12 @@ class LessonCamera(Definition):
     #: Vertical field of view, in degrees.
     fov_deg: float = 34.0
 
+    #: Turn of the camera about its line of sight, counter-clockwise, in degrees.
+    roll_deg: float = 0.0
+
+    #: Height of what is seen by parallel rays, in mm; 0 for an eye in one point.
+    height_mm: float = 0.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class NamedIlluminant(Definition):

@@ -19,7 +19,7 @@ from irodori.config.models import (
     Scene,
     ScenePhotograph,
 )
-from irodori.config.pages import has_page, page_views
+from irodori.config.pages import page_fault, page_views
 from irodori.config.parts import Subject
 from irodori.config.photograph_sets import PhotographSets, named_tables
 from irodori.core.errors import InputError
@@ -201,7 +201,7 @@ class SceneFiles:
 
     def pages(self, pattern: str = "results/{scene}/viewer.html") -> list[str]:
         """Return a pattern filled for every scene that a classroom page can show."""
-        return [pattern.format(scene=name) for name, scene in self.loaded.scenes.items() if has_page(scene)]
+        return [pattern.format(scene=name) for name, scene in self.loaded.scenes.items() if page_fault(scene) is None]
 
     def page_view(self, pattern: str) -> Callable[[Any], str]:
         """Return a function from wildcards to a file of the view that a scene's page begins with.
@@ -214,10 +214,9 @@ class SceneFiles:
 
         def found(wildcards) -> str:
             scene = self._scene(wildcards)
-            if not has_page(scene):
-                file = Path(self.loaded.config.definitions) / "scenes" / f"{wildcards.scene}.yaml"
-                seen = "no upright perspective view through a pinhole, or a light that is not collimated"
-                raise InputError(file, "views", seen, "such a view, and collimated lights")
+            fault = page_fault(scene)
+            if fault is not None:
+                raise InputError(Path(self.loaded.config.definitions) / "scenes" / f"{wildcards.scene}.yaml", *fault)
             return pattern.format(scene=wildcards.scene, view=page_views(scene)[0])
 
         return found

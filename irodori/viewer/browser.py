@@ -77,6 +77,23 @@ def client():
     return started
 
 
+@lru_cache(maxsize=4)
+def browser(flags: tuple[str, ...] = FLAGS):
+    """Return the browser with these flags, started once a process: pages that are open in it share nothing.
+
+    Raises
+    ------
+    PlainError
+        If there is none.
+    """
+    command = browser_command()
+    if command is None:
+        raise PlainError("No browser to check a page in; accepted: Debian's package chromium and Python's playwright.")
+    started = client().chromium.launch(executable_path=command, args=list(flags), headless=True)
+    atexit.register(started.close)
+    return started
+
+
 @contextmanager
 def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True) -> Iterator[OpenPage]:
     """Open a page from disk and wait until it can draw.
@@ -94,12 +111,9 @@ def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True) -> Iterator[
     PlainError
         If there is no browser, or the page says why it does not draw.
     """
-    command = browser_command()
-    if command is None:
-        raise PlainError("No browser to check a page in; accepted: Debian's package chromium and Python's playwright.")
-    browser = client().chromium.launch(executable_path=command, args=list(flags), headless=True)
+    context = browser(flags).new_context()
     try:
-        page = browser.new_page()
+        page = context.new_page()
         page.set_default_timeout(_PATIENCE_MS)
         messages: list[str] = []
         page.on("console", lambda message: messages.append(message.text))
@@ -114,4 +128,4 @@ def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True) -> Iterator[
                 raise PlainError(page.evaluate(_SAID))
         yield OpenPage(page, messages)
     finally:
-        browser.close()
+        context.close()

@@ -8,11 +8,12 @@ from datetime import date
 import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights
-from irodori.config.models import CollimatedLight, ObjectShape, PerspectiveView, Scene
-from irodori.config.pages import has_page, page_views
+from irodori.config.models import CollimatedLight, ObjectShape, OrthographicView, PerspectiveView, Scene
+from irodori.config.pages import page_fault, page_views
 from irodori.core import store
 from irodori.core.errors import PlainError
 from irodori.core.provenance import config_hash
+from irodori.geometry.rig_frame import look_at
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material, Status
@@ -20,8 +21,9 @@ from irodori.reflection.lobes import Lobes
 from irodori.rendering.integrators import has_ambient, with_bodies
 from irodori.rendering.interactive.channels import is_grey
 from irodori.rendering.interactive.frame_renderer import light_of
+from irodori.rendering.interactive.mesh_shadows import make_mesh_shadows
 from irodori.rendering.interactive.quadrature import path_spectra, solve_quadrature
-from irodori.rendering.scene_arrays import make_objects, make_placements
+from irodori.rendering.scene_arrays import make_objects, make_placements, make_tracer
 from irodori.rendering.scene_lights import BANDS, make_lights
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import light
@@ -32,6 +34,7 @@ from irodori.viewer.payload import Planes, write_payload
 from irodori.viewer.scene_data import (
     add_light,
     add_materials,
+    add_shadows,
     add_shapes,
     check_lobes,
     light_maps,
@@ -44,6 +47,10 @@ MEASURED, PAINT, FILLED, UNKNOWN = 0, 1, 2, 3
 #: Wavelengths that stand for a spectrum where mirrors have colours; the shader has room for 16.
 _WAVELENGTHS = 14
 _SINGLE_PLANE_BITS = 8
+#: Field of view that a page's state has beside parallel rays, which do not use it.
+_FOV_DEG = 34.0
+#: Sine of the angle to the vertical under which a line of sight has no azimuth.
+_VERTICAL = 1e-6
 
 
 @dataclass(frozen=True)
@@ -89,22 +96,31 @@ def _with_maps(path) -> tuple[Material, np.ndarray]:
     return replace(material, extra=extra), np.nan_to_num(error)
 
 
-def _camera(view: PerspectiveView) -> dict:
-    away = np.subtract(view.position_mm, view.target_mm)
-    distance = float(np.linalg.norm(away))
+def _camera(view: PerspectiveView | OrthographicView) -> dict:
+    """Return a view as the page turns it: about its target, leaning by a roll; a height in mm for parallel rays.
+
+    Straight down or up the azimuth says which side of the picture is which, and nothing leans.
+    """
+    right, _, forward = look_at(view.position_mm, view.target_mm, view.up).T
+    slant = math.hypot(forward[0], forward[1])
+    vertical = slant < _VERTICAL
+    azimuth = math.atan2(-right[0], right[1]) if vertical else math.atan2(-forward[1], -forward[0])
+    level = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+    roll = 0.0 if vertical else math.atan2(right @ np.cross(level, forward), right @ level)
     return {
         "target_mm": [float(x) for x in view.target_mm],
-        "azimuth_deg": math.degrees(math.atan2(away[1], away[0])),
-        "elevation_deg": math.degrees(math.asin(away[2] / distance)),
-        "distance_mm": distance,
-        "fov_deg": float(view.field_of_view_deg),
+        "azimuth_deg": math.degrees(azimuth),
+        "elevation_deg": math.degrees(math.atan2(-forward[2], slant)),
+        "distance_mm": float(np.linalg.norm(np.subtract(view.position_mm, view.target_mm))),
+        "fov_deg": float(view.field_of_view_deg) if isinstance(view, PerspectiveView) else _FOV_DEG,
+        "roll_deg": math.degrees(roll),
+        "height_mm": float(view.height_mm) if isinstance(view, OrthographicView) else 0.0,
     }
 
 
 def _views(scene: Scene) -> list[dict]:
     """Return the views that a page can show."""
-    views = {name: scene.views[name] for name in page_views(scene)}
-    return [{"name": n, "camera": _camera(view)} for n, view in views.items() if isinstance(view, PerspectiveView)]
+    return [{"name": name, "camera": _camera(scene.views[name])} for name in page_views(scene)]
 
 
 def _lamps(scene: Scene) -> list[dict]:
@@ -171,11 +187,10 @@ def page_data(
     PlainError
         If the page cannot show what the scene holds.
     """
-    if not has_page(scene):
-        raise PlainError(
-            f"The scene {name}: found no upright perspective view through a pinhole, or a light that is not "
-            "collimated; accepted: such a view, and collimated lights."
-        )
+    fault = page_fault(scene)
+    if fault is not None:
+        field, found, accepted = fault
+        raise PlainError(f"The scene {name}: {field}: found {found}; accepted: {accepted}.")
     loaded = [_with_maps(path) for path in material_files]
     whole = with_bodies(scene, [Shape.from_definition(s) for s in shapes], [material for material, _ in loaded])
     placements = make_placements(scene, whole[0])
@@ -196,6 +211,8 @@ def page_data(
     planes = Planes()
     lit = [add_light(planes, 0, light_maps(environment, objects))]
     entries = [{**a, **b} for a, b in zip(add_materials(planes, objects), add_shapes(planes, placements), strict=True)]
+    is_lit = parts.ambient and environment.coefficients.any()
+    hidden = add_shadows(planes, placements, make_mesh_shadows(make_tracer(placements)) if is_lit else None)
     uncertainties = [error for _, error in loaded] + [np.zeros(m.alpha.shape) for m in whole[1][len(loaded) :]]
     turns = [item.rotation_deg for item in scene.objects] + [item.rotation_deg for item in scene.bodies]
     for i, (material, error) in enumerate(zip(whole[1], uncertainties, strict=True)):
@@ -206,6 +223,7 @@ def page_data(
             "name": _names(scene)[i],
             "rotation_deg": [float(x) for x in turns[i]],
             "filled_fraction": float(filled[i]),
+            "shadow": hidden[i],
         }
     weights = colour_matching_weights()
     header = {

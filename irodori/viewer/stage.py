@@ -17,6 +17,7 @@ from irodori.rendering.scene_arrays import View, make_view
 from irodori.rendering.scene_white import shown_white
 from irodori.viewer.browser import OpenPage, browser_command, opened
 from irodori.viewer.measured import (
+    Decoded,
     differences,
     frame_bands,
     mean_and_p99,
@@ -106,7 +107,8 @@ def measured_loss(data: PageData, payload: str, original: Prepared, view: View) 
     """Return CIEDE2000 between frames from the decoded planes and from the originals, mean and 99th percentile."""
     header, planes = read_payload(payload)
     maps = decoded_light(planes, 0, header["light"][0])
-    decoded = prepared(data.parts, decoded_objects(data.parts.objects, planes, header["objects"]), maps)
+    objects = decoded_objects(data.parts.objects, planes, header["objects"])
+    decoded = prepared(data.parts, Decoded(objects, maps, planes))
     white = white_of(data)
     found = []
     for turn in TURNS_DEG:

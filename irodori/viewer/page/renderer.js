@@ -3,7 +3,7 @@
 var Irodori = Irodori || {};
 
 (function () {
-  const MOST_LAMPS = 64, MOST_SPECTRA = 8, DISC_SAMPLES = 16, ROW = 10;
+  const MOST_LAMPS = 64, MOST_SPECTRA = 8, DISC_SAMPLES = 16, ROW = 14;
   const KINDS = { sphere: 0, plate: 1, disc: 2, plane: 3, mesh: 4 };
   const OVERLAYS = [null, "status", "uncertainty", "gamut"], MODES = [null, "wipe", "difference", "metamerism"];
   const radians = (x) => x * Math.PI / 180;
@@ -24,18 +24,6 @@ var Irodori = Irodori || {};
 
   // Columns of a matrix of rows, as WebGL wants them.
   const columns = (m) => [0, 1, 2].flatMap((c) => m.map((row) => row[c]));
-  const normal = (v) => v.map((x) => x / (Math.hypot(...v) || 1));
-  const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-
-  Irodori.eye = function (camera) {
-    const az = radians(camera.azimuth_deg), el = radians(camera.elevation_deg);
-    const away = [Math.cos(el) * Math.cos(az), Math.cos(el) * Math.sin(az), Math.sin(el)];
-    const position = camera.target_mm.map((x, i) => x + camera.distance_mm * away[i]);
-    const forward = away.map((x) => -x), across = cross(forward, [0, 0, 1]);
-    const right = Math.hypot(...across) > 1e-9 ? normal(across) : [-Math.sin(az), Math.cos(az), 0];
-    const down = cross(forward, right);
-    return { position, rows: [0, 1, 2].map((i) => [right[i], down[i], forward[i]]) };
-  };
 
   Irodori.Renderer = class {
     constructor(canvas, data) {
@@ -72,8 +60,10 @@ var Irodori = Irodori || {};
       this.lit = null;
       this.coloured = this.data.header.quadrature !== null;
       this.makeMaterials();
-      const mesh = Irodori.meshTexture(this.data);
+      const shadows = Irodori.shadowTexture(this.data), mesh = Irodori.meshTexture(this.data, shadows);
+      this.shadows = shadows ? shadows.places : {};
       this.meshes = mesh ? mesh.places : {};
+      if (shadows) this.textures.uShadows = this.texture(shadows, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
       if (mesh) this.textures.uMesh = this.texture(mesh, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
       this.makeLobes();
       this.programs = {};
@@ -144,7 +134,8 @@ var Irodori = Irodori || {};
         OBJECTS: header.objects.length, K: k, G: Math.ceil(k / 4), KS: this.spectra.widest, BOUNCES: header.max_bounces,
         AMBIENT: Number(header.ambient), COLOURED: Number(this.coloured), HAS_LIGHT: Number(this.light.sky.length > 0),
         SKY_LEVELS: this.light.sky.length, GLOSS_LEVELS: this.light.gloss.length, PARTS: this.parts,
-        LOBES: Math.max(header.lobes.length, 1), HAS_MESH: has("mesh"), HAS_DISC: has("disc"), MOST_LAMPS, MOST_SPECTRA,
+        LOBES: Math.max(header.lobes.length, 1), HAS_MESH: has("mesh"), HAS_DISC: has("disc"), HAS_SHADOWS: Number(Object.keys(this.shadows).length > 0),
+        TRIANGLE: Irodori.TRIANGLE, MOST_LAMPS, MOST_SPECTRA,
         "GGX(l)": ggx.length ? "(" + ggx.join(" || ") + ")" : "false",
       };
       return Object.entries(values).map(([name, value]) => "#define " + name + " " + value + "\n").join("");
@@ -219,6 +210,12 @@ var Irodori = Irodori || {};
         put(7, [0, 1, 2, 3].map((c) => (c < o.lobes.length ? o.lobes[c] : -1)));
         const mesh = this.meshes[i];
         if (mesh) put(8, [mesh.first, mesh.last, mesh.triangles, o.scale]);
+        const shadow = this.shadows[i];
+        if (shadow) {
+          put(9, [shadow.first, shadow.stride]);
+          put(10, o.shadow.layers);
+          put(11, o.shadow.grid);
+        }
         if (at.visible === false) hidden |= 1 << i;
       });
       return { data: out, hidden };
@@ -292,12 +289,13 @@ var Irodori = Irodori || {};
       }
       const frame = gl.createFramebuffer(), internal = single ? gl.RGBA32F : gl.RGBA16F;
       gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
-      const textures = [0, 1].map((i) => {
+      // Where a ray ends is asked for where numbers are read, and there alone.
+      const textures = (single ? [0, 1, 2] : [0, 1]).map((i) => {
         const made = this.texture({ data: null, width, height }, internal, gl.RGBA, single ? gl.FLOAT : gl.HALF_FLOAT, single || i ? gl.NEAREST : gl.LINEAR);
         gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + i, gl.TEXTURE_2D, made.texture, 0);
         return made;
       });
-      gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
+      gl.drawBuffers(textures.map((_, i) => gl.COLOR_ATTACHMENT0 + i));
       return (this.targets[name] = { frame, textures, width, height, single });
     }
 
@@ -313,16 +311,18 @@ var Irodori = Irodori || {};
       gl.viewport(0, 0, target.width, target.height);
       if (this.textures.uShapes) gl.deleteTexture(this.textures.uShapes.texture);
       this.textures.uShapes = this.texture({ data: shapes.data, width: ROW, height: this.data.header.objects.length }, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
-      ["uShapes", "uForms", "uMaterials", "uSky", "uIrradiance", "uGloss", "uRows", "uMesh"].forEach((name, unit) => this.setTexture(program, name, unit));
-      const eye = Irodori.eye(state.camera);
-      gl.uniform3fv(place("uEye"), eye.position);
-      gl.uniformMatrix3fv(place("uWorldFromCamera"), false, columns(eye.rows));
-      gl.uniform3f(place("uFrame"), whole[0] / 2, whole[1] / 2, 2 * Math.tan(radians(state.camera.fov_deg) / 2) / whole[1]);
+      ["uShapes", "uForms", "uMaterials", "uSky", "uIrradiance", "uGloss", "uRows", "uMesh", "uShadows"].forEach((name, unit) => this.setTexture(program, name, unit));
+      const { eye, right, up, back } = Irodori.frame(state.camera), opposite = (v) => v.map((x) => -x);
+      gl.uniform3fv(place("uEye"), eye);
+      gl.uniformMatrix3fv(place("uWorldFromCamera"), false, [...right, ...opposite(up), ...opposite(back)]);
+      gl.uniform3f(place("uFrame"), whole[0] / 2, whole[1] / 2, Irodori.pixel(state.camera, whole[1]));
+      gl.uniform1i(place("uParallel"), Number(state.camera.height_mm > 0));
       gl.uniform2f(place("uFirstPixel"), first[0], first[1]);
       const turn = radians(state.light.turn_deg || 0), c = Math.cos(turn), s = Math.sin(turn);
       gl.uniformMatrix3fv(place("uLightFromWorld"), false, columns([[c, s, 0], [-s, c, 0], [0, 0, 1]]));
       gl.uniform1f(place("uLeast"), this.data.header.least_throughput);
       gl.uniform1i(place("uHidden"), shapes.hidden);
+      gl.uniform1i(place("uShadowed"), Irodori.shadowed(this.data.header, state));
       gl.uniform1f(place("uPowerScale"), this.atlas.scale);
       const groups = Math.ceil((this.spectra.lights[number] || { basis: [0] }).basis.length / 4);
       const scale = Array.from({ length: 4 * groups }, (_, i) => this.light.scale[i] || 1);
@@ -438,7 +438,7 @@ var Irodori = Irodori || {};
     }
 
     read(state, width, height, first, whole) {
-      const gl = this.gl, target = this.target("read", width, height, true), out = [new Float32Array(4 * width * height), new Float32Array(4 * width * height)];
+      const gl = this.gl, target = this.target("read", width, height, true), out = [0, 1, 2].map(() => new Float32Array(4 * width * height));
       this.render(state, target, whole, first, false, null);
       out.forEach((values, i) => {
         gl.readBuffer(gl.COLOR_ATTACHMENT0 + i);
@@ -454,7 +454,7 @@ var Irodori = Irodori || {};
 
     // What is known of the place under a pixel of the canvas, null where the room is seen.
     probe(state, x, y) {
-      const [[X, Y, Z, number], [u, v]] = this.read(state, 1, 1, [Math.floor(x), Math.floor(y)], [this.canvas.width, this.canvas.height]);
+      const [[X, Y, Z, number], [u, v], [px, py, pz]] = this.read(state, 1, 1, [Math.floor(x), Math.floor(y)], [this.canvas.width, this.canvas.height]);
       if (number < 0) return null;
       const o = this.data.header.objects[number], [rows, columns_] = o.texels, plane = (name) => this.data.planes["object/" + number + "/" + name];
       const row = Math.min(Math.max(Math.floor(v * rows), 0), rows - 1), column = Math.min(Math.max(Math.floor(u * columns_), 0), columns_ - 1);
@@ -470,26 +470,9 @@ var Irodori = Irodori || {};
         }
       }
       return {
-        object: o.name, texel: [row, column], position_mm: this.position(state, x, y, number), reflectance,
+        object: o.name, texel: [row, column], position_mm: [px, py, pz], reflectance,
         sigma: new Array(61).fill(sigma), ...found, status: ["measured", "paint", "filled", "unknown"][plane("status")[at]], xyz: [X, Y, Z],
       };
-    }
-
-    // Where the ray of a pixel meets the object it is known to meet: the page's own look, by the frame's numbers.
-    position(state, x, y, number) {
-      const eye = Irodori.eye(state.camera), half = [this.canvas.width / 2, this.canvas.height / 2];
-      const pixel = 2 * Math.tan(radians(state.camera.fov_deg) / 2) / this.canvas.height;
-      const p = [(Math.floor(x) + 0.5 - half[0]) * pixel, (Math.floor(y) + 0.5 - half[1]) * pixel, 1];
-      const d = normal(eye.rows.map((row) => row[0] * p[0] + row[1] * p[1] + row[2] * p[2]));
-      const o = this.data.header.objects[number], at = state.objects[number], centre = at.position_mm, away = centre.map((c, i) => c - eye.position[i]);
-      const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-      let t = dot(away, d);
-      if (o.shape === "sphere") t -= Math.sqrt(Math.max(o.reach_mm ** 2 - Math.max(dot(away, away) - t * t, 0), 0));
-      else if (o.shape !== "mesh") {
-        const face = turned(at.turn_deg).map((row) => row[2]);
-        t = dot(away, face) / dot(d, face);
-      }
-      return eye.position.map((e, i) => e + t * d[i]);
     }
 
     figures() {
