@@ -953,7 +953,7 @@ class LessonLamp(Definition):
 class LessonLight(Definition):
     """The light of the step."""
 
-    #: Name of the room that lights the scene; the scene's own where absent.
+    #: Name of the environment that lights the scene, which the page then holds too; the scene's own where absent.
     environment: str | None = None
 
     #: Turn of the room about the vertical axis, from +x towards +y, in degrees.

@@ -5,11 +5,14 @@ from irodori.config.models import PerspectiveView, Scene
 
 def page_views(scene: Scene) -> list[str]:
     """Return the views that a page can begin with: all but those through a lens, which need samples."""
-    return [
-        name
-        for name, view in scene.views.items()
-        if not isinstance(view, PerspectiveView) or view.lens is None
-    ]
+    return [name for name, view in scene.views.items() if not isinstance(view, PerspectiveView) or view.lens is None]
+
+
+def page_rooms(scene: Scene) -> list[str]:
+    """Return the environments that a page holds: the scene's own, then those that its lesson names."""
+    steps = scene.lesson.steps if scene.lesson else ()
+    lights = [light for step in steps for light in (step.light, step.compare and step.compare.light) if light]
+    return list(dict.fromkeys([scene.environment, *(light.environment for light in lights if light.environment)]))
 
 
 def page_fault(scene: Scene) -> tuple[str, str, str] | None:

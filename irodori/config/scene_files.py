@@ -19,7 +19,7 @@ from irodori.config.models import (
     Scene,
     ScenePhotograph,
 )
-from irodori.config.pages import page_fault, page_views
+from irodori.config.pages import page_fault, page_rooms, page_views
 from irodori.config.parts import Subject
 from irodori.config.photograph_sets import PhotographSets, named_tables
 from irodori.core.errors import InputError
@@ -56,6 +56,10 @@ class SceneFiles:
     def environment(self, wildcards) -> str:
         """Return the file of a scene's light."""
         return f"results/environments/{self._scene(wildcards).environment}.h5"
+
+    def rooms(self, wildcards) -> list[str]:
+        """Return the files of the light that a scene's page holds, the scene's own first."""
+        return [f"results/environments/{name}.h5" for name in page_rooms(self._scene(wildcards))]
 
     def true_light(self, wildcards) -> str:
         """Return the file of the light that really falls on a scene; where no camera photographed it, the given one."""

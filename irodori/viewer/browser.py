@@ -25,6 +25,9 @@ COMMANDS = ("chromium", "chromium-browser", "google-chrome")
 #: WebGL2 by a renderer in software: the same numbers on every machine.
 FLAGS = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")
 _PATIENCE_MS = 180_000
+#: Small: what the page draws for its own window is not read, and is drawn in software.
+_WINDOW = {"width": 360, "height": 320}
+_USUAL = {"width": 1280, "height": 720}
 #: What a page says in place of a picture.
 _SAID = "!document.getElementById('poster').hidden && document.getElementById('poster-text').textContent"
 _READ = """([state, width, height]) => {
@@ -95,7 +98,7 @@ def browser(flags: tuple[str, ...] = FLAGS):
 
 
 @contextmanager
-def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True) -> Iterator[OpenPage]:
+def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True, cold: bool = False) -> Iterator[OpenPage]:
     """Open a page from disk and wait until it can draw.
 
     Parameters
@@ -105,13 +108,17 @@ def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True) -> Iterator[
         Of the browser.
     wait : bool
         Whether to wait for the renderer; a page that cannot draw has none.
+    cold : bool
+        Whether the browser is started anew, with nothing left of pages before and a window of the usual size.
 
     Raises
     ------
     PlainError
         If there is no browser, or the page says why it does not draw.
     """
-    context = browser(flags).new_context()
+    if cold:
+        browser.cache_clear()
+    context = browser(flags).new_context(viewport=_USUAL if cold else _WINDOW)
     try:
         page = context.new_page()
         page.set_default_timeout(_PATIENCE_MS)

@@ -1,7 +1,6 @@
 """Header and planes of a scene's page, from the files of the workflow."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 
@@ -9,7 +8,7 @@ import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights
 from irodori.config.models import CollimatedLight, ObjectShape, OrthographicView, PerspectiveView, Scene
-from irodori.config.pages import page_fault, page_views
+from irodori.config.pages import page_fault, page_rooms, page_views
 from irodori.core import store
 from irodori.core.errors import PlainError
 from irodori.core.provenance import config_hash
@@ -54,6 +53,30 @@ _VERTICAL = 1e-6
 
 
 @dataclass(frozen=True)
+class SceneSources:
+    """A scene and the files that it is made from.
+
+    Parameters
+    ----------
+    name : str
+    scene : Scene
+    shapes : tuple of ObjectShape
+    materials : tuple of path
+    environments : tuple of path
+        Of the rooms that `irodori.config.pages.page_rooms` names.
+    least_throughput : float
+        Under which a path ends.
+    """
+
+    name: str
+    scene: Scene
+    shapes: tuple[ObjectShape, ...]
+    materials: tuple
+    environments: tuple
+    least_throughput: float
+
+
+@dataclass(frozen=True)
 class PageData:
     """What a page is written from.
 
@@ -62,13 +85,18 @@ class PageData:
     header : dict
         JSON of the payload, see docs/viewer.md.
     planes : Planes
-    parts : Parts
-        The same scene for the product's own renderer.
+    rooms : tuple of Parts
+        The same scene for the product's own renderer, in each of the page's environments.
     """
 
     header: dict
     planes: Planes
-    parts: Parts
+    rooms: tuple[Parts, ...]
+
+    @property
+    def parts(self) -> Parts:
+        """The scene in its own environment."""
+        return self.rooms[0]
 
     def payload(self, stated_errors: dict) -> str:
         """Return the payload with the errors that were measured."""
@@ -142,17 +170,15 @@ def _lamps(scene: Scene) -> list[dict]:
     return found
 
 
-def _add_quadrature(planes: Planes, parts: Parts) -> dict | None:
-    """Add the moments of what paths carry where mirrors or gloss have colours; return the wavelengths' places."""
-    if is_grey(parts.objects):
-        return None
+def _add_quadrature(planes: Planes, number: int, parts: Parts) -> dict:
+    """Add the moments of what paths carry in a room; return the places of the wavelengths that stand for them."""
     spectra = path_spectra(parts.objects, light_of(parts.environment), parts.lamps, parts.max_bounces)
     weights = colour_matching_weights()
     level = spectra @ weights[1]
     spectra = spectra[level > 1e-9 * level.max()]
     spectra = spectra / (spectra @ weights[1])[:, None]
     found = solve_quadrature(spectra, weights, spectra.mean(axis=0), counts=(_WAVELENGTHS,))
-    planes.add_floats("quadrature/moments", spectra.T @ spectra)
+    planes.add_floats(f"quadrature/{number}/moments", spectra.T @ spectra)
     return {"samples": [int(s) for s in found.samples]}
 
 
@@ -162,56 +188,42 @@ def _names(scene: Scene) -> list[str]:
     return [f"{name}#{given[: i + 1].count(name)}" if name in given[:i] else name for i, name in enumerate(given)]
 
 
-def page_data(
-    name: str,
-    scene: Scene,
-    shapes: Sequence[ObjectShape],
-    material_files: Sequence,
-    environment_file,
-    least_throughput: float,
-) -> PageData:
+def page_data(sources: SceneSources) -> PageData:
     """Return what the page of a scene is written from.
-
-    Parameters
-    ----------
-    name : str
-    scene : Scene
-    shapes : sequence of ObjectShape
-    material_files : sequence of path
-    environment_file : path
-    least_throughput : float
-        Under which a path ends.
 
     Raises
     ------
     PlainError
         If the page cannot show what the scene holds.
     """
+    name, scene, material_files = sources.name, sources.scene, sources.materials
     fault = page_fault(scene)
     if fault is not None:
         field, found, accepted = fault
         raise PlainError(f"The scene {name}: {field}: found {found}; accepted: {accepted}.")
     loaded = [_with_maps(path) for path in material_files]
-    whole = with_bodies(scene, [Shape.from_definition(s) for s in shapes], [material for material, _ in loaded])
+    whole = with_bodies(scene, [Shape.from_definition(s) for s in sources.shapes], [material for material, _ in loaded])
     placements = make_placements(scene, whole[0])
     objects, filled = make_objects(placements, whole[1])
     check_lobes(Lobes(objects.lobes.names))
-    environment = Environment.load(environment_file)
     lights = make_lights(scene.lights, 0)[0]
-    parts = Parts(
-        objects,
-        placements,
-        environment,
-        lights.spectrum[:, :BANDS].astype(np.float64),
-        lights.rotation[:, :, 2],
-        scene.max_bounces,
-        least_throughput,
-        has_ambient(scene),
+    rooms = tuple(
+        Parts(
+            objects,
+            placements,
+            Environment.load(file),
+            lights.spectrum[:, :BANDS].astype(np.float64),
+            lights.rotation[:, :, 2],
+            scene.max_bounces,
+            sources.least_throughput,
+            has_ambient(scene),
+        )
+        for file in sources.environments
     )
     planes = Planes()
-    lit = [add_light(planes, 0, light_maps(environment, objects))]
+    lit = [add_light(planes, i, light_maps(room.environment, objects)) for i, room in enumerate(rooms)]
     entries = [{**a, **b} for a, b in zip(add_materials(planes, objects), add_shapes(planes, placements), strict=True)]
-    is_lit = parts.ambient and environment.coefficients.any()
+    is_lit = has_ambient(scene) and any(room.environment.coefficients.any() for room in rooms)
     hidden = add_shadows(planes, placements, make_mesh_shadows(make_tracer(placements)) if is_lit else None)
     uncertainties = [error for _, error in loaded] + [np.zeros(m.alpha.shape) for m in whole[1][len(loaded) :]]
     turns = [item.rotation_deg for item in scene.objects] + [item.rotation_deg for item in scene.bodies]
@@ -234,20 +246,20 @@ def page_data(
         "hashes": {
             "scene": config_hash(scene.plain()),
             "materials": [store_hash(path) for path in material_files],
-            "environment": store_hash(environment_file),
+            "environments": [store_hash(path) for path in sources.environments],
         },
         "wavelength_nm": [float(x) for x in WAVELENGTH_NM],
         "objects": entries,
         "lobes": lobe_entries(objects),
-        "environments": [scene.environment],
+        "environments": page_rooms(scene),
         "light": lit,
         "lamps": _lamps(scene),
         "views": _views(scene),
         "image": [scene.image.width, scene.image.height],
         "max_bounces": scene.max_bounces,
-        "least_throughput": least_throughput,
-        "ambient": parts.ambient,
-        "quadrature": _add_quadrature(planes, parts),
+        "least_throughput": sources.least_throughput,
+        "ambient": has_ambient(scene),
+        "quadrature": None if is_grey(objects) else [_add_quadrature(planes, i, room) for i, room in enumerate(rooms)],
         "illuminants": colours.illuminants(),
         "observers": colours.observers(),
         "daylight": colours.daylight(),
@@ -257,7 +269,7 @@ def page_data(
         "most_uncertainty": float(max([np.percentile(error, 99) for error in uncertainties if error.any()], default=1)),
         "lesson": lesson_for_page(scene.lesson),
     }
-    return PageData(header, planes, parts)
+    return PageData(header, planes, rooms)
 
 
 def store_hash(path) -> str:

@@ -88,16 +88,26 @@ PLATE = {"kind": "plate", "width_mm": 110.0, "height_mm": 90.0}
 
 
 def sources(
-    folder: Path, environment: Environment, *, ball=SPHERE, first: Material | None = None, ambient=True, **keys
+    folder: Path,
+    environment: Environment,
+    *,
+    ball=SPHERE,
+    first: Material | None = None,
+    second: Material | None = None,
+    further: tuple[Environment, ...] = (),
+    ambient=True,
+    **keys,
 ) -> SceneSources:
-    """A ball on a plate beside a disc, written into a folder."""
+    """A ball on a plate, written into a folder; further rooms are those that a lesson among the keys names."""
     folder.mkdir(parents=True, exist_ok=True)
-    materials = [first or painted(), painted(beta=8.0, mirror=0.3)]
+    materials = [first or painted(), second or painted(beta=8.0, mirror=0.3)]
     files = []
     for number, material in enumerate(materials):
         files.append(folder / f"material-{number}.h5")
         material.save(files[-1], Provenance("test"))
-    environment.save(folder / "light.h5", Provenance("test"))
+    lights = [folder / f"light-{number}.h5" for number in range(1 + len(further))]
+    for file, light in zip(lights, (environment, *further), strict=True):
+        light.save(file, Provenance("test"))
     scene = {
         "description": "A ball & a plate",
         "environment": "room",
@@ -118,4 +128,4 @@ def sources(
         **keys,
     }  # fmt: skip
     shapes = tuple(made(ObjectShape, shape) for shape in (ball, PLATE))
-    return SceneSources("test", made(Scene, scene), shapes, tuple(files), folder / "light.h5", 1e-3)
+    return SceneSources("test", made(Scene, scene), shapes, tuple(files), tuple(lights), 1e-3)

@@ -26,6 +26,8 @@ from irodori.viewer.viewer_command import payload_of
 pytestmark = pytest.mark.skipif(
     browser_command() is None, reason="NO BROWSER: pages are not tested; install Debian's package chromium"
 )
+
+
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
@@ -227,7 +229,7 @@ def test_highlights_of_ggx_are_those_of_its_formula(tmp_path):
     )  # fmt: skip
     lamp = {"kind": "collimated", "azimuth_deg": -40.0, "elevation_deg": 50.0, "irradiance": 1.0, "spectrum": "D65"}
     given = sources(tmp_path, room(level=0.0), first=ggx, lights=[lamp])
-    data = page_data(given.name, given.scene, given.shapes, given.materials, given.environment, 1e-3)
+    data = page_data(given)
     path = tmp_path / "page.html"
     path.write_text(page_html("A page", data.payload({})), encoding="utf-8")
     with opened(path) as page:

@@ -20,19 +20,21 @@ class Written:
 
     def __init__(self, folder, given) -> None:
         self.sources = given
-        self.data = page_data(given.name, given.scene, given.shapes, given.materials, given.environment, 1e-3)
+        self.data = page_data(given)
         self.payload = self.data.payload({})
         self.view = make_view(given.scene.views["front"], SIZE)
-        self.scene = prepared(self.data.parts)
+        self.scenes = [prepared(parts) for parts in self.data.rooms]
+        self.scene = self.scenes[0]
         self.path = folder / "page.html"
         self.text = page_html("A page", self.payload)
         self.path.write_text(self.text, encoding="utf-8")
 
-    def wanted(self, bands, observer=0, illuminant=None):
+    def wanted(self, bands, observer=0, illuminant=None, room=0):
         """XYZ of radiance under another light and for another observer, and the white's."""
+        parts = self.data.rooms[room]
         weights = np.array(self.data.header["observers"][observer]["xyz"]).T
-        ratio = swapped(self.data, illuminant) if illuminant else np.ones(61)
-        white = white_of(self.data) * ratio
+        ratio = swapped(self.data, illuminant, parts) if illuminant else np.ones(61)
+        white = white_of(parts) * ratio
         matrix = weights * (100.0 / (weights[1] @ white))
         return (bands * ratio) @ matrix.T, matrix @ white
 
@@ -51,8 +53,11 @@ def agree(found) -> bool:
 
 
 def compared(written: Written, page: OpenPage, state: dict, view, observer=0, illuminant=None) -> np.ndarray:
-    """Return CIEDE2000 between what a page draws of a state and what the scene renders of the same view."""
-    state = {**state, "observer": written.data.header["observers"][observer]["name"]}
+    """Return CIEDE2000 between what a page draws of a state and what the scene renders of the same view and room."""
+    header = written.data.header
+    room = header["environments"].index(state["light"]["environment"])
+    state = {**state, "observer": header["observers"][observer]["name"]}
     state["light"] = {**state["light"], "illuminant": illuminant and {"name": illuminant}}
-    bands = frame_bands(written.scene, view, written.data.parts)
-    return differences(*written.wanted(bands, observer, illuminant), *page.read_xyz(state, view.width, view.height))
+    bands = frame_bands(written.scenes[room], view, written.data.rooms[room])
+    wanted = written.wanted(bands, observer, illuminant, room)
+    return differences(*wanted, *page.read_xyz(state, view.width, view.height))

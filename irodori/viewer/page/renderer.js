@@ -55,6 +55,7 @@ var Irodori = Irodori || {};
       if (!gl.getExtension("EXT_color_buffer_float")) fail("no-webgl2", "This browser draws no numbers with a point; accepted: one with EXT_color_buffer_float.");
       this.parallel = gl.getExtension("KHR_parallel_shader_compile");
       this.targets = {};
+      this.lights = [];
       this.textures = {};
       this.vertices = gl.createVertexArray();
       this.lit = null;
@@ -68,8 +69,13 @@ var Irodori = Irodori || {};
       this.makeLobes();
       this.programs = {};
       this.programs.display = await this.program("display", Irodori.sources["display.glsl"], "");
-      this.useLight(0);
-      await this.transport();
+      const lights = this.data.header.light.map((_, number) => this.makeLight(number));
+      // Rooms of a kind share a program.
+      for (const light of lights) {
+        const defines = this.defines(light), same = lights.find((one) => one.program && one.program.defines === defines);
+        light.program = same ? same.program : await this.program("transport", Irodori.sources["transport.glsl"], defines);
+      }
+      this.lights = lights;
     }
 
     // A texture of {data, width, height, layers}.
@@ -104,47 +110,37 @@ var Irodori = Irodori || {};
       this.textures.uRows = this.texture({ data: out, width: 68, height: 17 * this.parts * lobes.length }, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
     }
 
-    // Make the light of an environment that of the next frames; true where the program must follow.
-    useLight(number) {
-      const entry = this.data.header.light[number], gl = this.gl;
-      for (const name of ["uSky", "uIrradiance", "uGloss"]) {
-        if (this.textures[name]) gl.deleteTexture(this.textures[name].texture);
-        delete this.textures[name];
-      }
-      this.light = { number, sky: [], gloss: [], scale: [1, 1, 1, 1], first: 0, side: 0 };
-      if (!entry || entry.is_dark) return;
+    // Maps of the light of an environment.
+    makeLight(number) {
+      const entry = this.data.header.light[number], light = { number, textures: {}, sky: [], gloss: [], scale: [1, 1, 1, 1], first: entry.gloss_first, side: 0 };
+      if (entry.is_dark) return light;
       const levels = Irodori.lightLevels(this.data, number);
-      const scale = Irodori.halfScale([...levels.sky.slice(0, 1), ...levels.irradiance, ...levels.gloss]);
-      const sky = Irodori.cubeAtlas(levels.sky, scale), irradiance = Irodori.cubeAtlas(levels.irradiance, scale);
-      this.textures.uSky = this.half(sky);
-      this.textures.uIrradiance = this.half(irradiance);
-      this.light = { number, sky: sky.origins, gloss: [], scale, first: entry.gloss_first, side: levels.irradiance[0].side };
-      if (levels.gloss.length) {
-        const gloss = Irodori.cubeAtlas(levels.gloss, scale);
-        this.textures.uGloss = this.half(gloss);
-        this.light.gloss = gloss.origins;
-      }
+      light.scale = Irodori.halfScale([...levels.sky.slice(0, 1), ...levels.irradiance, ...levels.gloss]);
+      const map = (name, some) => {
+        const made = Irodori.cubeAtlas(some, light.scale);
+        light.textures[name] = this.half(made);
+        return made.origins;
+      };
+      light.sky = map("uSky", levels.sky);
+      map("uIrradiance", levels.irradiance);
+      light.side = levels.irradiance[0].side;
+      if (levels.gloss.length) light.gloss = map("uGloss", levels.gloss);
+      return light;
     }
 
-    defines() {
+    defines(light) {
       const header = this.data.header, has = (kind) => Number(header.objects.some((o) => o.shape === kind));
-      const k = this.spectra.lights.length ? this.spectra.lights[this.light.number].basis.length : 1;
+      const k = this.spectra.lights[light.number].basis.length;
       const ggx = header.lobes.map((lobe, i) => (lobe.name === "ggx" ? "(l) == " + i : null)).filter(Boolean);
       const values = {
         OBJECTS: header.objects.length, K: k, G: Math.ceil(k / 4), KS: this.spectra.widest, BOUNCES: header.max_bounces,
-        AMBIENT: Number(header.ambient), COLOURED: Number(this.coloured), HAS_LIGHT: Number(this.light.sky.length > 0),
-        SKY_LEVELS: this.light.sky.length, GLOSS_LEVELS: this.light.gloss.length, PARTS: this.parts,
+        AMBIENT: Number(header.ambient), COLOURED: Number(this.coloured), HAS_LIGHT: Number(light.sky.length > 0),
+        SKY_LEVELS: light.sky.length, GLOSS_LEVELS: light.gloss.length, PARTS: this.parts,
         LOBES: Math.max(header.lobes.length, 1), HAS_MESH: has("mesh"), HAS_DISC: has("disc"), HAS_SHADOWS: Number(Object.keys(this.shadows).length > 0),
         TRIANGLE: Irodori.TRIANGLE, MOST_LAMPS, MOST_SPECTRA,
         "GGX(l)": ggx.length ? "(" + ggx.join(" || ") + ")" : "false",
       };
       return Object.entries(values).map(([name, value]) => "#define " + name + " " + value + "\n").join("");
-    }
-
-    async transport() {
-      const defines = this.defines();
-      if (this.programs.transport && this.programs.transport.defines === defines) return;
-      this.programs.transport = await this.program("transport", Irodori.sources["transport.glsl"], defines);
     }
 
     // Compile and link without waiting in the browser's way, where it can do that beside the page.
@@ -186,8 +182,8 @@ var Irodori = Irodori || {};
       return this.spectra.power(illuminant);
     }
 
-    setTexture(program, name, unit) {
-      const gl = this.gl, own = this.textures[name];
+    setTexture(program, name, own, unit) {
+      const gl = this.gl;
       if (!own || program.place(name) === null) return;
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(own.target, own.texture);
@@ -259,20 +255,20 @@ var Irodori = Irodori || {};
       return found;
     }
 
-    // Samples of the lamps that are on: a far lamp and a point have one, a ball the points of a disc that faces the surface.
+    // Samples of the lamps that are on: a far lamp and a point have one, a ball as many directions as `DISC_SAMPLES`.
     lamps(lamps) {
       const places = [], levels = [];
       lamps.forEach((lamp, which) => {
         const at = lamp.position_mm, length = Math.hypot(...at) || 1;
         if (lamp.far) {
-          places.push(...at.map((x) => x / length), 0);
+          places.push(...at.map((x) => x / length), -1);
           levels.push(lamp.strength, which, 0, 0);
           return;
         }
         const count = lamp.size_mm > 0 ? DISC_SAMPLES : 1, radius = 0.5 * (lamp.size_mm || 0);
         for (let i = 0; i < count; i++) {
-          const far = count > 1 ? radius * Math.sqrt((i + 0.5) / count) : 0, turn = i * 2.399963229728653;
-          places.push(...at, 1);
+          const far = count > 1 ? Math.sqrt((i + 0.5) / count) : 0, turn = i * 2.399963229728653;
+          places.push(...at, radius);
           levels.push(lamp.strength * 500 * 500 / count, which, far * Math.cos(turn), far * Math.sin(turn));
         }
       });
@@ -301,9 +297,8 @@ var Irodori = Irodori || {};
 
     // Render a state into a target; `whole` is the picture's size and `first` the target's corner in it.
     render(state, target, whole, first, isRGB, part) {
-      const gl = this.gl, number = Math.max(this.data.header.environments.indexOf(state.light.environment), 0);
-      if (number !== this.light.number) throw new Error("Light " + state.light.environment + " is not there yet; accepted: await renderer.use(state) first.");
-      const program = this.programs.transport, colours = this.colours(state, isRGB), shapes = this.shapes(state);
+      const gl = this.gl, light = this.lights[Math.max(this.data.header.environments.indexOf(state.light.environment), 0)];
+      const program = light.program, colours = this.colours(state, isRGB), shapes = this.shapes(state);
       const place = (name) => program.place(name);
       gl.useProgram(program.program);
       gl.bindVertexArray(this.vertices);
@@ -311,7 +306,8 @@ var Irodori = Irodori || {};
       gl.viewport(0, 0, target.width, target.height);
       if (this.textures.uShapes) gl.deleteTexture(this.textures.uShapes.texture);
       this.textures.uShapes = this.texture({ data: shapes.data, width: ROW, height: this.data.header.objects.length }, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
-      ["uShapes", "uForms", "uMaterials", "uSky", "uIrradiance", "uGloss", "uRows", "uMesh", "uShadows"].forEach((name, unit) => this.setTexture(program, name, unit));
+      const textures = { ...this.textures, ...light.textures };
+      ["uShapes", "uForms", "uMaterials", "uSky", "uIrradiance", "uGloss", "uRows", "uMesh", "uShadows"].forEach((name, unit) => this.setTexture(program, name, textures[name], unit));
       const { eye, right, up, back } = Irodori.frame(state.camera), opposite = (v) => v.map((x) => -x);
       gl.uniform3fv(place("uEye"), eye);
       gl.uniformMatrix3fv(place("uWorldFromCamera"), false, [...right, ...opposite(up), ...opposite(back)]);
@@ -324,17 +320,17 @@ var Irodori = Irodori || {};
       gl.uniform1i(place("uHidden"), shapes.hidden);
       gl.uniform1i(place("uShadowed"), Irodori.shadowed(this.data.header, state));
       gl.uniform1f(place("uPowerScale"), this.atlas.scale);
-      const groups = Math.ceil((this.spectra.lights[number] || { basis: [0] }).basis.length / 4);
-      const scale = Array.from({ length: 4 * groups }, (_, i) => this.light.scale[i] || 1);
+      const groups = Math.ceil(this.spectra.lights[light.number].basis.length / 4);
+      const scale = Array.from({ length: 4 * groups }, (_, i) => light.scale[i] || 1);
       gl.uniform4fv(place("uLightScale"), scale);
-      if (this.light.sky.length) {
-        gl.uniform3fv(place("uSkyLevel"), this.light.sky.flat());
-        gl.uniform1f(place("uIrradianceSide"), this.light.side);
-        gl.uniform1f(place("uTexelsPerRad"), this.light.sky[0][2] * Math.sqrt(6 / (4 * Math.PI)));
+      if (light.sky.length) {
+        gl.uniform3fv(place("uSkyLevel"), light.sky.flat());
+        gl.uniform1f(place("uIrradianceSide"), light.side);
+        gl.uniform1f(place("uTexelsPerRad"), light.sky[0][2] * Math.sqrt(6 / (4 * Math.PI)));
       }
-      if (this.light.gloss.length) {
-        gl.uniform3fv(place("uGlossLevel"), this.light.gloss.flat());
-        gl.uniform1f(place("uGlossFirst"), this.light.first);
+      if (light.gloss.length) {
+        gl.uniform3fv(place("uGlossLevel"), light.gloss.flat());
+        gl.uniform1f(place("uGlossFirst"), light.first);
       }
       if (this.parts) gl.uniform2fv(place("uLadder"), this.data.header.lobes.flatMap((lobe) => lobe.ladder));
       const lamps = this.lamps(colours.constants.lamps);
@@ -364,15 +360,6 @@ var Irodori = Irodori || {};
       return colours;
     }
 
-    // Make the light of a state's environment ready: at once where it is that of the last frame.
-    async use(state) {
-      const number = Math.max(this.data.header.environments.indexOf(state.light.environment), 0);
-      if (number === this.light.number) return;
-      this.useLight(number);
-      this.lit = null;
-      await this.transport();
-    }
-
     shown(state, whiteXYZ) {
       const displays = this.data.header.displays, given = state.display || {};
       let display = displays.find((d) => d.name === given.name) || displays[0];
@@ -388,7 +375,7 @@ var Irodori = Irodori || {};
 
     // One frame on the canvas.
     draw(state, options) {
-      if (this.lost || !this.programs.transport) return;
+      if (this.lost || !this.lights.length) return;
       const gl = this.gl, { compare = null, scale = 1 } = options || {}, start = performance.now();
       const width = Math.max(Math.round(this.canvas.width * scale), 1), height = Math.max(Math.round(this.canvas.height * scale), 1);
       const whole = [width, height], one = this.target("one", width, height, false);

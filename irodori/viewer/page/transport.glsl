@@ -43,8 +43,8 @@ uniform sampler2D uShadows;   // numbers of nodes, see maps.js
 uniform int uShadowed;        // bits of objects from which meshes hide light
 #endif
 uniform int uLamps;           // samples of lamps
-uniform vec4 uLamp[MOST_LAMPS];     // direction and 0 of a far lamp, or position and 1
-uniform vec4 uLampLevel[MOST_LAMPS]; // strength, which lamp it is a sample of, and where on a disc that faces us, mm
+uniform vec4 uLamp[MOST_LAMPS];     // direction and -1 of a far lamp, or position and radius, mm
+uniform vec4 uLampLevel[MOST_LAMPS]; // strength, which lamp it is a sample of, and where on the disc that it looks like, -1..1
 uniform vec4 uLightScale[G];  // numbers of light are stored divided by these
 
 const float PI = 3.14159265358979;
@@ -614,13 +614,20 @@ Colour shade(int object, Place place, Ray ray, Surface surface, vec3 mirror, Hit
   for (int lamp = 0; lamp < uLamps; lamp++) {
     vec3 start = raised(place, reach), to = uLamp[lamp].xyz;
     float far = 1e30, level = uLampLevel[lamp].x;
-    if (uLamp[lamp].w > 0.0) {
+    if (uLamp[lamp].w >= 0.0) {
       to -= start;
-      vec3 across = normalize(cross(to, abs(to.z) < 0.9 * length(to) ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0)));
-      to += uLampLevel[lamp].z * across + uLampLevel[lamp].w * normalize(cross(to, across));
       far = length(to);
       to /= far;
-      level /= far * far;
+      // Directions spread evenly over the cone in which the ball is seen: without shadows their sum is exact.
+      float ratio = min(uLamp[lamp].w / far, 1.0), least = sqrt(1.0 - ratio * ratio);
+      vec2 disc = uLampLevel[lamp].zw;
+      float part = dot(disc, disc), along = 1.0 - part * (1.0 - least);
+      level *= 2.0 / (1.0 + least) / (far * far);
+      if (part > 0.0) {
+        vec3 across = normalize(cross(to, abs(to.z) < 0.9 ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0)));
+        to = along * to + sqrt((1.0 - along * along) / part) * (disc.x * across + disc.y * cross(to, across));
+        far *= along - sqrt(max(along * along - least * least, 0.0));
+      }
     }
     float cosI = dot(place.normal, to);
     if (cosI <= 0.0 || dot(place.facet, to) <= 0.0) continue;
