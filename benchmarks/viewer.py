@@ -40,7 +40,7 @@ def make_sources(folder: Path, width: int) -> SceneSources:
         material.save(files[-1], Provenance("benchmark"))
     true_light(loaded, width).save(folder / "light.h5", Provenance("benchmark"))
     shapes = tuple(loaded.objects[item.object].shape for item in scene.objects)
-    return SceneSources("still-life", scene, shapes, tuple(files), folder / "light.h5", _LEAST_THROUGHPUT)
+    return SceneSources("still-life", scene, shapes, tuple(files), (folder / "light.h5",), _LEAST_THROUGHPUT)
 
 
 def main() -> None:
@@ -57,15 +57,14 @@ def measured(folder: Path, width: int, size: Size, runs: int) -> list[dict]:
     """Return the rows of the table; one that says why where no browser is found."""
     sources, file = make_sources(folder, width), folder / "viewer.html"
     stated = export_viewer(sources, output=file)
-    parts = page_data(sources.name, sources.scene, sources.shapes, sources.materials, sources.environment,
-                      sources.least_throughput).parts  # fmt: skip
+    parts = page_data(sources).parts
     scene, view = prepared(parts), make_view(sources.scene.views["front"], size)
     work, milliseconds = {"interactive, frame": lambda: render_frame(scene, view)}, []
     if browser_command() is None:
         rows = [row_without_figures("viewer", "page", "no Chromium, or no Playwright to drive it")]
         return [*_rows(medians_s(work, runs), size, float("nan")), *rows]
     for _ in range(runs):
-        with opened(file) as page:
+        with opened(file, cold=True) as page:
             milliseconds.append(page.milliseconds())
     with opened(file) as page:
         state = page.default_state()

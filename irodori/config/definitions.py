@@ -149,6 +149,13 @@ class _Loader:
     def scene(self, name: str, by, path: tuple) -> None:
         for scene, file in self._load("scenes", name, by, path):
             self._environment(scene.environment, file, ("environment",))
+            for index, step in enumerate(scene.lesson.steps if scene.lesson else ()):
+                for keys, light in (
+                    (("light",), step.light),
+                    (("compare", "light"), step.compare and step.compare.light),
+                ):
+                    if light and light.environment is not None:
+                        self._environment(light.environment, file, ("lesson", "steps", index, *keys, "environment"))
             for index, placed in enumerate(scene.objects):
                 self._object(placed.object, file, ("objects", index, "object"))
             for label, photograph in scene.photographs.items():

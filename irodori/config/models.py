@@ -895,6 +895,12 @@ class LessonCamera(Definition):
     #: Vertical field of view, in degrees.
     fov_deg: float = 34.0
 
+    #: Turn of the camera about its line of sight, counter-clockwise, in degrees.
+    roll_deg: float = 0.0
+
+    #: Height of what is seen by parallel rays, in mm; 0 for an eye in one point.
+    height_mm: float = 0.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class NamedIlluminant(Definition):
@@ -947,7 +953,7 @@ class LessonLamp(Definition):
 class LessonLight(Definition):
     """The light of the step."""
 
-    #: Name of the room that lights the scene; the scene's own where absent.
+    #: Name of the environment that lights the scene, which the page then holds too; the scene's own where absent.
     environment: str | None = None
 
     #: Turn of the room about the vertical axis, from +x towards +y, in degrees.

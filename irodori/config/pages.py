@@ -4,14 +4,22 @@ from irodori.config.models import PerspectiveView, Scene
 
 
 def page_views(scene: Scene) -> list[str]:
-    """Return the views that a page can begin with: upright, through a pinhole."""
-    return [
-        name
-        for name, view in scene.views.items()
-        if isinstance(view, PerspectiveView) and view.lens is None and tuple(view.up)[:2] == (0.0, 0.0)
-    ]
+    """Return the views that a page can begin with: all but those through a lens, which need samples."""
+    return [name for name, view in scene.views.items() if not isinstance(view, PerspectiveView) or view.lens is None]
 
 
-def has_page(scene: Scene) -> bool:
-    """Whether a page can show a scene: it has such a view, and no lights but collimated ones."""
-    return bool(page_views(scene)) and all(light.kind == "collimated" for light in scene.lights)
+def page_rooms(scene: Scene) -> list[str]:
+    """Return the environments that a page holds: the scene's own, then those that its lesson names."""
+    steps = scene.lesson.steps if scene.lesson else ()
+    lights = [light for step in steps for light in (step.light, step.compare and step.compare.light) if light]
+    return list(dict.fromkeys([scene.environment, *(light.environment for light in lights if light.environment)]))
+
+
+def page_fault(scene: Scene) -> tuple[str, str, str] | None:
+    """Return why a page cannot show a scene: the field, what was found, what is accepted; None where it can."""
+    if not page_views(scene):
+        return "views", "no view but through a lens", "a view without a lens for the scene's page"
+    for number, light in enumerate(scene.lights):
+        if light.kind != "collimated":
+            return f"lights[{number}].kind", light.kind, "collimated lights alone in a scene that has a page"
+    return None

@@ -19,7 +19,7 @@ from irodori.config.models import (
     Scene,
     ScenePhotograph,
 )
-from irodori.config.pages import has_page, page_views
+from irodori.config.pages import page_fault, page_rooms, page_views
 from irodori.config.parts import Subject
 from irodori.config.photograph_sets import PhotographSets, named_tables
 from irodori.core.errors import InputError
@@ -56,6 +56,10 @@ class SceneFiles:
     def environment(self, wildcards) -> str:
         """Return the file of a scene's light."""
         return f"results/environments/{self._scene(wildcards).environment}.h5"
+
+    def rooms(self, wildcards) -> list[str]:
+        """Return the files of the light that a scene's page holds, the scene's own first."""
+        return [f"results/environments/{name}.h5" for name in page_rooms(self._scene(wildcards))]
 
     def true_light(self, wildcards) -> str:
         """Return the file of the light that really falls on a scene; where no camera photographed it, the given one."""
@@ -201,7 +205,7 @@ class SceneFiles:
 
     def pages(self, pattern: str = "results/{scene}/viewer.html") -> list[str]:
         """Return a pattern filled for every scene that a classroom page can show."""
-        return [pattern.format(scene=name) for name, scene in self.loaded.scenes.items() if has_page(scene)]
+        return [pattern.format(scene=name) for name, scene in self.loaded.scenes.items() if page_fault(scene) is None]
 
     def page_view(self, pattern: str) -> Callable[[Any], str]:
         """Return a function from wildcards to a file of the view that a scene's page begins with.
@@ -214,10 +218,9 @@ class SceneFiles:
 
         def found(wildcards) -> str:
             scene = self._scene(wildcards)
-            if not has_page(scene):
-                file = Path(self.loaded.config.definitions) / "scenes" / f"{wildcards.scene}.yaml"
-                seen = "no upright perspective view through a pinhole, or a light that is not collimated"
-                raise InputError(file, "views", seen, "such a view, and collimated lights")
+            fault = page_fault(scene)
+            if fault is not None:
+                raise InputError(Path(self.loaded.config.definitions) / "scenes" / f"{wildcards.scene}.yaml", *fault)
             return pattern.format(scene=wildcards.scene, view=page_views(scene)[0])
 
         return found

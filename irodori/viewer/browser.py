@@ -25,6 +25,9 @@ COMMANDS = ("chromium", "chromium-browser", "google-chrome")
 #: WebGL2 by a renderer in software: the same numbers on every machine.
 FLAGS = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")
 _PATIENCE_MS = 180_000
+#: Small: what the page draws for its own window is not read, and is drawn in software.
+_WINDOW = {"width": 360, "height": 320}
+_USUAL = {"width": 1280, "height": 720}
 #: What a page says in place of a picture.
 _SAID = "!document.getElementById('poster').hidden && document.getElementById('poster-text').textContent"
 _READ = """([state, width, height]) => {
@@ -77,8 +80,25 @@ def client():
     return started
 
 
+@lru_cache(maxsize=4)
+def browser(flags: tuple[str, ...] = FLAGS):
+    """Return the browser with these flags, started once a process: pages that are open in it share nothing.
+
+    Raises
+    ------
+    PlainError
+        If there is none.
+    """
+    command = browser_command()
+    if command is None:
+        raise PlainError("No browser to check a page in; accepted: Debian's package chromium and Python's playwright.")
+    started = client().chromium.launch(executable_path=command, args=list(flags), headless=True)
+    atexit.register(started.close)
+    return started
+
+
 @contextmanager
-def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True) -> Iterator[OpenPage]:
+def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True, cold: bool = False) -> Iterator[OpenPage]:
     """Open a page from disk and wait until it can draw.
 
     Parameters
@@ -88,18 +108,19 @@ def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True) -> Iterator[
         Of the browser.
     wait : bool
         Whether to wait for the renderer; a page that cannot draw has none.
+    cold : bool
+        Whether the browser is started anew, with nothing left of pages before and a window of the usual size.
 
     Raises
     ------
     PlainError
         If there is no browser, or the page says why it does not draw.
     """
-    command = browser_command()
-    if command is None:
-        raise PlainError("No browser to check a page in; accepted: Debian's package chromium and Python's playwright.")
-    browser = client().chromium.launch(executable_path=command, args=list(flags), headless=True)
+    if cold:
+        browser.cache_clear()
+    context = browser(flags).new_context(viewport=_USUAL if cold else _WINDOW)
     try:
-        page = browser.new_page()
+        page = context.new_page()
         page.set_default_timeout(_PATIENCE_MS)
         messages: list[str] = []
         page.on("console", lambda message: messages.append(message.text))
@@ -114,4 +135,4 @@ def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True) -> Iterator[
                 raise PlainError(page.evaluate(_SAID))
         yield OpenPage(page, messages)
     finally:
-        browser.close()
+        context.close()

@@ -14,7 +14,7 @@ from irodori.rendering.interactive.frame_renderer import CollimatedLamp, Prepare
 from irodori.rendering.interactive.prepared_scene import padded
 from irodori.rendering.scene_arrays import Objects, View, make_tracer
 from irodori.spectra.grid import SAMPLES
-from irodori.viewer.scene_data import BORDER, HALVED_FROM, LightMaps, finer
+from irodori.viewer.scene_data import BORDER, HALVED_FROM, LightMaps, decoded_shadows, finer
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,31 @@ class Parts:
     ambient: bool = True
 
 
-def prepared(parts: Parts, objects: Objects | None = None, maps: LightMaps | None = None) -> Prepared:
-    """Return a scene for frames of 61 bands; with the materials and the light maps of a payload where given."""
+@dataclass(frozen=True)
+class Decoded:
+    """What a payload holds of a scene.
+
+    Parameters
+    ----------
+    objects : Objects
+    maps : LightMaps
+    planes : dict of array
+        All planes by their names.
+    """
+
+    objects: Objects
+    maps: LightMaps
+    planes: dict[str, np.ndarray]
+
+
+def prepared(parts: Parts, decoded: Decoded | None = None) -> Prepared:
+    """Return a scene for frames of 61 bands; with what a payload holds of it where given."""
+    maps = None if decoded is None else decoded.maps
     gloss = GlossMaps.stored(parts.environment) or GlossMaps.of(parts.environment.coefficients)
     # The light's coefficients are then those of the maps, which are on vectors of their own.
     light = parts.environment if maps is None else replace(parts.environment, basis=maps.basis.T)
     found = prepare_scene(
-        parts.objects if objects is None else objects,
+        parts.objects if decoded is None else decoded.objects,
         light_of(light),
         gloss,
         make_tracer(parts.placements),
@@ -63,8 +81,10 @@ def prepared(parts: Parts, objects: Objects | None = None, maps: LightMaps | Non
         half=False,
         ambient=parts.ambient,
     )
-    if maps is not None and maps.sky is not None:
-        found.world = found.world._replace(**_fields(found, maps))
+    if decoded is not None and decoded.maps.sky is not None:
+        found.world = found.world._replace(**_fields(found, decoded.maps))
+        if found.world.shadowed:
+            found.world = found.world._replace(shadows=decoded_shadows(decoded.planes, found.world.shadows))
     return found
 
 

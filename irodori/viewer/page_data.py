@@ -1,18 +1,18 @@
 """Header and planes of a scene's page, from the files of the workflow."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 
 import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights
-from irodori.config.models import CollimatedLight, ObjectShape, PerspectiveView, Scene
-from irodori.config.pages import has_page, page_views
+from irodori.config.models import CollimatedLight, ObjectShape, OrthographicView, PerspectiveView, Scene
+from irodori.config.pages import page_fault, page_rooms, page_views
 from irodori.core import store
 from irodori.core.errors import PlainError
 from irodori.core.provenance import config_hash
+from irodori.geometry.rig_frame import look_at
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material, Status
@@ -20,8 +20,9 @@ from irodori.reflection.lobes import Lobes
 from irodori.rendering.integrators import has_ambient, with_bodies
 from irodori.rendering.interactive.channels import is_grey
 from irodori.rendering.interactive.frame_renderer import light_of
+from irodori.rendering.interactive.mesh_shadows import make_mesh_shadows
 from irodori.rendering.interactive.quadrature import path_spectra, solve_quadrature
-from irodori.rendering.scene_arrays import make_objects, make_placements
+from irodori.rendering.scene_arrays import make_objects, make_placements, make_tracer
 from irodori.rendering.scene_lights import BANDS, make_lights
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import light
@@ -32,6 +33,7 @@ from irodori.viewer.payload import Planes, write_payload
 from irodori.viewer.scene_data import (
     add_light,
     add_materials,
+    add_shadows,
     add_shapes,
     check_lobes,
     light_maps,
@@ -44,6 +46,34 @@ MEASURED, PAINT, FILLED, UNKNOWN = 0, 1, 2, 3
 #: Wavelengths that stand for a spectrum where mirrors have colours; the shader has room for 16.
 _WAVELENGTHS = 14
 _SINGLE_PLANE_BITS = 8
+#: Field of view that a page's state has beside parallel rays, which do not use it.
+_FOV_DEG = 34.0
+#: Sine of the angle to the vertical under which a line of sight has no azimuth.
+_VERTICAL = 1e-6
+
+
+@dataclass(frozen=True)
+class SceneSources:
+    """A scene and the files that it is made from.
+
+    Parameters
+    ----------
+    name : str
+    scene : Scene
+    shapes : tuple of ObjectShape
+    materials : tuple of path
+    environments : tuple of path
+        Of the rooms that `irodori.config.pages.page_rooms` names.
+    least_throughput : float
+        Under which a path ends.
+    """
+
+    name: str
+    scene: Scene
+    shapes: tuple[ObjectShape, ...]
+    materials: tuple
+    environments: tuple
+    least_throughput: float
 
 
 @dataclass(frozen=True)
@@ -55,13 +85,18 @@ class PageData:
     header : dict
         JSON of the payload, see docs/viewer.md.
     planes : Planes
-    parts : Parts
-        The same scene for the product's own renderer.
+    rooms : tuple of Parts
+        The same scene for the product's own renderer, in each of the page's environments.
     """
 
     header: dict
     planes: Planes
-    parts: Parts
+    rooms: tuple[Parts, ...]
+
+    @property
+    def parts(self) -> Parts:
+        """The scene in its own environment."""
+        return self.rooms[0]
 
     def payload(self, stated_errors: dict) -> str:
         """Return the payload with the errors that were measured."""
@@ -89,22 +124,31 @@ def _with_maps(path) -> tuple[Material, np.ndarray]:
     return replace(material, extra=extra), np.nan_to_num(error)
 
 
-def _camera(view: PerspectiveView) -> dict:
-    away = np.subtract(view.position_mm, view.target_mm)
-    distance = float(np.linalg.norm(away))
+def _camera(view: PerspectiveView | OrthographicView) -> dict:
+    """Return a view as the page turns it: about its target, leaning by a roll; a height in mm for parallel rays.
+
+    Straight down or up the azimuth says which side of the picture is which, and nothing leans.
+    """
+    right, _, forward = look_at(view.position_mm, view.target_mm, view.up).T
+    slant = math.hypot(forward[0], forward[1])
+    vertical = slant < _VERTICAL
+    azimuth = math.atan2(-right[0], right[1]) if vertical else math.atan2(-forward[1], -forward[0])
+    level = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+    roll = 0.0 if vertical else math.atan2(right @ np.cross(level, forward), right @ level)
     return {
         "target_mm": [float(x) for x in view.target_mm],
-        "azimuth_deg": math.degrees(math.atan2(away[1], away[0])),
-        "elevation_deg": math.degrees(math.asin(away[2] / distance)),
-        "distance_mm": distance,
-        "fov_deg": float(view.field_of_view_deg),
+        "azimuth_deg": math.degrees(azimuth),
+        "elevation_deg": math.degrees(math.atan2(-forward[2], slant)),
+        "distance_mm": float(np.linalg.norm(np.subtract(view.position_mm, view.target_mm))),
+        "fov_deg": float(view.field_of_view_deg) if isinstance(view, PerspectiveView) else _FOV_DEG,
+        "roll_deg": math.degrees(roll),
+        "height_mm": float(view.height_mm) if isinstance(view, OrthographicView) else 0.0,
     }
 
 
 def _views(scene: Scene) -> list[dict]:
     """Return the views that a page can show."""
-    views = {name: scene.views[name] for name in page_views(scene)}
-    return [{"name": n, "camera": _camera(view)} for n, view in views.items() if isinstance(view, PerspectiveView)]
+    return [{"name": name, "camera": _camera(scene.views[name])} for name in page_views(scene)]
 
 
 def _lamps(scene: Scene) -> list[dict]:
@@ -126,17 +170,15 @@ def _lamps(scene: Scene) -> list[dict]:
     return found
 
 
-def _add_quadrature(planes: Planes, parts: Parts) -> dict | None:
-    """Add the moments of what paths carry where mirrors or gloss have colours; return the wavelengths' places."""
-    if is_grey(parts.objects):
-        return None
+def _add_quadrature(planes: Planes, number: int, parts: Parts) -> dict:
+    """Add the moments of what paths carry in a room; return the places of the wavelengths that stand for them."""
     spectra = path_spectra(parts.objects, light_of(parts.environment), parts.lamps, parts.max_bounces)
     weights = colour_matching_weights()
     level = spectra @ weights[1]
     spectra = spectra[level > 1e-9 * level.max()]
     spectra = spectra / (spectra @ weights[1])[:, None]
     found = solve_quadrature(spectra, weights, spectra.mean(axis=0), counts=(_WAVELENGTHS,))
-    planes.add_floats("quadrature/moments", spectra.T @ spectra)
+    planes.add_floats(f"quadrature/{number}/moments", spectra.T @ spectra)
     return {"samples": [int(s) for s in found.samples]}
 
 
@@ -146,56 +188,43 @@ def _names(scene: Scene) -> list[str]:
     return [f"{name}#{given[: i + 1].count(name)}" if name in given[:i] else name for i, name in enumerate(given)]
 
 
-def page_data(
-    name: str,
-    scene: Scene,
-    shapes: Sequence[ObjectShape],
-    material_files: Sequence,
-    environment_file,
-    least_throughput: float,
-) -> PageData:
+def page_data(sources: SceneSources) -> PageData:
     """Return what the page of a scene is written from.
-
-    Parameters
-    ----------
-    name : str
-    scene : Scene
-    shapes : sequence of ObjectShape
-    material_files : sequence of path
-    environment_file : path
-    least_throughput : float
-        Under which a path ends.
 
     Raises
     ------
     PlainError
         If the page cannot show what the scene holds.
     """
-    if not has_page(scene):
-        raise PlainError(
-            f"The scene {name}: found no upright perspective view through a pinhole, or a light that is not "
-            "collimated; accepted: such a view, and collimated lights."
-        )
+    name, scene, material_files = sources.name, sources.scene, sources.materials
+    fault = page_fault(scene)
+    if fault is not None:
+        field, found, accepted = fault
+        raise PlainError(f"The scene {name}: {field}: found {found}; accepted: {accepted}.")
     loaded = [_with_maps(path) for path in material_files]
-    whole = with_bodies(scene, [Shape.from_definition(s) for s in shapes], [material for material, _ in loaded])
+    whole = with_bodies(scene, [Shape.from_definition(s) for s in sources.shapes], [material for material, _ in loaded])
     placements = make_placements(scene, whole[0])
     objects, filled = make_objects(placements, whole[1])
     check_lobes(Lobes(objects.lobes.names))
-    environment = Environment.load(environment_file)
     lights = make_lights(scene.lights, 0)[0]
-    parts = Parts(
-        objects,
-        placements,
-        environment,
-        lights.spectrum[:, :BANDS].astype(np.float64),
-        lights.rotation[:, :, 2],
-        scene.max_bounces,
-        least_throughput,
-        has_ambient(scene),
+    rooms = tuple(
+        Parts(
+            objects,
+            placements,
+            Environment.load(file),
+            lights.spectrum[:, :BANDS].astype(np.float64),
+            lights.rotation[:, :, 2],
+            scene.max_bounces,
+            sources.least_throughput,
+            has_ambient(scene),
+        )
+        for file in sources.environments
     )
     planes = Planes()
-    lit = [add_light(planes, 0, light_maps(environment, objects))]
+    lit = [add_light(planes, i, light_maps(room.environment, objects)) for i, room in enumerate(rooms)]
     entries = [{**a, **b} for a, b in zip(add_materials(planes, objects), add_shapes(planes, placements), strict=True)]
+    is_lit = has_ambient(scene) and any(room.environment.coefficients.any() for room in rooms)
+    hidden = add_shadows(planes, placements, make_mesh_shadows(make_tracer(placements)) if is_lit else None)
     uncertainties = [error for _, error in loaded] + [np.zeros(m.alpha.shape) for m in whole[1][len(loaded) :]]
     turns = [item.rotation_deg for item in scene.objects] + [item.rotation_deg for item in scene.bodies]
     for i, (material, error) in enumerate(zip(whole[1], uncertainties, strict=True)):
@@ -206,6 +235,7 @@ def page_data(
             "name": _names(scene)[i],
             "rotation_deg": [float(x) for x in turns[i]],
             "filled_fraction": float(filled[i]),
+            "shadow": hidden[i],
         }
     weights = colour_matching_weights()
     header = {
@@ -216,20 +246,20 @@ def page_data(
         "hashes": {
             "scene": config_hash(scene.plain()),
             "materials": [store_hash(path) for path in material_files],
-            "environment": store_hash(environment_file),
+            "environments": [store_hash(path) for path in sources.environments],
         },
         "wavelength_nm": [float(x) for x in WAVELENGTH_NM],
         "objects": entries,
         "lobes": lobe_entries(objects),
-        "environments": [scene.environment],
+        "environments": page_rooms(scene),
         "light": lit,
         "lamps": _lamps(scene),
         "views": _views(scene),
         "image": [scene.image.width, scene.image.height],
         "max_bounces": scene.max_bounces,
-        "least_throughput": least_throughput,
-        "ambient": parts.ambient,
-        "quadrature": _add_quadrature(planes, parts),
+        "least_throughput": sources.least_throughput,
+        "ambient": has_ambient(scene),
+        "quadrature": None if is_grey(objects) else [_add_quadrature(planes, i, room) for i, room in enumerate(rooms)],
         "illuminants": colours.illuminants(),
         "observers": colours.observers(),
         "daylight": colours.daylight(),
@@ -239,7 +269,7 @@ def page_data(
         "most_uncertainty": float(max([np.percentile(error, 99) for error in uncertainties if error.any()], default=1)),
         "lesson": lesson_for_page(scene.lesson),
     }
-    return PageData(header, planes, parts)
+    return PageData(header, planes, rooms)
 
 
 def store_hash(path) -> str:

@@ -4,6 +4,7 @@ The maps are those of `irodori.rendering.interactive`, whose transport the page 
 border of one texel, its blurred levels, rows of round lobes. What the scene does not have has no plane.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,11 +12,13 @@ import numpy as np
 from irodori.core.errors import PlainError
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.shapes.placement import Placement, reaches
+from irodori.geometry.shapes.shadow_nodes import COLUMNS, GRID, ROWS
 from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.reflection.lobes import Lobes
 from irodori.rendering.interactive.channels import mean_spectra
 from irodori.rendering.interactive.cube_maps import environment_pyramid, face_directions, from_equirectangular
+from irodori.rendering.interactive.mesh_shadows import COUNT, FIRST, SEEN, SHAPE_NUMBERS, STRIDE, MeshShadows
 from irodori.rendering.interactive.prepared_scene import needed_gloss
 from irodori.rendering.interactive.round_lobes import gloss_power, ladder, lobe_table, roughness_at, roughness_place
 from irodori.rendering.scene_arrays import Objects, coefficients_of, gloss_of, textures
@@ -247,6 +250,62 @@ def _mesh_planes(planes: Planes, name: str, mesh: Mesh) -> None:
     planes.add_linear(f"{name}/normals", unique[:, 3:6].T, bits=12)
     planes.add_linear(f"{name}/uv", unique[:, 6:].T, bits=14)
     planes.add_integers(f"{name}/faces", place[inverse.ravel()].reshape(-1, 3).T)
+
+
+def _shadow_shape(grid: np.ndarray, nodes: int) -> tuple[int, ...]:
+    """Return the shape of a shape's nodes: rows and columns of a grid, a row of a mesh's."""
+    return (int(grid[ROWS]), int(grid[COLUMNS])) if grid[COLUMNS] else (1, nodes)
+
+
+def add_shadows(planes: Planes, placements: list[Placement], shadows: MeshShadows | None) -> list[dict | None]:
+    """Add what meshes hide at the nodes of all shapes; return what the header says of each, None where it is nothing.
+
+    Parameters
+    ----------
+    planes : Planes
+    placements : list of Placement
+    shadows : MeshShadows, optional
+        None where the scene has no shadows of meshes.
+    """
+    entries: list[dict | None] = [None] * len(placements)
+    if shadows is None:
+        return entries
+    numbers = shadows.numbers.reshape(len(placements), SHAPE_NUMBERS)
+    grids, triangle = shadows.grid.reshape(len(placements), GRID), 0
+    for i, values in shadow_values(shadows):
+        nodes = values.shape[1]
+        planes.add_linear(f"object/{i}/shadow/values", values.reshape(len(values), *_shadow_shape(grids[i], nodes)))
+        seen = numbers[i, SEEN : SEEN + numbers[i, COUNT]]
+        entries[i] = {"layers": [int(mesh) for mesh in seen], "grid": [float(x) for x in grids[i]]}
+    for i, placement in enumerate(placements):
+        if placement.shape.triangles is None:
+            continue
+        own = slice(triangle, triangle + len(placement.shape.triangles.faces))
+        triangle = own.stop
+        parts = shadows.parts[own].astype(np.int64)
+        if entries[i] is not None:
+            first = int(shadows.first_corner[own.start])
+            places = int(((parts + 1) * (parts + 2) // 2).sum())
+            planes.add_integers(f"object/{i}/shadow/parts", parts[None])
+            planes.add_integers(f"object/{i}/shadow/corners", shadows.corners[first : first + places][None])
+    return entries
+
+
+def shadow_values(shadows: MeshShadows) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield the shapes that meshes hide light from, and the numbers of their nodes, a view (numbers, nodes) float32."""
+    numbers = shadows.numbers.reshape(-1, SHAPE_NUMBERS)
+    shapes = np.flatnonzero(numbers[:, STRIDE])
+    ends = [*numbers[shapes[1:], FIRST], len(shadows.values)]
+    for i, end in zip(shapes, ends, strict=True):
+        yield int(i), shadows.values[numbers[i, FIRST] : end].reshape(-1, numbers[i, STRIDE]).T
+
+
+def decoded_shadows(planes: dict[str, np.ndarray], shadows: MeshShadows) -> MeshShadows:
+    """Return shadows with the numbers of a payload's planes."""
+    found = shadows._replace(values=shadows.values.copy())
+    for i, values in shadow_values(found):
+        values[:] = planes[f"object/{i}/shadow/values"].reshape(values.shape)
+    return found
 
 
 def add_shapes(planes: Planes, placements: list[Placement]) -> list[dict]:

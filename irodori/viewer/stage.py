@@ -1,6 +1,6 @@
 """Viewer stage: materials, light and a scene in; one page out, with the errors that it states of itself."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights, xyz_from_radiance
-from irodori.config.models import ObjectShape, Scene, Size
+from irodori.config.models import Size
 from irodori.core.progress import LOGGER
 from irodori.export.pictures import read_xyz
 from irodori.geometry.rig_frame import rotation_z
@@ -17,13 +17,15 @@ from irodori.rendering.scene_arrays import View, make_view
 from irodori.rendering.scene_white import shown_white
 from irodori.viewer.browser import OpenPage, browser_command, opened
 from irodori.viewer.measured import (
+    Decoded,
+    Parts,
     differences,
     frame_bands,
     mean_and_p99,
     prepared,
     xyz_differences,
 )
-from irodori.viewer.page_data import PageData, page_data
+from irodori.viewer.page_data import PageData, SceneSources, page_data
 from irodori.viewer.page_file import write_page
 from irodori.viewer.payload import read_payload
 from irodori.viewer.scene_data import decoded_light, decoded_objects
@@ -34,29 +36,6 @@ TURNS_DEG, ILLUMINANTS, OBSERVERS = (0.0, 110.0), (None, "A", "FL11"), (0, 1)
 LOSS_MEAN, LOSS_P99 = 0.1, 0.3
 _SIZE = Size(width=160, height=120)
 _SELFTEST_SIZE = Size(width=40, height=30)
-
-
-@dataclass(frozen=True)
-class SceneSources:
-    """A scene and the files that it is made from.
-
-    Parameters
-    ----------
-    name : str
-    scene : Scene
-    shapes : tuple of ObjectShape
-    materials : tuple of path
-    environment : path
-    least_throughput : float
-        Under which a path ends.
-    """
-
-    name: str
-    scene: Scene
-    shapes: tuple[ObjectShape, ...]
-    materials: tuple
-    environment: Path
-    least_throughput: float
 
 
 def export_viewer(sources: SceneSources, *, output, poster=None, picture=None) -> dict:
@@ -71,19 +50,13 @@ def export_viewer(sources: SceneSources, *, output, poster=None, picture=None) -
     picture : path, optional
         EXR of the page's first view by the scene's integrator, which the page is compared with too.
     """
-    data = page_data(
-        sources.name,
-        sources.scene,
-        sources.shapes,
-        sources.materials,
-        sources.environment,
-        sources.least_throughput,
-    )
-    view = make_view(sources.scene.views[data.header["views"][0]["name"]], _SIZE)
-    original = prepared(data.parts)
-    add_selftest(data, original, make_view(sources.scene.views[data.header["views"][0]["name"]], _SELFTEST_SIZE))
+    data = page_data(sources)
+    first_view = sources.scene.views[data.header["views"][0]["name"]]
+    view = make_view(first_view, _SIZE)
+    originals = [prepared(parts) for parts in data.rooms]
+    add_selftest(data, originals, make_view(first_view, _SELFTEST_SIZE))
     first = data.payload({})
-    errors: dict = {"data_loss": measured_loss(data, first, original, view), "cpu": None, "reference": None}
+    errors: dict = {"data_loss": measured_loss(data, first, originals, view), "cpu": None, "reference": None}
     LOGGER.info("loss of the format, CIEDE2000: %s; %.2f MB of base64", errors["data_loss"], len(first) / 1e6)
     if errors["data_loss"]["mean"] > LOSS_MEAN or errors["data_loss"]["p99"] > LOSS_P99:
         LOGGER.warning("the format loses more than mean %g, 99th percentile %g of this scene", LOSS_MEAN, LOSS_P99)
@@ -94,7 +67,7 @@ def export_viewer(sources: SceneSources, *, output, poster=None, picture=None) -
             draft = Path(folder) / "draft.html"
             write_page(draft, sources.scene.description or sources.name, first)
             with opened(draft) as page:
-                errors["cpu"] = measured_page(page, data, original, view)
+                errors["cpu"] = measured_page(page, data, originals, view)
                 if picture is not None:
                     errors["reference"] = measured_reference(page, sources, picture)
         LOGGER.info("the page against the interactive renderer, CIEDE2000: %s", errors["cpu"])
@@ -102,16 +75,17 @@ def export_viewer(sources: SceneSources, *, output, poster=None, picture=None) -
     return errors
 
 
-def measured_loss(data: PageData, payload: str, original: Prepared, view: View) -> dict:
+def measured_loss(data: PageData, payload: str, originals: Sequence[Prepared], view: View) -> dict:
     """Return CIEDE2000 between frames from the decoded planes and from the originals, mean and 99th percentile."""
     header, planes = read_payload(payload)
-    maps = decoded_light(planes, 0, header["light"][0])
-    decoded = prepared(data.parts, decoded_objects(data.parts.objects, planes, header["objects"]), maps)
-    white = white_of(data)
+    objects = decoded_objects(data.parts.objects, planes, header["objects"])
     found = []
-    for turn in TURNS_DEG:
-        before, after = (frame_bands(scene, view, data.parts, _turned(turn)) for scene in (original, decoded))
-        found.append(differences(before, after, white))
+    for number, (parts, original) in enumerate(zip(data.rooms, originals, strict=True)):
+        maps = decoded_light(planes, number, header["light"][number])
+        decoded = prepared(parts, Decoded(objects, maps, planes))
+        for turn in TURNS_DEG:
+            before, after = (frame_bands(scene, view, parts, _turned(turn)) for scene in (original, decoded))
+            found.append(differences(before, after, white_of(parts)))
     return mean_and_p99(found)
 
 
@@ -119,58 +93,79 @@ def _turned(degrees: float) -> np.ndarray:
     return rotation_z(np.radians(degrees))
 
 
-def white_of(data: PageData) -> np.ndarray:
+def white_of(parts: Parts) -> np.ndarray:
     """Return the radiance of a perfect diffuser that faces up, (61,), under the light and the scene's lamps."""
-    lamps = np.maximum(data.parts.directions[:, 2], 0.0) @ data.parts.lamps / np.pi
-    return data.parts.environment.upward_white() + lamps
+    lamps = np.maximum(parts.directions[:, 2], 0.0) @ parts.lamps / np.pi
+    return parts.environment.upward_white() + lamps
 
 
-def swapped(data: PageData, name: str) -> np.ndarray:
-    """Return the factor on the light, (61,), that gives its white an illuminant's spectrum and keeps its luminance."""
+def swapped(data: PageData, name: str, parts: Parts) -> np.ndarray:
+    """Return the factor on a room's light, (61,), that gives its white an illuminant's spectrum, and its luminance."""
     power = np.array(next(entry["power"] for entry in data.header["illuminants"] if entry["name"] == name))
-    white, luminance = data.parts.environment.upward_white(), colour_matching_weights()[1]
+    white, luminance = parts.environment.upward_white(), colour_matching_weights()[1]
     return power / white * (luminance @ white) / (luminance @ power)
 
 
-def add_selftest(data: PageData, scene: Prepared, view: View) -> None:
+def add_selftest(data: PageData, originals: Sequence[Prepared], view: View) -> None:
     """Add small frames of `checks` to a page's planes, for the check that it makes of itself."""
-    bands = {turn: frame_bands(scene, view, data.parts, _turned(turn)) for turn in TURNS_DEG}
     entries: list[dict] = []
-    for light, observer, ratio, matrix in checks(data):
-        data.planes.add_floats(f"selftest/{len(entries)}", (bands[light["turn_deg"]] * ratio) @ matrix.T)
-        entries.append({"light": light, "observer": observer, "size": [view.height, view.width]})
+    for check in checks(data, originals, view):
+        data.planes.add_floats(f"selftest/{len(entries)}", check.wanted)
+        entries.append({"light": check.light, "observer": check.observer, "size": [view.height, view.width]})
     data.header["selftest"] = entries
 
 
-def checks(data: PageData) -> Iterator[tuple[dict, str, np.ndarray, np.ndarray]]:
-    """Yield what a page is checked with: its light's part of a state, observer, factor on the light, XYZ of radiance.
+@dataclass(frozen=True)
+class Check:
+    """A frame that a page is checked with.
+
+    Parameters
+    ----------
+    light : dict
+        What it changes in the light of the page's state.
+    observer : str
+    wanted : (height, width, 3) float
+        XYZ by the interactive renderer.
+    white_xyz : (3,) float
+    """
+
+    light: dict
+    observer: str
+    wanted: np.ndarray
+    white_xyz: np.ndarray
+
+
+def checks(data: PageData, originals: Sequence[Prepared], view: View) -> Iterator[Check]:
+    """Yield what a page is checked with: every room, turned, under some illuminants and for some observers.
 
     The light is exchanged where it is all that lights the scene.
     """
-    white = data.parts.environment.upward_white()
-    for turn in TURNS_DEG:
-        for name in ILLUMINANTS if white.all() and not len(data.parts.lamps) else (None,):
-            for number in OBSERVERS:
-                observer = data.header["observers"][number]
-                ratio = swapped(data, name) if name else np.ones_like(white)
-                weights = np.array(observer["xyz"]).T
-                light = {"turn_deg": turn, "illuminant": name and {"name": name}}
-                yield light, observer["name"], ratio, weights * (100.0 / (weights[1] @ (white_of(data) * ratio)))
+    for name, parts, original in zip(data.header["environments"], data.rooms, originals, strict=True):
+        white = parts.environment.upward_white()
+        for turn in TURNS_DEG:
+            bands = frame_bands(original, view, parts, _turned(turn))
+            for illuminant in ILLUMINANTS if white.all() and not len(parts.lamps) else (None,):
+                ratio = swapped(data, illuminant, parts) if illuminant else np.ones_like(white)
+                seen_white = white_of(parts) * ratio
+                light = {"environment": name, "turn_deg": turn, "illuminant": illuminant and {"name": illuminant}}
+                for number in OBSERVERS:
+                    observer = data.header["observers"][number]
+                    weights = np.array(observer["xyz"]).T
+                    matrix = weights * (100.0 / (weights[1] @ seen_white))
+                    yield Check(light, observer["name"], (bands * ratio) @ matrix.T, matrix @ seen_white)
 
 
-def measured_page(page: OpenPage, data: PageData, scene: Prepared, view: View) -> dict:
+def measured_page(page: OpenPage, data: PageData, originals: Sequence[Prepared], view: View) -> dict:
     """Return CIEDE2000 between what a page draws and the interactive renderer, over `checks`.
 
     The page begins with the same view; pixels at which both see different things, at outlines, are left in.
     """
-    bands = {turn: frame_bands(scene, view, data.parts, _turned(turn)) for turn in TURNS_DEG}
     found = []
     state = page.default_state()
-    for light, observer, ratio, matrix in checks(data):
-        now = {**state, "light": state["light"] | light, "observer": observer}
+    for check in checks(data, originals, view):
+        now = {**state, "light": state["light"] | check.light, "observer": check.observer}
         xyz, _ = page.read_xyz(now, view.width, view.height)
-        wanted = (bands[light["turn_deg"]] * ratio) @ matrix.T
-        found.append(xyz_differences(wanted, xyz, matrix @ (white_of(data) * ratio)))
+        found.append(xyz_differences(check.wanted, xyz, check.white_xyz))
     return mean_and_p99(found)
 
 
@@ -178,7 +173,7 @@ def measured_reference(page: OpenPage, sources: SceneSources, picture) -> dict:
     """Return CIEDE2000 between what a page draws and a picture of the scene's own integrator, its noise included."""
     from irodori.light.environment_file import Environment
 
-    white, _ = shown_white(sources.scene, Environment.load(sources.environment), sources.environment)
+    white, _ = shown_white(sources.scene, Environment.load(sources.environments[0]), sources.environments[0])
     matrix = xyz_from_radiance(white)
     wanted = read_xyz(picture, matrix.astype(np.float32))
     xyz, _ = page.read_xyz(page.default_state(), wanted.shape[1], wanted.shape[0])

@@ -57,14 +57,14 @@ def write_scene(name: str, output: Path | None) -> Path:
     InputError
         If there is no such scene, or a result is missing.
     """
-    from irodori.config.pages import page_views
+    from irodori.config.pages import page_rooms, page_views
     from irodori.viewer.stage import SceneSources, export_viewer
 
     loaded = load_definitions(read_yaml(_CONFIG) | {"make": {"scenes": [name]}}, Path())
     scene = loaded.scenes[name]
     files = [Path(f"results/{item.object}/material.h5") for item in scene.objects]
-    light = Path(f"results/environments/{scene.environment}.h5")
-    missing = next((file for file in [*files, light] if not file.is_file()), None)
+    lights = [Path(f"results/environments/{room}.h5") for room in page_rooms(scene)]
+    missing = next((file for file in [*files, *lights] if not file.is_file()), None)
     if missing is not None:
         raise InputError(missing, "", "no file", f"what 'snakemake --cores 2 {missing}' makes")
     sources = SceneSources(
@@ -72,7 +72,7 @@ def write_scene(name: str, output: Path | None) -> Path:
         scene,
         tuple(loaded.objects[item.object].shape for item in scene.objects),
         tuple(files),
-        light,
+        tuple(lights),
         loaded.config.render.min_throughput,
     )
     output = output or Path(f"results/{name}/viewer.html")

@@ -68,21 +68,46 @@ def write_mesh(path: Path, rings: int, segments: int) -> Path:
     return path
 
 
+def write_torus(path: Path, around: int = 48, across: int = 24, radius: float = 18.0, tube: float = 7.0) -> Path:
+    """Write a torus of triangles about the z axis as OBJ."""
+    u, v = np.meshgrid(np.arange(around + 1) / around, np.arange(across + 1) / across, indexing="ij")
+    far = radius + tube * np.cos(2 * np.pi * v)
+    x, y, z = far * np.cos(2 * np.pi * u), far * np.sin(2 * np.pi * u), tube * np.sin(2 * np.pi * v)
+    lines = [f"v {a:.6f} {b:.6f} {c:.6f}" for a, b, c in zip(x.ravel(), y.ravel(), z.ravel(), strict=True)]
+    lines += [f"vt {a:.6f} {b:.6f}" for a, b in zip(u.ravel(), v.ravel(), strict=True)]
+    number = np.arange(u.size).reshape(u.shape) + 1
+    quads = zip(number[:-1, :-1].ravel(), number[1:, :-1].ravel(), number[1:, 1:].ravel(), number[:-1, 1:].ravel(),
+                strict=True)  # fmt: skip
+    lines += [f"f {a}/{a} {b}/{b} {c}/{c}\nf {a}/{a} {c}/{c} {d}/{d}" for a, b, c, d in quads]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
 SPHERE = {"kind": "sphere", "radius_mm": 20.0}
 PLATE = {"kind": "plate", "width_mm": 110.0, "height_mm": 90.0}
 
 
 def sources(
-    folder: Path, environment: Environment, *, ball=SPHERE, first: Material | None = None, ambient=True, **keys
+    folder: Path,
+    environment: Environment,
+    *,
+    ball=SPHERE,
+    first: Material | None = None,
+    second: Material | None = None,
+    further: tuple[Environment, ...] = (),
+    ambient=True,
+    **keys,
 ) -> SceneSources:
-    """A ball on a plate beside a disc, written into a folder."""
+    """A ball on a plate, written into a folder; further rooms are those that a lesson among the keys names."""
     folder.mkdir(parents=True, exist_ok=True)
-    materials = [first or painted(), painted(beta=8.0, mirror=0.3)]
+    materials = [first or painted(), second or painted(beta=8.0, mirror=0.3)]
     files = []
     for number, material in enumerate(materials):
         files.append(folder / f"material-{number}.h5")
         material.save(files[-1], Provenance("test"))
-    environment.save(folder / "light.h5", Provenance("test"))
+    lights = [folder / f"light-{number}.h5" for number in range(1 + len(further))]
+    for file, light in zip(lights, (environment, *further), strict=True):
+        light.save(file, Provenance("test"))
     scene = {
         "description": "A ball & a plate",
         "environment": "room",
@@ -103,4 +128,4 @@ def sources(
         **keys,
     }  # fmt: skip
     shapes = tuple(made(ObjectShape, shape) for shape in (ball, PLATE))
-    return SceneSources("test", made(Scene, scene), shapes, tuple(files), folder / "light.h5", 1e-3)
+    return SceneSources("test", made(Scene, scene), shapes, tuple(files), tuple(lights), 1e-3)

@@ -11,59 +11,21 @@ import numpy as np
 import pytest
 from pages import gold, painted, room, sources, write_mesh
 from scenes import fresnel
-from scipy import ndimage
+from written_pages import SIZE, Written, agree, differences, inside
 
-from irodori.config.models import Size
 from irodori.geometry.rig_frame import look_at, rotation_xyz, rotation_z
 from irodori.rendering.scene_arrays import make_view
 from irodori.viewer.browser import FLAGS, browser_command, opened
-from irodori.viewer.measured import frame_bands, prepared, xyz_differences
+from irodori.viewer.measured import frame_bands, prepared
 from irodori.viewer.page_data import page_data
 from irodori.viewer.page_file import page_html
 from irodori.viewer.payload import read_payload
-from irodori.viewer.stage import export_viewer, swapped, white_of
+from irodori.viewer.stage import export_viewer
 from irodori.viewer.viewer_command import payload_of
 
 pytestmark = pytest.mark.skipif(
     browser_command() is None, reason="NO BROWSER: pages are not tested; install Debian's package chromium"
 )
-MEAN, P99 = 0.05, 0.3
-SIZE = Size(width=64, height=48)
-
-
-class Written:
-    """A page, and the same scene for the product's renderer."""
-
-    def __init__(self, folder, given) -> None:
-        self.sources = given
-        self.data = page_data(given.name, given.scene, given.shapes, given.materials, given.environment, 1e-3)
-        self.payload = self.data.payload({})
-        self.view = make_view(given.scene.views["front"], SIZE)
-        self.scene = prepared(self.data.parts)
-        self.path = folder / "page.html"
-        self.text = page_html("A page", self.payload)
-        self.path.write_text(self.text, encoding="utf-8")
-
-    def wanted(self, bands, observer=0, illuminant=None):
-        """XYZ of radiance under another light and for another observer, and the white's."""
-        weights = np.array(self.data.header["observers"][observer]["xyz"]).T
-        ratio = swapped(self.data, illuminant) if illuminant else np.ones(61)
-        white = white_of(self.data) * ratio
-        matrix = weights * (100.0 / (weights[1] @ white))
-        return (bands * ratio) @ matrix.T, matrix @ white
-
-
-def inside(objects) -> np.ndarray:
-    """Pixels that are not beside another object's: outlines are apart."""
-    return ndimage.maximum_filter(objects, 3) == ndimage.minimum_filter(objects, 3)
-
-
-def differences(wanted, white, xyz, objects) -> np.ndarray:
-    return xyz_differences(wanted, xyz, white)[inside(objects)]
-
-
-def agree(found) -> bool:
-    return bool(found.mean() <= MEAN and np.percentile(found, 99) <= P99)
 
 
 @pytest.fixture(scope="module")
@@ -95,8 +57,8 @@ def test_every_light_and_observer_of_the_list_is_the_renderers(written, page, tu
 def test_objects_and_camera_are_moved_as_the_scene_says(written, page):
     state = page.default_state()
     state["objects"][0] |= {"position_mm": [20.0, -15.0, 24.0], "turn_deg": [10.0, 80.0, 30.0]}
-    state["camera"] = {"target_mm": [4.0, -3.0, 8.0], "azimuth_deg": 20.0, "elevation_deg": 35.0, "distance_mm": 200.0,
-                       "fov_deg": 30.0}  # fmt: skip
+    state["camera"] |= {"target_mm": [4.0, -3.0, 8.0], "azimuth_deg": 20.0, "elevation_deg": 35.0, "distance_mm": 200.0,
+                        "fov_deg": 30.0}  # fmt: skip
     parts = written.data.parts
     ball = parts.placements[0].__class__(
         parts.placements[0].shape, rotation_xyz((10.0, 80.0, 30.0)), np.array([20.0, -15.0, 24.0])
@@ -267,7 +229,7 @@ def test_highlights_of_ggx_are_those_of_its_formula(tmp_path):
     )  # fmt: skip
     lamp = {"kind": "collimated", "azimuth_deg": -40.0, "elevation_deg": 50.0, "irradiance": 1.0, "spectrum": "D65"}
     given = sources(tmp_path, room(level=0.0), first=ggx, lights=[lamp])
-    data = page_data(given.name, given.scene, given.shapes, given.materials, given.environment, 1e-3)
+    data = page_data(given)
     path = tmp_path / "page.html"
     path.write_text(page_html("A page", data.payload({})), encoding="utf-8")
     with opened(path) as page:

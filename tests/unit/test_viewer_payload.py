@@ -105,7 +105,7 @@ def test_light_is_the_same_whatever_vectors_its_file_is_on(tmp_path):
     light = room()
     mixed = np.random.default_rng(3).normal(size=(6, 6))
     given = sources(tmp_path, light)
-    data = page_data(given.name, given.scene, given.shapes, given.materials, given.environment, 1e-3)
+    data = page_data(given)
     wanted = light_maps(light, data.parts.objects)
     for basis_from_other in (-np.eye(6), mixed):
         turned = Environment(

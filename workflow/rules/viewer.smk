@@ -1,7 +1,7 @@
 rule export_viewer:
     input:
         materials=scenes.materials("results/{object}/material.h5"),
-        environment=scenes.environment,
+        environments=scenes.rooms,
         poster=scenes.page_view("results/{scene}/{view}.png"),
         picture=scenes.page_view("results/{scene}/{view}.exr"),
         user_files=ancient(scenes.page_files),

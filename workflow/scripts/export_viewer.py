@@ -10,7 +10,7 @@ with run_rule(snakemake):
             Scene.of({**snakemake.params.scene, "lesson": snakemake.params.lesson}),
             tuple(typed_shapes(snakemake.params.shapes)),
             tuple(snakemake.input.materials),
-            snakemake.input.environment,
+            tuple(snakemake.input.environments),
             Render.of(snakemake.params.render).min_throughput,
         ),
         poster=snakemake.input.poster,

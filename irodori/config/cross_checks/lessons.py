@@ -17,7 +17,7 @@ _MOST_BALLS = 4
 
 
 def check_lesson(scene: Scene, root: Path, file) -> None:
-    """Refuse a lesson that names a view, an object, a room, an illuminant or a picture that is not there.
+    """Refuse a lesson that names a view, an object, an illuminant or a picture that is not there.
 
     Raises
     ------
@@ -34,9 +34,9 @@ def check_lesson(scene: Scene, root: Path, file) -> None:
                 raise InputError(file, f"{field}.camera", "a camera beside the view", "one of the two")
         for number, pose in enumerate(step.objects):
             _check_name(pose.name, names, file, f"{field}.objects[{number}].name")
-        _check_light(step.light, scene, file, f"{field}.light")
+        _check_light(step.light, file, f"{field}.light")
         if step.compare is not None:
-            _check_light(step.compare.light, scene, file, f"{field}.compare.light")
+            _check_light(step.compare.light, file, f"{field}.compare.light")
         _check_picture(step, root, file, f"{field}.picture")
 
 
@@ -48,9 +48,7 @@ def _check_name(name: str, known: Iterable[str], file, field: str) -> None:
         raise InputError(file, field, f"{name}, which is not there{hint}", ", ".join(listed))
 
 
-def _check_light(light: LessonLight, scene: Scene, file, field: str) -> None:
-    if light.environment is not None:
-        _check_name(light.environment, [scene.environment], file, f"{field}.environment")
+def _check_light(light: LessonLight, file, field: str) -> None:
     balls = sum(lamp.size_mm > 0 for lamp in light.lamps)
     if balls > _MOST_BALLS:
         raise InputError(file, f"{field}.lamps", f"{balls} lamps with a size", f"at most {_MOST_BALLS}, and points")

@@ -173,6 +173,9 @@
     if (lamps) parts.push(I.text('describe_lamps', {count: lamps}));
     if (page.compare) parts.push(I.text('describe_compare', {mode: I.text('mode_' + page.compare.mode), other: page.compare.mode === 'rgb' ? '' : illuminantWords(page.compare.other.illuminant, 'as_captured'), at: Math.round(100 * page.compare.at)}));
     if (page.state.overlay) parts.push(I.text('describe_overlay', {overlay: I.text('overlay_' + page.state.overlay)}));
+    if (header.environments.length > 1) parts.push(I.text('describe_room', {room: I.nameOf('environment', light.environment)}));
+    const shadows = header.objects.reduce((bits, one, i) => (one.shadow ? bits | (1 << i) : bits), 0);
+    if (shadows && I.shadowed(header, page.state) !== shadows) parts.push(I.text('describe_no_shadows'));
     const hidden = page.state.objects.filter((one) => !one.visible).map(objectWords);
     if (hidden.length) parts.push(I.text('describe_hidden', {names: hidden.join(', ')}));
     return parts.join(' ');
@@ -444,6 +447,7 @@
     if (key === '+' || key === '=') I.zoom(state.camera, 1 / 1.1);
     else if (key === '-' || key === '_') I.zoom(state.camera, 1.1);
     else if (key === 'Home') state.camera = I.clone(base.state.camera);
+    else if (key === 'r' || key === 'R') nextRoom();
     else if (/^[1-6]$/.test(key)) return choose(['view', 'object', 'room', 'lamp', 'probe', 'ruler'][key - 1]);
     else if (arrow && tool === 'view' && fast) I.pan(state.camera, -arrow[0] * 20, arrow[1] * 20, stage.clientHeight);
     else if (arrow && tool === 'view') I.orbit(state.camera, arrow[0] * 5, arrow[1] * 4);
@@ -467,6 +471,13 @@
     event.preventDefault();
     changed();
   });
+
+  function nextRoom() {
+    const rooms = header.environments, {light} = page.state;
+    if (rooms.length < 2) return say(I.text('one_room'));
+    light.environment = rooms[(rooms.indexOf(light.environment) + 1) % rooms.length];
+    return say(I.nameOf('environment', light.environment));
+  }
 
   function choose(next) {
     tool = next;

@@ -26,7 +26,7 @@ window.Irodori = window.Irodori || {};
       if (!view) throw new I.Refusal('bad_state', {field: 'view', found: step.view, accepted: header.views.map((one) => one.name).join(', ')});
       state.camera = I.clone(view.camera);
     }
-    if (step.camera) state.camera = {fov_deg: state.camera.fov_deg, ...I.clone(step.camera)};
+    if (step.camera) state.camera = {fov_deg: state.camera.fov_deg, roll_deg: 0, height_mm: 0, ...I.clone(step.camera)};
     state.light = lightOf(step.light ?? {}, base.state.light);
     for (const pose of step.objects ?? []) {
       const one = state.objects.find((placed) => placed.name === pose.name);
@@ -55,7 +55,7 @@ window.Irodori = window.Irodori || {};
     const state = page.state;
     const step = {title: words.title, text: words.text};
     for (const key of ['picture', 'picture_file']) if (words[key]) step[key] = words[key];
-    if (!same(state.camera, base.state.camera)) step.camera = {...I.clone(state.camera), azimuth_deg: state.camera.azimuth_deg % 360};
+    if (!same(state.camera, base.state.camera)) step.camera = {...I.clone(state.camera), azimuth_deg: state.camera.azimuth_deg % 360, roll_deg: state.camera.roll_deg % 360};
     const light = lightGiven(state.light, base.state.light);
     if (Object.keys(light).length) step.light = light;
     const poses = state.objects.flatMap((one, index) => {

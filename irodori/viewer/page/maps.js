@@ -3,7 +3,8 @@
 var Irodori = Irodori || {};
 
 (function () {
-  const LARGEST = 4096;
+  const LARGEST = 4096, TRIANGLE = 7;
+  Irodori.TRIANGLE = TRIANGLE; // texels of one in the texture of meshes
 
   // Weights of Lagrange's polynomial through eight numbers, 3 before to 4 after, at a place past 0; see scene_data.py.
   function interpolation(offset) {
@@ -248,8 +249,49 @@ var Irodori = Irodori || {};
     return { nodes, order };
   }
 
-  // Meshes of all objects in one texture of 2048 columns: nodes of all, two texels each; then triangles, six each.
-  Irodori.meshTexture = function (data) {
+  // What meshes hide, in one texture of 2048 columns: numbers of the nodes of all shapes, a texel and one a layer each;
+  // then the nodes at the places of the meshes' triangles, four a texel. Null where there is nothing of it.
+  Irodori.shadowTexture = function (data) {
+    const found = data.header.objects.flatMap((o, i) => {
+      if (!o.shadow) return [];
+      const plane = (name) => data.planes["object/" + i + "/shadow/" + name], stride = 1 + o.shadow.layers.length;
+      return [{ object: i, stride, values: plane("values"), corners: plane("corners") || [], parts: plane("parts") || [] }];
+    });
+    if (!found.length) return null;
+    const size = (f) => f.values.length / (4 * f.stride - 1);
+    const texels = found.reduce((sum, f) => sum + size(f) * f.stride, 0), places = found.reduce((sum, f) => sum + f.corners.length, 0);
+    const rows = Math.ceil((texels + places / 4) / 2048), out = new Float32Array(4 * 2048 * rows), of = {};
+    if (rows > LARGEST) throw new Error("The data of this page: found " + texels + " nodes of shadows; accepted: as many as fit in a texture.");
+    let texel = 0, corner = 4 * texels;
+    for (const f of found) {
+      const nodes = size(f), numbers = 4 * f.stride - 1, starts = [];
+      for (let n = 0; n < nodes; n++)
+        for (let c = 0; c < numbers; c++) out[4 * (texel + n * f.stride) + c + (c > 2 ? 1 : 0)] = f.values[c * nodes + n];
+      out.set(f.corners, corner);
+      for (const part of f.parts) {
+        starts.push(corner);
+        corner += (part + 1) * (part + 2) / 2;
+      }
+      of[f.object] = { first: texel, stride: f.stride, starts, parts: f.parts };
+      texel += nodes * f.stride;
+    }
+    return { data: out, width: 2048, height: rows, places: of };
+  };
+
+  // Bits of the objects whose stored shadows hold: they and all meshes stand as the scene has them.
+  Irodori.shadowed = function (header, state) {
+    const same = (a, b, turn) => a.every((x, i) => Math.abs(turn ? x - b[i] - 360 * Math.round((x - b[i]) / 360) : x - b[i]) < 1e-6);
+    const stands = header.objects.map((o, i) => {
+      const at = state.objects[i];
+      return at.visible && same(at.position_mm, o.position_mm, false) && same(at.turn_deg, o.rotation_deg, true);
+    });
+    if (header.objects.some((o, i) => o.shape === "mesh" && !stands[i])) return 0;
+    return header.objects.reduce((bits, o, i) => (o.shadow && stands[i] ? bits | (1 << i) : bits), 0);
+  };
+
+  // Meshes of all objects in one texture of 2048 columns: nodes of all, two texels each; then triangles: three corners,
+  // three normals, and where their places among the shadows begin and in how many parts their edges are divided.
+  Irodori.meshTexture = function (data, shadows) {
     const found = [];
     data.header.objects.forEach((o, i) => {
       if (o.shape !== "mesh") return;
@@ -268,15 +310,15 @@ var Irodori = Irodori || {};
     });
     if (!found.length) return null;
     const nodes = found.reduce((sum, f) => sum + f.nodes.length, 0), triangles = found.reduce((sum, f) => sum + f.m, 0);
-    const texels = 2 * nodes + 6 * triangles, rows = Math.ceil(texels / 2048), out = new Float32Array(4 * 2048 * rows);
+    const texels = 2 * nodes + TRIANGLE * triangles, rows = Math.ceil(texels / 2048), out = new Float32Array(4 * 2048 * rows);
     if (rows > LARGEST) throw new Error("The data of this page: found " + triangles + " triangles; accepted: as many as fit in a texture.");
     let node = 0, triangle = 0;
     const places = {};
     for (const f of found) {
-      places[f.object] = { first: node, last: node + f.nodes.length, triangles: 2 * nodes + 6 * triangle };
+      places[f.object] = { first: node, last: node + f.nodes.length, triangles: 2 * nodes + TRIANGLE * triangle };
       f.nodes.forEach((one, i) => out.set([...one.low, node + one.skip, ...one.high, one.leaf], 8 * (node + i)));
       f.order.forEach((t, place) => {
-        const to = 4 * (2 * nodes + 6 * (triangle + place)), uv = f.plane("uv"), normals = f.plane("normals"), points = f.plane("vertices");
+        const to = 4 * (2 * nodes + TRIANGLE * (triangle + place)), uv = f.plane("uv"), normals = f.plane("normals"), points = f.plane("vertices");
         const uvs = [0, 1, 2].flatMap((c) => [0, 1].map((a) => f.at(uv, f.corner(t, c), a)));
         for (let c = 0; c < 3; c++)
           for (let a = 0; a < 3; a++) {
@@ -284,6 +326,8 @@ var Irodori = Irodori || {};
             out[to + 12 + 4 * c + a] = f.at(normals, f.corner(t, c), a);
           }
         uvs.forEach((x, i) => (out[to + 4 * i + 3] = x));
+        const hidden = shadows && shadows.places[f.object];
+        if (hidden) out.set([hidden.starts[t], hidden.parts[t]], to + 24);
       });
       node += f.nodes.length;
       triangle += f.m;

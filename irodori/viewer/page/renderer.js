@@ -3,7 +3,7 @@
 var Irodori = Irodori || {};
 
 (function () {
-  const MOST_LAMPS = 64, MOST_SPECTRA = 8, DISC_SAMPLES = 16, ROW = 10;
+  const MOST_LAMPS = 64, MOST_SPECTRA = 8, DISC_SAMPLES = 16, ROW = 14;
   const KINDS = { sphere: 0, plate: 1, disc: 2, plane: 3, mesh: 4 };
   const OVERLAYS = [null, "status", "uncertainty", "gamut"], MODES = [null, "wipe", "difference", "metamerism"];
   const radians = (x) => x * Math.PI / 180;
@@ -24,18 +24,6 @@ var Irodori = Irodori || {};
 
   // Columns of a matrix of rows, as WebGL wants them.
   const columns = (m) => [0, 1, 2].flatMap((c) => m.map((row) => row[c]));
-  const normal = (v) => v.map((x) => x / (Math.hypot(...v) || 1));
-  const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-
-  Irodori.eye = function (camera) {
-    const az = radians(camera.azimuth_deg), el = radians(camera.elevation_deg);
-    const away = [Math.cos(el) * Math.cos(az), Math.cos(el) * Math.sin(az), Math.sin(el)];
-    const position = camera.target_mm.map((x, i) => x + camera.distance_mm * away[i]);
-    const forward = away.map((x) => -x), across = cross(forward, [0, 0, 1]);
-    const right = Math.hypot(...across) > 1e-9 ? normal(across) : [-Math.sin(az), Math.cos(az), 0];
-    const down = cross(forward, right);
-    return { position, rows: [0, 1, 2].map((i) => [right[i], down[i], forward[i]]) };
-  };
 
   Irodori.Renderer = class {
     constructor(canvas, data) {
@@ -67,19 +55,27 @@ var Irodori = Irodori || {};
       if (!gl.getExtension("EXT_color_buffer_float")) fail("no-webgl2", "This browser draws no numbers with a point; accepted: one with EXT_color_buffer_float.");
       this.parallel = gl.getExtension("KHR_parallel_shader_compile");
       this.targets = {};
+      this.lights = [];
       this.textures = {};
       this.vertices = gl.createVertexArray();
       this.lit = null;
       this.coloured = this.data.header.quadrature !== null;
       this.makeMaterials();
-      const mesh = Irodori.meshTexture(this.data);
+      const shadows = Irodori.shadowTexture(this.data), mesh = Irodori.meshTexture(this.data, shadows);
+      this.shadows = shadows ? shadows.places : {};
       this.meshes = mesh ? mesh.places : {};
+      if (shadows) this.textures.uShadows = this.texture(shadows, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
       if (mesh) this.textures.uMesh = this.texture(mesh, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
       this.makeLobes();
       this.programs = {};
       this.programs.display = await this.program("display", Irodori.sources["display.glsl"], "");
-      this.useLight(0);
-      await this.transport();
+      const lights = this.data.header.light.map((_, number) => this.makeLight(number));
+      // Rooms of a kind share a program.
+      for (const light of lights) {
+        const defines = this.defines(light), same = lights.find((one) => one.program && one.program.defines === defines);
+        light.program = same ? same.program : await this.program("transport", Irodori.sources["transport.glsl"], defines);
+      }
+      this.lights = lights;
     }
 
     // A texture of {data, width, height, layers}.
@@ -114,46 +110,37 @@ var Irodori = Irodori || {};
       this.textures.uRows = this.texture({ data: out, width: 68, height: 17 * this.parts * lobes.length }, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
     }
 
-    // Make the light of an environment that of the next frames; true where the program must follow.
-    useLight(number) {
-      const entry = this.data.header.light[number], gl = this.gl;
-      for (const name of ["uSky", "uIrradiance", "uGloss"]) {
-        if (this.textures[name]) gl.deleteTexture(this.textures[name].texture);
-        delete this.textures[name];
-      }
-      this.light = { number, sky: [], gloss: [], scale: [1, 1, 1, 1], first: 0, side: 0 };
-      if (!entry || entry.is_dark) return;
+    // Maps of the light of an environment.
+    makeLight(number) {
+      const entry = this.data.header.light[number], light = { number, textures: {}, sky: [], gloss: [], scale: [1, 1, 1, 1], first: entry.gloss_first, side: 0 };
+      if (entry.is_dark) return light;
       const levels = Irodori.lightLevels(this.data, number);
-      const scale = Irodori.halfScale([...levels.sky.slice(0, 1), ...levels.irradiance, ...levels.gloss]);
-      const sky = Irodori.cubeAtlas(levels.sky, scale), irradiance = Irodori.cubeAtlas(levels.irradiance, scale);
-      this.textures.uSky = this.half(sky);
-      this.textures.uIrradiance = this.half(irradiance);
-      this.light = { number, sky: sky.origins, gloss: [], scale, first: entry.gloss_first, side: levels.irradiance[0].side };
-      if (levels.gloss.length) {
-        const gloss = Irodori.cubeAtlas(levels.gloss, scale);
-        this.textures.uGloss = this.half(gloss);
-        this.light.gloss = gloss.origins;
-      }
+      light.scale = Irodori.halfScale([...levels.sky.slice(0, 1), ...levels.irradiance, ...levels.gloss]);
+      const map = (name, some) => {
+        const made = Irodori.cubeAtlas(some, light.scale);
+        light.textures[name] = this.half(made);
+        return made.origins;
+      };
+      light.sky = map("uSky", levels.sky);
+      map("uIrradiance", levels.irradiance);
+      light.side = levels.irradiance[0].side;
+      if (levels.gloss.length) light.gloss = map("uGloss", levels.gloss);
+      return light;
     }
 
-    defines() {
+    defines(light) {
       const header = this.data.header, has = (kind) => Number(header.objects.some((o) => o.shape === kind));
-      const k = this.spectra.lights.length ? this.spectra.lights[this.light.number].basis.length : 1;
+      const k = this.spectra.lights[light.number].basis.length;
       const ggx = header.lobes.map((lobe, i) => (lobe.name === "ggx" ? "(l) == " + i : null)).filter(Boolean);
       const values = {
         OBJECTS: header.objects.length, K: k, G: Math.ceil(k / 4), KS: this.spectra.widest, BOUNCES: header.max_bounces,
-        AMBIENT: Number(header.ambient), COLOURED: Number(this.coloured), HAS_LIGHT: Number(this.light.sky.length > 0),
-        SKY_LEVELS: this.light.sky.length, GLOSS_LEVELS: this.light.gloss.length, PARTS: this.parts,
-        LOBES: Math.max(header.lobes.length, 1), HAS_MESH: has("mesh"), HAS_DISC: has("disc"), MOST_LAMPS, MOST_SPECTRA,
+        AMBIENT: Number(header.ambient), COLOURED: Number(this.coloured), HAS_LIGHT: Number(light.sky.length > 0),
+        SKY_LEVELS: light.sky.length, GLOSS_LEVELS: light.gloss.length, PARTS: this.parts,
+        LOBES: Math.max(header.lobes.length, 1), HAS_MESH: has("mesh"), HAS_DISC: has("disc"), HAS_SHADOWS: Number(Object.keys(this.shadows).length > 0),
+        TRIANGLE: Irodori.TRIANGLE, MOST_LAMPS, MOST_SPECTRA,
         "GGX(l)": ggx.length ? "(" + ggx.join(" || ") + ")" : "false",
       };
       return Object.entries(values).map(([name, value]) => "#define " + name + " " + value + "\n").join("");
-    }
-
-    async transport() {
-      const defines = this.defines();
-      if (this.programs.transport && this.programs.transport.defines === defines) return;
-      this.programs.transport = await this.program("transport", Irodori.sources["transport.glsl"], defines);
     }
 
     // Compile and link without waiting in the browser's way, where it can do that beside the page.
@@ -195,8 +182,8 @@ var Irodori = Irodori || {};
       return this.spectra.power(illuminant);
     }
 
-    setTexture(program, name, unit) {
-      const gl = this.gl, own = this.textures[name];
+    setTexture(program, name, own, unit) {
+      const gl = this.gl;
       if (!own || program.place(name) === null) return;
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(own.target, own.texture);
@@ -219,6 +206,12 @@ var Irodori = Irodori || {};
         put(7, [0, 1, 2, 3].map((c) => (c < o.lobes.length ? o.lobes[c] : -1)));
         const mesh = this.meshes[i];
         if (mesh) put(8, [mesh.first, mesh.last, mesh.triangles, o.scale]);
+        const shadow = this.shadows[i];
+        if (shadow) {
+          put(9, [shadow.first, shadow.stride]);
+          put(10, o.shadow.layers);
+          put(11, o.shadow.grid);
+        }
         if (at.visible === false) hidden |= 1 << i;
       });
       return { data: out, hidden };
@@ -262,20 +255,20 @@ var Irodori = Irodori || {};
       return found;
     }
 
-    // Samples of the lamps that are on: a far lamp and a point have one, a ball the points of a disc that faces the surface.
+    // Samples of the lamps that are on: a far lamp and a point have one, a ball as many directions as `DISC_SAMPLES`.
     lamps(lamps) {
       const places = [], levels = [];
       lamps.forEach((lamp, which) => {
         const at = lamp.position_mm, length = Math.hypot(...at) || 1;
         if (lamp.far) {
-          places.push(...at.map((x) => x / length), 0);
+          places.push(...at.map((x) => x / length), -1);
           levels.push(lamp.strength, which, 0, 0);
           return;
         }
         const count = lamp.size_mm > 0 ? DISC_SAMPLES : 1, radius = 0.5 * (lamp.size_mm || 0);
         for (let i = 0; i < count; i++) {
-          const far = count > 1 ? radius * Math.sqrt((i + 0.5) / count) : 0, turn = i * 2.399963229728653;
-          places.push(...at, 1);
+          const far = count > 1 ? Math.sqrt((i + 0.5) / count) : 0, turn = i * 2.399963229728653;
+          places.push(...at, radius);
           levels.push(lamp.strength * 500 * 500 / count, which, far * Math.cos(turn), far * Math.sin(turn));
         }
       });
@@ -292,20 +285,20 @@ var Irodori = Irodori || {};
       }
       const frame = gl.createFramebuffer(), internal = single ? gl.RGBA32F : gl.RGBA16F;
       gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
-      const textures = [0, 1].map((i) => {
+      // Where a ray ends is asked for where numbers are read, and there alone.
+      const textures = (single ? [0, 1, 2] : [0, 1]).map((i) => {
         const made = this.texture({ data: null, width, height }, internal, gl.RGBA, single ? gl.FLOAT : gl.HALF_FLOAT, single || i ? gl.NEAREST : gl.LINEAR);
         gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + i, gl.TEXTURE_2D, made.texture, 0);
         return made;
       });
-      gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
+      gl.drawBuffers(textures.map((_, i) => gl.COLOR_ATTACHMENT0 + i));
       return (this.targets[name] = { frame, textures, width, height, single });
     }
 
     // Render a state into a target; `whole` is the picture's size and `first` the target's corner in it.
     render(state, target, whole, first, isRGB, part) {
-      const gl = this.gl, number = Math.max(this.data.header.environments.indexOf(state.light.environment), 0);
-      if (number !== this.light.number) throw new Error("Light " + state.light.environment + " is not there yet; accepted: await renderer.use(state) first.");
-      const program = this.programs.transport, colours = this.colours(state, isRGB), shapes = this.shapes(state);
+      const gl = this.gl, light = this.lights[Math.max(this.data.header.environments.indexOf(state.light.environment), 0)];
+      const program = light.program, colours = this.colours(state, isRGB), shapes = this.shapes(state);
       const place = (name) => program.place(name);
       gl.useProgram(program.program);
       gl.bindVertexArray(this.vertices);
@@ -313,28 +306,31 @@ var Irodori = Irodori || {};
       gl.viewport(0, 0, target.width, target.height);
       if (this.textures.uShapes) gl.deleteTexture(this.textures.uShapes.texture);
       this.textures.uShapes = this.texture({ data: shapes.data, width: ROW, height: this.data.header.objects.length }, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
-      ["uShapes", "uForms", "uMaterials", "uSky", "uIrradiance", "uGloss", "uRows", "uMesh"].forEach((name, unit) => this.setTexture(program, name, unit));
-      const eye = Irodori.eye(state.camera);
-      gl.uniform3fv(place("uEye"), eye.position);
-      gl.uniformMatrix3fv(place("uWorldFromCamera"), false, columns(eye.rows));
-      gl.uniform3f(place("uFrame"), whole[0] / 2, whole[1] / 2, 2 * Math.tan(radians(state.camera.fov_deg) / 2) / whole[1]);
+      const textures = { ...this.textures, ...light.textures };
+      ["uShapes", "uForms", "uMaterials", "uSky", "uIrradiance", "uGloss", "uRows", "uMesh", "uShadows"].forEach((name, unit) => this.setTexture(program, name, textures[name], unit));
+      const { eye, right, up, back } = Irodori.frame(state.camera), opposite = (v) => v.map((x) => -x);
+      gl.uniform3fv(place("uEye"), eye);
+      gl.uniformMatrix3fv(place("uWorldFromCamera"), false, [...right, ...opposite(up), ...opposite(back)]);
+      gl.uniform3f(place("uFrame"), whole[0] / 2, whole[1] / 2, Irodori.pixel(state.camera, whole[1]));
+      gl.uniform1i(place("uParallel"), Number(state.camera.height_mm > 0));
       gl.uniform2f(place("uFirstPixel"), first[0], first[1]);
       const turn = radians(state.light.turn_deg || 0), c = Math.cos(turn), s = Math.sin(turn);
       gl.uniformMatrix3fv(place("uLightFromWorld"), false, columns([[c, s, 0], [-s, c, 0], [0, 0, 1]]));
       gl.uniform1f(place("uLeast"), this.data.header.least_throughput);
       gl.uniform1i(place("uHidden"), shapes.hidden);
+      gl.uniform1i(place("uShadowed"), Irodori.shadowed(this.data.header, state));
       gl.uniform1f(place("uPowerScale"), this.atlas.scale);
-      const groups = Math.ceil((this.spectra.lights[number] || { basis: [0] }).basis.length / 4);
-      const scale = Array.from({ length: 4 * groups }, (_, i) => this.light.scale[i] || 1);
+      const groups = Math.ceil(this.spectra.lights[light.number].basis.length / 4);
+      const scale = Array.from({ length: 4 * groups }, (_, i) => light.scale[i] || 1);
       gl.uniform4fv(place("uLightScale"), scale);
-      if (this.light.sky.length) {
-        gl.uniform3fv(place("uSkyLevel"), this.light.sky.flat());
-        gl.uniform1f(place("uIrradianceSide"), this.light.side);
-        gl.uniform1f(place("uTexelsPerRad"), this.light.sky[0][2] * Math.sqrt(6 / (4 * Math.PI)));
+      if (light.sky.length) {
+        gl.uniform3fv(place("uSkyLevel"), light.sky.flat());
+        gl.uniform1f(place("uIrradianceSide"), light.side);
+        gl.uniform1f(place("uTexelsPerRad"), light.sky[0][2] * Math.sqrt(6 / (4 * Math.PI)));
       }
-      if (this.light.gloss.length) {
-        gl.uniform3fv(place("uGlossLevel"), this.light.gloss.flat());
-        gl.uniform1f(place("uGlossFirst"), this.light.first);
+      if (light.gloss.length) {
+        gl.uniform3fv(place("uGlossLevel"), light.gloss.flat());
+        gl.uniform1f(place("uGlossFirst"), light.first);
       }
       if (this.parts) gl.uniform2fv(place("uLadder"), this.data.header.lobes.flatMap((lobe) => lobe.ladder));
       const lamps = this.lamps(colours.constants.lamps);
@@ -364,15 +360,6 @@ var Irodori = Irodori || {};
       return colours;
     }
 
-    // Make the light of a state's environment ready: at once where it is that of the last frame.
-    async use(state) {
-      const number = Math.max(this.data.header.environments.indexOf(state.light.environment), 0);
-      if (number === this.light.number) return;
-      this.useLight(number);
-      this.lit = null;
-      await this.transport();
-    }
-
     shown(state, whiteXYZ) {
       const displays = this.data.header.displays, given = state.display || {};
       let display = displays.find((d) => d.name === given.name) || displays[0];
@@ -388,7 +375,7 @@ var Irodori = Irodori || {};
 
     // One frame on the canvas.
     draw(state, options) {
-      if (this.lost || !this.programs.transport) return;
+      if (this.lost || !this.lights.length) return;
       const gl = this.gl, { compare = null, scale = 1 } = options || {}, start = performance.now();
       const width = Math.max(Math.round(this.canvas.width * scale), 1), height = Math.max(Math.round(this.canvas.height * scale), 1);
       const whole = [width, height], one = this.target("one", width, height, false);
@@ -438,7 +425,7 @@ var Irodori = Irodori || {};
     }
 
     read(state, width, height, first, whole) {
-      const gl = this.gl, target = this.target("read", width, height, true), out = [new Float32Array(4 * width * height), new Float32Array(4 * width * height)];
+      const gl = this.gl, target = this.target("read", width, height, true), out = [0, 1, 2].map(() => new Float32Array(4 * width * height));
       this.render(state, target, whole, first, false, null);
       out.forEach((values, i) => {
         gl.readBuffer(gl.COLOR_ATTACHMENT0 + i);
@@ -454,7 +441,7 @@ var Irodori = Irodori || {};
 
     // What is known of the place under a pixel of the canvas, null where the room is seen.
     probe(state, x, y) {
-      const [[X, Y, Z, number], [u, v]] = this.read(state, 1, 1, [Math.floor(x), Math.floor(y)], [this.canvas.width, this.canvas.height]);
+      const [[X, Y, Z, number], [u, v], [px, py, pz]] = this.read(state, 1, 1, [Math.floor(x), Math.floor(y)], [this.canvas.width, this.canvas.height]);
       if (number < 0) return null;
       const o = this.data.header.objects[number], [rows, columns_] = o.texels, plane = (name) => this.data.planes["object/" + number + "/" + name];
       const row = Math.min(Math.max(Math.floor(v * rows), 0), rows - 1), column = Math.min(Math.max(Math.floor(u * columns_), 0), columns_ - 1);
@@ -470,26 +457,9 @@ var Irodori = Irodori || {};
         }
       }
       return {
-        object: o.name, texel: [row, column], position_mm: this.position(state, x, y, number), reflectance,
+        object: o.name, texel: [row, column], position_mm: [px, py, pz], reflectance,
         sigma: new Array(61).fill(sigma), ...found, status: ["measured", "paint", "filled", "unknown"][plane("status")[at]], xyz: [X, Y, Z],
       };
-    }
-
-    // Where the ray of a pixel meets the object it is known to meet: the page's own look, by the frame's numbers.
-    position(state, x, y, number) {
-      const eye = Irodori.eye(state.camera), half = [this.canvas.width / 2, this.canvas.height / 2];
-      const pixel = 2 * Math.tan(radians(state.camera.fov_deg) / 2) / this.canvas.height;
-      const p = [(Math.floor(x) + 0.5 - half[0]) * pixel, (Math.floor(y) + 0.5 - half[1]) * pixel, 1];
-      const d = normal(eye.rows.map((row) => row[0] * p[0] + row[1] * p[1] + row[2] * p[2]));
-      const o = this.data.header.objects[number], at = state.objects[number], centre = at.position_mm, away = centre.map((c, i) => c - eye.position[i]);
-      const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-      let t = dot(away, d);
-      if (o.shape === "sphere") t -= Math.sqrt(Math.max(o.reach_mm ** 2 - Math.max(dot(away, away) - t * t, 0), 0));
-      else if (o.shape !== "mesh") {
-        const face = turned(at.turn_deg).map((row) => row[2]);
-        t = dot(away, face) / dot(d, face);
-      }
-      return eye.position.map((e, i) => e + t * d[i]);
     }
 
     figures() {

@@ -33,14 +33,13 @@ Irodori.selftest = async function (renderer) {
     const state = renderer.defaultState(), [height, width] = check.size;
     Object.assign(state.light, check.light);
     state.observer = check.observer;
-    await renderer.use(state);
     const start = performance.now(), xyz = renderer.readXYZ(state, width, height), wanted = planes["selftest/" + number];
     const milliseconds = performance.now() - start, white = renderer.lit.whiteXYZ, found = [];
     for (let i = 0; i < width * height; i++)
       found.push(Irodori.ciede2000(Irodori.lab([0, 1, 2].map((c) => wanted[3 * i + c]), white), Irodori.lab([0, 1, 2].map((c) => xyz[4 * i + c]), white)));
     found.sort((p, q) => p - q);
     rows.push({
-      turn_deg: check.light.turn_deg, illuminant: check.light.illuminant ? check.light.illuminant.name : null, observer: check.observer,
+      environment: check.light.environment, turn_deg: check.light.turn_deg, illuminant: check.light.illuminant ? check.light.illuminant.name : null, observer: check.observer,
       mean: found.reduce((sum, x) => sum + x, 0) / found.length, p99: found[Math.floor(0.99 * (found.length - 1))], milliseconds,
     });
   }

@@ -150,7 +150,7 @@ Irodori.Spectra = class {
       const mean = (values) => weight.map((w) => w.reduce((sum, x, i) => sum + x * values[i], 0) / w.reduce((sum, x) => sum + x, 0));
       return { light: of, surface: constants.rgb.surface, index: mean, xyz: constants.rgb.back };
     }
-    const { samples } = this.header.quadrature, moments = this.planes["quadrature/moments"], n = samples.length;
+    const { samples } = this.header.quadrature[constants.number], moments = this.planes["quadrature/" + constants.number + "/moments"], n = samples.length;
     const light = this.lights[constants.number];
     const ratio = constants.white.map((x, i) => light.white[i] > 0 ? x / light.white[i] : 1);
     const moment = (a, b) => moments[61 * a + b] * ratio[a] * ratio[b];

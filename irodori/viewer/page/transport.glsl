@@ -7,10 +7,12 @@ precision highp sampler2DArray;
 
 layout(location = 0) out vec4 outXYZ;   // X, Y, Z and the object, -1 for none
 layout(location = 1) out vec4 outPlace; // place in the texture, status, uncertainty
+layout(location = 2) out vec4 outPoint; // x, y, z of what is seen, mm
 
 uniform vec3 uEye;
 uniform mat3 uWorldFromCamera;
-uniform vec3 uFrame;          // half the width and the height, and a pixel at distance 1
+uniform vec3 uFrame;          // half the width and the height, and a pixel: at distance 1, of parallel rays in mm
+uniform bool uParallel;
 uniform vec2 uFirstPixel;
 uniform mat3 uLightFromWorld;
 uniform float uLeast;
@@ -36,13 +38,16 @@ uniform vec2 uLadder[LOBES];
 #if HAS_MESH
 uniform sampler2D uMesh;
 #endif
+#if HAS_SHADOWS
+uniform sampler2D uShadows;   // numbers of nodes, see maps.js
+uniform int uShadowed;        // bits of objects from which meshes hide light
+#endif
 uniform int uLamps;           // samples of lamps
-uniform vec4 uLamp[MOST_LAMPS];     // direction and 0 of a far lamp, or position and 1
-uniform vec4 uLampLevel[MOST_LAMPS]; // strength, which lamp it is a sample of, and where on a disc that faces us, mm
+uniform vec4 uLamp[MOST_LAMPS];     // direction and -1 of a far lamp, or position and radius, mm
+uniform vec4 uLampLevel[MOST_LAMPS]; // strength, which lamp it is a sample of, and where on the disc that it looks like, -1..1
 uniform vec4 uLightScale[G];  // numbers of light are stored divided by these
 
 const float PI = 3.14159265358979;
-const int ROW = 10;
 const float RISE = 1.0 / 262144.0;
 
 struct Light { vec4 g[G]; };
@@ -174,7 +179,7 @@ void meetMesh(int object, Ray ray, float scale, int skip, bool any_, inout Hit h
       int code = int(high.w), first = code / 8, count = code - 8 * first;
       for (int i = first; i < first + count; i++) {
         if (i == skip) continue;
-        int at = triangles + 6 * i;
+        int at = triangles + TRIANGLE * i;
         vec3 p = meshTexel(at).xyz, e = meshTexel(at + 1).xyz - p, f = meshTexel(at + 2).xyz - p;
         vec3 pv = cross(d, f), tv = o - p, qv = cross(tv, e);
         float det = dot(e, pv);
@@ -252,7 +257,7 @@ bool placed(Ray ray, Hit hit, out Place place) {
 #if HAS_MESH
   } else if (kind == 4) {
     vec4 where = shapeRow(object, 8);
-    int at = int(where.z) + 6 * hit.triangle;
+    int at = int(where.z) + TRIANGLE * hit.triangle;
     vec4 m[6];
     for (int i = 0; i < 6; i++) m[i] = meshTexel(at + i);
     vec3 w = vec3(1.0 - hit.b.x - hit.b.y, hit.b);
@@ -513,7 +518,59 @@ Colour lobeLight(int object, int lobe, float power, float place, vec3 normal, ve
 }
 #endif
 
-Colour shade(int object, Place place, Ray ray, Surface surface, vec3 mirror, int triangle, float through) {
+#if HAS_SHADOWS
+struct About { ivec4 node; vec4 weight; };
+
+vec4 shadowTexel(int number) { return texelFetch(uShadows, ivec2(number % 2048, number / 2048), 0); }
+int shadowCorner(int number) { return int(shadowTexel(number / 4)[number % 4]); }
+
+About gridPlace(vec2 at, ivec2 size, bool wraps) {
+  at.y = clamp(at.y, 0.0, float(size.y - 1));
+  if (!wraps) at.x = clamp(at.x, 0.0, float(size.x - 1));
+  int i = wraps ? int(floor(at.x)) : min(int(at.x), size.x - 2), j = min(int(at.y), size.y - 2);
+  vec2 f = at - vec2(float(i), float(j));
+  int left = (i + size.x) % size.x, right = (i + 1) % size.x, row = j * size.x;
+  return About(ivec4(row + left, row + right, row + size.x + left, row + size.x + right),
+               vec4((1.0 - f.x) * (1.0 - f.y), f.x * (1.0 - f.y), (1.0 - f.x) * f.y, f.x * f.y));
+}
+float warped(float offset) {
+  return abs(offset) <= 1.0 ? 0.5 * offset : sign(offset) * (1.0 - 0.5 / abs(offset));
+}
+// The nodes about a hit, and their weights; see irodori/geometry/shapes.
+About nodesAbout(int object, Place place, Hit hit) {
+  int kind = int(shapeRow(object, 4).w);
+  vec4 one = shapeRow(object, 11), two = shapeRow(object, 12), three = shapeRow(object, 13);
+  ivec2 size = ivec2(one.xy);
+  if (kind == 0) return gridPlace(place.uv * one.xy - 0.5, size, true);
+#if HAS_MESH
+  if (kind == 4) {
+    vec4 where = meshTexel(int(shapeRow(object, 8).z) + TRIANGLE * hit.triangle + 6);
+    int first = int(where.x), parts = int(where.y);
+    vec2 at = clamp(hit.b, 0.0, 1.0) * where.y;
+    int j = min(int(at.y), parts - 1), i = min(int(at.x), parts - 1 - j);
+    vec2 f = min(at - vec2(float(i), float(j)), 1.0);
+    int here = first + j * (parts + 1) - j * (j - 1) / 2 + i, above = here + parts + 1 - j;
+    bool last = i + j == parts - 1;
+    if (last && f.x + f.y > 1.0) f = vec2(f.x / (f.x + f.y), f.y / (f.x + f.y));
+    if (last || f.x + f.y <= 1.0) {
+      return About(ivec4(shadowCorner(here), shadowCorner(here + 1), shadowCorner(above), 0), vec4(1.0 - f.x - f.y, f, 0.0));
+    }
+    return About(ivec4(shadowCorner(above + 1), shadowCorner(above), shadowCorner(here + 1), 0), vec4(f.x + f.y - 1.0, 1.0 - f, 0.0));
+  }
+#endif
+  vec3 offset = (place.point - shapeRow(object, 0).xyz) * turnOf(object);
+  vec2 far = (offset.xy - one.zw) / two.xy;
+  return gridPlace((vec2(warped(far.x), warped(far.y)) - two.zw) * three.xy, size, false);
+}
+vec4 shadowMixed(int object, About about, int layer) {
+  ivec2 where = ivec2(shapeRow(object, 9).xy); // the first texel, and texels a node
+  vec4 found = vec4(0.0);
+  for (int i = 0; i < 4; i++) found += about.weight[i] * shadowTexel(where.x + about.node[i] * where.y + layer);
+  return found;
+}
+#endif
+
+Colour shade(int object, Place place, Ray ray, Surface surface, vec3 mirror, Hit met, float through) {
   Colour sum_ = Colour(0.0);
 #if HAS_LIGHT
   Light own = irradianceAt(place.normal);
@@ -529,6 +586,23 @@ Colour shade(int object, Place place, Ray ray, Surface surface, vec3 mirror, int
     hidden += share;
     if (dot(facing, facing) > 0.0) reflected += share * diffuse(object, other, surface, irradianceAt(facing));
   }
+#if HAS_SHADOWS
+  if (((uShadowed >> object) & 1) == 1) {
+    About about = nodesAbout(object, place, met);
+    vec4 rest = shadowMixed(object, about, 0); // what meshes leave of the free directions, of those to other shapes; theirs
+    seen *= rest.x;
+    hidden = rest.y * hidden + rest.z;
+    reflected *= rest.y;
+    int layers = int(shapeRow(object, 9).y) - 1;
+    vec4 meshes = shapeRow(object, 10);
+    for (int layer = 0; layer < layers; layer++) {
+      vec4 one = shadowMixed(object, about, layer + 1); // a share, and the sum of the normals there
+      if (one.x <= 0.0) continue;
+      vec3 facing = dot(one.yzw, one.yzw) < 1e-4 * one.x * one.x ? -place.normal : one.yzw;
+      reflected += one.x * diffuse(object, int(meshes[layer]), surface, irradianceAt(facing));
+    }
+  }
+#endif
   sum_ += seen * diffuse(object, -1, surface, own);
   if (hidden > 0.0) sum_ += ((1.0 - seen) / hidden) * reflected;
 #else
@@ -540,18 +614,25 @@ Colour shade(int object, Place place, Ray ray, Surface surface, vec3 mirror, int
   for (int lamp = 0; lamp < uLamps; lamp++) {
     vec3 start = raised(place, reach), to = uLamp[lamp].xyz;
     float far = 1e30, level = uLampLevel[lamp].x;
-    if (uLamp[lamp].w > 0.0) {
+    if (uLamp[lamp].w >= 0.0) {
       to -= start;
-      vec3 across = normalize(cross(to, abs(to.z) < 0.9 * length(to) ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0)));
-      to += uLampLevel[lamp].z * across + uLampLevel[lamp].w * normalize(cross(to, across));
       far = length(to);
       to /= far;
-      level /= far * far;
+      // Directions spread evenly over the cone in which the ball is seen: without shadows their sum is exact.
+      float ratio = min(uLamp[lamp].w / far, 1.0), least = sqrt(1.0 - ratio * ratio);
+      vec2 disc = uLampLevel[lamp].zw;
+      float part = dot(disc, disc), along = 1.0 - part * (1.0 - least);
+      level *= 2.0 / (1.0 + least) / (far * far);
+      if (part > 0.0) {
+        vec3 across = normalize(cross(to, abs(to.z) < 0.9 ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0)));
+        to = along * to + sqrt((1.0 - along * along) / part) * (disc.x * across + disc.y * cross(to, across));
+        far *= along - sqrt(max(along * along - least * least, 0.0));
+      }
     }
     float cosI = dot(place.normal, to);
     if (cosI <= 0.0 || dot(place.facet, to) <= 0.0) continue;
     Hit hit = Hit(far, -1, -1, vec2(0.0));
-    meet(Ray(start, to), object, triangle, true, hit);
+    meet(Ray(start, to), object, met.triangle, true, hit);
     if (hit.object >= 0) continue;
     int which = int(uLampLevel[lamp].y);
     sum_ += level * cosI * lampDiffuse(object, which, surface);
@@ -580,8 +661,9 @@ Colour shade(int object, Place place, Ray ray, Surface surface, vec3 mirror, int
 
 void main() {
   vec2 pixel = (gl_FragCoord.xy - 0.5 + uFirstPixel + vec2(0.5) - uFrame.xy) * uFrame.z;
-  Ray ray = Ray(uEye, normalize(uWorldFromCamera * vec3(pixel.x, pixel.y, 1.0)));
-  float width = 0.0, spread = uFrame.z, through = 1.0;
+  Ray ray = Ray(uEye, normalize(uWorldFromCamera * vec3(pixel, 1.0)));
+  if (uParallel) ray = Ray(uEye + uWorldFromCamera * vec3(pixel, 0.0), uWorldFromCamera[2]);
+  float width = uParallel ? uFrame.z : 0.0, spread = uParallel ? 0.0 : uFrame.z, through = 1.0;
   Colour sum_ = Colour(0.0);
 #if COLOURED
   Colour passed = mat4(vec4(1.0), vec4(1.0), vec4(1.0), vec4(1.0));
@@ -589,6 +671,7 @@ void main() {
   int own = -1, skip = -1;
   outXYZ = vec4(0.0, 0.0, 0.0, -1.0);
   outPlace = vec4(0.0, 0.0, -1.0, 0.0);
+  outPoint = vec4(0.0);
   for (int bounce = 0; bounce <= BOUNCES; bounce++) {
     Hit hit = Hit(1e30, -1, -1, vec2(0.0));
     meet(ray, own, skip, false, hit);
@@ -609,10 +692,11 @@ void main() {
     if (bounce == 0) {
       outXYZ.w = float(object);
       outPlace = vec4(place.uv, surface.about);
+      outPoint = vec4(place.point, 1.0);
     }
     if (!front) break;
     vec3 mirror = ray.d + 2.0 * place.cosine * place.normal;
-    Colour added = shade(object, place, ray, surface, mirror, hit.triangle, through);
+    Colour added = shade(object, place, ray, surface, mirror, hit, through);
     width += hit.t * spread;
 #if COLOURED
     sum_ += PRODUCT(passed, added);

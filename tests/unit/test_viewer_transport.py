@@ -1,0 +1,328 @@
+"""Pages in a browser, case by case: views of every kind, soft shadows of meshes, lamps nearby, lobes, coloured metals.
+
+What the integrator `interactive` has is compared with `render_frame`; what the page alone has, with its formula.
+"""
+
+import numpy as np
+import pytest
+from pages import SPHERE, gold, painted, room, sources, write_mesh, write_torus
+from shortcuts import irradiance_map
+from written_pages import SIZE, Written, agree, compared, inside
+
+from irodori.light.environment_file import Environment, directions
+from irodori.rendering.scene_arrays import make_view
+from irodori.viewer.browser import browser_command, opened
+from irodori.viewer.measured import xyz_differences
+from irodori.viewer.page_data import page_data
+from irodori.viewer.page_file import page_html
+from irodori.viewer.stage import measured_loss
+
+pytestmark = pytest.mark.skipif(
+    browser_command() is None, reason="NO BROWSER: pages are not tested; install Debian's package chromium"
+)
+
+
+# ---- views
+
+
+def view_of(kind="perspective", position=(30.0, -190.0, 120.0), up=(0.0, 0.0, 1.0), **keys) -> dict:
+    size = {"field_of_view_deg": 36.0} if kind == "perspective" else {"height_mm": 110.0}
+    return {"kind": kind, "position_mm": list(position), "target_mm": [0.0, 0.0, 10.0], "up": list(up), **size, **keys}
+
+
+VIEWS = {
+    "front": view_of(),
+    "leaning": view_of(up=(0.5, 0.2, 1.0)),
+    "lying": view_of(up=(1.0, 0.1, 0.0)),
+    "upside down": view_of(up=(0.0, 0.1, -1.0)),
+    "straight down": view_of(position=(0.0, 0.0, 260.0), up=(0.3, 1.0, 0.0)),
+    "from below": view_of(position=(-20.0, -150.0, -20.0)),
+    "parallel": view_of("orthographic"),
+    "parallel, leaning": view_of("orthographic", up=(-0.4, 0.0, 1.0), height_mm=70.0),
+    "parallel, straight down": view_of("orthographic", position=(0.0, 0.0, 90.0), up=(0.0, 1.0, 0.0)),
+}
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("views")
+    written = Written(folder, sources(folder / "files", room(), views=VIEWS))
+    with opened(written.path) as page:
+        yield written, page
+        assert page.messages == []
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_a_view_of_any_kind_is_the_renderers(seen, name):
+    written, page = seen
+    state = page.default_state()
+    state["camera"] = {view["name"]: view["camera"] for view in written.data.header["views"]}[name]
+    found = compared(written, page, state, make_view(written.sources.scene.views[name], SIZE))
+    assert agree(found), (name, found.mean(), np.percentile(found, 99))
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_a_point_that_is_seen_is_marked_where_it_is_seen(seen, name):
+    written, page = seen
+    state = page.default_state()
+    state["camera"] = {view["name"]: view["camera"] for view in written.data.header["views"]}[name]
+    back = page.page.evaluate(
+        """([state, places]) => { const {width, height} = Irodori.renderer.canvas; return places.map(([x, y]) => {
+          const found = Irodori.renderer.probe(state, x * width, y * height);
+          return found && Irodori.project(state.camera, found.position_mm, width, height)
+            .slice(0, 2).map((at, i) => at - 0.5 - Math.floor([x * width, y * height][i]));
+        }); }""",
+        [state, [[0.5, 0.5], [0.4, 0.55], [0.62, 0.41]]],
+    )
+    assert [one for one in back if one is not None]
+    assert np.abs([one for one in back if one is not None]).max() < 0.01
+
+
+# ---- soft shadows of meshes
+
+
+def with_torus(folder, **keys):
+    """A torus that stands on a plate beside a ball: each hides light from the others, and the torus from itself."""
+    file = write_torus(folder / "torus.obj")
+    ball = {
+        "shape": SPHERE,
+        "position_mm": [30.0, -22.0, 20.1],
+        "material": {
+            "spectrum": "TCS71",
+            "beta": 0.0,
+            "mu_rad": 0.2,
+            "mirror": 0.0,
+            "refractive_index": {"n": 1.5, "k": 0.0},
+        },
+    }
+    return sources(folder, room(), ball={"kind": "mesh", "file": str(file), "unit": "mm"},
+                   objects=[{"object": "torus", "position_mm": [-16.0, 4.0, 26.0], "rotation_deg": [65.0, 0.0, 20.0],
+                             "scale": 1.0},
+                            {"object": "plate", "position_mm": [0.0, 0.0, 0.0], "rotation_deg": [0.0, 0.0, 12.0],
+                             "scale": 1.0}], bodies=[ball], **keys)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def torus(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("torus")
+    return Written(folder, with_torus(folder))
+
+
+def test_meshes_hide_light_from_all_sides_as_in_the_renderer(torus):
+    with opened(torus.path) as page:
+        found = compared(torus, page, page.default_state(), torus.view)
+        moved = page.default_state()
+        moved["objects"][0]["position_mm"][0] += 1.0
+        held = page.page.evaluate(
+            "(all) => all.map((s) => Irodori.shadowed(Irodori.renderer.data.header, s))", [page.default_state(), moved]
+        )
+        page.page.evaluate("() => { Irodori.shadowed = () => 0; }")
+        without = compared(torus, page, page.default_state(), torus.view)
+        assert page.messages == []
+    assert agree(found), (found.mean(), np.percentile(found, 99))
+    assert not agree(without)
+    # The places of the nodes are those of the scene: shadows are left out where a mesh stands elsewhere.
+    assert held == [0b111, 0]
+
+
+def test_shadows_of_meshes_lose_little_in_the_file(torus):
+    loss = measured_loss(torus.data, torus.payload, torus.scenes, torus.view)
+    assert 0.0 < loss["mean"] <= 0.1 and loss["p99"] <= 0.3
+
+
+# ---- lobes and metals
+
+
+def with_lobe(material, lobe: str):
+    return material.__class__(**{**material.__dict__, "lobes": (lobe,)})
+
+
+LAMP = {"kind": "collimated", "azimuth_deg": -40.0, "elevation_deg": 50.0, "irradiance": 0.8, "spectrum": "FL11"}
+
+
+def test_ggx_shines_in_a_room_as_in_the_renderer(tmp_path):
+    """Rows of blurred light of a lobe with long tails, beside those of the other lobe; and a lamp's highlight."""
+    ggx = with_lobe(painted(beta=6.0), "ggx")
+    written = Written(tmp_path, sources(tmp_path / "files", room(), first=ggx, lights=[LAMP]))
+    assert [lobe["name"] for lobe in written.data.header["lobes"]] == ["ggx", "gaussian"]
+    with opened(written.path) as page:
+        found = compared(written, page, page.default_state(), written.view)
+        # Where each takes the other's rows, it is seen.
+        page.page.evaluate(
+            "() => { for (const o of Irodori.renderer.data.header.objects) o.lobes = [1 - o.lobes[0]]; }"
+        )
+        exchanged = compared(written, page, page.default_state(), written.view)
+        assert page.messages == []
+    assert agree(found), (found.mean(), np.percentile(found, 99))
+    assert not agree(exchanged)
+
+
+def test_the_weights_of_a_metals_wavelengths_follow_the_illuminant(tmp_path):
+    written = Written(tmp_path, sources(tmp_path / "files", room(), first=gold()))
+    assert written.data.header["quadrature"] is not None
+    with opened(written.path) as page:
+        for observer in (0, 1):
+            for name in (None, "A", "D65", "FL2", "FL11", "LED-B3"):
+                found = compared(written, page, page.default_state(), written.view, observer, name)
+                assert agree(found), (observer, name, found.mean(), np.percentile(found, 99))
+        page.page.evaluate(
+            """() => { const own = Irodori.renderer.spectra, solved = own.channels.bind(own);
+              own.channels = (c) => solved({...c, white: own.lights[c.number].white}); Irodori.renderer.lit = null; }"""
+        )
+        stale = compared(written, page, page.default_state(), written.view, 0, "FL11")
+        assert page.messages == []
+    assert not agree(stale)
+
+
+# ---- lamps that stand nearby, which scenes do not have: their formulas, in double precision
+
+
+def matte():
+    found = painted(beta=0.0, mirror=0.0)
+    return found.__class__(**{**found.__dict__, "coefficients": 0 * found.coefficients + np.float32([1.0, 0.0])})
+
+
+@pytest.fixture(scope="module")
+def dark(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dark")
+    files = sources(folder / "files", room(level=0.0), first=matte(), second=matte(), lights=[LAMP])
+    written = Written(folder, files)
+    with opened(written.path) as page:
+        yield written, page
+        assert page.messages == []
+
+
+def seen_points(view, objects) -> tuple[np.ndarray, np.ndarray]:
+    """Return points and normals under the pixels: object 0 is the ball, 1 the plate in z = 0."""
+    x, y = np.meshgrid((np.arange(64) - 31.5) / view.focal_px, (np.arange(48) - 23.5) / view.focal_px)
+    ray = np.stack([x, y, np.ones_like(x)], axis=-1) @ view.world_from_camera.T
+    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+    away = np.array([-12.0, 4.0, 20.1]) - view.position_mm
+    along = ray @ away
+    t = np.where(objects == 0, along - np.sqrt(np.maximum(400.0 - (away @ away - along**2), 0.0)),
+                 -view.position_mm[2] / ray[..., 2])  # fmt: skip
+    point = view.position_mm + t[..., None] * ray
+    normal = np.where((objects == 0)[..., None], (point - [-12.0, 4.0, 20.1]) / 20.0, [0.0, 0.0, 1.0])
+    return point, normal
+
+
+def lit_share(point, normal, centre, radius, count=2048) -> tuple[np.ndarray, np.ndarray]:
+    """Return the irradiance of a ball of light over that of a point, and the share of the ball that is seen.
+
+    By directions spread evenly over the cone of the ball, past the ball of the scene and above the horizon.
+    """
+    to = centre - point
+    far = np.linalg.norm(to, axis=-1, keepdims=True)
+    axis = to / far
+    least = np.sqrt(1.0 - (radius / far[..., 0]) ** 2)
+    across = np.cross(axis, [0.3, 0.9, 0.1])
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    other = np.cross(axis, across)
+    total, free = np.zeros(point.shape[:-1]), np.zeros(point.shape[:-1])
+    for i in range(count):
+        cosine = 1.0 - (i + 0.5) / count * (1.0 - least)
+        sine, turn = np.sqrt(1.0 - cosine**2), i * np.pi * (3.0 - np.sqrt(5.0))
+        d = cosine[..., None] * axis
+        d = d + sine[..., None] * (np.cos(turn) * across + np.sin(turn) * other)
+        gap = np.array([-12.0, 4.0, 20.1]) - point
+        along = (gap * d).sum(axis=-1)
+        beside = (gap**2).sum(axis=-1) - along**2
+        above = (normal * d).sum(axis=-1)
+        open_ = (above > 0.0) & ~((along > 0.0) & (beside < 400.0) & ((gap**2).sum(axis=-1) > 400.001))
+        total += open_ * above
+        free += open_
+    # The irradiance of the whole ball is that of its middle: the cone's solid angle times its radiance.
+    return total / count * 2.0 / (1.0 + least), free / count
+
+
+@pytest.mark.parametrize("size", [0.0, 60.0])
+def test_a_lamp_nearby_lights_by_its_formula(dark, size):
+    written, page = dark
+    at = np.array([70.0, -60.0, 120.0])
+    state = page.default_state()
+    state["light"]["lamps"] = [{"position_mm": list(at), "size_mm": size, "strength": 0.7, "illuminant": {"name": "A"},
+                                "on": True, "far": False}]  # fmt: skip
+    xyz, objects = page.read_xyz(state, 64, 48)
+    point, normal = seen_points(written.view, objects)
+    share, free = lit_share(point, normal, at, 0.5 * size or 1e-3, 2048 if size else 1)
+    material = matte()
+    reflectance = material.spectra()[0, 0] * material.spectrum_scale[0, 0]
+    weights = np.array(written.data.header["observers"][0]["xyz"]).T
+    power = np.array(next(e["power"] for e in written.data.header["illuminants"] if e["name"] == "A"))
+    diffuse = 100.0 * (weights @ (power * reflectance)) / (weights[1] @ power)
+    # White is a diffuser in the scene's middle that faces up.
+    far = np.linalg.norm(at - point, axis=-1)
+    white_share = at[2] / np.linalg.norm(at) ** 3
+    wanted = diffuse * (share / far**2 / white_share)[..., None]
+    white = 100.0 * (weights @ power) / (weights[1] @ power)
+    whole, shut = (free > 0.9999) & inside(objects) & (objects >= 0), (free == 0.0) & inside(objects) & (objects >= 0)
+    found = xyz_differences(wanted[whole], xyz[whole], white)
+    assert whole.sum() > 400 and shut.sum() > 50
+    assert agree(found), (found.mean(), np.percentile(found, 99))
+    assert np.abs(xyz[shut]).max() < 0.02 * wanted[whole].max()
+    half = (free > 0.0) & (free < 1.0) & inside(objects) & (objects == 1)
+    if size:
+        # Sixteen directions: the edge of a soft shadow has that many steps.
+        error = np.abs(xyz[half][:, 1] - wanted[half][:, 1]) / (diffuse[1] / far[half] ** 2 / white_share)
+        assert half.sum() > 30 and error.mean() < 0.05 and error.max() < 0.2
+
+
+# ---- two rooms in one page
+
+
+CELLAR = {"title": {"en": "Rooms"}, "steps": [{"title": {"en": "Below"}, "text": {"en": "Darker."},
+                                              "light": {"environment": "cellar"}}]}  # fmt: skip
+
+
+def cellar():
+    """A room of other colours, of fewer vectors, and lit from elsewhere."""
+    found = room(sun=5.0, level=0.2)
+    return Environment(found.coefficients[:, ::-1, :3], found.basis[:, :3], found.irradiance[:, ::-1, :3])
+
+
+@pytest.mark.parametrize("first", ["painted", "gold"])
+def test_each_room_of_a_page_lights_as_in_the_renderer(tmp_path, first):
+    files = sources(tmp_path / "files", room(), first=gold() if first == "gold" else painted(), lesson=CELLAR,
+                    further=(cellar(),))  # fmt: skip
+    written = Written(tmp_path, files)
+    assert written.data.header["environments"] == ["room", "cellar"]
+    with opened(written.path) as page:
+        state = page.default_state()
+        # There, back and there again: nothing of the room before is left.
+        for name in ("room", "cellar", "room", "cellar"):
+            state["light"] = {**state["light"], "environment": name}
+            for illuminant in (None, "FL11"):
+                found = compared(written, page, state, written.view, 0, illuminant)
+                assert agree(found), (name, illuminant, found.mean(), np.percentile(found, 99))
+        page.page.locator("#picture").focus()
+        rooms = []
+        for _ in range(2):
+            page.page.keyboard.press("r")
+            rooms.append(page.page.evaluate("Irodori.page().state.light.environment"))
+        assert rooms == ["cellar", "room"]
+        assert page.messages == []
+
+
+def test_a_page_of_two_rooms_and_a_mesh_is_at_most_ten_megabytes(tmp_path):
+    """Rooms as fine as a page keeps them, with edges, a lamp and a photograph's grain; a mesh of 100,000 triangles."""
+    height = 512
+    unit = directions(2 * height, height)[0]
+    grain = np.random.default_rng(1).normal(1.0, 0.01, unit.shape[:2])
+    rooms = []
+    for shift in (0.0, 1.0):
+        coarse = room()
+        waves = np.sin(9.0 * unit[..., 0] + shift) * np.sin(11.0 * unit[..., 1]) * np.sin(8.0 * unit[..., 2])
+        wall = 1.0 + 0.6 * np.sign(waves)
+        level = wall * (1.2 + unit[..., 2]) * grain
+        level += 60.0 * np.exp(400.0 * (unit @ np.array([0.48, -0.6, 0.64]) - 1.0))
+        parts = [0.2 * unit[..., 0], 0.15 * wall, 0.1 * np.sin(7 * unit[..., 0]), 0.05 * unit[..., 2], 0.03 * wall]
+        coefficients = np.stack([level, *(level * part for part in parts)], axis=-1).astype(np.float32)
+        rooms.append(Environment(coefficients, coarse.basis, irradiance_map(coefficients[::8, ::8], 64, 32)))
+    file = write_mesh(tmp_path / "ball.obj", 224, 224)
+    given = sources(tmp_path / "files", rooms[0], further=(rooms[1],), lesson=CELLAR,
+                    ball={"kind": "mesh", "file": str(file), "unit": "mm"})  # fmt: skip
+    data = page_data(given)
+    assert sum(plane.shape[-1] for plane in data.planes.entries if plane.name.endswith("mesh/faces")) > 99_000
+    assert [plane.shape[2] for plane in data.planes.entries if plane.name.endswith("/sky")] == [256, 256]
+    size = len(page_html("A page", data.payload({})))
+    assert 1e6 < size <= 10e6, size
