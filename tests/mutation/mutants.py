@@ -89,6 +89,20 @@ def mutated(mutant: Mutant, path: Path) -> ast.Module:
     raise ValueError(f"no mutant {mutant.number} in {path}")
 
 
+def marked(path: Path, first: set[int], name: str) -> ast.Module:
+    """Return the tree of a module that calls a function, with the line, before each statement that begins at one."""
+    tree = ast.parse(path.read_text("utf-8"))
+    for node in list(ast.walk(tree)):
+        for field in ("body", "orelse", "finalbody"):
+            statements = getattr(node, field, None)
+            for one in [*statements] if isinstance(statements, list) else ():
+                if one.lineno in first:
+                    call = ast.parse(f"{name}({one.lineno})").body[0]
+                    call = ast.fix_missing_locations(ast.copy_location(call, one))
+                    statements.insert(statements.index(one), call)
+    return ast.fix_missing_locations(tree)
+
+
 def _shown(node: ast.AST) -> str:
     text = " ".join(ast.unparse(node).split())
     return text if len(text) <= 70 else f"{text[:67]}..."

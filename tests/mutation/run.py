@@ -4,7 +4,7 @@
 repository. As many mutants of each room are drawn at random, by the seed (the commit where none is given): every commit
 tries others. Each is put into a process of its own, forked from one that has run all tests and loaded all compiled
 loops: the code of the function is replaced where it stands. The process runs the tests that pass over the mutant's
-line, the shortest first, and ends at the first that fails. Survivors are printed, and how many of each room were
+statement, the shortest first, and ends at the first that fails. Survivors are printed, and how many of each room were
 noticed; the exit status is 1 where fewer than ``--least`` of all were.
 
 Only the tests of a room's own files are asked (`ROOMS`), and of these only such as take less than `LONGEST_S` once
@@ -15,6 +15,7 @@ and for `PATIENCE_S`, or its process does not compute at all for `QUIET_S`.
 
 import argparse
 import ast
+import builtins
 import functools
 import gc
 import importlib
@@ -27,11 +28,10 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 import types
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -41,7 +41,7 @@ sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
 
 import psutil  # noqa: E402
 import pytest  # noqa: E402
-from mutants import Mutant, mutants_of, mutated  # noqa: E402
+from mutants import Mutant, marked, mutants_of, mutated  # noqa: E402
 from scipy.stats import binomtest  # noqa: E402
 
 #: Room of the package -> its modules (folders or files under irodori/) and the files of its tests (under tests/).
@@ -88,7 +88,7 @@ QUIET_S = 120.0
 
 @dataclass
 class Baseline:
-    """What the tests do without a fault: which of them pass over each line, and for how long each computes, s."""
+    """What the tests do without a fault: which of them pass over each statement, and for how long each computes, s."""
 
     over: dict[tuple[str, int], set[str]] = field(default_factory=lambda: defaultdict(set))
     seconds: dict[str, float] = field(default_factory=dict)
@@ -165,41 +165,42 @@ class Runner:
     def _run_unspoilt(self, items) -> None:
         """Run the tests without a fault; compiled loops are loaded here for all mutants."""
         self._items = {item.nodeid: item for item in items}
-        asked = {m.module for m in self.mutants}
-        files = {str(path): name for name, path in self.paths.items() if name in asked}
-        lines: set[tuple[str, int]] = set()
-
-        def within(frame, event, argument):
-            lines.add((files[frame.f_code.co_filename], frame.f_lineno))
-            return within
-
-        def called(frame, event, argument):
-            return within(frame, event, argument) if frame.f_code.co_filename in files else None
-
+        passed: set[tuple[str, int]] = set()
+        restore = [put for module in {m.module for m in self.mutants} for put in self._mark(module, passed)]
         for item, following in zip(items, [*items[1:], None], strict=True):
-            lines.clear()
-            threading.settrace(called)
-            sys.settrace(called)
+            passed.clear()
             begun = time.process_time()
             failed = _failed(item, following)
             seconds = time.process_time() - begun
-            sys.settrace(None)
-            threading.settrace(None)
             if failed:
                 print(f"  not asked, for it fails without a mutant: {item.nodeid}", flush=True)
                 continue
             self._baseline.seconds[item.nodeid] = seconds
-            for line in lines:
-                self._baseline.over[line].add(item.nodeid)
+            for place in passed:
+                self._baseline.over[place].add(item.nodeid)
+        for put in restore:
+            put()
+
+    def _mark(self, module: str, passed: set[tuple[str, int]]) -> Iterator[Callable[[], None]]:
+        """Let each statement of a module that a mutant changes say when it is passed; yield what ends that."""
+        path, name = self.paths[module], f"passed_in_{module.replace('.', '_')}"
+        setattr(builtins, name, lambda line: passed.add((module, line)))
+        tree = marked(path, {m.first for m in self.mutants if m.module == module}, name)
+        for qualified in {m.function for m in self.mutants if m.module == module}:
+            found = _found(module, qualified, tree, path)
+            if found is not None:
+                function, code = found
+                yield functools.partial(setattr, function, "__code__", function.__code__)
+                function.__code__ = code
 
     def _try(self, mutant: Mutant) -> str:
         """Return how a mutant survived; nothing where a test noticed it."""
-        # Part of an expression of several lines is not always a line to Python: then the statement's tests count.
-        over = self._baseline.over
-        tests = sorted(over.get((mutant.module, mutant.line)) or over.get((mutant.module, mutant.first), ()))
-        put = _putter(mutant, self.paths[mutant.module])
-        if not tests or put is None:
-            return "no test" if put else "not made"
+        tests = sorted(self._baseline.over.get((mutant.module, mutant.first), ()))
+        path = self.paths[mutant.module]
+        found = _found(mutant.module, mutant.function, mutated(mutant, path), path)
+        if not tests or found is None:
+            return "no test" if found else "not made"
+        put = functools.partial(setattr, found[0], "__code__", found[1])
         seconds = self._baseline.seconds
         quick = [name for name in tests if seconds[name] <= LONGEST_S]
         found = self._ask(quick, put)
@@ -285,20 +286,21 @@ def _failed(item, following) -> bool:
         return True
 
 
-def _putter(mutant: Mutant, path: Path) -> Callable[[], None] | None:
-    """Return what replaces the code of a function by the mutant's; None where Python does not let it."""
-    tree = mutated(mutant, path)
+def _found(
+    module: str, qualified: str, tree: ast.Module, path: Path
+) -> tuple[types.FunctionType, types.CodeType] | None:
+    """Return a loaded function and its code in a changed tree; None where Python does not let it be replaced."""
     body: list[ast.stmt] = tree.body
-    for part in mutant.function.split("."):
+    for part in qualified.split("."):
         node = next(n for n in body if isinstance(n, ast.ClassDef | ast.FunctionDef) and n.name == part)
         body = node.body
     code: types.CodeType = compile(tree, str(path), "exec", dont_inherit=True)
-    *outer, last = mutant.function.split(".")
+    *outer, last = qualified.split(".")
     for part in outer:
         code = _named(code, part, None)
     # A decorated function begins at its first decorator.
     code = _named(code, last, min(one.lineno for one in (node, *node.decorator_list)))
-    owner: object = importlib.import_module(mutant.module)
+    owner: object = importlib.import_module(module)
     for part in outer:
         owner = getattr(owner, part)
     function = vars(owner)[last]
@@ -309,9 +311,7 @@ def _putter(mutant: Mutant, path: Path) -> Callable[[], None] | None:
             function = getattr(function, "__func__", None) or function.__wrapped__
         else:
             return None
-    if function.__code__.co_freevars != code.co_freevars:
-        return None
-    return functools.partial(setattr, function, "__code__", code)
+    return (function, code) if function.__code__.co_freevars == code.co_freevars else None
 
 
 def _named(code: types.CodeType, name: str, line: int | None) -> types.CodeType:
