@@ -403,7 +403,8 @@ class GrblMachine(Machine):
             return
         for axis, length in enumerate(self._length):
             place = self.stage.position[axis]
-            if self.settings[21] and not -length - 1e-6 <= place <= 1e-6 and self.stage.moving:
+            # The switch at the end that homing seeks is pressed at that end, not beyond it.
+            if self.settings[21] and not -length - 1e-6 <= place < -1e-6 and self.stage.moving:
                 self.raise_alarm(1)
             end = min(max(place, -length - _STOP_BEHIND), _STOP_BEHIND)
             if end != place:
