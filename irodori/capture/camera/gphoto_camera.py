@@ -181,7 +181,7 @@ class GphotoCamera(Camera):
         if not shots:
             return
         faults = [*self._in_the_way(end)]
-        wanted = {
+        wanted: dict[str, set] = {
             "iso": {shot.iso or self._driver.iso for shot in shots},
             "f_number": {shot.f_number or self._driver.f_number for shot in shots} - {"manual"},
             "exposure_s": {shot.exposure_s for shot in shots},
