@@ -35,6 +35,7 @@ class Subcommand(NamedTuple):
 
 SUBCOMMANDS = {
     "status": Subcommand(_BENCH, "print the position of a rig's axes and the state of its controller", True),
+    "setup": Subcommand(_BENCH, "list, and change, settings of a controller that contradict its rig's file", True),
     "home": Subcommand(_BENCH, "move every axis of a rig to its reference position", True),
     "move": Subcommand(_BENCH, "move axes of a rig to angles", True),
     "jog": Subcommand(_BENCH, "move axes of a rig by a small angle", True),

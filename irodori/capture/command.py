@@ -3,6 +3,7 @@
 ::
 
     python -m irodori.rig status RIG
+    python -m irodori.rig setup RIG --write
     python -m irodori.rig move RIG camera_deg=30 turn_deg=90
     python -m irodori.rig plan OBJECT --best 12
     python -m irodori.rig capture OBJECT
@@ -18,7 +19,8 @@ from pathlib import Path
 
 from irodori.capture.operator import PromptOperator
 from irodori.capture.rig.connect import open_rig
-from irodori.capture.rig.devices import LimitError, RigDevice
+from irodori.capture.rig.devices import LimitError, RigDevice, SettingError
+from irodori.capture.rig.grbl.driver import GrblRig
 from irodori.config.definitions import load_one
 from irodori.core.errors import InputError, PlainError
 from irodori.core.progress import LOGGER
@@ -69,6 +71,9 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         sub.add_argument("angles", nargs="+", metavar="AXIS=DEGREES", type=_angle)
         text = "find the reference position first, where the rig does not know where it stands"
         sub.add_argument("--home", action="store_true", help=text)
+    sub = command("setup", _setup, "List the settings of a rig's controller that contradict the rig's file.")
+    sub.add_argument("rig", help="name of a file in config/rigs")
+    sub.add_argument("--write", action="store_true", help="change those in the controller that have a value to be set")
     sub = command("shoot", _of_a_camera("shoot"), "Take one photograph with a real camera.")
     sub.add_argument("camera", help="name of a file in config/cameras")
     sub.add_argument("file", type=Path, help="where to store the RAW file")
@@ -100,12 +105,12 @@ def _angle(text: str) -> tuple[str, float]:
 
 
 @contextmanager
-def _rig(name: str):
-    """Open a rig by name."""
+def _rig(name: str, checked: bool = True):
+    """Open a rig by name; see `open_rig`."""
     definition = load_one("rigs", name).rigs[name]
     if definition.motion is None:
         raise InputError(f"config/rigs/{name}.yaml", "motion", "no such key", "a rig with motors")
-    with ending_in_order(), open_rig(definition) as rig:
+    with ending_in_order(), open_rig(definition, checked) as rig:
         rig.on_hold = PromptOperator(definition.operator_deadline_s).confirm
         yield rig
 
@@ -128,6 +133,21 @@ def _home(options) -> None:
     with _rig(options.rig) as rig:
         rig.home()
         _print_status(rig)
+
+
+def _setup(options) -> None:
+    with _rig(options.rig, checked=False) as rig:
+        if not isinstance(rig, GrblRig):
+            raise SettingError(f"{options.rig}: its controller has no settings to compare; accepted: protocol grbl")
+        if options.write:
+            rig.write_settings({d.number: d.wanted for d in rig.disagreements() if d.wanted is not None})
+        found = rig.disagreements()
+        for disagreement in found:
+            wanted = "by hand" if disagreement.wanted is None else f"${disagreement.number}={disagreement.wanted:g}"
+            print(f"{wanted:>14}  {disagreement.why}")
+        if found:
+            raise SettingError(f"{options.rig}: {len(found)} to be changed; --write changes those with a value")
+        print(f"{options.rig}: the controller's settings agree with the rig's file")
 
 
 def _move(options) -> None:

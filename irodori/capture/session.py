@@ -96,6 +96,7 @@ class Session:
             If a photograph is broken or shot otherwise than asked for, `_TRIES` times in a row.
         """
         begun = self._clock()
+        self.camera.prepare(self.journal.missing(planned))
         if self.rig is not None:
             # A plan that leaves the rig's limits is refused before anything moves.
             for shot in planned:

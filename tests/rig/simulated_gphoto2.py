@@ -86,6 +86,11 @@ class Bench:
     stubborn: dict = field(default_factory=dict)
     stores: list = field(default_factory=list)
 
+    #: Number of the last time that the cable was pulled: a camera that was opened before is on a dead line.
+    unplugged: int = 0
+    #: Why the shutter is not released although the line is up; libgphoto2 says -1 and no more.
+    refuses: bool = False
+
     calls: list = field(default_factory=list)
     opened: int = 0
     held: int = 0
@@ -111,8 +116,21 @@ class Bench:
         } | self.choices  # fmt: skip
         self.readonly |= {"batterylevel", "lensname", "serialnumber", "eosserialnumber", "cameramodel"}
 
+    def unplug(self) -> None:
+        """Pull the cable: nothing is on the bus, and a line that was open is dead for good."""
+        self.unplugged += 1
+        self.seen, self.coming, self.held = [], [], 0
+
+    def plug(self, port: str = "usb:001,009") -> None:
+        """Put the cable back."""
+        self.seen = [(MODEL, port)]
+
     def call(self, name: str, camera=None) -> None:
-        """Note a call, and raise what the script holds for it."""
+        """Note a call, and raise what the script holds for it.
+
+        On a dead line libgphoto2's PTP driver says -2 for one setting, -1 for waiting and for the rest, and still
+        hands out the whole tree of settings, as observed on its own virtual camera.
+        """
         self.calls.append(name)
         if camera is not None and not camera.is_open:
             raise AssertionError(f"{name} on a camera that is not open")
@@ -122,6 +140,8 @@ class Bench:
                 raise error
             if error is not None:
                 error()
+        if camera is not None and camera.since < self.unplugged and name != "get_config":
+            raise fault("GP_ERROR_BAD_PARAMETERS" if name.endswith("single_config") else "GP_ERROR")
 
     def shown(self, name: str) -> str:
         if name in self._old:
@@ -281,7 +301,7 @@ def make_module(bench: Bench) -> types.ModuleType:
                 raise fault("GP_ERROR_MODEL_NOT_FOUND")
             if bench.held:
                 raise fault("GP_ERROR_IO_USB_CLAIM")
-            self.is_open = True
+            self.is_open, self.since = True, bench.unplugged
             bench.held += 1
             bench.opened += 1
 
@@ -289,7 +309,7 @@ def make_module(bench: Bench) -> types.ModuleType:
             bench.calls.append("exit")
             if self.is_open:
                 self.is_open = False
-                bench.held -= 1
+                bench.held -= self.since == bench.unplugged
 
         def _widget(self, name):
             return CameraWidget(name, bench.shown(name), bench.choices.get(name, ()), name in bench.readonly)
@@ -314,6 +334,8 @@ def make_module(bench: Bench) -> types.ModuleType:
 
         def trigger_capture(self):
             bench.call("trigger_capture", self)
+            if bench.refuses:
+                raise fault("GP_ERROR")
             bench.release()
 
         def wait_for_event(self, timeout):

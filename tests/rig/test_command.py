@@ -72,6 +72,26 @@ def test_status_says_state_angles_and_limits(capsys, board):
     assert not err
 
 
+def test_setup_lists_what_disagrees_and_changes_it_on_request(capsys, bench, board):
+    out, err = run(capsys, "setup", "gonio-grbl")
+    assert out == ["gonio-grbl: the controller's settings agree with the rig's file"] and not err
+
+    def faster(rig):
+        for axis in rig["motion"]["axes"].values():
+            axis["speed_deg_per_s"] *= 2.0
+            axis["acceleration_deg_per_s2"] *= 3.0
+
+    change(bench / "config/rigs/gonio-grbl.yaml", faster)
+    out, err = run(capsys, "setup", "gonio-grbl", code=1)
+    assert [line.split()[0] for line in out] == ["$110=1200", "$120=60", "$111=2400", "$121=120"]
+    assert err == ["gonio-grbl: 4 to be changed; --write changes those with a value"]
+    out, err = run(capsys, "status", "gonio-grbl", code=1)
+    assert all(setting in err[0] for setting in ("$110", "$120", "$111", "$121"))
+    out, err = run(capsys, "setup", "gonio-grbl", "--write")
+    assert "agree" in out[0] and not err
+    run(capsys, "move", "gonio-grbl", "camera_deg=30", "--home")
+
+
 def test_home_finds_the_reference_position_and_the_board_remembers_it(capsys, board):
     assert run(capsys, "home", "gonio-grbl")[0][0] == "state idle, homed"
     assert run(capsys, "status", "gonio-grbl")[0][0] == "state idle, homed"

@@ -282,6 +282,77 @@ def test_a_camera_unplugged_for_good_is_reported_and_leaves_nothing(bench, tmp_p
     assert list(tmp_path.iterdir()) == [] and bench.held == 0
 
 
+@pytest.mark.parametrize("call", CALLS)
+def test_a_cable_that_is_pulled_for_four_seconds_costs_no_photograph(bench, tmp_path, call):
+    def pull():
+        bench.unplug()
+        back_s = bench.clock.time_s + 4.0
+        # Whoever looks for the camera finds it once the cable is back.
+        bench.script["autodetect"] = [lambda: bench.clock.time_s >= back_s and bench.plug()] * 99
+
+    with opened(bench, retries=9) as camera:
+        bench.script[call] = [pull]
+        camera.capture(shot(0.02), tmp_path / "a.cr2")
+        camera.capture(shot(0.02), tmp_path / "b.cr2")
+    assert (tmp_path / "a.cr2").read_bytes() == (tmp_path / "b.cr2").read_bytes() == RAW
+    assert bench.opened == 2 and bench.held == 0
+
+
+def test_a_dead_line_is_said_to_be_one(bench, tmp_path):
+    with opened(bench) as camera:
+        bench.unplug()
+        with pytest.raises(LinkError, match=r"not found, is it switched on and plugged in.*\(tried 4 times\)"):
+            camera.capture(shot(0.02), tmp_path / "a.cr2")
+        with pytest.raises(LinkError, match="not found"):
+            camera.status()
+
+
+@pytest.mark.parametrize(
+    ("values", "stores", "said"),
+    [
+        ({"focusmode": "AI Servo"}, [], r"focuses by itself \(focusmode AI Servo\): switch the lens to manual"),
+        ({"focusmode": "Manual"}, [], "may not find focus, or its card may be full"),
+        ({}, [CameraStorageInformation(128 | 256, "/store_1", 12, 0)], "no room on its card /store_1"),
+    ],
+)
+def test_why_the_shutter_is_not_released_is_looked_for(bench, tmp_path, values, stores, said):
+    bench.values |= values
+    bench.stores = stores
+    if stores:
+        del bench.values["capturetarget"]
+    with opened(bench) as camera:
+        bench.refuses = True
+        with pytest.raises(CommandError, match=rf"not released: .*{said}.*\[-1\]"):
+            camera.capture(shot(0.02), tmp_path / "a.cr2")
+        assert bench.opened == 1, "the line is up, and is not opened again"
+        bench.refuses = False
+        camera.capture(shot(0.02), tmp_path / "a.cr2")
+
+
+def test_everything_that_a_plan_asks_in_vain_is_said_before_it_begins(bench):
+    bench.values["focusmode"] = "One Shot"
+    shots = [shot(0.02), shot(0.0123), shot(45.0), replace(shot(0.02), iso=250.0)]
+    with opened(bench) as camera:
+        with pytest.raises(CommandError) as caught:
+            camera.prepare(shots)
+        for words in (
+            "focusmode One Shot",
+            "shutterspeed 0.0123 is not",
+            "shutterspeed 45.0 is not",
+            "iso 250.0 is not",
+        ):
+            assert words in str(caught.value)
+        assert not bench.releases
+        bench.values["focusmode"] = "Manual"
+        camera.prepare(shots[:1])
+        assert bench.values["shutterspeed"] == "1/50" and bench.values["imageformat"] == "RAW"
+        bench.values["iso"] = "400"
+        bench.readonly.add("iso")
+        with pytest.raises(CommandError, match=r"iso 100.0 cannot be set.*mode dial to M"):
+            camera.prepare(shots[:1])
+        camera.prepare([])
+
+
 @pytest.mark.parametrize("words", ["GP_ERROR", "GP_ERROR_CAMERA_ERROR", "GP_ERROR_NO_SPACE"])
 def test_any_other_error_is_raised_at_once_in_gphoto2_s_own_words(bench, tmp_path, words):
     with opened(bench) as camera:

@@ -20,9 +20,10 @@ from irodori.capture.rig.devices import (
 )
 from irodori.capture.rig.drives import Drive, drives_of
 from irodori.capture.rig.grbl.driver import GrblRig
-from irodori.capture.rig.grbl.settings_check import check_settings, home_position, homing_s, travel_of
+from irodori.capture.rig.grbl.settings_check import check_settings, disagreements, home_position, homing_s, travel_of
 from irodori.capture.rig.serial_link import SerialLink
-from irodori.config.models import Rig
+from irodori.config.definitions import load_one
+from irodori.config.models import Rig, SimulatorOptions
 from irodori.simulation.controllers.grbl_machine import DEFAULTS
 from irodori.simulation.controllers.grbl_simulator import simulate
 from irodori.simulation.controllers.peer_client import run_simulator
@@ -45,7 +46,7 @@ def test_settings_that_fit_are_accepted():
         (121, 4000.0, r"turn_deg: acceleration_deg_per_s2 16000 is above .* 8000 \(\$121=4000\)"),
         (100, 5.0, "camera_deg: one step of the motor is 0.2 degrees"),
         (101, 0.0, "turn_deg: steps, rate or acceleration of Y are 0"),
-        (10, 2, r"set \$10=1"),
+        (10, 2, r"set \$10=3"),
         (13, 1, r"set \$13=0"),
         (20, 0, r"set \$20=1"),
         (22, 0, r"motion.homing is true, but .* set \$22=1"),
@@ -129,12 +130,78 @@ def test_a_reach_may_go_a_thousandth_of_a_unit_beyond_the_travel(end, beyond, fi
     drive = DRIVES["camera_deg"]  # counts downward from -1 degree
     low, high = (-141.0 - beyond, -1.0) if end == 0 else (-141.0, beyond)
     drive = replace(drive, axis=replace(drive.axis, min_deg=-1.0 - high, max_deg=-1.0 - low))
-    drives, settings = {**DRIVES, "camera_deg": drive}, {**FITTING, 130: 141.0}
+    drives, settings = {**DRIVES, "camera_deg": drive}, {**FITTING, 27: 0.0, 130: 141.0}
     if fits:
         check_settings(settings, "V", drives, homing=True)
     else:
         with pytest.raises(SettingError, match="camera_deg: limits"):
             check_settings(settings, "V", drives, homing=True)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize(("inside", "fits"), [(0.0, True), (0.0008, True), (0.01, False), (1.0, False)])
+def test_a_reach_up_to_the_switch_is_refused_where_the_axis_pulls_off(turned, inside, fits):
+    # 140 units of reach, a pull-off of one; turned, homing seeks the negative end.
+    drive = DRIVES["camera_deg"]
+    low = -141.0 - inside if turned else -141.0 + inside
+    axis = replace(drive.axis, min_deg=-1.0 - (low + 140.0), max_deg=-1.0 - low)
+    drives = {**DRIVES, "camera_deg": replace(drive, axis=axis)}
+    settings = {**FITTING, 23: int(turned), 27: 1.0, 130: 142.0}
+    if fits:
+        check_settings(settings, "V", drives, homing=True)
+    else:
+        with pytest.raises(SettingError, match=rf"camera_deg: .*\$27=1.* shift zero_deg by {inside:g} degrees"):
+            check_settings(settings, "V", drives, homing=True)
+
+
+def test_all_disagreements_are_said_at_once_and_written_on_request():
+    wrong = {10: 2, 13: 1, 20: 0, 110: 12000.0, 121: 4000.0}
+    with simulate({**grbl_settings(DRIVES, True), **wrong}, time_scale=10.0) as simulator:
+        there = made(Rig, at_port(RIG, simulator.port))
+        before = simulator.true_position()
+        with pytest.raises(SettingError) as refused, open_rig(there):
+            pass
+        for number in wrong:
+            assert f"${number}" in str(refused.value)
+        with open_rig(there, checked=False) as rig:
+            found = rig.disagreements()
+            assert {d.number for d in found} == set(wrong)
+            rig.write_settings({d.number: d.wanted for d in found})
+            assert rig.disagreements() == []
+            with pytest.raises(AlarmError):
+                rig.move({"camera_deg": 10.0})
+        assert simulator.true_position() == before
+        with open_rig(there) as rig:
+            rig.home()
+            rig.move({"camera_deg": 140.0, "turn_deg": 0.0})
+
+
+def test_what_only_a_person_can_mend_has_no_value_to_be_written():
+    settings = {**FITTING, 100: 5.0, 110: 12000.0}
+    found = {d.number: d.wanted for d in disagreements(settings, "V", DRIVES, True)}
+    assert found == {100: None, 110: 24000.0}
+
+
+def test_homing_that_was_switched_off_is_switched_on_before_the_soft_limits():
+    with simulate({**grbl_settings(DRIVES, True), 20: 0, 22: 0}) as simulator:
+        with open_rig(made(Rig, at_port(RIG, simulator.port)), checked=False) as rig:
+            rig.write_settings({d.number: d.wanted for d in rig.disagreements() if d.wanted is not None})
+        with open_rig(made(Rig, at_port(RIG, simulator.port))) as rig:
+            assert not rig.status().homed, "homing that is switched on now has not been done"
+
+
+@pytest.mark.parametrize("name", ["gonio-grbl", "virtual"])
+def test_a_shipped_rig_reaches_its_own_ends_with_hard_limits_on(name):
+    rig = load_one("rigs", name).rigs[name]
+    rig = replace(
+        rig, motion=replace(rig.motion, port="simulator", settle_s=0.0, simulator=SimulatorOptions(time_scale=200.0))
+    )
+    with open_rig(rig) as opened:
+        assert opened.settings()[21] == 1
+        opened.home()
+        for ends in ({"camera_deg": 140.0, "turn_deg": 359.5}, {"camera_deg": 0.0, "turn_deg": 0.0}):
+            opened.move(ends)
+            assert true_position_deg(opened) == pytest.approx(ends, abs=0.01)
 
 
 def test_the_pull_off_ends_at_the_reach_and_is_a_unit_at_most():

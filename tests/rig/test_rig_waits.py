@@ -11,7 +11,9 @@ from irodori.capture.rig.devices import (
     HeldError,
     LinkError,
     RigDevice,
+    SettingError,
 )
+from irodori.capture.rig.grbl.protocol import FLUIDNC, GRBLHAL
 from irodori.capture.rig.grbl.settings_check import homing_s
 from irodori.simulation.controllers.grbl_machine import GrblMachine
 
@@ -253,6 +255,31 @@ def test_a_report_without_an_axis_of_the_rig_is_garbled(board, places):
         driver.status()
 
 
+def press(bench, keys: bytes) -> None:
+    """Let another program type at the controller."""
+    bench.write(keys)
+    bench.sleep(0.1)
+    bench.discard_input()
+
+
+def move_elsewhere(bench) -> None:
+    bench.write(b"G90G0X-50\n")
+    bench.sleep(0.5)
+
+
+UNHOMED = {
+    "unlocked after switching on": lambda bench: (bench.machine.power_up(), press(bench, b"$X\n")),
+    "unlocked after a limit switch": lambda bench: (bench.machine.raise_alarm(1), press(bench, b"\x18$X\n")),
+    "reset in mid-move and unlocked": lambda bench: (move_elsewhere(bench), press(bench, b"\x18$X\n")),
+    "homing switched on just now": lambda bench: (
+        bench.machine.settings.update({22: 0}), bench.machine.power_up(), bench.machine.settings.update({22: 1}),
+    ),
+    "reset at rest by another program": lambda bench: press(bench, b"\x18"),
+    "counting other steps": lambda bench: bench.machine.settings.update({100: 2 * bench.machine.settings[100]}),
+    "another program's tool": lambda bench: press(bench, b"T0\n"),
+}  # fmt: skip
+
+
 # What an alarm is caused by, and its code.
 ALARMS = {
     "limit switch": (lambda bench: bench.machine.raise_alarm(1), 1),
@@ -312,6 +339,76 @@ def test_a_board_that_is_found_silent_in_an_alarm_says_so(board):
     bench.discard_input()  # read by the program that ran before
     status = opened(rig_of("grbl"), bench).status()
     assert status.state == "alarm" and "ALARM:1 or ALARM:2" in status.message
+
+
+# ---- other firmwares that speak Grbl's language
+
+
+@pytest.fixture(params=[GRBLHAL, FLUIDNC])
+def other(request, monkeypatch):
+    """Return a homed rig on a board with another firmware, and its bench."""
+    rig = rig_of("grbl")
+    bench = bench_of(rig, monkeypatch, firmware=request.param)
+    driver = opened(rig, bench)
+    driver.home()
+    return driver, bench
+
+
+def test_another_firmware_is_moved_held_and_stopped_like_grbl(other):
+    driver, bench = other
+    driver.move({"camera_deg": 140.0, "turn_deg": 0.0})
+    driver.jog("camera_deg", -100.0)
+    is_at(driver, 40.0, 0.0)
+    asked = []
+    driver.on_hold = asked.append
+    later(bench, 0.5, bench.machine.press_hold)
+    driver.move({"camera_deg": 100.0})
+    assert len(asked) == 1
+    driver.stop()
+    assert driver.status().state == "idle" and driver.status().homed
+
+
+@pytest.mark.parametrize("cause", ALARMS)
+def test_another_firmware_s_alarm_is_said_by_its_code_within_a_second(other, cause):
+    driver, bench = other
+    driver.move({"camera_deg": 0.0})
+    act, code = ALARMS[cause]
+    at = []
+    later(bench, 1.0, lambda: (act(bench), at.append(bench.now)))
+    with pytest.raises(AlarmError, match=rf"ALARM:{code} .*home it"):
+        driver.move({"camera_deg": 140.0})
+    assert bench.now - at[0] < 1.0 + (0.8 if code == 2 else 0.0)
+    driver.home()
+
+
+@pytest.mark.parametrize("how", sorted({*UNHOMED} - {"another program's tool", "counting other steps"}))
+def test_another_firmware_that_is_unlocked_is_not_taken_for_a_homed_one(other, how):
+    driver, bench = other
+    keeps_account = bench.machine.firmware == GRBLHAL
+    assert opened(rig_of("grbl"), bench).status().homed == keeps_account
+    driver.home()
+    UNHOMED[how](bench)
+    # grblHAL keeps its count through a reset at rest, and says so.
+    keeps_count = keeps_account and how == "reset at rest by another program"
+    assert opened(rig_of("grbl"), bench).status().homed == keeps_count
+
+
+@pytest.mark.parametrize("other", [GRBLHAL], indirect=True)
+def test_grblhal_that_passes_for_grbl_is_known_by_its_build(other):
+    _, bench = other
+    bench.heard = lambda line: line.replace("GrblHAL 1.1f ['$' or '$HELP'", "Grbl 1.1f ['$'")
+    assert opened(rig_of("grbl"), bench).status().homed
+
+
+@pytest.mark.parametrize("other", [FLUIDNC], indirect=True)
+def test_fluidnc_s_settings_stand_in_its_own_file(other):
+    driver, bench = other
+    driver.status()
+    with pytest.raises(SettingError, match=r"does not take them: change its config\.yaml"):
+        driver.write_settings({110: 100.0})
+    bench.heard = lambda line: line.replace("mpos_mm=", "mpos=")
+    with pytest.raises(SettingError, match="camera_deg: the controller's file lacks axes/x/homing/mpos_mm"):
+        opened(rig_of("grbl"), bench)
 
 
 # What is lost, once, on the way to and from the board.
@@ -378,31 +475,6 @@ def test_homing_whose_command_or_answer_is_lost_is_done(board, lost):
     assert gone and driver.status().homed
     driver.move({"camera_deg": 20.0})
     is_at(driver, 20.0, 359.5)
-
-
-def press(bench, keys: bytes) -> None:
-    """Let another program type at the controller."""
-    bench.write(keys)
-    bench.sleep(0.1)
-    bench.discard_input()
-
-
-def move_elsewhere(bench) -> None:
-    bench.write(b"G90G0X-50\n")
-    bench.sleep(0.5)
-
-
-UNHOMED = {
-    "unlocked after switching on": lambda bench: (bench.machine.power_up(), press(bench, b"$X\n")),
-    "unlocked after a limit switch": lambda bench: (bench.machine.raise_alarm(1), press(bench, b"\x18$X\n")),
-    "reset in mid-move and unlocked": lambda bench: (move_elsewhere(bench), press(bench, b"\x18$X\n")),
-    "homing switched on just now": lambda bench: (
-        bench.machine.settings.update({22: 0}), bench.machine.power_up(), bench.machine.settings.update({22: 1}),
-    ),
-    "reset at rest by another program": lambda bench: press(bench, b"\x18"),
-    "counting other steps": lambda bench: bench.machine.settings.update({100: 2 * bench.machine.settings[100]}),
-    "another program's tool": lambda bench: press(bench, b"T0\n"),
-}  # fmt: skip
 
 
 @pytest.mark.parametrize("how", UNHOMED)

@@ -50,6 +50,24 @@ def test_a_feed_hold_in_a_session_is_the_person_s_to_end(tmp_path, rig, somebody
     assert_whole(tmp_path, planned)
 
 
+def test_what_the_camera_will_not_take_is_said_before_anything_moves_or_anybody_is_asked(tmp_path, rig):
+    class Dialled(QuickCamera):
+        def prepare(self, shots):
+            assert [shot.file for shot in shots] == ["a.dng"], "what is there already is not asked for"
+            raise DeviceError("turn the mode dial to M")
+
+    class Nobody(AutoOperator):
+        def ask(self, step):
+            pytest.fail("nobody is asked")
+
+    planned = [Shot("a.dng", "object", Pose(45.0, 100.0), "out", 0.02)]
+    rig.simulator.power()
+    before = rig.simulator.true_position()
+    with pytest.raises(DeviceError, match="mode dial"):
+        Session(Dialled(), Nobody(dict), Journal(tmp_path / "captures.csv"), rig).run(planned, "test")
+    assert rig.simulator.true_position() == before
+
+
 @pytest.fixture
 def slept(monkeypatch):
     """Return the times that sessions sleep, s, as they grow; they sleep them."""

@@ -12,6 +12,7 @@ from irodori.capture.rig.connect import grbl_settings
 from irodori.capture.rig.devices import DeadlineError, Link, RigDevice
 from irodori.capture.rig.drives import drives_of
 from irodori.capture.rig.grbl import driver as grbl_driver
+from irodori.capture.rig.grbl.protocol import FIRMWARES
 from irodori.config.models import Rig
 from irodori.simulation.controllers.ascii_simulator import AsciiMachine
 from irodori.simulation.controllers.grbl_machine import GrblMachine
@@ -92,13 +93,13 @@ def rig_of(protocol: str, **block) -> Rig:
     return made(Rig, rig)
 
 
-def bench_of(rig: Rig, monkeypatch, homing: bool = True, seed: int = 0) -> Bench:
+def bench_of(rig: Rig, monkeypatch, homing: bool = True, seed: int = 0, firmware: str = FIRMWARES[0]) -> Bench:
     """Return the controller of a definition, and let every driver look at its clock."""
     drives = drives_of(rig)
     assert rig.motion is not None
     words = rig.motion.ascii
     if words is None:
-        bench = Bench(GrblMachine(grbl_settings(drives, homing), seed=seed), b"\n")
+        bench = Bench(GrblMachine(grbl_settings(drives, homing), seed=seed, firmware=firmware), b"\n")
     else:
         description = Description.of(words)
         machine = AsciiMachine(drives, description, words.simulated_replies.plain(), seed)

@@ -5,8 +5,9 @@ releases the shutter and waits for the file. `gphoto_line` repeats what a busy c
 Source: the documentation of libgphoto2 2.5 and of its PTP driver.
 """
 
+import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
@@ -35,6 +36,7 @@ _REPORTS = {
     "battery": ("batterylevel",),
     "lens": ("lensname",),
 }
+_FOCUS = ("focusmode",)
 _RAM = "Internal RAM"
 _NOT_REPORTED = "not reported"
 _EVENT_S = 0.5
@@ -96,6 +98,10 @@ class GphotoCamera(CameraDevice):
             self.suffix = suffix
         with written_whole(path) as temporary:
             temporary.write_bytes(data)
+
+    def prepare(self, shots: Sequence[Shot]) -> None:
+        """Refuse what the camera does not offer or cannot do as it stands: settings, focus, a card without room."""
+        self._line.insist(lambda end: self._check(shots, end))
 
     def status(self) -> dict[str, str]:
         """Return ``model``, ``serial_number``, ``battery``, ``lens``, ``storage`` and ``settings``, as text."""
@@ -165,6 +171,53 @@ class GphotoCamera(CameraDevice):
             if setting in self.widgets:
                 self._put(setting, value, end)
 
+    def _check(self, shots: Sequence[Shot], end: float) -> None:
+        if not shots:
+            return
+        faults = [*self._in_the_way(end)]
+        wanted: dict[str, set] = {
+            "iso": {shot.iso or self._driver.iso for shot in shots},
+            "f_number": {shot.f_number or self._driver.f_number for shot in shots} - {"manual"},
+            "exposure_s": {shot.exposure_s for shot in shots},
+        }
+        for setting in self.widgets.keys() & wanted:
+            name = self._widget_name(setting)
+            widget = self._line.ask(end, "get_single_config", name)
+            if not widget.get_readonly():
+                choices = [str(choice) for choice in widget.get_choices()]
+                absent = [value for value in sorted(wanted[setting]) if find_choice(setting, value, choices) is None]
+                faults += [f"{name} {value} is not on offer; {offer(setting, value, choices)}" for value in absent]
+        if faults:
+            raise CommandError(f"{self.model}: {'; '.join(faults)}")
+        # What is read-only now, and what the camera does not take, shows when it is set.
+        self._set_all(shots[0], end)
+
+    def _in_the_way(self, end: float) -> Iterator[str]:
+        """Yield what keeps the shutter from falling, as far as the camera tells: autofocus, a card without room."""
+        focus = self._read(_FOCUS, end)
+        if focus != _NOT_REPORTED and not re.search(r"manual|\bmf\b", focus, re.IGNORECASE):
+            yield f"it focuses by itself (focusmode {focus}): switch the lens to manual focus"
+        # Where the file goes into the camera's memory, the card may be full or missing.
+        if not self._line.names.intersection(self.widgets.get("capture_target", ())):
+            gp = self._gp
+            for store in self._stores(end) or ():
+                pictures = store.freeimages if store.fields & gp.GP_STORAGEINFO_FREESPACEIMAGES else None
+                kilobytes = store.freekbytes if store.fields & gp.GP_STORAGEINFO_FREESPACEKBYTES else None
+                if pictures == 0 or kilobytes == 0:
+                    yield f"no room on its card {store.basedir}: empty it"
+
+    def _release(self, end: float) -> None:
+        """Release the shutter; where the camera does not say why it will not, look for the cause."""
+        try:
+            self._line.ask(end, "trigger_capture")
+        except self._gp.GPhoto2Error as error:
+            if error.code != self._gp.GP_ERROR or self._line.is_loss(error):
+                raise
+            causes = "; ".join(self._in_the_way(end)) or "it may not find focus, or its card may be full"
+            raise CommandError(
+                f"{self.model}: the shutter was not released: {causes} (gphoto2 says {error})"
+            ) from error
+
     def _keep_awake(self, end: float) -> None:
         """Ask the camera not to switch itself off between photographs."""
         if "autopoweroff" not in self._line.names:
@@ -190,7 +243,7 @@ class GphotoCamera(CameraDevice):
         self._set_all(shot, end)
         self._settle(end, _QUIET_S / 2.0)
         self._unsettled = True
-        self._line.ask(end, "trigger_capture")
+        self._release(end)
         others: list[str] = []
         while (left := end - self._line.now()) > 0.0:
             folder, name = self._next_file(end, min(left, _EVENT_S))
@@ -268,15 +321,20 @@ class GphotoCamera(CameraDevice):
             return _NOT_REPORTED
         return str(self._line.ask(end, "get_single_config", name).get_value()).strip() or _NOT_REPORTED
 
-    def _storage(self, end: float) -> str:
-        gp = self._gp
+    def _stores(self, end: float) -> list | None:
+        """Return gphoto2's records of the camera's cards, None where it does not tell."""
         try:
-            stores = list(self._line.ask(end, "get_storageinfo"))
-        except gp.GPhoto2Error as error:
+            return list(self._line.ask(end, "get_storageinfo"))
+        except self._gp.GPhoto2Error as error:
             if self._line.is_loss(error):
                 raise
+            return None
+
+    def _storage(self, end: float) -> str:
+        gp, parts = self._gp, []
+        stores = self._stores(end)
+        if stores is None:
             return _NOT_REPORTED
-        parts = []
         for store in stores:
             words = []
             if store.fields & gp.GP_STORAGEINFO_FREESPACEKBYTES:

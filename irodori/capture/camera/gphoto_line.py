@@ -58,6 +58,8 @@ class GphotoLine:
         self.names: frozenset[str] = frozenset()
         self._camera: Any = None  # gphoto2's, which has no types
         self._closed = self._was_open = False
+        #: A setting that could be read: what answers on a line that is up.
+        self._readable = ""
         self._lost_codes = {
             gp.GP_ERROR_IO,
             gp.GP_ERROR_IO_INIT,
@@ -69,6 +71,8 @@ class GphotoLine:
             gp.GP_ERROR_TIMEOUT,
             gp.GP_ERROR_MODEL_NOT_FOUND,
         }
+        # What libgphoto2's PTP driver says on a dead port, and of much else: a full card, no focus, a wrong value.
+        self._doubtful_codes = {gp.GP_ERROR, gp.GP_ERROR_BAD_PARAMETERS}
 
     def insist(self, action: Callable, allowance_s: float = 0.0):
         """Return ``action(end)``; a lost line is opened again and the action repeated, until a number or a time.
@@ -122,7 +126,10 @@ class GphotoLine:
         while True:
             tries += 1
             try:
-                return getattr(self._camera, method)(*arguments)
+                answer = getattr(self._camera, method)(*arguments)
+                if method == "get_single_config":
+                    self._readable = arguments[0]
+                return answer
             except self.gp.GPhoto2Error as error:
                 if error.code != self.gp.GP_ERROR_CAMERA_BUSY:
                     raise
@@ -133,8 +140,17 @@ class GphotoLine:
             wait = min(2.0 * wait, LONGEST_WAIT_S)
 
     def is_loss(self, error) -> bool:
-        """Return whether an error of gphoto2 means that the line is lost."""
-        return error.code in self._lost_codes
+        """Return whether an error of gphoto2 means that the line is lost; where it may, a setting is asked for."""
+        if error.code not in self._doubtful_codes:
+            return error.code in self._lost_codes
+        name = self._readable or min(self.names, default="")
+        if self._camera is None or not name:
+            return False
+        try:
+            self._camera.get_single_config(name)
+        except self.gp.GPhoto2Error as silence:
+            return silence.code != self.gp.GP_ERROR_CAMERA_BUSY
+        return False
 
     def let_go(self) -> None:
         """Let go of the camera until the next `insist`."""

@@ -32,13 +32,15 @@ def _description(motion: Motion) -> Description:
 
 
 @contextmanager
-def open_rig(rig: Rig) -> Iterator[RigDevice]:
+def open_rig(rig: Rig, checked: bool = True) -> Iterator[RigDevice]:
     """Open the rig of a definition; stop it on an exception, and let go of its line at the end.
 
     Parameters
     ----------
     rig : Rig
         With the block ``motion``. The port ``simulator`` starts a simulated controller.
+    checked : bool
+        Whether a controller whose settings contradict the definition is refused; see `GrblRig`.
 
     Yields
     ------
@@ -60,7 +62,7 @@ def open_rig(rig: Rig) -> Iterator[RigDevice]:
             line_end=b"\n" if motion.protocol == "grbl" else _description(motion).line_end,
         )
         stack.callback(link.close)
-        opened = _DRIVERS[motion.protocol](link, drives_of(rig), motion)
+        opened = _DRIVERS[motion.protocol](link, drives_of(rig), motion, checked)
         opened.simulator = simulator
         yield stack.enter_context(opened)
 
@@ -86,7 +88,7 @@ def grbl_settings(drives: Mapping[str, Drive], homing: bool) -> dict[int, float]
     The pull-off ends where machine position and reach begin, so that the axis stands within its limits after homing.
     """
     pull_off = min([1.0, *(-drive.reach[1] for drive in drives.values() if drive.reach[1] < 0.0)])
-    settings: dict[int, float] = {20: int(homing), 22: int(homing), 26: 25, 27: round(pull_off, 3)}
+    settings: dict[int, float] = {20: int(homing), 21: int(homing), 22: int(homing), 26: 25, 27: round(pull_off, 3)}
     # Axes of the controller that are not the rig's are homed with the others, and must not hold them up.
     others = {TRAVEL: 10.0, ACCELERATION: max(drive.acceleration for drive in drives.values())}
     settings |= {first + index: value for first, value in others.items() for index in range(3)}
@@ -118,16 +120,16 @@ def true_position_deg(rig: RigDevice) -> dict[str, float]:
     return {name: drive.to_deg(places[drive.channel]) for name, drive in rig.drives.items()}
 
 
-def _open_grbl(link: Link, drives: Mapping[str, Drive], motion: Motion) -> RigDevice:
-    return GrblRig(link, drives, timeout_s=motion.timeout_s, flow=motion.flow, homing=motion.homing)
+def _open_grbl(link: Link, drives: Mapping[str, Drive], motion: Motion, checked: bool) -> RigDevice:
+    return GrblRig(link, drives, timeout_s=motion.timeout_s, flow=motion.flow, homing=motion.homing, checked=checked)
 
 
-def _open_ascii(link: Link, drives: Mapping[str, Drive], motion: Motion) -> RigDevice:
+def _open_ascii(link: Link, drives: Mapping[str, Drive], motion: Motion, checked: bool) -> RigDevice:
     words = _description(motion)
     return AsciiRig(link, drives, words, timeout_s=motion.timeout_s, homing=motion.homing)
 
 
-_DRIVERS: dict[str, Callable[[Link, Mapping[str, Drive], Motion], RigDevice]] = {
+_DRIVERS: dict[str, Callable[[Link, Mapping[str, Drive], Motion, bool], RigDevice]] = {
     "grbl": _open_grbl,
     "ascii": _open_ascii,
 }

@@ -7,7 +7,7 @@ Angles are in degrees, times in seconds. Axes bear the names of a pose's angles 
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -265,6 +265,15 @@ class CameraDevice(ABC):
         ------
         DeviceError
             If the camera refuses, is busy beyond the deadline, or cannot be set to what the shot wants.
+        """
+
+    def prepare(self, shots: Sequence[Shot]) -> None:  # noqa: B027, a camera that takes everything checks nothing
+        """Refuse shots that the camera will not take as it stands, before anything moves.
+
+        Raises
+        ------
+        DeviceError
+            With everything that is in the way.
         """
 
     @abstractmethod

@@ -9,7 +9,7 @@ import math
 import random
 
 from irodori.capture.rig.drives import along
-from irodori.capture.rig.grbl.protocol import LINE_BYTES, RX_BUFFER_BYTES
+from irodori.capture.rig.grbl.protocol import FIRMWARES, FLUIDNC, GRBL, GRBLHAL, LINE_BYTES, RX_BUFFER_BYTES
 from irodori.simulation.controllers.grbl_gcode import GcodeError, Modes, Move, parse_block
 from irodori.simulation.controllers.peer_server import Machine
 from irodori.simulation.controllers.trapezoidal_motion import Block, Stage
@@ -22,7 +22,31 @@ DEFAULTS = {
     **dict.fromkeys((120, 121, 122), 100.0), **dict.fromkeys((130, 131, 132), 200.0),
 }  # fmt: skip
 _WHOLE = (0, 1, 2, 3, 4, 5, 6, 10, 13, 20, 21, 22, 23, 26, 32)
-_BANNER = "\r\nGrbl 1.1h ['$' for help]"
+#: What each firmware says when it starts, and to ``$I``; recorded from their sources.
+_BANNERS = {
+    GRBL: "Grbl 1.1h ['$' for help]",
+    GRBLHAL: "GrblHAL 1.1f ['$' or '$HELP' for help]",
+    FLUIDNC: "Grbl 3.7 [FluidNC v3.7.8 (wifi) '$' for help]",
+}
+_BUILDS = {
+    GRBL: ["[VER:1.1h.20190830:]", f"[OPT:V,{PLANNER_BLOCKS},{RX_BUFFER_BYTES}]"],
+    GRBLHAL: [
+        "[VER:1.1f.20230419:]",
+        "[OPT:VNMSL,35,1024,3,0]",
+        "[AXS:3:XYZ]",
+        "[NEWOPT:ENUMS,RT+,HOME,SED]",
+        "[FIRMWARE:grblHAL]",
+        "[NVS STORAGE:*FLASH]",
+        "[DRIVER:RP2040]",
+        "[DRIVER VERSION:230418]",
+        "[DRIVER OPTIONS:SDK_1.5.0]",
+        "[AUX IO:0,1,0,0]",
+    ],
+    FLUIDNC: ["[VER:3.7 FluidNC v3.7.8:]", "[OPT:PHS]", "[MSG: Machine: Default (Test Drive)]"],
+}
+#: Settings that FluidNC keeps in its own file, by their Grbl number, and where they stand in it.
+_CONFIGURED = {24: "homing/feed_mm_per_min", 25: "homing/seek_mm_per_min", 26: "homing/settle_ms",
+               27: "motor0/pulloff_mm"}  # fmt: skip
 _LOCKED = "[MSG:'$H'|'$X' to unlock]"
 _TRAVEL_SLACK = 1e-6
 #: How far behind a switch the mechanics end, units.
@@ -47,12 +71,19 @@ class GrblMachine(Machine):
         Of where the axes stand at first, and of all that is random.
     homing_rms : float
         Repeatability of the switches, standard deviation, units.
+    firmware : str
+        One of `FIRMWARES`; grblHAL and FluidNC answer in every alarm, and grblHAL keeps account of its homing.
     """
 
     state = "Idle"
 
-    def __init__(self, settings=None, letters: str = "XYZ", seed: int = 0, homing_rms: float = 0.0) -> None:
+    def __init__(
+        self, settings=None, letters: str = "XYZ", seed: int = 0, homing_rms: float = 0.0, firmware: str = GRBL
+    ) -> None:
         super().__init__()
+        if firmware not in FIRMWARES:
+            raise ValueError(f"no firmware {firmware!r}; accepted: {', '.join(FIRMWARES)}")
+        self.firmware, self._is_homed, self._full = firmware, False, False
         self.settings = {**DEFAULTS, **(settings or {})}
         self.letters, self.channels, self._homing_rms = letters, tuple(letters), homing_rms
         self._rng = random.Random(seed)
@@ -69,12 +100,15 @@ class GrblMachine(Machine):
     def power_up(self) -> None:
         """Start as after switching on: the count begins at zero wherever the axes stand."""
         self.stage.clear()
+        self._is_homed = False
         self._origin = list(self.stage.position)
         self.state = "Alarm" if self.settings[22] else "Idle"
         self._restart()
 
     def raise_alarm(self, code: int) -> None:
         """Stop dead and report an alarm: 1 and 2 then wait for a reset and say nothing, 3 and those of homing reset."""
+        # The count outlives a soft limit, whose axes stand.
+        self._is_homed &= code == 2
         self._stop_dead()
         self.state, self._locked = "Alarm", code in (1, 2)
         self._say(f"ALARM:{code}")
@@ -99,7 +133,8 @@ class GrblMachine(Machine):
         self._dwell_s, self._alarm_when_still, self._reports, self._report_due = 0.0, 0, 0, False
         self.stage.clear()
         self._homing: list[tuple[list[float], float]] = []
-        self._say(_BANNER)
+        self._say("")
+        self._say(_BANNERS[self.firmware])
         if self.state == "Alarm":
             self._say(_LOCKED)
 
@@ -117,6 +152,8 @@ class GrblMachine(Machine):
     def receive(self, byte: int) -> None:
         """Take a byte: single-byte commands act, the others wait in the serial buffer, or are lost where it is full."""
         acts = {0x18: self._soft_reset, 0x3F: self._ask, 0x21: self.press_hold, 0x7E: self._resume, 0x85: self._cancel}
+        if self.firmware == GRBLHAL:
+            acts[0x87] = self._ask_all
         if byte in acts:
             acts[byte]()
         elif byte < 0x80 and len(self._rx) < RX_BUFFER_BYTES:
@@ -158,9 +195,12 @@ class GrblMachine(Machine):
         """Note that a report is wanted; whatever resets the controller before it is written forgets it."""
         self._report_due = True
 
+    def _ask_all(self) -> None:
+        self._report_due = self._full = True
+
     def _answer(self) -> None:
-        """Write the report that is due, unless homing or a lock keeps the controller from it."""
-        if self._report_due and not (self._locked or self.state == "Home"):
+        """Write the report that is due, unless homing or a lock keeps Grbl from it."""
+        if self._report_due and not (self.firmware == GRBL and (self._locked or self.state == "Home")):
             self._report_due = False
             if self.dropped_reports:
                 self.dropped_reports -= 1
@@ -202,6 +242,10 @@ class GrblMachine(Machine):
         elif self._reports % 10 == 1:
             fields.append("Ov:100,100,100")
         self._reports += 1
+        if self._full:
+            self._full = False
+            fields.append(f"H:{int(self._is_homed)}")
+            fields.append("FW:grblHAL")
         return f"<{'|'.join(fields)}>"
 
     def count(self) -> list[float]:
@@ -229,9 +273,9 @@ class GrblMachine(Machine):
             self._begin_homing()
             return
         answers = {"$": ["[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"],
-                   "$$": [f"${number}={self._printed(number)}" for number in sorted(self.settings)],
+                   "$$": self._listed(),
                    "$G": [self._modes.report()],
-                   "$I": ["[VER:1.1h.20190830:]", f"[OPT:V,{PLANNER_BLOCKS},{RX_BUFFER_BYTES}]"],
+                   "$I": _BUILDS[self.firmware],
                    "$N": ["$N0=", "$N1="],
                    "$#": [f"[G{n}:{_join([0.0] * len(self.letters))}]" for n in (*range(54, 60), 28, 30, 92)]
                          + ["[TLO:0.000]", f"[PRB:{_join([0.0] * len(self.letters))}:0]"]}  # fmt: skip
@@ -246,6 +290,8 @@ class GrblMachine(Machine):
         elif line in answers:
             for answer in answers[line]:
                 self._say(answer)
+        elif self.firmware == FLUIDNC and line.startswith("$/"):
+            self._say(f"{line.lower()}={self._configured(line.lower())}")
         else:
             self._store(line)
         self._say("ok")
@@ -270,6 +316,8 @@ class GrblMachine(Machine):
             raise GcodeError(3)
         if not 0.0 <= new < math.inf:
             raise GcodeError(4)
+        if self.firmware == FLUIDNC:
+            raise GcodeError(162)
         if key == 20 and new and not self.settings[22]:
             raise GcodeError(10)
         if key == 0 and new < 3:
@@ -278,6 +326,22 @@ class GrblMachine(Machine):
         # Homing that is switched on now does not lock: the next start does.
         if key == 22 and not new:
             self.settings[20] = 0
+
+    def _listed(self) -> list[str]:
+        """Return the lines that print the settings."""
+        hidden = (10, 13, *_CONFIGURED) if self.firmware == FLUIDNC else ()
+        lines = [f"${number}={self._printed(number)}" for number in sorted(self.settings) if number not in hidden]
+        return [*lines, "$70=7", "$300=grblHAL", "$302=192.168.5.1"] if self.firmware == GRBLHAL else lines
+
+    def _configured(self, path: str) -> str:
+        """Return what FluidNC's own file has under a path such as ``$/axes/x/homing/mpos_mm``."""
+        _, _, letter, *rest = path.split("/")
+        if letter.upper() in self.letters and rest == ["homing", "mpos_mm"]:
+            return f"{self._after_homing(self.letters.index(letter.upper())):.3f}"
+        number = next((key for key, name in _CONFIGURED.items() if name == "/".join(rest)), None)
+        if number is None:
+            raise GcodeError(3)
+        return f"{self.settings[number]:.3f}"
 
     def _printed(self, number: int) -> str:
         value = self.settings[number]
@@ -381,13 +445,16 @@ class GrblMachine(Machine):
         if self._homing:
             self._next_homing()
             return
-        for axis, length in enumerate(self._length):
-            negative = int(self.settings[23]) >> axis & 1
-            count = -length + self.settings[27] if negative else -self.settings[27]
-            self._origin[axis] = self.stage.position[axis] - count
-        self.state = "Idle"
+        for axis in range(len(self.letters)):
+            self._origin[axis] = self.stage.position[axis] - self._after_homing(axis)
+        self.state, self._is_homed = "Idle", True
         self._answer()
         self._say("ok")
+
+    def _after_homing(self, axis: int) -> float:
+        """Return the count of an axis once it has pulled off its switch, units."""
+        negative = int(self.settings[23]) >> axis & 1
+        return -self._length[axis] + self.settings[27] if negative else -self.settings[27]
 
     def _dwell(self, seconds: float) -> None:
         """Let a dwell run, which waits for all moves before it."""
@@ -403,7 +470,8 @@ class GrblMachine(Machine):
             return
         for axis, length in enumerate(self._length):
             place = self.stage.position[axis]
-            if self.settings[21] and not -length - 1e-6 <= place <= 1e-6 and self.stage.moving:
+            # The switch at the end that homing seeks is pressed at that end, not beyond it.
+            if self.settings[21] and not -length - 1e-6 <= place < -1e-6 and self.stage.moving:
                 self.raise_alarm(1)
             end = min(max(place, -length - _STOP_BEHIND), _STOP_BEHIND)
             if end != place:

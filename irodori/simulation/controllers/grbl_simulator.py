@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 
 from irodori.capture.rig.grbl.codes import SETTINGS
+from irodori.capture.rig.grbl.protocol import FIRMWARES
 from irodori.simulation.controllers.grbl_machine import GrblMachine
 from irodori.simulation.controllers.peer_client import Simulator, run_simulator
 from irodori.simulation.controllers.peer_server import add_arguments, serve
@@ -26,6 +27,7 @@ def simulate(
     seed: int = 0,
     homing_rms: float = 0.0,
     faults: Sequence[str] = (),
+    firmware: str = FIRMWARES[0],
 ) -> AbstractContextManager[Simulator]:
     """Start the simulator as a process that ends with this one, and with the block.
 
@@ -41,6 +43,8 @@ def simulate(
         Repeatability of the limit switches, controller units.
     faults : sequence of str
         See `irodori.simulation.controllers.line_faults`.
+    firmware : str
+        One of `irodori.capture.rig.grbl.protocol.FIRMWARES`.
 
     Returns
     -------
@@ -48,6 +52,7 @@ def simulate(
         Its ``port`` is what a driver opens.
     """
     arguments = ["--time-scale", repr(time_scale), "--seed", str(seed), "--homing-rms", repr(homing_rms)]
+    arguments += ["--firmware", firmware]
     for number, value in (settings or {}).items():
         arguments += ["--setting", f"{number}={value!r}"]
     for fault in faults:
@@ -67,9 +72,12 @@ def main(arguments: Sequence[str] | None = None, prog: str = f"python -m {_MODUL
     parser = argparse.ArgumentParser(prog=prog, description=__doc__)
     add_arguments(parser)
     parser.add_argument("--setting", action="append", type=_setting, default=[], help="Grbl setting, such as 130=140")
+    parser.add_argument("--firmware", choices=FIRMWARES, default=FIRMWARES[0], help="whose language it speaks")
     parser.add_argument("--homing-rms", type=float, default=0.0, help="repeatability of the switches, units")
     given = parser.parse_args(arguments)
-    serve(GrblMachine(dict(given.setting), seed=given.seed, homing_rms=given.homing_rms), given)
+    serve(
+        GrblMachine(dict(given.setting), seed=given.seed, homing_rms=given.homing_rms, firmware=given.firmware), given
+    )
 
 
 if __name__ == "__main__":

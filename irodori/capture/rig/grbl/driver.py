@@ -1,6 +1,7 @@
 """Rig driver for Grbl 1.1 controllers."""
 
 import contextlib
+import math
 import re
 import time
 import zlib
@@ -18,6 +19,7 @@ from irodori.capture.rig.devices import (
     Link,
     LinkError,
     RigStatus,
+    SettingError,
 )
 from irodori.capture.rig.drives import Drive, along, straight_s
 from irodori.capture.rig.grbl.codes import alarm_text
@@ -34,6 +36,7 @@ from irodori.capture.rig.grbl.protocol import (
     Feedback,
     Report,
     Setting,
+    TextSetting,
     jog_line,
     motion_line,
 )
@@ -41,7 +44,9 @@ from irodori.capture.rig.grbl.settings_check import (
     RATE,
     STEPS,
     TRAVEL,
+    Disagreement,
     check_settings,
+    disagreements,
     home_position,
     homing_s,
     number,
@@ -52,6 +57,7 @@ _KNOCK_S = 0.3
 #: Positions are sent and reported with three decimals.
 _ROUNDING = 1.5e-3
 _SILENT = "it said nothing until it was reset, as after ALARM:1 or ALARM:2 (a limit switch, a target out of travel)"
+_NUMBER = re.compile(r"-?\d{1,9}(?:\.\d{1,6})?", re.ASCII)
 #: The tool word of Grbl's modal state, which our mark is written into, and the largest number it takes.
 _TOOL, _LARGEST_TOOL = re.compile(r"(?:^| )T(\d{1,3})(?: |$)"), 255
 
@@ -76,6 +82,8 @@ class GrblRig(ControlledRig):
     flow : {"send-response", "character-counting"}
     homing : bool
         Whether the axes have limit switches. Without, the controller counts from where it was switched on.
+    checked : bool
+        Whether to refuse a controller whose settings contradict the drives; one that is not checked does not move.
 
     Raises
     ------
@@ -90,13 +98,16 @@ class GrblRig(ControlledRig):
         timeout_s: float = 3.0,
         flow: str = "send-response",
         homing: bool = True,
+        checked: bool = True,
     ) -> None:
         super().__init__(drives, timeout_s, homing)
         self._talk, self._is_homing = Conversation(link, timeout_s, flow), False
-        self._options, self._mark_found = "", 0
+        self._options, self._mark_found, self._homes = "", 0, dict[str, float]()
         report = self._wake()
         self._settings = self._read_settings()
-        check_settings(self._settings, self._options, self.drives, homing)
+        if not checked:
+            return
+        check_settings(self._settings, self._options, self.drives, homing, self._homes)
         self._homed = not homing or (report.state != "Alarm" and self._was_homed())
         if self._homed:
             self._write_mark()
@@ -202,6 +213,34 @@ class GrblRig(ControlledRig):
         except (LinkError, DeadlineError):
             self._in_step = False
             raise
+
+    def disagreements(self) -> list[Disagreement]:
+        """Return what in the controller's settings contradicts the rig's file."""
+        return disagreements(self._settings, self._options, self.drives, self._homing, self._homes)
+
+    def write_settings(self, wanted: Mapping[int, float]) -> None:
+        """Change settings of the controller, which keeps them without power, and see that they stand as written.
+
+        Parameters
+        ----------
+        wanted : dict
+            Number of the ``$`` setting: value.
+
+        Raises
+        ------
+        SettingError
+            If the firmware has its settings in a file of its own, or if one stands otherwise than written.
+        CommandError, HeldError, DeadlineError, LinkError
+        """
+        if self._firmware == FLUIDNC:
+            raise SettingError("FluidNC shows its $ settings but does not take them: change its config.yaml")
+        self._homed = False
+        for key, value in wanted.items():
+            self._talk.command(f"${key}={value:.10g}")
+        self._settings = self.settings()
+        for key, value in wanted.items():
+            if abs(self._settings.get(key, math.inf) - value) > 5e-4:
+                raise SettingError(f"${key} was set to {value:g} and stands at {self._settings.get(key, 'nothing')}")
 
     def unlock(self) -> None:
         """Declare that the controller's position is right although it is locked (``$X``): the operator's word for it.
@@ -340,7 +379,7 @@ class GrblRig(ControlledRig):
         report = self._talk.ask_report()
         self._refuse_unless_idle(report)
         for drive in self.drives.values():
-            at, wanted = self._place(report, drive), home_position(self._settings, self._options, drive)
+            at, wanted = self._place(report, drive), home_position(self._settings, self._options, drive, self._homes)
             if abs(at - wanted) > self._tolerance(drive):
                 raise LinkError(
                     f"{drive.axis.name}: homing ended at {drive.channel} {at:g} instead of {wanted:g}: "
@@ -426,4 +465,21 @@ class GrblRig(ControlledRig):
         )
         if first != second:
             raise GarbledError("the controller's settings read differently twice in a row: the line is garbled")
-        return second
+        return {**second, **self._configured()} if self._firmware == FLUIDNC and self._homing else second
+
+    def _configured(self) -> dict[int, float]:
+        """Return what FluidNC has of homing in its own file, as settings of Grbl, and note where homing ends."""
+        places = {"mpos_mm": "homing", "feed_mm_per_min": "homing", "seek_mm_per_min": "homing", "settle_ms": "homing"}
+        found: dict[str, list[float]] = {name: [] for name in (*places, "pulloff_mm")}
+        for drive in self.drives.values():
+            for name, values in found.items():
+                path = f"/axes/{drive.channel.lower()}/{places.get(name, 'motor0')}/{name}"
+                said = [m.text for m in self._talk.command(f"${path}") if isinstance(m, TextSetting) and m.name == path]
+                if len(said) != 1 or not _NUMBER.fullmatch(said[0]):
+                    raise SettingError(f"{drive.axis.name}: the controller's file lacks {path[1:]}")
+                values.append(float(said[0]))
+            self._homes[drive.channel] = found["mpos_mm"][-1]
+        # The slowest axis decides how long homing may take. FluidNC reports as Grbl does with $10=1 and $13=0.
+        feeds, seeks = found["feed_mm_per_min"], found["seek_mm_per_min"]
+        homing = {24: min(feeds), 25: min(seeks), 26: max(found["settle_ms"]), 27: max(found["pulloff_mm"])}
+        return {10: 1, 13: 0, **homing}

@@ -1,6 +1,9 @@
 """Check of a Grbl controller's settings against the rig's definition, before anything moves."""
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
 
 from irodori.capture.rig.devices import SettingError
 from irodori.capture.rig.drives import Drive
@@ -8,12 +11,58 @@ from irodori.capture.rig.grbl.codes import SETTINGS
 from irodori.capture.rig.grbl.protocol import LETTERS
 
 STEPS, RATE, ACCELERATION, TRAVEL = 100, 110, 120, 130
+#: No axis has its place after homing in the controller's own file.
+NOWHERE: Mapping[str, float] = MappingProxyType({})
 _SLACK = 1e-3
 _NEEDED = (10, 13, 20, 22, 23, 24, 25, 26, 27)
 
 
-def check_settings(settings: Mapping[int, float], options: str, drives: Mapping[str, Drive], homing: bool) -> None:
-    """Refuse a controller that is not set up as the rig's file says.
+@dataclass(frozen=True)
+class Disagreement:
+    """A setting that contradicts the rig's file.
+
+    Parameters
+    ----------
+    number : int
+        Of the ``$`` setting; 0 where none can mend it.
+    wanted : float or None
+        Value that agrees; None where only a person can tell, or must change the rig's file.
+    why : str
+        What disagrees, and what to change.
+    """
+
+    number: int
+    wanted: float | None
+    why: str
+
+
+def check_settings(
+    settings: Mapping[int, float],
+    options: str,
+    drives: Mapping[str, Drive],
+    homing: bool,
+    homes: Mapping[str, float] = NOWHERE,
+) -> None:
+    """Refuse a controller that is not set up as the rig's file says; see `disagreements`.
+
+    Raises
+    ------
+    SettingError
+        With every disagreement and the setting to change.
+    """
+    found = [disagreement.why for disagreement in disagreements(settings, options, drives, homing, homes)]
+    if found:
+        raise SettingError("; ".join(found))
+
+
+def disagreements(
+    settings: Mapping[int, float],
+    options: str,
+    drives: Mapping[str, Drive],
+    homing: bool,
+    homes: Mapping[str, float] = NOWHERE,
+) -> list[Disagreement]:
+    """Return what in a controller's settings contradicts the rig's file, in the order in which it can be written.
 
     Parameters
     ----------
@@ -25,30 +74,39 @@ def check_settings(settings: Mapping[int, float], options: str, drives: Mapping[
         Angle: drive; speeds and limits of the rig's file.
     homing : bool
         Whether the rig has limit switches to home to.
+    homes : dict
+        Axis letter: where it stands after homing, units, where the controller (FluidNC) has that in its own file.
 
     Raises
     ------
     SettingError
-        For the first disagreement, with the setting to change.
+        If a channel is no axis of a Grbl controller.
     """
     for drive in drives.values():
         if len(drive.channel) != 1 or drive.channel not in LETTERS:
             raise SettingError(f"{drive.axis.name}: no axis {drive.channel!r}; accepted: {', '.join(LETTERS)}")
-    needed = [number(first, drive) for drive in drives.values() for first in (STEPS, RATE, ACCELERATION, TRAVEL)]
-    for key in (*_NEEDED, *needed):
-        if key not in settings:
-            raise SettingError(f"the controller's settings lack ${key} ({SETTINGS.get(key, 'of a further axis')})")
-    if not int(settings[10]) & 1:
-        raise SettingError("the controller reports work positions: set $10=1")
-    if settings[13]:
-        raise SettingError("the controller reports in inches: set $13=0")
-    if bool(settings[22]) != homing:
-        wanted = "true, but homing is off in the controller: set $22=1" if homing else "false, but $22=1 locks it"
-        raise SettingError(f"motion.homing is {wanted}, or change the rig's file")
-    if homing and not settings[20]:
-        raise SettingError("soft limits are off in the controller: set $20=1")
+    needed = {number(first, drive): drive for drive in drives.values() for first in (STEPS, RATE, ACCELERATION, TRAVEL)}
+    found = [
+        Disagreement(0, None, f"the controller's settings lack ${key} ({SETTINGS.get(key, 'of a further axis')})")
+        for key in (*_NEEDED, *needed)
+        if key not in settings
+    ]
+    if int(settings.get(10, 1)) & 1 == 0:
+        wanted = int(settings[10]) | 1
+        found.append(Disagreement(10, wanted, f"the controller reports work positions: set $10={wanted}"))
+    if settings.get(13):
+        found.append(Disagreement(13, 0, "the controller reports in inches: set $13=0"))
+    if bool(settings.get(22, homing)) != homing:
+        wanted_words = "true, but homing is off in the controller: set $22=1" if homing else "false, but $22=1 locks it"
+        found.append(Disagreement(22, int(homing), f"motion.homing is {wanted_words}, or change the rig's file"))
+    if homing and not settings.get(20, 1):
+        found.append(Disagreement(20, 1, "soft limits are off in the controller: set $20=1"))
     for drive in drives.values():
-        _check_drive(settings, options, drive, homing)
+        if all(key in settings for key, other in needed.items() if other is drive):
+            found += _of_drive(settings, drive)
+            if homing and settings.keys() >= {23, 27}:
+                found += _of_reach(settings, options, drive, homes)
+    return found
 
 
 def number(first: int, drive: Drive) -> int:
@@ -56,20 +114,33 @@ def number(first: int, drive: Drive) -> int:
     return first + LETTERS.index(drive.channel)
 
 
-def home_position(settings: Mapping[int, float], options: str, drive: Drive) -> float:
-    """Return where a drive stands after homing, controller units."""
+def home_position(
+    settings: Mapping[int, float], options: str, drive: Drive, homes: Mapping[str, float] = NOWHERE
+) -> float:
+    """Return where a drive stands after homing, controller units; see `disagreements`."""
+    if drive.channel in homes:
+        return homes[drive.channel]
     if "Z" in options:
         return 0.0
-    negative = int(settings[23]) >> LETTERS.index(drive.channel) & 1
-    return settings[27] - settings[number(TRAVEL, drive)] if negative else -settings[27]
+    return settings[27] - settings[number(TRAVEL, drive)] if _homes_down(settings, drive) else -settings[27]
 
 
-def travel_of(settings: Mapping[int, float], options: str, drive: Drive) -> tuple[float, float]:
-    """Return smallest and largest position that soft limits allow a drive, controller units."""
+def travel_of(
+    settings: Mapping[int, float], options: str, drive: Drive, homes: Mapping[str, float] = NOWHERE
+) -> tuple[float, float]:
+    """Return smallest and largest position that soft limits allow a drive, controller units; see `disagreements`."""
     length = settings[number(TRAVEL, drive)]
-    if "Z" in options and int(settings[23]) >> LETTERS.index(drive.channel) & 1:
+    if drive.channel in homes:
+        home = homes[drive.channel]
+        return (home, home + length) if _homes_down(settings, drive) else (home - length, home)
+    if "Z" in options and _homes_down(settings, drive):
         return 0.0, length
     return -length, 0.0
+
+
+def _homes_down(settings: Mapping[int, float], drive: Drive) -> bool:
+    """Return whether a drive's switch is at the negative end."""
+    return bool(int(settings[23]) >> LETTERS.index(drive.channel) & 1)
 
 
 def homing_s(settings: Mapping[int, float], drives: Mapping[str, Drive]) -> float:
@@ -84,32 +155,61 @@ def homing_s(settings: Mapping[int, float], drives: Mapping[str, Drive]) -> floa
     return 2.0 * group
 
 
-def _check_drive(settings: Mapping[int, float], options: str, drive: Drive, homing: bool) -> None:
-    axis, name = drive.axis, drive.axis.name
+def _of_drive(settings: Mapping[int, float], drive: Drive) -> list[Disagreement]:
+    axis, name, found = drive.axis, drive.axis.name, []
     steps, rate, acceleration = (settings[number(first, drive)] for first in (STEPS, RATE, ACCELERATION))
     if not (steps > 0 and rate > 0 and acceleration > 0):
-        raise SettingError(f"{name}: steps, rate or acceleration of {drive.channel} are 0 in the controller")
+        why = f"{name}: steps, rate or acceleration of {drive.channel} are 0 in the controller"
+        return [Disagreement(0, None, why)]
     if drive.speed > rate / 60.0 * (1 + _SLACK):
-        allowed = rate / 60.0 / abs(drive.units_per_deg)
-        raise SettingError(
+        key, allowed = number(RATE, drive), rate / 60.0 / abs(drive.units_per_deg)
+        why = (
             f"{name}: speed_deg_per_s {axis.speed_deg_per_s:g} is above what the controller allows, {allowed:g} "
-            f"(${number(RATE, drive)}={rate:g})"
+            f"(${key}={rate:g})"
         )
+        found.append(Disagreement(key, _up(drive.speed * 60.0), why))
     if drive.acceleration > acceleration * (1 + _SLACK):
-        allowed = acceleration / abs(drive.units_per_deg)
-        raise SettingError(
+        key, allowed = number(ACCELERATION, drive), acceleration / abs(drive.units_per_deg)
+        why = (
             f"{name}: acceleration_deg_per_s2 {axis.acceleration_deg_per_s2:g} is above what the controller allows, "
-            f"{allowed:g} (${number(ACCELERATION, drive)}={acceleration:g})"
+            f"{allowed:g} (${key}={acceleration:g})"
         )
+        found.append(Disagreement(key, _up(drive.acceleration), why))
     step_deg = 1.0 / (steps * abs(drive.units_per_deg))
     if step_deg > axis.step_deg * (1 + _SLACK):
-        raise SettingError(
+        # What a step is, motor and gear say: another number would only move the axis by another angle.
+        why = (
             f"{name}: one step of the motor is {step_deg:g} degrees, coarser than the axis's step {axis.step_deg:g} "
             f"(${number(STEPS, drive)}={steps:g})"
         )
-    low, high = travel_of(settings, options, drive)
-    if homing and not (low - _SLACK <= drive.reach[0] and drive.reach[1] <= high + _SLACK):
-        raise SettingError(
-            f"{name}: limits {axis.min_deg:g} to {axis.max_deg:g} are {drive.channel} {drive.reach[0]:g} to "
-            f"{drive.reach[1]:g}, but the controller travels from {low:g} to {high:g} (${number(TRAVEL, drive)})"
+        found.append(Disagreement(number(STEPS, drive), None, why))
+    return found
+
+
+def _of_reach(
+    settings: Mapping[int, float], options: str, drive: Drive, homes: Mapping[str, float]
+) -> list[Disagreement]:
+    """Return what keeps a drive with a switch from its limits: the end of the travel, or the switch itself."""
+    axis, (low, high) = drive.axis, travel_of(settings, options, drive, homes)
+    limits = f"{axis.name}: limits {axis.min_deg:g} to {axis.max_deg:g} are {drive.channel} {drive.reach[0]:g} to "
+    limits += f"{drive.reach[1]:g}, but the controller"
+    if not (low - _SLACK <= drive.reach[0] and drive.reach[1] <= high + _SLACK):
+        key = number(TRAVEL, drive)
+        longer = drive.reach[1] <= high + _SLACK and high == 0.0
+        why = f"{limits} travels from {low:g} to {high:g} (${key})"
+        return [Disagreement(key, _up(-drive.reach[0]) if longer else None, why)]
+    home = home_position(settings, options, drive, homes)
+    inside = home - drive.reach[0] if _homes_down(settings, drive) else drive.reach[1] - home
+    if inside > _SLACK:
+        why = (
+            f"{limits} stands at {home:g} once it has pulled off its switch ($27={settings[27]:g}), and nearer to the "
+            f"switch a move ends in an alarm: shift zero_deg by {inside / abs(drive.units_per_deg):g} degrees, or end "
+            "the limits before"
         )
+        return [Disagreement(27, None, why)]
+    return []
+
+
+def _up(value: float) -> float:
+    """Return a value with the three decimals that Grbl keeps, not below it."""
+    return math.ceil(round(value * 1000.0, 6)) / 1000.0
