@@ -208,6 +208,12 @@ def test_the_noise_floor_is_that_of_a_second_draw():
     assert found.delta_e.mean() == pytest.approx(found.noise.mean(), rel=0.05)
     silent = compare(Photograph(response, every, None), calibration, halves, np.ones(61))
     assert silent.noise.mean() < 0.9 * found.noise.mean()
+    # What stood before the camera was rendered too: at a scale of 2 its paths scatter twice as much.
+    small = halves.mean(axis=0) + 0.25 * (halves - halves.mean(axis=0))
+    picture = Photograph(response, every, None)
+    one = compare(picture, calibration, halves, np.ones(61), 2.0, small)
+    two = compare(picture, calibration, halves.mean(axis=0) + 1.5 * (halves - halves.mean(axis=0)), np.ones(61))
+    assert one.noise == pytest.approx(two.noise, abs=1e-9)
     lost = every.copy()
     lost[5, 7] = False
     some = compare(Photograph(response, lost, None), calibration, halves, np.ones(61))

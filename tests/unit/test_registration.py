@@ -19,6 +19,7 @@ from benchmarks.plate_pictures import (
     render,
     white_weights,
 )
+from irodori.ingest.registration.pyramid import gradient_energy, noise_of
 from irodori.ingest.registration.similarity import Registration, bayer_offsets_px, meets_marked, register, resample
 
 STILL = Registration.identity()
@@ -85,6 +86,20 @@ def test_any_plate_before_any_scene_is_found_within_a_twentieth_of_a_superpixel(
 def test_the_corners_of_the_plates_range_are_found(leaves, corner):
     truth = similarity(*corner)
     assert rms_px(register(*shoot(leaves, truth, np.random.default_rng(2))), truth) <= TARGET_PX
+
+
+def test_edges_count_by_the_noise_of_their_band():
+    """A picture's gradients are squared in units of each band's noise, which is what differences of neighbours show."""
+    rng, noise = np.random.default_rng(5), np.array([0.002, 0.01, 0.05])
+    level = np.ones((60, 80, 4), np.float32)
+    level[..., :3] = rng.normal(0.5, noise, (60, 80, 3))
+    found = noise_of(level)
+    assert found == pytest.approx(noise, rel=0.1)
+    steps = np.array([0.1, 0.2, 0.3])
+    level[..., :3] = np.arange(80)[:, None] * steps
+    energy = gradient_energy(level, found)
+    assert energy[1:-1, 1:-1] == pytest.approx(((2.0 * steps / found) ** 2).sum(), rel=1e-4)
+    assert not energy[0].any() and not energy[:, -1].any()
 
 
 def test_predicted_errors_are_those_that_occur():

@@ -163,6 +163,19 @@ def test_an_even_grid_is_even_and_within_reach(planned, count, lights):
         assert np.ptp(np.diff(cameras)) < 0.25 and min(cameras) > 0 and max(cameras) < 80
 
 
+def test_an_even_grid_stands_at_the_middles_of_equal_parts(planned):
+    coarse = {
+        name: planned["rig"]["limits"][name] | {"min": 0.0, "max": 140.0, "step": 10.0} for name in ("camera_deg",)
+    }
+    limits = planned["rig"]["limits"] | coarse | {"light_deg": {"min": 30.0, "max": 70.0, "step": 10.0}}
+    poses = even_poses(made(RigLimits, limits), 8, 2, 80.0)
+    assert [(p.light_deg, p.camera_deg) for p in poses] == [
+        (a, c) for a in (40.0, 60.0) for c in (10.0, 30.0, 50.0, 70.0)
+    ]
+    assert {(p.tilt_deg, p.turn_deg) for p in poses} == {(limits["tilt_deg"]["min"], limits["turn_deg"]["min"])}
+    assert len(even_poses(made(RigLimits, limits), 2, 5, 80.0)) == 2
+
+
 def test_an_even_grid_finer_than_the_steps_is_refused(planned):
     limits = planned["rig"]["limits"] | {"camera_deg": {"min": 0.0, "max": 80.0, "step": 20.0}}
     with pytest.raises(TooFewPoses, match="an even grid of 24 poses"):
