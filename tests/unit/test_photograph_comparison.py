@@ -281,6 +281,19 @@ def test_a_photograph_of_another_camera_is_refused_by_name(studio, tmp_path, cha
         read_photograph(linear, calibration, IdealView.covering(Pinhole.from_optics(made(Optics, optics)), 2))
 
 
+def test_a_pixel_of_many_samples_has_the_noise_of_their_mean(studio):
+    """A pixel of two by two superpixels averages four samples of a mosaic that is not interpolated."""
+    folder, camera = studio
+    ideal = IdealView.covering(Pinhole.from_optics(made(Optics, camera["optics"])), 2)
+    found = read_photograph(folder / "scene.h5", Calibration.load(folder / "calibration.h5"), ideal)
+    with h5py.File(folder / "scene.h5") as file:
+        assert file.attrs["sample_px"] == 2
+        constant, slope = file["noise_model"][()].T
+    seen = found.whole
+    one = constant + slope * np.maximum(found.response[seen], 0.0)
+    assert found.variance[seen] == pytest.approx(one / 4.0, rel=1e-6)
+
+
 FRONT = "photographs.front"
 
 
