@@ -7,18 +7,20 @@ loops: the code of the function is replaced where it stands. The process runs th
 statement, the shortest first, and ends at the first that fails. Survivors are printed, and how many of each room were
 noticed; the exit status is 1 where fewer than ``--least`` of all were.
 
-Only the tests of a room's own files are asked (`ROOMS`), and of these only such as take less than `LONGEST_S` once
-their loops are loaded: a fault that a long test alone would notice counts as a survivor. Times are those of the
-processor, whoever else uses it. A mutant that never ends is noticed: a test computes for ten times as long as it should
-and for `PATIENCE_S`, or its process does not compute at all for `QUIET_S`.
+Only the tests of a room's own files are asked (`ROOMS`), of these only such as take less than `LONGEST_S` once their
+loops are loaded, and as many as take `TOGETHER_S` together: a fault that others alone would notice counts as a
+survivor. Times are those of the processor, whoever else uses it. A mutant that never ends is noticed: a test computes
+for ten times as long as it should and for `PATIENCE_S`, or its process does not compute at all for `QUIET_S`.
 """
 
 import argparse
 import ast
+import bisect
 import builtins
 import functools
 import gc
 import importlib
+import itertools
 import multiprocessing
 import os
 import pickle
@@ -81,6 +83,7 @@ LONG = (
     "test_the_errors_under_a_photographed_place",
 )  # fmt: skip
 LONGEST_S = 2.0
+TOGETHER_S = 12.0  # of the tests that one mutant is put to
 EXAMPLES = 10  # of a property-based test, at most
 PATIENCE_S = 30.0
 QUIET_S = 120.0
@@ -155,11 +158,11 @@ class Runner:
         gc.freeze()
         passed, room = len(self._baseline.seconds), self.room
         print(f"{room}: {passed} tests without a mutant, {time.process_time() - begun:.0f} s of CPU time", flush=True)
-        for mutant in self.mutants:
+        for number, mutant in enumerate(self.mutants, 1):
             survived = self._try(mutant)
             self.noticed.append(not survived)
             if survived:
-                print(f"  {survived}: {mutant}", flush=True)
+                print(f"  {number} {survived}: {mutant}", flush=True)
         return True
 
     def _run_unspoilt(self, items) -> None:
@@ -206,16 +209,17 @@ class Runner:
         found = self._ask(quick, put)
         if found is None:
             # The first test of a kind took long for what it loaded.
-            others = [name for name in tests if seconds[name] > LONGEST_S and 0.0 <= self._alone(name) <= LONGEST_S]
+            long = [name for name in tests if seconds[name] > LONGEST_S]
+            others = [name for name in long if 0.0 <= self._alone(name, LONGEST_S) <= LONGEST_S]
             quick += others
             found = self._ask(others, put)
         return "" if found else f"survived {len(quick)} tests"
 
-    def _alone(self, name: str) -> float:
-        """Return how long a test computes in a forked process without a mutant, s; -1 where it fails or hangs there."""
+    def _alone(self, name: str, patience_s: float = PATIENCE_S) -> float:
+        """Return how long a test computes in a forked process without a mutant, s; -1 where it fails, or for longer."""
         if name not in self._alone_s:
             begun = os.times()
-            failed = self._forked([name], lambda: None, self._baseline.seconds.get)
+            failed = self._forked([name], lambda: None, lambda _: patience_s)
             ended = os.times()
             computed = ended.children_user + ended.children_system - begun.children_user - begun.children_system
             self._alone_s[name] = -1.0 if failed else computed
@@ -225,15 +229,17 @@ class Runner:
         """Return the first test that notices a fault, the shortest asked first; None where none does."""
         seconds = self._baseline.seconds | {name: s for name, s in self._alone_s.items() if s >= 0.0}
         left = sorted(tests, key=lambda name: (seconds[name], name))
+        together = list(itertools.accumulate(seconds[name] for name in left))
+        left = left[: 1 + bisect.bisect(together, TOGETHER_S)]
         while left:
-            found = self._forked(left, put, seconds.get)
+            found = self._forked(left, put, lambda name: PATIENCE_S + 10.0 * seconds[name])
             # What passes here may fail in a forked process for reasons of its own: that is no mutant noticed.
             if found is None or self._alone(found) >= 0.0:
                 return found
             left.remove(found)
         return None
 
-    def _forked(self, tests: list[str], put: Callable[[], None], seconds: Callable[[str], float]) -> str | None:
+    def _forked(self, tests: list[str], put: Callable[[], None], patience_s: Callable[[str], float]) -> str | None:
         """Return the first of some tests that fails in a process of its own, or at which that process ends or hangs."""
         with tempfile.TemporaryFile(buffering=0) as file:
             child = os.fork()
@@ -245,7 +251,7 @@ class Runner:
                 for number, (name, following) in enumerate(zip(tests, [*tests[1:], None], strict=True)):
                     os.pwrite(file.fileno(), pickle.dumps((number, False)), 0)
                     # At the end of this time of computing the process is ended by its signal.
-                    signal.setitimer(signal.ITIMER_PROF, PATIENCE_S + 10.0 * seconds(name))
+                    signal.setitimer(signal.ITIMER_PROF, patience_s(name))
                     if _failed(self._items[name], self._items[following] if following else None):
                         os._exit(0)
                 os.pwrite(file.fileno(), pickle.dumps((0, True)), 0)

@@ -1,8 +1,11 @@
 """The Grbl driver against a controller that is set up in some way of its own."""
 
+import errno
+import os
 from dataclasses import replace
 
 import pytest
+import serial
 from hypothesis import given
 from hypothesis import strategies as st
 from made import made
@@ -355,9 +358,27 @@ def test_something_else_on_the_port_is_not_taken_for_grbl():
 
 
 def test_ports_that_cannot_be_opened_are_named(tmp_path):
-    for port, words in ((tmp_path / "ttyUSB7", "no such port"), (tmp_path, "")):
-        with pytest.raises(LinkError, match=f"{port}: .*{words}"):
-            SerialLink(str(port))
+    (tmp_path / "notes").write_text("")
+    for name, words in (("ttyUSB7", "no such port"), ("notes", "not a serial port"), ("", "")):
+        with pytest.raises(LinkError, match=f"{tmp_path / name}: .*{words}"):
+            SerialLink(str(tmp_path / name))
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (errno.EBUSY, "in use by another program"), (errno.EWOULDBLOCK, "in use by another program"),
+        (errno.EACCES, "no permission"), (errno.EIO, "hung up"), (errno.ENODEV, "no device"),
+        (errno.ENOTTY, "not a serial"), (errno.EPERM, "Operation not permitted"),
+    ],
+)  # fmt: skip
+def test_why_a_port_cannot_be_opened_is_said_in_words(number, words, monkeypatch):
+    def refused(*_, **__):
+        raise serial.SerialException(number, os.strerror(number))
+
+    monkeypatch.setattr(serial, "Serial", refused)
+    with pytest.raises(LinkError, match=f"^/dev/ttyUSB0: .*{words}"):
+        SerialLink("/dev/ttyUSB0")
 
 
 def test_a_line_without_an_end_and_bytes_that_are_no_text():

@@ -9,10 +9,13 @@ from irodori.capture.rig.devices import (
     DeadlineError,
     GarbledError,
     HeldError,
+    LimitError,
     LinkError,
     RigDevice,
     SettingError,
 )
+from irodori.capture.rig.drives import drives_of
+from irodori.capture.rig.grbl.driver import GrblRig
 from irodori.capture.rig.grbl.protocol import FLUIDNC, GRBLHAL
 from irodori.capture.rig.grbl.settings_check import homing_s
 from irodori.simulation.controllers.grbl_machine import GrblMachine
@@ -85,9 +88,23 @@ def test_a_move_takes_the_time_that_is_foretold(pair, target):
 def test_travel_times_are_those_of_trapezoids(pair):
     driver, _ = pair
     start = {"camera_deg": 0.0, "turn_deg": 0.0}
+    assert driver.travel_s(start, {}) == 0.0
     # 100 degrees at 40 degrees/s and 50 degrees/s²; 2 degrees never reach the speed.
     assert driver.travel_s(start, {"camera_deg": 100.0}) == pytest.approx(2.5 + 0.8)
     assert driver.travel_s({"turn_deg": 7.0}, {"turn_deg": 5.0}) == pytest.approx(2 * (2.0 / 100.0) ** 0.5)
+
+
+def test_whatever_ends_the_rig_s_block_stops_it(pair):
+    driver, bench = pair
+    bench.write(
+        b"G21G90G53G0X%.3f\n" % driver.drives["camera_deg"].to_units(100.0) if is_grbl(bench) else b"MA CAME -202.000\r"
+    )
+    bench.sleep(0.5)
+    assert bench.machine.moving
+    with pytest.raises(KeyboardInterrupt), driver:
+        raise KeyboardInterrupt
+    bench.sleep(0.1)
+    assert not bench.machine.moving and 0.0 < driver.position()["camera_deg"] < 90.0
 
 
 def test_an_axis_that_is_stuck_is_given_up_a_quarter_later_than_foretold(pair):
@@ -548,12 +565,43 @@ def test_homing_that_ends_elsewhere_is_noticed(board):
     assert not driver.status().homed
 
 
+@pytest.mark.parametrize(
+    ("sizes", "room"), [("15,60", 60), ("15,999", 128), ("15,0", 128), ("15,1k", 128), ("15", 128), ("", 128)]
+)
+def test_no_more_is_sent_ahead_than_the_board_says_it_holds(sizes, room, monkeypatch):
+    rig = rig_of("grbl")
+    bench = bench_of(rig, monkeypatch)
+    waiting, most = [], [0]
+
+    def on_the_way(data):
+        if data.endswith(b"\n"):
+            waiting.append(len(data))
+            most[0] = max(most[0], sum(waiting))
+        return data
+
+    def heard(line):
+        if line == "ok":
+            del waiting[:1]
+        return line.replace(line.partition(",")[2], f"{sizes}]") if line.startswith("[OPT:") else line
+
+    bench.on_the_way, bench.heard = on_the_way, heard
+    driver = GrblRig(bench, drives_of(rig), timeout_s=TIMEOUT_S, flow="character-counting")
+    driver.home()
+    driver.path([{"camera_deg": 10.0 + number % 2} for number in range(30)])
+    # As much as fits, but for a part of one more line.
+    assert room - 36 < most[0] <= room
+
+
 def test_a_jog_goes_by_its_angle_and_stops_where_it_is_told(board):
     driver, bench = board
     driver.move({"camera_deg": 20.0, "turn_deg": 5.0})
     foretold = driver.travel_s({"camera_deg": 20.0}, {"camera_deg": 50.0})
     assert foretold <= spent(bench, lambda: driver.jog("camera_deg", 30.0)) < foretold + SLACK_S
     is_at(driver, 50.0, 5.0)
+    driver.jog("camera_deg", -0.5)
+    driver.jog("camera_deg", 0.5)
+    with pytest.raises(LimitError, match="light_deg: not a motorised axis"):
+        driver.jog("light_deg", 1.0)
     assert bench.sent[-1] == b"?" and any(line.startswith(b"$J=") for line in bench.sent)
     bench.pace = 0.0
     limit = 1.25 * driver.travel_s({"camera_deg": 50.0}, {"camera_deg": 20.0}) + TIMEOUT_S

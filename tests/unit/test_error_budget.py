@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from scenes import OPTIONS, plate, sky, smooth_light
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.recovery.mappings import LinearMapping
 from irodori.colour.colorimetry import delta_e_reflectance
-from irodori.config.models import Compress, EnvironmentMaps, Fit, Render, Scene
+from irodori.config.models import Compress, EnvironmentMaps, Fit, ReferenceIntegrator, Render, Scene, Size
 from irodori.config.parts import Subject
 from irodori.core.store import Provenance
 from irodori.evaluation import error_budget as module
@@ -27,7 +28,7 @@ from irodori.evaluation.error_budget import (
 )
 from irodori.evaluation.error_prediction import noisy, other_gloss
 from irodori.evaluation.known_errors import Known, Photographs, Spread
-from irodori.evaluation.renderer_noise import Paths
+from irodori.evaluation.renderer_noise import Paths, expected_noise, measured_noise, traced_rows
 from irodori.evaluation.result_tables import BudgetRow, read_rows
 from irodori.evaluation.truth_errors import radiance_delta_e
 from irodori.light.environment_file import Environment
@@ -269,6 +270,32 @@ def test_what_an_integrator_leaves_out_is_seen_beside_paths():
     long = Paths(scene, "v", shapes).picture([one.truth], light, 512)
     off = radiance_delta_e(long, own, scene_white(scene, light)[0])[(own != other).any(axis=-1)]
     assert found.mean == pytest.approx(off.mean(), rel=1e-4) and found.max == pytest.approx(off.max(), rel=1e-4)
+
+
+class Scattering:
+    """Grey pictures whose noise falls with the root of the number of paths."""
+
+    scene = SimpleNamespace(integrator=ReferenceIntegrator(samples=16))
+
+    def picture(self, materials, light, samples, seed=0, rows=None) -> np.ndarray:
+        off = np.random.default_rng(seed).normal(size=(120, 100, 1)) / np.sqrt(samples)
+        return 0.4 * (1.0 + 0.02 * off) * np.ones(61)
+
+
+@pytest.mark.parametrize("noise", [measured_noise, expected_noise])
+def test_the_renderers_noise_is_that_of_its_own_number_of_paths(noise):
+    white = np.ones(61)
+    own = radiance_delta_e(0.4 * np.ones((120, 100, 61)), Scattering().picture([], None, 16, seed=5), white)
+    found = noise(Scattering(), None, [], None, white)
+    assert np.sqrt((found**2).mean()) == pytest.approx(np.sqrt((own**2).mean()), rel=0.04)
+
+
+def test_rows_for_the_noise_lie_evenly_over_the_picture():
+    image = Size(width=100, height=60)
+    rows = traced_rows(image, 128)  # 1.5 million paths: seven times 128 for each of 100 pixels of a row
+    assert list(rows) == [int((n + 0.5) * 60 / 17) for n in range(17)]
+    assert list(traced_rows(image, 8)) == list(range(60))
+    assert list(traced_rows(image, 8192)) == [30]
 
 
 def test_the_table_keeps_its_rows(tmp_path, monkeypatch):

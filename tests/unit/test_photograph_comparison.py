@@ -208,6 +208,12 @@ def test_the_noise_floor_is_that_of_a_second_draw():
     assert found.delta_e.mean() == pytest.approx(found.noise.mean(), rel=0.05)
     silent = compare(Photograph(response, every, None), calibration, halves, np.ones(61))
     assert silent.noise.mean() < 0.9 * found.noise.mean()
+    # What stood before the camera was rendered too: at a scale of 2 its paths scatter twice as much.
+    small = halves.mean(axis=0) + 0.25 * (halves - halves.mean(axis=0))
+    picture = Photograph(response, every, None)
+    one = compare(picture, calibration, halves, np.ones(61), 2.0, small)
+    two = compare(picture, calibration, halves.mean(axis=0) + 1.5 * (halves - halves.mean(axis=0)), np.ones(61))
+    assert one.noise == pytest.approx(two.noise, abs=1e-9)
     lost = every.copy()
     lost[5, 7] = False
     some = compare(Photograph(response, lost, None), calibration, halves, np.ones(61))
@@ -273,6 +279,19 @@ def test_a_photograph_of_another_camera_is_refused_by_name(studio, tmp_path, cha
         accept(linear)
     with pytest.raises(InputError, match=said):
         read_photograph(linear, calibration, IdealView.covering(Pinhole.from_optics(made(Optics, optics)), 2))
+
+
+def test_a_pixel_of_many_samples_has_the_noise_of_their_mean(studio):
+    """A pixel of two by two superpixels averages four samples of a mosaic that is not interpolated."""
+    folder, camera = studio
+    ideal = IdealView.covering(Pinhole.from_optics(made(Optics, camera["optics"])), 2)
+    found = read_photograph(folder / "scene.h5", Calibration.load(folder / "calibration.h5"), ideal)
+    with h5py.File(folder / "scene.h5") as file:
+        assert file.attrs["sample_px"] == 2
+        constant, slope = file["noise_model"][()].T
+    seen = found.whole
+    one = constant + slope * np.maximum(found.response[seen], 0.0)
+    assert found.variance[seen] == pytest.approx(one / 4.0, rel=1e-6)
 
 
 FRONT = "photographs.front"

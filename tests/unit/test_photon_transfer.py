@@ -107,6 +107,19 @@ def test_points_without_scatter_give_the_line_that_they_lie_on(gain, read, drift
     assert more[3] == pytest.approx(found[3] / 10.0, rel=0.01)
 
 
+def test_points_that_scatter_more_than_their_number_tells_have_larger_errors():
+    level, count = np.linspace(0.0, 20_000.0, 400), np.full(400, 256.0)
+    off = np.random.default_rng(3).normal(size=400) * np.sqrt(2.0 / 255.0)
+    points = np.stack([0.0 * level, count, level, 0.0 * level + 1.0, 2.0 * 9.0 + 2.0 * level / 2.0], axis=1)
+    found = []
+    for times in (0.1, 5.0):
+        scattered = points.copy()
+        scattered[:, 4] *= 1.0 + times * off
+        found.append(fit_transfer(scattered))
+    assert found[1][1] == pytest.approx(5.0 * found[0][1], rel=0.2)
+    assert abs(found[1][0] - 2.0) < 4.0 * found[1][1]
+
+
 def test_points_that_determine_nothing_say_so():
     level = np.full(20, 5.0)
     one = np.ones(20)

@@ -19,7 +19,10 @@ from benchmarks.plate_pictures import (
     render,
     white_weights,
 )
+from irodori.ingest.registration.band_layout import flatten
+from irodori.ingest.registration.pyramid import gradient_energy, noise_of
 from irodori.ingest.registration.similarity import Registration, bayer_offsets_px, meets_marked, register, resample
+from irodori.ingest.registration.similarity_fit import search
 
 STILL = Registration.identity()
 WIDTH, HEIGHT = 200, 150
@@ -85,6 +88,75 @@ def test_any_plate_before_any_scene_is_found_within_a_twentieth_of_a_superpixel(
 def test_the_corners_of_the_plates_range_are_found(leaves, corner):
     truth = similarity(*corner)
     assert rms_px(register(*shoot(leaves, truth, np.random.default_rng(2))), truth) <= TARGET_PX
+
+
+def textured(rng, shape, shift=(0, 0)) -> np.ndarray:
+    """Return a level of random patches, moved by whole pixels (x, y), with a few samples that are not valid."""
+    scene = np.random.default_rng(9).uniform(0.2, 0.8, (30, 30, 3)).repeat(4, axis=0).repeat(4, axis=1)
+    x, y = 30 - shift[0], 30 - shift[1]
+    level = np.ones((*shape, 4), np.float32)
+    level[..., :3] = scene[y : y + shape[0], x : x + shape[1]] + rng.normal(0.0, 0.02, (*shape, 3))
+    level[rng.uniform(size=shape) < 0.02] = 0.0
+    return level
+
+
+def plain_proposals(fixed, moving, scale) -> list[complex]:
+    """Return three shifts by the masked normalised correlation of gradient magnitudes, a plain sum for each."""
+    (f, inside_f), (m, inside_m) = (
+        (gradient_energy(one, noise_of(one)) ** 0.25, np.pad(one[1:-1, 1:-1, 3] > 0.5, 1)) for one in (fixed, moving)
+    )
+    reach, (height, width) = math.ceil(12.0 / scale) + 1, f.shape
+    score = {}
+    for dy in range(-reach, reach + 1):
+        for dx in range(-reach, reach + 1):
+            here = np.s_[max(0, -dy) : height - max(0, dy), max(0, -dx) : width - max(0, dx)]
+            there = np.s_[max(0, dy) : height + min(0, dy), max(0, dx) : width + min(0, dx)]
+            both = inside_f[here] & inside_m[there]
+            score[dx, dy] = np.corrcoef(f[here][both], m[there][both])[0, 1]
+    found = []
+    for _ in range(3):
+        x, y = max(score, key=score.get)
+        found.append(scale * complex(x, y))
+        score = {place: value for place, value in score.items() if max(abs(place[0] - x), abs(place[1] - y)) > 1}
+    return found
+
+
+@pytest.mark.parametrize(("scale", "shift"), [(1.0, (7, -4)), (1.0, (-12, 11)), (2.0, (-3, 6)), (4.0, (1, -2))])
+@pytest.mark.parametrize("shape", [(47, 60), (58, 41)])
+def test_the_search_proposes_what_correlates_best(scale, shift, shape):
+    rng = np.random.default_rng(12)
+    fixed, moving = textured(rng, shape), textured(rng, shape, shift)
+    found = search(fixed, moving, scale)
+    assert found[0] == scale * complex(*shift)
+    assert found == plain_proposals(fixed, moving, scale)
+
+
+@pytest.mark.parametrize("bands", [np.s_[:], np.s_[:3], np.s_[1:4], np.s_[::2]])
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_picture_s_samples_in_one_row_are_its_own_and_no_more(bands, turned):
+    whole = np.random.default_rng(2).uniform(size=(4, 6, 5)).astype(np.float32)
+    image = (whole.swapaxes(0, 1) if turned else whole)[..., bands]
+    values, step = flatten(image)
+    height, width, count = image.shape
+    y, x, b = np.ogrid[:height, :width, :count]
+    assert np.array_equal(values[(y * width + x) * step + b], image)
+    assert values.size == (height * width - 1) * step + count
+    # Neighbouring bands of a picture as it lies in memory are not copied.
+    assert np.shares_memory(values, whole) == (not turned and bands != np.s_[::2])
+
+
+def test_edges_count_by_the_noise_of_their_band():
+    """A picture's gradients are squared in units of each band's noise, which is what differences of neighbours show."""
+    rng, noise = np.random.default_rng(5), np.array([0.002, 0.01, 0.05])
+    level = np.ones((60, 80, 4), np.float32)
+    level[..., :3] = rng.normal(0.5, noise, (60, 80, 3))
+    found = noise_of(level)
+    assert found == pytest.approx(noise, rel=0.1)
+    steps = np.array([0.1, 0.2, 0.3])
+    level[..., :3] = np.arange(80)[:, None] * steps
+    energy = gradient_energy(level, found)
+    assert energy[1:-1, 1:-1] == pytest.approx(((2.0 * steps / found) ** 2).sum(), rel=1e-4)
+    assert not energy[0].any() and not energy[:, -1].any()
 
 
 def test_predicted_errors_are_those_that_occur():

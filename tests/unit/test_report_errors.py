@@ -64,6 +64,7 @@ def test_the_pictures_error_in_the_table_is_plain_ciede2000_up_to_white_and_scal
     found = truth * rng.uniform(0.8, 1.2, (6, 8, 61)).astype(np.float32)
     bright = (slice(0, 1), slice(0, 4))
     truth[bright] += 5.0
+    found[4:, :5] = truth[4:, :5]  # no object
     for name, radiance in (("true", truth), ("found", found)):
         write_spectral_exr(tmp_path / f"{name}.exr", radiance, radiance[..., :3], {})
     inputs = {key: [] for key in ("materials", "true_materials", "environments", "true_environments", "calibrations")}
@@ -72,7 +73,7 @@ def test_the_pictures_error_in_the_table_is_plain_ciede2000_up_to_white_and_scal
     names = {"cameras": [], "objects": [], "environments": [], "views": ["s/v"], "view_environments": ["e"]}
     scene = Staging.of({"lights": [], "display": {"exposure": "auto"}})
     measure_errors(inputs, names, [scene], ["D65"], tmp_path / "errors.csv")
-    row = read_errors(tmp_path / "errors.csv")[0]
+    row, objects = read_errors(tmp_path / "errors.csv")
     matrix = xyz_from_radiance(np.ones(61))
     pair = [radiance.astype(float) @ matrix.T for radiance in (truth, found)]
     scale = pair[0][bright][..., 1:2] / 100.0
@@ -84,6 +85,7 @@ def test_the_pictures_error_in_the_table_is_plain_ciede2000_up_to_white_and_scal
     expected = colour.difference.delta_E_CIE2000(*lab)
     for name, value in (("mean", expected.mean()), ("p95", np.percentile(expected, 95)), ("max", expected.max())):
         assert float(row[name]) == pytest.approx(value, rel=2e-3), name
+    assert float(objects["mean"]) == pytest.approx(expected.sum() / (6 * 8 - 2 * 5), rel=2e-3)
 
 
 def test_a_pictures_error_is_judged_against_a_white_that_counts_the_scenes_lights(tmp_path):

@@ -1,6 +1,7 @@
 """The report's experiment: fit errors of planned poses against even and random ones."""
 
 import csv
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -163,6 +164,19 @@ def test_an_even_grid_is_even_and_within_reach(planned, count, lights):
         assert np.ptp(np.diff(cameras)) < 0.25 and min(cameras) > 0 and max(cameras) < 80
 
 
+def test_an_even_grid_stands_at_the_middles_of_equal_parts(planned):
+    coarse = {
+        name: planned["rig"]["limits"][name] | {"min": 0.0, "max": 140.0, "step": 10.0} for name in ("camera_deg",)
+    }
+    limits = planned["rig"]["limits"] | coarse | {"light_deg": {"min": 30.0, "max": 70.0, "step": 10.0}}
+    poses = even_poses(made(RigLimits, limits), 8, 2, 80.0)
+    assert [(p.light_deg, p.camera_deg) for p in poses] == [
+        (a, c) for a in (40.0, 60.0) for c in (10.0, 30.0, 50.0, 70.0)
+    ]
+    assert {(p.tilt_deg, p.turn_deg) for p in poses} == {(limits["tilt_deg"]["min"], limits["turn_deg"]["min"])}
+    assert len(even_poses(made(RigLimits, limits), 2, 5, 80.0)) == 2
+
+
 def test_an_even_grid_finer_than_the_steps_is_refused(planned):
     limits = planned["rig"]["limits"] | {"camera_deg": {"min": 0.0, "max": 80.0, "step": 20.0}}
     with pytest.raises(TooFewPoses, match="an even grid of 24 poses"):
@@ -248,6 +262,21 @@ def test_photographs_without_noise_leave_the_fit_without_error(planned):
     for name, values in found.items():
         known = values[np.isfinite(values)]
         assert known.size > 30 and np.median(known) < 1e-3, name
+
+
+def test_a_light_that_stands_off_its_pose_shows_on_matt_surfaces(planned):
+    noise = replace(default_noise(made(Rig, planned["rig"]), made(SensorOptions, planned["sensor"])),
+                    relative=1e-9, pose_rms_deg=0.5, shot_variance=1e-13, read_variance=1e-14)  # fmt: skip
+    planner = Planner(made(Object | PlannedObject, planned["definition"]), made(Rig, planned["rig"]), noise=noise)
+    matt = replace(planner.range.at(np.tile([[0.5, 0.5, 0.5]], (3000, 1))), beta=np.zeros(3000))
+    response, geometry, _ = Sitting(planner).photograph(planner.best(6).poses, matt, 3000, np.random.default_rng(8))
+    incidence = geometry[..., 0]
+    # The light's cosine at each texel: half a degree is tanθ times that.
+    off = response / np.cos(incidence)
+    steep = np.median(incidence, axis=0) > math.radians(30.0)
+    found = (off / np.median(off, axis=0))[:, steep].std(axis=0)
+    assert steep.any()
+    assert found == pytest.approx(np.tan(np.median(incidence, axis=0))[steep] * math.radians(0.5), rel=0.3)
 
 
 def test_light_and_weights_of_simulated_photographs_follow_their_conditions(planned):

@@ -101,6 +101,8 @@ class SerialLink(Link):
 def _reason(error: Exception) -> str:
     """Return a cause in a few words, without pyserial's wrapping of the operating system's."""
     number = getattr(error, "errno", None)
+    if number is None and error.__context__ is not None:
+        number = next(iter(error.__context__.args), None)  # of what pyserial gave up for
     text = str(error)
     if "exclusively lock" in text or number in (errno.EWOULDBLOCK, errno.EBUSY):
         return "in use by another program, or opened twice"
