@@ -144,14 +144,14 @@ def test_a_dropped_profile_shows_colours_as_pictures_for_that_screen_do(seen, pr
     state = page.default_state()
     given = make_display(made(ProfileDisplay, {"kind": "profile", "file": str(profile)}))
     drop(page, "screen.icc", profile.read_bytes())
-    page.page.wait_for_function("Irodori.page().state.display.profile")
+    page.wait_for("Irodori.page().state.display.profile")
     state["display"] = page.page.evaluate("Irodori.page().state.display")
     found = wrong_codes(page, state, given)
     assert found.max() <= 2 and found.mean() < 0.3
     assert wrong_codes(page, page.default_state(), given).mean() > 3.0
     assert wrong_codes(page, page.default_state(), srgb()).max() <= 2
     # It stands in the page's address, so that the lesson's steps and a reload keep it.
-    page.page.wait_for_function("Irodori.pace().atRest")
+    page.wait_for("Irodori.pace().atRest")
     read = """() => Irodori.hashToPage(location.hash.slice(1), Irodori.newPage(Irodori.renderer.defaultState()),
         Irodori.renderer.data.header).state.display.profile.label"""
     assert page.page.evaluate(read) == "screen.icc"
@@ -179,7 +179,7 @@ def test_other_profiles_are_refused_in_a_sentence(seen, profile):
         (right.replace(b"para", b"mft9"), "tone curve"),
     ):
         drop(page, "other.icc", content)
-        page.page.wait_for_function("(said) => document.getElementById('message').textContent.includes(said)", arg=said)
+        page.wait_for(f"document.getElementById('message').textContent.includes('{said}')")
         assert page.page.locator("#message").inner_text().count("accepted:") == 1
         assert page.page.evaluate("JSON.stringify(Irodori.page().state)") == before
 
