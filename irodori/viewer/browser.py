@@ -61,9 +61,24 @@ class OpenPage:
         values = np.frombuffer(raw, dtype="<f4").reshape(height, width, 4)
         return values[..., :3].astype(np.float64), values[..., 3].astype(int)
 
+    def wait_for(self, condition: str) -> None:
+        """Wait until an expression is true in the page, whose policy lets nothing be asked anew as text.
+
+        Raises
+        ------
+        PlainError
+            If it is not within three minutes.
+        """
+        loop = f"""async (end) => {{
+          while (!({condition}) && performance.now() < end) await new Promise((go) => setTimeout(go, 20));
+          return !!({condition});
+        }}"""
+        if not self.page.evaluate(loop, _PATIENCE_MS):
+            raise PlainError(f"The page was not ready within {_PATIENCE_MS / 1000:g} s; waited for {condition}.")
+
     def said(self) -> str:
         """Return what the page says in place of a picture, once it does."""
-        self.page.wait_for_function(_SAID)
+        self.wait_for(_SAID)
         return self.page.evaluate(_SAID)
 
     def milliseconds(self) -> dict[str, float]:
@@ -128,11 +143,12 @@ def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True, cold: bool =
         page.on("request", lambda request: messages.append(f"request {request.url}")
                 if not request.url.startswith(("file:", "data:", "blob:")) else None)  # fmt: skip
         page.goto(Path(path).resolve().as_uri())
+        found = OpenPage(page, messages)
         if wait:
             drawn = "window.Irodori && Irodori.renderer && Irodori.renderer.drawn !== undefined"
-            page.wait_for_function(f"({drawn}) || ({_SAID})")
+            found.wait_for(f"({drawn}) || ({_SAID})")
             if not page.evaluate(f"!!({drawn})"):
                 raise PlainError(page.evaluate(_SAID))
-        yield OpenPage(page, messages)
+        yield found
     finally:
         context.close()

@@ -17,6 +17,7 @@ SCRIPTS = (
     "selftest.js",
     "text.js",
     "state.js",
+    "screens.js",
     "png.js",
     "plot.js",
     "lesson.js",

@@ -3,12 +3,19 @@
 What the integrator `interactive` has is compared with `render_frame`; what the page alone has, with its formula.
 """
 
+import base64
+
 import numpy as np
 import pytest
+from made import made
 from pages import SPHERE, gold, painted, room, sources, write_mesh, write_torus
 from shortcuts import irradiance_map
 from written_pages import SIZE, Written, agree, compared, inside
 
+from irodori.colour.display import make_display, srgb
+from irodori.colour.icc import Profile, write_profile
+from irodori.colour.tone_curves import ParametricCurve
+from irodori.config.models import PrimariesDisplay, ProfileDisplay
 from irodori.light.environment_file import Environment, directions
 from irodori.rendering.scene_arrays import make_view
 from irodori.viewer.browser import browser_command, opened
@@ -76,6 +83,105 @@ def test_a_point_that_is_seen_is_marked_where_it_is_seen(seen, name):
     )
     assert [one for one in back if one is not None]
     assert np.abs([one for one in back if one is not None]).max() < 0.01
+
+
+# ---- screens
+
+
+GAMMAS = (2.2, 2.0, 1.8)
+
+
+@pytest.fixture(scope="module")
+def profile(tmp_path_factory):
+    """A profile of primaries like P3 under a white that is not D65, each channel with its own curve."""
+    file = tmp_path_factory.mktemp("profile") / "screen.icc"
+    colours = [xy_to_xyz(x, y) for x, y in ((0.68, 0.32), (0.265, 0.69), (0.15, 0.06), (0.32, 0.34))]
+    level = np.linalg.solve(np.column_stack(colours[:3]), colours[3])
+    matrix = np.column_stack(colours[:3]) * level
+    file.write_bytes(write_profile(Profile("screen", matrix, tuple(ParametricCurve(gamma) for gamma in GAMMAS))))
+    return file
+
+
+def xy_to_xyz(x, y):
+    return np.array([x / y, 1.0, (1.0 - x - y) / y])
+
+
+def drop(page, name, content):
+    page.page.evaluate(
+        "([name, text]) => { const held = new DataTransfer();"
+        " held.items.add(new File([Uint8Array.from(atob(text), (c) => c.charCodeAt(0))], name));"
+        " document.dispatchEvent(new DragEvent('drop', {dataTransfer: held, bubbles: true, cancelable: true})); }",
+        [name, base64.b64encode(content).decode()],
+    )
+
+
+CODES = """(state) => {
+  const {canvas, gl} = Irodori.renderer, [width, height] = [96, 72], codes = new Uint8Array(4 * width * height);
+  [canvas.width, canvas.height] = [width, height];
+  Irodori.renderer.draw(state);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, codes);
+  return [width, height, Array.from(codes)];
+}"""
+
+
+def codes_of(page, state):
+    width, height, codes = page.page.evaluate(CODES, state)
+    return np.array(codes, dtype=int).reshape(height, width, 4)[::-1, :, :3]
+
+
+def wrong_codes(page, state, display) -> np.ndarray:
+    """Steps of 8 bits between what the page shows and what pictures for the display hold."""
+    codes = codes_of(page, state)
+    xyz, objects = page.read_xyz(state, codes.shape[1], codes.shape[0])
+    white = np.array(page.page.evaluate("Irodori.renderer.lit.whiteXYZ"))
+    wanted, _ = display.encode(display.linear_rgb(xyz, white))
+    return np.abs(codes - wanted.astype(int))[inside(objects)]
+
+
+def test_a_dropped_profile_shows_colours_as_pictures_for_that_screen_do(seen, profile):
+    _, page = seen
+    state = page.default_state()
+    given = make_display(made(ProfileDisplay, {"kind": "profile", "file": str(profile)}))
+    drop(page, "screen.icc", profile.read_bytes())
+    page.wait_for("Irodori.page().state.display.profile")
+    state["display"] = page.page.evaluate("Irodori.page().state.display")
+    found = wrong_codes(page, state, given)
+    assert found.max() <= 2 and found.mean() < 0.3
+    assert wrong_codes(page, page.default_state(), given).mean() > 3.0
+    assert wrong_codes(page, page.default_state(), srgb()).max() <= 2
+    # It stands in the page's address, so that the lesson's steps and a reload keep it.
+    page.wait_for("Irodori.pace().atRest")
+    read = """() => Irodori.hashToPage(location.hash.slice(1), Irodori.newPage(Irodori.renderer.defaultState()),
+        Irodori.renderer.data.header).state.display.profile.label"""
+    assert page.page.evaluate(read) == "screen.icc"
+
+
+def test_measured_primaries_show_colours_as_pictures_for_that_screen_do(seen):
+    _, page = seen
+    state = page.default_state()
+    primaries = {"red_xy": [0.63, 0.34], "green_xy": [0.3, 0.6], "blue_xy": [0.15, 0.07], "white_xy": [0.30, 0.32]}
+    state["display"] = {"primaries": {**primaries, "gamma": 2.4}}
+    device = {"kind": "primaries", **primaries, "tone": {"kind": "gamma", "gamma": 2.4}}
+    found = wrong_codes(page, state, make_display(made(PrimariesDisplay, device)))
+    assert found.max() <= 2 and found.mean() < 0.3
+
+
+def test_other_profiles_are_refused_in_a_sentence(seen, profile):
+    _, page = seen
+    right = profile.read_bytes()
+    before = page.page.evaluate("JSON.stringify(Irodori.page().state)")
+    for content, said in (
+        (right[:200], "no whole profile"),
+        (right[:12] + b"prtr" + right[16:], "another device"),
+        (right.replace(b"rTRC", b"A2B0", 1), "colour tables"),
+        (right.replace(b"gXYZ", b"gXYy", 1), "no matrix"),
+        (right.replace(b"para", b"mft9"), "tone curve"),
+    ):
+        drop(page, "other.icc", content)
+        page.wait_for(f"document.getElementById('message').textContent.includes('{said}')")
+        assert page.page.locator("#message").inner_text().count("accepted:") == 1
+        assert page.page.evaluate("JSON.stringify(Irodori.page().state)") == before
 
 
 # ---- soft shadows of meshes
@@ -257,14 +363,14 @@ def test_a_lamp_nearby_lights_by_its_formula(dark, size):
     white = 100.0 * (weights @ power) / (weights[1] @ power)
     whole, shut = (free > 0.9999) & inside(objects) & (objects >= 0), (free == 0.0) & inside(objects) & (objects >= 0)
     found = xyz_differences(wanted[whole], xyz[whole], white)
-    assert whole.sum() > 400 and shut.sum() > 50
+    assert whole.sum() > 400 and shut.sum() > 5
     assert agree(found), (found.mean(), np.percentile(found, 99))
     assert np.abs(xyz[shut]).max() < 0.02 * wanted[whole].max()
     half = (free > 0.0) & (free < 1.0) & inside(objects) & (objects == 1)
     if size:
         # Sixteen directions: the edge of a soft shadow has that many steps.
         error = np.abs(xyz[half][:, 1] - wanted[half][:, 1]) / (diffuse[1] / far[half] ** 2 / white_share)
-        assert half.sum() > 30 and error.mean() < 0.05 and error.max() < 0.2
+        assert half.sum() > 20 and error.mean() < 0.05 and error.max() < 0.2
 
 
 # ---- two rooms in one page

@@ -767,7 +767,10 @@
     const OWN = ':primaries', wide = window.matchMedia('(color-gamut: p3)').matches;
     const options = [['sRGB', 'sRGB'], ['Display P3', wide ? 'Display P3' : I.text('p3_not_here')], [OWN, I.text('own_primaries')]];
     if (!options.some(([name]) => name === base.state.display.name)) options.unshift([base.state.display.name, base.state.display.name]);
-    const screen = controls.group('screen', controls.select({key: 'display', options, get: () => page.state.display.name ?? OWN, set: (value) => {
+    const PROFILE = ':profile', own = state.display.profile;
+    if (own) options.push([PROFILE, own.label]);
+    const screen = controls.group('screen', controls.select({key: 'display', options, get: () => page.state.display.name ?? (page.state.display.profile ? PROFILE : OWN), set: (value) => {
+      if (value === PROFILE) return;
       page.state.display = value === OWN ? {primaries: {red_xy: [0.64, 0.33], green_xy: [0.3, 0.6], blue_xy: [0.15, 0.06], white_xy: [0.3127, 0.329], gamma: 2.2}} : {name: value};
       rebuild('#page-seeing .group:last-of-type select');
     }}));
@@ -776,7 +779,7 @@
       screen.append(h('table', {}, ...['red_xy', 'green_xy', 'blue_xy', 'white_xy'].map((key) => h('tr', {}, h('th', {scope: 'row', text: key}), cell(key, 0), cell(key, 1)))),
         controls.slider({key: 'gamma', low: 1, high: 4, step: 0.05, get: () => page.state.display.primaries?.gamma ?? 2.2, set: (value) => { page.state.display.primaries.gamma = value; changed(); }, show: (value) => value.toFixed(2)}));
     }
-    screen.append(controls.button('check_screen', checkScreen));
+    screen.append(controls.button('open_profile', () => askFile(null)), controls.button('check_screen', checkScreen));
     parts.push(screen, controls.group('speed', controls.tick({key: 'show_rate', get: () => !$('rate').hidden, set: (value) => { $('rate').hidden = !value; redraw(); }})));
     return parts;
   }
@@ -891,6 +894,10 @@
         (taker ?? ((one) => { page.state.light.illuminant = one; }))(power);
         rebuild();
         say(I.text('light_taken', {file: file.name}));
+      } else if (/\.(icc|icm)$/i.test(file.name)) {
+        page.state.display = I.screenOfProfile(new Uint8Array(await file.arrayBuffer()), file.name);
+        rebuild();
+        say(I.text('profile_taken', {file: file.name}));
       } else throw new I.Refusal('file_unknown', {file: file.name});
     } catch (error) {
       if (!(error instanceof I.Refusal)) throw error;

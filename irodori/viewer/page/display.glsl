@@ -3,7 +3,7 @@ precision highp float;
 precision highp sampler2D;
 
 out vec4 outColour;
-uniform sampler2D uOne, uTwo, uPlace;
+uniform sampler2D uOne, uTwo, uPlace, uCodes;
 uniform vec2 uCanvas;
 uniform int uMode;        // 0 one light, 1 wipe, 2 difference, 3 each light against its own white
 uniform int uOverlay;     // 0 none, 1 status, 2 uncertainty, 3 gamut
@@ -14,7 +14,16 @@ uniform mat3 uDisplayFromSRGB, uSRGBFromDisplay;
 uniform vec3 uWhite, uWhiteTwo;
 uniform float uMostDifference, uMostUncertainty;
 
-float curve(float x) { return x <= 0.0031308 ? 12.92 * x : 1.055 * pow(x, 1.0 / 2.4) - 0.055; }
+// The screen's codes of linear light, see screens.js.
+vec3 encoded(vec3 linear) {
+  int last = textureSize(uCodes, 0).x - 1;
+  vec3 place = pow(clamp(linear, 0.0, 1.0), vec3(1.0 / 2.4)) * float(last), found;
+  for (int c = 0; c < 3; c++) {
+    int i = min(int(place[c]), last - 1);
+    found[c] = mix(texelFetch(uCodes, ivec2(i, 0), 0)[c], texelFetch(uCodes, ivec2(i + 1, 0), 0)[c], place[c] - float(i));
+  }
+  return found;
+}
 float root3(float t) { return t <= 216.0 / 24389.0 ? (24389.0 / 27.0 * t + 16.0) / 116.0 : pow(t, 1.0 / 3.0); }
 vec3 lab(vec3 xyz, vec3 white) {
   vec3 r = xyz / white, f = vec3(root3(r.x), root3(r.y), root3(r.z));
@@ -54,7 +63,7 @@ void main() {
   vec3 linear = (second ? uShownTwo : uShown) * xyz;
   linear = uDisplayFromSRGB * (uDeficiency * (uSRGBFromDisplay * linear));
   bool outside = any(lessThan(linear, vec3(-1e-3))) || any(greaterThan(linear, vec3(1.001)));
-  vec3 shown = vec3(curve(clamp(linear.r, 0.0, 1.0)), curve(clamp(linear.g, 0.0, 1.0)), curve(clamp(linear.b, 0.0, 1.0)));
+  vec3 shown = encoded(linear);
   if (uMode >= 2 && place.x > uAt) {
     vec3 other = texture(uTwo, place).xyz;
     float found = ciede2000(lab(one.xyz, uWhite), lab(other, uMode == 2 ? uWhite : uWhiteTwo));

@@ -56,6 +56,7 @@ var Irodori = Irodori || {};
       this.parallel = gl.getExtension("KHR_parallel_shader_compile");
       this.targets = {};
       this.lights = [];
+      this.screenKey = null;
       this.textures = {};
       this.vertices = gl.createVertexArray();
       this.lit = null;
@@ -361,13 +362,7 @@ var Irodori = Irodori || {};
     }
 
     shown(state, whiteXYZ) {
-      const displays = this.data.header.displays, given = state.display || {};
-      let display = displays.find((d) => d.name === given.name) || displays[0];
-      if (given.primaries) { // CIE x, y of red, green, blue and white
-        const [r, g, b, w] = given.primaries.map(([x, y]) => [x / y, 1, (1 - x - y) / y]);
-        const level = Irodori.solved([0, 1, 2].map((i) => [r[i], g[i], b[i]]), w);
-        display = { rgb_from_xyz: Irodori.inverse([0, 1, 2].map((i) => [r[i] * level[0], g[i] * level[1], b[i] * level[2]])), white_xyz: w };
-      }
+      const display = Irodori.screen(state.display || {}, this.data.header.displays);
       const factor = Math.pow(2, state.exposure_ev || 0) / whiteXYZ[1];
       const adapt = Irodori.adaptation(whiteXYZ.map((x) => x / whiteXYZ[1]), display.white_xyz);
       return { display, matrix: Irodori.product(display.rgb_from_xyz, adapt).map((row) => row.map((x) => x * factor)) };
@@ -405,6 +400,15 @@ var Irodori = Irodori || {};
         gl.bindTexture(gl.TEXTURE_2D, texture.texture);
         gl.uniform1i(place(name), unit);
       });
+      const key = JSON.stringify(state.display || {});
+      if (this.screenKey !== key) {
+        if (this.textures.uCodes) gl.deleteTexture(this.textures.uCodes.texture);
+        this.textures.uCodes = this.texture(Irodori.codeTable(Irodori.screen(state.display || {}, this.data.header.displays)), gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
+        this.screenKey = key;
+        // Where the browser can, codes of Display P3 are given to it as such; all others as those of the screen.
+        if ("drawingBufferColorSpace" in gl) gl.drawingBufferColorSpace = (state.display || {}).name === "Display P3" ? "display-p3" : "srgb";
+      }
+      this.setTexture(program, "uCodes", this.textures.uCodes, 3);
       const shown = this.shown(state, whites[0]), sRGB = this.data.header.displays[0];
       gl.uniform2f(place("uCanvas"), this.canvas.width, this.canvas.height);
       gl.uniform1i(place("uMode"), mode);

@@ -124,7 +124,16 @@ window.Irodori = window.Irodori || {};
   }
 
   function display(field, value, base) {
-    keys(field, value, ['name', 'primaries']);
+    keys(field, value, ['name', 'primaries', 'profile']);
+    if ('profile' in value) {
+      keys(field + '.profile', value.profile, ['label', 'xyz_from_rgb', 'codes']);
+      if (typeof value.profile.label !== 'string' || value.profile.label.length > 100) throw refusal(field + '.profile.label', value.profile.label, 'a name');
+      for (const [key, count, low, high] of [['xyz_from_rgb', 3, -10, 10], ['codes', I.PROFILE_POINTS, 0, 1]]) {
+        if (!Array.isArray(value.profile[key]) || value.profile[key].length !== 3) throw refusal(`${field}.profile.${key}`, value.profile[key], `3 × ${count}`);
+        value.profile[key].forEach((row, i) => numbers(`${field}.profile.${key}[${i}]`, row, count, low, high));
+      }
+      return undefined;
+    }
     if (!('primaries' in value)) return choice(field + '.name', value.name, ['sRGB', 'Display P3', base.name]);
     keys(field + '.primaries', value.primaries, ['red_xy', 'green_xy', 'blue_xy', 'white_xy', 'gamma']);
     for (const one of ['red_xy', 'green_xy', 'blue_xy', 'white_xy']) numbers(`${field}.primaries.${one}`, value.primaries[one], 2, 0.0001, 0.9);

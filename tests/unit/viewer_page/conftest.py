@@ -1,5 +1,6 @@
 """A browser without a network, and the page open in it."""
 
+import json
 from dataclasses import dataclass, field
 
 import pytest
@@ -19,12 +20,23 @@ class Visit:
     def state(self) -> dict:
         return self.page.evaluate("Irodori.page()")
 
+    def wait_for(self, condition: str) -> None:
+        """Wait until an expression is true in the page: it has ten seconds."""
+        held = self.page.evaluate(
+            f"async (end) => {{ while (!({condition}) && performance.now() < end)"
+            " await new Promise((go) => setTimeout(go, 10)); return !!(" + condition + "); }",
+            self.page.evaluate("performance.now()") + 10_000,
+        )
+        assert held, condition
+
     def settled(self) -> dict:
         """Wait until the page has come to rest, and return its state."""
-        self.page.evaluate(
-            "async () => { while (!Irodori.pace().atRest) await new Promise((r) => setTimeout(r, 50)); }"
-        )
+        self.wait_for("Irodori.pace().atRest")
         return self.state()
+
+    def says(self, words: str) -> None:
+        """Wait until the page's message holds some words."""
+        self.wait_for(f"document.getElementById('message').textContent.includes({json.dumps(words)})")
 
     def focused(self) -> str:
         return self.page.evaluate("document.activeElement.id || document.activeElement.outerHTML.slice(0, 80)")
@@ -66,18 +78,33 @@ def page_file(scene, tmp_path_factory):
     return write_double(tmp_path_factory.mktemp("viewer") / "viewer.html", header_of(scene), poster)
 
 
+@pytest.fixture(scope="session")
+def context_of(browser):
+    """Return a function that gives the browser's context of some options: pages keep nothing there, so that it is one."""
+    contexts = {}
+
+    def found(script, **options):
+        key = json.dumps([script, options], sort_keys=True)
+        if key not in contexts:
+            contexts[key] = browser.new_context(offline=True, **options)
+            contexts[key].set_default_timeout(10_000)
+            if script:
+                contexts[key].add_init_script(script)
+        return contexts[key]
+
+    yield found
+    for context in contexts.values():
+        context.close()
+
+
 @pytest.fixture
-def visit(browser, page_file):
+def visit(context_of, page_file):
     """Return a function that opens the page; at the end nothing may have been complained about."""
-    contexts, visits = [], []
+    visits = []
 
     def open_page(hash_="", script="", ready=True, **given) -> Visit:
         options = {"viewport": {"width": 1280, "height": 800}, "locale": "en", "reduced_motion": "reduce", **given}
-        context = browser.new_context(offline=True, **options)
-        contexts.append(context)
-        if script:
-            context.add_init_script(script)
-        context.set_default_timeout(10_000)
+        context = context_of(script, **options)
         opened = Visit(context.new_page())
         visits.append(opened)
         opened.page.on("console", lambda message: opened.complaints.append(message.text))
@@ -89,9 +116,20 @@ def visit(browser, page_file):
         return opened
 
     yield open_page
-    for context in contexts:
-        context.close()
+    for one in visits:
+        one.page.close()
     assert [one.complaints for one in visits] == [[] for _ in visits]
+
+
+@pytest.fixture(scope="session")
+def opening_state(context_of, page_file) -> dict:
+    """State in which the page opens."""
+    page = context_of("", viewport={"width": 1280, "height": 800}, locale="en", reduced_motion="reduce").new_page()
+    page.goto(page_file.as_uri())
+    page.wait_for_selector("body[data-ready]")
+    found = page.evaluate("Irodori.page()")
+    page.close()
+    return found
 
 
 def _note_request(request, opened: Visit, page_file) -> None:

@@ -37,7 +37,7 @@ def header_of(scene: Scene) -> dict:
         "illuminants": [{"name": name, "label": name, "power": list(light(name))} for name in names],
         "observers": [{"name": name, "label": name} for name in ("CIE 1931 2°", "CIE 1964 10°")],
         "views": [{"name": "front", "camera": {"target_mm": [0, 0, 22], "azimuth_deg": -90, "elevation_deg": 27,
-                                               "distance_mm": 370, "fov_deg": 34}}],
+                                               "distance_mm": 370, "fov_deg": 34, "roll_deg": 0, "height_mm": 0}}],
         "stated_errors": {"data_loss": pair, "cpu": pair, "reference": None},
         "hashes": {"scene": "0123abcd"},
         "made": "2026-11-22",

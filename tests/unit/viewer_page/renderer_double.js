@@ -21,7 +21,7 @@ window.Irodori = window.Irodori || {};
 
     defaultState() {
       return {
-        camera: {target_mm: [0, 0, 22], azimuth_deg: -90, elevation_deg: 27, distance_mm: 370, fov_deg: 34},
+        camera: {target_mm: [0, 0, 22], azimuth_deg: -90, elevation_deg: 27, distance_mm: 370, fov_deg: 34, roll_deg: 0, height_mm: 0},
         light: {environment: 'classroom', turn_deg: 0, illuminant: null, lamps: JSON.parse(JSON.stringify(this.header.lamps))},
         objects: this.header.objects.map(({name, position_mm}) => ({name, position_mm: [...position_mm], turn_deg: [0, 0, 0], visible: true})),
         observer: this.header.observers[0].name, deficiency: null, display: {name: 'sRGB'}, exposure_ev: 0, overlay: null,

@@ -202,7 +202,7 @@ ACTIONS = [
 
 
 @pytest.mark.parametrize("action", ACTIONS, ids=lambda one: one.__name__)
-def test_everything_can_be_done_by_keys_and_is_in_the_address(visit, action):
+def test_everything_can_be_done_by_keys_and_is_in_the_address(visit, action, opening_state):
     one = visit()
     holds = action(one)
     page = one.settled()
@@ -211,7 +211,7 @@ def test_everything_can_be_done_by_keys_and_is_in_the_address(visit, action):
     assert close(again.settled(), page)
     again.tab_to("#reset")
     keys(again, "Enter")
-    assert again.settled() == visit().state()
+    assert again.settled() == opening_state
 
 
 def test_dialogs_open_and_close_by_keys(visit):
@@ -255,8 +255,7 @@ def test_pointer_moves_view_room_object_and_line(visit):
     x, y = one.centre()
     one.page.mouse.move(x, y)
     one.page.mouse.wheel(0, -300)
-    one.page.wait_for_timeout(100)
-    assert one.state()["state"]["camera"]["distance_mm"] < 300
+    one.wait_for("Irodori.page().state.camera.distance_mm < 300")
     drag(one, (80, 0), button="right")
     assert one.state()["state"]["camera"]["target_mm"] != [0, 0, 22]
     one.page.locator("#reset").click()
