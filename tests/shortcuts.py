@@ -1,12 +1,12 @@
 """Compositions of the package's functions that tests of several folders need and the chain does not."""
 
 import numpy as np
+from lathe import lathe
 
 from irodori.calibration.chart import locate_patches, read_located
 from irodori.calibration.chart_reading import ChartReading
 from irodori.calibration.paper_estimator import calibrate
 from irodori.capture.shot_planner.fisher_information import Observations
-from lathe import lathe
 from irodori.ingest.registration.similarity import Registration
 from irodori.light.environment_file import directions
 from irodori.light.irradiance import Integrator

@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import look_at, rotation_xyz
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
@@ -218,8 +217,3 @@ def make_view(view: "SeenFrom", image: "Size") -> View:
         diameter_mm,
         focus_mm,
     )
-
-
-def make_tracer(placements: list[Placement]) -> Tracer:
-    """Return the tracer of the scene's placements."""
-    return Tracer(placements)

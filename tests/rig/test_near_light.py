@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lathe import write_obj
 from made import made
 from shortcuts import ball
 
@@ -29,7 +30,6 @@ from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import fit_brdf
 from irodori.geometry.embree import Tracer
 from irodori.geometry.lamp import Lamp
-from lathe import write_obj
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.rig_frame import rig_from_object, to_light
 from irodori.geometry.shapes.placement import Placement

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lathe import LID_MM, lathe, write_obj
 from made import made
 from scenes import BALL, constant_light, material, plate, render, sky
 from shortcuts import ball
@@ -21,7 +22,6 @@ from irodori.config.models import (
 )
 from irodori.config.parts import PlannedObject
 from irodori.geometry.embree import NO_HIT, Tracer
-from lathe import LID_MM, lathe, write_obj
 from irodori.geometry.mesh import make_mesh
 from irodori.geometry.rig_frame import rig_from_object, rotation_xyz
 from irodori.geometry.shapes.placement import Placement, on_table

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lathe import lathe, write_lid, write_obj
 from made import made
 from scipy.spatial import Delaunay
 from shortcuts import ball
@@ -11,7 +12,6 @@ from shortcuts import ball
 from irodori.config.models import BodyShape, ObjectShape
 from irodori.core.errors import InputError
 from irodori.geometry.atlas import NO_FACE, mesh_texels, rasterise
-from lathe import lathe, write_lid, write_obj
 from irodori.geometry.mesh import make_mesh
 from irodori.geometry.mesh_files import MM_IN, read_mesh
 from irodori.geometry.mesh_sources import mesh_files

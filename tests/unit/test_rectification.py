@@ -9,6 +9,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lathe import lathe, write_obj
 from made import made
 
 from irodori.config.capture_table import Pose
@@ -17,7 +18,6 @@ from irodori.config.parts import RigGeometry, TexturedObject
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.geometry.embree import Tracer
-from lathe import lathe, write_obj
 from irodori.geometry.rig_frame import rig_from_object
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape

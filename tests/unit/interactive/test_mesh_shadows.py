@@ -5,6 +5,7 @@ from dataclasses import replace
 import numba
 import numpy as np
 import pytest
+from lathe import LID_MM, lathe
 from made import made
 from scenes import BALL, OPTIONS, constant_light, material, pixel_rays, plate
 from shortcuts import ball
@@ -19,7 +20,6 @@ from irodori.config.models import (
     Scene,
 )
 from irodori.geometry.embree import Tracer
-from lathe import LID_MM, lathe
 from irodori.geometry.mesh import Mesh, make_mesh
 from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes import flat, mesh_shadow_nodes, sphere

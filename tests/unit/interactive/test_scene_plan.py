@@ -21,6 +21,7 @@ from irodori.config.placed_names import object_names
 from irodori.core.errors import InputError
 from irodori.core.store import Provenance
 from irodori.export.pictures import read_xyz, write_spectral_exr, write_xyz_exr
+from irodori.geometry.embree import Tracer
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
@@ -33,7 +34,7 @@ from irodori.rendering.planning.planned_picture import parts_of
 from irodori.rendering.planning.probes import Changes, Probes
 from irodori.rendering.planning.stage import plan_of
 from irodori.rendering.planning.tolerance import bound_of_share
-from irodori.rendering.scene_arrays import make_light, make_objects, make_placements, make_tracer, make_view
+from irodori.rendering.scene_arrays import make_light, make_objects, make_placements, make_view
 from irodori.rendering.stage import render_view
 
 OPTIONS = Render(pixel_side=1, min_throughput=1e-3)
@@ -82,7 +83,7 @@ def planned(materials, light, **scene):
     document = plan_of("table-top", made(Scene, definition), [TABLE, JAR], materials, light, made(Render, OPTIONS))
     placements = make_placements(made(Scene | Staging, definition), [TABLE, JAR])
     objects, _ = make_objects(placements, materials)
-    parts = parts_of(made(Scene, definition), objects, light, make_tracer(placements))
+    parts = parts_of(made(Scene, definition), objects, light, Tracer(placements))
     model = model_of(document, full_model(parts, 4, True), object_names(made(Scene, definition)))
     return document, parts, model, definition
 
@@ -359,7 +360,7 @@ def test_a_change_of_the_probes_scene_is_what_a_scene_prepared_without_it_shows(
     definition = scene_of(lights=[LAMP] * lamps)
     placements = make_placements(made(Scene | Staging, definition), [TABLE, JAR])
     objects, _ = make_objects(placements, materials)
-    parts = parts_of(made(Scene, definition), objects, room(), make_tracer(placements))
+    parts = parts_of(made(Scene, definition), objects, room(), Tracer(placements))
     full, matrix = full_model(parts, 4, True), xyz_from_radiance(parts.white)
     view = make_view(made(View, definition["views"]["v"]), made(Size, definition["image"]))
     ladder = make_light(parts.environment)
