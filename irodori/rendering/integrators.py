@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from irodori.config.models import InteractiveIntegrator, ReferenceIntegrator, Render, Scene, Size
+from irodori.config.models import InteractiveIntegrator, ReferenceIntegrator, Render, Scene
 from irodori.core.progress import LOGGER
 from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes.shape import Shape
@@ -249,7 +249,7 @@ class _Interactive(Renderer):
         moment = moment.seen_from("objects")
         scene, prepared = turned_scene(self.scene, moment), self.light(moment)
         side, size = self.options.pixel_side, scene.image
-        view = make_view(scene.views[view_name], Size(width=side * size.width, height=side * size.height))
+        view = make_view(scene.views[view_name], size).finer(side)
         lights = make_lights(scene.lights, 0)[0]
         frame = {
             "world_from_light": moment.rotation("environment"),

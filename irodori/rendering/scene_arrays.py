@@ -85,6 +85,10 @@ class View(NamedTuple):
     lens_mm: float = 0.0  # diameter of the lens, 0 for a pinhole
     focus_mm: float = 1.0  # along the line of sight to the plane in focus; not read without a lens
 
+    def finer(self, side: int) -> "View":
+        """Return the view whose pixels are the rays of this one's, so many along each side of a pixel."""
+        return self._replace(focal_px=side * self.focal_px, width=side * self.width, height=side * self.height)
+
 
 def make_placements(scene: "Scene | Staging", shapes: list[Shape]) -> list[Placement]:
     """Return where the scene's objects stand, then its bodies."""

@@ -14,7 +14,7 @@ from irodori.rendering.integrators import has_ambient, with_bodies
 from irodori.rendering.planning.choices import choose
 from irodori.rendering.planning.plan_file import document_of, write_plan
 from irodori.rendering.planning.planned_picture import parts_of
-from irodori.rendering.scene_arrays import View, make_objects, make_placements, make_view
+from irodori.rendering.scene_arrays import make_objects, make_placements, make_view
 from irodori.rendering.scene_white import scene_white
 
 
@@ -83,7 +83,7 @@ def plan_of(
     parts = parts_of(scene, objects, environment, Tracer(placements))
     planner = choose(
         parts,
-        [_of_rays(view, options.pixel_side) for view in views],
+        [view.finer(options.pixel_side) for view in views],
         object_names(scene),
         scene.tolerance_ciede2000,
         max_bounces=scene.max_bounces,
@@ -92,8 +92,3 @@ def plan_of(
         where=f"scene {scene_name}",
     )
     return document_of(scene_name, planner, options.pixel_side)
-
-
-def _of_rays(view: View, side: int) -> View:
-    """Return the view whose pixels are the rays of another's, so many along each side of a pixel."""
-    return view._replace(focal_px=side * view.focal_px, width=side * view.width, height=side * view.height)

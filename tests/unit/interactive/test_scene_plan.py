@@ -20,6 +20,7 @@ from irodori.config.parts import Staging
 from irodori.config.placed_names import object_names
 from irodori.core.errors import InputError
 from irodori.core.store import Provenance
+from irodori.core.yaml_files import read_yaml
 from irodori.export.pictures import read_xyz, write_spectral_exr, write_xyz_exr
 from irodori.geometry.embree import Tracer
 from irodori.light.environment_file import Environment
@@ -28,7 +29,7 @@ from irodori.rendering.integrators import render_image
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, render_frame
 from irodori.rendering.interactive.pixel_rays import render_pixels, render_rays
 from irodori.rendering.planning.modelled_scene import full_model, leading_basis, prepare
-from irodori.rendering.planning.plan_file import model_of, read_plan, write_plan
+from irodori.rendering.planning.plan_file import model_of, write_plan
 from irodori.rendering.planning.planned_check import ToleranceError, chosen_pixels
 from irodori.rendering.planning.planned_picture import parts_of
 from irodori.rendering.planning.probes import Changes, Probes
@@ -217,7 +218,7 @@ def test_a_plan_is_the_same_to_the_byte_and_says_all_that_the_renderer_needs(tmp
         write_plan(tmp_path / name, document)
         texts.append((tmp_path / name).read_bytes())
     assert texts[0] == texts[1]
-    assert read_plan(tmp_path / "a.yaml") == document == yaml.safe_load(texts[0])
+    assert read_yaml(tmp_path / "a.yaml") == document == yaml.safe_load(texts[0])
     assert dataclasses.replace(model, quadrature=None) != full_model(parts, 4, True)
     needed = {"value", "full", "predicted_delta_e", "numbers_per_ray", "by", "why"}
     assert all(set(decision) == needed for decision in document["decisions"].values())
