@@ -120,8 +120,3 @@ def levels(image, light):
     """The coefficient on the first vector that Y shows."""
     white = light.upward_white()
     return image[..., 1] / (xyz_from_radiance(white)[1] @ BASIS[:, 0])
-
-
-def smooth_light(direction):
-    x, y, z = np.moveaxis(direction, -1, 0)
-    return 1.0 + 0.5 * x - 0.3 * y + 0.6 * z * z + 0.2 * x * z
