@@ -24,6 +24,7 @@ from benchmarks.table import arguments_of, least_processor_s, medians_s, own_pea
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, summary, xyz_from_radiance
 from irodori.config.definitions import load_definitions, read_yaml
 from irodori.config.models import Size
+from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
@@ -31,7 +32,7 @@ from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.irradiance import fitted_irradiance_map
 from irodori.material.material_file import Material
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, prepare_scene, profiled, render_frame
-from irodori.rendering.scene_arrays import make_objects, make_placements, make_tracer, make_view
+from irodori.rendering.scene_arrays import make_objects, make_placements, make_view
 from irodori.simulation.virtual_rig.classroom import room_coefficients, source_spectra
 from irodori.simulation.virtual_rig.ground_truth import true_material
 from irodori.spectra.published import light
@@ -108,7 +109,7 @@ class Studio:
         levels = (np.load(folder / f"gloss-{number}.npy", mmap_mode="r") for number in range(count))
         self.gloss = GlossMaps(first, tuple(levels), points)
         placements = make_placements(self.scene, [Shape.from_definition(shape) for shape in shapes])
-        self.tracer = make_tracer(placements)
+        self.tracer = Tracer(placements)
         self.objects, _ = make_objects(placements, materials)
         self.environment = Environment(np.load(folder / "coefficients.npy", mmap_mode="r"), basis, irradiance)
         self.white = self.environment.upward_white()

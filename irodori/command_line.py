@@ -24,24 +24,21 @@ class Subcommand(NamedTuple):
         Dotted name.
     help : str
         One line.
-    passed_on : bool
-        Whether the module has subcommands of its own and this one's name is the first of its arguments.
     """
 
     module: str
     help: str
-    passed_on: bool = False
 
 
 SUBCOMMANDS = {
-    "status": Subcommand(_BENCH, "print the position of a rig's axes and the state of its controller", True),
-    "setup": Subcommand(_BENCH, "list, and change, settings of a controller that contradict its rig's file", True),
-    "home": Subcommand(_BENCH, "move every axis of a rig to its reference position", True),
-    "move": Subcommand(_BENCH, "move axes of a rig to angles", True),
-    "jog": Subcommand(_BENCH, "move axes of a rig by a small angle", True),
-    "shoot": Subcommand(_BENCH, "take one photograph", True),
-    "plan": Subcommand(_BENCH, "list the photographs of a session, or choose the most informative poses", True),
-    "capture": Subcommand(_BENCH, "start or continue a session: take the photographs that are missing", True),
+    "status": Subcommand(_BENCH, "print the position of a rig's axes and the state of its controller"),
+    "setup": Subcommand(_BENCH, "list, and change, settings of a controller that contradict its rig's file"),
+    "home": Subcommand(_BENCH, "move every axis of a rig to its reference position"),
+    "move": Subcommand(_BENCH, "move axes of a rig to angles"),
+    "jog": Subcommand(_BENCH, "move axes of a rig by a small angle"),
+    "shoot": Subcommand(_BENCH, "take one photograph"),
+    "plan": Subcommand(_BENCH, "list the photographs of a session, or choose the most informative poses"),
+    "capture": Subcommand(_BENCH, "start or continue a session: take the photographs that are missing"),
     "export": Subcommand("irodori.export.material_pictures", "write a material or a light as EXR, TIFF or ENVI"),
     "viewer": Subcommand("irodori.viewer.viewer_command", "write a scene's classroom page, or print what one holds"),
     "filters": Subcommand("irodori.calibration.filters", "rank filters for the second shot of a camera"),
@@ -77,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     name, *rest = arguments
     subcommand = SUBCOMMANDS[name]
     module = importlib.import_module(subcommand.module)
-    if subcommand.passed_on:
+    if subcommand.module == _BENCH:  # which has subcommands of its own
         return module.main(arguments, prog="irodori") or 0
     return module.main(rest, prog=f"irodori {name}") or 0
 

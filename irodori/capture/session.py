@@ -7,7 +7,7 @@ breaks the session off, the next one finds whole files and whole lines, and take
 import math
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -59,8 +59,6 @@ class Session:
         None where nothing stands on the rig, as for an environment.
     tally : Tally, optional
         Of `take_stock`, to be continued.
-    clock : callable
-        Seconds, monotonic.
     settle_s : float
         Time from the arrival of the motors to the shutter, s; a step by hand in between counts.
     """
@@ -73,12 +71,11 @@ class Session:
         rig: RigDevice | None,
         tally: Tally | None = None,
         *,
-        clock: Callable[[], float] = time.monotonic,
         settle_s: float = 0.0,
     ) -> None:
         self.camera, self.journal, self.rig = camera, journal, rig
         self.tally = tally or Tally()
-        self._hand, self._clock = HandSettings(operator), clock
+        self._hand = HandSettings(operator)
         self._settle_s, self._settled_at = settle_s, -math.inf
         self._stands: dict[str, float] = {}
         if rig is not None:
@@ -95,7 +92,7 @@ class Session:
         InputError
             If a photograph is broken or shot otherwise than asked for, `_TRIES` times in a row.
         """
-        begun = self._clock()
+        begun = time.monotonic()
         self.camera.prepare(self.journal.missing(planned))
         if self.rig is not None:
             # A plan that leaves the rig's limits is refused before anything moves.
@@ -107,7 +104,7 @@ class Session:
         for shot in track(self.journal.missing(planned), f"capture {label}"):
             self._take(shot)
         self.journal.finish(planned)
-        self.tally.seconds = self._clock() - begun
+        self.tally.seconds = time.monotonic() - begun
         return self.tally
 
     def _take(self, shot: Shot) -> None:
@@ -116,10 +113,10 @@ class Session:
         if self.rig is not None and (targets := motor_targets(shot, motorised)):
             self.rig.move(targets)
             if targets != self._stands:
-                self._stands, self._settled_at = targets, self._clock() + self._settle_s
+                self._stands, self._settled_at = targets, time.monotonic() + self._settle_s
         if self._hand.set(hand_settings(shot, motorised)):
             self.tally.operator_steps += 1
-        time.sleep(max(0.0, self._settled_at - self._clock()))
+        time.sleep(max(0.0, self._settled_at - time.monotonic()))
         path = self.journal.folder / shot.file
         temporary = path.with_name(_TEMPORARY + path.name)
         try:

@@ -13,7 +13,7 @@ from irodori.colour.tone_curves import SampledCurve
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.spectra.cgats import named_columns
-from irodori.spectra.tables import check_length, csv_rows, number
+from irodori.spectra.tables import csv_rows, number_rows
 
 _COLUMNS = ["red", "green", "blue", "X", "Y", "Z"]
 _ARGYLL = ["RGB_R", "RGB_G", "RGB_B", "XYZ_X", "XYZ_Y", "XYZ_Z"]
@@ -87,11 +87,7 @@ def _read(path) -> tuple[np.ndarray, np.ndarray]:
         header = [cell.strip() for cell in table[0][1]]
         if header != _COLUMNS:
             raise InputError(path, "line 1", ", ".join(header), f"the columns {', '.join(_COLUMNS)}")
-        values = []
-        for line, row in table[1:]:
-            check_length(row, header, path, line)
-            values.append([number(c, path, f"line {line}, {h}") for c, h in zip(row, header, strict=True)])
-        rows = np.array(values)
+        rows = np.array(number_rows(table, path))
         code = rows[:, :3]
     if (code < 0.0).any() or (code > 1.0 + 1e-9).any():
         raise InputError(path, "red, green, blue", f"code values from {code.min():g} to {code.max():g}", "0 to 1")

@@ -9,9 +9,10 @@ from contextlib import contextmanager
 from irodori.core.errors import PlainError
 
 LOGGER = logging.getLogger("irodori")
+_EVERY_S = 5.0  # between two lines in a log
 
 
-def track(items: Iterable, label: str, total: int | None = None, every_s: float = 5.0) -> Iterator:
+def track(items: Iterable, label: str) -> Iterator:
     """Yield the items, reporting how many are done.
 
     Parameters
@@ -19,13 +20,8 @@ def track(items: Iterable, label: str, total: int | None = None, every_s: float 
     items : iterable
     label : str
         What is being counted.
-    total : int, optional
-        Taken from the items' length where they have one.
-    every_s : float, s
-        Time between two lines in a log.
     """
-    if total is None and isinstance(items, Sized):
-        total = len(items)
+    total = len(items) if isinstance(items, Sized) else None
     # Inside a rule the terminal is Snakemake's and may show several jobs at once: progress goes to the rule's log.
     if sys.stderr.isatty() and not LOGGER.handlers:
         from tqdm import tqdm
@@ -36,7 +32,7 @@ def track(items: Iterable, label: str, total: int | None = None, every_s: float 
     for done, item in enumerate(items, start=1):
         yield item
         now = time.monotonic()
-        if now - last >= every_s or done == total:
+        if now - last >= _EVERY_S or done == total:
             LOGGER.info("%s: %d of %s", label, done, total if total is not None else "?")
             last = now
 

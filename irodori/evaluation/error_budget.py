@@ -19,6 +19,7 @@ from irodori.colour.colorimetry import summary, xyz_from_reflectance
 from irodori.config.models import Compress, EnvironmentMaps, Fit, ReferenceIntegrator, Render, Scene, Size
 from irodori.config.parts import Subject
 from irodori.core.progress import LOGGER, track
+from irodori.core.yaml_files import read_yaml
 from irodori.evaluation import error_prediction as draws
 from irodori.evaluation.known_errors import Known, colours, with_colours
 from irodori.evaluation.light_prediction import drawn_lights, family
@@ -361,9 +362,7 @@ def measure_error_budget(
     lights = Environment.load(inputs["environment"]), Environment.load(inputs["true_environment"])
     of_light = next((Calibration.load(path) for path in inputs["light_calibration"]), None)
     for path in inputs["plan"]:
-        from irodori.rendering.planning.plan_file import read_plan  # loads the interactive integrator
-
-        scene = with_planned_samples(scene, read_plan(path))
+        scene = with_planned_samples(scene, read_yaml(path))
     rows = error_budget(scene, view, shapes, objects, lights, options, calibration=of_light)
     write_rows(output, BudgetRow, _logged(rows))
 

@@ -137,13 +137,13 @@ class Spread:
 
     def blurred(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
         """Return a texture, (height, width, k), as samples see it: means over what is known of it, zero elsewhere."""
-        reach = [int(np.ceil(_REACH * deviation + 0.5)) for deviation in (self.rows, self.columns)]
-        top, bottom = _padded(values * known[..., None], reach, self.border), _padded(known, reach, self.border)
-        if self.border == "black":  # what lies beside the object is known: nothing shines there
-            bottom = np.pad(known.astype(np.float64), [(n, n) for n in reach], constant_values=1.0)
-        top, bottom = top, bottom[..., None]
-        for axis, deviation, extent in zip((0, 1), (self.rows, self.columns), reach, strict=True):
-            top, bottom = (_blurred_along(v, axis, deviation, extent) for v in (top, bottom))
+        top, bottom = values * known[..., None], known[..., None].astype(np.float64)
+        joined = self.border == "joined"
+        beyond = float(self.border == "black")  # what lies beside the object is known: nothing shines there
+        for axis, deviation in enumerate((self.rows, self.columns)):
+            mode = ("nearest", "wrap")[axis] if joined else "constant"
+            top = _blurred_along(top, axis, deviation, mode=mode)
+            bottom = _blurred_along(bottom, axis, deviation, mode=mode, cval=beyond)
         return np.where(known[..., None], np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0.0), 0.0)
 
     def undone(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -154,25 +154,14 @@ class Spread:
         return found
 
 
-def _padded(values: np.ndarray, reach: list[int], border: str) -> np.ndarray:
-    values = np.asarray(values, dtype=np.float64)
-    rows, columns = ((n, n) for n in reach)
-    rest = [(0, 0)] * (values.ndim - 2)
-    if border != "joined":
-        return np.pad(values, [rows, columns, *rest])
-    return np.pad(np.pad(values, [rows, (0, 0), *rest], mode="edge"), [(0, 0), columns, *rest], mode="wrap")
+def _blurred_along(values: np.ndarray, axis: int, deviation: float, **beyond) -> np.ndarray:
+    """Return values blurred along an axis: a texel is even over its side, the blur is Gaussian."""
+    from scipy import ndimage, special  # slow to import
 
-
-def _blurred_along(values: np.ndarray, axis: int, deviation: float, reach: int) -> np.ndarray:
-    """Return values at the inner texels along an axis: a texel is even over its side, the blur is Gaussian."""
-    from scipy.special import ndtr  # slow to import
-
-    steps = np.arange(-reach, reach + 1)
-    edges = (np.concatenate([steps - 0.5, [reach + 0.5]])) / max(deviation, 1e-9)
-    weights = np.diff(ndtr(edges))
-    weights /= weights.sum()
-    count = values.shape[axis] - 2 * reach
-    return sum(w * values.take(np.arange(n, n + count), axis=axis) for n, w in enumerate(weights))
+    reach = int(np.ceil(_REACH * deviation + 0.5))
+    edges = (np.arange(-reach, reach + 2) - 0.5) / max(deviation, 1e-9)
+    weights = np.diff(special.ndtr(edges))
+    return ndimage.convolve1d(values, weights / weights.sum(), axis=axis, **beyond)
 
 
 @dataclass(frozen=True)

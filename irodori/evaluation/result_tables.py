@@ -130,9 +130,3 @@ def read_rows(path, kind: type[Row]) -> list[Row]:
     with open(path, newline="", encoding="utf-8") as stream:
         kinds = get_type_hints(kind)
         return [kind(**{key: kinds[key](text) for key, text in row.items()}) for row in csv.DictReader(stream)]
-
-
-def read_errors(path) -> list[dict]:
-    """Return the rows of ``errors.csv`` as dictionaries of text."""
-    with open(path, newline="", encoding="utf-8") as stream:
-        return list(csv.DictReader(stream))

@@ -10,19 +10,17 @@ spectra are decoded a band of rows at a time. A material has layers ``T.<λ>nm``
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio
 
 from irodori.colour.colorimetry import xyz_from_radiance, xyz_from_reflectance
 from irodori.colour.display import rgb_from_xyz
 from irodori.core import store
-from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError, PlainError
 from irodori.export.envi import INTERLEAVES, write_envi
-from irodori.export.pictures import layer_names
+from irodori.export.pictures import layer_names, specification, write_picture_file
 from irodori.light.environment_file import Environment
 from irodori.light.omnidirectional import to_panorama
 from irodori.material.material_file import Material, gloss_maps
@@ -33,30 +31,12 @@ _ROWS = 32
 _ENVI_BANDS = [f"{wavelength:g} nm" for wavelength in WAVELENGTH_NM]  # a comma would part the list
 
 
-def _bands(height: int, rows: Callable[[slice], np.ndarray]) -> Iterator[tuple[int, int, np.ndarray]]:
-    for first in range(0, height, _ROWS):
-        last = min(first + _ROWS, height)
-        yield first, last, np.ascontiguousarray(rows(slice(first, last)), dtype=np.float32)
-
-
-def _write(path: Path, size: tuple[int, int], names: list[str], attributes: dict, rows: Callable) -> None:
-    """Write a picture whose channels come a band of rows at a time; it takes its name when it is whole."""
-    height, width = size
-    spec = oiio.ImageSpec(width, height, len(names), "float")
-    spec.channelnames = tuple(names)
-    spec.attribute("compression", "zip")
-    spec.attribute("oiio:RowsPerStrip", _ROWS)
-    for name, value in attributes.items():
-        spec.attribute(name, value)
-    output = oiio.ImageOutput.create(str(path))
-    if output is None:
-        raise OSError(f"{path}: {oiio.geterror()}")
-    with written_whole(path) as temporary:
-        done = output.open(str(temporary), spec)
-        for first, last, values in _bands(height, rows):
-            done = done and output.write_scanlines(first, last, 0, values)
-        if not (done and output.close()):
-            raise OSError(f"{path}: {output.geterror()}")
+def _write(path, size: tuple[int, int], names: list[str], attributes: dict, rows: Callable) -> None:
+    """Write a picture whose channels are made a band of rows at a time."""
+    height, _ = size
+    spec = specification(size, names, {"compression": "zip", "oiio:RowsPerStrip": _ROWS, **attributes})
+    parts = (slice(first, min(first + _ROWS, height)) for first in range(0, height, _ROWS))
+    write_picture_file(path, spec, (rows(part).astype(np.float32, copy=False) for part in parts))
 
 
 def _attributes(units: str, names: list[str]) -> dict:
@@ -110,7 +90,7 @@ def export_material(source, path, interleave: str = "bsq") -> None:
         write_envi(beside, size, own, maps, interleave=interleave, units=ratios)
         return
     units = f"{reflectance}; {ratios}"
-    _write(Path(path), material.alpha.shape, names, _attributes(units, names), rows)
+    _write(path, material.alpha.shape, names, _attributes(units, names), rows)
 
 
 def export_environment(source, path, interleave: str = "bsq") -> None:
@@ -145,7 +125,7 @@ def export_environment(source, path, interleave: str = "bsq") -> None:
         write_envi(path, size, _ENVI_BANDS, decoded, interleave=interleave, units=units)
         return
     attributes = _attributes(units, names) | {"emissiveUnits": units}
-    _write(Path(path), environment.coefficients.shape[:2], names, attributes, rows)
+    _write(path, environment.coefficients.shape[:2], names, attributes, rows)
 
 
 def _is_envi(path) -> bool:

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,18 +19,41 @@ def layer_names(kind: str) -> list[str]:
     return [f"{kind}." + f"{wavelength:.6f}nm".replace(".", ",") for wavelength in WAVELENGTH_NM]
 
 
-def channel_names() -> list[str]:
-    """Return the channels of an emissive spectral EXR."""
-    return layer_names("S0")
+def specification(size: tuple[int, int], names: list[str], attributes: dict, kind: str = "float") -> oiio.ImageSpec:
+    """Return what OpenImageIO is to know of a picture: height and width, channels, attributes and type of numbers."""
+    height, width = size
+    spec = oiio.ImageSpec(width, height, len(names), kind)
+    spec.channelnames = tuple(names)
+    for name, value in attributes.items():
+        spec.attribute(name, value)
+    return spec
 
 
-def _write(path, pixels: np.ndarray, spec: oiio.ImageSpec) -> None:
-    path = Path(path)
+def write_picture_file(path, spec: oiio.ImageSpec, bands: Iterable[np.ndarray]) -> None:
+    """Write a picture, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        Its suffix tells the format.
+    spec : ImageSpec
+    bands : iterable of (rows, width, channels)
+        From the top; the numbers are of the type that the file gets.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    output = oiio.ImageOutput.create(str(path))
+    if output is None:
+        raise OSError(f"{path}: {oiio.geterror()}")
     with written_whole(path) as temporary:
-        output = oiio.ImageOutput.create(str(temporary))
-        if output is None:
-            raise OSError(f"{path}: {oiio.geterror()}")
-        if not (output.open(str(temporary), spec) and output.write_image(pixels) and output.close()):
+        done, first = output.open(str(temporary), spec), 0
+        for rows in bands:
+            done = done and output.write_scanlines(first, first + len(rows), 0, np.ascontiguousarray(rows))
+            first += len(rows)
+        if not (done and output.close()):
             raise OSError(f"{path}: {output.geterror()}")
 
 
@@ -45,16 +68,10 @@ def write_spectral_exr(path, radiance: np.ndarray, rgb: np.ndarray, attributes: 
     attributes : dict of str
         Further text attributes.
     """
-    height, width = radiance.shape[:2]
-    names = ["R", "G", "B", *channel_names()]
-    spec = oiio.ImageSpec(width, height, len(names), "float")
-    spec.channelnames = names
-    spec.attribute("compression", "zip")
-    spec.attribute("spectralLayoutVersion", "1.0")
-    spec.attribute("emissiveUnits", "relative spectral radiance")
-    for name, value in attributes.items():
-        spec.attribute(name, value)
-    _write(path, np.ascontiguousarray(np.concatenate([rgb, radiance], axis=-1), dtype=np.float32), spec)
+    names = ["R", "G", "B", *layer_names("S0")]
+    own = {"compression": "zip", "spectralLayoutVersion": "1.0", "emissiveUnits": "relative spectral radiance"}
+    pixels = np.concatenate([rgb, radiance], axis=-1).astype(np.float32, copy=False)
+    write_picture_file(path, specification(radiance.shape[:2], names, own | attributes), [pixels])
 
 
 _LAYER = re.compile(r"(S0|T)\.(\d*,?\d+(?:[eE][+-]?\d+)?)(Y|Z|E|P|T|G|M|k|h|da|d|c|m|u|n|p)?(m|Hz)")
@@ -247,12 +264,8 @@ def write_xyz_exr(path, xyz: np.ndarray, attributes: dict[str, str]) -> None:
     attributes : dict of str
         Text attributes.
     """
-    spec = oiio.ImageSpec(xyz.shape[1], xyz.shape[0], 3, "float")
-    spec.channelnames = ["X", "Y", "Z"]
-    spec.attribute("compression", "zip")
-    for name, value in attributes.items():
-        spec.attribute(name, value)
-    _write(path, np.ascontiguousarray(xyz, dtype=np.float32), spec)
+    spec = specification(xyz.shape[:2], ["X", "Y", "Z"], {"compression": "zip", **attributes})
+    write_picture_file(path, spec, [xyz.astype(np.float32, copy=False)])
 
 
 def read_xyz(path, matrix: np.ndarray) -> np.ndarray:
@@ -288,14 +301,11 @@ def write_display_picture(path, pixels: np.ndarray, profile: bytes, attributes: 
     attributes : dict of str
         Text attributes; a TIFF, which has no place for them, holds them in its description.
     """
-    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, str(pixels.dtype))
+    if Path(path).suffix != ".png":
+        listed = "; ".join(f"{name} {value}" for name, value in attributes.items())
+        attributes = {"ImageDescription": listed, "compression": "zip"}
+    spec = specification(pixels.shape[:2], ["R", "G", "B"], attributes, str(pixels.dtype))
     spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{len(profile)}]"), np.frombuffer(profile, dtype=np.uint8))
     # Chunks that would name sRGB beside the profile are left out; the profile alone tells.
     spec.attribute("oiio:ColorSpace", "unknown")
-    if Path(path).suffix == ".png":
-        for name, value in attributes.items():
-            spec.attribute(name, value)
-    else:
-        spec.attribute("ImageDescription", "; ".join(f"{name} {value}" for name, value in attributes.items()))
-        spec.attribute("compression", "zip")
-    _write(path, np.ascontiguousarray(pixels), spec)
+    write_picture_file(path, spec, [pixels])

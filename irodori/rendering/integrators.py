@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from irodori.config.models import InteractiveIntegrator, ReferenceIntegrator, Render, Scene, Size
+from irodori.config.models import InteractiveIntegrator, ReferenceIntegrator, Render, Scene
 from irodori.core.progress import LOGGER
+from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.frame_state import STILL, Moment, turned_scene
-from irodori.rendering.scene_arrays import make_objects, make_placements, make_tracer, make_view
+from irodori.rendering.scene_arrays import make_objects, make_placements, make_view
 from irodori.spectra.published import refractive_index, spectrum
 
 #: Options where a configuration gives none.
@@ -88,7 +89,7 @@ def _planned(renderer: "Renderer", view_name: str, plan: dict, check: bool, fold
     if renderer.kind == "interactive":
         from irodori.rendering.planning.planned_picture import parts_of, render_planned
 
-        parts = parts_of(scene, renderer.objects, renderer.environment, make_tracer(placements))
+        parts = parts_of(scene, renderer.objects, renderer.environment, Tracer(placements))
         return renderer.described(*render_planned(scene, view_name, parts, renderer.options, plan, check))
     picture, figures = renderer.picture(view_name, tiles_folder=folder)
     if check:
@@ -227,7 +228,7 @@ class _Interactive(Renderer):
             self.objects,
             light,
             GlossMaps.stored(environment) or GlossMaps.of(environment.coefficients),
-            make_tracer(make_placements(self.scene, self.shapes)),
+            Tracer(make_placements(self.scene, self.shapes)),
             self.representation,
             np.ones(BANDS) if self.white is None else self.white,  # bands need none
             lamps=lights.spectrum[:, :BANDS],
@@ -248,7 +249,7 @@ class _Interactive(Renderer):
         moment = moment.seen_from("objects")
         scene, prepared = turned_scene(self.scene, moment), self.light(moment)
         side, size = self.options.pixel_side, scene.image
-        view = make_view(scene.views[view_name], Size(width=side * size.width, height=side * size.height))
+        view = make_view(scene.views[view_name], size).finer(side)
         lights = make_lights(scene.lights, 0)[0]
         frame = {
             "world_from_light": moment.rotation("environment"),

@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import look_at, rotation_xyz
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
@@ -85,6 +84,10 @@ class View(NamedTuple):
     kind: int = PERSPECTIVE
     lens_mm: float = 0.0  # diameter of the lens, 0 for a pinhole
     focus_mm: float = 1.0  # along the line of sight to the plane in focus; not read without a lens
+
+    def finer(self, side: int) -> "View":
+        """Return the view whose pixels are the rays of this one's, so many along each side of a pixel."""
+        return self._replace(focal_px=side * self.focal_px, width=side * self.width, height=side * self.height)
 
 
 def make_placements(scene: "Scene | Staging", shapes: list[Shape]) -> list[Placement]:
@@ -218,8 +221,3 @@ def make_view(view: "SeenFrom", image: "Size") -> View:
         diameter_mm,
         focus_mm,
     )
-
-
-def make_tracer(placements: list[Placement]) -> Tracer:
-    """Return the tracer of the scene's placements."""
-    return Tracer(placements)

@@ -11,6 +11,7 @@ from irodori.colour.display import Display, make_display, srgb
 from irodori.config.models import ObjectShape, Render, Scene
 from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER
+from irodori.core.yaml_files import read_yaml
 from irodori.export.pictures import read_xyz, write_display_picture, write_spectral_exr, write_xyz_exr
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
@@ -38,11 +39,7 @@ def render_view(
     The EXR holds spectra, or XYZ where a plan does not carry them. Nothing is written of a picture whose check against
     its plan's tolerance fails.
     """
-    plan = None
-    if plan_file:
-        from irodori.rendering.planning.plan_file import read_plan  # loads the interactive integrator
-
-        plan = read_plan(plan_file)
+    plan = read_yaml(plan_file) if plan_file else None
     display = make_display(scene.display.device)
     materials = [Material.load(path) for path in material_files]
     environment = Environment.load(environment_file)

@@ -7,7 +7,7 @@ from pathlib import Path
 from irodori.core import store
 from irodori.evaluation.coefficient_storage import storage_sentence
 from irodori.evaluation.registration_errors import summarise
-from irodori.evaluation.result_tables import BudgetRow, CostRow, PlanRow, RegistrationRow, read_errors, read_rows
+from irodori.evaluation.result_tables import BudgetRow, CostRow, ErrorRow, PlanRow, RegistrationRow, read_rows
 from irodori.material.material_file import Material
 from irodori.reflection.registry import lobe
 from irodori.report.calibration_part import camera_calibrations
@@ -129,7 +129,7 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
         views=rendered_views(names["views"], inputs["pictures"], inputs["figures"], true_views),
         pages=names["pages"],
         photographs=_pictures(names["photographs"], inputs["comparisons"], inputs["comparison_figures"]),
-        errors=read_errors(inputs["errors"]),
+        errors=read_rows(inputs["errors"], ErrorRow),
         budgets={
             n: read_rows(path, BudgetRow) for n, path in zip(names["virtual_views"], inputs["budgets"], strict=True)
         },

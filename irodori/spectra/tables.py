@@ -93,11 +93,7 @@ def column_table(path, max_gap_nm: float = MAX_GAP_NM) -> tuple[list[str], list[
     """
     rows = csv_rows(path)
     header = [cell.strip() for cell in rows[0][1]]
-    table = []
-    for line, row in rows[1:]:
-        check_length(row, header, path, line)
-        table.append([number(c, path, f"line {line}, {h}") for c, h in zip(row, header, strict=True)])
-    columns = [list(column) for column in zip(*table, strict=True)]
+    columns = [list(column) for column in zip(*number_rows(rows, path), strict=True)]
     check_wavelengths(columns[0], path, header[0], max_gap_nm)
     return header[1:], columns[0], columns[1:]
 
@@ -136,10 +132,7 @@ def brdf_table(path) -> tuple[list[float], list[list[float]], list[list[float]]]
         raise InputError(path, "line 1", ", ".join(header[: len(wanted)]), accepted)
     wavelength = [number(cell, path, f"header column {i + 5}") for i, cell in enumerate(header[4:])]
     check_wavelengths(wavelength, path)
-    table = []
-    for line, row in rows[1:]:
-        check_length(row, header, path, line)
-        table.append([number(c, path, f"line {line}, {h}") for c, h in zip(row, header, strict=True)])
+    table = number_rows(rows, path)
     return wavelength, [row[:4] for row in table], [row[4:] for row in table]
 
 
@@ -162,6 +155,21 @@ def csv_rows(path) -> list[tuple[int, list[str]]]:
     if len(rows) < 2 or len(rows[0][1]) < 2:
         raise InputError(path, "", f"{len(rows)} lines", "a header and at least one row of two columns")
     return rows if separator == "," else with_decimal_points(rows, path)
+
+
+def number_rows(rows: list[tuple[int, list[str]]], path) -> list[list[float]]:
+    """Return what the rows of `csv_rows` under the header hold, a number under each name.
+
+    Raises
+    ------
+    InputError
+        For a row of another length than the header, and for a cell that holds no finite number.
+    """
+    header, found = rows[0][1], []
+    for line, row in rows[1:]:
+        check_length(row, header, path, line)
+        found.append([number(c, path, f"line {line}, {h.strip()}") for c, h in zip(row, header, strict=True)])
+    return found
 
 
 def with_decimal_points(rows: list[tuple[int, list[str]]], path) -> list[tuple[int, list[str]]]:

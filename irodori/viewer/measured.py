@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights, delta_e, lab_from_xyz
+from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes.placement import Placement
 from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.rendering.interactive.cube_maps import face_directions, fill_borders, look_up_cube
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, Prepared, light_of, prepare_scene, render_frame
 from irodori.rendering.interactive.prepared_scene import padded
-from irodori.rendering.scene_arrays import Objects, View, make_tracer
+from irodori.rendering.scene_arrays import Objects, View
 from irodori.spectra.grid import SAMPLES
 from irodori.viewer.scene_data import BORDER, HALVED_FROM, LightMaps, decoded_shadows, finer
 
@@ -72,7 +73,7 @@ def prepared(parts: Parts, decoded: Decoded | None = None) -> Prepared:
         parts.objects if decoded is None else decoded.objects,
         light_of(light),
         gloss,
-        make_tracer(parts.placements),
+        Tracer(parts.placements),
         "spectral",
         np.ones(SAMPLES),
         lamps=parts.lamps,

@@ -1,5 +1,6 @@
 """A working directory with the repository's configuration, and how the tests of configuration change and load it."""
 
+import copy
 from pathlib import Path
 
 import pytest
@@ -17,18 +18,32 @@ PLATE_FILE, CAMERA_FILE, ROOM_FILE = (
 )
 
 
-def edit(root: Path, file: str, path: str, value) -> None:
-    """Change one key of a file; `path` is dotted, numbers are indexes, value ... removes the key."""
-    target = root / "config" / file
-    block = content = read_yaml(target)
+def put(definition: dict, path: str, value) -> dict:
+    """Return a copy with one key changed; `path` is dotted, numbers are indexes, ... removes the key."""
+    changed = copy.deepcopy(definition)
     *parents, last = [int(part) if part.isdigit() else part for part in path.split(".")]
+    block = changed
     for part in parents:
         block = block[part]
     if value is ...:
         del block[last]
     else:
         block[last] = value
-    target.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return changed
+
+
+def edit(root: Path, file: str, path: str, value) -> None:
+    """Change one key of a file as `put` does."""
+    target = root / "config" / file
+    target.write_text(yaml.safe_dump(put(read_yaml(target), path, value)), encoding="utf-8")
+
+
+def leaf_paths(value, path=()):
+    """Yield the path of every key and item."""
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in items:
+        yield (*path, key)
+        yield from leaf_paths(inner, (*path, key))
 
 
 def load(root: Path, **make) -> Loaded:

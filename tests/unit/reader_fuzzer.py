@@ -150,7 +150,7 @@ def picture_readers() -> dict[str, Reader]:
     from irodori.colour.icc import Profile, write_profile
     from irodori.colour.tone_curves import SampledCurve
     from irodori.config.models import ProfileDisplay
-    from irodori.export.pictures import channel_names
+    from irodori.export.pictures import layer_names
     from irodori.light.light_files import rgb_picture, spectral_picture
 
     def profile(curve) -> Callable[[Path], object]:
@@ -183,7 +183,7 @@ def picture_readers() -> dict[str, Reader]:
         "ICC of samples": Reader("b.icc", profile(SampledCurve(np.linspace(0, 1, 64) ** 2)), display),
         "EXR of RGB": Reader("zip.exr", picture(["R", "G", "B"], "zip"), bands(rgb_picture)),
         "EXR in tiles": Reader("tiles.exr", picture(["R", "G", "B"], "piz", 16), bands(rgb_picture)),
-        "EXR of spectra": Reader("spectra.exr", picture(channel_names()[::4], "zips"), bands(spectral_picture)),
+        "EXR of spectra": Reader("spectra.exr", picture(layer_names("S0")[::4], "zips"), bands(spectral_picture)),
         "Radiance HDR": Reader("a.hdr", picture(["R", "G", "B"], "rle"), bands(rgb_picture)),
     }
 

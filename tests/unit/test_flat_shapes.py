@@ -232,13 +232,13 @@ def test_an_eye_exactly_in_the_plane_of_a_flat_shape_sees_what_the_tracer_says(s
     import dataclasses
 
     from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene, render_frame
-    from irodori.rendering.scene_arrays import make_objects, make_tracer, make_view
+    from irodori.rendering.scene_arrays import make_objects, make_view
 
     placements = [Placement(shape, rotation_xyz(turn)), Placement(BALL, translation_mm=np.array([0.0, 0.0, 30.0]))]
     objects, _ = make_objects(placements, [material(0.5, mirror=0.2)] * 2)
     light = constant_light()
     gloss, white = gloss_maps(light), light.upward_white()
-    ready = prepare_scene(objects, light_of(light), gloss, make_tracer(placements), "coefficients", white)
+    ready = prepare_scene(objects, light_of(light), gloss, Tracer(placements), "coefficients", white)
     everything = dataclasses.replace(ready, world=ready.world._replace(bounded=0))
     eye = rotation_xyz(turn) @ np.array([-30.0, -70.0, 0.0])
     definition = {"position_mm": eye, "target_mm": [3.0, 5.0, 4.0], "up": [0.0, 0.0, 1.0], "field_of_view_deg": 90.0}

@@ -6,7 +6,7 @@ import time
 import pytest
 import yaml
 from damage import cut, flip, places, shares
-from definitions import ROOT
+from definitions import ROOT, leaf_paths
 from depth import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -47,14 +47,6 @@ def with_content(root, file: str, content: bytes) -> None:
         check(root, file)
     finally:
         path.write_bytes(before)
-
-
-def leaf_paths(value, path=()):
-    """Yield the path of every key and item."""
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, inner in items:
-        yield (*path, key)
-        yield from leaf_paths(inner, (*path, key))
 
 
 @pytest.mark.stability(stage="fuzzing", case="configuration")

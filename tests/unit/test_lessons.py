@@ -26,10 +26,10 @@ def with_step(root, scene="still-life", **step):
 
 
 FAULTS = [
-    ({"view": "fornt"}, "lesson.steps[0].view", "did you mean front"),
+    ({"view": "fornt"}, "lesson.steps[0].view", "did you mean 'front'"),
     ({"view": "front", "camera": {"target_mm": [0, 0, 0], "azimuth_deg": 0, "elevation_deg": 0, "distance_mm": 9}},
      "lesson.steps[0].camera", "one of the two"),
-    ({"objects": [{"name": "leaf-spere"}]}, "lesson.steps[0].objects[0].name", "did you mean leaf-sphere"),
+    ({"objects": [{"name": "leaf-spere"}]}, "lesson.steps[0].objects[0].name", "did you mean 'leaf-sphere'"),
     ({"light": {"environment": "cellar"}}, "lesson.steps[0].light.environment", "classroom"),
     ({"light": {"illuminant": {"name": "D66"}}}, "lesson.steps[0].light.illuminant.name", "D65"),
     ({"light": {"lamps": [{**LAMP, "illuminant": {"name": "sun"}}]}},

@@ -26,13 +26,14 @@ from scenes import (
 
 from irodori.config.models import Size, View
 from irodori.fitting.solvers import FitOptions, fit
+from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes.placement import Placement
 from irodori.material.material_file import Material
 from irodori.reflection.lobe import Lobe
 from irodori.reflection.registry import register
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, prepare_scene, render_frame
 from irodori.rendering.interactive.round_lobes import ANGLES, ROUGHNESSES, lobe_table, roughness_at
-from irodori.rendering.scene_arrays import make_objects, make_tracer, make_view
+from irodori.rendering.scene_arrays import make_objects, make_view
 
 register(Lobe.of_module(toy_lobe))
 
@@ -167,7 +168,7 @@ def interactive(components, light, n=1.5, k=0.0, lamps=(), size=(41, 41)):
     shapes, materials, places = beside(BALL, components, n, k)
     placements = [Placement(shape, translation_mm=np.array(p)) for shape, p in zip(shapes, places, strict=True)]
     objects, _ = make_objects(placements, materials)
-    ready = prepare_scene(objects, light_of(light), gloss_maps(light), make_tracer(placements),
+    ready = prepare_scene(objects, light_of(light), gloss_maps(light), Tracer(placements),
                           "coefficients", ONES, lamps=np.ones((len(lamps), 61)), least_throughput=0.0,
                           half=False)  # fmt: skip
     seen = {"position_mm": (0.0, -200.0, 0.0), "target_mm": (0.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0),

@@ -15,7 +15,7 @@ from irodori.colour.display import srgb
 from irodori.config.models import ObjectShape, Render, Scene
 from irodori.core import store
 from irodori.core.errors import InputError
-from irodori.export.pictures import channel_names, read_spectral_exr, write_display_picture, write_spectral_exr
+from irodori.export.pictures import layer_names, read_spectral_exr, write_display_picture, write_spectral_exr
 from irodori.rendering.stage import render_view, write_tiff, write_xyz
 from irodori.report.html_page import fragment
 from irodori.report.page import rendered_views
@@ -43,7 +43,7 @@ def test_layers_are_named_as_the_published_layout_says(tmp_path):
     names, spec = list(source.spec().channelnames), source.spec()
     source.close()
     expected = [f"S0.{wavelength},000000nm" for wavelength in range(400, 701, 5)]
-    assert channel_names() == expected
+    assert layer_names("S0") == expected
     assert sorted(names) == sorted(["R", "G", "B", *expected])
     assert spec.getattribute("spectralLayoutVersion") == "1.0" and spec.getattribute("emissiveUnits")
     assert spec.getattribute("irodori:test") == "yes"

@@ -10,7 +10,7 @@ from scenes import constant_light
 from irodori.colour.colorimetry import delta_e, delta_e_reflectance, lab_from_xyz, xyz_from_radiance
 from irodori.config.parts import Staging
 from irodori.core import store
-from irodori.evaluation.result_tables import read_errors
+from irodori.evaluation.result_tables import ErrorRow, read_rows
 from irodori.evaluation.truth_errors import (
     environment_errors,
     interior,
@@ -73,7 +73,7 @@ def test_the_pictures_error_in_the_table_is_plain_ciede2000_up_to_white_and_scal
     names = {"cameras": [], "objects": [], "environments": [], "views": ["s/v"], "view_environments": ["e"]}
     scene = Staging.of({"lights": [], "display": {"exposure": "auto"}})
     measure_errors(inputs, names, [scene], ["D65"], tmp_path / "errors.csv")
-    row, objects = read_errors(tmp_path / "errors.csv")
+    row, objects = read_rows(tmp_path / "errors.csv", ErrorRow)
     matrix = xyz_from_radiance(np.ones(61))
     pair = [radiance.astype(float) @ matrix.T for radiance in (truth, found)]
     scale = pair[0][bright][..., 1:2] / 100.0
@@ -84,8 +84,8 @@ def test_the_pictures_error_in_the_table_is_plain_ciede2000_up_to_white_and_scal
     lab = [colour.XYZ_to_Lab(xyz / 100.0, white_xy) for xyz in pair]
     expected = colour.difference.delta_E_CIE2000(*lab)
     for name, value in (("mean", expected.mean()), ("p95", np.percentile(expected, 95)), ("max", expected.max())):
-        assert float(row[name]) == pytest.approx(value, rel=2e-3), name
-    assert float(objects["mean"]) == pytest.approx(expected.sum() / (6 * 8 - 2 * 5), rel=2e-3)
+        assert getattr(row, name) == pytest.approx(value, rel=2e-3), name
+    assert objects.mean == pytest.approx(expected.sum() / (6 * 8 - 2 * 5), rel=2e-3)
 
 
 def test_a_pictures_error_is_judged_against_a_white_that_counts_the_scenes_lights(tmp_path):
@@ -106,7 +106,7 @@ def test_a_pictures_error_is_judged_against_a_white_that_counts_the_scenes_light
         names = {"cameras": [], "objects": [], "environments": [], "views": ["s/v"], "view_environments": ["e"]}
         scene = Staging.of({"lights": lights, "display": {"exposure": exposure}})
         measure_errors(inputs, names, [scene], ["D65"], tmp_path / "errors.csv")
-        found[label] = float(read_errors(tmp_path / "errors.csv")[0]["mean"])
+        found[label] = read_rows(tmp_path / "errors.csv", ErrorRow)[0].mean
     white = 0.5 + 4.5 * unit_luminance("D65")
     assert found["lit"] == pytest.approx(radiance_delta_e(truth, pictures["found"], white).mean(), rel=1e-4)
     assert found["exposed"] == pytest.approx(
@@ -200,12 +200,12 @@ def test_the_outcome_of_a_fit_and_of_a_calibration_stand_in_the_table(tmp_path):
     inputs |= {"view_lights": [], "views": [], "true_views": []}
     names = {"cameras": ["cam"], "objects": ["tile"], "environments": ["room"], "views": [], "view_environments": []}
     measure_errors(inputs, names, [], ["D65", "A"], tmp_path / "errors.csv")
-    rows = {(row["subject"], row["quantity"], row["light"]): row for row in read_errors(tmp_path / "errors.csv")}
-    assert float(rows["cam", "leave-one-patch-out spectral RMSE", ""]["mean"]) == 0.02
-    assert float(rows["cam", "leave-one-patch-out CIEDE2000", "D65"]["max"]) == 2.0
+    rows = {(row.subject, row.quantity, row.light): row for row in read_rows(tmp_path / "errors.csv", ErrorRow)}
+    assert rows["cam", "leave-one-patch-out spectral RMSE", ""].mean == 0.02
+    assert rows["cam", "leave-one-patch-out CIEDE2000", "D65"].max == 2.0
     assert ("cam", "leave-one-patch-out CIEDE2000", "A") not in rows
     row = rows["tile", "residual over response", ""]
-    assert float(row["mean"]) == pytest.approx(0.0225) and row["count"] == "144"
-    assert float(rows["tile", "share of texels: ok", ""]["mean"]) == 0.75
-    assert float(rows["tile", "share of texels: mu unidentifiable", ""]["mean"]) == 0.25
+    assert row.mean == pytest.approx(0.0225) and row.count == 144
+    assert rows["tile", "share of texels: ok", ""].mean == 0.75
+    assert rows["tile", "share of texels: mu unidentifiable", ""].mean == 0.25
     assert ("tile", "alpha / S_G - 1", "") in rows and ("room", "light CIEDE2000", "") in rows

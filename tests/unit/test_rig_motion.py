@@ -4,7 +4,7 @@ import copy
 
 import pytest
 import yaml
-from definitions import ROOT
+from definitions import ROOT, put
 
 from irodori.capture.rig.connect import open_rig
 from irodori.config.cross_checks.rig_motion import check_motion
@@ -32,16 +32,7 @@ def rig(motion: dict) -> Rig:
 
 def changed(protocol: str, path: str, value) -> Rig:
     """Return a rig with one key of its motion changed; ... removes it."""
-    motion = copy.deepcopy(EXAMPLES[protocol])
-    *parents, last = path.split(".")
-    block = motion
-    for part in parents:
-        block = block[part]
-    if value is ...:
-        del block[last]
-    else:
-        block[last] = value
-    return rig(motion)
+    return rig(put(EXAMPLES[protocol], path, value))
 
 
 @pytest.mark.parametrize("protocol", ["grbl", "ascii"])

@@ -2,10 +2,10 @@
 
 import copy
 import re
-from pathlib import Path
 
 import pytest
 import yaml
+from definitions import ROOT, leaf_paths, put
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
@@ -15,26 +15,10 @@ from irodori.config.validation import SCHEMA_FOLDER, SCHEMAS, load_schema, valid
 from irodori.core.errors import InputError
 from irodori.fitting.solvers import SOLVERS
 
-ROOT = Path(__file__).resolve().parents[2]
-
 
 def example(kind: str, name: str) -> dict:
     """Return a definition of the repository's own."""
     return read_yaml(ROOT / "config" / kind / f"{name}.yaml")
-
-
-def put(definition: dict, path: str, value) -> dict:
-    """Return a copy with one key changed; `path` is dotted, numbers are indexes, ... removes the key."""
-    changed = copy.deepcopy(definition)
-    *parents, last = [int(part) if part.isdigit() else part for part in path.split(".")]
-    block = changed
-    for part in parents:
-        block = block[part]
-    if value is ...:
-        del block[last]
-    else:
-        block[last] = value
-    return changed
 
 
 def refused(definition, schema: str) -> InputError:
@@ -277,14 +261,6 @@ _PLAIN = st.recursive(
     ),
     max_leaves=6,
 )
-
-
-def leaf_paths(value, path=()):
-    """Yield the path of every key and item."""
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, inner in items:
-        yield (*path, key)
-        yield from leaf_paths(inner, (*path, key))
 
 
 @pytest.mark.stability(stage="fuzzing", case="configuration")

@@ -1,11 +1,11 @@
 """Checks of a scene's lesson against the scene: what its steps name has to be there."""
 
-import difflib
 from collections.abc import Iterable
 from pathlib import Path
 
 from irodori.config.models import LessonLight, LessonStep, NamedIlluminant, Scene
 from irodori.config.placed_names import object_names
+from irodori.config.validation import suggest
 from irodori.core.errors import InputError, is_file
 from irodori.spectra.published_names import ILLUMINANTS
 
@@ -43,9 +43,7 @@ def check_lesson(scene: Scene, root: Path, file) -> None:
 def _check_name(name: str, known: Iterable[str], file, field: str) -> None:
     listed = list(known)
     if name not in listed:
-        near = difflib.get_close_matches(name, listed, n=1)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        raise InputError(file, field, f"{name}, which is not there{hint}", ", ".join(listed))
+        raise InputError(file, field, f"{name}, which is not there", suggest(name, listed))
 
 
 def _check_light(light: LessonLight, file, field: str) -> None:

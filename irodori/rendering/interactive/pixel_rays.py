@@ -93,7 +93,7 @@ def render_pixels(
         Rays along each side of a pixel, whose mean is taken; their cones are as much narrower.
     lamps : tuple of Lamp
     """
-    fine = view._replace(focal_px=view.focal_px * side, width=view.width * side, height=view.height * side)
+    fine = view.finer(side)
     parts = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(1, -1, 2)
     places = side * np.asarray(pixels).reshape(-1, 1, 2) + parts + 0.5
     found = render_rays(prepared, fine, rays_through(fine, places.reshape(-1, 2)), lamps)

@@ -16,7 +16,7 @@ from irodori.rendering.interactive.frame_renderer import Prepared, light_of, pre
 from irodori.rendering.interactive.prepared_scene import levels_by_lobe
 from irodori.rendering.interactive.quadrature import Quadrature, path_spectra, solve_quadrature
 from irodori.rendering.interactive.round_lobes import TAPS, lobe_table
-from irodori.rendering.scene_arrays import Light, Objects, coefficients_of, gloss_of, make_light
+from irodori.rendering.scene_arrays import Light, Objects, coefficients_of, gloss_of, make_light, textures
 from irodori.spectra.grid import SAMPLES
 
 _CORNERS = 4  # of a bilinear look-up
@@ -113,13 +113,6 @@ def full_model(parts: Parts, max_bounces: int, ambient: bool) -> Model:
     )
 
 
-def texture_of(objects: Objects, index: int) -> np.ndarray:
-    """Return an object's texels, (rows, columns, k + 2 c)."""
-    columns, rows = objects.texture_size[index]
-    first = objects.first_texel[index]
-    return objects.texels[first : first + rows * columns].reshape(rows, columns, -1)
-
-
 def coarser(texture: np.ndarray, level: int) -> np.ndarray:
     """Return a texture whose texels are the means of squares of 2**level texels, fewer at the ends."""
     side = 2**level
@@ -137,12 +130,12 @@ def coarser(texture: np.ndarray, level: int) -> np.ndarray:
 def is_diffuse(objects: Objects, index: int) -> bool:
     """Return whether an object has a diffuse term anywhere."""
     used = objects.basis[index].any(axis=1)
-    return bool(coefficients_of(objects, texture_of(objects, index))[..., used].any())
+    return bool(coefficients_of(objects, textures(objects)[index])[..., used].any())
 
 
 def beta_of(objects: Objects, index: int) -> np.ndarray:
     """Return the largest β of the gloss components of an object's texels, (rows, columns), 0 where μ is 0."""
-    return np.maximum.reduce([beta for beta, _ in gloss_of(objects, texture_of(objects, index))])
+    return np.maximum.reduce([beta for beta, _ in gloss_of(objects, textures(objects)[index])])
 
 
 def levels_of_lobes(objects: Objects, gloss: tuple[bool, ...], finest: int) -> tuple[int, int]:
@@ -227,7 +220,7 @@ def reduced_objects(objects: Objects, model: Model) -> Objects:
     """Return the objects of a model: without the lobes that are left out, with coarser textures."""
     texels, first, sizes = [], [0], []
     for index in range(len(objects.bases)):
-        texture = coarser(texture_of(objects, index), model.texture_halvings[index])
+        texture = coarser(textures(objects)[index], model.texture_halvings[index])
         if not model.gloss[index]:
             texture = texture.copy()
             texture[..., coefficients_of(objects, texture).shape[-1] :: 2] = 0.0

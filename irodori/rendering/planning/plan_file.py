@@ -6,7 +6,6 @@ import numpy as np
 import yaml
 
 from irodori.core.atomic_files import written_whole
-from irodori.core.yaml_files import read_yaml
 from irodori.rendering.interactive.quadrature import Quadrature
 from irodori.rendering.planning.modelled_scene import Model, memory_mb, widths_of
 from irodori.rendering.planning.scene_planner import Decision, ScenePlanner
@@ -121,8 +120,3 @@ def write_plan(path, document: dict) -> None:
     text = yaml.safe_dump(document, sort_keys=False, width=120, allow_unicode=True)
     with written_whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-
-
-def read_plan(path) -> dict:
-    """Read a plan; see `irodori.core.yaml_files.read_yaml` for what is refused."""
-    return read_yaml(path)

@@ -73,7 +73,7 @@ def render_planned(
     prepared_s = time.perf_counter() - start
     lamps = tuple(CollimatedLamp(towards) for towards in parts.lamp_towards)
     view = make_view(scene.views[view_name], scene.image)
-    fine = view._replace(focal_px=view.focal_px * side, width=view.width * side, height=view.height * side)
+    fine = view.finer(side)
     render_frame(prepared, fine._replace(width=side, height=side), lamps=lamps, bands=bands)  # compile
     counted: dict[str, int] = {}
     start = time.perf_counter()

@@ -25,8 +25,8 @@ from irodori.rendering.interactive.prepared_scene import (
 )
 from irodori.rendering.interactive.round_lobes import TAPS
 from irodori.rendering.interactive.shading import FURTHER
-from irodori.rendering.planning.modelled_scene import Model, Parts, coarser, prepare, texture_of
-from irodori.rendering.scene_arrays import Light, View
+from irodori.rendering.planning.modelled_scene import Model, Parts, coarser, prepare
+from irodori.rendering.scene_arrays import Light, View, textures
 
 #: In place of a level: a texture that reflects nothing.
 BLACK = -1
@@ -206,7 +206,7 @@ class Probes:
         if texture.first >= 0:
             return texture
         objects, world = self._parts.objects, self._prepared.world
-        own = texture_of(objects, index)
+        own = textures(objects)[index]
         made = np.zeros_like(own[:1, :1]) if level == BLACK else coarser(own, level)
         found = stored_texels(objects, index, made, self._channels)
         texture = self._levels[index, level] = replace(texture, first=int(self._fill))

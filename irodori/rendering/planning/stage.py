@@ -6,6 +6,7 @@ from irodori.config.models import ObjectShape, ReferenceIntegrator, Render, Scen
 from irodori.config.placed_names import object_names
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
+from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
@@ -13,7 +14,7 @@ from irodori.rendering.integrators import has_ambient, with_bodies
 from irodori.rendering.planning.choices import choose
 from irodori.rendering.planning.plan_file import document_of, write_plan
 from irodori.rendering.planning.planned_picture import parts_of
-from irodori.rendering.scene_arrays import View, make_objects, make_placements, make_tracer, make_view
+from irodori.rendering.scene_arrays import make_objects, make_placements, make_view
 from irodori.rendering.scene_white import scene_white
 
 
@@ -79,10 +80,10 @@ def plan_of(
         from irodori.rendering.planning.paths_per_pixel import plan_reference
 
         return plan_reference(scene_name, scene, placements, objects, environment, views=views)
-    parts = parts_of(scene, objects, environment, make_tracer(placements))
+    parts = parts_of(scene, objects, environment, Tracer(placements))
     planner = choose(
         parts,
-        [_of_rays(view, options.pixel_side) for view in views],
+        [view.finer(options.pixel_side) for view in views],
         object_names(scene),
         scene.tolerance_ciede2000,
         max_bounces=scene.max_bounces,
@@ -91,8 +92,3 @@ def plan_of(
         where=f"scene {scene_name}",
     )
     return document_of(scene_name, planner, options.pixel_side)
-
-
-def _of_rays(view: View, side: int) -> View:
-    """Return the view whose pixels are the rays of another's, so many along each side of a pixel."""
-    return view._replace(focal_px=side * view.focal_px, width=side * view.width, height=side * view.height)

@@ -7,11 +7,12 @@ from shortcuts import irradiance_map
 
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.config.models import Size, View
+from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.sphere import Sphere
 from irodori.light.environment_file import Environment, directions
 from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene, render_frame
-from irodori.rendering.scene_arrays import make_objects, make_tracer, make_view
+from irodori.rendering.scene_arrays import make_objects, make_view
 
 REPRESENTATIONS = ("spectral", "coefficients", "quadrature", "rgb")
 BANDS = np.arange(61)
@@ -43,7 +44,7 @@ def prepared(shapes, materials, light, representation="coefficients", *, places=
     objects, _ = make_objects(placements, materials)
     white = light.upward_white() if white is None else white
     maps = gloss_maps(light)
-    return prepare_scene(objects, light_of(light), maps, make_tracer(placements), representation, white, **options)
+    return prepare_scene(objects, light_of(light), maps, Tracer(placements), representation, white, **options)
 
 
 def view_of(position=(0.0, -200.0, 0.0), target=(0.0, 0.0, 0.0), size=(41, 41), fov=13.0, scale=1.0):
@@ -119,8 +120,3 @@ def levels(image, light):
     """The coefficient on the first vector that Y shows."""
     white = light.upward_white()
     return image[..., 1] / (xyz_from_radiance(white)[1] @ BASIS[:, 0])
-
-
-def smooth_light(direction):
-    x, y, z = np.moveaxis(direction, -1, 0)
-    return 1.0 + 0.5 * x - 0.3 * y + 0.6 * z * z + 0.2 * x * z

@@ -2,30 +2,10 @@
 
 import numpy as np
 import pytest
-from scenes import BALL, material, sphere_hits
-from studio import even_light, levels, picture, sky_of, smooth_light, spectrum_of
+from scenes import BALL, lobe_integral, material, smooth_light, sphere_hits
+from studio import even_light, levels, picture, sky_of, spectrum_of
 
 from irodori.colour.colorimetry import xyz_from_radiance
-from irodori.reflection.equation5 import angles_from_directions, reflect
-
-
-def lobe_integral(normal, view, beta, mu, n, k) -> float:
-    """Radiance β/π ∫ L F D G / cosθ_r dω of equation (5), Gauss-Legendre over half vectors."""
-    nodes, weights = np.polynomial.legendre.leggauss(120)
-    top = min(6 * mu, np.pi / 2)
-    phi, dphi = (nodes + 1) / 2 * top, weights * top / 2
-    around = (np.arange(128) + 0.5) * 2 * np.pi / 128
-    tangent = np.cross(normal, [0.3, 0.9, -0.2])
-    tangent /= np.linalg.norm(tangent)
-    bitangent = np.cross(normal, tangent)
-    phi, around = np.meshgrid(phi, around, indexing="ij")
-    ring = np.cos(around)[..., None] * tangent + np.sin(around)[..., None] * bitangent
-    half = np.cos(phi)[..., None] * normal + np.sin(phi)[..., None] * ring
-    to_light = 2 * (half @ view)[..., None] * half - view
-    angles = angles_from_directions(normal, to_light, view)
-    value = reflect(0.0, 0.0, beta, mu, angles, n=n, k=k) * smooth_light(to_light)
-    solid_angle = np.sin(phi) * dphi[:, None] * 2 * np.pi / 128 * 4 * np.maximum(half @ view, 0.0)
-    return float(np.sum(value * solid_angle) / np.pi)
 
 
 @pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.4)], ids=["lacquer", "metal"])

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from made import made
-from scenes import BALL, OPTIONS, fresnel, material, plate, sphere_hits
-from studio import even_light, levels, picture, prepared, sky_of, smooth_light, spectrum_of, view_of
+from scenes import BALL, OPTIONS, fresnel, material, plate, smooth_light, sphere_hits
+from studio import even_light, levels, picture, prepared, sky_of, spectrum_of, view_of
 
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.config.models import Render, Scene

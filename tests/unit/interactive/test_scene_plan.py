@@ -20,20 +20,22 @@ from irodori.config.parts import Staging
 from irodori.config.placed_names import object_names
 from irodori.core.errors import InputError
 from irodori.core.store import Provenance
+from irodori.core.yaml_files import read_yaml
 from irodori.export.pictures import read_xyz, write_spectral_exr, write_xyz_exr
+from irodori.geometry.embree import Tracer
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, render_frame
 from irodori.rendering.interactive.pixel_rays import render_pixels, render_rays
 from irodori.rendering.planning.modelled_scene import full_model, leading_basis, prepare
-from irodori.rendering.planning.plan_file import model_of, read_plan, write_plan
+from irodori.rendering.planning.plan_file import model_of, write_plan
 from irodori.rendering.planning.planned_check import ToleranceError, chosen_pixels
 from irodori.rendering.planning.planned_picture import parts_of
 from irodori.rendering.planning.probes import Changes, Probes
 from irodori.rendering.planning.stage import plan_of
 from irodori.rendering.planning.tolerance import bound_of_share
-from irodori.rendering.scene_arrays import make_light, make_objects, make_placements, make_tracer, make_view
+from irodori.rendering.scene_arrays import make_light, make_objects, make_placements, make_view
 from irodori.rendering.stage import render_view
 
 OPTIONS = Render(pixel_side=1, min_throughput=1e-3)
@@ -82,7 +84,7 @@ def planned(materials, light, **scene):
     document = plan_of("table-top", made(Scene, definition), [TABLE, JAR], materials, light, made(Render, OPTIONS))
     placements = make_placements(made(Scene | Staging, definition), [TABLE, JAR])
     objects, _ = make_objects(placements, materials)
-    parts = parts_of(made(Scene, definition), objects, light, make_tracer(placements))
+    parts = parts_of(made(Scene, definition), objects, light, Tracer(placements))
     model = model_of(document, full_model(parts, 4, True), object_names(made(Scene, definition)))
     return document, parts, model, definition
 
@@ -216,7 +218,7 @@ def test_a_plan_is_the_same_to_the_byte_and_says_all_that_the_renderer_needs(tmp
         write_plan(tmp_path / name, document)
         texts.append((tmp_path / name).read_bytes())
     assert texts[0] == texts[1]
-    assert read_plan(tmp_path / "a.yaml") == document == yaml.safe_load(texts[0])
+    assert read_yaml(tmp_path / "a.yaml") == document == yaml.safe_load(texts[0])
     assert dataclasses.replace(model, quadrature=None) != full_model(parts, 4, True)
     needed = {"value", "full", "predicted_delta_e", "numbers_per_ray", "by", "why"}
     assert all(set(decision) == needed for decision in document["decisions"].values())
@@ -359,7 +361,7 @@ def test_a_change_of_the_probes_scene_is_what_a_scene_prepared_without_it_shows(
     definition = scene_of(lights=[LAMP] * lamps)
     placements = make_placements(made(Scene | Staging, definition), [TABLE, JAR])
     objects, _ = make_objects(placements, materials)
-    parts = parts_of(made(Scene, definition), objects, room(), make_tracer(placements))
+    parts = parts_of(made(Scene, definition), objects, room(), Tracer(placements))
     full, matrix = full_model(parts, 4, True), xyz_from_radiance(parts.white)
     view = make_view(made(View, definition["views"]["v"]), made(Size, definition["image"]))
     ladder = make_light(parts.environment)
