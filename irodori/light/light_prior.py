@@ -42,7 +42,7 @@ class LightPrior:
 def published_lamps() -> np.ndarray:
     """Return the illuminants and measured lamps of colour-science, each of luminance 1, (lamps, 61).
 
-    CIE A to E, the D series, fluorescent, high-pressure and LED illuminants, indoor daylight, those of ISO 7589, and the
+    CIE A to E, the D series, fluorescent, high-pressure and LED illuminants, indoor daylight, those of ISO 7589, and
     measured discharge lamps, incandescent lamps and LEDs.
     """
     lamps = np.concatenate(

@@ -1,11 +1,11 @@
 """Recovery of light from a camera's responses: the posterior mean under a mixture, and what it leaves open.
 
 A camera that was calibrated on a chart under one lamp answers to a light L(λ) with Σ R_b L dλ, where the calibration's
-response model tells R_b and how well it knows it. Of each family of the prior (`irodori.light.light_prior`) the
-second moment is known; a light of unknown brightness from it makes responses of the angular central Gaussian density
-|S|^(-1/2) (ρᵀ S⁻¹ ρ)^(-bands/2) [Tyler 1987], with S the second moment of its responses, and the light of least expected
-squared error is linear in them. Families share a direction by that density. A room has few kinds of lamps: the
-families' own shares follow from all directions by expectation and maximisation.
+response model tells R_b and how well it knows it. Of each family of the prior (`irodori.light.light_prior`) the second
+moment is known. A light of unknown brightness from it makes responses of the angular central Gaussian density
+|S|^(-1/2) (ρᵀ S⁻¹ ρ)^(-bands/2) [Tyler 1987], with S the second moment of its responses, and the light of least
+expected squared error is linear in them. Families share a direction by that density. A room has few kinds of lamps:
+the families' own shares follow from all directions by expectation and maximisation.
 """
 
 from collections.abc import Iterable
