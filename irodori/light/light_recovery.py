@@ -21,7 +21,8 @@ from irodori.light.recovery_loops import mixture_weights
 #: Variance that is added to the response model's own: its 2σ holds 62 to 77 % of the bands' errors in place of 95 %.
 _MODEL_VARIANCE = 3.0
 _LEAST_NOISE = 3e-4  # of a response, relative, whatever the response model says
-#: So many independent directions all directions count as: they share the errors of the response model.
+#: So many independent directions all directions count as, beside one of every family: they share the errors of the
+#: response model, and a room that shows a lamp a million times tells of it little more than once.
 _EVIDENCE, _STEPS = 10.0, 30
 _FAMILIES = 16  # that are kept for a picture at most
 _BASES = 8  # of the light at most: one row of vectors
@@ -92,8 +93,8 @@ class _Families:
         cross = model @ prior.moment
         moment = cross @ model.T
         of_band = np.arange(len(model))
-        noise = _MODEL_VARIANCE * np.einsum("bij,nij->nb", covariance, prior.moment)
-        moment[:, of_band, of_band] += noise + _LEAST_NOISE**2 * moment[:, of_band, of_band]
+        noise = prior.moment.reshape(len(prior.moment), -1) @ covariance.reshape(len(covariance), -1).T
+        moment[:, of_band, of_band] += _MODEL_VARIANCE * noise + _LEAST_NOISE**2 * moment[:, of_band, of_band]
         factor = np.linalg.inv(np.linalg.cholesky(moment))
         gain = (np.linalg.solve(moment, cross)).swapaxes(1, 2)
         return cls(prior.share, factor, gain, prior.moment - gain @ cross)
@@ -122,14 +123,14 @@ class _Families:
 
     def of_room(self, directions: Directions, broad: int) -> "_Families":
         """Return the families of a room, their shares by expectation and maximisation over its directions."""
-        found, shares = self, self.share
+        found, count = self, len(self.share)
         for _ in range(_STEPS):
-            shares = self.share + _EVIDENCE * (directions.share @ found.shares(directions.response))
-            shares = shares / shares.sum()
+            seen = directions.share @ found.shares(directions.response)
+            shares = (count * self.share + _EVIDENCE * seen) / (count + _EVIDENCE)
             found = _Families(shares, self.factor, self.light_from_response, self.open)
         # What a lamp seen nowhere else shines like is found among the families that hold any light.
-        last = np.arange(len(shares) - broad, len(shares))
-        most = np.argsort(-shares[: last[0]], kind="stable")[: _FAMILIES - broad]
+        last = np.arange(count - broad, count)
+        most = np.argsort(-seen[: last[0]], kind="stable")[: _FAMILIES - broad]
         return self.chosen(np.concatenate([most, last]), shares)
 
 
@@ -218,6 +219,7 @@ class LightRecovery:
 
 def _strongest(errors: np.ndarray) -> np.ndarray:
     """Return independent errors (q, 61, r) of the same covariance, the weakest left out."""
-    values, vectors = np.linalg.eigh(np.einsum("qlr,qms->lrms", errors, errors).reshape([errors[0].size] * 2))
+    flat = errors.reshape(len(errors), -1)
+    values, vectors = np.linalg.eigh(flat.T @ flat)
     kept = slice(-_ERRORS, None)
     return (vectors[:, kept] * np.sqrt(np.maximum(values[kept], 0.0))).T.reshape(-1, *errors.shape[1:])
