@@ -54,6 +54,7 @@ def solve(
         fit_checked(chosen[0], training, chosen[1], limits.condition),
         filters=filters,
         band_response=training.model.mean * training.scale[:, None],
+        band_response_covariance=training.model.covariance * training.scale[:, None, None] ** 2,
         absolute_error=absolute,
         relative_error=relative,
     )

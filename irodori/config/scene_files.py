@@ -72,11 +72,6 @@ class SceneFiles:
         cameras = [self.loaded.objects[name].camera for name in self.objects(wildcards)]
         return [f"results/cameras/{camera}/calibration.h5" for camera in cameras]
 
-    def light_calibration(self, wildcards) -> list[str]:
-        """Return the calibration of the camera that photographed a scene's light; of other light there is none."""
-        camera = self.loaded.environments[self._scene(wildcards).environment].camera
-        return [] if camera is None else [f"results/cameras/{camera}/calibration.h5"]
-
     def tiles(self, wildcards, kind: str = "brdf") -> list[str]:
         """Return the fitted tiles of a scene's objects, each object's once; or another kind of them."""
         return [file for name in dict.fromkeys(self.objects(wildcards)) for file in self._sets.tile_files(name, kind)]

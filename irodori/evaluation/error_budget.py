@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.colour.colorimetry import summary, xyz_from_reflectance
 from irodori.config.models import Compress, EnvironmentMaps, Fit, ReferenceIntegrator, Render, Scene, Size
 from irodori.config.parts import Subject
@@ -22,7 +21,6 @@ from irodori.core.progress import LOGGER, track
 from irodori.core.yaml_files import read_yaml
 from irodori.evaluation import error_prediction as draws
 from irodori.evaluation.known_errors import Known, colours, with_colours
-from irodori.evaluation.light_prediction import drawn_lights, family
 from irodori.evaluation.renderer_noise import MORE, Paths, expected_noise, measured_noise, traced_rows
 from irodori.evaluation.result_tables import BudgetRow, write_rows
 from irodori.evaluation.truth_errors import interior, radiance_delta_e
@@ -168,8 +166,8 @@ class _Pictures:
 class _Budget:
     """The rows of one view: pictures beside the true one, and beside the measured one."""
 
-    def __init__(self, pictures: _Pictures, objects: list[Measured], lights, calibration: Calibration | None) -> None:
-        self._pictures, self._objects, self._calibration = pictures, objects, calibration
+    def __init__(self, pictures: _Pictures, objects: list[Measured], lights) -> None:
+        self._pictures, self._objects = pictures, objects
         self._truths = [one.truth for one in objects]
         self._estimated_light, self._true_light = lights
         self._white, self._seen_white = (scene_white(pictures.scene, light)[0] for light in lights[::-1])
@@ -240,15 +238,12 @@ class _Budget:
     def add_light(self) -> None:
         """Add the recovered light."""
         values = self._off(self._truths, self._estimated_light)
-        if self._calibration is None:
+        if self._estimated_light.basis_errors is None:
             self._add("light", values, np.nan, "none: no camera recovered it")
             return
-        if self._calibration.band_response is None:
-            self._add("light", values, np.nan, "none: the calibration states no response model")
-            return
-        lights = drawn_lights(self._estimated_light, self._calibration, family(), _LIGHTS, self._rng)
+        lights = [self._estimated_light.drawn(self._rng) for _ in range(_LIGHTS)]
         predicted = np.mean([self._moved(self._estimates, light) for light in lights], axis=0)
-        self._add("light", values, predicted, "published illuminants that answer alike in the bands")
+        self._add("light", values, predicted, "what the responses leave open of published lamps on surfaces")
 
     def add_compression(self, of_materials: CompressOptions, of_light: CompressOptions) -> None:
         """Add the compression of materials and of light."""
@@ -298,8 +293,6 @@ def error_budget(
     objects: list[Measured],
     lights: tuple[Environment, Environment],
     options: BudgetOptions,
-    *,
-    calibration: Calibration | None = None,
 ) -> list[BudgetRow]:
     """Return the rows of a view's budget.
 
@@ -311,15 +304,13 @@ def error_budget(
     lights : (Environment, Environment)
         The measured light and the true one.
     options : BudgetOptions
-    calibration : Calibration, optional
-        Of the camera that photographed the light.
     """
     wanted = [f.name for f in fields(CompressOptions)]
     of_materials, of_light = (
         CompressOptions(**{name: getattr(block, name) for name in wanted})
         for block in (options.compress, options.environment)
     )
-    budget = _Budget(_Pictures(scene, view, shapes, options.render), objects, lights, calibration)
+    budget = _Budget(_Pictures(scene, view, shapes, options.render), objects, lights)
     for step in track(
         (
             budget.add_materials,
@@ -343,8 +334,8 @@ def measure_error_budget(
     ----------
     inputs : dict
         Files: lists of materials, true_materials and calibrations, one an object, and ``tiles`` and ``observations``,
-        those of all objects; ``environment``, ``true_environment`` and ``light_calibration``, a list of one file, or
-        of none where no camera photographed the light; ``plan``, a list of the scene's plan, or of none.
+        those of all objects; ``environment`` and ``true_environment``; ``plan``, a list of one file, or of
+        none.
     scene, view, options : see `error_budget`
     subjects : sequence of Subject
         One an object.
@@ -360,10 +351,9 @@ def measure_error_budget(
         files = own | {"material": material, "calibration": calibration}
         objects.append(Measured(Known.load(files, shape, one.sample_mm, options.fit), Material.load(truth)))
     lights = Environment.load(inputs["environment"]), Environment.load(inputs["true_environment"])
-    of_light = next((Calibration.load(path) for path in inputs["light_calibration"]), None)
     for path in inputs["plan"]:
         scene = with_planned_samples(scene, read_yaml(path))
-    rows = error_budget(scene, view, shapes, objects, lights, options, calibration=of_light)
+    rows = error_budget(scene, view, shapes, objects, lights, options)
     write_rows(output, BudgetRow, _logged(rows))
 
 

@@ -4,7 +4,7 @@ Equirectangular: rows are the angle from the zenith (+z), columns the azimuth fr
 centres. Radiance is relative: 1 is a perfect diffuser lit at normal incidence by the rig's light.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,12 +31,16 @@ class Environment:
         I_d of equation (8) for normals on the same kind of grid, on the same basis.
     file : Path, optional
         Where the coefficients were read from: blurred light that stands there is theirs, whatever the basis.
+    basis_errors : (q, 61, k) float, optional
+        Of recovered light, independent errors of the basis: times a standard normal number each, they sum to a draw of
+        what the camera's responses leave open, which is the same wherever a lamp's light falls.
     """
 
     coefficients: np.ndarray
     basis: np.ndarray
     irradiance: np.ndarray
     file: Path | None = None
+    basis_errors: np.ndarray | None = None
 
     def save(
         self,
@@ -72,6 +76,9 @@ class Environment:
         out.write("basis", self.basis, units="1", dims="wavelength,basis", quantity="spectral basis of the light")
         names = {"units": "sr", "dims": "row,column,basis", "quantity": "coefficients of the irradiance map"}
         out.write("irradiance", self.irradiance, **names)
+        if self.basis_errors is not None:
+            dims, quantity = "error,wavelength,basis", "independent errors of the basis of the light"
+            out.write("basis_errors", self.basis_errors, units="1", dims=dims, quantity=quantity)
         if gloss is not None:
             gloss.write(out)
         out.attribute("errors", errors or {})
@@ -88,11 +95,33 @@ class Environment:
         """
         axes = {"coefficients": "row,column,basis", "basis": "wavelength,basis", "irradiance": "theta,azimuth,basis"}
         with store.open_file(path) as file:
+            if "basis_errors" in file:
+                axes["basis_errors"] = "error,wavelength,basis"
             file.require_axes(axes, wavelength=SAMPLES)
             coefficients = read_coefficients(file, "coefficients")
             if not np.isfinite(coefficients).all():
                 raise InputError(path, "coefficients", "a pixel that is not finite", "finite radiance everywhere")
-            return cls(coefficients, file.read_within("basis"), file.read_within("irradiance"), Path(path))
+            return cls(
+                coefficients,
+                file.read_within("basis"),
+                file.read_within("irradiance"),
+                Path(path),
+                file.read_within("basis_errors") if "basis_errors" in file else None,
+            )
+
+    def drawn(self, rng: np.random.Generator) -> "Environment":
+        """Return a light that the photograph could have been of.
+
+        Raises
+        ------
+        ValueError
+            If the light states no error.
+        """
+        if self.basis_errors is None:
+            raise ValueError("a light without errors; accepted: one that was recovered from a photograph")
+        # The irradiance map is on the same basis, so that a change of the basis is all there is.
+        error = np.tensordot(rng.standard_normal(len(self.basis_errors)), self.basis_errors, axes=1)
+        return replace(self, basis=self.basis + error)
 
     def upward_white(self) -> np.ndarray:
         """Return the radiance of a perfect diffuser that faces up, (61,): the scene's white."""

@@ -14,6 +14,7 @@ from irodori.config.models import MirrorBallSource, Size
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.light.environment_file import directions
+from irodori.light.light_recovery import LightRecovery
 from irodori.light.omnidirectional import OmnidirectionalPicture, bands
 from irodori.light.placed_lights import direction_of
 from irodori.reflection.fresnel import fresnel
@@ -111,7 +112,9 @@ def _bilinear(values: np.ndarray, valid: np.ndarray, x: np.ndarray, y: np.ndarra
     return total / weight[..., None]
 
 
-def unwrapped(source: MirrorBallSource, image: Size, weights, valid, basis: np.ndarray, path) -> OmnidirectionalPicture:
+def unwrapped(
+    source: MirrorBallSource, image: Size, response, valid, recovery: LightRecovery, path
+) -> OmnidirectionalPicture:
     """Return the light around a mirror ball; the photograph is held whole, for its pixels are wanted in no order.
 
     Parameters
@@ -119,10 +122,10 @@ def unwrapped(source: MirrorBallSource, image: Size, weights, valid, basis: np.n
     source : MirrorBallSource
     image : Size
         Of the equirectangular picture, px.
-    weights : (rows, columns, r) float
-        The photograph, radiance on a basis.
+    response : (rows, columns, bands) float
+        The photograph.
     valid : (rows, columns) bool
-    basis : (61, r) float
+    recovery : LightRecovery
     path : path
         The photograph, for the error message.
 
@@ -140,7 +143,11 @@ def unwrapped(source: MirrorBallSource, image: Size, weights, valid, basis: np.n
     blind = 1.0 - RIM**2
     LOGGER.info("mirror ball: %.1f %% of the sphere lies behind it and takes the values of its rim", 100 * blind)
     size = image.height, image.width
-    full = np.einsum("lt,lr->ltr", inverse_reflectance(source, np.ones(1))[1], basis).reshape(len(basis), -1)
+    weights, inverse = recovery.weights(response), inverse_reflectance(source, np.ones(1))[1]
+
+    def divided(basis: np.ndarray) -> np.ndarray:
+        """Return spectra (..., 61, r) divided by each part of the reflectance, (..., 61, parts r)."""
+        return np.einsum("lt,...lr->...ltr", inverse, basis).reshape(*basis.shape[:-1], -1)
 
     def read() -> Iterator[np.ndarray]:
         for part in bands(size[0]):
@@ -155,4 +162,6 @@ def unwrapped(source: MirrorBallSource, image: Size, weights, valid, basis: np.n
         "assumption": "an orthographic camera: it stands far from the ball against the ball's radius",
         "blind_fraction": blind,
     }
-    return OmnidirectionalPicture(size, full, read, path, origin)
+    return OmnidirectionalPicture(
+        size, divided(recovery.basis), read, path, origin, basis_errors=divided(recovery.errors)
+    )

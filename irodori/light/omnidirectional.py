@@ -30,6 +30,8 @@ class OmnidirectionalPicture:
         Named in error messages.
     origin : dict
         What it was made from and what was assumed; counts are complete when all bands have been read.
+    basis_errors : (q, 61, r) float, optional
+        Independent errors of the basis, see `irodori.light.light_recovery`; of given light there are none.
     """
 
     size: tuple[int, int]
@@ -37,9 +39,16 @@ class OmnidirectionalPicture:
     read: Callable[[], Iterator[np.ndarray]]
     file: object = ""
     origin: dict = field(default_factory=dict)
+    basis_errors: np.ndarray | None = None
 
     def __iter__(self) -> Iterator[np.ndarray]:
         return iter(self.read())
+
+    def errors_on(self, basis: np.ndarray) -> np.ndarray | None:
+        """Return the errors of another basis (61, k) of the same light, (q, 61, k); None where there are none."""
+        if self.basis_errors is None:
+            return None
+        return self.basis_errors @ (np.linalg.pinv(self.basis) @ basis)
 
     @property
     def weights(self) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Light stage: an omnidirectional picture in; compressed light, irradiance and gloss maps out [eq. 4, 8, 9]."""
+"""Light stage: an omnidirectional picture in; compressed light, irradiance and gloss maps out [eq. 8, 9]."""
 
 from collections.abc import Iterator, Sequence
 
@@ -18,11 +18,13 @@ from irodori.config.models import (
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
-from irodori.light.environment_file import QUANTITY, Environment
+from irodori.light.environment_file import QUANTITY, Environment, directions
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.gloss.look_up_errors import gloss_errors
 from irodori.light.irradiance import Integrator, fitted_irradiance_map
 from irodori.light.light_files import rgb_picture, spectral_picture
+from irodori.light.light_prior import LightPrior
+from irodori.light.light_recovery import LightRecovery, draw_directions
 from irodori.light.mirror_ball import RIM, unwrapped
 from irodori.light.omnidirectional import MeanLight, OmnidirectionalPicture, bands, from_panorama
 from irodori.light.placed_lights import lights_picture
@@ -70,7 +72,9 @@ def _read_masks(linear, part=None) -> tuple[np.ndarray, list[str]]:
     return valid, filters
 
 
-def _photographed(linear, calibration: Calibration, centre_azimuth_deg: float) -> OmnidirectionalPicture:
+def _photographed(
+    linear, calibration: Calibration, calibration_file, centre_azimuth_deg: float, prior: LightPrior | None
+) -> OmnidirectionalPicture:
     """Return the light of an equirectangular photograph, whose brackets were merged when it was read in.
 
     Its columns run clockwise, as they do in every photograph taken from within.
@@ -84,17 +88,29 @@ def _photographed(linear, calibration: Calibration, centre_azimuth_deg: float) -
     if not valid.all():
         LOGGER.info("%d masked pixels filled from their neighbours along the row", int((~valid).sum()))
 
-    def read() -> Iterator[np.ndarray]:
+    def responses() -> Iterator[tuple[slice, np.ndarray]]:
         with store.open_file(linear) as file:
             for rows in bands(len(valid)):
-                weights = calibration.weights(fill_masked(file.read("response", rows), ~valid[rows]))
-                yield from_panorama(weights, centre_azimuth_deg)
+                yield rows, fill_masked(file.read("response", rows), ~valid[rows])
 
-    basis = calibration.basis * calibration.light[:, None]
-    return OmnidirectionalPicture(valid.shape, basis, read, linear, {"kind": "captures"})
+    def solid_angle(rows: slice) -> np.ndarray:
+        return directions(1, len(valid), rows)[1].repeat(valid.shape[1])
+
+    drawn = draw_directions((part.reshape(-1, part.shape[-1]), solid_angle(rows)) for rows, part in responses())
+    recovery = LightRecovery.of_room(calibration, drawn, prior, calibration_file)
+
+    def read() -> Iterator[np.ndarray]:
+        for _, part in responses():
+            yield from_panorama(recovery.weights(part), centre_azimuth_deg)
+
+    return OmnidirectionalPicture(
+        valid.shape, recovery.basis, read, linear, {"kind": "captures"}, basis_errors=recovery.errors
+    )
 
 
-def _mirror_ball(linear, calibration: Calibration, source: MirrorBallSource, image: Size) -> OmnidirectionalPicture:
+def _mirror_ball(
+    linear, calibration: Calibration, calibration_file, source: MirrorBallSource, image: Size, prior: LightPrior | None
+) -> OmnidirectionalPicture:
     """Return the light around a photographed mirror ball."""
     (x, y), radius = source.centre_px, source.radius_px
 
@@ -105,8 +121,11 @@ def _mirror_ball(linear, calibration: Calibration, source: MirrorBallSource, ima
     calibration.require_filters(filters, linear)
     with store.open_file(linear) as file:
         response = file.read("response")
-    weights = calibration.weights(np.where(valid[..., None], response, 0.0))
-    return unwrapped(source, image, weights, valid, calibration.basis * calibration.light[:, None], linear)
+    response = np.where(valid[..., None], response, 0.0)
+    # Seen from afar every part of the ball's disc shows as much of the sphere.
+    drawn = draw_directions([(response[ball(*valid.shape)], 1.0)])
+    recovery = LightRecovery.of_room(calibration, drawn, prior, calibration_file)
+    return unwrapped(source, image, response, valid, recovery, linear)
 
 
 def prepare_environment(
@@ -120,11 +139,12 @@ def prepare_environment(
     source: CapturesSource | MirrorBallSource = _WHOLE,
     image: Size | None = None,
     gloss_lobes: Sequence[str] = (),
+    prior: LightPrior | None = None,
 ) -> None:
     """Write an environment's file from the linear responses of its omnidirectional picture or of a mirror ball.
 
-    The camera was calibrated on reflectances under the rig's light E; a radiance is recovered as E(λ) times the
-    reflectance that would have given the same responses.
+    The camera was calibrated on reflectances under the rig's light; of what other light answers alike the expected one
+    is recovered, see `irodori.light.light_recovery`.
 
     Parameters
     ----------
@@ -134,6 +154,8 @@ def prepare_environment(
         A panorama with its middle at azimuth 0 where absent.
     image : Size, optional
         Of what a mirror ball is unwrapped to.
+    prior : LightPrior, optional
+        That of the published lamps where absent.
 
     Raises
     ------
@@ -146,11 +168,11 @@ def prepare_environment(
     """
     calibration = Calibration.load(calibration_file)
     if isinstance(source, CapturesSource):
-        picture = _photographed(linear, calibration, source.centre_azimuth_deg)
+        picture = _photographed(linear, calibration, calibration_file, source.centre_azimuth_deg, prior)
     elif image is None:
         raise ValueError("a mirror ball without the size of its picture; accepted: image")
     else:
-        picture = _mirror_ball(linear, calibration, source, image)
+        picture = _mirror_ball(linear, calibration, calibration_file, source, image, prior)
     # The colour of the light is judged against the rig's light as white.
     write_environment(
         picture, calibration.light, output, options, irradiance_options, provenance, gloss_lobes=gloss_lobes
@@ -260,7 +282,9 @@ def write_environment(
         }
         if gloss is not None:
             errors["gloss"] = [row for lobe in gloss_lobes for row in gloss_errors(integrator, gloss, lobe)]
-        light = Environment(coefficients, compression.basis, irradiance)
+        light = Environment(
+            coefficients, compression.basis, irradiance, basis_errors=picture.errors_on(compression.basis)
+        )
         light.write_rest(out, errors, gloss, picture.origin)
     _log(compression, errors)
 

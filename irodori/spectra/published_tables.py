@@ -37,8 +37,9 @@ def published_table(name: str) -> PublishedTable:
     Parameters
     ----------
     name : str
-        ``observer`` (CIE 1931, 2°), ``test_colours`` (CIE 224:2017), ``srgb_primaries`` (Mallett and Yuksel 2019), or
-        ``illuminants/``, ``charts/`` or ``cameras/`` and a name of `irodori.spectra.published_names`.
+        ``observer`` (CIE 1931, 2°), ``test_colours`` (CIE 224:2017), ``light_sources`` (measured lamps),
+        ``srgb_primaries`` (Mallett and Yuksel 2019), or ``illuminants/``, ``charts/`` or ``cameras/`` and a name of
+        `irodori.spectra.published_names`.
 
     Raises
     ------

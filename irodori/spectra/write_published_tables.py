@@ -23,6 +23,9 @@ def library_tables() -> Iterator[tuple[str, PublishedTable]]:
     """Yield the name of every table in the file, and the table as colour-science has it."""
     for name in ILLUMINANTS:
         yield f"illuminants/{name}", _table([name], [colour.SDS_ILLUMINANTS[name]])
+    # Their names have slashes, which part the groups of the file: one table, of those published every 5 nm.
+    lamps = {name: one for name, one in colour.SDS_LIGHT_SOURCES.items() if one.shape.interval == 5}
+    yield "light_sources", _table(lamps, lamps.values())
     for name in CHART_PATCHES:
         yield f"charts/{name}", _table(SDS_COLOURCHECKERS[name], SDS_COLOURCHECKERS[name].values())
     for name in CAMERAS:

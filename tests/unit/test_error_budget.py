@@ -168,7 +168,7 @@ def scene_of(integrator: dict) -> dict:
     }  # fmt: skip
 
 
-def budget(one: Measured, estimated, calibration, scene=None) -> dict[str, BudgetRow]:
+def budget(one: Measured, estimated, scene=None) -> dict[str, BudgetRow]:
     """Return the rows of a small picture by the first words of their stage."""
     names = ("target_delta_e_mean", "target_delta_e_p99", "align", "weighting", "storage", "codec")
     compress = dict(zip(names, (0.1, 0.5, 4, "nothing", "half", "gzip"), strict=True))
@@ -177,19 +177,21 @@ def budget(one: Measured, estimated, calibration, scene=None) -> dict[str, Budge
     )
     scene = made(Scene, scene or scene_of({"kind": "reference", "samples": 16, "seed": 0}))
     lights = (estimated, light_of_three())
-    rows = error_budget(scene, "v", [plate(60.0)], [one], lights, options, calibration=calibration)
+    rows = error_budget(scene, "v", [plate(60.0)], [one], lights, options)
     return {row.stage.split(":")[0]: row for row in rows}
 
 
 def warmer() -> Environment:
-    return replace(light_of_three(), basis=PAINTS * np.linspace(0.9, 1.1, 61)[:, None])
+    """The light as a camera recovered it, and an error of the size that it has."""
+    basis = PAINTS * np.linspace(0.9, 1.1, 61)[:, None]
+    return replace(light_of_three(), basis=basis, basis_errors=(basis - PAINTS)[None])
 
 
 @pytest.fixture(scope="module")
 def rows():
     return (
-        budget(measured(0.02, 0.01, gloss=(0.3, 0.01)), light_of_three(), None),
-        budget(measured(0.02, unseen=np.s_[4:36, 8:14]), warmer(), CALIBRATION),
+        budget(measured(0.02, 0.01, gloss=(0.3, 0.01)), light_of_three()),
+        budget(measured(0.02, unseen=np.s_[4:36, 8:14]), warmer()),
     )
 
 
@@ -232,7 +234,7 @@ def test_the_whole_is_no_more_than_its_parts(rows):
 
 def test_each_row_is_the_picture_with_one_part_not_true():
     one, light, own = measured(0.02, 0.01, np.s_[4:36, 8:14], gloss=(0.3, 0.01)), light_of_three(), warmer()
-    found = budget(one, own, CALIBRATION)
+    found = budget(one, own)
     parts = substitutes(one)
     paths = Paths(made(Scene, scene_of({"kind": "reference", "samples": 16, "seed": 0})), "v", [plate(60.0)])
     true = paths.picture([one.truth], light, 64)
@@ -262,7 +264,7 @@ def test_each_row_is_the_picture_with_one_part_not_true():
 
 def test_what_an_integrator_leaves_out_is_seen_beside_paths():
     scene, one, light = scene_of({"kind": "interactive"}), measured(0.02), light_of_three()
-    found = budget(one, light, None, scene)["renderer"]
+    found = budget(one, light, scene)["renderer"]
     assert np.isnan(found.predicted) and "beside paths alone" in found.by
     scene, shapes = made(Scene, scene), [plate(60.0)]
     own, other = (render_image(scene, "v", shapes, [m], light, made(Render, OPTIONS))[0]
@@ -302,7 +304,7 @@ def test_the_table_keeps_its_rows(tmp_path, monkeypatch):
     row = BudgetRow("light", 1.25, 2.5, 3.5, 4.5, np.nan, "none, said with a comma")
     monkeypatch.setattr(module, "error_budget", lambda *_, **__: [row, replace(row, stage="b", predicted=0.5)])
     light_of_three().save(tmp_path / "light.h5", Provenance("test"))
-    lists = ("materials", "true_materials", "calibrations", "tiles", "observations", "light_calibration", "plan")
+    lists = ("materials", "true_materials", "calibrations", "tiles", "observations", "plan")
     inputs = {key: [] for key in lists} | dict.fromkeys(("environment", "true_environment"), tmp_path / "light.h5")
     scene = made(Scene, scene_of({"kind": "interactive"}))
     subjects = made(Sequence[Subject], [])
@@ -318,7 +320,7 @@ def test_the_noise_of_a_planned_scene_is_that_of_the_paths_it_is_rendered_with(t
     monkeypatch.setattr(module, "error_budget", lambda scene, *_, **__: taken.append(scene.integrator) or [])
     light_of_three().save(tmp_path / "light.h5", Provenance("test"))
     write_plan(tmp_path / "plan.yaml", {"decisions": {"samples": {"value": samples}}})
-    lists = ("materials", "true_materials", "calibrations", "tiles", "observations", "light_calibration")
+    lists = ("materials", "true_materials", "calibrations", "tiles", "observations")
     inputs = {key: [] for key in lists} | dict.fromkeys(("environment", "true_environment"), tmp_path / "light.h5")
     inputs["plan"] = [tmp_path / "plan.yaml"] if samples else []
     scene = scene_of({"kind": kind} | ({"samples": 512} if kind == "reference" else {}))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from exact_light import as_it_is, prior_of
 from made import made
 from scenes import DATA, fresnel
 from test_environment import write_inputs
@@ -57,7 +58,7 @@ def test_a_mirror_ball_shows_the_light_where_it_comes_from(camera):
         made(Size, {"width": 64, "height": 32}),
         weights,
         np.ones(weights.shape[:2], bool),
-        np.eye(61)[:, :3],
+        as_it_is(np.eye(61)[:, :3]),
         "ball.h5",
     )
     unit = directions(64, 32)[0]
@@ -80,7 +81,7 @@ def test_the_balls_own_fresnel_reflectance_is_divided_out():
         made(Size, {"width": 64, "height": 32}),
         weights,
         np.ones(weights.shape[:2], bool),
-        np.eye(61)[:, :3],
+        as_it_is(np.eye(61)[:, :3]),
         "ball.h5",
     )
     seen = ball_places(made(MirrorBallSource, source), 64, 32)[2] < RIM
@@ -108,11 +109,11 @@ def test_a_coloured_metal_is_divided_out_at_every_wavelength(tmp_path):
 def test_a_ball_that_just_fills_the_photograph_is_unwrapped_and_one_beyond_its_edge_refused(off):
     valid, basis, size = np.ones((60, 60), bool), np.eye(61)[:, :3], made(Size, {"width": 16, "height": 8})
     filling = {**BALL, "centre_px": [29.5, 29.5], "radius_px": 30.0}
-    picture = unwrapped(made(MirrorBallSource, filling), size, np.ones((60, 60, 3)), valid, basis, "ball.h5")
+    picture = unwrapped(made(MirrorBallSource, filling), size, np.ones((60, 60, 3)), valid, as_it_is(basis), "ball.h5")
     assert np.isfinite(picture.weights).all()
     moved = {**filling, "centre_px": [29.5 + off[0], 29.5 + off[1]]}
     with pytest.raises(InputError, match=r"beyond the photograph.*60 x 60 pixels"):
-        unwrapped(made(MirrorBallSource, moved), size, np.ones((60, 60, 3)), valid, basis, "ball.h5")
+        unwrapped(made(MirrorBallSource, moved), size, np.ones((60, 60, 3)), valid, as_it_is(basis), "ball.h5")
 
 
 def test_a_ball_that_is_not_in_the_picture_or_masked_is_refused():
@@ -120,21 +121,21 @@ def test_a_ball_that_is_not_in_the_picture_or_masked_is_refused():
     size, basis = {"width": 32, "height": 16}, np.eye(61)[:, :3]
     with pytest.raises(InputError, match="beyond the photograph"):
         unwrapped(
-            made(MirrorBallSource, {**BALL, "radius_px": 120.0}), made(Size, size), weights, valid, basis, "ball.h5"
+            made(MirrorBallSource, {**BALL, "radius_px": 120.0}), made(Size, size), weights, valid, as_it_is(basis), "ball.h5"
         )
     one = valid.copy()
     one[90, 100] = False
-    picture = unwrapped(made(MirrorBallSource, BALL), made(Size, size), weights, one, basis, "ball.h5")
+    picture = unwrapped(made(MirrorBallSource, BALL), made(Size, size), weights, one, as_it_is(basis), "ball.h5")
     assert np.allclose((picture.weights @ picture.basis.T)[..., :3], 1.0)
     # A direction whose place is the masked pixel's own centre.
     exact = {**BALL, "centre_px": [100.0, 90.0], "camera_azimuth_deg": 180.0}
     picture = unwrapped(
-        made(MirrorBallSource, exact), made(Size, {"width": 1, "height": 1}), weights, one, basis, "ball.h5"
+        made(MirrorBallSource, exact), made(Size, {"width": 1, "height": 1}), weights, one, as_it_is(basis), "ball.h5"
     )
     assert np.allclose((picture.weights @ picture.basis.T)[..., :3], 1.0)
     one[80:100, 90:110] = False
     with pytest.raises(InputError, match="all masked"):
-        _ = unwrapped(made(MirrorBallSource, BALL), made(Size, size), weights, one, basis, "ball.h5").weights
+        _ = unwrapped(made(MirrorBallSource, BALL), made(Size, size), weights, one, as_it_is(basis), "ball.h5").weights
 
 
 def test_the_stage_unwraps_a_ball_and_minds_saturation_on_it_alone(tmp_path):
@@ -145,7 +146,8 @@ def test_the_stage_unwraps_a_ball_and_minds_saturation_on_it_alone(tmp_path):
     write_inputs(tmp_path, response, valid, calibration)
     size = {"width": 64, "height": 32}
     prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "e.h5", *OPTIONS,
-                        source=made(CapturesSource | MirrorBallSource, BALL), image=made(Size, size))  # fmt: skip
+                        source=made(CapturesSource | MirrorBallSource, BALL), image=made(Size, size),
+                        prior=prior_of(calibration))  # fmt: skip
     found = Environment.load(tmp_path / "e.h5")
     seen = ball_places(made(MirrorBallSource, BALL), 64, 32)[2] < RIM
     spectra = (found.coefficients @ found.basis.T)[..., [10, 30, 50]]
@@ -154,4 +156,5 @@ def test_the_stage_unwraps_a_ball_and_minds_saturation_on_it_alone(tmp_path):
     write_inputs(tmp_path, response, valid, calibration)
     with pytest.raises(InputError, match="saturated in every bracket"):
         prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "f.h5", *OPTIONS,
-                            source=made(CapturesSource | MirrorBallSource, BALL), image=made(Size, size))  # fmt: skip
+                            source=made(CapturesSource | MirrorBallSource, BALL), image=made(Size, size),
+                            prior=prior_of(calibration))  # fmt: skip

@@ -151,7 +151,6 @@ rule measure_error_budget:
         observations=scenes.observations,
         environment=scenes.environment,
         true_environment=scenes.true_light,
-        light_calibration=scenes.light_calibration,
         user_files=ancient(scenes.files),
         plan=scenes.plan,
     output:

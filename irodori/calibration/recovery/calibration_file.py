@@ -19,7 +19,9 @@ _AXES = {
     "coefficients": "monomial,basis",
 }
 _MATRIX = "weights_from_response"
-_OPTIONAL = {"chart_response": "patch,band", "band_response": "band,wavelength"}
+_RESPONSE_MODEL = ("band_response", "band_response_covariance")
+_OPTIONAL = {"chart_response": "patch,band", "band_response": "band,wavelength",
+             "band_response_covariance": "band,wavelength,wavelength"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,8 @@ class Calibration:
         response, and whatever it is, for `standard_deviation`.
     band_response : (bands, 61) float, optional
         Response per unit reflectance at each wavelength, as the chart tells it.
+    band_response_covariance : (bands, 61, 61) float, optional
+        What the chart leaves open of it; bands are independent.
     """
 
     basis: np.ndarray
@@ -55,6 +59,7 @@ class Calibration:
     relative_error: float = 0.0
     absolute_error: float = 0.0
     band_response: np.ndarray | None = None
+    band_response_covariance: np.ndarray | None = None
 
     @property
     def weights_from_response(self) -> np.ndarray | None:
@@ -102,7 +107,7 @@ class Calibration:
                 training=file.read_within("chart_response") if "chart_response" in file else None,
                 relative_error=relative,
                 absolute_error=absolute,
-                band_response=file.read_within("band_response") if "band_response" in file else None,
+                **{name: file.read_within(name) if name in file else None for name in _RESPONSE_MODEL},
             )
 
     def write(self, out: store.Writer) -> None:
@@ -128,6 +133,10 @@ class Calibration:
         if self.band_response is not None:
             quantity = "response per unit reflectance at each wavelength"
             out.write("band_response", self.band_response, units="1", dims="band,wavelength", quantity=quantity)
+        if self.band_response_covariance is not None:
+            name = "band_response_covariance"
+            quantity = "covariance of the response per unit reflectance"
+            out.write(name, self.band_response_covariance, units="1", dims=_OPTIONAL[name], quantity=quantity)
         out.attribute("filters", list(self.filters))
         out.attribute("estimator", self.estimator)
         out.attribute("mapping", self.mapping.kind)

@@ -1,0 +1,87 @@
+"""Prior over the light that reaches a camera in a room: published lamps, alone and beside others, on reflectances."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori.calibration.response_model import smooth_covariance
+from irodori.calibration.training import mix_paints
+from irodori.colour.colorimetry import colour_matching_weights
+from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
+from irodori.spectra.published import chart_spectra, spectrum
+from irodori.spectra.published_names import ILLUMINANTS
+from irodori.spectra.published_tables import published_table
+
+#: The chart whose patches, their mixtures as paints and their products stand for walls, wood and cloth.
+_CHART = "BabelColor Average"
+#: Standard deviation and correlation length, nm, of what differs from a published lamp, and from a known reflectance.
+_OF_LAMPS, _OF_SURFACES = (0.05, 20.0), (0.1, 80.0)
+_ALIKE = 5  # lamps that make a kind: their mixtures and what lies between them
+#: Weight of a lamp itself, of the lamp on coloured surfaces, of its kind, and of any mixture of all lamps.
+_BARE, _COLOURED, _KIND, _ANY = 1.0, 2.0, 1.0, 1.0
+
+
+@dataclass(frozen=True)
+class LightPrior:
+    """A mixture of families of light; of each the second moment of its spectra, brought to luminance 1, is known.
+
+    Parameters
+    ----------
+    moment : (n, 61, 61) float64
+    share : (n,) float64
+        Of a family before a picture was seen; sums to one.
+    broad : int
+        So many families at the end hold any light: they are kept whatever a picture shows.
+    """
+
+    moment: np.ndarray
+    share: np.ndarray
+    broad: int
+
+
+def published_lamps() -> np.ndarray:
+    """Return the illuminants and measured lamps of colour-science, each of luminance 1, (lamps, 61).
+
+    CIE A to E, the D series, fluorescent, high-pressure and LED illuminants, indoor daylight, those of ISO 7589, and
+    measured discharge lamps, incandescent lamps and LEDs.
+    """
+    lamps = np.concatenate(
+        [np.stack([spectrum(name) for name in ILLUMINANTS]), published_table("light_sources").at(WAVELENGTH_NM)]
+    )
+    return lamps / (lamps @ colour_matching_weights()[1])[:, None]
+
+
+def _surfaces() -> np.ndarray:
+    """Return the second moment of reflectances of mean 1: patches, paints mixed of them, light off two of them."""
+    patches = chart_spectra(_CHART)[1]
+    first, second = np.triu_indices(len(patches))
+    known = np.concatenate([patches, mix_paints(patches), patches[first] * patches[second]])
+    known = known / known.mean(axis=1, keepdims=True)
+    return known.T @ known / len(known) + _spread(_OF_SURFACES)
+
+
+def _spread(spread: tuple[float, float]) -> np.ndarray:
+    deviation, length_nm = spread
+    return deviation**2 * smooth_covariance(length_nm)
+
+
+def _kinds(lamps: np.ndarray) -> np.ndarray:
+    """Return the second moment of every lamp with those most alike, (lamps, 61, 61)."""
+    unit = lamps / np.linalg.norm(lamps, axis=1, keepdims=True)
+    alike = np.argsort(-(unit @ unit.T), axis=1, kind="stable")[:, :_ALIKE]
+    return np.stack([lamps[own].T @ lamps[own] / len(own) for own in alike])
+
+
+def light_prior(lamps: np.ndarray) -> LightPrior:
+    """Return the prior that a list of lamps, (lamps, 61), makes."""
+    bare, surfaces = np.ones((SAMPLES, SAMPLES)) + _spread(_OF_LAMPS), _surfaces()
+    own = lamps[:, :, None] * lamps[:, None, :]
+    every = lamps.T @ lamps / len(lamps)
+    moments = (own * bare, own * surfaces, _kinds(lamps) * bare, np.stack([every * bare, every * surfaces]))
+    share = np.concatenate(
+        [
+            np.full(len(moment), weight / len(moment))
+            for moment, weight in zip(moments, (_BARE, _COLOURED, _KIND, _ANY), strict=True)
+        ]
+    )
+    return LightPrior(np.concatenate(moments), share / share.sum(), len(moments[-1]))
