@@ -38,7 +38,7 @@ class Status(IntEnum):
     DIFFUSE_ONLY = 5  # the observations show no gloss
     SATURATED = 6  # the camera clips where the highlight is
     DARK = 7  # no light beyond the noise
-    POOLED = 8  # β and μ are those of the texels around it, whose observations agree with its own
+    PAINT = 8  # β and μ are mostly those of its paint, which its own observations allow
 
 
 def gloss_names(component: int) -> tuple[str, str]:
