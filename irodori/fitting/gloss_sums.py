@@ -250,3 +250,35 @@ def own_shares(part, precision, excess, each):
         second[1, 1] += a11 + m1 * m1
     second[1, 0] = second[0, 1]
     return squares, free, second / part.shape[0]
+
+
+@njit(cache=True, error_model="numpy")
+def varying(part, start, least, rounds):
+    """Return the covariance of texels' log β and log μ about the common ones, of greatest likelihood, and the excess.
+
+    With a texel's gloss at δ from the common one, its slopes are normal about N δ with the covariance N times the
+    excess. By expectation and maximisation.
+
+    Parameters
+    ----------
+    part : (texels, PARTS) float64
+    start, least : float
+        Variance to start from, and that is added to keep the covariance regular.
+    rounds : int
+        Most rounds.
+    """
+    covariance, precision, each = np.zeros((2, 2)), np.zeros((2, 2)), np.empty((part.shape[0], 2))
+    covariance[0, 0], covariance[1, 1], excess = start, start, 1.0
+    for _ in range(rounds):
+        determinant = covariance[0, 0] * covariance[1, 1] - covariance[0, 1] ** 2
+        precision[0, 0], precision[1, 1] = covariance[1, 1] / determinant, covariance[0, 0] / determinant
+        precision[0, 1] = precision[1, 0] = -covariance[0, 1] / determinant
+        squares, free, new = own_shares(part, precision, excess, each)
+        excess = max(squares / max(free - 2.0, 1.0), 1.0)
+        new[0, 0] += least
+        new[1, 1] += least
+        change = np.abs(new - covariance).max()
+        covariance[:] = new
+        if change < 1e-3 * np.abs(new).max():
+            break
+    return covariance, excess

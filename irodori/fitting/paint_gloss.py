@@ -162,7 +162,8 @@ def gloss_of_paint(surface: Surface, nodes: np.ndarray) -> PaintGloss | None:
     if found is None or place is None:
         return None
     part = sums.parts(surface, np.tile(place, (len(surface.blocks), 1)))
-    varying, excess = _varying(part)
+    tells = (part[:, sums.BETA_BETA] > 0.0) & (part[:, sums.MU_MU] > 0.0)
+    varying, excess = sums.varying(part[tells], _FIRST, _LEAST_VARYING, _ROUNDS)
     observations = part[:, sums.USED].sum()
     if not found[1] / excess > 2.0 * np.log(observations) or not part[:, sums.SEEN].max() >= LEAST_SEEN:
         return None  # Schwarz's criterion for β and μ, and a lobe whose top nobody saw
@@ -173,24 +174,6 @@ def gloss_of_paint(surface: Surface, nodes: np.ndarray) -> PaintGloss | None:
     error = inverse @ middle @ inverse + np.diag([surface.rules.model_error**2, 0.0])
     known = np.sqrt(error[0, 0]) < MAX_RELATIVE_ERROR["beta"] and np.sqrt(error[1, 1]) < MAX_RELATIVE_ERROR["mu"]
     return PaintGloss(place, error, varying, float(excess), len(surface.blocks)) if known else None
-
-
-def _varying(part: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the covariance of the texels' gloss about their paint's, (2, 2), of greatest likelihood, and the excess.
-
-    With a texel's gloss at δ from the paint's, its slopes are normal about N δ with the covariance N times the excess.
-    """
-    tells = (part[:, sums.BETA_BETA] > 0.0) & (part[:, sums.MU_MU] > 0.0)
-    part, covariance, excess, each = part[tells], np.eye(2) * _FIRST, 1.0, np.empty((int(tells.sum()), 2))
-    for _ in range(_ROUNDS):
-        squares, free, second = sums.own_shares(part, np.linalg.inv(covariance), excess, each)
-        excess = max(squares / max(free - 2.0, 1.0), 1.0)
-        new = second + np.eye(2) * _LEAST_VARYING
-        settled = np.abs(new - covariance).max() < 1e-3 * np.abs(new).max()
-        covariance = new
-        if settled:
-            break
-    return covariance, excess
 
 
 def share(surface: Surface, gloss: PaintGloss) -> Shared:

@@ -44,12 +44,9 @@ def _colours(tiles: list) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 def _find_colours(tiles: list) -> Colours:
     """Return the paints of an object's fitted tiles, by colour."""
-    most = max(MOST_CORES // len(tiles), 200)
+    most, found = max(MOST_CORES // len(tiles), 200), []
     floors = [noise_floor(variance[told], response[told]) for response, variance, told in _colours(tiles) if told.any()]
-    if not floors:
-        bands = next(_colours(tiles))[0].shape[-1]
-        return Colours(np.ones(bands), np.empty((0, bands)), np.empty(0, dtype=int))
-    floor, found = np.median(floors, axis=0), []
+    floor = np.median(floors, axis=0) if floors else np.ones(next(_colours(tiles))[0].shape[-1])
     for response, _, told in _colours(tiles):
         core = response[cores(response, floor, told)]
         found.append(core[:: max(1, -(-len(core) // most))])

@@ -20,7 +20,7 @@ from irodori.fitting.solvers import FitOptions, problem_of
 from irodori.fitting.stage import GREEN, Observed, without_gloss
 from irodori.material.material_file import Status
 
-MOST_TEXELS = 1500  # of one paint, from which its gloss comes
+MOST_TEXELS = 600  # of one paint, from which its gloss comes
 _LEAST_OF_TILE = 100  # texels of one paint that a tile gives at least, where it has them
 _SEAM = 5  # texels across a seam, where a picture shows a mixture
 _WORTH = 0.3  # relative standard error of α beyond which a colour is not stated,
@@ -234,13 +234,15 @@ def share_by_paint(tile: Tile, paints: Paints, width: int, optics: Optics) -> Pa
     if (found >= 0).any():
         # At a seam a texel has a mixture of colours, and the gloss of the paint beside it.
         far, place = ndimage.distance_transform_edt(found < 0, return_indices=True)
+        mixed |= (found < 0).ravel()
         found = np.where(far <= 0.5 * _SEAM, found[tuple(place)], -1)
     paint, columns, texels = np.full(found.size, -1), [], []
     for number in paints.known:
         gloss, here = paints.gloss[number], np.flatnonzero(found.ravel() == number)
         assert gloss is not None
         one = share(tile[here].surface(optics), gloss)
-        good = one.agrees & (one.alpha_error <= np.maximum(_WORTH * one.alpha, _DARK))
+        # What a mixture leaves unexplained is no gloss of its own.
+        good = (one.agrees | mixed[here]) & (one.alpha_error <= np.maximum(_WORTH * one.alpha, _DARK))
         paint[here[good]] = number
         texels.append(here[good])
         columns.append(one[good])
