@@ -100,9 +100,8 @@ class Fit(Definition):
     #: Whether the real refractive index is the one of the object's definition or fitted texel by texel.
     refractive_index: Literal["fixed", "fitted"] = "fixed"
 
-    #: Distance, in texels, up to which a texel whose own observations leave its gloss open takes it from those around
-    #: it within the tile; 0 for none.
-    pooling_radius_texels: int = 0
+    #: Whether the texels of one paint share its gloss.
+    gloss_by_paint: bool = True
 
     #: Smallest and largest value of each parameter.
     bounds: FitBounds = FitBounds()

@@ -290,13 +290,29 @@ class PhotographSets:
         """Return the texture rows of a tile."""
         return self.tiles_of(wildcards.object)[int(wildcards.tile)]
 
-    def tile_files(self, name: str, kind: str = "brdf") -> list[str]:
-        """Return the fitted tiles of an object; or another kind of them."""
+    def shares_gloss(self, name: str) -> bool:
+        """Whether the texels of an object share the gloss of their paints; those of two lobes have their own."""
+        return self.loaded.config.fit.gloss_by_paint and len(self.loaded.objects[name].lobes) == 1
+
+    def fitted_files(self, name: str) -> list[str]:
+        """Return the fit of an object: one file where its texels share the gloss of paints, else its tiles."""
+        return [f"results/{name}/surface.h5"] if self.shares_gloss(name) else self.tile_files(name, "brdf")
+
+    def tile_files(self, name: str, kind: str) -> list[str]:
+        """Return the tiles of an object of a kind: ``observations`` or, fitted texel by texel, ``brdf``."""
         return [f"results/{name}/{kind}/tile-{number:03d}.h5" for number in range(len(self.tiles_of(name)))]
 
     def fitted_tiles(self, wildcards) -> list[str]:
-        """Return the fitted tiles of a job's object."""
-        return self.tile_files(wildcards.object)
+        """Return the fit of a job's object."""
+        return self.fitted_files(wildcards.object)
+
+    def own_tiles(self, wildcards) -> list[str]:
+        """Return the tiles of a job's object as fitted texel by texel."""
+        return self.tile_files(wildcards.object, "brdf")
+
+    def observed_tiles(self, wildcards) -> list[str]:
+        """Return what the tiles of a job's object were fitted to."""
+        return self.tile_files(wildcards.object, "observations")
 
     def lobes(self) -> list[str]:
         """Return the lobes with which the gloss of any object is fitted, sorted."""

@@ -72,13 +72,14 @@ class SceneFiles:
         cameras = [self.loaded.objects[name].camera for name in self.objects(wildcards)]
         return [f"results/cameras/{camera}/calibration.h5" for camera in cameras]
 
-    def tiles(self, wildcards, kind: str = "brdf") -> list[str]:
-        """Return the fitted tiles of a scene's objects, each object's once; or another kind of them."""
-        return [file for name in dict.fromkeys(self.objects(wildcards)) for file in self._sets.tile_files(name, kind)]
+    def tiles(self, wildcards) -> list[str]:
+        """Return the fits of a scene's objects, each object's once."""
+        return [file for name in dict.fromkeys(self.objects(wildcards)) for file in self._sets.fitted_files(name)]
 
     def observations(self, wildcards) -> list[str]:
-        """Return what the fitted tiles of a scene's objects were fitted to."""
-        return self.tiles(wildcards, "observations")
+        """Return what the objects of a scene were fitted to, in the order of their fits."""
+        names = dict.fromkeys(self.objects(wildcards))
+        return [file for name in names for file in self._sets.tile_files(name, "observations")]
 
     def subjects(self, wildcards) -> list[dict]:
         """Return of each object of a scene its shape and the side of two mosaic pixels of its photographs on it, mm."""

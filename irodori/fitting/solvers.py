@@ -23,7 +23,6 @@ from irodori.reflection.registry import DEFAULT_LOBES, lobe, names
 
 # NLopt's fastest bounded algorithm of those that reach the minimum on noisy texels, and where it stops.
 _ALGORITHM, _XTOL_REL, _MAX_EVALUATIONS = nlopt.LD_LBFGS, 1e-8, 400
-MAX_POOLING_RADIUS_TEXELS = 8
 MAX_LOBES = 2
 _SETTINGS = ("objective", "algorithm", "xtol_rel", "max_evaluations")
 _BOUNDS = {"alpha": (0.0, 2.0), "beta": (0.0, 1e4), "mu_rad": (0.005, 1.2), "n": (1.2, 2.5)}
@@ -51,9 +50,9 @@ class FitOptions:
         Residual, in standard deviations, beyond which the loss is linear.
     refractive_index : str
         ``fixed``: as given; ``fitted``: each texel's own real part n, within its bounds.
-    pooling_radius_texels : int
-        Distance up to which a texel that leaves its gloss open may take it from those around it, see
-        `irodori.fitting.pooling`; 0 for none. `fit` itself knows no neighbours.
+    gloss_by_paint : bool
+        Whether the texels of an object share the gloss of their paints, see `irodori.fitting.paints`; `fit` itself
+        knows one texel at a time.
     bounds : dict
         ``alpha``, ``beta``, ``mu_rad``, ``n``: lower and upper bound.
     lobes : tuple of str
@@ -67,7 +66,7 @@ class FitOptions:
     pose_error_deg: float = 0.05
     huber: float | None = None
     refractive_index: str = "fixed"
-    pooling_radius_texels: int = 0
+    gloss_by_paint: bool = True
     bounds: dict | None = None
     lobes: tuple[str, ...] = DEFAULT_LOBES
 
@@ -80,9 +79,6 @@ class FitOptions:
         self._check_lobes()
         if self.huber is not None and not 0.0 < self.huber < np.inf:
             raise ValueError(f"fit.huber {self.huber!r}; accepted: a number above 0, or None for least squares")
-        if not 0 <= self.pooling_radius_texels <= MAX_POOLING_RADIUS_TEXELS:
-            found = f"fit.pooling_radius_texels {self.pooling_radius_texels}"
-            raise ValueError(f"{found}; accepted: 0 to {MAX_POOLING_RADIUS_TEXELS}")
         for name in _BOUNDS:
             low, high = self.limits(name)
             if not low < high * (0.99 if name == "mu_rad" else 1.0) < np.inf:
@@ -137,8 +133,6 @@ class FitResult:
     index, index_error : (n,) float64
         Real refractive index and its standard error; NaN where it was fitted and is not determined. The error is NaN
         where the index was given.
-    pooled_from : (n,) int32
-        Texels that the gloss comes from where the status is POOLED, else 0.
     lobes : tuple of str
         Lobe of each component.
     beta_2, mu_2, beta_2_error, mu_2_error : (n,) float64
@@ -161,7 +155,6 @@ class FitResult:
     gloss: np.ndarray
     index: np.ndarray
     index_error: np.ndarray
-    pooled_from: np.ndarray
     lobes: tuple[str, ...] = DEFAULT_LOBES
     beta_2: np.ndarray | None = None
     mu_2: np.ndarray | None = None
@@ -380,7 +373,6 @@ def _result(out: texels.Output, problem: texels.Problem) -> FitResult:
         gloss=gloss,
         index=np.broadcast_to(problem.n, out.status.shape).copy(),
         index_error=np.full(count, math.nan),
-        pooled_from=np.zeros(count, dtype=np.int32),
         lobes=problem.lobes.names,
     )
 

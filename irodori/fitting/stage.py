@@ -2,6 +2,7 @@
 
 import math
 import time
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,6 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.fitting.band_fresnel import BandGloss, band_gloss, uniform, varies
-from irodori.fitting.pooling import pool
 from irodori.fitting.solvers import FitOptions, FitResult, fit
 from irodori.fitting.texel_rows import COSINE, LOBE, SPOILED, fill_lobe, new_rows, pack_geometry
 from irodori.jit.chunks import run_chunks
@@ -35,7 +35,34 @@ _AXES = {
     "texel": "texel",
 }
 #: Attributes of a tile that its fit passes on.
-_CARRIED = {"rows": list, "width": int, "filters": list}
+CARRIED = {"rows": list, "width": int, "filters": list}
+
+
+@dataclass(frozen=True)
+class Observed:
+    """Observations of texels in all bands.
+
+    Parameters
+    ----------
+    response : (texels, J, bands) float
+    geometry : (texels, J, 4) float
+        θ_i, θ_r, θ_H, φ in rad.
+    weight : (texels, J) float
+    clipped : (texels, J) uint8
+    noise : (J, bands, 2) float64
+        c0 and c1 of the variance c0 + c1 ρ that the camera's noise gives a response.
+    """
+
+    response: np.ndarray
+    geometry: np.ndarray
+    weight: np.ndarray
+    clipped: np.ndarray
+    noise: np.ndarray
+
+    def __getitem__(self, chosen) -> "Observed":
+        """Return the observations of the texels chosen."""
+        response, geometry, weight = self.response[chosen], self.geometry[chosen], self.weight[chosen]
+        return Observed(response, geometry, weight, self.clipped[chosen], self.noise)
 
 
 class Fitted(NamedTuple):
@@ -158,14 +185,34 @@ def diffuse_response(
     variance : (texels, bands) float64
         From the camera's noise alone; NaN where that is not known, or without observation.
     """
-    out, variance = np.empty((2, len(response), response.shape[2]))
-    noise = np.ascontiguousarray(noise, dtype=np.float64)
+    observed = Observed(response, geometry, weight, np.empty((0, 0), np.uint8), noise)
     index = np.where(np.isfinite(result.index), result.index, fresnel.n)
-    alone = tuple(Lobes((name,)) for name in (result.lobes if len(result.lobes) > 1 else result.lobes * 2))
+    return without_gloss(observed, result.gloss, index, result.lobes, fresnel, model_error=model_error)
+
+
+def without_gloss(
+    observed: Observed, gloss, index, lobes: tuple[str, ...], fresnel: BandGloss, *, model_error: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what `diffuse_response` does, for any gloss.
+
+    Parameters
+    ----------
+    observed : Observed
+    gloss : (texels, 2 or 4) float64
+        β and μ of each component.
+    index : (texels,) float64
+        Real refractive index.
+    lobes : tuple of str
+        Of the components.
+    """
+    out, variance = np.empty((2, len(observed.response), observed.response.shape[2]))
+    noise = np.ascontiguousarray(observed.noise, dtype=np.float64)
+    alone = tuple(Lobes((name,)) for name in (lobes if len(lobes) > 1 else lobes * 2))
     given = Fitted(
-        response, geometry, weight, noise, float(model_error), alone, result.gloss, index, fresnel.k, fresnel.ratio
-    )
-    run_chunks(_combine_chunk, len(response), _CHUNK, given, out, variance)
+        observed.response, observed.geometry, observed.weight, noise, float(model_error), alone, gloss, index,
+        fresnel.k, fresnel.ratio,
+    )  # fmt: skip
+    run_chunks(_combine_chunk, len(out), _CHUNK, given, out, variance)
     return out, variance
 
 
@@ -184,7 +231,8 @@ def _of_near_light(noise, gain, weight) -> np.ndarray:
     return noise * np.stack([second, first], axis=-1)[:, None, :]
 
 
-def _fresnel(n, k, calibration, bands: int) -> BandGloss:
+def fresnel_of(n, k, calibration, bands: int) -> BandGloss:
+    """Return n and k of the fit and F of every band; ``calibration`` is needed where n or k varies."""
     if not varies(n, k):
         return uniform(np.mean(n), np.mean(k), bands)
     if calibration is None:
@@ -198,25 +246,54 @@ def _fresnel(n, k, calibration, bands: int) -> BandGloss:
     return found
 
 
-def _maps(result: FitResult) -> dict[str, tuple]:
-    """Return what a file keeps of a fit: name -> values, unit, quantity."""
-    gloss = {}
-    for name, (unit, quantity) in gloss_maps(result.lobes).items():
-        gloss[name] = getattr(result, name), unit, quantity
-        gloss[f"{name}_error"] = getattr(result, f"{name}_error"), unit, f"standard error of {name}"
+def fitted_maps(lobes: tuple[str, ...]) -> dict[str, tuple[str, str]]:
+    """Return what a file keeps of a fit with these lobes, one entry a texel: name -> (units, quantity)."""
+    gloss: dict[str, tuple[str, str]] = {}
+    for name, (unit, quantity) in gloss_maps(lobes).items():
+        gloss |= {name: (unit, quantity), f"{name}_error": (unit, f"standard error of {name}")}
     return gloss | {
-        "alpha": (result.alpha, "1", "diffuse weight"),
-        "alpha_error": (result.alpha_error, "1", "standard error of alpha"),
-        "residual_rms": (result.residual_rms, "1", "root mean square residual in response"),
-        "relative_residual": (result.relative_residual, "1", "residual over root mean square response"),
-        "status": (result.status, "1", ", ".join(f"{s.value} {s.name.lower()}" for s in Status)),
-        "model": (result.model, "1", "0 nothing, 1 diffuse, 2 gloss, 3 both"),
-        "refractive_index": (result.index, "1", "real refractive index; NaN where fitted and not determined"),
-        "refractive_index_error": (result.index_error, "1", "its standard error where it was fitted"),
-        "evaluations": (result.evaluations, "1", "evaluations of the objective"),
-        "pooled_from": (result.pooled_from, "1", "texels that the gloss comes from, 0 where it is the texel's own"),
-        "nlopt_result": (result.nlopt_result, "1", "return code of NLopt, 0 where not called"),
+        "alpha": ("1", "diffuse weight"),
+        "alpha_error": ("1", "standard error of alpha"),
+        "residual_rms": ("1", "root mean square residual in response"),
+        "relative_residual": ("1", "residual over root mean square response"),
+        "status": ("1", ", ".join(f"{s.value} {s.name.lower()}" for s in Status)),
+        "model": ("1", "0 nothing, 1 diffuse, 2 gloss, 3 both"),
+        "refractive_index": ("1", "real refractive index; NaN where fitted and not determined"),
+        "refractive_index_error": ("1", "its standard error where it was fitted"),
+        "evaluations": ("1", "evaluations of the objective"),
+        "paint": ("1", "number of the texel's paint, -1 where not known"),
+        "nlopt_result": ("1", "return code of NLopt, 0 where not called"),
+        "texel": ("1", "1 where a surface lies under the texel's centre"),
+        "diffuse_response": ("1", "response to the diffuse reflectance alone"),
+        "diffuse_variance": ("1", "variance of diffuse_response from the camera's noise"),
     }
+
+
+def write_fitted(output, maps: dict, attributes: dict, lobes: tuple[str, ...], provenance: store.Provenance) -> None:
+    """Write a fitted tile: maps by the names of `fitted_maps`, and attributes of the file."""
+    described = fitted_maps(lobes)
+    with store.create(output, provenance) as out:
+        store.write_maps(out, {name: (maps[name], *described[name]) for name in described}, "texel,band")
+        for name, value in {**attributes, "lobes": list(lobes)}.items():
+            out.attribute(name, value)
+
+
+def read_observations(path) -> Observed:
+    """Return the observations of a tile; a near light's gain is in their noise.
+
+    Raises
+    ------
+    InputError
+        If the file is none, is damaged, or its datasets do not fit together.
+    """
+    with store.open_file(path) as file:
+        file.require_axes(_AXES, angle=4, coefficient=2)
+        response, geometry, weight = file.read("response"), file.read("geometry"), file.read("weight")
+        clipped, noise = file.read("clipped"), file.read("noise_model")
+        if "light_gain" in file:
+            file.require_axes(_AXES | {"light_gain": "texel,capture"})
+            noise = _of_near_light(noise, file.read("light_gain"), weight)
+    return Observed(response, geometry, weight, clipped, noise)
 
 
 def fit_brdf(
@@ -237,20 +314,18 @@ def fit_brdf(
     -----
     Datasets, one entry a texel: ``/alpha``, ``/beta``, ``/mu`` (in the unit of the lobe), of a second lobe ``/beta_2``
     and ``/mu_2``, their ``*_error``, ``/residual_rms``,
-    ``/status`` (see `Status`), ``/model``, ``/pooled_from``, ``/evaluations``, ``/nlopt_result``, ``/refractive_index``
+    ``/status`` (see `Status`), ``/model``, ``/paint``, ``/evaluations``, ``/nlopt_result``, ``/refractive_index``
     and ``/refractive_index_error`` (NaN where the index was given), ``/diffuse_response`` (texel, bands) and
     ``/diffuse_variance``, what the camera's noise gives it; ``/texel``, 0 where the texture shows no surface.
     """
+    observed = read_observations(observations)
     with store.open_file(observations) as file:
-        file.require_axes(_AXES, angle=4, coefficient=2)
-        response, geometry, weight = file.read("response"), file.read("geometry"), file.read("weight")
-        noise, clipped, texel = file.read("noise_model"), file.read("clipped"), file.read("texel")
-        if "light_gain" in file:
-            file.require_axes(_AXES | {"light_gain": "texel,capture"})
-            noise = _of_near_light(noise, file.read("light_gain"), weight)
-        fresnel = _fresnel(n, k, calibration, response.shape[2])
-        n, k = fresnel.n, fresnel.k
-        carried = {name: file.attribute(name, kind) for name, kind in _CARRIED.items()}
+        texel = file.read("texel")
+        carried = {name: file.attribute(name, kind) for name, kind in CARRIED.items()}
+    response, geometry, weight = observed.response, observed.geometry, observed.weight
+    clipped, noise = observed.clipped, observed.noise
+    fresnel = fresnel_of(n, k, calibration, response.shape[2])
+    n, k = fresnel.n, fresnel.k
     if options.weights == "noise" and not np.isfinite(noise[:, GREEN]).all():
         LOGGER.info("the camera's noise is not known in every capture: observations have equal weights")
     green, of_green = response[..., GREEN], noise[:, GREEN]
@@ -259,28 +334,15 @@ def fit_brdf(
     start = time.perf_counter()
     result = fit(green, geometry, weight, n, k, options, noise=of_green, clipped=clipped)
     seconds = time.perf_counter() - start
-    start = time.perf_counter()
-    width = carried["width"]
-    result = pool(result, green, geometry, weight, n=n, k=k, options=options, noise=of_green, width=width)
-    pool_seconds = time.perf_counter() - start
     fitted = int((result.evaluations > 0).sum())
     error = options.model_error
-    diffuse, variance = diffuse_response(response, geometry, weight, result, fresnel, noise, model_error=error)
-    with store.create(output, provenance) as out:
-        maps = _maps(result) | {
-            "texel": (texel, "1", "1 where a surface lies under the texel's centre"),
-            "diffuse_response": (diffuse, "1", "response to the diffuse reflectance alone"),
-            "diffuse_variance": (variance, "1", "variance of diffuse_response from the camera's noise"),
-        }
-        store.write_maps(out, maps, "texel,band")
-        for name, value in carried.items():
-            out.attribute(name, value)
-        out.attribute("lobes", list(result.lobes))
-        out.attribute("fit_seconds", seconds)
-        out.attribute("pool_seconds", pool_seconds)
-        out.attribute("texels_fitted", fitted)
+    diffuse, diffuse_variance = diffuse_response(response, geometry, weight, result, fresnel, noise, model_error=error)
+    index = {"refractive_index": result.index, "refractive_index_error": result.index_error}
+    other = {"texel": texel, "diffuse_response": diffuse, "diffuse_variance": diffuse_variance}
+    other["paint"] = np.full(len(texel), -1, dtype=np.int16)
+    own = {name: getattr(result, name) for name in fitted_maps(result.lobes) if name not in index | other}
+    attributes = carried | {"fit_seconds": seconds, "texels_fitted": fitted}
+    write_fitted(output, own | index | other, attributes, result.lobes, provenance)
     counts = np.bincount(result.status, minlength=len(Status))
-    if options.pooling_radius_texels:
-        LOGGER.info("pooled the gloss of %d texels in %.2f s", int((result.pooled_from > 0).sum()), pool_seconds)
     LOGGER.info("fitted %d texels in %.2f s (%.0f texels/s)", fitted, seconds, fitted / max(seconds, 1e-9))
     LOGGER.info("%s", ", ".join(f"{s.name.lower()}: {counts[s]}" for s in Status))

@@ -16,10 +16,13 @@ COLUMNS = {
     "residual_rms": ("1", "root mean square residual in response"),
     "status": ("1", "outcome of the fit"),
     "relative_residual": ("1", "root mean square residual over root mean square response"),
-    "pooled_from": ("1", "texels that the gloss comes from, 0 where it is the texel's own"),
+    "paint": ("1", "number of the texel's paint, -1 where not known"),
     "evaluations": ("1", "evaluations of the objective"),
     "nlopt_result": ("1", "return code of NLopt, 0 where not called"),
 }
+
+#: Attributes of a tile that say how fast it was fitted.
+SPEED = ("fit_seconds", "texels_fitted")
 
 
 def columns(lobes: tuple[str, ...]) -> dict[str, tuple[str, str]]:
@@ -55,7 +58,7 @@ class FittedTiles:
     def __init__(self, paths: list, height: int, width: int) -> None:
         self.first, self.height, self.width, self.filters = paths[0], height, width, None
         self.lobes: tuple[str, ...] = ()
-        self.speed = {"fit_seconds": 0.0, "texels_fitted": 0}
+        self.speed: dict = dict.fromkeys(SPEED, 0)
         covered, tiles = np.zeros(height, dtype=int), []
         for path in paths:
             with store.open_file(path) as file:
@@ -70,9 +73,11 @@ class FittedTiles:
                 self.lobes = lobes
                 for name in self.speed:
                     self.speed[name] += file.attribute(name)
-                first, last = file.attribute("rows")
-                covered[first:last] += 1
-                tiles.append((first, last, path))
+                whole = file.attribute("rows", list)
+                # A file of all tiles names them; its texels begin with the first row of the first.
+                for first, last in file.attribute("parts", list) if file.has_attribute("parts") else [whole]:
+                    covered[first:last] += 1
+                    tiles.append((first, last, path, first - whole[0]))
         if not (covered == 1).all():
             found = f"{int((covered != 1).sum())} rows missing or doubled"
             raise InputError(self.first, "rows", found, f"tiles that cover {height} rows once")
@@ -80,10 +85,11 @@ class FittedTiles:
 
     def read(self, *names: str) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
         """Yield the rows of every tile and its maps of these names, (rows, width, ...)."""
-        for first, last, path in self._tiles:
-            with store.open_file(path) as file:
-                maps = {name: file.read(name) for name in names}
+        for first, last, path, start in self._tiles:
             shape = last - first, self.width
+            part = slice(start * self.width, (start + last - first) * self.width)
+            with store.open_file(path) as file:
+                maps = {name: file.read(name, part) for name in names}
             yield slice(first, last), {name: one.reshape(*shape, *one.shape[1:]) for name, one in maps.items()}
 
     def typical_gloss(self) -> tuple[float, ...]:

@@ -38,7 +38,7 @@ class Status(IntEnum):
     DIFFUSE_ONLY = 5  # the observations show no gloss
     SATURATED = 6  # the camera clips where the highlight is
     DARK = 7  # no light beyond the noise
-    POOLED = 8  # β and μ are those of the texels around it, whose observations agree with its own
+    PAINT = 8  # β and μ are mostly those of its paint, which its own observations allow
 
 
 def gloss_names(component: int) -> tuple[str, str]:
@@ -297,8 +297,8 @@ class Material:
     def filled(self, covered: np.ndarray | None = None) -> tuple["Material", float]:
         """Return a copy without gaps, and the share of texels that were filled.
 
-        A texel that no capture determined takes the colour of the nearest observed texel (the texture's sides are
-        joined), and gloss that its own data is silent about is the object's typical gloss. Of several components one
+        A texel that no capture determined takes colour and gloss of the nearest observed texel (the texture's sides are
+        joined), and gloss that is not known there either is the object's typical gloss. Of several components one
         that reflects nothing in a texel, β = 0, stays so.
 
         Parameters
@@ -321,6 +321,7 @@ class Material:
         typical = zip(self.typical_gloss[::2], self.typical_gloss[1::2], strict=True)
         pairs = []
         for (_, beta, mu), (usual_beta, usual_mu) in zip(self.gloss, typical, strict=True):
+            beta, mu = beta[row, column], mu[row, column]
             known = np.isfinite(beta) & np.isfinite(mu)
             # A component that the others of the texel leave nothing to has no roughness, but its weight is known: 0.
             weighed = known | (beta == 0.0) if self.further_gloss else known

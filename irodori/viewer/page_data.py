@@ -108,7 +108,7 @@ def _status(material: Material) -> np.ndarray:
     found = np.full(material.alpha.shape, MEASURED, dtype=np.uint8)
     if "status" in material.extra:
         fit = material.extra["status"]
-        found[fit == Status.POOLED] = PAINT
+        found[fit == Status.PAINT] = PAINT
         found[fit == Status.MU_UNIDENTIFIABLE] = UNKNOWN
     found[~material.observed] = FILLED
     return found

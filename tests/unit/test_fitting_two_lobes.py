@@ -226,7 +226,6 @@ def test_matt_and_unseen_texels_are_as_with_one_lobe():
             {"lobes": ("ggx", "ggx"), "refractive_index": "fitted"},
             "fit.refractive_index 'fitted' of an object with two",
         ),
-        ({"lobes": ("ggx", "ggx"), "pooling_radius_texels": 3}, "fit.pooling_radius_texels 3 of an object with two"),
         ({"lobes": ("ggx", "ggx"), "solver": "nlopt"}, "fit.solver 'nlopt' of an object with two lobes"),
         ({"lobes": ("ggx", "ggx"), "huber": 2.0}, "fit.huber 2.0 of an object with two lobes"),
     ],
@@ -241,7 +240,6 @@ def test_what_cannot_be_fitted_is_refused(options, message):
     [
         (["ggxx"], {}, r"lobes\[0\].*did you mean 'ggx'"),
         (["gaussian", "ggx"], {"refractive_index": "fitted"}, "two lobes with fit.refractive_index: fitted"),
-        (["gaussian", "ggx"], {"pooling_radius_texels": 2}, "two lobes with fit.pooling_radius_texels: 2"),
     ],
 )
 def test_a_definition_is_checked_before_anything_is_fitted(lobes, changed, message):

@@ -111,7 +111,9 @@ def test_tiles_cover_the_texture(sets, definitions):
     rows = sets.tiles_of("tile-plate")
     assert rows[0][0] == 0 and rows[-1][1] == texels.height
     assert all(first[1] == second[0] for first, second in itertools.pairwise(rows))
-    assert sets.tile_files("tile-plate") == [f"results/tile-plate/brdf/tile-{n:03d}.h5" for n in range(len(rows))]
+    own = [f"results/tile-plate/brdf/tile-{n:03d}.h5" for n in range(len(rows))]
+    assert sets.tile_files("tile-plate", "brdf") == sets.own_tiles(job(object="tile-plate")) == own
+    assert sets.fitted_files("tile-plate") == ["results/tile-plate/surface.h5"]
     assert sets.tile_rows(job(object="tile-plate", tile="000")) == rows[0]
 
 

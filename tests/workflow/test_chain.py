@@ -16,6 +16,7 @@ from irodori.export.pictures import read_spectral_exr
 
 STAGES_AFTER_FIT = {
     "fit_brdf",
+    "share_gloss",
     "compress_reflectance",
     "render_view",
     "export_viewer",

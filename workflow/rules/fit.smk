@@ -23,3 +23,31 @@ rule fit_brdf:
         code=code_hash("irodori.fitting.stage", "irodori.spectra.published"),
     script:
         "../scripts/fit_brdf.py"
+
+
+# One job an object: its paints are those of all tiles, and a job for each tile would take longer to start than to run.
+rule share_gloss:
+    input:
+        observations=sets.observed_tiles,
+        tiles=sets.own_tiles,
+        user_files=ancient(sets.tables_of_index),
+        calibration=sets.calibration_of_index,
+    output:
+        surface="results/{object}/surface.h5",
+    log:
+        "results/logs/share_gloss/{object}.log",
+    benchmark:
+        "results/benchmarks/share_gloss/{object}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
+    params:
+        fit=lookup(within=config, dpath="fit"),
+        lobes=lookup(within=config, dpath="objects/{object}/lobes"),
+        refractive_index=lookup(within=config, dpath="objects/{object}/refractive_index"),
+        user_files=ledger.content(sets.tables_of_index),
+        code=code_hash("irodori.fitting.paint_stage", "irodori.spectra.published"),
+    script:
+        "../scripts/share_gloss.py"

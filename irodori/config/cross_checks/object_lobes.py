@@ -5,7 +5,7 @@ from irodori.config.validation import suggest
 from irodori.core.errors import InputError
 
 #: Settings of the fit that an object with two lobes must leave as they are.
-SETTINGS_WITH_TWO_LOBES = {"solver": "varpro", "refractive_index": "fixed", "pooling_radius_texels": 0, "huber": None}
+SETTINGS_WITH_TWO_LOBES = {"solver": "varpro", "refractive_index": "fixed", "huber": None}
 
 
 def check_lobes(definition: Object, fit: Fit, file) -> None:

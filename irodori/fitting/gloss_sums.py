@@ -1,0 +1,284 @@
+"""Sums over texels that share β and μ, each with its own α [eq. 7].
+
+With a texel's own α eliminated (variable projection), its sum of squares at one μ is a parabola in β,
+A - 2 B β + C β²; the parabolas of several texels add, so the joint fit of any number of texels is one-dimensional in
+log μ, and its cost is linear in texels. A texel is packed as rows cosθ_i, gloss, features, response, and weight, the
+inverse of a variance.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from irodori.fitting.observations import Rules, load_one
+from irodori.fitting.texel_rows import COSINE, F0, GLOSS, RESPONSE, VARIANCE, WEIGHT, folded, get, new_rows, vectors_of
+from irodori.fitting.texels import Problem, pack_texel
+from irodori.jit.chunks import run_chunks
+from irodori.jit.compilation import njit, uncounted
+from irodori.jit.vector_memory import spread
+from irodori.reflection import lobes as lobe_kernels
+from irodori.reflection.lobes import Lobes
+
+PACKED = 7
+_C, _G, _F0, _F1, _F2, _R, _W = range(PACKED)
+#: Columns of a texel's part in a fit of log β and log μ: the slope of half its sum of squares, downhill; the matrix of
+#: the normal equations; the sum of squares; α, its slopes along log β and log μ, and the inverse of its variance; the
+#: share of its peak at which the texel sees the lobe; Σ w ρ², Σ w, and the observations with weight.
+(
+    DOWN_BETA, DOWN_MU, BETA_BETA, BETA_MU, MU_MU, SQUARES, ALPHA, ALPHA_BY_BETA, ALPHA_BY_MU, ALPHA_WEIGHT, SEEN,
+    POWER, TOTAL, USED,
+) = range(14)  # fmt: skip
+PARTS = 14
+_GLOSS, _SLOPE, _STEEP, _SHARE, _KNOWN = range(5)
+_ROOM = 5
+_CHUNK = 1024  # texels that a thread takes at a time
+
+
+class Surface(NamedTuple):
+    """Texels whose gloss is searched together.
+
+    Parameters
+    ----------
+    blocks : (texels, PACKED, P) float64
+        Their observations.
+    lobes : Lobes
+        One lobe.
+    rules : Rules
+    """
+
+    blocks: np.ndarray
+    lobes: Lobes
+    rules: Rules
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pack_chunk(problem, rules, blocks, first, last):
+    rows = new_rows(problem.response.shape[1])
+    for t in range(first, last):
+        pack_texel(t, problem, rows)
+        load_one(problem.response[t], problem.weight[t], problem.noise, rules, rows)
+        for j in range(rows.shape[1]):
+            blocks[t, _C, j], blocks[t, _G, j], blocks[t, _R, j] = rows[COSINE, j], rows[GLOSS, j], rows[RESPONSE, j]
+            for i in range(3):
+                blocks[t, _F0 + i, j] = rows[F0 + i, j]
+            w = rows[WEIGHT, j]
+            blocks[t, _W, j] = w if rules.weighted or not w > 0.0 else w / rows[VARIANCE, j]
+
+
+def pack(problem: Problem, rules: Rules) -> Surface:
+    """Return the texels of a problem with inverse variances for weights.
+
+    Parameters
+    ----------
+    problem : Problem
+    rules : Rules
+    """
+    blocks = np.zeros((len(problem.response), PACKED, problem.noise.shape[1]))
+    run_chunks(_pack_chunk, len(blocks), _CHUNK, problem, rules, blocks)
+    return Surface(blocks, problem.lobes, rules)
+
+
+@uncounted(error_model="numpy")
+def _parabola(block, lobes, log_mu):
+    """Return A, B, C of one packed texel at one log μ."""
+    constant, zero = lobe_kernels.constants(lobes, log_mu), spread(0.0)
+    cc, cr, rr, cg, rg, gg = zero, zero, zero, zero, zero, zero
+    for j in range(vectors_of(block)):
+        c, r, w = get(block, _C, j), get(block, _R, j), get(block, _W, j)
+        value = lobe_kernels.value(lobes, constant, get(block, _F0, j), get(block, _F1, j), get(block, _F2, j))
+        g = get(block, _G, j) * value
+        wc, wr = w * c, w * r
+        cc, cr, rr = cc + wc * c, cr + wc * r, rr + wr * r
+        cg, rg, gg = cg + wc * g, rg + wr * g, gg + w * g * g
+    c2, cr1, cg1 = folded(cc, 0.0), folded(cr, 0.0), folded(cg, 0.0)
+    if not c2 > 0.0:
+        return 0.0, 0.0, 0.0
+    a, b, c = folded(rr, 0.0) - cr1 * cr1 / c2, folded(rg, 0.0) - cr1 * cg1 / c2, folded(gg, 0.0) - cg1 * cg1 / c2
+    return max(a, 0.0), b, max(c, 0.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sum_chunk(surface, nodes, out, first, last):
+    for t in range(first, last):
+        for i in range(nodes.size):
+            a, b, c = _parabola(surface.blocks[t], surface.lobes, nodes[i])
+            out[t, i, 0], out[t, i, 1], out[t, i, 2] = a, b, c
+
+
+def parabolas(surface: Surface, nodes: np.ndarray) -> np.ndarray:
+    """Return A, B, C of every texel at the values of log μ in ``nodes``, (texels, nodes, 3)."""
+    out = np.empty((len(surface.blocks), nodes.size, 3))
+    run_chunks(_sum_chunk, len(out), _CHUNK, surface, nodes, out)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _take_part(block, lobes, rules, gloss, room, out):
+    """Fill the part that a texel has in a fit of log β and log μ; observations know what a pose error does to them.
+
+    Leaves in ``room`` the gloss of every observation, its slope along log μ, steepness along φ, and the weight.
+    """
+    constant, beta, cc, cr = lobe_kernels.constants(lobes, gloss[1]), math.exp(gloss[0]), 0.0, 0.0
+    for j in range(block.shape[1]):
+        f0, f1, f2 = block[_F0, j], block[_F1, j], block[_F2, j]
+        value, slope, _ = lobe_kernels.derivatives(lobes, constant, f0, f1, f2)
+        share, room[_STEEP, j] = lobe_kernels.flank(lobes, constant, f0, f1, f2)
+        g, c, w = beta * block[_G, j] * value, block[_C, j], block[_W, j]
+        room[_GLOSS, j], room[_SLOPE, j] = g, beta * block[_G, j] * slope
+        room[_SHARE, j] = share if w > 0.0 and block[_G, j] > 0.0 else 0.0
+        cc, cr = cc + w * c * c, cr + w * c * (block[_R, j] - g)
+    out[:] = 0.0
+    if not cc > 0.0:
+        out[ALPHA] = np.nan
+        return
+    alpha = min(max(cr / cc, rules.low_alpha), rules.high_alpha)
+    cc, cr, cg, cs = 0.0, 0.0, 0.0, 0.0
+    for j in range(block.shape[1]):
+        c, g, w = block[_C, j], room[_GLOSS, j], block[_W, j]
+        # As in `irodori.fitting.judge`: θ_i is off by one error, φ by 1/√2 of it.
+        pose = 0.5 * room[_STEEP, j] * g * g + alpha * alpha * (1.0 - c * c)
+        w /= 1.0 + w * rules.pose_variance * pose
+        room[_KNOWN, j] = w
+        cc, cr, cg, cs = cc + w * c * c, cr + w * c * block[_R, j], cg + w * c * g, cs + w * c * room[_SLOPE, j]
+    alpha = min(max((cr - cg) / cc, rules.low_alpha), rules.high_alpha)
+    out[ALPHA], out[ALPHA_BY_BETA], out[ALPHA_BY_MU], out[ALPHA_WEIGHT] = alpha, -cg / cc, -cs / cc, cc
+    for j in range(block.shape[1]):
+        c, g, w = block[_C, j], room[_GLOSS, j], room[_KNOWN, j]
+        jb, jm, r = g - c * cg / cc, room[_SLOPE, j] - c * cs / cc, block[_R, j] - alpha * c - g
+        out[DOWN_BETA] += w * jb * r
+        out[DOWN_MU] += w * jm * r
+        out[BETA_BETA] += w * jb * jb
+        out[BETA_MU] += w * jb * jm
+        out[MU_MU] += w * jm * jm
+        out[SQUARES] += w * r * r
+        out[POWER] += w * block[_R, j] ** 2
+        out[TOTAL] += w
+        out[USED] += w > 0.0
+        out[SEEN] = max(out[SEEN], room[_SHARE, j])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _part_chunk(surface, gloss, out, first, last):
+    room = np.empty((_ROOM, surface.blocks.shape[2]))
+    for t in range(first, last):
+        _take_part(surface.blocks[t], surface.lobes, surface.rules, gloss[t], room, out[t])
+
+
+def parts(surface: Surface, gloss: np.ndarray) -> np.ndarray:
+    """Return what every texel adds to a fit at its log β and log μ, (texels, 2), in the columns above, (texels, PARTS).
+
+    A texel without an observation that carries light adds nothing, and has an α of NaN.
+    """
+    out, gloss = np.empty((len(surface.blocks), PARTS)), np.ascontiguousarray(gloss, dtype=np.float64)
+    if len(out) <= 2 * _CHUNK:  # sooner done than handed out
+        _part_chunk(surface, gloss, out, 0, len(out))
+    else:
+        run_chunks(_part_chunk, len(out), _CHUNK, surface, gloss, out)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _common_part(surface, gloss):
+    """Return by how much an error of each photograph's light, φ and tilt moves the normal equations, (P, 3, 2)."""
+    blocks, rules = surface.blocks, surface.rules
+    common, part, room = np.zeros((blocks.shape[2], 3, 2)), np.empty(PARTS), np.empty((_ROOM, blocks.shape[2]))
+    for t in range(blocks.shape[0]):
+        _take_part(blocks[t], surface.lobes, rules, gloss, room, part)
+        if not part[ALPHA_WEIGHT] > 0.0:
+            continue
+        for j in range(blocks.shape[2]):
+            c, g, w = blocks[t, _C, j], room[_GLOSS, j], room[_KNOWN, j]
+            jb, jm = g + c * part[ALPHA_BY_BETA], room[_SLOPE, j] + c * part[ALPHA_BY_MU]
+            light = rules.model_error * (part[ALPHA] * c + g)
+            # Below the peak a lobe falls with φ: the same error of a photograph moves all texels one way.
+            flank = -math.sqrt(0.5 * rules.pose_variance * room[_STEEP, j]) * g
+            tilt = math.sqrt(rules.pose_variance * max(1.0 - c * c, 0.0)) * part[ALPHA]
+            for i, size in enumerate((light, flank, tilt)):
+                common[j, i, 0] += w * size * jb
+                common[j, i, 1] += w * size * jm
+    return common
+
+
+def shared_error(surface: Surface, gloss: np.ndarray) -> np.ndarray:
+    """Return the variance of the slopes, (2, 2), that errors shared by all texels of a photograph give at one gloss.
+
+    Drift of the light and errors of the pose are those of a photograph: averaging over texels does not lower them.
+    """
+    common = _common_part(surface, np.ascontiguousarray(gloss, dtype=np.float64)).reshape(-1, 2)
+    return common.T @ common
+
+
+@njit(cache=True, error_model="numpy")
+def own_shares(part, precision, excess, each):
+    """Sum over texels what each leaves unexplained with gloss of its own, normal about the common one.
+
+    Parameters
+    ----------
+    part : (texels, PARTS) float64
+        At the common gloss.
+    precision : (2, 2) float64
+        The inverse of the covariance of log β and log μ about it.
+    excess : float
+        By what the variances of observations are multiplied.
+    each : (texels, 2) float64
+        Filled: the sum of squares, and the observations by which a texel is free to differ.
+
+    Returns
+    -------
+    squares, free : float
+        Sums of ``each``.
+    second : (2, 2) float64
+        The mean second moment of the texels' gloss about the common one.
+    """
+    p00, p01, p11 = precision[0, 0], precision[0, 1], precision[1, 1]
+    second, squares, free = np.zeros((2, 2)), 0.0, 0.0
+    for t in range(part.shape[0]):
+        n00, n01, n11 = part[t, BETA_BETA], part[t, BETA_MU], part[t, MU_MU]
+        g0, g1 = part[t, DOWN_BETA], part[t, DOWN_MU]
+        a00, a01, a11 = n00 / excess + p00, n01 / excess + p01, n11 / excess + p11
+        determinant = a00 * a11 - a01 * a01
+        a00, a01, a11 = a11 / determinant, -a01 / determinant, a00 / determinant
+        m0, m1 = (a00 * g0 + a01 * g1) / excess, (a01 * g0 + a11 * g1) / excess
+        gained = 2.0 * (g0 * m0 + g1 * m1) - (n00 * m0 * m0 + 2.0 * n01 * m0 * m1 + n11 * m1 * m1)
+        each[t, 0] = part[t, SQUARES] - gained
+        each[t, 1] = part[t, USED] - 1.0 - (a00 * n00 + 2.0 * a01 * n01 + a11 * n11) / excess
+        squares += each[t, 0]
+        free += each[t, 1]
+        second[0, 0] += a00 + m0 * m0
+        second[0, 1] += a01 + m0 * m1
+        second[1, 1] += a11 + m1 * m1
+    second[1, 0] = second[0, 1]
+    return squares, free, second / part.shape[0]
+
+
+@njit(cache=True, error_model="numpy")
+def varying(part, start, least, rounds):
+    """Return the covariance of texels' log β and log μ about the common ones, of greatest likelihood, and the excess.
+
+    With a texel's gloss at δ from the common one, its slopes are normal about N δ with the covariance N times the
+    excess. By expectation and maximisation.
+
+    Parameters
+    ----------
+    part : (texels, PARTS) float64
+    start, least : float
+        Variance to start from, and that is added to keep the covariance regular.
+    rounds : int
+        Most rounds.
+    """
+    covariance, precision, each = np.zeros((2, 2)), np.zeros((2, 2)), np.empty((part.shape[0], 2))
+    covariance[0, 0], covariance[1, 1], excess = start, start, 1.0
+    for _ in range(rounds):
+        determinant = covariance[0, 0] * covariance[1, 1] - covariance[0, 1] ** 2
+        precision[0, 0], precision[1, 1] = covariance[1, 1] / determinant, covariance[0, 0] / determinant
+        precision[0, 1] = precision[1, 0] = -covariance[0, 1] / determinant
+        squares, free, new = own_shares(part, precision, excess, each)
+        excess = max(squares / max(free - 2.0, 1.0), 1.0)
+        new[0, 0] += least
+        new[1, 1] += least
+        change = np.abs(new - covariance).max()
+        covariance[:] = new
+        if change < 1e-3 * np.abs(new).max():
+            break
+    return covariance, excess

@@ -1,0 +1,149 @@
+"""Paints of an object, found from the colours of its texels alone: how many there are, and which texel has which.
+
+A colour is a texel's diffuse response in every band, on a scale on which the spread that noise and light give one paint
+is about 1 in each band. Texels whose neighbours have their colour are the cores of painted areas; at a seam, where a
+texel shows a mixture, there are none. Cores are covered with balls, and balls that overlap are one paint: two colours
+are two paints where no chain of colours leads from one to the other.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+#: Relative difference that two colours of one paint may have in a band (1 %): what light and pose leave.
+STEP = 0.01
+MOST_CORES = 20000  # texels from which the paints of an object are found
+_LEAST_SHARE = 0.002  # of the cores, below which a ball is a mixture or an outlier and no paint
+_LEAST_CORES = 8
+_MOST_BALLS = 400
+
+
+@dataclass(frozen=True)
+class Colours:
+    """The colours of an object's paints.
+
+    Parameters
+    ----------
+    floor : (bands,) float64
+        Response at which noise is as large as `STEP` of it.
+    centre : (balls, bands) float64
+        Centres of the balls that cover the cores, on the scale of `scaled`.
+    paint : (balls,) int
+        Number of the paint that a ball belongs to.
+    """
+
+    floor: np.ndarray
+    centre: np.ndarray
+    paint: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """The number of paints."""
+        return int(self.paint.max()) + 1 if self.paint.size else 0
+
+    def scaled(self, response: np.ndarray) -> np.ndarray:
+        """Return responses, (..., bands), on a scale on which one paint spreads by about 1 in each band."""
+        return np.log1p(np.maximum(response, -0.5 * self.floor) / self.floor) / STEP
+
+    def nearest(self, response: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the paint nearest in colour, -1 without a colour, and the rms distance a band, in its spread.
+
+        Parameters
+        ----------
+        response, variance : (texels, bands) float
+            A variance that is not known counts as none.
+        """
+        out, distance = np.full(len(response), -1), np.full(len(response), np.inf)
+        known = np.isfinite(response).all(axis=1)
+        if not self.count or not known.any():
+            return out, distance
+        colour = self.scaled(response[known])
+        spread = 1.0 + np.nan_to_num(variance[known]) / (STEP * (response[known] + self.floor)) ** 2
+        best, place = np.full(len(colour), np.inf), np.zeros(len(colour), dtype=int)
+        for ball, centre in enumerate(self.centre):
+            square = ((colour - centre) ** 2 / spread).mean(axis=1)
+            nearer = square < best
+            best[nearer], place[nearer] = square[nearer], ball
+        out[known], distance[known] = self.paint[place], np.sqrt(best)
+        return out, distance
+
+
+#: Distance, in rms a band, up to which two texels of one paint lie apart: both spread by 1.
+NEAR = float(np.sqrt(2.0))
+
+
+def noise_floor(variance: np.ndarray, response: np.ndarray) -> np.ndarray:
+    """Return the response at which noise is `STEP` of it in each band, from texels of an object, (texels, bands).
+
+    Where the camera's noise is not known it is a hundredth of the median response; without a texel it is 1.
+    """
+    if not len(response):
+        return np.ones(response.shape[1])
+    floor = 0.01 * np.maximum(np.median(response, axis=0), 1e-6)
+    for band, known in enumerate(np.isfinite(variance).T):
+        if known.any():
+            floor[band] = max(floor[band], np.sqrt(np.median(variance[known, band])) / STEP)
+    return floor
+
+
+def cores(response: np.ndarray, floor: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Return the texels whose eight neighbours all have their colour, (height, width) bool; a border has fewer.
+
+    Parameters
+    ----------
+    response : (height, width, bands) float
+    floor : (bands,) float
+    chosen : (height, width) bool
+        Texels whose colour is to be believed; the others are no cores, and neighbours of none.
+    """
+    colour = Colours(floor, np.empty((0, len(floor))), np.empty(0, dtype=int)).scaled(response)
+    out = chosen & np.isfinite(response).all(axis=-1)
+    believed = out.copy()
+    height, width = out.shape
+    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        here = np.s_[: height - down, max(-right, 0) : width - max(right, 0)]
+        there = np.s_[down:, max(right, 0) : width + min(right, 0)]
+        with np.errstate(invalid="ignore"):
+            apart = np.sqrt(((colour[here] - colour[there]) ** 2).mean(axis=-1)) > 2.0 * NEAR
+        apart &= believed[here] & believed[there]
+        out[here] &= ~apart
+        out[there] &= ~apart
+    return out
+
+
+def find_colours(response: np.ndarray, floor: np.ndarray) -> Colours:
+    """Return the paints of the cores with these responses, (cores, bands).
+
+    The paints are numbered by falling number of cores.
+    """
+    from scipy.sparse.csgraph import connected_components  # slow to import
+
+    none = Colours(floor, np.empty((0, response.shape[1])), np.empty(0, dtype=int))
+    colour = none.scaled(response)
+    free = np.ones(len(colour), dtype=bool)
+    centres: list[np.ndarray] = []
+    members: list[int] = []
+    least = max(_LEAST_CORES, _LEAST_SHARE * len(colour))
+    while free.any() and len(centres) < _MOST_BALLS:
+        left = np.flatnonzero(free)
+        seed = colour[left[0]]
+        for _ in range(3):  # towards the middle of what is near
+            near = _apart(colour[left], seed) <= NEAR
+            seed = np.median(colour[left[near]], axis=0) if near.any() else seed
+        near = _apart(colour[left], seed) <= NEAR
+        near[0] = True
+        free[left[near]] = False
+        if near.sum() >= least:
+            centres.append(seed)
+            members.append(int(near.sum()))
+    if not centres:
+        return none
+    centre = np.stack(centres)
+    touching = _apart(centre[:, None], centre[None]) <= 2.0 * NEAR
+    _, paint = connected_components(touching, directed=False)
+    order = np.argsort(-np.bincount(paint, weights=members), kind="stable")
+    return Colours(floor, centre, np.argsort(order)[paint])
+
+
+def _apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return np.sqrt(((one - other) ** 2).mean(axis=-1))

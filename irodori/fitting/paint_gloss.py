@@ -1,0 +1,216 @@
+"""Gloss of a paint from all its texels together, how far it varies among them, and each texel's own in that light.
+
+A texel that sees a highlight once cannot tell β from μ; thousands of one paint can. log β and log μ of a texel are
+taken to be normal about the paint's; the covariance, found from the texels' own slopes and normal equations, says how
+much of a texel's gloss is the paint's and how much its own (empirical Bayes; Efron and Morris, JASA 70, 1975).
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from irodori.fitting import gloss_sums as sums
+from irodori.fitting.gloss_sums import Surface
+from irodori.fitting.judge import MAX_RELATIVE_ERROR
+from irodori.fitting.judge import SEEN as LEAST_SEEN
+
+_STEPS = 12
+_SETTLED = 1e-6
+_CLOSE = 1e-2  # step of a texel's own gloss after which its square no longer counts
+_LONGEST = 0.5  # step of log β or log μ
+_FOREIGN = 4.0  # times the median misfit, beyond which a texel has no part in its paint's gloss
+_ROUNDS = 300  # of expectation and maximisation
+_FIRST, _ANY = 0.1**2, 0.5**2  # variance of log β or log μ at the start, and of gloss that may be any
+_LEAST_FREE = 0.5  # observations by which a texel must be free to differ, to be found foreign
+_LEAST_VARYING = 1e-8  # variance of log β or log μ: a hundredth of a per cent
+
+
+@dataclass(frozen=True)
+class PaintGloss:
+    """The gloss of a paint.
+
+    Parameters
+    ----------
+    log_gloss : (2,) float64
+        log β and log μ.
+    error : (2, 2) float64
+        Their covariance.
+    varying : (2, 2) float64
+        Covariance of the texels' log β and log μ about them.
+    excess : float
+        By what the variances of observations are multiplied, at least 1: what the paint's texels leave unexplained.
+    texels : int
+        How many it comes from.
+    """
+
+    log_gloss: np.ndarray
+    error: np.ndarray
+    varying: np.ndarray
+    excess: float
+    texels: int
+
+
+@dataclass(frozen=True)
+class Shared:
+    """Parameters of texels in the light of their paints, one entry a texel; NaN where nothing is known.
+
+    Parameters
+    ----------
+    alpha, beta, mu, alpha_error, beta_error, mu_error, residual_rms, relative_residual : (texels,) float64
+    own : (texels,) float64
+        How much of the gloss is the texel's own, 0 to 1; the rest is its paint's.
+    agrees : (texels,) bool
+        Whether the texel's observations allow this gloss.
+    """
+
+    alpha: np.ndarray
+    beta: np.ndarray
+    mu: np.ndarray
+    alpha_error: np.ndarray
+    beta_error: np.ndarray
+    mu_error: np.ndarray
+    residual_rms: np.ndarray
+    relative_residual: np.ndarray
+    own: np.ndarray
+    agrees: np.ndarray
+
+    def __getitem__(self, chosen) -> "Shared":
+        """Return the texels chosen."""
+        return Shared(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
+
+    @classmethod
+    def joined(cls, several: list["Shared"]) -> "Shared":
+        """Return the texels of several, in their order."""
+        if not several:
+            nothing = np.empty(0)
+            return cls(**{one.name: nothing for one in fields(cls)})
+        names = [one.name for one in fields(cls)]
+        return cls(**{name: np.concatenate([getattr(one, name) for one in several]) for name in names})
+
+
+def _matrices(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the slopes (texels, 2) and the normal matrices (texels, 2, 2)."""
+    entries = part[:, [sums.BETA_BETA, sums.BETA_MU, sums.BETA_MU, sums.MU_MU]]
+    return part[:, [sums.DOWN_BETA, sums.DOWN_MU]], entries.reshape(-1, 2, 2)
+
+
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """Return the inverses of symmetric positive (..., 2, 2) matrices."""
+    a, b, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 1]
+    return np.stack([d, -b, -b, a], axis=-1).reshape(matrix.shape) / (a * d - b * b)[..., None, None]
+
+
+def _start(surface: Surface, nodes: np.ndarray) -> tuple[np.ndarray, float] | None:
+    """Return log β and log μ of the lowest joint parabola and by how much it lies under no gloss; None if none does."""
+    _, b, c = sums.parabolas(surface, nodes).sum(axis=0).T
+    gain = np.where((b > 0.0) & (c > 0.0), b * b / np.where(c > 0.0, c, 1.0), 0.0)
+    best = int(gain.argmax())
+    if not gain[best] > 0.0:
+        return None
+    beta = min(b[best] / c[best], surface.rules.high_beta)
+    return np.array([np.log(beta), nodes[best]]), float(gain[best])
+
+
+def _minimum(surface: Surface, start: np.ndarray) -> np.ndarray | None:
+    """Return log β and log μ of the joint least sum of squares; None where the search leaves the bounds."""
+    rules, place, damping = surface.rules, start, 0.0
+    part = sums.parts(surface, np.tile(place, (len(surface.blocks), 1)))
+    for _ in range(_STEPS):
+        slope, normal = (one.sum(axis=0) for one in _matrices(part))
+        if not np.linalg.det(normal) > 1e-10 * normal[0, 0] * normal[1, 1]:
+            return None
+        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
+        step *= min(1.0, _LONGEST / max(np.abs(step).max(), 1e-300))
+        other = sums.parts(surface, np.tile(place + step, (len(surface.blocks), 1)))
+        if other[:, sums.SQUARES].sum() > part[:, sums.SQUARES].sum() * (1.0 + 1e-9):
+            damping = max(4.0 * damping, 0.5)
+            continue
+        damping *= 0.25
+        place, part = place + step, other
+        if np.abs(step).max() < _SETTLED:
+            break
+    inside = rules.low_log_mu < place[1] < rules.high_log_mu and place[0] < np.log(rules.high_beta)
+    return place if inside else None
+
+
+def gloss_of_paint(surface: Surface, nodes: np.ndarray) -> PaintGloss | None:
+    """Return the gloss that texels of one paint share; None where they show none, or leave it open.
+
+    Parameters
+    ----------
+    surface : Surface
+        The texels, cores of the paint.
+    nodes : (nodes,) float
+        log μ that are tried first.
+    """
+    found = _start(surface, nodes)
+    place = None if found is None else _minimum(surface, found[0])
+    if place is None:
+        return None
+    part = sums.parts(surface, np.tile(place, (len(surface.blocks), 1)))
+    each = np.empty((len(part), 2))
+    sums.own_shares(part, np.eye(2) / _ANY, 1.0, each)
+    squares, free = each.T
+    misfit = squares / np.maximum(free, _LEAST_FREE)
+    told = free > _LEAST_FREE
+    if not told.any():
+        return None
+    fits = told & (misfit <= _FOREIGN * np.median(misfit[told]))
+    surface = surface._replace(blocks=surface.blocks[fits])
+    found = _start(surface, nodes)
+    place = None if found is None else _minimum(surface, found[0])
+    if found is None or place is None:
+        return None
+    part = sums.parts(surface, np.tile(place, (len(surface.blocks), 1)))
+    tells = (part[:, sums.BETA_BETA] > 0.0) & (part[:, sums.MU_MU] > 0.0)
+    varying, excess = sums.varying(part[tells], _FIRST, _LEAST_VARYING, _ROUNDS)
+    observations = part[:, sums.USED].sum()
+    if not found[1] / excess > 2.0 * np.log(observations) or not part[:, sums.SEEN].max() >= LEAST_SEEN:
+        return None  # Schwarz's criterion for β and μ, and a lobe whose top nobody saw
+    _, normal = _matrices(part)
+    inverse = np.linalg.inv(normal.sum(axis=0))
+    spread = np.einsum("tij,jk,tkl->il", normal, varying, normal)
+    middle = excess * normal.sum(axis=0) + spread + sums.shared_error(surface, place)
+    error = inverse @ middle @ inverse + np.diag([surface.rules.model_error**2, 0.0])
+    known = np.sqrt(error[0, 0]) < MAX_RELATIVE_ERROR["beta"] and np.sqrt(error[1, 1]) < MAX_RELATIVE_ERROR["mu"]
+    return PaintGloss(place, error, varying, float(excess), len(surface.blocks)) if known else None
+
+
+def share(surface: Surface, gloss: PaintGloss) -> Shared:
+    """Return what the texels of a paint have of its gloss and of their own."""
+    count, place = len(surface.blocks), gloss.log_gloss
+    precision = np.linalg.inv(gloss.varying)
+    own = np.tile(place, (count, 1))
+    for _ in range(3):
+        part = sums.parts(surface, own)
+        slope, normal = (one / gloss.excess for one in _matrices(part))
+        pull = slope - (own - place) @ precision
+        step = np.einsum("tij,tj->ti", _inverse(normal + precision), pull)
+        own = own + np.clip(step, -_LONGEST, _LONGEST)
+        if np.abs(step).max(initial=0.0) < _CLOSE:
+            break
+    part = sums.parts(surface, own)
+    _, normal = _matrices(part)
+    after = _inverse(normal / gloss.excess + precision)
+    kept = after @ precision  # of the paint's own deviation
+    covariance = after + kept @ gloss.error @ np.swapaxes(kept, 1, 2)
+    rules = surface.rules
+    with np.errstate(invalid="ignore", divide="ignore"):
+        by = part[:, [sums.ALPHA_BY_BETA, sums.ALPHA_BY_MU]]
+        variance = gloss.excess / part[:, sums.ALPHA_WEIGHT] + np.einsum("ti,tij,tj->t", by, covariance, by)
+        alpha, used = part[:, sums.ALPHA], part[:, sums.USED]
+        free = np.maximum(used - 1.0, 1.0)
+        misfit = part[:, sums.SQUARES] / gloss.excess
+        beta, mu = np.exp(own).T
+        return Shared(
+            alpha=alpha,
+            beta=beta,
+            mu=mu,
+            alpha_error=np.sqrt(variance + (rules.model_error * alpha) ** 2),
+            beta_error=beta * np.sqrt(covariance[:, 0, 0]),
+            mu_error=mu * np.sqrt(covariance[:, 1, 1]),
+            residual_rms=np.sqrt(part[:, sums.SQUARES] / part[:, sums.TOTAL]),
+            relative_residual=np.sqrt(part[:, sums.SQUARES] / part[:, sums.POWER]),
+            own=1.0 - 0.5 * np.trace(kept, axis1=1, axis2=2),
+            agrees=(used > 0.0) & np.isfinite(alpha) & (misfit <= free + 5.0 * np.sqrt(2.0 * free)),
+        )

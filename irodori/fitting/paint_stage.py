@@ -1,0 +1,186 @@
+"""Paint stage: fitted tiles of an object in; its paints, and the fit with their gloss, out."""
+
+import math
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
+from irodori.fitting.paint_colours import MOST_CORES, Colours, cores, find_colours, noise_floor
+from irodori.fitting.paint_gloss import PaintGloss
+from irodori.fitting.paints import Optics, Paints, Tile, find_paints, sample, share_by_paint
+from irodori.fitting.solvers import FitOptions
+from irodori.fitting.stage import (
+    CARRIED,
+    fitted_maps,
+    fresnel_of,
+    read_observations,
+    without_gloss,
+)
+from irodori.material.fitted_tiles import SPEED
+from irodori.material.material_file import Status
+
+_RESPONSE = "diffuse_response", "diffuse_variance"
+_OWN = 0.5  # share of its own in a texel's gloss from which it is called the texel's
+_BOTH = 3  # the model of diffuse light and gloss
+
+
+def _colours(tiles: list) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield of every tile the diffuse responses and variances, (rows, width, bands), and where they are believed."""
+    for path in tiles:
+        with store.open_file(path) as file:
+            response, variance, status = (file.read(name) for name in (*_RESPONSE, "status"))
+            shape = -1, file.attribute("width", int)
+        told = np.isin(status, (Status.OK, Status.DIFFUSE_ONLY)) & np.isfinite(response).all(axis=1)
+        yield (
+            response.reshape(*shape, response.shape[1]),
+            variance.reshape(*shape, response.shape[1]),
+            told.reshape(shape),
+        )
+
+
+def _find_colours(tiles: list) -> Colours:
+    """Return the paints of an object's fitted tiles, by colour."""
+    most, found = max(MOST_CORES // len(tiles), 200), []
+    floors = [noise_floor(variance[told], response[told]) for response, variance, told in _colours(tiles) if told.any()]
+    floor = np.median(floors, axis=0) if floors else np.ones(next(_colours(tiles))[0].shape[-1])
+    for response, _, told in _colours(tiles):
+        core = response[cores(response, floor, told)]
+        found.append(core[:: max(1, -(-len(core) // most))])
+    return find_colours(np.concatenate(found), floor)
+
+
+def _read_tile(observations, fitted) -> tuple[Tile, dict[str, np.ndarray], dict]:
+    """Return a tile's texels, the maps of its fit, and the attributes that are passed on.
+
+    Raises
+    ------
+    InputError
+        If the fit is of other texels than the observations.
+    """
+    observed = read_observations(observations)
+    with store.open_file(fitted) as file:
+        lobes = tuple(file.attribute("lobes", list))
+        maps = {name: file.read(name) for name in fitted_maps(lobes)}
+        attributes = {name: file.attribute(name, kind) for name, kind in CARRIED.items()}
+        attributes |= {name: file.attribute(name) for name in SPEED}
+    if len(maps["status"]) != len(observed.response):
+        found, accepted = f"{len(maps['status'])} texels", f"{len(observed.response)}, as in {observations}"
+        raise InputError(fitted, "status", found, accepted)
+    columns = (maps[name] for name in ("refractive_index", "status", "diffuse_response", "diffuse_variance"))
+    return Tile(observed, *columns), maps, attributes
+
+
+def _indexed(tile: Tile, optics: Optics) -> Tile:
+    """Return the texels with a refractive index where theirs is not known."""
+    index = np.where(np.isfinite(tile.index), tile.index, optics.fresnel.n)
+    return Tile(tile.observed, index, tile.status, tile.response, tile.variance)
+
+
+def share_gloss(
+    observations: list, tiles: list, output, options: FitOptions, n, k, *, provenance, calibration=None
+) -> None:
+    """Find the paints of an object and write its fit with the gloss of the paints, all tiles in one file.
+
+    Parameters
+    ----------
+    observations, tiles : list of path
+        Of the same tiles: what was seen, and what was fitted texel by texel.
+    output, options, n, k, calibration
+        As in `irodori.fitting.stage.fit_brdf`, and so are the datasets.
+
+    Notes
+    -----
+    A texel keeps status OK where at least half of its gloss is its own; else it is PAINT. One that no paint explains
+    keeps what its own fit says. Further datasets, for each paint: ``/paints/log_gloss``, log β and log μ, NaN where not
+    known; ``/paints/error``, their covariance; ``/paints/varying``, that of the texels about them; ``/paints/excess``,
+    the factor of the variance of observations; ``/paints/texels``, from how many it comes.
+    """
+    colours, samples, optics, seconds = _find_colours(tiles), [], None, 0.0
+    parts, carried, fitted = [], {}, 0
+    for seen, own in zip(observations, tiles, strict=True):
+        tile, _, attributes = _read_tile(seen, own)
+        optics = optics or Optics(options, fresnel_of(n, k, calibration, tile.response.shape[1]))
+        samples.append(sample(_indexed(tile, optics), colours, attributes["width"], len(tiles)))
+        parts.append(attributes["rows"])
+        seconds, fitted = seconds + attributes["fit_seconds"], fitted + attributes["texels_fitted"]
+        carried = attributes
+    assert optics is not None  # an object has a tile
+    start = time.perf_counter()
+    paints = find_paints(samples, colours, optics)
+    seconds += time.perf_counter() - start
+    width, shared = carried["width"], 0
+    with store.create(output, provenance) as out:
+        datasets: dict = {}
+        for seen, own, (first, last) in zip(observations, tiles, parts, strict=True):
+            tile, maps, _ = _read_tile(seen, own)
+            start = time.perf_counter()
+            shared += _share_tile(_indexed(tile, optics), maps, paints, width, optics)
+            seconds += time.perf_counter() - start
+            datasets = datasets or _reserve(out, maps, max(map(max, parts)) * width, options.lobes)
+            for name, dataset in datasets.items():
+                dataset[first * width : last * width] = maps[name]
+        _write_paints(out, paints)
+        attributes = {**carried, "rows": [min(map(min, parts)), max(map(max, parts))], "parts": parts}
+        for name, value in {**attributes, "fit_seconds": seconds, "texels_fitted": fitted}.items():
+            out.attribute(name, value)
+        out.attribute("lobes", list(options.lobes))
+    _log(paints, shared)
+
+
+def _reserve(out: store.Writer, maps: dict[str, np.ndarray], texels: int, lobes: tuple[str, ...]) -> dict:
+    """Return a dataset for every map of a fit, for all texels of an object."""
+    found = {}
+    for name, (units, quantity) in fitted_maps(lobes).items():
+        values, dims = maps[name], ",".join(("texel", "band")[: maps[name].ndim])
+        size = (texels, *values.shape[1:])
+        found[name] = out.reserve(name, size, values.dtype, units=units, quantity=quantity, dims=dims)
+    return found
+
+
+def _share_tile(tile: Tile, maps: dict[str, np.ndarray], paints: Paints, width: int, optics: Optics) -> int:
+    """Put what a tile's texels have of their paints into its maps; return how many have something."""
+    found = share_by_paint(tile, paints, width, optics)
+    here, shared, options = found.texel, found.shared, optics.options
+    for name in ("alpha", "beta", "mu", "alpha_error", "beta_error", "mu_error", "residual_rms", "relative_residual"):
+        maps[name][here] = getattr(shared, name)
+    own = (maps["status"][here] == Status.OK) & (shared.own >= _OWN)
+    maps["status"][here] = np.where(own, Status.OK, Status.PAINT)
+    maps["model"][here] = _BOTH
+    maps["paint"] = found.paint.astype(np.int16)
+    some, gloss = tile[here], np.column_stack([shared.beta, shared.mu])
+    maps["diffuse_response"][here], maps["diffuse_variance"][here] = without_gloss(
+        some.observed, gloss, some.index, options.lobes, optics.fresnel, model_error=options.model_error
+    )
+    return len(here)
+
+
+def _write_paints(out: store.Writer, paints: Paints) -> None:
+    unknown = np.full((2, 2), np.nan)
+    nothing = PaintGloss(unknown[0], unknown, unknown, math.nan, 0)
+    gloss, pairs = [one or nothing for one in paints.gloss], "paint,parameter,other_parameter"
+    for name, shape, dims, quantity in (
+        ("log_gloss", (2,), "paint,parameter", "logarithms of beta and mu"),
+        ("error", (2, 2), pairs, "their covariance"),
+        ("varying", (2, 2), pairs, "covariance of the texels' about them"),
+        ("excess", (), "paint", "factor of the variance of observations"),
+        ("texels", (), "paint", "texels that the gloss comes from"),
+    ):
+        values = np.array([getattr(one, name) for one in gloss], dtype=float).reshape(-1, *shape)
+        out.write(f"paints/{name}", values, units="1", dims=dims, quantity=quantity)
+
+
+def _log(paints: Paints, shared: int) -> None:
+    LOGGER.info("%d paints; %d texels have the gloss of one", len(paints.gloss), shared)
+    for number, gloss in enumerate(paints.gloss):
+        if gloss is None:
+            LOGGER.info("paint %d: no gloss that its texels tell", number)
+        else:
+            (beta, mu), error = np.exp(gloss.log_gloss), np.sqrt(np.diag(gloss.error))
+            varying = 100.0 * np.sqrt(np.diag(gloss.varying))
+            stated = (number, beta, beta * error[0], mu, mu * error[1], *varying, gloss.texels)
+            text = "paint %d: beta %.4g +- %.2g, mu %.4g +- %.2g, varying by %.1f and %.1f %%, from %d texels"
+            LOGGER.info(text, *stated)

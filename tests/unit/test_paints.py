@@ -1,0 +1,240 @@
+"""Gloss by paint: paints are found from colours, their gloss from all texels, and a texel keeps what is its own."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+from test_fitting import K, N, model
+
+from irodori.core import store
+from irodori.fitting.band_fresnel import uniform
+from irodori.fitting.paint_colours import cores, find_colours, noise_floor
+from irodori.fitting.paint_stage import share_gloss
+from irodori.fitting.paints import Optics, Tile, believed, find_paints, sample, share_by_paint
+from irodori.fitting.solvers import FitOptions, fit
+from irodori.fitting.stage import GREEN, Observed, diffuse_response, fit_brdf
+from irodori.material.fitted_tiles import FittedTiles
+from irodori.material.material_file import Status
+from irodori.reflection.equation5 import angles_from_directions
+
+SIDE, BANDS = 32, 3
+CAMERA = (1e-6, 2e-5)
+OPTICS = Optics(FitOptions(pose_error_deg=0.0, model_error=0.002), uniform(N, K, BANDS))
+VERMILION, CREAM = (0.52, 0.19, 0.09), (0.84, 0.66, 0.38)
+
+
+def direction(angle_deg, side):
+    a = np.radians(angle_deg)
+    return np.stack([side * np.sin(a), 0 * a, np.cos(a)], axis=-1)
+
+
+def sphere(poses=14, width=SIDE) -> np.ndarray:
+    """Angles of a patch of a sphere under far light and camera, (texels, poses, 4) rad: few see a lobe twice."""
+    x, y = np.meshgrid(np.linspace(-0.34, 0.34, width), np.linspace(-0.2, 0.2, SIDE))
+    normal = np.stack([x, y, np.sqrt(1 - x**2 - y**2)], axis=-1).reshape(-1, 1, 3)
+    light, camera = np.linspace(20, 65, poses), np.linspace(55, 28, poses)[np.random.default_rng(0).permutation(poses)]
+    return angles_from_directions(normal, direction(light, 1.0)[None], direction(camera, -1.0)[None])
+
+
+def halves(width=SIDE) -> np.ndarray:
+    """Paint 0 on the left and 1 on the right, (texels,)."""
+    return np.tile(np.arange(width) >= width // 2, SIDE).astype(int)
+
+
+def photographed(colour, beta, mu, geometry, seed=1) -> Observed:
+    """Responses of texels with these colours, (texels, bands), and this gloss, with the camera's noise."""
+    texels = np.broadcast_arrays(colour[:, GREEN], beta, mu)
+    green = np.array([model(a, b, m, g) for a, b, m, g in zip(*texels, geometry, strict=True)])
+    lit = np.clip(np.cos(geometry[..., 0]), 0.0, None)
+    clean = green[..., None] + lit[..., None] * (colour - colour[:, GREEN, None])[:, None]
+    noise = np.sqrt(CAMERA[0] + CAMERA[1] * np.maximum(clean, 0))
+    response = clean + noise * np.random.default_rng(seed).normal(size=clean.shape)
+    weight, model_of_noise = np.ones(response.shape[:2]), np.tile(CAMERA, (response.shape[1], BANDS, 1))
+    return Observed(response, geometry, weight, np.zeros(weight.shape, np.uint8), model_of_noise)
+
+
+def fitted(seen: Observed) -> tuple[Tile, object]:
+    """What the texels' own fit says."""
+    noise = seen.noise[:, GREEN]
+    own = fit(seen.response[..., GREEN], seen.geometry, seen.weight, N, K, OPTICS.options, noise=noise)
+    given = (seen.response, seen.geometry, seen.weight, own, OPTICS.fresnel, seen.noise)
+    response, variance = diffuse_response(*given, model_error=OPTICS.options.model_error)
+    return Tile(seen, np.full(len(response), N), own.status, response, variance), own
+
+
+def colours_of(tile: Tile, width=SIDE):
+    """The paints of a tile by colour."""
+    told = believed(tile) & np.isfinite(tile.response).all(axis=1)
+    floor = noise_floor(tile.variance[told], tile.response[told])
+    core = cores(tile.response.reshape(-1, width, BANDS), floor, told.reshape(-1, width)).ravel()
+    return find_colours(tile.response[core], floor)
+
+
+def painted(seen: Observed, width=SIDE):
+    """The texels' own fit, the paints, and what the texels have of them."""
+    tile, own = fitted(seen)
+    colours = colours_of(tile, width)
+    paints = find_paints([sample(tile, colours, width, 1)], colours, OPTICS)
+    return own, paints, share_by_paint(tile, paints, width, OPTICS)
+
+
+def two_glosses(seed=1, varying=0.0):
+    """A sphere of two paints of different gloss, its true β, μ and α, and what is found."""
+    paint, rng = halves(), np.random.default_rng(seed)
+    colour = np.array([VERMILION, CREAM])[paint]
+    beta = np.array([2.0, 0.6])[paint] * np.exp(varying * rng.normal(size=paint.size))
+    mu = np.array([0.15, 0.30])[paint]
+    return colour[:, GREEN], beta, mu, painted(photographed(colour, beta, mu, sphere(), seed))
+
+
+def off(found, name, truth):
+    """Relative errors of what texels have of their paints."""
+    return getattr(found.shared, name) / truth[found.texel] - 1
+
+
+def test_each_paint_of_a_sphere_has_its_own_gloss():
+    alpha, beta, mu, (own, paints, found) = two_glosses()
+    assert len(paints.known) == 2 and (found.paint >= 0).mean() > 0.95
+    assert np.sqrt((off(found, "beta", beta) ** 2).mean()) < 0.011
+    assert np.sqrt((off(found, "mu", mu) ** 2).mean()) < 0.005
+    assert np.median(np.abs(found.shared.alpha - alpha[found.texel])) < 0.002
+    # Texel by texel, β is far off or not known.
+    assert np.sqrt(np.nanmean((own.beta / beta - 1) ** 2)) > 0.03
+
+
+def test_texels_of_a_paint_have_its_gloss_where_all_have_the_same():
+    _, _, _, (_, paints, found) = two_glosses()
+    assert found.shared.own.mean() < 0.1
+    for gloss in (paints.gloss[number] for number in paints.known):
+        assert np.sqrt(np.diag(gloss.varying)).max() < 0.03
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_gloss_that_varies_within_a_paint_is_each_texels_own_as_far_as_it_is_told(seed):
+    _, beta, _, (own, paints, found) = two_glosses(seed, varying=0.2)
+    for gloss in (paints.gloss[number] for number in paints.known):
+        assert 0.17 < np.sqrt(gloss.varying[0, 0]) < 0.23
+    error = np.abs(found.shared.beta - beta[found.texel]) / found.shared.beta_error
+    assert 0.62 < (error < 1).mean() < 0.75 and (error < 2).mean() > 0.93
+    # Better than the paint's gloss for all, and than each texel's own fit.
+    typical = np.array([2.0, 0.6])[halves()]
+    assert (off(found, "beta", beta) ** 2).mean() < 0.7 * ((typical / beta - 1) ** 2)[found.texel].mean()
+    told = np.isfinite(own.beta[found.texel])
+    alone = (own.beta / beta - 1)[found.texel][told]
+    assert (off(found, "beta", beta)[told] ** 2).mean() < (alone**2).mean()
+
+
+@pytest.mark.parametrize("count", [1, 2, 16])
+def test_paints_are_counted_from_their_colours(count):
+    rng = np.random.default_rng(count)
+    column, row = np.meshgrid(np.arange(SIDE) * 4 // SIDE, np.arange(SIDE) * 4 // SIDE)
+    paint = ((4 * row + column) % count).ravel()
+    colour = np.exp(rng.uniform(np.log(0.05), np.log(0.8), (count, BANDS)))[paint]
+    tile, _ = fitted(photographed(colour, 0.0, 0.1, sphere(6)))
+    colours = colours_of(tile)
+    found, _ = colours.nearest(tile.response, tile.variance)
+    assert colours.count == count
+    for number in range(count):
+        assert len(set(paint[found == number])) == 1
+
+
+def test_one_reading_tells_the_colour_of_a_known_paint():
+    paint = halves()
+    colour = np.array([VERMILION, CREAM])[paint]
+    seen = photographed(colour, np.array([2.0, 0.6])[paint], np.array([0.15, 0.30])[paint], sphere())
+    rng = np.random.default_rng(5)
+    few = rng.choice(paint.size, 100, replace=False)
+    seen.weight[few] = 0.0
+    seen.weight[few, rng.integers(0, 14, 100)] = 1.0
+    own, _, found = painted(seen)
+    assert not np.isfinite(own.alpha[few]).any()
+    chosen = np.isin(found.texel, few)
+    assert chosen.sum() > 80
+    wrong = np.abs(found.shared.alpha - colour[found.texel, GREEN])[chosen] / found.shared.alpha_error[chosen]
+    assert (wrong < 1).mean() > 0.6 and (wrong < 2).mean() > 0.9
+    assert np.median(np.abs(found.shared.alpha / colour[found.texel, GREEN] - 1)[chosen]) < 0.05
+
+
+def test_noise_on_a_matte_object_is_no_gloss():
+    colour = np.array([VERMILION, CREAM])[halves()]
+    _, paints, found = painted(photographed(colour, 0.0, 0.1, sphere()))
+    assert paints.known == [] and (found.paint == -1).all() and not found.texel.size
+
+
+def test_a_stain_of_another_gloss_in_the_colour_of_its_paint_keeps_its_gloss():
+    stain = np.zeros((SIDE, SIDE), dtype=bool)
+    stain[4:10, 4:10] = True
+    beta = np.where(stain.ravel(), 5.0, 2.0)
+    own, _, found = painted(photographed(np.tile(CREAM, (SIDE * SIDE, 1)), beta, 0.15, sphere()))
+    has = own.beta.copy()
+    has[found.texel] = found.shared.beta
+    for where in (stain.ravel(), ~stain.ravel()):
+        told = where & (own.status == Status.OK)
+        assert told.sum() > 20 and np.median(np.abs(has / beta - 1)[told]) < 0.1
+
+
+PROVENANCE = store.Provenance("fit_brdf")
+
+
+def write_tile(path, seen: Observed, rows) -> None:
+    """Write observations of a tile."""
+    with store.create(path, PROVENANCE) as out:
+        axes = {
+            "response": "texel,capture,band",
+            "geometry": "texel,capture,angle",
+            "weight": "texel,capture",
+            "clipped": "texel,capture",
+        }
+        for name, dims in axes.items():
+            out.write(name, getattr(seen, name).astype(np.float32), units="1", dims=dims, quantity=name)
+        out.write("noise_model", seen.noise, units="1", dims="capture,band,coefficient", quantity="noise")
+        out.write("texel", np.ones(len(seen.weight), np.uint8), units="1", dims="texel", quantity="texel")
+        for name, value in {"rows": rows, "width": SIDE, "filters": ["out"]}.items():
+            out.attribute(name, value)
+
+
+def test_paints_know_no_borders_of_tiles(tmp_path):
+    paint = halves()
+    colour, beta, mu = np.array([VERMILION, CREAM])[paint], np.array([2.0, 0.6])[paint], np.array([0.15, 0.3])[paint]
+    seen = photographed(colour, beta, mu, sphere())
+    maps = {}
+    for borders in ([0, SIDE], [0, 8, SIDE]):
+        observations, tiles = [], []
+        for first, last in pairwise(borders):
+            observations.append(tmp_path / f"seen-{first}-{last}.h5")
+            tiles.append(tmp_path / f"own-{first}-{last}.h5")
+            write_tile(observations[-1], seen[first * SIDE : last * SIDE], [first, last])
+            fit_brdf(observations[-1], tiles[-1], OPTICS.options, N, K, provenance=PROVENANCE)
+        output = tmp_path / f"surface-{len(tiles)}.h5"
+        share_gloss(observations, tiles, output, OPTICS.options, N, K, provenance=PROVENANCE)
+        parts = list(FittedTiles([output], SIDE, SIDE).read("beta", "mu", "status", "paint"))
+        assert [(rows.start, rows.stop) for rows, _ in parts] == list(pairwise(borders))
+        maps[len(tiles)] = {name: np.concatenate([one[name] for _, one in parts]) for name in parts[0][1]}
+    for found in maps.values():
+        known = np.isin(found["status"], (Status.OK, Status.PAINT))
+        assert known.mean() > 0.95 and (found["status"] == Status.PAINT).mean() > 0.9
+        assert np.array_equal(np.isfinite(found["beta"]), known)
+        assert np.nanmax(np.abs(found["beta"].ravel() / beta - 1)) < 0.1
+    both = (maps[1]["paint"] >= 0) & (maps[2]["paint"] >= 0)
+    np.testing.assert_allclose(maps[1]["mu"][both], maps[2]["mu"][both], rtol=0.01)
+
+
+values = st.floats(-0.1, 3.0) | st.sampled_from([np.nan, np.inf, 0.0, 1e30])
+
+
+@pytest.mark.stability(stage="fit", case="random data")
+@settings(max_examples=25, deadline=None)
+@given(
+    response=npst.arrays(np.float64, (64, 6, BANDS), elements=values),
+    weight=npst.arrays(np.float64, (64, 6), elements=st.sampled_from([0.0, 1.0])),
+)
+def test_whatever_the_data_gloss_by_paint_is_finite(response, weight):
+    geometry = sphere(6)[:64]
+    noise = np.tile(CAMERA, (6, BANDS, 1))
+    with np.errstate(all="ignore"):
+        _, _, found = painted(Observed(response, geometry, weight, np.zeros((64, 6), np.uint8), noise), 8)
+    for name in ("alpha", "beta", "mu", "alpha_error", "beta_error", "mu_error"):
+        assert np.isfinite(getattr(found.shared, name)).all()
