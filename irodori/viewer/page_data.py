@@ -12,6 +12,7 @@ from irodori.config.pages import page_fault, page_rooms, page_views
 from irodori.core import store
 from irodori.core.errors import PlainError
 from irodori.core.provenance import config_hash
+from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import look_at
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
@@ -22,7 +23,7 @@ from irodori.rendering.interactive.channels import is_grey
 from irodori.rendering.interactive.frame_renderer import light_of
 from irodori.rendering.interactive.mesh_shadows import make_mesh_shadows
 from irodori.rendering.interactive.quadrature import path_spectra, solve_quadrature
-from irodori.rendering.scene_arrays import make_objects, make_placements, make_tracer
+from irodori.rendering.scene_arrays import make_objects, make_placements
 from irodori.rendering.scene_lights import BANDS, make_lights
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import light
@@ -224,7 +225,7 @@ def page_data(sources: SceneSources) -> PageData:
     lit = [add_light(planes, i, light_maps(room.environment, objects)) for i, room in enumerate(rooms)]
     entries = [{**a, **b} for a, b in zip(add_materials(planes, objects), add_shapes(planes, placements), strict=True)]
     is_lit = has_ambient(scene) and any(room.environment.coefficients.any() for room in rooms)
-    hidden = add_shadows(planes, placements, make_mesh_shadows(make_tracer(placements)) if is_lit else None)
+    hidden = add_shadows(planes, placements, make_mesh_shadows(Tracer(placements)) if is_lit else None)
     uncertainties = [error for _, error in loaded] + [np.zeros(m.alpha.shape) for m in whole[1][len(loaded) :]]
     turns = [item.rotation_deg for item in scene.objects] + [item.rotation_deg for item in scene.bodies]
     for i, (material, error) in enumerate(zip(whole[1], uncertainties, strict=True)):
