@@ -169,7 +169,9 @@ FAULTS = {
     "camera.azimuth_deg": {"state": {"camera": {"azimuth_deg": "x"}}},
     "camera.roll_deg": {"state": {"camera": {"roll_deg": None}}},
     "camera.height_mm": {"state": {"camera": {"height_mm": -1}}},
-    "display.profile.codes": {"state": {"display": {"profile": {"label": "x", "xyz_from_rgb": [[1, 0, 0]] * 3, "codes": []}}}},
+    "display.profile.codes": {
+        "state": {"display": {"profile": {"label": "x", "xyz_from_rgb": [[1, 0, 0]] * 3, "codes": []}}}
+    },
     "camera.target_mm": {"state": {"camera": {"target_mm": [1, 2]}}},
     "state.camera.roll": {"state": {"camera": {"roll": 1}}},
     "light.illuminant.name": {"state": {"light": {"illuminant": {"name": "D66"}}}},
