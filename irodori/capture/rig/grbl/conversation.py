@@ -121,12 +121,10 @@ class Conversation:
             try:
                 report = self._hear_report(share)
             except GarbledError:
-                if last or deadline.passed:
+                if last:
                     raise
                 continue
             except DeadlineError:
-                if last or deadline.passed:
-                    break
                 continue
             if report is not None:
                 return report if asked == 1 else self._newest(report)
