@@ -12,7 +12,7 @@ from irodori.calibration.conditioning import (
     condition_number,
     noise_amplification,
 )
-from irodori.calibration.estimator_choice import BASES, ON_REQUEST, SelectionRow, choose, cross_validate
+from irodori.calibration.estimator_choice import BASES, SelectionRow, choose, cross_validate
 from irodori.calibration.estimators import ESTIMATORS, fit_checked
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.training import Training
@@ -44,6 +44,7 @@ def solve(
 
     ``charts``, (m,) int, is the number of the chart of each patch; None is one chart.
     """
+    settings = _with_bases(settings, training.response.shape[1])
     limits = Limits(settings.max_condition, settings.max_noise_amplification)
     check_responses(training.response, limits.condition, training.noise.patch, filters)
     check_brightest(training, filters)
@@ -63,6 +64,13 @@ def solve(
     return Solution(calibration, rows, chosen, recovered[chosen], by_chart.get(chosen), numbers)
 
 
+def _with_bases(settings: CalibrationOptions, bands: int) -> CalibrationOptions:
+    """Return settings that say how many bases; what is absent follows from the estimator."""
+    if settings.bases is not None:
+        return settings
+    return replace(settings, bases=_AUTO if settings.estimator == _AUTO else bands)
+
+
 def _judge(training: Training, settings: CalibrationOptions, lights, timed: bool, charts):
     """Return the table of estimators and bases, and what each recovers of patches and of charts left out.
 
@@ -74,9 +82,7 @@ def _judge(training: Training, settings: CalibrationOptions, lights, timed: bool
         raise ValueError(f"unknown estimator {estimator!r}; accepted: {_AUTO}, {', '.join(ESTIMATORS)}")
     tried = BASES if timed or bases == _AUTO else ()
     counts = sorted({*tried, *(() if bases == _AUTO else (bases,))})
-    names = tuple(ESTIMATORS) if timed else (estimator,)
-    if not timed and estimator == _AUTO:
-        names = tuple(name for name in ESTIMATORS if name not in ON_REQUEST)
+    names = tuple(ESTIMATORS) if timed or estimator == _AUTO else (estimator,)
     rows, recovered = cross_validate(training, lights, bases=counts, timed=timed, estimators=names)
     if bases != _AUTO and not any(row.bases == bases for row in rows):
         accepted = max((row.bases for row in rows), default=0)

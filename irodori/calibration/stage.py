@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from irodori.calibration.charts import Charts
 from irodori.calibration.estimator_choice import KINDS, SelectionRow, best_of
+from irodori.calibration.gates import check_mean, check_patches, likelier_charts
 from irodori.calibration.jitter import LIMIT, STEP_PX
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.solution import Solution, solve
@@ -59,27 +60,32 @@ def calibrate_camera(
         CSV of the errors and cost of every estimator and number of bases; where absent, only what the configuration
         leaves open is computed. All its columns but the measured time are the same from run to run.
     noise : Noise, optional
-        Of patch means and pixels; where absent, what the photographs tell.
+        Of patch means and of what is recovered; where absent, what the photographs tell.
 
     Raises
     ------
     InputError
-        If a chart cannot be read, or the responses determine no calibration, or one that amplifies noise beyond the
-        configured limit.
+        If a chart cannot be read, single patches or the mean over patches left out are off by more than the configured
+        limit, or the responses determine no calibration, or one that amplifies noise beyond the configured limit.
     """
     with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
         charts = Charts.load(linear, camera)
         charts.check_levels()
         spectra = charts.spectra
-        training = Training(charts.responses(), spectra, light(light_name), charts.noise() if noise is None else noise)
+        settings = camera.calibration
+        known = charts.noise(settings.texel_photographs) if noise is None else noise
+        training = Training(charts.responses(), spectra, light(light_name), known)
         try:
-            solved = solve(training, camera.calibration, charts.filters, lights, selection is not None, charts.number)
+            solved = solve(training, settings, charts.filters, lights, selection is not None, charts.number)
         except ValueError as error:
             raise charts.refusal(error) from None
         errors = {"leave_one_out": _errors(spectra, solved.recovered, lights)}
         if solved.recovered_by_chart is not None:
             errors["leave_one_chart_out"] = _errors(spectra, solved.recovered_by_chart, lights)
-        checks = _checks(charts, training, solved, lights)
+        limit, likelier = settings.max_leave_one_out_error, likelier_charts(charts, training.response, lights[0])
+        check_patches(charts, training.response, limit, lights[0])
+        check_mean(charts, errors["leave_one_out"][f"delta_e_{lights[0].lower()}"], limit, lights[0], likelier)
+        checks = _checks(charts, training, solved, lights) | {"likelier_charts": likelier}
     _write_calibration(output, solved.calibration, errors, solved.numbers | checks, provenance)
     _write_errors(table, charts.patches, errors)
     if selection is not None:
@@ -233,6 +239,8 @@ def _log(solved: Solution, errors: dict, checks: dict) -> None:
     LOGGER.info("patches moved by %g superpixels: CIEDE2000 changes by %.3f", moved["step_px"], moved["worst"])
     if moved["worst"] > moved["limit"]:
         LOGGER.warning("that is more than %g: larger patches, or smaller squares in them, would help", moved["limit"])
+    for field, name in checks["likelier_charts"].items():
+        LOGGER.warning("%s: the photograph agrees clearly better with the spectra of %s", field, name)
     for name in checks["uneven_patches"]:
         LOGGER.warning("patch %s: dirt, an edge or a shadow", name)
     for name, share in checks["clipped_patches"].items():

@@ -1344,11 +1344,16 @@ class CalibrationOptions(Definition):
     #: knows the noise and the chart's reflectances, local a Wiener estimator for every neighbourhood of colours, kernel
     #: a regression in polynomials of the response, broad the same for objects that are no paint; auto takes the best in
     #: cross-validation.
-    estimator: Literal["pinv", "ridge", "wiener", "local", "kernel", "broad", "auto"] = "pinv"
+    estimator: Literal["pinv", "ridge", "wiener", "local", "kernel", "broad", "auto"] = "auto"
 
     #: Principal vectors of the chart's spectra that are kept (count), with pinv no more than the camera has bands; auto
-    #: takes the best of 3 to 8, 10 and 12 in cross-validation.
-    bases: int | Literal["auto"] = 6
+    #: takes the best of 3 to 8, 10 and 12 in cross-validation. Where absent, auto with estimator auto, else as many as
+    #: the camera has bands.
+    bases: int | Literal["auto"] | None = None
+
+    #: Photographs that the recovered reflectance is the mean of (count); estimators and auto reckon with the noise of a
+    #: pixel over that many.
+    texel_photographs: int = 12
 
     #: Largest condition number of the chart's responses, every band divided by its largest patch (ratio).
     max_condition: float = 100000.0
@@ -1356,6 +1361,10 @@ class CalibrationOptions(Definition):
     #: Largest standard deviation of the recovered reflectance, root mean square over wavelengths, over that of a band's
     #: noise in units of the chart's largest response (ratio).
     max_noise_amplification: float = 100.0
+
+    #: Largest mean error of the chart's patches when each is left out in turn (CIEDE2000 under the first of
+    #: report.lights); a chart beyond is refused.
+    max_leave_one_out_error: float = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
