@@ -1324,7 +1324,8 @@ class Chart(Definition):
     columns: int
 
     #: What is looked for in the photograph; nothing takes centres_px as they are, edges fits the grid to the patches'
-    #: edges about centres_px, chart finds a ColorChecker Classic of 4 x 6 patches without centres_px.
+    #: edges about centres_px, chart finds a ColorChecker without centres_px, a Classic of 4 x 6 patches or a Digital SG
+    #: of 14 x 10 (letter by letter) or 10 x 14.
     find: Literal["nothing", "edges", "chart"] = "nothing"
 
     #: Centres of the four corner patches, x then y, in superpixels of 2 x 2 mosaic pixels; needed unless find is chart,
@@ -1342,8 +1343,8 @@ class CalibrationOptions(Definition):
 
     #: How spectra are found from responses; pinv is the pseudo-inverse of the paper, ridge its damped form, wiener
     #: knows the noise and the chart's reflectances, local a Wiener estimator for every neighbourhood of colours, kernel
-    #: a regression in polynomials of the response, broad the same for objects that are no paint; auto takes the best in
-    #: cross-validation.
+    #: a regression in polynomials of the response, broad the same for objects that are no paint; auto takes broad
+    #: unless cross-validation finds another far better.
     estimator: Literal["pinv", "ridge", "wiener", "local", "kernel", "broad", "auto"] = "auto"
 
     #: Principal vectors of the chart's spectra that are kept (count), with pinv no more than the camera has bands; auto
