@@ -94,9 +94,11 @@ class ChartPhotograph:
         centres_px : (n, 2) float
             x then y, superpixels.
         """
-        centres, side = samples_from_superpixels(centres_px, self.sample_px), self.located.side_px * 2.0 / self.sample_px
+        centres = samples_from_superpixels(centres_px, self.sample_px)
         try:
-            return read_means(self.response, self.valid, centres, side, self.path)
+            return read_means(
+                self.response, self.valid, centres, self.located.side_px * 2.0 / self.sample_px, self.path
+            )
         except InputError:
             return None
 

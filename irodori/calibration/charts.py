@@ -66,8 +66,8 @@ class Charts:
         Raises
         ------
         InputError
-            If a chart cannot be read, its patches stand in another order or most of them are uneven, or charts were photographed in different
-            filter states.
+            If a chart cannot be read, its patches stand in another order or most of them are uneven, or charts were
+            photographed in different filter states.
         ValueError
             If there is not one file a chart.
         """

@@ -121,15 +121,16 @@ def find_chart(
     Raises
     ------
     InputError
-        For another layout, if no chart is found, or several, or what is found is cut, covered, mirrored, uneven, or does not answer as the
-        measured spectra do.
+        For another layout, or if no chart is found, or several, or what is found is cut, covered, mirrored, uneven, or
+        does not answer as the measured spectra do.
     """
     if layout not in FOUND_LAYOUTS:
         accepted = f"{FOUND_WORDS}; for other layouts chart.centres_px"
         raise InputError(file, "chart.find", f"chart for {layout[0]} x {layout[1]} patches", accepted)
-    if len(spectra) != layout[0] * layout[1] or response.shape[-1] < 3:
-        found, accepted = f"{len(spectra)} spectra and {response.shape[-1]} bands", layout[0] * layout[1]
-        raise InputError(file, "chart.find", found, f"the {accepted} spectra of a ColorChecker and three bands")
+    patches = layout[0] * layout[1]
+    if len(spectra) != patches or response.shape[-1] < 3:
+        found = f"{len(spectra)} spectra and {response.shape[-1]} bands"
+        raise InputError(file, "chart.find", found, f"the {patches} spectra of a ColorChecker and three bands")
     sought = _Sought.of(response, valid, spectra, file, layout)
     most = 0
     for stretch in _STRETCHES:
@@ -229,7 +230,9 @@ def _fitted(image_from_grid: np.ndarray, sought: _Sought) -> FittedGrid:
         raise _NoChartError(str(error)) from None
     limit, every = 0.5 + _MAX_RESIDUAL * pitch, 4 * rows * columns
     if grid.edges < _MIN_EDGES * every or grid.residual_px > limit:
-        raise _NoChartError(f"{grid.edges} of {every} patch edges, {grid.residual_px:.1f} samples off a perspective grid")
+        raise _NoChartError(
+            f"{grid.edges} of {every} patch edges, {grid.residual_px:.1f} samples off a perspective grid"
+        )
     if not ((grid.half > _HALF[0]) & (grid.half < _HALF[1])).all():
         raise _NoChartError("patches of {:.2f} x {:.2f} of their pitch".format(*2 * grid.half))
     return grid

@@ -18,10 +18,8 @@ BASES = (3, 4, 5, 6, 7, 8, 10, 12)
 LEFT_OUT = ("patch", "chart")
 #: Estimators that are one matrix, and those that are not.
 KINDS = {"linear": ("pinv", "ridge", "wiener"), "non-linear": ("local", "kernel", "broad")}
-#: What ``auto`` takes unless cross-validation clearly contradicts it: the patches of a chart are paints, and prefer what
-#: takes every object for paint, or a matrix, to this, which errs least on objects that are neither.
-SAFEST = "broad"
-_CONTRADICTED = 0.7  # of the score of the safest: another estimator below that is taken in its place
+_NOISY = 0.002  # of the chart's largest response: noise of a texel from which on knowing it counts most
+_CONTRADICTED = 0.7  # of the score of the preferred estimator: another below that is taken in its place
 _RMSE_WEIGHT = 50.0  # CIEDE2000 that a spectral RMSE of one counts for in the score: 0.02 is as bad as 1
 _TIMED_PIXELS = 1024
 
@@ -179,11 +177,21 @@ def best_of(rows: list[SelectionRow], estimators: tuple[str, ...]) -> dict | Non
     return {"estimator": best[0], "bases": best[1], "score": scores[best]}
 
 
-def choose(rows: list[SelectionRow], estimator: str, bases: int | str) -> tuple[str, int]:
+def safest(training: Training) -> str:
+    """Return what ``auto`` takes unless cross-validation clearly contradicts it; the noise of a texel decides.
+
+    The patches of a chart are paints. Left out, they prefer what takes every object for paint, or a matrix; on other
+    objects ``broad`` errs least where there is little noise, and ``local``, which is told it, where there is more.
+    """
+    known = training.noise.pixel is not None
+    return "local" if known and sqrt(np.mean(training.pixel_variance)) >= _NOISY else "broad"
+
+
+def choose(rows: list[SelectionRow], estimator: str, bases: int | str, preferred: str = "broad") -> tuple[str, int]:
     """Return the estimator and number of bases of the smallest score among those that the configuration allows.
 
     The score is the mean of that with patches left out and, where there are several charts, that with charts left out.
-    Where the estimator is open, it is `SAFEST` unless the smallest score is under 0.7 of that of the safest.
+    Where the estimator is open, it is the preferred one unless the smallest score is under 0.7 of that one's.
 
     Parameters
     ----------
@@ -192,6 +200,8 @@ def choose(rows: list[SelectionRow], estimator: str, bases: int | str) -> tuple[
         A name, or ``auto``.
     bases : int or str
         A number, or ``auto``.
+    preferred : str
+        See `safest`.
 
     Raises
     ------
@@ -213,9 +223,9 @@ def choose(rows: list[SelectionRow], estimator: str, bases: int | str) -> tuple[
         return min(keys, key=lambda key: (round(scores[key], 6), cost[key]))
 
     best = smallest(fitting)
-    safest = [key for key in fitting if key[0] == SAFEST]
-    if estimator == "auto" and safest and scores[best] >= _CONTRADICTED * scores[smallest(safest)]:
-        return smallest(safest)
+    safe = [key for key in fitting if key[0] == preferred]
+    if estimator == "auto" and safe and scores[best] >= _CONTRADICTED * scores[smallest(safe)]:
+        return smallest(safe)
     return best
 
 

@@ -57,7 +57,10 @@ def _places(centres: np.ndarray, rows: int, columns: int) -> Iterator[tuple[str,
         if layout and rows == columns:
             continue
         grid = nodes(down, across) / [across - 1.0, down - 1.0]
-        for turned, turn in (("", (0, 1, 2, 3)), ("with row_end and column_end of its corners exchanged", (0, 2, 1, 3))):
+        for turned, turn in (
+            ("", (0, 1, 2, 3)),
+            ("with row_end and column_end of its corners exchanged", (0, 2, 1, 3)),
+        ):
             image_from_square = homography(square, corners[list(turn)])
             for name, order in readings(down, across).items():
                 words = [layout, turned, "" if name == _UPRIGHT else name]
@@ -93,6 +96,6 @@ def check_order(centres: np.ndarray, read, spectra: np.ndarray, rows: int, colum
     best = min(errors, key=errors.__getitem__)
     if errors[best] < _MAX_RATIO * errors[_UPRIGHT]:
         raise ValueError(
-            f"patches that agree with the spectra when the chart is read {best} (spectral RMSE {errors[best]:.3f}) and not "
-            f"as it is defined ({errors[_UPRIGHT]:.3f})"
+            f"patches that agree with the spectra when the chart is read {best} (spectral RMSE {errors[best]:.3f}) and "
+            f"not as it is defined ({errors[_UPRIGHT]:.3f})"
         )

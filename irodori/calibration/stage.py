@@ -9,6 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from irodori.calibration.charts import Charts
+from irodori.calibration.conditioning import check_amplification, check_brightest, check_responses
 from irodori.calibration.estimator_choice import KINDS, SelectionRow, best_of
 from irodori.calibration.gates import check_mean, check_patches, likelier_charts
 from irodori.calibration.jitter import LIMIT, STEP_PX
@@ -75,22 +76,37 @@ def calibrate_camera(
         settings = camera.calibration
         known = charts.noise(settings.texel_photographs) if noise is None else noise
         training = Training(charts.responses(), spectra, light(light_name), known)
-        try:
+        limit = settings.max_leave_one_out_error
+        with _refusing(charts):
+            check_responses(training.response, settings.max_condition, known.patch, charts.filters)
+            check_brightest(training, charts.filters)
+        check_patches(charts, training.response, limit, lights[0])
+        likelier = likelier_charts(charts, training.response, lights[0])
+        with _refusing(charts):
             solved = solve(training, settings, charts.filters, lights, selection is not None, charts.number)
-        except ValueError as error:
-            raise charts.refusal(error) from None
         errors = {"leave_one_out": _errors(spectra, solved.recovered, lights)}
         if solved.recovered_by_chart is not None:
             errors["leave_one_chart_out"] = _errors(spectra, solved.recovered_by_chart, lights)
-        limit, likelier = settings.max_leave_one_out_error, likelier_charts(charts, training.response, lights[0])
-        check_patches(charts, training.response, limit, lights[0])
         check_mean(charts, errors["leave_one_out"][f"delta_e_{lights[0].lower()}"], limit, lights[0], likelier)
+        # Of spectra that are another chart's the amplification would tell nothing.
+        with _refusing(charts):
+            amplification = solved.numbers["noise_amplification"]
+            check_amplification(amplification, settings.max_noise_amplification, solved.calibration)
         checks = _checks(charts, training, solved, lights) | {"likelier_charts": likelier}
     _write_calibration(output, solved.calibration, errors, solved.numbers | checks, provenance)
     _write_errors(table, charts.patches, errors)
     if selection is not None:
         write_selection(selection, solved.rows, solved.chosen)
     _log(solved, errors, checks)
+
+
+@contextmanager
+def _refusing(charts: Charts) -> Iterator[None]:
+    """Let what is wrong with the patches of some charts be refused with the chart's file and key."""
+    try:
+        yield
+    except ValueError as error:
+        raise charts.refusal(error) from None
 
 
 def _checks(charts: Charts, training: Training, solved: Solution, lights) -> dict:

@@ -1344,7 +1344,7 @@ class CalibrationOptions(Definition):
     #: How spectra are found from responses; pinv is the pseudo-inverse of the paper, ridge its damped form, wiener
     #: knows the noise and the chart's reflectances, local a Wiener estimator for every neighbourhood of colours, kernel
     #: a regression in polynomials of the response, broad the same for objects that are no paint; auto takes broad
-    #: unless cross-validation finds another far better.
+    #: unless another is far better in cross-validation.
     estimator: Literal["pinv", "ridge", "wiener", "local", "kernel", "broad", "auto"] = "auto"
 
     #: Principal vectors of the chart's spectra that are kept (count), with pinv no more than the camera has bands; auto
@@ -1354,7 +1354,7 @@ class CalibrationOptions(Definition):
 
     #: Photographs that the recovered reflectance is the mean of (count); estimators and auto reckon with the noise of a
     #: pixel over that many.
-    texel_photographs: int = 12
+    texel_photographs: int = 16
 
     #: Largest condition number of the chart's responses, every band divided by its largest patch (ratio).
     max_condition: float = 100000.0
