@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.table import COLUMNS, arguments_of, median_s, medians_s, peak_mb_of, report, write
-from irodori.calibration.estimator_choice import choose, cross_validate
+from irodori.calibration.estimator_choice import choose, cross_validate, safest
 from irodori.calibration.estimators import ESTIMATORS, fit
 from irodori.calibration.training import ResponseNoise, Training
 from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
@@ -112,7 +112,7 @@ def errors(trial: Trial, noise: float, estimator: str, bases: int = 12, stated: 
 
 
 def _choice(training: Training) -> tuple[str, int]:
-    return choose(cross_validate(training)[0], "auto", "auto")
+    return choose(cross_validate(training)[0], "auto", "auto", safest(training))
 
 
 def print_table() -> None:

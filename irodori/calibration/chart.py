@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from irodori.calibration.chart_grid import even_picture, fit_to_edges, homography, nodes, pitch_px, project
-from irodori.calibration.detection import COLUMNS, ROWS, find_chart
+from irodori.calibration.detection import find_chart
 from irodori.calibration.patches import ChartReading, read_squares
 from irodori.config.models import Chart
 from irodori.core.errors import InputError
@@ -141,10 +141,7 @@ def _around(centres: np.ndarray, pitch: float, shape: tuple[int, int]) -> tuple[
 
 
 def _by_itself(response, valid, chart: Chart, file) -> tuple[np.ndarray, float, dict]:
-    if (chart.rows, chart.columns) != (ROWS, COLUMNS):
-        layout = f"chart for {chart.rows} x {chart.columns} patches"
-        raise InputError(file, "chart.find", layout, f"{ROWS} x {COLUMNS} patches; for other layouts chart.centres_px")
-    seen = find_chart(response, valid, chart_spectra(chart.spectra)[1], file)
+    seen = find_chart(response, valid, chart_spectra(chart.spectra)[1], file, (chart.rows, chart.columns))
     found = {name: getattr(seen, name) for name in ("edges", "residual_px", "turn_deg", "rmse", "next_rmse")}
     return seen.centres, seen.side, found
 

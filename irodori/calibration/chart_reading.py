@@ -7,11 +7,12 @@ import numpy as np
 from irodori.calibration.chart import Located, locate_patches, read_located
 from irodori.calibration.illumination import Illumination, illumination
 from irodori.calibration.jitter import Jitter, jitter
-from irodori.calibration.patches import ChartReading
+from irodori.calibration.patches import ChartReading, read_means
 from irodori.calibration.training import ResponseNoise
 from irodori.config.models import Chart
 from irodori.core import store
 from irodori.core.errors import InputError
+from irodori.geometry.pinhole import samples_from_superpixels
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,22 @@ class ChartPhotograph:
         """Return the statistics of every patch, in even light where that could be told."""
         reading = read_located(self.response, self.valid, self.located, self.path, self.sample_px)
         return reading if self._field is None else reading.divided(self._field)
+
+    def means_at(self, centres_px: np.ndarray) -> np.ndarray | None:
+        """Return the mean responses of squares elsewhere, (n, bands), in the light as it falls; None where unreadable.
+
+        Parameters
+        ----------
+        centres_px : (n, 2) float
+            x then y, superpixels.
+        """
+        centres = samples_from_superpixels(centres_px, self.sample_px)
+        try:
+            return read_means(
+                self.response, self.valid, centres, self.located.side_px * 2.0 / self.sample_px, self.path
+            )
+        except InputError:
+            return None
 
     def responses(self, reading: ChartReading) -> np.ndarray:
         """Return responses as if lit at normal incidence, (patches, bands)."""

@@ -23,6 +23,7 @@ from irodori.spectra.published import chart_spectra
 
 _LEVEL_BASES = 6
 _LEVEL_TOLERANCE = 0.02
+_MAX_UNEVEN_SHARE = 0.5  # of a chart's patches
 
 
 @dataclass(frozen=True)
@@ -65,8 +66,8 @@ class Charts:
         Raises
         ------
         InputError
-            If a chart cannot be read, its patches stand in another order, or charts were photographed in different
-            filter states.
+            If a chart cannot be read, its patches stand in another order or most of them are uneven, or charts were
+            photographed in different filter states.
         ValueError
             If there is not one file a chart.
         """
@@ -82,7 +83,8 @@ class Charts:
             with _naming(name):
                 photograph = ChartPhotograph.load(file, chart, len(names))
                 reading = photograph.read()
-                _check_order(photograph, reading, reflectances, chart)
+                _check_order(photograph, reflectances, chart)
+                _check_evenness(photograph, reading)
             if photograph.filters != (photographs or [photograph])[0].filters:
                 found = ", ".join(photograph.filters)
                 raise InputError(file, "filters", found, ", ".join(photographs[0].filters) + ", as of the first chart")
@@ -145,11 +147,15 @@ class Charts:
         own = error.patch - int(np.argmax(self.number == which))
         return InputError(self.photographs[which].path, self.fields[which], f"patch {own}{error.fault}", accepted)
 
-    def noise(self) -> ResponseNoise:
-        """Return the noise of patch means and of a pixel, see `ChartPhotograph.noise`, in the mean over all patches."""
+    def noise(self, photographs: int) -> ResponseNoise:
+        """Return the noise of patch means and of what is recovered, in the mean over all patches.
+
+        That is a mean over some photographs; a pixel of one has the noise that `ChartPhotograph.noise` tells.
+        """
         found = [p.noise(r) for p, r in zip(self.photographs, self.readings, strict=True)]
         share = np.bincount(self.number) / self.number.size
-        return ResponseNoise(share @ [noise.patch for noise in found], share @ [noise.pixel for noise in found])
+        pixel = share @ [noise.pixel for noise in found]
+        return ResponseNoise(share @ [noise.patch for noise in found], pixel / photographs)
 
     def jitter(self, error: Callable[[np.ndarray], float]) -> list[Jitter]:
         """Return what becomes of an error as the patches of each chart are moved, those of the others in place.
@@ -176,11 +182,21 @@ def _level(ratios: np.ndarray, patches: int) -> tuple[float, float]:
     return float(np.exp(middle)), 1.2533 * spread / np.sqrt(patches)
 
 
-def _check_order(photograph: ChartPhotograph, reading: ChartReading, spectra: np.ndarray, chart: Chart) -> None:
+def _check_order(photograph: ChartPhotograph, spectra: np.ndarray, chart: Chart) -> None:
     try:
-        check_order(photograph.responses(reading), spectra, chart.rows, chart.columns)
+        check_order(photograph.located.centres_px, photograph.means_at, spectra, chart.rows, chart.columns)
     except ValueError as error:
-        raise InputError(photograph.path, "chart", str(error), "a chart that determines every band") from None
+        accepted = "chart.centres_px from the first patch on, rows and columns in the order of the spectra"
+        raise InputError(photograph.path, "chart", str(error), accepted) from None
+
+
+def _check_evenness(photograph: ChartPhotograph, reading: ChartReading) -> None:
+    """Refuse a chart most of whose patches hold dirt, an edge or a shadow: the squares do not lie in the patches."""
+    uneven, count = int(reading.uneven.sum()), len(reading.uneven)
+    if uneven > _MAX_UNEVEN_SHARE * count:
+        accepted = "squares within the patches (chart.centres_px, chart.patch_px) of a clean chart in even light"
+        found = f"{uneven} of {count} patches with dirt, an edge or a shadow"
+        raise InputError(photograph.path, "chart", found, accepted)
 
 
 def field_of(name: str) -> str:

@@ -1,13 +1,13 @@
 """Checks whether a chart can calibrate a camera, and the noise amplification of a calibration."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.response_model import fit_response_model, smooth_priors
 from irodori.calibration.training import Training
 
+#: Largest condition number of the chart's responses, every band divided by its largest patch, where none is given.
+MAX_CONDITION = 1e5
 _ALIKE = 1e-9  # relative; clipped means agree to rounding, measured ones do not
 _BELOW_ZERO = 0.01  # of the band's largest patch, where the noise is not known
 _NOISE_LIMIT = 5.0  # standard deviations of a patch mean
@@ -32,22 +32,6 @@ class PatchError(ValueError):
         super().__init__(f"patch {patch}{fault}")
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Largest condition number and noise amplification that a calibration may have.
-
-    Parameters
-    ----------
-    condition : float
-        Condition number of the chart's responses, every band divided by its largest patch.
-    noise_amplification : float
-        See `noise_amplification`.
-    """
-
-    condition: float = 1e5
-    noise_amplification: float = 100.0
-
-
 def condition_number(response: np.ndarray) -> float:
     """Return the condition number of responses (m, bands), every band divided by its largest magnitude."""
     return float(np.linalg.cond(response / np.abs(response).max(axis=0)))
@@ -55,7 +39,7 @@ def condition_number(response: np.ndarray) -> float:
 
 def check_responses(
     response: np.ndarray,
-    limit: float = Limits.condition,
+    limit: float = MAX_CONDITION,
     patch_variance: np.ndarray | None = None,
     filters: tuple[str, ...] = (),
 ) -> None:

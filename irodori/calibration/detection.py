@@ -1,4 +1,4 @@
-"""Detection of a ColorChecker Classic in a photograph, with its orientation.
+"""Detection of a ColorChecker Classic or Digital SG in a photograph, with its orientation.
 
 The library's segmentation gives squares; the lattice, its fit to the patches' edges and the orientation are worked out
 here, and what is found is proved by the measured spectra before it counts.
@@ -14,15 +14,15 @@ from irodori.calibration.chart_grid import FittedGrid, even_picture, fit_to_edge
 from irodori.calibration.patch_order import readings, rmse_of_unseen
 from irodori.calibration.patches import read_squares
 from irodori.calibration.square_lattice import Lattice, lattices
+from irodori.config.cross_checks.named_spectra import FOUND_LAYOUTS, FOUND_WORDS
 from irodori.core.errors import InputError, PlainError
 
-ROWS, COLUMNS = 4, 6
 _WORKING_WIDTH_PX = 1440  # the library's own, to which its thresholds are set
 _SMOOTHINGS = 2  # of the library's five, which take most of its time and find no more
 #: Widths the picture is stretched to: the library seeks squares, and a tilt or a sensor's pixels make patches oblong.
 _STRETCHES = (1.0, 1.6, 1.0 / 1.6)
 _MIN_PITCH_PX = 10.0
-_MIN_EDGES = 48  # of 96
+_MIN_EDGES = 0.5  # of four a patch
 _MAX_RESIDUAL = 0.02  # of the pitch, besides half a sample
 _HALF = (0.33, 0.49)  # half a patch's side over the pitch: what charts of this layout have
 _READ = 0.6  # of a patch's side: the square that proof is taken from
@@ -31,7 +31,7 @@ _MAX_PATCH_RMSE = 0.25
 _MAX_RMSE = 0.09  # leave-one-patch-out; a right grid gives 0.03 to 0.06 with three bands, a wrong one over 0.15
 _MAX_RATIO = 0.6  # of the errors of the right reading and of the next best
 _MIN_RANK_CORRELATION = 0.8
-_ADVICE = "a whole, evenly lit ColorChecker Classic of 4 x 6 patches, or its corners as chart.centres_px"
+_ADVICE = "a whole, evenly lit ColorChecker of {} x {} patches, or its corners as chart.centres_px"
 
 
 @dataclass(frozen=True)
@@ -40,14 +40,14 @@ class FoundChart:
 
     Parameters
     ----------
-    centres : (24, 2) float64
+    centres : (patches, 2) float64
         x then y of the patches in the order of the spectra, samples.
     side : float
         Smallest side of a patch, samples.
     turn_deg : float
-        Direction of the chart's rows in the picture, from x towards y (down), -180..180.
+        Direction of the chart's long side in the picture, from x towards y (down), -180..180.
     edges : int
-        Edges of patches that were seen, of 96.
+        Edges of patches that were seen, of four a patch.
     residual_px : float
         Median distance of the edges from the grid's, samples.
     rmse : float
@@ -69,36 +69,77 @@ class _NoChartError(ValueError):
     """Reason for refusing a candidate, in words."""
 
 
-def find_chart(response: np.ndarray, valid: np.ndarray, spectra: np.ndarray, file) -> FoundChart:
-    """Find the one ColorChecker Classic of a photograph.
+@dataclass(frozen=True)
+class _Sought:
+    """What a chart is looked for in and by.
+
+    ``rows`` and ``columns`` are those of the chart as it lies, its long side across; ``places``, (patches,) int, is the
+    number of each patch among them in the order of the spectra.
+    """
+
+    response: np.ndarray
+    valid: np.ndarray
+    spectra: np.ndarray
+    file: object
+    picture: np.ndarray
+    rows: int
+    columns: int
+    places: np.ndarray
+
+    @classmethod
+    def of(cls, response, valid, spectra, file, layout: tuple[int, int]) -> "_Sought":
+        """Return what a chart of some layout is looked for in and by, see `find_chart`."""
+        rows, columns = min(layout), max(layout)
+        number = np.arange(rows * columns).reshape(rows, columns)
+        # Letters of an SG run along its long side: spectra in their order go down the columns.
+        places = number if layout == (rows, columns) else number.T
+        picture = even_picture(response, valid)
+        return cls(response, valid, spectra, file, picture, rows, columns, places.ravel())
+
+    @property
+    def advice(self) -> str:
+        """What is accepted in place of what was found."""
+        return _ADVICE.format(self.rows, self.columns)
+
+
+def find_chart(
+    response: np.ndarray, valid: np.ndarray, spectra: np.ndarray, file, layout: tuple[int, int] = (4, 6)
+) -> FoundChart:
+    """Find the one ColorChecker of a photograph.
 
     Parameters
     ----------
     response : (height, width, bands) float, three bands or more
     valid : (height, width) bool
         What is clipped or hot is not valid.
-    spectra : (24, 61) float
-        Measured reflectance factors, row by row from the dark skin.
+    spectra : (patches, 61) float
+        Measured reflectance factors, row by row from the dark skin of a Classic, or the first white of an SG.
     file : path, for error messages
+    layout : (int, int), of FOUND_LAYOUTS
+        Rows and columns of the spectra.
 
     Raises
     ------
     InputError
-        If no chart is found, or several, or what is found is cut, covered, mirrored, uneven, or does not answer as the
-        measured spectra do.
+        For another layout, or if no chart is found, or several, or what is found is cut, covered, mirrored, uneven, or
+        does not answer as the measured spectra do.
     """
-    if len(spectra) != ROWS * COLUMNS or response.shape[-1] < 3:
+    if layout not in FOUND_LAYOUTS:
+        accepted = f"{FOUND_WORDS}; for other layouts chart.centres_px"
+        raise InputError(file, "chart.find", f"chart for {layout[0]} x {layout[1]} patches", accepted)
+    patches = layout[0] * layout[1]
+    if len(spectra) != patches or response.shape[-1] < 3:
         found = f"{len(spectra)} spectra and {response.shape[-1]} bands"
-        raise InputError(file, "chart.find", found, f"the {ROWS * COLUMNS} spectra of a ColorChecker and three bands")
-    picture = even_picture(response, valid)
+        raise InputError(file, "chart.find", found, f"the {patches} spectra of a ColorChecker and three bands")
+    sought = _Sought.of(response, valid, spectra, file, layout)
     most = 0
     for stretch in _STRETCHES:
-        squares = _squares(picture, stretch)
+        squares = _squares(sought.picture, stretch)
         most = max(most, len(squares))
         candidates = lattices(squares)
         if candidates:
-            return _the_one(candidates, picture, response, valid, spectra, file)
-    raise InputError(file, "chart.find", f"no chart (at most {most} separate squares)", _ADVICE)
+            return _the_one(candidates, sought)
+    raise InputError(file, "chart.find", f"no chart (at most {most} separate squares)", sought.advice)
 
 
 def _library():
@@ -134,32 +175,33 @@ def _squares(picture: np.ndarray, stretch: float) -> np.ndarray:
     return np.stack([x * (picture.shape[1] - 1.0) / (width - 1.0), y], axis=-1)
 
 
-def _the_one(candidates: list[Lattice], picture, response, valid, spectra, file) -> FoundChart:
+def _the_one(candidates: list[Lattice], sought: _Sought) -> FoundChart:
     """Return the one candidate that is a chart."""
     found, reasons = [], []
     for lattice in candidates:
         try:
-            found.append(_prove(lattice, picture, response, valid, spectra, file))
+            found.append(_prove(lattice, sought))
         except _NoChartError as error:
             x, y = lattice.centres.mean(axis=0)
             reasons.append(f"{lattice.rows} x {lattice.columns} squares about ({x:.0f}, {y:.0f}): {error}")
     if len(found) > 1:
         places = " and ".join("({:.0f}, {:.0f})".format(*chart.centres.mean(axis=0)) for chart in found)
-        raise InputError(file, "chart.find", f"{len(found)} charts about {places}", "one chart, or its corners")
+        raise InputError(sought.file, "chart.find", f"{len(found)} charts about {places}", "one chart, or its corners")
     if not found:
-        raise InputError(file, "chart.find", "; ".join(reasons), _ADVICE)
+        raise InputError(sought.file, "chart.find", "; ".join(reasons), sought.advice)
     return found[0]
 
 
-def _prove(lattice: Lattice, picture, response, valid, spectra, file) -> FoundChart:
+def _prove(lattice: Lattice, sought: _Sought) -> FoundChart:
     """Return the chart that a lattice belongs to; at most one row and one column of it had no square."""
-    if not COLUMNS - 1 <= lattice.columns <= COLUMNS or not ROWS - 1 <= lattice.rows <= ROWS:
-        raise _NoChartError(f"not the {ROWS} x {COLUMNS} of a whole chart")
+    rows, columns = sought.rows, sought.columns
+    if not columns - 1 <= lattice.columns <= columns or not rows - 1 <= lattice.rows <= rows:
+        raise _NoChartError(f"not the {rows} x {columns} of a whole chart")
     proved, reasons = [], []
-    for right, down in itertools.product(range(COLUMNS - lattice.columns + 1), range(ROWS - lattice.rows + 1)):
+    for right, down in itertools.product(range(columns - lattice.columns + 1), range(rows - lattice.rows + 1)):
         try:
-            grid = _fitted(lattice.image_from_grid @ _moved(right, down), picture)
-            proved.append(_oriented(grid, response, valid, spectra, file))
+            grid = _fitted(lattice.image_from_grid @ _moved(right, down), sought)
+            proved.append(_oriented(grid, sought))
         except _NoChartError as error:
             reasons.append(str(error))
     if not proved:
@@ -172,36 +214,40 @@ def _moved(right: int, down: int) -> np.ndarray:
     return np.array([[1.0, 0.0, -right], [0.0, 1.0, -down], [0.0, 0.0, 1.0]])
 
 
-def _fitted(image_from_grid: np.ndarray, picture: np.ndarray) -> FittedGrid:
-    height, width = picture.shape[:2]
-    right, bottom = COLUMNS - 0.6, ROWS - 0.6
+def _fitted(image_from_grid: np.ndarray, sought: _Sought) -> FittedGrid:
+    height, width = sought.picture.shape[:2]
+    rows, columns = sought.rows, sought.columns
+    right, bottom = columns - 0.6, rows - 0.6
     corners = project(image_from_grid, np.array([[-0.4, -0.4], [right, -0.4], [-0.4, bottom], [right, bottom]]))
     if not ((corners > -0.5) & (corners < [width - 0.5, height - 0.5])).all():
         raise _NoChartError("the chart is cut by the picture's edge")
-    pitch = pitch_px(project(image_from_grid, nodes(ROWS, COLUMNS)), ROWS, COLUMNS)
+    pitch = pitch_px(project(image_from_grid, nodes(rows, columns)), rows, columns)
     if pitch < _MIN_PITCH_PX:
         raise _NoChartError(f"patches every {pitch:.1f} samples, too small below {_MIN_PITCH_PX:g}")
     try:
-        grid = fit_to_edges(picture, image_from_grid, ROWS, COLUMNS)
+        grid = fit_to_edges(sought.picture, image_from_grid, rows, columns)
     except ValueError as error:
         raise _NoChartError(str(error)) from None
-    limit = 0.5 + _MAX_RESIDUAL * pitch
-    if grid.edges < _MIN_EDGES or grid.residual_px > limit:
-        raise _NoChartError(f"{grid.edges} of 96 patch edges, {grid.residual_px:.1f} samples off a perspective grid")
+    limit, every = 0.5 + _MAX_RESIDUAL * pitch, 4 * rows * columns
+    if grid.edges < _MIN_EDGES * every or grid.residual_px > limit:
+        raise _NoChartError(
+            f"{grid.edges} of {every} patch edges, {grid.residual_px:.1f} samples off a perspective grid"
+        )
     if not ((grid.half > _HALF[0]) & (grid.half < _HALF[1])).all():
         raise _NoChartError("patches of {:.2f} x {:.2f} of their pitch".format(*2 * grid.half))
     return grid
 
 
-def _oriented(grid: FittedGrid, response, valid, spectra, file) -> FoundChart:
+def _oriented(grid: FittedGrid, sought: _Sought) -> FoundChart:
     """Return the chart in the one reading, of two turned by half and two mirrored, that the spectra agree with."""
-    centres = grid.image(nodes(ROWS, COLUMNS))
-    side = 2.0 * grid.half.min() * pitch_px(centres, ROWS, COLUMNS)
+    rows, columns, spectra = sought.rows, sought.columns, sought.spectra
+    centres = grid.image(nodes(rows, columns))
+    side = 2.0 * grid.half.min() * pitch_px(centres, rows, columns)
     try:
-        read = read_squares(response, valid, centres, max(2.0, _READ * side), file)
+        read = read_squares(sought.response, sought.valid, centres, max(2.0, _READ * side), sought.file)
     except InputError as error:
         raise _NoChartError(error.found) from None
-    orders = readings(ROWS, COLUMNS)
+    orders = {name: order[sought.places] for name, order in readings(rows, columns).items()}
     patch_rmse = {name: rmse_of_unseen(read["mean"][order], spectra) for name, order in orders.items()}
     errors = {name: float(values.mean()) for name, values in patch_rmse.items()}
     best, second = sorted(errors, key=errors.__getitem__)[:2]
@@ -214,7 +260,7 @@ def _oriented(grid: FittedGrid, response, valid, spectra, file) -> FoundChart:
         raise _NoChartError("a mirrored picture of the chart")
     _refuse_covered(read["gradient"][order], read["unevenness"][order], patch_rmse[best])
     centres = centres[order]
-    ahead = centres[COLUMNS - 1] - centres[0]
+    ahead = centres[np.argmax(sought.places % columns)] - centres[0]
     turn_deg = float(np.degrees(np.arctan2(ahead[1], ahead[0])))
     return FoundChart(centres, float(side), turn_deg, grid.edges, grid.residual_px, errors[best], errors[second])
 

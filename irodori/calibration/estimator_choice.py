@@ -17,9 +17,9 @@ from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
 BASES = (3, 4, 5, 6, 7, 8, 10, 12)
 LEFT_OUT = ("patch", "chart")
 #: Estimators that are one matrix, and those that are not.
-KINDS = {"linear": ("pinv", "ridge", "wiener"), "non-linear": ("local", "kernel")}
-#: Estimators that ``auto`` never takes: the patches of a chart do not tell whether objects are paint.
-ON_REQUEST = ("broad",)
+KINDS = {"linear": ("pinv", "ridge", "wiener"), "non-linear": ("local", "kernel", "broad")}
+_NOISY = 0.002  # of the chart's largest response: noise of a texel from which on knowing it counts most
+_CONTRADICTED = 0.7  # of the score of the preferred estimator: another below that is taken in its place
 _RMSE_WEIGHT = 50.0  # CIEDE2000 that a spectral RMSE of one counts for in the score: 0.02 is as bad as 1
 _TIMED_PIXELS = 1024
 
@@ -177,18 +177,31 @@ def best_of(rows: list[SelectionRow], estimators: tuple[str, ...]) -> dict | Non
     return {"estimator": best[0], "bases": best[1], "score": scores[best]}
 
 
-def choose(rows: list[SelectionRow], estimator: str, bases: int | str) -> tuple[str, int]:
+def safest(training: Training) -> str:
+    """Return what ``auto`` takes unless cross-validation clearly contradicts it; the noise of a texel decides.
+
+    The patches of a chart are paints. Left out, they prefer what takes every object for paint, or a matrix; on other
+    objects ``broad`` errs least where there is little noise, and ``local``, which is told it, where there is more.
+    """
+    known = training.noise.pixel is not None
+    return "local" if known and sqrt(np.mean(training.pixel_variance)) >= _NOISY else "broad"
+
+
+def choose(rows: list[SelectionRow], estimator: str, bases: int | str, preferred: str = "broad") -> tuple[str, int]:
     """Return the estimator and number of bases of the smallest score among those that the configuration allows.
 
     The score is the mean of that with patches left out and, where there are several charts, that with charts left out.
+    Where the estimator is open, it is the preferred one unless the smallest score is under 0.7 of that one's.
 
     Parameters
     ----------
     rows : list of SelectionRow
     estimator : str
-        A name, or ``auto``: one that is not ON_REQUEST.
+        A name, or ``auto``.
     bases : int or str
         A number, or ``auto``.
+    preferred : str
+        See `safest`.
 
     Raises
     ------
@@ -200,13 +213,20 @@ def choose(rows: list[SelectionRow], estimator: str, bases: int | str) -> tuple[
     if "auto" not in (estimator, bases):
         return estimator, int(bases)
     scores, cost = scores_of(rows), {(r.estimator, r.bases): r.multiply_adds for r in rows}
-    asked = [key for key in scores if key[0] not in ON_REQUEST] if estimator == "auto" else scores
-    fitting = [key for key in asked if estimator in ("auto", key[0]) and bases in ("auto", key[1])]
+    fitting = [key for key in scores if estimator in ("auto", key[0]) and bases in ("auto", key[1])]
     if not fitting:
         accepted = ", ".join(str(n) for n in sorted({r.bases for r in rows}))
         raise ValueError(f"{bases} bases with estimator {estimator}; accepted: {accepted}")
-    # Rounded, so that equal errors go to the simpler estimator and the fewer bases whatever the last bits are.
-    return min(fitting, key=lambda key: (round(scores[key], 6), cost[key]))
+
+    def smallest(keys: list[tuple[str, int]]) -> tuple[str, int]:
+        # Rounded, so that equal errors go to the simpler estimator and the fewer bases whatever the last bits are.
+        return min(keys, key=lambda key: (round(scores[key], 6), cost[key]))
+
+    best = smallest(fitting)
+    safe = [key for key in fitting if key[0] == preferred]
+    if estimator == "auto" and safe and scores[best] >= _CONTRADICTED * scores[smallest(safe)]:
+        return smallest(safe)
+    return best
 
 
 def _noise_offsets(training: Training) -> np.ndarray:

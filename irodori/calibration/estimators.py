@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from irodori.calibration.conditioning import Limits, check_brightest, check_responses
+from irodori.calibration.conditioning import MAX_CONDITION, check_brightest, check_responses
 from irodori.calibration.paper_estimator import calibrate, spectral_basis
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.recovery.mappings import (
@@ -173,7 +173,7 @@ def fit_mapping(name: str, training: Training) -> Mapping:
     return ESTIMATORS[name](training)
 
 
-def fit(name: str, training: Training, bases: int, max_condition: float = Limits.condition) -> Calibration:
+def fit(name: str, training: Training, bases: int, max_condition: float = MAX_CONDITION) -> Calibration:
     """Return a calibration by an estimator on a number of bases; ``pinv`` is the printed formula.
 
     Raises
@@ -191,7 +191,7 @@ def fit(name: str, training: Training, bases: int, max_condition: float = Limits
     return fit_checked(name, training, bases, max_condition)
 
 
-def fit_checked(name: str, training: Training, bases: int, max_condition: float = Limits.condition) -> Calibration:
+def fit_checked(name: str, training: Training, bases: int, max_condition: float = MAX_CONDITION) -> Calibration:
     """Return what `fit` does, of responses that are known to determine a calibration."""
     if name == "pinv":
         return calibrate(training.response, training.spectra, bases, training.light, max_condition)

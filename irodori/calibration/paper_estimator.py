@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from irodori.calibration.conditioning import Limits, check_responses
+from irodori.calibration.conditioning import MAX_CONDITION, check_responses
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.recovery.mappings import LinearMapping
 
@@ -30,7 +30,7 @@ def calibrate(
     spectra: np.ndarray,
     bases: int,
     light: np.ndarray,
-    max_condition: float = Limits.condition,
+    max_condition: float = MAX_CONDITION,
 ) -> Calibration:
     """Solve equations (3) and (4).
 

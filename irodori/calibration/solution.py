@@ -4,15 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from irodori.calibration.conditioning import (
-    Limits,
-    check_amplification,
-    check_brightest,
-    check_responses,
-    condition_number,
-    noise_amplification,
-)
-from irodori.calibration.estimator_choice import BASES, ON_REQUEST, SelectionRow, choose, cross_validate
+from irodori.calibration.conditioning import condition_number, noise_amplification
+from irodori.calibration.estimator_choice import BASES, SelectionRow, choose, cross_validate, safest
 from irodori.calibration.estimators import ESTIMATORS, fit_checked
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.training import Training
@@ -40,44 +33,48 @@ class Solution:
 def solve(
     training: Training, settings: CalibrationOptions, filters: tuple[str, ...], lights, timed: bool, charts=None
 ) -> Solution:
-    """Check the charts, judge, choose and fit; ValueError says what is wrong.
+    """Judge, choose and fit; ValueError says what is wrong.
 
     ``charts``, (m,) int, is the number of the chart of each patch; None is one chart.
     """
-    limits = Limits(settings.max_condition, settings.max_noise_amplification)
-    check_responses(training.response, limits.condition, training.noise.patch, filters)
-    check_brightest(training, filters)
-    rows, recovered, by_chart = _judge(training, settings, lights, timed, charts)
-    chosen = choose(rows, settings.estimator, settings.bases)
+    bases = _bases_of(settings, training.response.shape[1])
+    rows, recovered, by_chart = _judge(training, (settings.estimator, bases), lights, timed, charts)
+    chosen = choose(rows, settings.estimator, bases, safest(training))
     absolute, relative = own_error(training, recovered[chosen])
     calibration = replace(
-        fit_checked(chosen[0], training, chosen[1], limits.condition),
+        fit_checked(chosen[0], training, chosen[1], settings.max_condition),
         filters=filters,
         band_response=training.model.mean * training.scale[:, None],
         band_response_covariance=training.model.covariance * training.scale[:, None, None] ** 2,
         absolute_error=absolute,
         relative_error=relative,
     )
-    amplification = noise_amplification(calibration)
-    check_amplification(amplification, limits.noise_amplification, calibration)
-    numbers = {"condition_number": condition_number(training.response), "noise_amplification": amplification}
+    numbers = {
+        "condition_number": condition_number(training.response),
+        "noise_amplification": noise_amplification(calibration),
+    }
     return Solution(calibration, rows, chosen, recovered[chosen], by_chart.get(chosen), numbers)
 
 
-def _judge(training: Training, settings: CalibrationOptions, lights, timed: bool, charts):
+def _bases_of(settings: CalibrationOptions, bands: int) -> int | str:
+    """Return how many bases are asked for; what is absent follows from the estimator."""
+    if settings.bases is not None:
+        return settings.bases
+    return _AUTO if settings.estimator == _AUTO else bands
+
+
+def _judge(training: Training, asked: tuple[str, int | str], lights, timed: bool, charts):
     """Return the table of estimators and bases, and what each recovers of patches and of charts left out.
 
     The table is whole where it is written or the choice is open. Patches are left out in turn; where there are several
     charts, the table goes on with whole charts left out.
     """
-    estimator, bases = settings.estimator, settings.bases
+    estimator, bases = asked
     if estimator not in (_AUTO, *ESTIMATORS):
         raise ValueError(f"unknown estimator {estimator!r}; accepted: {_AUTO}, {', '.join(ESTIMATORS)}")
     tried = BASES if timed or bases == _AUTO else ()
     counts = sorted({*tried, *(() if bases == _AUTO else (bases,))})
-    names = tuple(ESTIMATORS) if timed else (estimator,)
-    if not timed and estimator == _AUTO:
-        names = tuple(name for name in ESTIMATORS if name not in ON_REQUEST)
+    names = tuple(ESTIMATORS) if timed or estimator == _AUTO else (estimator,)
     rows, recovered = cross_validate(training, lights, bases=counts, timed=timed, estimators=names)
     if bases != _AUTO and not any(row.bases == bases for row in rows):
         accepted = max((row.bases for row in rows), default=0)

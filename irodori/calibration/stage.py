@@ -9,7 +9,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from irodori.calibration.charts import Charts
+from irodori.calibration.conditioning import check_amplification, check_brightest, check_responses
 from irodori.calibration.estimator_choice import KINDS, SelectionRow, best_of
+from irodori.calibration.gates import check_mean, check_patches, likelier_charts
 from irodori.calibration.jitter import LIMIT, STEP_PX
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.solution import Solution, solve
@@ -59,32 +61,52 @@ def calibrate_camera(
         CSV of the errors and cost of every estimator and number of bases; where absent, only what the configuration
         leaves open is computed. All its columns but the measured time are the same from run to run.
     noise : Noise, optional
-        Of patch means and pixels; where absent, what the photographs tell.
+        Of patch means and of what is recovered; where absent, what the photographs tell.
 
     Raises
     ------
     InputError
-        If a chart cannot be read, or the responses determine no calibration, or one that amplifies noise beyond the
-        configured limit.
+        If a chart cannot be read, single patches or the mean over patches left out are off by more than the configured
+        limit, or the responses determine no calibration, or one that amplifies noise beyond the configured limit.
     """
     with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
         charts = Charts.load(linear, camera)
         charts.check_levels()
         spectra = charts.spectra
-        training = Training(charts.responses(), spectra, light(light_name), charts.noise() if noise is None else noise)
-        try:
-            solved = solve(training, camera.calibration, charts.filters, lights, selection is not None, charts.number)
-        except ValueError as error:
-            raise charts.refusal(error) from None
+        settings = camera.calibration
+        known = charts.noise(settings.texel_photographs) if noise is None else noise
+        training = Training(charts.responses(), spectra, light(light_name), known)
+        limit = settings.max_leave_one_out_error
+        with _refusing(charts):
+            check_responses(training.response, settings.max_condition, known.patch, charts.filters)
+            check_brightest(training, charts.filters)
+        check_patches(charts, training.response, limit, lights[0])
+        likelier = likelier_charts(charts, training.response, lights[0])
+        with _refusing(charts):
+            solved = solve(training, settings, charts.filters, lights, selection is not None, charts.number)
         errors = {"leave_one_out": _errors(spectra, solved.recovered, lights)}
         if solved.recovered_by_chart is not None:
             errors["leave_one_chart_out"] = _errors(spectra, solved.recovered_by_chart, lights)
-        checks = _checks(charts, training, solved, lights)
+        check_mean(charts, errors["leave_one_out"][f"delta_e_{lights[0].lower()}"], limit, lights[0], likelier)
+        # Of spectra that are another chart's the amplification would tell nothing.
+        with _refusing(charts):
+            amplification = solved.numbers["noise_amplification"]
+            check_amplification(amplification, settings.max_noise_amplification, solved.calibration)
+        checks = _checks(charts, training, solved, lights) | {"likelier_charts": likelier}
     _write_calibration(output, solved.calibration, errors, solved.numbers | checks, provenance)
     _write_errors(table, charts.patches, errors)
     if selection is not None:
         write_selection(selection, solved.rows, solved.chosen)
     _log(solved, errors, checks)
+
+
+@contextmanager
+def _refusing(charts: Charts) -> Iterator[None]:
+    """Let what is wrong with the patches of some charts be refused with the chart's file and key."""
+    try:
+        yield
+    except ValueError as error:
+        raise charts.refusal(error) from None
 
 
 def _checks(charts: Charts, training: Training, solved: Solution, lights) -> dict:
@@ -233,6 +255,8 @@ def _log(solved: Solution, errors: dict, checks: dict) -> None:
     LOGGER.info("patches moved by %g superpixels: CIEDE2000 changes by %.3f", moved["step_px"], moved["worst"])
     if moved["worst"] > moved["limit"]:
         LOGGER.warning("that is more than %g: larger patches, or smaller squares in them, would help", moved["limit"])
+    for field, name in checks["likelier_charts"].items():
+        LOGGER.warning("%s: the photograph agrees clearly better with the spectra of %s", field, name)
     for name in checks["uneven_patches"]:
         LOGGER.warning("patch %s: dirt, an edge or a shadow", name)
     for name, share in checks["clipped_patches"].items():

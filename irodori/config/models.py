@@ -1329,7 +1329,8 @@ class Chart(Definition):
     columns: int
 
     #: What is looked for in the photograph; nothing takes centres_px as they are, edges fits the grid to the patches'
-    #: edges about centres_px, chart finds a ColorChecker Classic of 4 x 6 patches without centres_px.
+    #: edges about centres_px, chart finds a ColorChecker without centres_px, a Classic of 4 x 6 patches or a Digital SG
+    #: of 14 x 10 (letter by letter) or 10 x 14.
     find: Literal["nothing", "edges", "chart"] = "nothing"
 
     #: Centres of the four corner patches, x then y, in superpixels of 2 x 2 mosaic pixels; needed unless find is chart,
@@ -1347,13 +1348,18 @@ class CalibrationOptions(Definition):
 
     #: How spectra are found from responses; pinv is the pseudo-inverse of the paper, ridge its damped form, wiener
     #: knows the noise and the chart's reflectances, local a Wiener estimator for every neighbourhood of colours, kernel
-    #: a regression in polynomials of the response, broad the same for objects that are no paint; auto takes the best in
-    #: cross-validation.
-    estimator: Literal["pinv", "ridge", "wiener", "local", "kernel", "broad", "auto"] = "pinv"
+    #: a regression in polynomials of the response, broad the same for objects that are no paint; auto takes broad
+    #: unless another is far better in cross-validation.
+    estimator: Literal["pinv", "ridge", "wiener", "local", "kernel", "broad", "auto"] = "auto"
 
     #: Principal vectors of the chart's spectra that are kept (count), with pinv no more than the camera has bands; auto
-    #: takes the best of 3 to 8, 10 and 12 in cross-validation.
-    bases: int | Literal["auto"] = 6
+    #: takes the best of 3 to 8, 10 and 12 in cross-validation. Where absent, auto with estimator auto, else as many as
+    #: the camera has bands.
+    bases: int | Literal["auto"] | None = None
+
+    #: Photographs that the recovered reflectance is the mean of (count); estimators and auto reckon with the noise of a
+    #: pixel over that many.
+    texel_photographs: int = 16
 
     #: Largest condition number of the chart's responses, every band divided by its largest patch (ratio).
     max_condition: float = 100000.0
@@ -1361,6 +1367,10 @@ class CalibrationOptions(Definition):
     #: Largest standard deviation of the recovered reflectance, root mean square over wavelengths, over that of a band's
     #: noise in units of the chart's largest response (ratio).
     max_noise_amplification: float = 100.0
+
+    #: Largest mean error of the chart's patches when each is left out in turn (CIEDE2000 under the first of
+    #: report.lights); a chart beyond is refused.
+    max_leave_one_out_error: float = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)

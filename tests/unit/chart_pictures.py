@@ -3,6 +3,7 @@
 import numpy as np
 from scipy import ndimage
 
+from irodori.calibration.training import mix_paints
 from irodori.spectra.published import chart_spectra, spectrum
 
 ROWS, COLUMNS = 4, 6
@@ -21,9 +22,28 @@ def sensitivities(bands: int = 3, light: str = "A") -> np.ndarray:
     return 0.9 * rows / rows.sum(axis=1, keepdims=True)
 
 
-def view(width: int, height: int, pitch: float, turn_deg: float = 0.0, tilt: float = 0.0, centre=None) -> np.ndarray:
+def large_chart() -> np.ndarray:
+    """Spectra of a chart like the Digital SG, letter by letter, (140, 61): paints within a rim of white, grey and black."""
+    spectra = np.zeros((14, 10, SPECTRA.shape[1]))
+    rim = np.ones((14, 10), dtype=bool)
+    rim[1:-1, 1:-1] = False
+    spectra[rim] = SPECTRA[[18, 21, 23]][np.arange(rim.sum()) % 3]
+    spectra[~rim] = mix_paints(SPECTRA)[np.random.default_rng(5).permutation(276)[: (~rim).sum()]]
+    return spectra.reshape(140, -1)
+
+
+def view(
+    width: int,
+    height: int,
+    pitch: float,
+    turn_deg: float = 0.0,
+    tilt: float = 0.0,
+    centre=None,
+    *,
+    layout=(ROWS, COLUMNS),
+) -> np.ndarray:
     """The map from grid to picture of a chart about `centre`, turned and, by `tilt`, seen in perspective."""
-    middle = np.array([[1.0, 0.0, -(COLUMNS - 1) / 2], [0.0, 1.0, -(ROWS - 1) / 2], [0.0, 0.0, 1.0]])
+    middle = np.array([[1.0, 0.0, -(layout[1] - 1) / 2], [0.0, 1.0, -(layout[0] - 1) / 2], [0.0, 0.0, 1.0]])
     angle = np.radians(turn_deg)
     turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
     # Tilted about the vertical: one side nearer than the other, and the columns closer together.
@@ -33,19 +53,21 @@ def view(width: int, height: int, pitch: float, turn_deg: float = 0.0, tilt: flo
     return place @ turn @ lean @ middle
 
 
-def truth(image_from_grid: np.ndarray, distortion: float = 0.0, size=(2, 2)) -> np.ndarray:
-    """True centres of the patches, (24, 2), through a lens with distortion in a picture of that size."""
-    row, column = np.meshgrid(np.arange(ROWS), np.arange(COLUMNS), indexing="ij")
+def truth(image_from_grid: np.ndarray, distortion: float = 0.0, size=(2, 2), layout=(ROWS, COLUMNS)) -> np.ndarray:
+    """True centres of the patches, (n, 2), through a lens with distortion in a picture of that size."""
+    row, column = np.meshgrid(np.arange(layout[0]), np.arange(layout[1]), indexing="ij")
     mapped = np.stack([column.ravel(), row.ravel(), np.ones(row.size)], axis=1) @ image_from_grid.T
     points = mapped[:, :2] / mapped[:, 2:]
     away = points - (np.array(size) - 1) / 2
     return points + distortion * ((away / (np.hypot(*size) / 2)) ** 2).sum(axis=1, keepdims=True) * away
 
 
-def shot(maps, width: int = 720, height: int = 520, responses=None, distortion: float = 0.0) -> np.ndarray:
+def shot(
+    maps, width: int = 720, height: int = 520, responses=None, distortion: float = 0.0, layout=(ROWS, COLUMNS)
+) -> np.ndarray:
     """A picture of charts on paper, (height, width, bands): edges are smoothed by three samples a side."""
     responses = SPECTRA @ sensitivities().T if responses is None else responses
-    white = responses[18] / SPECTRA[18].mean()
+    white = responses.max(axis=0) / SPECTRA.mean(axis=1).max()
     fine = (np.arange(3) - 1.0) / 3.0
     picture = np.zeros((height, width, responses.shape[1]))
     for dx in fine:
@@ -54,7 +76,7 @@ def shot(maps, width: int = 720, height: int = 520, responses=None, distortion: 
             x, y = _unbent(x + dx, y + dy, width, height, distortion)
             part = np.full_like(picture, 1.0) * PAPER * white
             for image_from_grid in maps:
-                _draw(part, x, y, np.linalg.inv(image_from_grid), responses, FRAME * white)
+                _draw(part, (x, y), np.linalg.inv(image_from_grid), responses, FRAME * white, layout)
             picture += part / fine.size**2
     return picture
 
@@ -69,14 +91,15 @@ def _unbent(x, y, width, height, distortion: float):
     return straight_x, straight_y
 
 
-def _draw(part, x, y, grid_from_image, responses, frame) -> None:
+def _draw(part, xy, grid_from_image, responses, frame, layout) -> None:
+    (x, y), (rows, columns) = xy, layout
     u, v, w = np.tensordot(grid_from_image, np.stack([x, y, np.ones_like(x)]), axes=1)
     u, v = np.where(w > 0, u / w, -9.0), np.where(w > 0, v / w, -9.0)
-    part[(u > -0.8) & (u < COLUMNS - 0.2) & (v > -0.9) & (v < ROWS - 0.1)] = frame
+    part[(u > -0.8) & (u < columns - 0.2) & (v > -0.9) & (v < rows - 0.1)] = frame
     column, row = np.rint(u).astype(int), np.rint(v).astype(int)
-    inside = (column >= 0) & (column < COLUMNS) & (row >= 0) & (row < ROWS)
+    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     inside &= (np.abs(u - column) < HALF) & (np.abs(v - row) < HALF)
-    part[inside] = responses[row[inside] * COLUMNS + column[inside]]
+    part[inside] = responses[row[inside] * columns + column[inside]]
 
 
 def light_field(width: int, height: int, fall: float, lean: float = 0.0) -> np.ndarray:

@@ -154,12 +154,16 @@ def test_tables_of_a_real_rig_agree(studio, name, changes, field, found, accepte
 
 
 def test_a_camera_of_three_bands_keeps_three_bases(studio):
-    edit(studio, CAMERA_FILE, "calibration", ...)
-    table = studio / "camera" / "captures.csv"
-    table.write_text("\n".join(line for line in table.read_text().splitlines() if ",in," not in line))
+    edit(studio, CAMERA_FILE, "calibration", {"estimator": "pinv", "bases": 6})
+    for folder in ("camera", "room", "plate"):
+        table = studio / folder / "captures.csv"
+        table.write_text("\n".join(line for line in table.read_text().splitlines() if ",in," not in line))
     error = fault(studio)
     assert (error.field, error.found) == ("calibration.bases", "6")
     assert "1 to 3, 3 for each filter state of the chart (out)" in error.accepted
+    for unsaid in ({"estimator": "pinv"}, ...):
+        edit(studio, CAMERA_FILE, "calibration", unsaid)
+        assert load(studio).cameras["d5100-comb"].calibration.bases is None
 
 
 BRACKET = {"out": [0.02], "in": [0.05]}

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chart_pictures import COLUMNS, PAPER, ROWS, SPECTRA, light_field, noisy, sensitivities, shot, truth, view
+from chart_pictures import (
+    COLUMNS, PAPER, ROWS, SPECTRA, large_chart, light_field, noisy, sensitivities, shot, truth, view,
+)  # fmt: skip
 
 from irodori.calibration.detection import find_chart
 from irodori.core.errors import InputError
@@ -90,6 +92,29 @@ def test_a_saturated_white_patch_does_not_hide_the_chart():
     picture[~valid] = 0.0
     found = find_chart(picture, valid, SPECTRA, "chart.h5")
     assert np.linalg.norm(found.centres - truth(image_from_grid), axis=1).max() < 0.3
+
+
+@pytest.mark.stability(stage="calibrate", case="chart of 140 patches without corners")
+@pytest.mark.parametrize(
+    ("pitch", "turn_deg"), [(45, 2.0), pytest.param(36, 207.0, marks=pytest.mark.heavy)], ids=["upright", "upside down"]
+)
+def test_a_chart_of_140_patches_whose_letters_run_across_is_found(pitch, turn_deg):
+    spectra = large_chart()
+    lying = spectra.reshape(14, 10, -1).swapaxes(0, 1).reshape(140, -1)
+    image_from_grid = view(WIDTH, HEIGHT, pitch, turn_deg, layout=(10, 14))
+    picture = shot([image_from_grid], responses=lying @ sensitivities().T, layout=(10, 14))
+    picture = noisy(picture, np.random.default_rng(11), 0.003)
+    found = find_chart(picture, everywhere(picture), spectra, "chart.h5", (14, 10))
+    expected = truth(image_from_grid, layout=(10, 14)).reshape(10, 14, 2).swapaxes(0, 1).reshape(140, 2)
+    assert np.linalg.norm(found.centres - expected, axis=1).max() < 0.2
+    with pytest.raises(InputError, match="do not answer"):
+        find_chart(picture, everywhere(picture), spectra, "chart.h5", (10, 14))
+
+
+def test_a_chart_of_another_layout_is_refused_with_those_that_are_found():
+    picture = np.full((60, 80, 3), 0.5)
+    with pytest.raises(InputError, match="found chart for 5 x 6 patches; accepted: 4 x 6 patches.*14 x 10"):
+        find_chart(picture, everywhere(picture), SPECTRA, "chart.h5", (5, 6))
 
 
 # ---- refused

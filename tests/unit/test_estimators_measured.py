@@ -105,6 +105,13 @@ def test_the_choice_is_the_best_estimator_at_the_noise_of_the_pixels(camera, tes
     assert chosen <= found(names, 0.01, "bound")[0]
 
 
+@pytest.mark.parametrize("noise", NOISES[:2])
+@pytest.mark.parametrize("test", ["munsell", "vrhel"])
+def test_the_choice_keeps_to_the_bound_at_little_noise(test, noise):
+    names = (CAMERAS[0], "classic", test)
+    assert found(names, noise, "auto", 0)[0] <= 1.05 * found(names, noise, "bound")[0]
+
+
 @pytest.mark.parametrize("noise", NOISES[:3])
 @pytest.mark.parametrize("name", ["pinv", "wiener", "local", "kernel", "broad"])
 def test_error_bars_hold_on_spectra_never_seen(name, noise):

@@ -133,7 +133,7 @@ class _Checks:
         bands, calibration = _BANDS_OF_A_STATE * len(states), camera.calibration
         bases = calibration.bases
         # The other estimators know more than the responses: their weights may outnumber the bands.
-        if calibration.estimator == "pinv" and bases != "auto" and bases > bands:
+        if calibration.estimator == "pinv" and isinstance(bases, int) and bases > bands:
             listed = ", ".join(sorted(states))
             accepted = f"1 to {bands}, {_BANDS_OF_A_STATE} for each filter state of the chart ({listed})"
             raise InputError(file, "calibration.bases", str(bases), accepted)

@@ -20,8 +20,9 @@ from irodori.spectra.published_names import (
 from irodori.spectra.spectral_files import SUFFIXES, check_power, check_reflectance, spectral_table
 from irodori.spectra.tables import index_table
 
-#: Rows and columns of the chart that can be found by itself.
-FOUND_LAYOUT = (4, 6)
+#: Rows and columns of the charts that can be found by themselves, and the same in words.
+FOUND_LAYOUTS = ((4, 6), (10, 14), (14, 10))
+FOUND_WORDS = "4 x 6 patches, a ColorChecker Classic, or 14 x 10 (letter by letter) or 10 x 14, a Digital SG"
 _BANDS = (("r", "red"), ("g", "green"), ("b", "blue"))
 
 #: Kind of spectrum: the names that are published, and the same in words.
@@ -91,9 +92,9 @@ def _check_places(chart: Chart, file, key: str) -> None:
         if given:
             accepted = "either centres_px, or find: chart, which needs none"
             raise InputError(file, f"{key}.centres_px", "corners of a chart that is to be found", accepted)
-        if (chart.rows, chart.columns) != FOUND_LAYOUT:
+        if (chart.rows, chart.columns) not in FOUND_LAYOUTS:
             found = f"chart, for {chart.rows} x {chart.columns} patches"
-            accepted = "4 x 6 patches, a ColorChecker Classic; for other layouts centres_px with nothing or edges"
+            accepted = f"{FOUND_WORDS}; for other layouts centres_px with nothing or edges"
             raise InputError(file, f"{key}.find", found, accepted)
         return
     if not given:

@@ -1,0 +1,138 @@
+"""Refusal of charts whose patches, left out in turn, are recovered too badly to be those of the spectra."""
+
+import numpy as np
+
+from irodori.calibration.charts import Charts
+from irodori.calibration.patch_order import is_telling, predicted_by_others
+from irodori.colour.colorimetry import delta_e_reflectance
+from irodori.core.errors import InputError
+from irodori.spectra.published import chart_spectra
+from irodori.spectra.published_names import CHART_PATCHES
+
+_PATCH_LIMIT = 1.5  # of the limit of the mean: a patch beyond is at fault itself
+_PATCH_RATIO = 4.0  # of the median over the other patches, which one at fault exceeds too
+_MOST_AT_FAULT = 0.25  # of the patches; where more are, it is not the patches
+_CURED = 0.5  # of the error of two patches: below that their exchange explains it
+_LIKELIER = 0.7  # of the error with the spectra given: a published chart below that is likelier
+
+
+def check_patches(charts: Charts, responses: np.ndarray, limit: float, light: str) -> None:
+    """Refuse patches that all others contradict: covered, dirty, or exchanged with each other.
+
+    While a patch stands out, that one is taken out without which the others agree best: one at fault spoils the
+    prediction of its neighbours, so that the worst error may be another's.
+
+    Parameters
+    ----------
+    charts : Charts
+    responses : (m, bands) float
+    limit : float
+        Largest mean CIEDE2000 of patches left out; a patch may have one and a half times that.
+    light : str
+
+    Raises
+    ------
+    InputError
+        Naming the patches, with their errors, and which of them look exchanged.
+    """
+    spectra, kept = charts.spectra, np.ones(len(responses), dtype=bool)
+    while True:
+        error = _delta_e(responses[kept], spectra[kept], light)
+        if not is_telling(responses[kept]) or (~kept).sum() > _MOST_AT_FAULT * len(kept):
+            return
+        if error.max() <= _PATCH_LIMIT * limit:
+            break
+        kept[_without_which_the_others_agree(responses, spectra, kept, light)] = False
+    at_fault = np.flatnonzero(~kept)
+    if not at_fault.size:
+        return
+    from_response = np.linalg.lstsq(responses[kept], spectra[kept], rcond=None)[0]
+    own = delta_e_reflectance(spectra[at_fault], responses[at_fault] @ from_response, light)
+    if own.max() < _PATCH_RATIO * np.median(error):
+        return  # hardly worse than its neighbours: the camera, not the patch
+    named = " and ".join(f"{charts.patches[p]} ({e:.0f})" for p, e in zip(at_fault, own, strict=True))
+    cause = "exchanged" if _are_exchanged(charts, responses, at_fault, light) else "covered or of other colours"
+    found = f"CIEDE2000 of {named} from what the other patches predict, as if {cause}"
+    which = int(charts.number[at_fault[0]])
+    accepted = f"up to {_PATCH_LIMIT * limit:g}: a chart with every patch bare and in its place"
+    raise InputError(charts.photographs[which].path, charts.fields[which], found, accepted)
+
+
+def check_mean(charts: Charts, error: np.ndarray, limit: float, light: str, likelier: dict[str, str]) -> None:
+    """Refuse a chart whose patches left out are off by more than a limit in the mean.
+
+    Parameters
+    ----------
+    charts : Charts
+    error : (m,) float
+        CIEDE2000 of every patch left out; NaN where not judged.
+    limit : float
+    light : str
+        Of the error.
+    likelier : dict of str to str
+        What `likelier_charts` found.
+
+    Raises
+    ------
+    InputError
+        With the mean, the worst patch and, where there is one, the published chart that fits better.
+    """
+    mean = float(np.nanmean(error))
+    if mean <= limit:
+        return
+    worst = int(np.nanargmax(error))
+    found = f"CIEDE2000 of {mean:.1f} in the mean over patches left out ({light}), {error[worst]:.0f} at "
+    found += f"{charts.patches[worst]}"
+    found += "".join(f"; {field} agrees better with {name}" for field, name in likelier.items())
+    accepted = f"up to calibration.max_leave_one_out_error, {limit:g}: the spectra of this very chart, under the light "
+    accepted += "that is named, and its corners"
+    raise InputError(charts.photographs[0].path, ", ".join(charts.fields), found, accepted)
+
+
+def likelier_charts(charts: Charts, responses: np.ndarray, light: str) -> dict[str, str]:
+    """Return the published chart that agrees clearly better with a chart's responses than its spectra, by field.
+
+    Parameters
+    ----------
+    charts : Charts
+    responses : (m, bands) float
+    light : str
+        For CIEDE2000.
+    """
+    found = {}
+    for which, field in enumerate(charts.fields):
+        own = charts.number == which
+        if not is_telling(responses[own]):
+            continue
+        errors = {
+            name: float(_delta_e(responses[own], chart_spectra(name)[1], light).mean())
+            for name, count in CHART_PATCHES.items()
+            if count == own.sum()
+        }
+        best = min(errors, key=errors.__getitem__, default="")
+        if best and errors[best] < _LIKELIER * _delta_e(responses[own], charts.spectra[own], light).mean():
+            found[field] = best
+    return found
+
+
+def _without_which_the_others_agree(responses, spectra, kept: np.ndarray, light: str) -> int:
+    """Return the patch, of those kept, without which the mean error of the other ones is smallest."""
+    means = {}
+    for patch in np.flatnonzero(kept):
+        others = kept & (np.arange(len(kept)) != patch)
+        means[int(patch)] = float(_delta_e(responses[others], spectra[others], light).mean())
+    return min(means, key=means.__getitem__)
+
+
+def _are_exchanged(charts: Charts, responses: np.ndarray, patches: np.ndarray, light: str) -> bool:
+    """Return whether two patches agree with the others once their responses are exchanged."""
+    if len(patches) != 2:
+        return False
+    exchanged = responses.copy()
+    exchanged[patches] = responses[patches[::-1]]
+    before, after = (_delta_e(r, charts.spectra, light)[patches].max() for r in (responses, exchanged))
+    return after < _CURED * before
+
+
+def _delta_e(responses: np.ndarray, spectra: np.ndarray, light: str) -> np.ndarray:
+    return delta_e_reflectance(spectra, predicted_by_others(responses, spectra), light)
