@@ -15,7 +15,7 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.fitting.band_fresnel import band_gloss, uniform
 from irodori.fitting.solvers import fit
-from irodori.fitting.stage import _fresnel, _of_near_light, diffuse_response
+from irodori.fitting.stage import _of_near_light, diffuse_response, fresnel_of
 from irodori.material.material_file import Status
 from irodori.spectra.grid import WAVELENGTH_NM
 
@@ -184,10 +184,10 @@ def test_the_bands_are_read_from_the_calibration_and_missed_where_they_are_neede
         with store.create(tmp_path / f"{name}.h5", provenance) as out:
             content.write(out)
     np.testing.assert_array_equal(Calibration.load(tmp_path / "whole.h5").band_response, calibration.band_response)
-    found, expected = _fresnel(*GOLD, tmp_path / "whole.h5", 6), band_gloss(*GOLD, calibration.band_response, 1)
+    found, expected = fresnel_of(*GOLD, tmp_path / "whole.h5", 6), band_gloss(*GOLD, calibration.band_response, 1)
     assert (found.n, found.k) == (expected.n, expected.k)
     with pytest.raises(InputError, match="band_response"):
-        _fresnel(*GOLD, tmp_path / "old.h5", 6)
+        fresnel_of(*GOLD, tmp_path / "old.h5", 6)
     with pytest.raises(ValueError, match="accepted: one with a calibration"):
-        _fresnel(*GOLD, None, 6)
-    assert _fresnel(np.full(61, 1.5), np.zeros(61), None, 6).n == _fresnel(1.5, 0.0, None, 6).n == 1.5
+        fresnel_of(*GOLD, None, 6)
+    assert fresnel_of(np.full(61, 1.5), np.zeros(61), None, 6).n == fresnel_of(1.5, 0.0, None, 6).n == 1.5
