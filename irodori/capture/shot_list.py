@@ -75,14 +75,10 @@ def object_shots(definition: Object | PhotographedObject, camera: Camera, suffix
     ]
 
 
-def environment_shots(definition: EnvironmentDefinition, camera: Camera, suffix: str) -> list[Shot]:
-    """Return the photographs of an environment; parameters as of `object_shots`."""
-    return list(_bracket("environment", _NOWHERE, definition.exposure_s, _settings(camera), suffix))
-
-
-def scene_shots(definition: ScenePhotograph, camera: Camera, suffix: str) -> list[Shot]:
-    """Return the photographs of a scene from one place; parameters as of `object_shots`."""
-    return list(_bracket("scene", _NOWHERE, definition.exposure_s, _settings(camera), suffix))
+def shots_without_rig(definition: EnvironmentDefinition | ScenePhotograph, camera: Camera, suffix: str) -> list[Shot]:
+    """Return the photographs of an environment, or of a scene from one place; parameters as of `object_shots`."""
+    role = "scene" if isinstance(definition, ScenePhotograph) else "environment"
+    return list(_bracket(role, _NOWHERE, definition.exposure_s, _settings(camera), suffix))
 
 
 def camera_shots(camera: Camera, suffix: str) -> list[Shot]:

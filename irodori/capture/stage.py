@@ -13,7 +13,7 @@ from irodori.capture.rig.connect import open_rig, true_position_deg
 from irodori.capture.rig.devices import Axis, CameraDevice, RigDevice
 from irodori.capture.rig.drives import drives_of
 from irodori.capture.session import Session, take_stock
-from irodori.capture.shot_list import camera_shots, environment_shots, object_shots, scene_shots
+from irodori.capture.shot_list import camera_shots, object_shots, shots_without_rig
 from irodori.capture.shot_order import Estimate, estimate_s, order_shots
 from irodori.config.capture_table import Shot
 from irodori.config.models import Camera, EnvironmentDefinition, Object, Rig, ScenePhotograph
@@ -241,7 +241,7 @@ def capture_environment(
     definition: EnvironmentDefinition, target: Target, record, provenance: Provenance
 ) -> dict[str, str]:
     """Photograph a virtual room with an omnidirectional camera; see `photograph`."""
-    shots = environment_shots(definition, target.camera, target.suffix)
+    shots = shots_without_rig(definition, target.camera, target.suffix)
     return photograph(shots, target, definition, record, provenance, owner=f"environment {target.name}", on_rig=False)
 
 
@@ -256,6 +256,6 @@ def capture_photograph(
     radiance : path
         What stands before the camera, see `irodori.simulation.virtual_rig.scene_view`.
     """
-    shots = scene_shots(definition, target.camera, target.suffix)
+    shots = shots_without_rig(definition, target.camera, target.suffix)
     subject = SceneRadiance(radiance=str(radiance))
     return photograph(shots, target, subject, record, provenance, owner=f"photograph {target.name}", on_rig=False)

@@ -232,12 +232,3 @@ def rgb_from_xyz(white_xyz: np.ndarray) -> np.ndarray:
     (3, 3) float64
     """
     return srgb()._rgb_from_xyz(white_xyz)[0]
-
-
-def encode_srgb(linear: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return 8-bit sRGB of linear values, and the share of pixels outside 0..1 in some channel.
-
-    Out-of-range values are clipped; the share is for the report.
-    """
-    encoded, found = srgb().encode(linear)
-    return encoded, found.outside / found.pixels

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.colors import BoundaryNorm, ListedColormap
 
 from irodori.colour.colorimetry import delta_e_reflectance, xyz_from_reflectance
-from irodori.colour.display import encode_srgb, rgb_from_xyz
+from irodori.colour.display import rgb_from_xyz, srgb
 from irodori.core.atomic_files import written_whole
 from irodori.material.material_file import Material, Status
 from irodori.reflection.registry import lobe
@@ -52,7 +52,7 @@ def material_figure(material: Material, maps: dict[str, np.ndarray], truth: Mate
     matrix = xyz_from_reflectance("D65")
     spectra = np.nan_to_num(material.spectra())
     linear = spectra @ (rgb_from_xyz(matrix.sum(axis=1)) @ matrix).T
-    picture = encode_srgb(linear)[0]
+    picture, _ = srgb().encode(linear)
     picture[~material.observed] = _UNSEEN_GREY
     axes[0].imshow(picture)
     axes[0].set_title("reflectance under D65", fontsize=9)

@@ -1,12 +1,10 @@
 from irodori.config.models import EnvironmentDefinition, IrradianceMap, Rig
 from irodori.core.run_rule import run_rule
-from irodori.simulation.virtual_rig.ground_truth import write_true_environment
+from irodori.simulation.virtual_rig.ground_truth import true_environment
 
 with run_rule(snakemake) as provenance:
-    write_true_environment(
+    true_environment(
         EnvironmentDefinition.of(snakemake.params.definition),
         Rig.of(snakemake.params.rig),
         IrradianceMap.of(snakemake.params.irradiance),
-        snakemake.output.truth,
-        provenance,
-    )
+    ).save(snakemake.output.truth, provenance)

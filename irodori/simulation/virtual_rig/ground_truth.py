@@ -3,7 +3,6 @@
 import numpy as np
 
 from irodori.config.models import Camera, EnvironmentDefinition, IrradianceMap, Object, Rig
-from irodori.core import store
 from irodori.light.environment_file import Environment
 from irodori.light.irradiance import fitted_irradiance_map
 from irodori.material.material_file import Material
@@ -84,15 +83,3 @@ def true_environment(definition: EnvironmentDefinition, rig: Rig, irradiance_opt
     coefficients = room_coefficients(room, image.width, image.height)
     irradiance, _ = fitted_irradiance_map(coefficients, **vars(irradiance_options))
     return Environment(coefficients, spectra.T, irradiance)
-
-
-def write_true_material(definition: Object, camera: Camera, rig: Rig, output, provenance: store.Provenance) -> None:
-    """Write the true material of an object."""
-    true_material(definition, camera, rig).save(output, provenance)
-
-
-def write_true_environment(
-    definition: EnvironmentDefinition, rig: Rig, irradiance_options: IrradianceMap, output, provenance: store.Provenance
-) -> None:
-    """Write the true light of an environment."""
-    true_environment(definition, rig, irradiance_options).save(output, provenance)
