@@ -9,7 +9,7 @@ import zlib
 
 import numpy as np
 import pytest
-from pages import gold, painted, room, sources, write_mesh
+from pages import painted, room, sources, write_mesh
 from scenes import fresnel
 from written_pages import SIZE, Written, agree, differences, inside
 
@@ -113,8 +113,6 @@ def lamps(count: int) -> list[dict]:
 
 
 def hard_case(name: str, folder):
-    if name == "a metal":
-        return sources(folder, room(), first=gold())
     if name == "a mesh of 100,000 triangles":
         file = write_mesh(folder / "ball.obj", 224, 224)
         return sources(folder, room(), ball={"kind": "mesh", "file": str(file), "unit": "mm"}, ambient=False,
@@ -131,7 +129,7 @@ def hard_case(name: str, folder):
     return sources(folder, room(level=0.0), lights=lamps(1))
 
 
-HARD_CASES = ("a metal", "a mesh of 100,000 triangles", "six lamps", "no gloss", "no sun", "one lamp alone")
+HARD_CASES = ("a mesh of 100,000 triangles", "six lamps", "no gloss", "no sun", "one lamp alone")
 
 
 @pytest.mark.parametrize("name", HARD_CASES)

@@ -11,7 +11,7 @@
   let renderer, header, base, page, lesson;
   let controls = new I.Controls();
   let tab = 'lesson', tool = 'view', chosenObject = 0, chosenLamp = 0, chosenNote = null, teaching = false;
-  let probed = [], cursor = [0.5, 0.5], fileTaker = null;
+  let probed = [], cursor = [0.5, 0.5], fileTaker = (file) => takeFile(file, null);
 
   // ---- drawing: as often as something changes, at a resolution that keeps 30 frames a second
 
@@ -624,7 +624,12 @@
           if (!page.probes.length) return say(I.text('probe_first'));
           (one.notes ??= []).push({position_mm: page.probes.at(-1).map((value) => Math.round(value * 10) / 10), text: {[code]: I.text('new_note')}});
           return rebuild('#note-' + (one.notes.length - 1));
-        }, {disabled: (one.notes?.length ?? 0) >= 20})),
+        }, {disabled: (one.notes?.length ?? 0) >= 20}),
+        controls.button('step_picture', () => askFile(takePicture)),
+        ...(one.picture ? [controls.button('remove_picture', () => {
+          for (const key of ['picture', 'picture_file', 'given_here']) delete one[key];
+          rebuild('#step-title');
+        })] : [])),
       ...(one.notes ?? []).map((note, i) => h('div', {}, field('note-' + i, 'note_text', text(), note.text[code] ?? '', written(note.text)),
         controls.button('remove_note', () => { one.notes.splice(i, 1); rebuild('#step-title'); }))),
       h('div', {class: 'row'},
@@ -641,8 +646,18 @@
       page.step = lesson.steps.length - 1;
       rebuild('#step-title');
     }, {id: 'add-step', disabled: lesson.steps.length >= 100}),
-    controls.button('export_lesson', () => save(new Blob([I.lessonYaml(lesson)], {type: 'text/yaml'}), `${header.scene}-lesson.yaml`), {disabled: !lesson.steps.length}));
+    controls.button('export_lesson', exportLesson, {disabled: !lesson.steps.length}));
     return group;
+  }
+
+  function exportLesson() {
+    save(new Blob([I.lessonYaml(lesson)], {type: 'text/yaml'}), `${header.scene}-lesson.yaml`);
+    const pictures = I.givenPictures(lesson);
+    for (const [name, address] of pictures) {
+      const bytes = Uint8Array.from(atob(address.split(',')[1]), (letter) => letter.charCodeAt(0));
+      save(new Blob([bytes], {type: address.slice(5, address.indexOf(';'))}), name);
+    }
+    if (pictures.length) say(I.text('pictures_exported', {files: pictures.map(([name]) => name).join(', ')}));
   }
 
   function moveStep(at, by) {
@@ -660,7 +675,7 @@
     return controls.illuminant({key, none, header, power, get: () => light().illuminant, set: (value) => {
       light().illuminant = value;
       changed();
-    }, openFile: () => askFile((power) => { light().illuminant = power; })});
+    }, openFile: () => askFile((file) => takeFile(file, (power) => { light().illuminant = power; }))});
   }
 
   function roomControls(light) {
@@ -779,7 +794,7 @@
       screen.append(h('table', {}, ...['red_xy', 'green_xy', 'blue_xy', 'white_xy'].map((key) => h('tr', {}, h('th', {scope: 'row', text: key}), cell(key, 0), cell(key, 1)))),
         controls.slider({key: 'gamma', low: 1, high: 4, step: 0.05, get: () => page.state.display.primaries?.gamma ?? 2.2, set: (value) => { page.state.display.primaries.gamma = value; changed(); }, show: (value) => value.toFixed(2)}));
     }
-    screen.append(controls.button('open_profile', () => askFile(null)), controls.button('check_screen', checkScreen));
+    screen.append(controls.button('open_profile', () => askFile((file) => takeFile(file, null))), controls.button('check_screen', checkScreen));
     parts.push(screen, controls.group('speed', controls.tick({key: 'show_rate', get: () => !$('rate').hidden, set: (value) => { $('rate').hidden = !value; redraw(); }})));
     return parts;
   }
@@ -876,14 +891,23 @@
     }, 'image/png');
   }
 
+  // Ask for a file, and give it to a function.
   function askFile(taker) {
     fileTaker = taker;
     $('file').value = '';
     $('file').click();
   }
 
-  async function takeFile(file, taker) {
-    try {
+  function takePicture(file) {
+    const step = lesson.steps[page.step];
+    return reading(async () => {
+      I.givePicture(lesson, step, new Uint8Array(await file.slice(0, I.MOST_PICTURE + 1).arrayBuffer()), file.name);
+      rebuild('#step-title');
+    });
+  }
+
+  function takeFile(file, taker) {
+    return reading(async () => {
       if (file.size > 50e6) throw new I.Refusal('file_too_large', {file: file.name});
       if (/\.png$/i.test(file.name)) {
         const bytes = new Uint8Array(await file.arrayBuffer());
@@ -899,13 +923,20 @@
         rebuild();
         say(I.text('profile_taken', {file: file.name}));
       } else throw new I.Refusal('file_unknown', {file: file.name});
+    });
+  }
+
+  // As `tell`, of what takes its time.
+  async function reading(act) {
+    try {
+      await act();
     } catch (error) {
       if (!(error instanceof I.Refusal)) throw error;
       say(I.sentence(error));
     }
   }
 
-  $('file').addEventListener('change', () => { if ($('file').files[0]) takeFile($('file').files[0], fileTaker); });
+  $('file').addEventListener('change', () => { if ($('file').files[0]) fileTaker($('file').files[0]); });
   document.addEventListener('dragover', (event) => event.preventDefault());
   document.addEventListener('drop', (event) => {
     event.preventDefault();
@@ -930,7 +961,7 @@
 
   $('reset').addEventListener('click', () => put(I.clone(base), true));
   $('snapshot').addEventListener('click', snapshot);
-  $('open').addEventListener('click', () => askFile(null));
+  $('open').addEventListener('click', () => askFile((file) => takeFile(file, null)));
   $('help-open').addEventListener('click', help);
   $('truth-open').addEventListener('click', truth);
   $('language').addEventListener('change', () => speak($('language').value));

@@ -54,7 +54,7 @@ window.Irodori = window.Irodori || {};
   I.stepOfPage = function (page, words, base) {
     const state = page.state;
     const step = {title: words.title, text: words.text};
-    for (const key of ['picture', 'picture_file']) if (words[key]) step[key] = words[key];
+    for (const key of ['picture', 'picture_file', 'given_here']) if (words[key]) step[key] = words[key];
     if (!same(state.camera, base.state.camera)) step.camera = {...I.clone(state.camera), azimuth_deg: state.camera.azimuth_deg % 360, roll_deg: state.camera.roll_deg % 360};
     const light = lightGiven(state.light, base.state.light);
     if (Object.keys(light).length) step.light = light;
@@ -76,6 +76,28 @@ window.Irodori = window.Irodori || {};
     if (words.notes?.length) step.notes = words.notes;
     return step;
   };
+
+  // ---- pictures of steps
+
+  const KINDS = {'image/png': [0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a], 'image/jpeg': [0xff, 0xd8, 0xff]};
+  I.MOST_PICTURE = 1e6; // bytes, as a scene's file takes it
+
+  // Give a step a picture from a file; refuses what the scene's file would not take.
+  I.givePicture = function (lesson, step, bytes, file) {
+    const kind = Object.keys(KINDS).find((one) => KINDS[one].every((byte, i) => bytes[i] === byte));
+    if (!kind || bytes.length > I.MOST_PICTURE) throw new I.Refusal('bad_picture', {file});
+    let text = '';
+    for (let i = 0; i < bytes.length; i += 32768) text += String.fromCharCode(...bytes.subarray(i, i + 32768));
+    // Another picture of the same name gets a number.
+    const [, stem, end] = /^(.*?)(\.[^.]*)?$/.exec(file.replace(/[^\p{L}\p{N}._-]/gu, '-').slice(-80));
+    const taken = lesson.steps.filter((one) => one !== step).map((one) => one.picture_file);
+    let name = stem + (end ?? '');
+    for (let i = 2; taken.includes(name); i++) name = `${stem}-${i}${end ?? ''}`;
+    Object.assign(step, {picture: `data:${kind};base64,${btoa(text)}`, picture_file: name, given_here: true});
+  };
+
+  // Pictures that were given in the page: their names, as the lesson's text has them, and addresses.
+  I.givenPictures = (lesson) => lesson.steps.filter((one) => one.given_here).map((one) => [one.picture_file, one.picture]);
 
   // ---- YAML: strings as in JSON, which is YAML; lists of numbers in one line
 
@@ -100,6 +122,7 @@ window.Irodori = window.Irodori || {};
     for (const step of plain.steps) {
       if (step.picture_file) step.picture = step.picture_file;
       delete step.picture_file;
+      delete step.given_here;
     }
     return ['lesson:', ...lines(plain, 2)].join('\n') + '\n';
   };

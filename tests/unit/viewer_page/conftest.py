@@ -80,7 +80,7 @@ def page_file(scene, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def context_of(browser):
-    """Return a function that gives the browser's context of some options: pages keep nothing there, so one serves."""
+    """Return a function that gives the browser's context of some options, in which pages keep nothing."""
     contexts = {}
 
     def found(script, **options):

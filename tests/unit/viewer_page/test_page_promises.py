@@ -164,14 +164,13 @@ def address(content) -> str:
 
 
 LIGHT = {"environment": "classroom", "turn_deg": 0, "illuminant": None, "lamps": []}
+PROFILE = {"label": "x", "xyz_from_rgb": [[1, 0, 0]] * 3, "codes": []}
 FAULTS = {
     "camera.distance_mm": {"state": {"camera": {"distance_mm": -1}}},
     "camera.azimuth_deg": {"state": {"camera": {"azimuth_deg": "x"}}},
     "camera.roll_deg": {"state": {"camera": {"roll_deg": None}}},
     "camera.height_mm": {"state": {"camera": {"height_mm": -1}}},
-    "display.profile.codes": {
-        "state": {"display": {"profile": {"label": "x", "xyz_from_rgb": [[1, 0, 0]] * 3, "codes": []}}}
-    },
+    "display.profile.codes": {"state": {"display": {"profile": PROFILE}}},
     "camera.target_mm": {"state": {"camera": {"target_mm": [1, 2]}}},
     "state.camera.roll": {"state": {"camera": {"roll": 1}}},
     "light.illuminant.name": {"state": {"light": {"illuminant": {"name": "D66"}}}},
@@ -310,6 +309,45 @@ def test_an_edited_lesson_is_exported_as_a_scene_takes_it(visit, scene, tmp_path
     assert close(again["state"]["camera"], shown["state"]["camera"])
     assert again["state"]["objects"] == shown["state"]["objects"]
     assert again["compare"] == shown["compare"]
+
+
+def test_a_picture_given_to_a_step_is_shown_and_exported_with_the_lesson(visit, tmp_path):
+    one = visit(accept_downloads=True)
+    page = one.page
+    page.locator(".steps li:nth-child(2) button").click()
+    page.get_by_role("button", name="Edit the lesson").click()
+    stream = io.BytesIO()
+    Image.new("RGB", (4, 4), (200, 30, 30)).save(stream, "png")
+    (tmp_path / "red tube.png").write_bytes(stream.getvalue())
+    (tmp_path / "tube.gif").write_bytes(b"GIF89a")
+    (tmp_path / "large.png").write_bytes(stream.getvalue() + bytes(1_000_000))
+    for name in ("tube.gif", "large.png"):
+        with page.expect_file_chooser() as chooser:
+            page.get_by_role("button", name="Give it a picture").click()
+        chooser.value.set_files(tmp_path / name)
+        one.says(name)
+        assert not page.locator("#page-lesson .prose img").count()
+    # The same name in two steps: one of them gets a number.
+    for step in (2, 3):
+        page.locator(f".steps li:nth-child({step}) button").click()
+        with page.expect_file_chooser() as chooser:
+            page.get_by_role("button", name="Give it a picture").click()
+        chooser.value.set_files(tmp_path / "red tube.png")
+        page.wait_for_selector("#page-lesson .prose img")
+        assert page.evaluate("document.querySelector('#page-lesson .prose img').naturalWidth") == 4
+    downloads = []
+    page.on("download", lambda found: downloads.append(found))
+    page.get_by_role("button", name="Export").click()
+    one.says("red-tube-2.png")
+    for _ in range(100):
+        if len(downloads) < 3:
+            page.wait_for_timeout(50)
+    files = {found.suggested_filename: found.path().read_bytes() for found in downloads}
+    steps = yaml.safe_load(files.pop("still-life-lesson.yaml"))["lesson"]["steps"]
+    assert [step.get("picture") for step in steps[1:3]] == ["red-tube.png", "red-tube-2.png"]
+    assert files == dict.fromkeys(("red-tube.png", "red-tube-2.png"), stream.getvalue())
+    page.get_by_role("button", name="Remove the picture").click()
+    assert not page.locator("#page-lesson .prose img").count()
 
 
 # ---- what cannot be drawn, and how fast it can
