@@ -85,6 +85,25 @@ def test_a_mutant_differs_from_its_module_by_its_fault_alone(mutants, tmp_path):
         assert sum(a != b for a, b in zip(whole, changed, strict=True)) == 1, mutant
 
 
+def test_a_mutant_that_makes_no_sense_is_made_and_left_to_the_tests(mutants, tmp_path):
+    path = tmp_path / "made.py"
+    path.write_text("def column(x):\n    return ((1.0 - x) ** 2)[:, None]\n")
+    for mutant in mutants.mutants_of("made", path):
+        loaded = {}
+        exec(mutants.compiled(mutants.mutated(mutant, path), path), loaded)
+        assert callable(loaded["column"])
+
+
+def test_statements_that_are_marked_say_when_they_are_passed(mutants, tmp_path):
+    path, passed = tmp_path / "made.py", []
+    path.write_text("def f(x):\n    if x:\n        y = 1\n    elif x is None:\n        y = 2\n    return 3\n")
+    loaded = {"passed": passed.append}
+    exec(mutants.compiled(mutants.marked(path, {2, 3, 4, 6}, "passed"), path), loaded)
+    assert loaded["f"](1) == 3 and passed == [2, 3, 6]
+    passed.clear()
+    assert loaded["f"](0) == 3 and passed == [2, 4, 6]
+
+
 @pytest.mark.heavy
 def test_a_sample_of_mutants_is_put_to_the_tests():
     """Ten of each room, others at every commit; those that nobody noticed are printed.
