@@ -106,7 +106,7 @@ def marked(path: Path, first: set[int], name: str) -> ast.Module:
 
 
 def compiled(tree: ast.Module, path: Path) -> types.CodeType:
-    """Return the code of a changed tree; that a number has no items, where a fault leaves one, the tests will notice."""
+    """Return the code of a changed tree; that a number has no items, where a fault leaves one, is for tests to say."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SyntaxWarning)
         return compile(tree, str(path), "exec", dont_inherit=True)
