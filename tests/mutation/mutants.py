@@ -12,6 +12,8 @@ single ones stand in ``equivalent.txt``, each with the reason.
 import ast
 import copy
 import functools
+import types
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -101,6 +103,13 @@ def marked(path: Path, first: set[int], name: str) -> ast.Module:
                     call = ast.fix_missing_locations(ast.copy_location(call, one))
                     statements.insert(statements.index(one), call)
     return ast.fix_missing_locations(tree)
+
+
+def compiled(tree: ast.Module, path: Path) -> types.CodeType:
+    """Return the code of a changed tree; that a number has no items, where a fault leaves one, is for tests to say."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SyntaxWarning)
+        return compile(tree, str(path), "exec", dont_inherit=True)
 
 
 def _shown(node: ast.AST) -> str:

@@ -43,7 +43,7 @@ sys.path[:0] = [str(ROOT), str(Path(__file__).resolve().parent)]
 
 import psutil  # noqa: E402
 import pytest  # noqa: E402
-from mutants import Mutant, marked, mutants_of, mutated  # noqa: E402
+from mutants import Mutant, compiled, marked, mutants_of, mutated  # noqa: E402
 from scipy.stats import binomtest  # noqa: E402
 
 #: Room of the package -> its modules (folders or files under irodori/) and the files of its tests (under tests/).
@@ -300,7 +300,7 @@ def _found(
     for part in qualified.split("."):
         node = next(n for n in body if isinstance(n, ast.ClassDef | ast.FunctionDef) and n.name == part)
         body = node.body
-    code: types.CodeType = compile(tree, str(path), "exec", dont_inherit=True)
+    code = compiled(tree, path)
     *outer, last = qualified.split(".")
     for part in outer:
         code = _named(code, part, None)

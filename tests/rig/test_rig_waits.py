@@ -107,6 +107,29 @@ def test_whatever_ends_the_rig_s_block_stops_it(pair):
     assert not bench.machine.moving and 0.0 < driver.position()["camera_deg"] < 90.0
 
 
+def test_a_controller_is_not_flooded_with_questions(pair):
+    """Thirty times a second while it moves, three times as often while it stops: the line is slow."""
+    driver, bench = pair
+
+    def asked(action, every_s: float) -> None:
+        bench.sent.clear()
+        took = spent(bench, action)
+        questions = sum(line in (b"?", b"SS\r") for line in bench.sent)
+        assert 2 <= questions <= took / every_s + 8
+
+    asked(lambda: driver.move({"camera_deg": 120.0}), 0.03)
+    asked(driver.home, 0.03)
+    driver.move({"camera_deg": 0.0})
+    under_way(driver, bench, 1.0)
+    asked(driver.resume, 0.03)
+    driver.home()
+    driver.move({"camera_deg": 0.0})
+    place = driver.drives["camera_deg"].to_units(100.0)
+    bench.write(b"G21G90G53G0X%.3f\n" % place if is_grbl(bench) else b"MA CAME %.3f\r" % place)
+    bench.sleep(1.0)
+    asked(driver.stop, 0.01)
+
+
 def test_an_axis_that_is_stuck_is_given_up_a_quarter_later_than_foretold(pair):
     driver, bench = pair
     target = {"camera_deg": 120.0, "turn_deg": 10.0}

@@ -169,7 +169,7 @@ def test_a_table_is_what_its_module_makes(name, entry):
     assert (lobes.weight[i, j] > 0.0).sum() == count
     for column in ("width", "offset", "across", "weight", "incidence"):
         expected = getattr(lobes, column)[i, j, :count]
-        assert getattr(made, column) == pytest.approx(expected, rel=1e-3, abs=1e-4), column
+        assert getattr(made, column) == pytest.approx(expected, rel=1e-5, abs=1e-6), column
     direction, value, _, solid_angle = lobe_samples(lobes.mu[i], lobes.theta_r[j], name=name)
     missed = rebuilt(lobes, i, j, direction) - value
     rest = math.sqrt((missed**2 * solid_angle).sum() / (value**2 * solid_angle).sum())

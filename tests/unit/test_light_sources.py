@@ -396,6 +396,16 @@ def test_a_disc_smaller_than_a_pixel_is_one_pixel_and_a_larger_one_is_spread():
         assert (found * directions(128, 64)[1]).sum() == pytest.approx(3.0 * disc, rel=1e-5)
 
 
+@pytest.mark.parametrize("size", [(64, 32), (16, 128)])
+def test_a_disc_within_the_longer_side_of_a_pixel_is_one_pixel(size):
+    height, width = size
+    light = {"spectrum": "A", "azimuth_deg": 91.0, "elevation_deg": 1.2, "radiance": 3.0}
+    longest = max(360.0 / width, 180.0 / height)
+    one, wide = (made(Sequence[PlacedLight], [{**light, "diameter_deg": part * longest}]) for part in (0.95, 1.4))
+    assert np.count_nonzero(lights_picture(one, width, height).weights[..., 0]) == 1
+    assert np.count_nonzero(lights_picture(wide, width, height).weights[..., 0]) > 2
+
+
 def test_lights_have_their_own_spectra_at_one_luminance():
     names = ["D65", "FL11", "P2856"]
     lights = [{"spectrum": n, "azimuth_deg": 120.0 * i, "elevation_deg": 10.0, "diameter_deg": 30.0, "radiance": 1.0}

@@ -214,6 +214,7 @@ def test_the_noise_floor_is_that_of_a_second_draw():
     one = compare(picture, calibration, halves, np.ones(61), 2.0, small)
     two = compare(picture, calibration, halves.mean(axis=0) + 1.5 * (halves - halves.mean(axis=0)), np.ones(61))
     assert one.noise == pytest.approx(two.noise, abs=1e-9)
+    assert one.photograph == pytest.approx(2.0 * two.photograph) and one.rendering == pytest.approx(two.rendering)
     lost = every.copy()
     lost[5, 7] = False
     some = compare(Photograph(response, lost, None), calibration, halves, np.ones(61))
