@@ -7,7 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chart_pictures import (
-    COLUMNS, PAPER, ROWS, SPECTRA, large_chart, light_field, noisy, sensitivities, shot, truth, view,
+    COLUMNS,
+    PAPER,
+    ROWS,
+    SPECTRA,
+    large_chart,
+    light_field,
+    noisy,
+    sensitivities,
+    shot,
+    truth,
+    view,
 )  # fmt: skip
 
 from irodori.calibration.detection import find_chart
