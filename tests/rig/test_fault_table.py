@@ -7,7 +7,7 @@ import pytest
 from test_rig_waits import later
 from virtual_time import Bench, bench_of, opened, rig_of
 
-from irodori.capture.rig.devices import DeviceError, LinkError, Rig
+from irodori.capture.rig.devices import DeviceError, LinkError, RigDevice
 from irodori.capture.rig.grbl.protocol import FIRMWARES
 
 TIMEOUT_S = 3.0
@@ -70,7 +70,7 @@ OTHERWISE = {
 }
 
 
-def outcome(rig: Rig, bench: Bench, command: str, act) -> tuple[str, float]:
+def outcome(rig: RigDevice, bench: Bench, command: str, act) -> tuple[str, float]:
     """Return what a command says and the time that it takes after the fault, s."""
     at = [bench.now]
     if command == "status":
