@@ -264,7 +264,8 @@ class GrblRig(ControlledRig):
             with contextlib.suppress(DeadlineError, GarbledError, CommandError, AlarmError):
                 report = self._talk.ask_report(min(_KNOCK_S, self._timeout_s))
         # Held, it reads no line: then the mark is lost with the reset.
-        self._mark_found = self._read_mark() if report is not None and report.state in ("Idle", "Run") else 0
+        if self._homing and report is not None and report.state in ("Idle", "Run"):
+            self._mark_found = self._read_mark()
         if report is not None and report.moving:
             self._halt()
         else:
