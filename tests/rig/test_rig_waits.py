@@ -181,6 +181,20 @@ def test_a_controller_that_falls_silent_is_left_after_its_timeout(pair):
     is_at(driver, 90.0, 0.0)
 
 
+def test_a_rig_that_did_not_hear_its_stop_is_stopped_before_anything_else(pair):
+    driver, bench = pair
+
+    def cut() -> None:
+        bench.pace, bench.on_the_way, bench.heard = 0.02, lambda data: b"", lambda line: None
+
+    later(bench, 1.0, cut)
+    spent(bench, lambda: driver.move({"camera_deg": 120.0}), DeadlineError)
+    bench.pace, bench.on_the_way, bench.heard = 1.0, lambda data: data, lambda line: line
+    assert bench.machine.moving
+    assert driver.status().state in ("idle", "alarm") and not bench.machine.moving
+    assert 0.0 < driver.position()["camera_deg"] < 119.0
+
+
 def test_silence_before_a_question_ends_in_time(pair):
     driver, bench = pair
     bench.heard = lambda line: None

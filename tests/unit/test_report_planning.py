@@ -4,6 +4,7 @@ import csv
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -277,6 +278,19 @@ def test_a_light_that_stands_off_its_pose_shows_on_matt_surfaces(planned):
     found = (off / np.median(off, axis=0))[:, steep].std(axis=0)
     assert steep.any()
     assert found == pytest.approx(np.tan(np.median(incidence, axis=0))[steep] * math.radians(0.5), rel=0.3)
+
+
+def test_errors_are_absolute_in_alpha_and_relative_in_gloss(planned, monkeypatch):
+    planner = Planner(made(Object | PlannedObject, planned["definition"]), made(Rig, planned["rig"]))
+    drawn = planner.range.at(np.random.default_rng(5).random((40, 3)))
+
+    def off(*_, **__):
+        return SimpleNamespace(alpha=drawn.alpha - 0.01, beta=1.1 * drawn.beta, mu=0.8 * drawn.mu)
+
+    monkeypatch.setattr(pose_planning, "fit", off)
+    found = fit_errors(Sitting(planner), planner.best(4).poses, 40, FitOptions(), np.random.default_rng(5))
+    assert found["alpha"] == pytest.approx(0.01)
+    assert found["beta"] == pytest.approx(0.1) and found["mu"] == pytest.approx(0.2)
 
 
 def test_light_and_weights_of_simulated_photographs_follow_their_conditions(planned):
