@@ -111,15 +111,12 @@ def share_gloss(
     assert optics is not None  # an object has a tile
     start = time.perf_counter()
     paints = find_paints(samples, colours, optics)
-    seconds += time.perf_counter() - start
     width, shared = carried["width"], 0
     with store.create(output, provenance) as out:
         datasets: dict = {}
         for seen, own, (first, last) in zip(observations, tiles, parts, strict=True):
             tile, maps, _ = _read_tile(seen, own)
-            start = time.perf_counter()
             shared += _share_tile(_indexed(tile, optics), maps, paints, width, optics)
-            seconds += time.perf_counter() - start
             datasets = datasets or _reserve(out, maps, max(map(max, parts)) * width, options.lobes)
             for name, dataset in datasets.items():
                 dataset[first * width : last * width] = maps[name]
@@ -127,6 +124,7 @@ def share_gloss(
         attributes = {**carried, "rows": [min(map(min, parts)), max(map(max, parts))], "parts": parts}
         for name, value in {**attributes, "fit_seconds": seconds, "texels_fitted": fitted}.items():
             out.attribute(name, value)
+        out.attribute("paint_seconds", time.perf_counter() - start)
         out.attribute("lobes", list(options.lobes))
     _log(paints, shared)
 

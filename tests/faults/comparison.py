@@ -21,7 +21,7 @@ import OpenImageIO as oiio
 #: Folders and pages that report times, and the ledger of the user's files, which remembers theirs.
 LEFT_OUT = ("logs/", "benchmarks/", "benchmark/", "report.html", "inputs.json")
 #: Attributes of HDF5 files that a clock writes.
-CLOCKED_ATTRIBUTES = {"fit_seconds"}
+CLOCKED_ATTRIBUTES = {"fit_seconds", "paint_seconds"}
 #: Columns of CSV files that a clock writes.
 CLOCKED_COLUMNS = {"evaluation_ns_per_pixel"}
 #: Keys of JSON files and attributes that a clock or a session's course writes: ``session`` counts what it took, kept

@@ -222,6 +222,18 @@ def test_paints_know_no_borders_of_tiles(tmp_path):
     np.testing.assert_allclose(maps[1]["mu"][both], maps[2]["mu"][both], rtol=0.01)
 
 
+def test_an_object_that_no_photograph_sees_has_no_paints_and_passes(tmp_path):
+    seen = photographed(np.tile(CREAM, (SIDE * SIDE, 1)), 2.0, 0.15, sphere(4))
+    seen.weight[:] = 0.0
+    write_tile(tmp_path / "seen.h5", seen, [0, SIDE])
+    fit_brdf(tmp_path / "seen.h5", tmp_path / "own.h5", OPTICS.options, N, K, provenance=PROVENANCE)
+    files = ([tmp_path / "seen.h5"], [tmp_path / "own.h5"], tmp_path / "surface.h5")
+    share_gloss(*files, OPTICS.options, N, K, provenance=PROVENANCE)
+    ((_, maps),) = FittedTiles([tmp_path / "surface.h5"], SIDE, SIDE).read("status", "paint", "alpha")
+    assert (maps["status"] == Status.TOO_FEW_OBSERVATIONS).all() and (maps["paint"] == -1).all()
+    assert np.isnan(maps["alpha"]).all()
+
+
 values = st.floats(-0.1, 3.0) | st.sampled_from([np.nan, np.inf, 0.0, 1e30])
 
 
