@@ -7,6 +7,7 @@ import yaml
 from definitions import ROOT, load
 
 from irodori.config.definition import as_plain
+from irodori.config.pages import page_rooms
 from irodori.config.scene_files import SceneFiles
 from irodori.core.errors import InputError
 from irodori.viewer.lesson import lesson_for_page
@@ -67,6 +68,18 @@ def test_other_pictures_are_refused(root, content, words):
     (root / "tube.png").write_bytes(content)
     with pytest.raises(InputError, match=words):
         with_step(root, picture="tube.png")
+
+
+def test_a_room_that_a_lesson_names_is_made_for_the_page(root):
+    """Its definition is loaded with the scene, and its light is an input of the page after the scene's own."""
+    cellar = root / "config/environments/cellar.yaml"
+    cellar.write_text((root / "config/environments/classroom.yaml").read_text(encoding="utf-8"), encoding="utf-8")
+    compare = {"mode": "wipe", "light": {"environment": "cellar"}}
+    for step in ({"light": {"environment": "cellar"}}, {"compare": compare}):
+        loaded = with_step(root, **step)
+        assert "cellar" in loaded.environments
+        assert page_rooms(loaded.scenes["still-life"]) == ["classroom", "cellar"]
+    assert page_rooms(load(ROOT, scenes=["still-life"]).scenes["still-life"]) == ["classroom"]
 
 
 def test_every_language_of_the_page_has_the_whole_lesson_of_the_default_scene():

@@ -366,11 +366,6 @@ def test_a_lamp_nearby_lights_by_its_formula(dark, size):
     assert whole.sum() > 400 and shut.sum() > 5
     assert agree(found), (found.mean(), np.percentile(found, 99))
     assert np.abs(xyz[shut]).max() < 0.02 * wanted[whole].max()
-    half = (free > 0.0) & (free < 1.0) & inside(objects) & (objects == 1)
-    if size:
-        # Sixteen directions: the edge of a soft shadow has that many steps.
-        error = np.abs(xyz[half][:, 1] - wanted[half][:, 1]) / (diffuse[1] / far[half] ** 2 / white_share)
-        assert half.sum() > 20 and error.mean() < 0.05 and error.max() < 0.2
 
 
 # ---- two rooms in one page
