@@ -168,7 +168,7 @@ def summary(values: np.ndarray) -> dict[str, float]:
 def spectral_rmse(truth: np.ndarray, estimate: np.ndarray) -> np.ndarray:
     """Return the root mean square difference over the last axis [design, §5]."""
     difference = np.asarray(truth, dtype=np.float64) - np.asarray(estimate, dtype=np.float64)
-    return np.sqrt(np.mean(difference**2, axis=-1))
+    return np.sqrt(np.vecdot(difference, difference) / difference.shape[-1])
 
 
 def goodness_of_fit(truth: np.ndarray, estimate: np.ndarray) -> np.ndarray:

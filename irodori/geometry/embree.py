@@ -309,8 +309,9 @@ class Tracer:
 
     def occluded(self, origins, directions, far=np.inf) -> np.ndarray:
         """Return whether anything stands on each ray up to ``far`` (mm), (n,) bool."""
-        origins = np.ascontiguousarray(origins, dtype=np.float64)
-        directions = np.ascontiguousarray(directions, dtype=np.float64)
+        # Arrays that cannot be written would compile a loop of their own.
+        origins = np.require(origins, np.float64, ("C", "W"))
+        directions = np.require(directions, np.float64, ("C", "W"))
         out = np.empty(len(origins), dtype=np.bool_)
         far = np.broadcast_to(np.asarray(far, dtype=np.float32), len(origins)).copy()
         _occluded(self.occluded_address, self.scene, origins, directions, far, out)

@@ -142,9 +142,26 @@ class Planes:
 def write_payload(header: dict, planes: Planes) -> str:
     """Return a payload as base64; the header is any JSON, to which version and planes are added."""
     whole = {"schema_version": SCHEMA_VERSION, **header, "planes": [asdict(entry) for entry in planes.entries]}
-    text = json.dumps(whole, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
-    stream = b"".join([struct.pack("<I", len(text)), text, *planes.content])
+    return _packed(whole, b"".join(planes.content))
+
+
+def _packed(header: dict, planes: bytes | memoryview) -> str:
+    """Return a payload of a whole header and the planes that it lists."""
+    text = json.dumps(header, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
+    stream = b"".join([struct.pack("<I", len(text)), text, planes])
     return base64.b64encode(zlib.compress(stream, 9)).decode("ascii")
+
+
+def payload_header(text: str, source="payload") -> dict:
+    """Return the header of a payload; parameters and what is raised are those of `read_payload`."""
+    return _header(_unfolded(text, source), source)[0]
+
+
+def with_stated_errors(text: str, errors: dict, source="payload") -> str:
+    """Return a payload with other errors stated; parameters and what is raised are those of `read_payload`."""
+    stream = _unfolded(text, source)
+    header, first = _header(stream, source)
+    return _packed({**header, "stated_errors": errors}, memoryview(stream)[first:])
 
 
 def _fault(source, found: str, accepted: str = "a payload that irodori wrote", field: str = "") -> InputError:
@@ -208,17 +225,7 @@ def read_payload(text: str, source="payload") -> tuple[dict, dict[str, np.ndarra
     InputError
         If it is damaged or of another version.
     """
-    try:
-        packed = base64.b64decode(text, validate=True)
-    except (binascii.Error, ValueError):
-        raise _fault(source, "text that is not base64") from None
-    unfolding = zlib.decompressobj()
-    try:
-        stream = unfolding.decompress(packed, MOST_BYTES)
-    except zlib.error:
-        raise _fault(source, "a stream that does not unfold") from None
-    if not unfolding.eof or unfolding.unused_data:
-        raise _fault(source, "a stream that is cut short, too long or followed by something else")
+    stream = _unfolded(text, source)
     header, first = _header(stream, source)
     view, planes = memoryview(stream), {}
     for number, entry in enumerate(header["planes"]):
@@ -230,6 +237,22 @@ def read_payload(text: str, source="payload") -> tuple[dict, dict[str, np.ndarra
     if first != len(stream):
         raise _fault(source, f"{len(stream) - first} bytes after the last plane")
     return header, planes
+
+
+def _unfolded(text: str, source) -> bytes:
+    """Return what is under a payload's base64 and its compression."""
+    try:
+        packed = base64.b64decode(text, validate=True)
+    except (binascii.Error, ValueError):
+        raise _fault(source, "text that is not base64") from None
+    unfolding = zlib.decompressobj()
+    try:
+        stream = unfolding.decompress(packed, MOST_BYTES)
+    except zlib.error:
+        raise _fault(source, "a stream that does not unfold") from None
+    if not unfolding.eof or unfolding.unused_data:
+        raise _fault(source, "a stream that is cut short, too long or followed by something else")
+    return stream
 
 
 def _header(stream: bytes, source) -> tuple[dict, int]:

@@ -1,6 +1,7 @@
 """Viewer stage: materials, light and a scene in; one page out, with the errors that it states of itself."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -8,7 +9,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights, xyz_from_radiance
-from irodori.config.models import Size
+from irodori.config.models import Scene, Size
+from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER
 from irodori.export.pictures import read_xyz
 from irodori.geometry.rig_frame import rotation_z
@@ -27,7 +29,7 @@ from irodori.viewer.measured import (
 )
 from irodori.viewer.page_data import PageData, SceneSources, page_data
 from irodori.viewer.page_file import write_page
-from irodori.viewer.payload import read_payload
+from irodori.viewer.payload import payload_header, read_payload, with_stated_errors
 from irodori.viewer.scene_data import decoded_light, decoded_objects
 
 #: What a page is checked with: turns of the light, illuminants (none is the light as it was recovered), and observers.
@@ -50,6 +52,23 @@ def export_viewer(sources: SceneSources, *, output, poster=None, picture=None) -
     picture : path, optional
         EXR of the page's first view by the scene's integrator, which the page is compared with too.
     """
+    with TemporaryDirectory(dir=Path(output).parent) as folder:
+        payload = Path(folder) / "viewer.payload"
+        encode_viewer(sources, output=payload)
+        return finish_viewer(
+            payload, sources.scene, sources.environments[0], output=output, poster=poster, picture=picture
+        )
+
+
+def encode_viewer(sources: SceneSources, *, output) -> dict:
+    """Write the payload of a scene's page, with the errors that need no picture of the scene; return these.
+
+    Parameters
+    ----------
+    sources : SceneSources
+    output : path
+        Text, base64.
+    """
     data = page_data(sources)
     first_view = sources.scene.views[data.header["views"][0]["name"]]
     view = make_view(first_view, _SIZE)
@@ -63,16 +82,50 @@ def export_viewer(sources: SceneSources, *, output, poster=None, picture=None) -
     if browser_command() is None:
         LOGGER.warning("no browser: what the page draws is not checked, and it says so")
     else:
-        with TemporaryDirectory(dir=Path(output).parent) as folder:
-            draft = Path(folder) / "draft.html"
-            write_page(draft, sources.scene.description or sources.name, first)
-            with opened(draft) as page:
-                errors["cpu"] = measured_page(page, data, originals, view)
-                if picture is not None:
-                    errors["reference"] = measured_reference(page, sources, picture)
+        with _drawn(first, output) as page:
+            errors["cpu"] = measured_page(page, data, originals, view)
         LOGGER.info("the page against the interactive renderer, CIEDE2000: %s", errors["cpu"])
-    write_page(output, sources.scene.description or sources.name, data.payload(errors), poster)
+    with written_whole(output) as temporary:
+        temporary.write_text(with_stated_errors(first, errors), encoding="ascii")
     return errors
+
+
+def finish_viewer(payload, scene: Scene, environment, *, output, poster=None, picture=None) -> dict:
+    """Write a page from its payload; return the errors that it states.
+
+    Parameters
+    ----------
+    payload : path
+        Written by `encode_viewer`.
+    scene : Scene
+    environment : path
+    output : path
+    poster, picture : path, optional
+        As of `export_viewer`.
+    """
+    text = Path(payload).read_text(encoding="ascii", errors="replace")
+    errors = payload_header(text, payload)["stated_errors"]
+    if picture is not None and browser_command() is not None:
+        with _drawn(text, output) as page:
+            errors["reference"] = measured_reference(page, scene, environment, picture)
+        text = with_stated_errors(text, errors, payload)
+    _write(text, output, poster)
+    return errors
+
+
+def _write(payload: str, output, poster=None) -> None:
+    header = payload_header(payload)
+    write_page(output, header["title"] or header["scene"], payload, poster)
+
+
+@contextmanager
+def _drawn(payload: str, output) -> Iterator[OpenPage]:
+    """Open a payload's page in the browser; it stands beside an output meanwhile."""
+    with TemporaryDirectory(dir=Path(output).parent) as folder:
+        draft = Path(folder) / "draft.html"
+        _write(payload, draft)
+        with opened(draft) as page:
+            yield page
 
 
 def measured_loss(data: PageData, payload: str, originals: Sequence[Prepared], view: View) -> dict:
@@ -169,13 +222,13 @@ def measured_page(page: OpenPage, data: PageData, originals: Sequence[Prepared],
     return mean_and_p99(found)
 
 
-def measured_reference(page: OpenPage, sources: SceneSources, picture) -> dict:
+def measured_reference(page: OpenPage, scene: Scene, environment, picture) -> dict:
     """Return CIEDE2000 between what a page draws and a picture of the scene's own integrator, its noise included."""
     from irodori.light.environment_file import Environment
 
-    white, _ = shown_white(sources.scene, Environment.load(sources.environments[0]), sources.environments[0])
+    white, _ = shown_white(scene, Environment.load(environment), environment)
     matrix = xyz_from_radiance(white)
     wanted = read_xyz(picture, matrix.astype(np.float32))
     xyz, _ = page.read_xyz(page.default_state(), wanted.shape[1], wanted.shape[0])
     found = mean_and_p99([xyz_differences(wanted, xyz, matrix @ white)])
-    return found | {"integrator": sources.scene.integrator.kind}
+    return found | {"integrator": scene.integrator.kind}

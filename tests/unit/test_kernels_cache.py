@@ -70,6 +70,36 @@ def test_of_several_processes_one_compiles(package):
     assert sorted(result(run)[1] for run in runs) == [0, 0, 1]
 
 
+HASHING = """
+from irodori.jit.compilation import njit
+
+@njit(cache=True)
+def hashed(text):
+    return hash(text)
+
+assert hashed("vermilion") == hash("vermilion")
+print(sum(hashed.stats.cache_misses.values()))
+"""
+
+
+def test_a_stored_kernel_that_hashes_finds_what_it_needs_in_a_process_that_compiles_nothing(tmp_path):
+    script = tmp_path / "hashing.py"
+    script.write_text(HASHING)
+    (tmp_path / "kernels").mkdir(mode=0o700)
+    variables = {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    for compiled in ("1", "0"):
+        run = subprocess.run([sys.executable, script], env=os.environ | variables, capture_output=True, text=True)
+        assert run.stdout.split() == [compiled], run.stderr
+
+
+def test_a_process_that_only_loads_a_kernel_does_not_import_all_that_numba_can_compile(package):
+    result(start(package))
+    probe = PROBE + 'import sys\nassert "numba.np.linalg" not in sys.modules\n'
+    environment = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
+    run = subprocess.run([sys.executable, "-c", probe], cwd=package, env=environment, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+
+
 def test_a_hash_ignores_what_is_not_executed(tmp_path):
     module = tmp_path / "module.py"
     hashes = []

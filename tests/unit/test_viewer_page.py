@@ -13,6 +13,7 @@ from pages import painted, room, sources, write_mesh
 from scenes import fresnel
 from written_pages import SIZE, Written, agree, differences, inside
 
+from irodori.export.pictures import write_spectral_exr
 from irodori.geometry.rig_frame import look_at, rotation_xyz, rotation_z
 from irodori.rendering.scene_arrays import make_view
 from irodori.viewer.browser import FLAGS, browser_command, opened
@@ -20,7 +21,7 @@ from irodori.viewer.measured import frame_bands, prepared
 from irodori.viewer.page_data import page_data
 from irodori.viewer.page_file import page_html
 from irodori.viewer.payload import read_payload
-from irodori.viewer.stage import export_viewer
+from irodori.viewer.stage import encode_viewer, export_viewer, finish_viewer
 from irodori.viewer.viewer_command import payload_of
 
 pytestmark = pytest.mark.skipif(
@@ -210,6 +211,19 @@ def test_a_page_states_its_errors_and_its_own_check_agrees(tmp_path):
         assert page.messages == []
     assert len(rows) == len(header["selftest"]) > 4
     assert max(row["mean"] for row in rows) <= 0.1
+
+
+def test_a_page_encoded_before_its_picture_states_the_same_and_the_distance_to_the_picture(tmp_path, written):
+    given, payload, picture = written.sources, tmp_path / "viewer.payload", tmp_path / "front.exr"
+    encoded = encode_viewer(given, output=payload)
+    assert encoded["reference"] is None
+    bands = frame_bands(written.scene, make_view(given.scene.views["front"], given.scene.image), written.data.parts)
+    write_spectral_exr(picture, bands, bands[..., :3], {})
+    errors = finish_viewer(payload, given.scene, given.environment, output=tmp_path / "viewer.html", picture=picture)
+    header, planes = read_payload(payload_of(tmp_path / "viewer.html"))
+    assert header["stated_errors"] == errors == encoded | {"reference": errors["reference"]}
+    assert 0.0 < errors["reference"]["mean"] <= 0.1
+    assert set(planes) == {entry["name"] for entry in read_payload(payload.read_text())[0]["planes"]}
 
 
 def test_without_webgl2_the_page_says_so(written):

@@ -14,7 +14,7 @@ from pages import room, sources
 from irodori.core.errors import InputError
 from irodori.light.environment_file import Environment
 from irodori.viewer.page_data import page_data
-from irodori.viewer.payload import LOG_STEP, RATIO_STEP, Planes, read_payload, write_payload
+from irodori.viewer.payload import LOG_STEP, RATIO_STEP, Planes, read_payload, with_stated_errors, write_payload
 from irodori.viewer.scene_data import add_light, decoded_light, light_maps
 
 
@@ -93,6 +93,15 @@ def test_damage_anywhere_is_found(at, byte, keep):
     for broken in (bytes(raw), bytes(raw[: int(keep * (len(raw) - 1))])):
         with pytest.raises(InputError):
             read_payload(base64.b64encode(broken).decode())
+
+
+def test_errors_that_are_stated_later_change_nothing_else():
+    before = write_payload({"scene": "é", "stated_errors": {"cpu": None}, "title": "x"}, planes()[0])
+    errors = {"cpu": {"mean": 0.1}}
+    after = with_stated_errors(before, errors)
+    assert after == write_payload({"scene": "é", "stated_errors": errors, "title": "x"}, planes()[0])
+    with pytest.raises(InputError, match="cut short"):
+        with_stated_errors(before[: len(before) // 8 * 4], errors)
 
 
 def test_what_is_not_base64_is_refused():

@@ -19,6 +19,7 @@ STAGES_AFTER_FIT = {
     "share_gloss",
     "compress_reflectance",
     "render_view",
+    "encode_viewer",
     "export_viewer",
     "compare_photograph",
     "measure_error_budget",
@@ -151,7 +152,7 @@ def test_a_finer_texture_does_not_photograph_again(again):
 def test_a_scene_edit_renders_and_nothing_more(again):
     edit(again / "config/scenes/still-life.yaml", {"max_bounces": 3})
     rules = {rule for rule, _ in planned(snakemake(again, "--dry-run"))}
-    pictures = {"render_view", "render_truth", "export_viewer"}
+    pictures = {"render_view", "render_truth", "encode_viewer", "export_viewer"}
     assert rules == {*pictures, "measure_error_budget", "measure_errors", "write_report", "all"}
 
 

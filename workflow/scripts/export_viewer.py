@@ -1,19 +1,13 @@
-from irodori.config.models import Render, Scene
-from irodori.config.parts import typed_shapes
+from irodori.config.models import Scene
 from irodori.core.run_rule import run_rule
-from irodori.viewer.stage import SceneSources, export_viewer
+from irodori.viewer.stage import finish_viewer
 
 with run_rule(snakemake):
-    export_viewer(
-        SceneSources(
-            snakemake.wildcards.scene,
-            Scene.of({**snakemake.params.scene, "lesson": snakemake.params.lesson}),
-            tuple(typed_shapes(snakemake.params.shapes)),
-            tuple(snakemake.input.materials),
-            tuple(snakemake.input.environments),
-            Render.of(snakemake.params.render).min_throughput,
-        ),
+    finish_viewer(
+        snakemake.input.payload,
+        Scene.of(snakemake.params.scene),
+        snakemake.input.environment,
+        output=snakemake.output.page,
         poster=snakemake.input.poster,
         picture=snakemake.input.picture,
-        output=snakemake.output.page,
     )

@@ -106,7 +106,7 @@ def evaluate(level: Level, turn: complex, shift: complex, weight: np.ndarray) ->
     if used.size < _LEAST_PLACES:
         return None
     colour = _colour_maps(level, gradient_sums.gradient_moments(level.places.counts, level.fixed, moving, weight))
-    some = used[:: -(-used.size // _MEDIAN_PLACES)]
+    some = np.ascontiguousarray(used[:: -(-used.size // _MEDIAN_PLACES)])  # strided, it would compile a loop of its own
     predicted, left = gradient_sums.residuals(level.fixed.gradient, moving.gradient, colour, some)
     found = predicted + left
     # The floor keeps noiseless pictures from dividing by nothing.

@@ -54,17 +54,20 @@ def drift(
     rows = []
     for number in range(1, reflections + 1):
         chosen = rng.integers(len(truth), size=count)
-        exact, product = exact * truth[chosen], product * decoded[chosen]
+        exact *= truth[chosen]
+        product *= decoded[chosen]
         projected = (projected * decoded[chosen]) @ basis @ basis.T
         level = np.abs(exact).mean()
         exposure = brightness / level if level > 0 else 1.0
-        pairs = {"": product, "projected_": projected}
+        # Exposure multiplies three sums a chain, not its 61 products.
+        matrices = {light: (exposure * matrix.T, white) for light, (matrix, white) in observers.items()}
+        wanted = {light: exact @ matrix for light, (matrix, _) in matrices.items()}
         row: dict[str, object] = {"reflections": number}
-        for prefix, values in pairs.items():
+        for prefix, values in {"": product, "projected_": projected}.items():
             row[f"{prefix}delta_e"] = {
-                light: summary(colour_error(exposure * exact @ matrix.T, exposure * values @ matrix.T, white))
-                for light, (matrix, white) in observers.items()
+                light: summary(colour_error(wanted[light], values @ matrix, white))
+                for light, (matrix, white) in matrices.items()
             }
-            row[f"{prefix}rmse"] = float(spectral_rmse(exposure * exact, exposure * values).mean())
+            row[f"{prefix}rmse"] = float(exposure * spectral_rmse(exact, values).mean())
         rows.append(row)
     return rows
