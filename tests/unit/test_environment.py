@@ -7,9 +7,9 @@ import numba
 import numpy as np
 import pytest
 from compressing import compress
+from exact_light import prior_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from exact_light import prior_of
 from made import made
 from shortcuts import irradiance_map
 from threadpoolctl import threadpool_limits

@@ -121,7 +121,12 @@ def test_a_ball_that_is_not_in_the_picture_or_masked_is_refused():
     size, basis = {"width": 32, "height": 16}, np.eye(61)[:, :3]
     with pytest.raises(InputError, match="beyond the photograph"):
         unwrapped(
-            made(MirrorBallSource, {**BALL, "radius_px": 120.0}), made(Size, size), weights, valid, as_it_is(basis), "ball.h5"
+            made(MirrorBallSource, {**BALL, "radius_px": 120.0}),
+            made(Size, size),
+            weights,
+            valid,
+            as_it_is(basis),
+            "ball.h5",
         )
     one = valid.copy()
     one[90, 100] = False
