@@ -53,12 +53,12 @@ class Directions:
         return float(1.0 / (share @ np.exp((colour @ colour.T - 1.0) / _ALIKE**2) @ share))
 
 
-def draw_directions(parts: Iterable[tuple[np.ndarray, np.ndarray]], seed: int = 0) -> Directions:
+def draw_directions(parts: Iterable[tuple[np.ndarray, np.ndarray | float]], seed: int = 0) -> Directions:
     """Return directions drawn from every part of a picture in proportion to their light.
 
     Parameters
     ----------
-    parts : iterable of ((n, bands) float, (n,) float)
+    parts : iterable of ((n, bands) float, (n,) float or one number for all)
         Responses and solid angles; what is not finite is never drawn.
     seed : int
     """
