@@ -139,12 +139,12 @@ def main() -> None:
     for variant in VARIANTS:
         for place, walls in (("", ()), (" walls", WALLS)):
             # The families of a picture cost the same however many there are in the prior.
-            time = seconds["rig-lamp" if variant == "rig-lamp" else "mixture"]
+            taken = seconds["rig-lamp" if variant == "rig-lamp" else "mixture"]
             found = errors(seen, variant, walls)
             metric = f"mean CIEDE2000 of a chart, adapted, {len(CIE)} lamps left out" + (", off walls" if walls else "")
-            speed, ratio = f"{work / time:.3f}", f"{time / seconds['rig-lamp']:.3f}"
-            values = ("light", variant + place, f"{work:.4g}", "megapixels", f"{time:.4f}", speed, metric,
-                      f"{found.mean():.4f}", f"{own_peak_mb():.0f}", "rig-lamp", ratio)  # fmt: skip
+            values = ("light", variant + place, f"{work:.4g}", "megapixels", f"{taken:.4f}", f"{work / taken:.3f}",
+                      metric, f"{found.mean():.4f}", f"{own_peak_mb():.0f}", "rig-lamp",
+                      f"{taken / seconds['rig-lamp']:.3f}")  # fmt: skip
             rows.append(dict(zip(COLUMNS, values, strict=True)))
             worse = found.mean(axis=1)
             print(f"{variant}{place}: worst {CIE[int(worse.argmax())]} {worse.max():.2f}")

@@ -21,12 +21,13 @@ from irodori.light.recovery_loops import mixture_weights
 #: Variance that is added to the response model's own: its 2σ holds 62 to 77 % of the bands' errors in place of 95 %.
 _MODEL_VARIANCE = 3.0
 _LEAST_NOISE = 3e-4  # of a response, relative, whatever the response model says
-#: So many independent directions all directions count as, beside one of every family: they share the errors of the
-#: response model, and a room that shows a lamp a million times tells of it little more than once.
-_EVIDENCE, _STEPS = 10.0, 30
+#: So many observations, beside one of every family, each direction counts as that differs from the first by `_ALIKE`:
+#: all share the errors of the response model, and what a room shows a million times tells little more than once.
+_EVIDENCE, _ALIKE, _STEPS = 300.0, 0.1, 30
 _FAMILIES = 16  # that are kept for a picture at most
 _BASES = 8  # of the light at most: one row of vectors
 _DRAWS = 64  # directions drawn from each part of a picture
+_COMPARED = 1000  # of them that are compared in colour
 _ERRORS = 24  # independent errors that are kept at most
 
 
@@ -43,13 +44,21 @@ class Directions:
     response: np.ndarray
     share: np.ndarray
 
+    def different(self) -> float:
+        """Return how many directions differ in colour; one where all are alike."""
+        some = slice(None, None, -(-len(self.share) // _COMPARED))
+        scaled = self.response[some] / np.abs(self.response[some]).mean(axis=0)
+        colour = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
+        share = self.share[some] / self.share[some].sum()
+        return float(1.0 / (share @ np.exp((colour @ colour.T - 1.0) / _ALIKE**2) @ share))
 
-def draw_directions(parts: Iterable[tuple[np.ndarray, np.ndarray]], seed: int = 0) -> Directions:
+
+def draw_directions(parts: Iterable[tuple[np.ndarray, np.ndarray | float]], seed: int = 0) -> Directions:
     """Return directions drawn from every part of a picture in proportion to their light.
 
     Parameters
     ----------
-    parts : iterable of ((n, bands) float, (n,) float)
+    parts : iterable of ((n, bands) float, (n,) float or one number for all)
         Responses and solid angles; what is not finite is never drawn.
     seed : int
     """
@@ -124,9 +133,10 @@ class _Families:
     def of_room(self, directions: Directions, broad: int) -> "_Families":
         """Return the families of a room, their shares by expectation and maximisation over its directions."""
         found, count = self, len(self.share)
+        evidence = _EVIDENCE * (directions.different() - 1.0)
         for _ in range(_STEPS):
             seen = directions.share @ found.shares(directions.response)
-            shares = (count * self.share + _EVIDENCE * seen) / (count + _EVIDENCE)
+            shares = (count * self.share + evidence * seen) / (count + evidence)
             found = _Families(shares, self.factor, self.light_from_response, self.open)
         # What a lamp seen nowhere else shines like is found among the families that hold any light.
         last = np.arange(count - broad, count)

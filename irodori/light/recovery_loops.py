@@ -14,7 +14,6 @@ from irodori.jit.compilation import njit
 _LANES = 64
 _ROWS = 8  # that are summed at a time
 _BLOCK = 16 * _LANES  # pixels that a thread takes at a time
-_SERIAL = 4 * _BLOCK  # pixels that are not worth waking threads for
 _FAST = {"contract", "reassoc", "nsz", "arcp"}  # infinities and NaN keep their meaning
 _LEAST = np.float32(1e-30)  # squared length that a black pixel is given, so that it has shares
 
@@ -82,6 +81,7 @@ def _block(first, last, response, share, factor, maps, out):
                 out[start + j, k] = total[j]
 
 
+# Few pixels go through here too: another copy of the loop would differ in the last place.
 @njit(cache=True, parallel=True, nogil=True)
 def _parallel(response, share, factor, maps, out):
     for block in numba.prange((response.shape[0] + _BLOCK - 1) // _BLOCK):
@@ -112,7 +112,4 @@ def mixture_weights(response, share, factor, maps, out) -> None:
     """
     flat = maps.swapaxes(0, 1).reshape(maps.shape[1], -1)
     constants = share.astype(np.float32), _padded(factor), _padded(flat)
-    if len(response) <= _SERIAL:
-        _block(0, len(response), response, *constants, out)
-    else:
-        _parallel(response, *constants, out)
+    _parallel(response, *constants, out)

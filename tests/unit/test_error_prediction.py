@@ -1,4 +1,4 @@
-"""Predicted errors beside known ones, over families of random cases: noise, seams, holes and light."""
+"""Predicted errors beside known ones, over families of random cases: noise, seams and holes."""
 
 from dataclasses import replace
 
@@ -17,12 +17,9 @@ from irodori.core import store
 from irodori.evaluation.error_budget import Measured, substitutes
 from irodori.evaluation.error_prediction import held_out, moved_texels, noisy, sharper, sources
 from irodori.evaluation.known_errors import Known, Photographs, Spread
-from irodori.evaluation.light_prediction import drawn_lights, family, posterior, responses_from_light, sensitivity
-from irodori.evaluation.truth_errors import radiance_delta_e
 from irodori.geometry.shapes.shape import Shape
-from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
-from irodori.spectra.published import camera_sensitivities, chart_spectra, light, spectrum
+from irodori.spectra.published import spectrum
 
 SIDE = 32
 TCS = np.stack([spectrum(f"TCS{i}") for i in range(99)])
@@ -234,69 +231,3 @@ def test_a_hole_beside_a_single_texel_says_nothing_and_ends():
     observed[3, 4] = True
     texel, filler = held_out(known(patches(np.random.default_rng(0))[0], observed), np.random.default_rng(0))
     assert (texel == [3, 4]).all() and (filler == [3, 4]).all()
-
-
-@pytest.fixture(scope="module")
-def camera() -> Calibration:
-    """Six bands calibrated on a ColorChecker under A, their response model exact."""
-    passed = 0.005 + sum(
-        0.9 * np.exp(-(((np.arange(400, 701, 5) - centre) / (0.6 * width)) ** 4))
-        for centre, width in ((440, 35), (555, 30), (640, 40))
-    )
-    bands = camera_sensitivities("Nikon 5100 (NPL)")
-    response = np.concatenate([bands, bands * passed]) * light("A")
-    response /= response.sum(axis=1, keepdims=True)
-    chart = chart_spectra("BabelColor Average")[1]
-    basis = np.linalg.svd(chart, full_matrices=False)[2][:6].T
-    matrix = np.linalg.pinv(chart @ response.T) @ (chart @ basis)
-    return Calibration(basis, LinearMapping(matrix), light("A"), ("out", "in"), band_response=response)
-
-
-def recovered(camera: Calibration, power: np.ndarray) -> Environment:
-    """An even light as the camera recovers it."""
-    found = camera.light * camera.spectra(sensitivity(camera) @ power)
-    return Environment(np.ones((2, 4, 1), np.float32), found[:, None], np.ones((2, 4, 1), np.float32))
-
-
-def test_the_error_of_a_light_that_is_not_of_the_family_is_predicted(camera):
-    lights, rng = family(), np.random.default_rng(6)
-    found, expected = [], []
-    for left_out in range(len(lights)):
-        true = lights[left_out]
-        estimate = recovered(camera, true)
-        others = np.delete(lights, left_out, axis=0)
-        own = TCS * estimate.basis[:, 0]
-        found.append(radiance_delta_e(TCS * true, own, true).mean())
-        drawn = drawn_lights(estimate, camera, others, 8, rng)
-        expected.append(
-            np.mean([radiance_delta_e(TCS * one.basis[:, 0], own, one.basis[:, 0]).mean() for one in drawn])
-        )
-    found, expected = np.array(found), np.array(expected)
-    # Close to the lamp of the calibration the camera is better than the family as a whole lets expect.
-    far = found > 0.5
-    assert far.sum() > 40
-    is_predicted(expected[far], found[far], 2.0, 0.8, 0.3)
-    assert (expected[~far] > found[~far]).all()
-
-
-def test_lights_that_are_drawn_answer_as_the_photograph_did(camera):
-    true = family()[30]
-    estimate = recovered(camera, true)
-    answer = sensitivity(camera) @ true
-    assert responses_from_light(camera) @ estimate.basis[:, 0] == pytest.approx(answer, rel=1e-9)
-    for one in drawn_lights(estimate, camera, family(), 3, np.random.default_rng(7)):
-        assert sensitivity(camera) @ one.basis[:, 0] == pytest.approx(answer, rel=1e-3)
-        assert not np.allclose(one.basis, estimate.basis, rtol=0.01)
-        assert one.coefficients is estimate.coefficients and one.irradiance is estimate.irradiance
-
-
-def test_a_family_of_as_many_lights_as_bands_leaves_nothing_open(camera):
-    lights = family()[[0, 6, 12, 20, 40, 45]]
-    mean_from_response, root = posterior(sensitivity(camera), lights)
-    assert np.abs(mean_from_response @ sensitivity(camera) @ lights.T - lights.T).max() < 1e-4 * lights.max()
-    assert np.abs(root).max() < 1e-3 * lights.max()
-
-
-def test_a_light_needs_the_calibrations_response_model(camera):
-    with pytest.raises(ValueError, match="response model"):
-        drawn_lights(recovered(camera, light("D65")), replace(camera, band_response=None), family(), 1, None)

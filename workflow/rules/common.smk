@@ -22,7 +22,7 @@ except InputError as error:
 ledger = Ledger("results/inputs.json")
 
 #: Stages whose speed and error `snakemake benchmark` measures; each is a module of benchmarks/.
-BENCHMARKS = ["ingest", "calibrate", "fit", "compress", "environment", "render", "reference", "plan", "viewer"]
+BENCHMARKS = ["ingest", "calibrate", "fit", "compress", "light", "environment", "render", "reference", "plan", "viewer"]
 
 
 def tests_of_stability(wildcards):
