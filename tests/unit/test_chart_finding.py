@@ -7,7 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chart_pictures import (
-    COLUMNS, PAPER, ROWS, SPECTRA, large_chart, light_field, noisy, sensitivities, shot, truth, view,
+    COLUMNS,
+    PAPER,
+    ROWS,
+    SPECTRA,
+    large_chart,
+    light_field,
+    noisy,
+    sensitivities,
+    shot,
+    truth,
+    view,
 )  # fmt: skip
 
 from irodori.calibration.detection import find_chart
@@ -113,7 +123,7 @@ def test_a_chart_of_140_patches_whose_letters_run_across_is_found(pitch, turn_de
 
 def test_a_chart_of_another_layout_is_refused_with_those_that_are_found():
     picture = np.full((60, 80, 3), 0.5)
-    with pytest.raises(InputError, match="found chart for 5 x 6 patches; accepted: 4 x 6 patches.*14 x 10"):
+    with pytest.raises(InputError, match=r"found chart for 5 x 6 patches; accepted: 4 x 6 patches.*14 x 10"):
         find_chart(picture, everywhere(picture), SPECTRA, "chart.h5", (5, 6))
 
 
