@@ -126,7 +126,8 @@ def test_a_large_error_of_patches_left_out_is_refused_beyond_the_limit(tmp_path)
     error = refusal(tmp_path, unlike)
     assert "in the mean over patches left out (D65)" in error.found
     assert "calibration.max_leave_one_out_error, 10:" in error.accepted
-    assert calibrate(tmp_path, unlike, settings=PINV | {"max_leave_one_out_error": 100.0}).estimator == "pinv"
+    lenient = PINV | {"max_leave_one_out_error": 100.0, "max_noise_amplification": 1000.0}
+    assert calibrate(tmp_path, unlike, settings=lenient).estimator == "pinv"
 
 
 def test_the_limit_of_the_error_is_the_configured_one(tmp_path):

@@ -219,7 +219,9 @@ def test_a_page_encoded_before_its_picture_states_the_same_and_the_distance_to_t
     assert encoded["reference"] is None
     bands = frame_bands(written.scene, make_view(given.scene.views["front"], given.scene.image), written.data.parts)
     write_spectral_exr(picture, bands, bands[..., :3], {})
-    errors = finish_viewer(payload, given.scene, given.environment, output=tmp_path / "viewer.html", picture=picture)
+    errors = finish_viewer(
+        payload, given.scene, given.environments[0], output=tmp_path / "viewer.html", picture=picture
+    )
     header, planes = read_payload(payload_of(tmp_path / "viewer.html"))
     assert header["stated_errors"] == errors == encoded | {"reference": errors["reference"]}
     assert 0.0 < errors["reference"]["mean"] <= 0.1
