@@ -23,11 +23,7 @@ def sensitivities(bands: int = 3, light: str = "A") -> np.ndarray:
 
 
 def large_chart() -> np.ndarray:
-<<<<<<< HEAD
-    """Spectra of a chart like the Digital SG, letter by letter, (140, 61): paints in a rim of white, grey and black."""
-=======
     """Spectra of a chart like the Digital SG, letter by letter, (140, 61): paints within white, grey and black."""
->>>>>>> gates
     spectra = np.zeros((14, 10, SPECTRA.shape[1]))
     rim = np.ones((14, 10), dtype=bool)
     rim[1:-1, 1:-1] = False
