@@ -59,7 +59,7 @@ def test_what_measuring_speed_takes_is_not_counted_as_time_of_the_results(tmp_pa
     run = snakemake(small_project(tmp_path / "still-life"), "--dry-run", "benchmark")
     assert run.returncode == 0, run.stderr[-2000:]
     kept = [line.split()[1] for line in run.stdout.splitlines() if line.strip().startswith("benchmark: ")]
-    assert len(kept) == 11 and not [path for path in kept if path.startswith("results/benchmarks/")]
+    assert len(kept) == 12 and not [path for path in kept if path.startswith("results/benchmarks/")]
 
 
 def test_a_photograph_is_compared_with_its_view_and_the_report_shows_it(finished):
