@@ -8,7 +8,7 @@ from irodori.capture.rig.devices import DeviceError
 from irodori.config.validation import validate
 from irodori.simulation.controllers.peer_client import Simulator
 
-TIMEOUT_S = 0.25
+TIMEOUT_S = 0.5
 
 _LIMITS = {
     "light_deg": {"min": 35.0, "max": 125.0, "step": 0.5},
