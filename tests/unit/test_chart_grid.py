@@ -124,7 +124,7 @@ def test_a_square_larger_than_its_patch_is_refused(barrel):
 
 def test_other_layouts_and_unknown_ways_are_refused(barrel):
     picture, _ = barrel
-    with pytest.raises(InputError, match=r"4 x 6 patches; for other layouts chart\.centres_px"):
+    with pytest.raises(InputError, match="the 140 spectra of a ColorChecker"):
         locate_patches(
             picture, everywhere(picture), made(Chart, CHART | {"find": "chart", "rows": 10, "columns": 14}), "x.h5"
         )
