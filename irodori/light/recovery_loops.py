@@ -54,13 +54,13 @@ def _shares(square, share, bands):
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _block(first, last, response, share, factor, maps, out):
+def _block(response, share, factor, maps, out):
     families, bands = factor.shape[:2]
     x = np.zeros((factor.shape[2], _LANES), np.float32)
     parts = np.zeros((maps.shape[1], _LANES), np.float32)
     square, total = np.empty((families, _LANES), np.float32), np.empty(_LANES, np.float32)
-    for start in range(first, last, _LANES):
-        count = min(_LANES, last - start)
+    for start in range(0, response.shape[0], _LANES):
+        count = min(_LANES, response.shape[0] - start)
         for b in range(bands):
             for j in range(_LANES):
                 x[b, j] = response[start + j, b] if j < count else np.float32(1.0)
@@ -85,7 +85,8 @@ def _block(first, last, response, share, factor, maps, out):
 @njit(cache=True, parallel=True, nogil=True)
 def _parallel(response, share, factor, maps, out):
     for block in numba.prange((response.shape[0] + _BLOCK - 1) // _BLOCK):
-        _block(block * _BLOCK, min((block + 1) * _BLOCK, response.shape[0]), response, share, factor, maps, out)
+        pixels = slice(block * _BLOCK, (block + 1) * _BLOCK)
+        _block(response[pixels], share, factor, maps, out[pixels])
 
 
 def _padded(matrix: np.ndarray) -> np.ndarray:
