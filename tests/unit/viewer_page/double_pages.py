@@ -61,4 +61,6 @@ def close(a, b) -> bool:
         return a.keys() == b.keys() and all(close(a[key], b[key]) for key in a)
     if isinstance(a, list):
         return len(a) == len(b) and all(close(*pair) for pair in zip(a, b, strict=True))
-    return a == pytest.approx(b, rel=1e-5, abs=1e-9) if isinstance(a, float) else a == b
+    # A whole number of the page comes as an int.
+    is_number = isinstance(a, int | float) and not isinstance(a, bool)
+    return a == pytest.approx(b, rel=1e-5, abs=1e-9) if is_number else a == b
