@@ -5,7 +5,6 @@ A table is a CSV with one photograph a line. Angles are in degrees [design, §4]
 
 import csv
 import dataclasses
-import io
 import itertools
 import math
 import posixpath
@@ -19,12 +18,12 @@ from irodori.core.atomic_files import written_whole
 from irodori.core.confined_paths import confined, require_inside
 from irodori.core.custody import content_sha256
 from irodori.core.errors import InputError
+from irodori.core.file_kinds import kind_instead_of_raw
+from irodori.core.text_tables import table_rows
 
 if TYPE_CHECKING:
     from irodori.config.models import PoseGroup
 
-#: A hundred thousand photographs.
-_MOST_BYTES = 1 << 24
 ROLES = ("object", "chart", "white", "dark", "environment", "scene")
 #: A further chart has its name behind the role, such as ``chart-sg``.
 _FURTHER_CHART = "chart-"
@@ -135,7 +134,7 @@ def read_captures(path, folder=None) -> list[Shot]:
     Parameters
     ----------
     path : path
-        CSV in UTF-8 with a header; the order of its columns is free. Degrees and seconds.
+        CSV with a header, see `irodori.core.text_tables`; the order of its columns is free. Degrees and seconds.
     folder : path, optional
         Folder of the RAW files. Where given, each file must stand there, not behind a link that leaves it, and hold
         something.
@@ -150,7 +149,7 @@ def read_captures(path, folder=None) -> list[Shot]:
     InputError
         For the first fault, with its line and column.
     """
-    rows = _read_rows(path)
+    rows = table_rows(path, "a CSV that lists the photographs")
     if not rows:
         raise InputError(path, "", "an empty file", "a header and one line for each photograph")
     (line, cells), *body = rows
@@ -193,35 +192,10 @@ def check_unchanged(path, folder, shots) -> None:
 
 def noted_hashes(path) -> dict[str, str]:
     """Return the hash of each photograph in its table, empty where its cell is; a line that a crash tore has none."""
-    header, *body = (cells for _, cells in _read_rows(path))
+    header, *body = (cells for _, cells in table_rows(path, "a CSV that lists the photographs"))
     names = [cell.strip() for cell in header]
     rows = (dict(zip(names, cells, strict=True)) for cells in body if len(cells) == len(names))
     return {row["file"]: row.get("sha256", "").strip().lower() for row in rows if "file" in row}
-
-
-def _read_rows(path) -> list[tuple[int, list[str]]]:
-    """Return (line number, cells) of each line that holds something."""
-    try:
-        with open(path, "rb") as file:
-            content = file.read(_MOST_BYTES + 1)
-        if len(content) > _MOST_BYTES:
-            raise InputError(path, "", f"more than {_MOST_BYTES} bytes", "a CSV that lists photographs")
-        text = content.decode("utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(path, "", "no such file", "a CSV that lists the photographs") from None
-    except OSError as error:
-        raise InputError(path, "", error.strerror or str(error), "a CSV that can be read") from None
-    except UnicodeDecodeError as error:
-        raise InputError(path, f"byte {error.start}", "bytes that are not UTF-8", "a CSV saved as UTF-8") from None
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    rows = []
-    try:
-        for cells in reader:
-            if any(cell.strip() for cell in cells):
-                rows.append((reader.line_num, cells))
-    except csv.Error as error:
-        raise InputError(path, f"line {reader.line_num}", str(error), "cells parted by commas") from None
-    return rows
 
 
 def _check_header(header: list[str], path, line: int) -> list[str]:
@@ -299,6 +273,8 @@ class _Shots:
         if empty:
             found = "an empty file" if raw.is_file() else "no such file"
             raise self._error(line, "file", f"{found}: {raw}", "a RAW file of the camera")
+        if kind := kind_instead_of_raw(raw):
+            raise self._error(line, "file", f"{kind}: {raw}", "a RAW file of the camera")
 
     def _role(self, line: int, row: dict[str, str]) -> tuple[str, str]:
         """Return the role and, of a further chart, the chart's name."""

@@ -129,7 +129,7 @@ def suggest(word: str, valid, label: str = "") -> str:
 
 
 def _refuse_odd_values(value, path: tuple, file) -> None:
-    """Refuse what a schema cannot see: keys that are not text and numbers that are not finite."""
+    """Refuse keys that are not text, numbers that are not finite, and paths that only a shell understands."""
     if isinstance(value, dict):
         for key, item in value.items():
             if not isinstance(key, str):
@@ -140,6 +140,9 @@ def _refuse_odd_values(value, path: tuple, file) -> None:
             _refuse_odd_values(item, (*path, index), file)
     elif isinstance(value, float) and not math.isfinite(value):
         raise InputError(file, dotted(path), repr(value), "a finite number")
+    elif isinstance(value, str) and value.startswith("~/"):
+        # A shell replaces it; Snakemake, and another user's home on a cluster, do not.
+        raise InputError(file, dotted(path), repr(value), "the folder written out, without ~")
 
 
 def _branch(schema: dict, instance) -> int | None:

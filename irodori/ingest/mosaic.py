@@ -12,6 +12,7 @@ import numpy as np
 import rawpy
 
 from irodori.core.errors import InputError
+from irodori.core.file_kinds import kind_instead_of_raw
 from irodori.ingest.dng_levels import black_level_repeats
 
 #: Demosaicing of LibRaw by the name that the configuration uses; ``superpixel`` is ours and interpolates nothing.
@@ -190,7 +191,8 @@ def _read(path, use):
     except InputError:
         raise
     except (rawpy.LibRawError, AttributeError, TypeError, ValueError) as error:
-        reason = f"a file LibRaw cannot decode ({str(error) or type(error).__name__})"
+        unknown = f"a file LibRaw cannot decode ({str(error) or type(error).__name__})"
+        reason = kind_instead_of_raw(path) or unknown
         raise InputError(path, "", reason, _WHOLE) from None
 
 

@@ -8,7 +8,8 @@ import re
 from dataclasses import dataclass, field
 
 from irodori.core.errors import InputError
-from irodori.spectra.tables import number, read_text
+from irodori.core.text_tables import read_text
+from irodori.spectra.tables import number
 
 _TOKEN = re.compile(r'#.*|"[^"]*"|\S+')
 _BAND = re.compile(r"(?:SPEC|SPECTRAL|SPECTRAL_NM|NM|R)_?(\d+(?:\.\d+)?)(?:NM)?", re.IGNORECASE)

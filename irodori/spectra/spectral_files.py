@@ -14,6 +14,8 @@ from typing import NamedTuple
 from xml.etree import ElementTree
 
 from irodori.core.errors import InputError
+from irodori.core.text_tables import read_text
+from irodori.core.text_tables import with_decimal_points as _with_points
 from irodori.spectra.cgats import cgats_table
 from irodori.spectra.tables import (
     check_length,
@@ -21,10 +23,8 @@ from irodori.spectra.tables import (
     column_table,
     csv_rows,
     number,
-    read_text,
     wide_table,
 )
-from irodori.spectra.tables import with_decimal_points as _with_points
 
 _CSV, _CGATS = (".csv", ".tsv"), (".ti3", ".cgats", ".it8", ".cie", ".sp")
 SUFFIXES = (*_CSV, ".txt", *_CGATS, ".spd", ".spdx")

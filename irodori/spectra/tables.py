@@ -1,20 +1,11 @@
-"""CSV tables of spectra, read and checked without numpy.
+"""CSV tables of spectra, read and checked without numpy: `irodori.core.text_tables` says how they may be written."""
 
-Cells are separated by commas, semicolons or tabs, whichever the header has. Where they are not separated by commas a
-number may be written with a decimal comma, if the whole file does so. UTF-8, with or without a byte-order mark, any
-line ends.
-"""
-
-import csv
 import math
-import re
 from itertools import pairwise
-from pathlib import Path
 
-from irodori.core.errors import InputError, is_file
+from irodori.core.errors import InputError
+from irodori.core.text_tables import table_rows
 
-#: A table of text: two million numbers, which take a gigabyte while they are read.
-_MOST_BYTES = 16 << 20
 FIRST_NM, LAST_NM = 400.0, 700.0
 MAX_GAP_NM = 20.0
 #: Measured refractive indices of metals stand up to 50 nm apart and vary slowly.
@@ -22,9 +13,6 @@ MAX_INDEX_GAP_NM = 60.0
 
 #: Complex refractive index n + ik of any material in the visible; silver has the smallest n, 0.04.
 LEAST_N, MOST_N, MOST_K = 1e-3, 10.0, 20.0
-
-_COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
-_POINT_NUMBER = re.compile(r"[+-]?(\d+\.\d*|\.\d+)([eE][+-]?\d+)?")
 
 
 def check_wavelengths(wavelength_nm, file, field: str = "wavelength", max_gap_nm: float = MAX_GAP_NM) -> None:
@@ -137,24 +125,17 @@ def brdf_table(path) -> tuple[list[float], list[list[float]], list[list[float]]]
 
 
 def csv_rows(path) -> list[tuple[int, list[str]]]:
-    """Return the rows of a CSV that hold something, with their line numbers; numbers written with a decimal point.
+    """Return the rows of a table of spectra, see `irodori.core.text_tables.table_rows`.
 
     Raises
     ------
     InputError
-        For a file that is absent, no text or no table, and for decimal points beside decimal commas.
+        Also for a table without a row under its header, or of one column.
     """
-    text = read_text(path, "a CSV of spectra")
-    header = next((line for line in text.splitlines() if line.strip()), "")
-    separator = next((mark for mark in (";", "\t") if mark in header), ",")
-    try:
-        reader = csv.reader(text.splitlines(keepends=True), delimiter=separator)
-        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise InputError(path, "", f"unreadable text ({error})", "a CSV in UTF-8") from None
+    rows = table_rows(path, "a CSV of spectra")
     if len(rows) < 2 or len(rows[0][1]) < 2:
         raise InputError(path, "", f"{len(rows)} lines", "a header and at least one row of two columns")
-    return rows if separator == "," else with_decimal_points(rows, path)
+    return rows
 
 
 def number_rows(rows: list[tuple[int, list[str]]], path) -> list[list[float]]:
@@ -170,44 +151,6 @@ def number_rows(rows: list[tuple[int, list[str]]], path) -> list[list[float]]:
         check_length(row, header, path, line)
         found.append([number(c, path, f"line {line}, {h.strip()}") for c, h in zip(row, header, strict=True)])
     return found
-
-
-def with_decimal_points(rows: list[tuple[int, list[str]]], path) -> list[tuple[int, list[str]]]:
-    """Return rows whose decimal commas, where the file writes them, are points.
-
-    Raises
-    ------
-    InputError
-        If one number of the file has a comma and another one a point: either may then be a thousands separator.
-    """
-    if not any(_COMMA_NUMBER.fullmatch(cell.strip()) for _, row in rows for cell in row):
-        return rows
-    out = []
-    for line, row in rows:
-        if point := next((cell for cell in row if _POINT_NUMBER.fullmatch(cell.strip())), None):
-            accepted = "decimal points or decimal commas throughout the file"
-            raise InputError(path, f"line {line}", f"{point.strip()!r} beside numbers with a decimal comma", accepted)
-        cells = [cell.replace(",", ".") if _COMMA_NUMBER.fullmatch(cell.strip()) else cell for cell in row]
-        out.append((line, cells))
-    return out
-
-
-def read_text(path, wanted: str) -> str:
-    """Return the text of a file in UTF-8, without its byte-order mark.
-
-    Raises
-    ------
-    InputError
-    """
-    path = Path(path)
-    if not is_file(path):
-        raise InputError(path, "", "no such file", wanted)
-    if path.stat().st_size > _MOST_BYTES:
-        raise InputError(path, "", f"{path.stat().st_size} bytes", f"{wanted} of at most {_MOST_BYTES} bytes")
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(path, "", f"unreadable text ({error})", f"{wanted} in UTF-8") from None
 
 
 def check_length(row: list, header: list, path, line: int) -> None:

@@ -191,15 +191,68 @@ def test_a_fault_of_the_table(tmp_path, lines, field, found):
     assert found in error.found
 
 
-def test_a_table_that_cannot_be_read(tmp_path):
+SAVED = {
+    "semicolons": (";", "utf-8"),
+    "semicolons with a decimal comma": ("; ", "utf-8"),
+    "tabs": ("\t", "utf-8"),
+    "Excel's Unicode text": ("\t", "utf-16"),
+    "UTF-16, big end first": (",", "utf-16-be"),
+}
+
+
+@pytest.mark.parametrize("saved", SAVED)
+@pytest.mark.parametrize("behind", ["", ",,,"])
+def test_a_table_is_read_as_a_spreadsheet_saves_it(tmp_path, saved, behind):
+    separator, encoding = SAVED[saved]
+    text = f"{HEADER}{behind}\n壺,object,45.5,20,0,0,out,0.02{behind}\n".replace(",", separator.strip(" ") or separator)
+    if "decimal comma" in saved:
+        text = text.replace("45.5", "45,5").replace("0.02", "0,02")
+    mark = "\ufeff" if encoding == "utf-16-be" else ""
+    path = tmp_path / "captures.csv"
+    path.write_bytes((mark + text).encode(encoding))
+    assert read_captures(path) == [Shot("壺", "object", Pose(45.5, 20.0), "out", 0.02)]
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding", "said"),
+    [("朱の壺.nef", "cp932", "Shift-JIS"), ("Blätter.nef", "cp1252", "one byte a letter")],
+)
+def test_another_encoding_is_named_with_the_way_to_save_the_table(tmp_path, name, encoding, said):
+    path = tmp_path / "captures.csv"
+    path.write_bytes(f"{HEADER}\n{GOOD.replace('a.dng', name)}\n".encode(encoding))
+    with pytest.raises(InputError, match=rf"captures\.csv: byte \d+: found .*({said}).*CSV UTF-8"):
+        read_captures(path)
+
+
+def test_what_is_no_text_is_refused(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         read_captures(tmp_path / "absent.csv")
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match=r"accepted: a CSV .* that can be read"):
         read_captures(tmp_path)
-    path = tmp_path / "captures.csv"
-    path.write_bytes(f"{HEADER}\n{GOOD}\n".encode("utf-16"))
-    with pytest.raises(InputError, match="not UTF-8"):
-        read_captures(path)
+    (tmp_path / "captures.csv").write_bytes(b"\x80\0\0\0" * 40)
+    with pytest.raises(InputError, match="no text"):
+        read_captures(tmp_path / "captures.csv")
+
+
+def test_a_cell_behind_the_last_column_is_refused_and_an_empty_one_is_not(tmp_path):
+    assert read_captures(write(tmp_path, f"{HEADER},,", f"{GOOD},,", f"{GOOD.replace('a.', 'b.')}"[:-4] + "0.03,,"))
+    assert "line 2" in str(refused(tmp_path, f"{HEADER},,", f"{GOOD},,checked by K."))
+
+
+@pytest.mark.parametrize(
+    ("content", "kind"),
+    [
+        (b"\xff\xd8\xff\xe1" + bytes(40), "JPEG"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(40), "PNG"),
+        (bytes(4) + b"ftypheic" + bytes(40), "HEIC"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "Git LFS"),
+    ],
+)
+def test_a_picture_in_place_of_a_raw_file_is_named(tmp_path, content, kind):
+    (tmp_path / "a.dng").write_bytes(content)
+    table = write(tmp_path, HEADER, GOOD)
+    with pytest.raises(InputError, match=rf"line 2, file: found an? .*{kind}.*a RAW file"):
+        read_captures(table, tmp_path)
 
 
 def test_with_a_folder_each_file_must_hold_something(tmp_path):

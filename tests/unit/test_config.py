@@ -100,6 +100,7 @@ def test_an_unknown_name_lists_the_existing_ones(root, file, path, value, named_
         (PLATE_FILE, "exposure_s.in", ..., "exposure_s", "out", "in, out, as in"),
         (PLATE_FILE, "virtual.materials.0.spectrum", "paints/red.csv", "virtual.materials[0].spectrum",
          "no such file: paints/red.csv", "published name"),
+        (PLATE_FILE, "refractive_index", {"file": "~/gold.csv"}, "refractive_index.file", "~/gold.csv", "without ~"),
         (PLATE_FILE, "refractive_index", {"file": "gold.csv"}, "refractive_index.file", "no such file",
          "CSV"),
         (PLATE_FILE, "plan", {"mu_rad": [0.3, 0.1]}, "plan.mu_rad", "[0.3, 0.1]", "smaller value first"),
