@@ -32,7 +32,7 @@ _FILE = st.text(st.characters(min_codepoint=32, exclude_categories=("Cs", "Cc"))
 _TENTHS = st.integers(-3600, 3600).map(lambda tenths: tenths / 10)
 _SHOT = st.builds(
     Shot,
-    file=_FILE.filter(lambda text: text.strip()),
+    file=_FILE.filter(lambda text: text.strip() and not text.startswith("/") and ".." not in text.split("/")),
     role=st.sampled_from(ROLES),
     pose=st.builds(Pose, _TENTHS, _TENTHS, _TENTHS, _TENTHS),
     filter=st.sampled_from(FILTERS),
