@@ -390,6 +390,9 @@ class Captures(Definition):
     #: Folder of the RAW files that the table names; the table's own folder where absent.
     folder: str | None = None
 
+    #: Where the photographs can be fetched and on what terms; said where one of them is not there.
+    published: str | None = None
+
 
 @dataclass(frozen=True, kw_only=True)
 class UniformPattern(Definition):

@@ -56,10 +56,11 @@ def test_the_real_camera_loads_where_its_data_is_present():
     assert definitions.captures_of("cameras", "powershot-s40") == ["chart"]
 
 
-def test_the_real_camera_without_its_data_names_the_missing_file(root):
+def test_the_real_camera_without_its_data_says_which_photograph_is_missing_and_how_ones_own_takes_its_place(root):
     error = fault(root, **read_yaml(root / "config" / "real.yaml")["make"])
-    assert error.file.endswith("powershot-s40.csv") and error.field == "line 2, file"
+    assert error.file.endswith("powershot-s40.yaml") and error.field == "captures"
     assert "no such file" in error.found and "powershot_s40_chart.crw" in error.found
+    assert "PowerShot S40, as published" in error.accepted and "captures/powershot-s40.csv" in error.accepted
 
 
 @pytest.mark.parametrize(

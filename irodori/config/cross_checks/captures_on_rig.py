@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from irodori.config.capture_table import FILTERS, Shot, chart_capture, expand_poses, read_captures
+from irodori.config.capture_table import FILTERS, Shot, chart_capture, expand_poses, read_captures, shot_path
 from irodori.config.models import AxisLimit, Captures, Exposures, PoseGroup, RigLimits
 from irodori.core.errors import InputError, is_file
 
@@ -82,6 +82,12 @@ def read_table(captures: Captures | None, root: Path, file) -> tuple[Path, list[
     if not is_file(table):
         found = f"no such file: {captures.table}"
         raise InputError(file, "captures.table", found, "a CSV that lists the photographs")
+    if captures.published is not None:
+        for shot in read_captures(table):
+            raw = shot_path(shot, table, folder)
+            if not is_file(raw):
+                accepted = f"{captures.published}; or a photograph of your own, listed in {table}"
+                raise InputError(file, "captures", f"no such file: {raw}", accepted)
     return table, read_captures(table, folder)
 
 
