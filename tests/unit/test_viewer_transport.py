@@ -4,6 +4,7 @@ What the integrator `interactive` has is compared with `render_frame`; what the 
 """
 
 import base64
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,11 +19,12 @@ from irodori.colour.tone_curves import ParametricCurve
 from irodori.config.models import PrimariesDisplay, ProfileDisplay
 from irodori.light.environment_file import Environment, directions
 from irodori.rendering.scene_arrays import make_view
+from irodori.spectra.published import light
 from irodori.viewer.browser import browser_command, opened
-from irodori.viewer.measured import xyz_differences
+from irodori.viewer.measured import frame_bands, prepared, xyz_differences
 from irodori.viewer.page_data import page_data
 from irodori.viewer.page_file import page_html
-from irodori.viewer.stage import measured_loss
+from irodori.viewer.stage import measured_loss, white_of
 
 pytestmark = pytest.mark.skipif(
     browser_command() is None, reason="NO BROWSER: pages are not tested; install Debian's package chromium"
@@ -350,7 +352,7 @@ def test_a_lamp_nearby_lights_by_its_formula(dark, size):
                                 "on": True, "far": False}]  # fmt: skip
     xyz, objects = page.read_xyz(state, 64, 48)
     point, normal = seen_points(written.view, objects)
-    share, free = lit_share(point, normal, at, 0.5 * size or 1e-3, 2048 if size else 1)
+    share, free = lit_share(point, normal, at, 0.5 * size or 1e-3, 8192 if size else 1)
     material = matte()
     reflectance = material.spectra()[0, 0] * material.spectrum_scale[0, 0]
     weights = np.array(written.data.header["observers"][0]["xyz"]).T
@@ -361,11 +363,44 @@ def test_a_lamp_nearby_lights_by_its_formula(dark, size):
     white_share = at[2] / np.linalg.norm(at) ** 3
     wanted = diffuse * (share / far**2 / white_share)[..., None]
     white = 100.0 * (weights @ power) / (weights[1] @ power)
-    whole, shut = (free > 0.9999) & inside(objects) & (objects >= 0), (free == 0.0) & inside(objects) & (objects >= 0)
-    found = xyz_differences(wanted[whole], xyz[whole], white)
-    assert whole.sum() > 400 and shut.sum() > 5
+    seen = inside(objects) & (objects >= 0)
+    lit, shut = seen & (free > 0.0), seen & (free == 0.0)
+    # What is lit in part is the shadow's soft edge.
+    assert lit.sum() > 400 and shut.sum() > 5 and (seen & (free > 0.0) & (free < 1.0)).sum() > (20 if size else -1)
+    for some in (lit, lit & (free == 1.0)):
+        found = xyz_differences(wanted[some], xyz[some], white)
+        assert agree(found), (found.mean(), np.percentile(found, 99))
+    assert np.abs(xyz[shut]).max() < 1e-6 * wanted[lit].max()
+
+
+def test_a_balls_soft_shadow_is_that_of_many_lamps_of_the_renderer(tmp_path):
+    """A ball so far away that the whole scene sees it in the same cone, which the renderer fills with lamps."""
+    written = Written(tmp_path, sources(tmp_path / "files", room(level=0.0), lights=[LAMP]))
+    towards, radius_rad, count = np.array([0.5, -0.45, 0.74]), 0.15, 1024
+    towards /= np.linalg.norm(towards)
+    across = np.cross(towards, [0.3, 0.9, 0.1])
+    across /= np.linalg.norm(across)
+    number = np.arange(count)
+    cosine, turn = 1.0 - (number + 0.5) / count * (1.0 - np.cos(radius_rad)), number * np.pi * (3.0 - np.sqrt(5.0))
+    sideways = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * np.cross(towards, across)
+    directions_ = cosine[:, None] * towards + np.sqrt(1.0 - cosine**2)[:, None] * sideways
+    parts = replace(written.data.parts, lamps=np.tile(light("D65"), (count, 1)), directions=directions_)
+    bands, white = frame_bands(prepared(parts), written.view, parts), white_of(parts)
+    weights = np.array(written.data.header["observers"][0]["xyz"]).T
+    matrix = weights * (100.0 / (weights[1] @ white))
+    far = 1e5
+    with opened(written.path) as page:
+        state = page.default_state()
+        state["light"]["lamps"] = [{"position_mm": list(far * towards), "size_mm": 2.0 * far * np.sin(radius_rad),
+                                    "strength": 1e4, "illuminant": None, "on": True, "far": False}]  # fmt: skip
+        xyz, objects = page.read_xyz(state, 64, 48)
+        state["light"]["lamps"][0]["size_mm"] = 0.0
+        hard, _ = page.read_xyz(state, 64, 48)
+        assert page.messages == []
+    seen = inside(objects) & (objects >= 0)
+    found, other = (xyz_differences(bands[seen] @ matrix.T, one[seen], matrix @ white) for one in (xyz, hard))
     assert agree(found), (found.mean(), np.percentile(found, 99))
-    assert np.abs(xyz[shut]).max() < 0.02 * wanted[whole].max()
+    assert not agree(other)
 
 
 # ---- two rooms in one page

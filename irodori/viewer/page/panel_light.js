@@ -25,13 +25,6 @@
       app.controls.group('exposure_group', app.controls.slider({key: 'exposure', low: -4, high: 4, step: 0.1, get: () => app.page.state.exposure_ev, set: (value) => { app.page.state.exposure_ev = value; app.changed(); },
         show: (value) => I.text('stops', {value: (value > 0 ? '+' : '') + value.toFixed(1)})}))];
     const group = app.controls.group('lamps');
-    const fits = (lamp) => I.lampPoints([...app.page.state.light.lamps.filter((one) => one !== lamp), {size_mm: 60}]) <= I.MOST_LAMP_POINTS;
-    const resize = (lamp, set) => (value) => {
-      if (value > 0 && !fits(lamp())) {
-        app.say(I.text('too_many_balls'));
-        app.controls.update();
-      } else set(value);
-    };
     lamps.forEach((own, i) => {
       if (own.far) return;
       const lamp = () => app.page.state.light.lamps[i] ?? lamps[i];
@@ -41,14 +34,14 @@
       const name = I.text('lamp_number', {number: i + 1});
       group.append(h('fieldset', {class: 'group'}, h('legend', {}, name), h('div', {class: 'group-inner'},
         app.controls.tick({key: 'lamp_on', get: () => lamp().on, set: set('on')}),
-        app.controls.slider({key: 'lamp_size', low: 0, high: 300, step: 1, get: () => lamp().size_mm, set: resize(lamp, set('size_mm')), show: app.millimetres}),
+        app.controls.slider({key: 'lamp_size', low: 0, high: 300, step: 1, get: () => lamp().size_mm, set: set('size_mm'), show: app.millimetres}),
         app.controls.slider({key: 'lamp_strength', low: 0, high: 5, step: 0.05, get: () => lamp().strength, set: set('strength'), show: (value) => value.toFixed(2)}),
         axis('axis_x', 0, -500, 500), axis('axis_y', 1, -500, 500), axis('axis_z', 2, 10, 600),
         illuminantPicker(lamp, 'lamp_spectrum', 'lamp_d65'),
         app.controls.button('remove_lamp', () => { app.page.state.light.lamps.splice(i, 1); app.chosenLamp = 0; app.rebuild('#add-lamp'); }, {'aria-label': I.text('remove_lamp') + ' ' + (i + 1)}))));
     });
     group.append(app.controls.button('add_lamp', () => {
-      app.page.state.light.lamps.push({position_mm: [-90 + 60 * lamps.length, -120, 160], size_mm: fits(null) ? 60 : 0, strength: 1, illuminant: null, on: true, far: false});
+      app.page.state.light.lamps.push({position_mm: [-90 + 60 * lamps.length, -120, 160], size_mm: 60, strength: 1, illuminant: null, on: true, far: false});
       app.chosenLamp = app.page.state.light.lamps.length - 1;
       app.choose('lamp');
       app.rebuild('#add-lamp');

@@ -3,7 +3,8 @@
 var Irodori = Irodori || {};
 
 (function () {
-  const MOST_LAMPS = 64, MOST_SPECTRA = 8, DISC_SAMPLES = 16, ROW = 14;
+  // Directions to a ball of light: few where it is seen whole, many where something hides a part of it.
+  const MOST_LAMPS = 8, FEW = 16, MANY = 512, ROW = 14;
   const KINDS = { sphere: 0, plate: 1, disc: 2, plane: 3, mesh: 4 };
   const OVERLAYS = [null, "status", "uncertainty", "gamut"], MODES = [null, "wipe", "difference", "metamerism"];
   const radians = (x) => x * Math.PI / 180;
@@ -138,7 +139,7 @@ var Irodori = Irodori || {};
         AMBIENT: Number(header.ambient), COLOURED: Number(this.coloured), HAS_LIGHT: Number(light.sky.length > 0),
         SKY_LEVELS: light.sky.length, GLOSS_LEVELS: light.gloss.length, PARTS: this.parts,
         LOBES: Math.max(header.lobes.length, 1), HAS_MESH: has("mesh"), HAS_DISC: has("disc"), HAS_SHADOWS: Number(Object.keys(this.shadows).length > 0),
-        TRIANGLE: Irodori.TRIANGLE, MOST_LAMPS, MOST_SPECTRA,
+        TRIANGLE: Irodori.TRIANGLE, MOST_LAMPS, FEW, MANY,
         "GGX(l)": ggx.length ? "(" + ggx.join(" || ") + ")" : "false",
       };
       return Object.entries(values).map(([name, value]) => "#define " + name + " " + value + "\n").join("");
@@ -224,7 +225,7 @@ var Irodori = Irodori || {};
       const key = JSON.stringify([part.environment, part.illuminant, state.observer, isRGB, lamps]);
       if (this.lit && this.lit.key === key) return this.lit;
       const gl = this.gl, spectra = this.spectra, constants = spectra.constants(part, state.observer, isRGB);
-      if (constants.lamps.length > MOST_SPECTRA) throw new Error("Lamps: found " + constants.lamps.length + "; accepted: up to " + MOST_SPECTRA + ".");
+      if (constants.lamps.length > MOST_LAMPS) throw new Error("Lamps: found " + constants.lamps.length + "; accepted: up to " + MOST_LAMPS + ".");
       const n = spectra.objects.length, KS = spectra.widest, found = { key, constants, whiteXYZ: constants.whiteXYZ };
       let width, rows, data;
       if (!this.coloured) {
@@ -256,25 +257,14 @@ var Irodori = Irodori || {};
       return found;
     }
 
-    // Samples of the lamps that are on: a far lamp and a point have one, a ball as many directions as `DISC_SAMPLES`.
-    lamps(lamps) {
-      const places = [], levels = [];
-      lamps.forEach((lamp, which) => {
+    // The lamps that are on, as the shader reads them.
+    lamps(all) {
+      const lamps = all.filter((lamp) => lamp.on !== false), places = lamps.flatMap((lamp) => {
         const at = lamp.position_mm, length = Math.hypot(...at) || 1;
-        if (lamp.far) {
-          places.push(...at.map((x) => x / length), -1);
-          levels.push(lamp.strength, which, 0, 0);
-          return;
-        }
-        const count = lamp.size_mm > 0 ? DISC_SAMPLES : 1, radius = 0.5 * (lamp.size_mm || 0);
-        for (let i = 0; i < count; i++) {
-          const far = count > 1 ? Math.sqrt((i + 0.5) / count) : 0, turn = i * 2.399963229728653;
-          places.push(...at, radius);
-          levels.push(lamp.strength * 500 * 500 / count, which, far * Math.cos(turn), far * Math.sin(turn));
-        }
+        return lamp.far ? [...at.map((x) => x / length), -1] : [...at, 0.5 * (lamp.size_mm || 0)];
       });
-      if (places.length > 4 * MOST_LAMPS) throw new Error("Lamps: found more than " + MOST_LAMPS + " samples; accepted: fewer lamps with a size.");
-      return { count: places.length / 4, places: new Float32Array(places), levels: new Float32Array(levels) };
+      const levels = lamps.map((lamp) => lamp.strength * (lamp.far ? 1 : 500 * 500));
+      return { places: new Float32Array(places), levels: new Float32Array(levels) };
     }
 
     target(name, width, height, single) {
@@ -334,11 +324,11 @@ var Irodori = Irodori || {};
         gl.uniform1f(place("uGlossFirst"), light.first);
       }
       if (this.parts) gl.uniform2fv(place("uLadder"), this.data.header.lobes.flatMap((lobe) => lobe.ladder));
-      const lamps = this.lamps(colours.constants.lamps);
-      gl.uniform1i(place("uLamps"), lamps.count);
-      if (lamps.count) {
+      const lamps = this.lamps(state.light.lamps || []);
+      gl.uniform1i(place("uLamps"), lamps.levels.length);
+      if (lamps.levels.length) {
         gl.uniform4fv(place("uLamp"), lamps.places);
-        gl.uniform4fv(place("uLampLevel"), lamps.levels);
+        gl.uniform1fv(place("uLampLevel"), lamps.levels);
       }
       if (this.coloured) {
         const all = new Float32Array(16 * 4 * groups);
