@@ -17,6 +17,7 @@ from irodori.colour.display import make_display, srgb
 from irodori.colour.icc import Profile, write_profile
 from irodori.colour.tone_curves import ParametricCurve
 from irodori.config.models import PrimariesDisplay, ProfileDisplay
+from irodori.geometry.rig_frame import rotation_xyz
 from irodori.light.environment_file import Environment, directions
 from irodori.rendering.scene_arrays import make_view
 from irodori.spectra.published import light
@@ -462,3 +463,36 @@ def test_a_page_of_two_rooms_and_a_mesh_is_at_most_ten_megabytes(tmp_path):
     assert [plane.shape[2] for plane in data.planes.entries if plane.name.endswith("/sky")] == [256, 256]
     size = len(page_html("A page", data.payload({})))
     assert 1e6 < size <= 10e6, size
+
+
+# ---- a mesh that stands elsewhere
+
+
+def test_the_soft_shadows_of_a_mesh_that_is_moved_and_turned_are_the_renderers(torus):
+    """The page casts rays of its own, says meanwhile that it does, and then shows what a page built so would."""
+    stands = {"position_mm": [-4.0, -8.0, 28.0], "turn_deg": [80.0, 10.0, 50.0]}
+    parts = torus.data.parts
+    own = replace(parts.placements[0], rotation=rotation_xyz(stands["turn_deg"]),
+                  translation_mm=np.array(stands["position_mm"]))  # fmt: skip
+    moved = replace(parts, placements=[own, *parts.placements[1:]])
+    wanted, white = torus.wanted(frame_bands(prepared(moved), torus.view, moved))
+    with opened(torus.path) as page:
+        page.wait_for("Irodori.page")
+        state = page.default_state()
+        state["objects"][0] |= stands
+        xyz, objects = page.read_xyz(state, 64, 48)
+        some = inside(objects) & (objects >= 0)
+        before = xyz_differences(wanted[some], xyz[some], white)
+        given = "(s) => { location.hash = Irodori.pageToHash({...Irodori.page(), state: s}, Irodori.page()); }"
+        page.page.evaluate(given, state)
+        page.wait_for("!document.getElementById('updating').hidden")
+        assert "updated" in page.page.locator("#live").inner_text()
+        page.wait_for("document.getElementById('updating').hidden")
+        assert "updated" not in page.page.locator("#live").inner_text()
+        found = xyz_differences(wanted[some], page.read_xyz(state, 64, 48)[0][some], white)
+        # Back in its place it has the shadows of the file.
+        again = compared(torus, page, page.default_state(), torus.view)
+        assert page.messages == []
+    assert not agree(before)
+    assert found.mean() <= 0.2 and np.percentile(found, 99) <= 1.0, (found.mean(), np.percentile(found, 99))
+    assert agree(again)

@@ -19,9 +19,19 @@
     const at = app.pace.way ? {...app.page, state: {...app.page.state, camera: app.pace.way.to}} : app.page;
     const hash = I.pageToHash(at, app.base);
     history.replaceState(null, '', hash === I.pageToHash(app.base, app.base) ? location.pathname + location.search : '#' + hash);
+    tellPicture();
+    if (app.renderer.knowsShadows(app.page.state)) return;
+    app.renderer.castShadows(app.page.state, () => {
+      app.redraw();
+      if (app.renderer.knowsShadows(app.page.state)) tellPicture();
+    });
+  }
+
+  function tellPicture() {
     const words = app.describe();
     if ($('live').textContent !== words) $('live').textContent = words;
     $('picture-help').textContent = words + ' ' + I.text('keys_' + app.tool);
+    $('updating').hidden = app.renderer.knowsShadows(app.page.state);
   }
 
   function put(next, smooth) {

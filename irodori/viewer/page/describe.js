@@ -16,8 +16,7 @@
     if (app.page.compare) parts.push(I.text('describe_compare', {mode: I.text('mode_' + app.page.compare.mode), other: app.page.compare.mode === 'rgb' ? '' : illuminantWords(app.page.compare.other.illuminant, 'as_captured'), at: Math.round(100 * app.page.compare.at)}));
     if (app.page.state.overlay) parts.push(I.text('describe_overlay', {overlay: I.text('overlay_' + app.page.state.overlay)}));
     if (app.header.environments.length > 1) parts.push(I.text('describe_room', {room: I.nameOf('environment', light.environment)}));
-    const shadows = app.header.objects.reduce((bits, one, i) => (one.shadow ? bits | (1 << i) : bits), 0);
-    if (shadows && I.shadowed(app.header, app.page.state) !== shadows) parts.push(I.text('describe_no_shadows'));
+    if (!app.renderer.knowsShadows(app.page.state)) parts.push(I.text('shadows_updating'));
     const hidden = app.page.state.objects.filter((one) => !one.visible).map(objectWords);
     if (hidden.length) parts.push(I.text('describe_hidden', {names: hidden.join(', ')}));
     return parts.join(' ');

@@ -60,6 +60,7 @@
     app.renderer.onrestored = () => {
       $('message').hidden = true;
       app.redraw();
+      app.settle();
     };
     app.page = I.clone(app.base);
     // The page writes its own state there as soon as it speaks.
