@@ -8,23 +8,14 @@ from pathlib import Path
 from irodori.core.atomic_files import written_whole
 from irodori.report.html_page import data_uri
 
-#: Scripts of the page, in the order in which they stand in it; those that are not there yet are left out.
+#: Scripts of the page, in the order in which they stand in it: what draws, what the page is made of, and what people do
+#: in it.
 SCRIPTS = (
-    "payload.js",
-    "spectra.js",
-    "maps.js",
-    "renderer.js",
-    "selftest.js",
-    "text.js",
-    "state.js",
-    "screens.js",
-    "png.js",
-    "plot.js",
-    "lesson.js",
-    "view.js",
-    "controls.js",
-    "legend.js",
-    "app.js",
+    *("payload.js", "spectra.js", "maps.js", "moved_shadows.js", "renderer.js", "selftest.js"),
+    *("text.js", "state.js", "screens.js", "png.js", "plot.js", "lesson.js", "view.js", "controls.js", "legend.js"),
+    *("app.js", "drawing.js", "changes.js", "describe.js", "marks.js", "probe.js", "input.js"),
+    *("panel.js", "panel_lesson.js", "panel_light.js", "panel_compare.js", "panel_objects.js", "panel_seeing.js"),
+    *("dialogs.js", "files.js", "start.js"),
 )
 #: Nothing is fetched from anywhere: all that a page shows is in it.
 POLICY = (
@@ -66,8 +57,7 @@ def page_html(title: str, payload: str, poster: Path | None = None) -> str:
     """
     sources = {name: _text(name) for name in _names(".glsl")}
     scripts = [f"var Irodori = Irodori || {{}};\nIrodori.sources = {json.dumps(sources)};"]
-    known = _names(".js")
-    scripts += [_text(name) for name in [n for n in SCRIPTS if n in known] + [n for n in known if n not in SCRIPTS]]
+    scripts += [_text(name) for name in SCRIPTS]
     parts = {
         "{{title}}": html.escape(title),
         "{{policy}}": POLICY,

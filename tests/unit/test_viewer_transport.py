@@ -4,6 +4,7 @@ What the integrator `interactive` has is compared with `render_frame`; what the 
 """
 
 import base64
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,13 +17,15 @@ from irodori.colour.display import make_display, srgb
 from irodori.colour.icc import Profile, write_profile
 from irodori.colour.tone_curves import ParametricCurve
 from irodori.config.models import PrimariesDisplay, ProfileDisplay
+from irodori.geometry.rig_frame import rotation_xyz
 from irodori.light.environment_file import Environment, directions
 from irodori.rendering.scene_arrays import make_view
+from irodori.spectra.published import light
 from irodori.viewer.browser import browser_command, opened
-from irodori.viewer.measured import xyz_differences
+from irodori.viewer.measured import frame_bands, prepared, xyz_differences
 from irodori.viewer.page_data import page_data
 from irodori.viewer.page_file import page_html
-from irodori.viewer.stage import measured_loss
+from irodori.viewer.stage import measured_loss, white_of
 
 pytestmark = pytest.mark.skipif(
     browser_command() is None, reason="NO BROWSER: pages are not tested; install Debian's package chromium"
@@ -350,7 +353,7 @@ def test_a_lamp_nearby_lights_by_its_formula(dark, size):
                                 "on": True, "far": False}]  # fmt: skip
     xyz, objects = page.read_xyz(state, 64, 48)
     point, normal = seen_points(written.view, objects)
-    share, free = lit_share(point, normal, at, 0.5 * size or 1e-3, 2048 if size else 1)
+    share, free = lit_share(point, normal, at, 0.5 * size or 1e-3, 8192 if size else 1)
     material = matte()
     reflectance = material.spectra()[0, 0] * material.spectrum_scale[0, 0]
     weights = np.array(written.data.header["observers"][0]["xyz"]).T
@@ -361,11 +364,44 @@ def test_a_lamp_nearby_lights_by_its_formula(dark, size):
     white_share = at[2] / np.linalg.norm(at) ** 3
     wanted = diffuse * (share / far**2 / white_share)[..., None]
     white = 100.0 * (weights @ power) / (weights[1] @ power)
-    whole, shut = (free > 0.9999) & inside(objects) & (objects >= 0), (free == 0.0) & inside(objects) & (objects >= 0)
-    found = xyz_differences(wanted[whole], xyz[whole], white)
-    assert whole.sum() > 400 and shut.sum() > 5
+    seen = inside(objects) & (objects >= 0)
+    lit, shut = seen & (free > 0.0), seen & (free == 0.0)
+    # What is lit in part is the shadow's soft edge.
+    assert lit.sum() > 400 and shut.sum() > 5 and (seen & (free > 0.0) & (free < 1.0)).sum() > (20 if size else -1)
+    for some in (lit, lit & (free == 1.0)):
+        found = xyz_differences(wanted[some], xyz[some], white)
+        assert agree(found), (found.mean(), np.percentile(found, 99))
+    assert np.abs(xyz[shut]).max() < 1e-6 * wanted[lit].max()
+
+
+def test_a_balls_soft_shadow_is_that_of_many_lamps_of_the_renderer(tmp_path):
+    """A ball so far away that the whole scene sees it in the same cone, which the renderer fills with lamps."""
+    written = Written(tmp_path, sources(tmp_path / "files", room(level=0.0), lights=[LAMP]))
+    towards, radius_rad, count = np.array([0.5, -0.45, 0.74]), 0.15, 1024
+    towards /= np.linalg.norm(towards)
+    across = np.cross(towards, [0.3, 0.9, 0.1])
+    across /= np.linalg.norm(across)
+    number = np.arange(count)
+    cosine, turn = 1.0 - (number + 0.5) / count * (1.0 - np.cos(radius_rad)), number * np.pi * (3.0 - np.sqrt(5.0))
+    sideways = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * np.cross(towards, across)
+    directions_ = cosine[:, None] * towards + np.sqrt(1.0 - cosine**2)[:, None] * sideways
+    parts = replace(written.data.parts, lamps=np.tile(light("D65"), (count, 1)), directions=directions_)
+    bands, white = frame_bands(prepared(parts), written.view, parts), white_of(parts)
+    weights = np.array(written.data.header["observers"][0]["xyz"]).T
+    matrix = weights * (100.0 / (weights[1] @ white))
+    far = 1e5
+    with opened(written.path) as page:
+        state = page.default_state()
+        state["light"]["lamps"] = [{"position_mm": list(far * towards), "size_mm": 2.0 * far * np.sin(radius_rad),
+                                    "strength": 1e4, "illuminant": None, "on": True, "far": False}]  # fmt: skip
+        xyz, objects = page.read_xyz(state, 64, 48)
+        state["light"]["lamps"][0]["size_mm"] = 0.0
+        hard, _ = page.read_xyz(state, 64, 48)
+        assert page.messages == []
+    seen = inside(objects) & (objects >= 0)
+    found, other = (xyz_differences(bands[seen] @ matrix.T, one[seen], matrix @ white) for one in (xyz, hard))
     assert agree(found), (found.mean(), np.percentile(found, 99))
-    assert np.abs(xyz[shut]).max() < 0.02 * wanted[whole].max()
+    assert not agree(other)
 
 
 # ---- two rooms in one page
@@ -427,3 +463,36 @@ def test_a_page_of_two_rooms_and_a_mesh_is_at_most_ten_megabytes(tmp_path):
     assert [plane.shape[2] for plane in data.planes.entries if plane.name.endswith("/sky")] == [256, 256]
     size = len(page_html("A page", data.payload({})))
     assert 1e6 < size <= 10e6, size
+
+
+# ---- a mesh that stands elsewhere
+
+
+def test_the_soft_shadows_of_a_mesh_that_is_moved_and_turned_are_the_renderers(torus):
+    """The page casts rays of its own, says meanwhile that it does, and then shows what a page built so would."""
+    stands = {"position_mm": [-4.0, -8.0, 28.0], "turn_deg": [80.0, 10.0, 50.0]}
+    parts = torus.data.parts
+    own = replace(parts.placements[0], rotation=rotation_xyz(stands["turn_deg"]),
+                  translation_mm=np.array(stands["position_mm"]))  # fmt: skip
+    moved = replace(parts, placements=[own, *parts.placements[1:]])
+    wanted, white = torus.wanted(frame_bands(prepared(moved), torus.view, moved))
+    with opened(torus.path) as page:
+        page.wait_for("Irodori.page")
+        state = page.default_state()
+        state["objects"][0] |= stands
+        xyz, objects = page.read_xyz(state, 64, 48)
+        some = inside(objects) & (objects >= 0)
+        before = xyz_differences(wanted[some], xyz[some], white)
+        given = "(s) => { location.hash = Irodori.pageToHash({...Irodori.page(), state: s}, Irodori.page()); }"
+        page.page.evaluate(given, state)
+        page.wait_for("!document.getElementById('updating').hidden")
+        assert "updated" in page.page.locator("#live").inner_text()
+        page.wait_for("document.getElementById('updating').hidden")
+        assert "updated" not in page.page.locator("#live").inner_text()
+        found = xyz_differences(wanted[some], page.read_xyz(state, 64, 48)[0][some], white)
+        # Back in its place it has the shadows of the file.
+        again = compared(torus, page, page.default_state(), torus.view)
+        assert page.messages == []
+    assert not agree(before)
+    assert found.mean() <= 0.2 and np.percentile(found, 99) <= 1.0, (found.mean(), np.percentile(found, 99))
+    assert agree(again)

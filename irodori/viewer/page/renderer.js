@@ -3,7 +3,8 @@
 var Irodori = Irodori || {};
 
 (function () {
-  const MOST_LAMPS = 64, MOST_SPECTRA = 8, DISC_SAMPLES = 16, ROW = 14;
+  // Directions to a ball of light: few where it is seen whole, many where something hides a part of it.
+  const MOST_LAMPS = 8, FEW = 16, MANY = 512, ROW = 14;
   const KINDS = { sphere: 0, plate: 1, disc: 2, plane: 3, mesh: 4 };
   const OVERLAYS = [null, "status", "uncertainty", "gamut"], MODES = [null, "wipe", "difference", "metamerism"];
   const radians = (x) => x * Math.PI / 180;
@@ -14,13 +15,14 @@ var Irodori = Irodori || {};
     throw error;
   }
 
-  function turned(degrees) {
+  // World from object, rows, of turns about x, then y, then z.
+  const turned = Irodori.turned = function (degrees) {
     const [a, b, c] = degrees.map(radians), m = (rows) => rows;
     const x = m([[1, 0, 0], [0, Math.cos(a), -Math.sin(a)], [0, Math.sin(a), Math.cos(a)]]);
     const y = m([[Math.cos(b), 0, Math.sin(b)], [0, 1, 0], [-Math.sin(b), 0, Math.cos(b)]]);
     const z = m([[Math.cos(c), -Math.sin(c), 0], [Math.sin(c), Math.cos(c), 0], [0, 0, 1]]);
     return Irodori.product(z, Irodori.product(y, x));
-  }
+  };
 
   // Columns of a matrix of rows, as WebGL wants them.
   const columns = (m) => [0, 1, 2].flatMap((c) => m.map((row) => row[c]));
@@ -65,6 +67,7 @@ var Irodori = Irodori || {};
       const shadows = Irodori.shadowTexture(this.data), mesh = Irodori.meshTexture(this.data, shadows);
       this.shadows = shadows ? shadows.places : {};
       this.meshes = mesh ? mesh.places : {};
+      this.moved = mesh && shadows ? new Irodori.MovedShadows(this.data, mesh, shadows) : null;
       if (shadows) this.textures.uShadows = this.texture(shadows, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
       if (mesh) this.textures.uMesh = this.texture(mesh, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
       this.makeLobes();
@@ -138,7 +141,7 @@ var Irodori = Irodori || {};
         AMBIENT: Number(header.ambient), COLOURED: Number(this.coloured), HAS_LIGHT: Number(light.sky.length > 0),
         SKY_LEVELS: light.sky.length, GLOSS_LEVELS: light.gloss.length, PARTS: this.parts,
         LOBES: Math.max(header.lobes.length, 1), HAS_MESH: has("mesh"), HAS_DISC: has("disc"), HAS_SHADOWS: Number(Object.keys(this.shadows).length > 0),
-        TRIANGLE: Irodori.TRIANGLE, MOST_LAMPS, MOST_SPECTRA,
+        TRIANGLE: Irodori.TRIANGLE, MOST_LAMPS, FEW, MANY,
         "GGX(l)": ggx.length ? "(" + ggx.join(" || ") + ")" : "false",
       };
       return Object.entries(values).map(([name, value]) => "#define " + name + " " + value + "\n").join("");
@@ -193,7 +196,7 @@ var Irodori = Irodori || {};
 
     // Rows of the scene's shapes where a state puts them.
     shapes(state) {
-      const header = this.data.header, out = new Float32Array(4 * ROW * header.objects.length);
+      const header = this.data.header, out = new Float32Array(4 * ROW * header.objects.length), cast = this.castFor(state);
       let hidden = 0;
       header.objects.forEach((o, i) => {
         const at = state.objects[i] || {}, put = (texel, values) => out.set(values, 4 * (ROW * i + texel));
@@ -211,11 +214,40 @@ var Irodori = Irodori || {};
         if (shadow) {
           put(9, [shadow.first, shadow.stride]);
           put(10, o.shadow.layers);
-          put(11, o.shadow.grid);
+          put(11, (cast && cast.grids[i]) || o.shadow.grid);
         }
         if (at.visible === false) hidden |= 1 << i;
       });
       return { data: out, hidden };
+    }
+
+    // What rays found of the shadows of meshes for a state that is not the scene's own, null where nothing yet.
+    castFor(state) {
+      const found = this.moved && this.moved.found;
+      return found && Irodori.shadowed(this.data.header, state) !== this.allShadowed() && found.key === Irodori.MovedShadows.key(state) ? found : null;
+    }
+
+    allShadowed() {
+      return this.data.header.objects.reduce((bits, one, i) => (one.shadow ? bits | (1 << i) : bits), 0);
+    }
+
+    // Whether shadows of meshes are known for a state, all of them as finely as they get.
+    knowsShadows(state) {
+      const cast = this.castFor(state);
+      return Irodori.shadowed(this.data.header, state) === this.allShadowed() || Boolean(cast && cast.done);
+    }
+
+    // Find the shadows of meshes for a state; see moved_shadows.js.
+    async castShadows(state, shown) {
+      if (this.lost || this.knowsShadows(state)) return true;
+      const moved = this.moved;
+      return moved.cast(JSON.parse(JSON.stringify(state)), () => {
+        if (moved !== this.moved) return; // of a context that was lost meanwhile
+        const gl = this.gl, old = this.textures.uMovedShadows, { width, height } = this.moved.shadows;
+        if (old) gl.deleteTexture(old.texture);
+        this.textures.uMovedShadows = this.texture({ data: this.moved.found.data, width, height }, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
+        if (shown) shown();
+      });
     }
 
     // What depends on spectra, made anew only where light, observer or lamps have other colours.
@@ -224,7 +256,7 @@ var Irodori = Irodori || {};
       const key = JSON.stringify([part.environment, part.illuminant, state.observer, isRGB, lamps]);
       if (this.lit && this.lit.key === key) return this.lit;
       const gl = this.gl, spectra = this.spectra, constants = spectra.constants(part, state.observer, isRGB);
-      if (constants.lamps.length > MOST_SPECTRA) throw new Error("Lamps: found " + constants.lamps.length + "; accepted: up to " + MOST_SPECTRA + ".");
+      if (constants.lamps.length > MOST_LAMPS) throw new Error("Lamps: found " + constants.lamps.length + "; accepted: up to " + MOST_LAMPS + ".");
       const n = spectra.objects.length, KS = spectra.widest, found = { key, constants, whiteXYZ: constants.whiteXYZ };
       let width, rows, data;
       if (!this.coloured) {
@@ -256,25 +288,14 @@ var Irodori = Irodori || {};
       return found;
     }
 
-    // Samples of the lamps that are on: a far lamp and a point have one, a ball as many directions as `DISC_SAMPLES`.
-    lamps(lamps) {
-      const places = [], levels = [];
-      lamps.forEach((lamp, which) => {
+    // The lamps that are on, as the shader reads them.
+    lamps(all) {
+      const lamps = all.filter((lamp) => lamp.on !== false), places = lamps.flatMap((lamp) => {
         const at = lamp.position_mm, length = Math.hypot(...at) || 1;
-        if (lamp.far) {
-          places.push(...at.map((x) => x / length), -1);
-          levels.push(lamp.strength, which, 0, 0);
-          return;
-        }
-        const count = lamp.size_mm > 0 ? DISC_SAMPLES : 1, radius = 0.5 * (lamp.size_mm || 0);
-        for (let i = 0; i < count; i++) {
-          const far = count > 1 ? Math.sqrt((i + 0.5) / count) : 0, turn = i * 2.399963229728653;
-          places.push(...at, radius);
-          levels.push(lamp.strength * 500 * 500 / count, which, far * Math.cos(turn), far * Math.sin(turn));
-        }
+        return lamp.far ? [...at.map((x) => x / length), -1] : [...at, 0.5 * (lamp.size_mm || 0)];
       });
-      if (places.length > 4 * MOST_LAMPS) throw new Error("Lamps: found more than " + MOST_LAMPS + " samples; accepted: fewer lamps with a size.");
-      return { count: places.length / 4, places: new Float32Array(places), levels: new Float32Array(levels) };
+      const levels = lamps.map((lamp) => lamp.strength * (lamp.far ? 1 : 500 * 500));
+      return { places: new Float32Array(places), levels: new Float32Array(levels) };
     }
 
     target(name, width, height, single) {
@@ -307,7 +328,8 @@ var Irodori = Irodori || {};
       gl.viewport(0, 0, target.width, target.height);
       if (this.textures.uShapes) gl.deleteTexture(this.textures.uShapes.texture);
       this.textures.uShapes = this.texture({ data: shapes.data, width: ROW, height: this.data.header.objects.length }, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
-      const textures = { ...this.textures, ...light.textures };
+      const textures = { ...this.textures, ...light.textures }, cast = this.castFor(state);
+      if (cast) textures.uShadows = this.textures.uMovedShadows;
       ["uShapes", "uForms", "uMaterials", "uSky", "uIrradiance", "uGloss", "uRows", "uMesh", "uShadows"].forEach((name, unit) => this.setTexture(program, name, textures[name], unit));
       const { eye, right, up, back } = Irodori.frame(state.camera), opposite = (v) => v.map((x) => -x);
       gl.uniform3fv(place("uEye"), eye);
@@ -319,7 +341,7 @@ var Irodori = Irodori || {};
       gl.uniformMatrix3fv(place("uLightFromWorld"), false, columns([[c, s, 0], [-s, c, 0], [0, 0, 1]]));
       gl.uniform1f(place("uLeast"), this.data.header.least_throughput);
       gl.uniform1i(place("uHidden"), shapes.hidden);
-      gl.uniform1i(place("uShadowed"), Irodori.shadowed(this.data.header, state));
+      gl.uniform1i(place("uShadowed"), cast ? this.allShadowed() : Irodori.shadowed(this.data.header, state));
       gl.uniform1f(place("uPowerScale"), this.atlas.scale);
       const groups = Math.ceil(this.spectra.lights[light.number].basis.length / 4);
       const scale = Array.from({ length: 4 * groups }, (_, i) => light.scale[i] || 1);
@@ -334,11 +356,11 @@ var Irodori = Irodori || {};
         gl.uniform1f(place("uGlossFirst"), light.first);
       }
       if (this.parts) gl.uniform2fv(place("uLadder"), this.data.header.lobes.flatMap((lobe) => lobe.ladder));
-      const lamps = this.lamps(colours.constants.lamps);
-      gl.uniform1i(place("uLamps"), lamps.count);
-      if (lamps.count) {
+      const lamps = this.lamps(state.light.lamps || []);
+      gl.uniform1i(place("uLamps"), lamps.levels.length);
+      if (lamps.levels.length) {
         gl.uniform4fv(place("uLamp"), lamps.places);
-        gl.uniform4fv(place("uLampLevel"), lamps.levels);
+        gl.uniform1fv(place("uLampLevel"), lamps.levels);
       }
       if (this.coloured) {
         const all = new Float32Array(16 * 4 * groups);

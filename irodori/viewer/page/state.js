@@ -10,10 +10,8 @@ window.Irodori = window.Irodori || {};
   const DEFICIENCIES = ['protan', 'deutan', 'tritan'];
   const FAR = 1e6;
   I.choices = {modes: MODES, overlays: OVERLAYS, deficiencies: DEFICIENCIES};
-  // Lamps of one light, and the points of them that the renderer follows: sixteen of a lamp that has a size.
+  // The most lamps of one light.
   I.LAMPS = 6;
-  I.lampPoints = (lamps) => lamps.reduce((sum, lamp) => sum + (lamp.size_mm > 0 && !lamp.far ? 16 : 1), 0);
-  I.MOST_LAMP_POINTS = 64;
 
   I.clone = (value) => JSON.parse(JSON.stringify(value));
   I.newPage = (state) => ({step: null, state: I.clone(state), compare: null, probes: [], ruler: []});
@@ -120,7 +118,6 @@ window.Irodori = window.Irodori || {};
       yes(at + '.on', lamp.on);
       yes(at + '.far', lamp.far);
     });
-    if (I.lampPoints(value.lamps) > I.MOST_LAMP_POINTS) throw refusal(field + '.lamps', value.lamps.length, '4 × size_mm > 0');
   }
 
   function display(field, value, base) {

@@ -5,6 +5,8 @@ window.Irodori = window.Irodori || {};
   const tables = JSON.parse(document.getElementById('languages').textContent);
   let current = 'en';
 
+  I.byId = (id) => document.getElementById(id);
+
   // An error whose sentence is in the tables: one clear sentence for the reader.
   I.Refusal = class extends Error {
     constructor(key, values) {

@@ -42,9 +42,9 @@ uniform sampler2D uMesh;
 uniform sampler2D uShadows;   // numbers of nodes, see maps.js
 uniform int uShadowed;        // bits of objects from which meshes hide light
 #endif
-uniform int uLamps;           // samples of lamps
+uniform int uLamps;
 uniform vec4 uLamp[MOST_LAMPS];     // direction and -1 of a far lamp, or position and radius, mm
-uniform vec4 uLampLevel[MOST_LAMPS]; // strength, which lamp it is a sample of, and where on the disc that it looks like, -1..1
+uniform float uLampLevel[MOST_LAMPS];
 uniform vec4 uLightScale[G];  // numbers of light are stored divided by these
 
 const float PI = 3.14159265358979;
@@ -56,13 +56,13 @@ struct Light { vec4 g[G]; };
 #define Colour mat4
 #define PRODUCT(a, b) matrixCompMult(a, b)
 uniform mat4 uDecode[4 * G];
-uniform mat4 uLampColour[MOST_SPECTRA];
+uniform mat4 uLampColour[MOST_LAMPS];
 uniform vec4 uXYZFromColour[12];
 #else
 #define Colour vec3
 #define PRODUCT(a, b) ((a) * (b))
 uniform vec3 uXYZFromLight[4 * G];
-uniform vec3 uLampColour[MOST_SPECTRA];
+uniform vec3 uLampColour[MOST_LAMPS];
 #endif
 
 struct Ray { vec3 o, d; };
@@ -570,6 +570,83 @@ vec4 shadowMixed(int object, About about, int layer) {
 }
 #endif
 
+// ---- lamps ----------------------------------------------------------------------------------------------------------
+
+bool seesLamp(int object, Place place, Ray ray, float far, int triangle) {
+  if (dot(place.normal, ray.d) <= 0.0 || dot(place.facet, ray.d) <= 0.0) return false;
+  Hit hit = Hit(far, -1, -1, vec2(0.0));
+  meet(ray, object, triangle, true, hit);
+  return hit.object < 0;
+}
+
+// What light from one direction sends to the eye, a unit of irradiance that falls on the surface from above.
+Colour sent(int object, int lamp, Place place, vec3 view, vec3 to, Surface surface) {
+  Colour sum_ = dot(place.normal, to) * lampDiffuse(object, lamp, surface);
+#if PARTS > 0
+  vec4 lobes = shapeRow(object, 7);
+  for (int c = 0; c < 2; c++) {
+    float power = surface.gloss[2 * c], cosH;
+    if (lobes[c] < 0.0 || power <= 0.0) continue;
+    float value = lobeValue(int(lobes[c]), surface.gloss[2 * c + 1], view, to, place.normal, place.cosine, dot(place.normal, to), cosH);
+#if COLOURED
+    sum_ += value * power * PRODUCT(uLampColour[lamp], reflectance(object, cosH));
+#else
+    sum_ += value * power * uLampColour[lamp] * fresnel(cosH, shapeRow(object, 6).x, shapeRow(object, 6).y);
+#endif
+  }
+#endif
+  return sum_;
+}
+
+// The cone in which a ball is seen: its axis and what stands across it, the cosine at its rim, and the way to its middle.
+struct Cone { vec3 axis, across, beside; float least, far; };
+
+// A direction of the cone, and the way to the ball in it; `part` of the cone's solid angle lies about its axis within it.
+vec3 inCone(Cone cone, float part, float turn, out float far) {
+  float along = 1.0 - part * (1.0 - cone.least), sine = sqrt(max(1.0 - along * along, 0.0));
+  far = cone.far * (along - sqrt(max(along * along - cone.least * cone.least, 0.0)));
+  return along * cone.axis + sine * (cos(turn) * cone.across + sin(turn) * cone.beside);
+}
+// An even number of directions spread evenly over the cone: pairs on both sides of its axis, along Vogel's spiral. What
+// one of a pair lies nearer to a normal the other lies farther from it, so without shadows the cosines' sum is exact.
+vec3 spread_(Cone cone, int number, int count, out float far) {
+  float pair = float(number / 2), turn = 0.61803398875 * pair + 0.5 * float(number % 2);
+  return inCone(cone, (2.0 * pair + 1.0) / float(count), 2.0 * PI * fract(turn), far);
+}
+
+Colour lampLight(int object, int lamp, Place place, vec3 view, Surface surface, Hit met) {
+  Colour sum_ = Colour(0.0);
+  vec3 start = raised(place, shapeRow(object, 0).w), to = uLamp[lamp].xyz;
+  float radius = uLamp[lamp].w, far = 1e30, level = uLampLevel[lamp];
+  if (radius >= 0.0) {
+    to -= start;
+    far = length(to);
+    to /= far;
+    level /= far * far;
+  }
+  if (radius <= 0.0) {
+    if (seesLamp(object, place, Ray(start, to), far, met.triangle)) sum_ = level * sent(object, lamp, place, view, to, surface);
+    return sum_;
+  }
+  vec3 across = normalize(cross(to, abs(to.z) < 0.9 ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0)));
+  float ratio = min(radius / far, 1.0);
+  Cone cone = Cone(to, across, cross(to, across), sqrt(1.0 - ratio * ratio), far);
+  level *= 2.0 / (1.0 + cone.least);
+  // Few directions tell whether something hides a part of the ball: within it and on its rim, which an edge crosses.
+  int free = 0;
+  for (int i = 0; i < 2 * FEW; i++) {
+    to = i < FEW ? spread_(cone, i, FEW, far) : inCone(cone, 0.9999, 2.0 * PI * float(i) / float(FEW), far);
+    if (seesLamp(object, place, Ray(start, to), far, met.triangle)) free++;
+  }
+  if (free == 0) return sum_;
+  int count = free == 2 * FEW ? FEW : MANY;
+  for (int i = 0; i < count; i++) {
+    to = spread_(cone, i, count, far);
+    if (count == FEW || seesLamp(object, place, Ray(start, to), far, met.triangle)) sum_ += sent(object, lamp, place, view, to, surface);
+  }
+  return level / float(count) * sum_;
+}
+
 Colour shade(int object, Place place, Ray ray, Surface surface, vec3 mirror, Hit met, float through) {
   Colour sum_ = Colour(0.0);
 #if HAS_LIGHT
@@ -609,46 +686,10 @@ Colour shade(int object, Place place, Ray ray, Surface surface, vec3 mirror, Hit
   sum_ += diffuse(object, -1, surface, own);
 #endif
 #endif
-  vec4 lobes = shapeRow(object, 7);
-  float reach = shapeRow(object, 0).w;
-  for (int lamp = 0; lamp < uLamps; lamp++) {
-    vec3 start = raised(place, reach), to = uLamp[lamp].xyz;
-    float far = 1e30, level = uLampLevel[lamp].x;
-    if (uLamp[lamp].w >= 0.0) {
-      to -= start;
-      far = length(to);
-      to /= far;
-      // Directions spread evenly over the cone in which the ball is seen: without shadows their sum is exact.
-      float ratio = min(uLamp[lamp].w / far, 1.0), least = sqrt(1.0 - ratio * ratio);
-      vec2 disc = uLampLevel[lamp].zw;
-      float part = dot(disc, disc), along = 1.0 - part * (1.0 - least);
-      level *= 2.0 / (1.0 + least) / (far * far);
-      if (part > 0.0) {
-        vec3 across = normalize(cross(to, abs(to.z) < 0.9 ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0)));
-        to = along * to + sqrt((1.0 - along * along) / part) * (disc.x * across + disc.y * cross(to, across));
-        far *= along - sqrt(max(along * along - least * least, 0.0));
-      }
-    }
-    float cosI = dot(place.normal, to);
-    if (cosI <= 0.0 || dot(place.facet, to) <= 0.0) continue;
-    Hit hit = Hit(far, -1, -1, vec2(0.0));
-    meet(Ray(start, to), object, met.triangle, true, hit);
-    if (hit.object >= 0) continue;
-    int which = int(uLampLevel[lamp].y);
-    sum_ += level * cosI * lampDiffuse(object, which, surface);
+  for (int lamp = 0; lamp < uLamps; lamp++) sum_ += lampLight(object, lamp, place, -ray.d, surface, met);
 #if PARTS > 0
-    for (int c = 0; c < 2; c++) {
-      float power = surface.gloss[2 * c], cosH;
-      if (lobes[c] < 0.0 || power <= 0.0) continue;
-      float value = lobeValue(int(lobes[c]), surface.gloss[2 * c + 1], -ray.d, to, place.normal, place.cosine, cosI, cosH);
-#if COLOURED
-      sum_ += level * value * power * PRODUCT(uLampColour[which], reflectance(object, cosH));
-#else
-      sum_ += level * value * power * uLampColour[which] * fresnel(cosH, shapeRow(object, 6).x, shapeRow(object, 6).y);
+  vec4 lobes = shapeRow(object, 7);
 #endif
-    }
-#endif
-  }
 #if PARTS > 0
   for (int c = 0; c < 2; c++) {
     float power = surface.gloss[2 * c];

@@ -94,6 +94,8 @@ window.Irodori = window.Irodori || {};
         alpha: 0.9, beta: 0.4, mu_rad: NaN, status: 'paint', xyz: [20, 20, 20]};
     }
 
+    knowsShadows() { return true; }
+
     figures() { return {frames_per_s: 30, scale: 1, programs_linked_ms: 12}; }
   };
 })(window.Irodori);
