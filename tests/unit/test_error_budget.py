@@ -328,17 +328,17 @@ def test_each_object_is_judged_by_its_own_files_and_shape(tmp_path, monkeypatch)
     inputs = {key: [tmp_path / name / f"{key}.h5" for name in "ab"] for key in
               ("materials", "true_materials", "calibrations", "tiles", "observations")}  # fmt: skip
     inputs |= {"plan": []} | dict.fromkeys(("environment", "true_environment"), tmp_path / "light.h5")
-    shapes = [{"kind": "plate", "width_mm": width, "height_mm": 20.0} for width in (30.0, 50.0)]
-    subjects = made(
-        Sequence[Subject], [{"shape": shape, "sample_mm": mm} for shape, mm in zip(shapes, (0.2, 0.3), strict=True)]
-    )
+    plates = [{"kind": "plate", "width_mm": width, "height_mm": 20.0} for width in (30.0, 50.0)]
+    samples_mm = 0.2, 0.3
+    described = [{"shape": plate, "sample_mm": mm} for plate, mm in zip(plates, samples_mm, strict=True)]
+    subjects = made(Sequence[Subject], described)
     options = BudgetOptions(*(None,) * 4)
     measure_error_budget(inputs, made(Scene, scene_of({"kind": "interactive"})), "v", subjects, options, tmp_path / "c")
     _, view, solids, objects, lights, given = taken[0]
     assert view == "v" and given is options and len(lights) == 2
     assert [one.known for one in objects] == inputs["materials"]
     assert [one.truth for one in objects] == [str(path) for path in inputs["true_materials"]]
-    for name, own, solid, mm in zip("ab", objects, solids, (0.2, 0.3), strict=True):
+    for name, own, solid, mm in zip("ab", objects, solids, samples_mm, strict=True):
         files, shape, sample_mm, _ = files_of[own.known]
         assert shape is solid and sample_mm == mm
         assert files == {key.removesuffix("s") if key in ("materials", "calibrations") else key:

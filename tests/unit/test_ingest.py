@@ -347,6 +347,37 @@ def test_the_size_of_captures_is_that_of_dark_frames_and_white_whatever_a_chart_
     ingest_raw(*files, Pose(0.0, 0.0).name, *arguments, options=SUPERPIXELS)
 
 
+@pytest.mark.parametrize(("light_deg", "tilt_deg"), [(50.0, 10.0), (50.0, -10.0), (-20.0, 40.0)])
+def test_a_white_reference_that_leans_counts_by_the_angle_of_its_light(tmp_path, light_deg, tilt_deg):
+    """One lit at normal incidence would be brighter by the cosine of what lies between light and normal."""
+    table = []
+    for number, (role, level, pose) in enumerate([("white", 4000, (light_deg, 0.0, tilt_deg)), ("object", 1000, ())]):
+        write_any_dng(tmp_path / f"{number}.dng", np.full((64, 96), BLACK + level, np.uint16), exposure_s=0.02)
+        table.append(Shot(f"{number}.dng", role, Pose(*pose) if pose else Pose(0.0, 0.0), "out", 0.02))
+    write_captures(tmp_path / "captures.csv", table)
+    files = tmp_path / "captures.csv", tmp_path
+    ingest_reference(*files, tmp_path / "r.h5", PROVENANCE, 0.8, SUPERPIXELS)
+    arguments = tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE
+    ingest_raw(*files, Pose(0.0, 0.0).name, *arguments, options=SUPERPIXELS)
+    with store.open_file(tmp_path / "l.h5") as file:
+        expected = 0.25 * 0.8 * np.cos(np.radians(light_deg - tilt_deg))
+        assert np.allclose(file.read("response"), expected, rtol=1e-3)
+
+
+def test_a_chart_alone_says_nothing_of_the_size_of_captures(tmp_path):
+    table = []
+    for number, (role, shape) in enumerate([("chart", (32, 48)), ("object", (64, 96))]):
+        write_any_dng(tmp_path / f"{number}.dng", np.full(shape, BLACK + 3000, np.uint16), exposure_s=0.02, iso=100)
+        table.append(Shot(f"{number}.dng", role, Pose(0.0, 0.0), "out", 0.02))
+    write_captures(tmp_path / "captures.csv", table)
+    files = tmp_path / "captures.csv", tmp_path
+    ingest_reference(*files, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+    assert Reference.load(tmp_path / "r.h5").size_px == (0, 0)
+    output = tmp_path / "l.h5"
+    ingest_raw(*files, Pose(0.0, 0.0).name, tmp_path / "r.h5", output, PROVENANCE, options=SUPERPIXELS)
+    assert output.exists()
+
+
 def test_the_noise_model_is_that_of_the_photographs_iso(tmp_path):
     """Gain and read noise are measured at ISO 100; the model of a photograph at ISO 800 predicts its own scatter."""
     rng = np.random.default_rng(6)
