@@ -230,6 +230,22 @@ def test_directions_are_drawn_by_their_light():
     bright = drawn.response[:, 0] > 1.0
     assert drawn.share[bright].sum() > 0.99 and drawn.share.sum() == pytest.approx(1.0)
     assert drawn.share[drawn.response[:, 0] == 50.0].sum() == pytest.approx(0.5, abs=0.02)
+    # Dark ones are not, wherever they stand, and a part counts by its solid angle too.
+    parts = [(np.stack([np.zeros(3)] * 4 + [np.ones(3)]), 1.0), (np.full((2, 3), 3.0), np.array([0.5, 0.0]))]
+    drawn = draw_directions(parts)
+    assert len(drawn.share) == 128 and drawn.response.min() == 1.0
+    assert drawn.share[drawn.response[:, 0] == 1.0].sum() == pytest.approx(3.0 / (3.0 + 4.5))
+    again, other = (
+        draw_directions(parts * 3, seed=0),
+        draw_directions([(np.random.default_rng(1).random((99, 3)), 1.0)]),
+    )
+    assert again.share.sum() == pytest.approx(1.0) and len(np.unique(other.response[:, 0])) > 30
+
+
+def test_the_prior_is_that_of_the_published_lamps_where_none_is_given(seen, prior):
+    room = one_direction(seen.sensitivity @ spectrum("FL4"))
+    found, given = LightRecovery.of_room(seen.calibration, room), LightRecovery.of_room(seen.calibration, room, prior)
+    np.testing.assert_array_equal(found.weights(room.response), given.weights(room.response))
 
 
 @pytest.mark.parametrize("lacking", ["band_response", "band_response_covariance"])
