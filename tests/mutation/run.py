@@ -59,7 +59,7 @@ ROOMS = {
     "light": (
         ("light",),
         ("unit/test_environment.py", "unit/test_light_sources.py", "unit/test_irradiance.py", "unit/test_gloss.py",
-         "unit/test_mirror_ball.py"),
+         "unit/test_mirror_ball.py", "unit/test_light_recovery.py"),
     ),
     "evaluation": (
         ("evaluation",),

@@ -140,7 +140,7 @@ def test_gloss_errors_that_are_known_are_drawn_as_large():
     half = np.stack([np.full((SIDE, SIDE), np.nan), np.full((SIDE, SIDE), 9.0)], -1)
     assert (drawn(replace(sure, gloss_error=half))[0] == 2.0).all()
     beta, mu = drawn(replace(sure, gloss_error=np.full((SIDE, SIDE, 2), 9.0)))
-    assert mu.min() > 0 and beta.min() >= 0
+    assert mu.min() == pytest.approx(0.5 * 0.1) and beta.min() == 0.0
 
 
 COMPRESSION = CompressOptions(0.1, 0.5, 4, "nothing", storage="half", codec="gzip")
@@ -312,6 +312,39 @@ def test_the_table_keeps_its_rows(tmp_path, monkeypatch):
     first, second = read_rows(tmp_path / "budget.csv", BudgetRow)
     assert np.isnan(first.predicted) and replace(first, predicted=0.0) == replace(row, predicted=0.0)
     assert second == replace(row, stage="b", predicted=0.5)
+
+
+def test_each_object_is_judged_by_its_own_files_and_shape(tmp_path, monkeypatch):
+    taken, files_of = [], {}
+
+    def load(files, shape, sample_mm, fit):
+        files_of[files["material"]] = files, shape, sample_mm, fit
+        return files["material"]
+
+    monkeypatch.setattr(module.Known, "load", load)
+    monkeypatch.setattr(module.Material, "load", str)
+    monkeypatch.setattr(module, "error_budget", lambda *given: taken.append(given) or [])
+    light_of_three().save(tmp_path / "light.h5", Provenance("test"))
+    inputs = {key: [tmp_path / name / f"{key}.h5" for name in "ab"] for key in
+              ("materials", "true_materials", "calibrations", "tiles", "observations")}  # fmt: skip
+    inputs |= {"plan": []} | dict.fromkeys(("environment", "true_environment"), tmp_path / "light.h5")
+    plates = [{"kind": "plate", "width_mm": width, "height_mm": 20.0} for width in (30.0, 50.0)]
+    samples_mm = 0.2, 0.3
+    described = [{"shape": plate, "sample_mm": mm} for plate, mm in zip(plates, samples_mm, strict=True)]
+    subjects = made(Sequence[Subject], described)
+    options = BudgetOptions(*(None,) * 4)
+    measure_error_budget(inputs, made(Scene, scene_of({"kind": "interactive"})), "v", subjects, options, tmp_path / "c")
+    _, view, solids, objects, lights, given = taken[0]
+    assert view == "v" and given is options and len(lights) == 2
+    assert [one.known for one in objects] == inputs["materials"]
+    assert [one.truth for one in objects] == [str(path) for path in inputs["true_materials"]]
+    for name, own, solid, mm in zip("ab", objects, solids, samples_mm, strict=True):
+        files, shape, sample_mm, _ = files_of[own.known]
+        assert shape is solid and sample_mm == mm
+        assert files == {key.removesuffix("s") if key in ("materials", "calibrations") else key:
+                         inputs[key]["ab".index(name)] if key in ("materials", "calibrations")
+                         else [inputs[key]["ab".index(name)]]
+                         for key in ("materials", "calibrations", "tiles", "observations")}  # fmt: skip
 
 
 @pytest.mark.parametrize(("samples", "kind"), [(64, "reference"), (None, "reference"), (64, "interactive")])

@@ -92,6 +92,22 @@ def test_what_all_photographs_share_is_no_scatter():
     assert np.abs(change).max() < 1e-12
 
 
+def test_lights_of_photographs_scatter_what_is_seen_straight_and_their_poses_only_what_is_not():
+    rng, half = np.random.default_rng(3), (np.arange(SIDE) < SIDE // 2)[:, None]
+    share = np.stack([np.broadcast_to(half, (SIDE, SIDE)), np.broadcast_to(~half, (SIDE, SIDE))], axis=-1).astype(float)
+    texture = np.broadcast_to(TCS[40] @ BASIS, (SIDE, SIDE, 6))
+    lit = known(texture, photographs=Photographs(share, 0.0 * share, 1.0), model_error=0.02)
+    posed = replace(lit, model_error=0.0, pose_error_rad=0.02)
+    slanted = replace(posed, photographs=Photographs(share, 1.5 + 0.0 * share, 1.0))
+    for one, expected in ((lit, 0.02), (posed, 0.0), (slanted, 0.03)):
+        whole = [spectra(noisy(one, one.estimate(), rng)).mean(axis=-1) / (texture[0, 0] @ BASIS.T).mean()
+                 for _ in range(150)]  # fmt: skip
+        # Each half is one photograph's: of their difference, half is what all have in common.
+        apart = [one[0, 0] - one[-1, 0] for one in whole]
+        assert np.std(apart) / np.sqrt(2.0) == pytest.approx(expected, rel=0.2, abs=1e-6)
+        assert all(np.ptp(one[: SIDE // 2]) < 1e-5 for one in whole)
+
+
 def test_shares_are_those_of_inverse_variance(tmp_path):
     angle, size = np.radians([[20.0, 50.0, 70.0]]), (1, 3)
     geometry = np.zeros((4, 3, 4))
@@ -224,6 +240,19 @@ def test_a_hole_is_tried_on_texels_with_data_at_its_own_distance(seed, border):
     # Never farther than the hole reaches, in either direction, and at its own distance where data allows it.
     assert (np.abs(got) <= np.abs(wanted)).all()
     assert (got == wanted).all(axis=1).mean() > 0.3
+
+
+@pytest.mark.parametrize("border", ["joined", "black"])
+def test_a_wide_hole_is_tried_in_its_own_direction_and_over_the_seam_where_the_sides_are_joined(border):
+    observed = np.zeros((SIDE, SIDE), bool)
+    observed[:, :12] = True
+    texel, filler = held_out(known(patches(np.random.default_rng(1))[0], observed, Spread(0.4, 0.4, border)),
+                             np.random.default_rng(2))  # fmt: skip
+    got = (texel - filler)[..., 1]
+    right, left = got[:, 12:20], got[:, 25:]
+    assert (right >= 0).all() and right.max() == 8 and (np.abs(left).max(axis=1) > 0).all()
+    # Columns before the seam take their colours from the first ones beyond it.
+    assert (left <= 0).all() if border == "joined" else (left >= 0).all()
 
 
 def test_a_hole_beside_a_single_texel_says_nothing_and_ends():

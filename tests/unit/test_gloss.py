@@ -64,6 +64,21 @@ def test_blurred_light_is_the_sum_over_the_pixels_at_poles_and_seam_too(place):
         assert np.allclose(kept, power, rtol=0.006)
 
 
+@pytest.mark.parametrize("row", [0, 1, -1])
+def test_light_beside_a_pole_keeps_its_power_and_place_in_the_widest_blurs(row):
+    coefficients = np.zeros((200, 400, 1), np.float32)
+    coefficients[row, 30] = 1e4
+    unit_, solid_angle = directions(400, 200)
+    first, levels = prefiltered(coefficients, (len(WIDTHS_RAD) - 3, len(WIDTHS_RAD)))
+    for level, width_rad in zip(levels, WIDTHS_RAD[first:], strict=True):
+        own, weight = directions(level.shape[1], level.shape[0])
+        power = level * weight[..., None]
+        assert power.sum() == pytest.approx(1e4 * solid_angle[row, 30], rel=0.006)
+        mean = np.einsum("yxk,yxa->a", power, own)
+        assert mean / np.linalg.norm(mean) == pytest.approx(unit_[row, 30], abs=0.004)
+        assert level.max() == pytest.approx(power.sum() / (2.0 * np.pi * width_rad**2), rel=0.1)
+
+
 @pytest.mark.parametrize("size", [(24, 48), (90, 60)])
 def test_every_width_is_the_light_under_its_lobe_at_the_maps_own_places(size):
     """At the poles, the seam and between: light that varies from pixel to pixel, each shining evenly over its area.
@@ -310,6 +325,15 @@ def test_one_bright_pixel_is_reflected_by_the_lobe_in_its_own_direction(name, mu
     expected = term[:, None] * sky[place] * solid_angle[place] / np.pi
     assert (expected > 0.0).any()
     assert np.abs(found - expected).max() <= 0.03 * expected.max()
+
+
+def test_two_lights_are_reflected_as_each_alone():
+    """However far apart they stand: what is taken together is small against the lobe."""
+    skies = np.zeros((3, 512, 1024, 1), np.float32)
+    skies[0, 160, 240] = skies[1, 208, 304] = skies[2, 160, 240] = skies[2, 208, 304] = 1.0
+    normal, view = lit_places(Integrator(skies[2]).cells, 0.9, 0.7, 20, seed=5)
+    one, other, both = (true_gloss(Integrator(sky), normal, view, 0.9) for sky in skies)
+    assert np.median(both) > 0.0 and both == pytest.approx(one + other, rel=0.01)
 
 
 def test_places_have_the_angle_and_mirror_where_light_comes_from():

@@ -112,10 +112,20 @@ def test_a_row_says_how_far_the_chain_is_off_away_from_seams_and_holes(chain, mo
     hole = np.where((side == 11), np.nan, truth.alpha)
     wide = truth.basis * np.linspace(0.9, 1.1, 61)[:, None]
     found = replace(truth, basis=wide, beta=beta, mu=mu, alpha=hole, green_response=hole)
-    monkeypatch.setattr(module, "run_chain", lambda *_: found)
+    folders = []
+
+    def run(variant, folder, seen):
+        """Take an empty folder of its own for every run, and what was seen of the same definition before."""
+        assert isinstance(variant, SmallChain) and folder.is_dir() and not list(folder.iterdir())
+        assert seen.setdefault("definition", variant.definition) == variant.definition
+        folders.append(folder)
+        return found
+
+    monkeypatch.setattr(module, "run_chain", run)
     monkeypatch.setattr(module, "true_material", lambda *_: truth)
     measure_imperfections(chain, tmp_path / "costs.csv")
     rows = read_rows(tmp_path / "costs.csv", CostRow)
+    assert len(set(folders)) == 9 and not any(folder.exists() for folder in folders)
     assert len(rows) == 2 * 9 and [row.light for row in rows[:2]] == ["D65", "A"]
     assert rows[0].faults == "none" and rows[-1].faults.startswith("all, and GGX")
     chosen = inside & (side < 11)

@@ -304,6 +304,80 @@ def test_the_dark_signal_is_amplified_with_the_iso_of_the_photograph(tmp_path, o
             assert np.allclose(file.read("response"), 0.2, rtol=3e-3)
 
 
+def test_a_dark_signal_below_one_digital_number_counts_in_dim_light(tmp_path):
+    """LibRaw interpolates whole numbers; what rounding the dark signal leaves is subtracted all the same."""
+    numbers = [("dark", 0.02, 100, BLACK + at) for at in (0, 1, 0, 1, 0)]
+    numbers += [("white", 0.02, 100, BLACK + 4000), ("object", 0.02, 100, BLACK + 8)]
+    for options in OPTIONS:
+        folder = tmp_path / options.demosaic
+        folder.mkdir()
+        with store.open_file(photographs(folder, numbers, options)) as file:
+            assert np.allclose(file.read("response"), 7.6 / 3999.6, rtol=2e-3)
+
+
+def test_a_white_reference_serves_while_half_of_it_is_not_saturated(tmp_path):
+    """What is left of an even light tells it, and what is less than half of the picture does not."""
+    for share, serves in ((0.42, True), (0.58, False)):
+        folder = tmp_path / str(serves)
+        folder.mkdir()
+        white = np.full((64, 96), BLACK + 4000)
+        white[:, : 2 * round(48 * share)] = 16383
+        numbers = [("white", 0.02, 100, white), ("object", 0.02, 100, BLACK + 1000)]
+        if serves:
+            with store.open_file(photographs(folder, numbers, SUPERPIXELS)) as file:
+                assert np.allclose(file.read("response"), 0.25, rtol=1e-3)
+            continue
+        with pytest.raises(InputError, match="saturated over 58%"):
+            photographs(folder, numbers, SUPERPIXELS)
+
+
+def test_the_size_of_captures_is_that_of_dark_frames_and_white_whatever_a_chart_has(tmp_path):
+    table = []
+    sizes = {"chart": (32, 48), "white": (64, 96), "object": (64, 96)}
+    shots = [("chart", "out"), ("white", "out"), ("chart", "in"), ("object", "out")]
+    for number, (role, state) in enumerate(shots):
+        mosaic = np.full(sizes[role], BLACK + 3000, np.uint16)
+        write_any_dng(tmp_path / f"{number}.dng", mosaic, exposure_s=0.02, iso=100)
+        table.append(Shot(f"{number}.dng", role, Pose(0.0, 0.0), state, 0.02))
+    write_captures(tmp_path / "captures.csv", table)
+    files = tmp_path / "captures.csv", tmp_path
+    ingest_reference(*files, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+    assert Reference.load(tmp_path / "r.h5").size_px == (96, 64)
+    arguments = tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE
+    ingest_raw(*files, Pose(0.0, 0.0).name, *arguments, options=SUPERPIXELS)
+
+
+@pytest.mark.parametrize(("light_deg", "tilt_deg"), [(50.0, 10.0), (50.0, -10.0), (-20.0, 40.0)])
+def test_a_white_reference_that_leans_counts_by_the_angle_of_its_light(tmp_path, light_deg, tilt_deg):
+    """One lit at normal incidence would be brighter by the cosine of what lies between light and normal."""
+    table = []
+    for number, (role, level, pose) in enumerate([("white", 4000, (light_deg, 0.0, tilt_deg)), ("object", 1000, ())]):
+        write_any_dng(tmp_path / f"{number}.dng", np.full((64, 96), BLACK + level, np.uint16), exposure_s=0.02)
+        table.append(Shot(f"{number}.dng", role, Pose(*pose) if pose else Pose(0.0, 0.0), "out", 0.02))
+    write_captures(tmp_path / "captures.csv", table)
+    files = tmp_path / "captures.csv", tmp_path
+    ingest_reference(*files, tmp_path / "r.h5", PROVENANCE, 0.8, SUPERPIXELS)
+    arguments = tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE
+    ingest_raw(*files, Pose(0.0, 0.0).name, *arguments, options=SUPERPIXELS)
+    with store.open_file(tmp_path / "l.h5") as file:
+        expected = 0.25 * 0.8 * np.cos(np.radians(light_deg - tilt_deg))
+        assert np.allclose(file.read("response"), expected, rtol=1e-3)
+
+
+def test_a_chart_alone_says_nothing_of_the_size_of_captures(tmp_path):
+    table = []
+    for number, (role, shape) in enumerate([("chart", (32, 48)), ("object", (64, 96))]):
+        write_any_dng(tmp_path / f"{number}.dng", np.full(shape, BLACK + 3000, np.uint16), exposure_s=0.02, iso=100)
+        table.append(Shot(f"{number}.dng", role, Pose(0.0, 0.0), "out", 0.02))
+    write_captures(tmp_path / "captures.csv", table)
+    files = tmp_path / "captures.csv", tmp_path
+    ingest_reference(*files, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+    assert Reference.load(tmp_path / "r.h5").size_px == (0, 0)
+    output = tmp_path / "l.h5"
+    ingest_raw(*files, Pose(0.0, 0.0).name, tmp_path / "r.h5", output, PROVENANCE, options=SUPERPIXELS)
+    assert output.exists()
+
+
 def test_the_noise_model_is_that_of_the_photographs_iso(tmp_path):
     """Gain and read noise are measured at ISO 100; the model of a photograph at ISO 800 predicts its own scatter."""
     rng = np.random.default_rng(6)

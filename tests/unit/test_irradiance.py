@@ -78,6 +78,34 @@ def test_pictures_of_one_row_or_one_column(size):
 
 
 @pytest.mark.stability(stage="environment", case="all-black")
+@pytest.mark.parametrize("size", [(48, 96), (50, 70), (9, 200)])
+def test_cells_of_every_level_hold_their_pixels_closely_and_all_their_light(size):
+    """Cells that are too narrow would lose light at the horizon, and too wide ones cost the time that they save."""
+    coefficients = np.random.default_rng(3).uniform(-1.0, 2.0, (*size, 2)).astype(np.float32)
+    cells = Integrator(coefficients).cells
+    (height, width), (unit, solid_angle) = size, directions(size[1], size[0])
+    light = coefficients * solid_angle[..., None]
+    length, side, end = np.linalg.norm(light, axis=-1), 8, 0
+    for first, rows, columns in zip(cells.first, cells.rows, cells.columns, strict=True):
+        assert (first, rows, columns) == (end, -(-height // side), -(-width // side))
+        end = first + rows * columns
+        for at in range(first, end, 1 if end - first < 12 else 5):
+            row, column = divmod(at - first, columns)
+            block = np.s_[row * side : (row + 1) * side, column * side : (column + 1) * side]
+            apart = np.arccos(np.clip(unit[block] @ cells.centre[at], -1.0, 1.0)).max()
+            assert apart <= cells.radius[at] <= 2.5 * apart + np.pi / height + np.pi / width
+            sine = np.sin(cells.radius[at]) if cells.radius[at] < np.pi / 2 else 2.0
+            assert cells.sine[at] == pytest.approx(sine)
+            assert cells.power[at] == pytest.approx(length[block].sum(), rel=1e-5)
+            moment = np.einsum("yxk,yxa->ka", light[block], unit[block])
+            assert cells.moment[at] == pytest.approx(moment, rel=1e-4, abs=1e-5)
+            assert cells.power_moment[at] == pytest.approx(
+                np.einsum("yx,yxa->a", length[block], unit[block]), rel=1e-4, abs=1e-5
+            )
+        side *= 2
+    assert end == len(cells.power) and rows * columns <= 32
+
+
 def test_a_black_sky_gives_nothing():
     found, errors = fitted_irradiance_map(np.zeros((16, 32, 2), np.float32), 0.002, 64)
     assert (found == 0).all() and errors["max_error"] == 0.0

@@ -213,6 +213,7 @@ def test_any_wavelengths_and_units_of_the_layout(tmp_path, unit):
     write_exr(tmp_path / "a.exr", pixels[..., shuffled], [names[i] for i in shuffled])
     picture = spectral_picture(tmp_path / "a.exr")
     assert np.allclose(picture.weights @ picture.basis.T, 2.0 + WAVELENGTH_NM / 700, rtol=1e-4)
+    assert picture.origin["wavelengths_nm"] == pytest.approx([380.0, 730.0, 36])
 
 
 def test_a_fine_picture_keeps_the_power_of_its_lines():

@@ -169,3 +169,14 @@ def test_a_steady_drift_falls_out_of_interleaved_exposures(deviation, slope, rep
     _, found, error = linear_fit(exposure, rate)
     truth = (1.0 + np.array(deviation)) / (1.0 + np.mean(deviation)) - 1.0
     assert np.allclose(found, truth, atol=1e-9) and error < 1e-9
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.01])
+def test_the_standard_error_of_a_deviation_is_its_scatter(drift):
+    """Of the exposure that is known least: the shortest is photographed once, the others more often."""
+    rng, exposure = np.random.default_rng(8), np.array([1.0, 2.0, 4.0, 2.0, 4.0, 2.0, 4.0, 4.0])
+    rate = 5.0 * (1.0 + drift * np.linspace(-1.0, 1.0, 8) + rng.normal(0.0, 0.003, (800, 8)))
+    found = [linear_fit(exposure, one) for one in rate]
+    scatter = np.std([deviation for _, deviation, _ in found], axis=0)
+    stated = np.sqrt(np.mean([error**2 for *_, error in found]))
+    assert scatter[0] == scatter.max() and stated == pytest.approx(scatter[0], rel=0.08)

@@ -13,11 +13,11 @@ from irodori.config.models import CapturesSource, IrradianceMap, MirrorBallSourc
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.light.environment_file import Environment, directions
-from irodori.light.mirror_ball import RIM, ball_places, inverse_reflectance, unwrapped
+from irodori.light.mirror_ball import RIM, ball_places, ball_reflectance, inverse_reflectance, unwrapped
 from irodori.light.placed_lights import direction_of
 from irodori.light.stage import prepare_environment
 from irodori.material.principal_components.basis_count import CompressOptions
-from irodori.spectra.published import refractive_index
+from irodori.spectra.published import refractive_index, spectrum
 
 OPTIONS = (
     CompressOptions(0.0, np.inf, 4, storage="single"),
@@ -39,6 +39,9 @@ def photograph(radiance, source, reflectance=None, size=(190, 205)):
     back = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     up = np.array([-np.sin(elevation) * np.cos(azimuth), -np.sin(elevation) * np.sin(azimuth), np.cos(elevation)])
+    # The camera turns counter-clockwise as seen from behind it.
+    cosine, sine = np.cos(np.radians(source["roll_deg"])), np.sin(np.radians(source["roll_deg"]))
+    right, up = cosine * right + sine * up, cosine * up - sine * right
     normal = a[..., None] * right + b[..., None] * up + c[..., None] * back
     seen = radiance(2 * c[..., None] * normal - back)
     on_ball = (a**2 + b**2 <= 1)[..., None]
@@ -49,9 +52,9 @@ def smooth(unit):
     return np.stack([2 + unit[..., 0], 1.5 + unit[..., 1] * unit[..., 2], 1 + unit[..., 2] ** 2], axis=-1)
 
 
-@pytest.mark.parametrize("camera", [(0.0, 0.0), (140.0, 0.0), (-60.0, 35.0)])
+@pytest.mark.parametrize("camera", [(0.0, 0.0, 0.0), (140.0, 0.0, 0.0), (-60.0, 35.0, 25.0)])
 def test_a_mirror_ball_shows_the_light_where_it_comes_from(camera):
-    source = {**BALL, "camera_azimuth_deg": camera[0], "camera_elevation_deg": camera[1]}
+    source = {**BALL, "camera_azimuth_deg": camera[0], "camera_elevation_deg": camera[1], "roll_deg": camera[2]}
     weights = photograph(smooth, source)
     picture = unwrapped(
         made(MirrorBallSource, source),
@@ -67,7 +70,7 @@ def test_a_mirror_ball_shows_the_light_where_it_comes_from(camera):
     assert np.abs(found - smooth(unit))[seen].max() <= 0.01
     assert picture.origin["blind_fraction"] == pytest.approx((1 - np.cos(np.pi - 2 * np.arcsin(RIM))) / 2, abs=0.01)
     # The blind cone lies behind the ball.
-    towards = direction_of(*camera)
+    towards = direction_of(*camera[:2])
     assert (unit[~seen] @ towards < -0.9).all()
 
 
@@ -87,6 +90,21 @@ def test_the_balls_own_fresnel_reflectance_is_divided_out():
     seen = ball_places(made(MirrorBallSource, source), 64, 32)[2] < RIM
     found = (picture.weights @ picture.basis.T)[..., :3]
     assert np.abs(found - smooth(directions(64, 32)[0]))[seen].max() <= 0.015
+
+
+def test_the_reflectance_of_a_ball_is_a_number_a_spectrum_or_that_of_its_metal():
+    cosine = np.array([1.0, 0.6, 0.2])
+    bare = {key: value for key, value in BALL.items() if key != "reflectance_factor"}
+    given = {
+        "number": ({"reflectance_factor": 0.8}, np.full((3, 61), 0.8)),
+        "spectrum": ({"reflectance_factor": "TCS7"}, np.tile(spectrum("TCS7"), (3, 1))),
+        "metal": ({"refractive_index": {"n": 1.5, "k": 0.0}}, np.full((3, 61), 0.04)),
+    }
+    for name, (described, expected) in given.items():
+        source = made(MirrorBallSource, bare | described)
+        found = ball_reflectance(source, cosine)
+        assert found[:1] == pytest.approx(expected[:1], rel=1e-6), name
+        assert (found[2] > found[0]).all() if name == "metal" else found == pytest.approx(expected)
 
 
 def test_a_coloured_metal_is_divided_out_at_every_wavelength(tmp_path):

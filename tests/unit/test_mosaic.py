@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from raw_studio import BLACK, DATA, WHITE, dng, random_mosaic
 
 from irodori.core.errors import InputError
-from irodori.ingest.mosaic import decode
+from irodori.ingest.mosaic import decode, demosaic
 
 
 @pytest.mark.parametrize(
@@ -24,6 +24,31 @@ def test_dng_decodes_bit_exactly(tmp_path, height, width, black, white):
         colours = file.color_desc.decode()
         pattern = [[colours[c] for c in row] for row in file.raw_colors_visible[:2, :2]]
         assert pattern == [["R", "G"], ["G", "B"]]
+
+
+def test_a_last_row_and_column_that_no_superpixel_holds_are_left_out(tmp_path):
+    mosaic = random_mosaic(np.random.default_rng(4), 65, 97)
+    path = write_any_dng(tmp_path / "a.dng", mosaic)
+    decoded = decode(path)
+    assert decoded.size == (96, 64) and np.array_equal(decoded.values, mosaic[:64, :96])
+    assert decoded.superpixels.shape == (32, 48, 3)
+    offset = np.full((64, 96), 10)
+    assert demosaic(path, "linear", offset).shape == (64, 96, 3)
+
+
+def test_masked_pixels_take_the_median_of_the_nearest_of_their_colour(tmp_path):
+    """Of the eight, those beyond an edge are the ones on the other side of the pixel."""
+    mosaic = random_mosaic(np.random.default_rng(5), 40, 60)
+    masked = np.array([[0, 0], [0, 58], [39, 1], [39, 59], [1, 20], [17, 30], [18, 34], [20, 0]])
+    bands = demosaic(write_any_dng(tmp_path / "a.dng", mosaic), "linear", masked_px=masked)
+    for row, column in masked:
+        near = []
+        for dy in (-2, 0, 2):
+            for dx in (-2, 0, 2):
+                y = row + dy if 0 <= row + dy < 40 else row - dy
+                x = column + dx if 0 <= column + dx < 60 else column - dx
+                near += [mosaic[y, x]] if (dy, dx) != (0, 0) else []
+        assert bands[row, column, row % 2 + column % 2] == int(np.median(near))
 
 
 @given(exposure_s=st.floats(1e-4, 30.0))

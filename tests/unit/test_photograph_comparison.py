@@ -24,7 +24,7 @@ from irodori.config.parts import Staging
 from irodori.core import store
 from irodori.core.custody import accept
 from irodori.core.errors import InputError
-from irodori.evaluation.photograph_comparison import compare, compare_photograph, read_photograph
+from irodori.evaluation.photograph_comparison import Photograph, compare, compare_photograph, read_photograph
 from irodori.geometry.ideal_camera import IdealView
 from irodori.geometry.pinhole import Pinhole
 from irodori.ingest.camera_reference import ingest_reference
@@ -159,6 +159,7 @@ def test_a_photograph_of_the_very_materials_differs_by_noise_alone(studio, tmp_p
     assert np.percentile(found, 95) == pytest.approx(np.percentile(noise, 95), rel=0.3)
     assert noise.mean() < 1.5
     assert figures["noise_counts"] == ["paths of the rendering", "paths of the photograph", "camera"]
+    assert figures["samples"] == PLACED["samples"] * PLACED["block"] ** 2
     assert figures["luminance_ratio"] == pytest.approx(1.0, abs=0.01) and figures["compared_fraction"] > 0.7
     for name in ("comparison", "photograph", "rendering"):
         with Image.open(tmp_path / f"{name}.png") as image:
@@ -202,8 +203,6 @@ def test_the_noise_floor_is_that_of_a_second_draw():
     every = np.ones(size, bool)
     response = (flat @ basis) + rng.normal(0, 0.02, (*size, 3))
     halves = (flat @ basis @ basis.T) * (1 + rng.normal(0, 0.03, (2, *size, 1)))
-    from irodori.evaluation.photograph_comparison import Photograph
-
     found = compare(Photograph(response, every, np.full((*size, 3), 0.02**2)), calibration, halves, np.ones(61))
     assert found.delta_e.mean() == pytest.approx(found.noise.mean(), rel=0.05)
     silent = compare(Photograph(response, every, None), calibration, halves, np.ones(61))
@@ -219,6 +218,19 @@ def test_the_noise_floor_is_that_of_a_second_draw():
     lost[5, 7] = False
     some = compare(Photograph(response, lost, None), calibration, halves, np.ones(61))
     assert np.argwhere(np.isnan(some.delta_e)).tolist() == [[5, 7]]
+
+
+@pytest.mark.parametrize("wavelength_nm", [460.0, 550.0, 680.0])
+def test_a_scale_is_found_under_light_of_one_wavelength(wavelength_nm):
+    """Deep red has no Z, and still a luminance by which both can be brought to the same brightness."""
+    line = (np.arange(400.0, 701.0, 5.0) == wavelength_nm)[:, None].astype(float)
+    calibration = Calibration(line, LinearMapping(np.eye(1)), np.ones(61), ("out",))
+    response, halves = np.full((4, 5, 1), 0.6), np.broadcast_to(0.2 * line[:, 0], (2, 4, 5, 61)).copy()
+    halves[:, 0, 0] = 0.0  # a black pixel tells no ratio
+    picture = Photograph(response, np.ones((4, 5), bool), None)
+    found = compare(picture, calibration, halves, np.ones(61), "auto")
+    assert found.scale == pytest.approx(1 / 3) and found.luminance_ratio == pytest.approx(1.0)
+    assert found.delta_e[1:].max() < 1e-6 < 1.0 < found.delta_e[0, 0]
 
 
 def test_an_undistorted_picture_is_the_scene_seen_straight():

@@ -7,7 +7,9 @@ from raw_studio import ANGLE, BALANCE, PROVENANCE, REFLECTANCE, Studio, vignetti
 from irodori.config.capture_table import Pose, write_captures
 from irodori.core import store
 from irodori.core.errors import InputError
+from irodori.ingest.develop import Developed
 from irodori.ingest.ingest_options import IngestOptions
+from irodori.ingest.shot_alignment import Alignment, align_states, move
 from irodori.ingest.stage import ingest_raw
 
 HEIGHT, WIDTH = 480, 640  # mosaic pixels
@@ -96,6 +98,35 @@ def test_the_filtered_bands_lie_on_the_unfiltered_ones(tmp_path, options):
     plain = ingest(session(tmp_path), POSE, IngestOptions(demosaic=options.demosaic, register=False))
     missed = (plain["response"] - truth)[inside]
     assert (missed[:, 3:].std(axis=0) > 2 * error[:, 3:].std(axis=0)).all() and "registration" not in plain
+
+
+@pytest.mark.parametrize("sample_px", [1, 2])
+@pytest.mark.parametrize("start", [None, Alignment((2.0, -1.0, 0.0, 1.0), 0.0, 0.01, "capture")])
+def test_pictures_of_either_sampling_are_aligned_in_superpixels_and_moved(monkeypatch, sample_px, start):
+    monkeypatch.setitem(globals(), "HEIGHT", 192)
+    monkeypatch.setitem(globals(), "WIDTH", 256)
+    rng, states = np.random.default_rng(4), []
+    for state, bands in (("out", slice(0, 3)), ("in", slice(3, 6))):
+        response = paint(*coordinates(state, sample_px=sample_px))[..., bands].astype(np.float32)
+        response += rng.normal(0.0, 0.002, response.shape).astype(np.float32)
+        nothing = np.zeros(response.shape[:2], bool)
+        clipped, hot = nothing.copy(), nothing.copy()
+        clipped[40:44, 50:54] = hot[70:72, 30:33] = True
+        response[clipped | hot] = 0.0
+        states.append(Developed(response, clipped, hot, np.zeros((3, 2)), "RGGB"))
+    options = IngestOptions() if sample_px == 2 else IngestOptions(demosaic="linear")
+    # The colours of these pictures lie on one place: what a mosaic has apart, a quarter of a superpixel, is no error.
+    found = align_states(*states, start, options, "captures.csv", "a")
+    assert apart_px(found.transform) < (0.3 if sample_px == 2 else 0.1) and found.source == "capture"
+    assert 0.0 < found.sigma_px < 0.05
+    exact = Alignment((*SHIFT_PX, ROTATION_RAD, SCALE), 0.0, 0.0, "capture")
+    moved = move(states[1], exact, sample_px, np.empty_like(states[1].response))
+    truth = paint(*coordinates("out", sample_px=sample_px))[..., 3:]
+    assert moved.valid.mean() > 0.9 and np.abs(moved.response - truth)[moved.valid].mean() < 0.004
+    # Both masks are where the picture shows what they mark.
+    shift = SHIFT_PX * 2 / sample_px
+    for mask, row, column in ((moved.clipped, 41.5, 51.5), (moved.hot[60:80, 20:40], 10.5, 11.0)):
+        assert np.mean(np.argwhere(mask), axis=0) == pytest.approx([row - shift[1], column - shift[0]], abs=1.0)
 
 
 @pytest.mark.stability(stage="ingest", case="picture without content")
