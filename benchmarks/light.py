@@ -81,28 +81,32 @@ def adapted_errors(true: np.ndarray, found: np.ndarray) -> np.ndarray:
     return delta_e(*(lab_from_xyz(xyz, white) for xyz, white in zip(shown, whites, strict=True))).mean()
 
 
-def recovered(seen: Seen, light: np.ndarray, make_prior: Callable | None, left_out: np.ndarray) -> np.ndarray:
-    """Return a light (61,) as it is recovered from its responses, without lamps like a left-out one in the prior."""
+def recovered(seen: Seen, light: np.ndarray, prior: LightPrior | None) -> np.ndarray:
+    """Return a light (61,) as it is recovered from its responses; without a prior, as the rig's lamp on paint."""
     response = seen.sensitivity @ light
-    if make_prior is None:
+    if prior is None:
         return seen.calibration.light * seen.calibration.spectra(response)
-    prior = make_prior(unlike(published_lamps(), left_out))
     recovery = LightRecovery.of_room(seen.calibration, Directions(response[None], np.ones(1)), prior)
     return recovery.basis @ recovery.weights(response)
 
 
-VARIANTS = {"rig-lamp": None, "posterior": one_family, "mixture": light_prior}
+VARIANTS: dict[str, Callable[[np.ndarray], LightPrior] | None] = {
+    "rig-lamp": None,
+    "posterior": one_family,
+    "mixture": light_prior,
+}
 
 
 def errors(seen: Seen, variant: str, walls: tuple[str, ...] = (), names: tuple[str, ...] = CIE) -> np.ndarray:
     """Return the errors of lamps, bare (lamps, 1) or off walls (lamps, walls)."""
-    surfaces = [spectrum(wall) for wall in walls] or [np.ones(61)]
+    surfaces, make_prior = [spectrum(wall) for wall in walls] or [np.ones(61)], VARIANTS[variant]
     found = np.empty((len(names), len(surfaces)))
     for row, name in zip(found, names, strict=True):
         lamp = spectrum(name)
         lamp = lamp / lamp.mean()
+        prior = make_prior and make_prior(unlike(published_lamps(), lamp))
         for column, surface in enumerate(surfaces):
-            row[column] = adapted_errors(lamp * surface, recovered(seen, lamp * surface, VARIANTS[variant], lamp))
+            row[column] = adapted_errors(lamp * surface, recovered(seen, lamp * surface, prior))
     return found
 
 

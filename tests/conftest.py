@@ -5,6 +5,10 @@ import signal
 
 from hypothesis import settings
 
+# One thread for linear algebra, before NumPy is loaded: the matrices of tests are small, and while other tests compute
+# on all cores, threads that wait for each other burn up to fifteen times what they compute.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 pytest_plugins = ["stability_table"]
 
 settings.register_profile("ci", derandomize=True, deadline=None)

@@ -90,7 +90,7 @@ def gloss_albedo(theta_i, mu, beta, n, k, samples=300):
 @example(cosine=0.0, index=(1.5, 0.0))
 @example(cosine=1.0, index=(1.0, 0.0))
 @example(cosine=0.2, index=(1.5, 100.0))
-@settings(deadline=None, max_examples=500)
+@settings(deadline=None, max_examples=200)
 def test_fresnel_of_glasses_and_metals_agrees_with_complex_amplitudes(cosine, index):
     n, k = index
     assume(cosine > 1e-3 or abs(complex(n - 1, k)) > 1e-3)  # grazing light on no surface at all: 0/0
@@ -98,7 +98,7 @@ def test_fresnel_of_glasses_and_metals_agrees_with_complex_amplitudes(cosine, in
 
 
 @given(cosine=COSINES, n=st.floats(0.02, 1.0), k=st.floats(0.0, 100.0))
-@settings(deadline=None, max_examples=500)
+@settings(deadline=None, max_examples=200)
 def test_fresnel_of_media_thinner_than_air_agrees_with_complex_amplitudes(cosine, n, k):
     # At the critical angle n² = sin² the reflectance has a square-root branch point: no arithmetic keeps its digits.
     assume(abs(complex(n, k) ** 2 - (1 - cosine**2)) > 1e-2)
@@ -123,7 +123,7 @@ def test_no_index_near_airs_reflects_less_than_nothing():
 @example(cosine=0.3, n=0.9, k=0.0)
 @example(cosine=0.0, n=1.0, k=0.0)
 @example(cosine=1.0, n=1.0, k=0.0)
-@settings(deadline=None, max_examples=500)
+@settings(deadline=None, max_examples=200)
 def test_fresnel_reflects_between_nothing_and_everything(cosine, n, k):
     assert 0.0 <= fresnel(cosine, n, k) <= 1.0
 
@@ -203,7 +203,7 @@ def test_facet_distribution_is_one_at_the_normal_and_falls_with_the_angle(mu, ph
 
 
 @given(light=directions(90), camera=directions(90))
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=150)
 def test_shadowing_over_cosine_is_bounded_at_grazing_angles(light, camera):
     half = light + camera
     half /= np.linalg.norm(half)
@@ -236,7 +236,7 @@ def test_shadowing_is_the_v_cavity_factor(light, camera):
     alpha=st.floats(0.0, 1.0),
     beta=st.floats(0.0, 1000.0),
 )
-@settings(deadline=None, max_examples=500)
+@settings(deadline=None, max_examples=200)
 def test_reflection_is_reciprocal(light, camera, index, mu, alpha, beta):
     assume(abs(complex(*index) - 1) > 0.01)  # an index like air's reflects 0, of which no relative digits exist
     there = angles_from_directions(NORMAL, light, camera)
@@ -248,7 +248,7 @@ def test_reflection_is_reciprocal(light, camera, index, mu, alpha, beta):
 
 
 @given(light=directions(180), camera=directions(180), index=INDEX, mu=MU)
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=150)
 def test_no_light_comes_from_or_goes_below_the_surface(light, camera, index, mu):
     assume(np.linalg.norm(light + camera) > 1e-9)
     value = reflect(0.8, 1.0, 10.0, mu, angles_from_directions(NORMAL, light, camera), n=index[0], k=index[1])

@@ -152,7 +152,7 @@ def test_parallel_rays_show_a_ball_of_one_size_at_every_distance(integrator):
 def test_parallel_rays_see_one_direction_of_the_sky_and_one_cosine_of_a_plate(integrator):
     from scenes import fresnel, sky
 
-    light = sky(lambda d: 2 + d[..., 1:2] + 0.5 * d[..., 2:])
+    light = sky(lambda d: 2 + d[..., 1:2] + 0.5 * d[..., 2:], 256, 128)
     down = np.array([0.0, 100.0, -60.0]) / np.hypot(100.0, 60.0)
     view = {"kind": "orthographic", "position_mm": [0.0, -100.0, 60.0], "target_mm": [0.0, 0.0, 0.0],
             "up": [0.0, 0.0, 1.0], "height_mm": 40.0}  # fmt: skip

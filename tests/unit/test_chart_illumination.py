@@ -39,7 +39,7 @@ def off(found, field) -> float:
     lean=st.floats(-0.5, 0.5),
     noise=st.floats(0.0, 0.01),
 )
-@settings(deadline=None, max_examples=10)
+@settings(deadline=None, max_examples=5)
 def test_known_light_is_recovered_to_a_percent_or_not_corrected(seed, fall, lean, noise):
     field = light_field(WIDTH, HEIGHT, fall, lean)
     found = told(noisy(EVEN * field, np.random.default_rng(seed), noise, 0.7))

@@ -118,7 +118,7 @@ def test_a_white_disc_ball_and_floor_vanish_in_a_white_furnace(integrator):
 @EVERY_ONE
 def test_a_floor_ends_at_the_horizon_and_mirrors_the_sky(integrator):
     """The eye looks level: the upper half of the picture is sky, and the lower its image."""
-    light = sky(lambda d: 2 + d[..., 1:2] + d[..., 2:] ** 2)
+    light = sky(lambda d: 2 + d[..., 1:2] + d[..., 2:] ** 2, 256, 128)
     picture = seen([FLOOR], [material(mirror=1.0, n=0.001, k=60.0)], [(0, 0, 0)], integrator, light,
                    position=(0, -10, 15), target=(0, 90, 15), size=(24, 32), fov=60, pixel_side=2)[..., 30]  # fmt: skip
     assert np.allclose(picture[16:], picture[:16][::-1], rtol=0.02)
@@ -238,7 +238,7 @@ def test_an_eye_exactly_in_the_plane_of_a_flat_shape_sees_what_the_tracer_says(s
     objects, _ = make_objects(placements, [material(0.5, mirror=0.2)] * 2)
     light = constant_light()
     gloss, white = gloss_maps(light), light.upward_white()
-    ready = prepare_scene(objects, light_of(light), gloss, Tracer(placements), "coefficients", white)
+    ready = prepare_scene(objects, light_of(light), gloss, Tracer(placements), "coefficients", white, half=False)
     everything = dataclasses.replace(ready, world=ready.world._replace(bounded=0))
     eye = rotation_xyz(turn) @ np.array([-30.0, -70.0, 0.0])
     definition = {"position_mm": eye, "target_mm": [3.0, 5.0, 4.0], "up": [0.0, 0.0, 1.0], "field_of_view_deg": 90.0}

@@ -52,7 +52,7 @@ def _vectors(cosine, n, k, out):
 @given(cases=st.lists(st.tuples(COSINE, INDEX, ABSORPTION), min_size=8, max_size=8))
 @example(cases=[(0.0, 1.0, 0.0), (1.0, 1.0, 0.0), (0.0, 0.999, 0.0), (0.0, 1.5, 0.0), (0.2, 1.5, 100.0),
                 (1.0, 0.011, 0.0), (0.6, 0.8, 0.0), (0.5, 1.0 + 1e-6, 0.0)])  # fmt: skip
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=100)
 def test_numbers_and_vectors_agree_with_complex_amplitudes(dtype, cases):
     given_ = np.array(cases, dtype).T.copy()
     out = np.empty(8, dtype)

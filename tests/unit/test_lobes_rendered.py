@@ -45,13 +45,7 @@ SURFACES = {
     "gaussian+ggx": (("gaussian", 5.0, 0.1), ("ggx", 0.6, 0.4)),
     "toy": (("toy", 8.0, 0.2),),
 }
-#: Loops are compiled for the lobes of a scene: a ball out of sight, with those that are missing, makes scenes of three
-#: lobes, of surfaces with one component and with two, of the sum of two lobes and of the foreign one.
-MIXED = ("gaussian", "ggx", "toy")
 GLOSSY = pytest.mark.parametrize("components", SURFACES.values(), ids=SURFACES)
-#: Each number of components compiles its own interactive loop: one, and two beside a foreign one.
-INTERACTIVE = [name for name in SURFACES if name != "ggx+ggx"]
-SHOWN = pytest.mark.parametrize("components", [SURFACES[name] for name in INTERACTIVE], ids=INTERACTIVE)
 
 
 def term(name, mu, cos_i, cos_r, cos_phi, cos_h):
@@ -76,14 +70,14 @@ def surface(components, n=1.5, k=0.0, reflectance=0.0) -> Material:
     return dataclasses.replace(one, lobes=tuple(c[0] for c in components), further_gloss=maps, typical_gloss=typical)
 
 
+#: Loops are compiled for the lobes of a scene and for how many a surface has: beside a ball of all three, all scenes
+#: here share one loop of each integrator.
+MIXED = surface([(name, 1.0, 0.1) for name in ("gaussian", "ggx", "toy")])
+
+
 def beside(shape, components, *given):
-    """Return shapes, materials and places of a surface in the origin and of what completes `MIXED`, if it is of it."""
-    lobes = [name for name, _, _ in components]
-    scene = [(shape, surface(components, *given), (0.0, 0.0, 0.0))]
-    if "toy" in lobes or {"gaussian", "ggx"} <= set(lobes):
-        others = tuple((name, 1.0, 0.1) for name in MIXED if name not in lobes)
-        scene.append((BALL, surface(others), (0.0, 0.0, -2000.0)))
-        scene.sort(key=lambda part: MIXED.index(part[1].lobes[0]))
+    """Return shapes, materials and places of a ball of all lobes out of sight and of a surface in the origin."""
+    scene = [(BALL, MIXED, (0.0, 0.0, -2000.0)), (shape, surface(components, *given), (0.0, 0.0, 0.0))]
     return [list(column) for column in zip(*scene, strict=True)]
 
 
@@ -125,7 +119,7 @@ def test_reference_renders_the_lobes_integrated_over_the_light(components, theta
     """A small part of a plate under light that varies slowly, as the Gaussian lobe is tested."""
     theta = np.radians(theta_deg)
     view = np.array([0.0, -np.sin(theta), np.cos(theta)])
-    picture = paths(plate(2000.0), components, smooth_sky(2048, 1024), 8192, n, k,
+    picture = paths(plate(2000.0), components, smooth_sky(), 8192, n, k,
                     position=500 * view, size=(1, 1), fov=0.1, up=(0.0, np.cos(theta), np.sin(theta)))  # fmt: skip
     expected = integral(np.array([0.0, 0.0, 1.0]), view, components, n, k)
     assert picture.standard_error[0, 0, 0] <= 5e-3 * expected
@@ -177,7 +171,7 @@ def interactive(components, light, n=1.5, k=0.0, lamps=(), size=(41, 41)):
     return render_frame(ready, view, lamps=tuple(CollimatedLamp(np.asarray(d)) for d in lamps))[..., 1] / 100
 
 
-@SHOWN
+@GLOSSY
 @pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.4)], ids=["lacquer", "metal"])
 def test_interactive_renders_the_lobes_integrated_over_the_light(components, n, k):
     """Within the tolerances of the Gaussian lobe of the same roughness."""
@@ -190,7 +184,7 @@ def test_interactive_renders_the_lobes_integrated_over_the_light(components, n, 
         assert found[y, x] == pytest.approx(true, rel=tolerance)
 
 
-@SHOWN
+@GLOSSY
 def test_interactive_shows_highlights_of_lamps_as_the_formula_has_them(components):
     towards = np.array([0.3, -0.8, 0.5]) / np.linalg.norm([0.3, -0.8, 0.5])
     found = interactive(components, constant_light(0.0), lamps=[towards])
@@ -205,7 +199,7 @@ def test_interactive_shows_highlights_of_lamps_as_the_formula_has_them(component
     np.testing.assert_allclose(found[lit], true[lit], rtol=2e-3, atol=1e-5 * true[lit].max())
 
 
-@SHOWN
+@GLOSSY
 def test_interactive_and_reference_show_the_same_ball(components):
     light = smooth_sky(256, 128)
     fast = interactive(components, light, size=(21, 21))

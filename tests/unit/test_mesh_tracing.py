@@ -285,7 +285,7 @@ def smooth(direction):
 
 def test_a_sphere_of_triangles_is_rendered_as_the_sphere():
     light = sky(smooth)
-    options = {"size": (61, 61), "samples": 256}
+    options = {"size": (41, 41), "samples": 256}
     facets = sphere_of_triangles(20.0)
     exact, found = (render([shape], [textured()], light, **options)[..., 30] for shape in (BALL, facets))
     apart = np.abs(found - exact)

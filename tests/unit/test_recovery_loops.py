@@ -55,7 +55,7 @@ def test_the_blend_of_matrices_is_that_of_its_definition(bands, anchors, bases, 
     assert np.abs(weights(mapping, response, variance) - expected).max() <= 1e-5 * size.max()
     # Shares under 1e-7 are left out, and no others.
     assert (np.abs(weights(mapping, response, variance) - expected) <= 2e-6 * anchors * size).all()
-    single = weights(mapping, response.astype(np.float32), variance)
+    single = weights(mapping, response.astype(np.float32), None if variance is None else variance.astype(np.float32))
     assert (np.abs(single - expected) <= 1e-5 * size * np.abs(mapping.maps).max()).all()
 
 
@@ -91,7 +91,7 @@ def test_an_anchor_that_stands_twice_counts_as_two():
 def test_responses_that_are_no_numbers_or_none_spoil_no_neighbour(kind, stated):
     mapping = local(6, 24, 6)
     response = np.abs(np.random.default_rng(9).normal(0.5, 0.2, (70, 6))).astype(kind)
-    variance = np.full((70, 6), 1e-4) if stated else None
+    variance = np.full((70, 6), 1e-4, kind) if stated else None
     expected = weights(mapping, response, variance)
     response[3, 2], response[4, 0], response[5] = np.nan, np.inf, 0.0
     found = weights(mapping, response, variance)

@@ -123,8 +123,8 @@ def test_gloss_is_the_lobe_integrated_over_the_light(mu, theta_deg, n, k):
     view = np.array([0.0, -np.sin(theta), np.cos(theta)])
     beta = 1 / (4 * mu**2)
     picture = traced([plate(2000.0)], [material(0.0, beta=beta, mu=mu, n=n, k=k)],
-                     smooth_sky(2048, 1024), 8192, position=500 * view, size=(1, 1),
-                     fov=0.1, up=(0.0, np.cos(theta), np.sin(theta)))  # fmt: skip
+                     smooth_sky(2048, 1024) if mu < 0.05 else smooth_sky(), 8192, position=500 * view,
+                     size=(1, 1), fov=0.1, up=(0.0, np.cos(theta), np.sin(theta)))  # fmt: skip
     expected = lobe_integral(np.array([0.0, 0.0, 1.0]), view, beta, mu, n, k)
     assert picture.standard_error[0, 0, 0] <= 5e-3 * expected
     assert abs(picture.radiance[0, 0, 0] - expected) <= 5 * picture.standard_error[0, 0, 0] + 5e-4 * expected
@@ -256,12 +256,12 @@ def test_directions_are_drawn_with_the_density_that_is_told_for_them(place):
     usable = np.hypot(towards[:, 0], towards[:, 1]) > 1e-4
     assert np.allclose(density[usable], again[usable], rtol=2e-3)
     # The density integrates to 1: by even directions about the texel and over the rest.
-    theta = np.pi * (np.arange(2048) + 0.5) / 2048
-    azimuth = 2 * np.pi * (np.arange(4096) + 0.5) / 4096
+    theta = np.pi * (np.arange(1024) + 0.5) / 1024
+    azimuth = 2 * np.pi * (np.arange(1024) + 0.5) / 1024
     total = 0.0
     for t in theta:
-        row = np.stack([np.sin(t) * np.cos(azimuth), np.sin(t) * np.sin(azimuth), np.full(4096, np.cos(t))], axis=-1)
-        total += densities(made, row).sum() * np.sin(t) * (np.pi / 2048) * (2 * np.pi / 4096)
+        row = np.stack([np.sin(t) * np.cos(azimuth), np.sin(t) * np.sin(azimuth), np.full(1024, np.cos(t))], axis=-1)
+        total += densities(made, row).sum() * np.sin(t) * (np.pi / 1024) * (2 * np.pi / 1024)
     assert total == pytest.approx(1.0, abs=2e-3)
 
 

@@ -68,7 +68,7 @@ def leaves():
     return leaves_scene(WIDTH, HEIGHT, np.random.default_rng(1))
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
     dx=st.floats(-8, 8),

@@ -121,7 +121,7 @@ def test_the_same_seed_gives_the_same_table(planned, tmp_path):
             made(Mapping[str, PlannedPlate], {"x": made(PlannedPlate, planned)}),
             FitOptions(),
             80.0,
-            made(Planning, {"poses": [4], "materials": 100}),
+            made(Planning, {"poses": [4], "materials": 20}),
             tmp_path / name,
         )
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()

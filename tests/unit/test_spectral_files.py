@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from irodori.core.errors import InputError
@@ -68,6 +68,7 @@ def refusal(call, *arguments):
     ("suffix", "writer"), [(".csv", wide), (".csv", columns), (".csv", long), (".ti3", ti3), (".txt", ti3)]
 )
 @given(spectra=SPECTRA)
+@settings(max_examples=25)
 def test_what_is_written_is_read_back(tmp_path_factory, suffix, writer, spectra):
     file = write(tmp_path_factory.mktemp("spectra"), "set" + suffix, writer(spectra))
     table = spectral_table(file)

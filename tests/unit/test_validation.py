@@ -264,7 +264,7 @@ _PLAIN = st.recursive(
 
 
 @pytest.mark.stability(stage="fuzzing", case="configuration")
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=150)
 @given(data=st.data(), which=st.sampled_from([PLATE, SCENE, CAMERA, RIG, ROOM]), value=_PLAIN)
 def test_any_value_in_any_place_is_valid_or_an_input_error(data, which, value):
     definition = example(*which)

@@ -44,7 +44,8 @@ def prepared(shapes, materials, light, representation="coefficients", *, places=
     objects, _ = make_objects(placements, materials)
     white = light.upward_white() if white is None else white
     maps = gloss_maps(light)
-    return prepare_scene(objects, light_of(light), maps, Tracer(placements), representation, white, **options)
+    scene = objects, light_of(light), maps, Tracer(placements), representation, white
+    return prepare_scene(*scene, half=False, **options)
 
 
 def view_of(position=(0.0, -200.0, 0.0), target=(0.0, 0.0, 0.0), size=(41, 41), fov=13.0, scale=1.0):
@@ -109,7 +110,7 @@ def plain_picture(placements, materials, environment, irradiance, bounces, *, po
                       for ray in row] for row in rays])  # fmt: skip
 
 
-def sky_of(function, height=256) -> Environment:
+def sky_of(function, height=128) -> Environment:
     """Light with one number a direction, on the first vector of `BASIS`."""
     values = function(directions(2 * height, height)[0])
     coefficients = np.stack([values, 0 * values, 0 * values], axis=-1).astype(np.float32)

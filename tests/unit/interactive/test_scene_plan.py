@@ -1,9 +1,11 @@
 """A plan of a scene: what it leaves out, what it predicts, how it is checked."""
 
 import dataclasses
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -28,7 +30,7 @@ from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, render_frame
 from irodori.rendering.interactive.pixel_rays import render_pixels, render_rays
-from irodori.rendering.planning.modelled_scene import full_model, leading_basis, prepare
+from irodori.rendering.planning.modelled_scene import Model, Parts, full_model, leading_basis, prepare
 from irodori.rendering.planning.plan_file import model_of, write_plan
 from irodori.rendering.planning.planned_check import ToleranceError, chosen_pixels
 from irodori.rendering.planning.planned_picture import parts_of
@@ -353,9 +355,20 @@ CHANGED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("lamps", [0, 1])
-@pytest.mark.parametrize("change", CHANGED)
-def test_a_change_of_the_probes_scene_is_what_a_scene_prepared_without_it_shows(change, lamps):
+class Probed(NamedTuple):
+    """A scene as the planner probes it, and as it is prepared for a picture."""
+
+    parts: Parts
+    full: Model
+    matrix: np.ndarray
+    probes: Probes
+    whole: np.ndarray  # what the probes' rays show of the scene as it is
+    shown: Callable  # the same of a model of it
+
+
+@functools.cache
+def probed(lamps: int) -> Probed:
+    """Return the scene under a sky and lamps; one for all changes, each of which is taken back."""
     rng = np.random.default_rng(4)
     materials = [checked_texture(rng, 1.0, 0.4), checked_texture(rng, 2.0, 0.8)]
     definition = scene_of(lights=[LAMP] * lamps)
@@ -366,13 +379,23 @@ def test_a_change_of_the_probes_scene_is_what_a_scene_prepared_without_it_shows(
     view = make_view(made(View, definition["views"]["v"]), made(Size, definition["image"]))
     ladder = make_light(parts.environment)
     probes = Probes(parts, full, ladder, [view], 500, 7)
-    changes, model = CHANGED[change](parts, full)
-    for _ in range(2):  # what was changed is taken back
-        shown = probes.radiance(changes) @ matrix.T
-        whole = probes.radiance() @ matrix.T
     lights = tuple(CollimatedLamp(towards) for towards in parts.lamp_towards)
-    for found, own in ((shown, model), (whole, full)):
-        expected = render_rays(prepare(parts, own, matrix, ladder), view, probes.rays, lights)
+
+    def shown(model):
+        return render_rays(prepare(parts, model, matrix, ladder), view, probes.rays, lights)
+
+    return Probed(parts, full, matrix, probes, shown(full), shown)
+
+
+@pytest.mark.parametrize("lamps", [0, 1])
+@pytest.mark.parametrize("change", CHANGED)
+def test_a_change_of_the_probes_scene_is_what_a_scene_prepared_without_it_shows(change, lamps):
+    scene = probed(lamps)
+    probes, (changes, model) = scene.probes, CHANGED[change](scene.parts, scene.full)
+    for _ in range(2):  # what was changed is taken back
+        shown = probes.radiance(changes) @ scene.matrix.T
+        whole = probes.radiance() @ scene.matrix.T
+    for found, expected in ((shown, scene.shown(model)), (whole, scene.whole)):
         assert np.abs(found - expected).max() < 1e-5 * expected.max()
     assert (np.abs(shown - whole).max() > 1e-4 * whole.max()) == (change != "nothing")
     met = probes.met(changes)
