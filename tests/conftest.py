@@ -22,6 +22,10 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+#: Files that take minutes: the workflow's, and those that start programs and wait for them.
+_LONG = ("/workflow/", "test_mutation.py", "test_rig_faults.py", "/viewer_page/", "/test_viewer_")
+
+
 def pytest_collection_modifyitems(items):
-    """Begin with the workflow's tests: a file of them takes minutes, for which the others would wait at the end."""
-    items.sort(key=lambda item: "workflow" not in item.path.parts)
+    """Begin with the files that take minutes, for which the others would wait at the end."""
+    items.sort(key=lambda item: not any(part in item.path.as_posix() for part in _LONG))

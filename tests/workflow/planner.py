@@ -1,8 +1,9 @@
-"""Dry runs in forks of one process that has imported Snakemake: ``python planner.py``, started by `Planner`.
+"""Snakemake in forks of one process that has imported it: ``python planner.py``, started by `Planner`.
 
 A dry run of its own process takes two thirds of its time to import and to read what never changes: Snakemake, schemas
-and the repository's sources. Each line on standard input is a JSON list: working directory, file for standard output,
-file for standard error, arguments. The answer is the fork's process, then its exit status.
+and the repository's sources. So does a small job, which is forked as well (`script_forks`). Each line on standard
+input is a JSON list: working directory, file for standard output, file for standard error, arguments. The answer is
+the fork's process, then its exit status.
 """
 
 import json
@@ -13,12 +14,13 @@ import sys
 from pathlib import Path
 
 import patience
+import script_forks
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 class _Fork:
-    """A dry run, to `patience.wait` as good as a process that was started here."""
+    """A run, to `patience.wait` as good as a process that was started here."""
 
     def __init__(self, server: subprocess.Popen, command: list) -> None:
         self.args, self._server = command, server
@@ -43,7 +45,7 @@ class Planner:
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
 
-    def plan(self, folder: Path, arguments: list[str], out: Path, err: Path) -> int:
+    def run(self, folder: Path, arguments: list[str], out: Path, err: Path) -> int:
         """Run Snakemake in a working directory; return its exit status."""
         fork = _Fork(self._server, [str(folder), str(out), str(err), arguments])
         return patience.wait(fork, out, err)
@@ -62,6 +64,7 @@ def main() -> None:
     from irodori.config.validation import SCHEMAS, load_schema
     from irodori.core.provenance import code_hash, modules_of
 
+    script_forks.import_what_scripts_use()
     for schema in SCHEMAS:
         load_schema(schema)
     code_hash(*modules_of("irodori"))  # each rule asks for that of its part: the sources are parsed once
@@ -74,6 +77,8 @@ def main() -> None:
             sys.path[0] = folder  # as for python -m
             for path, number in ((os.devnull, 0), (out, 1), (err, 2)):
                 os.dup2(os.open(path, os.O_RDWR | os.O_CREAT), number)
+            if "--dry-run" not in arguments:
+                script_forks.run_scripts_in_forks()
             snakemake.cli.main(arguments)
             os._exit(1)  # it has not ended the process itself, as it always does
         print(pid, flush=True)

@@ -38,14 +38,14 @@ def snakemake(
     """Run Snakemake in a working directory with the repository's Snakefile; some commands need no number of cores.
 
     `search_path` is where Python looks for packages before it looks among the installed ones. What takes long is waited
-    for as long as it gets on. A dry run with the repository's own Snakefile is made in a fork, see `planner`.
+    for as long as it gets on. With the repository's own Snakefile it and its jobs are forked, see `planner`.
     """
     number = ["--cores", str(cores)] if cores else []
     given = ["--snakefile", str(snakefile), *number, *arguments]
-    if "--dry-run" in arguments and snakefile == ROOT / "Snakefile" and search_path is None:
+    if snakefile == ROOT / "Snakefile" and search_path is None:
         with tempfile.TemporaryDirectory() as said:
             out, err = Path(said, "out"), Path(said, "err")
-            status = _planner().plan(folder, given, out, err)
+            status = _planner().run(folder, given, out, err)
             return subprocess.CompletedProcess(given, status, out.read_text(), err.read_text())
     environment = os.environ | ({"PYTHONPATH": str(search_path)} if search_path else {})
     return patience.run([sys.executable, "-m", "snakemake", *given], cwd=folder, env=environment)
@@ -53,7 +53,7 @@ def snakemake(
 
 @functools.cache
 def _planner() -> Planner:
-    """Start the process that plans for all tests of this one."""
+    """Start the process that runs Snakemake for all tests of this one."""
     started = Planner()
     atexit.register(started.close)
     return started

@@ -1,7 +1,6 @@
-"""An object of two lobes goes through the whole chain, from its configuration to a picture and the report."""
+"""An object of two lobes goes through the chain, from its configuration to pictures and their errors."""
 
 import json
-import re
 
 import numpy as np
 import pytest
@@ -17,8 +16,10 @@ from irodori.spectra.grid import SAMPLES
 PAINTS = [("TCS20", 2.0, 0.07, 1.5, 0.35), ("TCS81", 1.5, 0.09, 2.0, 0.4),
           ("TCS31", 2.5, 0.08, 1.2, 0.3), ("TCS56", 2.0, 0.1, 1.5, 0.45)]  # fmt: skip
 
-
 QUICK = "classroom-page"
+#: Neither the costs of imperfections nor of poses: both are those of the paper's lobe and of GGX in any project.
+ASKED = ("results/tile-plate/material.h5", "results/tile-plate/truth.h5", f"results/{QUICK}/front.exr",
+         "results/still-life/front.exr", "results/still-life/photographs/front/comparison.json")  # fmt: skip
 
 
 def component(material: Material, name: str) -> np.ndarray:
@@ -44,7 +45,6 @@ def finished(tmp_path_factory):
             "poses": [{"light_deg": [light], "camera_deg": camera} for light in (45.0, 60.0)],
         },
     )
-    edit(folder / "config/objects/leaf-sphere.yaml", {"lobes": ["ggx"]})
     edit(folder / "config/scenes/still-life.yaml", {"integrator": {"kind": "reference", "samples": 64}})
     interactive = (folder / "config/scenes/still-life.yaml").read_text()
     (folder / f"config/scenes/{QUICK}.yaml").write_text(interactive)
@@ -53,7 +53,7 @@ def finished(tmp_path_factory):
         {"integrator": {"kind": "interactive"}, "tolerance_ciede2000": 1.0, "photographs": {}},
     )
     edit(folder / "config/config.yaml", {"make.scenes": ["still-life", QUICK]})
-    run = snakemake(folder)
+    run = snakemake(folder, *ASKED)
     assert run.returncode == 0, run.stderr[-4000:]
     return folder
 
@@ -71,7 +71,7 @@ def test_both_lobes_are_recovered_where_the_data_calls_for_them(finished):
 
 
 @pytest.mark.heavy
-def test_pictures_photograph_and_report_have_both_lobes(finished):
+def test_pictures_and_photograph_have_both_lobes(finished):
     results = finished / "results"
     # The path tracer with the true materials, and what was measured: noise of 64 paths and the fit's errors.
     table = json.loads((results / "still-life/photographs/front/comparison.json").read_text())
@@ -84,7 +84,3 @@ def test_pictures_photograph_and_report_have_both_lobes(finished):
     shown = traced > 0.05 * traced.max()
     ratio = quick[shown] / traced[shown]
     assert np.median(np.abs(ratio / np.median(ratio) - 1.0)) < 0.1
-    page = (results / "report.html").read_text()
-    # The typical gloss of the plate's two components, and of the sphere's one.
-    assert re.search(r"gloss\s+β = [^;<]*\(Gaussian facets\); β = [^;<]*\(GGX facets\)", page)
-    assert re.search(r"gloss\s+β = [^;<]*\(GGX facets\)", page)
