@@ -97,7 +97,7 @@ class _VirtualHands(Operator):
     """Asks whoever is to be asked, then sets the virtual bench as a person would have set a real one."""
 
     def __init__(self, inner: Operator, bench: Bench) -> None:
-        self.inner, self.bench = inner, bench
+        self.inner, self.bench, self.attended = inner, bench, inner.attended
 
     def ask(self, step: Step) -> None:
         self.inner.ask(step)
@@ -105,6 +105,9 @@ class _VirtualHands(Operator):
 
     def confirm(self, request: str) -> None:
         self.inner.confirm(request)
+
+    def judge(self, doubt: str) -> str:
+        return self.inner.judge(doubt)
 
 
 @contextmanager

@@ -10,7 +10,8 @@ import itertools
 import math
 import posixpath
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,8 +34,10 @@ FILTERS = ("out", "in")
 COLUMNS = ("file", "role", "light_deg", "camera_deg", "tilt_deg", "turn_deg", "filter", "exposure_s")
 
 _ANGLES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
-#: Columns that a table may do without; it has them where the camera's own values are to be checked.
-EXTRA_COLUMNS = ("iso", "f_number", "sha256")
+#: Angles that the controller told at the shot.
+_READ = tuple(f"{angle.removesuffix('_deg')}_read_deg" for angle in _ANGLES)
+#: Columns that a table may do without: the camera's own values, which are checked, and how a session took each.
+EXTRA_COLUMNS = ("iso", "f_number", "taken_at", "camera_time", "camera", *_READ, "accepted", "sha256")
 _OPTIONAL = ("tilt_deg", "turn_deg", *EXTRA_COLUMNS)
 #: Roles whose repeated frames are averaged, so that equal exposure times are no mistake.
 _AVERAGED = ("dark", "white")
@@ -57,11 +60,41 @@ class Pose:
 
 
 @dataclasses.dataclass(frozen=True)
+class Taken:
+    """How a session took a photograph; empty where nobody noted it, as for a computed one.
+
+    Parameters
+    ----------
+    at : str
+        The computer's time at the shutter, ISO 8601 with its distance from UTC.
+    camera_time : str
+        The camera's own clock, ISO 8601; it has no zone and may be wrong, but runs evenly.
+    camera : str
+        Model and serial number of the body.
+    read_deg : dict
+        Motorised angle (``camera_deg``): where its axis stood by the controller's count, degrees.
+    accepted : str
+        Why a person kept it although it was doubted.
+    """
+
+    at: str = ""
+    camera_time: str = ""
+    camera: str = ""
+    read_deg: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    accepted: str = ""
+
+    def cells(self) -> list:
+        """Return the cells from ``taken_at`` to ``accepted``."""
+        return [self.at, self.camera_time, self.camera, *(self.read_deg.get(a, "") for a in _ANGLES), self.accepted]
+
+
+@dataclasses.dataclass(frozen=True)
 class Shot:
     """One photograph: ``file`` as the table writes it, ``role`` of ROLES, ``filter`` of FILTERS.
 
     ``iso`` (sensitivity, ISO 12232) and ``f_number`` (relative aperture) are 0 where the table does not state them.
-    ``chart`` is the name of a further chart, empty for the camera's first and for all other roles.
+    ``chart`` is the name of a further chart, empty for the camera's first and for all other roles. ``taken`` is how it
+    was taken, which makes it no other photograph: shots are equal whatever stands there.
     """
 
     file: str
@@ -72,6 +105,7 @@ class Shot:
     iso: float = 0.0
     f_number: float = 0.0
     chart: str = ""
+    taken: Taken = dataclasses.field(default_factory=Taken, compare=False)
 
     @property
     def subject(self) -> str:
@@ -262,10 +296,26 @@ class _Shots:
             if abs(getattr(pose, angle)) > 360:
                 raise self._error(line, angle, row[angle].strip(), "an angle from -360 to 360 degrees")
         iso, f_number = (self._optional(line, column, row.get(column, "")) for column in ("iso", "f_number"))
-        shot = Shot(file, role, pose, state, exposure, iso, f_number, chart)
+        shot = Shot(file, role, pose, state, exposure, iso, f_number, chart, self._taken(line, row))
         self._check_against_others(line, shot)
         self._check_file(line, shot)
         self.all.append(shot)
+
+    def _taken(self, line: int, row: dict[str, str]) -> Taken:
+        texts = {name: row.get(name, "").strip() for name in ("taken_at", "camera_time", "camera", "accepted")}
+        for name in ("taken_at", "camera_time"):
+            try:
+                if texts[name]:
+                    datetime.fromisoformat(texts[name])
+            except ValueError:
+                accepted = "a time such as 2026-05-04T10:15:30.250+09:00, or an empty cell"
+                raise self._error(line, name, repr(texts[name]), accepted) from None
+        read = {
+            angle: self._number(line, column, row[column])
+            for angle, column in zip(_ANGLES, _READ, strict=True)
+            if row.get(column, "").strip()
+        }
+        return Taken(texts["taken_at"], texts["camera_time"], texts["camera"], read, texts["accepted"])
 
     def _check_against_others(self, line: int, shot: Shot) -> None:
         first = self._lines.setdefault(posixpath.normpath(shot.file), line)
@@ -340,7 +390,7 @@ def shot_cells(shot: Shot, sha256: str) -> list:
     """Return a photograph's line of a table, in the order of COLUMNS and EXTRA_COLUMNS; unknown values are empty."""
     angles = [getattr(shot.pose, angle) for angle in _ANGLES]
     row = [shot.file, shot.subject, *angles, shot.filter, shot.exposure_s]
-    return [*row, shot.iso or "", shot.f_number or "", sha256]
+    return [*row, shot.iso or "", shot.f_number or "", *shot.taken.cells(), sha256]
 
 
 def write_captures(path, shots, sha256=None) -> None:
