@@ -21,7 +21,7 @@ from irodori.core.atomic_files import file_sha256
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
 from irodori.ingest.mosaic import Mosaic, decode
-from irodori.ingest.plausibility import Doubt, Series, look_at, worth_recalling
+from irodori.ingest.plausibility import Doubt, Drift, Series, look_at, worth_recalling
 
 _TRIES = 3
 #: What is doubted is taken again so often by itself where no person can be asked.
@@ -86,6 +86,8 @@ class Session:
         self._settle_s, self._settled_at = settle_s, -math.inf
         self._stands: dict[str, float] = {}
         self._series, self._body = Series(()), ""
+        #: What the drift frames of this sitting have shown.
+        self.drift: list[Drift] = []
         if rig is not None:
             # A feed hold is a person's, and so is its end.
             rig.on_hold = operator.confirm
@@ -157,8 +159,7 @@ class Session:
         failed = doubted = 0
         read = {} if self.rig is None else self.rig.position()
         while True:
-            # A computed photograph has no time of day.
-            now = "" if self.camera.is_virtual else datetime.now(UTC).astimezone().isoformat(timespec="milliseconds")
+            now = datetime.now(UTC).astimezone().isoformat(timespec="milliseconds")
             try:
                 with storing(path):
                     self.camera.capture(shot, temporary)
@@ -171,9 +172,14 @@ class Session:
                 LOGGER.warning("%s Once more.", fault)
                 self.tally.retries += 1
                 continue
-            taken = Taken(now, look.time, self._body or look.camera, read)
+            # A computed photograph has neither a time of day nor a body.
+            real = {} if self.camera.is_virtual else {"at": now, "camera": self._body or look.camera}
+            taken = Taken(camera_time=look.time, read_deg=read, **real)
             doubts = self._series.doubts(shot, look)
             if not doubts:
+                if (frame := self._series.drift(shot, look)) is not None:
+                    self.drift.append(frame)
+                    LOGGER.info("%s", frame)
                 self._series.add(shot, look)
                 return taken
             doubted += 1

@@ -26,7 +26,11 @@ if TYPE_CHECKING:
 
 #: A hundred thousand photographs.
 _MOST_BYTES = 1 << 24
-ROLES = ("object", "chart", "white", "dark", "environment", "scene")
+SUBJECTS = ("object", "chart", "white", "dark", "environment", "scene")
+#: What a photograph is for. A drift frame shows the object once more, as an earlier photograph of the session did: what
+#: differs is the lamp's doing, or the rig's; no fit uses it.
+DRIFT = "drift"
+ROLES = (*SUBJECTS, DRIFT)
 #: A further chart has its name behind the role, such as ``chart-sg``.
 _FURTHER_CHART = "chart-"
 _NAME = re.compile(r"[a-z0-9-]+")
@@ -40,7 +44,7 @@ _READ = tuple(f"{angle.removesuffix('_deg')}_read_deg" for angle in _ANGLES)
 EXTRA_COLUMNS = ("iso", "f_number", "taken_at", "camera_time", "camera", *_READ, "accepted", "sha256")
 _OPTIONAL = ("tilt_deg", "turn_deg", *EXTRA_COLUMNS)
 #: Roles whose repeated frames are averaged, so that equal exposure times are no mistake.
-_AVERAGED = ("dark", "white")
+_AVERAGED = ("dark", "white", DRIFT)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,13 +113,15 @@ class Shot:
 
     @property
     def subject(self) -> str:
-        """What stands before the lens: the role, of a further chart with the chart's name (``chart-sg``)."""
+        """What stands before the lens: of SUBJECTS, or a further chart with the chart's name (``chart-sg``)."""
+        if self.role == DRIFT:
+            return "object"
         return chart_capture(self.chart) if self.role == "chart" else self.role
 
     @property
     def capture(self) -> str:
         """Name of the capture that this photograph belongs to: its pose for an object, else its subject."""
-        return self.pose.name if self.role == "object" else self.subject
+        return self.pose.name if self.subject == "object" else self.subject
 
 
 def chart_capture(name: str) -> str:
@@ -328,7 +334,7 @@ class _Shots:
                 "a pose less than 0.1 degrees from another",
                 "the same angles, or angles further apart",
             )
-        bracket = (shot.capture, shot.filter, shot.exposure_s)
+        bracket = (shot.role, shot.capture, shot.filter, shot.exposure_s)
         first = self._brackets.setdefault(bracket, line)
         if first != line and shot.role not in _AVERAGED:
             raise self._error(
@@ -389,7 +395,7 @@ class _Shots:
 def shot_cells(shot: Shot, sha256: str) -> list:
     """Return a photograph's line of a table, in the order of COLUMNS and EXTRA_COLUMNS; unknown values are empty."""
     angles = [getattr(shot.pose, angle) for angle in _ANGLES]
-    row = [shot.file, shot.subject, *angles, shot.filter, shot.exposure_s]
+    row = [shot.file, shot.role if shot.role == DRIFT else shot.subject, *angles, shot.filter, shot.exposure_s]
     return [*row, shot.iso or "", shot.f_number or "", *shot.taken.cells(), sha256]
 
 

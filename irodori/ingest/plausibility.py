@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from irodori.config.capture_table import Shot
+from irodori.config.capture_table import DRIFT, Shot
 from irodori.ingest.mosaic import Mosaic
 from irodori.ingest.tiff_tags import read_tags
 
@@ -55,7 +55,9 @@ class Limits:
         Largest factor between the filter's transmittance in this pair of photographs and in earlier ones;
         transmittance above which there is no filter.
     colour : float
-        A photograph is of the other filter state where its colour is closer to that by this factor.
+        A photograph is of the other filter state where its colour is closer to that by this factor, and
+    colour_step : float
+        farther than this from its own, in logarithms of the ratios of bands.
     moved, moved_first : float
         Largest shift between the two photographs of a capture beyond that of earlier pairs, and of the first pair;
         parts of the picture's width.
@@ -79,6 +81,7 @@ class Limits:
     pair: float = 1.25
     unfiltered: float = 0.8
     colour: float = 0.4
+    colour_step: float = 0.08
     moved: float = 0.008
     moved_first: float = 0.02
     moved_px: float = 1.75
@@ -154,6 +157,35 @@ class Doubt:
 
     kind: str
     words: str
+
+
+@dataclass(frozen=True)
+class Drift:
+    """What a drift frame shows beside the photograph that it repeats.
+
+    Parameters
+    ----------
+    file, repeats : str
+        Names of the two files.
+    light : float
+        Green light of this one beside that of the other, a ratio.
+    shift_px : float
+        How far its contours lie from those of the other, superpixels; NaN where there are none.
+    """
+
+    file: str
+    repeats: str
+    light: float
+    shift_px: float
+
+    def __str__(self) -> str:
+        moved = "" if math.isnan(self.shift_px) else f", contours {self.shift_px:.1f} superpixels aside"
+        return f"{self.file}: light {self.light - 1.0:+.1%} against {self.repeats}{moved}"
+
+    def plain(self) -> dict[str, str | float | None]:
+        """Return it for a record in JSON, which has no NaN."""
+        shift = None if math.isnan(self.shift_px) else round(self.shift_px, 2)
+        return {"file": self.file, "repeats": self.repeats, "light": round(self.light, 4), "shift_px": shift}
 
 
 def look_at(path, mosaic: Mosaic) -> Look:
@@ -285,13 +317,13 @@ class Series:
         for shot in planned:
             self._brackets[shot.capture, shot.filter].append(shot.exposure_s)
         self._seen: list[tuple[Shot, Look]] = []
-        #: By role: transmittance of the filter, and shift from the picture without it to that with it.
+        #: By subject: transmittance of the filter, and shift from the picture without it to that with it.
         self._pairs: dict[str, list[tuple[np.ndarray | None, np.ndarray | None]]] = defaultdict(list)
 
     def add(self, shot: Shot, look: Look) -> None:
         """Take a photograph that was found sound among those that the next ones are compared with."""
         if (partner := self._partner(shot)) is not None:
-            self._pairs[shot.role].append(_compared(*partner, shot, look))
+            self._pairs[shot.subject].append(_compared(*partner, shot, look))
         self._seen.append((shot, look))
 
     def _partner(self, shot: Shot) -> tuple[Shot, Look] | None:
@@ -308,8 +340,29 @@ class Series:
             found = [*self._of_the_light(shot, look), *self._of_the_view(shot, look)]
         return found
 
+    def drift(self, shot: Shot, look: Look) -> Drift | None:
+        """Return what a drift frame shows, None for any other one, and where it shares no light with it."""
+        found = self._repeated(shot) if shot.role == DRIFT else None
+        if found is None or (change := _transmittance(*found, shot, look)) is None:
+            return None
+        shift = _shift_between(found[1], look)
+        aside = math.nan if shift is None else float(np.hypot(*shift)) * look.size[0] / 2.0
+        return Drift(shot.file, found[0].file, float(change[1]), aside)
+
+    def _repeated(self, shot: Shot) -> tuple[Shot, Look] | None:
+        """Return the first photograph of the same view: same capture and filter."""
+        return next(((s, k) for s, k in self._seen if (s.capture, s.filter) == (shot.capture, shot.filter)), None)
+
+    def _in_doubt(self, shot: Shot) -> str:
+        """Return which photographs a drift frame that shows a change puts in doubt; nothing for other photographs."""
+        if shot.role != DRIFT:
+            return ""
+        frames = [at for at, (s, _) in enumerate(self._seen) if s.role == DRIFT]
+        since = [s.file for s, _ in self._seen[frames[-1] + 1 if frames else 0 :]]
+        return f"; in doubt are the {len(since)} photographs before it, from {since[0]} on" if since else ""
+
     def _kind(self, shot: Shot) -> list[tuple[Shot, Look]]:
-        return [(s, seen) for s, seen in self._seen if (s.role, s.filter) == (shot.role, shot.filter)]
+        return [(s, seen) for s, seen in self._seen if (s.subject, s.filter) == (shot.subject, shot.filter)]
 
     def _of_the_file(self, look: Look) -> Iterator[Doubt]:
         """Yield what the file itself says: size, body, lens, and whether it was delivered before."""
@@ -342,7 +395,7 @@ class Series:
             share = look.clipped / max(lit, 1e-6)
             yield Doubt("blown", f"{share:.0%} of what is lit is saturated: look at exposure, aperture and lamp")
         grazing = max(shot.pose.light_deg - shot.pose.tilt_deg, shot.pose.camera_deg + shot.pose.tilt_deg)
-        if grazing > limits.grazing_deg and shot.role == "object":
+        if grazing > limits.grazing_deg and shot.subject == "object":
             return
         darkest = min((seen.level / s.exposure_s for s, seen in self._kind(shot)), default=0.0)
         white = self._white_rate(shot)
@@ -365,15 +418,13 @@ class Series:
     def _of_the_light(self, shot: Shot, look: Look) -> Iterator[Doubt]:
         """Yield whether lamp, filter and room are as they were."""
         limits = self.limits
-        for earlier, seen in self._seen:
-            if (earlier.capture, earlier.filter) != (shot.capture, shot.filter):
-                continue
-            change = _transmittance(earlier, seen, shot, look)
+        if (repeated := self._repeated(shot)) is not None:
+            change = _transmittance(*repeated, shot, look)
             if change is not None and abs(math.log(change[1])) > math.log1p(limits.repeat):
-                found = f"{change[1] - 1.0:+.0%} against {earlier.file}, the same view"
-                yield Doubt("light changed", f"{found}: has the lamp changed, was a door opened, is the filter right?")
+                found = f"{change[1] - 1.0:+.0%} against {repeated[0].file}, the same view"
+                asked = "has the lamp changed, was a door opened, is the filter right?"
+                yield Doubt("light changed", f"{found}: {asked}{self._in_doubt(shot)}")
                 return
-            break
         partner = self._partner(shot)
         if partner is not None and (passed := _compared(*partner, shot, look)[0]) is not None:
             found_pair = list(self._of_the_pair(shot, passed))
@@ -394,7 +445,7 @@ class Series:
         if passed[1] > self.limits.unfiltered:
             other = {"in": "out", "out": "in"}[shot.filter]
             yield Doubt("filter", f"it is as bright as with the filter {other}: is it {shot.filter}?")
-        elif earlier := [known[1] for known, _ in self._pairs[shot.role] if known is not None]:
+        elif earlier := [known[1] for known, _ in self._pairs[shot.subject] if known is not None]:
             factor = passed[1] / float(np.median(earlier))
             if abs(math.log(factor)) > math.log(self.limits.pair):
                 found = f"the filter passes {factor:.2f} times what it passed before"
@@ -407,7 +458,7 @@ class Series:
                 distance = float(np.linalg.norm(seen.colour - look.colour))
                 near[s.filter] = min(near[s.filter], distance if math.isfinite(distance) else math.inf)
         same, other = near[shot.filter], near["out" if shot.filter == "in" else "in"]
-        return math.isfinite(same) and other < self.limits.colour * same
+        return math.isfinite(same) and same > self.limits.colour_step and other < self.limits.colour * same
 
     def _of_the_view(self, shot: Shot, look: Look) -> Iterator[Doubt]:
         """Yield whether it is sharp, and shows its subject where its pair, or the same view, shows it."""
@@ -417,13 +468,10 @@ class Series:
             found = f"contours {look.sharpness / float(np.median(known)):.0%} as steep as before"
             yield Doubt("defocus", f"{found}: look at the focus, and whether something shook")
             return
-        for earlier, seen in self._seen:
-            if earlier.capture != shot.capture:
-                continue
-            beyond = self._moved(earlier, seen, shot, look)
-            if beyond is not None:
-                yield Doubt("moved", f"{beyond:.0f} superpixels beside {earlier.file}: has object or camera moved?")
-            return
+        beside = self._repeated(shot) or self._partner(shot)
+        if beside is not None and (beyond := self._moved(*beside, shot, look)) is not None:
+            found = f"{beyond:.0f} superpixels beside {beside[0].file}"
+            yield Doubt("moved", f"{found}: has object or camera moved, or a motor lost steps?{self._in_doubt(shot)}")
 
     def _moved(self, earlier: Shot, seen: Look, shot: Shot, look: Look) -> float | None:
         """Return the shift beyond what the filter's plate explains, superpixels; None where it is small or unknown."""
@@ -433,7 +481,7 @@ class Series:
             shift = _shift_between(seen, look)
         else:
             shift = _compared(earlier, seen, shot, look)[1]
-            known = [by for _, by in self._pairs[shot.role] if by is not None]
+            known = [by for _, by in self._pairs[shot.subject] if by is not None]
             if known:
                 usual = np.median(known, axis=0)
             else:

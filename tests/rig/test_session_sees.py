@@ -1,16 +1,20 @@
-"""A session that looks at its photographs: what is wrong is said on the shot where it happens, what is right is kept."""
+"""A session that looks at its photographs: what is wrong is said on its shot, what is right is kept."""
+
+import json
 
 import pytest
 from made import made
-from sessions import assert_whole, definitions
+from sessions import MADE, assert_whole, definitions
 
 from irodori.capture.journal import Journal
 from irodori.capture.operator import AutoOperator, OperatorAbort
 from irodori.capture.session import Session, take_stock
 from irodori.capture.shot_list import camera_shots, object_shots
+from irodori.capture.stage import Target, capture_object
 from irodori.config.capture_table import FILTERS, read_captures
 from irodori.config.models import Camera, Object, Rig
 from irodori.core.errors import InputError
+from irodori.ingest.first_look import check_captures
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.mishaps import Mishap
 from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
@@ -177,3 +181,70 @@ def test_none_of_two_hundred_sound_photographs_is_doubted(tmp_path, bench):
     planned, eye = plate(bench, poses)
     assert len(planned) == 200
     assert hold(tmp_path, planned, eye, AutoOperator(bench.set)).doubted == 0
+
+
+# ---- drift frames
+
+
+def drifting(bench, every=6):
+    """Return a plan with drift frames for a rig whose camera arm is driven, and its camera."""
+    definition, camera, rig = definitions(
+        poses=[{"light_deg": [45.0], "camera_deg": [0.0, 10.0, 20.0, 30.0]}], motion=True
+    )
+    subject, camera, rig = made(Object, definition), made(Camera, camera), made(Rig, rig | {"drift_every": every})
+    planned = Target("plate", camera, rig).ordered(object_shots(subject, camera, ".dng"))
+    eye = Accident(camera, rig, bench, "plate", planned, subject)
+    eye.happen("", Mishap())
+    return planned, eye
+
+
+@pytest.mark.parametrize("operator", ["auto", "prompt"])
+def test_drift_frames_cost_no_step_by_hand_and_are_no_photographs_of_the_object(operator):
+    definition, camera, rig = definitions(
+        poses=[{"light_deg": [45.0, 60.0], "camera_deg": [0.0, 10.0, 20.0, 30.0]}], motion=True
+    )
+    subject, camera = made(Object, definition), made(Camera, camera)
+    given = object_shots(subject, camera, ".dng")
+    without, planned = (
+        Target("plate", camera, made(Rig, rig | {"operator": operator, "drift_every": every})) for every in (0, 5)
+    )
+    frames = [shot for shot in planned.ordered(given) if shot.role == "drift"]
+    assert len(frames) == 4 and planned.ordered(given)[-1].role == "drift"
+    assert [shot for shot in planned.ordered(given) if shot.role != "drift"] == without.ordered(given)
+    assert planned.estimate(planned.ordered(given)).steps == without.estimate(without.ordered(given)).steps
+    assert {(shot.pose, shot.filter, shot.exposure_s) for shot in frames} <= {
+        (shot.pose, shot.filter, shot.exposure_s) for shot in given
+    }
+
+
+def test_what_drift_frames_show_is_in_the_record_and_the_next_stages_leave_them_out(tmp_path, bench):
+    definition, camera, rig = definitions(poses=POSES, motion=True)
+    aim = Target(
+        "plate", made(Camera, camera), made(Rig, rig | {"drift_every": 3}), "virtual", tmp_path / "captures.csv"
+    )
+    capture_object(made(Object, definition), aim, tmp_path / "session.json", MADE)
+    record = json.loads((tmp_path / "session.json").read_text())
+    assert record["photographs"] == 8 and len(record["drift"]) == 2
+    assert all(abs(frame["light"] - 1.0) < 0.05 and frame["shift_px"] < 1.5 for frame in record["drift"])
+    read = [shot.taken.read_deg for shot in read_captures(tmp_path / "captures.csv") if shot.role == "object"]
+    assert [angles["camera_deg"] for angles in read] == pytest.approx([0.0, 0.0, 15.0, 15.0, 30.0, 30.0], abs=0.01)
+    check_captures(tmp_path / "captures.csv", tmp_path, tmp_path / "checked.csv", ["object"])
+    assert {shot.role for shot in read_captures(tmp_path / "checked.csv")} == {"object"}
+
+
+@pytest.mark.parametrize(
+    ("mishap", "kind"),
+    [
+        (Mishap(lamp=0.85), "light changed"),
+        (Mishap(ambient=0.08), "light changed"),
+        (Mishap(moved_px=(0.0, 4.0)), "moved"),
+    ],
+)
+def test_a_drift_frame_names_the_photographs_in_doubt(tmp_path, bench, mishap, kind):
+    planned, eye = drifting(bench)
+    frames = [shot for shot in planned if shot.role == "drift"]
+    eye.happen(frames[1].file, mishap)
+    person = Person(bench, [""])
+    hold(tmp_path, planned, eye, person)
+    assert len(person.told) == 1 and frames[1].file in person.told[0] and f"{kind}: " in person.told[0]
+    assert f"in doubt are the 2 photographs before it, from {planned[7].file} on" in person.told[0]
