@@ -203,7 +203,8 @@ class Session:
             reason = self._hand.operator.judge(f"{path}: {found}")
             return " ".join(reason.split())
         if times >= _UNATTENDED_TRIES:
-            raise InputError(path, doubts[0].kind, found, "a photograph as it was asked for; nobody is there to judge")
+            words = "; ".join(doubt.words for doubt in doubts)
+            raise InputError(path, doubts[0].kind, words, "a photograph as it was asked for; nobody is there to judge")
         LOGGER.warning("%s: %s; once more", path, found)
         return ""
 
