@@ -16,7 +16,11 @@ from irodori.core.confined_paths import confined
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
 
-_HEADER = ",".join((*COLUMNS, *EXTRA_COLUMNS)) + "\n"
+_NAMES = (*COLUMNS, *EXTRA_COLUMNS)
+_HEADER = ",".join(_NAMES) + "\n"
+#: What tells one photograph from another; the other columns say how it was taken. Tables of earlier versions end here.
+_FIRST_NAMES = (*COLUMNS, "iso", "f_number", "sha256")
+_HEADERS = (_HEADER, ",".join(_FIRST_NAMES) + "\n")
 #: Photographs that a changed plan no longer asks for; their files stay.
 RETIRED = "captures-retired.csv"
 
@@ -103,6 +107,10 @@ def _cells(shot: Shot, sha256: str) -> list[str]:
     return [str(cell) for cell in shot_cells(shot, sha256)]
 
 
+def _identity(cells: Sequence[str]) -> list[str]:
+    return [cell for name, cell in zip(_NAMES, cells, strict=True) if name in _FIRST_NAMES]
+
+
 def _temporary(path: Path) -> Path:
     return path.with_name(f".{path.name}.part")
 
@@ -157,7 +165,8 @@ class Journal:
     def _continue(self, content: bytes) -> None:
         whole = content[: content.rfind(b"\n") + 1]
         first = (whole or content).decode("utf-8-sig", errors="replace").splitlines()[:1]
-        if first and not (first[0] == _HEADER.strip() or (not whole and _HEADER.startswith(first[0]))):
+        known = [h for h in _HEADERS if first and (first[0] == h.strip() or (not whole and h.startswith(first[0])))]
+        if first and not known:
             raise InputError(self.table, "line 1", "another header", f"the table of a session: {_HEADER.strip()}")
         if not whole:
             self._rewrite()
@@ -166,6 +175,8 @@ class Journal:
             with storing(self.table):
                 os.truncate(self.table, len(whole))
         if not whole.partition(b"\n")[2].strip():
+            if _HEADER not in known:
+                self._rewrite()
             return
         shots = read_captures(self.table)
         listed = csv.DictReader(io.StringIO(whole.decode("utf-8-sig")))
@@ -180,7 +191,7 @@ class Journal:
                 self._unhashed[shot.file] = shot
             elif self._is_unchanged(shot, digests[shot.file]):
                 self.shots[shot.file], self.sha256[shot.file] = shot, digests[shot.file]
-        if len(self.shots) + len(self._unhashed) < len(digests):
+        if len(self.shots) + len(self._unhashed) < len(digests) or _HEADER not in known:
             self._rewrite()
 
     def _path(self, file: str) -> Path:
@@ -221,7 +232,8 @@ class Journal:
             return {}
         try:
             with open(self.retired, encoding="utf-8", newline="") as file:
-                return {row[0]: row for row in list(csv.reader(file))[1:] if row}
+                rows = [[row.get(name) or "" for name in _NAMES] for row in csv.DictReader(file)]
+                return {row[0]: row for row in rows}
         except (UnicodeDecodeError, csv.Error) as error:
             accepted = "the log as it was written, or no such file"
             raise InputError(self.retired, "", f"unreadable text ({error})", accepted) from None
@@ -278,7 +290,7 @@ class Journal:
         rows = self._retired_rows()
         if shot.file in rows:
             digest = file_sha256(path)
-            if rows[shot.file] != _cells(shot, digest):
+            if _identity(rows[shot.file]) != _identity(_cells(shot, digest)):
                 name = _aside(shot.file, "retired", digest)
                 rows[name] = [name, *rows[shot.file][1:]]
                 _write_table(self.retired, rows.values())
@@ -313,7 +325,7 @@ class Journal:
         if missing := self.missing(planned):
             raise ValueError(f"{len(missing)} photographs are missing, the first {missing[0].file}")
         if list(self.shots) != [shot.file for shot in planned]:
-            self.shots = {shot.file: shot for shot in planned}
+            self.shots = {shot.file: self.shots[shot.file] for shot in planned}
             self._rewrite()
         rows = self._retired_rows()
         if left := [row for file, row in rows.items() if file not in self.shots]:

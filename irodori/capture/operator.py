@@ -39,6 +39,7 @@ _SUBJECT_PHRASES = {
 }
 _CHART = "chart-"  # before the name of a further chart, see `irodori.config.capture_table.chart_capture`
 _YES, _NO = ("", "y", "yes", "ok", "done"), ("q", "quit", "a", "abort", "n", "no", "stop")
+_AGAIN, _LONGEST_ANSWER = ("r", "retake", "again"), 200
 _PROGRESS_S, _POLL_S = 60.0, 0.5
 
 
@@ -125,7 +126,10 @@ class Step:
 
 
 class Operator(ABC):
-    """Interface of whoever changes the settings that no motor drives."""
+    """Interface of whoever changes the settings that no motor drives, and looks at what is doubtful."""
+
+    #: Whether `judge` reaches a person; where not, a doubtful photograph is taken again once, then the session stops.
+    attended = False
 
     def ask(self, step: Step) -> None:
         """Have a step done; return when it is. Raises as `confirm` does."""
@@ -149,6 +153,21 @@ class Operator(ABC):
         DeviceError
             If nobody can be asked.
         """
+
+    def judge(self, doubt: str) -> str:
+        """Have a person look at a doubtful photograph, and return the reason to keep it, empty to take it again.
+
+        Parameters
+        ----------
+        doubt : str
+            Which photograph, and what is wrong with it; a sentence without its full stop.
+
+        Raises
+        ------
+        OperatorAbort, DeadlineError, DeviceError
+            As `confirm`.
+        """
+        raise DeviceError(f"nobody can be asked: {doubt}")
 
 
 class HandSettings:
@@ -178,7 +197,7 @@ class HandSettings:
 
 
 class PromptOperator(Operator):
-    """Asks on the terminal; Enter confirms, ``q`` stops the session.
+    """Asks on the terminal; Enter confirms, or takes a photograph again; ``q`` stops the session.
 
     Parameters
     ----------
@@ -189,8 +208,23 @@ class PromptOperator(Operator):
     def __init__(self, deadline_s: float | None = None) -> None:
         self.deadline_s = deadline_s
 
+    attended = True
+
     def confirm(self, request: str) -> None:
         """Ask, and wait for Enter. What was typed before the question does not count."""
+        instead = f"nobody can be asked to {request[:1].lower()}{request[1:]}"
+        question = f"{request}. Enter when done, q to stop: "
+        while self._answer(request, question, instead).lower() not in _YES:
+            pass
+
+    def judge(self, doubt: str) -> str:
+        """Ask; Enter takes the photograph again, ``q`` stops, other words are the reason to keep it."""
+        question = f"{doubt}. Enter to take it again, q to stop, or why it is right: "
+        answer = self._answer(doubt, question, f"nobody can be asked: {doubt}")
+        return "" if answer.lower() in (*_YES, *_AGAIN) else answer
+
+    def _answer(self, request: str, question: str, instead: str) -> str:
+        """Return what a person types; `_NO`, and the end of the input, stop the session."""
         import termios
 
         try:
@@ -200,21 +234,19 @@ class PromptOperator(Operator):
             termios.tcflush(source, termios.TCIFLUSH)
         except (AttributeError, OSError, ValueError, termios.error):
             raise DeviceError(
-                f"nobody can be asked to {request[:1].lower()}{request[1:]}: the input is no terminal; "
-                "start it on a terminal, or give the rig operator: file"
+                f"{instead}: the input is no terminal; start it on a terminal, or give the rig operator: file"
             ) from None
         LOGGER.info("asked on the terminal: %s", request)
         limit = None if self.deadline_s is None else time.monotonic() + self.deadline_s
-        while True:
-            print(f"{request}. Enter when done, q to stop: ", end="", file=sys.stderr, flush=True)
-            answer = _read_answer(source, limit)
-            if answer is None:
-                print(file=sys.stderr)
-                raise DeadlineError(f"nobody answered in {self.deadline_s:g} s: {request}")
-            if answer == b"" or answer.decode(errors="replace").strip().lower() in _NO:
-                raise OperatorAbort(f"stopped by the person at the bench, before: {request}")
-            if answer.decode(errors="replace").strip().lower() in _YES:
-                return
+        print(question, end="", file=sys.stderr, flush=True)
+        answer = _read_answer(source, limit)
+        if answer is None:
+            print(file=sys.stderr)
+            raise DeadlineError(f"nobody answered in {self.deadline_s:g} s: {request}")
+        text = answer.decode(errors="replace").strip()
+        if answer == b"" or text.lower() in _NO:
+            raise OperatorAbort(f"stopped by the person at the bench, before: {request}")
+        return text
 
 
 class FileOperator(Operator):
@@ -240,15 +272,30 @@ class FileOperator(Operator):
         self.poll_s, self.progress_s = poll_s, progress_s
         self._asked = 0
 
+    attended = True
+
     def confirm(self, request: str) -> None:
         """Name a file and wait until it is there."""
+        self._answer(request, "When done: touch {}")
+        LOGGER.info("confirmed: %s", request)
+
+    def judge(self, doubt: str) -> str:
+        """Name a file; empty it takes the photograph again, ``stop`` ends the session, other words keep it."""
+        how = "To take it again: touch {0}; to keep it: echo WHY > {0}; to end: echo stop > {0}"
+        answer = self._answer(doubt, how)
+        if answer.lower() in _NO:
+            raise OperatorAbort(f"stopped by the person at the bench: {doubt}")
+        return "" if answer.lower() in (*_YES, *_AGAIN) else answer
+
+    def _answer(self, request: str, how: str) -> str:
+        """Name a file, wait until it is there, and return what it holds."""
         self.folder.mkdir(parents=True, exist_ok=True)
         self._asked += 1
         # The second part keeps a late answer to a run that was killed from confirming a step of this one.
         path = self.folder.absolute() / f"confirm-{self._asked}-{secrets.token_hex(2)}"
         path.unlink(missing_ok=True)
-        command = f"touch {shlex.quote(str(path))}"
-        _say(f"{request}. When done: {command}")
+        told = how.format(shlex.quote(str(path)))
+        _say(f"{request}. {told}")
         begun = said = time.monotonic()
         try:
             # Listing the folder sees a new file over NFS earlier than asking for its name.
@@ -258,11 +305,13 @@ class FileOperator(Operator):
                     raise DeadlineError(f"{path} did not appear in {self.deadline_s:g} s: {request}")
                 if now - said >= self.progress_s:
                     said = now
-                    _say(f"waiting for {(now - begun) / 60.0:.0f} min: {request}. When done: {command}")
+                    _say(f"waiting for {(now - begun) / 60.0:.0f} min: {request}. {told}")
                 time.sleep(self.poll_s)
+            if "{0}" in how and path.stat().st_size == 0:
+                time.sleep(self.poll_s)  # a shell makes the file before it writes what is in it
+            return path.read_bytes()[:_LONGEST_ANSWER].decode(errors="replace").strip()
         finally:
             path.unlink(missing_ok=True)
-        LOGGER.info("confirmed: %s", request)
 
 
 class AutoOperator(Operator):

@@ -1,4 +1,4 @@
-"""Capture sessions: take, verify, hash and record every missing photograph of a plan.
+"""Capture sessions: take, verify, look at, hash and record every missing photograph of a plan.
 
 A photograph is stored under a temporary name, decoded, given its own name and then noted in the table. Whatever
 breaks the session off, the next one finds whole files and whole lines, and takes what is missing.
@@ -7,21 +7,25 @@ breaks the session off, the next one finds whole files and whole lines, and take
 import math
 import os
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 from irodori.capture.journal import Journal, storing
 from irodori.capture.operator import HandSettings, Operator
-from irodori.capture.rig.devices import CameraDevice, RigDevice
+from irodori.capture.rig.devices import NOT_REPORTED, CameraDevice, RigDevice
 from irodori.capture.setup_steps import hand_settings, motor_targets
-from irodori.config.capture_table import Shot
+from irodori.config.capture_table import Shot, Taken
 from irodori.core.atomic_files import file_sha256
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
-from irodori.ingest.mosaic import decode
+from irodori.ingest.mosaic import Mosaic, decode
+from irodori.ingest.plausibility import Doubt, Drift, Series, look_at, worth_recalling
 
 _TRIES = 3
+#: What is doubted is taken again so often by itself where no person can be asked.
+_UNATTENDED_TRIES = 2
 #: Cameras round what they write into their files.
 _TOLERANCE = 0.05
 _TEMPORARY = ".part-"
@@ -34,7 +38,8 @@ class Tally:
     """Counts of a session's photographs.
 
     ``kept`` photographs stood in the table before, ``adopted`` ones stood in the folder without a line, ``retired``
-    ones are no longer asked for.
+    ones are no longer asked for. ``doubted`` counts what could not be as asked for when it came, ``accepted`` what a
+    person kept of it.
     """
 
     taken: int = 0
@@ -42,6 +47,8 @@ class Tally:
     adopted: int = 0
     retired: int = 0
     retries: int = 0
+    doubted: int = 0
+    accepted: int = 0
     operator_steps: int = 0
     seconds: float = 0.0
 
@@ -78,6 +85,9 @@ class Session:
         self._hand = HandSettings(operator)
         self._settle_s, self._settled_at = settle_s, -math.inf
         self._stands: dict[str, float] = {}
+        self._series, self._body = Series(()), ""
+        #: What the drift frames of this sitting have shown.
+        self.drift: list[Drift] = []
         if rig is not None:
             # A feed hold is a person's, and so is its end.
             rig.on_hold = operator.confirm
@@ -90,10 +100,13 @@ class Session:
         DeviceError
             If rig, camera or disk is at fault; what was taken before stands in the table.
         InputError
-            If a photograph is broken or shot otherwise than asked for, `_TRIES` times in a row.
+            If a photograph is broken or shot otherwise than asked for, `_TRIES` times in a row, or doubtful twice where
+            nobody can be asked.
         """
         begun = time.monotonic()
-        self.camera.prepare(self.journal.missing(planned))
+        missing = self.journal.missing(planned)
+        self.camera.prepare(missing)
+        self._body = _body(self.camera.status())
         if self.rig is not None:
             # A plan that leaves the rig's limits is refused before anything moves.
             for shot in planned:
@@ -101,11 +114,21 @@ class Session:
             if not self.rig.status().homed:
                 LOGGER.info("%s: homing the rig", label)
                 self.rig.home()
-        for shot in track(self.journal.missing(planned), f"capture {label}"):
+        self._series = self._recalled(planned, missing)
+        for shot in track(missing, f"capture {label}"):
             self._take(shot)
         self.journal.finish(planned)
         self.tally.seconds = time.monotonic() - begun
         return self.tally
+
+    def _recalled(self, planned: Sequence[Shot], missing: Sequence[Shot]) -> Series:
+        """Return what the next photographs are compared with, from those of an earlier sitting."""
+        series = Series(planned)
+        kept = [shot for shot in self.journal.shots.values() if not shot.taken.accepted]
+        for shot in worth_recalling(kept, missing):
+            path = self.journal.folder / shot.file
+            series.add(shot, look_at(path, decode(path)))
+        return series
 
     def _take(self, shot: Shot) -> None:
         motorised = self.rig.axes if self.rig is not None else {}
@@ -120,7 +143,7 @@ class Session:
         path = self.journal.folder / shot.file
         temporary = path.with_name(_TEMPORARY + path.name)
         try:
-            self._photograph(shot, path, temporary)
+            taken = self._photograph(shot, path, temporary)
             with storing(path):
                 _sync(temporary)
                 digest = file_sha256(temporary)
@@ -128,23 +151,62 @@ class Session:
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
-        self.journal.append(shot, digest)
+        self.journal.append(replace(shot, taken=taken), digest)
         self.tally.taken += 1
 
-    def _photograph(self, shot: Shot, path: Path, temporary: Path) -> None:
+    def _photograph(self, shot: Shot, path: Path, temporary: Path) -> Taken:
         """Have a photograph stand verified under a temporary name; faults name the file that it was to be."""
-        for attempt in range(1, _TRIES + 1):
+        failed = doubted = 0
+        read = {} if self.rig is None else self.rig.position()
+        while True:
+            now = datetime.now(UTC).astimezone().isoformat(timespec="milliseconds")
             try:
                 with storing(path):
                     self.camera.capture(shot, temporary)
-                verify(temporary, shot)
-                return
+                look = look_at(temporary, verify(temporary, shot))
             except InputError as error:
+                failed += 1
                 fault = InputError(path, error.field, error.found, error.accepted)
-                if attempt == _TRIES:
+                if failed == _TRIES:
                     raise fault from None
                 LOGGER.warning("%s Once more.", fault)
                 self.tally.retries += 1
+                continue
+            # A computed photograph has neither a time of day nor a body.
+            real = {} if self.camera.is_virtual else {"at": now, "camera": self._body or look.camera}
+            taken = Taken(camera_time=look.time, read_deg=read, **real)
+            doubts = self._series.doubts(shot, look)
+            if not doubts:
+                if (frame := self._series.drift(shot, look)) is not None:
+                    self.drift.append(frame)
+                    LOGGER.info("%s", frame)
+                self._series.add(shot, look)
+                return taken
+            doubted += 1
+            self.tally.doubted += 1
+            if reason := self._judged(path, doubts, doubted):
+                self.tally.accepted += 1
+                return replace(taken, accepted=reason)
+
+    def _judged(self, path: Path, doubts: Sequence[Doubt], times: int) -> str:
+        """Return why a doubtful photograph is kept, empty where it is to be taken again.
+
+        Raises
+        ------
+        InputError
+            Where no person can be asked and it was taken again already.
+        DeviceError
+            If the person stops.
+        """
+        found = "; ".join(f"{doubt.kind}: {doubt.words}" for doubt in doubts)
+        if self._hand.operator.attended:
+            reason = self._hand.operator.judge(f"{path}: {found}")
+            return " ".join(reason.split())
+        if times >= _UNATTENDED_TRIES:
+            words = "; ".join(doubt.words for doubt in doubts)
+            raise InputError(path, doubts[0].kind, words, "a photograph as it was asked for; nobody is there to judge")
+        LOGGER.warning("%s: %s; once more", path, found)
+        return ""
 
 
 def take_stock(journal: Journal, planned: Sequence[Shot]) -> Tally:
@@ -182,8 +244,8 @@ def take_stock(journal: Journal, planned: Sequence[Shot]) -> Tally:
     return tally
 
 
-def verify(path: Path, shot: Shot) -> None:
-    """Decode a photograph and compare its own exposure time, sensitivity and aperture with what was asked for.
+def verify(path: Path, shot: Shot) -> Mosaic:
+    """Decode a photograph, and compare its own exposure time, sensitivity and aperture with what was asked for.
 
     Raises
     ------
@@ -194,6 +256,13 @@ def verify(path: Path, shot: Shot) -> None:
         found, told = getattr(mosaic, name), getattr(shot, name)
         if found and told and abs(found / told - 1) > _TOLERANCE:
             raise InputError(path, what, f"{found:g}{unit}", f"{told:g}{unit}, as the camera was told")
+    return mosaic
+
+
+def _body(status: Mapping[str, str]) -> str:
+    """Return model and serial number, as far as the camera tells them."""
+    told = (status.get(key, "") for key in ("model", "serial_number"))
+    return " ".join(text for text in told if text and text != NOT_REPORTED)
 
 
 def _sync(path: Path) -> None:

@@ -4,9 +4,11 @@ File names follow from what a photograph is and not from when it was taken, so t
 knows what is missing.
 """
 
+from collections.abc import Container, Sequence
 from dataclasses import replace
 
-from irodori.config.capture_table import Pose, Shot, expand_poses
+from irodori.capture.setup_steps import hand_settings
+from irodori.config.capture_table import DRIFT, Pose, Shot, expand_poses
 from irodori.config.models import Camera, EnvironmentDefinition, Exposures, Object, ScenePhotograph
 from irodori.config.parts import PhotographedObject
 
@@ -108,3 +110,39 @@ def camera_shots(camera: Camera, suffix: str) -> list[Shot]:
     for chart in ("", *camera.further_charts):
         shots += _bracket("chart", pose["chart"], camera.exposure_s, settings, suffix, chart)
     return shots
+
+
+def with_drift_frames(ordered: Sequence[Shot], every: int, motorised: Container[str]) -> list[Shot]:
+    """Return a session's photographs with drift frames among them, each of which costs no step by hand.
+
+    After `every` photographs of the object, and after the last, the first one with the settings by hand that stand is
+    taken once more: the motors go back to its pose, and its exposure time comes again.
+
+    Parameters
+    ----------
+    ordered : sequence of Shot
+        In the order in which they are taken; an object's.
+    every : int
+        0 for none.
+    motorised : container of str
+        Angles that motors drive.
+    """
+    if every == 0:
+        return list(ordered)
+    first: dict[tuple, Shot] = {}
+    planned, since, count = [], 0, 0
+    for at, shot in enumerate(ordered):
+        planned.append(shot)
+        repeated = first.setdefault(tuple(sorted(hand_settings(shot, motorised).items())), shot)
+        since += 1
+        # A bracket stays together: the next exposure of the same view is no moment for the motors to leave.
+        goes_on = at + 1 < len(ordered) and _view(ordered[at + 1]) == _view(shot)
+        if not goes_on and (since >= every or at + 1 == len(ordered)):
+            file = f"{DRIFT}-{count:03d}-{repeated.file}"
+            planned.append(replace(repeated, file=file, role=DRIFT))
+            since, count = 0, count + 1
+    return planned
+
+
+def _view(shot: Shot) -> tuple[Pose, str]:
+    return shot.pose, shot.filter

@@ -13,7 +13,7 @@ from irodori.capture.rig.connect import open_rig, true_position_deg
 from irodori.capture.rig.devices import Axis, CameraDevice, RigDevice
 from irodori.capture.rig.drives import drives_of
 from irodori.capture.session import Session, take_stock
-from irodori.capture.shot_list import camera_shots, object_shots, shots_without_rig
+from irodori.capture.shot_list import camera_shots, object_shots, shots_without_rig, with_drift_frames
 from irodori.capture.shot_order import Estimate, estimate_s, order_shots
 from irodori.config.capture_table import Shot
 from irodori.config.models import Camera, EnvironmentDefinition, Object, Rig, ScenePhotograph
@@ -84,8 +84,11 @@ class Target:
         return {name: drive.axis for name, drive in drives_of(self.rig).items()} if self.rig.motion else {}
 
     def ordered(self, shots: Sequence[Shot]) -> list[Shot]:
-        """Return photographs in the order in which they are taken."""
-        return order_shots(shots, self.axes(), {}, _STEP_S[self.rig.operator])
+        """Return photographs in the order in which they are taken, an object's with drift frames."""
+        axes = self.axes()
+        ordered = order_shots(shots, axes, {}, _STEP_S[self.rig.operator])
+        is_object = any(shot.role == "object" for shot in ordered)
+        return with_drift_frames(ordered, self.rig.drift_every if is_object else 0, axes)
 
     def estimate(self, shots: Sequence[Shot]) -> Estimate:
         """Return the time that photographs take in their order; nothing is known of where things stand."""
@@ -97,7 +100,7 @@ class _VirtualHands(Operator):
     """Asks whoever is to be asked, then sets the virtual bench as a person would have set a real one."""
 
     def __init__(self, inner: Operator, bench: Bench) -> None:
-        self.inner, self.bench = inner, bench
+        self.inner, self.bench, self.attended = inner, bench, inner.attended
 
     def ask(self, step: Step) -> None:
         self.inner.ask(step)
@@ -105,6 +108,9 @@ class _VirtualHands(Operator):
 
     def confirm(self, request: str) -> None:
         self.inner.confirm(request)
+
+    def judge(self, doubt: str) -> str:
+        return self.inner.judge(doubt)
 
 
 @contextmanager
@@ -172,7 +178,7 @@ def photograph(
     """
     table = Path(target.table)
     folder = table.parent if target.folder is None else Path(target.folder)
-    planned, status = target.ordered(shots), {}
+    planned, status, drift = target.ordered(shots), {}, list[dict]()
     with claimed(table, folder, owner), ending_in_order():
         if target.is_virtual:
             _start_over_if_changed(table, provenance)
@@ -183,8 +189,9 @@ def photograph(
         LOGGER.info("%s: %d of %d photographs to take; %s", target.name, len(missing), len(planned), needs)
         if missing:
             with _equipment(target, planned, subject, on_rig) as (rig, camera, operator):
-                Session(camera, operator, journal, rig, tally, settle_s=target.settle_s).run(planned, target.name)
-                status = camera.status()
+                session = Session(camera, operator, journal, rig, tally, settle_s=target.settle_s)
+                session.run(planned, target.name)
+                status, drift = camera.status(), [frame.plain() for frame in session.drift]
         journal.finish(planned)
         LOGGER.info("%s: %s", target.name, ", ".join(f"{key} {value:g}" for key, value in vars(tally).items()))
         content = {
@@ -192,6 +199,7 @@ def photograph(
             "table_sha256": file_sha256(table),
             "session": vars(tally),
             "camera": status,
+            "drift": drift,
         }
         _write_record(Path(record), content)
         return {str(folder / file): sha256 for file, sha256 in journal.sha256.items()}

@@ -9,7 +9,8 @@ import itertools
 import math
 import posixpath
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +25,11 @@ from irodori.core.text_tables import table_rows
 if TYPE_CHECKING:
     from irodori.config.models import PoseGroup
 
-ROLES = ("object", "chart", "white", "dark", "environment", "scene")
+SUBJECTS = ("object", "chart", "white", "dark", "environment", "scene")
+#: What a photograph is for. A drift frame shows the object once more, as an earlier photograph of the session did: what
+#: differs is the lamp's doing, or the rig's; no fit uses it.
+DRIFT = "drift"
+ROLES = (*SUBJECTS, DRIFT)
 #: A further chart has its name behind the role, such as ``chart-sg``.
 _FURTHER_CHART = "chart-"
 _NAME = re.compile(r"[a-z0-9-]+")
@@ -32,11 +37,13 @@ FILTERS = ("out", "in")
 COLUMNS = ("file", "role", "light_deg", "camera_deg", "tilt_deg", "turn_deg", "filter", "exposure_s")
 
 _ANGLES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
-#: Columns that a table may do without; it has them where the camera's own values are to be checked.
-EXTRA_COLUMNS = ("iso", "f_number", "sha256")
+#: Angles that the controller told at the shot.
+_READ = tuple(f"{angle.removesuffix('_deg')}_read_deg" for angle in _ANGLES)
+#: Columns that a table may do without: the camera's own values, which are checked, and how a session took each.
+EXTRA_COLUMNS = ("iso", "f_number", "taken_at", "camera_time", "camera", *_READ, "accepted", "sha256")
 _OPTIONAL = ("tilt_deg", "turn_deg", *EXTRA_COLUMNS)
 #: Roles whose repeated frames are averaged, so that equal exposure times are no mistake.
-_AVERAGED = ("dark", "white")
+_AVERAGED = ("dark", "white", DRIFT)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,11 +63,41 @@ class Pose:
 
 
 @dataclasses.dataclass(frozen=True)
+class Taken:
+    """How a session took a photograph; empty where nobody noted it, as for a computed one.
+
+    Parameters
+    ----------
+    at : str
+        The computer's time at the shutter, ISO 8601 with its distance from UTC.
+    camera_time : str
+        The camera's own clock, ISO 8601; it has no zone and may be wrong, but runs evenly.
+    camera : str
+        Model and serial number of the body.
+    read_deg : dict
+        Motorised angle (``camera_deg``): where its axis stood by the controller's count, degrees.
+    accepted : str
+        Why a person kept it although it was doubted.
+    """
+
+    at: str = ""
+    camera_time: str = ""
+    camera: str = ""
+    read_deg: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    accepted: str = ""
+
+    def cells(self) -> list:
+        """Return the cells from ``taken_at`` to ``accepted``."""
+        return [self.at, self.camera_time, self.camera, *(self.read_deg.get(a, "") for a in _ANGLES), self.accepted]
+
+
+@dataclasses.dataclass(frozen=True)
 class Shot:
     """One photograph: ``file`` as the table writes it, ``role`` of ROLES, ``filter`` of FILTERS.
 
     ``iso`` (sensitivity, ISO 12232) and ``f_number`` (relative aperture) are 0 where the table does not state them.
-    ``chart`` is the name of a further chart, empty for the camera's first and for all other roles.
+    ``chart`` is the name of a further chart, empty for the camera's first and for all other roles. ``taken`` is how it
+    was taken, which makes it no other photograph: shots are equal whatever stands there.
     """
 
     file: str
@@ -71,16 +108,19 @@ class Shot:
     iso: float = 0.0
     f_number: float = 0.0
     chart: str = ""
+    taken: Taken = dataclasses.field(default_factory=Taken, compare=False)
 
     @property
     def subject(self) -> str:
-        """What stands before the lens: the role, of a further chart with the chart's name (``chart-sg``)."""
+        """What stands before the lens: of SUBJECTS, or a further chart with the chart's name (``chart-sg``)."""
+        if self.role == DRIFT:
+            return "object"
         return chart_capture(self.chart) if self.role == "chart" else self.role
 
     @property
     def capture(self) -> str:
         """Name of the capture that this photograph belongs to: its pose for an object, else its subject."""
-        return self.pose.name if self.role == "object" else self.subject
+        return self.pose.name if self.subject == "object" else self.subject
 
 
 def chart_capture(name: str) -> str:
@@ -236,10 +276,26 @@ class _Shots:
             if abs(getattr(pose, angle)) > 360:
                 raise self._error(line, angle, row[angle].strip(), "an angle from -360 to 360 degrees")
         iso, f_number = (self._optional(line, column, row.get(column, "")) for column in ("iso", "f_number"))
-        shot = Shot(file, role, pose, state, exposure, iso, f_number, chart)
+        shot = Shot(file, role, pose, state, exposure, iso, f_number, chart, self._taken(line, row))
         self._check_against_others(line, shot)
         self._check_file(line, shot)
         self.all.append(shot)
+
+    def _taken(self, line: int, row: dict[str, str]) -> Taken:
+        texts = {name: row.get(name, "").strip() for name in ("taken_at", "camera_time", "camera", "accepted")}
+        for name in ("taken_at", "camera_time"):
+            try:
+                if texts[name]:
+                    datetime.fromisoformat(texts[name])
+            except ValueError:
+                accepted = "a time such as 2026-05-04T10:15:30.250+09:00, or an empty cell"
+                raise self._error(line, name, repr(texts[name]), accepted) from None
+        read = {
+            angle: self._number(line, column, row[column])
+            for angle, column in zip(_ANGLES, _READ, strict=True)
+            if row.get(column, "").strip()
+        }
+        return Taken(texts["taken_at"], texts["camera_time"], texts["camera"], read, texts["accepted"])
 
     def _check_against_others(self, line: int, shot: Shot) -> None:
         first = self._lines.setdefault(posixpath.normpath(shot.file), line)
@@ -252,7 +308,7 @@ class _Shots:
                 "a pose less than 0.1 degrees from another",
                 "the same angles, or angles further apart",
             )
-        bracket = (shot.capture, shot.filter, shot.exposure_s)
+        bracket = (shot.role, shot.capture, shot.filter, shot.exposure_s)
         first = self._brackets.setdefault(bracket, line)
         if first != line and shot.role not in _AVERAGED:
             raise self._error(
@@ -315,8 +371,8 @@ class _Shots:
 def shot_cells(shot: Shot, sha256: str) -> list:
     """Return a photograph's line of a table, in the order of COLUMNS and EXTRA_COLUMNS; unknown values are empty."""
     angles = [getattr(shot.pose, angle) for angle in _ANGLES]
-    row = [shot.file, shot.subject, *angles, shot.filter, shot.exposure_s]
-    return [*row, shot.iso or "", shot.f_number or "", sha256]
+    row = [shot.file, shot.role if shot.role == DRIFT else shot.subject, *angles, shot.filter, shot.exposure_s]
+    return [*row, shot.iso or "", shot.f_number or "", *shot.taken.cells(), sha256]
 
 
 def write_captures(path, shots, sha256=None) -> None:

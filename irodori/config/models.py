@@ -2149,5 +2149,9 @@ class Rig(Definition):
     #: Longest wait for the person at the bench, in seconds; no end where absent.
     operator_deadline_s: float | None = None
 
+    #: After so many photographs of an object, and at the end, an earlier one is taken once more without a step by hand;
+    #: what differs is drift of the lamp, or steps that a motor has lost. 0 for none.
+    drift_every: int = 0
+
     #: The virtual rig and its faults; needed for the kind virtual, refused for the others.
     virtual: VirtualRig | None = None

@@ -1,6 +1,7 @@
 """A driven rig without hardware: a simulated Grbl board, a person played by the test, a simulated EOS 40D.
 
-The camera's files are those of the virtual camera, so that they decode; what they show does not follow the rig.
+The camera's files are those of the virtual camera, so that they decode. They show what stands before the lens as the
+session asks for it, the white reference in place of the object; they do not follow the rig.
 """
 
 import shutil
@@ -24,23 +25,34 @@ POSES = [{"light_deg": [45.0, 60.0], "camera_deg": [0.0, 20.0]}]
 
 
 class Studio:
-    """The camera of a driven rig; its pictures follow from its settings alone, and so are the same every time."""
+    """The camera of a driven rig; its pictures follow from its settings and the shot alone."""
 
     def __init__(self, pause: Callable[[], None] = lambda: None) -> None:
         self.pause = pause
         self.bench = Bench(delivers=[(0.5, "capt{}.cr2", self.picture)])
+        self.shot = Shot("", "white", Pose(45.0, 0.0), "out", 1.0)
         self._made: dict[tuple, bytes] = {}
 
+    def following(self, capture: Callable) -> Callable:
+        """Return a camera's `capture` that tells here first what stands before the lens."""
+
+        def told(camera, shot: Shot, path: Path) -> None:
+            self.shot = shot
+            capture(camera, shot, path)
+
+        return told
+
     def picture(self) -> bytes:
-        """Return the RAW file of a photograph of the white reference with the settings that stand."""
+        """Return the RAW file of a photograph with the settings that stand."""
         self.pause()
         values = self.bench.values
-        key = tuple(values[name] for name in ("shutterspeed", "iso", "aperture"))
+        key = (self.shot, *(values[name] for name in ("shutterspeed", "iso", "aperture")))
         if key not in self._made:
-            seconds, iso, aperture = (float(Fraction(text)) for text in key)
-            shot = Shot("standin.dng", "white", Pose(45.0, 0.0), "out", seconds, iso, aperture)
+            seconds, iso, aperture = (float(Fraction(text)) for text in key[1:])
+            subject = self.shot.role if self.shot.role in ("dark", "chart") else "white"
+            shot = Shot(self.shot.file, subject, Pose(45.0, 0.0), self.shot.filter, seconds, iso, aperture)
             _, camera, rig = definitions()
-            standing = virtual.Bench(by_hand_deg={"light_deg": 45.0}, subject="white")
+            standing = virtual.Bench(by_hand_deg={"light_deg": 45.0}, subject=subject, filter=shot.filter)
             with tempfile.TemporaryDirectory() as folder:
                 VirtualCamera(made(Camera, camera), made(Rig, rig), standing, "standin", [shot]).capture(
                     shot, Path(folder) / "a.dng"
@@ -66,7 +78,7 @@ def project(folder: Path, operator: str = "file", port: str = "simulator") -> Pa
     shutil.copytree(ROOT / "config", folder / "config")
     config = folder / "config"
     edit(config / "rigs/gonio-grbl.yaml", operator=operator, operator_deadline_s=60.0, motion__port=port)
-    edit(config / "rigs/gonio-grbl.yaml", motion__simulator={"time_scale": 200.0}, motion__timeout_s=2.0)
+    edit(config / "rigs/gonio-grbl.yaml", motion__simulator={"time_scale": 200.0}, motion__timeout_s=2.0, drift_every=0)
     edit(config / f"cameras/{CAMERA}.yaml", dark_frames=1, white_frames=1, linearity_exposure_s=[0.01])
     jar = yaml.safe_load((config / "objects/tile-plate.yaml").read_text())
     del jar["virtual"]

@@ -61,12 +61,13 @@ def shots(count: int, exposure_s: float = 0.02, **settings) -> list[Shot]:
 
 
 class QuickCamera(CameraDevice):
-    """Writes tiny DNG files whose content follows from what they show; does wrong what ``faults`` holds, in turn.
+    """Writes tiny DNG files of a light square with the noise of their name; does wrong what ``faults`` holds, in turn.
 
     A fault is an exception to raise, ``broken`` for half a file, or a number for another exposure time in the tags.
     """
 
     suffix = ".dng"
+    is_virtual = True
 
     def __init__(self, faults=()) -> None:
         self.faults, self.taken = list(faults), []
@@ -77,7 +78,9 @@ class QuickCamera(CameraDevice):
         if isinstance(fault, BaseException):
             raise fault
         rng = np.random.default_rng(zlib.crc32(shot.file.encode()))
-        mosaic = rng.integers(600, 4000, (24, 32)).astype(np.uint16)
+        mosaic = rng.integers(590, 610, (24, 32)).astype(np.uint16)
+        if shot.role != "dark":  # a light square on a dark ground, weaker behind the filter
+            mosaic[8:16, 10:22] += round((1e5 if shot.filter == "in" else 3e5) * min(shot.exposure_s, 0.05))
         seconds = fault if isinstance(fault, float) else shot.exposure_s
         write_dng(path, mosaic, black_level=600, white_level=16383, exposure_s=seconds, model="quick", iso=shot.iso)
         if fault == "broken":

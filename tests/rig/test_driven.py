@@ -14,6 +14,7 @@ from made import made
 from simulated_gphoto2 import fault, make_module
 
 from irodori.capture import operator, stage
+from irodori.capture.camera.gphoto_camera import GphotoCamera
 from irodori.capture.command import main
 from irodori.capture.operator import Operator
 from irodori.capture.rig.connect import start_simulator
@@ -43,6 +44,7 @@ def studio(monkeypatch):
     """Return the simulated camera that python-gphoto2 finds."""
     studio = Studio()
     monkeypatch.setitem(sys.modules, "gphoto2", make_module(studio.bench))
+    monkeypatch.setattr(GphotoCamera, "capture", studio.following(GphotoCamera.capture))
     return studio
 
 

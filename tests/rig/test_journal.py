@@ -383,3 +383,14 @@ def test_a_table_is_not_finished_while_a_photograph_is_missing(tmp_path):
     journal = Journal(tmp_path / "captures.csv")
     with pytest.raises(ValueError, match="2 photographs are missing"):
         journal.finish(PLAN[:2])
+
+
+def test_a_table_of_an_earlier_version_is_continued_and_gains_its_columns(done):
+    table = done / "captures.csv"
+    names = ["file", "role", "light_deg", "camera_deg", "tilt_deg", "turn_deg", "filter", "exposure_s"]
+    names += ["iso", "f_number", "sha256"]
+    now, rows = table.read_text(), list(csv.DictReader(table.read_text().splitlines()))
+    table.write_text("".join(",".join(row) + "\n" for row in [names, *([r[name] for name in names] for r in rows)]))
+    camera = QuickCamera()
+    assert hold(done, PLAN, camera).kept == len(PLAN) and not camera.taken
+    assert table.read_text() == now

@@ -23,7 +23,7 @@ from irodori.capture.operator import (
 )
 from irodori.capture.rig.devices import DeadlineError, DeviceError
 from irodori.capture.setup_steps import hand_settings, motor_targets
-from irodori.config.capture_table import FILTERS, ROLES, Pose, Shot
+from irodori.config.capture_table import FILTERS, SUBJECTS, Pose, Shot
 
 STEP = Step.between({"light_deg": 65.0, "filter": "out"}, {"light_deg": 45.0, "filter": "in"})
 
@@ -31,7 +31,7 @@ angles = st.floats(-360.0, 360.0)
 settings_of_a_bench = st.fixed_dictionaries(
     {},
     optional={
-        "subject": st.sampled_from(ROLES),
+        "subject": st.sampled_from(SUBJECTS),
         "light_deg": angles,
         "camera_deg": angles,
         "tilt_deg": angles,

@@ -11,7 +11,7 @@ from made import made
 from irodori.capture.rig.devices import Axis
 from irodori.capture.setup_steps import hand_settings, motor_targets
 from irodori.capture.shot_order import PHASES, estimate_s, order_shots
-from irodori.config.capture_table import ROLES, Pose, Shot, expand_poses
+from irodori.config.capture_table import SUBJECTS, Pose, Shot, expand_poses
 from irodori.config.models import PoseGroup
 
 CAMERA = Axis("camera_deg", 0.0, 140.0, 0.1, 10.0, 20.0)
@@ -90,7 +90,7 @@ costs = st.sampled_from([0.0, HAND_S])
 
 
 def test_every_role_has_its_place_and_what_calibrates_comes_first():
-    assert sorted(PHASES) == sorted(ROLES) and PHASES[:4] == ("dark", "white", "chart", "object")
+    assert sorted(PHASES) == sorted(SUBJECTS) and PHASES[:4] == ("dark", "white", "chart", "object")
 
 
 @settings(deadline=None)

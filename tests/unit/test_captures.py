@@ -1,5 +1,6 @@
 """Tables of photographs: round trip, every fault with its place, nothing but InputError for any bytes."""
 
+import csv
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -279,11 +280,9 @@ def test_digest_sensitivity_and_aperture_come_back(tmp_path):
     ]
     path = tmp_path / "captures.csv"
     write_captures(path, shots, {"a.dng": "00ff", "b.dng": "11ff"})
-    assert path.read_text().splitlines() == [
-        HEADER + ",iso,f_number,sha256",
-        "a.dng,chart,45.0,0.0,0.0,0.0,out,0.02,,,00ff",
-        "b.dng,chart,45.0,0.0,0.0,0.0,in,0.02,100.0,5.6,11ff",
-    ]
+    first, second = csv.DictReader(path.read_text().splitlines())
+    assert (first["file"], first["iso"], first["f_number"], first["sha256"]) == ("a.dng", "", "", "00ff")
+    assert (second["file"], second["iso"], second["f_number"], second["sha256"]) == ("b.dng", "100.0", "5.6", "11ff")
     assert read_captures(path) == shots
 
 
@@ -320,3 +319,31 @@ def test_a_write_that_fails_leaves_the_old_table_and_nothing_else(tmp_path):
         write_captures(path, [Shot("b.dng", "chart", Pose(45.0, 0.0), "out", 0.02)], {})
     assert path.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == ["captures.csv"]
+
+
+TAKEN = "a.dng,object,45,0,0,0,out,0.02,2026-05-04T10:15:30.250+09:00,2026-05-04T10:15:28,EOS 40D 0123,12.5,a veil\n"
+
+
+def test_how_a_photograph_was_taken_comes_back_and_makes_it_no_other_photograph(tmp_path):
+    path = tmp_path / "captures.csv"
+    path.write_text(HEADER + ",taken_at,camera_time,camera,camera_read_deg,accepted\n" + TAKEN)
+    [shot] = read_captures(path)
+    assert shot == Shot("a.dng", "object", Pose(45.0, 0.0), "out", 0.02)
+    assert shot.taken.at == "2026-05-04T10:15:30.250+09:00" and shot.taken.camera_time == "2026-05-04T10:15:28"
+    assert (shot.taken.camera, shot.taken.read_deg, shot.taken.accepted) == (
+        "EOS 40D 0123",
+        {"camera_deg": 12.5},
+        "a veil",
+    )
+    write_captures(path, [shot])
+    assert read_captures(path)[0].taken == shot.taken
+
+
+@pytest.mark.parametrize(
+    ("column", "cell"), [("taken_at", "yesterday"), ("camera_time", "10:15"), ("turn_read_deg", "far")]
+)
+def test_a_time_or_a_place_that_is_none_is_refused_by_its_column(tmp_path, column, cell):
+    path = tmp_path / "captures.csv"
+    path.write_text(f"{HEADER},{column}\na.dng,object,45,0,0,0,out,0.02,{cell}\n")
+    with pytest.raises(InputError, match=f"line 2, {column}: found '{cell}'"):
+        read_captures(path)

@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 
 from irodori.capture.camera.gphoto_line import FIRST_WAIT_S, GphotoLine
 from irodori.capture.camera.gphoto_settings import WIDGETS, find_choice, means, offer
-from irodori.capture.rig.devices import CameraDevice, CommandError, DeadlineError, DeviceError
+from irodori.capture.rig.devices import NOT_REPORTED, CameraDevice, CommandError, DeadlineError, DeviceError
 from irodori.config.capture_table import Shot
 from irodori.config.models import CameraDriver
 from irodori.core.atomic_files import written_whole
@@ -38,7 +38,6 @@ _REPORTS = {
 }
 _FOCUS = ("focusmode",)
 _RAM = "Internal RAM"
-_NOT_REPORTED = "not reported"
 _EVENT_S = 0.5
 #: A camera without news for so long has delivered all files of a photograph; other news is heard so long at most.
 _QUIET_S, _SETTLE_S = 0.2, 2.0
@@ -195,7 +194,7 @@ class GphotoCamera(CameraDevice):
     def _in_the_way(self, end: float) -> Iterator[str]:
         """Yield what keeps the shutter from falling, as far as the camera tells: autofocus, a card without room."""
         focus = self._read(_FOCUS, end)
-        if focus != _NOT_REPORTED and not re.search(r"manual|\bmf\b", focus, re.IGNORECASE):
+        if focus != NOT_REPORTED and not re.search(r"manual|\bmf\b", focus, re.IGNORECASE):
             yield f"it focuses by itself (focusmode {focus}): switch the lens to manual focus"
         # Where the file goes into the camera's memory, the card may be full or missing.
         if not self._line.names.intersection(self.widgets.get("capture_target", ())):
@@ -318,8 +317,8 @@ class GphotoCamera(CameraDevice):
     def _read(self, names: tuple[str, ...], end: float) -> str:
         name = next((name for name in names if name in self._line.names), None)
         if name is None:
-            return _NOT_REPORTED
-        return str(self._line.ask(end, "get_single_config", name).get_value()).strip() or _NOT_REPORTED
+            return NOT_REPORTED
+        return str(self._line.ask(end, "get_single_config", name).get_value()).strip() or NOT_REPORTED
 
     def _stores(self, end: float) -> list | None:
         """Return gphoto2's records of the camera's cards, None where it does not tell."""
@@ -334,12 +333,12 @@ class GphotoCamera(CameraDevice):
         gp, parts = self._gp, []
         stores = self._stores(end)
         if stores is None:
-            return _NOT_REPORTED
+            return NOT_REPORTED
         for store in stores:
             words = []
             if store.fields & gp.GP_STORAGEINFO_FREESPACEKBYTES:
                 words.append(f"{store.freekbytes / 1024:.0f} MB free")
             if store.fields & gp.GP_STORAGEINFO_FREESPACEIMAGES:
                 words.append(f"room for {store.freeimages} pictures")
-            parts.append(f"{store.basedir}: {', '.join(words) or _NOT_REPORTED}")
+            parts.append(f"{store.basedir}: {', '.join(words) or NOT_REPORTED}")
         return "; ".join(parts) or "no card"

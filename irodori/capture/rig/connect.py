@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING
 
 from irodori.capture.rig.ascii_description import Description
 from irodori.capture.rig.ascii_rig import AsciiRig
@@ -11,9 +12,9 @@ from irodori.capture.rig.grbl.driver import GrblRig
 from irodori.capture.rig.grbl.settings_check import ACCELERATION, RATE, STEPS, TRAVEL, number
 from irodori.capture.rig.serial_link import SerialLink
 from irodori.config.models import Motion, Rig
-from irodori.simulation.controllers import ascii_simulator
-from irodori.simulation.controllers import grbl_simulator as grbl_simulator
-from irodori.simulation.controllers.peer_client import Simulator
+
+if TYPE_CHECKING:
+    from irodori.simulation.controllers.peer_client import Simulator
 
 SIMULATOR = "simulator"
 _HOMING_SEARCH = 4.0
@@ -68,8 +69,11 @@ def open_rig(rig: Rig, checked: bool = True) -> Iterator[RigDevice]:
 
 
 @contextmanager
-def start_simulator(rig: Rig) -> Iterator[Simulator]:
+def start_simulator(rig: Rig) -> "Iterator[Simulator]":
     """Start the simulated controller of a definition, set up as the definition wants it; see `open_rig`."""
+    # A real rig waits for no simulator's import.
+    from irodori.simulation.controllers import ascii_simulator, grbl_simulator
+
     motion = _motion(rig)
     given = motion.simulator
     scale, seed, rms = given.time_scale, given.seed, given.homing_rms_units

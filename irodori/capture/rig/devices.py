@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from irodori.simulation.controllers.peer_client import Simulator
 
 ANGLE_TOLERANCE_DEG = 1e-6
+#: What a camera's status says where the camera does not tell.
+NOT_REPORTED = "not reported"
 
 
 class DeviceError(PlainError):
@@ -250,6 +252,8 @@ class CameraDevice(ABC):
 
     #: End of the names of its RAW files, with the dot.
     suffix: str
+    #: Whether its photographs are computed, at no time of any day.
+    is_virtual = False
 
     @abstractmethod
     def capture(self, shot: Shot, path: Path) -> None:

@@ -14,6 +14,7 @@ from irodori.config.parts import PhotographedObject, SceneRadiance
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.dng_writer import write_dng
 from irodori.simulation.virtual_rig.imperfections import Faults
+from irodori.simulation.virtual_rig.mishaps import Mishap
 from irodori.simulation.virtual_rig.samples import Sample
 from irodori.simulation.virtual_rig.scene_view import scene_mosaic, scene_radiance
 from irodori.simulation.virtual_rig.sensor import Sensor, band_weights
@@ -44,6 +45,9 @@ class VirtualCamera(CameraDevice):
     """
 
     suffix = ".dng"
+    is_virtual = True
+    #: What goes wrong with the next photographs.
+    mishap = Mishap()
 
     def __init__(
         self,
@@ -67,6 +71,7 @@ class VirtualCamera(CameraDevice):
         self.band_weights = band_weights(camera, self.light)
         self.faults = Faults(rig.virtual.imperfections, rig.virtual.seed, session, shots)
         self._known = seen
+        self._last: np.ndarray | None = None
 
     @cached_property
     def sample(self) -> Sample:
@@ -95,24 +100,26 @@ class VirtualCamera(CameraDevice):
 
     def capture(self, shot: Shot, path: Path) -> None:
         """Photograph the bench; the shot gives the exposure time and the place in the session."""
-        response, hot_rate = self._seen(shot)
-        mosaic = self.sensor.expose(
-            self.faults.light(shot) * response, shot.exposure_s, self.faults.noise(shot), hot_rate
-        )
+        mishap = self.mishap
+        if self._last is None or not mishap.delivers_last:
+            response, hot_rate = self._seen(shot)
+            light = mishap.seen(self.faults.light(shot) * response)
+            self._last = self.sensor.expose(light, shot.exposure_s, self.faults.noise(shot), hot_rate)
         write_dng(
             path,
-            mosaic,
+            self._last[: len(self._last) - mishap.cut_px],
             black_level=self.sensor.black_level,
             white_level=self.sensor.white_level,
             exposure_s=shot.exposure_s,
-            model="virtual camera",
+            model=mishap.body or "virtual camera",
             iso=shot.iso,
             f_number=shot.f_number,
         )
 
     def _seen(self, shot: Shot):
         """Return the responses behind the optics and the extra dark current of hot pixels."""
-        subject, state = self.bench.subject, FILTERS.index(self.bench.filter)
+        subject = self.mishap.subject or self.bench.subject
+        state = FILTERS.index(self.mishap.filter or self.bench.filter)
         weights = self.band_weights[3 * state : 3 * state + 3]
         if subject == "environment" and isinstance(self.subject, EnvironmentDefinition):
             # A panorama is stitched or unwrapped: vignetting and hot pixels are corrected there.

@@ -15,8 +15,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from driven import Studio
 from simulated_gphoto2 import make_module
 
+from irodori.capture.camera.gphoto_camera import GphotoCamera
+
 _delay_s = float(os.environ.get("STANDIN_DELAY_S", "0"))
 _studio = Studio(pause=lambda: time.sleep(_delay_s))
+GphotoCamera.capture = _studio.following(GphotoCamera.capture)  # type: ignore[method-assign]
 _module = make_module(_studio.bench)
 
 

@@ -1,0 +1,524 @@
+"""Plausibility of photographs: what a RAW file shows, and whether that can be what was asked for.
+
+A session asks it of every shot as it comes, when the mistake can still be mended. A photograph is compared with those
+that were found sound before it: of the same kind (role and filter), of the same capture with the other filter, and of
+the white reference. Nothing here is a measurement; limits are wide enough for the poses, brackets and highlights of a
+sound session, and what lies beyond them is said and left to a person.
+"""
+
+import hashlib
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from irodori.config.capture_table import DRIFT, Shot
+from irodori.ingest.mosaic import Mosaic
+from irodori.ingest.tiff_tags import read_tags
+
+#: Width of the small pictures that are compared, blocks of superpixels.
+_SMALL_PX = 256
+_MAKE, _MODEL, _TIME, _SERIAL, _LENS = 271, 272, 36867, 42033, 42036
+#: Lit is what exceeds this share of the range from black to white, and clipped what reaches that one.
+_LIT, _CLIPPED = 0.02, 0.995
+#: Places whose steps are the highest of a picture; few enough that a small object's outline holds them.
+_STEEPEST = 500
+_FEWEST_STEPS, _STEP_PX = 16, 4
+#: Of each kind so many are looked at again when a session goes on.
+_RECALLED = 3
+#: Clipped superpixels, a share, that leave the ratio of background to highlights as it is.
+_FEW = 1e-3
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How far a photograph may be from what its session leads to expect; shares and ratios.
+
+    Parameters
+    ----------
+    clipped : float
+        Largest clipped part of what is lit, in the shortest exposure of a bracket.
+    black, capped : float
+        Level (99th percentile, part of the range) that a lit picture reaches at least, and a dark frame at most.
+    dimmest, to_white : float
+        Smallest level for the exposure time beside the darkest photograph of its kind, and beside the white reference.
+    ambient : float
+        Largest level of the darkest tenth beside the brightest hundredth, and above twice all earlier ones of its kind.
+    sharpness : float
+        Smallest sharpness beside the median of its kind, which counts as `sharpest` at most.
+    repeat : float
+        Largest relative change of a view that is photographed again.
+    pair, unfiltered : float
+        Largest factor between the filter's transmittance in this pair of photographs and in earlier ones;
+        transmittance above which there is no filter.
+    colour : float
+        A photograph is of the other filter state where its colour is closer to that by this factor, and
+    colour_step : float
+        farther than this from its own, in logarithms of the ratios of bands.
+    moved, moved_first : float
+        Largest shift between the two photographs of a capture beyond that of earlier pairs, and of the first pair;
+        parts of the picture's width.
+    moved_px : float
+        Smallest shift that counts, superpixels; for the first pair twice as many.
+    chart : (float, float)
+        Smallest and largest ratio of a chart's brightest patch to the white reference.
+    grazing_deg : float
+        Beyond it, light or camera may leave a flat sample black.
+    """
+
+    clipped: float = 0.25
+    black: float = 0.005
+    capped: float = 0.03
+    dimmest: float = 0.1
+    to_white: float = 0.01
+    ambient: float = 0.03
+    sharpness: float = 0.6
+    sharpest: float = 0.8
+    repeat: float = 0.08
+    pair: float = 1.25
+    unfiltered: float = 0.8
+    colour: float = 0.4
+    colour_step: float = 0.08
+    moved: float = 0.008
+    moved_first: float = 0.02
+    moved_px: float = 1.75
+    chart: tuple[float, float] = (0.4, 1.3)
+    grazing_deg: float = 80.0
+
+
+@dataclass(frozen=True)
+class Look:
+    """What one photograph shows.
+
+    Parameters
+    ----------
+    size : (width, height)
+        Mosaic pixels.
+    pixels : str
+        Hash of the pixels alone: a file that is delivered again may have other tags.
+    camera, lens, time : str
+        Maker, model and serial number of the body; lens; the camera's own clock, ISO 8601. Empty where the file does
+        not say.
+    clipped, dark : float
+        Share of superpixels of which one pixel is saturated, and of those that are not lit.
+    sharpness : float
+        Part of the highest steps over four superpixels that lies within one of them; NaN without such steps.
+    picture : (rows, columns, 3) float32
+        Red, green, blue of blocks of superpixels, parts of the range from black to white.
+    whole : (rows, columns) bool
+        Blocks in which nothing is clipped.
+    """
+
+    size: tuple[int, int]
+    pixels: str
+    camera: str
+    lens: str
+    time: str
+    clipped: float
+    dark: float
+    sharpness: float
+    picture: np.ndarray = field(repr=False)
+    whole: np.ndarray = field(repr=False)
+
+    @cached_property
+    def level(self) -> float:
+        """99th percentile of the brightest band, part of the range."""
+        return float(np.percentile(self.picture.max(axis=2), 99.0))
+
+    @cached_property
+    def background(self) -> float:
+        """Tenth percentile of green beside the 99th, a ratio."""
+        low, high = np.percentile(self.picture[..., 1], [10.0, 99.0])
+        return float(low / max(high, 1e-6))
+
+    @cached_property
+    def colour(self) -> np.ndarray:
+        """Median logarithms of red and blue to green over what is lit and whole, (2,); NaN where nothing is."""
+        bands = self.picture[self.whole & (self.picture.min(axis=2) > _LIT / 4.0)]
+        if len(bands) < _FEWEST_STEPS:
+            return np.full(2, np.nan)
+        return np.median(np.log(bands[:, [0, 2]] / bands[:, 1:2]), axis=0)
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Something about a photograph that cannot be as it was asked for.
+
+    Parameters
+    ----------
+    kind : str
+        Short name, such as ``blown``.
+    words : str
+        What was found and what is to be looked at, a clause for the person at the bench.
+    """
+
+    kind: str
+    words: str
+
+
+@dataclass(frozen=True)
+class Drift:
+    """What a drift frame shows beside the photograph that it repeats.
+
+    Parameters
+    ----------
+    file, repeats : str
+        Names of the two files.
+    light : float
+        Green light of this one beside that of the other, a ratio.
+    shift_px : float
+        How far its contours lie from those of the other, superpixels; NaN where there are none.
+    """
+
+    file: str
+    repeats: str
+    light: float
+    shift_px: float
+
+    def __str__(self) -> str:
+        moved = "" if math.isnan(self.shift_px) else f", contours {self.shift_px:.1f} superpixels aside"
+        return f"{self.file}: light {self.light - 1.0:+.1%} against {self.repeats}{moved}"
+
+    def plain(self) -> dict[str, str | float | None]:
+        """Return it for a record in JSON, which has no NaN."""
+        shift = None if math.isnan(self.shift_px) else round(self.shift_px, 2)
+        return {"file": self.file, "repeats": self.repeats, "light": round(self.light, 4), "shift_px": shift}
+
+
+def look_at(path, mosaic: Mosaic) -> Look:
+    """Return what a decoded photograph shows.
+
+    Parameters
+    ----------
+    path : path
+        Its file, of which the tags are read.
+    mosaic : Mosaic
+    """
+    bands, clipped, dark = _reduced(mosaic)
+    texts = {tag.number: str(tag.values[0]) for tag in read_tags(path, (_MAKE, _MODEL, _TIME, _SERIAL, _LENS))}
+    named = dict.fromkeys(texts[key] for key in (_MAKE, _MODEL, _SERIAL) if texts.get(key))
+    day, _, clock = texts.get(_TIME, "").partition(" ")
+    return Look(
+        size=mosaic.size,
+        pixels=hashlib.blake2b(mosaic.values.tobytes(), digest_size=16).hexdigest(),
+        camera=" ".join(named),
+        lens=texts.get(_LENS, ""),
+        time=f"{day.replace(':', '-')}T{clock}" if clock else "",
+        clipped=float(clipped.mean()),
+        dark=float(dark.mean()),
+        sharpness=_sharpness(mosaic),
+        picture=bands,
+        whole=_blocks(clipped, _side(mosaic)) == 0.0,
+    )
+
+
+def _side(mosaic: Mosaic) -> int:
+    return max(1, mosaic.size[0] // 2 // _SMALL_PX)
+
+
+def _reduced(mosaic: Mosaic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the small picture, and which superpixels are clipped and which are not lit."""
+    height, width = mosaic.values.shape
+    clipped, dark = np.zeros((height // 2, width // 2), dtype=bool), np.ones((height // 2, width // 2), dtype=bool)
+    bands: list[list[np.ndarray]] = [[], [], []]
+    for row, column, band in mosaic.places():
+        values = np.ascontiguousarray(mosaic.values[row::2, column::2])
+        black, full = float(mosaic.black[row, column]), float(mosaic.white[row, column] - mosaic.black[row, column])
+        clipped |= values >= black + _CLIPPED * full
+        dark &= values < black + _LIT * full
+        bands[band].append((_blocks(values, _side(mosaic)) - np.float32(black)) / np.float32(mosaic.full_scale))
+    return np.stack([sum(parts) / np.float32(len(parts)) for parts in bands], axis=-1), clipped, dark
+
+
+def _blocks(picture: np.ndarray, side: int) -> np.ndarray:
+    """Return means over blocks, (rows, columns) float32."""
+    rows, columns = picture.shape[0] // side, picture.shape[1] // side
+    cut = picture[: rows * side, : columns * side]
+    lines = np.add.reduce(cut.reshape(rows, side, -1), axis=1, dtype=np.uint32)
+    return (lines.reshape(rows, columns, side).sum(axis=2) / (side * side)).astype(np.float32)
+
+
+def _sharpness(mosaic: Mosaic) -> float:
+    """Return the part of the picture's highest steps that lies within one superpixel, NaN where there is no step."""
+    row, column, _ = next(place for place in mosaic.places() if place[2] == 1)
+    green = (mosaic.values[row::2, column::2].astype(np.float32) - mosaic.black[row, column]) / mosaic.full_scale
+    wide, narrow = [], []
+    # Of a large picture a part of the lines will do.
+    for picture in (green[:: _side(mosaic)], np.ascontiguousarray(green[:, :: _side(mosaic)].T)):
+        if picture.shape[1] <= _STEP_PX:
+            continue
+        wide.append(np.abs(picture[:, _STEP_PX:] - picture[:, :-_STEP_PX]).ravel())
+        near = np.abs(np.diff(picture, axis=1))
+        parts = [near[:, at : near.shape[1] - _STEP_PX + 1 + at] for at in range(_STEP_PX)]
+        narrow.append(np.maximum.reduce(parts).ravel())
+    if not wide:
+        return math.nan
+    high, steep = np.concatenate(wide), np.concatenate(narrow)
+    count = min(high.size, max(_FEWEST_STEPS, high.size // _STEEPEST))
+    places = np.argpartition(high, -count)[-count:]
+    # An evenly lit picture has the steps of its noise alone.
+    if np.median(high[places]) < max(_LIT, 0.25 * float(np.percentile(green[::4, ::4], 99.0))):
+        return math.nan
+    return float(np.median(steep[places] / high[places]))
+
+
+def _shift_between(first: Look, second: Look) -> np.ndarray | None:
+    """Return how far the second picture lies from the first, (columns, rows), parts of the picture's width.
+
+    None where one of them has no contours.
+    """
+    if first.picture.shape != second.picture.shape or not (
+        math.isfinite(first.sharpness) and math.isfinite(second.sharpness)
+    ):
+        return None
+    outlines = [_outline(look) for look in (first, second)]
+    spectra = [np.fft.rfft2(picture - picture.mean()) for picture in outlines]
+    likeness = np.fft.irfft2(spectra[1] * spectra[0].conj(), outlines[0].shape)
+    peak = np.unravel_index(int(np.argmax(likeness)), likeness.shape)
+    found = []
+    for axis in (1, 0):
+        size = likeness.shape[axis]
+        near = []
+        for step in (-1, 0, 1):
+            place = list(peak)
+            place[axis] = (place[axis] + step) % size
+            near.append(float(likeness[tuple(place)]))
+        bend = near[0] - 2.0 * near[1] + near[2]
+        at = int(peak[axis]) + (0.5 * (near[0] - near[2]) / bend if bend < 0.0 else 0.0)
+        found.append((at - size if at > size / 2 else at) / likeness.shape[1])
+    return np.array(found)
+
+
+def _outline(look: Look) -> np.ndarray:
+    """Return the height of the steps of the green picture, of what is whole, each at most that of a clear contour."""
+    green = look.picture[..., 1]
+    scale = np.percentile(green, 99.0)
+    rows, columns = np.gradient(np.minimum(green / max(float(scale), 1e-6), 1.0))
+    steps = np.hypot(rows, columns)
+    return np.where(steps > 0.05, np.minimum(steps, 0.25), 0.0).astype(np.float32)
+
+
+class Series:
+    """Photographs of a session that were found sound, and what the next one must agree with.
+
+    Parameters
+    ----------
+    planned : iterable of Shot
+        The whole session: which exposure of a bracket is the shortest and which the longest.
+    limits : Limits
+    """
+
+    def __init__(self, planned: Iterable[Shot], limits: Limits | None = None) -> None:
+        self.limits = limits or Limits()
+        self._brackets: dict[tuple[str, str], list[float]] = defaultdict(list)
+        for shot in planned:
+            self._brackets[shot.capture, shot.filter].append(shot.exposure_s)
+        self._seen: list[tuple[Shot, Look]] = []
+        #: By subject: transmittance of the filter, and shift from the picture without it to that with it.
+        self._pairs: dict[str, list[tuple[np.ndarray | None, np.ndarray | None]]] = defaultdict(list)
+
+    def add(self, shot: Shot, look: Look) -> None:
+        """Take a photograph that was found sound among those that the next ones are compared with."""
+        if (partner := self._partner(shot)) is not None:
+            self._pairs[shot.subject].append(_compared(*partner, shot, look))
+        self._seen.append((shot, look))
+
+    def _partner(self, shot: Shot) -> tuple[Shot, Look] | None:
+        """Return the first photograph of the same capture with the other filter."""
+        return next(((s, k) for s, k in self._seen if s.capture == shot.capture and s.filter != shot.filter), None)
+
+    def doubts(self, shot: Shot, look: Look) -> list[Doubt]:
+        """Return what about a photograph cannot be as it was asked for, the plainest first; empty where it is sound."""
+        found = list(self._of_the_file(look))
+        if not found:
+            found = list(self._of_the_level(shot, look))
+        # What is black or blown shows nothing else, and would be doubted for all else too.
+        if not found and shot.role != "dark":
+            found = [*self._of_the_light(shot, look), *self._of_the_view(shot, look)]
+        return found
+
+    def drift(self, shot: Shot, look: Look) -> Drift | None:
+        """Return what a drift frame shows, None for any other one, and where it shares no light with it."""
+        found = self._repeated(shot) if shot.role == DRIFT else None
+        if found is None or (change := _transmittance(*found, shot, look)) is None:
+            return None
+        shift = _shift_between(found[1], look)
+        aside = math.nan if shift is None else float(np.hypot(*shift)) * look.size[0] / 2.0
+        return Drift(shot.file, found[0].file, float(change[1]), aside)
+
+    def _repeated(self, shot: Shot) -> tuple[Shot, Look] | None:
+        """Return the first photograph of the same view: same capture and filter."""
+        return next(((s, k) for s, k in self._seen if (s.capture, s.filter) == (shot.capture, shot.filter)), None)
+
+    def _in_doubt(self, shot: Shot) -> str:
+        """Return which photographs a drift frame that shows a change puts in doubt; nothing for other photographs."""
+        if shot.role != DRIFT:
+            return ""
+        frames = [at for at, (s, _) in enumerate(self._seen) if s.role == DRIFT]
+        since = [s.file for s, _ in self._seen[frames[-1] + 1 if frames else 0 :]]
+        return f"; in doubt are the {len(since)} photographs before it, from {since[0]} on" if since else ""
+
+    def _kind(self, shot: Shot) -> list[tuple[Shot, Look]]:
+        return [(s, seen) for s, seen in self._seen if (s.subject, s.filter) == (shot.subject, shot.filter)]
+
+    def _of_the_file(self, look: Look) -> Iterator[Doubt]:
+        """Yield what the file itself says: size, body, lens, and whether it was delivered before."""
+        for shot, seen in self._seen:
+            if seen.pixels == look.pixels:
+                yield Doubt("identical", f"the very picture of {shot.file}: was it delivered twice?")
+                return
+        if not self._seen:
+            return
+        shot, first = self._seen[0]
+        if look.size != first.size:
+            (width, height), (as_wide, as_high) = look.size, first.size
+            yield Doubt(
+                "size", f"{width} x {height} pixels, {shot.file} has {as_wide} x {as_high}: look at its settings"
+            )
+        for kind, mine, other in (("body", look.camera, first.camera), ("lens", look.lens, first.lens)):
+            if mine and other and mine != other:
+                yield Doubt(kind, f"taken with {mine!r}, {shot.file} with {other!r}: is this the right one?")
+
+    def _of_the_level(self, shot: Shot, look: Look) -> Iterator[Doubt]:
+        """Yield whether it is as bright as a photograph of its role can be."""
+        limits, rate = self.limits, look.level / shot.exposure_s
+        if shot.role == "dark":
+            if look.level > limits.capped:
+                yield Doubt("light", f"a dark frame with light at {look.level:.1%} of the range: is the cap on?")
+            return
+        times = self._brackets.get((shot.capture, shot.filter)) or [shot.exposure_s]
+        lit = 1.0 - look.dark
+        if shot.exposure_s <= min(times) and look.clipped > limits.clipped * lit:
+            share = look.clipped / max(lit, 1e-6)
+            yield Doubt("blown", f"{share:.0%} of what is lit is saturated: look at exposure, aperture and lamp")
+        grazing = max(shot.pose.light_deg - shot.pose.tilt_deg, shot.pose.camera_deg + shot.pose.tilt_deg)
+        if grazing > limits.grazing_deg and shot.subject == "object":
+            return
+        darkest = min((seen.level / s.exposure_s for s, seen in self._kind(shot)), default=0.0)
+        white = self._white_rate(shot)
+        if look.level < limits.black * shot.exposure_s / max(times):
+            yield Doubt("black", "as good as black: is the cap on the lens, or the lamp off?")
+        elif rate < limits.to_white * white:
+            yield Doubt("dim", f"{rate / white:.1%} as bright as the white reference: is the lamp on?")
+        elif rate < limits.dimmest * darkest:
+            yield Doubt("dim", f"{rate / darkest:.1%} as bright as the darkest of its kind: is the lamp on?")
+        low, high = limits.chart
+        if shot.role == "chart" and white and not low < rate / white < high:
+            found = f"its brightest patch is {rate / white:.2f} of the white reference"
+            yield Doubt("chart", f"{found}, between {low:g} and {high:g} is expected: have lamp or aperture changed?")
+
+    def _white_rate(self, shot: Shot) -> float:
+        """Return the level of the white reference for a second of exposure, 0 where none was seen."""
+        rates = [w.level / s.exposure_s for s, w in self._seen if s.role == "white" and s.filter == shot.filter]
+        return float(np.median(rates)) if rates else 0.0
+
+    def _of_the_light(self, shot: Shot, look: Look) -> Iterator[Doubt]:
+        """Yield whether lamp, filter and room are as they were."""
+        limits = self.limits
+        if (repeated := self._repeated(shot)) is not None:
+            change = _transmittance(*repeated, shot, look)
+            if change is not None and abs(math.log(change[1])) > math.log1p(limits.repeat):
+                found = f"{change[1] - 1.0:+.0%} against {repeated[0].file}, the same view"
+                asked = "has the lamp changed, was a door opened, is the filter right?"
+                yield Doubt("light changed", f"{found}: {asked}{self._in_doubt(shot)}")
+                return
+        partner = self._partner(shot)
+        if partner is not None and (passed := _compared(*partner, shot, look)[0]) is not None:
+            found_pair = list(self._of_the_pair(shot, passed))
+            yield from found_pair
+            if found_pair:
+                return
+        elif self._has_other_colour(shot, look):
+            state = {"in": "out", "out": "in"}[shot.filter]
+            yield Doubt("filter", f"it has the colours of photographs with the filter {state}: is it {shot.filter}?")
+            return
+        darkest = [seen.background for _, seen in self._kind(shot) if seen.clipped < _FEW]
+        if darkest and look.clipped < _FEW and look.background > max(limits.ambient, 2.0 * max(darkest)):
+            found = f"its background is at {look.background:.1%} of the brightest, at {max(darkest):.1%} before"
+            yield Doubt("light changed", f"{found}: was a door opened, or another lamp switched on?")
+
+    def _of_the_pair(self, shot: Shot, passed: np.ndarray) -> Iterator[Doubt]:
+        """Compare the filter's transmittance in this capture with that of earlier captures of the role."""
+        if passed[1] > self.limits.unfiltered:
+            other = {"in": "out", "out": "in"}[shot.filter]
+            yield Doubt("filter", f"it is as bright as with the filter {other}: is it {shot.filter}?")
+        elif earlier := [known[1] for known, _ in self._pairs[shot.subject] if known is not None]:
+            factor = passed[1] / float(np.median(earlier))
+            if abs(math.log(factor)) > math.log(self.limits.pair):
+                found = f"the filter passes {factor:.2f} times what it passed before"
+                yield Doubt("light changed", f"{found}: have lamp or aperture changed between the two photographs?")
+
+    def _has_other_colour(self, shot: Shot, look: Look) -> bool:
+        near: dict[str, float] = {"in": math.inf, "out": math.inf}
+        for s, seen in self._seen:
+            if s.subject == shot.subject:
+                distance = float(np.linalg.norm(seen.colour - look.colour))
+                near[s.filter] = min(near[s.filter], distance if math.isfinite(distance) else math.inf)
+        same, other = near[shot.filter], near["out" if shot.filter == "in" else "in"]
+        return math.isfinite(same) and same > self.limits.colour_step and other < self.limits.colour * same
+
+    def _of_the_view(self, shot: Shot, look: Look) -> Iterator[Doubt]:
+        """Yield whether it is sharp, and shows its subject where its pair, or the same view, shows it."""
+        limits = self.limits
+        known = [seen.sharpness for _, seen in self._kind(shot) if math.isfinite(seen.sharpness)]
+        if known and look.sharpness < limits.sharpness * min(float(np.median(known)), limits.sharpest):
+            found = f"contours {look.sharpness / float(np.median(known)):.0%} as steep as before"
+            yield Doubt("defocus", f"{found}: look at the focus, and whether something shook")
+            return
+        beside = self._repeated(shot) or self._partner(shot)
+        if beside is not None and (beyond := self._moved(*beside, shot, look)) is not None:
+            found = f"{beyond:.0f} superpixels beside {beside[0].file}"
+            yield Doubt("moved", f"{found}: has object or camera moved, or a motor lost steps?{self._in_doubt(shot)}")
+
+    def _moved(self, earlier: Shot, seen: Look, shot: Shot, look: Look) -> float | None:
+        """Return the shift beyond what the filter's plate explains, superpixels; None where it is small or unknown."""
+        width, limits = look.size[0] / 2.0, self.limits
+        usual, limit = np.zeros(2), max(limits.moved * width, limits.moved_px)
+        if earlier.filter == shot.filter:
+            shift = _shift_between(seen, look)
+        else:
+            shift = _compared(earlier, seen, shot, look)[1]
+            known = [by for _, by in self._pairs[shot.subject] if by is not None]
+            if known:
+                usual = np.median(known, axis=0)
+            else:
+                limit = max(limits.moved_first * width, 2.0 * limits.moved_px)
+        if shift is None:
+            return None
+        beyond = float(np.hypot(*(shift - usual))) * width
+        return beyond if beyond > limit else None
+
+
+def worth_recalling(kept: Iterable[Shot], missing: Iterable[Shot]) -> list[Shot]:
+    """Return those of a session's earlier photographs that the missing ones are to be compared with.
+
+    They are the first of each kind, and those of the captures that are not complete.
+    """
+    open_captures, chosen = {shot.capture for shot in missing}, []
+    kinds: dict[tuple[str, str], int] = defaultdict(int)
+    for shot in kept:
+        kinds[shot.role, shot.filter] += 1
+        if kinds[shot.role, shot.filter] <= _RECALLED or shot.capture in open_captures:
+            chosen.append(shot)
+    return chosen
+
+
+def _compared(first: Shot, seen: Look, second: Shot, other: Look) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Return the filter's transmittance by band, and the shift from out to in, of the two photographs of a capture."""
+    if first.filter == "in":
+        first, seen, second, other = second, other, first, seen
+    return _transmittance(first, seen, second, other), _shift_between(seen, other)
+
+
+def _transmittance(first: Shot, seen: Look, second: Shot, other: Look) -> np.ndarray | None:
+    """Return the second photograph's light beside the first's for equal times, (3,); None where neither is lit."""
+    if seen.picture.shape != other.picture.shape:
+        return None
+    common = seen.whole & other.whole & (seen.picture[..., 1] > _LIT / 2.0)
+    sums = [look.picture[common].sum(axis=0) / shot.exposure_s for shot, look in ((first, seen), (second, other))]
+    if common.sum() < _FEWEST_STEPS or not (np.array(sums) > 0.0).all():
+        return None
+    return sums[1] / sums[0]

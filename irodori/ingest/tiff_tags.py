@@ -1,0 +1,84 @@
+"""Tags of TIFF files, as which most makers write their RAW files, that LibRaw does not report.
+
+Read directly, for a damaged header must not cost more than its file: libraries that read whole directories make as many
+objects as a count in them says, which after one flipped bit may be a thousand million.
+"""
+
+import mmap
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+SHORT, LONG = 3, 4
+_ASCII, _IFD = 2, 13
+_SUB_DIRECTORIES, _EXIF = 330, 34665
+_ENTRY_BYTES, _LONGEST_TEXT = 12, 256
+#: A RAW file has a handful of directories; what claims more is damaged and is LibRaw's to refuse.
+_MOST_DIRECTORIES = 64
+
+
+@dataclass(frozen=True)
+class Tag:
+    """One entry of a directory: its number, TIFF's code of its kind, and its values (numbers, or one text)."""
+
+    number: int
+    kind: int
+    values: tuple[int | str, ...]
+
+
+def read_tags(path, wanted: tuple[int, ...]) -> list[Tag]:
+    """Return the wanted tags of every directory, the Exif directory and sub-directories included.
+
+    Parameters
+    ----------
+    path : path
+        Any file; one that is no TIFF has no tags, and what a damaged one says beyond its end is left out.
+    wanted : tuple of int
+        Numbers of tags that hold a few short or long integers, or a text.
+    """
+    if Path(path).stat().st_size == 0:
+        return []
+    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        order = {b"II*\0": "<", b"MM\0*": ">"}.get(content[:4])
+        return [] if order is None else list(_tags(content, order, wanted))
+
+
+def _tags(content, order: str, wanted: tuple[int, ...]) -> Iterator[Tag]:
+    seen: set[int] = set()
+    waiting = _numbers(content, order, 4, LONG, 1)
+    while waiting and len(seen) < _MOST_DIRECTORIES:
+        place = waiting.pop()
+        if place in seen:
+            continue
+        seen.add(place)
+        count = sum(_numbers(content, order, place, SHORT, 1))
+        first = place + 2
+        for at in range(first, min(first + _ENTRY_BYTES * count, len(content) - _ENTRY_BYTES + 1), _ENTRY_BYTES):
+            tag, kind, number = struct.unpack_from(order + "HHI", content, at)
+            if tag in wanted:
+                yield from _tag(content, order, at, tag)
+            elif tag in (_SUB_DIRECTORIES, _EXIF) and kind in (LONG, _IFD) and 1 <= number <= _MOST_DIRECTORIES:
+                value = at + 8 if number == 1 else sum(_numbers(content, order, at + 8, LONG, 1))
+                waiting += _numbers(content, order, value, LONG, number)
+        waiting += [next_ for next_ in _numbers(content, order, first + _ENTRY_BYTES * count, LONG, 1) if next_]
+
+
+def _tag(content, order: str, at: int, tag: int) -> Iterator[Tag]:
+    kind, number = struct.unpack_from(order + "HI", content, at + 2)
+    size = {_ASCII: 1, SHORT: 2, LONG: 4}.get(kind, 0) * number
+    if not 0 < size <= _LONGEST_TEXT:
+        return
+    value = at + 8 if size <= 4 else sum(_numbers(content, order, at + 8, LONG, 1))
+    if kind == _ASCII:
+        text = bytes(content[value : value + number]).partition(b"\0")[0].decode("ascii", errors="replace").strip()
+        yield Tag(tag, kind, (text,))
+    elif values := _numbers(content, order, value, kind, number):
+        yield Tag(tag, kind, tuple(values))
+
+
+def _numbers(content, order: str, at: int, kind: int, count: int) -> list[int]:
+    """Return numbers from a place of the file, none where they reach beyond its end."""
+    layout = f"{order}{count}{'H' if kind == SHORT else 'I'}"
+    whole = 0 <= at <= len(content) - struct.calcsize(layout)
+    return list(struct.unpack_from(layout, content, at)) if whole else []
