@@ -220,9 +220,7 @@ class LightRecovery:
     maps: np.ndarray
 
     @classmethod
-    def of_room(
-        cls, model: ResponseModel, directions: Directions, prior: LightPrior | None = None
-    ) -> "LightRecovery":
+    def of_room(cls, model: ResponseModel, directions: Directions, prior: LightPrior | None = None) -> "LightRecovery":
         """Return the recovery of a room's light.
 
         Parameters

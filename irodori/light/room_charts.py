@@ -1,7 +1,7 @@
 """Light on colour charts that stand in a room, and what it tells of the room's lamps.
 
-A chart of known reflectances r_p(λ) under a light L(λ) answers with Σ R_b r_p L dλ: 24 patches in six bands are far more
-than the six numbers of a wall. Light of the prior's families is seen here as everywhere else
+A chart of known reflectances r_p(λ) under a light L(λ) answers with Σ R_b r_p L dλ: 24 patches in six bands are far
+more than the six numbers of a wall. Light of the prior's families is seen here as everywhere else
 (`irodori.light.light_recovery`), but through the patches, and the response model's errors are common to them all.
 
 Where charts stand in several places their lamps light them in several proportions. The light of one from which as much
@@ -9,21 +9,28 @@ of another is taken as leaves nothing negative is nearer to a single lamp than e
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import nnls
 
+from irodori.calibration.chart_reading import ChartPhotograph
+from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.colour.colorimetry import colour_matching_weights
+from irodori.config.models import Chart
 from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
 from irodori.light.light_prior import LightPrior, families_of
-from irodori.light.light_recovery import Directions, ResponseModel
+from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel
+from irodori.spectra.published import chart_spectra
 
 _NOISE = 2e-3  # of a patch's response, relative: shadows, gloss and noise
 _ROOM_SHARE = 0.8  # of the prior that the room's own lamps have: others may light what the charts do not see
 _LEAST_LEFT = 0.1  # of a light's luminance that remains where another is taken from it
 _FLOOR = 0.02  # of a light's mean, below which what is taken from it is noise
+_MAX_INVALID = 0.05  # of a patch's samples, beyond which it is left out
+_LEAST_WHOLE = 0.75  # of a chart's patches
 _MAX_MISFIT = 0.1  # rms of the patches' responses, relative: beyond it the chart is another, or misread
 _MAX_OUTSIDE = 0.1  # rms of a chart's bands that light from the room's directions cannot make, relative
 
@@ -46,6 +53,29 @@ class ChartResponses:
     file: object
     response: np.ndarray
     reflectance: np.ndarray
+
+
+def read_room_charts(files: Mapping[str, tuple[object, Chart]], calibration: Calibration) -> list[ChartResponses]:
+    """Return what charts in a room answered, from the linear file and the definition of each, by its name.
+
+    Raises
+    ------
+    InputError
+        If a chart is not found, more than a few of its patches are saturated or masked, or it was photographed in other
+        filter states than the camera's own chart.
+    """
+    charts = []
+    for name, (file, chart) in files.items():
+        patches, spectra = chart_spectra(chart.spectra)
+        photograph = ChartPhotograph.load(file, chart, len(patches), on_rig=False)
+        calibration.require_filters(list(photograph.filters), file)
+        reading = photograph.read()
+        whole = reading.invalid_share <= _MAX_INVALID
+        if whole.mean() < _LEAST_WHOLE:
+            found = f"{np.count_nonzero(~whole)} of {len(whole)} patches saturated or masked"
+            raise InputError(file, f"room_charts.{name}", found, f"{1 - _LEAST_WHOLE:.0%} at most: shorter exposures")
+        charts.append(ChartResponses(name, file, reading.mean[whole].astype(float), spectra[whole]))
+    return charts
 
 
 @dataclass(frozen=True)
@@ -166,3 +196,21 @@ def refined_model(model: ResponseModel, charts: Sequence[ChartResponses], lights
         )
         model = model.given(light_on_patches, response, noise)
     return model
+
+
+def recovery_with(
+    charts: Sequence[ChartResponses], model: ResponseModel, directions: Directions, prior: LightPrior
+) -> LightRecovery:
+    """Return the recovery of a room's light with what its charts tell, of any number, none as well.
+
+    Raises
+    ------
+    InputError
+        If a chart disagrees with the room or with its reflectances; it names the chart.
+    """
+    require_in_room(charts, directions)
+    lights = [light_on(chart, model, prior) for chart in charts]
+    if charts:
+        LOGGER.info("lamps told by the charts %s in the room", ", ".join(chart.name for chart in charts))
+        model, prior = refined_model(model, charts, lights), room_prior(lights, prior)
+    return LightRecovery.of_room(model, directions, prior)
