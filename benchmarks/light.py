@@ -25,7 +25,7 @@ from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_radiance
 from irodori.config.models import Camera
 from irodori.core.threads import use_threads
 from irodori.light.light_prior import LightPrior, light_prior, published_lamps
-from irodori.light.light_recovery import Directions, LightRecovery, draw_directions
+from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel, draw_directions
 from irodori.simulation.virtual_rig.sensor import band_weights
 from irodori.spectra.published import chart_spectra, spectrum
 from irodori.spectra.published_names import ILLUMINANTS
@@ -44,6 +44,11 @@ class Seen:
 
     calibration: Calibration
     sensitivity: np.ndarray
+
+    @property
+    def model(self) -> ResponseModel:
+        """What the calibration tells of it."""
+        return ResponseModel.of(self.calibration)
 
 
 def camera(seed: int = 0) -> Seen:
@@ -86,7 +91,7 @@ def recovered(seen: Seen, light: np.ndarray, prior: LightPrior | None) -> np.nda
     response = seen.sensitivity @ light
     if prior is None:
         return seen.calibration.light * seen.calibration.spectra(response)
-    recovery = LightRecovery.of_room(seen.calibration, Directions(response[None], np.ones(1)), prior)
+    recovery = LightRecovery.of_room(seen.model, Directions(response[None], np.ones(1)), prior)
     return recovery.basis @ recovery.weights(response)
 
 
@@ -125,7 +130,7 @@ def recover(seen: Seen, picture: np.ndarray) -> np.ndarray:
     """Return the weights of a whole picture as the light stage does, a band of rows at a time."""
     parts = (picture[first : first + 32] for first in range(0, len(picture), 32))
     drawn = draw_directions((part.reshape(-1, part.shape[-1]), 1.0) for part in parts)
-    recovery = LightRecovery.of_room(seen.calibration, drawn)
+    recovery = LightRecovery.of_room(seen.model, drawn)
     return np.concatenate([recovery.weights(picture[first : first + 32]) for first in range(0, len(picture), 32)])
 
 

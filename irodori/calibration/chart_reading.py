@@ -47,7 +47,7 @@ class ChartPhotograph:
     light: Illumination | None
 
     @classmethod
-    def load(cls, path, chart: Chart, count: int) -> "ChartPhotograph":
+    def load(cls, path, chart: Chart, count: int, *, on_rig: bool = True) -> "ChartPhotograph":
         """Read a chart's linear responses and find its patches.
 
         Parameters
@@ -57,6 +57,8 @@ class ChartPhotograph:
             Definition of the chart.
         count : int
             Spectra of the chart.
+        on_rig : bool
+            Whether the rig's lamp lights it, whose unevenness a white reference has taken out; it knows no other light.
 
         Raises
         ------
@@ -69,7 +71,7 @@ class ChartPhotograph:
         with store.open_file(path) as file:
             response, valid = file.read("response"), file.read("valid")
             # Ingestion writes a rate, 1/s, where no white reference has evened the light.
-            even = file.dataset("response").attrs["units"] == "1"
+            even = on_rig and file.dataset("response").attrs["units"] == "1"
             light_deg, _, tilt_deg, _ = file.attribute("pose_deg")
             sample_px = file.attribute("sample_px")
             model = file.read("noise_model") if "noise_model" in file else None

@@ -37,7 +37,8 @@ _SUBJECT_PHRASES = {
     "environment": "point the camera at the environment",
     "scene": "point the camera at the scene",
 }
-_CHART = "chart-"  # before the name of a further chart, see `irodori.config.capture_table.chart_capture`
+#: Before the name of a chart, see `irodori.config.capture_table.Shot.subject`.
+_CHARTS = {"chart-": "put the colour chart {} in place", "room-chart-": "point the camera at the colour chart {}"}
 _YES, _NO = ("", "y", "yes", "ok", "done"), ("q", "quit", "a", "abort", "n", "no", "stop")
 _AGAIN, _LONGEST_ANSWER = ("r", "retake", "again"), 200
 _PROGRESS_S, _POLL_S = 60.0, 0.5
@@ -47,9 +48,10 @@ class OperatorAbort(DeviceError):
     """The person at the bench answered that the session is to stop."""
 
 
-def _further_chart(subject) -> str:
-    """Return the name of a further chart, empty for any other subject."""
-    return str(subject).removeprefix(_CHART) if str(subject).startswith(_CHART) else ""
+def _chart_phrase(subject) -> str:
+    """Return what to do for a chart that has a name, empty for any other subject."""
+    phrases = [text.format(str(subject).removeprefix(p)) for p, text in _CHARTS.items() if str(subject).startswith(p)]
+    return phrases[0] if phrases else ""
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class Change:
         if self.name not in SETTINGS:
             raise ValueError(f"no setting {self.name!r}; {suggest(self.name, SETTINGS)}")
         words = {"filter": _FILTER_PHRASES, "subject": _SUBJECT_PHRASES}.get(self.name)
-        if self.name == "subject" and _further_chart(self.new):
+        if self.name == "subject" and _chart_phrase(self.new):
             return
         if words is not None and self.new not in words:
             raise ValueError(f"no {self.name} {self.new!r}; {suggest(str(self.new), words)}")
@@ -84,8 +86,7 @@ class Change:
         if self.name == "subject":
             # After dark frames, and after a restart, the cap may be on.
             capped = self.new != "dark" and self.old in (None, "dark")
-            chart = _further_chart(self.new)
-            phrase = f"put the colour chart {chart} in place" if chart else _SUBJECT_PHRASES[str(self.new)]
+            phrase = _chart_phrase(self.new) or _SUBJECT_PHRASES[str(self.new)]
             return ("take the lens cap off and " if capped else "") + phrase
         phrase = _ANGLE_PHRASES[self.name].format(_degrees(float(self.new)))
         return phrase if self.old is None else f"{phrase} (it stands at {_degrees(float(self.old))})"

@@ -12,7 +12,7 @@ from irodori.config.capture_table import Pose, Shot
 ANGLES = tuple(field.name for field in dataclasses.fields(Pose))
 
 #: What the pose does not matter to: a covered lens sees nothing, and a place is photographed away from the rig.
-_WITHOUT_POSE = ("dark", "environment")
+_WITHOUT_POSE = ("dark", "environment", "room-chart")
 
 
 def motor_targets(shot: Shot, motorised: Container[str]) -> dict[str, float]:

@@ -78,9 +78,15 @@ def object_shots(definition: Object | PhotographedObject, camera: Camera, suffix
 
 
 def shots_without_rig(definition: EnvironmentDefinition | ScenePhotograph, camera: Camera, suffix: str) -> list[Shot]:
-    """Return the photographs of an environment, or of a scene from one place; parameters as of `object_shots`."""
-    role = "scene" if isinstance(definition, ScenePhotograph) else "environment"
-    return list(_bracket(role, _NOWHERE, definition.exposure_s, _settings(camera), suffix))
+    """Return the photographs of an environment and of the charts in it, or of a scene from one place.
+
+    Parameters are as of `object_shots`.
+    """
+    taken = definition.exposure_s, _settings(camera), suffix
+    if isinstance(definition, ScenePhotograph):
+        return list(_bracket("scene", _NOWHERE, *taken))
+    charts = [shot for name in definition.room_charts for shot in _bracket("room-chart", _NOWHERE, *taken, name)]
+    return [*_bracket("environment", _NOWHERE, *taken), *charts]
 
 
 def camera_shots(camera: Camera, suffix: str) -> list[Shot]:

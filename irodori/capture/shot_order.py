@@ -20,7 +20,7 @@ from irodori.capture.short_paths import shortest_blocks
 from irodori.config.capture_table import Shot
 
 #: What is photographed first: what calibrates an object comes before it.
-PHASES = ("dark", "white", "chart", "object", "environment", "scene")
+PHASES = ("dark", "white", "chart", "object", "environment", "room-chart", "scene")
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,8 @@ def order_shots(
 ) -> list[Shot]:
     """Return the shots in the order of least work by hand, then of least travel.
 
-    Dark frames come first, then the white reference, the chart, the objects, the environment, scenes. The exposures of
+    Dark frames come first, then the white reference, the chart, the objects, the environment, charts
+    in it, scenes. The exposures of
     one bracket (same subject, pose and filter) follow each other, the shortest first, so that no long exposure leaves
     its traces in the next picture. The same input gives the same order.
 

@@ -25,14 +25,13 @@ from irodori.core.text_tables import table_rows
 if TYPE_CHECKING:
     from irodori.config.models import PoseGroup
 
-SUBJECTS = ("object", "chart", "white", "dark", "environment", "scene")
+SUBJECTS = ("object", "chart", "white", "dark", "environment", "room-chart", "scene")
 #: What a photograph is for. A drift frame shows the object once more, as an earlier photograph of the session did: what
 #: differs is the lamp's doing, or the rig's; no fit uses it.
 DRIFT = "drift"
 ROLES = (*SUBJECTS, DRIFT)
-#: A further chart has its name behind the role, such as ``chart-sg``.
-_FURTHER_CHART = "chart-"
-_NAME = re.compile(r"[a-z0-9-]+")
+#: A chart in a room and a further chart of a camera have their name behind the role, such as ``chart-sg``.
+_NAMED_CHART = re.compile(r"(room-chart|chart)-([a-z0-9-]+)")
 FILTERS = ("out", "in")
 COLUMNS = ("file", "role", "light_deg", "camera_deg", "tilt_deg", "turn_deg", "filter", "exposure_s")
 
@@ -96,8 +95,8 @@ class Shot:
     """One photograph: ``file`` as the table writes it, ``role`` of ROLES, ``filter`` of FILTERS.
 
     ``iso`` (sensitivity, ISO 12232) and ``f_number`` (relative aperture) are 0 where the table does not state them.
-    ``chart`` is the name of a further chart, empty for the camera's first and for all other roles. ``taken`` is how it
-    was taken, which makes it no other photograph: shots are equal whatever stands there.
+    ``chart`` is the name of a further chart or of one in a room, empty for the camera's first and for all other roles.
+    ``taken`` is how it was taken, which makes it no other photograph: shots are equal whatever stands there.
     """
 
     file: str
@@ -112,10 +111,10 @@ class Shot:
 
     @property
     def subject(self) -> str:
-        """What stands before the lens: of SUBJECTS, or a further chart with the chart's name (``chart-sg``)."""
+        """What stands before the lens: of SUBJECTS, with the chart's name where it has one (``chart-sg``)."""
         if self.role == DRIFT:
             return "object"
-        return chart_capture(self.chart) if self.role == "chart" else self.role
+        return f"{self.role}-{self.chart}" if self.chart else self.role
 
     @property
     def capture(self) -> str:
@@ -125,7 +124,12 @@ class Shot:
 
 def chart_capture(name: str) -> str:
     """Return the name of a chart's capture: ``chart`` of the camera's first (no name), ``chart-NAME`` of another."""
-    return _FURTHER_CHART + name if name else "chart"
+    return f"chart-{name}" if name else "chart"
+
+
+def room_chart_capture(name: str) -> str:
+    """Return the name of the capture of a chart in a room."""
+    return f"room-chart-{name}"
 
 
 def expand_poses(groups: "Iterable[PoseGroup]") -> list[Pose]:
@@ -333,11 +337,14 @@ class _Shots:
             raise self._error(line, "file", f"{kind}: {raw}", "a RAW file of the camera")
 
     def _role(self, line: int, row: dict[str, str]) -> tuple[str, str]:
-        """Return the role and, of a further chart, the chart's name."""
-        role, _, chart = row["role"].strip().partition("-")
-        if role == "chart" and _NAME.fullmatch(chart):
-            return role, chart
-        return self._choice(line, row, "role", ROLES), ""
+        """Return the role and the chart's name where it has one."""
+        named = _NAMED_CHART.fullmatch(row["role"].strip())
+        if named:
+            return named[1], named[2]
+        role = self._choice(line, row, "role", ROLES)
+        if role == "room-chart":
+            raise self._error(line, "role", "'room-chart' without a name", "room-chart-NAME, such as room-chart-desk")
+        return role, ""
 
     def _choice(self, line: int, row: dict[str, str], column: str, valid: tuple) -> str:
         value = row[column].strip()

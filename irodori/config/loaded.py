@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 
-from irodori.config.capture_table import chart_capture, expand_poses, read_captures
+from irodori.config.capture_table import chart_capture, expand_poses, read_captures, room_chart_capture
 from irodori.config.cross_checks.captures_on_rig import table_and_folder
 from irodori.config.definition import Definition
 from irodori.config.models import Camera, Config, EnvironmentDefinition, Object, Rig, Scene
@@ -74,7 +74,8 @@ class Loaded(Definition):
         -------
         list of str
             Of an object its poses, sorted, each once; of a camera ``chart`` and ``chart-NAME`` of each further chart;
-            of an environment ``environment``, and none where no camera photographed it.
+            of an environment ``environment`` and ``room-chart-NAME`` of each chart in it, and none where no camera
+            photographed it.
 
         Raises
         ------
@@ -83,7 +84,8 @@ class Loaded(Definition):
         """
         definition = self.photographed(kind, name)
         if isinstance(definition, EnvironmentDefinition):
-            return ["environment"] if definition.camera is not None else []
+            charts = [room_chart_capture(name) for name in definition.room_charts]
+            return ["environment", *charts] if definition.camera is not None else []
         if isinstance(definition, Camera):
             return [chart_capture(chart) for chart in ["", *definition.further_charts]]
         if self.is_taken_here(kind, name):

@@ -1732,6 +1732,17 @@ class RoomWindow(Definition):
 
 
 @dataclass(frozen=True, kw_only=True)
+class PlacedChart(Definition):
+    """One chart's place."""
+
+    #: Its middle, x, y, z from the centre of the floor, in m.
+    position_m: tuple[float, float, float]
+
+    #: Direction that it faces, x, y, z (a vector of any length above 0).
+    facing: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
 class RoomLamps(Definition):
     """The panels in the ceiling."""
 
@@ -1773,6 +1784,9 @@ class VirtualRoom(Definition):
     #: The wall of windows.
     window: RoomWindow
 
+    #: Where each of room_charts stands.
+    charts: Mapping[str, PlacedChart] = field(default_factory=dict, hash=False)
+
     #: The panels in the ceiling.
     lamps: RoomLamps
 
@@ -1799,6 +1813,11 @@ class EnvironmentDefinition(Definition):
 
     #: The photographs of a real rig; needed where the rig is of kind files or driven.
     captures: Captures | None = None
+
+    #: Colour charts by name, photographed in the place under its own light with the camera that takes the panorama; a
+    #: photograph of NAME has the role room-chart-NAME in the table. Their patches tell the spectra of the place's
+    #: lamps.
+    room_charts: Mapping[str, Chart] = field(default_factory=dict, hash=False)
 
     #: The room that the virtual rig photographs; needed where the camera's rig is of kind virtual.
     virtual: VirtualRoom | None = None

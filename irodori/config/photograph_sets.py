@@ -24,7 +24,7 @@ __all__ = ["IngestPart", "PhotographSets", "named_tables"]
 _Part = TypeVar("_Part", bound=Definition)
 
 _FOLDERS = {"objects": "results", "cameras": "results/cameras", "environments": "results/environments"}
-_ROLES = {"objects": ["object"], "cameras": ["chart", "white", "dark"], "environments": ["environment"]}
+_ROLES = {"objects": ["object"], "cameras": ["chart", "white", "dark"], "environments": ["environment", "room-chart"]}
 _SET_OF = {"object": "objects", "camera": "cameras", "environment": "environments"}
 
 
@@ -328,16 +328,20 @@ class PhotographSets:
         """Return what the light of a photographed place is recovered from; other light is the user's own."""
         if not self.is_photographed(wildcards):
             return {}
+        folder = f"results/environments/{wildcards.environment}/linear"
+        charts = self.captures["environments"][wildcards.environment][1:]
         return {
-            "linear": f"results/environments/{wildcards.environment}/linear/environment.h5",
+            "linear": f"{folder}/environment.h5",
+            "room_charts": [f"{folder}/{chart}.h5" for chart in charts],
             "calibration": f"results/cameras/{self.camera_of(wildcards)}/calibration.h5",
         }
 
     def files_of_light(self, wildcards) -> list[str]:
         """Return the user's picture and tables of spectra that an environment's light is made from."""
-        source = self.loaded.environments[wildcards.environment].source
+        place = self.loaded.environments[wildcards.environment]
+        source = place.source
         picture = [] if self.is_photographed(wildcards) or not hasattr(source, "file") else [source.file]
-        return [*picture, *named_tables(source)]
+        return [*picture, *named_tables(source, place.room_charts)]
 
     # ---- measurements of the rig and of poses
 

@@ -19,7 +19,8 @@ def check_captures(table, folder, output, roles, size_px=None) -> None:
     roles : sequence of str
         The roles that the set uses; a table may serve several sets.
     size_px : (width, height), optional
-        Size of the mosaic that the definition states; otherwise that of the first file counts.
+        Size of the mosaic that the definition states; otherwise that of the first file counts. Charts in a room are
+        held against the camera's reference when they are read in, as what a stitched panorama is made of.
 
     Raises
     ------
@@ -35,8 +36,9 @@ def check_captures(table, folder, output, roles, size_px=None) -> None:
     for shot in track(shots, "check"):
         path = shot_path(shot, table, folder)
         mosaic = decode(path)
-        wanted = wanted or mosaic.size
-        if mosaic.size != wanted:
+        of_sensor = shot.role == "room-chart"
+        wanted = wanted if of_sensor else wanted or mosaic.size
+        if not of_sensor and mosaic.size != wanted:
             found = f"a mosaic of {mosaic.size[0]} x {mosaic.size[1]} pixels"
             raise InputError(path, "size", found, f"{wanted[0]} x {wanted[1]} pixels, as its set states")
         settled.append(settle(shot, mosaic, table))

@@ -65,19 +65,26 @@ def _spread(spread: tuple[float, float]) -> np.ndarray:
     return deviation**2 * smooth_covariance(length_nm)
 
 
-def _kinds(lamps: np.ndarray) -> np.ndarray:
-    """Return the second moment of every lamp with those most alike, (lamps, 61, 61)."""
-    unit = lamps / np.linalg.norm(lamps, axis=1, keepdims=True)
-    alike = np.argsort(-(unit @ unit.T), axis=1, kind="stable")[:, :_ALIKE]
-    return np.stack([lamps[own].T @ lamps[own] / len(own) for own in alike])
+def _alike(moments: np.ndarray, count: int) -> np.ndarray:
+    """Return the mean second moment of every lamp with those most alike, (lamps, 61, 61)."""
+    size = np.sqrt(np.einsum("nij,nij->n", moments, moments))
+    flat = moments.reshape(len(moments), -1)
+    alike = np.argsort(-(flat @ flat.T) / (size[:, None] * size), axis=1, kind="stable")[:, :count]
+    return moments[alike].mean(axis=1)
 
 
-def light_prior(lamps: np.ndarray) -> LightPrior:
-    """Return the prior that a list of lamps, (lamps, 61), makes."""
+def families_of(lamps: np.ndarray, alike: int = _ALIKE) -> LightPrior:
+    """Return the prior that lamps make, each given by the second moment of its spectrum, (lamps, 61, 61).
+
+    Parameters
+    ----------
+    lamps : (n, 61, 61) float64
+    alike : int
+        Lamps that make a kind.
+    """
     bare, surfaces = np.ones((SAMPLES, SAMPLES)) + _spread(_OF_LAMPS), _surfaces()
-    own = lamps[:, :, None] * lamps[:, None, :]
-    every = lamps.T @ lamps / len(lamps)
-    moments = (own * bare, own * surfaces, _kinds(lamps) * bare, np.stack([every * bare, every * surfaces]))
+    every = lamps.mean(axis=0)
+    moments = (lamps * bare, lamps * surfaces, _alike(lamps, alike) * bare, np.stack([every * bare, every * surfaces]))
     share = np.concatenate(
         [
             np.full(len(moment), weight / len(moment))
@@ -85,3 +92,8 @@ def light_prior(lamps: np.ndarray) -> LightPrior:
         ]
     )
     return LightPrior(np.concatenate(moments), share / share.sum(), len(moments[-1]))
+
+
+def light_prior(lamps: np.ndarray) -> LightPrior:
+    """Return the prior that a list of lamps, (lamps, 61), makes."""
+    return families_of(lamps[:, :, None] * lamps[:, None, :])

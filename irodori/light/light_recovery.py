@@ -32,6 +32,52 @@ _ERRORS = 24  # independent errors that are kept at most
 
 
 @dataclass(frozen=True)
+class ResponseModel:
+    """What a camera answers per unit radiance, and how well that is known.
+
+    Parameters
+    ----------
+    mean : (bands, 61) float64
+    covariance : (bands, 61, 61) float64
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+
+    @classmethod
+    def of(cls, calibration: Calibration, path="") -> "ResponseModel":
+        """Return the response model of a calibration.
+
+        Raises
+        ------
+        InputError
+            If the calibration states none or not how well it knows it; it names the calibration's path.
+        """
+        model, covariance = calibration.band_response, calibration.band_response_covariance
+        if model is None or covariance is None:
+            lacking = "band_response" if model is None else "band_response_covariance"
+            raise InputError(path, lacking, "no such dataset", "a calibration that this version wrote")
+        light = calibration.light
+        return cls(model / light, _MODEL_VARIANCE * covariance / (light[:, None] * light))
+
+    def given(self, light: np.ndarray, response: np.ndarray, noise: np.ndarray) -> "ResponseModel":
+        """Return the model as answers to known light leave it.
+
+        Parameters
+        ----------
+        light : (n, 61) float64
+        response : (n, bands) float64
+        noise : (bands, n, n) float64
+            Covariance of the answers, what is unknown of the light included.
+        """
+        cross = light @ self.covariance
+        gain = np.linalg.solve(cross @ light.T + noise, cross).swapaxes(1, 2)
+        missed = response.T - self.mean @ light.T
+        mean = self.mean + np.einsum("bln,bn->bl", gain, missed)
+        return ResponseModel(mean, self.covariance - gain @ cross)
+
+
+@dataclass(frozen=True)
 class Directions:
     """Responses in some directions of a picture, and what share of its light each stands for.
 
@@ -97,13 +143,13 @@ class _Families:
     open: np.ndarray
 
     @classmethod
-    def seen(cls, prior: LightPrior, model: np.ndarray, covariance: np.ndarray) -> "_Families":
-        """Return the families of a prior, seen with responses (bands, 61) per unit radiance of a covariance."""
-        cross = model @ prior.moment
-        moment = cross @ model.T
-        of_band = np.arange(len(model))
-        noise = prior.moment.reshape(len(prior.moment), -1) @ covariance.reshape(len(covariance), -1).T
-        moment[:, of_band, of_band] += _MODEL_VARIANCE * noise + _LEAST_NOISE**2 * moment[:, of_band, of_band]
+    def seen(cls, prior: LightPrior, model: ResponseModel) -> "_Families":
+        """Return the families of a prior as a camera sees them."""
+        cross = model.mean @ prior.moment
+        moment = cross @ model.mean.T
+        of_band = np.arange(len(model.mean))
+        noise = prior.moment.reshape(len(prior.moment), -1) @ model.covariance.reshape(len(of_band), -1).T
+        moment[:, of_band, of_band] += noise + _LEAST_NOISE**2 * moment[:, of_band, of_band]
         factor = np.linalg.inv(np.linalg.cholesky(moment))
         gain = (np.linalg.solve(moment, cross)).swapaxes(1, 2)
         return cls(prior.share, factor, gain, prior.moment - gain @ cross)
@@ -123,25 +169,34 @@ class _Families:
         turned = np.einsum("nij,mj->mni", self.factor, response, optimize=True)
         return np.maximum(np.einsum("mni,mni->mn", turned, turned), np.finfo(float).tiny)
 
+    def likelihoods(self, response: np.ndarray) -> np.ndarray:
+        """Return the density of responses (m, bands) in every family, relative to the largest of each, (m, n)."""
+        logarithm = np.log(np.einsum("nbb->nb", self.factor)).sum(axis=1)
+        logarithm = logarithm - 0.5 * response.shape[1] * np.log(self.squares(response))
+        return np.exp(logarithm - logarithm.max(axis=1, keepdims=True))
+
     def shares(self, response: np.ndarray) -> np.ndarray:
         """Return the families' shares in directions of responses (m, bands), (m, n)."""
-        with np.errstate(divide="ignore"):
-            logarithm = np.log(self.weight()) - 0.5 * response.shape[1] * np.log(self.squares(response))
-        found = np.exp(logarithm - logarithm.max(axis=1, keepdims=True))
-        return found / found.sum(axis=1, keepdims=True)
+        return _parted(self.share, self.likelihoods(response))
 
     def of_room(self, directions: Directions, broad: int) -> "_Families":
         """Return the families of a room, their shares by expectation and maximisation over its directions."""
-        found, count = self, len(self.share)
+        shares, count = self.share, len(self.share)
         evidence = _EVIDENCE * (directions.different() - 1.0)
+        likelihoods = self.likelihoods(directions.response)
         for _ in range(_STEPS):
-            seen = directions.share @ found.shares(directions.response)
+            seen = directions.share @ _parted(shares, likelihoods)
             shares = (count * self.share + evidence * seen) / (count + evidence)
-            found = _Families(shares, self.factor, self.light_from_response, self.open)
         # What a lamp seen nowhere else shines like is found among the families that hold any light.
         last = np.arange(count - broad, count)
         most = np.argsort(-seen[: last[0]], kind="stable")[: _FAMILIES - broad]
         return self.chosen(np.concatenate([most, last]), shares)
+
+
+def _parted(shares: np.ndarray, likelihoods: np.ndarray) -> np.ndarray:
+    """Return the shares of families (n,) in directions, where a direction has been seen, (m, n)."""
+    found = shares * likelihoods
+    return found / found.sum(axis=1, keepdims=True)
 
 
 @dataclass(frozen=True)
@@ -165,33 +220,20 @@ class LightRecovery:
     maps: np.ndarray
 
     @classmethod
-    def of_room(
-        cls, calibration: Calibration, directions: Directions, prior: LightPrior | None = None, path=""
-    ) -> "LightRecovery":
+    def of_room(cls, model: ResponseModel, directions: Directions, prior: LightPrior | None = None) -> "LightRecovery":
         """Return the recovery of a room's light.
 
         Parameters
         ----------
-        calibration : Calibration
+        model : ResponseModel
+            Of the camera.
         directions : Directions
             Of the room.
         prior : LightPrior, optional
             That of the published lamps where absent.
-        path : path
-            The calibration's, for the error message.
-
-        Raises
-        ------
-        InputError
-            If the calibration states no response model or not how well it knows it.
         """
-        model, covariance = calibration.band_response, calibration.band_response_covariance
-        if model is None or covariance is None:
-            lacking = "band_response" if model is None else "band_response_covariance"
-            raise InputError(path, lacking, "no such dataset", "a calibration that this version wrote")
         prior = light_prior(published_lamps()) if prior is None else prior
-        light = calibration.light
-        known = _Families.seen(prior, model / light, covariance / (light[:, None] * light))
+        known = _Families.seen(prior, model)
         return cls._solved(known.of_room(directions, prior.broad), directions)
 
     @classmethod

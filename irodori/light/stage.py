@@ -1,6 +1,6 @@
 """Light stage: an omnidirectional picture in; compressed light, irradiance and gloss maps out [eq. 8, 9]."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -8,6 +8,7 @@ from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.config.models import (
     CapturesSource,
+    Chart,
     IrradianceMap,
     LightsSource,
     MirrorBallSource,
@@ -23,11 +24,12 @@ from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.gloss.look_up_errors import gloss_errors
 from irodori.light.irradiance import Integrator, fitted_irradiance_map
 from irodori.light.light_files import rgb_picture, spectral_picture
-from irodori.light.light_prior import LightPrior
-from irodori.light.light_recovery import LightRecovery, draw_directions
+from irodori.light.light_prior import LightPrior, light_prior, published_lamps
+from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel, draw_directions
 from irodori.light.mirror_ball import RIM, unwrapped
 from irodori.light.omnidirectional import MeanLight, OmnidirectionalPicture, bands, from_panorama
 from irodori.light.placed_lights import lights_picture
+from irodori.light.room_charts import read_room_charts, recovery_with
 from irodori.material.principal_components.basis_count import Compression, CompressOptions, choose
 from irodori.material.principal_components.pixel_tiles import Tiles
 from irodori.material.principal_components.second_moments import second_moments
@@ -73,7 +75,7 @@ def _read_masks(linear, part=None) -> tuple[np.ndarray, list[str]]:
 
 
 def _photographed(
-    linear, calibration: Calibration, calibration_file, centre_azimuth_deg: float, prior: LightPrior | None
+    linear, calibration: Calibration, centre_azimuth_deg: float, recovery_of: Callable[[Directions], LightRecovery]
 ) -> OmnidirectionalPicture:
     """Return the light of an equirectangular photograph, whose brackets were merged when it was read in.
 
@@ -97,7 +99,7 @@ def _photographed(
         return directions(1, len(valid), rows)[1].repeat(valid.shape[1])
 
     drawn = draw_directions((part.reshape(-1, part.shape[-1]), solid_angle(rows)) for rows, part in responses())
-    recovery = LightRecovery.of_room(calibration, drawn, prior, calibration_file)
+    recovery = recovery_of(drawn)
 
     def read() -> Iterator[np.ndarray]:
         for _, part in responses():
@@ -109,7 +111,11 @@ def _photographed(
 
 
 def _mirror_ball(
-    linear, calibration: Calibration, calibration_file, source: MirrorBallSource, image: Size, prior: LightPrior | None
+    linear,
+    calibration: Calibration,
+    source: MirrorBallSource,
+    image: Size,
+    recovery_of: Callable[[Directions], LightRecovery],
 ) -> OmnidirectionalPicture:
     """Return the light around a photographed mirror ball."""
     (x, y), radius = source.centre_px, source.radius_px
@@ -124,7 +130,7 @@ def _mirror_ball(
     response = np.where(valid[..., None], response, 0.0)
     # Seen from afar every part of the ball's disc shows as much of the sphere.
     drawn = draw_directions([(response[ball(*valid.shape)], 1.0)])
-    recovery = LightRecovery.of_room(calibration, drawn, prior, calibration_file)
+    recovery = recovery_of(drawn)
     return unwrapped(source, image, response, valid, recovery, linear)
 
 
@@ -140,6 +146,7 @@ def prepare_environment(
     image: Size | None = None,
     gloss_lobes: Sequence[str] = (),
     prior: LightPrior | None = None,
+    room_charts: Mapping[str, tuple[object, Chart]] | None = None,
 ) -> None:
     """Write an environment's file from the linear responses of its omnidirectional picture or of a mirror ball.
 
@@ -156,23 +163,34 @@ def prepare_environment(
         Of what a mirror ball is unwrapped to.
     prior : LightPrior, optional
         That of the published lamps where absent.
+    room_charts : mapping of str to (path, Chart), optional
+        Linear file and definition of each chart in the place, by its name.
 
     Raises
     ------
     InputError
-        If a pixel is saturated in every bracket, or masked pixels stand beside each other.
+        If a pixel is saturated in every bracket, or masked pixels stand beside each other; if a chart in the place
+        cannot be read or disagrees with the panorama.
 
     Notes
     -----
     A single masked pixel, hot in the camera, is filled from its neighbours along the row; the log says how many.
     """
     calibration = Calibration.load(calibration_file)
+    charts = read_room_charts(room_charts or {}, calibration)
+    model = ResponseModel.of(calibration, calibration_file)
+    known = light_prior(published_lamps()) if prior is None else prior
+
+    def recovery_of(drawn: Directions) -> LightRecovery:
+        return recovery_with(charts, model, drawn, known)
+
     if isinstance(source, CapturesSource):
-        picture = _photographed(linear, calibration, calibration_file, source.centre_azimuth_deg, prior)
+        picture = _photographed(linear, calibration, source.centre_azimuth_deg, recovery_of)
     elif image is None:
         raise ValueError("a mirror ball without the size of its picture; accepted: image")
     else:
-        picture = _mirror_ball(linear, calibration, calibration_file, source, image, prior)
+        picture = _mirror_ball(linear, calibration, source, image, recovery_of)
+    picture.origin["lamps"] = f"charts in the room ({', '.join(room_charts)})" if room_charts else "published lamps"
     # The colour of the light is judged against the rig's light as white.
     write_environment(
         picture, calibration.light, output, options, irradiance_options, provenance, gloss_lobes=gloss_lobes

@@ -20,6 +20,7 @@ rule prepare_environment:
         source=lookup(within=config, dpath="environments/{environment}/source"),
         image=lookup(within=config, dpath="environments/{environment}/image", default=None),
         photographed=sets.is_photographed,
+        room_charts=lookup(within=config, dpath="environments/{environment}/room_charts", default={}),
         lobes=sets.lobes(),
         user_files=ledger.content(sets.files_of_light),
         code=code_hash("irodori.light.stage"),

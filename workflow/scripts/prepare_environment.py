@@ -1,4 +1,4 @@
-from irodori.config.models import IrradianceMap, Size
+from irodori.config.models import Chart, IrradianceMap, Size
 from irodori.config.parts import typed_source
 from irodori.core.run_rule import run_rule
 from irodori.light.stage import make_environment, prepare_environment
@@ -13,6 +13,12 @@ with run_rule(snakemake) as provenance:
     image = Size.of(snakemake.params.image) if snakemake.params.image else None
     if snakemake.params.photographed:
         files = snakemake.input.linear, snakemake.input.calibration
-        prepare_environment(*files, *common, source=source, image=image, gloss_lobes=gloss)
+        charts = {
+            name: (file, Chart.of(chart))
+            for (name, chart), file in zip(
+                snakemake.params.room_charts.items(), snakemake.input.room_charts, strict=True
+            )
+        }
+        prepare_environment(*files, *common, source=source, image=image, gloss_lobes=gloss, room_charts=charts)
     else:
         make_environment(source, image, *common, gloss_lobes=gloss)

@@ -3,7 +3,15 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from irodori.config.capture_table import FILTERS, Shot, chart_capture, expand_poses, read_captures, shot_path
+from irodori.config.capture_table import (
+    FILTERS,
+    Shot,
+    chart_capture,
+    expand_poses,
+    read_captures,
+    room_chart_capture,
+    shot_path,
+)
 from irodori.config.models import AxisLimit, Captures, Exposures, PoseGroup, RigLimits
 from irodori.core.errors import InputError, is_file
 
@@ -119,6 +127,19 @@ def by_chart(shots: list[Shot], further: Iterable[str], table: Path, file) -> li
             found = f"no photograph of the role {chart_capture(name)}"
             raise InputError(table, "role", found, f"each chart of {file} photographed")
     return list(groups.values())
+
+
+def check_room_charts(shots: list[Shot], wanted: Iterable[str], table: Path, file) -> list[Shot]:
+    """Return the photographs of charts in a place; refuse charts that only its table or only its definition has."""
+    given, known = [shot for shot in shots if shot.role == "room-chart"], set(wanted)
+    for shot in given:
+        if shot.chart not in known:
+            found = f"{shot.subject}, for which {file} has no room_charts.{shot.chart}"
+            raise InputError(table, f"role of {shot.file}", found, "a chart of room_charts")
+    for name in sorted(known - {shot.chart for shot in given}):
+        found = f"no photograph of the role {room_chart_capture(name)}"
+        raise InputError(table, "role", found, f"each of the room_charts of {file} photographed")
+    return of_role(shots, "room-chart", table) if given else []
 
 
 def check_states(shots: list[Shot], table: Path, wanted: set[str], chart_file: Path) -> None:

@@ -10,6 +10,7 @@ from irodori.config.cross_checks.captures_on_rig import (
     by_chart,
     check_incidence,
     check_one_pose,
+    check_room_charts,
     check_states,
     of_role,
     read_table,
@@ -17,7 +18,7 @@ from irodori.config.cross_checks.captures_on_rig import (
     table_and_folder,
 )
 from irodori.config.cross_checks.display_files import check_display
-from irodori.config.cross_checks.environment_sources import check_source, is_photographed
+from irodori.config.cross_checks.environment_sources import check_placed_charts, check_source, is_photographed
 from irodori.config.cross_checks.lessons import check_lesson
 from irodori.config.cross_checks.named_spectra import check_chart, check_index, check_spectra
 from irodori.config.cross_checks.object_lobes import check_lobes
@@ -156,6 +157,10 @@ class _Checks:
             self._check_exposures("environments", name)
         else:
             self._check_photographs("environments", name)
+        for chart, definition in environment.room_charts.items():
+            check_chart(definition, self.root, file, f"room_charts.{chart}")
+        if environment.virtual is not None:
+            check_placed_charts(environment, environment.virtual, file)
         check_spectra(environment, (), self.root, file)
 
     def object(self, name: str) -> None:
@@ -315,6 +320,9 @@ class _Checks:
         table, shots = read_table(self.all.photographed(kind, name).captures, self.root, self.file(kind, name))
         wanted, camera = of_role(shots, kind.removesuffix("s"), table), self.all.camera_of(kind, name)
         chart_file = self.charts[camera][0] if camera in self.charts else self.file("cameras", camera)
+        if kind == "environments":
+            file, charts = self.file(kind, name), self.all.environments[name].room_charts
+            wanted = [*wanted, *check_room_charts(shots, charts, table, file)]
         check_states(wanted, table, self._states(camera), chart_file)
         return table, wanted
 

@@ -10,10 +10,11 @@ from irodori.config.models import (
     MirrorBallSource,
     RgbSource,
     SpectralSource,
+    VirtualRoom,
 )
 from irodori.core.errors import InputError, is_file
 
-_OF_A_CAMERA = ("camera", "captures", "exposure_s", "virtual")
+_OF_A_CAMERA = ("camera", "captures", "exposure_s", "room_charts", "virtual")
 
 
 def is_photographed(environment: EnvironmentDefinition) -> bool:
@@ -51,6 +52,30 @@ def check_source(environment: EnvironmentDefinition, root: Path, file) -> None:
         if light.radiance is not None and light.diameter_deg == 0.0:
             field = f"source.lights[{index}].diameter_deg"
             raise InputError(file, field, "0, whose radiance gives no light", "irradiance, or a diameter above 0")
+
+
+def check_placed_charts(environment: EnvironmentDefinition, room: VirtualRoom, file) -> None:
+    """Refuse charts of a virtual room that stand nowhere, outside it, or face no side; and places without a chart.
+
+    Raises
+    ------
+    InputError
+        For the first fault.
+    """
+    for name in environment.room_charts:
+        if name not in room.charts:
+            raise InputError(file, f"virtual.charts.{name}", "no such key", f"where room_charts.{name} stands")
+    half_m = room.room_m.width / 2.0, room.room_m.depth / 2.0
+    for name, place in room.charts.items():
+        field = f"virtual.charts.{name}"
+        if name not in environment.room_charts:
+            raise InputError(file, field, "a place without a chart", f"room_charts.{name}, or to leave it out")
+        x, y, z = place.position_m
+        if abs(x) >= half_m[0] or abs(y) >= half_m[1] or not 0.0 < z < room.room_m.height:
+            found = f"{x:g}, {y:g}, {z:g}, outside the room"
+            raise InputError(file, f"{field}.position_m", found, "a place within room_m")
+        if not any(place.facing):
+            raise InputError(file, f"{field}.facing", "0, 0, 0", "a direction")
 
 
 def _check_ball(source: MirrorBallSource, root: Path, file) -> None:

@@ -4,12 +4,16 @@ Equirectangular, seen from the eye: columns are azimuth from +x towards +y over 
 Radiance is relative: 1 is a perfect diffuser lit at normal incidence by the rig's light.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights
-from irodori.config.models import RoomLamps, RoomWindow, VirtualRoom
+from irodori.config.models import PlacedChart, RoomLamps, RoomWindow, VirtualRoom
 from irodori.light.environment_file import directions
 from irodori.spectra.published import light, spectrum
+
+_CHART_COLUMNS = 400  # of the picture of the room that is summed to the light on a chart
 
 
 def equal_luminance(power: np.ndarray, rig_light: np.ndarray) -> np.ndarray:
@@ -83,3 +87,12 @@ def room_coefficients(room: VirtualRoom, width: int, height: int) -> np.ndarray:
     sources = len(source_spectra(room, np.ones(61))[0])
     fine = np.eye(sources, dtype=np.float32)[source] * shading[..., None].astype(np.float32)
     return fine.reshape(height, 2, width, 2, sources).mean(axis=(1, 3))
+
+
+def light_on_chart(room: VirtualRoom, place: PlacedChart, rig_light: np.ndarray) -> np.ndarray:
+    """Return the radiance of a perfect diffuser that stands and faces as a chart does, (61,), from all of the room."""
+    direction, solid_angle = directions(_CHART_COLUMNS, _CHART_COLUMNS // 2)
+    facing = np.asarray(place.facing) / np.linalg.norm(place.facing)
+    falls = np.maximum(direction @ facing, 0.0) * solid_angle / np.pi
+    seen = room_coefficients(replace(room, eye_m=place.position_m), _CHART_COLUMNS, _CHART_COLUMNS // 2)
+    return np.tensordot(falls, seen, axes=2) @ source_spectra(room, rig_light)[1]

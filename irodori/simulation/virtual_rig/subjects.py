@@ -17,10 +17,11 @@ from irodori.geometry.rig_frame import flat_incidence_rad, rig_from_camera, rig_
 from irodori.geometry.shapes.placement import on_table
 from irodori.light.omnidirectional import to_panorama
 from irodori.simulation.virtual_rig.aperture import gather_rows, place_in_cell
-from irodori.simulation.virtual_rig.classroom import room_coefficients, source_spectra
+from irodori.simulation.virtual_rig.classroom import light_on_chart, room_coefficients, source_spectra
 from irodori.simulation.virtual_rig.imaging import RigView, expose_object
 from irodori.simulation.virtual_rig.samples import Sample
 from irodori.spectra.published import chart_spectra
+from irodori.spectra.published import light as spectrum_of_light
 from irodori.spectra.white_reference import white_reflectance
 
 _PATCH_FILL = 0.42  # half of a patch's side, as a fraction of the pitch between patches
@@ -87,11 +88,40 @@ def _fall_off(camera: Camera, rig: Rig, pose: Pose, ideal_from_seen) -> np.ndarr
 
 def chart_mosaic(chart: Chart, camera: Camera, rig: Rig, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
     """Return the picture of a colour chart of that definition; other parameters as of `object_mosaic`."""
-    assert camera.optics is not None  # checked: a camera on a rig has optics
-    pinhole = Pinhole.from_optics(camera.optics)
+    bands = _patch_bands(chart, math.cos(flat_incidence_rad(pose)), band_weights)
+    return _chart_picture(bands, chart, camera, rig, pose, ideal_from_seen) * _fall_off(
+        camera, rig, pose, ideal_from_seen
+    )
+
+
+def room_chart_mosaic(
+    definition: EnvironmentDefinition, name: str, camera: Camera, rig: Rig, ideal_from_seen, band_weights
+) -> np.ndarray:
+    """Return the picture of a colour chart in a virtual room, as large as the camera's own chart on the rig.
+
+    Parameters are as of `object_mosaic`; the name is one of ``room_charts``.
+    """
+    room, light = definition.virtual, spectrum_of_light(rig.light.spectrum)
+    assert room is not None and camera.poses is not None  # checked: the rig is virtual
+    relative = light_on_chart(room, room.charts[name], light) / light
+    pose = Pose(**vars(camera.poses.chart))
+    chart = definition.room_charts[name]
+    return _chart_picture(_patch_bands(chart, relative, band_weights), chart, camera, rig, pose, ideal_from_seen)
+
+
+def _patch_bands(chart: Chart, light: np.ndarray | float, band_weights) -> np.ndarray:
+    """Return the bands of a chart's patches, and of what is between them last, under light relative to the rig's."""
     _names, patches = chart_spectra(chart.spectra)
     spectra = np.concatenate([patches, np.full((1, patches.shape[1]), _BORDER_REFLECTANCE)])
-    bands = spectra @ band_weights.T * math.cos(flat_incidence_rad(pose))
+    return (spectra * light) @ band_weights.T
+
+
+def _chart_picture(
+    bands: np.ndarray, chart: Chart, camera: Camera, rig: Rig, pose: Pose, ideal_from_seen
+) -> np.ndarray:
+    """Return the picture of a chart in even light from the bands of its patches and of what is between them."""
+    assert camera.optics is not None  # checked: a camera on a rig has optics
+    pinhole = Pinhole.from_optics(camera.optics)
     image = np.empty((pinhole.height_px, pinhole.width_px))
     for first in range(0, pinhole.height_px, _BLOCK_ROWS):
         rows = min(_BLOCK_ROWS, pinhole.height_px - first)
@@ -99,7 +129,7 @@ def chart_mosaic(chart: Chart, camera: Camera, rig: Rig, pose: Pose, ideal_from_
         x, y = place_in_cell(2 * first + row - 1, column - 1)
         point = np.stack(np.broadcast_arrays(x, y, 1.0), axis=-1) @ np.asarray(ideal_from_seen).T
         gather_rows(bands[_patch_at(point, chart, camera, rig, pose, pinhole)], first, image)
-    return image * _fall_off(camera, rig, pose, ideal_from_seen)
+    return image
 
 
 def _patch_at(mosaic_xy, chart: Chart, camera: Camera, rig: Rig, pose: Pose, pinhole: Pinhole) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 
 from irodori.capture.rig.devices import CameraDevice, DeviceError
-from irodori.config.capture_table import FILTERS, Pose, Shot, chart_capture
+from irodori.config.capture_table import FILTERS, Pose, Shot, chart_capture, room_chart_capture
 from irodori.config.models import Camera, Chart, EnvironmentDefinition, Object, Rig
 from irodori.config.parts import PhotographedObject, SceneRadiance
 from irodori.simulation.virtual_rig.bench import Bench
@@ -18,7 +18,13 @@ from irodori.simulation.virtual_rig.mishaps import Mishap
 from irodori.simulation.virtual_rig.samples import Sample
 from irodori.simulation.virtual_rig.scene_view import scene_mosaic, scene_radiance
 from irodori.simulation.virtual_rig.sensor import Sensor, band_weights
-from irodori.simulation.virtual_rig.subjects import chart_mosaic, object_mosaic, room_mosaic, white_mosaic
+from irodori.simulation.virtual_rig.subjects import (
+    chart_mosaic,
+    object_mosaic,
+    room_chart_mosaic,
+    room_mosaic,
+    white_mosaic,
+)
 from irodori.spectra.published import light
 
 Photographed: TypeAlias = Object | PhotographedObject | EnvironmentDefinition | SceneRadiance
@@ -93,6 +99,12 @@ class VirtualCamera(CameraDevice):
         further = {chart_capture(name): chart for name, chart in self.camera.further_charts.items()}
         return {"chart": self.camera.chart, **further}
 
+    @property
+    def _room_charts(self) -> dict[str, str]:
+        """Name of every chart in the room, by what the bench calls it."""
+        charts = self.subject.room_charts if isinstance(self.subject, EnvironmentDefinition) else ()
+        return {room_chart_capture(name): name for name in charts}
+
     @cached_property
     def _hot_rate_e_per_s(self) -> np.ndarray:
         optics = self.optics
@@ -134,6 +146,10 @@ class VirtualCamera(CameraDevice):
             response = white_mosaic(self.camera, self.rig, pose, plate, weights)
         elif subject in self._charts:
             response = chart_mosaic(self._charts[subject], self.camera, self.rig, pose, plate, weights)
+        elif subject in self._room_charts:
+            response = room_chart_mosaic(
+                self.subject, self._room_charts[subject], self.camera, self.rig, plate, weights
+            )
         elif subject == "scene":
             response = scene_mosaic(self._scene, self.light, optics, plate, weights)
         elif subject == "object":
