@@ -201,7 +201,7 @@ def _common_part(surface, gloss):
             c, g, w = blocks[t, _C, j], room[_GLOSS, j], room[_KNOWN, j]
             jb, jm = g + c * part[ALPHA_BY_BETA], room[_SLOPE, j] + c * part[ALPHA_BY_MU]
             light = rules.model_error * (part[ALPHA] * c + g)
-            # An error of a photograph's pose moves its highlight: nearer to the texels on one side, away from the others.
+            # An error of a photograph's pose moves its highlight: to the texels on one side, away from the others.
             flank = blocks[t, _SIDE, j] * math.sqrt(0.5 * rules.pose_variance * room[_STEEP, j]) * g
             tilt = math.sqrt(rules.pose_variance * max(1.0 - c * c, 0.0)) * part[ALPHA]
             for i, size in enumerate((light, flank, tilt)):
